@@ -1,0 +1,54 @@
+"""Directions and angles: the one azimuth and polar convention of the instrument."""
+
+import numpy as np
+
+__all__ = ["angles", "direction", "mirror"]
+
+
+def direction(theta, phi):
+    """Unit vectors for polar angles and azimuths.
+
+    Parameters
+    ----------
+    theta : array_like
+        Polar angle from +z, in radians, in [0, pi].
+    phi : array_like
+        Azimuth from +x, counter-clockwise seen from +z, in radians.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        ``(sin theta cos phi, sin theta sin phi, cos theta)``.
+    """
+    theta, phi = np.broadcast_arrays(
+        np.asarray(theta, dtype=float), np.asarray(phi, dtype=float)
+    )
+    sin_theta = np.sin(theta)
+    return np.stack(
+        [sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta)], axis=-1
+    )
+
+
+def angles(v):
+    """Polar angle in [0, pi] and azimuth in [0, 2 pi), in radians.
+
+    Parameters
+    ----------
+    v : array_like, shape (..., 3)
+        Directions; they need not be normalised.
+
+    Returns
+    -------
+    theta, phi : ndarray, shape (...)
+        At the pole, where every azimuth meets, ``phi`` is 0.
+    """
+    x, y, z = np.moveaxis(np.asarray(v, dtype=float), -1, 0)
+    phi = np.arctan2(y, x)
+    phi = np.where(phi < 0, phi + 2 * np.pi, phi)
+    phi = np.where((phi >= 2 * np.pi) | ((x == 0) & (y == 0)), 0.0, phi)
+    return np.arctan2(np.hypot(x, y), z), phi
+
+
+def mirror(theta, phi):
+    """Direction of ideal reflection: same polar angle, azimuth turned by pi."""
+    return theta, np.mod(np.asarray(phi, dtype=float) + np.pi, 2 * np.pi)

@@ -1,0 +1,363 @@
+"""The result of a measurement: values, uncertainties, ledger and how it was made."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from . import statistics
+from .errors import checked_choice, checked_number
+from .subdivision import Subdivision
+from .tally import Ledger, Tally
+
+__all__ = ["Record"]
+
+# Below this many hits the sum of a patch is too skewed for Student's t.
+FEW_HITS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What the collector received, at one incident direction or a stack of them.
+
+    Only exact integer sums are stored; everything else is derived. For a stack all
+    arrays have the incident direction as an additional first axis.
+
+    Attributes
+    ----------
+    subdivision : Subdivision
+        The patches of either hemisphere.
+    theta_i, phi_i : ndarray of float64, shape (n_incident,)
+        Incident direction in degrees, towards the centre of the emitter; ``theta_i``
+        counts from the normal of the lit face.
+    channels : tuple of str
+        ``("Y",)``, ``("R", "G", "B")`` or wavelengths such as ``"550nm"``.
+    tallies : tuple of Tally
+        One per incident direction.
+    settings : dict
+        All that is needed to repeat the measurement, in JSON's types.
+    stacked : bool
+        Whether it was asked for as a stack.
+    """
+
+    subdivision: Subdivision
+    theta_i: np.ndarray
+    phi_i: np.ndarray
+    channels: tuple[str, ...]
+    tallies: tuple[Tally, ...]
+    settings: dict = field(default_factory=dict)
+    stacked: bool = False
+
+    # ------------------------------------------------------------------ values
+
+    @cached_property
+    def brdf(self):
+        """Patch mean of the BRDF in 1/sr, shape ``(n_theta, n_phi, channels)``."""
+        return self._squeeze(self._per_patch(0, self._fraction))
+
+    @cached_property
+    def btdf(self):
+        """Patch mean of the BTDF in 1/sr, or None if there was no lower hemisphere.
+
+        There is none where the specimen declares that it cannot transmit.
+        """
+        return self._lower(lambda: self._per_patch(1, self._fraction))
+
+    @cached_property
+    def brdf_std_err(self):
+        """Standard error of `brdf`; NaN where nothing was received or known."""
+        return self._squeeze(self._per_patch(0, self._std_err))
+
+    @cached_property
+    def btdf_std_err(self):
+        """Standard error of `btdf`; NaN where nothing was received or known."""
+        return self._lower(lambda: self._per_patch(1, self._std_err))
+
+    @cached_property
+    def dhr(self):
+        """Directional-hemispherical reflectance, shape ``(channels,)``."""
+        return self._squeeze(self._hemispheres(0)[0])
+
+    @cached_property
+    def dht(self):
+        """Directional-hemispherical transmittance, or None without lower hemisphere."""
+        return self._lower(lambda: self._hemispheres(1)[0])
+
+    @cached_property
+    def dhr_std_err(self):
+        """Standard error of `dhr` from the batches; NaN for a single batch."""
+        return self._squeeze(self._hemispheres(0)[1])
+
+    @cached_property
+    def dht_std_err(self):
+        """Standard error of `dht` from the batches; NaN for a single batch."""
+        return self._lower(lambda: self._hemispheres(1)[1])
+
+    @property
+    def flux_fraction(self):
+        """Received over incident flux, ``(n_hemispheres, n_theta, n_phi, channels)``.
+
+        The raw measured quantity; it sums to ``dhr`` and ``dht``.
+        """
+        return self._squeeze(
+            np.stack([statistics.ratio(t.sums, _incident(t)) for t in self.tallies])
+        )
+
+    @property
+    def counts(self):
+        """Rays per patch, uint64, shape ``(n_hemispheres, n_theta, n_phi)``."""
+        return self._squeeze(np.stack([tally.hits for tally in self.tallies]))
+
+    @property
+    def ledger(self):
+        """:class:`Ledger` over all batches and incident directions."""
+        total = Ledger()
+        for tally in self.tallies:
+            total = total + tally.ledger
+        return total
+
+    @property
+    def n_batches(self):
+        """Independent batches per incident direction."""
+        return min(tally.n_batches for tally in self.tallies)
+
+    @property
+    def has_lower(self):
+        """Whether there was a lower hemisphere."""
+        return all(tally.hits.shape[0] == 2 for tally in self.tallies)
+
+    # ------------------------------------------------------------ uncertainties
+
+    def interval(self, level=0.95, of="brdf"):
+        """Interval that covers the true patch mean with probability `level`.
+
+        Exact binomial (Clopper-Pearson) for counted independent rays. Otherwise
+        Student's t over the batches; for patches with fewer than 100 hits the exact
+        binomial interval of the hits, times the mean weight of a hit. A patch without
+        a hit has an upper limit: the flux that would have left it empty with probability
+        ``(1 - level) / 2``, at the larger of unit weight and the largest mean weight
+        seen.
+
+        Parameters
+        ----------
+        level : float
+            In (0, 1).
+        of : {"brdf", "btdf", "dhr", "dht"}
+
+        Returns
+        -------
+        low, high : ndarray
+            Shaped like the quantity; NaN where a single batch leaves it unknown.
+
+        Raises
+        ------
+        ValueError
+            For another `level` or `of`, or if there is no lower hemisphere.
+        """
+        level = checked_number("level", level, 1e-12, 1, "between 0 and 1")
+        checked_choice("of", of, ("brdf", "btdf", "dhr", "dht"))
+        hemisphere = int(of in ("btdf", "dht"))
+        if hemisphere and not self.has_lower:
+            raise ValueError(f"of must be brdf or dhr for a record without {of}")
+        if of in ("dhr", "dht"):
+            intervals = [self._total_interval(t, hemisphere, level) for t in self.tallies]
+            low, high = np.stack(intervals, axis=1)
+        else:
+            intervals = [self._patch_interval(t, hemisphere, level) for t in self.tallies]
+            low, high = np.stack(intervals, axis=1) / self._projected
+        return self._squeeze(low), self._squeeze(high)
+
+    def _patch_interval(self, tally, hemisphere, level):
+        """Interval of the flux fractions of one hemisphere."""
+        hits = tally.hits[hemisphere][..., None]
+        rays = _incident_rays(tally)
+        fraction = self._fraction(tally, hemisphere)
+        if self._is_binomial(tally):
+            return np.stack(statistics.binomial_interval(hits, rays, level))
+        interval = np.stack(
+            statistics.student_interval(
+                fraction, self._std_err(tally, hemisphere), tally.n_batches, level
+            )
+        )
+        with np.errstate(invalid="ignore"):
+            weight = fraction * rays / hits
+        few = np.broadcast_to((hits < FEW_HITS) & (hits > 0), fraction.shape)
+        exact = np.stack(statistics.binomial_interval(hits, rays, level)) * weight
+        largest = np.nanmax(weight, initial=1.0)
+        empty = np.broadcast_to(hits == 0, fraction.shape)
+        interval = np.where(few & self._independent, exact, interval)
+        interval[0] = np.where(empty, 0.0, interval[0])
+        interval[1] = np.where(
+            empty, statistics.upper_limit(rays, level) * largest, interval[1]
+        )
+        return interval
+
+    def _total_interval(self, tally, hemisphere, level):
+        """Interval of one hemisphere's total."""
+        value, std_err = _total(tally, hemisphere)
+        hits = tally.hits[hemisphere].sum()
+        if self._is_binomial(tally) or hits == 0:
+            return np.stack(
+                statistics.binomial_interval(
+                    np.broadcast_to(hits, value.shape), _incident_rays(tally), level
+                )
+            )
+        return np.stack(
+            statistics.student_interval(value, std_err, tally.n_batches, level)
+        )
+
+    # --------------------------------------------------------------- composition
+
+    def __len__(self):
+        return len(self.tallies)
+
+    def __getitem__(self, index):
+        """Record of one incident direction of the stack."""
+        tally = self.tallies[index]
+        return replace(
+            self,
+            theta_i=self.theta_i[index : index + 1 or None],
+            phi_i=self.phi_i[index : index + 1 or None],
+            tallies=(tally,),
+            stacked=False,
+        )
+
+    def __eq__(self, other):
+        return (
+            isinstance(other, Record)
+            and self.subdivision == other.subdivision
+            and np.array_equal(self.theta_i, other.theta_i, equal_nan=True)
+            and np.array_equal(self.phi_i, other.phi_i, equal_nan=True)
+            and self.channels == other.channels
+            and self.settings == other.settings
+            and self.stacked == other.stacked
+            and self.tallies == other.tallies
+        )
+
+    def __repr__(self):
+        angles = ", ".join(
+            f"({theta:g}, {phi:g})" for theta, phi in zip(self.theta_i[:3], self.phi_i[:3])
+        ) + (", ..." if len(self) > 3 else "")
+        return (
+            f"<Record of {self.settings.get('specimen', 'a specimen')}: {self.subdivision}, "
+            f"incident (theta_i, phi_i) = {angles} degrees, "
+            f"{self.ledger.emitted} rays, dhr {np.array2string(self.dhr, precision=5)}>"
+        )
+
+    def merge(self, other):
+        """Record of the rays of both: same measurement, another seed.
+
+        Raises
+        ------
+        ValueError
+            If the two differ in anything but their rays, batches and seed, or were made
+            with the same seed, whose rays would be counted twice.
+        """
+        own, others = _repeatable(self), _repeatable(other)
+        for key in sorted(own.keys() | others.keys()):
+            if own.get(key) != others.get(key):
+                raise ValueError(
+                    f"records must agree in {key} to be merged, got {own.get(key)!r} "
+                    f"and {others.get(key)!r}"
+                )
+        seeds = [*_seeds(self), *_seeds(other)]
+        if len(set(seeds)) < len(seeds):
+            raise ValueError(f"records must have different seeds to be merged, got {seeds}")
+        settings = dict(self.settings, seed=seeds)
+        for key in ("rays", "batches"):
+            settings[key] = self.settings[key] + other.settings[key]
+        tallies = tuple(a + b for a, b in zip(self.tallies, other.tallies))
+        channels = max(self.channels, other.channels, key=len)
+        return replace(self, tallies=tallies, channels=channels, settings=settings)
+
+    def save(self, path):
+        """Write to ``.npz`` or ``.exr``, both lossless; the file appears when complete.
+
+        Raises
+        ------
+        ValueError
+            For another file ending.
+        OSError
+            If it cannot be written.
+        """
+        from . import files
+
+        files.save(self, path)
+
+    # ------------------------------------------------------------------ internals
+
+    @property
+    def _projected(self):
+        return self.subdivision.projected_solid_angles[..., None]
+
+    @property
+    def _independent(self):
+        return self.settings.get("sampler") == "independent"
+
+    def _is_binomial(self, tally):
+        """Whether each patch counted independent rays of one channel, one by one."""
+        return (
+            self._independent
+            and tally.scale == 1
+            and tally.channels == 1
+            and np.array_equal(tally.sums[..., 0].sum(axis=0), tally.hits)
+            and tally.incident.sum() == _incident_rays(tally)
+        )
+
+    def _fraction(self, tally, hemisphere):
+        return statistics.ratio(tally.sums[:, hemisphere], _incident(tally)[:, 0])
+
+    def _std_err(self, tally, hemisphere):
+        hits = tally.hits[hemisphere][..., None]
+        if self._is_binomial(tally):
+            return statistics.binomial_std_err(hits, _incident_rays(tally))
+        std_err = statistics.batch_std_err(tally.sums[:, hemisphere], _incident(tally)[:, 0])
+        return np.where(hits > 0, std_err, np.nan)
+
+    def _per_patch(self, hemisphere, quantity):
+        return np.stack([quantity(t, hemisphere) for t in self.tallies]) / self._projected
+
+    def _hemispheres(self, hemisphere):
+        return np.stack([_total(tally, hemisphere) for tally in self.tallies], axis=1)
+
+    def _lower(self, quantity):
+        return self._squeeze(quantity()) if self.has_lower else None
+
+    def _squeeze(self, array):
+        return array if self.stacked else array[0]
+
+
+def _incident(tally):
+    """Incident flux per batch, broadcastable to the tally's sums."""
+    return tally.incident[:, None, None, None, :]
+
+
+def _incident_rays(tally):
+    """Rays that met the specimen."""
+    ledger = tally.ledger
+    return ledger.emitted - ledger.missed - ledger.unlit
+
+
+def _total(tally, hemisphere):
+    """Flux fraction of one hemisphere and its standard error, per channel."""
+    sums = tally.sums[:, hemisphere].sum(axis=(1, 2), dtype=np.uint64)
+    return (
+        statistics.ratio(sums, tally.incident),
+        statistics.batch_std_err(sums, tally.incident),
+    )
+
+
+def _seeds(record):
+    seed = record.settings.get("seed")
+    return seed if isinstance(seed, list) else [seed]
+
+
+def _repeatable(record):
+    """What must be equal for two records to be of the same measurement."""
+    own = {"rays", "batches", "seed", "created", "seconds", "versions"}
+    settings = {k: v for k, v in record.settings.items() if k not in own}
+    return settings | {
+        "collector": str(record.subdivision),
+        "theta_i": record.theta_i.tolist(),
+        "phi_i": record.phi_i.tolist(),
+    }

@@ -1,0 +1,82 @@
+"""Estimates, standard errors and intervals from counts and from independent batches."""
+
+import numpy as np
+from scipy import stats
+
+__all__ = [
+    "batch_std_err",
+    "binomial_interval",
+    "binomial_std_err",
+    "ratio",
+    "student_interval",
+    "upper_limit",
+]
+
+
+def ratio(sums, incident):
+    """Flux fraction over all batches: sum of `sums` over sum of `incident`.
+
+    Parameters
+    ----------
+    sums : ndarray, shape (n_batches, ...)
+    incident : ndarray, broadcastable to `sums`
+
+    Returns
+    -------
+    ndarray of float64, shape (...)
+        NaN where nothing was incident.
+    """
+    with np.errstate(invalid="ignore"):
+        return np.sum(sums, axis=0, dtype=float) / np.sum(incident, axis=0, dtype=float)
+
+
+def batch_std_err(sums, incident):
+    """Standard error of :func:`ratio` from the scatter between batches.
+
+    The usual linearisation of a ratio estimator (Cochran 1977, *Sampling
+    Techniques*, eq. 6.13); for batches of equal incident flux it is the standard error
+    of the mean of the batches. NaN for fewer than two batches.
+    """
+    n = len(sums)
+    if n < 2:
+        return np.full(np.broadcast_shapes(sums.shape, incident.shape)[1:], np.nan)
+    incident = np.asarray(incident, dtype=float)
+    fraction = ratio(sums, incident)
+    square = np.zeros(fraction.shape)
+    for batch_sum, batch_incident in zip(sums, incident):
+        square += (batch_sum - fraction * batch_incident) ** 2
+    with np.errstate(invalid="ignore"):
+        return np.sqrt(square * (n / (n - 1))) / incident.sum(axis=0)
+
+
+def binomial_std_err(hits, rays):
+    """Standard error of ``hits / rays`` for independent rays; NaN without a hit."""
+    p = np.asarray(hits, dtype=float) / rays
+    return np.where(np.asarray(hits) > 0, np.sqrt(p * (1 - p) / rays), np.nan)
+
+
+def binomial_interval(hits, rays, level):
+    """Exact interval for a probability (Clopper and Pearson 1934), also at 0 hits.
+
+    Returns
+    -------
+    low, high : ndarray
+        Cover the truth with probability at least `level`.
+    """
+    hits, rays = np.asarray(hits, dtype=float), np.asarray(rays, dtype=float)
+    tail = (1 - level) / 2
+    misses = rays - hits
+    low = stats.beta.ppf(tail, hits, misses + 1)
+    high = stats.beta.ppf(1 - tail, hits + 1, misses)
+    return np.where(hits == 0, 0.0, low), np.where(misses == 0, 1.0, high)
+
+
+def student_interval(value, std_err, n_batches, level):
+    """Interval by Student's t with ``n_batches - 1`` degrees of freedom."""
+    half = stats.t.ppf((1 + level) / 2, max(n_batches - 1, 1)) * std_err
+    return value - half, value + half
+
+
+def upper_limit(rays, level):
+    """Largest probability that leaves a patch empty with probability (1 - level) / 2."""
+    return -np.expm1(np.log((1 - level) / 2) / np.asarray(rays, dtype=float))

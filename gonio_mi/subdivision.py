@@ -1,0 +1,263 @@
+"""How a collector hemisphere is cut into patches (the paper's section 3).
+
+Every subdivision has rings of polar angle times sectors of azimuth, and describes one
+hemisphere by the angle from its own pole; the lower hemisphere mirrors the upper one.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from .errors import checked_count
+
+__all__ = [
+    "EqualAngle",
+    "EqualProjectedSolidAngle",
+    "EqualSolidAngle",
+    "Subdivision",
+    "subdivision",
+]
+
+# A direction this close to a border counts as on it: a few float32 rounding errors.
+# Relative in the ring coordinate, so that no ring gains or loses more than this
+# fraction of its size; absolute in azimuth, where it only turns the collector.
+BORDER = 2.0**-20
+
+
+@dataclass(frozen=True)
+class Subdivision:
+    r"""Rings times sectors of one collector hemisphere.
+
+    Patch ``(i, j)`` spans ``theta_edges[i] <= theta < theta_edges[i + 1]`` and
+    ``phi_edges[j] <= phi < phi_edges[j + 1]``: half open, so that each direction of
+    the open hemisphere belongs to exactly one patch. A direction within ``2**-20`` of a
+    border counts as on it, so that single precision cannot decide. The pole belongs
+    to patch ``(0, 0)``. The horizon, theta = 90 degrees, belongs to no patch.
+
+    Parameters
+    ----------
+    n_theta, n_phi : int
+        Number of rings and of sectors, each at least 1.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a number is not an integer or is below 1.
+    """
+
+    n_theta: int
+    n_phi: int
+
+    name: ClassVar[str] = ""
+
+    def __post_init__(self):
+        for field in ("n_theta", "n_phi"):
+            object.__setattr__(self, field, checked_count(field, getattr(self, field)))
+
+    def __str__(self):
+        """The name under which :func:`subdivision` rebuilds this one."""
+        return f"{self.name}:{self.n_theta}x{self.n_phi}"
+
+    @property
+    def shape(self):
+        """``(n_theta, n_phi)``."""
+        return self.n_theta, self.n_phi
+
+    @property
+    def n_patches(self):
+        """Number of patches of one hemisphere."""
+        return self.n_theta * self.n_phi
+
+    @property
+    def theta_edges(self):
+        """Ring borders in radians from the pole, shape ``(n_theta + 1,)``, 0 to pi/2."""
+        edges = self._edges(np.arange(self.n_theta + 1) / self.n_theta)
+        edges[-1] = np.pi / 2
+        return edges
+
+    @property
+    def phi_edges(self):
+        """Sector borders in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
+        return np.linspace(0, 2 * np.pi, self.n_phi + 1)
+
+    @property
+    def theta(self):
+        """Middle of each ring in radians, shape ``(n_theta,)``: halves its flux.
+
+        That is the angle that halves the ring's projected solid angle.
+        """
+        sin2 = np.sin(self.theta_edges) ** 2
+        return np.arcsin(np.sqrt((sin2[1:] + sin2[:-1]) / 2))
+
+    @property
+    def phi(self):
+        """Middle of each sector in radians, shape ``(n_phi,)``."""
+        return (self.phi_edges[1:] + self.phi_edges[:-1]) / 2
+
+    @property
+    def solid_angles(self):
+        """Exact solid angle of each patch in sr, shape ``(n_theta, n_phi)``; sum 2 pi."""
+        low, high = self.theta_edges[:-1], self.theta_edges[1:]
+        ring = 2 * np.sin((high + low) / 2) * np.sin((high - low) / 2)
+        return self._over_sectors(ring)
+
+    @property
+    def projected_solid_angles(self):
+        """Exact integral of cos(theta) over each patch in sr; sum pi.
+
+        Shape ``(n_theta, n_phi)``: the paper's adjusted solid angle (eq. 12).
+        """
+        low, high = self.theta_edges[:-1], self.theta_edges[1:]
+        return self._over_sectors(np.sin(high - low) * np.sin(high + low) / 2)
+
+    def adjusted_solid_angles(self, theta_r):
+        """Solid angle times cos(theta_r), the paper's eq. 2, in sr.
+
+        Parameters
+        ----------
+        theta_r : {"theta", "cosine"}
+            The paper's two choices in section 3.1: ``"theta"`` averages the borders'
+            angles, ``"cosine"`` their cosines. The second equals
+            :attr:`projected_solid_angles`; the first does not (Figure 2).
+
+        Returns
+        -------
+        ndarray, shape (n_theta, n_phi)
+        """
+        low, high = self.theta_edges[:-1], self.theta_edges[1:]
+        if theta_r == "theta":
+            cos_theta_r = np.cos((low + high) / 2)
+        elif theta_r == "cosine":
+            cos_theta_r = (np.cos(low) + np.cos(high)) / 2
+        else:
+            raise ValueError(f"theta_r must be 'theta' or 'cosine', got {theta_r!r}")
+        return self.solid_angles * cos_theta_r[:, None]
+
+    def patch(self, v):
+        """Index ``i * n_phi + j`` of the patch that each direction hits.
+
+        Parameters
+        ----------
+        v : array_like, shape (..., 3)
+            Unit vectors; the sign of z is ignored (the lower hemisphere mirrors).
+
+        Returns
+        -------
+        ndarray of int, shape (...)
+        """
+        x, y, z = np.moveaxis(np.asarray(v, dtype=float), -1, 0)
+        index = self.patch_index(np, x, y, np.abs(z))
+        return np.clip(index, 0, self.n_patches - 1).astype(int)
+
+    def patch_index(self, xp, x, y, z):
+        """Patch index as a whole floating-point number, in any array library.
+
+        Parameters
+        ----------
+        xp : module
+            Has ``sqrt``, ``atan2``, ``floor``, ``ceil``, ``minimum`` and ``where``.
+        x, y, z : array
+            Components of unit vectors, z > 0.
+        """
+        return self._ring(xp, x * x + y * y, z) * self.n_phi + self._sector(xp, x, y)
+
+    def _ring(self, xp, sin2, z):
+        """Ring of a direction, counted from whichever end keeps its precision."""
+        from_pole, from_horizon = self._coordinates(xp, sin2, z)
+        n = float(self.n_theta)
+        above = xp.floor(from_pole * (n * (1 + BORDER)))
+        below = n - xp.ceil(from_horizon * (n * (1 - BORDER)))
+        return xp.minimum(xp.where(sin2 < z * z, above, below), n - 1)
+
+    def _sector(self, xp, x, y):
+        """Sector of a direction; the collector is turned by ``BORDER`` radians."""
+        n = float(self.n_phi)
+        turn = (xp.atan2(y, x) + BORDER) * (n / (2 * np.pi))
+        sector = xp.floor(xp.where(turn < 0, turn + n, turn))
+        # the pole, and what rounding lifted to a full turn, are in the first sector
+        return xp.where(((x == 0) & (y == 0)) | (sector >= n), 0.0, sector)
+
+    def _over_sectors(self, ring):
+        """Spread a ring's integral per radian of azimuth over its sectors."""
+        values = ring * (2 * np.pi / self.n_phi)
+        return np.repeat(values[:, None], self.n_phi, axis=1)
+
+    def _edges(self, fraction):
+        """Polar angle of a ring border, given its fraction of all rings."""
+        raise NotImplementedError
+
+    def _coordinates(self, xp, sin2, z):
+        """Ring coordinate in [0, 1], measured from the pole and from the horizon."""
+        raise NotImplementedError
+
+
+class EqualAngle(Subdivision):
+    """Equal steps of polar angle and azimuth (the paper's section 3.1)."""
+
+    name = "angle"
+
+    def _edges(self, fraction):
+        return fraction * (np.pi / 2)
+
+    def _coordinates(self, xp, sin2, z):
+        sin = xp.sqrt(sin2)
+        return xp.atan2(sin, z) * (2 / np.pi), xp.atan2(z, sin) * (2 / np.pi)
+
+
+class EqualSolidAngle(Subdivision):
+    """Patches of equal solid angle: equal steps of cos(theta) (eq. 11)."""
+
+    name = "solid"
+
+    def _edges(self, fraction):
+        # 1 - cos(theta) = 2 sin^2(theta / 2), without cancellation at the pole
+        return 2 * np.arcsin(np.sqrt(fraction / 2))
+
+    def _coordinates(self, xp, sin2, z):
+        return sin2 / (1.0 + z), z
+
+
+class EqualProjectedSolidAngle(Subdivision):
+    """Patches of equal projected solid angle: equal steps of sin^2(theta) (eq. 13)."""
+
+    name = "projected"
+
+    def _edges(self, fraction):
+        return np.arcsin(np.sqrt(fraction))
+
+    def _coordinates(self, xp, sin2, z):
+        return sin2, z * z
+
+
+_KINDS = {kind.name: kind for kind in (EqualAngle, EqualSolidAngle, EqualProjectedSolidAngle)}
+
+
+def subdivision(text):
+    """Build the subdivision that a name such as ``"projected:30x30"`` describes.
+
+    Parameters
+    ----------
+    text : str or Subdivision
+        ``angle``, ``solid`` or ``projected``, a colon, rings, ``x``, sectors. A
+        subdivision is returned as it is.
+
+    Raises
+    ------
+    ValueError
+        If the name is not of that form, or a number is below 1.
+    """
+    if isinstance(text, Subdivision):
+        return text
+    form = f"collector must look like projected:30x30 (one of {', '.join(_KINDS)})"
+    if not isinstance(text, str):
+        raise TypeError(f"{form}, got {text!r}")
+    name, _, size = text.partition(":")
+    rings, _, sectors = size.partition("x")
+    if name not in _KINDS or not (_is_integer(rings) and _is_integer(sectors)):
+        raise ValueError(f"{form}, got {text!r}")
+    return _KINDS[name](int(rings), int(sectors))
+
+
+def _is_integer(text):
+    return text.removeprefix("-").isascii() and text.removeprefix("-").isdigit()

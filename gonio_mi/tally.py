@@ -1,0 +1,187 @@
+"""Exact integer sums of what the collector received, and the ledger of every ray."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+__all__ = ["Fate", "Ledger", "Tally", "WEIGHT_SCALE"]
+
+# Weighted sums are fixed-point multiples of 2**-24: finer than the float32 weights that
+# enter, with room for 1e12 rays of unit weight in 64 bits.
+WEIGHT_SCALE = 2**24
+
+
+class Fate(IntEnum):
+    """What became of a ray. The order is that of the tally's columns."""
+
+    REFLECTED = 0
+    TRANSMITTED = 1
+    ABSORBED = 2
+    MISSED = 3
+    SIDEWAYS = 4
+    TRUNCATED = 5
+    REJECTED = 6
+    INVALID = 7
+    UNLIT = 8
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """Where every ray went, as whole numbers of rays that add up to `emitted`.
+
+    Attributes
+    ----------
+    reflected, transmitted : int
+        Left into the hemisphere of the emitter, or into the opposite one.
+    absorbed : int
+        Ended in the specimen: no throughput was left.
+    missed : int
+        Never met the specimen. These rays are not part of the incident flux.
+    sideways : int
+        Left through a side of the specimen's bounding box, or along the horizon.
+    truncated : int
+        Still inside after ``max_depth`` surface events.
+    rejected : int
+        The BSDF's ``sample`` gave no direction (zero density).
+    invalid : int
+        ``sample`` gave a weight that is negative, not finite or above 32768, or a
+        direction that is no unit vector.
+    unlit : int
+        The emitter sends nothing along this ray.
+    """
+
+    reflected: int = 0
+    transmitted: int = 0
+    absorbed: int = 0
+    missed: int = 0
+    sideways: int = 0
+    truncated: int = 0
+    rejected: int = 0
+    invalid: int = 0
+    unlit: int = 0
+
+    @classmethod
+    def from_counts(cls, counts):
+        """Build from counts in the order of :class:`Fate`."""
+        return cls(*(int(n) for n in counts))
+
+    @property
+    def rows(self):
+        """Dictionary of row name to number of rays."""
+        return {fate.name.lower(): getattr(self, fate.name.lower()) for fate in Fate}
+
+    @property
+    def emitted(self):
+        """All rays: the sum of the rows."""
+        return sum(self.rows.values())
+
+    def __add__(self, other):
+        """Ledger of both sets of rays."""
+        return Ledger(*(a + b for a, b in zip(self.rows.values(), other.rows.values())))
+
+
+@dataclass(eq=False)
+class Tally:
+    """Sums of one measurement, batch by batch.
+
+    Attributes
+    ----------
+    hits : ndarray of uint64, shape (n_hemispheres, n_theta, n_phi)
+        Rays that each patch received. Hemisphere 0 is the emitter's side.
+    sums : ndarray of uint64, shape (n_batches, n_hemispheres, n_theta, n_phi, channels)
+        Received flux in units of ``1 / scale`` of a ray.
+    incident : ndarray of uint64, shape (n_batches, channels)
+        Flux that met the specimen, in the same unit.
+    fates : ndarray of uint64, shape (n_batches, len(Fate))
+        Rays by their fate.
+    scale : int
+        1 when rays are counted, `WEIGHT_SCALE` when weights are summed.
+    """
+
+    hits: np.ndarray
+    sums: np.ndarray
+    incident: np.ndarray
+    fates: np.ndarray
+    scale: int
+
+    @classmethod
+    def empty(cls, n_hemispheres, shape, channels, scale):
+        """A tally without batches."""
+        return cls(
+            hits=np.zeros((n_hemispheres, *shape), np.uint64),
+            sums=np.zeros((0, n_hemispheres, *shape, channels), np.uint64),
+            incident=np.zeros((0, channels), np.uint64),
+            fates=np.zeros((0, len(Fate)), np.uint64),
+            scale=scale,
+        )
+
+    @property
+    def n_batches(self):
+        """Number of independent batches."""
+        return len(self.fates)
+
+    @property
+    def channels(self):
+        """Number of channels."""
+        return self.sums.shape[-1]
+
+    @property
+    def ledger(self):
+        """:class:`Ledger` over all batches."""
+        return Ledger.from_counts(self.fates.sum(axis=0))
+
+    def __add__(self, other):
+        """Tally of the batches of both, exactly; see :meth:`join`."""
+        return Tally.join([self, other])
+
+    @classmethod
+    def join(cls, tallies):
+        """Tally of all batches of `tallies`, exactly.
+
+        A tally of one channel is spread over the channels of the others.
+
+        Raises
+        ------
+        ValueError
+            If they do not share their patches and their scale.
+        """
+        first = tallies[0]
+        for other in tallies:
+            if first.hits.shape != other.hits.shape or first.scale != other.scale:
+                raise ValueError(
+                    "tallies must share patches and scale to be joined, got "
+                    f"{first.hits.shape} x {first.scale} and "
+                    f"{other.hits.shape} x {other.scale}"
+                )
+        channels = max(tally.channels for tally in tallies)
+        tallies = [tally.spread(channels) for tally in tallies]
+        return cls(
+            hits=sum(tally.hits for tally in tallies[1:]) + first.hits,
+            sums=np.concatenate([tally.sums for tally in tallies]),
+            incident=np.concatenate([tally.incident for tally in tallies]),
+            fates=np.concatenate([tally.fates for tally in tallies]),
+            scale=first.scale,
+        )
+
+    def __eq__(self, other):
+        return isinstance(other, Tally) and self.scale == other.scale and all(
+            np.array_equal(getattr(self, name), getattr(other, name))
+            for name in ("hits", "sums", "incident", "fates")
+        )
+
+    def spread(self, channels):
+        """Tally with the one channel of an achromatic specimen repeated."""
+        if self.channels == channels:
+            return self
+        if self.channels != 1:
+            raise ValueError(
+                f"a tally of {self.channels} channels cannot become one of {channels}"
+            )
+        return Tally(
+            self.hits,
+            np.repeat(self.sums, channels, axis=-1),
+            np.repeat(self.incident, channels, axis=-1),
+            self.fates,
+            self.scale,
+        )
