@@ -169,8 +169,9 @@ class Record:
 
     def _patch_interval(self, tally, hemisphere, level):
         """Interval of the flux fractions of one hemisphere."""
-        hits = tally.hits[hemisphere][..., None]
-        rays = _incident_rays(tally)
+        passes = self.settings.get("passes", 1)
+        hits = tally.hits[hemisphere][..., None] // passes
+        rays = _incident_rays(tally) // passes
         fraction = self._fraction(tally, hemisphere)
         if self._is_binomial(tally):
             return np.stack(statistics.binomial_interval(hits, rays, level))

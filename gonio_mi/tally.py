@@ -5,11 +5,17 @@ from enum import IntEnum
 
 import numpy as np
 
-__all__ = ["Fate", "Ledger", "Tally", "WEIGHT_SCALE"]
+__all__ = ["Fate", "Ledger", "Tally", "WEIGHT_SCALE", "batch_sizes"]
 
 # Weighted sums are fixed-point multiples of 2**-24: finer than the float32 weights that
 # enter, with room for 1e12 rays of unit weight in 64 bits.
 WEIGHT_SCALE = 2**24
+
+
+def batch_sizes(rays, batches):
+    """Split `rays` over at most `batches` batches that differ by one ray at most."""
+    batches = min(rays, batches)
+    return [rays // batches + (i < rays % batches) for i in range(batches)]
 
 
 class Fate(IntEnum):
@@ -162,6 +168,39 @@ class Tally:
             incident=np.concatenate([tally.incident for tally in tallies]),
             fates=np.concatenate([tally.fates for tally in tallies]),
             scale=first.scale,
+        )
+
+    def accumulate(self, other):
+        """Tally of one batch from two parts of it: the sums add, batch by batch."""
+        channels = max(self.channels, other.channels)
+        a, b = self.spread(channels), other.spread(channels)
+        return Tally(
+            a.hits + b.hits,
+            a.sums + b.sums,
+            a.incident + b.incident,
+            a.fates + b.fates,
+            a.scale,
+        )
+
+    @classmethod
+    def join_channels(cls, tallies):
+        """Tally of all channels of `tallies`, for which separate rays were sent."""
+        return cls(
+            hits=sum(tally.hits for tally in tallies[1:]) + tallies[0].hits,
+            sums=np.concatenate([tally.sums for tally in tallies], axis=-1),
+            incident=np.concatenate([tally.incident for tally in tallies], axis=-1),
+            fates=sum(tally.fates for tally in tallies[1:]) + tallies[0].fates,
+            scale=tallies[0].scale,
+        )
+
+    def first(self, channels):
+        """Tally of the first `channels` channels."""
+        return Tally(
+            self.hits,
+            self.sums[..., :channels],
+            self.incident[..., :channels],
+            self.fates,
+            self.scale,
         )
 
     def __eq__(self, other):

@@ -1,0 +1,362 @@
+"""The instrument: takes a specimen and settings, runs batches, returns a record."""
+
+import logging
+import time
+import warnings
+from contextlib import nullcontext
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+from tqdm import tqdm
+
+from .directions import direction
+from .errors import SpecimenError, checked_choice, checked_count, checked_number
+from .plugins.specimen import Specimen
+from .record import Record
+from .specimen import check_variant, load_specimen, loaded
+from .subdivision import subdivision
+from .tally import Tally, batch_sizes
+
+__all__ = ["measure"]
+
+MAX_RAYS = 1e15
+
+logger = logging.getLogger(__name__)
+
+
+def measure(
+    specimen,
+    theta_i=None,
+    phi_i=0.0,
+    *,
+    collector=None,
+    rays=None,
+    sampler=None,
+    estimator=None,
+    seed=0,
+    side="front",
+    footprint=None,
+    emitter=None,
+    emission=None,
+    collector_radius=None,
+    hemispheres=None,
+    max_depth=None,
+    rr_depth=None,
+    trace=None,
+    wavelengths=None,
+    batches=None,
+    parameters=None,
+    resume=None,
+    progress=False,
+):
+    """Measure how a specimen scatters light.
+
+    What is None comes from the specimen's scene file, if that is a complete measurement
+    (integrator `goniophotometer`, sensor `collector`), else from the defaults below.
+
+    Parameters
+    ----------
+    specimen : dict, mi.BSDF, mi.Scene, str or path
+        A BSDF, a shape or a scene: a dictionary, an object or an XML file.
+    theta_i, phi_i : float or sequence of float, optional
+        Incident direction in degrees: ``0 <= theta_i < 90`` from the normal of the lit
+        face, `phi_i` from +x counter-clockwise seen from +z. Sequences give a stack of
+        records: all azimuths for the first angle, then for the second, and so on.
+        Without `theta_i` the scene's own emitter is used.
+    collector : str or Subdivision
+        ``angle:NTxNP``, ``solid:NTxNP`` or ``projected:NTxNP``. Default
+        ``projected:30x30``.
+    rays : int
+        Rays for each incident direction, up to 1e15. Default 1e6. In spectral variants
+        so many for every four wavelengths.
+    sampler : str or dict
+        Mitsuba sampler plugin. Default ``independent``.
+    estimator : {"weighted", "analog"}
+        Sum throughput, or let rays survive or end and count them. Default ``weighted``.
+    seed : int
+        Same seed, same bits: whatever the number of threads.
+    side : {"front", "back"}
+        Face that looks at the emitter, +z or -z. Reflection is always its side.
+    footprint : {"full", "point"} or float
+        Where light lands on the top of the specimen: all over, in the middle, or in a
+        disk of that radius about the middle. Default ``full``.
+    emitter : dict, optional
+        Mitsuba emitter, or shape with one, instead of a collimated beam. With `theta_i`
+        it is described for incidence along the normal, above the specimen on +z, and
+        turned about the origin.
+    emission : {"radiometric", "equal_power"}
+        Weight of the rays of such an emitter: its radiance, cosines and distance, as a
+        real instrument has them (default); or the same power for uniform points on
+        emitter and specimen, as in the paper (section 2.2).
+    collector_radius : float
+        Radius in scene units on which the exit position counts; 0, the default, is the
+        far field.
+    hemispheres : {"auto", "upper", "both"}
+        ``auto`` leaves out the lower one for flat specimens that declare no transmission.
+    max_depth : int
+        Surface events before a ray is truncated. Default 1000.
+    rr_depth : int
+        Surface events before Russian roulette; -1, the default, for never.
+    trace : bool
+        Trace rays even where a flat specimen does not need it. Default False.
+    wavelengths : sequence of float
+        In nm, the channels in spectral variants. Default 550.
+    batches : int
+        Independent batches from which uncertainties come. Default 32.
+    parameters : dict
+        Values for the ``$name`` parameters of an XML file.
+    resume : Record
+        An interrupted record of this very measurement, which is carried on: the result
+        has the bits of an uninterrupted one.
+    progress : bool
+        Show a progress bar on standard error.
+
+    Returns
+    -------
+    Record
+        After Ctrl-C, of the batches that were finished, with a warning.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a setting is out of its range; the message names it.
+    SpecimenError
+        If the specimen cannot be loaded or measured.
+    VariantError
+        If no variant is set, or one that cannot be used.
+    """
+    check_variant()
+    integrator_settings = {
+        "estimator": estimator,
+        "rays": None if rays is None else checked_count("rays", rays, 1, MAX_RAYS),
+        "batches": None if batches is None else checked_count("batches", batches),
+        "max_depth": max_depth,
+        "rr_depth": rr_depth,
+        "footprint": footprint,
+        "emission": emission,
+        "trace": trace,
+        "wavelengths": _joined(wavelengths),
+    }
+    seed = checked_count("seed", seed, 0)
+    checked_choice("side", side, ("front", "back"))
+    incidents, stacked = _incidents(theta_i, phi_i)
+    if collector is not None:
+        collector = subdivision(collector)
+    scene = load_specimen(specimen, parameters)
+    integrator = _integrator(scene, integrator_settings)
+    sensor = _sensor(scene, collector, collector_radius, hemispheres, sampler)
+    target = Specimen(scene)
+    emitters = [_emitters(scene, emitter, incident, side) for incident in incidents]
+    benches = [integrator.bench(target, lamps.emitters(), sensor) for lamps in emitters]
+
+    plan = batch_sizes(integrator.rays, integrator.batches)
+    finished = [[] for _ in benches]
+    if resume is not None:
+        _check_resumable(resume, [integrator.describe(b, seed) for b in benches], benches)
+        finished[: len(resume)] = [[tally] for tally in resume.tallies]
+
+    started = time.perf_counter()
+    left = sum(sum(plan[_n_batches(tallies) :]) for tallies in finished)
+    interrupted = False
+    with _bar(left * integrator.passes, progress) as report:
+        try:
+            for number, (bench, tallies) in enumerate(zip(benches, finished)):
+                for index in range(_n_batches(tallies), len(plan)):
+                    key = (seed, number)
+                    tallies.append(
+                        integrator.batch(bench, key, index, plan[index], report)
+                    )
+        except KeyboardInterrupt:
+            if not any(finished):
+                raise
+            interrupted = True
+
+    record = _stack(
+        [
+            integrator.record(bench, Tally.join(tallies), seed)
+            for bench, tallies in zip(benches, finished)
+            if tallies
+        ],
+        stacked,
+    )
+    logger.info("measured for %.3g s: %r", time.perf_counter() - started, record)
+    if interrupted:
+        warnings.warn(
+            f"interrupted: the record holds {sum(map(_n_batches, finished))} of "
+            f"{len(plan) * len(benches)} batches; resume= carries it on",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+    return record
+
+
+# ------------------------------------------------------------------ incident directions
+
+
+def _incidents(theta_i, phi_i):
+    """List of ``(theta_i, phi_i)`` in degrees, or ``[None]``; and whether it is a stack."""
+    if theta_i is None:
+        return [None], False
+    stacked = np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0
+    polar = [_theta(value) for value in _sequence("theta_i", theta_i)]
+    azimuths = [
+        checked_number("phi_i", value, -np.inf, np.inf, "a finite angle in degrees")
+        for value in _sequence("phi_i", phi_i)
+    ]
+    return [(theta, phi) for theta in polar for phi in azimuths], stacked
+
+
+def _sequence(name, value):
+    values = [value] if np.ndim(value) == 0 else list(value)
+    if not values:
+        raise ValueError(f"{name} must hold at least one angle, got {value!r}")
+    return values
+
+
+def _joined(wavelengths):
+    """Wavelengths as the integrator's text property."""
+    if wavelengths is None or isinstance(wavelengths, str):
+        return wavelengths
+    return ",".join(str(nm) for nm in np.atleast_1d(wavelengths))
+
+
+def _theta(value):
+    return checked_number("theta_i", value, 0, 90, "an angle in degrees in [0, 90)")
+
+
+# ------------------------------------------------------------------ parts of the bench
+
+
+def _integrator(scene, settings):
+    """Integrator with `settings`; what is None is the scene's own or the default."""
+    given = {key: value for key, value in settings.items() if value is not None}
+    own = getattr(scene.integrator(), "settings", {})
+    plugin = {"type": "goniophotometer"}
+    return loaded("the measurement", mi.load_dict, plugin | own | given)
+
+
+def _sensor(scene, collector, radius, hemispheres, sampler):
+    """Collector; what is None is that of the scene's collector or the default."""
+    film = {"type": "patches"}
+    sensor = {"type": "collector", "sampler": {"type": "independent"}}
+    for own in scene.sensors():
+        if hasattr(own, "arrival"):
+            film["subdivision"] = str(own.film().subdivision)
+            film["hemispheres"] = own.film().hemispheres
+            sensor |= {"radius": own.radius, "sampler": own.sampler()}
+            break
+    if collector is not None:
+        film["subdivision"] = str(collector)
+    if hemispheres is not None:
+        film["hemispheres"] = hemispheres
+    if radius is not None:
+        sensor["radius"] = radius
+    if sampler is not None:
+        if isinstance(sampler, str):
+            sampler = {"type": sampler}
+        sensor["sampler"] = loaded("the sampler", mi.load_dict, sampler)
+    return loaded("the collector", mi.load_dict, sensor | {"film": film})
+
+
+def _emitters(scene, emitter, incident, side):
+    """Scene that holds the one emitter to use."""
+    if emitter is None and incident is None:
+        if not scene.emitters():
+            raise SpecimenError(
+                "the specimen has no emitter, so an incident angle must be given, "
+                "such as theta_i=45 or --theta-i 45"
+            )
+        return scene
+    if emitter is None:
+        emitter = {"type": "directional", "direction": _beam_direction(incident, side)}
+    elif not isinstance(emitter, dict):
+        raise TypeError(f"emitter must be a dictionary, got {emitter!r}")
+    elif incident is not None:
+        emitter = _turned(emitter, incident, side)
+    return loaded("the emitter", mi.load_dict, {"type": "scene", "emitter": emitter})
+
+
+def _beam_direction(incident, side):
+    """Direction of flight of a collimated beam."""
+    theta, phi = np.radians(incident)
+    x, y, z = direction(theta, phi)
+    return [-x, -y, -z if side == "front" else z]
+
+
+def _turned(emitter, incident, side):
+    """`emitter`, described above the specimen on +z, turned to the incident direction."""
+    theta, phi = incident
+    transform = mi.ScalarTransform4f
+    turn = transform().rotate([0, 0, 1], phi).rotate(
+        [0, 1, 0], theta if side == "front" else 180 - theta
+    )
+    return emitter | {"to_world": turn @ emitter.get("to_world", transform())}
+
+
+# ------------------------------------------------------------------ progress and resuming
+
+
+def _bar(total, shown):
+    """Context that gives the function to report sent rays to."""
+    if not shown:
+        return nullcontext()
+    return _Bar(total)
+
+
+class _Bar(tqdm):
+    """Progress bar in rays, whose context is its function to report."""
+
+    def __init__(self, total):
+        super().__init__(
+            total=total, unit="ray", unit_scale=True, delay=1, mininterval=0.2, leave=False
+        )
+
+    def __enter__(self):
+        super().__enter__()
+        return self.update
+
+
+def _n_batches(tallies):
+    return sum(tally.n_batches for tally in tallies)
+
+
+def _check_resumable(resume, descriptions, benches):
+    """Raise ValueError unless `resume` is the beginning of this measurement."""
+    if not isinstance(resume, Record):
+        raise TypeError(f"resume must be a Record, got {resume!r}")
+    for i in range(len(resume)):
+        if i >= len(benches):
+            raise ValueError(
+                f"resume must hold at most {len(benches)} incident directions, "
+                f"got {len(resume)}"
+            )
+        own = descriptions[i] | {
+            "collector": str(benches[i].film.subdivision),
+            "theta_i": benches[i].beam.theta_i,
+            "phi_i": benches[i].beam.phi_i,
+        }
+        others = resume.settings | {
+            "collector": str(resume.subdivision),
+            "theta_i": float(resume.theta_i[i]),
+            "phi_i": float(resume.phi_i[i]),
+        }
+        for key in own.keys() - {"created", "versions"}:
+            if own[key] != others.get(key) and own[key] == own[key]:
+                raise ValueError(
+                    f"resume must be a record of this measurement, but its {key} is "
+                    f"{others.get(key)!r} instead of {own[key]!r}"
+                )
+
+
+def _stack(records, stacked):
+    """One record of all incident directions."""
+    channels = max((record.channels for record in records), key=len)
+    return replace(
+        records[0],
+        theta_i=np.concatenate([record.theta_i for record in records]),
+        phi_i=np.concatenate([record.phi_i for record in records]),
+        channels=channels,
+        tallies=tuple(record.tallies[0].spread(len(channels)) for record in records),
+        stacked=stacked,
+    )

@@ -1,0 +1,38 @@
+"""The instrument's Mitsuba plugins, registered for whichever variant is current.
+
+Importing this package (``import gonio_mi`` does) is enough: before or after
+``mi.set_variant``, and again at each change of variant.
+"""
+
+import importlib
+import sys
+
+import mitsuba as mi
+
+__all__ = ["MODULES", "register"]
+
+# In the order of registration: a module comes after those whose plugins it looks up.
+MODULES = (
+    "films.patches",
+    "sensors.collector",
+    "integrators.goniophotometer",
+)
+
+
+def register():
+    """Register every plugin for the current variant.
+
+    The plugin modules bind Mitsuba's types when they are run, so that they are run
+    again for each variant.
+    """
+    for name in MODULES:
+        qualified = f"{__name__}.{name}"
+        if qualified in sys.modules:
+            importlib.reload(sys.modules[qualified])
+        else:
+            importlib.import_module(qualified)
+
+
+mi.detail.add_variant_callback(lambda _old, _new: register())
+if mi.variant():
+    register()

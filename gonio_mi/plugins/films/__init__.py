@@ -1,0 +1,1 @@
+"""Films, one Mitsuba plugin per file; the file's name is the plugin's."""

@@ -1,0 +1,98 @@
+"""Film `patches`: the collector's patches, their tally and the record."""
+
+from types import SimpleNamespace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from gonio_mi.plugins import properties
+from gonio_mi.subdivision import subdivision
+
+# The array functions that Subdivision.patch_index calls.
+DRJIT = SimpleNamespace(
+    sqrt=dr.sqrt,
+    atan2=dr.atan2,
+    floor=dr.floor,
+    ceil=dr.ceil,
+    minimum=dr.minimum,
+    where=dr.select,
+)
+
+
+class Patches(mi.Film):
+    r"""Patches of a collector hemisphere (:monosp:`patches`).
+
+    .. pluginparameters::
+
+     * - subdivision
+       - |string|
+       - ``angle``, ``solid`` or ``projected``, and rings x sectors of one hemisphere.
+         (Default: ``projected:30x30``)
+
+     * - hemispheres
+       - |string|
+       - ``both``, ``upper`` (the emitter's side only), or ``auto``: ``upper`` for a flat
+         specimen whose BSDF declares no transmission. (Default: ``auto``)
+
+    The developed map has shape ``(n_theta, n_phi, channels)`` and holds the BRDF in 1/sr.
+    With both hemispheres it has ``2 n_theta`` rows, in the order of growing theta: the
+    BRDF from pole to horizon, then the BTDF from horizon to nadir. ``write`` makes the
+    EXR file (or NPZ, by its ending), ``record`` holds the record.
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <film type="patches">
+                <string name="subdivision" value="projected:30x30"/>
+            </film>
+
+        .. code-tab:: python
+
+            'type': 'patches',
+            'subdivision': 'projected:30x30'
+    """
+
+    def __init__(self, props):
+        self.subdivision = subdivision(props.get("subdivision", "projected:30x30"))
+        self.hemispheres = properties.choice(
+            props, "hemispheres", "auto", ("auto", "upper", "both")
+        )
+        props["width"] = self.subdivision.n_phi
+        props["height"] = self.subdivision.n_theta
+        super().__init__(props)
+        self.record = None
+
+    def patch_index(self, d):
+        """Index of the patch of each unit vector `d` (mirrored into z > 0)."""
+        return mi.UInt32(
+            self.subdivision.patch_index(DRJIT, d.x, d.y, dr.abs(d.z))
+        )
+
+    def develop(self, raw=False):
+        """Return the map of the finished measurement as a tensor."""
+        record = self._finished()
+        rows = record.brdf
+        if record.has_lower:
+            rows = np.concatenate([rows, record.btdf[::-1]])
+        return mi.TensorXf(np.ascontiguousarray(rows, dtype=np.float32))
+
+    def bitmap(self, raw=False):
+        """Return the map of the finished measurement as a bitmap."""
+        return mi.Bitmap(self.develop())
+
+    def write(self, path):
+        """Write the record to `path`, ``.exr`` or ``.npz``."""
+        self._finished().save(path)
+
+    def _finished(self):
+        if self.record is None:
+            raise RuntimeError("film patches: nothing has been measured yet")
+        return self.record
+
+    def to_string(self):
+        """Return a readable description."""
+        return f"Patches[subdivision={self.subdivision}, hemispheres={self.hemispheres}]"
+
+
+mi.register_film("patches", Patches)

@@ -1,0 +1,128 @@
+"""What is measured: the shapes of a scene without its lamps, and how flat they are."""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..errors import SpecimenError
+
+__all__ = ["Plane", "Specimen"]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A single flat rectangle in z = const, the specimen that needs no ray tracing.
+
+    A point is ``centre + (u - 1/2) dp_du + (v - 1/2) dp_dv``.
+    """
+
+    bsdf: object
+    interaction: object  # Mitsuba's surface interaction at the centre
+
+    def interactions(self, uv, wi, wavelengths):
+        """Surface interactions at `uv`, for light from the world direction `wi`."""
+        centre = self.interaction
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.t = 1.0
+        si.p = centre.p + (uv.x - 0.5) * centre.dp_du + (uv.y - 0.5) * centre.dp_dv
+        si.uv = uv
+        si.n = centre.n
+        si.sh_frame = mi.Frame3f(centre.sh_frame)
+        si.dp_du, si.dp_dv = centre.dp_du, centre.dp_dv
+        si.wavelengths = wavelengths
+        si.wi = si.to_local(wi)
+        return si
+
+    def uv(self, p):
+        """Texture coordinates of points of the plane; outside of [0, 1]^2 there is none."""
+        centre = self.interaction
+        offset = p - centre.p
+        return mi.Point2f(
+            dr.dot(offset, centre.dp_du) / dr.squared_norm(centre.dp_du) + 0.5,
+            dr.dot(offset, centre.dp_dv) / dr.squared_norm(centre.dp_dv) + 0.5,
+        )
+
+
+class Specimen:
+    """The shapes of `scene` that emit nothing.
+
+    Attributes
+    ----------
+    scene : mi.Scene
+        Specimen only: lamps do not stand in the way of what they light.
+    low, high : ndarray, shape (3,)
+        Corners of the bounding box, in scene units.
+    plane : Plane or None
+        Set if the specimen is one flat rectangle.
+    transmits : bool
+        Whether light may reach the other side, for all that is declared: true unless
+        the specimen is a flat rectangle whose BSDF has no transmitting component.
+
+    Raises
+    ------
+    SpecimenError
+        If there is no shape, or something that the instrument does not model.
+    """
+
+    def __init__(self, scene):
+        everything = scene.shapes()
+        shapes = [shape for shape in everything if not shape.is_emitter()]
+        if not shapes:
+            raise SpecimenError("the scene must contain a shape to measure, got none")
+        for shape in shapes:
+            if shape.is_medium_transition():
+                raise SpecimenError(
+                    "participating media are not modelled: take the medium of the "
+                    f"{shape.class_name()} {shape.id()!r} out of the scene"
+                )
+        if len(shapes) < len(everything):
+            scene = mi.load_dict(
+                {"type": "scene"} | {f"shape_{i}": s for i, s in enumerate(shapes)}
+            )
+        self.scene = scene
+        box = scene.bbox()
+        self.low = np.array(box.min, dtype=float).ravel()
+        self.high = np.array(box.max, dtype=float).ravel()
+        if not (np.isfinite(self.low).all() and np.isfinite(self.high).all()):
+            raise SpecimenError(
+                f"the specimen must be of finite size, got {self.low} to {self.high}"
+            )
+        self.plane = self._plane(shapes)
+        self.transmits = self.plane is None or mi.has_flag(
+            self.plane.bsdf.flags(), mi.BSDFFlags.Transmission
+        )
+        self.description = "; ".join(_describe(shape) for shape in shapes[:4]) + (
+            f"; and {len(shapes) - 4} more shapes" if len(shapes) > 4 else ""
+        )
+
+    @property
+    def size(self):
+        """Diagonal of the bounding box."""
+        return float(np.linalg.norm(self.high - self.low))
+
+    @property
+    def detail(self):
+        """Smallest extent of the bounding box that is not 0."""
+        extents = self.high - self.low
+        return float(extents[extents > 1e-6 * extents.max()].min())
+
+    def _plane(self, shapes):
+        """:class:`Plane` if the specimen is a single rectangle parallel to z = 0."""
+        if len(shapes) > 1 or shapes[0].class_name() != "Rectangle":
+            return None
+        if self.low[2] != self.high[2]:
+            return None
+        centre = (self.low + self.high) / 2
+        above = mi.Point3f((centre + [0, 0, 1]).tolist())
+        ray = mi.Ray3f(above, mi.Vector3f(0, 0, -1))
+        si = self.scene.ray_intersect(ray)
+        dr.make_opaque(si)
+        return Plane(shapes[0].bsdf(), si)
+
+
+def _describe(shape):
+    """One line on a shape and its BSDF, without large arrays."""
+    bsdf = " ".join(str(shape.bsdf()).split())
+    return f"{shape.class_name()} with {bsdf[:200]}"

@@ -1,0 +1,147 @@
+"""From what a user calls a specimen to a Mitsuba scene."""
+
+import os
+import re
+from pathlib import Path
+
+import mitsuba as mi
+
+from .errors import SpecimenError, VariantError
+
+__all__ = ["load_plugin_file", "load_specimen", "loaded", "parse_specimen"]
+
+
+def check_variant():
+    """Raise :class:`VariantError` if no Mitsuba variant is set."""
+    if not mi.variant():
+        raise VariantError(
+            "a Mitsuba variant must be set first, such as mi.set_variant('llvm_ad_mono')"
+        )
+
+
+def load_specimen(specimen, parameters=None):
+    """Load a specimen as a Mitsuba scene.
+
+    Parameters
+    ----------
+    specimen : dict, mi.BSDF, mi.Scene, str or path
+        A dictionary of a BSDF, a shape or a scene; an object; or an XML file. A BSDF is
+        put on a square of 2 x 2 scene units in z = 0.
+    parameters : dict, optional
+        Values for the ``$name`` parameters of an XML file.
+
+    Returns
+    -------
+    mi.Scene
+
+    Raises
+    ------
+    SpecimenError
+        If Mitsuba cannot load it, or it is none of these.
+    """
+    check_variant()
+    if isinstance(specimen, (str, os.PathLike)):
+        path = Path(specimen)
+        if not path.is_file():
+            raise SpecimenError(f"specimen must be an existing file, got {str(path)!r}")
+        parameters = {k: str(v) for k, v in (parameters or {}).items()}
+        specimen = loaded(
+            f"the specimen {path}", mi.load_file, str(path), **parameters
+        )
+    elif isinstance(specimen, dict):
+        specimen = loaded("the specimen", mi.load_dict, specimen)
+    if isinstance(specimen, mi.Scene):
+        return specimen
+    if isinstance(specimen, mi.BSDF):
+        specimen = {"type": "rectangle", "bsdf": specimen}
+    elif not isinstance(specimen, mi.Shape):
+        raise SpecimenError(
+            "specimen must be a BSDF, a shape or a scene of the variant "
+            f"{mi.variant()}, as object, dictionary or XML file, got {specimen!r:.200}"
+        )
+    return loaded("the specimen", mi.load_dict, {"type": "scene", "shape": specimen})
+
+
+def loaded(what, load, *args, **kwargs):
+    """Return ``load(*args, **kwargs)``; if that fails, say why in one sentence."""
+    try:
+        return load(*args, **kwargs)
+    except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
+        raise SpecimenError(f"{what} cannot be loaded: {_one_line(error)}") from error
+
+
+def _one_line(error):
+    """Mitsuba's message without source positions, tracebacks and line breaks."""
+    text = str(error)
+    if "Traceback (most recent call last)" in text:
+        head, _, trace = text.partition("Traceback (most recent call last)")
+        # of a traceback, the lines that are not indented: the error itself
+        lines = [line for line in trace.splitlines()[1:] if line[:1].strip()]
+        text = head.rstrip(": \n") + ": " + " ".join(lines[-3:])
+    text = re.sub(r"\[\w+\.(cpp|h):\d+\] ?", "", text)
+    return " ".join(text.split())
+
+
+def load_plugin_file(path):
+    """Run a user's Python file that registers Mitsuba plugins.
+
+    Raises
+    ------
+    SpecimenError
+        If the file is missing or raises.
+    """
+    check_variant()
+    path = Path(path)
+    if not path.is_file():
+        raise SpecimenError(f"plugin file must be an existing file, got {str(path)!r}")
+    scope = {"__name__": path.stem, "__file__": str(path)}
+    try:
+        exec(compile(path.read_bytes(), str(path), "exec"), scope)
+    except (Exception, SystemExit) as error:
+        # a user's file may raise anything
+        raise SpecimenError(
+            f"plugin file {path} raised {type(error).__name__}: {_one_line(error)}"
+        ) from error
+
+
+def parse_specimen(text):
+    """Specimen from a word of the command line.
+
+    Parameters
+    ----------
+    text : str
+        Path of an existing file or one that ends in ``.xml``; or a BSDF in one word:
+        ``diffuse``, ``roughconductor:alpha=0.2,distribution=ggx``. A value is a number,
+        ``true``, ``false``, a colour ``0.2/0.5/0.1``, or else a text.
+
+    Returns
+    -------
+    str or dict
+        What :func:`load_specimen` takes.
+    """
+    if text.endswith(".xml") or os.path.exists(text):
+        return text
+    name, _, settings = text.partition(":")
+    specimen = {"type": name}
+    for setting in filter(None, settings.split(",")):
+        key, equals, value = setting.partition("=")
+        if not (key and equals):
+            raise SpecimenError(
+                f"specimen must look like roughconductor:alpha=0.2, got {text!r}"
+            )
+        specimen[key] = _value(value)
+    return specimen
+
+
+def _value(text):
+    """Number, boolean, colour or text."""
+    if text in ("true", "false"):
+        return text == "true"
+    if re.fullmatch(r"[-+]?\d+", text):
+        return int(text)
+    try:
+        if text.count("/") == 2:
+            return {"type": "rgb", "value": [float(x) for x in text.split("/")]}
+        return float(text)
+    except ValueError:
+        return text
