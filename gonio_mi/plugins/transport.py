@@ -16,6 +16,9 @@ __all__ = ["Exits", "Settings", "flux_context", "scatter_plane", "trace"]
 # Weights above this would overflow the fixed-point sums.
 LARGEST_WEIGHT = 2.0**15
 
+# Relative excess of a weight over 1 that is taken for float32 rounding: 16 ulp.
+ROUNDING = 2.0**-20
+
 # How far a ray starts off its surface, in units of the local coordinates: 64 ulp.
 SURFACE_OFFSET = 2.0**-18
 
@@ -182,9 +185,14 @@ def _after_event(throughput, bsdf_weight, bs, wo, sampler, analog):
 
 
 def _whole(x, u):
-    """Random whole number with mean `x`, the same `u` in [0, 1) for all channels."""
+    """Random whole number with mean `x`, the same `u` in [0, 1) for all channels.
+
+    A weight that exceeds a whole number by rounding alone counts as that number.
+    """
     floor = dr.floor(x)
-    return floor + dr.select(u < x - floor, mi.Spectrum(1.0), mi.Spectrum(0.0))
+    rest = x - floor
+    above = (u < rest) & ((x < 1) | (rest > x * ROUNDING))
+    return floor + dr.select(above, mi.Spectrum(1.0), mi.Spectrum(0.0))
 
 
 def _shading_normal_correction(si, ray, bs, wo):
