@@ -1,0 +1,150 @@
+"""Rays per second beside what a user would pick instead: ``python -m gonio_mi.benchmark``.
+
+Every method does the same work, counting the directions that a flat BSDF sends into
+900 patches, in turns, several times over; ratios of the medians are printed.
+"""
+
+import argparse
+import time
+from statistics import median
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from . import goniophotometer
+from .subdivision import EqualProjectedSolidAngle
+
+__all__ = ["main"]
+
+SPECIMENS = {
+    "diffuse": {"type": "diffuse", "reflectance": 1.0},
+    "roughconductor": {"type": "roughconductor", "alpha": 0.2, "distribution": "ggx"},
+}
+THETA_I = 45.0
+
+
+def gonio_rays(specimen, estimator, sampler):
+    """Return a function that measures `n` rays, and how many kernels it compiled."""
+
+    def run(n):
+        goniophotometer.measure(
+            specimen, THETA_I, rays=n, batches=1, estimator=estimator, sampler=sampler
+        )
+
+    return run
+
+
+def chi2_rays(specimen):
+    """Return a function that fills Mitsuba's own chi-square histogram with `n` rays."""
+    wi = [float(np.sin(np.radians(THETA_I))), 0.0, float(np.cos(np.radians(THETA_I)))]
+    settings = {key: value for key, value in specimen.items() if key != "type"}
+    xml = "".join(
+        f'<{"string" if isinstance(v, str) else "float"} name="{k}" value="{v}"/>'
+        for k, v in settings.items()
+    )
+    sample, pdf = mi.chi2.BSDFAdapter(specimen["type"], xml, wi=wi)
+
+    def run(n):
+        test = mi.chi2.ChiSquareTest(
+            domain=mi.chi2.SphericalDomain(),
+            sample_func=sample,
+            pdf_func=pdf,
+            sample_dim=3,
+            sample_count=n,
+            res=30,
+        )
+        test.tabulate_histogram()
+        dr.sync_thread()
+
+    return run
+
+
+def numba_rays():
+    """Return a function that counts `n` cosine-distributed rays in a parallel loop."""
+    import numba
+
+    @numba.njit(parallel=True, fastmath=True)
+    def count(n, n_theta, n_phi, n_threads):
+        counts = np.zeros((n_threads, n_theta * n_phi), np.uint32)
+        for thread in numba.prange(n_threads):
+            own = np.zeros(n_theta * n_phi, np.uint32)
+            for _ in range(n // n_threads):
+                # cosine-distributed: sin^2 is uniform
+                x, y = np.random.random(), np.random.random()
+                ring = min(int(x * n_theta), n_theta - 1)
+                sector = min(int(y * n_phi), n_phi - 1)
+                own[ring * n_phi + sector] += 1
+            counts[thread] = own
+        return counts.sum(axis=0)
+
+    grid = EqualProjectedSolidAngle(30, 30)
+
+    def run(n):
+        count(n, grid.n_theta, grid.n_phi, numba.get_num_threads())
+
+    return run
+
+
+def numpy_rays():
+    """Return a function that counts `n` cosine-distributed rays in blocks of NumPy."""
+    generator = np.random.default_rng(0)
+    grid = EqualProjectedSolidAngle(30, 30)
+
+    def run(n):
+        counts = np.zeros(grid.n_patches, np.int64)
+        for start in range(0, n, 2**18):
+            x, y = generator.random((2, min(2**18, n - start)), dtype=np.float32)
+            patch = (x * grid.n_theta).astype(np.int32) * grid.n_phi
+            patch += (y * grid.n_phi).astype(np.int32)
+            counts += np.bincount(patch, minlength=grid.n_patches)[: grid.n_patches]
+
+    return run
+
+
+def rates(methods, rays, repeats):
+    """Median rays per second of each method, all of them run in turns."""
+    for run in methods.values():
+        run(rays)
+    seconds = {name: [] for name in methods}
+    for _ in range(repeats):
+        for name, run in methods.items():
+            start = time.perf_counter()
+            run(rays)
+            seconds[name].append(time.perf_counter() - start)
+    return {name: rays / median(times) for name, times in seconds.items()}
+
+
+def main(argv=None):
+    """Run the benchmark and print a table."""
+    parser = argparse.ArgumentParser(
+        prog="python -m gonio_mi.benchmark", description=__doc__.splitlines()[0]
+    )
+    parser.add_argument("--rays", type=float, default=2**24)
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--variant", default="llvm_ad_mono")
+    options = parser.parse_args(argv)
+    mi.set_variant(options.variant)
+
+    for name, specimen in SPECIMENS.items():
+        methods = {
+            f"gonio-mi {estimator}, {sampler}": gonio_rays(specimen, estimator, sampler)
+            for sampler in ("independent",)
+            for estimator in ("analog", "weighted")
+        }
+        methods["mi.chi2 histogram"] = chi2_rays(specimen)
+        if name == "diffuse":
+            methods["NumPy"] = numpy_rays()
+            try:
+                methods["numba, parallel"] = numba_rays()
+            except ImportError:
+                print("numba is left out: pip install 'gonio-mi[benchmark]'")
+        results = rates(methods, int(options.rays), options.repeats)
+        first = next(iter(results.values()))
+        print(f"{name}: {options.rays:g} rays, medians of {options.repeats} runs in turns")
+        for method, rate in results.items():
+            print(f"  {method:32s} {rate / 1e6:8.1f} Mray/s   1 : {first / rate:.2f}")
+
+
+if __name__ == "__main__":
+    main()
