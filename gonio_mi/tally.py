@@ -133,6 +133,13 @@ class Tally:
         return self.sums.shape[-1]
 
     @property
+    def achromatic(self):
+        """Whether all channels received the same."""
+        return bool(np.all(self.sums == self.sums[..., :1])) and bool(
+            np.all(self.incident == self.incident[..., :1])
+        )
+
+    @property
     def ledger(self):
         """:class:`Ledger` over all batches."""
         return Ledger.from_counts(self.fates.sum(axis=0))

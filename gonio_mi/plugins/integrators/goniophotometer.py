@@ -22,9 +22,6 @@ from gonio_mi.tally import WEIGHT_SCALE, Fate, Tally, batch_sizes
 # the random numbers; a launch of a tenth costs 20 % in speed, ten times as many nothing.
 LAUNCH = 2**24
 
-# Rays that are sent first to see whether one channel will do.
-PROBE = 2**14
-
 # Class names of Mitsuba's samplers, which do not know their plugin names.
 SAMPLERS = {
     "IndependentSampler": "independent",
@@ -54,9 +51,8 @@ class Bench:
         )
         self.shape = (1 + both, *subdivision.shape)
         self.n_patches = subdivision.n_patches
-        self.n_bins = self.shape[0] * self.n_patches + len(Fate)
-        # Whether every ray seen so far could be tallied as one channel
-        self.simple = None
+        self.n_collected = self.shape[0] * self.n_patches
+        self.n_bins = self.n_collected + len(Fate)
 
     def bins(self, exits):
         """Index of the patch that each ray reached, or of its fate's bin behind them."""
@@ -73,28 +69,29 @@ class Bench:
         else:
             fate = dr.select(left & lower, mi.UInt32(Fate.TRANSMITTED), fate)
             left &= ~lower
-        return dr.select(left, patch, self.n_bins - len(Fate) + fate)
+        return dr.select(left, patch, self.n_collected + fate)
 
-    def tally(self, hits, sums, incident, scale):
+    def tally(self, hits, excesses, incident, scale):
         """Tally of one batch from the sums over the bins of :meth:`bins`.
 
-        `sums` and `incident` hold one array per channel; without `incident` every ray
-        that was lit and met the specimen carried the power 1.
+        `excesses` hold, per channel, the sum over hits of power minus 1 or minus that
+        of the first channel; without `incident` every ray that was lit and met the
+        specimen carried the power 1.
         """
-        hits = hits.numpy().astype(np.uint64)
-        patches, fates = np.split(hits, [self.n_bins - len(Fate)])
+        patches, fates = np.split(hits.numpy().astype(np.uint64), [self.n_collected])
+        flux = [patches.astype(np.int64) * scale + _collected(excesses[0], patches)]
+        flux += [flux[0] + _collected(excess, patches) for excess in excesses[1:]]
         patches = patches.reshape(self.shape)
         fates[Fate.REFLECTED] = patches[0].sum()
         if self.shape[0] == 2:
             fates[Fate.TRANSMITTED] = patches[1].sum()
-        flux = np.stack([s.numpy().astype(np.uint64) for s in sums], axis=-1)
-        flux = flux[: -len(Fate)].reshape(1, *self.shape, -1)
         if incident:
-            power = np.array([[s.numpy()[0] for s in incident]], np.uint64)
+            power = np.array([[int(total[0]) for total in incident]], np.uint64)
         else:
             met = fates.sum() - fates[Fate.MISSED] - fates[Fate.UNLIT]
-            power = np.full((1, len(sums)), met * np.uint64(scale))
-        return Tally(patches, flux, power, fates[None], scale)
+            power = np.full((1, len(flux)), met * np.uint64(scale))
+        flux = np.stack(flux, axis=-1).astype(np.uint64)
+        return Tally(patches, flux.reshape(1, *self.shape, -1), power, fates[None], scale)
 
 
 class Goniophotometer(mi.SamplingIntegrator):
@@ -235,16 +232,18 @@ class Goniophotometer(mi.SamplingIntegrator):
             total = None
             for launch, start in enumerate(range(0, rays, LAUNCH)):
                 n = min(LAUNCH, rays - start)
-                tally = self._tally(bench, _seed(*key, index, number, launch), n, nm)
+                tally = self._launch(bench, _seed(*key, index, number, launch), n, nm)
                 total = tally if total is None else total.accumulate(tally)
                 if progress is not None:
                     progress(n)
-            groups.append(total if nm is None else total.spread(4).first(len(nm)))
+            groups.append(total if nm is None else total.first(len(nm)))
         return groups[0] if len(groups) == 1 else Tally.join_channels(groups)
 
     def record(self, bench, tally, seed):
         """Record of a finished `tally`, with all that is needed to repeat it."""
         _warn_of_invalid(tally.ledger)
+        if not mi.is_spectral and tally.achromatic:
+            tally = tally.first(1)
         return Record(
             subdivision=bench.film.subdivision,
             theta_i=np.array([bench.beam.theta_i]),
@@ -256,65 +255,36 @@ class Goniophotometer(mi.SamplingIntegrator):
 
     # --------------------------------------------------------------------- one launch
 
-    def _tally(self, bench, seed, n, nm):
-        """Tally of one launch, in as few channels as its rays need.
-
-        Rays that arrive with the same power in every channel need one; counted rays
-        need no sum of powers. Every ray is checked, and a launch in which one breaks the
-        assumption is repeated in full.
-        """
-        if bench.simple is None:
-            bench.simple = self._may_be_simple(bench) and (
-                self._launch(bench, seed, min(n, PROBE), nm, simple=True) is not None
-            )
-        tally = self._launch(bench, seed, n, nm, simple=True) if bench.simple else None
-        if tally is None:
-            bench.simple = False
-            tally = self._launch(bench, seed, n, nm, simple=False)
-        return tally
-
-    def _may_be_simple(self, bench):
-        """Whether a simple tally could be exact and saves anything."""
-        if self.analog:
-            return bench.beam.uniform
-        return len(mi.Spectrum()) > 1
-
-    def _launch(self, bench, seed, n, nm, simple):
+    def _launch(self, bench, seed, n, nm):
         """Send `n` rays in one kernel and return their tally.
 
-        With `simple`, one channel is tallied, as hits alone for the analog estimator;
-        None if that would not be exact.
+        What is summed of the powers is their difference to 1, and of further channels
+        that to the first: most scatters are masked, and cost little, for counted rays
+        and for achromatic specimens.
         """
         sampler = bench.sensor.sampler().clone()
         sampler.seed(dr.opaque(mi.UInt32, seed), n)
         exits = self._exits(bench, sampler, nm)
-        bins = bench.bins(exits)
-        β = exits.throughput
         scale = 1 if self.analog else WEIGHT_SCALE
-        channels = range(1 if simple else len(β))
-        sums, incident = [], []
-
+        bins = bench.bins(exits)
+        collected = bins < bench.n_collected
         hits = _scatter_sum(mi.UInt32, bench.n_bins, mi.UInt32(1), bins)
-        if not (simple and self.analog):
-            sums = [
-                _scatter_sum(mi.UInt64, bench.n_bins, _fixed_point(β[c], scale), bins)
-                for c in channels
-            ]
+        powers = _fixed_point(exits.throughput, scale)
+        excesses, incident = [], []
+        for power, base in zip(powers, [mi.Int64(scale), *[powers[0]] * len(powers)]):
+            excess = power - base
+            excesses.append(
+                _scatter_sum(
+                    mi.Int64, bench.n_bins, excess, bins, collected & (excess != 0)
+                )
+            )
         if not bench.beam.uniform:
             incident = [
-                _scatter_sum(mi.UInt64, 1, _fixed_point(exits.incident[c], scale), 0)
-                for c in channels
+                _scatter_sum(mi.Int64, 1, power, mi.UInt32(0))
+                for power in _fixed_point(exits.incident, scale)
             ]
-        inexact = []
-        if simple:
-            differs = dr.any(β != mi.Spectrum(β[0]))
-            if self.analog:
-                differs |= (β[0] != 0) & (β[0] != 1)
-            inexact = [_scatter_sum(mi.UInt32, 1, mi.UInt32(1), 0, differs)]
-        dr.eval(hits, sums, incident, inexact)
-        if simple and inexact[0][0] > 0:
-            return None
-        return bench.tally(hits, sums or [hits], incident, scale)
+        dr.eval(hits, excesses, incident)
+        return bench.tally(hits, excesses, incident, scale)
 
     def _exits(self, bench, sampler, nm):
         """Follow the rays by the cheapest transport that is exact for the specimen."""
@@ -394,13 +364,18 @@ def _seed(*key):
 def _scatter_sum(dtype, size, value, index, active=True):
     """Array of `size` sums of `value` by `index`, not yet evaluated."""
     target = dr.zeros(dtype, size)
-    dr.scatter_reduce(dr.ReduceOp.Add, target, dtype(value), mi.UInt32(index), active)
+    dr.scatter_reduce(dr.ReduceOp.Add, target, value, index, active)
     return target
 
 
-def _fixed_point(power, scale):
-    """Power as a whole number of ``1 / scale`` of a ray."""
-    return mi.UInt64(dr.round(power * float(scale)))
+def _fixed_point(powers, scale):
+    """Powers of all channels as whole numbers of ``1 / scale`` of a ray."""
+    return [mi.Int64(dr.round(power * float(scale))) for power in powers]
+
+
+def _collected(sums, patches):
+    """Sums over the patches alone, without the bins of fates behind them."""
+    return sums.numpy()[: len(patches)]
 
 
 def _wavelength_lanes(nm):
