@@ -9,6 +9,16 @@ import numpy as np
 from gonio_mi.plugins import properties
 from gonio_mi.subdivision import subdivision
 
+
+def _count_below(borders, x):
+    """Count the ascending `borders` that are not above `x`."""
+    borders = mi.Float(borders.tolist())
+    count = dr.binary_search(
+        0, dr.width(borders), lambda i: dr.gather(mi.Float, borders, i) <= x
+    )
+    return mi.Float(count)
+
+
 # The array functions that Subdivision.patch_index calls.
 DRJIT = SimpleNamespace(
     sqrt=dr.sqrt,
@@ -17,6 +27,7 @@ DRJIT = SimpleNamespace(
     ceil=dr.ceil,
     minimum=dr.minimum,
     where=dr.select,
+    count_below=_count_below,
 )
 
 

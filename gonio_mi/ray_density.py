@@ -1,0 +1,299 @@
+"""How many rays a measurement needs: the paper's bounds, and what a map really asks for.
+
+The paper bounds the *absolute* error of every flux fraction by ``epsilon`` with
+probability ``1 - delta``. People want a *relative* error of every patch that matters,
+all of them at once; that needs the patches' probabilities, from a pilot measurement or a
+Lambertian specimen.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, stats
+
+from .errors import checked_count, checked_number
+from .subdivision import subdivision
+
+__all__ = [
+    "FLOOR",
+    "Plan",
+    "chebyshev_rays",
+    "lobe",
+    "paper_rays",
+    "plan",
+    "reliability",
+    "relative_rays",
+    "simulated_reliability",
+    "union_rays",
+]
+
+# Patches whose BRDF is below this fraction of the mean BRDF are not worth reporting.
+FLOOR = 0.1
+
+
+def chebyshev_rays(epsilon, delta):
+    """Rays for one detector: ``ceil(ln(2 / delta) / (2 epsilon^2))``, the paper's eq. 17.
+
+    Parameters
+    ----------
+    epsilon : float
+        Absolute error of the flux fraction, in (0, 1).
+    delta : float
+        Probability of exceeding it, in (0, 1).
+    """
+    epsilon, delta = _checked(epsilon, delta)
+    return math.ceil(math.log(2 / delta) / (2 * epsilon**2))
+
+
+def paper_rays(n_patches, epsilon, delta):
+    """Rays for `n_patches` detectors by the paper's eq. 21: that many times eq. 17.
+
+    Its derivation multiplies the probabilities of dependent events (eq. 18); as a bound
+    it is safe, and far from tight: see :func:`union_rays`.
+    """
+    return checked_count("n_patches", n_patches) * chebyshev_rays(epsilon, delta)
+
+
+def union_rays(n_patches, epsilon, delta):
+    """Rays for the same promise by a union bound over the patches of Hoeffding's bound.
+
+    ``ceil(ln(2 m / delta) / (2 epsilon^2))``: grows with the logarithm of the number
+    of patches, not with the number itself.
+    """
+    epsilon, delta = _checked(epsilon, delta)
+    n_patches = checked_count("n_patches", n_patches)
+    return math.ceil(math.log(2 * n_patches / delta) / (2 * epsilon**2))
+
+
+def lobe(brdf, projected_solid_angles, floor=FLOOR):
+    """Patches worth reporting: those whose BRDF reaches `floor` times the mean BRDF.
+
+    Parameters
+    ----------
+    brdf : array_like, shape (n_theta, n_phi)
+    projected_solid_angles : array_like, same shape
+    floor : float
+        In [0, 1).
+
+    Returns
+    -------
+    ndarray of bool, same shape
+        Their number is the paper's m', the patches inside of the lobe.
+    """
+    floor = checked_number("floor", floor, 0, 1, "a fraction in [0, 1)")
+    brdf = np.asarray(brdf, dtype=float)
+    mean = np.average(brdf, weights=projected_solid_angles)
+    return (brdf > 0) & (brdf >= floor * mean)
+
+
+def reliability(probabilities, rel_err, rays):
+    """Lower bound of the probability that all patches are within `rel_err` at once.
+
+    Union bound over normal tails of independent rays; at least 0.
+    """
+    p = np.asarray(probabilities, dtype=float).ravel()
+    scores = rel_err * np.sqrt(rays * p / np.maximum(1 - p, np.finfo(float).tiny))
+    return max(0.0, 1 - 2 * float(stats.norm.sf(scores).sum()))
+
+
+def relative_rays(probabilities, rel_err, level=0.95):
+    """Independent rays that bring all patches within a relative error, all at once.
+
+    Parameters
+    ----------
+    probabilities : array_like
+        Flux fraction of each patch worth reporting, in (0, 1].
+    rel_err : float
+        Largest relative error of any of them, in (0, 1).
+    level : float
+        Probability that none exceeds it, in (0, 1).
+
+    Returns
+    -------
+    int
+        The smallest number for which :func:`reliability` is `level`.
+
+    Raises
+    ------
+    ValueError
+        If a probability is not in (0, 1], or there is none.
+    """
+    p = np.asarray(probabilities, dtype=float).ravel()
+    if not p.size or not ((p > 0) & (p <= 1)).all():
+        raise ValueError(
+            "probabilities must be at least one number in (0, 1], "
+            f"got {p.size} from {p.min() if p.size else np.nan:g}"
+        )
+    rel_err = checked_number("rel_err", rel_err, 1e-9, 1, "a number in (0, 1)")
+    level = checked_number("level", level, 1e-9, 1, "a number in (0, 1)")
+    # the rarest patch alone, and every patch as rare as it, bracket the answer
+    odds = (1 - p.min()) / p.min() + 1e-12
+    low = odds * (stats.norm.isf((1 - level) / 2) / rel_err) ** 2
+    high = odds * (stats.norm.isf((1 - level) / (2 * p.size)) / rel_err) ** 2
+    if p.size == 1:
+        return math.ceil(low)
+    root = optimize.brentq(
+        lambda log_n: reliability(p, rel_err, math.exp(log_n)) - level,
+        math.log(low * 0.99),
+        math.log(high * 1.01),
+    )
+    return math.ceil(math.exp(root))
+
+
+def simulated_reliability(probabilities, rel_err, rays, campaigns=200, seed=0):
+    """Fraction of simulated campaigns in which every patch is within `rel_err`.
+
+    Each campaign draws the multinomial counts that `rays` independent rays would give.
+
+    Returns
+    -------
+    fraction, std_err : float
+    """
+    p = np.asarray(probabilities, dtype=float).ravel()
+    rest = max(0.0, 1 - p.sum())
+    generator = np.random.default_rng(seed)
+    good = 0
+    for _ in range(campaigns):
+        counts = generator.multinomial(rays, np.append(p, rest) / (p.sum() + rest))[:-1]
+        good += bool(np.all(np.abs(counts / (rays * p) - 1) <= rel_err))
+    fraction = good / campaigns
+    return fraction, math.sqrt(max(fraction * (1 - fraction), 1 / campaigns) / campaigns)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Numbers of rays that the bounds ask for; see :func:`plan`.
+
+    Attributes
+    ----------
+    n_patches, n_lobe : int
+        Patches of the hemisphere, and those worth reporting (the paper's m').
+    chebyshev, paper, paper_lobe, union : int
+        Absolute error: eq. 17 for one patch, eq. 21 for all, eq. 21 with m', and the
+        union bound for all.
+    relative : int
+        Relative error `rel_err` of the patches worth reporting, all at once.
+    epsilon, delta, rel_err, level : float
+        What was asked.
+    source : str
+        Where the probabilities come from.
+    """
+
+    n_patches: int
+    n_lobe: int
+    chebyshev: int
+    paper: int
+    paper_lobe: int
+    union: int
+    relative: int
+    epsilon: float
+    delta: float
+    rel_err: float
+    level: float
+    source: str
+
+    def __str__(self):
+        absolute = f"|error| < {self.epsilon:g} of the incident flux, {1 - self.delta:.3g}"
+        relative = f"relative error < {self.rel_err:g}, {self.level:.3g}"
+        rows = [
+            (self.chebyshev, "one patch (eq. 17)", absolute),
+            (self.paper, f"{self.n_patches} patches (eq. 21)", absolute),
+            (self.paper_lobe, f"{self.n_lobe} patches in the lobe (eq. 21, m')", absolute),
+            (self.union, f"{self.n_patches} patches, union bound", absolute),
+            (self.relative, f"{self.n_lobe} patches in the lobe, all at once", relative),
+        ]
+        lines = [f"patch probabilities from {self.source}"]
+        lines += [f"{rays:14.4g}  {what:42s}{asked}" for rays, what, asked in rows]
+        return "\n".join(lines)
+
+
+def plan(
+    pilot=None,
+    *,
+    collector="projected:30x30",
+    epsilon=0.005,
+    delta=0.01,
+    rel_err=0.01,
+    level=0.95,
+    floor=FLOOR,
+):
+    """Plan the rays of a measurement.
+
+    Parameters
+    ----------
+    pilot : Record, optional
+        A first measurement of the specimen at one incident direction, which says how the
+        light is spread. Without one a Lambertian specimen of reflectance 1 is assumed:
+        the worst case of all specimens that light every patch.
+    collector : str or Subdivision
+        Patches of the Lambertian; a pilot brings its own.
+    epsilon, delta : float
+        The paper's absolute error tolerance and confidence, in (0, 1).
+    rel_err, level : float
+        Relative error that all patches worth reporting keep at once with probability
+        `level`.
+    floor : float
+        Patches below this fraction of the mean BRDF are not worth reporting.
+
+    Returns
+    -------
+    Plan
+        For independent rays.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the pilot is a stack or reflects nothing.
+    """
+    if pilot is None:
+        grid = subdivision(collector)
+        probabilities = (grid.projected_solid_angles / np.pi).ravel()
+        n_patches, source = grid.n_patches, f"a white Lambertian specimen, {grid}"
+    else:
+        probabilities, n_patches = _pilot_probabilities(pilot, floor)
+        source = f"a pilot of {pilot.ledger.emitted:.3g} rays, {pilot.subdivision}"
+    n_lobe = len(probabilities)
+    return Plan(
+        n_patches=n_patches,
+        n_lobe=n_lobe,
+        chebyshev=chebyshev_rays(epsilon, delta),
+        paper=paper_rays(n_patches, epsilon, delta),
+        paper_lobe=paper_rays(n_lobe, epsilon, delta),
+        union=union_rays(n_patches, epsilon, delta),
+        relative=relative_rays(probabilities, rel_err, level),
+        epsilon=epsilon,
+        delta=delta,
+        rel_err=rel_err,
+        level=level,
+        source=source,
+    )
+
+
+def _pilot_probabilities(pilot, floor):
+    """Flux fractions of the patches worth reporting, and the number of all patches."""
+    if len(pilot) != 1:
+        raise ValueError(
+            f"the pilot must be of one incident direction, got a stack of {len(pilot)}"
+        )
+    record = pilot[0]
+    probabilities, n_patches = [], 0
+    projected = record.subdivision.projected_solid_angles
+    for hemisphere in [record.brdf, record.btdf]:
+        if hemisphere is not None and hemisphere.any():
+            # the channel with the least light in a patch asks for most rays
+            least = hemisphere.min(axis=-1)
+            inside = lobe(least, projected, floor)
+            probabilities.append((least * projected)[inside])
+            n_patches += record.subdivision.n_patches
+    if not probabilities or not np.concatenate(probabilities).size:
+        raise ValueError("the pilot must have received some light, got none")
+    return np.concatenate(probabilities), n_patches
+
+
+def _checked(epsilon, delta):
+    condition = "a number in (0, 1)"
+    return (
+        checked_number("epsilon", epsilon, 1e-12, 1, condition),
+        checked_number("delta", delta, 1e-300, 1, condition),
+    )
