@@ -4,7 +4,7 @@ import logging
 import time
 import warnings
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import mitsuba as mi
 import numpy as np
@@ -13,6 +13,7 @@ from tqdm import tqdm
 from .directions import direction
 from .errors import SpecimenError, checked_choice, checked_count, checked_number
 from .plugins.specimen import Specimen
+from .ray_density import FLOOR, paper_rays, precision
 from .record import Record
 from .specimen import check_variant, load_specimen, loaded
 from .subdivision import subdivision
@@ -21,6 +22,12 @@ from .tally import Tally, batch_sizes
 __all__ = ["measure"]
 
 MAX_RAYS = 1e15
+
+# Rays before the first look at the precision.
+PILOT_RAYS = 2**18
+
+# The paper's error tolerance and confidence (section 5.2).
+PAPER_EPSILON, PAPER_DELTA = 0.005, 0.01
 
 logger = logging.getLogger(__name__)
 
@@ -32,6 +39,9 @@ def measure(
     *,
     collector=None,
     rays=None,
+    rel_err=None,
+    max_rays=None,
+    floor=FLOOR,
     sampler=None,
     estimator=None,
     seed=0,
@@ -70,6 +80,14 @@ def measure(
     rays : int
         Rays for each incident direction, up to 1e15. Default 1e6. In spectral variants
         so many for every four wavelengths.
+    rel_err : float, optional
+        Instead of `rays`: go on until the relative standard error of every patch worth
+        reporting is at most this, for each incident direction.
+    max_rays : int
+        Where to stop then at the latest, with a warning. Default 1e9.
+    floor : float
+        Patches whose BRDF (or BTDF) is below this fraction of the mean over the
+        collector are not worth reporting. Default 0.1.
     sampler : str or dict
         Mitsuba sampler plugin. Default ``independent``.
     estimator : {"weighted", "analog"}
@@ -140,15 +158,16 @@ def measure(
     }
     seed = checked_count("seed", seed, 0)
     checked_choice("side", side, ("front", "back"))
+    target = _checked_target(rel_err, max_rays, floor, rays, resume)
     incidents, stacked = _incidents(theta_i, phi_i)
     if collector is not None:
         collector = subdivision(collector)
     scene = load_specimen(specimen, parameters)
     integrator = _integrator(scene, integrator_settings)
     sensor = _sensor(scene, collector, collector_radius, hemispheres, sampler)
-    target = Specimen(scene)
+    measured = Specimen(scene)
     emitters = [_emitters(scene, emitter, incident, side) for incident in incidents]
-    benches = [integrator.bench(target, lamps.emitters(), sensor) for lamps in emitters]
+    benches = [integrator.bench(measured, lamps.emitters(), sensor) for lamps in emitters]
 
     plan = batch_sizes(integrator.rays, integrator.batches)
     finished = [[] for _ in benches]
@@ -159,14 +178,14 @@ def measure(
     started = time.perf_counter()
     left = sum(sum(plan[_n_batches(tallies) :]) for tallies in finished)
     interrupted = False
-    with _bar(left * integrator.passes, progress) as report:
+    with _bar(None if target else left * integrator.passes, progress) as report:
         try:
             for number, (bench, tallies) in enumerate(zip(benches, finished)):
-                for index in range(_n_batches(tallies), len(plan)):
-                    key = (seed, number)
-                    tallies.append(
-                        integrator.batch(bench, key, index, plan[index], report)
-                    )
+                key = (seed, number)
+                if target:
+                    _send_until(target, integrator, bench, key, tallies, report)
+                else:
+                    _send(integrator, bench, key, plan, tallies, report)
         except KeyboardInterrupt:
             if not any(finished):
                 raise
@@ -181,6 +200,15 @@ def measure(
         stacked,
     )
     logger.info("measured for %.3g s: %r", time.perf_counter() - started, record)
+    if target:
+        record.settings.update(target.reached(record))
+        if not (interrupted or record.settings["reached"] <= rel_err):
+            warnings.warn(
+                f"rel_err of {rel_err:g} was not reached with {target.max_rays:g} "
+                f"rays: it is {record.settings['reached']:.3g} in the worst patch",
+                RuntimeWarning,
+                stacklevel=2,
+            )
     if interrupted:
         warnings.warn(
             f"interrupted: the record holds {sum(map(_n_batches, finished))} of "
@@ -189,6 +217,88 @@ def measure(
             stacklevel=2,
         )
     return record
+
+
+# ------------------------------------------------------------------ sending rays
+
+
+def _send(integrator, bench, key, plan, tallies, report):
+    """Append the tallies of the batches of `plan` that are still missing."""
+    for index in range(_n_batches(tallies), len(plan)):
+        tallies.append(
+            integrator.batch(bench, key, index, plan[index], progress=report)
+        )
+
+
+def _send_until(target, integrator, bench, key, tallies, report):
+    """Let all batches grow by rounds until `target` is met; one tally in the end.
+
+    The number of batches is fixed, so that what decides about stopping has the same
+    degrees of freedom at every look; rounds grow to what the last look predicts, so that
+    there are few looks.
+    """
+    sent, goal = 0, PILOT_RAYS
+    while sent < goal:
+        sizes = batch_sizes(goal - sent, integrator.batches)
+        start = sent // integrator.batches
+        round_tallies = []
+        for index, rays in enumerate(sizes):
+            tally = integrator.batch(bench, key, index, rays, start, progress=report)
+            round_tallies.append(tally)
+        grown = Tally.join(round_tallies)
+        tallies[:] = [tallies[0].accumulate(grown) if tallies else grown]
+        sent = goal
+        goal = target.next_goal(integrator.record(bench, tallies[0], key[0]), sent)
+
+
+@dataclass(frozen=True)
+class _Target:
+    """Precision at which to stop."""
+
+    rel_err: float
+    max_rays: int
+    floor: float
+
+    def next_goal(self, record, sent):
+        """Rays in all that the record predicts; `sent` if it is good enough."""
+        worst, _ = precision(record, self.floor)
+        if worst <= self.rel_err:
+            return sent
+        # the error of the worst patch falls as 1 / sqrt(rays), or faster; a tenth more
+        # keeps the looks few. What is not known yet asks for as many rays again.
+        growth = 1.1 * (worst / self.rel_err) ** 2 if np.isfinite(worst) else 2.0
+        return min(int(sent * min(max(growth, 1.25), 16.0)), self.max_rays)
+
+    def reached(self, record):
+        """What the record's settings say of the target, for the worst direction."""
+        looks = [precision(record[i], self.floor) for i in range(len(record))]
+        n_lobe = max(n for _, n in looks)
+        n_patches = record.subdivision.n_patches * (1 + record.has_lower)
+        return {
+            "rel_err": self.rel_err,
+            "reached": max(worst for worst, _ in looks),
+            "floor": self.floor,
+            "n_lobe": n_lobe,
+            "paper_rays": paper_rays(n_patches, PAPER_EPSILON, PAPER_DELTA),
+        }
+
+
+def _checked_target(rel_err, max_rays, floor, rays, resume):
+    """:class:`_Target`, or None if a number of rays is asked for."""
+    if rel_err is None:
+        if max_rays is not None:
+            raise ValueError(f"max_rays goes with rel_err, got {max_rays!r} without")
+        return None
+    for name, other in (("rays", rays), ("resume", resume)):
+        if other is not None:
+            raise ValueError(f"rel_err and {name} exclude each other, got both")
+    return _Target(
+        checked_number("rel_err", rel_err, 1e-9, 1, "a number in (0, 1)"),
+        checked_count(
+            "max_rays", 10**9 if max_rays is None else max_rays, PILOT_RAYS, MAX_RAYS
+        ),
+        checked_number("floor", floor, 0, 1, "a fraction in [0, 1)"),
+    )
 
 
 # ------------------------------------------------------------------ incident directions

@@ -22,6 +22,7 @@ __all__ = [
     "lobe",
     "paper_rays",
     "plan",
+    "precision",
     "reliability",
     "relative_rays",
     "simulated_reliability",
@@ -66,25 +67,67 @@ def union_rays(n_patches, epsilon, delta):
     return math.ceil(math.log(2 * n_patches / delta) / (2 * epsilon**2))
 
 
-def lobe(brdf, projected_solid_angles, floor=FLOOR):
-    """Patches worth reporting: those whose BRDF reaches `floor` times the mean BRDF.
+def lobe(values, projected_solid_angles, floor=FLOOR):
+    """Patches worth reporting: those that reach `floor` times the collector's mean.
 
     Parameters
     ----------
-    brdf : array_like, shape (n_theta, n_phi)
-    projected_solid_angles : array_like, same shape
+    values : array_like, shape (..., n_theta, n_phi)
+        BRDF, or BRDF and BTDF, of one channel in 1/sr.
+    projected_solid_angles : array_like, shape (n_theta, n_phi)
     floor : float
         In [0, 1).
 
     Returns
     -------
-    ndarray of bool, same shape
+    ndarray of bool, shape of `values`
         Their number is the paper's m', the patches inside of the lobe.
     """
     floor = checked_number("floor", floor, 0, 1, "a fraction in [0, 1)")
-    brdf = np.asarray(brdf, dtype=float)
-    mean = np.average(brdf, weights=projected_solid_angles)
-    return (brdf > 0) & (brdf >= floor * mean)
+    values = np.asarray(values, dtype=float)
+    weights = np.broadcast_to(projected_solid_angles, values.shape)
+    return (values > 0) & (values >= floor * np.average(values, weights=weights))
+
+
+def precision(record, floor=FLOOR):
+    """Largest relative standard error among the patches worth reporting.
+
+    Parameters
+    ----------
+    record : Record
+        Of one incident direction.
+    floor : float
+        See :func:`lobe`.
+
+    Returns
+    -------
+    worst : float
+        Over all channels; infinite where a standard error is not known, or if no light
+        was received at all.
+    n_lobe : int
+        Number of patches worth reporting, the paper's m'; the most of any channel.
+    """
+    value, std_err = _collector(record, "brdf", "btdf"), _collector(
+        record, "brdf_std_err", "btdf_std_err"
+    )
+    worst, n_lobe = 0.0, 0
+    for channel in range(value.shape[-1]):
+        inside = lobe(
+            value[..., channel], record.subdivision.projected_solid_angles, floor
+        )
+        relative = std_err[..., channel][inside] / value[..., channel][inside]
+        relative = np.nan_to_num(relative, nan=np.inf)
+        worst = max(worst, relative.max(initial=0.0))
+        n_lobe = max(n_lobe, int(inside.sum()))
+    return (float(worst) if n_lobe else np.inf), n_lobe
+
+
+def _collector(record, upper, lower):
+    """Quantity over all hemispheres, ``(n_hemispheres, n_theta, n_phi, channels)``."""
+    parts = [getattr(record, upper)]
+    if record.has_lower:
+        parts.append(getattr(record, lower))
+    return np.stack(parts)
 
 
 def reliability(probabilities, rel_err, rays):
@@ -277,18 +320,14 @@ def _pilot_probabilities(pilot, floor):
             f"the pilot must be of one incident direction, got a stack of {len(pilot)}"
         )
     record = pilot[0]
-    probabilities, n_patches = [], 0
-    projected = record.subdivision.projected_solid_angles
-    for hemisphere in [record.brdf, record.btdf]:
-        if hemisphere is not None and hemisphere.any():
-            # the channel with the least light in a patch asks for most rays
-            least = hemisphere.min(axis=-1)
-            inside = lobe(least, projected, floor)
-            probabilities.append((least * projected)[inside])
-            n_patches += record.subdivision.n_patches
-    if not probabilities or not np.concatenate(probabilities).size:
+    values = _collector(record, "brdf", "btdf")
+    if not values.any():
         raise ValueError("the pilot must have received some light, got none")
-    return np.concatenate(probabilities), n_patches
+    projected = record.subdivision.projected_solid_angles
+    # the channel with the least light in a patch asks for most rays
+    least = values.min(axis=-1)
+    inside = lobe(least, projected, floor)
+    return (least * projected)[inside], inside.size
 
 
 def _checked(epsilon, delta):

@@ -212,8 +212,8 @@ class Goniophotometer(mi.SamplingIntegrator):
         beam = Beam(specimen, emitters[0], self.settings["footprint"], self.settings["emission"])
         return Bench(specimen, beam, sensor)
 
-    def batch(self, bench, key, index, rays, progress=None):
-        """Tally of one independent batch.
+    def batch(self, bench, key, index, rays, start=0, progress=None):
+        """Tally of one independent batch, or of a later part of it.
 
         Parameters
         ----------
@@ -224,15 +224,17 @@ class Goniophotometer(mi.SamplingIntegrator):
             Number of the batch.
         rays : int
             Rays to send; as often again for each further four wavelengths.
+        start : int
+            Rays of this batch that were sent before.
         progress : callable, optional
             Called after each launch with the rays it sent.
         """
         groups = []
         for number, nm in enumerate(self._wavelength_groups()):
             total = None
-            for launch, start in enumerate(range(0, rays, LAUNCH)):
-                n = min(LAUNCH, rays - start)
-                tally = self._launch(bench, _seed(*key, index, number, launch), n, nm)
+            for begin in range(start, start + rays, LAUNCH):
+                n = min(LAUNCH, start + rays - begin)
+                tally = self._launch(bench, _seed(*key, index, number, begin), n, nm)
                 total = tally if total is None else total.accumulate(tally)
                 if progress is not None:
                     progress(n)
