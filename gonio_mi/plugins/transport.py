@@ -212,11 +212,13 @@ def _leaves_by_a_side(specimen, o, d):
     """Whether a ray from inside the bounding box crosses one of its four sides."""
 
     def exit_distance(low, high, o, d):
-        return (dr.select(d > 0, mi.Float(float(high)), mi.Float(float(low))) - o) / d
+        face = dr.select(d > 0, mi.Float(float(high)), mi.Float(float(low)))
+        # -0 and +0 alike: along the face, never through it
+        return dr.select(d == 0, dr.inf, (face - o) / d)
 
     low, high = specimen.low, specimen.high
     t_x = exit_distance(low[0], high[0], o.x, d.x)
     t_y = exit_distance(low[1], high[1], o.y, d.y)
     t_z = exit_distance(low[2], high[2], o.z, d.z)
-    # a direction along the box face gives an infinite distance; the horizon, one in z
+    # the horizon is at an infinite distance in z
     return ~(dr.minimum(t_x, t_y) >= t_z)

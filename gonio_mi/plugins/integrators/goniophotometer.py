@@ -123,7 +123,8 @@ class Goniophotometer(mi.SamplingIntegrator):
 
      * - rr_depth
        - |int|
-       - Surface events after which Russian roulette sets in; -1 for never. (Default: -1)
+       - Surface events after which Russian roulette sets in, for the weighted estimator;
+         -1 for never. (Default: -1)
 
      * - footprint
        - |string| or |float|
@@ -268,7 +269,9 @@ class Goniophotometer(mi.SamplingIntegrator):
         sampler.seed(dr.opaque(mi.UInt32, seed), n)
         exits = self._exits(bench, sampler, nm)
         scale = 1 if self.analog else WEIGHT_SCALE
-        bins = bench.bins(exits)
+        # as many lanes as rays, even where none of them draws a number
+        lanes = dr.arange(mi.UInt32, n)
+        bins = dr.select(lanes < dr.opaque(mi.UInt32, n), bench.bins(exits), 0)
         collected = bins < bench.n_collected
         hits = _scatter_sum(mi.UInt32, bench.n_bins, mi.UInt32(1), bins)
         powers = _fixed_point(exits.throughput, scale)
@@ -291,10 +294,12 @@ class Goniophotometer(mi.SamplingIntegrator):
     def _exits(self, bench, sampler, nm):
         """Follow the rays by the cheapest transport that is exact for the specimen."""
         rr_depth = self.settings["rr_depth"]
+        # counted rays live or die at each event as it is, and stay whole
+        roulette = rr_depth >= 0 and not self.analog
         settings = Settings(
             analog=self.analog,
             max_depth=self.settings["max_depth"],
-            rr_depth=rr_depth if rr_depth >= 0 else 2**32 - 1,
+            rr_depth=rr_depth if roulette else 2**32 - 1,
         )
         wavelengths = _wavelength_lanes(nm)
         plane = bench.specimen.plane
