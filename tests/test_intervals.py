@@ -1,0 +1,88 @@
+"""Nominal intervals cover the truth as often as they say, for many and few hits.
+
+Alpha: each check may fail a correct instrument with probability 1e-5.
+"""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy import stats
+
+import gonio_mi as gonio
+
+ALPHA = 1e-5
+LEVEL = 0.95
+SEEDS = 100
+RHO = 0.5
+
+# of the 100 equal patches of a grey Lambertian, each receives RHO / 100 of the rays
+COLLECTOR = "projected:10x10"
+
+
+def coverage(rays, estimator, shrink=1.0):
+    """Covered fraction of the patches of each run, and the covered dhr of each run."""
+    mi.set_variant("llvm_ad_mono")
+    patches, totals = [], []
+    for seed in range(SEEDS):
+        record = gonio.measure(
+            {"type": "diffuse", "reflectance": RHO},
+            theta_i=30,
+            collector=COLLECTOR,
+            rays=rays,
+            estimator=estimator,
+            sampler="independent",
+            seed=seed,
+        )
+        low, high = record.interval(LEVEL)
+        middle, half = (low + high) / 2, shrink * (high - low) / 2
+        patches.append(np.mean(np.abs(RHO / np.pi - middle) <= half))
+        low, high = record.interval(LEVEL, of="dhr")
+        totals.append(bool(low[0] <= RHO <= high[0]))
+    return np.array(patches), np.array(totals)
+
+
+def score(fractions):
+    """t score of the mean coverage against LEVEL, from the scatter between runs."""
+    return (fractions.mean() - LEVEL) / (fractions.std(ddof=1) / np.sqrt(len(fractions)))
+
+
+@pytest.mark.parametrize("estimator", ["analog", "weighted"])
+@pytest.mark.parametrize("rays", [300, 20_000, 200_000])
+def test_patch_intervals_cover(rays, estimator):
+    """About 1.5, 100 and 1000 hits a patch for analog; twice that for weighted."""
+    fractions, _ = coverage(rays, estimator)
+    t = score(fractions)
+    print(f"coverage {fractions.mean():.4f}, t = {t:.2f}")
+    assert t > stats.t.ppf(ALPHA, SEEDS - 1), "intervals are too narrow"
+    if rays == 200_000:  # exact intervals of few hits may cover more
+        assert t < stats.t.isf(ALPHA, SEEDS - 1), "intervals are too wide"
+
+
+def test_narrow_intervals_are_caught():
+    """Twin: intervals of 0.85 of their width cover 90 %, and the score says so."""
+    fractions, _ = coverage(200_000, "weighted", shrink=0.85)
+    assert score(fractions) < stats.t.ppf(ALPHA, SEEDS - 1)
+
+
+@pytest.mark.parametrize("estimator", ["analog"])
+def test_total_interval_covers(estimator):
+    """Dhr of a grey specimen under the analog estimator is binomial."""
+    _, covered = coverage(300, estimator)
+    assert stats.binom.cdf(covered.sum(), SEEDS, LEVEL) > ALPHA
+
+
+def test_empty_patches_have_an_upper_limit():
+    """No hit in n rays: 1 - ((1 - level) / 2)^(1 / n), never 0 +- 0."""
+    mi.set_variant("llvm_ad_mono")
+    record = gonio.measure(
+        {"type": "conductor"}, theta_i=30, rays=1000, estimator="analog", sampler="independent"
+    )
+    low, high = record.interval(LEVEL)
+    empty = record.counts[0] == 0
+    limit = 1 - 0.025 ** (1 / 1000)
+    size = record.subdivision.projected_solid_angles[0, 0]
+    assert empty.sum() == 899
+    assert np.all(low[empty] == 0)
+    # one rounding of each of the few operations
+    np.testing.assert_allclose(high[empty], limit / size, rtol=16 * np.finfo(float).eps)
+    assert np.all(np.isnan(record.brdf_std_err[empty]))
