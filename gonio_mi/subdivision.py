@@ -255,6 +255,11 @@ class EqualSolidAngle(_Regular):
 
     name = "solid"
 
+    @property
+    def solid_angles(self):
+        """Solid angle of each patch in sr, shape ``(n_theta, n_phi)``: all the same."""
+        return np.full(self.shape, 2 * np.pi / self.n_patches)
+
     def _edges(self, fraction):
         # 1 - cos(theta) = 2 sin^2(theta / 2), without cancellation at the pole
         return 2 * np.arcsin(np.sqrt(fraction / 2))
@@ -267,6 +272,11 @@ class EqualProjectedSolidAngle(_Regular):
     """Patches of equal projected solid angle: equal steps of sin^2(theta) (eq. 13)."""
 
     name = "projected"
+
+    @property
+    def projected_solid_angles(self):
+        """Projected solid angle of each patch in sr: all the same."""
+        return np.full(self.shape, np.pi / self.n_patches)
 
     def _edges(self, fraction):
         return np.arcsin(np.sqrt(fraction))

@@ -75,11 +75,15 @@ def test_empty_patches_have_an_upper_limit():
     """No hit in n rays: 1 - ((1 - level) / 2)^(1 / n), never 0 +- 0."""
     mi.set_variant("llvm_ad_mono")
     record = gonio.measure(
-        {"type": "conductor"}, theta_i=30, rays=1000, estimator="analog", sampler="independent"
+        {"type": "conductor"},
+        theta_i=30,
+        rays=1000,
+        estimator="analog",
+        sampler="independent",
     )
     low, high = record.interval(LEVEL)
     empty = record.counts[0] == 0
-    limit = 1 - 0.025 ** (1 / 1000)
+    limit = -np.expm1(np.log(0.025) / 1000)
     size = record.subdivision.projected_solid_angles[0, 0]
     assert empty.sum() == 899
     assert np.all(low[empty] == 0)
