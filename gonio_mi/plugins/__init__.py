@@ -13,6 +13,7 @@ __all__ = ["MODULES", "register"]
 
 # In the order of registration: a module comes after those whose plugins it looks up.
 MODULES = (
+    "samplers.sobol",
     "films.patches",
     "sensors.collector",
     "integrators.goniophotometer",

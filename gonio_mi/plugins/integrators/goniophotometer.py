@@ -29,6 +29,7 @@ SAMPLERS = {
     "MultijitterSampler": "multijitter",
     "OrthogonalSampler": "orthogonal",
     "LowDiscrepancySampler": "ldsampler",
+    "Sobol": "sobol",
 }
 
 ESTIMATORS = ("weighted", "analog")
@@ -235,7 +236,8 @@ class Goniophotometer(mi.SamplingIntegrator):
             total = None
             for begin in range(start, start + rays, LAUNCH):
                 n = min(LAUNCH, start + rays - begin)
-                tally = self._launch(bench, _seed(*key, index, number, begin), n, nm)
+                sampler = _sampler(bench, (*key, index, number), begin, n)
+                tally = self._launch(bench, sampler, n, nm)
                 total = tally if total is None else total.accumulate(tally)
                 if progress is not None:
                     progress(n)
@@ -258,15 +260,13 @@ class Goniophotometer(mi.SamplingIntegrator):
 
     # --------------------------------------------------------------------- one launch
 
-    def _launch(self, bench, seed, n, nm):
+    def _launch(self, bench, sampler, n, nm):
         """Send `n` rays in one kernel and return their tally.
 
         What is summed of the powers is their difference to 1, and of further channels
         that to the first: most scatters are masked, and cost little, for counted rays
         and for achromatic specimens.
         """
-        sampler = bench.sensor.sampler().clone()
-        sampler.seed(dr.opaque(mi.UInt32, seed), n)
         exits = self._exits(bench, sampler, nm)
         scale = 1 if self.analog else WEIGHT_SCALE
         # as many lanes as rays, even where none of them draws a number
@@ -331,7 +331,7 @@ class Goniophotometer(mi.SamplingIntegrator):
 
     def describe(self, bench, seed):
         """Settings of the measurement, in JSON's types."""
-        sampler = bench.sensor.sampler().class_name()
+        sampler = bench.sensor.sampler()
         return {
             "specimen": bench.specimen.description,
             "emitter": bench.beam.emitter.class_name(),
@@ -340,7 +340,7 @@ class Goniophotometer(mi.SamplingIntegrator):
             "side": "front" if bench.beam.side > 0 else "back",
             "estimator": self.settings["estimator"],
             "transport": "traced" if self._traces(bench) else "plane",
-            "sampler": SAMPLERS.get(sampler, sampler),
+            "sampler": _sampler_name(sampler),
             "seed": seed,
             "rays": self.rays,
             "passes": self.passes,
@@ -361,6 +361,24 @@ class Goniophotometer(mi.SamplingIntegrator):
     def to_string(self):
         """Return a readable description."""
         return f"Goniophotometer{self.settings}"
+
+
+def _sampler(bench, key, begin, n):
+    """Sampler for `n` rays of a batch that has sent `begin` rays."""
+    sampler = bench.sensor.sampler().clone()
+    if hasattr(sampler, "start"):
+        # one sequence goes through all launches of a batch, as far as 32 bits count
+        begin, sampler.start = divmod(begin, 2**32)
+    sampler.seed(dr.opaque(mi.UInt32, _seed(*key, begin)), n)
+    return sampler
+
+
+def _sampler_name(sampler):
+    """Plugin name of Mitsuba's samplers and ours, class name of others."""
+    name = sampler.class_name()
+    # a sampler in Python has the class name of its base
+    name = type(sampler).__name__ if name == "Sampler" else name
+    return SAMPLERS.get(name, name)
 
 
 def _seed(*key):

@@ -1,0 +1,1 @@
+"""Samplers, one Mitsuba plugin per file; the file's name is the plugin's."""

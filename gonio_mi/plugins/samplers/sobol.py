@@ -1,0 +1,248 @@
+"""Sampler `sobol`: Owen-scrambled Sobol' points, one joint sequence of all dimensions."""
+
+from functools import cache
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from gonio_mi.errors import VariantError
+
+# Primitive polynomial (its coefficients as bits) and initial direction numbers of each
+# Sobol' dimension after the first: Joe and Kuo 2008, table new-joe-kuo-6.21201.
+POLYNOMIALS = (
+    (0b11, (1,)),
+    (0b111, (1, 3)),
+    (0b1011, (1, 3, 1)),
+    (0b1101, (1, 1, 1)),
+    (0b10011, (1, 1, 3, 3)),
+    (0b11001, (1, 3, 5, 13)),
+    (0b100101, (1, 1, 5, 5, 17)),
+    (0b101001, (1, 1, 5, 5, 5)),
+    (0b101111, (1, 1, 7, 11, 19)),
+)
+
+# Binomial coefficients modulo 2 as shifts.
+PASCAL = (
+    (16, 0x0000FFFF),
+    (8, 0x00FF00FF),
+    (4, 0x0F0F0F0F),
+    (2, 0x33333333),
+    (1, 0x55555555),
+)
+
+# Sobol' dimension of each draw of a block. The first two are the best distributed and
+# the cheapest; they go to the direction of scattering in the usual order of draws:
+# footprint (2), lobe (1), direction (2).
+ORDER = (3, 4, 2, 0, 1, 5, 6, 7, 8, 9)
+
+
+def direction_numbers(dimension):
+    """Direction numbers of a Sobol' dimension from 0 (Joe and Kuo 2008, eqs. 2 and 3).
+
+    Returns
+    -------
+    list of int
+        What each of the 32 bits of a point's index, from the lowest, adds (exclusive or)
+        to the coordinate, a fraction of 2**32.
+    """
+    if dimension == 0:
+        return [1 << (31 - k) for k in range(32)]
+    polynomial, initial = POLYNOMIALS[dimension - 1]
+    degree = len(initial)
+    v = [m << (31 - k) for k, m in enumerate(initial)]
+    for k in range(degree, 32):
+        number = v[k - degree] ^ (v[k - degree] >> degree)
+        for j in range(1, degree):
+            if polynomial >> (degree - j) & 1:
+                number ^= v[k - j]
+        v.append(number)
+    return v
+
+
+# All that follows is mirrored, for that is what the scrambling works on: bit 0 is the
+# first binary digit of a coordinate.
+MIRRORED = [[dr.brev(v) for v in direction_numbers(d)] for d in ORDER]
+BLOCK = len(ORDER)
+
+
+@cache
+def _byte_table():
+    """Contribution of each byte of an index to each draw of a block, flattened."""
+    table = np.zeros((BLOCK, 4, 256), np.uint32)
+    for bit in range(32):
+        set_in = np.arange(256) >> (bit % 8) & 1
+        numbers = np.array([row[bit] for row in MIRRORED], np.uint32)
+        table[:, bit // 8] ^= numbers[:, None] * set_in.astype(np.uint32)
+    return mi.UInt32(table.ravel())
+
+
+def sobol_known(index, draw):
+    """Mirrored coordinate of a point, for the `draw` of a block known when tracing."""
+    if ORDER[draw] == 0:
+        return index
+    if ORDER[draw] == 1:
+        # binomial coefficients modulo 2, as a product of five matrices (Ahmed 2024)
+        for shift, mask in PASCAL:
+            index = index ^ ((index >> shift) & mask)
+        return index
+    coordinate = mi.UInt32(0)
+    for bit, number in enumerate(MIRRORED[draw]):
+        coordinate = coordinate ^ dr.select(index & (1 << bit) != 0, mi.UInt32(number), 0)
+    return coordinate
+
+
+def sobol_any(index, draw):
+    """Mirrored coordinate of a point, for any `draw` of a block."""
+    coordinate = mi.UInt32(0)
+    for byte in range(4):
+        entry = (4 * draw + byte) * 256 + ((index >> 8 * byte) & 255)
+        coordinate = coordinate ^ dr.gather(mi.UInt32, _byte_table(), entry)
+    return coordinate
+
+
+def owen(x, key):
+    """Nested uniform (Owen) scrambling of mirrored coordinates.
+
+    Each binary digit is flipped or not depending on those before it: here, on lower
+    bits. Sums and products with odd numbers do just that (Laine and Karras 2011); the
+    constants are those of Vegdahl 2021, as in PBRT.
+    """
+    first, second = key
+    x = x ^ (x * 0x3D20ADEA)
+    x = x + first
+    x = x * (second | 1)
+    x = x ^ (x * 0x05526C56)
+    x = x ^ (x * 0x53A22864)
+    return x
+
+
+def keys(seed, number):
+    """Two words to scramble with, unrelated for other seeds and other numbers."""
+    first = _hash(seed + _hash(number + 0x9E3779B9))
+    return first, _hash(first ^ 0x85EBCA6B)
+
+
+def _hash(x):
+    """Triple32 of Wellons 2018, a bijection of 32 bits without measurable bias."""
+    x = x ^ (x >> 17)
+    x = x * 0xED5AD4BB
+    x = x ^ (x >> 11)
+    x = x * 0xAC4C1B51
+    x = x ^ (x >> 15)
+    x = x * 0x31848BAB
+    return x ^ (x >> 14)
+
+
+def sobol_number(index, seed, draw):
+    """Scrambled coordinate of points, as 32 bits: number `draw` of each.
+
+    Draws of the first block are coordinates of one point. Each further block takes the
+    points in an order of its own: nested uniform shuffling (Burley 2020), that is Owen
+    scrambling of the mirrored index.
+    """
+    if draw.state == dr.VarState.Literal and draw[0] < BLOCK:
+        coordinate = sobol_known(index, draw[0])
+    else:
+        block = draw // BLOCK
+        shuffled = dr.brev(owen(dr.brev(index), keys(~seed, block)))
+        index = dr.select(block == 0, index, shuffled)
+        coordinate = sobol_any(index, draw - block * BLOCK)
+    return dr.brev(owen(coordinate, keys(seed, draw)))
+
+
+class Sobol(mi.Sampler):
+    r"""Owen-scrambled Sobol' points (:monosp:`sobol`).
+
+    Ray ``i`` of a wavefront draws its numbers from point ``start + i`` of one scrambled
+    Sobol' sequence. What the beam and the first event draw, up to ten numbers, are
+    coordinates of the same ten-dimensional point, so that they are well distributed
+    *jointly*. The next ten come from the same sequence in a shuffled order, and so on
+    without an end: independent between blocks of ten, well distributed within.
+
+    Every seed is an independent scrambling of the sequence. Each number is uniform on
+    the multiples of 2**-24 in [0, 1) (of 2**-32 in double precision), for any number of
+    rays; the error falls fastest at powers of two.
+
+    .. pluginparameters::
+
+     * - sample_count
+       - |int|
+       - Number of samples per pixel, for Mitsuba's own integrators. (Default: 4)
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <sampler type="sobol"/>
+
+        .. code-tab:: python
+
+            'type': 'sobol'
+    """
+
+    def __init__(self, props):
+        if not dr.is_jit_v(mi.Float):
+            raise VariantError(
+                f"the sampler sobol needs an llvm or cuda variant, got {mi.variant()}"
+            )
+        super().__init__(props)
+        # Index in the sequence of the first point of the next wavefront to be seeded
+        self.start = 0
+        self.index = mi.UInt32(0)
+        self.key = mi.UInt32(0)
+        self.draw = mi.UInt32(0)
+        _byte_table()
+
+    def seed(self, seed, wavefront_size=0xFFFFFFFF):
+        """Choose the scrambling and go to the point `start`; nothing recompiles."""
+        super().seed(seed, wavefront_size)
+        self.key = mi.UInt32(seed)
+        dr.make_opaque(self.key)
+        start = dr.opaque(mi.UInt32, self.start)
+        self.index = dr.arange(mi.UInt32, self.wavefront_size()) + start
+        self.draw = mi.UInt32(0)
+
+    def advance(self):
+        """Go on by one wavefront."""
+        self.index += self.wavefront_size()
+        self.draw = mi.UInt32(0)
+
+    def next_1d(self, active=True):
+        """Next number of each point."""
+        del active
+        bits = sobol_number(self.index, self.key, self.draw)
+        self.draw = self.draw + 1
+        if dr.type_v(mi.Float) == dr.VarType.Float64:
+            return mi.Float(bits) * 2.0**-32
+        return mi.Float(bits >> 8) * 2.0**-24
+
+    def next_2d(self, active=True):
+        """Next two numbers of each point."""
+        x = self.next_1d(active)
+        return mi.Point2f(x, self.next_1d(active))
+
+    def fork(self):
+        """Return a sampler of the same settings, to be seeded."""
+        copy = Sobol(mi.Properties("sobol"))
+        copy.set_sample_count(self.sample_count())
+        copy.start = self.start
+        return copy
+
+    def clone(self):
+        """Return a sampler that draws the same numbers."""
+        copy = self.fork()
+        if self.wavefront_size():
+            mi.Sampler.seed(copy, 0, self.wavefront_size())
+        copy.index, copy.key, copy.draw = self.index, self.key, self.draw
+        return copy
+
+    def schedule_state(self):
+        """Schedule the state for evaluation."""
+        dr.schedule(self.index, self.key, self.draw)
+
+    def to_string(self):
+        """Return a readable description."""
+        return f"Sobol[sample_count={self.sample_count()}]"
+
+
+mi.register_sampler("sobol", Sobol)
