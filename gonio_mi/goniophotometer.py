@@ -11,7 +11,13 @@ import numpy as np
 from tqdm import tqdm
 
 from .directions import direction
-from .errors import SpecimenError, checked_choice, checked_count, checked_number
+from .errors import (
+    SpecimenError,
+    VariantError,
+    checked_choice,
+    checked_count,
+    checked_number,
+)
 from .plugins.specimen import Specimen
 from .ray_density import FLOOR, paper_rays, precision
 from .record import Record
@@ -142,7 +148,8 @@ def measure(
     SpecimenError
         If the specimen cannot be loaded or measured.
     VariantError
-        If no variant is set, or one that cannot be used.
+        If no variant is set, or one that cannot be used, or `wavelengths` are given in
+        one that is not spectral.
     """
     check_variant()
     integrator_settings = {
@@ -156,6 +163,11 @@ def measure(
         "trace": trace,
         "wavelengths": _joined(wavelengths),
     }
+    if wavelengths is not None and not mi.is_spectral:
+        raise VariantError(
+            "wavelengths need a spectral variant, such as llvm_ad_spectral, "
+            f"got {mi.variant()}"
+        )
     seed = checked_count("seed", seed, 0)
     checked_choice("side", side, ("front", "back"))
     target = _checked_target(rel_err, max_rays, floor, rays, resume)

@@ -10,6 +10,16 @@ from .errors import SpecimenError, VariantError
 
 __all__ = ["load_plugin_file", "load_specimen", "loaded", "parse_specimen"]
 
+# What Mitsuba puts before messages that say it all: its source positions, the root of
+# a dictionary, the search for a plugin, and the frame around our own plugins' errors.
+FRAMES = re.compile(
+    r"\[\w+\.(cpp|h):\d+\] ?"
+    r'|(At|While loading) dictionary node "root": '
+    r'|failed to instantiate unknown plugin of type "[^"]*": \[PluginManager\] '
+    r'|(At dictionary node "\w+": )?failed to instantiate \w+ plugin of type '
+    r'"(goniophotometer|collector|patches)": \w+: '
+)
+
 
 def check_variant():
     """Raise :class:`VariantError` if no Mitsuba variant is set."""
@@ -57,7 +67,8 @@ def load_specimen(specimen, parameters=None):
     elif not isinstance(specimen, mi.Shape):
         raise SpecimenError(
             "specimen must be a BSDF, a shape or a scene of the variant "
-            f"{mi.variant()}, as object, dictionary or XML file, got {specimen!r:.200}"
+            f"{mi.variant()}, as object, dictionary or XML file, got "
+            f"{_one_line(repr(specimen)):.200}"
         )
     return loaded("the specimen", mi.load_dict, {"type": "scene", "shape": specimen})
 
@@ -71,15 +82,14 @@ def loaded(what, load, *args, **kwargs):
 
 
 def _one_line(error):
-    """Mitsuba's message without source positions, tracebacks and line breaks."""
+    """Mitsuba's message without frames, tracebacks and line breaks."""
     text = str(error)
     if "Traceback (most recent call last)" in text:
         head, _, trace = text.partition("Traceback (most recent call last)")
         # of a traceback, the lines that are not indented: the error itself
         lines = [line for line in trace.splitlines()[1:] if line[:1].strip()]
         text = head.rstrip(": \n") + ": " + " ".join(lines[-3:])
-    text = re.sub(r"\[\w+\.(cpp|h):\d+\] ?", "", text)
-    return " ".join(text.split())
+    return " ".join(FRAMES.sub("", text).split())
 
 
 def load_plugin_file(path):
@@ -119,7 +129,7 @@ def parse_specimen(text):
     str or dict
         What :func:`load_specimen` takes.
     """
-    if text.endswith(".xml") or os.path.exists(text):
+    if text.endswith(".xml") or os.path.isfile(text):
         return text
     name, _, settings = text.partition(":")
     specimen = {"type": name}
