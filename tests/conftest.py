@@ -1,0 +1,49 @@
+"""Variants for the tests. `gonio_mi` comes first: it finds the LLVM for Dr.Jit."""
+
+import gonio_mi  # noqa: F401
+
+# isort: split
+import budget
+import mitsuba as mi
+import pytest
+
+
+def _variant(name):
+    before = mi.variant()
+    if before != name:
+        mi.set_variant(name)
+    yield name
+    if before and before != mi.variant():
+        mi.set_variant(before)
+
+
+@pytest.fixture
+def mono():
+    """Run the test in llvm_ad_mono."""
+    yield from _variant("llvm_ad_mono")
+
+
+@pytest.fixture
+def rgb():
+    """Run the test in llvm_ad_rgb."""
+    yield from _variant("llvm_ad_rgb")
+
+
+@pytest.fixture
+def spectral():
+    """Run the test in llvm_ad_spectral."""
+    yield from _variant("llvm_ad_spectral")
+
+
+@pytest.fixture(params=["llvm_ad_mono", "llvm_ad_rgb", "llvm_ad_spectral"])
+def variant(request):
+    """Run the test once in each variant."""
+    yield from _variant(request.param)
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Say how much of the false-alarm budget was used."""
+    if budget.spent():
+        terminalreporter.write_line(
+            f"false-alarm budget: {budget.spent()} of {budget.SHARES} verdicts"
+        )

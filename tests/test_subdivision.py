@@ -1,0 +1,228 @@
+"""Every direction has one patch; the patches' solid angles are exact."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from gonio_mi import (
+    EqualAngle,
+    EqualProjectedSolidAngle,
+    EqualSolidAngle,
+    subdivision,
+)
+from gonio_mi.directions import angles, direction
+from gonio_mi.subdivision import BORDER
+
+KINDS = (EqualAngle, EqualSolidAngle, EqualProjectedSolidAngle)
+SIZES = ((1, 1), (2, 3), (10, 10), (30, 30), (100, 100), (1000, 1000))
+EPS = np.finfo(float).eps
+
+kinds = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+sizes = pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
+
+
+@kinds
+@sizes
+def test_solid_angles_sum_to_the_hemisphere(kind, size):
+    # rounding: each ring's borders, two sines and three products, then the sum
+    bound = (10 + np.log2(size[0] * size[1])) * EPS
+    patches = kind(*size)
+    assert abs(patches.solid_angles.sum() / (2 * np.pi) - 1) <= bound
+    assert abs(patches.projected_solid_angles.sum() / np.pi - 1) <= bound
+
+
+@kinds
+@sizes
+def test_what_is_said_to_be_equal_is_equal(kind, size):
+    patches = kind(*size)
+    measure = {
+        EqualAngle: np.diff(patches.theta_edges),
+        EqualSolidAngle: patches.solid_angles,
+        EqualProjectedSolidAngle: patches.projected_solid_angles,
+    }[kind]
+    # rounding: a ring is the difference of borders, exact to a few eps of pi / 2
+    bound = 8 * EPS * size[0]
+    np.testing.assert_allclose(measure, measure.mean(), rtol=bound)
+
+
+@kinds
+def test_projected_solid_angles_are_the_integral_of_the_cosine(kind):
+    # rounding: a 20-point Gauss rule is exact far below eps on one ring
+    patches = kind(30, 7)
+    x, w = np.polynomial.legendre.leggauss(20)
+    low, high = patches.theta_edges[:-1, None], patches.theta_edges[1:, None]
+    theta = (low + high) / 2 + (high - low) / 2 * x
+    half = (high - low)[:, 0] / 2 * 2 * np.pi / 7
+    np.testing.assert_allclose(
+        patches.projected_solid_angles[:, 0],
+        half * (np.sin(theta) * np.cos(theta) @ w),
+        rtol=100 * EPS,
+    )
+    np.testing.assert_allclose(
+        patches.solid_angles[:, 0], half * (np.sin(theta) @ w), rtol=100 * EPS
+    )
+
+
+@kinds
+def test_mean_of_cosines_is_exact_and_mean_of_angles_is_not(kind):
+    """The paper's two theta_r (eq. 2, section 3.1 and Figure 2)."""
+    patches = kind(30, 30)
+    exact = patches.projected_solid_angles
+    # rounding: cosines near the horizon are exact to eps of 1, in steps of 1 / n_theta
+    np.testing.assert_allclose(
+        patches.adjusted_solid_angles("cosine"), exact, rtol=4 * 30 * EPS
+    )
+    assert np.abs(patches.adjusted_solid_angles("theta") / exact - 1).max() > 3e-4
+
+
+@pytest.mark.parametrize(
+    ("n_theta", "printed"), [(9, 3.8e-3), (18, 9.5e-4), (45, 1.5e-4)]
+)
+def test_figure_2(n_theta, printed):
+    """Mean of angles over mean of cosines is 1 / cos(half a ring), in every ring."""
+    patches = EqualAngle(n_theta, 1)
+    ratio = patches.adjusted_solid_angles("theta") / patches.projected_solid_angles
+    half = np.pi / (4 * n_theta)
+    np.testing.assert_allclose(ratio, 1 / np.cos(half), rtol=64 * EPS)
+    # and that is what Figure 2 shows, to the two digits of the reading
+    assert abs(ratio[0, 0] - 1 - printed) < 0.05 * 10 ** np.floor(np.log10(printed))
+
+
+def test_mean_of_angles_converges_quadratically():
+    errors = [
+        np.abs(
+            EqualAngle(n, 1).adjusted_solid_angles("theta")
+            / EqualAngle(n, 1).projected_solid_angles
+            - 1
+        ).max()
+        for n in (8, 16, 32, 64)
+    ]
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    # convergence: the next term of 1 / cos is smaller by (pi / 32)^2 < 1 %
+    np.testing.assert_allclose(orders, 2, atol=0.01)
+
+
+@kinds
+@sizes
+def test_borders_are_half_open(kind, size):
+    """A direction on a border is in the patch that begins there."""
+    patches = kind(*size)
+    theta, phi = patches.theta_edges[:-1], patches.phi_edges[:-1]
+    middle_theta = patches.theta[size[0] // 2]
+    on_ring = patches.patch(direction(theta[1:], patches.phi[0]))
+    np.testing.assert_array_equal(on_ring // size[1], np.arange(1, size[0]))
+    on_sector = patches.patch(direction(middle_theta, phi))
+    np.testing.assert_array_equal(on_sector % size[1], np.arange(size[1]))
+
+
+@kinds
+@sizes
+def test_centres_are_in_their_patches(kind, size):
+    patches = kind(*size)
+    v = direction(patches.theta[:, None], patches.phi)
+    np.testing.assert_array_equal(
+        patches.patch(v), np.arange(patches.n_patches).reshape(size)
+    )
+    # the lower hemisphere mirrors
+    np.testing.assert_array_equal(patches.patch(v * [1, 1, -1]), patches.patch(v))
+
+
+@kinds
+def test_pole_and_signs_of_zero(kind):
+    patches = kind(5, 8)
+    for x in (0.0, -0.0):
+        for y in (0.0, -0.0):
+            assert patches.patch([x, y, 1.0]) == 0
+            assert patches.patch([x, y, -1.0]) == 0
+    for zero in (0.0, -0.0):
+        s = np.sqrt(0.5)
+        assert patches.patch([s, zero, s]) % 8 == 0
+        assert patches.patch([-s, zero, s]) % 8 == 4
+        assert patches.patch([zero, s, s]) % 8 == 2
+        assert patches.patch([zero, -s, s]) % 8 == 6
+
+
+@kinds
+@pytest.mark.parametrize("n", [1, 30, 1000])
+def test_the_last_ring_reaches_the_horizon(kind, n):
+    patches = kind(n, 4)
+    for z in (1e-3 / n, 1e-12, 1e-30):
+        v = np.array([np.sqrt(1 - z * z), 0, z])
+        assert patches.patch(v) // 4 == n - 1
+
+
+def float32_directions(n, seed):
+    """Unit vectors in single precision: everywhere, near the pole, near the horizon."""
+    rng = np.random.default_rng(seed)
+    u = rng.uniform(size=n)
+    small = 10.0 ** rng.uniform(-9, 0, n)
+    theta = np.concatenate(
+        [np.arccos(u), small * np.pi / 2, np.pi / 2 - small * np.pi / 2]
+    )
+    return direction(theta, rng.uniform(0, 2 * np.pi, 3 * n)).astype(np.float32)
+
+
+@kinds
+@sizes
+@pytest.mark.usefixtures("mono")
+def test_numpy_and_drjit_agree_on_the_patch(kind, size):
+    """Where they do not, the direction is within single precision of a border."""
+    v = float32_directions(100_000, seed=size[0])
+    v = v[v[:, 2] > 0]
+    patches = kind(*size)
+    film = mi.load_dict({"type": "patches", "subdivision": str(patches)})
+    index = film.patch_index(mi.Vector3f(np.ascontiguousarray(v.T))).numpy()
+    assert index.max() < patches.n_patches
+    expected = patches.patch(v)
+    assert expected.min() >= 0
+    assert expected.max() < patches.n_patches
+    off = np.flatnonzero(index != expected)
+    # never more than to a neighbour, and only next to a border: twice BORDER, relative
+    # in the ring coordinate (from the nearer of pole and horizon), absolute in azimuth
+    ring, sector = np.divmod(index[off].astype(int), size[1])
+    e_ring, e_sector = np.divmod(expected[off], size[1])
+    step = np.abs(sector - e_sector)
+    assert np.all(np.abs(ring - e_ring) <= 1)
+    assert np.all(np.minimum(step, size[1] - step) <= 1)
+    theta, phi = angles(v[off])
+    border = patches.theta_edges[np.maximum(ring, e_ring)]
+    near = np.minimum(border, np.pi / 2 - border)
+    moved = ring != e_ring
+    assert np.all(np.abs(theta - border)[moved] <= 2 * BORDER * near[moved])
+    # the border at phi = 0 lies between the last sector and the first
+    last = np.where(step > 1, 0, np.maximum(sector, e_sector))
+    gap = np.abs(phi - patches.phi_edges[last])
+    gap = np.minimum(gap, 2 * np.pi - gap)
+    assert np.all(gap[step > 0] <= 2 * BORDER)
+
+
+@kinds
+def test_every_direction_has_exactly_one_patch(kind):
+    """Counting by index and counting by borders agree, cell by cell."""
+    patches = kind(12, 16)
+    v = float32_directions(200_000, seed=1).astype(float)
+    v = v[v[:, 2] > 0]
+    theta, phi = angles(v)
+    ring = np.searchsorted(patches.theta_edges, theta, side="right") - 1
+    sector = np.searchsorted(patches.phi_edges, phi, side="right") - 1
+    clear = np.ones(len(v), bool)
+    for edges, value in ((patches.theta_edges[1:-1], theta), (patches.phi_edges, phi)):
+        gap = np.abs(value[:, None] - edges).min(axis=1)
+        clear &= gap > 2 * BORDER * np.pi
+    assert clear.mean() > 0.5
+    np.testing.assert_array_equal(patches.patch(v)[clear], (ring * 16 + sector)[clear])
+
+
+@pytest.mark.parametrize("text", ["projected:30x30", "angle:1x1", "solid:7x100"])
+def test_name_round_trip(text):
+    assert str(subdivision(text)) == text
+    assert subdivision(text) == subdivision(str(subdivision(text)))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["projected", "projected:30", "x:3x3", "angle:3x-3", "angle:0x3", "angle:axb"],
+)
+def test_bad_names_are_refused(text):
+    with pytest.raises(ValueError, match=r"collector must look like|at least 1"):
+        subdivision(text)
