@@ -1,0 +1,330 @@
+"""A usable LLVM is found, an unusable one is refused in a sentence, nothing aborts.
+
+Alpha: the self-test of `doctor` fails a correct instrument with probability 1e-6; all
+other assertions are exact.
+"""
+
+import glob
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import FrozenInstanceError, replace
+from types import SimpleNamespace
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from gonio_mi import doctor, llvm
+from gonio_mi.errors import LLVMError
+
+VARIABLE = "DRJIT_LIBLLVM_PATH"
+# those that Dr.Jit accepts and that abort the process
+OLD_LIBRARIES = [
+    path
+    for version in (15, 16)
+    for path in glob.glob(f"/usr/lib*/*-linux-gnu/libLLVM-{version}.so.1")
+    + glob.glob(f"/usr/lib64/libLLVM-{version}.so")
+]
+needs_old_library = pytest.mark.skipif(
+    not OLD_LIBRARIES, reason="this system has no LLVM 15 or 16"
+)
+
+CHECK = """
+import gonio_mi
+gonio_mi.llvm.check()
+"""
+MEASURE = """
+import gonio_mi, mitsuba as mi
+mi.set_variant("llvm_ad_mono")
+gonio_mi.measure({"type": "roughconductor"}, theta_i=45, rays=1000)
+"""
+VERSIONS = """
+import os, gonio_mi, drjit
+print(*gonio_mi.llvm.status().version, *drjit.detail.llvm_version())
+print(os.environ["DRJIT_LIBLLVM_PATH"])
+"""
+MINIMUM = """
+import drjit as dr
+from drjit.llvm import Float
+dr.eval(dr.minimum(dr.arange(Float, 10), 3))
+"""
+DOCTOR = """
+import sys
+from gonio_mi import doctor
+sys.exit(doctor.run())
+"""
+
+
+def python(code, library=None):
+    """Finished process of `code`, in which the variable names `library`."""
+    environment = {k: v for k, v in os.environ.items() if k != VARIABLE}
+    if library is not None:
+        environment[VARIABLE] = str(library)
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.fixture
+def before_drjit(monkeypatch):
+    """As in a process that has not imported Dr.Jit, with the variable unset."""
+    monkeypatch.delitem(sys.modules, "drjit", raising=False)
+    # setting it first makes monkeypatch restore it, whatever prepare() does
+    monkeypatch.setenv(VARIABLE, "")
+    monkeypatch.delenv(VARIABLE)
+    return monkeypatch
+
+
+def loaded(monkeypatch, *version):
+    """As in a process whose Dr.Jit answers `version`, in an unknown file."""
+    detail = SimpleNamespace(llvm_version=lambda: version)
+    monkeypatch.setitem(sys.modules, "drjit", SimpleNamespace(detail=detail))
+    monkeypatch.setattr(llvm, "_loaded_path", lambda: None)
+
+
+# ---------------------------------------------------------------- version and verdict
+
+
+@pytest.mark.parametrize(
+    ("name", "version"),
+    [
+        ("libLLVM-14.so.1", (14,)),
+        ("libLLVM-14.0.6.so.1", (14, 0, 6)),
+        ("libLLVM-15.so.1", (15,)),
+        ("libLLVM-15.so", (15,)),
+        ("libLLVM-17git.so", (17,)),
+        ("libLLVM.so.19.1", (19, 1)),
+        ("libLLVM.so.23.1", (23, 1)),
+        ("libLLVM-19.dylib", (19,)),
+        ("Cellar/llvm/19.1.7/lib/libLLVM.dylib", (19, 1, 7)),
+        ("Cellar/llvm@18/18.1.8/lib/libLLVM.dylib", (18, 1, 8)),
+        ("libLLVM.so", None),
+        ("libLLVMSPIRVLib.so.15", None),
+        ("libclang-19.so.1", None),
+    ],
+)
+def test_version_by_name(before_drjit, tmp_path, name, version):
+    path = tmp_path / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    before_drjit.setenv(VARIABLE, str(path))
+    status = llvm.status()
+    assert status.version == version
+    assert status.path == str(path)
+    assert status.usable == (version is not None and version[0] >= llvm.MINIMUM_VERSION)
+
+
+def test_a_link_has_the_version_of_its_target(before_drjit, tmp_path):
+    (tmp_path / "libLLVM.so.19.1").touch()
+    (tmp_path / "libLLVM.so").symlink_to("libLLVM.so.19.1")
+    before_drjit.setenv(VARIABLE, str(tmp_path / "libLLVM.so"))
+    assert llvm.status().version == (19, 1)
+
+
+def test_a_library_that_hides_its_version_is_asked(before_drjit, tmp_path):
+    llvm.prepare()
+    (tmp_path / "renamed.so").symlink_to(os.environ[VARIABLE])
+    by_name = llvm.status().version
+    before_drjit.setattr(llvm, "_version_in_name", lambda _: None)
+    before_drjit.setenv(VARIABLE, str(tmp_path / "renamed.so"))
+    assert llvm.status().version[: len(by_name)] == by_name
+
+
+def test_status_is_frozen():
+    with pytest.raises(FrozenInstanceError):
+        llvm.status().usable = True
+
+
+def test_too_late(before_drjit):
+    loaded(before_drjit, 15, 0, 6)
+    assert llvm.status().version == (15, 0, 6)
+    with pytest.raises(LLVMError, match=r"15\.0\.6.*: import gonio_mi before mitsuba"):
+        llvm.check()
+
+
+def test_too_late_and_nothing_to_switch_to(before_drjit):
+    loaded(before_drjit, -1, -1, -1)
+    before_drjit.setattr(llvm, "_best", lambda: (None, None))
+    with pytest.raises(LLVMError, match=r"loaded no LLVM it can use.* install"):
+        llvm.check()
+
+
+def test_loaded_and_good(before_drjit):
+    loaded(before_drjit, llvm.MINIMUM_VERSION, 0, 0)
+    before_drjit.setenv(VARIABLE, "/nonexistent/libLLVM-15.so")
+    llvm.check()
+
+
+def test_named_but_not_loaded(before_drjit, tmp_path):
+    (tmp_path / "libLLVM.so.19.1").touch()
+    before_drjit.setenv(VARIABLE, str(tmp_path / "libLLVM.so.19.1"))
+    loaded(before_drjit, -1, -1, -1)
+    with pytest.raises(LLVMError, match=f"was not loaded: unset {VARIABLE}"):
+        llvm.check()
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "line"),
+    [
+        ("linux", "x86_64", "run `pip install karellen-llvm-core`"),
+        ("linux", "aarch64", "libllvm19"),
+        ("darwin", "arm64", "run `brew install llvm`"),
+        ("win32", "AMD64", "run `winget install LLVM.LLVM`"),
+    ],
+)
+def test_nothing_found(before_drjit, system, machine, line):
+    before_drjit.setattr(sys, "platform", system)
+    before_drjit.setattr(llvm.platform, "machine", lambda: machine)
+    before_drjit.setattr(llvm, "_best", lambda: (None, None))
+    llvm.prepare()
+    assert VARIABLE not in os.environ
+    with pytest.raises(LLVMError) as error:
+        llvm.check()
+    assert line in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+# ---------------------------------------------------------------------------- prepare
+
+
+def test_prepare_keeps_the_users_choice(before_drjit):
+    before_drjit.setenv(VARIABLE, "/nonexistent/libLLVM-15.so")
+    llvm.prepare()
+    assert os.environ[VARIABLE] == "/nonexistent/libLLVM-15.so"
+
+
+def test_prepare_does_nothing_too_late(before_drjit):
+    loaded(before_drjit, 15, 0, 6)
+    llvm.prepare()
+    assert VARIABLE not in os.environ
+
+
+def test_prepare_never_raises(before_drjit):
+    def broken(name):
+        raise ValueError(name)
+
+    before_drjit.setattr(llvm.metadata, "distribution", broken)
+    llvm.prepare()
+    assert VARIABLE not in os.environ
+
+
+def test_prepare_prefers_the_wheel_and_then_the_newest(before_drjit):
+    def prepared(wheel, system):
+        before_drjit.setenv(VARIABLE, "")
+        before_drjit.setattr(llvm, "_wheel_libraries", lambda: wheel)
+        before_drjit.setattr(llvm, "_system_libraries", lambda: system)
+        llvm.prepare()
+        return os.environ[VARIABLE]
+
+    old, new, newest = "a/libLLVM-15.so.1", "a/libLLVM-9.so", "a/libLLVM.so.100.1"
+    assert prepared([], [old, new]) == ""
+    assert prepared([], [old, newest, new, "a/libLLVM-17.so"]) == newest
+    assert prepared(["w/libLLVM.so.19.1"], [newest]) == "w/libLLVM.so.19.1"
+    assert prepared(["w/libLLVM.so.16.0"], [newest]) == newest
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the wheel is for Linux")
+def test_linker_scripts_and_32_bits_are_no_candidates(tmp_path):
+    for name, content in {
+        "libLLVM-18.so": b"INPUT(libLLVM.so.18.1)",
+        "libLLVM-19.so": b"\x7fELF\x01",
+        "libLLVM-20.so": b"\x7fELF\x02",
+    }.items():
+        (tmp_path / name).write_bytes(content)
+    found = llvm._libraries(map(str, tmp_path.iterdir()))
+    assert found == [str(tmp_path / "libLLVM-20.so")]
+
+
+# -------------------------------------------------------------------- real processes
+
+
+def test_with_nothing_set_a_usable_one_is_loaded():
+    process = python(VERSIONS)
+    assert process.returncode == 0, process.stderr
+    numbers, path = process.stdout.splitlines()
+    status, truth = np.array(numbers.split(), int).reshape(2, 3)
+    assert status.tolist() == truth.tolist()
+    assert truth[0] >= llvm.MINIMUM_VERSION
+    assert os.path.isfile(path)
+
+
+@needs_old_library
+@pytest.mark.parametrize(
+    "code", [CHECK, MEASURE, DOCTOR], ids=["check", "measure", "doctor"]
+)
+def test_old_library(code):
+    path = OLD_LIBRARIES[0]
+    process = python(code, path)
+    assert process.returncode == 1, process.stderr
+    sentence = f"{path} ({VARIABLE}) is LLVM 1"
+    assert sentence in process.stdout + process.stderr
+
+
+@needs_old_library
+def test_twin_without_the_check_an_old_library_aborts():
+    process = python(MINIMUM, OLD_LIBRARIES[0])
+    assert process.returncode == -signal.SIGABRT
+
+
+def test_file_that_is_called_llvm_15(tmp_path):
+    path = tmp_path / "libLLVM-15.so.1"
+    path.touch()
+    process = python(CHECK, path)
+    assert process.returncode == 1
+    assert process.stderr.splitlines()[-1].startswith(
+        f"gonio_mi.errors.LLVMError: {path} ({VARIABLE}) is LLVM 15, and Dr.Jit needs "
+        f"{llvm.MINIMUM_VERSION} or newer: "
+    )
+
+
+def test_path_that_does_not_exist(tmp_path):
+    path = tmp_path / "libLLVM.so.19.1"
+    process = python(CHECK, path)
+    assert process.returncode == 1
+    assert f"LLVMError: {path} ({VARIABLE}) does not exist" in process.stderr
+
+
+# ----------------------------------------------------------------------------- doctor
+
+
+def test_doctor_finds_this_machine_able():
+    mi.set_variant("llvm_ad_mono")
+    lines = []
+    assert doctor.run(lines.append) == 0, "\n".join(lines)
+    assert len(lines) == len(doctor.diagnose()[0]) + 1
+    assert lines[-1] == "this machine is able to measure"
+
+
+def test_doctor_says_what_is_missing(monkeypatch):
+    mi.set_variant("llvm_ad_mono")
+    loaded(monkeypatch, -1, -1, -1)
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setattr(doctor, "REQUIRED", ("no-such-distribution",))
+    monkeypatch.setattr(doctor, "OPTIONAL", {"no-such-extra": "plot"})
+    rows, able = doctor.diagnose()
+    by_name = {row.name: row for row in rows}
+    assert not able
+    assert by_name["no-such-distribution"].value.endswith(
+        "`pip install no-such-distribution`"
+    )
+    assert by_name["no-such-extra"].ok
+    assert "not run: " in by_name["self-test"].value
+
+
+def test_self_test_has_power():
+    """Twins: a wrong BRDF, and one ray in the wrong row of the ledger."""
+    mi.set_variant("llvm_ad_mono")
+    record = doctor._measure_white()
+    assert doctor._faults(record, 1 / np.pi) == []
+    # the interval of a patch of 1e4 counts has a half width of 6 %
+    assert len(doctor._faults(record, 1.1 / np.pi)) == 1
+    fates = record.tallies[0].fates.copy()
+    fates[0] += np.array([-1, 0, 1, 0, 0, 0, 0, 0, 0]).astype(fates.dtype)
+    moved = replace(record, tallies=(replace(record.tallies[0], fates=fates),))
+    assert len(doctor._faults(moved, 1 / np.pi)) == 2
