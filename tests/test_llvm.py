@@ -40,8 +40,11 @@ import gonio_mi, mitsuba as mi
 mi.set_variant("llvm_ad_mono")
 gonio_mi.measure({"type": "roughconductor"}, theta_i=45, rays=1000)
 """
+# whatever the interpreter's start-up put into the environment, prepare() has to choose
 VERSIONS = """
-import os, gonio_mi, drjit
+import os
+os.environ.pop("DRJIT_LIBLLVM_PATH", None)
+import gonio_mi, drjit
 print(*gonio_mi.llvm.status().version, *drjit.detail.llvm_version())
 print(os.environ["DRJIT_LIBLLVM_PATH"])
 """
@@ -49,6 +52,12 @@ MINIMUM = """
 import drjit as dr
 from drjit.llvm import Float
 dr.eval(dr.minimum(dr.arange(Float, 10), 3))
+"""
+LATE = """
+import os, mitsuba
+del os.environ["DRJIT_LIBLLVM_PATH"]
+import gonio_mi
+gonio_mi.llvm.check()
 """
 DOCTOR = """
 import sys
@@ -264,6 +273,15 @@ def test_old_library(code):
     assert process.returncode == 1, process.stderr
     sentence = f"{path} ({VARIABLE}) is LLVM 1"
     assert sentence in process.stdout + process.stderr
+
+
+@needs_old_library
+def test_old_library_of_a_mitsuba_that_was_imported_first():
+    process = python(LATE, OLD_LIBRARIES[0])
+    assert process.returncode == 1
+    sentence = "Dr.Jit was imported before gonio_mi and loaded LLVM 1"
+    assert f"LLVMError: {sentence}" in process.stderr
+    assert "import gonio_mi before mitsuba" in process.stderr
 
 
 @needs_old_library
