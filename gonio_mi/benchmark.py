@@ -25,11 +25,17 @@ THETA_I = 45.0
 
 
 def gonio_rays(specimen, estimator, sampler):
-    """Return a function that measures `n` rays, and how many kernels it compiled."""
+    """Return a function that measures `n` rays."""
 
     def run(n):
         goniophotometer.measure(
-            specimen, THETA_I, rays=n, batches=1, estimator=estimator, sampler=sampler
+            specimen,
+            THETA_I,
+            rays=n,
+            batches=1,
+            estimator=estimator,
+            sampler=sampler,
+            footprint="point",  # as the others, which know no position
         )
 
     return run
@@ -70,10 +76,11 @@ def numba_rays():
         for thread in numba.prange(n_threads):
             own = np.zeros(n_theta * n_phi, np.uint32)
             for _ in range(n // n_threads):
-                # cosine-distributed: sin^2 is uniform
-                x, y = np.random.random(), np.random.random()
-                ring = min(int(x * n_theta), n_theta - 1)
-                sector = min(int(y * n_phi), n_phi - 1)
+                r, phi = np.sqrt(np.random.random()), 2 * np.pi * np.random.random()
+                x, y = r * np.cos(phi), r * np.sin(phi)
+                ring = min(int((x * x + y * y) * n_theta), n_theta - 1)
+                turn = np.arctan2(y, x) / (2 * np.pi)
+                sector = min(int((turn + (turn < 0)) * n_phi), n_phi - 1)
                 own[ring * n_phi + sector] += 1
             counts[thread] = own
         return counts.sum(axis=0)
@@ -94,10 +101,11 @@ def numpy_rays():
     def run(n):
         counts = np.zeros(grid.n_patches, np.int64)
         for start in range(0, n, 2**18):
-            x, y = generator.random((2, min(2**18, n - start)), dtype=np.float32)
-            patch = (x * grid.n_theta).astype(np.int32) * grid.n_phi
-            patch += (y * grid.n_phi).astype(np.int32)
-            counts += np.bincount(patch, minlength=grid.n_patches)[: grid.n_patches]
+            sin2, turn = generator.random((2, min(2**18, n - start)), dtype=np.float32)
+            r, phi = np.sqrt(sin2), np.float32(2 * np.pi) * turn
+            x, y = r * np.cos(phi), r * np.sin(phi)
+            v = np.stack([x, y, np.sqrt(1 - sin2)], axis=-1)
+            counts += np.bincount(grid.patch(v), minlength=grid.n_patches)
 
     return run
 
@@ -129,7 +137,7 @@ def main(argv=None):
     for name, specimen in SPECIMENS.items():
         methods = {
             f"gonio-mi {estimator}, {sampler}": gonio_rays(specimen, estimator, sampler)
-            for sampler in ("independent",)
+            for sampler in ("independent", "sobol")
             for estimator in ("analog", "weighted")
         }
         methods["mi.chi2 histogram"] = chi2_rays(specimen)

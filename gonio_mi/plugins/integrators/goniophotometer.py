@@ -72,27 +72,63 @@ class Bench:
             left &= ~lower
         return dr.select(left, patch, self.n_collected + fate)
 
-    def tally(self, hits, excesses, incident, scale):
-        """Tally of one batch from the sums over the bins of :meth:`bins`.
 
-        `excesses` hold, per channel, the sum over hits of power minus 1 or minus that
-        of the first channel; without `incident` every ray that was lit and met the
-        specimen carried the power 1.
+class Sums:
+    """Sums over the bins of a bench that a kernel scatters to.
+
+    What is summed of the powers is their difference to 1, and of further channels that
+    to the first: most scatters are masked, and cost little, for counted rays and for
+    achromatic specimens.
+    """
+
+    def __init__(self, bench, scale):
+        self.bench = bench
+        self.scale = scale
+        channels = len(mi.Spectrum())
+        self.hits = dr.zeros(mi.UInt32, bench.n_bins)
+        self.excesses = [dr.zeros(mi.Int64, bench.n_bins) for _ in range(channels)]
+        self.incident = [
+            dr.zeros(mi.Int64, 1) for _ in range(0 if bench.beam.uniform else channels)
+        ]
+
+    def add(self, bins, exits, active):
+        """Scatter one ray per lane."""
+        _scatter_add(self.hits, mi.UInt32(1), bins, active)
+        powers = _fixed_point(exits.throughput, self.scale)
+        bases = [mi.Int64(self.scale), *[powers[0]] * (len(powers) - 1)]
+        collected = active & (bins < self.bench.n_collected)
+        for target, power, base in zip(self.excesses, powers, bases):
+            excess = power - base
+            _scatter_add(target, excess, bins, collected & (excess != 0))
+        for target, power in zip(self.incident, _fixed_point(exits.incident, self.scale)):
+            _scatter_add(target, power, mi.UInt32(0), active)
+
+    def tally(self):
+        """Run the kernel and return the :class:`Tally` of one batch.
+
+        A beam of uniform power needs no sum of it: every ray that met the specimen
+        carried the power 1.
         """
-        patches, fates = np.split(hits.numpy().astype(np.uint64), [self.n_collected])
-        flux = [patches.astype(np.int64) * scale + _collected(excesses[0], patches)]
-        flux += [flux[0] + _collected(excess, patches) for excess in excesses[1:]]
-        patches = patches.reshape(self.shape)
+        dr.eval(self.hits, self.excesses, self.incident)
+        bench, scale = self.bench, self.scale
+        hits = self.hits.numpy().astype(np.uint64)
+        patches, fates = np.split(hits, [bench.n_collected])
+        flux = [patches.astype(np.int64) * scale + self._excess(0)]
+        flux += [flux[0] + self._excess(c) for c in range(1, len(self.excesses))]
+        flux = np.stack(flux, axis=-1).astype(np.uint64)
+        patches = patches.reshape(bench.shape)
         fates[Fate.REFLECTED] = patches[0].sum()
-        if self.shape[0] == 2:
+        if bench.shape[0] == 2:
             fates[Fate.TRANSMITTED] = patches[1].sum()
-        if incident:
-            power = np.array([[int(total[0]) for total in incident]], np.uint64)
+        if self.incident:
+            power = np.array([[int(total[0]) for total in self.incident]], np.uint64)
         else:
             met = fates.sum() - fates[Fate.MISSED] - fates[Fate.UNLIT]
-            power = np.full((1, len(flux)), met * np.uint64(scale))
-        flux = np.stack(flux, axis=-1).astype(np.uint64)
-        return Tally(patches, flux.reshape(1, *self.shape, -1), power, fates[None], scale)
+            power = np.full((1, flux.shape[-1]), met * np.uint64(scale))
+        return Tally(patches, flux.reshape(1, *bench.shape, -1), power, fates[None], scale)
+
+    def _excess(self, channel):
+        return self.excesses[channel].numpy()[: self.bench.n_collected]
 
 
 class Goniophotometer(mi.SamplingIntegrator):
@@ -261,35 +297,13 @@ class Goniophotometer(mi.SamplingIntegrator):
     # --------------------------------------------------------------------- one launch
 
     def _launch(self, bench, sampler, n, nm):
-        """Send `n` rays in one kernel and return their tally.
-
-        What is summed of the powers is their difference to 1, and of further channels
-        that to the first: most scatters are masked, and cost little, for counted rays
-        and for achromatic specimens.
-        """
+        """Send `n` rays in one kernel and return their tally."""
         exits = self._exits(bench, sampler, nm)
-        scale = 1 if self.analog else WEIGHT_SCALE
+        sums = Sums(bench, 1 if self.analog else WEIGHT_SCALE)
         # as many lanes as rays, even where none of them draws a number
-        lanes = dr.arange(mi.UInt32, n)
-        bins = dr.select(lanes < dr.opaque(mi.UInt32, n), bench.bins(exits), 0)
-        collected = bins < bench.n_collected
-        hits = _scatter_sum(mi.UInt32, bench.n_bins, mi.UInt32(1), bins)
-        powers = _fixed_point(exits.throughput, scale)
-        excesses, incident = [], []
-        for power, base in zip(powers, [mi.Int64(scale), *[powers[0]] * len(powers)]):
-            excess = power - base
-            excesses.append(
-                _scatter_sum(
-                    mi.Int64, bench.n_bins, excess, bins, collected & (excess != 0)
-                )
-            )
-        if not bench.beam.uniform:
-            incident = [
-                _scatter_sum(mi.Int64, 1, power, mi.UInt32(0))
-                for power in _fixed_point(exits.incident, scale)
-            ]
-        dr.eval(hits, excesses, incident)
-        return bench.tally(hits, excesses, incident, scale)
+        active = dr.arange(mi.UInt32, n) < dr.opaque(mi.UInt32, n)
+        sums.add(bench.bins(exits), exits, active)
+        return sums.tally()
 
     def _exits(self, bench, sampler, nm):
         """Follow the rays by the cheapest transport that is exact for the specimen."""
@@ -386,21 +400,14 @@ def _seed(*key):
     return int(np.random.SeedSequence(key).generate_state(1)[0])
 
 
-def _scatter_sum(dtype, size, value, index, active=True):
-    """Array of `size` sums of `value` by `index`, not yet evaluated."""
-    target = dr.zeros(dtype, size)
+def _scatter_add(target, value, index, active):
+    """Add to the sums, in the kernel that is being traced."""
     dr.scatter_reduce(dr.ReduceOp.Add, target, value, index, active)
-    return target
 
 
 def _fixed_point(powers, scale):
     """Powers of all channels as whole numbers of ``1 / scale`` of a ray."""
     return [mi.Int64(dr.round(power * float(scale))) for power in powers]
-
-
-def _collected(sums, patches):
-    """Sums over the patches alone, without the bins of fates behind them."""
-    return sums.numpy()[: len(patches)]
 
 
 def _wavelength_lanes(nm):
