@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import special
 
 from .errors import checked_count, checked_number
 from .subdivision import subdivision
@@ -137,7 +137,7 @@ def reliability(probabilities, rel_err, rays):
     """
     p = np.asarray(probabilities, dtype=float).ravel()
     scores = rel_err * np.sqrt(rays * p / np.maximum(1 - p, np.finfo(float).tiny))
-    return max(0.0, 1 - 2 * float(stats.norm.sf(scores).sum()))
+    return max(0.0, 1 - 2 * float(special.ndtr(-scores).sum()))
 
 
 def relative_rays(probabilities, rel_err, level=0.95):
@@ -172,10 +172,12 @@ def relative_rays(probabilities, rel_err, level=0.95):
     level = checked_number("level", level, 1e-9, 1, "a number in (0, 1)")
     # the rarest patch alone, and every patch as rare as it, bracket the answer
     odds = (1 - p.min()) / p.min() + 1e-12
-    low = odds * (stats.norm.isf((1 - level) / 2) / rel_err) ** 2
-    high = odds * (stats.norm.isf((1 - level) / (2 * p.size)) / rel_err) ** 2
+    low = odds * (special.ndtri((1 - level) / 2) / rel_err) ** 2
+    high = odds * (special.ndtri((1 - level) / (2 * p.size)) / rel_err) ** 2
     if p.size == 1:
         return math.ceil(low)
+    from scipy import optimize  # slow to import, and used here only
+
     root = optimize.brentq(
         lambda log_n: reliability(p, rel_err, math.exp(log_n)) - level,
         math.log(low * 0.99),
