@@ -6,6 +6,7 @@ from pathlib import Path
 
 import mitsuba as mi
 
+from . import llvm
 from .errors import SpecimenError, VariantError
 
 __all__ = ["load_plugin_file", "load_specimen", "loaded", "parse_specimen"]
@@ -22,11 +23,16 @@ FRAMES = re.compile(
 
 
 def check_variant():
-    """Raise :class:`VariantError` if no Mitsuba variant is set."""
+    """Raise :class:`VariantError` if no Mitsuba variant is set.
+
+    And :class:`LLVMError` if Dr.Jit would abort the process at its first kernel.
+    """
     if not mi.variant():
         raise VariantError(
             "a Mitsuba variant must be set first, such as mi.set_variant('llvm_ad_mono')"
         )
+    if mi.variant().startswith("llvm"):
+        llvm.check()
 
 
 def load_specimen(specimen, parameters=None):
