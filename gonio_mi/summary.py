@@ -1,0 +1,361 @@
+"""The numbers of a record: as a dictionary for machines, as text for people."""
+
+import math
+import textwrap
+
+import numpy as np
+
+from .ray_density import FLOOR, precision
+
+__all__ = ["summarize", "summary_text"]
+
+LEVEL = 0.95
+N_WORST = 5
+WIDTH = 88
+
+# A smaller share of rays beside the patches is rounding: `diffuse` alone sends 2 in 1e7
+# along the horizon.
+ROUNDING = 1e-6
+
+MAIN_ROWS = ("reflected", "transmitted", "absorbed")
+
+
+def summarize(record):
+    """Return the numbers of `record` in JSON's types.
+
+    Parameters
+    ----------
+    record : Record
+
+    Returns
+    -------
+    dict
+        ``settings``, with ``collector`` and ``channels``; ``level`` of the intervals;
+        one entry per incident direction in ``directions``; ``ledger`` over all of them,
+        ``worst_patches``, of the largest relative standard error among those that
+        received something; ``warnings``, a list of sentences. Angles are in degrees,
+        ``brdf`` and ``btdf`` in 1/sr. What is not known is None.
+    """
+    looks = [record[i] for i in range(len(record))]
+    directions = [_direction(look) for look in looks]
+    patches = [patch for look in looks for patch in _worst_patches(look)]
+    patches.sort(key=lambda patch: -patch["rel_err"])
+    numbers = {
+        "settings": dict(record.settings)
+        | {
+            "collector": str(record.subdivision),
+            "hemispheres": "both" if record.has_lower else "upper",
+            "channels": list(record.channels),
+        },
+        "level": LEVEL,
+        "directions": directions,
+        "ledger": record.ledger.rows | {"emitted": record.ledger.emitted},
+        "worst_patches": patches[:N_WORST],
+    }
+    return _known(numbers | {"warnings": _warnings(record.ledger, directions)})
+
+
+def summary_text(numbers):
+    """Return the text for people of what :func:`summarize` returned."""
+    blocks = [
+        _settings_text(numbers),
+        _totals_text(numbers),
+        _ledger_text(numbers["ledger"]),
+        _patches_text(numbers),
+    ]
+    warnings = [_filled("warning   ", text) for text in numbers["warnings"]]
+    if warnings:
+        blocks.append("\n".join(warnings))
+    return "\n\n".join(blocks)
+
+
+# ------------------------------------------------------------------------- numbers
+
+
+def _direction(look):
+    """Numbers of one incident direction."""
+    worst, n_lobe = precision(look, FLOOR)
+    return {
+        "theta_i": float(look.theta_i[0]),
+        "phi_i": float(look.phi_i[0]),
+        "dhr": _totals(look, "dhr"),
+        "dht": _totals(look, "dht") if look.has_lower else None,
+        "ledger": look.ledger.rows | {"emitted": look.ledger.emitted},
+        "n_patches": look.counts.size,
+        "n_without_hit": int(np.sum(look.counts == 0)),
+        "n_lobe": n_lobe,
+        "rel_err_lobe": worst,
+    }
+
+
+def _totals(look, quantity):
+    """One hemisphere's total, per channel."""
+    low, high = look.interval(LEVEL, of=quantity)
+    std_err = getattr(look, f"{quantity}_std_err")
+    columns = zip(look.channels, getattr(look, quantity), std_err, low, high)
+    keys = ("channel", "value", "std_err", "low", "high")
+    return [
+        dict(zip(keys, [channel, *map(float, floats)])) for channel, *floats in columns
+    ]
+
+
+def _worst_patches(look):
+    """Patches of one direction with the largest relative standard error."""
+    quantities = ("brdf", "btdf") if look.has_lower else ("brdf",)
+    value = np.stack([getattr(look, quantity) for quantity in quantities])
+    std_err = np.stack(
+        [getattr(look, f"{quantity}_std_err") for quantity in quantities]
+    )
+    relative = np.full(value.shape, np.nan)
+    np.divide(std_err, value, out=relative, where=value > 0)
+    # NaN sorts last
+    order = np.argsort(-relative, axis=None, kind="stable")[:N_WORST]
+    worst = []
+    for index in zip(*np.unravel_index(order, value.shape)):
+        if not np.isfinite(relative[index]):
+            break
+        hemisphere, i, j, channel = index
+        theta_o = np.degrees(look.subdivision.theta[i])
+        worst.append(
+            {
+                "theta_i": float(look.theta_i[0]),
+                "phi_i": float(look.phi_i[0]),
+                "of": quantities[hemisphere],
+                "channel": look.channels[channel],
+                "theta_o": float(180 - theta_o if hemisphere else theta_o),
+                "phi_o": float(np.degrees(look.subdivision.phi[j])),
+                "value": float(value[index]),
+                "std_err": float(std_err[index]),
+                "rel_err": float(relative[index]),
+                "hits": int(look.counts[hemisphere, i, j]),
+            }
+        )
+    return worst
+
+
+def _warnings(ledger, directions):
+    """Sentences on rays that make the result doubtful."""
+    sentences = []
+    if ledger.invalid:
+        sentences.append(
+            f"{_share(ledger.invalid, ledger)} are invalid: the BSDF's sample() "
+            "returned a weight that is negative, infinite or NaN, or no unit "
+            "direction; their flux is in no patch"
+        )
+    if ledger.truncated:
+        sentences.append(
+            f"{_share(ledger.truncated, ledger)} were truncated by max_depth; their "
+            "flux is in no patch"
+        )
+    for row, sentence in (
+        ("sideways", "left sideways, over the edge of the specimen, into no patch"),
+        ("missed", "missed the specimen; they are not part of the incident flux"),
+    ):
+        if any(_exceeds_error(direction, row) for direction in directions):
+            sentences.append(
+                f"{_share(getattr(ledger, row), ledger)} {sentence}: more than the "
+                "statistical error"
+            )
+    return sentences
+
+
+def _exceeds_error(direction, row):
+    """Whether a row of the ledger is larger than the totals' statistical error."""
+    totals = direction["dhr"] + (direction["dht"] or [])
+    # half the interval; NaN, where it is not known, is skipped by fmax
+    half = np.array([(total["high"] - total["low"]) / 2 for total in totals])
+    error = np.fmax.reduce(half, initial=ROUNDING)
+    return direction["ledger"][row] > error * direction["ledger"]["emitted"]
+
+
+def _share(n, ledger):
+    return f"{_grouped(n)} of {_grouped(ledger.emitted)} rays"
+
+
+def _known(value):
+    """`value` with None in place of NaN and infinity, which JSON does not have."""
+    if isinstance(value, dict):
+        return {key: _known(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_known(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+# ---------------------------------------------------------------------------- text
+
+
+def _settings_text(numbers):
+    """What was measured, and how."""
+    settings = numbers["settings"]
+
+    def known(key):
+        return settings.get(key, "?")
+
+    n_directions = len(numbers["directions"])
+    emitted = numbers["ledger"]["emitted"]
+    goal = settings.get("rel_err")
+    rays = settings.get("rays", 0) if goal is None else 0
+    asked = n_directions * rays * settings.get("passes", 1)
+    radius = settings.get("collector_radius")
+    lines = [
+        ("specimen", known("specimen")),
+        (
+            "light",
+            f"{known('emitter')} on the {known('side')}, "
+            f"footprint {known('footprint')}, emission {known('emission')}",
+        ),
+        (
+            "collector",
+            f"{known('collector')}, hemispheres {known('hemispheres')}, "
+            + (f"radius {radius:g}" if radius else "far field"),
+        ),
+        (
+            "rays",
+            _grouped(emitted)
+            + (f" of {_grouped(asked)} asked for" if emitted < asked else "")
+            + (f" over {n_directions} incident directions" if n_directions > 1 else "")
+            + f", batches {known('batches')}, seed {known('seed')}"
+            + (f", rel_err {goal:g} asked for" if goal is not None else ""),
+        ),
+        (
+            "method",
+            f"estimator {known('estimator')}, sampler {known('sampler')}, transport "
+            f"{known('transport')}, max_depth {known('max_depth')}, "
+            f"rr_depth {known('rr_depth')}",
+        ),
+        (
+            "made",
+            f"{known('created')}, variant {known('variant')}, "
+            + ", ".join(f"{k} {v}" for k, v in settings.get("versions", {}).items()),
+        ),
+    ]
+    return "\n".join(_filled(f"{name:<10}", text) for name, text in lines)
+
+
+def _totals_text(numbers):
+    """Reflectance and transmittance with their intervals."""
+    header = ["theta_i", "phi_i", "of", "channel", "value", "std_err"]
+    header += [f"{numbers['level']:.0%} low", f"{numbers['level']:.0%} high"]
+    rows = []
+    for direction in numbers["directions"]:
+        angles = [_angle(direction["theta_i"]), _angle(direction["phi_i"])]
+        for quantity in ("dhr", "dht"):
+            for total in direction[quantity] or []:
+                decimals = _decimals(total["std_err"])
+                rows.append(
+                    [
+                        *angles,
+                        quantity,
+                        total["channel"],
+                        *(
+                            _fixed(total[key], decimals)
+                            for key in ("value", "std_err", "low", "high")
+                        ),
+                    ]
+                )
+    return _table(header, rows)
+
+
+def _ledger_text(ledger):
+    """Where the rays went: all rows but those that are zero."""
+    emitted = ledger["emitted"]
+    shown = {
+        name: n
+        for name, n in ledger.items()
+        if name != "emitted" and (n or name in MAIN_ROWS)
+    }
+    rows = [[name, _grouped(n), _percent(n, emitted)] for name, n in shown.items()]
+    rows.append(["sum", _grouped(sum(shown.values())), _percent(emitted, emitted)])
+    return _table(["ledger", "rays", "%"], rows)
+
+
+def _patches_text(numbers):
+    """How well the patches are known, and the worst of them."""
+    directions = numbers["directions"]
+    n = sum(direction["n_patches"] for direction in directions)
+    empty = sum(direction["n_without_hit"] for direction in directions)
+    lobe = sum(direction["n_lobe"] for direction in directions)
+    errors = [direction["rel_err_lobe"] for direction in directions]
+    text = (
+        f"{_grouped(n)}, of which {_grouped(empty)} without a hit and {_grouped(lobe)} "
+    )
+    text += f"brighter than {FLOOR:g} of the mean"
+    if None not in errors:
+        text += f", the worst of these known to {100 * max(errors):.3g} %"
+    worst = numbers["worst_patches"]
+    if not worst:
+        return _filled("patches   ", text + "; their standard errors are not known")
+    header = ["worst of", "channel", "theta_i", "phi_i", "theta_o", "phi_o"]
+    rows = [
+        [
+            patch["of"],
+            patch["channel"],
+            *(
+                _angle(patch[angle])
+                for angle in ("theta_i", "phi_i", "theta_o", "phi_o")
+            ),
+            f"{patch['value']:.4g}",
+            f"{patch['std_err']:.2g}",
+            f"{100 * patch['rel_err']:.3g}",
+            _grouped(patch["hits"]),
+        ]
+        for patch in worst
+    ]
+    table = _table([*header, "value", "+- std_err", "%", "hits"], rows)
+    return _filled("patches   ", text) + "\n\n" + table
+
+
+def _table(header, rows):
+    """Columns aligned to the right, the first one to the left."""
+    lines = [header, *rows]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            cell.rjust(width) if i else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(line, widths))
+        )
+        for line in lines
+    )
+
+
+def _filled(label, text):
+    """`text` behind its label, in lines of at most `WIDTH`."""
+    return textwrap.fill(
+        text,
+        WIDTH,
+        initial_indent=label,
+        subsequent_indent=" " * len(label),
+        break_on_hyphens=False,
+    )
+
+
+def _grouped(n):
+    """Whole number with its digits in groups of three."""
+    return f"{n:,}".replace(",", " ")
+
+
+def _percent(n, total):
+    """Share in per cent that is 0 or 100 for nothing and all only."""
+    if not total:
+        return "-"
+    text = f"{100 * n / total:.4f}"
+    if n and text == "0.0000":
+        return "<0.0001"
+    return ">99.9999" if n < total and text == "100.0000" else text
+
+
+def _angle(degrees):
+    return "-" if degrees is None else f"{degrees:.4g}"
+
+
+def _decimals(std_err):
+    """Decimals that show two digits of a standard error."""
+    if not std_err:
+        return 6
+    return min(max(1 - math.floor(math.log10(std_err)), 2), 12)
+
+
+def _fixed(value, decimals):
+    return "-" if value is None else f"{value:.{decimals}f}"
