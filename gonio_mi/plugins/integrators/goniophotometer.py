@@ -13,6 +13,7 @@ from gonio_mi import llvm
 from gonio_mi.errors import SpecimenError, VariantError
 from gonio_mi.plugins import properties
 from gonio_mi.plugins.beam import EMISSIONS, Beam, checked_footprint
+from gonio_mi.plugins.sampling import sampler_name, seeded
 from gonio_mi.plugins.specimen import Specimen
 from gonio_mi.plugins.transport import Settings, scatter_plane, trace
 from gonio_mi.record import Record
@@ -21,16 +22,6 @@ from gonio_mi.tally import WEIGHT_SCALE, Fate, Tally, batch_sizes
 # Rays per kernel launch. It takes part in the seeding, so that a change of it changes
 # the random numbers; a launch of a tenth costs 20 % in speed, ten times as many nothing.
 LAUNCH = 2**24
-
-# Class names of Mitsuba's samplers, which do not know their plugin names.
-SAMPLERS = {
-    "IndependentSampler": "independent",
-    "StratifiedSampler": "stratified",
-    "MultijitterSampler": "multijitter",
-    "OrthogonalSampler": "orthogonal",
-    "LowDiscrepancySampler": "ldsampler",
-    "Sobol": "sobol",
-}
 
 ESTIMATORS = ("weighted", "analog")
 DEFAULT_RAYS = 1_000_000
@@ -272,7 +263,9 @@ class Goniophotometer(mi.SamplingIntegrator):
             total = None
             for begin in range(start, start + rays, LAUNCH):
                 n = min(LAUNCH, start + rays - begin)
-                sampler = _sampler(bench, (*key, index, number), begin, n)
+                sampler = seeded(
+                    bench.sensor.sampler(), (*key, index, number), begin, n
+                )
                 tally = self._launch(bench, sampler, n, nm)
                 total = tally if total is None else total.accumulate(tally)
                 if progress is not None:
@@ -354,7 +347,7 @@ class Goniophotometer(mi.SamplingIntegrator):
             "side": "front" if bench.beam.side > 0 else "back",
             "estimator": self.settings["estimator"],
             "transport": "traced" if self._traces(bench) else "plane",
-            "sampler": _sampler_name(sampler),
+            "sampler": sampler_name(sampler),
             "seed": seed,
             "rays": self.rays,
             "passes": self.passes,
@@ -375,29 +368,6 @@ class Goniophotometer(mi.SamplingIntegrator):
     def to_string(self):
         """Return a readable description."""
         return f"Goniophotometer{self.settings}"
-
-
-def _sampler(bench, key, begin, n):
-    """Sampler for `n` rays of a batch that has sent `begin` rays."""
-    sampler = bench.sensor.sampler().clone()
-    if hasattr(sampler, "start"):
-        # one sequence goes through all launches of a batch, as far as 32 bits count
-        begin, sampler.start = divmod(begin, 2**32)
-    sampler.seed(dr.opaque(mi.UInt32, _seed(*key, begin)), n)
-    return sampler
-
-
-def _sampler_name(sampler):
-    """Plugin name of Mitsuba's samplers and ours, class name of others."""
-    name = sampler.class_name()
-    # a sampler in Python has the class name of its base
-    name = type(sampler).__name__ if name == "Sampler" else name
-    return SAMPLERS.get(name, name)
-
-
-def _seed(*key):
-    """32-bit seed from a tuple of whole numbers, well mixed."""
-    return int(np.random.SeedSequence(key).generate_state(1)[0])
 
 
 def _scatter_add(target, value, index, active):

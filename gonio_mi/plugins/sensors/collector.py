@@ -4,6 +4,7 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi.plugins import properties
+from gonio_mi.plugins.sampling import check_sampler
 
 
 class Collector(mi.Sensor):
@@ -23,7 +24,7 @@ class Collector(mi.Sensor):
 
      * - (Nested plugin)
        - :paramtype:`sampler`
-       - Any sampler. (Default: ``independent``)
+       - Any sampler but ``ldsampler``. (Default: ``independent``)
 
     .. tabs::
         .. code-tab:: xml
@@ -48,6 +49,7 @@ class Collector(mi.Sensor):
                 "collector.film must be of type patches, "
                 f"got {self.film().class_name()}"
             )
+        check_sampler("collector.sampler", self.sampler())
 
     def arrival(self, p, d):
         """Direction from the origin of where a ray meets the collector.

@@ -1,0 +1,83 @@
+"""The samplers as the instrument uses them: one sequence of points over many rays."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+__all__ = ["check_sampler", "sampler_name", "seeded"]
+
+# Plugin names of the class names, which is all that a sampler knows.
+NAMES = {
+    "IndependentSampler": "independent",
+    "StratifiedSampler": "stratified",
+    "MultijitterSampler": "multijitter",
+    "OrthogonalSampler": "orthogonal",
+    "LowDiscrepancySampler": "ldsampler",
+    "Sobol": "sobol",
+}
+
+# Mitsuba's samplers that distribute a fixed number of points. With their default of one
+# short sequence for each ray, the numbers that a ray draws are correlated.
+OF_FIXED_SIZE = ("stratified", "multijitter", "orthogonal")
+
+
+def sampler_name(sampler):
+    """Plugin name of Mitsuba's samplers and ours, class name of others."""
+    name = sampler.class_name()
+    # a sampler in Python has the class name of its base
+    name = type(sampler).__name__ if name == "Sampler" else name
+    return NAMES.get(name, name)
+
+
+def check_sampler(label, sampler):
+    """Raise ValueError for a sampler that would measure wrongly."""
+    name = sampler_name(sampler)
+    if name == "ldsampler":
+        raise ValueError(
+            f"{label} must not be ldsampler: it repeats one pattern for all numbers that "
+            "a ray draws, so that they stay correlated and a BSDF of several lobes is "
+            "measured wrongly, with error bars that do not tell; take sobol"
+        )
+    if name in OF_FIXED_SIZE and "jitter = 0" in str(sampler):
+        raise ValueError(
+            f"{label} {name} must have jitter on: without it all batches send the same "
+            "directions, so that error bars do not tell the error"
+        )
+
+
+def seeded(sampler, key, begin, n):
+    """Copy of `sampler` for `n` rays of a batch that has sent `begin` rays.
+
+    Parameters
+    ----------
+    sampler : mi.Sampler
+        With an attribute `start`, it continues one sequence through all of a batch.
+        Samplers of fixed size get one sequence for these `n` rays, others a seed.
+    key : tuple of int
+        What tells this batch from all others.
+    """
+    sampler = sampler.clone()
+    if hasattr(sampler, "start"):
+        # the index of a point has 32 bits
+        begin, sampler.start = divmod(begin, 2**32)
+    elif sampler_name(sampler) in OF_FIXED_SIZE:
+        _set_size(sampler, n)
+    sampler.seed(dr.opaque(mi.UInt32, _seed(*key, begin)), n)
+    return sampler
+
+
+def _set_size(sampler, n):
+    """Make the next `n` lanes one sequence, of `n` points or a few more."""
+    level = mi.log_level()
+    # Mitsuba warns of rounding up to a size that the sampler can distribute
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        sampler.set_sample_count(n)
+    finally:
+        mi.set_log_level(level)
+    sampler.set_samples_per_wavefront(sampler.sample_count())
+
+
+def _seed(*key):
+    """32-bit seed from a tuple of whole numbers, well mixed."""
+    return int(np.random.SeedSequence(key).generate_state(1)[0])
