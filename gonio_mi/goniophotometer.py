@@ -185,6 +185,7 @@ def measure(
     finished = [[] for _ in benches]
     if resume is not None:
         _check_resumable(resume, [integrator.describe(b, seed) for b in benches], benches)
+        _check_batches(resume, plan, integrator.passes)
         finished[: len(resume)] = [[tally] for tally in resume.tallies]
 
     started = time.perf_counter()
@@ -469,6 +470,18 @@ def _check_resumable(resume, descriptions, benches):
                     f"resume must be a record of this measurement, but its {key} is "
                     f"{others.get(key)!r} instead of {own[key]!r}"
                 )
+
+
+def _check_batches(resume, plan, passes):
+    """Raise ValueError unless the batches of `resume` are the first ones of `plan`."""
+    for tally in resume.tallies:
+        sizes = (tally.fates.sum(axis=1) // passes).tolist()
+        if sizes != plan[: len(sizes)]:
+            raise ValueError(
+                "resume must be a record of this measurement, but it has "
+                f"{len(sizes)} batches of up to {max(sizes)} rays instead of "
+                f"{len(plan)} of up to {max(plan)}"
+            )
 
 
 def _stack(records, stacked):
