@@ -19,11 +19,13 @@ The first header holds the rest as JSON, ``gonio.record``, and a check sum.
 import contextlib
 import hashlib
 import io
-import re
+import os
+import struct
 
 import numpy as np
 import OpenEXR
 
+from . import exr_parts
 from .header import (
     MAX_EXPANSION,
     check_format,
@@ -36,25 +38,11 @@ from .header import (
     size_of,
 )
 
-__all__ = ["layer_names", "read", "write"]
+__all__ = ["read", "write"]
 
 MAGIC = b"\x76\x2f\x31\x01"
-VIEW_SIZE = 512
-
-CONVENTIONS = (
-    "Values are patch means in 1/sr, without cosine. Angles are in degrees: theta_i "
-    "from the normal of the lit face, phi from +x counter-clockwise seen from +z; the "
-    "mirror direction has phi = phi_i + 180. Rows are rings of theta from the pole to "
-    "the horizon, columns are sectors of phi from 0 to 360."
-)
-MEANINGS = {
-    "brdf": "BRDF of each patch, its standard error (NaN where unknown), counted rays",
-    "btdf": "BTDF of each patch, its standard error (NaN where unknown), counted rays",
-    "view": "picture of the BRDF, and of the BTDF to its right: seen along -z, radius "
-    "is sin(theta), phi = 0 to the right, counter-clockwise, linear values in 1/sr",
-    "tally": "received flux in units of 1/scale of a ray, one row per batch, "
-    "hemisphere and ring, one column per sector; the high layers count 2^32",
-}
+VERSION = 2
+MULTI_PART, LONG_NAMES = 0x1000, 0x400
 
 
 def write(record, stream):
@@ -64,8 +52,10 @@ def write(record, stream):
     exact = {"gonio.record": text, "gonio.sha256": _digest(text, arrays)}
     parts = []
     for index in range(len(record)):
-        for name, layers in _layers(record[index]).items():
-            header = _attributes(record, index, name) | (exact if not parts else {})
+        for name, layers in exr_parts.layers(record[index]).items():
+            header = exr_parts.attributes(record, index, name)
+            if not parts:
+                header |= exact
             full_name = _part_name(name, index, len(record))
             parts.append(OpenEXR.Part(header, layers, full_name))
     OpenEXR.File(parts).write(stream)
@@ -80,9 +70,10 @@ def read(stream):
         If the file holds something else, announces more than its size allows, or does
         not agree with its check sum.
     """
-    require(stream.read(len(MAGIC)) == MAGIC, "it is no OpenEXR file")
+    _check_complete(stream)
     stream.seek(0)
-    headers = [part.header for part in OpenEXR.File(stream, header_only=True).parts]
+    with _silenced():
+        headers = [part.header for part in OpenEXR.File(stream, header_only=True).parts]
     _check_sizes(headers, size_of(stream))
     text = headers[0].get("gonio.record") if headers else None
     require(text is not None, "it was not written by gonio-mi")
@@ -90,14 +81,14 @@ def read(stream):
     check_format(header)
 
     stream.seek(0)
-    with contextlib.redirect_stdout(io.StringIO()):  # warnings of unreadable parts
+    with _silenced():
         image = OpenEXR.File(stream, separate_channels=True)
     parts = {part.name(): part.channels for part in image.parts}
     incident, fates = (_integers(header, key) for key in ("incident", "fates"))
     require(len(incident) == len(fates) > 0, "its numbers of directions differ")
     channels = header.get("channels")
     require(isinstance(channels, list), "its entry channels is not a list")
-    names = layer_names([str(channel) for channel in channels])
+    names = exr_parts.layer_names([str(channel) for channel in channels])
     tallies = []
     for index in range(len(fates)):
         arrays = _sums(parts, index, len(fates), names, header, len(fates[index]))
@@ -111,35 +102,6 @@ def read(stream):
     return record
 
 
-def layer_names(channels):
-    """Channel names that EXR readers sort as the channels are, wavelengths padded.
-
-    ``380nm`` and ``1064.5nm`` become ``0380,0nm`` and ``1064,5nm``: a dot would end a
-    layer's name (the comma as in Fichet et al. 2021, *An OpenEXR layout for spectral
-    images*).
-    """
-    parsed = [
-        re.fullmatch(r"([0-9]+)(?:\.([0-9]+))?nm", channel) for channel in channels
-    ]
-    if all(parsed):
-        whole = max(len(match[1]) for match in parsed)
-        decimals = max(len(match[2] or "") for match in parsed)
-        comma = "," if decimals else ""
-        names = [
-            match[1].zfill(whole) + comma + (match[2] or "").ljust(decimals, "0") + "nm"
-            for match in parsed
-        ]
-    else:
-        names = [channel.replace(".", ",") for channel in channels]
-    if len(set(names)) < len(names):
-        width = len(str(len(names) - 1))
-        names = [f"{number:0{width}d}_{name}" for number, name in enumerate(names)]
-    return names
-
-
-# ------------------------------------------------------------------ what is written
-
-
 def _description(record):
     """Everything but the patches' sums."""
     return header_of(record) | {
@@ -148,89 +110,9 @@ def _description(record):
     }
 
 
-def _layers(single):
-    """Pixels by layer, by part, of the record of one incident direction."""
-    names = layer_names(single.channels)
-    tally = single.tallies[0]
-    hemispheres = [("brdf", single.brdf, single.brdf_std_err)]
-    if single.has_lower:
-        hemispheres.append(("btdf", single.btdf, single.btdf_std_err))
-    parts = {}
-    for (part, values, std_errs), hits in zip(hemispheres, tally.hits):
-        layers = _halves("count", "", hits)
-        for number, name in enumerate(names):
-            layers[f"{part}.{name}"] = _float32(values[..., number])
-            layers[f"std_err.{name}"] = _float32(std_errs[..., number])
-        parts[part] = layers
-    parts["view"] = _view(single, [values for _, values, _ in hemispheres])
-    parts["tally"] = {}
-    rows = tally.sums.reshape(-1, single.subdivision.n_phi, len(names))
-    for number, name in enumerate(names):
-        parts["tally"] |= _halves("sum", f".{name}", rows[..., number])
-    return parts
-
-
-def _view(single, hemispheres):
-    """Layers R, G, B, A of the picture."""
-    axis = (np.arange(VIEW_SIZE) + 0.5) * (2 / VIEW_SIZE) - 1
-    x, y = np.meshgrid(axis, -axis)
-    inside = x**2 + y**2 < 1
-    x, y = x[inside], y[inside]
-    patch = single.subdivision.patch(np.stack([x, y, np.sqrt(1 - x**2 - y**2)], -1))
-    disks = np.zeros((len(hemispheres), VIEW_SIZE, VIEW_SIZE, 4), np.float32)
-    for disk, values in zip(disks, hemispheres):
-        if single.channels != ("R", "G", "B"):
-            values = values.mean(axis=-1, keepdims=True)
-        values = np.nan_to_num(values).reshape(single.subdivision.n_patches, -1)
-        disk[inside, :3] = values[patch]
-        disk[inside, 3] = 1
-    picture = np.concatenate(disks, axis=1)
-    return {name: _float32(picture[..., number]) for number, name in enumerate("RGBA")}
-
-
-def _halves(layer, channel, integers):
-    """Layer of the low 32 bits and, if any is set, one of the high 32 bits."""
-    halves = {f"{layer}{channel}": integers.astype(np.uint32)}
-    if integers.max() > 0xFFFFFFFF:
-        halves[f"{layer}_high{channel}"] = (integers >> 32).astype(np.uint32)
-    return halves
-
-
-def _attributes(record, index, part):
-    """Header of one part, for people: what it is and how it was made."""
-    tally = record.tallies[index]
-    n_views = tally.hits.shape[0]
-    rows = {
-        "meaning": MEANINGS[part],
-        "conventions": CONVENTIONS,
-        "units": "1/sr",
-        "collector": str(record.subdivision),
-        "channels": ", ".join(record.channels),
-        "theta_i_deg": float(record.theta_i[index]),
-        "phi_i_deg": float(record.phi_i[index]),
-        "batches": str(tally.n_batches),
-        "scale": str(tally.scale),
-    }
-    rows |= {
-        key: value if isinstance(value, str) else json_of(value)
-        for key, value in record.settings.items()
-    }
-    rows |= {f"ledger.{fate}": str(n) for fate, n in tally.ledger.rows.items()}
-    rows["ledger.emitted"] = str(tally.ledger.emitted)
-    return {f"gonio.{key}": value for key, value in rows.items()} | {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        # OpenEXR wants one display window for all parts: that of the picture
-        "displayWindow": ((0, 0), (n_views * VIEW_SIZE - 1, VIEW_SIZE - 1)),
-    }
-
-
 def _part_name(name, index, n):
     """``brdf``, or in a stack ``brdf.07``."""
     return name if n == 1 else f"{name}.{index:0{len(str(n - 1))}d}"
-
-
-def _float32(values):
-    return np.ascontiguousarray(values, dtype=np.float32)
 
 
 def _digest(text, arrays):
@@ -242,6 +124,64 @@ def _digest(text, arrays):
 
 
 # ------------------------------------------------------------------ what is read
+
+
+@contextlib.contextmanager
+def _silenced():
+    """Context without what the library prints about damage, besides raising."""
+    with contextlib.redirect_stdout(io.StringIO()), open(os.devnull, "wb") as nowhere:
+        stderr = os.dup(2)
+        os.dup2(nowhere.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+
+
+def _check_complete(stream):
+    """Raise FileFormatError unless all chunks that the file lists are in it."""
+    size = size_of(stream)
+    require(stream.read(len(MAGIC)) == MAGIC, "it is no OpenEXR file")
+    require(
+        _number(stream) & ~LONG_NAMES == VERSION | MULTI_PART,
+        "it was not written by gonio-mi",
+    )
+    n_chunks = 0
+    while name := _name(stream):  # the first attribute of a part, or the end
+        while name:
+            kind, length = _name(stream), _number(stream)
+            if (name, kind, length) == (b"chunkCount", b"int", 4):
+                n_chunks += _number(stream)
+            else:
+                stream.seek(length, io.SEEK_CUR)
+            name = _name(stream)
+    require(0 < 8 * n_chunks < size, "its list of chunks is damaged")
+    last = max(struct.unpack(f"<{n_chunks}Q", _bytes(stream, 8 * n_chunks)))
+    require(last < size, "it is truncated")
+    stream.seek(last + 8)  # after the numbers of part and row
+    require(last + 12 + _number(stream) <= size, "it is truncated")
+
+
+def _name(stream):
+    """Text up to the next zero byte."""
+    text = b""
+    while (byte := _bytes(stream, 1)) != b"\0":
+        text += byte
+        require(len(text) < 256, "a name in its headers is too long")
+    return text
+
+
+def _number(stream):
+    """Unsigned number of 32 bits."""
+    return struct.unpack("<I", _bytes(stream, 4))[0]
+
+
+def _bytes(stream, n):
+    """Exactly `n` bytes."""
+    data = stream.read(n)
+    require(len(data) == n, "it is truncated")
+    return data
 
 
 def _check_sizes(headers, size):

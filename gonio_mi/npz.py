@@ -54,7 +54,11 @@ def write(record, stream):
     for name in ("sums", "incident", "fates"):
         parts = [getattr(tally, name) for tally in record.tallies]
         arrays[name] = parts[0] if len(parts) == 1 else np.concatenate(parts)
-    np.savez_compressed(stream, **arrays)
+    # like np.savez_compressed, but level 1: as small for noisy sums, six times faster
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, array, allow_pickle=False)
 
 
 def read(stream):

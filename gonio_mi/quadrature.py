@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .directions import direction
+from .directions import angles, direction
 from .errors import SpecimenError
 from .plugins.transport import flux_context
 from .subdivision import Subdivision
@@ -16,6 +16,11 @@ __all__ = ["PatchIntegrals", "integrate"]
 # Points per axis and cell; a cell is compared with the sum of its four quarters.
 ORDER = 4
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
+
+# Sampled directions that show where narrow lobes are, and how many of them a cell may
+# hold before it is split unseen.
+N_GUIDES = 2**14
+MOST_GUIDES = 8
 
 # Evaluations of one level of refinement, and levels, after which we give up.
 MAX_EVALUATIONS = 2**25
@@ -49,7 +54,7 @@ class PatchIntegrals:
 def integrate(bsdf, theta_i, phi_i, subdivision, *, rel_err=1e-6, side="front", pdf=False):
     """Integrate ``eval`` (or ``pdf``) of a BSDF over every patch of both hemispheres.
 
-    Adaptive tensor Gauss-Legendre rule in ``sin^2 theta`` and azimuth: cells whose value
+    Adaptive tensor Gauss-Legendre rule in polar angle and azimuth: cells whose value
     differs from the sum of their quarters are split, down to the lobe's scale.
 
     Parameters
@@ -79,6 +84,7 @@ def integrate(bsdf, theta_i, phi_i, subdivision, *, rel_err=1e-6, side="front", 
     shape = (2, *subdivision.shape)
     n_patches = 2 * subdivision.n_patches
     cells = _Cells.of(subdivision)
+    guides = evaluator.guides(subdivision)
     coarse = evaluator.integrals(cells)
     flux = np.zeros((n_patches, coarse.shape[-1]))
     error = np.zeros_like(flux)
@@ -94,6 +100,7 @@ def integrate(bsdf, theta_i, phi_i, subdivision, *, rel_err=1e-6, side="front", 
         floor = 1e-6 * estimate.sum() / estimate.size
         tolerance = rel_err * np.maximum(estimate[cells.patch], floor)
         open_cells = np.any(difference > tolerance * cells.share[:, None] ** 0.5, axis=1)
+        open_cells |= np.bincount(guides.cell, minlength=len(open_cells)) > MOST_GUIDES
         done = ~open_cells
         flux += _add_up(cells.patch[done], sums[done], n_patches)
         error += _add_up(cells.patch[done], difference[done], n_patches)
@@ -105,6 +112,7 @@ def integrate(bsdf, theta_i, phi_i, subdivision, *, rel_err=1e-6, side="front", 
                 evaluator.n_evaluations,
             )
         children = np.repeat(open_cells, 4)
+        guides = guides.descend(cells, open_cells)
         cells, coarse = quarters[children], fine[children]
     raise SpecimenError(
         f"the integral of {bsdf.class_name()} over the patches did not converge to "
@@ -114,26 +122,24 @@ def integrate(bsdf, theta_i, phi_i, subdivision, *, rel_err=1e-6, side="front", 
 
 @dataclass(frozen=True)
 class _Cells:
-    """Rectangles in ``(cos^2 theta, phi)``, each a part of one patch."""
+    """Rectangles in ``(theta, phi)``, each a part of one patch."""
 
     patch: np.ndarray  # n_patches more for the lower hemisphere
     lower: np.ndarray  # whether in the lower hemisphere
-    cos2: np.ndarray  # borders in cos^2 theta, shape (n, 2)
+    theta: np.ndarray  # borders in polar angle, shape (n, 2)
     phi: np.ndarray  # borders in azimuth, shape (n, 2)
     share: np.ndarray  # part of the patch's area
 
     @classmethod
     def of(cls, grid):
         """One cell per patch of both hemispheres."""
-        cos2 = np.cos(grid.theta_edges) ** 2
-        cos2[0], cos2[-1] = 1, 0
-        cos2 = np.stack([cos2[:-1], cos2[1:]], axis=-1)
+        theta = np.stack([grid.theta_edges[:-1], grid.theta_edges[1:]], axis=-1)
         phi = np.stack([grid.phi_edges[:-1], grid.phi_edges[1:]], axis=-1)
         n = grid.n_patches
         return cls(
             np.arange(2 * n),
             np.arange(2 * n) >= n,
-            np.tile(np.repeat(cos2, grid.n_phi, axis=0), (2, 1)),
+            np.tile(np.repeat(theta, grid.n_phi, axis=0), (2, 1)),
             np.tile(phi, (2 * grid.n_theta, 1)),
             np.ones(2 * n),
         )
@@ -152,7 +158,7 @@ class _Cells:
         return _Cells(
             np.repeat(self.patch, 4),
             np.repeat(self.lower, 4),
-            split(self.cos2, 0),
+            split(self.theta, 0),
             split(self.phi, 1),
             np.repeat(self.share / 4, 4),
         )
@@ -161,14 +167,32 @@ class _Cells:
         return _Cells(
             self.patch[chosen],
             self.lower[chosen],
-            self.cos2[chosen],
+            self.theta[chosen],
             self.phi[chosen],
             self.share[chosen],
         )
 
 
+@dataclass(frozen=True)
+class _Guides:
+    """Directions that ``sample`` gave, and the cell that each is in."""
+
+    cell: np.ndarray
+    theta: np.ndarray
+    phi: np.ndarray
+
+    def descend(self, cells, chosen):
+        """Guides of the chosen cells, in their quarters."""
+        kept = chosen[self.cell]
+        cell, theta, phi = self.cell[kept], self.theta[kept], self.phi[kept]
+        beyond = theta >= cells.theta.mean(axis=1)[cell]
+        onwards = phi >= cells.phi.mean(axis=1)[cell]
+        rank = np.cumsum(chosen) - 1
+        return _Guides(4 * rank[cell] + 2 * beyond + onwards, theta, phi)
+
+
 class _Evaluator:
-    """Evaluates the BSDF for light from one direction, flux per ds dphi."""
+    """Evaluates the BSDF for light from one direction."""
 
     def __init__(self, bsdf, theta_i, phi_i, side, pdf):
         self.bsdf = bsdf
@@ -179,26 +203,37 @@ class _Evaluator:
         dr.make_opaque(self.wi)
         self.n_evaluations = 0
 
+    def guides(self, grid):
+        """Sampled directions, without those of delta components."""
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(0, N_GUIDES)
+        bs, weight = self.bsdf.sample(
+            flux_context(), self._interaction(), sampler.next_1d(), sampler.next_2d()
+        )
+        delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+        wanted = np.broadcast_to((~delta & dr.any(weight > 0)).numpy(), N_GUIDES)
+        wo = np.broadcast_to(bs.wo.numpy(), (3, N_GUIDES)).T[wanted]
+        wo = wo * [1, 1, self.side]
+        patch = grid.patch(wo) + grid.n_patches * (wo[:, 2] < 0)
+        theta, phi = angles(wo)
+        return _Guides(patch, np.minimum(theta, np.pi - theta), phi)
+
     def integrals(self, cells):
         """Integral over each cell, shape ``(n, channels)``."""
-        half_cos2 = np.abs(np.diff(cells.cos2)) / 2
+        half_theta = np.diff(cells.theta) / 2
         half_phi = np.diff(cells.phi) / 2
-        cos2 = cells.cos2.mean(axis=1, keepdims=True) + half_cos2 * NODES
+        theta = cells.theta.mean(axis=1, keepdims=True) + half_theta * NODES
         phi = cells.phi.mean(axis=1, keepdims=True) + half_phi * NODES
-        cos2, phi, lower = np.broadcast_arrays(
-            cos2[:, :, None], phi[:, None, :], cells.lower[:, None, None]
+        theta, phi, lower = np.broadcast_arrays(
+            theta[:, :, None], phi[:, None, :], cells.lower[:, None, None]
         )
-        values = self._values(cos2.ravel(), phi.ravel(), lower.ravel())
-        values = values.reshape(*cos2.shape, -1)
-        weights = (half_cos2 * half_phi)[:, :, None] * WEIGHTS[:, None] * WEIGHTS
+        values = self._values(theta.ravel(), phi.ravel(), lower.ravel())
+        values = values.reshape(*theta.shape, -1)
+        weights = (half_theta * half_phi)[:, :, None] * WEIGHTS[:, None] * WEIGHTS
         return np.einsum("nij,nijc->nc", weights, values)
 
-    def _values(self, cos2, phi, lower):
-        """Flux per d(cos^2) dphi: ``eval / (2 cos theta)``, or the same of ``pdf``."""
-        self.n_evaluations += len(cos2)
-        cos, sin = np.sqrt(cos2), np.sqrt(1 - cos2)
-        z = np.where(lower, -self.side, self.side) * cos
-        wo = mi.Vector3f(*(mi.Float(x) for x in (sin * np.cos(phi), sin * np.sin(phi), z)))
+    def _interaction(self):
+        """Point in the middle of a square specimen, lit from `wi`."""
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.t = 1.0
         si.uv = mi.Point2f(0.5)
@@ -208,12 +243,23 @@ class _Evaluator:
         )
         si.dp_du, si.dp_dv = mi.Vector3f(2, 0, 0), mi.Vector3f(0, 2, 0)
         si.wi = self.wi
+        return si
+
+    def _values(self, theta, phi, lower):
+        """``eval`` or ``pdf`` per dtheta dphi, shape ``(n, channels)``."""
+        self.n_evaluations += len(theta)
+        wo = direction(theta, phi)
+        wo[:, 2] *= np.where(lower, -self.side, self.side)
+        wo = mi.Vector3f(np.ascontiguousarray(wo.T))
+        si = self._interaction()
         if self.pdf:
             values = self.bsdf.pdf(flux_context(), si, wo).numpy()[None]
         else:
             values = self.bsdf.eval(flux_context(), si, wo).numpy()
-        values = np.broadcast_to(np.asarray(values, dtype=float), (len(values), len(cos2)))
-        return (values / (2 * cos)).T
+        values = np.broadcast_to(
+            np.asarray(values, dtype=float), (len(values), len(theta))
+        )
+        return (values * np.sin(theta)).T
 
 
 def _add_up(index, values, n):

@@ -14,6 +14,9 @@ __all__ = ["MODULES", "register"]
 # In the order of registration: a module comes after those whose plugins it looks up.
 MODULES = (
     "samplers.sobol",
+    "bsdfs.cosinelobe",
+    "bsdfs.glossymixture",
+    "bsdfs.anisotropicphong",
     "films.patches",
     "sensors.collector",
     "integrators.goniophotometer",
