@@ -36,6 +36,7 @@ _NUMPY = SimpleNamespace(
     minimum=np.minimum,
     where=np.where,
     count_below=lambda borders, x: np.searchsorted(borders, x, side="right"),
+    take=lambda table, index: table[index.astype(int)],
 )
 
 
@@ -392,7 +393,8 @@ def subdivision(text):
     ----------
     text : str or Subdivision
         ``angle``, ``solid``, ``projected`` or ``sine``, a colon, rings, ``x``, sectors;
-        or ``borders:`` and the borders in degrees, ``borders:0,30,90x0,180,360``. A
+        or ``borders:`` and the borders in degrees, ``borders:0,30,90x0,180,360``;
+        or ``apertures:`` and cones, see :class:`gonio_mi.apertures.Apertures`. A
         subdivision is returned as it is.
 
     Raises
@@ -410,6 +412,13 @@ def subdivision(text):
     if name == Borders.name:
         try:
             return Borders(_numbers(rings), _numbers(sectors))
+        except ValueError as error:
+            raise ValueError(f"collector {text!r}: {error}") from None
+    if name == "apertures":
+        from .apertures import Apertures  # which builds on this module
+
+        try:
+            return Apertures.parse(size)
         except ValueError as error:
             raise ValueError(f"collector {text!r}: {error}") from None
     if name not in _KINDS or not (_is_integer(rings) and _is_integer(sectors)):

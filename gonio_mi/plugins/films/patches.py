@@ -19,6 +19,11 @@ def _count_below(borders, x):
     return mi.Float(count)
 
 
+def _take(table, index):
+    """Entries of a float32 `table` at whole floating-point numbers."""
+    return dr.gather(mi.Float, mi.Float(table), mi.UInt32(index))
+
+
 # The array functions that Subdivision.patch_index calls.
 DRJIT = SimpleNamespace(
     sqrt=dr.sqrt,
@@ -28,6 +33,7 @@ DRJIT = SimpleNamespace(
     minimum=dr.minimum,
     where=dr.select,
     count_below=_count_below,
+    take=_take,
 )
 
 
