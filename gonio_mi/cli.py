@@ -436,9 +436,10 @@ def _add_plot(commands):
 
 
 def _plot(options):
-    from .plot import plot
+    record = files.load(options.record)
+    from .plot import plot  # matplotlib is an extra, and slow to import
 
-    plot(files.load(options.record), options.output, index=options.index)
+    plot(record, options.output, index=options.index)
     return DONE
 
 

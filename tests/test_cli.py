@@ -1,0 +1,687 @@
+"""The command line: what it prints and writes, and one sentence for each bad input."""
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gonio_mi as gonio
+from gonio_mi import cli, files
+from gonio_mi.record import Record
+from gonio_mi.subdivision import subdivision
+from gonio_mi.summary import summarize, summary_text
+from gonio_mi.tally import Fate, Tally
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+DIFFUSE = ("measure", "diffuse", "--theta-i", "45")
+QUICK = (*DIFFUSE, "--rays", "1e4")
+
+SCENE = """<scene version="3.0.0">
+    <default name="alpha" value="0.3"/>
+    <shape type="rectangle">
+        <bsdf type="roughconductor"><float name="alpha" value="$alpha"/></bsdf>
+    </shape>
+</scene>"""
+
+# Lambertian BSDFs: with a quarter of the weights invalid; one that raises; and one that
+# is interrupted, or waits to be, in its `at`-th sample().
+PLUGINS = """
+import signal, time
+import drjit as dr
+import mitsuba as mi
+
+class Diffuse(mi.BSDF):
+    def __init__(self, props):
+        super().__init__(props)
+        self.m_components = [mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide]
+        self.m_flags = self.m_components[0]
+
+    def sample(self, ctx, si, sample1, sample2, active):
+        bs = mi.BSDFSample3f()
+        bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+        bs.pdf = mi.warp.square_to_cosine_hemisphere_pdf(bs.wo)
+        bs.eta = 1.0
+        bs.sampled_type = +mi.BSDFFlags.DiffuseReflection
+        bs.sampled_component = 0
+        return bs, mi.Spectrum(self.weight(sample1)) & active
+
+    def weight(self, sample1):
+        return 0.5
+
+    def to_string(self):
+        return type(self).__name__
+
+class Invalid(Diffuse):
+    WEIGHTS = {"not_a_number": dr.nan, "endless": dr.inf, "negative": -1.0}
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.invalid = self.WEIGHTS[props["weight"]]
+
+    def weight(self, sample1):
+        return dr.select(sample1 < 0.25, self.invalid, 0.5)
+
+class Raising(Diffuse):
+    def weight(self, sample1):
+        raise ZeroDivisionError("no weight")
+
+class Interrupted(Diffuse):
+    def __init__(self, props):
+        super().__init__(props)
+        self.at = props.get("at", 0)
+        self.wait = props.get("wait", False)
+        self.calls = 0
+
+    def weight(self, sample1):
+        self.calls += 1
+        if self.calls == self.at:
+            if self.wait:
+                print("waiting", flush=True)
+                time.sleep(600)
+            signal.raise_signal(signal.SIGINT)
+        return 0.5
+
+for plugin in (Diffuse, Invalid, Raising, Interrupted):
+    mi.register_bsdf("test_" + plugin.__name__.lower(), plugin)
+"""
+
+
+@pytest.fixture
+def run(capsys):
+    """Function that runs the command line: exit code, standard output and error."""
+
+    def run(*arguments):
+        code = cli.main([str(argument) for argument in arguments])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def refuse(run):
+    """Function that returns the one sentence by which bad input is refused."""
+
+    def refuse(*arguments):
+        code, out, err = run(*arguments)
+        assert code == 1
+        assert out == ""
+        assert err.startswith("gonio-mi: ")
+        assert err.count("\n") == 1
+        return err
+
+    return refuse
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Function that writes a file and returns its path."""
+
+    def write(name, content):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+@pytest.fixture
+def plugins(write):
+    """Arguments that load `PLUGINS`."""
+    return ("--plugin", write("my_bsdfs.py", PLUGINS))
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """Paths of one record as NPZ and as EXR; two directions, both hemispheres."""
+    folder = tmp_path_factory.mktemp("saved")
+    paths = folder / "run.npz", folder / "run.exr"
+    arguments = ["measure", "roughdielectric:alpha=0.2", "--theta-i", "0", "60"]
+    arguments += ["--rays", "1e4", "--collector", "solid:6x8", "-q"]
+    assert cli.main([*arguments, "-o", *map(str, paths)]) == 0
+    return paths
+
+
+@pytest.fixture
+def sigint():
+    """Keep this process's reaction to Ctrl-C."""
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+# ------------------------------------------------------------------------- measuring
+
+
+def test_measure_equals_the_python_call(run, tmp_path):
+    path = tmp_path / "run.npz"
+    arguments = ["--theta-i", "45", "--phi-i", "-30", "--rays", "1e4", "--seed", "3"]
+    arguments += ["--estimator", "analog", "--collector", "angle:4x6", "--batches", "5"]
+    code, out, err = run(
+        "measure", "roughconductor:alpha=0.3", *arguments, "-q", "-o", path
+    )
+    assert (code, out, err) == (0, "", "")
+    expected = gonio.measure(
+        {"type": "roughconductor", "alpha": 0.3},
+        theta_i=45,
+        phi_i=-30,
+        rays=10**4,
+        seed=3,
+        estimator="analog",
+        collector="angle:4x6",
+        batches=5,
+    )
+    record = gonio.load(path)
+    assert record.tallies == expected.tallies
+    assert record.brdf.shape == (4, 6, 1)
+    own = {"created"}
+    assert {k: v for k, v in record.settings.items() if k not in own} == {
+        k: v for k, v in expected.settings.items() if k not in own
+    }
+
+
+def test_several_angles_are_a_stack(saved):
+    record = gonio.load(saved[0])
+    assert record.brdf.shape == (2, 6, 8, 1)
+    np.testing.assert_array_equal(np.round(record.theta_i, 3), [0, 60])
+
+
+def test_all_outputs_hold_the_same_record(saved):
+    npz, exr = saved
+    assert gonio.load(npz) == gonio.load(exr)
+
+
+def test_without_output_the_numbers_are_shown_and_nothing_is_written(
+    run, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(*QUICK)
+    assert (code, err) == (0, "")
+    assert "dhr" in out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_scene_parameters(run, write, tmp_path):
+    scene = write("scene.xml", SCENE)
+    path = tmp_path / "run.npz"
+    arguments = ("measure", scene, "--theta-i", "60", "--rays", "1e3", "-q", "-o", path)
+    assert run(*arguments, "-D", "alpha=0.1")[0] == 0
+    assert (
+        "alpha_u = UniformSpectrum[value=[0.1]]"
+        in gonio.load(path).settings["specimen"]
+    )
+
+
+def test_spectral_channels(run, tmp_path):
+    path = tmp_path / "run.npz"
+    spectral = ("--variant", "llvm_ad_spectral", "--wavelengths", "450", "550.5")
+    assert run(*QUICK, *spectral, "-q", "-o", path)[0] == 0
+    assert gonio.load(path).channels == ("450nm", "550.5nm")
+
+
+@pytest.mark.parametrize("weight", ["not_a_number", "endless", "negative"])
+@pytest.mark.parametrize("estimator", ["weighted", "analog"])
+def test_invalid_weights_are_measured_around(run, plugins, tmp_path, weight, estimator):
+    path = tmp_path / "run.npz"
+    code, out, err = run(
+        "measure",
+        f"test_invalid:weight={weight}",
+        *(*QUICK[2:], *plugins, "--estimator", estimator, "-o", path),
+    )
+    ledger = gonio.load(path).ledger
+    assert code == 0
+    assert err.startswith("gonio-mi: warning: the BSDF's sample() returned")
+    assert err.count("\n") == 1
+    assert 0 < ledger.invalid < ledger.emitted == 10**4
+    assert ledger.invalid + ledger.reflected + ledger.absorbed == ledger.emitted
+    assert np.isfinite(gonio.load(path).brdf).all()
+    assert "warning" in out
+    assert "invalid" in out
+
+
+def test_precision_that_is_not_reached_exits_with_2(run, tmp_path):
+    path = tmp_path / "run.npz"
+    code, _, err = run(
+        *DIFFUSE, "--rel-err", "1e-6", "--max-rays", 2**18, "-q", "-o", path
+    )
+    assert code == 2
+    assert err.startswith("gonio-mi: warning: rel_err of 1e-06 was not reached")
+    assert gonio.load(path).ledger.emitted == 2**18
+
+
+def test_precision_that_is_reached_exits_with_0(run):
+    assert run(*DIFFUSE, "--rel-err", "0.5", "-q") == (0, "", "")
+
+
+# ------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "COMMAND"),
+        (("fly",), "'fly'"),
+        (("measure",), "SPECIMEN"),
+        ((*QUICK, "--spp", "3"), "--spp"),
+        ((*DIFFUSE, "--rays"), "--rays"),
+        ((*DIFFUSE, "--rays", "many"), "--rays must be a number such as 45 or 1e7"),
+        (("measure", "diffuse", "--theta-i", "abc"), "--theta-i must be a number"),
+        (("measure", "diffuse", "--theta-i", "90"), "[0, 90), got 90"),
+        (("measure", "diffuse", "--theta-i", "-1"), "[0, 90), got -1"),
+        (("measure", "diffuse", "--theta-i", "-1e-3"), "[0, 90), got -0.001"),
+        (("measure", "diffuse", "--theta-i", "nan"), "[0, 90), got nan"),
+        (("measure", "diffuse"), "--theta-i 45"),
+        ((*DIFFUSE, "--phi-i", "inf"), "phi_i must be a finite angle"),
+        ((*DIFFUSE, "--rays", "0"), "rays must be at least 1, got 0"),
+        ((*DIFFUSE, "--rays", "-5"), "rays must be at least 1, got -5"),
+        ((*DIFFUSE, "--rays", "1.5"), "rays must be a whole number, got 1.5"),
+        ((*DIFFUSE, "--rays", "1e30"), "rays must be at most 1e+15, got 1e+30"),
+        ((*DIFFUSE, "--rays", "nan"), "rays must be a whole number, got nan"),
+        ((*DIFFUSE, "--rays", "5", "--rel-err", "0.1"), "exclude each other"),
+        ((*DIFFUSE, "--rel-err", "2"), "rel_err must be a number in (0, 1)"),
+        ((*QUICK, "--max-rays", "1e6"), "max_rays goes with rel_err"),
+        ((*QUICK, "--collector", "projected:0x30"), "at least 1, got 0"),
+        ((*QUICK, "--collector", "foo:1x1"), "must look like projected:30x30"),
+        ((*QUICK, "--collector-radius", "-1"), "radius must be"),
+        ((*QUICK, "--hemispheres", "left"), "got 'left'"),
+        ((*QUICK, "--estimator", "guess"), "estimator must be one of"),
+        (
+            (*QUICK, "--sampler", "guess"),
+            'the sampler cannot be loaded: Plugin "guess"',
+        ),
+        ((*QUICK, "--seed", "-1"), "seed must be at least 0, got -1"),
+        ((*QUICK, "--side", "left"), "side must be one of front, back, got 'left'"),
+        ((*QUICK, "--footprint", "-1"), "'full' or a positive radius, got -1"),
+        ((*QUICK, "--footprint", "wide"), "'full' or a positive radius, got 'wide'"),
+        ((*QUICK, "--emission", "x"), "emission must be one of"),
+        ((*QUICK, "--max-depth", "0"), "max_depth must be at least 1, got 0"),
+        ((*QUICK, "--rr-depth", "-2"), "rr_depth must be at least -1, got -2"),
+        ((*QUICK, "--batches", "0"), "batches must be at least 1, got 0"),
+        ((*QUICK, "--variant", "scalar_rgb"), "got 'scalar_rgb'"),
+        ((*QUICK, "--variant", "llvm_ad_mono_polarized"), "--variant must be one of"),
+        ((*QUICK, "--variant", "foo"), "--variant must be one of"),
+        ((*QUICK, "--wavelengths", "500"), "wavelengths need a spectral variant"),
+        ((*QUICK, "-D", "alpha"), "-D must look like key=value, got 'alpha'"),
+        ((*QUICK, "-D", "alpha=1"), "-D goes with a scene file, got 'diffuse'"),
+        (("measure", "difuse", *QUICK[2:]), 'Plugin "difuse" not found'),
+        (("measure", "diffuse:rho=1", *QUICK[2:]), '"rho"'),
+        (("measure", "diffuse:rho", *QUICK[2:]), "got 'diffuse:rho'"),
+        (("measure", "point", *QUICK[2:]), "specimen must be a BSDF"),
+        (("measure", "missing.xml", *QUICK[2:]), "existing file, got 'missing.xml'"),
+        ((*QUICK, "--plugin", "missing.py"), "existing file, got 'missing.py'"),
+        ((*QUICK, "--resume", "missing.npz"), "missing.npz"),
+        (("show", "missing.npz"), "missing.npz"),
+        (("show", "run.txt"), "must end in .exr or .npz"),
+        (("plot", "missing.npz", "-o", "a.png"), "missing.npz"),
+    ],
+)
+def test_bad_arguments(refuse, arguments, words):
+    assert words in refuse(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "No document element"),
+        ("<scene version='3.0.0'><shape type='rectangle'></scene>", "mismatch"),
+        ("<scene version='3.0.0'><bsdf type='diffuse'/></scene>", "shape to measure"),
+        ("<scene version='3.0.0'><shape type='rectangel'/></scene>", "rectangel"),
+        (
+            "<scene version='3.0.0'><shape type='cube'><bsdf type='null'/>"
+            "<medium type='homogeneous' name='interior'/></shape></scene>",
+            "participating media are not modelled",
+        ),
+        (SCENE.replace("$alpha", "$beta"), "$beta"),
+    ],
+)
+def test_bad_scene_files(refuse, write, content, words):
+    path = write("scene.xml", content)
+    assert words in refuse("measure", path, *QUICK[2:])
+
+
+def test_bad_scene_parameters(refuse, write):
+    path = write("scene.xml", SCENE)
+    assert "$beta=1" in refuse("measure", path, *QUICK[2:], "-D", "beta=1")
+    assert '"x"' in refuse("measure", path, *QUICK[2:], "-D", "alpha=x")
+    assert "--theta-i 45" in refuse("measure", path)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("raise RuntimeError('first\\nsecond')", "raised RuntimeError: first second"),
+        ("raise SystemExit(3)", "raised SystemExit: 3"),
+        ("def (", "raised SyntaxError: invalid syntax"),
+        ("import nowhere_to_be_found", "raised ModuleNotFoundError"),
+        (b"\xff\x00", "raised SyntaxError"),
+    ],
+)
+def test_bad_plugin_files(refuse, write, content, words):
+    assert words in refuse(*QUICK, "--plugin", write("mine.py", content))
+
+
+def test_errors_in_plugins_name_the_line(refuse, plugins):
+    line = 1 + PLUGINS.splitlines().index(
+        '        raise ZeroDivisionError("no weight")'
+    )
+    message = refuse("measure", "test_raising", *QUICK[2:], *plugins)
+    place = f"{plugins[1]}, line {line}, in weight: ZeroDivisionError: no weight\n"
+    assert message == f"gonio-mi: {place}"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("none/run.npz", "there is no folder"),
+        ("file/run.npz", "there is no folder"),
+        ("folder.npz", "is a folder"),
+        ("run.txt", "must end in .exr or .npz"),
+        ("run", "must end in .exr or .npz"),
+    ],
+)
+def test_bad_outputs_are_refused_before_measuring(
+    refuse, write, tmp_path, monkeypatch, name, words
+):
+    write("file", "")
+    (tmp_path / "folder.npz").mkdir()
+    before = sorted(tmp_path.iterdir())
+
+    def measure(*_, **__):
+        raise AssertionError("it has measured")
+
+    monkeypatch.setattr(cli, "measure", measure)
+    good = tmp_path / "good.npz"
+    assert words in refuse(*QUICK, "-o", good, tmp_path / name)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_failure_leaves_the_older_file(refuse, saved):
+    before = saved[0].read_bytes()
+    refuse("measure", "difuse", *QUICK[2:], "-o", saved[0])
+    assert saved[0].read_bytes() == before
+
+
+def test_a_file_that_cannot_be_saved_costs_no_other(run, tmp_path, monkeypatch):
+    paths = tmp_path / "a.npz", tmp_path / "b.npz"
+    save = files.save
+
+    def save_all_but_one(record, path):
+        if path == str(paths[0]):
+            raise OSError(28, "No space left on device", path)
+        save(record, path)
+
+    monkeypatch.setattr(files, "save", save_all_but_one)
+    code, out, err = run(*QUICK, "-o", *paths)
+    assert (code, err) == (1, f"gonio-mi: {paths[0]}: No space left on device\n")
+    assert "dhr" in out
+    assert gonio.load(paths[1]).ledger.emitted == 10**4
+
+
+@pytest.mark.parametrize("ending", ["npz", "exr"])
+@pytest.mark.parametrize("command", [("show",), ("plot", "-o", "never.png")])
+def test_truncated_records(refuse, write, saved, ending, command):
+    content = next(path for path in saved if path.suffix == f".{ending}").read_bytes()
+    path = write(f"cut.{ending}", content[: len(content) // 2])
+    assert f"cannot load {path}" in refuse(*command, path)
+
+
+# ---------------------------------------------------------------------------- Ctrl-C
+
+
+def interruptible(plugins, *settings):
+    """Arguments of a measurement in eight batches with the BSDF `test_interrupted`."""
+    specimen = ":".join(["test_interrupted", ",".join(settings)])
+    return ("measure", specimen, *QUICK[2:], "--batches", "8", *plugins)
+
+
+@pytest.mark.usefixtures("sigint")
+def test_ctrl_c_keeps_what_was_measured(run, plugins, tmp_path):
+    part, rest, whole = (tmp_path / f"{name}.npz" for name in ("part", "rest", "whole"))
+    code, out, err = run(*interruptible(plugins, "at=4"), "-o", part)
+    kept = gonio.load(part)
+    rays = kept.ledger.emitted
+    assert code == 2
+    assert 0 < kept.n_batches < 8
+    assert f"{rays // 1000} {rays % 1000:03} of 10 000 asked for" in out
+    assert err == (
+        f"gonio-mi: interrupted: {part} holds {rays // 1000} {rays % 1000:03} rays; "
+        f"--resume {part} carries it on\n"
+    )
+    assert run(*interruptible(plugins), "-q", "--resume", part, "-o", rest)[0] == 0
+    assert run(*interruptible(plugins), "-q", "-o", whole)[0] == 0
+    assert gonio.load(rest).tallies == gonio.load(whole).tallies
+
+
+@pytest.mark.usefixtures("sigint")
+def test_ctrl_c_while_saving_does_not_lose_the_file(
+    run, tmp_path, plugins, monkeypatch
+):
+    path = tmp_path / "run.npz"
+    write = files.FORMATS[".npz"].write
+
+    def write_interrupted(record, stream):
+        signal.raise_signal(signal.SIGINT)
+        write(record, stream)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(files.FORMATS[".npz"], "write", write_interrupted)
+    assert run(*QUICK, "-q", "-o", path)[0] == 0
+    assert gonio.load(path).n_batches == 32
+    # the second one, and the third
+    assert run(*interruptible(plugins, "at=4"), "-q", "-o", path)[0] == 2
+    assert 0 < gonio.load(path).n_batches < 8
+
+
+@pytest.mark.usefixtures("sigint")
+def test_ctrl_c_before_the_first_batch(run, plugins, tmp_path):
+    path = tmp_path / "run.npz"
+    code, out, err = run(*interruptible(plugins, "at=1"), "-o", path)
+    assert (code, out) == (2, "")
+    assert err == "gonio-mi: interrupted: there is nothing to keep\n"
+    assert not path.exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to others")
+def test_ctrl_c_from_outside(plugins, tmp_path):
+    part, rest, whole = (tmp_path / f"{name}.npz" for name in ("part", "rest", "whole"))
+    with start(
+        *interruptible(plugins, "at=4", "wait=true"), "-q", "-o", part
+    ) as process:
+        assert process.stdout.readline() == "waiting\n"
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate()
+    assert (process.returncode, out) == (2, "")
+    assert err.startswith(f"gonio-mi: interrupted: {part} holds ")
+    assert 0 < gonio.load(part).n_batches < 8
+    for arguments in (("--resume", part, "-o", rest), ("-o", whole)):
+        with start(*interruptible(plugins), "-q", *arguments) as process:
+            assert process.communicate() == ("", "")
+        assert process.returncode == 0
+    assert gonio.load(rest).tallies == gonio.load(whole).tallies
+
+
+def start(*arguments):
+    """Start the command line in a process of its own."""
+    program = "import sys; from gonio_mi.cli import main; sys.exit(main())"
+    return subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_other_settings_cannot_be_resumed(refuse, saved, tmp_path):
+    path = tmp_path / "run.npz"
+    assert cli.main([*QUICK, "-q", "-o", str(path)]) == 0
+    assert "its rays is 10000" in refuse(*DIFFUSE, "--rays", "2e4", "--resume", path)
+    assert "32 batches" in refuse(*QUICK, "--batches", "64", "--resume", path)
+    assert "32 batches" in refuse(*QUICK, "--batches", "16", "--resume", path)
+    assert "resume must" in refuse(*QUICK, "--resume", saved[0])
+
+
+# ------------------------------------------------------------------------ the numbers
+
+
+def test_show_is_what_measure_shows(run, tmp_path):
+    path = tmp_path / "run.npz"
+    code, shown, _ = run(*QUICK, "-o", path)
+    assert code == 0
+    assert run("show", path) == (0, shown, "")
+
+
+def test_show_json_holds_the_records_numbers(run, saved):
+    code, out, err = run("show", saved[1], "--json")
+    assert (code, err) == (0, "")
+    numbers = json.loads(out)
+    record = gonio.load(saved[1])
+    for i, direction in enumerate(numbers["directions"]):
+        assert direction["theta_i"] == record.theta_i[i]
+        for of in ("dhr", "dht"):
+            low, high = record.interval(0.95, of=of)
+            (total,) = direction[of]
+            assert total["value"] == getattr(record, of)[i, 0]
+            assert total["std_err"] == getattr(record, f"{of}_std_err")[i, 0]
+            assert (total["low"], total["high"]) == (low[i, 0], high[i, 0])
+        assert direction["n_without_hit"] == np.sum(record.counts[i] == 0)
+    ledger = numbers["ledger"]
+    assert ledger.pop("emitted") == sum(ledger.values()) == 2 * 10**4
+    assert numbers["settings"]["collector"] == "solid:6x8"
+
+
+def test_worst_patches_have_the_largest_relative_error(saved):
+    record = gonio.load(saved[0])
+    patches = summarize(record)["worst_patches"]
+    value = np.stack([record.brdf, record.btdf])
+    std_err = np.stack([record.brdf_std_err, record.btdf_std_err])
+    relative = std_err[value > 0] / value[value > 0]
+    worst = np.sort(relative)[::-1][: len(patches)]
+    np.testing.assert_array_equal([patch["rel_err"] for patch in patches], worst)
+    for patch in patches:
+        theta_o, phi_o = np.radians([patch["theta_o"], patch["phi_o"]])
+        wo = [np.sin(theta_o) * f(phi_o) for f in (np.cos, np.sin)] + [np.cos(theta_o)]
+        i, j = np.unravel_index(record.subdivision.patch(wo), record.subdivision.shape)
+        look = record[int(np.argmin(np.abs(record.theta_i - patch["theta_i"])))]
+        assert (theta_o > np.pi / 2) == (patch["of"] == "btdf")
+        assert patch["value"] == getattr(look, patch["of"])[i, j, 0]
+        assert patch["std_err"] == getattr(look, f"{patch['of']}_std_err")[i, j, 0]
+
+
+def synthetic(hits_per_batch=100, batches=4, **fates):
+    """Record of counted rays: equal patches, equal batches, and `fates` per batch."""
+    grid = subdivision("projected:2x3")
+    counts = np.zeros((batches, len(Fate)), np.uint64)
+    counts[:, Fate.REFLECTED] = hits_per_batch * grid.n_patches
+    for name, n in fates.items():
+        counts[:, Fate[name.upper()]] = n
+    tally = Tally(
+        hits=np.full((1, *grid.shape), hits_per_batch * batches, np.uint64),
+        sums=np.full((batches, 1, *grid.shape, 1), hits_per_batch, np.uint64),
+        incident=counts.sum(axis=1, keepdims=True) - counts[:, [Fate.MISSED]],
+        fates=counts,
+        scale=1,
+    )
+    settings = {"sampler": "independent", "specimen": "synthetic", "batches": batches}
+    return Record(grid, np.array([45.0]), np.array([0.0]), ("Y",), (tally,), settings)
+
+
+@pytest.mark.parametrize(
+    ("fates", "words"),
+    [
+        ({}, []),
+        ({"absorbed": 600, "rejected": 3}, []),
+        ({"invalid": 1}, ["are invalid"]),
+        ({"truncated": 1}, ["were truncated by max_depth"]),
+        ({"sideways": 600}, ["left sideways"]),
+        ({"missed": 600}, ["missed the specimen"]),
+        ({"invalid": 1, "sideways": 600}, ["are invalid", "left sideways"]),
+    ],
+)
+def test_warnings(fates, words):
+    sentences = summarize(synthetic(**fates))["warnings"]
+    assert len(sentences) == len(words)
+    for sentence, word in zip(sentences, words):
+        assert word in sentence
+
+
+def test_losses_within_the_statistical_error_are_no_warning():
+    # dhr of 480 / 960 is known to +- 0.03, and 4 of 960 rays are 0.004
+    record = synthetic(20, absorbed=119, sideways=1)
+    low, high = record.interval(0.95, of="dhr")
+    assert (high - low) / 2 > 4 / 960
+    assert summarize(record)["warnings"] == []
+
+
+def test_unknown_errors_are_null_and_dashes():
+    record = synthetic(batches=1)
+    numbers = summarize(record)
+    assert json.loads(json.dumps(numbers, allow_nan=False)) == numbers
+    assert numbers["directions"][0]["dhr"][0]["std_err"] is None
+    assert " -" in summary_text(numbers)
+
+
+def test_text_fits_and_holds_the_ledger():
+    text = summary_text(summarize(synthetic(absorbed=600, invalid=1)))
+    assert max(map(len, text.splitlines())) <= 88
+    words = [line.split() for line in text.splitlines()]
+    assert ["reflected", "2", "400", "49.9584"] in words
+    assert ["absorbed", "2", "400", "49.9584"] in words
+    assert ["invalid", "4", "0.0833"] in words
+    assert ["sum", "4", "804", "100.0000"] in words
+    assert not any(line[:1] == ["truncated"] for line in words)
+
+
+# --------------------------------------------------------------------- other commands
+
+
+def test_help_and_version(capsys):
+    for arguments in (["--help"], ["measure", "--help"], ["--version"]):
+        with pytest.raises(SystemExit) as caught:
+            cli.main(arguments)
+        assert caught.value.code == 0
+    assert capsys.readouterr().out.endswith("gonio-mi 0.1.0\n")
+
+
+def test_commands_are_quick_to_import():
+    slow = "{'matplotlib', 'scipy.stats', 'scipy.optimize'}"
+    code = f"import sys, gonio_mi.cli; print({slow} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("set()\n", "")
+
+
+def test_plot(run, saved, tmp_path):
+    pytest.importorskip("matplotlib")
+    path = tmp_path / "fig.png"
+    assert run("plot", saved[0], "-o", path, "--index", "1") == (0, "", "")
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_plot_refuses_bad_arguments(refuse, saved, tmp_path):
+    pytest.importorskip("matplotlib")
+    assert "2" in refuse("plot", saved[0], "-o", tmp_path / "a.png", "--index", "2")
+    assert "no folder" in refuse("plot", saved[0], "-o", tmp_path / "none" / "a.png")
+    assert "must end in" in refuse("plot", saved[0], "-o", tmp_path / "a.xyz")
+
+
+def test_doctor(run):
+    code, out, _ = run("doctor")
+    assert code == 0
+    assert "able to measure" in out
+
+
+def test_bugs_are_traced(monkeypatch):
+    def measure(*_, **__):
+        return np.zeros(2) + np.zeros(3)
+
+    monkeypatch.setattr(cli, "measure", measure)
+    with pytest.raises(ValueError, match="operands"):
+        cli.main(list(QUICK))
+
+
+def test_console_script_is_this_one():
+    text = (Path(__file__).parents[1] / "pyproject.toml").read_text()
+    assert 'gonio-mi = "gonio_mi.cli:main"' in text
