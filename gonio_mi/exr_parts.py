@@ -1,0 +1,146 @@
+"""What the parts of an EXR file show: maps, a picture, sums, and headers for people."""
+
+import re
+
+import numpy as np
+import OpenEXR
+
+from .header import json_of
+
+__all__ = ["attributes", "layer_names", "layers"]
+
+VIEW_SIZE = 512
+
+CONVENTIONS = (
+    "Values are patch means in 1/sr, without cosine. Angles are in degrees: theta_i "
+    "from the normal of the lit face, phi from +x counter-clockwise seen from +z; the "
+    "mirror direction has phi = phi_i + 180. Rows are rings of theta from the pole to "
+    "the horizon, columns are sectors of phi from 0 to 360."
+)
+MEANINGS = {
+    "brdf": "BRDF of each patch, its standard error (NaN where unknown), counted rays",
+    "btdf": "BTDF of each patch, its standard error (NaN where unknown), counted rays",
+    "view": "picture of the BRDF, and of the BTDF to its right: seen along -z, radius "
+    "is sin(theta), phi = 0 to the right, counter-clockwise, linear values in 1/sr",
+    "tally": "received flux in units of 1/scale of a ray, one row per batch, "
+    "hemisphere and ring, one column per sector; the high layers count 2^32",
+}
+
+
+def layers(single):
+    """Pixels of the parts of one incident direction.
+
+    Parameters
+    ----------
+    single : Record
+        Of one incident direction.
+
+    Returns
+    -------
+    dict of dict of ndarray
+        float32 or uint32 pixels by the names of part and layer.
+    """
+    names = layer_names(single.channels)
+    tally = single.tallies[0]
+    hemispheres = [("brdf", single.brdf, single.brdf_std_err)]
+    if single.has_lower:
+        hemispheres.append(("btdf", single.btdf, single.btdf_std_err))
+    parts = {}
+    for (part, values, std_errs), hits in zip(hemispheres, tally.hits):
+        parts[part] = _halves("count", "", hits)
+        for number, name in enumerate(names):
+            parts[part][f"{part}.{name}"] = _float32(values[..., number])
+            parts[part][f"std_err.{name}"] = _float32(std_errs[..., number])
+    parts["view"] = _view(single, [values for _, values, _ in hemispheres])
+    parts["tally"] = {}
+    rows = tally.sums.reshape(-1, single.subdivision.n_phi, len(names))
+    for number, name in enumerate(names):
+        parts["tally"] |= _halves("sum", f".{name}", rows[..., number])
+    return parts
+
+
+def attributes(record, index, part):
+    """Header of one part, for people: what it is and how it was made."""
+    tally = record.tallies[index]
+    n_views = max(len(tally.hits) for tally in record.tallies)
+    rows = {
+        "meaning": MEANINGS[part],
+        "conventions": CONVENTIONS,
+        "units": "1/sr",
+        "collector": str(record.subdivision),
+        "channels": ", ".join(record.channels),
+        "theta_i_deg": float(record.theta_i[index]),
+        "phi_i_deg": float(record.phi_i[index]),
+        "batches": str(tally.n_batches),
+        "scale": str(tally.scale),
+    }
+    rows |= {key: _text(value) for key, value in record.settings.items()}
+    rows |= {f"ledger.{fate}": str(n) for fate, n in tally.ledger.rows.items()}
+    rows["ledger.emitted"] = str(tally.ledger.emitted)
+    return {f"gonio.{key}": value for key, value in rows.items()} | {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        # OpenEXR wants one display window for all parts: that of the picture
+        "displayWindow": ((0, 0), (n_views * VIEW_SIZE - 1, VIEW_SIZE - 1)),
+    }
+
+
+def layer_names(channels):
+    """Channel names that EXR readers sort as the channels are, wavelengths padded.
+
+    ``380nm`` and ``1064.5nm`` become ``0380,0nm`` and ``1064,5nm``: a dot would end a
+    layer's name (the comma as in Fichet et al. 2021, *An OpenEXR layout for spectral
+    images*).
+    """
+    parsed = [
+        re.fullmatch(r"([0-9]+)(?:\.([0-9]+))?nm", channel) for channel in channels
+    ]
+    if all(parsed):
+        whole = max(len(match[1]) for match in parsed)
+        decimals = max(len(match[2] or "") for match in parsed)
+        comma = "," if decimals else ""
+        names = [
+            match[1].zfill(whole) + comma + (match[2] or "").ljust(decimals, "0") + "nm"
+            for match in parsed
+        ]
+    else:
+        names = [channel.replace(".", ",") for channel in channels]
+    if len(set(names)) < len(names):
+        width = len(str(len(names) - 1))
+        names = [f"{number:0{width}d}_{name}" for number, name in enumerate(names)]
+    return names
+
+
+def _view(single, hemispheres):
+    """Layers R, G, B, A of the picture."""
+    axis = (np.arange(VIEW_SIZE) + 0.5) * (2 / VIEW_SIZE) - 1
+    x, y = np.meshgrid(axis, -axis)
+    inside = x**2 + y**2 < 1
+    x, y = x[inside], y[inside]
+    patch = single.subdivision.patch(np.stack([x, y, np.sqrt(1 - x**2 - y**2)], -1))
+    disks = np.zeros((len(hemispheres), VIEW_SIZE, VIEW_SIZE, 4), np.float32)
+    for disk, values in zip(disks, hemispheres):
+        if single.channels != ("R", "G", "B"):
+            values = values.mean(axis=-1, keepdims=True)
+        values = np.nan_to_num(values).reshape(single.subdivision.n_patches, -1)
+        disk[inside, :3] = values[patch]
+        disk[inside, 3] = 1
+    picture = np.concatenate(disks, axis=1)
+    return {name: _float32(picture[..., number]) for number, name in enumerate("RGBA")}
+
+
+def _halves(layer, channel, integers):
+    """Layer of the low 32 bits and, if any is set, one of the high 32 bits."""
+    halves = {f"{layer}{channel}": integers.astype(np.uint32)}
+    if integers.max() > 0xFFFFFFFF:
+        halves[f"{layer}_high{channel}"] = (integers >> 32).astype(np.uint32)
+    return halves
+
+
+def _text(value):
+    """Readable UTF-8, also of file names that are not."""
+    text = value if isinstance(value, str) else json_of(value)
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def _float32(values):
+    return np.ascontiguousarray(values, dtype=np.float32)
