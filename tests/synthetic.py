@@ -1,0 +1,104 @@
+"""Records built by hand from whole numbers, without a renderer."""
+
+import numpy as np
+
+from gonio_mi.record import Record
+from gonio_mi.subdivision import subdivision
+from gonio_mi.tally import WEIGHT_SCALE, Fate, Tally
+
+
+def specular(patches, theta_deg, phi_deg, power):
+    """Lambertian plus a Phong-like lobe around a direction: weights of the patches."""
+    theta, phi = np.meshgrid(patches.theta, patches.phi, indexing="ij")
+    to_theta, to_phi = np.radians([theta_deg, phi_deg])
+    cosine = np.cos(theta) * np.cos(to_theta)
+    cosine += np.sin(theta) * np.sin(to_theta) * np.cos(phi - to_phi)
+    lobe = np.maximum(cosine, 0) ** power
+    weight = (0.02 + lobe) * patches.projected_solid_angles
+    return weight / weight.sum()
+
+
+def tally(patches, weights, rays, rng, channels=1, n_batches=4, analog=False):
+    """Tally of multinomial counts; `weights` per hemisphere, the rest is absorbed."""
+    chances = np.append(np.ravel(weights), 1 - np.sum(weights))
+    counts = rng.multinomial(rays, chances / chances.sum(), size=n_batches)
+    shape = (n_batches, len(weights), *patches.shape)
+    received = counts[:, :-1].reshape(shape).astype(np.uint64)
+    fates = np.zeros((n_batches, len(Fate)), np.uint64)
+    for row, hemisphere in zip((Fate.REFLECTED, Fate.TRANSMITTED), range(len(weights))):
+        fates[:, row] = received[:, hemisphere].sum(axis=(1, 2))
+    fates[:, Fate.ABSORBED] = counts[:, -1]
+    scale = 1 if analog else WEIGHT_SCALE
+    tint = np.linspace(1, 0.25, channels) * scale
+    return Tally(
+        hits=received.sum(axis=0, dtype=np.uint64),
+        sums=(received[..., None] * tint).astype(np.uint64),
+        incident=np.full((n_batches, channels), rays * scale, np.uint64),
+        fates=fates,
+        scale=scale,
+    )
+
+
+def record(
+    collector="projected:6x8",
+    theta_i=(30.0,),
+    phi_i=(20.0,),
+    channels=("Y",),
+    both=False,
+    rays=20_000,
+    n_batches=4,
+    power=30,
+    analog=False,
+    stacked=None,
+    seed=1,
+):
+    """Record of a glossy specimen, and of a diffusing transmitter if `both`."""
+    patches = subdivision(collector)
+    rng = np.random.default_rng(seed)
+    tallies = []
+    for theta, phi in zip(theta_i, phi_i):
+        mirror = np.nan_to_num(theta), np.nan_to_num(phi) + 180
+        weights = [0.6 * specular(patches, *mirror, power)]
+        if both:
+            weights.append(0.3 * specular(patches, *mirror, 1))
+        tallies.append(
+            tally(
+                patches, np.array(weights), rays, rng, len(channels), n_batches, analog
+            )
+        )
+    return Record(
+        subdivision=patches,
+        theta_i=np.array(theta_i, dtype=float),
+        phi_i=np.array(phi_i, dtype=float),
+        channels=tuple(channels),
+        tallies=tuple(tallies),
+        settings={
+            "specimen": "synthetic gloss",
+            "estimator": "analog" if analog else "weighted",
+            "sampler": "independent",
+            "seed": seed,
+            "rays": rays * n_batches,
+            "footprint": 0.1,
+            "versions": {"gonio_mi": "0.1.0", "numpy": "2.4"},
+            "nothing": None,
+        },
+        stacked=len(theta_i) > 1 if stacked is None else stacked,
+    )
+
+
+def huge():
+    """Record whose numbers need more than 32 bits, up to the largest of 64."""
+    small = record(channels=("R", "G", "B"), both=True)
+    one = small.tallies[0]
+    sums = one.sums * np.uint64(2**20)
+    sums[0, 0, 0, 0] = [2**64 - 1, 2**32, 2**32 - 1]
+    hits = one.hits + np.uint64(2**32)
+    big = Tally(hits, sums, one.incident * np.uint64(2**20), one.fates, one.scale)
+    return Record(
+        small.subdivision,
+        small.theta_i,
+        small.phi_i,
+        small.channels,
+        (big,),
+        small.settings,
+    )
