@@ -17,28 +17,37 @@ from .errors import (  # noqa: E402
 )
 from .files import load  # noqa: E402
 from .goniophotometer import measure  # noqa: E402
+from .ray_density import Plan, plan  # noqa: E402
 from .record import Record  # noqa: E402
 from .subdivision import (  # noqa: E402
+    Borders,
     EqualAngle,
     EqualProjectedSolidAngle,
+    EqualSine,
     EqualSolidAngle,
     Subdivision,
+    adapted,
     subdivision,
 )
 from .tally import Ledger  # noqa: E402
 
 __all__ = [
+    "Borders",
     "EqualAngle",
     "EqualProjectedSolidAngle",
+    "EqualSine",
     "EqualSolidAngle",
     "FileFormatError",
     "LLVMError",
     "Ledger",
+    "Plan",
     "Record",
     "SpecimenError",
     "Subdivision",
     "VariantError",
+    "adapted",
     "load",
     "measure",
+    "plan",
     "subdivision",
 ]
