@@ -347,7 +347,8 @@ def _percent(n, total):
 
 
 def _angle(degrees):
-    return "-" if degrees is None else f"{degrees:.4g}"
+    # no minus sign at 0
+    return "-" if degrees is None else f"{round(degrees, 6) + 0.0:.4g}"
 
 
 def _decimals(std_err):
