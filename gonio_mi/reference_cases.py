@@ -53,11 +53,13 @@ def rms_expectation(grid, probabilities, rays):
     Returns
     -------
     mean_square, relative_std : float
-        Patches are treated as independent Gaussian variables.
+        The second by the binomial fourth moment, with patches as if independent.
     """
     p = probabilities
-    variance = p * (1 - p) / rays / grid.projected_solid_angles**2
-    return variance.mean(), np.sqrt(2 * (variance**2).sum()) / variance.sum()
+    scale = (rays * grid.projected_solid_angles) ** -2.0
+    variance = rays * p * (1 - p)
+    spread = np.sqrt(np.sum((variance + 2 * variance**2) * scale**2))
+    return np.mean(variance * scale), spread / np.sum(variance * scale)
 
 
 def cases(rays, seed):
