@@ -14,6 +14,8 @@ __all__ = ["Record"]
 
 # Below this many hits the sum of a patch is too skewed for Student's t.
 FEW_HITS = 100
+# The same for rays that are distributed evenly, whose counts scatter less.
+FEW_EVEN_HITS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +134,10 @@ class Record:
         """Interval that covers the true patch mean with probability `level`.
 
         Exact binomial (Clopper-Pearson) for counted independent rays. Otherwise
-        Student's t over the batches; for patches with fewer than 100 hits the exact
-        binomial interval of the hits, times the mean weight of a hit. A patch without
-        a hit has an upper limit: the flux that would have left it empty with probability
+        Student's t over the batches; for patches with fewer than 100 hits (30 with
+        samplers other than `independent`, which scatter less and for which it is wider
+        than need be) the exact binomial interval of the hits, times the mean weight of
+        a hit. A patch without a hit has an upper limit: the flux that would have left it empty with probability
         ``(1 - level) / 2``, at the larger of unit weight and the largest mean weight
         seen.
 
@@ -182,11 +185,12 @@ class Record:
         )
         with np.errstate(invalid="ignore"):
             weight = fraction * rays / hits
-        few = np.broadcast_to((hits < FEW_HITS) & (hits > 0), fraction.shape)
+        least = FEW_HITS if self._independent else FEW_EVEN_HITS
+        few = np.broadcast_to((hits < least) & (hits > 0), fraction.shape)
         exact = np.stack(statistics.binomial_interval(hits, rays, level)) * weight
         largest = np.nanmax(weight, initial=1.0)
         empty = np.broadcast_to(hits == 0, fraction.shape)
-        interval = np.where(few & self._independent, exact, interval)
+        interval = np.where(few, exact, interval)
         interval[0] = np.where(empty, 0.0, interval[0])
         interval[1] = np.where(
             empty, statistics.upper_limit(rays, level) * largest, interval[1]
