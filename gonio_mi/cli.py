@@ -424,7 +424,7 @@ def _add_plot(commands):
         "--output",
         required=True,
         metavar="FIG",
-        help="the picture, such as a.png",
+        help="a .png, .pdf or .svg file",
     )
     parser.add_argument(
         "--index",
@@ -577,7 +577,8 @@ def _is_the_users(error):
         return True
     innermost = list(traceback.walk_tb(error.__traceback__))[-1][0]
     module = innermost.f_globals.get("__name__", "")
-    return isinstance(error, (TypeError, ValueError)) and module.startswith(__package__)
+    ours = (ImportError, TypeError, ValueError)
+    return isinstance(error, ours) and module.startswith(__package__)
 
 
 def _place(error, plugins):

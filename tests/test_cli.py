@@ -679,6 +679,12 @@ def test_plot_refuses_bad_arguments(refuse, saved, tmp_path):
     assert "must end in" in refuse("plot", saved[0], "-o", tmp_path / "a.xyz")
 
 
+def test_plot_without_matplotlib(refuse, saved, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert "gonio-mi[plot]" in refuse("plot", saved[0], "-o", tmp_path / "a.png")
+
+
 def test_doctor(run):
     code, out, _ = run("doctor")
     assert code == 0
