@@ -58,7 +58,7 @@ class Apertures(Subdivision):
             whole = theta >= 0 and theta + half_angle <= 90 * (1 + BORDER)
             if not (whole and np.isfinite(phi)):
                 raise ValueError(
-                    f"the cone of half-angle {half_angle:g} degrees around (theta, phi) "
+                    f"the cone of half-angle {half_angle:g} degrees about (theta, phi) "
                     f"= ({theta:g}, {phi:g}) must lie above the horizon"
                 )
         pairs = _overlaps(cones, half_angle)
@@ -75,7 +75,7 @@ class Apertures(Subdivision):
 
     @classmethod
     def parse(cls, size):
-        """Build from what follows the colon in its name, ``0.5@45.0/180.0,30.0/0.0``."""
+        """Build from what follows the colon of a name, ``0.5@45.0/180.0,30.0/0.0``."""
         half_angle, _, cones = size.partition("@")
         pairs = [cone.split("/") for cone in cones.split(",")]
         return cls(
