@@ -1,0 +1,137 @@
+"""Drawing the patches of one hemisphere in orthographic projection."""
+
+import math
+
+import numpy as np
+from matplotlib import colors
+from matplotlib.patheffects import withStroke
+
+__all__ = ["draw_map"]
+
+# More than this between largest and smallest value, and the scale is logarithmic.
+WIDE_RANGE = 100
+# What is this much darker than the brightest patch has the darkest colour.
+DEEPEST = 1e-6
+# Degrees of azimuth in which the border of a patch is drawn as a straight line.
+STRAIGHT = 1
+NO_HIT = "0.8"
+
+
+def draw_map(axes, single, of):
+    """Draw the patches of one hemisphere with grid, directions and colour bar.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    single : Record
+        Of one incident direction.
+    of : {"brdf", "btdf"}
+    """
+    empty = single.counts[int(of == "btdf")] == 0
+    values = np.ma.masked_array(getattr(single, of).mean(axis=-1), mask=empty)
+    _draw_patches(axes, single.subdivision, values, _label(single, of))
+    _draw_grid(axes)
+    _mark_directions(axes, single, of)
+    if empty.any():
+        axes.plot([], [], "s", color=NO_HIT, label="no hit")
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(
+            loc="upper center",
+            bbox_to_anchor=(0.5, -0.05),
+            ncols=3,
+            frameon=False,
+            fontsize="small",
+            handletextpad=0.3,
+            columnspacing=1.5,
+        )
+    axes.set_title({"brdf": "Reflection", "btdf": "Transmission"}[of])
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+
+
+def _label(single, of):
+    name = of.upper()
+    if len(single.channels) > 1:
+        name += f", mean of {len(single.channels)} channels"
+    return f"{name} (1/sr)"
+
+
+def _draw_patches(axes, patches, values, label):
+    """Fill each patch with the colour of its value."""
+    pieces = math.ceil(360 / patches.n_phi / STRAIGHT)
+    phi = np.linspace(0, 2 * np.pi, patches.n_phi * pieces + 1)
+    radius = np.sin(patches.theta_edges)[:, None]
+    mesh = axes.pcolormesh(
+        radius * np.cos(phi),
+        radius * np.sin(phi),
+        np.ma.repeat(values, pieces, axis=1),
+        norm=_norm(values.compressed()),
+        cmap="viridis",
+        rasterized=True,
+    )
+    mesh.set_cmap(mesh.get_cmap().with_extremes(bad=NO_HIT))
+    bar = axes.figure.colorbar(mesh, cax=axes.inset_axes((1.16, 0.1, 0.045, 0.8)))
+    bar.set_label(label)
+    bar.outline.set_linewidth(0.5)
+
+
+def _norm(values):
+    """Colour scale from zero to the largest value, or logarithmic."""
+    positive = values[values > 0]
+    if positive.size == 0:
+        return colors.Normalize(0, 1)
+    low, high = positive.min(), positive.max()
+    if high > WIDE_RANGE * low:
+        return colors.LogNorm(max(low, DEEPEST * high), high, clip=True)
+    return colors.Normalize(0, high)
+
+
+def _draw_grid(axes):
+    """Draw circles of theta_o and ticks of phi_o."""
+    circle = np.radians(np.arange(361))
+    for theta in (30, 60, 90):
+        radius = math.sin(math.radians(theta))
+        style = {"c": "0.2", "lw": 0.8} if theta == 90 else {"c": "w", "lw": 0.4}
+        axes.plot(radius * np.cos(circle), radius * np.sin(circle), **style)
+        at = radius * math.cos(math.radians(75)), radius * math.sin(math.radians(75))
+        if theta < 90:
+            axes.annotate(
+                f"{theta}°",
+                at,
+                color="w",
+                size="x-small",
+                ha="center",
+                va="center",
+                path_effects=_outlined(1.5),
+            )
+    for phi in range(0, 360, 30):
+        x, y = math.cos(math.radians(phi)), math.sin(math.radians(phi))
+        axes.plot([x, 1.025 * x], [y, 1.025 * y], c="0.2", lw=0.8)
+        if phi % 90 == 0:
+            axes.annotate(
+                r"$\varphi_o$ = 0°" if phi == 0 else f"{phi}°",
+                (1.05 * x, 1.05 * y),
+                size="small",
+                ha=("left", "center", "right", "center")[phi // 90],
+                va=("center", "bottom", "center", "top")[phi // 90],
+            )
+
+
+def _mark_directions(axes, single, of):
+    """Mark where the light comes from, and where a smooth specimen would send it."""
+    theta, phi = np.radians([single.theta_i[0], single.phi_i[0]])
+    if np.isnan(theta) or np.isnan(phi):
+        return
+    x, y = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi)
+    style = {"ls": "none", "c": "tab:red", "mfc": "none", "ms": 9, "mew": 1.5}
+    style["path_effects"] = _outlined(3, "w")
+    if of == "brdf":
+        axes.plot(x, y, marker="o", label="incident", **style)
+        axes.plot(-x, -y, marker="D", label="mirror direction", **style)
+    else:
+        axes.plot(-x, -y, marker="D", label="straight through", **style)
+
+
+def _outlined(width, colour="0.15"):
+    """Effect that keeps marks readable on any colour."""
+    return [withStroke(linewidth=width, foreground=colour)]

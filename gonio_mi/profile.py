@@ -1,0 +1,197 @@
+"""The profile of a record: its patches in the plane of incidence, and their drawing."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["LEVEL", "Profile", "draw_profiles", "profile"]
+
+LEVEL = 0.95
+# Directions of a stack that still make a readable profile.
+MAX_CURVES = 8
+# More than this between largest and smallest value, and the axis is logarithmic.
+WIDE_RANGE = 100
+# Less than this, and it does not begin at zero.
+NARROW_RANGE = 1.5
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Patches cut by the plane of incidence, from theta_o = -90 to 90 degrees.
+
+    Attributes
+    ----------
+    edges : ndarray, shape (2 n_theta + 1,)
+        Borders of the patches, theta_o in degrees; negative on the side of the source.
+    theta : ndarray, shape (2 n_theta,)
+        Middles of the patches in degrees.
+    value, low, high : ndarray, shape (2 n_theta, channels)
+        Patch means in 1/sr and their intervals.
+    empty : ndarray of bool, shape (2 n_theta,)
+        Where no ray arrived: `high` is an upper limit.
+    """
+
+    edges: np.ndarray
+    theta: np.ndarray
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    empty: np.ndarray
+
+
+def profile(single, of="brdf", level=LEVEL):
+    """Return the :class:`Profile` of a record of one incident direction.
+
+    It follows the sectors that contain phi_i and phi_i + 180 degrees.
+
+    Parameters
+    ----------
+    single : Record
+    of : {"brdf", "btdf"}
+    level : float
+        Of the intervals, in (0, 1).
+    """
+    patches = single.subdivision
+    phi_i = np.radians(np.nan_to_num(single.phi_i[0]))
+    towards, beyond = (
+        int(patches.patch([math.cos(phi), math.sin(phi), 1])) % patches.n_phi
+        for phi in (phi_i, phi_i + np.pi)
+    )
+
+    def cut(array):
+        return np.concatenate([array[::-1, towards], array[:, beyond]])
+
+    edges, theta = np.degrees(patches.theta_edges), np.degrees(patches.theta)
+    low, high = single.interval(level, of=of)
+    return Profile(
+        edges=np.concatenate([-edges[:0:-1], edges]),
+        theta=np.concatenate([-theta[::-1], theta]),
+        value=cut(getattr(single, of)),
+        low=cut(low),
+        high=cut(high),
+        empty=cut(single.counts[int(of == "btdf")]) == 0,
+    )
+
+
+def draw_profiles(axes, record, index, shown):
+    """Draw the profiles of a record on common axes.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+    record : Record
+        All its incident directions are drawn if there are at most 8 and one channel.
+    index : int
+        Number of the incident direction to draw otherwise.
+    shown : list of {"brdf", "btdf"}
+    """
+    several = len(record.channels) == 1 and 1 < len(record) <= MAX_CURVES
+    cuts = []
+    for number in range(len(record)) if several else [index]:
+        single = record[number]
+        colours = [f"C{number}"] if several else _colours(single.channels)
+        if not np.isnan(single.theta_i[0]):
+            line = colours[0] if several else "0.4"
+            axes.axvline(single.theta_i[0], c=line, ls=":", lw=1, zorder=0)
+        for of in shown:
+            cut = profile(single, of)
+            cuts.append(cut)
+            for channel, colour in enumerate(colours):
+                _draw_curve(axes, cut, channel, colour, of)
+        if several or len(colours) > 1:
+            labels = [_direction(record, number)] if several else single.channels
+            for colour, label in zip(colours, labels):
+                axes.plot([], [], c=colour, label=label)
+    values = np.concatenate([cut.value.ravel() for cut in cuts])
+    _scale(axes, values[values > 0])
+    axes.set_xlim(-90, 90)
+    axes.set_xticks(range(-90, 91, 30), [f"{theta}°" for theta in range(-90, 91, 30)])
+    axes.set_xlabel(
+        r"$\theta_o$ in the plane of incidence (negative: towards the source)"
+    )
+    axes.set_ylabel(" and ".join(of.upper() for of in shown) + " (1/sr)")
+    axes.grid(alpha=0.3, lw=0.5)
+    axes.spines[["top", "right"]].set_visible(False)
+    _add_legend(axes, cuts, shown, record.theta_i[index])
+
+
+def _draw_curve(axes, cut, channel, colour, of):
+    """Draw one channel: steps, points with intervals, upper limits."""
+    value, low, high = (a[:, channel] for a in (cut.value, cut.low, cut.high))
+    size = 3 if cut.theta.size <= 200 else 1.5
+    face = colour if of == "brdf" else "w"
+    axes.stairs(
+        np.where(cut.empty, np.nan, value),
+        cut.edges,
+        baseline=None,
+        color=colour,
+        ls="-" if of == "brdf" else "--",
+        lw=1,
+        alpha=0.5,
+    )
+    hit = ~cut.empty
+    errors = np.maximum([value - low, high - value], 0)[:, hit]
+    axes.errorbar(
+        cut.theta[hit],
+        value[hit],
+        errors if np.isfinite(errors).all() else None,
+        fmt="o",
+        ms=size,
+        mfc=face,
+        color=colour,
+        lw=1,
+    )
+    axes.plot(
+        cut.theta[~hit], high[~hit], "v", ms=size + 1, mfc="none", mew=0.7, color=colour
+    )
+
+
+def _scale(axes, positive):
+    """Choose the axis of the values: logarithmic, from zero, or close to them."""
+    if positive.size == 0:
+        return
+    low, high = positive.min(), positive.max()
+    if high > WIDE_RANGE * low:
+        axes.set_yscale("log", nonpositive="clip")
+        axes.set_ylim(low / 3, None)
+    elif high > NARROW_RANGE * low:
+        axes.set_ylim(0, None)
+
+
+def _add_legend(axes, cuts, shown, theta_i):
+    """Explain curves and marks, beside the axes."""
+    grey = {"c": "0.4", "ls": "none"}
+    if len(shown) > 1:
+        axes.plot([], [], marker="o", ms=3, label="reflection", **grey)
+        axes.plot([], [], marker="o", ms=3, mfc="w", label="transmission", **grey)
+    if any(np.isfinite(cut.low[~cut.empty]).all() for cut in cuts):
+        axes.plot([], [], marker="|", ms=9, label=f"{LEVEL:.0%} interval", **grey)
+    if any(cut.empty.any() for cut in cuts):
+        label = "upper limit, no hit"
+        axes.plot([], [], marker="v", ms=4, mfc="none", label=label, **grey)
+    if not np.isnan(theta_i):
+        axes.plot([], [], c="0.4", ls=":", lw=1, label="mirror direction")
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(
+            fontsize="small", frameon=False, loc="center left", bbox_to_anchor=(1, 0.5)
+        )
+
+
+def _direction(record, number):
+    """Words for one incident direction of a stack."""
+    words = rf"$\theta_i$ = {record.theta_i[number]:g}°"
+    if np.ptp(record.phi_i) > 0:
+        words += rf", $\varphi_i$ = {record.phi_i[number]:g}°"
+    return words
+
+
+def _colours(channels):
+    """Colours of the curves of one direction."""
+    if len(channels) == 1:
+        return ["C0"]
+    if tuple(channels) == ("R", "G", "B"):
+        return ["tab:red", "tab:green", "tab:blue"]
+    from matplotlib import colormaps
+
+    return list(colormaps["turbo"](np.linspace(0.1, 0.9, len(channels))))
