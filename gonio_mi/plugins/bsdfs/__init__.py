@@ -1,0 +1,1 @@
+"""Materials: one Mitsuba BSDF plugin per file, file name = plugin name."""
