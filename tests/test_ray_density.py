@@ -1,0 +1,142 @@
+"""Numbers of rays: the paper's formulas, the planner's promise, and stopping in time."""
+
+import math
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from scipy import stats
+
+import gonio_mi as gonio
+from gonio_mi import ray_density
+
+ALPHA = 1e-5
+PAPER = {"epsilon": 0.005, "delta": 0.01}
+
+
+def test_equation_17():
+    """The paper's own numbers: 105 967 rays, 10^5.025."""
+    assert ray_density.chebyshev_rays(**PAPER) == 105_967
+    assert round(math.log10(105_967), 3) == 5.025
+
+
+def test_equation_21_and_the_union_bound():
+    assert ray_density.paper_rays(900, **PAPER) == 900 * 105_967
+    exact = math.log(2 * 900 / 0.01) / (2 * 0.005**2)
+    assert ray_density.union_rays(900, **PAPER) == math.ceil(exact)
+    assert ray_density.union_rays(1, **PAPER) == ray_density.chebyshev_rays(**PAPER)
+
+
+@pytest.mark.parametrize("epsilon", [0.0, 1.0, -0.1, float("nan"), "abc"])
+def test_epsilon_outside_is_refused(epsilon):
+    with pytest.raises((ValueError, TypeError), match="epsilon must be a number in"):
+        ray_density.chebyshev_rays(epsilon, 0.01)
+
+
+def test_relative_rays_of_one_patch():
+    """One patch: N = z^2 (1 - p) / (p eps^2), the normal theory of a proportion."""
+    p, rel_err, level = 0.01, 0.05, 0.9
+    z = stats.norm.isf((1 - level) / 2)
+    expected = math.ceil((z / rel_err) ** 2 * (1 - p) / p)
+    # the odds carry a guard of 1e-12, far below one ray
+    assert abs(ray_density.relative_rays([p], rel_err, level) - expected) <= 1
+
+
+@pytest.mark.parametrize("probabilities", [[], [0.0], [0.5, -0.1], [1.5]])
+def test_impossible_probabilities_are_refused(probabilities):
+    with pytest.raises(ValueError, match="probabilities must be at least one"):
+        ray_density.relative_rays(probabilities, 0.01)
+
+
+def campaigns(factor):
+    """Successful ones of 200 simulated campaigns, with `factor` times the rays asked."""
+    grid = gonio.subdivision("solid:10x20")
+    p = (grid.projected_solid_angles / np.pi).ravel()
+    rays = int(factor * ray_density.relative_rays(p, 0.05, 0.95))
+    fraction, _ = ray_density.simulated_reliability(p, 0.05, rays, campaigns=200)
+    return round(200 * fraction)
+
+
+def test_simultaneous_reliability_is_delivered():
+    """Asked for 95 %, at least 95 %: not fewer successes than chance allows."""
+    successes = campaigns(1.0)
+    print(f"{successes} of 200 campaigns")
+    assert stats.binom.cdf(successes, 200, 0.95) > ALPHA
+
+
+def test_too_few_rays_are_caught():
+    """Twin: with half of the rays the same test fails."""
+    assert stats.binom.cdf(campaigns(0.5), 200, 0.95) < ALPHA
+
+
+def test_lobe_counts_what_is_above_the_floor():
+    values = np.array([[10.0, 1.0], [0.4, 0.0]])
+    inside = ray_density.lobe(values, np.ones((2, 2)), floor=0.1)
+    # the mean is 2.85, a tenth of it 0.285
+    np.testing.assert_array_equal(inside, [[True, True], [True, False]])
+
+
+@pytest.fixture
+def mono():
+    mi.set_variant("llvm_ad_mono")
+
+
+def measured(**settings):
+    return gonio.measure(
+        {"type": "diffuse", "reflectance": 0.5}, 30, collector="projected:5x6", **settings
+    )
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("sampler", ["independent", "sobol"])
+@pytest.mark.parametrize("estimator", ["analog", "weighted"])
+def test_rel_err_is_reached(sampler, estimator):
+    record = measured(rel_err=0.005, sampler=sampler, estimator=estimator)
+    worst = np.max(record.brdf_std_err / record.brdf)
+    assert worst <= 0.005
+    assert record.settings["reached"] == worst
+    assert record.settings["n_lobe"] == 30
+    assert record.settings["paper_rays"] == 30 * 105_967
+    assert record.n_batches == 32
+
+
+@pytest.mark.usefixtures("mono")
+def test_max_rays_comes_first():
+    with pytest.warns(RuntimeWarning, match="rel_err of 0.0001 was not reached"):
+        record = measured(rel_err=1e-4, max_rays=400_000, sampler="independent")
+    assert record.ledger.emitted == 400_000
+    assert record.settings["reached"] > 1e-4
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"rel_err": 0}, "rel_err must be a number in"),
+        ({"rel_err": 0.01, "rays": 100}, "rel_err and rays exclude each other"),
+        ({"max_rays": 10**6}, "max_rays goes with rel_err"),
+        ({"rel_err": 0.01, "max_rays": 5}, "max_rays must be at least"),
+        ({"rel_err": 0.01, "floor": 2}, "floor must be a fraction"),
+    ],
+)
+def test_bad_targets(settings, message):
+    with pytest.raises(ValueError, match=message):
+        measured(**settings)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_pilot_finds_the_lobe():
+    """The exponentiated cosine lights part of the hemisphere; the plan needs m' only."""
+    pilot = gonio.measure({"type": "roughconductor", "alpha": 0.1}, 30, rays=10**5)
+    plan = gonio.plan(pilot)
+    assert plan.n_patches == 900
+    assert 0 < plan.n_lobe < 450
+    assert plan.paper_lobe == plan.n_lobe * 105_967
+    assert "m'" in str(plan)
+
+
+def test_a_pilot_without_light_is_refused():
+    mi.set_variant("llvm_ad_mono")
+    pilot = gonio.measure({"type": "diffuse", "reflectance": 0.0}, 30, rays=1000)
+    with pytest.raises(ValueError, match="must have received some light"):
+        gonio.plan(pilot)
