@@ -27,7 +27,7 @@ from .summary import summarize, summary_text
 __all__ = ["main"]
 
 PROGRAM = "gonio-mi"
-DONE, USER_ERROR, INCOMPLETE = 0, 1, 2
+DONE, USER_ERROR, INCOMPLETE, FAILED = 0, 1, 2, 3
 
 DEFAULT_VARIANT = "llvm_ad_mono"
 
@@ -170,7 +170,7 @@ def _add_measure(commands):
         help="weighted (default) sums the rays' power, analog counts rays",
     )
     method.add_argument(
-        "--sampler", metavar="S", help="Mitsuba sampler (default: independent)"
+        "--sampler", metavar="S", help="Mitsuba sampler (default: sobol)"
     )
     method.add_argument(
         "--seed",
@@ -443,6 +443,123 @@ def _plot(options):
     return DONE
 
 
+def _add_compare(commands):
+    parser = commands.add_parser(
+        "compare",
+        help="compare with another record or with measured values",
+        usage="%(prog)s RECORD OTHER [options]",
+        description="Compare a record with another record of the same collector, patch "
+        "by patch, or with a CSV table of measured values, whose columns are theta_i, "
+        "phi_i, theta_o, phi_o, value and, optional, sigma. A specimen in place of the "
+        "record is measured at the solid angles of the table and under its emitter.",
+        epilog=COMPARE_EXAMPLES,
+    )
+    parser.set_defaults(run=_compare)
+    parser.add_argument(
+        "record",
+        metavar="RECORD",
+        help="an .exr or .npz file; with a table also a specimen as of `measure`",
+    )
+    parser.add_argument(
+        "other", metavar="OTHER", help="an .exr or .npz file, or a CSV table"
+    )
+    parser.add_argument(
+        "--uncertainty",
+        type=_number,
+        metavar="X",
+        help="relative standard uncertainty of each value of OTHER, 0.005 for 0.5 %%, "
+        "independent between points (default: what the table says)",
+    )
+    parser.add_argument(
+        "--scale-uncertainty",
+        type=_number,
+        metavar="X",
+        help="the same of a factor common to all values: calibration",
+    )
+    parser.add_argument(
+        "--alpha",
+        type=_number,
+        default=1e-3,
+        metavar="P",
+        help="probability with which a right model fails (default: 1e-3)",
+    )
+    parser.add_argument("--json", action="store_true", help="for machines")
+    parser.add_argument(
+        "-o", "--output", metavar="FIG", help="picture of both curves, such as a.png"
+    )
+    specimen = parser.add_argument_group("for a specimen")
+    specimen.add_argument(
+        "--rays",
+        type=_number,
+        metavar="N",
+        help="rays for each incident direction (default: 1e6)",
+    )
+    specimen.add_argument("--seed", type=_number, default=0, metavar="S")
+    specimen.add_argument(
+        "--aperture-half-angle",
+        type=_number,
+        metavar="DEG",
+        help="of the detector, if the table does not say it",
+    )
+    specimen.add_argument(
+        "--variant",
+        default=DEFAULT_VARIANT,
+        metavar="V",
+        help=f"Mitsuba variant (default: {DEFAULT_VARIANT})",
+    )
+    specimen.add_argument(
+        "--plugin",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="FILE",
+        help="Python files that register your own Mitsuba plugins; run first",
+    )
+
+
+def _compare(options):
+    from .comparison import compare, measure_like
+    from .measured import read_measured
+
+    def is_record(path):
+        return Path(path).suffix.lower() in files.ENDINGS
+
+    if options.output is not None:
+        files.check_output(options.output, (Path(options.output).suffix.lower(),))
+    other = (files.load if is_record(options.other) else read_measured)(options.other)
+    if is_record(options.record):
+        record = files.load(options.record)
+    elif is_record(options.other):
+        raise ValueError(
+            f"RECORD must be an .exr or .npz file if OTHER is one, got {options.record}"
+        )
+    else:
+        _set_variant(options.variant)
+        for path in options.plugin:
+            load_plugin_file(path)
+        record = measure_like(
+            parse_specimen(options.record),
+            other,
+            aperture_half_angle=options.aperture_half_angle,
+            rays=options.rays,
+            seed=options.seed,
+        )
+    comparison = compare(
+        record,
+        other,
+        uncertainty=options.uncertainty,
+        scale_uncertainty=options.scale_uncertainty,
+        alpha=options.alpha,
+    )
+    if options.output is not None:
+        comparison.plot(options.output)
+    if options.json:
+        print(json.dumps(comparison.to_dict(), indent=2, allow_nan=False))
+    else:
+        print(comparison)
+    return DONE if comparison.passed else FAILED
+
+
 def _add_doctor(commands):
     parser = commands.add_parser(
         "doctor",
@@ -462,7 +579,7 @@ def _doctor(_options):
 # --------------------------------------------------------------------------- parsing
 
 
-_COMMANDS = (_add_measure, _add_show, _add_plot, _add_doctor)
+_COMMANDS = (_add_measure, _add_show, _add_plot, _add_compare, _add_doctor)
 
 EXAMPLES = """\
 examples:
@@ -489,6 +606,18 @@ examples:
 
 Options take their defaults from the scene file if that is a complete measurement
 (integrator `goniophotometer`, sensor `collector`). SPECIMEN comes first.
+"""
+
+
+COMPARE_EXAMPLES = """\
+examples:
+  gonio-mi compare run.npz another.npz
+  gonio-mi compare run.npz measured.csv --uncertainty 0.005 -o compared.png
+  gonio-mi compare roughconductor:alpha=0.2 measured.csv --rays 1e8 --json
+
+The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005`,
+`# aperture_half_angle: 0.75` and `# emitter_half_angle: 0.25`; angles are in degrees.
+Exit code 3: they differ by more than chance explains.
 """
 
 
