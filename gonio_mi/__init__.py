@@ -9,6 +9,8 @@ from . import llvm
 llvm.prepare()
 
 from . import plugins  # noqa: E402, F401
+from .apertures import Apertures  # noqa: E402
+from .comparison import Comparison, compare, measure_like  # noqa: E402
 from .errors import (  # noqa: E402
     FileFormatError,
     LLVMError,
@@ -17,6 +19,7 @@ from .errors import (  # noqa: E402
 )
 from .files import load  # noqa: E402
 from .goniophotometer import measure  # noqa: E402
+from .measured import MeasuredTable, read_measured  # noqa: E402
 from .ray_density import Plan, plan  # noqa: E402
 from .record import Record  # noqa: E402
 from .subdivision import (  # noqa: E402
@@ -32,7 +35,9 @@ from .subdivision import (  # noqa: E402
 from .tally import Ledger  # noqa: E402
 
 __all__ = [
+    "Apertures",
     "Borders",
+    "Comparison",
     "EqualAngle",
     "EqualProjectedSolidAngle",
     "EqualSine",
@@ -40,14 +45,18 @@ __all__ = [
     "FileFormatError",
     "LLVMError",
     "Ledger",
+    "MeasuredTable",
     "Plan",
     "Record",
     "SpecimenError",
     "Subdivision",
     "VariantError",
     "adapted",
+    "compare",
     "load",
     "measure",
+    "measure_like",
     "plan",
+    "read_measured",
     "subdivision",
 ]

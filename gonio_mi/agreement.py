@@ -305,7 +305,7 @@ def _trace_of_square(one, sigma):
 def _normal_score(t, dof):
     """Normal score of the same probability as Student's t."""
     tail = special.stdtr(np.minimum(dof, 1e9), -np.abs(t))
-    return np.sign(t) * -special.ndtri(np.maximum(tail, 1e-300))
+    return 0.0 - np.sign(t) * special.ndtri(np.maximum(tail, 1e-300))
 
 
 def _two_sided_score(below, above):

@@ -449,9 +449,10 @@ def _add_compare(commands):
         help="compare with another record or with measured values",
         usage="%(prog)s RECORD OTHER [options]",
         description="Compare a record with another record of the same collector, patch "
-        "by patch, or with a CSV table of measured values, whose columns are theta_i, "
-        "phi_i, theta_o, phi_o, value and, optional, sigma. A specimen in place of the "
-        "record is measured at the solid angles of the table and under its emitter.",
+        "by patch, or with a\nCSV table of measured values, whose columns are theta_i, "
+        "phi_i, theta_o, phi_o, value\nand, optional, sigma. A specimen in place of "
+        "the record is measured at the solid\nangles of the table and under its "
+        "emitter.",
         epilog=COMPARE_EXAMPLES,
     )
     parser.set_defaults(run=_compare)
