@@ -9,7 +9,7 @@ import mitsuba as mi
 from . import llvm
 from .errors import SpecimenError, VariantError
 
-__all__ = ["load_plugin_file", "load_specimen", "loaded", "parse_specimen"]
+__all__ = ["load_plugin_file", "load_specimen", "loaded", "parse_specimen", "specimen_name"]
 
 # What Mitsuba puts before messages that say it all: its source positions, the root of
 # a dictionary, the search for a plugin, and the frame around our own plugins' errors.
@@ -161,3 +161,34 @@ def _value(text):
         return float(text)
     except ValueError:
         return text
+
+
+def specimen_name(specimen, parameters=None):
+    """Short name of a specimen: its file, or its BSDF in one word where that fits.
+
+    The inverse of :func:`parse_specimen`, as far as there is one.
+    """
+    settings = {}
+    if isinstance(specimen, dict):
+        name = specimen["type"]
+        settings = {key: value for key, value in specimen.items() if key != "type"}
+    elif isinstance(specimen, (str, os.PathLike)):
+        name, settings = str(specimen), parameters or {}
+    else:
+        name = specimen.class_name()
+    words = [
+        f"{key}={_word(value)}"
+        for key, value in settings.items()
+        if isinstance(value, (int, float, str)) or _is_colour(value)
+    ]
+    return f"{name}:{','.join(words)}" if words else name
+
+
+def _is_colour(value):
+    return isinstance(value, dict) and value.get("type") == "rgb"
+
+
+def _word(value):
+    if _is_colour(value):
+        return "/".join(f"{x:g}" for x in value["value"])
+    return str(value).lower() if isinstance(value, bool) else str(value)

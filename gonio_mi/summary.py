@@ -201,6 +201,7 @@ def _settings_text(numbers):
     radius = settings.get("collector_radius")
     lines = [
         ("specimen", known("specimen")),
+        ("surface", known("surface")),
         (
             "light",
             f"{known('emitter')} on the {known('side')}, "

@@ -212,7 +212,7 @@ def test_scene_parameters(run, write, tmp_path):
     assert run(*arguments, "-D", "alpha=0.1")[0] == 0
     assert (
         "alpha_u = UniformSpectrum[value=[0.1]]"
-        in gonio.load(path).settings["specimen"]
+        in gonio.load(path).settings["surface"]
     )
 
 

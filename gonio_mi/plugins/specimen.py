@@ -56,6 +56,10 @@ class Specimen:
         Corners of the bounding box, in scene units.
     plane : Plane or None
         Set if the specimen is one flat rectangle.
+    name : str
+        What its user calls it.
+    description : str
+        Shapes and BSDFs in Mitsuba's words.
     transmits : bool
         Whether light may reach the other side, for all that is declared: true unless
         the specimen is a flat rectangle whose BSDF has no transmitting component.
@@ -93,6 +97,7 @@ class Specimen:
         self.transmits = self.plane is None or mi.has_flag(
             self.plane.bsdf.flags(), mi.BSDFFlags.Transmission
         )
+        self.name = "a scene"
         self.description = "; ".join(_describe(shape) for shape in shapes[:4]) + (
             f"; and {len(shapes) - 4} more shapes" if len(shapes) > 4 else ""
         )

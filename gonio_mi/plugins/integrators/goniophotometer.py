@@ -340,7 +340,8 @@ class Goniophotometer(mi.SamplingIntegrator):
         """Settings of the measurement, in JSON's types."""
         sampler = bench.sensor.sampler()
         return {
-            "specimen": bench.specimen.description,
+            "specimen": bench.specimen.name,
+            "surface": bench.specimen.description,
             "emitter": bench.beam.emitter.class_name(),
             "emission": self.settings["emission"],
             "footprint": self.settings["footprint"],
