@@ -1,0 +1,122 @@
+"""The plugins live through changes of variant and refuse what they cannot do."""
+
+import subprocess
+import sys
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import gonio_mi as gonio
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+
+def scene():
+    return {
+        "type": "scene",
+        "integrator": {"type": "goniophotometer", "rays": 10_000},
+        "sensor": {"type": "collector", "film": {"type": "patches"}},
+        "emitter": {"type": "directional", "direction": [0, 0, -1]},
+        "shape": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": 0.5}},
+    }
+
+
+def test_change_of_variant_there_and_back():
+    first = gonio.measure({"type": "diffuse"}, 30, rays=10_000)
+    for name in ("llvm_ad_rgb", "llvm_ad_spectral", "llvm_ad_mono"):
+        mi.set_variant(name)
+        image = np.array(mi.render(mi.load_dict(scene())))
+        # an achromatic specimen has one channel in each of them
+        assert image.shape == (30, 30, 1)
+        record = gonio.measure({"type": "diffuse", "reflectance": 0.5}, 0, rays=10_000)
+        # exact in mono; a spectrum of 0.5 is so to single precision
+        expected = 0.5 * record.ledger.reflected / record.ledger.emitted
+        assert np.all(np.abs(record.dhr - expected) <= 2.0**-22)
+    again = gonio.measure({"type": "diffuse"}, 30, rays=10_000)
+    assert again.tallies == first.tallies
+
+
+@pytest.mark.parametrize("order", ["before", "after"])
+def test_import_before_or_after_set_variant(order):
+    lines = ["import gonio_mi", "import mitsuba as mi"]
+    if order == "after":
+        lines.reverse()
+        lines.insert(1, "mi.set_variant('llvm_ad_mono')")
+    else:
+        lines.append("mi.set_variant('llvm_ad_mono')")
+    lines.append("print(mi.load_dict({'type': 'patches'}).subdivision)")
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == "projected:30x30"
+
+
+@pytest.mark.parametrize(
+    "name", ["scalar_rgb", "scalar_mono", "llvm_ad_mono_polarized"]
+)
+def test_other_variants_are_refused_in_a_sentence(name):
+    if name not in mi.variants():
+        pytest.skip("not in this build")
+    before = mi.variant()
+    try:
+        mi.set_variant(name)
+        with pytest.raises(
+            (gonio.VariantError, gonio.SpecimenError), match="unpolarised llvm or cuda"
+        ):
+            gonio.measure({"type": "diffuse"}, 30, rays=10)
+    finally:
+        mi.set_variant(before)
+
+
+def test_no_variant_is_said():
+    code = (
+        "import gonio_mi\n"
+        "try: gonio_mi.measure({'type': 'diffuse'}, 30)\n"
+        "except gonio_mi.VariantError as error: print(error)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert "a Mitsuba variant must be set first" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("plugin", "name", "value"),
+    [
+        ("goniophotometer", "rays", 0),
+        ("goniophotometer", "batches", 0),
+        ("goniophotometer", "estimator", "best"),
+        ("goniophotometer", "footprint", -1.0),
+        ("goniophotometer", "emission", "equal"),
+        ("goniophotometer", "max_depth", 0),
+        ("patches", "subdivision", "projected"),
+        ("patches", "hemispheres", "lower"),
+        ("collector", "radius", -1.0),
+    ],
+)
+def test_bad_parameters_are_named(plugin, name, value):
+    settings = {"type": plugin, name: value}
+    if plugin == "collector":
+        settings["film"] = {"type": "patches"}
+    with pytest.raises(RuntimeError, match=str(value)):
+        mi.load_dict(settings)
+
+
+def test_foreign_sensor_and_film_are_refused():
+    wrong = scene() | {"sensor": {"type": "perspective"}}
+    with pytest.raises(RuntimeError) as caught:
+        mi.render(mi.load_dict(wrong))
+    # Mitsuba's own wrapper stands between the error and the caller
+    assert "needs a sensor of type collector" in str(caught.value.__cause__)
+    with pytest.raises(RuntimeError, match="film must be of type patches"):
+        mi.load_dict({"type": "collector", "film": {"type": "hdrfilm"}})
+
+
+@pytest.mark.parametrize("theta_i", [90, 90.001, -1, float("nan")])
+def test_angles_out_of_range_are_refused(theta_i):
+    with pytest.raises(ValueError, match="theta_i must be"):
+        gonio.measure({"type": "diffuse"}, theta_i)

@@ -1,0 +1,280 @@
+"""The cheap path and the full path agree; lamps and collectors of finite size."""
+
+import functools
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import (
+    agree,
+    difference_scores,
+    disagree,
+    normal_scores,
+    scores,
+    single,
+    verdict,
+)
+
+import gonio_mi as gonio
+from gonio_mi.directions import direction
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+COLLECTOR = "projected:12x24"
+RAYS = 10**6
+
+REFLECTING = {"type": "roughconductor", "alpha_u": 0.2, "alpha_v": 0.5}
+TRANSMITTING = {"type": "roughdielectric", "alpha": 0.4, "int_ior": 1.5}
+
+
+def transform():
+    return mi.ScalarTransform4f()
+
+
+def lamp(radius=2.0, distance=5.0):
+    """Disk above the specimen that faces it."""
+    look = transform().look_at(origin=[0, 0, distance], target=[0, 0, 0], up=[0, 1, 0])
+    return {
+        "type": "disk",
+        "to_world": look @ transform().scale(radius),
+        "emitter": {"type": "area", "radiance": 1.0},
+    }
+
+
+def both(specimen, theta_i, **settings):
+    """Records of the plane and of the traced transport, of different seeds."""
+    settings = {
+        "rays": RAYS,
+        "collector": COLLECTOR,
+        "sampler": "independent",
+        "phi_i": 40.0,
+    } | settings
+    plane = gonio.measure(specimen, theta_i, **settings)
+    traced = gonio.measure(specimen, theta_i, trace=True, seed=1, **settings)
+    assert plane.settings["transport"] == "plane"
+    assert traced.settings["transport"] == "traced"
+    return plane, traced
+
+
+def check(plane, traced):
+    """Agreement of both hemispheres and totals, and the twin's failure."""
+    hemispheres = range(1 + plane.has_lower)
+    for hemisphere in hemispheres:
+        z = difference_scores(plane, traced, hemisphere)
+        if z.size:
+            agree(verdict(z))
+    turned = difference_scores(
+        plane, turned_map(traced, 1), int(plane.dhr[0] < 0.5 and plane.has_lower)
+    )
+    disagree(verdict(turned))
+
+
+def turned_map(record, sectors):
+    """The record with its map turned by some sectors."""
+    (tally,) = record.tallies
+    rolled = replace(
+        tally,
+        hits=np.roll(tally.hits, sectors, axis=2),
+        sums=np.roll(tally.sums, sectors, axis=3),
+    )
+    return replace(record, tallies=(rolled,))
+
+
+@pytest.mark.parametrize("footprint", ["full", "point", 0.4])
+@pytest.mark.parametrize("theta_i", [50, 85])
+def test_reflecting(theta_i, footprint):
+    check(*both(REFLECTING, theta_i, footprint=footprint))
+
+
+@pytest.mark.parametrize("side", ["front", "back"])
+@pytest.mark.parametrize("footprint", ["full", "point", 0.4])
+def test_transmitting(side, footprint):
+    check(*both(TRANSMITTING, 40, side=side, footprint=footprint))
+
+
+@pytest.mark.parametrize("emission", ["radiometric", "equal_power"])
+@pytest.mark.parametrize(
+    "specimen", [REFLECTING, TRANSMITTING], ids=lambda s: s["type"]
+)
+def test_lamp(specimen, emission):
+    check(*both(specimen, 30, emitter=lamp(), emission=emission))
+
+
+def test_rotated_rectangle():
+    """The local frame turns with the shape, and the lobe of brushed metal with it."""
+    specimen = {
+        "type": "rectangle",
+        "to_world": transform().rotate([0, 0, 1], 60).scale([2, 0.5, 1]),
+        "bsdf": REFLECTING,
+    }
+    plane, traced = both(specimen, 50)
+    check(plane, traced)
+    # and as much as turning light and map the other way
+    unturned = gonio.measure(
+        REFLECTING,
+        50,
+        -20.0,
+        rays=RAYS,
+        collector=COLLECTOR,
+        sampler="independent",
+        seed=2,
+    )
+    agree(verdict(difference_scores(plane, turned_map(unturned, 4))))
+    disagree(verdict(difference_scores(plane, unturned)))
+
+
+def test_textured_rectangle():
+    """A quarter of the plate is white, seen by where light lands."""
+    pixels = np.zeros((2, 2, 1), np.float32)
+    pixels[0, 0] = 1
+    texture = {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(pixels),
+        "raw": True,
+        "filter_type": "nearest",
+    }
+    specimen = {
+        "type": "rectangle",
+        "to_world": transform().rotate([0, 0, 1], 30).translate([3, -2, 0]),
+        "bsdf": {"type": "diffuse", "reflectance": texture},
+    }
+    for record in both(specimen, 20):
+        n = record.ledger.emitted
+        z = (record.ledger.reflected - n / 4) / np.sqrt(n * 3 / 16)
+        agree(single(z))
+        disagree(single(z + 0.02 * np.sqrt(n)))
+
+
+# ------------------------------------------------------------------------ lamps
+
+
+@functools.cache
+def mirrored_lamp(theta_i, emission, runs, radius=2.0, distance=5.0, n=200_000):
+    """Flux fractions of a mirror's patches by NumPy alone, in independent runs.
+
+    Uniform points on lamp and plate; the radiometric weight is the product of both
+    cosines over the square of the distance.
+    """
+    patches = gonio.subdivision("projected:8x12")
+    t = np.radians(theta_i)
+    turn = np.array([[np.cos(t), 0, np.sin(t)], [0, 1, 0], [-np.sin(t), 0, np.cos(t)]])
+    shares = []
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        r, a = radius * np.sqrt(rng.uniform(size=n)), rng.uniform(0, 2 * np.pi, n)
+        q = np.stack([r * np.cos(a), r * np.sin(a), np.full(n, distance)], axis=1)
+        d = q @ turn.T - np.c_[rng.uniform(-1, 1, (n, 2)), np.zeros(n)]
+        length = np.linalg.norm(d, axis=1)
+        wi = d / length[:, None]
+        weight = np.ones(n)
+        if emission == "radiometric":
+            weight = wi[:, 2] * (wi @ turn[:, 2]) / length**2
+        index = patches.patch(wi * [-1, -1, 1])
+        shares.append(np.bincount(index, weight, patches.n_patches) / weight.sum())
+    return np.array(shares)
+
+
+@pytest.mark.parametrize("emission", ["radiometric", "equal_power"])
+@pytest.mark.parametrize("trace", [False, True])
+def test_mirror_shows_the_lamp(emission, trace):
+    """The map of a mirror is the irradiance by direction, turned over the normal."""
+    record = gonio.measure(
+        {"type": "conductor"},
+        30,
+        emitter=lamp(),
+        emission=emission,
+        rays=RAYS,
+        collector="projected:8x12",
+        sampler="independent",
+        trace=trace,
+    )
+    agree(verdict(against_runs(record, mirrored_lamp(30, emission, 32))))
+    other = {"radiometric": "equal_power", "equal_power": "radiometric"}[emission]
+    disagree(verdict(against_runs(record, mirrored_lamp(30, other, 32))))
+
+
+def against_runs(record, runs):
+    """Scores against independent runs of as many as the record's batches."""
+    (tally,) = record.tallies
+    assert len(runs) == tally.n_batches
+    use = (record.counts[0].ravel() > 3000) & (runs > 0).all(axis=0)
+    own = tally.sums[:, 0, :, :, 0].reshape(tally.n_batches, -1) / tally.incident
+    own, runs = own[:, use], runs[:, use]
+    a, b = (x.var(axis=0, ddof=1) / len(x) for x in (own, runs))
+    # Welch's degrees of freedom
+    dof = (a + b) ** 2 / (a**2 + b**2) * (len(own) - 1)
+    return normal_scores((own.mean(axis=0) - runs.mean(axis=0)) / np.sqrt(a + b), dof)
+
+
+@pytest.mark.parametrize("emission", ["radiometric", "equal_power"])
+def test_lambertian_does_not_care_for_the_lamp(emission):
+    record = gonio.measure(
+        {"type": "diffuse", "reflectance": 0.5},
+        30,
+        emitter=lamp(),
+        emission=emission,
+        rays=RAYS,
+        collector=COLLECTOR,
+        sampler="independent",
+    )
+    # rounding: each ray is rounded to 2^-24 of the mean power, before and after
+    rejected = record.ledger.rejected / RAYS
+    assert abs(record.dhr[0] - 0.5) <= 0.5 * rejected * 10 + 2.0**-22
+    share = record.subdivision.projected_solid_angles / np.pi
+    agree(verdict(scores(record, 0.5 * share)))
+    disagree(verdict(scores(record, 0.51 * share)))
+
+
+def test_small_far_lamp_is_collimated():
+    settings = {"rays": RAYS, "collector": COLLECTOR, "sampler": "independent"}
+    far = gonio.measure(
+        REFLECTING, 50, emitter=lamp(10.0, 10_000.0), seed=1, **settings
+    )
+    collimated = gonio.measure(REFLECTING, 50, **settings)
+    agree(verdict(difference_scores(far, collimated)))
+    near = gonio.measure(REFLECTING, 50, emitter=lamp(), seed=1, **settings)
+    disagree(verdict(difference_scores(near, collimated)))
+
+
+# ------------------------------------------------------------------------ collector
+
+
+@pytest.mark.parametrize("trace", [False, True])
+@pytest.mark.parametrize("radius", [2.0, 10.0])
+def test_collector_of_finite_radius(radius, trace):
+    """A mirror's exits meet the sphere where geometry says, computed by NumPy."""
+    theta_i = 40
+    record = gonio.measure(
+        {"type": "conductor"},
+        theta_i,
+        rays=RAYS,
+        collector="projected:20x24",
+        sampler="independent",
+        collector_radius=radius,
+        trace=trace,
+    )
+    patches = record.subdivision
+    d = direction(np.radians(theta_i), np.pi)
+    # the share of each patch: a fine grid of the plate, refined once for its own error
+    shares = []
+    for n in (2000, 4000):
+        x = (np.arange(n) + 0.5) / n * 2 - 1
+        p = np.stack([*np.meshgrid(x, x), np.zeros((n, n))], axis=-1).reshape(-1, 3)
+        along = p @ d
+        t = -along + np.sqrt(along**2 + radius**2 - (p**2).sum(axis=1))
+        index = patches.patch((p + t[:, None] * d) / radius)
+        shares.append(np.bincount(index, minlength=patches.n_patches) / n**2)
+    fine = shares[1]
+    std_err = np.sqrt(fine * (1 - fine) / RAYS)
+    use = fine > 0.01
+    error = np.abs(shares[1] - shares[0])[use]
+    assert np.all(error < 0.3 * std_err[use])
+    counts = record.counts[0].ravel()
+    # the grid's own error is added, as large as its last change
+    spread = np.hypot(std_err[use], error)
+    z = (counts[use] / RAYS - fine[use]) / spread
+    # several patches share all rays: the worst of them alone is asked for
+    agree(single(np.abs(z).max()))
+    far = np.bincount(patches.patch(d[None]), minlength=patches.n_patches)[use]
+    disagree(single(np.abs((counts[use] / RAYS - far) / spread).max()))
