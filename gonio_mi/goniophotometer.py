@@ -21,7 +21,7 @@ from .errors import (
 from .plugins.specimen import Specimen
 from .ray_density import FLOOR, paper_rays, precision
 from .record import Record
-from .specimen import check_variant, load_specimen, loaded
+from .specimen import check_variant, load_specimen, loaded, specimen_name
 from .subdivision import subdivision
 from .tally import Tally, batch_sizes
 
@@ -95,7 +95,8 @@ def measure(
         Patches whose BRDF (or BTDF) is below this fraction of the mean over the
         collector are not worth reporting. Default 0.1.
     sampler : str or dict
-        Mitsuba sampler plugin. Default ``independent``.
+        Mitsuba sampler plugin. Default ``sobol``, one evenly distributed sequence for
+        each batch; ``independent`` sends independent rays.
     estimator : {"weighted", "analog"}
         Sum throughput, or let rays survive or end and count them. Default ``weighted``.
     seed : int
@@ -178,6 +179,7 @@ def measure(
     integrator = _integrator(scene, integrator_settings)
     sensor = _sensor(scene, collector, collector_radius, hemispheres, sampler)
     measured = Specimen(scene)
+    measured.name = specimen_name(specimen, parameters)
     emitters = [_emitters(scene, emitter, incident, side) for incident in incidents]
     benches = [integrator.bench(measured, lamps.emitters(), sensor) for lamps in emitters]
 
@@ -362,7 +364,7 @@ def _integrator(scene, settings):
 def _sensor(scene, collector, radius, hemispheres, sampler):
     """Collector; what is None is that of the scene's collector or the default."""
     film = {"type": "patches"}
-    sensor = {"type": "collector", "sampler": {"type": "independent"}}
+    sensor = {"type": "collector"}
     for own in scene.sensors():
         if hasattr(own, "arrival"):
             film["subdivision"] = str(own.film().subdivision)
@@ -464,7 +466,7 @@ def _check_resumable(resume, descriptions, benches):
             "theta_i": float(resume.theta_i[i]),
             "phi_i": float(resume.phi_i[i]),
         }
-        for key in own.keys() - {"created", "versions"}:
+        for key in own.keys() - {"created", "versions", "specimen"}:
             if own[key] != others.get(key) and own[key] == own[key]:
                 raise ValueError(
                     f"resume must be a record of this measurement, but its {key} is "

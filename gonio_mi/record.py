@@ -137,9 +137,9 @@ class Record:
         Student's t over the batches; for patches with fewer than 100 hits (30 with
         samplers other than `independent`, which scatter less and for which it is wider
         than need be) the exact binomial interval of the hits, times the mean weight of
-        a hit. A patch without a hit has an upper limit: the flux that would have left it empty with probability
-        ``(1 - level) / 2``, at the larger of unit weight and the largest mean weight
-        seen.
+        a hit. A patch without a hit has an upper limit: the flux that would have left
+        it empty with probability ``(1 - level) / 2``, at the larger of unit weight and
+        the largest mean weight seen.
 
         Parameters
         ----------
@@ -359,7 +359,7 @@ def _seeds(record):
 
 def _repeatable(record):
     """What must be equal for two records to be of the same measurement."""
-    own = {"rays", "batches", "seed", "created", "seconds", "versions"}
+    own = {"rays", "batches", "seed", "created", "versions", "specimen"}
     settings = {k: v for k, v in record.settings.items() if k not in own}
     return settings | {
         "collector": str(record.subdivision),
