@@ -52,13 +52,12 @@ def plot(record, path=None, *, index=0):
         If the file cannot be written.
     """
     try:
-        from matplotlib.figure import Figure
+        from .figure import NotebookFigure
+        from .polar_map import draw_map
     except ImportError:
         raise ImportError(
             'plots need matplotlib: run pip install "gonio-mi[plot]"'
         ) from None
-    from .polar_map import draw_map
-
     index = checked_count("index", index, 0)
     if index >= len(record):
         raise ValueError(
@@ -72,7 +71,8 @@ def plot(record, path=None, *, index=0):
     if single.has_lower and single.counts[1].any():
         shown.append("btdf")
 
-    figure = Figure(figsize=(7 if len(shown) == 1 else 10, 8), layout="constrained")
+    size = 7 if len(shown) == 1 else 10, 8
+    figure = NotebookFigure(figsize=size, layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=(1.3, 1))
     for axes, of in zip(above.subplots(1, len(shown), squeeze=False)[0], shown):
         draw_map(axes, single, of)

@@ -8,6 +8,8 @@ import numpy as np
 __all__ = ["LEVEL", "Profile", "draw_profiles", "profile"]
 
 LEVEL = 0.95
+# More patches than this, and their intervals are drawn as a band.
+MAX_POINTS = 200
 # Directions of a stack that still make a readable profile.
 MAX_CURVES = 8
 # More than this between largest and smallest value, and the axis is logarithmic.
@@ -117,34 +119,19 @@ def draw_profiles(axes, record, index, shown):
 
 
 def _draw_curve(axes, cut, channel, colour, of):
-    """Draw one channel: steps, points with intervals, upper limits."""
+    """Draw one channel: steps, points with intervals or a band, upper limits."""
     value, low, high = (a[:, channel] for a in (cut.value, cut.low, cut.high))
-    size = 3 if cut.theta.size <= 200 else 1.5
-    face = colour if of == "brdf" else "w"
-    axes.stairs(
-        np.where(cut.empty, np.nan, value),
-        cut.edges,
-        baseline=None,
-        color=colour,
-        ls="-" if of == "brdf" else "--",
-        lw=1,
-        alpha=0.5,
-    )
     hit = ~cut.empty
+    steps = {"baseline": None, "color": colour, "ls": "-" if of == "brdf" else "--"}
+    axes.stairs(np.where(hit, value, np.nan), cut.edges, lw=1, alpha=0.5, **steps)
+    if cut.theta.size > MAX_POINTS:
+        low = np.where(hit, low, np.nan)
+        axes.stairs(high, cut.edges, baseline=low, fill=True, alpha=0.3, color=colour)
+        return
+    points = {"color": colour, "lw": 1, "ms": 3, "mfc": None if of == "brdf" else "w"}
     errors = np.maximum([value - low, high - value], 0)[:, hit]
-    axes.errorbar(
-        cut.theta[hit],
-        value[hit],
-        errors if np.isfinite(errors).all() else None,
-        fmt="o",
-        ms=size,
-        mfc=face,
-        color=colour,
-        lw=1,
-    )
-    axes.plot(
-        cut.theta[~hit], high[~hit], "v", ms=size + 1, mfc="none", mew=0.7, color=colour
-    )
+    axes.errorbar(cut.theta[hit], value[hit], errors, fmt="o", **points)
+    axes.plot(cut.theta[~hit], high[~hit], "v", c=colour, ms=4, mfc="none", mew=0.7)
 
 
 def _scale(axes, positive):

@@ -1,0 +1,250 @@
+"""The figure shows the numbers of the record: each patch, its interval, its limits."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic
+
+pytest.importorskip("matplotlib")
+
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+
+from gonio_mi.plot import plot
+from gonio_mi.profile import MAX_POINTS, profile
+
+NAN = float("nan")
+
+
+def panels(figure):
+    """Maps and profile of a figure."""
+    above, below = figure.subfigs
+    return above.axes, below.axes[0]
+
+
+def labels(axes):
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def points(axes, marker):
+    """Coordinates of all points with that marker, legend entries aside."""
+    lines = [line.get_xydata() for line in axes.lines if line.get_marker() == marker]
+    return np.concatenate(lines)
+
+
+# ------------------------------------------------------------------ profile
+
+
+def test_profile_follows_the_sectors_of_the_plane_of_incidence():
+    """Of 8 sectors, phi_i = 20 is in number 0 and the mirror azimuth in number 4."""
+    record = synthetic.record(both=True)
+    low, high = record.interval(0.95, of="btdf")
+    cut = profile(record, "btdf")
+    for array, expected in ((cut.value, record.btdf), (cut.low, low), (cut.high, high)):
+        np.testing.assert_array_equal(array[:6], expected[::-1, 0])
+        np.testing.assert_array_equal(array[6:], expected[:, 4])
+    np.testing.assert_array_equal(cut.empty[6:], record.counts[1, :, 4] == 0)
+    edges = np.degrees(record.subdivision.theta_edges)
+    np.testing.assert_array_equal(cut.edges, [*-edges[:0:-1], *edges])
+    assert np.all((cut.edges[:-1] < cut.theta) & (cut.theta < cut.edges[1:]))
+
+
+@pytest.mark.parametrize(
+    ("phi_i", "towards", "beyond"), [(0, 0, 4), (359, 7, 3), (-10, 7, 3), (NAN, 0, 4)]
+)
+def test_profile_at_borders(phi_i, towards, beyond):
+    record = synthetic.record(phi_i=(phi_i,))
+    cut = profile(record)
+    np.testing.assert_array_equal(cut.value[:6], record.brdf[::-1, towards])
+    np.testing.assert_array_equal(cut.value[6:], record.brdf[:, beyond])
+
+
+def test_other_plane_other_profile():
+    """Twin: a profile taken across the plane would differ."""
+    record = synthetic.record()
+    turned = replace(record, phi_i=record.phi_i + 90)
+    assert not np.array_equal(profile(record).value, profile(turned).value)
+
+
+# ------------------------------------------------------------------ map
+
+
+@pytest.mark.parametrize("collector", ["angle:5x4", "solid:3x7", "projected:2x400"])
+def test_map_draws_every_patch_in_its_place(collector):
+    """Centres of the drawn pieces hit the patch whose value they have."""
+    record = synthetic.record(collector, channels=("R", "G", "B"), power=1)
+    patches = record.subdivision
+    maps, _ = panels(plot(record))
+    mesh = maps[0].collections[0]
+    corners = mesh.get_coordinates()
+    # sin(theta) of the borders, to a few roundings of sine, cosine and root
+    np.testing.assert_allclose(
+        np.hypot(corners[..., 0], corners[..., 1]),
+        np.broadcast_to(np.sin(patches.theta_edges)[:, None], corners.shape[:2]),
+        rtol=4 * np.finfo(float).eps,
+    )
+    middles = (corners[:-1] + corners[1:]) / 2
+    middles = (middles[:, :-1] + middles[:, 1:]) / 2
+    x, y = np.moveaxis(middles, -1, 0)
+    hit = patches.patch(np.stack([x, y, np.sqrt(1 - x**2 - y**2)], axis=-1))
+    expected = record.brdf.mean(axis=-1).ravel()[hit]
+    drawn = mesh.get_array().reshape(hit.shape)
+    np.testing.assert_array_equal(drawn.filled(0), expected)
+    np.testing.assert_array_equal(drawn.mask, record.counts[0].ravel()[hit] == 0)
+
+
+@pytest.mark.parametrize(("ratio", "norm"), [(99, Normalize), (101, LogNorm)])
+def test_colours_are_logarithmic_for_a_wide_range(ratio, norm):
+    record = synthetic.record(power=0)
+    record.tallies[0].sums[:] = 1
+    record.tallies[0].sums[:, 0, 2, 4] = ratio  # in the plane of incidence
+    maps, axes = panels(plot(record))
+    mesh = maps[0].collections[0]
+    assert type(mesh.norm) is norm
+    assert axes.get_yscale() == ("log" if norm is LogNorm else "linear")
+    if norm is Normalize:
+        assert mesh.norm.vmin == 0
+
+
+def test_transmission_is_drawn_where_there_is_any():
+    record = synthetic.record(both=True)
+    maps, axes = panels(plot(record))
+    assert [a.get_title() for a in maps] == ["Reflection", "Transmission"]
+    assert {"reflection", "transmission"} <= set(labels(axes))
+    record.tallies[0].hits[1] = 0
+    record.tallies[0].sums[:, 1] = 0
+    assert len(panels(plot(record))[0]) == 1
+
+
+def test_directions_are_marked():
+    maps, axes = panels(plot(synthetic.record(theta_i=(30,), phi_i=(90,))))
+    # sin 30 degrees towards +y and back, to the rounding of sine and cosine
+    tolerance = {"rtol": 0, "atol": np.finfo(float).eps}
+    np.testing.assert_allclose(points(maps[0], "o"), [[0, 0.5]], **tolerance)
+    np.testing.assert_allclose(points(maps[0], "D"), [[0, -0.5]], **tolerance)
+    assert "mirror direction" in labels(axes)
+    maps, axes = panels(plot(synthetic.record(theta_i=(NAN,), phi_i=(NAN,))))
+    assert maps[0].get_legend() is None or labels(maps[0]) == ["no hit"]
+    assert "mirror direction" not in labels(axes)
+
+
+# ------------------------------------------------------------------ profile as drawn
+
+
+def test_empty_patches_are_drawn_at_their_upper_limit():
+    record = synthetic.record("projected:10x8", rays=40, power=50)
+    cut = profile(record)
+    assert cut.empty.any()
+    _, axes = panels(plot(record))
+    expected = np.stack([cut.theta, cut.high[:, 0]], axis=-1)[cut.empty]
+    np.testing.assert_array_equal(points(axes, "v"), expected)
+    expected = np.stack([cut.theta, cut.value[:, 0]], axis=-1)[~cut.empty]
+    np.testing.assert_array_equal(points(axes, "o"), expected)
+    assert "upper limit, no hit" in labels(axes)
+
+
+def test_error_bars_are_the_intervals():
+    record = synthetic.record("projected:10x8", power=1)
+    cut = profile(record)
+    assert not cut.empty.any()
+    _, axes = panels(plot(record))
+    (bars,) = [c for c in axes.collections if hasattr(c, "get_segments")]
+    drawn = np.array([segment[:, 1] for segment in bars.get_segments()])
+    expected = np.concatenate([cut.low, cut.high], axis=1)
+    # value - (value - low): two roundings of the largest of the three
+    rounding = 2 * np.finfo(float).eps * expected.max()
+    np.testing.assert_allclose(drawn, expected, rtol=0, atol=rounding)
+
+
+def test_a_single_batch_has_no_error_bars():
+    record = synthetic.record(n_batches=1, power=1)
+    record.settings["sampler"] = "sobol"
+    _, axes = panels(plot(record))
+    assert "95% interval" not in labels(axes)
+
+
+def test_many_patches_are_drawn_as_a_band():
+    n = MAX_POINTS // 2 + 1
+    _, axes = panels(plot(synthetic.record(f"projected:{n}x2")))
+    assert not axes.containers
+
+
+def test_one_curve_per_channel_or_direction():
+    _, axes = panels(plot(synthetic.record(channels=("R", "G", "B"))))
+    assert labels(axes)[:3] == ["R", "G", "B"]
+    stack = synthetic.record(theta_i=(0, 30, 60), phi_i=(0, 0, 0))
+    _, axes = panels(plot(stack))
+    assert [label.split("= ")[1] for label in labels(axes)[:3]] == ["0°", "30°", "60°"]
+    assert len(axes.containers) == 3
+    long = synthetic.record("angle:3x4", theta_i=range(9), phi_i=[0] * 9)
+    _, axes = panels(plot(long, index=8))
+    assert len(axes.containers) == 1
+
+
+# ------------------------------------------------------------------ figure and file
+
+
+def test_title_says_what_was_measured():
+    record = synthetic.record(theta_i=(0, 30.5), phi_i=(0, 20))
+    title = plot(record, index=1).get_suptitle()
+    for words in (
+        "synthetic gloss",
+        "θᵢ = 30.5°, φᵢ = 20° (2 of 2 directions)",
+        "projected:6x8",
+        "80 000 rays",
+        "weighted estimator",
+        "independent sampler",
+        "dhr 0.60",
+    ):
+        assert words in title
+
+
+def test_any_name_of_a_specimen_can_be_drawn(tmp_path):
+    record = synthetic.record()
+    record.settings["specimen"] = "a $b_{ \\frac \udcff\n" + "long " * 99
+    plot(record, tmp_path / "figure.png")
+
+
+@pytest.mark.parametrize(
+    ("ending", "magic"), [("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")]
+)
+def test_file(tmp_path, ending, magic):
+    path = tmp_path / f"figure.{ending}"
+    figure = plot(synthetic.record(both=True), path)
+    assert isinstance(figure, Figure)
+    assert path.read_bytes().startswith(magic)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_notebooks_show_it():
+    assert plot(synthetic.record())._repr_png_().startswith(b"\x89PNG")
+
+
+def test_pyplot_keeps_nothing():
+    from matplotlib import pyplot
+
+    plot(synthetic.record())
+    assert pyplot.get_fignums() == []
+
+
+def test_bad_arguments(tmp_path):
+    record = synthetic.record()
+    with pytest.raises(ValueError, match=r"index must be below 1, .* got 1"):
+        plot(record, index=1)
+    with pytest.raises(TypeError, match="index"):
+        plot(record, index="first")
+    with pytest.raises(ValueError, match=r"end in \.pdf or \.png or \.svg"):
+        plot(record, tmp_path / "figure.bmp")
+    with pytest.raises(FileNotFoundError, match="no folder"):
+        plot(record, tmp_path / "absent" / "figure.png")
+
+
+def test_without_matplotlib_one_sentence_says_what_to_install(monkeypatch):
+    for name in list(sys.modules):
+        if name in ("gonio_mi.figure", "gonio_mi.polar_map"):
+            monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(ImportError, match=r'pip install "gonio-mi\[plot\]"$'):
+        plot(synthetic.record())
