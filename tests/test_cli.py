@@ -211,8 +211,7 @@ def test_scene_parameters(run, write, tmp_path):
     arguments = ("measure", scene, "--theta-i", "60", "--rays", "1e3", "-q", "-o", path)
     assert run(*arguments, "-D", "alpha=0.1")[0] == 0
     assert (
-        "alpha_u = UniformSpectrum[value=[0.1]]"
-        in gonio.load(path).settings["surface"]
+        "alpha_u = UniformSpectrum[value=[0.1]]" in gonio.load(path).settings["surface"]
     )
 
 
@@ -516,9 +515,9 @@ def test_ctrl_c_from_outside(plugins, tmp_path):
     assert gonio.load(rest).tallies == gonio.load(whole).tallies
 
 
-def start(*arguments):
-    """Start the command line in a process of its own."""
-    program = "import sys; from gonio_mi.cli import main; sys.exit(main())"
+def start(*arguments, before="pass"):
+    """Start the command line in a process of its own, after a line of Python."""
+    program = f"import sys; {before}; from gonio_mi.cli import main; sys.exit(main())"
     return subprocess.Popen(
         [sys.executable, "-c", program, *map(str, arguments)],
         stdout=subprocess.PIPE,
@@ -679,10 +678,16 @@ def test_plot_refuses_bad_arguments(refuse, saved, tmp_path):
     assert "must end in" in refuse("plot", saved[0], "-o", tmp_path / "a.xyz")
 
 
-def test_plot_without_matplotlib(refuse, saved, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    assert "gonio-mi[plot]" in refuse("plot", saved[0], "-o", tmp_path / "a.png")
+def test_plot_without_matplotlib(saved, tmp_path):
+    with start(
+        *("plot", saved[0], "-o", tmp_path / "a.png"),
+        before="sys.modules['matplotlib'] = None",
+    ) as process:
+        out, err = process.communicate()
+    assert (process.returncode, out) == (1, "")
+    assert err.startswith("gonio-mi: ")
+    assert err.count("\n") == 1
+    assert "gonio-mi[plot]" in err
 
 
 def test_doctor(run):
