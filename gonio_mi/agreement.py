@@ -274,8 +274,8 @@ def _two_hits_score(mine, others):
     own = own / np.where((a == 0) & (b > 0), others.weight, mine.weight)
     theirs = theirs / np.where((b == 0) & (a > 0), mine.weight, others.weight)
     share = own / (own + theirs)
-    below = special.bdtr(a, a + b, share)
-    above = np.where(a == 0, 1.0, special.bdtrc(np.maximum(a - 1, 0), a + b, share))
+    below = np.where(b == 0, 1.0, special.betainc(np.maximum(b, 1), a + 1, 1 - share))
+    above = np.where(a == 0, 1.0, special.betainc(np.maximum(a, 1), b + 1, share))
     return np.where(a + b == 0, 0.0, _two_sided_score(below, above))
 
 

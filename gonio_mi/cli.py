@@ -520,13 +520,14 @@ def _add_compare(commands):
 
 def _compare(options):
     from .comparison import compare, measure_like
+    from .comparison_plot import check_picture
     from .measured import read_measured
 
     def is_record(path):
         return Path(path).suffix.lower() in files.ENDINGS
 
     if options.output is not None:
-        files.check_output(options.output, (Path(options.output).suffix.lower(),))
+        check_picture(options.output)
     other = (files.load if is_record(options.other) else read_measured)(options.other)
     if is_record(options.record):
         record = files.load(options.record)

@@ -28,7 +28,7 @@ N_WORST = 5
 FAR = 1000.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """How well two sets of values agree, point by point and as a whole.
 
@@ -46,11 +46,13 @@ class Comparison:
         The same of what it is compared with.
     z : ndarray of float64
         Difference in units of its standard error, as the normal score of the same
-        probability: positive where the record is larger, at most about 37.
+        probability: positive where the record is larger, at most about 37. A common
+        scale uncertainty has no part in it: `other` counts times ``scale``, see below.
     statistics : dict of float
         ``chi2``, the sum of the squares of `z`; ``chi2_dof``, its effective degrees of
-        freedom (correlated points count less); ``worst``, the largest ``abs(z)``;
-        ``total``, the largest normal score of a hemisphere's total.
+        freedom (correlated points count less); ``scale``, the most likely common factor
+        of the other's values, 1 without a scale uncertainty; ``worst``, the largest
+        ``abs(z)``; ``total``, the largest normal score of a hemisphere's total.
     p_values : dict of float
         Of ``chi2``, ``worst`` and ``total``: the probability of a statistic this large
         if both have the same true values.
@@ -137,7 +139,14 @@ class Comparison:
         Parameters
         ----------
         path : str or path
-            Any ending that Matplotlib writes.
+            Ends in ``.pdf``, ``.png`` or ``.svg``.
+
+        Raises
+        ------
+        ImportError
+            Without Matplotlib.
+        ValueError, OSError
+            For another ending, or if the file cannot be written.
         """
         from .comparison_plot import plot_comparison  # Matplotlib is optional
 
@@ -149,17 +158,28 @@ class Comparison:
         point = {name: _known(float(getattr(self, name)[i])) for name in names}
         return point | {"channel": str(self.channel[i])}
 
+    def __repr__(self):
+        verdict = "agrees" if self.passed else "differs"
+        return f"<Comparison of {len(self.z)} points: {verdict}, p {self.p_value:.3g}>"
+
     def __str__(self):
         found, p = self.statistics, self.p_values
         verdict = "agree" if self.passed else "DIFFER"
         lines = [
             f"rms error   {self.rms:.4g} 1/sr, {100 * self.relative_rms:.3g} % of the "
             f"mean; {self.rms_expected:.4g} from the uncertainties alone",
+            *(
+                [f"scale       the other's values times {found['scale']:.5g} fit best"]
+                if found["scale"] != 1
+                else []
+            ),
             f"chi-square  {found['chi2']:.6g} of {len(self.z)} points, "
             f"{found['chi2_dof']:.4g} degrees of freedom, p = {p['chi2']:.3g}",
             f"worst       |z| = {found['worst']:.3g} of {len(self.z)} points, "
             f"p = {p['worst']:.3g}",
-            f"total       |z| = {found['total']:.3g}, p = {p['total']:.3g}",
+            f"total       |z| = {found['total']:.3g}, p = {p['total']:.3g}"
+            if found["total"]
+            else "total       not tested, or no difference",
             f"verdict     {verdict}: p = {self.p_value:.3g}, where a right model falls "
             f"below {self.alpha:g} with that probability",
             "",
@@ -188,9 +208,9 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
     uncertainty of the measured value; for two records given their sum), so that empty
     patches take part. Three tests share `alpha` (Bonferroni):
 
-    * the sum of the squares of z, as a chi-square whose degrees of freedom
-      ``n**2 / trace(R**2)`` come from the correlation R of the points, which the
-      batches, the common scale and shared patches tell;
+    * the sum of the squares of z (and of the fitted common factor, in units of its
+      uncertainty), as a chi-square whose degrees of freedom ``n**2 / trace(R**2)`` come
+      from the correlation R of the points that the batches tell;
     * the largest ``abs(z)``, as if the points were independent, which is on the safe
       side (Sidak);
     * the flux through all points together, per incident direction, hemisphere and

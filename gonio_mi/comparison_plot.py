@@ -4,9 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from .files import replacing
+from .files import check_output, replacing
 
-__all__ = ["plot_comparison"]
+__all__ = ["ENDINGS", "check_picture", "plot_comparison"]
+
+ENDINGS = (".pdf", ".png", ".svg")
 
 MAX_PANELS = 6
 
@@ -14,33 +16,38 @@ MAX_PANELS = 6
 SAME = 1e-3
 
 
-def plot_comparison(comparison, path):
-    """Write a figure to `path`; any ending that Matplotlib writes.
-
-    One panel per incident direction and channel, up to six, with the points of the two
-    half-planes next to the plane of incidence over the signed polar angle: positive on
-    the mirror direction's side. Points that do not line up are drawn over theta_o.
+def check_picture(path):
+    """Raise one clear sentence unless a picture can be drawn and written to `path`.
 
     Raises
     ------
     ImportError
         Without Matplotlib.
-    ValueError
-        If it does not write files of that ending.
+    ValueError, OSError
+        If the ending is not one of `ENDINGS`, or the file cannot be written.
     """
     try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
+        import matplotlib.figure  # noqa: F401
     except ImportError:
         raise ImportError(
-            "plots need Matplotlib: pip install 'gonio-mi[plot]'"
+            'plots need matplotlib: run pip install "gonio-mi[plot]"'
         ) from None
-    ending = Path(path).suffix[1:].lower()
-    endings = FigureCanvasAgg.get_supported_filetypes()
-    if ending not in endings:
-        raise ValueError(
-            f"the picture must end in one of {', '.join(endings)}, got {str(path)!r}"
-        )
+    check_output(path, ENDINGS)
+
+
+def plot_comparison(comparison, path):
+    """Write a figure to `path`, which ends in one of `ENDINGS`.
+
+    One panel per incident direction and channel, up to six, with the points of the two
+    half-planes next to the plane of incidence over the signed polar angle: positive on
+    the mirror direction's side. Points that do not line up are drawn over theta_o.
+
+    Raises as :func:`check_picture`.
+    """
+    check_picture(path)
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     panels = _panels(comparison)
     shown = panels[:MAX_PANELS]
     figure = Figure(figsize=(5.2 * len(shown) + 0.8, 5.6), layout="constrained")
@@ -62,6 +69,7 @@ def plot_comparison(comparison, path):
         title += f"; {len(shown)} of {len(panels)} panels"
     figure.suptitle(title, fontsize="medium")
     with replacing(path) as stream:
+        ending = Path(path).suffix[1:].lower()
         figure.savefig(stream, format=ending, dpi=150)
 
 
@@ -95,7 +103,7 @@ def _draw(comparison, panel, above, below):
             markersize=3,
             linewidth=0.8,
             capsize=2,
-            label=name,
+            label=f"{name} +- std_err",
             mfc="none" if name == "other" else None,
         )
     above.legend(frameon=False)

@@ -1,0 +1,660 @@
+"""Records against records and against measured tables: verdicts, refusals, apertures.
+
+Statistical verdicts share the suite's false-alarm budget; each has a twin that fails.
+"""
+
+import json
+
+import budget
+import mitsuba as mi
+import numpy as np
+import pytest
+import synthetic
+from budget import Verdict, agree, disagree
+from references import eval_flux
+from scipy import special, stats
+
+import gonio_mi as gonio
+from gonio_mi.apertures import Apertures, disjoint_groups
+from gonio_mi.cli import main
+from gonio_mi.comparison import compare, measure_like
+from gonio_mi.directions import direction
+from gonio_mi.measured import MeasuredTable, read_measured
+from gonio_mi.record import Record
+from gonio_mi.subdivision import subdivision
+
+EPS = np.finfo(float).eps
+HEADER = "theta_i,phi_i,theta_o,phi_o,value,sigma"
+
+
+def verdict_of(comparison):
+    return Verdict({"comparison": comparison.p_value}, len(comparison.z))
+
+
+def truth(record):
+    """Expected BRDF and direction of each patch of a synthetic record."""
+    patches = record.subdivision
+    mirror = record.theta_i[0], record.phi_i[0] + 180
+    flux = 0.6 * synthetic.specular(patches, *mirror, 30)
+    theta, phi = np.degrees(np.meshgrid(patches.theta, patches.phi, indexing="ij"))
+    return (flux / patches.projected_solid_angles).ravel(), theta.ravel(), phi.ravel()
+
+
+def table_of(record, values, phi_o=None, **settings):
+    """Table with one point in the middle of each patch."""
+    _, theta, phi = truth(record)
+    n = len(values)
+    return MeasuredTable(
+        np.full(n, record.theta_i[0]),
+        np.full(n, record.phi_i[0]),
+        theta,
+        phi if phi_o is None else phi_o,
+        values,
+        **settings,
+    )
+
+
+def noisy(values, uncertainty, seed, scale=0.0):
+    rng = np.random.default_rng(seed)
+    factor = 1 + scale * rng.standard_normal()
+    return values * factor * (1 + uncertainty * rng.standard_normal(len(values)))
+
+
+def gloss(seed=1, **settings):
+    return synthetic.record(rays=50_000, n_batches=32, seed=seed, **settings)
+
+
+# ------------------------------------------------------------- measured values, noise
+
+
+def test_right_model_agrees_and_two_percent_do_not():
+    record = gloss()
+    values, _, _ = truth(record)
+    table = table_of(record, noisy(values, 0.005, 3), uncertainty=0.005)
+    agree(verdict_of(compare(record, table)))
+    for factor in (0.98, 1.02):
+        wrong = table_of(record, noisy(factor * values, 0.005, 3), uncertainty=0.005)
+        comparison = compare(record, wrong)
+        disagree(verdict_of(comparison))
+        assert not comparison.passed
+
+
+def test_one_percent_shows_in_the_total():
+    """A small error everywhere: no point shows it, all together do."""
+    record = synthetic.record("projected:30x30", rays=30_000, n_batches=32)
+    values, _, _ = truth(record)
+    comparison = compare(record, table_of(record, 1.01 * values))
+    disagree(verdict_of(comparison))
+    assert comparison.p_values["total"] < budget.ALPHA / 3
+    # neither alone would have seen it
+    assert min(comparison.p_values[test] for test in ("chi2", "worst")) > 1e-3
+    agree(verdict_of(compare(record, table_of(record, values))))
+
+
+def test_mirrored_azimuth_differs():
+    record = gloss()
+    values, _, phi = truth(record)
+    mirrored = table_of(record, values, phi_o=-phi, uncertainty=0.005)
+    disagree(verdict_of(compare(record, mirrored)))
+    whole_turns = table_of(record, values, phi_o=phi + 720, uncertainty=0.005)
+    agree(verdict_of(compare(record, whole_turns)))
+
+
+def test_scale_uncertainty_is_common_to_all_points():
+    record = gloss()
+    values, _, _ = truth(record)
+    table = table_of(record, 1.05 * values, scale_uncertainty=0.03)
+    comparison = compare(record, table)
+    agree(verdict_of(comparison))
+    # 1 / 1.05 is the factor, known to the record's total: some 1.6e6 hits
+    assert abs(comparison.statistics["scale"] * 1.05 - 1) < 0.01
+    disagree(verdict_of(compare(record, table, scale_uncertainty=0, uncertainty=0.005)))
+    # a scale does not excuse another shape
+    _, theta, _ = truth(record)
+    tilted = table_of(record, values * (1 + 0.2 * theta / 90), scale_uncertainty=0.03)
+    disagree(verdict_of(compare(record, tilted)))
+
+
+def false_alarms(n, level, stated):
+    """How many of `n` right models fail at `level`; the noise is 1 %."""
+    failed = 0
+    for seed in range(n):
+        record = synthetic.record(
+            "angle:4x6", rays=20_000, n_batches=8, seed=seed, power=4
+        )
+        flux = 0.6 * synthetic.specular(record.subdivision, 30, 200, 4)
+        values = (flux / record.subdivision.projected_solid_angles).ravel()
+        table = table_of(record, noisy(values, 0.01, 10_000 + seed), uncertainty=stated)
+        failed += not compare(record, table, alpha=level).passed
+    return failed
+
+
+def test_false_alarms_are_as_rare_as_stated():
+    """Student's t of 8 batches, Welch, and the three tests together."""
+    n, level = 300, 0.1
+    failed = false_alarms(n, level, 0.01)
+    agree(Verdict({"too many": float(stats.binom.sf(failed - 1, n, level))}, n))
+    # twin: an uncertainty that is stated too small
+    failed = false_alarms(n // 5, level, 0.004)
+    disagree(Verdict({"too many": float(stats.binom.sf(failed - 1, n // 5, level))}, n))
+
+
+def test_points_in_one_patch_count_once():
+    """Twice the same points double the sum of squares, and not the evidence."""
+    record = gloss()
+    values, theta, phi = truth(record)
+    once = table_of(record, values)
+    columns = (once.theta_i, once.phi_i, theta, phi, values)
+    n = len(values)
+    found = {
+        k: compare(record, MeasuredTable(*(np.tile(c, k) for c in columns))).statistics
+        for k in (1, 2, 4)
+    }
+    assert found[2]["chi2"] == pytest.approx(2 * found[1]["chi2"], rel=n * EPS)
+    # as if independent they were 2 n; one each they are n but for the batches' noise
+    assert found[2]["chi2_dof"] < 1.5 * n
+    # exactly proportional, but for the share of single precision in each variance
+    share = np.max((2.0**-20 * record.brdf / record.brdf_std_err) ** 2)
+    assert found[4]["chi2_dof"] == pytest.approx(found[2]["chi2_dof"], rel=4 * share)
+
+
+# ------------------------------------------------------------------ records, few hits
+
+
+def test_two_records_of_one_specimen_agree():
+    a, b = gloss(seed=1, both=True), gloss(seed=2, both=True)
+    comparison = compare(a, b)
+    agree(verdict_of(comparison))
+    assert len(comparison.z) == 2 * a.subdivision.n_patches
+    assert (comparison.theta_o > 90).sum() == a.subdivision.n_patches
+    other = gloss(seed=2, both=True, power=33)
+    disagree(verdict_of(compare(a, other)))
+
+
+def test_rms_is_that_of_the_paper():
+    """Table 1's closed form, for a counted Lambertian of m equal patches."""
+    m, rays = 900, 2**20
+    patches = subdivision("projected:30x30")
+    rng = np.random.default_rng(5)
+    weights = np.full((1, 30, 30), 1 / m)
+    made = synthetic.tally(patches, weights, rays // 32, rng, 1, 32, analog=True)
+    record = Record(
+        patches, np.array([45.0]), np.array([0.0]), ("Y",), (made,),
+        {"sampler": "independent", "seed": 1},
+    )  # fmt: skip
+    comparison = compare(record, table_of(record, np.full(m, 1 / np.pi)))
+    flat = record.brdf[..., 0].ravel()
+    by_hand = np.sqrt(np.sum((flat - 1 / np.pi) ** 2) / m)
+    assert comparison.rms == pytest.approx(by_hand, rel=m * EPS)
+    assert comparison.relative_rms == pytest.approx(np.pi * by_hand, rel=m * EPS)
+    closed_form = m / np.pi * np.sqrt((1 / m) * (1 - 1 / m) / rays)
+    # m - 1 free counts
+    square = m * (by_hand / closed_form) ** 2 * (m - 1) / m
+    p = 2 * min(stats.chi2.cdf(square, m - 1), stats.chi2.sf(square, m - 1))
+    agree(Verdict({"rms": float(p)}))
+    square *= 1.2**2  # twin: a tenth off in the exponent of N
+    disagree(Verdict({"rms": float(2 * stats.chi2.sf(square, m - 1))}))
+
+
+def test_empty_patches_take_part():
+    """No hit where 20 were expected has the exact score of Poisson's law."""
+    record = gloss()
+    (made,) = record.tallies
+    made.sums[:, 0, 0, 0] = 0
+    made.hits[0, 0, 0] = 0
+    weight = 1.0  # of a hit of the synthetic record
+    rays = made.ledger.emitted
+    values = record.brdf[..., 0].ravel().copy()
+    values[0] = 20 * weight / rays / record.subdivision.projected_solid_angles[0, 0]
+    comparison = compare(record, table_of(record, values))
+    z = special.ndtri(np.exp(-20))
+    # ROUNDING of the mean, and the inverse of a tail, to a few digits of eps
+    assert comparison.z[0] == pytest.approx(z, rel=2.0**-18)
+    assert np.isnan(comparison.std_err[0])
+    assert comparison.to_dict()["worst"][0]["std_err"] is None
+    values[0] = 0
+    assert compare(record, table_of(record, values)).z[0] == 0
+    values[0] = -1e-9
+    assert compare(record, table_of(record, values)).z[0] == 0
+
+
+def test_empty_patch_of_one_of_two_records():
+    """Given the sum of hits, those of one record are binomial: here a fair coin."""
+    a, b = gloss(seed=1), gloss(seed=2)
+    for record, n in ((a, 0), (b, 12)):
+        (made,) = record.tallies
+        made.hits[0, 0, 0] = n
+        made.sums[:, 0, 0, 0] = 0
+        made.sums[:n, 0, 0, 0] = made.scale
+    comparison = compare(a, b)
+    assert comparison.z[0] == pytest.approx(special.ndtri(0.5**12), rel=100 * EPS)
+
+
+def test_a_record_agrees_with_itself_and_says_so():
+    record = gloss()
+    comparison = compare(record, record)
+    assert comparison.rms == 0
+    assert (comparison.z == 0).all()
+    assert comparison.p_value == 1
+    assert any("seed 1" in note for note in comparison.notes)
+    assert "agree" in str(comparison)
+    assert repr(comparison).startswith("<Comparison of 48 points: agrees")
+
+
+# --------------------------------------------------------------------------- refusals
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"collector": "projected:6x9"}, "same collector .*6x8 and projected:6x9"),
+        ({"channels": ("R", "G", "B")}, "same channels"),
+        ({"both": True}, "same hemispheres"),
+        ({"theta_i": (31.0,)}, r"same incident directions, .*30, 20\) and \(31, 20\)"),
+        ({"theta_i": (30.0, 40.0), "phi_i": (20.0, 0.0)}, "same number of incident"),
+    ],
+)
+def test_records_that_cannot_be_compared(change, message):
+    with pytest.raises(ValueError, match=message):
+        compare(gloss(), gloss(**change))
+
+
+def test_what_a_table_must_share_with_a_record():
+    record = gloss()
+    values, theta, phi = truth(record)
+    n = len(values)
+    other_angle = MeasuredTable(np.full(n, 45.0), np.full(n, 20.0), theta, phi, values)
+    with pytest.raises(ValueError, match=r"lacks 45, 20 degrees \(it has 30, 20\)"):
+        compare(record, other_angle)
+    with pytest.raises(ValueError, match=r"channel of the record \(Y\), but .* 550nm"):
+        compare(record, table_of(record, values, channel="550nm"))
+    tinted = gloss(channels=("R", "G", "B"))
+    with pytest.raises(ValueError, match=r"\(R, G, B\), but the table names no"):
+        compare(tinted, table_of(record, values))
+    green = compare(tinted, table_of(record, values, channel="G", uncertainty=0.01))
+    assert set(green.channel.tolist()) == {"G"}
+    below = MeasuredTable(np.full(n, 30.0), np.full(n, 20.0), 180 - theta, phi, values,
+                          quantity="btdf")  # fmt: skip
+    with pytest.raises(ValueError, match="has no lower hemisphere"):
+        compare(record, below)
+    alone = gloss()
+    alone = Record(alone.subdivision, alone.theta_i, alone.phi_i, alone.channels,
+                   (synthetic.record(n_batches=1).tallies[0],), {})  # fmt: skip
+    with pytest.raises(ValueError, match="at least 2 batches"):
+        compare(alone, table_of(record, values))
+
+
+@pytest.mark.parametrize("alpha", [0, 1, -1, float("nan"), "often"])
+def test_alpha_is_a_probability(alpha):
+    with pytest.raises((TypeError, ValueError), match="alpha must be a probability"):
+        compare(gloss(), gloss(seed=2), alpha=alpha)
+
+
+def test_wrong_types():
+    with pytest.raises(TypeError, match="record must be a Record"):
+        compare([], gloss())
+    with pytest.raises(TypeError, match="other must be a Record or a MeasuredTable"):
+        compare(gloss(), "measured.csv")
+    with pytest.raises(ValueError, match="uncertainty must be a finite number"):
+        compare(gloss(), gloss(seed=2), uncertainty=-0.1)
+
+
+# ------------------------------------------------------------------------- the reader
+
+
+def written(tmp_path, *lines, **options):
+    path = tmp_path / "measured.csv"
+    path.write_text("\n".join(lines) + "\n", **options)
+    return path
+
+
+def test_reader_takes_the_documented_form(tmp_path):
+    path = written(
+        tmp_path,
+        "# instrument: a goniophotometer",
+        "# a comment without a key",
+        "# units: 1/sr",
+        "# quantity: brdf_cos",
+        "# uncertainty: 0.005",
+        "# aperture_solid_angle: 0.002",
+        "# emitter_half_angle: 0.25",
+        "# channel: 550nm",
+        "",
+        "sigma, value, theta_i, phi_i, theta_o, phi_o",
+        "0.003, 0.2, 45, 0, 60, 180",
+        '0, "-1e-3", 45, -30, 0, 0',
+        encoding="utf-8-sig",
+        newline="\r\n",
+    )
+    table = read_measured(path)
+    assert table.value.tolist() == [0.2, -1e-3]
+    assert table.incident == [(45.0, 0.0), (45.0, -30.0)]
+    assert table.header == {"instrument": "a goniophotometer"}
+    assert (table.channel, table.emitter_half_angle) == ("550nm", 0.25)
+    # cos(60 degrees) = 1/2; sigma and 0.5 % in quadrature
+    assert table.bsdf == pytest.approx([0.4, -1e-3], rel=4 * EPS)
+    expected = [2 * np.hypot(0.003, 0.001), 5e-6]
+    assert table.bsdf_std_err == pytest.approx(expected, rel=8 * EPS)
+    half = np.radians(table.aperture_half_angle)
+    assert 2 * np.pi * (1 - np.cos(half)) == pytest.approx(0.002, rel=2**10 * EPS)
+
+
+def test_table_is_saved_and_read_without_loss(tmp_path):
+    rng = np.random.default_rng(2)
+    columns = [rng.uniform(0, 89, 7) for _ in range(6)]
+    table = MeasuredTable(*columns, uncertainty=0.1, aperture_half_angle=0.7,
+                          emitter_distance=3.0, header={"who": "me"})  # fmt: skip
+    path = tmp_path / "a.csv"
+    table.save(path)
+    again = read_measured(path)
+    for name in ("theta_i", "phi_i", "theta_o", "phi_o", "value", "sigma"):
+        assert np.array_equal(getattr(table, name), getattr(again, name))
+    for name in ("uncertainty", "aperture_half_angle", "emitter_distance", "header"):
+        assert getattr(table, name) == getattr(again, name)
+
+
+ROW = "45,0,30,180,0.3,0.001"
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (["theta_i,phi_i,theta_o,value", "45,0,30,0.3"], "line 1: the column phi_o is"),
+        ([HEADER, ROW, "45,0,30,180,bright,0"],
+         "line 3, column value: must be a number, got 'bright'"),
+        ([HEADER, "45,0,91,180,0.3,0"],
+         r"line 2, column theta_o: must be .* \[0, 90\) for brdf, got 91"),
+        (["# quantity: btdf", HEADER, ROW], r"line 3, column theta_o: must be .*\(90"),
+        ([HEADER, "95,0,30,180,0.3,0"], "column theta_i: .* got 95"),
+        ([HEADER, "45,0,30,180,0.3,-1"], "column sigma: .* 0 or more, got -1"),
+        ([HEADER, "45,0,30,180,nan,0"], "column value: .* finite number, got nan"),
+        ([HEADER, "45,inf,30,180,0.3,0"], "column phi_i: .* finite number, got inf"),
+        ([HEADER, "45,0,30,180,0.3"], "line 2: must have 6 values .* got 5"),
+        ([HEADER, "45;0;30;180;0,3;0"], "line 2: must have 6 values"),
+        ([HEADER, "45,0,30,180,,0"], "column value: must be a number, got ''"),
+        ([HEADER], "has no values: nothing follows line 1"),
+        ([""], "is empty"),
+        (["# units: 1/sr"], "is empty"),
+        (["once upon a time"], "must name the columns theta_i, phi_i"),
+        ([HEADER + ",weight", ROW + ",1"], "a column must be one of .*'weight'"),
+        ([HEADER + ",value", ROW + ",1"], "the column value must occur once"),
+        (["# units: percent", HEADER, ROW], "line 1: units must be one of 1/sr"),
+        (["# quantity: albedo", HEADER, ROW], "line 1: quantity must be one of"),
+        (["# uncertainty: 0.5 %", HEADER, ROW], "line 1: uncertainty must be a finite"),
+        (["# uncertainty: nan", HEADER, ROW], "uncertainty must be .*'nan'"),
+        (["# uncertanty: 0.1", HEADER, ROW],
+         "line 1: unknown key 'uncertanty'; uncertainty is one"),
+        (["# uncertainty: 1", "# uncertainty: 2", HEADER, ROW], "line 2: .* once"),
+        (["# aperture_half_angle: 0", HEADER, ROW], "must be positive"),
+        (["# aperture_half_angle: 1", "# aperture_solid_angle: 1", HEADER, ROW],
+         "either aperture_half_angle or"),
+    ],
+)  # fmt: skip
+def test_reader_says_where_and_what(tmp_path, lines, message):
+    path = written(tmp_path, *lines)
+    with pytest.raises(gonio.FileFormatError, match=message) as caught:
+        read_measured(path)
+    assert "measured.csv" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_reader_of_other_files(tmp_path):
+    path = tmp_path / "a.csv"
+    for content in (b"\x89PNG\r\n\x1a\n\xff\xfe", b"PK\x03\x04\0\0"):
+        path.write_bytes(content)
+        with pytest.raises(gonio.FileFormatError, match="is not a CSV file"):
+            read_measured(path)
+    with pytest.raises(FileNotFoundError):
+        read_measured(tmp_path / "none.csv")
+
+
+def test_table_checks_its_columns():
+    one = np.ones(3)
+    with pytest.raises(ValueError, match="value must be a finite number, got nan"):
+        MeasuredTable(one, one, one, one, [1, 2, np.nan])
+    with pytest.raises(ValueError, match="sigma must hold one number for each of 3"):
+        MeasuredTable(one, one, one, one, one, [1, 2])
+    with pytest.raises(ValueError, match="at least one rows"):
+        MeasuredTable([], [], [], [], [])
+
+
+# -------------------------------------------------------------------------- apertures
+
+
+def cones():
+    return [(t, p) for t in range(0, 85, 8) for p in range(0, 360, 24) if t or not p]
+
+
+def test_apertures_cover_the_hemisphere_once():
+    apertures = Apertures(1.5, disjoint_groups(cones(), 1.5)[0])
+    n = apertures.n_patches
+    assert apertures.solid_angles.sum() == pytest.approx(2 * np.pi, rel=n * EPS)
+    assert apertures.projected_solid_angles.sum() == pytest.approx(np.pi, rel=n * EPS)
+    assert subdivision(str(apertures)) == apertures
+    assert apertures.shape == (n, 1)
+    # against the definition: the cone's axis and the cosine of the half-angle
+    rng = np.random.default_rng(1)
+    theta, phi = np.radians(apertures.directions).T
+    axes = direction(theta, phi)
+    v = np.concatenate([rng.standard_normal((20_000, 3)), -axes * [-1, -1, 1]])
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    cosine = np.column_stack([v[:, :2], np.abs(v[:, 2])]) @ axes.T
+    inside = cosine > np.cos(np.radians(1.5))
+    expected = np.where(inside.any(axis=1), inside.argmax(axis=1), n - 1)
+    # what lies within rounding of a rim may go either way
+    rim = np.abs(cosine - np.cos(np.radians(1.5))).min(axis=1) < 2.0**-20
+    assert np.array_equal(apertures.patch(v)[~rim], expected[~rim])
+    assert np.unique(expected).size == n
+
+
+def test_rim_belongs_to_what_is_between():
+    apertures = Apertures(2.0, [(30, 50)])
+    for turn, patch in ((0, 0), (1 - 1e-5, 0), (1 + 1e-5, 1)):
+        v = direction(np.radians(30 + 2 * turn), np.radians(50))
+        assert apertures.patch(v) == patch
+
+
+@pytest.mark.parametrize("half_angle", [0.02, 0.5, 5])
+def test_projected_solid_angle_of_a_cone(half_angle):
+    """Against the integral over the cone, in its own polar coordinates."""
+    apertures = Apertures(half_angle, [(40, 10), (80, 200)])
+    a = np.radians(half_angle)
+    # average of cos(theta) over azimuth about the axis is cos(axis) cos(alpha)
+    alpha, weight = np.polynomial.legendre.leggauss(20)
+    alpha, weight = a * (alpha + 1) / 2, a * weight / 2
+    ring = 2 * np.pi * np.sum(weight * np.sin(alpha) * np.cos(alpha))
+    expected = ring * np.cos(np.radians([40, 80]))
+    found = apertures.projected_solid_angles[:2, 0]
+    assert found == pytest.approx(expected, rel=100 * EPS)
+
+
+def test_overlapping_apertures_are_grouped():
+    scan = [(float(t), 0.0) for t in range(30)]
+    groups = disjoint_groups(scan, 1.0)
+    assert [len(group) for group in groups] == [15, 15]
+    assert sorted([*groups[0], *groups[1]]) == scan
+    for group in groups:
+        Apertures(1.0, group)
+    with pytest.raises(ValueError, match="must not overlap"):
+        Apertures(1.0, scan)
+    assert len(disjoint_groups(scan, 0.5)) == 1
+
+
+@pytest.mark.parametrize(
+    ("half_angle", "directions", "message"),
+    [
+        (1, [(89.5, 0)], "must lie above the horizon"),
+        (1, [(-1, 0)], "must lie above the horizon"),
+        (1, [(float("nan"), 0)], "must lie above the horizon"),
+        (0, [(0, 0)], "half_angle must be"),
+        (1, [], "at least one direction"),
+    ],
+)
+def test_apertures_refuse(half_angle, directions, message):
+    with pytest.raises(ValueError, match=message):
+        Apertures(half_angle, directions)
+    with pytest.raises(ValueError, match="no rings and sectors"):
+        Apertures(1, [(0, 0)]).theta_edges  # noqa: B018
+
+
+# -------------------------------------------------------- under the table's conditions
+
+
+def lambertian_table(reflectance, seed=4, **settings):
+    theta_o = np.abs(np.arange(-75.0, 76, 15))
+    phi_o = np.where(np.arange(-75, 76, 15) > 0, 180.0, 0.0)
+    theta_i = np.repeat([20.0, 60.0], len(theta_o))
+    n = len(theta_i)
+    values = noisy(np.full(n, reflectance / np.pi), 0.005, seed)
+    return MeasuredTable(theta_i, np.zeros(n), np.tile(theta_o, 2), np.tile(phi_o, 2),
+                         values, uncertainty=0.005, **settings)  # fmt: skip
+
+
+DIFFUSE = {"type": "diffuse", "reflectance": {"type": "spectrum", "value": 0.7}}
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("emitter_half_angle", [0.0, 2.0])
+def test_record_at_the_solid_angles_of_a_table(emitter_half_angle):
+    geometry = {"aperture_half_angle": 5, "emitter_half_angle": emitter_half_angle}
+    table = lambertian_table(0.7, **geometry)
+    records = measure_like(DIFFUSE, table, rays=500_000)
+    assert len(records) == 2
+    for record in records:
+        ledger = record.ledger
+        assert ledger.emitted == 500_000
+        assert record.counts.sum() == ledger.reflected
+    agree(verdict_of(compare(records, table)))
+    disagree(verdict_of(compare(records, lambertian_table(0.7 * 1.02, **geometry))))
+    with pytest.raises(ValueError, match="half-angle of the table, 4 degrees, got 5"):
+        compare(records, lambertian_table(0.7, aperture_half_angle=4))
+    with pytest.raises(ValueError, match="lacks 60, 0 degrees"):
+        compare(records[:1], table)
+
+
+@pytest.mark.usefixtures("mono")
+def test_apertures_see_a_lobe_that_patches_smear():
+    """Reference: `eval` integrated over each aperture, in its own coordinates."""
+    bsdf = {"type": "roughconductor", "alpha": 0.1}
+    half_angle, theta_o = 1.0, np.arange(24.0, 67, 3)
+    a = np.radians(half_angle)
+    alpha, w = np.polynomial.legendre.leggauss(8)
+    alpha, w = a * (alpha + 1) / 2, a * w / 2
+    psi = 2 * np.pi * (np.arange(16) + 0.5) / 16
+    local = direction(*np.meshgrid(alpha, psi, indexing="ij"))
+    values = []
+    for theta in np.radians(theta_o):
+        x, y, z = np.moveaxis(local, -1, 0)
+        turned = (x * np.cos(theta) + z * np.sin(theta), y)
+        wo = np.stack([*turned, z * np.cos(theta) - x * np.sin(theta)], axis=-1)
+        flux = eval_flux(mi.load_dict(bsdf), 45, 180, wo.reshape(-1, 3))[:, 0]
+        ring = flux.reshape(8, 16).mean(axis=1) * 2 * np.pi * np.sin(alpha)
+        values.append(np.sum(w * ring) / (np.pi * np.sin(a) ** 2 * np.cos(theta)))
+    n = len(theta_o)
+    table = MeasuredTable(np.full(n, 45.0), np.full(n, 180.0), theta_o, np.zeros(n),
+                          values, aperture_half_angle=half_angle)  # fmt: skip
+    records = measure_like(bsdf, table, rays=1_000_000)
+    comparison = compare(records, table)
+    agree(verdict_of(comparison))
+    assert any("count as exact" in note for note in comparison.notes)
+    # twin: means over patches of 9 degrees are something else, and the notes say so
+    coarse = gonio.measure(bsdf, 45, 180, collector="angle:10x40", rays=1_000_000)
+    smeared = compare(coarse, table)
+    disagree(verdict_of(smeared))
+    assert any("stand for points" in note for note in smeared.notes)
+
+
+@pytest.mark.usefixtures("mono")
+def test_apertures_in_drjit_are_those_in_numpy():
+    apertures = Apertures(1.5, disjoint_groups(cones(), 1.5)[0])
+    film = mi.load_dict({"type": "patches", "subdivision": str(apertures)})
+    rng = np.random.default_rng(3)
+    v = rng.standard_normal((20_000, 3))
+    v = (v / np.linalg.norm(v, axis=1, keepdims=True)).astype(np.float32)
+    found = np.array(film.patch_index(mi.Vector3f(np.ascontiguousarray(v.T))))
+    theta, phi = np.radians(apertures.directions).T
+    up = np.column_stack([v[:, :2], np.abs(v[:, 2])]).astype(float)
+    cosine = up @ direction(theta, phi).T
+    rim = np.abs(cosine - np.cos(np.radians(1.5))).min(axis=1) < 2.0**-20
+    assert np.array_equal(found[~rim], apertures.patch(v)[~rim])
+
+
+@pytest.mark.usefixtures("mono")
+def test_overlapping_and_transmitted_points():
+    """Groups of apertures join in one comparison; below the horizon too."""
+    theta_o = np.arange(120.0, 180, 5)
+    n = len(theta_o)
+    columns = (np.full(n, 10.0), np.zeros(n), theta_o, np.full(n, 180.0))
+    table = MeasuredTable(*columns, np.zeros(n), quantity="btdf", uncertainty=0.01)
+    with pytest.raises(ValueError, match="aperture_half_angle must be given"):
+        measure_like(DIFFUSE, table)
+    with pytest.raises(TypeError, match="collector must come from the table"):
+        measure_like(DIFFUSE, table, aperture_half_angle=4, collector="angle:2x2")
+    records = measure_like(DIFFUSE, table, aperture_half_angle=4, rays=2000)
+    assert len(records) == 2
+    assert records[0].settings["seed"] != records[1].settings["seed"]
+    comparison = compare(records, table)
+    assert len(comparison.z) == n
+    assert comparison.passed
+    assert comparison.rms == 0
+
+
+# ------------------------------------------------------------- picture and commands
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """Two records and two tables, one of them wrong, as files."""
+    pytest.importorskip("matplotlib")
+    a, b = gloss(seed=1), gloss(seed=2)
+    a.save(tmp_path / "a.npz")
+    b.save(tmp_path / "b.npz")
+    values, _, _ = truth(a)
+    table_of(a, values, uncertainty=0.005).save(tmp_path / "right.csv")
+    table_of(a, 1.1 * values, uncertainty=0.005).save(tmp_path / "wrong.csv")
+    return tmp_path
+
+
+def test_commands(saved, capsys):
+    picture = saved / "fig.png"
+    a, b = str(saved / "a.npz"), str(saved / "b.npz")
+    assert main(["compare", a, b, "-o", str(picture)]) == 0
+    assert "verdict     agree" in capsys.readouterr().out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert main(["compare", a, str(saved / "wrong.csv"), "--json"]) == 3
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["passed"] is False
+    assert len(numbers["points"]) == numbers["n_points"] == 48
+    assert len(numbers["worst"]) == 5
+    right = str(saved / "right.csv")
+    assert main(["compare", a, right, "--alpha", "1e-6"]) == 0
+    loose = ["--uncertainty", "0.2"]
+    assert main(["compare", a, str(saved / "wrong.csv"), *loose]) == 0
+
+
+def test_commands_refuse_in_one_line(saved, capsys):
+    a, right = str(saved / "a.npz"), str(saved / "right.csv")
+    bad = saved / "bad.csv"
+    bad.write_text(f"{HEADER}\n45,0,91,180,0.3,0\n")
+    for arguments, message in (
+        ([a, str(bad)], "column theta_o"),
+        ([a, str(saved / "none.csv")], "none.csv"),
+        ([a, right, "-o", "fig.txt"], "must end in .pdf or .png or .svg"),
+        ([a, right, "--uncertainty", "-1"], "uncertainty must be"),
+        ([right, a], "RECORD must be"),
+        (["diffuse", right], "aperture_half_angle must be given"),
+    ):
+        assert main(["compare", *arguments]) == 1
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+
+
+@pytest.mark.usefixtures("mono")
+def test_command_measures_a_specimen_like_the_table(tmp_path, capsys):
+    path = tmp_path / "measured.csv"
+    lambertian_table(0.7, aperture_half_angle=5).save(path)
+    arguments = [str(path), "--rays", "2e5", "--alpha", str(budget.ALPHA)]
+    assert main(["compare", "diffuse:reflectance=0.7", *arguments]) == 0
+    assert main(["compare", "diffuse:reflectance=0.74", *arguments]) == 3
+    assert "DIFFER" in capsys.readouterr().out
