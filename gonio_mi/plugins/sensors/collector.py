@@ -24,7 +24,7 @@ class Collector(mi.Sensor):
 
      * - (Nested plugin)
        - :paramtype:`sampler`
-       - Any sampler but ``ldsampler``. (Default: ``independent``)
+       - Any sampler but ``ldsampler``. (Default: ``sobol``)
 
     .. tabs::
         .. code-tab:: xml
@@ -43,6 +43,8 @@ class Collector(mi.Sensor):
         self.radius = properties.number(
             props, "radius", 0.0, 0, float("inf"), "a finite radius of 0 or more"
         )
+        if not any(isinstance(value, mi.Sampler) for _, value in props.objects()):
+            props["sampler"] = mi.load_dict({"type": "sobol"})
         super().__init__(props)
         if not hasattr(self.film(), "subdivision"):
             raise ValueError(
