@@ -7,8 +7,8 @@ instrument and BSDF are right.
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import agree, disagree, scores, verdict
-from references import eval_flux, patch_fluxes
+from budget import agree, disagree, scores, single, verdict
+from references import eval_flux, fresnel, patch_fluxes, slab
 
 import gonio_mi as gonio
 from gonio_mi.directions import direction
@@ -78,6 +78,29 @@ REFLECTING = {
         "nested": {"type": "roughconductor", "alpha": 0.3},
     },
 }
+# Textures need a variant when they are made
+MAPPED = {
+    "pplastic": lambda: {"type": "pplastic", "alpha": 0.3, "diffuse_reflectance": 0.5},
+    "normalmap": lambda: {
+        "type": "normalmap",
+        "normalmap": bitmap(*2 * [2 * [[0.55, 0.5, 0.99]]]),
+        "bsdf": {"type": "roughconductor", "alpha": 0.3},
+    },
+    "bumpmap": lambda: {
+        "type": "bumpmap",
+        "bump": bitmap(
+            [[0, 0, 0], [0.3, 0.3, 0.3]], [[0.1, 0.1, 0.1], [0.4, 0.4, 0.4]]
+        ),
+        "bsdf": {"type": "roughconductor", "alpha": 0.3},
+    },
+}
+
+
+def bitmap(*rows):
+    """Texture of raw values."""
+    pixels = np.array(rows, np.float32)
+    return {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "raw": True}
+
 
 TRANSMITTING = {
     "roughdielectric": {"type": "roughdielectric", "alpha": 0.3, "int_ior": 1.5},
@@ -120,6 +143,7 @@ def compared(specimen, theta_i, *, hemisphere=0, channel=0, side="front", nm=Non
         theta_i,
         PHI_I,
         rays=RAYS,
+        footprint="point",
         collector=COLLECTOR,
         sampler="independent",
         side=side,
@@ -157,6 +181,31 @@ def test_brdf(name, theta_i):
     z, twin = compared(REFLECTING[name], theta_i)
     agree(verdict(z))
     disagree(verdict(twin))
+
+
+@pytest.mark.usefixtures("rgb")
+@pytest.mark.parametrize("theta_i", ANGLES[:4])
+@pytest.mark.parametrize("name", MAPPED)
+def test_brdf_of_mapped(name, theta_i):
+    z, twin = compared(MAPPED[name](), theta_i)
+    agree(verdict(z))
+    disagree(verdict(twin))
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("theta_i", ANGLES)
+@pytest.mark.parametrize("thin", [False, True])
+def test_thindielectric_against_fresnel(theta_i, thin):
+    """Delta components are tested by direction and weight, not by density."""
+    name = "thindielectric" if thin else "dielectric"
+    record = gonio.measure({"type": name, "int_ior": 1.5, "ext_ior": 1.0}, theta_i)
+    cosine = np.cos(np.radians(theta_i))
+    r = slab(cosine, 1.5) if thin else fresnel(cosine, 1.5)
+    n = record.ledger.emitted
+    z = (record.ledger.reflected - n * r) / np.sqrt(n * r * (1 - r))
+    agree(single(z))
+    off = 0.05 * min(r, 1 - r) if theta_i < 89 else 0.2 * (1 - r)
+    disagree(single(z + 2 * off * np.sqrt(n / (r * (1 - r)))))
 
 
 @pytest.mark.usefixtures("mono")

@@ -150,7 +150,7 @@ def test_textured_rectangle():
 
 
 @functools.cache
-def mirrored_lamp(theta_i, emission, runs, radius=2.0, distance=5.0, n=200_000):
+def mirrored_lamp(theta_i, emission, runs, radius=2.0, distance=5.0, n=100_000):
     """Flux fractions of a mirror's patches by NumPy alone, in independent runs.
 
     Uniform points on lamp and plate; the radiometric weight is the product of both
@@ -244,11 +244,11 @@ def test_small_far_lamp_is_collimated():
 @pytest.mark.parametrize("radius", [2.0, 10.0])
 def test_collector_of_finite_radius(radius, trace):
     """A mirror's exits meet the sphere where geometry says, computed by NumPy."""
-    theta_i = 40
+    theta_i, rays = 40, RAYS // 4
     record = gonio.measure(
         {"type": "conductor"},
         theta_i,
-        rays=RAYS,
+        rays=rays,
         collector="projected:20x24",
         sampler="independent",
         collector_radius=radius,
@@ -258,7 +258,7 @@ def test_collector_of_finite_radius(radius, trace):
     d = direction(np.radians(theta_i), np.pi)
     # the share of each patch: a fine grid of the plate, refined once for its own error
     shares = []
-    for n in (2000, 4000):
+    for n in (1000, 2000):
         x = (np.arange(n) + 0.5) / n * 2 - 1
         p = np.stack([*np.meshgrid(x, x), np.zeros((n, n))], axis=-1).reshape(-1, 3)
         along = p @ d
@@ -266,15 +266,15 @@ def test_collector_of_finite_radius(radius, trace):
         index = patches.patch((p + t[:, None] * d) / radius)
         shares.append(np.bincount(index, minlength=patches.n_patches) / n**2)
     fine = shares[1]
-    std_err = np.sqrt(fine * (1 - fine) / RAYS)
+    std_err = np.sqrt(fine * (1 - fine) / rays)
     use = fine > 0.01
     error = np.abs(shares[1] - shares[0])[use]
     assert np.all(error < 0.3 * std_err[use])
     counts = record.counts[0].ravel()
     # the grid's own error is added, as large as its last change
     spread = np.hypot(std_err[use], error)
-    z = (counts[use] / RAYS - fine[use]) / spread
+    z = (counts[use] / rays - fine[use]) / spread
     # several patches share all rays: the worst of them alone is asked for
     agree(single(np.abs(z).max()))
     far = np.bincount(patches.patch(d[None]), minlength=patches.n_patches)[use]
-    disagree(single(np.abs((counts[use] / RAYS - far) / spread).max()))
+    disagree(single(np.abs((counts[use] / rays - far) / spread).max()))
