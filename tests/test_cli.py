@@ -392,7 +392,7 @@ def test_bad_outputs_are_refused_before_measuring(
     def measure(*_, **__):
         raise AssertionError("it has measured")
 
-    monkeypatch.setattr(cli, "measure", measure)
+    monkeypatch.setattr("gonio_mi.commands.measure.measure", measure)
     good = tmp_path / "good.npz"
     assert words in refuse(*QUICK, "-o", good, tmp_path / name)
     assert sorted(tmp_path.iterdir()) == before
@@ -700,7 +700,7 @@ def test_bugs_are_traced(monkeypatch):
     def measure(*_, **__):
         return np.zeros(2) + np.zeros(3)
 
-    monkeypatch.setattr(cli, "measure", measure)
+    monkeypatch.setattr("gonio_mi.commands.measure.measure", measure)
     with pytest.raises(ValueError, match="operands"):
         cli.main(list(QUICK))
 
@@ -708,3 +708,34 @@ def test_bugs_are_traced(monkeypatch):
 def test_console_script_is_this_one():
     text = (Path(__file__).parents[1] / "pyproject.toml").read_text()
     assert 'gonio-mi = "gonio_mi.cli:main"' in text
+
+
+def test_plan_prints_the_papers_numbers(run):
+    code, out, err = run("plan", "--json")
+    assert (code, err) == (0, "")
+    plan = json.loads(out)
+    assert plan["chebyshev"] == 105_967
+    assert plan["paper"] == 900 * 105_967
+
+
+def test_plan_from_a_pilot(run, tmp_path):
+    path = tmp_path / "pilot.npz"
+    assert run(*QUICK, "-q", "-o", path)[0] == 0
+    code, out, _ = run("plan", path, "--rel-err", "0.1")
+    assert code == 0
+    assert "a pilot of" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--rel-err", "2"], "rel_err must be a number in (0, 1), got 2"),
+        (["--epsilon", "0"], "epsilon must be a number in (0, 1), got 0"),
+        (["--delta", "abc"], "--delta must be a number such as 45 or 1e7, got 'abc'"),
+        (["--collector", "projected:0x3"], "n_theta must be at least 1, got 0"),
+        (["nowhere.npz"], "there is no file nowhere.npz"),
+    ],
+)
+def test_plan_bad_input(run, arguments, message):
+    code, out, err = run("plan", *arguments)
+    assert (code, out, err) == (1, "", f"gonio-mi: {message}\n")

@@ -1,0 +1,135 @@
+"""What the commands share: exit codes, types of arguments, messages, the variant."""
+
+import argparse
+import re
+import sys
+
+import mitsuba as mi
+
+from .. import llvm
+from ..errors import VariantError
+
+__all__ = [
+    "DEFAULT_VARIANT",
+    "DONE",
+    "FAILED",
+    "INCOMPLETE",
+    "PROGRAM",
+    "USER_ERROR",
+    "Parser",
+    "UsageError",
+    "add_scene_options",
+    "number",
+    "number_or_word",
+    "pair",
+    "say",
+    "sentence",
+    "set_variant",
+]
+
+PROGRAM = "gonio-mi"
+DONE, USER_ERROR, INCOMPLETE, FAILED = 0, 1, 2, 3
+
+DEFAULT_VARIANT = "llvm_ad_mono"
+
+
+class Parser(argparse.ArgumentParser):
+    """Parser whose errors are exceptions, for one sentence and one exit code."""
+
+    def __init__(self, **kwargs):
+        super().__init__(
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+            **kwargs,
+        )
+        # -1e3 is a number too, before Python 3.14
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def error(self, message):
+        """Raise it."""
+        raise UsageError(re.sub(r"^argument (\S+): (?=must )", r"\1 ", message))
+
+
+class UsageError(ValueError):
+    """Arguments that cannot be parsed."""
+
+
+def add_scene_options(group):
+    """Add the options that say what Mitsuba loads specimens with."""
+    group.add_argument(
+        "--variant",
+        default=DEFAULT_VARIANT,
+        metavar="V",
+        help=f"Mitsuba variant (default: {DEFAULT_VARIANT})",
+    )
+    group.add_argument(
+        "--plugin",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="FILE",
+        help="Python files that register your own Mitsuba plugins; run first",
+    )
+
+
+def number(text):
+    """Whole number or float; the measurement checks its range."""
+    try:
+        return int(text)
+    except ValueError:
+        pass
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"must be a number such as 45 or 1e7, got {text!r}"
+        ) from None
+
+
+def number_or_word(text):
+    """Float, or the text as it is."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def pair(text):
+    """Name and value of ``name=value``."""
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"must look like key=value, got {text!r}")
+    return name, value
+
+
+def set_variant(variant):
+    """Set a Mitsuba variant that the instrument can use."""
+    usable = [
+        name
+        for name in mi.variants()
+        if not (name.startswith("scalar") or name.endswith("polarized"))
+    ]
+    if variant not in usable:
+        raise ValueError(
+            f"--variant must be one of {', '.join(usable)}, got {variant!r}"
+        )
+    if variant.startswith("llvm"):
+        llvm.check()
+    try:
+        mi.set_variant(variant)
+    except ImportError as error:
+        raise VariantError(
+            f"the variant {variant} does not work on this machine: {error}"
+        ) from error
+
+
+def say(text):
+    """Print a line for the user, beside the results."""
+    print(f"{PROGRAM}: {text}", file=sys.stderr)
+
+
+def sentence(error):
+    """One line on an error."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())

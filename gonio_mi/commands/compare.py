@@ -1,0 +1,129 @@
+"""``gonio-mi compare``: a record beside another, or beside measured values."""
+
+import json
+from pathlib import Path
+
+from .. import files
+from ..specimen import load_plugin_file, parse_specimen
+from .arguments import DONE, FAILED, add_scene_options, number, set_variant
+
+__all__ = ["add", "run"]
+
+EXAMPLES = """\
+examples:
+  gonio-mi compare run.npz another.npz
+  gonio-mi compare run.npz measured.csv --uncertainty 0.005 -o compared.png
+  gonio-mi compare roughconductor:alpha=0.2 measured.csv --rays 1e8 --json
+
+The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005`,
+`# aperture_half_angle: 0.75` and `# emitter_half_angle: 0.25`; angles are in degrees.
+Exit code 3: they differ by more than chance explains.
+"""
+
+
+def add(commands):
+    """Add the parser of the command."""
+    parser = commands.add_parser(
+        "compare",
+        help="compare with another record or with measured values",
+        usage="%(prog)s RECORD OTHER [options]",
+        description="Compare a record with another record of the same collector, patch "
+        "by patch, or with a\nCSV table of measured values, whose columns are theta_i, "
+        "phi_i, theta_o, phi_o, value\nand, optional, sigma. A specimen in place of "
+        "the record is measured at the solid\nangles of the table and under its "
+        "emitter.",
+        epilog=EXAMPLES,
+    )
+    parser.set_defaults(run=run)
+    parser.add_argument(
+        "record",
+        metavar="RECORD",
+        help="an .exr or .npz file; with a table also a specimen as of `measure`",
+    )
+    parser.add_argument(
+        "other", metavar="OTHER", help="an .exr or .npz file, or a CSV table"
+    )
+    parser.add_argument(
+        "--uncertainty",
+        type=number,
+        metavar="X",
+        help="relative standard uncertainty of each value of OTHER, 0.005 for 0.5 %%, "
+        "independent between points (default: what the table says)",
+    )
+    parser.add_argument(
+        "--scale-uncertainty",
+        type=number,
+        metavar="X",
+        help="the same of a factor common to all values: calibration",
+    )
+    parser.add_argument(
+        "--alpha",
+        type=number,
+        default=1e-3,
+        metavar="P",
+        help="probability with which a right model fails (default: 1e-3)",
+    )
+    parser.add_argument("--json", action="store_true", help="for machines")
+    parser.add_argument(
+        "-o", "--output", metavar="FIG", help="picture of both curves, such as a.png"
+    )
+    specimen = parser.add_argument_group("for a specimen")
+    specimen.add_argument(
+        "--rays",
+        type=number,
+        metavar="N",
+        help="rays for each incident direction (default: 1e6)",
+    )
+    specimen.add_argument("--seed", type=number, default=0, metavar="S")
+    specimen.add_argument(
+        "--aperture-half-angle",
+        type=number,
+        metavar="DEG",
+        help="of the detector, if the table does not say it",
+    )
+    add_scene_options(specimen)
+
+
+def run(options):
+    """Run the command and return the exit code."""
+    from ..comparison import compare, measure_like
+    from ..comparison_plot import check_picture
+    from ..measured import read_measured
+
+    def is_record(path):
+        return Path(path).suffix.lower() in files.ENDINGS
+
+    if options.output is not None:
+        check_picture(options.output)
+    other = (files.load if is_record(options.other) else read_measured)(options.other)
+    if is_record(options.record):
+        record = files.load(options.record)
+    elif is_record(options.other):
+        raise ValueError(
+            f"RECORD must be an .exr or .npz file if OTHER is one, got {options.record}"
+        )
+    else:
+        set_variant(options.variant)
+        for path in options.plugin:
+            load_plugin_file(path)
+        record = measure_like(
+            parse_specimen(options.record),
+            other,
+            aperture_half_angle=options.aperture_half_angle,
+            rays=options.rays,
+            seed=options.seed,
+        )
+    comparison = compare(
+        record,
+        other,
+        uncertainty=options.uncertainty,
+        scale_uncertainty=options.scale_uncertainty,
+        alpha=options.alpha,
+    )
+    if options.output is not None:
+        comparison.plot(options.output)
+    if options.json:
+        print(json.dumps(comparison.to_dict(), indent=2, allow_nan=False))
+    else:
+        print(comparison)
+    return DONE if comparison.passed else FAILED

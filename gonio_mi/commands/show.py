@@ -1,0 +1,33 @@
+"""``gonio-mi show``: the numbers of a record."""
+
+import json
+
+from .. import files
+from ..summary import summarize, summary_text
+from .arguments import DONE
+
+__all__ = ["add", "run"]
+
+
+def add(commands):
+    """Add the parser of the command."""
+    parser = commands.add_parser(
+        "show",
+        help="show the numbers of a record",
+        description="Show the numbers of a record: reflectance and transmittance with "
+        "their intervals, where every ray went, and the worst patches.",
+        epilog="example:\n  gonio-mi show run.npz --json | jq .directions[0].dhr",
+    )
+    parser.set_defaults(run=run)
+    parser.add_argument("record", metavar="RECORD", help="an .exr or .npz file")
+    parser.add_argument("--json", action="store_true", help="for machines")
+
+
+def run(options):
+    """Run the command and return the exit code."""
+    numbers = summarize(files.load(options.record))
+    if options.json:
+        print(json.dumps(numbers, indent=2, allow_nan=False))
+    else:
+        print(summary_text(numbers))
+    return DONE
