@@ -94,17 +94,17 @@ class Apertures(Subdivision):
             "a collector of apertures has no rings and sectors: use gonio-mi compare"
         )
 
-    phi_edges = theta_edges
+    # of rings and sectors too, there are none
+    theta = phi = phi_edges = theta_edges
 
     @property
-    def theta(self):
-        """Polar angle of each cone's axis in radians; NaN for what is between."""
-        return np.radians([theta for theta, _ in self.directions] + [np.nan])
+    def middles(self):
+        """Polar angles and azimuths of the cones' axes in radians.
 
-    @property
-    def phi(self):
-        """Raise ValueError: a column of apertures has no azimuth of its own."""
-        return self.phi_edges
+        Two arrays of the shape ``(n_theta, 1)``; NaN for what is between the cones.
+        """
+        axes = np.radians([*self.directions, (np.nan, np.nan)])
+        return axes[:, :1], axes[:, 1:]
 
     @property
     def solid_angles(self):
@@ -124,7 +124,7 @@ class Apertures(Subdivision):
         ``(n_theta, 1)``.
         """
         sin2 = np.sin(np.radians(self.half_angle)) ** 2
-        cones = np.pi * sin2 * np.cos(self.theta[:-1])
+        cones = np.pi * sin2 * np.cos(self.middles[0][:-1, 0])
         return np.append(cones, np.pi - cones.sum())[:, None]
 
     def patch_index(self, xp, x, y, z):

@@ -34,7 +34,7 @@ def pair_with_record(record, other, relative):
     n = patches.n_patches - isinstance(patches, Apertures)
     shape = (2 if record.has_lower else 1, n, len(record.channels))
     hemisphere, patch, channel = (a.ravel() for a in np.indices(shape))
-    theta, phi = _centres(patches)
+    theta, phi = (angle.ravel() for angle in patches.middles)
     theta_o = np.degrees(theta)[patch]
     sets = []
     for k in range(len(record)):
@@ -136,19 +136,10 @@ def _own_apertures(patches, v, table):
         )
     from scipy.spatial import cKDTree  # slow to import
 
-    theta, phi = _centres(patches)
+    theta, phi = (angle.ravel() for angle in patches.middles)
     axes = direction(theta[:-1], phi[:-1])
     distance, nearest = cKDTree(axes).query(v)
     return nearest, distance <= BORDER
-
-
-def _centres(patches):
-    """Polar angle and azimuth of each patch in radians, shape (n_patches,)."""
-    if isinstance(patches, Apertures):
-        phi = np.radians([phi for _, phi in patches.directions] + [np.nan])
-        return patches.theta, phi
-    theta, phi = np.meshgrid(patches.theta, patches.phi, indexing="ij")
-    return theta.ravel(), phi.ravel()
 
 
 def _channel(record, table):

@@ -96,6 +96,14 @@ class Subdivision:
         return (self.phi_edges[1:] + self.phi_edges[:-1]) / 2
 
     @property
+    def middles(self):
+        """Polar angles and azimuths of the patches' middles in radians.
+
+        Two arrays of the shape ``(n_theta, n_phi)``; NaN for a patch without a middle.
+        """
+        return np.meshgrid(self.theta, self.phi, indexing="ij")
+
+    @property
     def solid_angles(self):
         """Exact solid angle of each patch in sr, shape ``(n_theta, n_phi)``; sum 2 pi."""
         low, high = self.theta_edges[:-1], self.theta_edges[1:]

@@ -115,7 +115,7 @@ def _worst_patches(look):
         if not np.isfinite(relative[index]):
             break
         hemisphere, i, j, channel = index
-        theta_o = np.degrees(look.subdivision.theta[i])
+        theta_o, phi_o = (np.degrees(a[i, j]) for a in look.subdivision.middles)
         worst.append(
             {
                 "theta_i": float(look.theta_i[0]),
@@ -123,7 +123,7 @@ def _worst_patches(look):
                 "of": quantities[hemisphere],
                 "channel": look.channels[channel],
                 "theta_o": float(180 - theta_o if hemisphere else theta_o),
-                "phi_o": float(np.degrees(look.subdivision.phi[j])),
+                "phi_o": float(phi_o),
                 "value": float(value[index]),
                 "std_err": float(std_err[index]),
                 "rel_err": float(relative[index]),
