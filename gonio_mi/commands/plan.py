@@ -25,9 +25,9 @@ def add(commands):
     parser = commands.add_parser(
         "plan",
         help="how many rays for which reliability",
-        description="Say how many rays a measurement needs: by the bounds of Krishnaswamy "
-        "and others\n(2004) on the absolute error of the flux, and for a relative error "
-        "of all patches at once.",
+        description="Say how many rays a measurement needs: by the bounds of\n"
+        "Krishnaswamy and others (2004) on the absolute error of the flux, and for a\n"
+        "relative error of all patches at once.",
         epilog=EXAMPLES,
     )
     parser.set_defaults(run=run)
