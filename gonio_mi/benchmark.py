@@ -1,7 +1,8 @@
-"""Rays per second beside what a user would pick instead: ``python -m gonio_mi.benchmark``.
+"""Rays per second, and error per ray: ``python -m gonio_mi.benchmark``.
 
-Every method does the same work, counting the directions that a flat BSDF sends into
-900 patches, in turns, several times over; ratios of the medians are printed.
+First every method does the same work, counting the directions that a flat BSDF sends into
+900 patches, in turns, several times over; ratios of the medians are printed. Then the
+samplers are compared by the error of the map that the same rays give.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from . import goniophotometer
+from .quadrature import integrate
 from .subdivision import EqualProjectedSolidAngle
 
 __all__ = ["main"]
@@ -22,6 +24,14 @@ SPECIMENS = {
     "roughconductor": {"type": "roughconductor", "alpha": 0.2, "distribution": "ggx"},
 }
 THETA_I = 45.0
+
+ACCURACY_SPECIMENS = {
+    "diffuse": {"type": "diffuse"},
+    "roughconductor 0.2": {"type": "roughconductor", "alpha": 0.2},
+    "roughplastic 0.2": {"type": "roughplastic", "alpha": 0.2},
+    "principled": {"type": "principled", "roughness": 0.3, "specular": 0.5},
+    "roughdielectric 0.3": {"type": "roughdielectric", "alpha": 0.3},
+}
 
 
 def gonio_rays(specimen, estimator, sampler):
@@ -123,6 +133,33 @@ def rates(methods, rays, repeats):
     return {name: rays / median(times) for name, times in seconds.items()}
 
 
+def print_accuracy(rays, seeds=4):
+    """Print the RMS error of 30x30 maps by either sampler, against a converged integral."""
+    grid = EqualProjectedSolidAngle(30, 30)
+    print(f"RMS error of BRDF and BTDF, {rays:g} rays, 32 batches, {seeds} seeds")
+    print("                        independent   sobol    as many independent rays as")
+    for name, specimen in ACCURACY_SPECIMENS.items():
+        exact = integrate(mi.load_dict(specimen), THETA_I, 0, grid).values
+        errors = []
+        for sampler in ("independent", "sobol"):
+            squares = []
+            for seed in range(seeds):
+                record = goniophotometer.measure(
+                    specimen,
+                    THETA_I,
+                    collector=grid,
+                    rays=rays,
+                    sampler=sampler,
+                    seed=seed,
+                    hemispheres="both",
+                )
+                map_ = np.stack([record.brdf, record.btdf])
+                squares.append(np.mean((map_ - exact) ** 2))
+            errors.append(np.sqrt(np.mean(squares)))
+        ratio = (errors[0] / errors[1]) ** 2
+        print(f"  {name:20s}  {errors[0]:.2e}   {errors[1]:.2e}   x {ratio:.0f}")
+
+
 def main(argv=None):
     """Run the benchmark and print a table."""
     parser = argparse.ArgumentParser(
@@ -149,9 +186,12 @@ def main(argv=None):
                 print("numba is left out: pip install 'gonio-mi[benchmark]'")
         results = rates(methods, int(options.rays), options.repeats)
         first = next(iter(results.values()))
-        print(f"{name}: {options.rays:g} rays, medians of {options.repeats} runs in turns")
+        print(
+            f"{name}: {options.rays:g} rays, medians of {options.repeats} runs in turns"
+        )
         for method, rate in results.items():
             print(f"  {method:32s} {rate / 1e6:8.1f} Mray/s   1 : {first / rate:.2f}")
+    print_accuracy(int(options.rays))
 
 
 if __name__ == "__main__":

@@ -181,12 +181,16 @@ def measure(
     measured = Specimen(scene)
     measured.name = specimen_name(specimen, parameters)
     emitters = [_emitters(scene, emitter, incident, side) for incident in incidents]
-    benches = [integrator.bench(measured, lamps.emitters(), sensor) for lamps in emitters]
+    benches = [
+        integrator.bench(measured, lamps.emitters(), sensor) for lamps in emitters
+    ]
 
     plan = batch_sizes(integrator.rays, integrator.batches)
     finished = [[] for _ in benches]
     if resume is not None:
-        _check_resumable(resume, [integrator.describe(b, seed) for b in benches], benches)
+        _check_resumable(
+            resume, [integrator.describe(b, seed) for b in benches], benches
+        )
         _check_batches(resume, plan, integrator.passes)
         finished[: len(resume)] = [[tally] for tally in resume.tallies]
 
@@ -413,8 +417,10 @@ def _turned(emitter, incident, side):
     """`emitter`, described above the specimen on +z, turned to the incident direction."""
     theta, phi = incident
     transform = mi.ScalarTransform4f
-    turn = transform().rotate([0, 0, 1], phi).rotate(
-        [0, 1, 0], theta if side == "front" else 180 - theta
+    turn = (
+        transform()
+        .rotate([0, 0, 1], phi)
+        .rotate([0, 1, 0], theta if side == "front" else 180 - theta)
     )
     return emitter | {"to_world": turn @ emitter.get("to_world", transform())}
 
@@ -434,7 +440,12 @@ class _Bar(tqdm):
 
     def __init__(self, total):
         super().__init__(
-            total=total, unit="ray", unit_scale=True, delay=1, mininterval=0.2, leave=False
+            total=total,
+            unit="ray",
+            unit_scale=True,
+            delay=1,
+            mininterval=0.2,
+            leave=False,
         )
 
     def __enter__(self):

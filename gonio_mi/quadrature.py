@@ -51,7 +51,9 @@ class PatchIntegrals:
         return self.flux / self.subdivision.projected_solid_angles[..., None]
 
 
-def integrate(bsdf, theta_i, phi_i, subdivision, *, rel_err=1e-6, side="front", pdf=False):
+def integrate(
+    bsdf, theta_i, phi_i, subdivision, *, rel_err=1e-6, side="front", pdf=False
+):
     """Integrate ``eval`` (or ``pdf``) of a BSDF over every patch of both hemispheres.
 
     Adaptive tensor Gauss-Legendre rule in polar angle and azimuth: cells whose value
@@ -99,7 +101,9 @@ def integrate(bsdf, theta_i, phi_i, subdivision, *, rel_err=1e-6, side="front", 
         # what a patch tolerates is shared by its cells, by area
         floor = 1e-6 * estimate.sum() / estimate.size
         tolerance = rel_err * np.maximum(estimate[cells.patch], floor)
-        open_cells = np.any(difference > tolerance * cells.share[:, None] ** 0.5, axis=1)
+        open_cells = np.any(
+            difference > tolerance * cells.share[:, None] ** 0.5, axis=1
+        )
         open_cells |= np.bincount(guides.cell, minlength=len(open_cells)) > MOST_GUIDES
         done = ~open_cells
         flux += _add_up(cells.patch[done], sums[done], n_patches)

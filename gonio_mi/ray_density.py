@@ -107,8 +107,9 @@ def precision(record, floor=FLOOR):
     n_lobe : int
         Number of patches worth reporting, the paper's m'; the most of any channel.
     """
-    value, std_err = _collector(record, "brdf", "btdf"), _collector(
-        record, "brdf_std_err", "btdf_std_err"
+    value, std_err = (
+        _collector(record, "brdf", "btdf"),
+        _collector(record, "brdf_std_err", "btdf_std_err"),
     )
     worst, n_lobe = 0.0, 0
     for channel in range(value.shape[-1]):
@@ -203,7 +204,9 @@ def simulated_reliability(probabilities, rel_err, rays, campaigns=200, seed=0):
         counts = generator.multinomial(rays, np.append(p, rest) / (p.sum() + rest))[:-1]
         good += bool(np.all(np.abs(counts / (rays * p) - 1) <= rel_err))
     fraction = good / campaigns
-    return fraction, math.sqrt(max(fraction * (1 - fraction), 1 / campaigns) / campaigns)
+    return fraction, math.sqrt(
+        max(fraction * (1 - fraction), 1 / campaigns) / campaigns
+    )
 
 
 @dataclass(frozen=True)
@@ -239,14 +242,24 @@ class Plan:
     source: str
 
     def __str__(self):
-        absolute = f"|error| < {self.epsilon:g} of the incident flux, {1 - self.delta:.3g}"
+        absolute = (
+            f"|error| < {self.epsilon:g} of the incident flux, {1 - self.delta:.3g}"
+        )
         relative = f"relative error < {self.rel_err:g}, {self.level:.3g}"
         rows = [
             (self.chebyshev, "one patch (eq. 17)", absolute),
             (self.paper, f"{self.n_patches} patches (eq. 21)", absolute),
-            (self.paper_lobe, f"{self.n_lobe} patches in the lobe (eq. 21, m')", absolute),
+            (
+                self.paper_lobe,
+                f"{self.n_lobe} patches in the lobe (eq. 21, m')",
+                absolute,
+            ),
             (self.union, f"{self.n_patches} patches, union bound", absolute),
-            (self.relative, f"{self.n_lobe} patches in the lobe, all at once", relative),
+            (
+                self.relative,
+                f"{self.n_lobe} patches in the lobe, all at once",
+                relative,
+            ),
         ]
         lines = [f"patch probabilities from {self.source}"]
         lines += [f"{rays:14.4g}  {what:42s}{asked}" for rays, what, asked in rows]

@@ -163,10 +163,14 @@ class Record:
         if hemisphere and not self.has_lower:
             raise ValueError(f"of must be brdf or dhr for a record without {of}")
         if of in ("dhr", "dht"):
-            intervals = [self._total_interval(t, hemisphere, level) for t in self.tallies]
+            intervals = [
+                self._total_interval(t, hemisphere, level) for t in self.tallies
+            ]
             low, high = np.stack(intervals, axis=1)
         else:
-            intervals = [self._patch_interval(t, hemisphere, level) for t in self.tallies]
+            intervals = [
+                self._patch_interval(t, hemisphere, level) for t in self.tallies
+            ]
             low, high = np.stack(intervals, axis=1) / self._projected
         return self._squeeze(low), self._squeeze(high)
 
@@ -241,7 +245,8 @@ class Record:
 
     def __repr__(self):
         angles = ", ".join(
-            f"({theta:g}, {phi:g})" for theta, phi in zip(self.theta_i[:3], self.phi_i[:3])
+            f"({theta:g}, {phi:g})"
+            for theta, phi in zip(self.theta_i[:3], self.phi_i[:3])
         ) + (", ..." if len(self) > 3 else "")
         return (
             f"<Record of {self.settings.get('specimen', 'a specimen')}: {str(self.subdivision):.60}, "
@@ -267,7 +272,9 @@ class Record:
                 )
         seeds = [*_seeds(self), *_seeds(other)]
         if len(set(seeds)) < len(seeds):
-            raise ValueError(f"records must have different seeds to be merged, got {seeds}")
+            raise ValueError(
+                f"records must have different seeds to be merged, got {seeds}"
+            )
         settings = dict(self.settings, seed=seeds)
         for key in ("rays", "batches"):
             settings[key] = self.settings[key] + other.settings[key]
@@ -316,11 +323,15 @@ class Record:
         hits = tally.hits[hemisphere][..., None]
         if self._is_binomial(tally):
             return statistics.binomial_std_err(hits, _incident_rays(tally))
-        std_err = statistics.batch_std_err(tally.sums[:, hemisphere], _incident(tally)[:, 0])
+        std_err = statistics.batch_std_err(
+            tally.sums[:, hemisphere], _incident(tally)[:, 0]
+        )
         return np.where(hits > 0, std_err, np.nan)
 
     def _per_patch(self, hemisphere, quantity):
-        return np.stack([quantity(t, hemisphere) for t in self.tallies]) / self._projected
+        return (
+            np.stack([quantity(t, hemisphere) for t in self.tallies]) / self._projected
+        )
 
     def _hemispheres(self, hemisphere):
         return np.stack([_total(tally, hemisphere) for tally in self.tallies], axis=1)

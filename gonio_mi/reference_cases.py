@@ -81,7 +81,11 @@ def cases(rays, seed):
 
     for theta_i in (0, 60):
         record = measure(
-            {"type": "dielectric", **BK7}, theta_i, rays=rays, estimator="analog", **shared
+            {"type": "dielectric", **BK7},
+            theta_i,
+            rays=rays,
+            estimator="analog",
+            **shared,
         )
         yield _total(f"glass, {theta_i} degrees: R", fresnel(theta_i), record)
         interface = fresnel(theta_i)

@@ -9,7 +9,13 @@ import mitsuba as mi
 from . import llvm
 from .errors import SpecimenError, VariantError
 
-__all__ = ["load_plugin_file", "load_specimen", "loaded", "parse_specimen", "specimen_name"]
+__all__ = [
+    "load_plugin_file",
+    "load_specimen",
+    "loaded",
+    "parse_specimen",
+    "specimen_name",
+]
 
 # What Mitsuba puts before messages that say it all: its source positions, the root of
 # a dictionary, the search for a plugin, and the frame around our own plugins' errors.
@@ -61,9 +67,7 @@ def load_specimen(specimen, parameters=None):
         if not path.is_file():
             raise SpecimenError(f"specimen must be an existing file, got {str(path)!r}")
         parameters = {k: str(v) for k, v in (parameters or {}).items()}
-        specimen = loaded(
-            f"the specimen {path}", mi.load_file, str(path), **parameters
-        )
+        specimen = loaded(f"the specimen {path}", mi.load_file, str(path), **parameters)
     elif isinstance(specimen, dict):
         specimen = loaded("the specimen", mi.load_dict, specimen)
     if isinstance(specimen, mi.Scene):

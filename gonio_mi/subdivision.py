@@ -373,9 +373,7 @@ class Borders(Subdivision):
 
     def _ring(self, xp, sin2, z):
         # inner borders passed, by whichever of sin^2 and cos^2 keeps its precision
-        above = xp.count_below(
-            np.sin(self.theta_edges[1:-1]) ** 2, sin2 * (1 + BORDER)
-        )
+        above = xp.count_below(np.sin(self.theta_edges[1:-1]) ** 2, sin2 * (1 + BORDER))
         beyond = xp.count_below(
             -(np.cos(self.theta_edges[1:-1]) ** 2), -z * z * (1 - BORDER)
         )

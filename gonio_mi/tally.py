@@ -211,9 +211,13 @@ class Tally:
         )
 
     def __eq__(self, other):
-        return isinstance(other, Tally) and self.scale == other.scale and all(
-            np.array_equal(getattr(self, name), getattr(other, name))
-            for name in ("hits", "sums", "incident", "fates")
+        return (
+            isinstance(other, Tally)
+            and self.scale == other.scale
+            and all(
+                np.array_equal(getattr(self, name), getattr(other, name))
+                for name in ("hits", "sums", "incident", "fates")
+            )
         )
 
     def spread(self, channels):

@@ -43,7 +43,9 @@ def coverage(rays, estimator, shrink=1.0):
 
 def score(fractions):
     """t score of the mean coverage against LEVEL, from the scatter between runs."""
-    return (fractions.mean() - LEVEL) / (fractions.std(ddof=1) / np.sqrt(len(fractions)))
+    return (fractions.mean() - LEVEL) / (
+        fractions.std(ddof=1) / np.sqrt(len(fractions))
+    )
 
 
 @pytest.mark.parametrize("estimator", ["analog", "weighted"])

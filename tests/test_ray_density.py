@@ -83,7 +83,10 @@ def mono():
 
 def measured(**settings):
     return gonio.measure(
-        {"type": "diffuse", "reflectance": 0.5}, 30, collector="projected:5x6", **settings
+        {"type": "diffuse", "reflectance": 0.5},
+        30,
+        collector="projected:5x6",
+        **settings,
     )
 
 

@@ -171,9 +171,7 @@ class Beam:
         """Average weight over the beam, the unit of the tally; a fixed constant."""
         n = 128
         grid = mi.UInt32(dr.arange(mi.UInt32, n * n))
-        sample = (
-            mi.Point2f(mi.Float(grid % n), mi.Float(grid // n)) + 0.5
-        ) / n
+        sample = (mi.Point2f(mi.Float(grid % n), mi.Float(grid // n)) + 0.5) / n
         middle = mi.Point3f(self.middle.tolist())
         wavelengths = mi.Spectrum(550.0) if mi.is_spectral else mi.Color0f()
         _, _, weight = self._towards(middle, sample, wavelengths)

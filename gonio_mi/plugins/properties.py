@@ -15,7 +15,9 @@ def choice(props, name, default, choices):
 
 def count(props, name, default, minimum=1, maximum=None):
     """Return the whole-number property `name`."""
-    return checked_count(_label(props, name), props.get(name, default), minimum, maximum)
+    return checked_count(
+        _label(props, name), props.get(name, default), minimum, maximum
+    )
 
 
 def number(props, name, default, low, high, condition):

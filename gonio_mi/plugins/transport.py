@@ -70,9 +70,7 @@ def scatter_plane(plane, beam, sampler, wavelengths, settings):
     else:
         uv = plane.uv(p)
         inside = (
-            mi.Bool(True)
-            if beam.footprint == "full"
-            else dr.all((uv >= 0) & (uv <= 1))
+            mi.Bool(True) if beam.footprint == "full" else dr.all((uv >= 0) & (uv <= 1))
         )
     si = plane.interactions(uv, wi, wavelengths)
     bs, bsdf_weight = plane.bsdf.sample(
@@ -107,10 +105,10 @@ def trace(specimen, beam, sampler, wavelengths, settings):
     rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
 
     lit = dr.any(β > 0)
-    incident = mi.Spectrum(β)                     # Power that met the specimen
-    depth = mi.UInt32(0)                          # Surface events so far
+    incident = mi.Spectrum(β)  # Power that met the specimen
+    depth = mi.UInt32(0)  # Surface events so far
     fate = dr.select(lit, mi.UInt32(Fate.MISSED), mi.UInt32(Fate.UNLIT))
-    active = mi.Bool(lit)                         # Still in flight?
+    active = mi.Bool(lit)  # Still in flight?
 
     while active:
         si = scene.ray_intersect(ray, active)

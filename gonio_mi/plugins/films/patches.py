@@ -82,9 +82,7 @@ class Patches(mi.Film):
 
     def patch_index(self, d):
         """Index of the patch of each unit vector `d` (mirrored into z > 0)."""
-        return mi.UInt32(
-            self.subdivision.patch_index(DRJIT, d.x, d.y, dr.abs(d.z))
-        )
+        return mi.UInt32(self.subdivision.patch_index(DRJIT, d.x, d.y, dr.abs(d.z)))
 
     def develop(self, raw=False):
         """Return the map of the finished measurement as a tensor."""
@@ -109,7 +107,9 @@ class Patches(mi.Film):
 
     def to_string(self):
         """Return a readable description."""
-        return f"Patches[subdivision={self.subdivision}, hemispheres={self.hemispheres}]"
+        return (
+            f"Patches[subdivision={self.subdivision}, hemispheres={self.hemispheres}]"
+        )
 
 
 mi.register_film("patches", Patches)

@@ -54,7 +54,9 @@ class Bench:
         lower = up < 0
         patch = dr.minimum(self.film.patch_index(d), self.n_patches - 1)
         fate = dr.select(
-            exits.fate == mi.UInt32(Fate.REFLECTED), mi.UInt32(Fate.SIDEWAYS), exits.fate
+            exits.fate == mi.UInt32(Fate.REFLECTED),
+            mi.UInt32(Fate.SIDEWAYS),
+            exits.fate,
         )
         if self.shape[0] == 2:
             patch += dr.select(lower, mi.UInt32(self.n_patches), mi.UInt32(0))
@@ -91,7 +93,9 @@ class Sums:
         for target, power, base in zip(self.excesses, powers, bases):
             excess = power - base
             _scatter_add(target, excess, bins, collected & (excess != 0))
-        for target, power in zip(self.incident, _fixed_point(exits.incident, self.scale)):
+        for target, power in zip(
+            self.incident, _fixed_point(exits.incident, self.scale)
+        ):
             _scatter_add(target, power, mi.UInt32(0), active)
 
     def tally(self):
@@ -116,7 +120,9 @@ class Sums:
         else:
             met = fates.sum() - fates[Fate.MISSED] - fates[Fate.UNLIT]
             power = np.full((1, flux.shape[-1]), met * np.uint64(scale))
-        return Tally(patches, flux.reshape(1, *bench.shape, -1), power, fates[None], scale)
+        return Tally(
+            patches, flux.reshape(1, *bench.shape, -1), power, fates[None], scale
+        )
 
     def _excess(self, channel):
         return self.excesses[channel].numpy()[: self.bench.n_collected]
@@ -190,7 +196,9 @@ class Goniophotometer(mi.SamplingIntegrator):
         _check_variant()
         self.settings = {
             "rays": properties.count(props, "rays", DEFAULT_RAYS),
-            "batches": properties.count(props, "batches", DEFAULT_BATCHES, maximum=65536),
+            "batches": properties.count(
+                props, "batches", DEFAULT_BATCHES, maximum=65536
+            ),
             "estimator": properties.choice(props, "estimator", "weighted", ESTIMATORS),
             "max_depth": properties.count(props, "max_depth", 1000, maximum=2**31),
             "rr_depth": properties.count(props, "rr_depth", -1, minimum=-1),
@@ -233,12 +241,18 @@ class Goniophotometer(mi.SamplingIntegrator):
                 "the scene must have one emitter, or an incident angle be given, "
                 f"got {len(emitters)} emitters"
             )
-        if 0 < sensor.radius <= np.abs([specimen.low, specimen.high]).max() * np.sqrt(3):
+        if (
+            0
+            < sensor.radius
+            <= np.abs([specimen.low, specimen.high]).max() * np.sqrt(3)
+        ):
             raise SpecimenError(
                 "collector.radius must enclose the specimen, whose corner is at "
                 f"{np.abs([specimen.low, specimen.high]).max(axis=0)}, got {sensor.radius}"
             )
-        beam = Beam(specimen, emitters[0], self.settings["footprint"], self.settings["emission"])
+        beam = Beam(
+            specimen, emitters[0], self.settings["footprint"], self.settings["emission"]
+        )
         return Bench(specimen, beam, sensor)
 
     def batch(self, bench, key, index, rays, start=0, progress=None):
@@ -363,7 +377,9 @@ class Goniophotometer(mi.SamplingIntegrator):
                 "numpy": np.__version__,
                 "python": platform.python_version(),
             },
-            "created": datetime.datetime.now(datetime.timezone.utc).isoformat("T", "seconds"),
+            "created": datetime.datetime.now(datetime.timezone.utc).isoformat(
+                "T", "seconds"
+            ),
         }
 
     def to_string(self):
