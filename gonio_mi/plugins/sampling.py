@@ -34,14 +34,14 @@ def check_sampler(label, sampler):
     name = sampler_name(sampler)
     if name == "ldsampler":
         raise ValueError(
-            f"{label} must not be ldsampler: it repeats one pattern for all numbers that "
-            "a ray draws, so that they stay correlated and a BSDF of several lobes is "
-            "measured wrongly, with error bars that do not tell; take sobol"
+            f"{label} must not be ldsampler: it repeats one pattern for all numbers "
+            "that a ray draws, so that they stay correlated, and a BSDF of several "
+            "lobes is measured wrongly however many rays are sent; take sobol"
         )
     if name in OF_FIXED_SIZE and "jitter = 0" in str(sampler):
         raise ValueError(
-            f"{label} {name} must have jitter on: without it all batches send the same "
-            "directions, so that error bars do not tell the error"
+            f"{label} {name} must have jitter on: without it all batches draw the same "
+            "grid of numbers, whose error no error bar shows"
         )
 
 

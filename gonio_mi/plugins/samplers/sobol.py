@@ -1,4 +1,4 @@
-"""Sampler `sobol`: Owen-scrambled Sobol' points, one joint sequence of all dimensions."""
+"""Sampler `sobol`: Owen-scrambled Sobol' points, distributed in all dimensions."""
 
 from functools import cache
 
@@ -43,8 +43,8 @@ def direction_numbers(dimension):
     Returns
     -------
     list of int
-        What each of the 32 bits of a point's index, from the lowest, adds (exclusive or)
-        to the coordinate, a fraction of 2**32.
+        What each of the 32 bits of a point's index, from the lowest, adds by exclusive
+        or to the coordinate, a fraction of 2**32.
     """
     if dimension == 0:
         return [1 << (31 - k) for k in range(32)]
@@ -88,7 +88,8 @@ def sobol_known(index, draw):
         return index
     coordinate = mi.UInt32(0)
     for bit, number in enumerate(MIRRORED[draw]):
-        coordinate = coordinate ^ dr.select(index & (1 << bit) != 0, mi.UInt32(number), 0)
+        chosen = dr.select(index & (1 << bit) != 0, mi.UInt32(number), 0)
+        coordinate = coordinate ^ chosen
     return coordinate
 
 
@@ -113,8 +114,7 @@ def owen(x, key):
     x = x + first
     x = x * (second | 1)
     x = x ^ (x * 0x05526C56)
-    x = x ^ (x * 0x53A22864)
-    return x
+    return x ^ (x * 0x53A22864)
 
 
 def keys(seed, number):
@@ -151,6 +151,11 @@ def sobol_number(index, seed, draw):
     return dr.brev(owen(coordinate, keys(seed, draw)))
 
 
+def fraction(bits):
+    """Number in [0, 1) from the leading 24 of 32 bits, as many as fit below 1."""
+    return mi.Float(bits >> 8) * 2.0**-24
+
+
 class Sobol(mi.Sampler):
     r"""Owen-scrambled Sobol' points (:monosp:`sobol`).
 
@@ -161,8 +166,8 @@ class Sobol(mi.Sampler):
     without an end: independent between blocks of ten, well distributed within.
 
     Every seed is an independent scrambling of the sequence. Each number is uniform on
-    the multiples of 2**-24 in [0, 1) (of 2**-32 in double precision), for any number of
-    rays; the error falls fastest at powers of two.
+    the multiples of 2**-24 in [0, 1), for any number of rays; a power of two of them
+    has the least error. The sequence has 2**32 points and then begins again.
 
     .. pluginparameters::
 
@@ -204,7 +209,7 @@ class Sobol(mi.Sampler):
 
     def advance(self):
         """Go on by one wavefront."""
-        self.index += self.wavefront_size()
+        self.index = self.index + self.wavefront_size()
         self.draw = mi.UInt32(0)
 
     def next_1d(self, active=True):
@@ -212,9 +217,7 @@ class Sobol(mi.Sampler):
         del active
         bits = sobol_number(self.index, self.key, self.draw)
         self.draw = self.draw + 1
-        if dr.type_v(mi.Float) == dr.VarType.Float64:
-            return mi.Float(bits) * 2.0**-32
-        return mi.Float(bits >> 8) * 2.0**-24
+        return fraction(bits)
 
     def next_2d(self, active=True):
         """Next two numbers of each point."""
@@ -223,7 +226,7 @@ class Sobol(mi.Sampler):
 
     def fork(self):
         """Return a sampler of the same settings, to be seeded."""
-        copy = Sobol(mi.Properties("sobol"))
+        copy = type(self)(mi.Properties("sobol"))
         copy.set_sample_count(self.sample_count())
         copy.start = self.start
         return copy
