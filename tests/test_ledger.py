@@ -108,7 +108,9 @@ def test_weights_above_one_are_summed_exactly():
     specimen = scripted(lambda _: mi.Float(2.5))
     record = gonio.measure(specimen, 0, rays=RAYS)
     assert record.dhr[0] == 2.5
-    analog = gonio.measure(specimen, 0, rays=RAYS, estimator="analog")
+    analog = gonio.measure(
+        specimen, 0, rays=RAYS, estimator="analog", sampler="independent"
+    )
     assert analog.ledger.reflected == RAYS
     z = (analog.dhr[0] - 2.5) * np.sqrt(RAYS) / 0.5
     agree(single(z))
@@ -132,7 +134,11 @@ def test_truncated_rays():
 def test_missed_rays_are_not_incident():
     """A disk of light of twice the specimen's size: what misses it is no flux."""
     record = gonio.measure(
-        {"type": "diffuse", "reflectance": 0.5}, 30, rays=RAYS, footprint=2.0
+        {"type": "diffuse", "reflectance": 0.5},
+        30,
+        rays=RAYS,
+        footprint=2.0,
+        sampler="independent",
     )
     ledger = record.ledger
     assert ledger.missed + ledger.reflected + ledger.rejected == RAYS

@@ -90,11 +90,10 @@ def test_v_grooves(theta_i):
     if theta_i == 0:
         # rounding: between the walls rays fly level, and start off them by 2^-18 of the
         # largest coordinate, 50; those within that of a ridge pass over the next one
-        assert ledger.sideways <= n * 2 * 51 * 2.0**-18
-        # exact up to that: every other ray met both walls
-        assert twice[0].sum() == ledger.reflected
-        lost = ledger.sideways / n
-        assert abs(record.dhr[0] - rho**2 * (1 - lost)) <= 4 * 2.0**-23
+        lost = n - int(twice[0].sum())
+        assert lost <= n * 2 * 51 * 2.0**-18
+        # every other ray met both walls; a lost one weighs between 0 and 1
+        assert abs(record.dhr[0] - rho**2 * (1 - lost / n)) <= lost / n + 4 * 2.0**-23
         return
     once = np.tan(np.radians(theta_i))
     at_back = int(twice.ravel()[back])
@@ -112,7 +111,13 @@ def test_anisotropic_lobe_follows_phi_i():
 
     def at(phi_i, seed):
         return gonio.measure(
-            scene, 45, phi_i, seed=seed, rays=2 * 10**6, collector="projected:20x20"
+            scene,
+            45,
+            phi_i,
+            seed=seed,
+            rays=2 * 10**6,
+            collector="projected:20x20",
+            sampler="independent",
         )
 
     def turned(record, sectors):
