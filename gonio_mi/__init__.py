@@ -1,7 +1,8 @@
 """A virtual goniophotometer for Mitsuba 3.
 
 ``import gonio_mi as gonio`` makes a usable LLVM visible to Dr.Jit and registers the
-instrument's Mitsuba plugins, before or after ``mi.set_variant``. It never sets a variant.
+instrument's Mitsuba plugins, before or after ``mi.set_variant``. It never sets a
+variant.
 """
 
 from . import llvm

@@ -1,8 +1,8 @@
 """Rays per second, and error per ray: ``python -m gonio_mi.benchmark``.
 
-First every method does the same work, counting the directions that a flat BSDF sends into
-900 patches, in turns, several times over; ratios of the medians are printed. Then the
-samplers are compared by the error of the map that the same rays give.
+First every method does the same work, counting the directions that a flat BSDF sends
+into 900 patches, in turns, several times over; ratios of the medians are printed. Then
+the samplers are compared by the error of the map that the same rays give.
 """
 
 import argparse
@@ -86,7 +86,9 @@ def numba_rays():
         for thread in numba.prange(n_threads):
             own = np.zeros(n_theta * n_phi, np.uint32)
             for _ in range(n // n_threads):
-                r, phi = np.sqrt(np.random.random()), 2 * np.pi * np.random.random()
+                # numba knows the legacy generator only
+                r = np.sqrt(np.random.random())  # noqa: NPY002
+                phi = 2 * np.pi * np.random.random()  # noqa: NPY002
                 x, y = r * np.cos(phi), r * np.sin(phi)
                 ring = min(int((x * x + y * y) * n_theta), n_theta - 1)
                 turn = np.arctan2(y, x) / (2 * np.pi)
@@ -134,7 +136,7 @@ def rates(methods, rays, repeats):
 
 
 def print_accuracy(rays, seeds=4):
-    """Print the RMS error of 30x30 maps by either sampler, against a converged integral."""
+    """Print the RMS error of 30x30 maps by either sampler, against an integral."""
     grid = EqualProjectedSolidAngle(30, 30)
     print(f"RMS error of BRDF and BTDF, {rays:g} rays, 32 batches, {seeds} seeds")
     print("                        independent   sobol    as many independent rays as")

@@ -53,7 +53,7 @@ def checked_count(name, value, minimum=1, maximum=None):
 
 
 def checked_number(name, value, low, high, condition):
-    """Return `value` as a float in ``[low, high)``, or say that it must be `condition`."""
+    """Return `value` as a float in ``[low, high)``, or say what it must be."""
     try:
         number = float(value)
     except (TypeError, ValueError):

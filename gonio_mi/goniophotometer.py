@@ -1,6 +1,7 @@
 """The instrument: takes a specimen and settings, runs batches, returns a record."""
 
 import logging
+import os
 import time
 import warnings
 from contextlib import nullcontext
@@ -118,7 +119,8 @@ def measure(
         Radius in scene units on which the exit position counts; 0, the default, is the
         far field.
     hemispheres : {"auto", "upper", "both"}
-        ``auto`` leaves out the lower one for flat specimens that declare no transmission.
+        ``auto`` leaves out the lower one for flat specimens that declare no
+        transmission.
     max_depth : int
         Surface events before a ray is truncated. Default 1000.
     rr_depth : int
@@ -186,6 +188,7 @@ def measure(
     ]
 
     plan = batch_sizes(integrator.rays, integrator.batches)
+    _check_memory(benches, len(plan))
     finished = [[] for _ in benches]
     if resume is not None:
         _check_resumable(
@@ -253,8 +256,8 @@ def _send_until(target, integrator, bench, key, tallies, report):
     """Let all batches grow by rounds until `target` is met; one tally in the end.
 
     The number of batches is fixed, so that what decides about stopping has the same
-    degrees of freedom at every look; rounds grow to what the last look predicts, so that
-    there are few looks.
+    degrees of freedom at every look; rounds grow to what the last look predicts, so
+    that there are few looks.
     """
     sent, goal = 0, PILOT_RAYS
     while sent < goal:
@@ -324,7 +327,7 @@ def _checked_target(rel_err, max_rays, floor, rays, resume):
 
 
 def _incidents(theta_i, phi_i):
-    """List of ``(theta_i, phi_i)`` in degrees, or ``[None]``; and whether it is a stack."""
+    """List of ``(theta_i, phi_i)`` in degrees, or ``[None]``; whether it is a stack."""
     if theta_i is None:
         return [None], False
     stacked = np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0
@@ -355,6 +358,22 @@ def _theta(value):
 
 
 # ------------------------------------------------------------------ parts of the bench
+
+
+def _check_memory(benches, n_batches):
+    """Raise ValueError if the sums of all batches would not fit, twice over."""
+    sums = sum(bench.n_collected for bench in benches)
+    needed = 2 * 8 * sums * n_batches * len(mi.Spectrum())
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # not a POSIX system
+        return
+    if needed > memory:
+        raise ValueError(
+            f"{sums} patches in {n_batches} batches must fit into the "
+            f"{memory / 2**30:.3g} GiB of memory, got {needed / 2**30:.3g} GiB: take "
+            "fewer patches, incident directions or batches"
+        )
 
 
 def _integrator(scene, settings):
@@ -414,7 +433,7 @@ def _beam_direction(incident, side):
 
 
 def _turned(emitter, incident, side):
-    """`emitter`, described above the specimen on +z, turned to the incident direction."""
+    """Return `emitter`, described on +z, turned to the incident direction."""
     theta, phi = incident
     transform = mi.ScalarTransform4f
     turn = (
@@ -425,7 +444,7 @@ def _turned(emitter, incident, side):
     return emitter | {"to_world": turn @ emitter.get("to_world", transform())}
 
 
-# ------------------------------------------------------------------ progress and resuming
+# ---------------------------------------------------------------- progress and resuming
 
 
 def _bar(total, shown):

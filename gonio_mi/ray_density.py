@@ -1,9 +1,9 @@
-"""How many rays a measurement needs: the paper's bounds, and what a map really asks for.
+"""How many rays a measurement needs: the paper's bounds, and what a map asks for.
 
 The paper bounds the *absolute* error of every flux fraction by ``epsilon`` with
 probability ``1 - delta``. People want a *relative* error of every patch that matters,
-all of them at once; that needs the patches' probabilities, from a pilot measurement or a
-Lambertian specimen.
+all of them at once; that needs the patches' probabilities, from a pilot measurement or
+a Lambertian specimen.
 """
 
 import math
@@ -34,7 +34,7 @@ FLOOR = 0.1
 
 
 def chebyshev_rays(epsilon, delta):
-    """Rays for one detector: ``ceil(ln(2 / delta) / (2 epsilon^2))``, the paper's eq. 17.
+    """Rays for one detector by eq. 17: ``ceil(ln(2 / delta) / (2 epsilon^2))``.
 
     Parameters
     ----------
@@ -281,9 +281,9 @@ def plan(
     Parameters
     ----------
     pilot : Record, optional
-        A first measurement of the specimen at one incident direction, which says how the
-        light is spread. Without one a Lambertian specimen of reflectance 1 is assumed:
-        the worst case of all specimens that light every patch.
+        A first measurement of the specimen at one incident direction, which says how
+        the light is spread. Without one a Lambertian specimen of reflectance 1 is
+        assumed: the worst case of all specimens that light every patch.
     collector : str or Subdivision
         Patches of the Lambertian; a pilot brings its own.
     epsilon, delta : float

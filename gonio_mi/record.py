@@ -249,7 +249,8 @@ class Record:
             for theta, phi in zip(self.theta_i[:3], self.phi_i[:3])
         ) + (", ..." if len(self) > 3 else "")
         return (
-            f"<Record of {self.settings.get('specimen', 'a specimen')}: {str(self.subdivision):.60}, "
+            f"<Record of {self.settings.get('specimen', 'a specimen')}: "
+            f"{self.subdivision!s:.60}, "
             f"incident (theta_i, phi_i) = {angles} degrees, "
             f"{self.ledger.emitted} rays, dhr {np.array2string(self.dhr, precision=5)}>"
         )

@@ -1,7 +1,7 @@
 """The validation table of the README: ``python -m gonio_mi.reference_cases``.
 
-Each case compares a measurement with a value from elsewhere, a closed form or a converged
-integral, and prints the probability of a deviation at least as large by chance.
+Each case compares a measurement with a value from elsewhere, a closed form or a
+converged integral, and prints the probability of so large a deviation by chance.
 """
 
 import argparse

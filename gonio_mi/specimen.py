@@ -35,7 +35,8 @@ def check_variant():
     """
     if not mi.variant():
         raise VariantError(
-            "a Mitsuba variant must be set first, such as mi.set_variant('llvm_ad_mono')"
+            "a Mitsuba variant must be set first, "
+            "such as mi.set_variant('llvm_ad_mono')"
         )
     if mi.variant().startswith("llvm"):
         llvm.check()

@@ -79,5 +79,5 @@ def student_interval(value, std_err, n_batches, level):
 
 
 def upper_limit(rays, level):
-    """Largest probability that leaves a patch empty with probability (1 - level) / 2."""
+    """Probability of a hit that leaves a patch empty with chance (1 - level) / 2."""
     return -np.expm1(np.log((1 - level) / 2) / np.asarray(rays, dtype=float))

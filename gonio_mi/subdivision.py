@@ -5,6 +5,7 @@ hemisphere by the angle from its own pole; the lower hemisphere mirrors the uppe
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -27,6 +28,9 @@ __all__ = [
 # Relative in the ring coordinate, so that no ring gains or loses more than this
 # fraction of its size; absolute in azimuth, where it only turns the collector.
 BORDER = 2.0**-20
+
+# Single precision, in which patches are numbered, counts no further.
+MOST_PATCHES = 2**24
 
 _NUMPY = SimpleNamespace(
     sqrt=np.sqrt,
@@ -73,7 +77,7 @@ class Subdivision:
 
     @property
     def theta_edges(self):
-        """Ring borders in radians from the pole, shape ``(n_theta + 1,)``, 0 to pi/2."""
+        """Ring borders in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
         raise NotImplementedError
 
     @property
@@ -105,7 +109,7 @@ class Subdivision:
 
     @property
     def solid_angles(self):
-        """Exact solid angle of each patch in sr, shape ``(n_theta, n_phi)``; sum 2 pi."""
+        """Exact solid angle of each patch in sr, ``(n_theta, n_phi)``; sum 2 pi."""
         low, high = self.theta_edges[:-1], self.theta_edges[1:]
         ring = 2 * np.sin((high + low) / 2) * np.sin((high - low) / 2)
         return self._over_sectors(ring)
@@ -196,7 +200,8 @@ class _Regular(Subdivision):
     Raises
     ------
     TypeError, ValueError
-        If a number is not an integer or is below 1.
+        If a number is not an integer or is below 1, or if there are more than 2**24
+        patches.
     """
 
     n_theta: int
@@ -205,13 +210,17 @@ class _Regular(Subdivision):
     def __post_init__(self):
         for field in ("n_theta", "n_phi"):
             object.__setattr__(self, field, checked_count(field, getattr(self, field)))
+        if self.n_patches > MOST_PATCHES:
+            raise ValueError(
+                f"a collector must have at most {MOST_PATCHES} patches, got {self}"
+            )
 
     def __str__(self):
         return f"{self.name}:{self.n_theta}x{self.n_phi}"
 
     @property
     def theta_edges(self):
-        """Ring borders in radians from the pole, shape ``(n_theta + 1,)``, 0 to pi/2."""
+        """Ring borders in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
         edges = self._edges(np.arange(self.n_theta + 1) / self.n_theta)
         edges[-1] = np.pi / 2
         return edges
@@ -273,7 +282,7 @@ class EqualSolidAngle(_Regular):
         # 1 - cos(theta) = 2 sin^2(theta / 2), without cancellation at the pole
         return 2 * np.arcsin(np.sqrt(fraction / 2))
 
-    def _coordinates(self, xp, sin2, z):
+    def _coordinates(self, xp, sin2, z):  # noqa: ARG002
         return sin2 / (1.0 + z), z
 
 
@@ -290,7 +299,7 @@ class EqualProjectedSolidAngle(_Regular):
     def _edges(self, fraction):
         return np.arcsin(np.sqrt(fraction))
 
-    def _coordinates(self, xp, sin2, z):
+    def _coordinates(self, xp, sin2, z):  # noqa: ARG002
         return sin2, z * z
 
 
@@ -338,7 +347,7 @@ class Borders(Subdivision):
     def __post_init__(self):
         for field, end in (("theta_deg", 90), ("phi_deg", 360)):
             borders = tuple(float(x) for x in getattr(self, field))
-            ascends = all(low < high for low, high in zip(borders, borders[1:]))
+            ascends = all(low < high for low, high in pairwise(borders))
             if len(borders) < 2 or borders[0] != 0 or borders[-1] != end or not ascends:
                 raise ValueError(
                     f"{field} must ascend from 0 to {end} degrees, got {borders}"
@@ -363,7 +372,7 @@ class Borders(Subdivision):
 
     @property
     def theta_edges(self):
-        """Ring borders in radians from the pole, shape ``(n_theta + 1,)``, 0 to pi/2."""
+        """Ring borders in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
         return np.radians(self.theta_deg)
 
     @property
@@ -435,9 +444,9 @@ def subdivision(text):
 def adapted(brdf, grid, n_theta, n_phi, uniform=0.25):
     """Subdivision whose rings and sectors are narrow where a pilot found the light.
 
-    After the paper's section 4 (and Greenberg et al. 1997): borders are quantiles of the
-    pilot's flux over polar angle and over azimuth, mixed with a share of equal projected
-    solid angles so that no direction is left without patches.
+    After the paper's section 4 (and Greenberg et al. 1997): borders are quantiles of
+    the pilot's flux over polar angle and over azimuth, mixed with a share of equal
+    projected solid angles so that no direction is left without patches.
 
     Parameters
     ----------

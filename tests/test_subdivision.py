@@ -226,3 +226,12 @@ def test_name_round_trip(text):
 def test_bad_names_are_refused(text):
     with pytest.raises(ValueError, match=r"collector must look like|at least 1"):
         subdivision(text)
+
+
+def test_too_many_patches_are_refused():
+    """Beyond 2**24 patches single precision would merge neighbours."""
+    assert EqualAngle(4096, 4096).n_patches == 2**24
+    with pytest.raises(
+        ValueError, match="at most 16777216 patches, got angle:4096x4097"
+    ):
+        EqualAngle(4096, 4097)

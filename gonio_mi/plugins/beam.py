@@ -36,7 +36,7 @@ class Beam:
         ``"point"``: the middle of the bounding box's top. ``"full"``: all of that top,
         uniformly. A number: a disk of that radius about the middle.
     emission : {"radiometric", "equal_power"}
-        ``"radiometric"`` weights a ray by radiance, cosines and distance, as light does.
+        ``"radiometric"`` weights a ray by radiance, cosines and distance, as light is.
         ``"equal_power"`` is the paper's section 2.2: uniform points on emitter and
         specimen, each ray carrying the same power.
     """
@@ -141,7 +141,7 @@ class Beam:
         return wi, distance, dr.select(lit, weight, 0.0)
 
     def _nominal_direction(self):
-        """Unit vector from the middle of the footprint to the emitter's centre, or None."""
+        """Unit vector from the footprint's middle to the emitter's centre, or None."""
         if self.collimated:
             it = dr.zeros(mi.SurfaceInteraction3f)
             it.p = mi.Point3f(self.middle.tolist())

@@ -36,7 +36,7 @@ class Plane:
         return si
 
     def uv(self, p):
-        """Texture coordinates of points of the plane; outside of [0, 1]^2 there is none."""
+        """Texture coordinates of points of the plane; the specimen ends at 0 and 1."""
         centre = self.interaction
         offset = p - centre.p
         return mi.Point2f(

@@ -114,7 +114,7 @@ def trace(specimen, beam, sampler, wavelengths, settings):
         si = scene.ray_intersect(ray, active)
         hit = active & si.is_valid()
 
-        # ------------------- Rays that leave, or have had enough events ----------------
+        # ------------------- Rays that leave, or have had enough events ---------------
         left = active & ~hit & (depth > 0)
         fate[left] = mi.UInt32(Fate.REFLECTED)
         truncated = hit & (depth >= max_depth)
@@ -159,7 +159,7 @@ def trace(specimen, beam, sampler, wavelengths, settings):
 
 
 def _emitted(weight, sampler, analog, uniform):
-    """Power of a new ray; for the analog estimator a random whole number of that mean."""
+    """Power of a new ray; for the analog estimator a whole number of that mean."""
     if not analog or uniform:
         return mi.Spectrum(weight)
     return _whole(weight, sampler.next_1d())
@@ -196,7 +196,7 @@ def _whole(x, u):
 def _shading_normal_correction(si, ray, bs, wo):
     """Adjoint correction for interpolated normals (Veach 1997, eq. 5.19); 1 for others.
 
-    0 where geometric and shading normal disagree about the side, which would leak light.
+    0 where geometric and shading normal disagree about the side: light would leak.
     """
     wi_n, wo_n = dr.dot(si.n, -ray.d), dr.dot(si.n, wo)
     wi_s, wo_s = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(bs.wo)

@@ -49,10 +49,10 @@ class Patches(mi.Film):
 
      * - hemispheres
        - |string|
-       - ``both``, ``upper`` (the emitter's side only), or ``auto``: ``upper`` for a flat
-         specimen whose BSDF declares no transmission. (Default: ``auto``)
+       - ``both``, ``upper`` (the emitter's side only), or ``auto``: ``upper`` for a
+         flat specimen whose BSDF declares no transmission. (Default: ``auto``)
 
-    The developed map has shape ``(n_theta, n_phi, channels)`` and holds the BRDF in 1/sr.
+    The developed map has shape ``(n_theta, n_phi, channels)``: the BRDF in 1/sr.
     With both hemispheres it has ``2 n_theta`` rows, in the order of growing theta: the
     BRDF from pole to horizon, then the BTDF from horizon to nadir. ``write`` makes the
     EXR file (or NPZ, by its ending), ``record`` holds the record.
@@ -84,7 +84,7 @@ class Patches(mi.Film):
         """Index of the patch of each unit vector `d` (mirrored into z > 0)."""
         return mi.UInt32(self.subdivision.patch_index(DRJIT, d.x, d.y, dr.abs(d.z)))
 
-    def develop(self, raw=False):
+    def develop(self, raw=False):  # noqa: ARG002
         """Return the map of the finished measurement as a tensor."""
         record = self._finished()
         rows = record.brdf
@@ -92,7 +92,7 @@ class Patches(mi.Film):
             rows = np.concatenate([rows, record.btdf[::-1]])
         return mi.TensorXf(np.ascontiguousarray(rows, dtype=np.float32))
 
-    def bitmap(self, raw=False):
+    def bitmap(self, raw=False):  # noqa: ARG002
         """Return the map of the finished measurement as a bitmap."""
         return mi.Bitmap(self.develop())
 

@@ -20,7 +20,7 @@ from gonio_mi.record import Record
 from gonio_mi.tally import WEIGHT_SCALE, Fate, Tally, batch_sizes
 
 # Rays per kernel launch. It takes part in the seeding, so that a change of it changes
-# the random numbers; a launch of a tenth costs 20 % in speed, ten times as many nothing.
+# the random numbers; a tenth of it costs 20 % in speed, ten times as many gain nothing.
 LAUNCH = 2**24
 
 ESTIMATORS = ("weighted", "analog")
@@ -47,7 +47,7 @@ class Bench:
         self.n_bins = self.n_collected + len(Fate)
 
     def bins(self, exits):
-        """Index of the patch that each ray reached, or of its fate's bin behind them."""
+        """Index of the patch that each ray reached, or of its fate's bin behind."""
         d = self.sensor.arrival(exits.p, exits.d)
         up = self.beam.side * d.z
         left = (exits.fate == mi.UInt32(Fate.REFLECTED)) & (up != 0)
@@ -157,8 +157,8 @@ class Goniophotometer(mi.SamplingIntegrator):
 
      * - rr_depth
        - |int|
-       - Surface events after which Russian roulette sets in, for the weighted estimator;
-         -1 for never. (Default: -1)
+       - Surface events after which Russian roulette sets in, for the weighted
+         estimator; -1 for never. (Default: -1)
 
      * - footprint
        - |string| or |float|
@@ -167,8 +167,8 @@ class Goniophotometer(mi.SamplingIntegrator):
 
      * - emission
        - |string|
-       - ``radiometric`` (rays weighted by radiance, cosines and distance, as light is) or
-         ``equal_power`` (the paper's section 2.2). (Default: ``radiometric``)
+       - ``radiometric`` (rays weighted by radiance, cosines and distance, as light is)
+         or ``equal_power`` (the paper's section 2.2). (Default: ``radiometric``)
 
      * - trace
        - |bool|
@@ -248,7 +248,8 @@ class Goniophotometer(mi.SamplingIntegrator):
         ):
             raise SpecimenError(
                 "collector.radius must enclose the specimen, whose corner is at "
-                f"{np.abs([specimen.low, specimen.high]).max(axis=0)}, got {sensor.radius}"
+                f"{np.abs([specimen.low, specimen.high]).max(axis=0)}, "
+                f"got {sensor.radius}"
             )
         beam = Beam(
             specimen, emitters[0], self.settings["footprint"], self.settings["emission"]
@@ -339,7 +340,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         return len(self._wavelength_groups())
 
     def _wavelength_groups(self):
-        """Wavelengths of each pass: four fit in one; None outside of spectral variants."""
+        """Wavelengths of each pass, at most four; None outside of spectral variants."""
         if not mi.is_spectral:
             return [None]
         nm = self.wavelengths
@@ -434,9 +435,9 @@ def _check_variant():
 def _warn_of_invalid(ledger):
     if ledger.invalid:
         warnings.warn(
-            f"the BSDF's sample() returned a negative, infinite or NaN weight, or no unit "
-            f"direction, for {ledger.invalid} of {ledger.emitted} rays; they are in the "
-            "ledger's row invalid and in no patch",
+            "the BSDF's sample() returned a negative, infinite or NaN weight, or no "
+            f"unit direction, for {ledger.invalid} of {ledger.emitted} rays; they are "
+            "in the ledger's row invalid and in no patch",
             RuntimeWarning,
             stacklevel=3,
         )
