@@ -139,7 +139,9 @@ class Record:
         than need be) the exact binomial interval of the hits, times the mean weight of
         a hit. A patch without a hit has an upper limit: the flux that would have left
         it empty with probability ``(1 - level) / 2``, at the larger of unit weight and
-        the largest mean weight seen.
+        the largest mean weight seen. Evenly distributed rays may give all batches the
+        same sum: no interval by Student's t is narrower than that of an empty patch to
+        either side, unless all rays were received.
 
         Parameters
         ----------
@@ -182,13 +184,18 @@ class Record:
         fraction = self._fraction(tally, hemisphere)
         if self._is_binomial(tally):
             return np.stack(statistics.binomial_interval(hits, rays, level))
-        interval = np.stack(
-            statistics.student_interval(
-                fraction, self._std_err(tally, hemisphere), tally.n_batches, level
-            )
-        )
         with np.errstate(invalid="ignore"):
             weight = fraction * rays / hits
+        resolution = statistics.upper_limit(rays, level) * weight * (hits < rays)
+        interval = np.stack(
+            statistics.student_interval(
+                fraction,
+                self._std_err(tally, hemisphere),
+                tally.n_batches,
+                level,
+                resolution,
+            )
+        )
         least = FEW_HITS if self._independent else FEW_EVEN_HITS
         few = np.broadcast_to((hits < least) & (hits > 0), fraction.shape)
         exact = np.stack(statistics.binomial_interval(hits, rays, level)) * weight
@@ -204,15 +211,21 @@ class Record:
     def _total_interval(self, tally, hemisphere, level):
         """Interval of one hemisphere's total."""
         value, std_err = _total(tally, hemisphere)
-        hits = tally.hits[hemisphere].sum()
+        passes = self.settings.get("passes", 1)
+        hits = tally.hits[hemisphere].sum() // passes
+        rays = _incident_rays(tally) // passes
         if self._is_binomial(tally) or hits == 0:
             return np.stack(
                 statistics.binomial_interval(
-                    np.broadcast_to(hits, value.shape), _incident_rays(tally), level
+                    np.broadcast_to(hits, value.shape), rays, level
                 )
             )
+        weight = value * rays / hits
+        resolution = statistics.upper_limit(rays, level) * weight * (hits < rays)
         return np.stack(
-            statistics.student_interval(value, std_err, tally.n_batches, level)
+            statistics.student_interval(
+                value, std_err, tally.n_batches, level, resolution
+            )
         )
 
     # --------------------------------------------------------------- composition

@@ -72,9 +72,13 @@ def binomial_interval(hits, rays, level):
     return np.where(hits == 0, 0.0, low), np.where(misses == 0, 1.0, high)
 
 
-def student_interval(value, std_err, n_batches, level):
-    """Interval by Student's t with ``n_batches - 1`` degrees of freedom."""
+def student_interval(value, std_err, n_batches, level, resolution=0.0):
+    """Interval by Student's t with ``n_batches - 1`` degrees of freedom.
+
+    It reaches at least `resolution` to either side; NaN where `std_err` is.
+    """
     half = special.stdtrit(max(n_batches - 1, 1), (1 + level) / 2) * std_err
+    half = np.maximum(half, np.nan_to_num(resolution))
     return value - half, value + half
 
 

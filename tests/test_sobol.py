@@ -22,6 +22,7 @@ from budget import (
     single,
     verdict,
 )
+from references import fresnel
 from scipy import stats
 from scipy.stats import qmc
 
@@ -490,3 +491,24 @@ def test_intervals_cover_at_grazing_incidence():
     )
     agree(enough(coverage(specimen, truth.brdf, 40_000, "weighted", 85)))
     assert np.mean(truth.counts[0] < 2**23 / 40_000) > 0.5
+
+
+def test_batches_that_agree_are_not_certain():
+    """A share of nearly a whole number of rays a batch gives all batches the same sum."""
+    agreeing = 0
+    for theta_i in np.linspace(5, 80, 40):
+        record = gonio.measure(
+            {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0},
+            theta_i,
+            collector="projected:2x2",
+            rays=2**20,
+            seed=int(theta_i * 10),
+        )
+        if record.dhr_std_err[0] == 0:
+            agreeing += 1
+            truth = fresnel(np.cos(np.radians(theta_i)), 1.5)
+            low, high = record.interval(0.95, of="dhr")
+            assert low[0] <= truth <= high[0]
+            # the twin, without the least width
+            assert record.dhr[0] != pytest.approx(truth, rel=1e-9)
+    assert agreeing > 0
