@@ -494,7 +494,7 @@ def test_intervals_cover_at_grazing_incidence():
 
 
 def test_batches_that_agree_are_not_certain():
-    """A share of nearly a whole number of rays a batch gives all batches the same sum."""
+    """A share of nearly whole rays a batch gives all batches the same sum."""
     agreeing = 0
     for theta_i in np.linspace(5, 80, 40):
         record = gonio.measure(
