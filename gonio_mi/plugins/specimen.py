@@ -81,10 +81,11 @@ class Specimen:
                     "participating media are not modelled: take the medium of the "
                     f"{shape.class_name()} {shape.id()!r} out of the scene"
                 )
-        if len(shapes) < len(everything):
-            scene = mi.load_dict(
-                {"type": "scene"} | {f"shape_{i}": s for i, s in enumerate(shapes)}
-            )
+        scene = mi.load_dict(
+            # watertight: without it rays slip between the triangles of a mesh
+            {"type": "scene", "embree_use_robust_intersections": True}
+            | {f"shape_{i}": shape for i, shape in enumerate(shapes)}
+        )
         self.scene = scene
         box = scene.bbox()
         self.low = np.array(box.min, dtype=float).ravel()

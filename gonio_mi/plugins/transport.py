@@ -19,8 +19,12 @@ LARGEST_WEIGHT = 2.0**15
 # Relative excess of a weight over 1 that is taken for float32 rounding: 16 ulp.
 ROUNDING = 2.0**-20
 
-# How far a ray starts off its surface, in units of the local coordinates: 64 ulp.
+# How far a ray starts off its surface, in units of the local coordinates: 64 ulp. Off a
+# plane 2 ulp are enough, since a hit on that plane is recognised, within this part of the
+# specimen's size, and stepped over.
 SURFACE_OFFSET = 2.0**-18
+PLANE_OFFSET = 2.0**-23
+SAME_PLANE = 2.0**-20
 
 
 @dataclass(frozen=True)
@@ -98,9 +102,11 @@ def trace(specimen, beam, sampler, wavelengths, settings):
     ray.wavelengths = wavelengths
 
     ctx = flux_context()
+    flags = mi.RayFlags.All | mi.RayFlags.dNSdUV
     scene = specimen.scene
     detail = specimen.detail
     analog = settings.analog
+    same_plane = specimen.size * SAME_PLANE
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
 
@@ -110,16 +116,24 @@ def trace(specimen, beam, sampler, wavelengths, settings):
     fate = dr.select(lit, mi.UInt32(Fate.MISSED), mi.UInt32(Fate.UNLIT))
     active = mi.Bool(lit)  # Still in flight?
 
+    n = mi.Normal3f(0)  # Geometric normal where the ray started
+    offset = mi.Float(0)  # How far off its surface
+
     while active:
-        si = scene.ray_intersect(ray, active)
+        si = scene.ray_intersect(ray, flags, False, active)
         hit = active & si.is_valid()
 
         # ------------------- Rays that leave, or have had enough events ---------------
-        left = active & ~hit & (depth > 0)
-        fate[left] = mi.UInt32(Fate.REFLECTED)
-        truncated = hit & (depth >= max_depth)
+        fate[active & ~hit & (depth > 0)] = mi.UInt32(Fate.REFLECTED)
+
+        # A plane cannot be hit from itself: that is rounding, to be stepped over
+        beside = dr.abs(dr.dot(si.p - ray.o, si.n)) < same_plane
+        own = hit & dr.all(si.n == n) & beside
+        active = hit & ~own
+
+        truncated = active & (depth >= max_depth)
         fate[truncated] = mi.UInt32(Fate.TRUNCATED)
-        active = hit & ~truncated
+        active &= ~truncated
 
         # ------------------------------- Scattering -----------------------------------
         bsdf = si.bsdf(ray)
@@ -144,10 +158,14 @@ def trace(specimen, beam, sampler, wavelengths, settings):
         active &= survives
 
         # ------------------------------- Next ray -------------------------------------
+        flat = dr.all((si.dn_du == 0) & (si.dn_dv == 0))
         scale = dr.max(dr.abs(si.p)) + detail
-        side = dr.select(dr.dot(si.n, wo) > 0, mi.Float(1.0), mi.Float(-1.0))
-        ray.o[active] = dr.fma(si.n, side * scale * SURFACE_OFFSET, si.p)
+        n[active] = si.n
+        offset[active] = scale * dr.select(flat, PLANE_OFFSET, SURFACE_OFFSET)
+        offset[own] = 8 * offset
         ray.d[active] = wo
+        active |= own
+        ray.o[active] = si.p + dr.copysign(offset, dr.dot(n, ray.d)) * n
 
     incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
     fate = dr.select(
