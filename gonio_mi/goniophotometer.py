@@ -5,36 +5,27 @@ import os
 import time
 import warnings
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
 from tqdm import tqdm
 
-from .directions import direction
+from .batches import MAX_RAYS, checked_target, n_batches, send, send_until
 from .errors import (
-    SpecimenError,
     VariantError,
     checked_choice,
     checked_count,
-    checked_number,
 )
+from .incidence import emitter_scene, incident_angles
 from .plugins.specimen import Specimen
-from .ray_density import FLOOR, paper_rays, precision
+from .ray_density import FLOOR
 from .record import Record
 from .specimen import check_variant, load_specimen, loaded, specimen_name
 from .subdivision import subdivision
 from .tally import Tally, batch_sizes
 
 __all__ = ["measure"]
-
-MAX_RAYS = 1e15
-
-# Rays before the first look at the precision.
-PILOT_RAYS = 2**18
-
-# The paper's error tolerance and confidence (section 5.2).
-PAPER_EPSILON, PAPER_DELTA = 0.005, 0.01
 
 logger = logging.getLogger(__name__)
 
@@ -173,8 +164,8 @@ def measure(
         )
     seed = checked_count("seed", seed, 0)
     checked_choice("side", side, ("front", "back"))
-    target = _checked_target(rel_err, max_rays, floor, rays, resume)
-    incidents, stacked = _incidents(theta_i, phi_i)
+    target = checked_target(rel_err, max_rays, floor, rays, resume)
+    incidents, stacked = incident_angles(theta_i, phi_i)
     if collector is not None:
         collector = subdivision(collector)
     scene = load_specimen(specimen, parameters)
@@ -182,7 +173,7 @@ def measure(
     sensor = _sensor(scene, collector, collector_radius, hemispheres, sampler)
     measured = Specimen(scene)
     measured.name = specimen_name(specimen, parameters)
-    emitters = [_emitters(scene, emitter, incident, side) for incident in incidents]
+    emitters = [emitter_scene(scene, emitter, incident, side) for incident in incidents]
     benches = [
         integrator.bench(measured, lamps.emitters(), sensor) for lamps in emitters
     ]
@@ -198,16 +189,16 @@ def measure(
         finished[: len(resume)] = [[tally] for tally in resume.tallies]
 
     started = time.perf_counter()
-    left = sum(sum(plan[_n_batches(tallies) :]) for tallies in finished)
+    left = sum(sum(plan[n_batches(tallies) :]) for tallies in finished)
     interrupted = False
     with _bar(None if target else left * integrator.passes, progress) as report:
         try:
             for number, (bench, tallies) in enumerate(zip(benches, finished)):
                 key = (seed, number)
                 if target:
-                    _send_until(target, integrator, bench, key, tallies, report)
+                    send_until(target, integrator, bench, key, tallies, report)
                 else:
-                    _send(integrator, bench, key, plan, tallies, report)
+                    send(integrator, bench, key, plan, tallies, report)
         except KeyboardInterrupt:
             if not any(finished):
                 raise
@@ -233,128 +224,12 @@ def measure(
             )
     if interrupted:
         warnings.warn(
-            f"interrupted: the record holds {sum(map(_n_batches, finished))} of "
+            f"interrupted: the record holds {sum(map(n_batches, finished))} of "
             f"{len(plan) * len(benches)} batches; resume= carries it on",
             RuntimeWarning,
             stacklevel=2,
         )
     return record
-
-
-# ------------------------------------------------------------------ sending rays
-
-
-def _send(integrator, bench, key, plan, tallies, report):
-    """Append the tallies of the batches of `plan` that are still missing."""
-    for index in range(_n_batches(tallies), len(plan)):
-        tallies.append(
-            integrator.batch(bench, key, index, plan[index], progress=report)
-        )
-
-
-def _send_until(target, integrator, bench, key, tallies, report):
-    """Let all batches grow by rounds until `target` is met; one tally in the end.
-
-    The number of batches is fixed, so that what decides about stopping has the same
-    degrees of freedom at every look; rounds grow to what the last look predicts, so
-    that there are few looks.
-    """
-    sent, goal = 0, PILOT_RAYS
-    while sent < goal:
-        sizes = batch_sizes(goal - sent, integrator.batches)
-        start = sent // integrator.batches
-        round_tallies = []
-        for index, rays in enumerate(sizes):
-            tally = integrator.batch(bench, key, index, rays, start, progress=report)
-            round_tallies.append(tally)
-        grown = Tally.join(round_tallies)
-        tallies[:] = [tallies[0].accumulate(grown) if tallies else grown]
-        sent = goal
-        goal = target.next_goal(integrator.record(bench, tallies[0], key[0]), sent)
-
-
-@dataclass(frozen=True)
-class _Target:
-    """Precision at which to stop."""
-
-    rel_err: float
-    max_rays: int
-    floor: float
-
-    def next_goal(self, record, sent):
-        """Rays in all that the record predicts; `sent` if it is good enough."""
-        worst, _ = precision(record, self.floor)
-        if worst <= self.rel_err:
-            return sent
-        # the error of the worst patch falls as 1 / sqrt(rays), or faster; a tenth more
-        # keeps the looks few. What is not known yet asks for as many rays again.
-        growth = 1.1 * (worst / self.rel_err) ** 2 if np.isfinite(worst) else 2.0
-        return min(int(sent * min(max(growth, 1.25), 16.0)), self.max_rays)
-
-    def reached(self, record):
-        """What the record's settings say of the target, for the worst direction."""
-        looks = [precision(record[i], self.floor) for i in range(len(record))]
-        n_lobe = max(n for _, n in looks)
-        n_patches = record.subdivision.n_patches * (1 + record.has_lower)
-        return {
-            "rel_err": self.rel_err,
-            "reached": max(worst for worst, _ in looks),
-            "floor": self.floor,
-            "n_lobe": n_lobe,
-            "paper_rays": paper_rays(n_patches, PAPER_EPSILON, PAPER_DELTA),
-        }
-
-
-def _checked_target(rel_err, max_rays, floor, rays, resume):
-    """:class:`_Target`, or None if a number of rays is asked for."""
-    if rel_err is None:
-        if max_rays is not None:
-            raise ValueError(f"max_rays goes with rel_err, got {max_rays!r} without")
-        return None
-    for name, other in (("rays", rays), ("resume", resume)):
-        if other is not None:
-            raise ValueError(f"rel_err and {name} exclude each other, got both")
-    return _Target(
-        checked_number("rel_err", rel_err, 1e-9, 1, "a number in (0, 1)"),
-        checked_count(
-            "max_rays", 10**9 if max_rays is None else max_rays, PILOT_RAYS, MAX_RAYS
-        ),
-        checked_number("floor", floor, 0, 1, "a fraction in [0, 1)"),
-    )
-
-
-# ------------------------------------------------------------------ incident directions
-
-
-def _incidents(theta_i, phi_i):
-    """List of ``(theta_i, phi_i)`` in degrees, or ``[None]``; whether it is a stack."""
-    if theta_i is None:
-        return [None], False
-    stacked = np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0
-    polar = [_theta(value) for value in _sequence("theta_i", theta_i)]
-    azimuths = [
-        checked_number("phi_i", value, -np.inf, np.inf, "a finite angle in degrees")
-        for value in _sequence("phi_i", phi_i)
-    ]
-    return [(theta, phi) for theta in polar for phi in azimuths], stacked
-
-
-def _sequence(name, value):
-    values = [value] if np.ndim(value) == 0 else list(value)
-    if not values:
-        raise ValueError(f"{name} must hold at least one angle, got {value!r}")
-    return values
-
-
-def _joined(wavelengths):
-    """Wavelengths as the integrator's text property."""
-    if wavelengths is None or isinstance(wavelengths, str):
-        return wavelengths
-    return ",".join(str(nm) for nm in np.atleast_1d(wavelengths))
-
-
-def _theta(value):
-    return checked_number("theta_i", value, 0, 90, "an angle in degrees in [0, 90)")
 
 
 # ------------------------------------------------------------------ parts of the bench
@@ -374,6 +249,13 @@ def _check_memory(benches, n_batches):
             f"{memory / 2**30:.3g} GiB of memory, got {needed / 2**30:.3g} GiB: take "
             "fewer patches, incident directions or batches"
         )
+
+
+def _joined(wavelengths):
+    """Wavelengths as the integrator's text property."""
+    if wavelengths is None or isinstance(wavelengths, str):
+        return wavelengths
+    return ",".join(str(nm) for nm in np.atleast_1d(wavelengths))
 
 
 def _integrator(scene, settings):
@@ -407,43 +289,6 @@ def _sensor(scene, collector, radius, hemispheres, sampler):
     return loaded("the collector", mi.load_dict, sensor | {"film": film})
 
 
-def _emitters(scene, emitter, incident, side):
-    """Scene that holds the one emitter to use."""
-    if emitter is None and incident is None:
-        if not scene.emitters():
-            raise SpecimenError(
-                "the specimen has no emitter, so an incident angle must be given, "
-                "such as theta_i=45 or --theta-i 45"
-            )
-        return scene
-    if emitter is None:
-        emitter = {"type": "directional", "direction": _beam_direction(incident, side)}
-    elif not isinstance(emitter, dict):
-        raise TypeError(f"emitter must be a dictionary, got {emitter!r}")
-    elif incident is not None:
-        emitter = _turned(emitter, incident, side)
-    return loaded("the emitter", mi.load_dict, {"type": "scene", "emitter": emitter})
-
-
-def _beam_direction(incident, side):
-    """Direction of flight of a collimated beam."""
-    theta, phi = np.radians(incident)
-    x, y, z = direction(theta, phi)
-    return [-x, -y, -z if side == "front" else z]
-
-
-def _turned(emitter, incident, side):
-    """Return `emitter`, described on +z, turned to the incident direction."""
-    theta, phi = incident
-    transform = mi.ScalarTransform4f
-    turn = (
-        transform()
-        .rotate([0, 0, 1], phi)
-        .rotate([0, 1, 0], theta if side == "front" else 180 - theta)
-    )
-    return emitter | {"to_world": turn @ emitter.get("to_world", transform())}
-
-
 # ---------------------------------------------------------------- progress and resuming
 
 
@@ -470,10 +315,6 @@ class _Bar(tqdm):
     def __enter__(self):
         super().__enter__()
         return self.update
-
-
-def _n_batches(tallies):
-    return sum(tally.n_batches for tally in tallies)
 
 
 def _check_resumable(resume, descriptions, benches):

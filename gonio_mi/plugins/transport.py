@@ -20,8 +20,8 @@ LARGEST_WEIGHT = 2.0**15
 ROUNDING = 2.0**-20
 
 # How far a ray starts off its surface, in units of the local coordinates: 64 ulp. Off a
-# plane 2 ulp are enough, since a hit on that plane is recognised, within this part of the
-# specimen's size, and stepped over.
+# plane 2 ulp are enough, since a hit on that plane is recognised, within this part of
+# the specimen's size, and stepped over.
 SURFACE_OFFSET = 2.0**-18
 PLANE_OFFSET = 2.0**-23
 SAME_PLANE = 2.0**-20
