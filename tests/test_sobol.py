@@ -113,10 +113,7 @@ def test_scrambling_keeps_the_net(sobol):
         for a, b in combinations(range(sobol.BLOCK), 2):
             t = quality(mixed[a], mixed[b], m)
             qualities[block, a, b] = t
-            if block == 0:
-                assert t == quality(plain[a], plain[b], m)
-            else:
-                assert t <= 5
+            assert t == quality(plain[a], plain[b], m)
     # the direction of scattering, and the lobe with either of its coordinates
     assert qualities[0, 3, 4] == 0
     assert max(qualities[0, 2, 3], qualities[0, 2, 4]) <= 1
@@ -149,18 +146,18 @@ def flat(*rows):
 def test_each_point_is_uniform_over_seeds(sobol, index):
     """Unbiased, for any number of rays: in its leading and in its further digits."""
     seeds = np.arange(SEEDS)
-    rows = {d: numbers(sobol, index, seeds, d) for d in (0, 2, 3, 4, 7, 13, 24)}
-    for draw in (0, 3, 4, 24):
+    rows = {d: numbers(sobol, index, seeds, d) for d in (0, 2, 3, 4, 7, 20, 37)}
+    for draw in (0, 3, 4, 37):
         agree(flat(rows[draw]))
         agree(flat(rows[draw] << np.uint32(16)))
-    for pair in [(2, 3), (2, 4), (3, 4), (0, 7), (3, 13), (4, 24), (13, 24)]:
+    for pair in [(2, 3), (2, 4), (3, 4), (0, 7), (3, 20), (4, 37), (20, 37)]:
         agree(flat(*(rows[d] for d in pair)))
-    agree(flat(rows[2], rows[3], rows[4], rows[13]))
+    agree(flat(rows[2], rows[3], rows[4], rows[20]))
     # seeds in a row are unrelated
-    for draw in (3, 4, 13):
+    for draw in (3, 4, 20):
         agree(flat(rows[draw][:-1:2], rows[draw][1::2]))
     # twin: one key for two numbers
-    key = sobol.keys(mi.UInt32(seeds), mi.UInt32(2))
+    key = sobol.key(mi.UInt32(seeds), mi.UInt32(2))
     same = dr.brev(sobol.owen(sobol.sobol_known(mi.UInt32(index), 3), key)).numpy()
     disagree(flat(rows[2], same))
 
@@ -240,6 +237,12 @@ def test_a_sequence_continues():
     assert not np.array_equal(draw_all(loaded(n=1000, seed=1)), whole)
 
 
+def test_the_samplers_own_seed_is_added():
+    sampler = mi.load_dict({"type": "sobol", "seed": 3}).fork()
+    sampler.seed(4, 64)
+    assert np.array_equal(draw_all(sampler), draw_all(loaded(seed=7)))
+
+
 def test_clone_and_fork():
     sampler = loaded()
     sampler.next_2d()
@@ -312,7 +315,7 @@ def test_mitsubas_path_tracer_renders_the_same(sobol):
         """Twin: draws the same two numbers again at each event."""
 
         def next_1d(self, active=True):
-            self.draw = self.draw % 2
+            self.draw = 0 * self.draw
             return super().next_1d(active)
 
     mi.register_sampler("stuck", Stuck)

@@ -20,6 +20,12 @@ POLYNOMIALS = (
     (0b100101, (1, 1, 5, 5, 17)),
     (0b101001, (1, 1, 5, 5, 5)),
     (0b101111, (1, 1, 7, 11, 19)),
+    (0b110111, (1, 1, 5, 1, 1)),
+    (0b111011, (1, 1, 1, 3, 11)),
+    (0b111101, (1, 3, 5, 5, 31)),
+    (0b1000011, (1, 3, 3, 9, 7, 49)),
+    (0b1011011, (1, 1, 1, 15, 21, 21)),
+    (0b1100001, (1, 3, 1, 13, 27, 49)),
 )
 
 # Binomial coefficients modulo 2 as shifts.
@@ -33,8 +39,8 @@ PASCAL = (
 
 # Sobol' dimension of each draw of a block. The first two are the best distributed and
 # the cheapest; they go to the direction of scattering in the usual order of draws:
-# footprint (2), lobe (1), direction (2).
-ORDER = (3, 4, 2, 0, 1, 5, 6, 7, 8, 9)
+# footprint (2), lobe (1), direction (2). Sixteen cover the beam and the first event.
+ORDER = (3, 4, 2, 0, 1, *range(5, 16))
 
 
 def direction_numbers(dimension):
@@ -109,18 +115,16 @@ def owen(x, key):
     bits. Sums and products with odd numbers do just that (Laine and Karras 2011); the
     constants are those of Vegdahl 2021, as in PBRT.
     """
-    first, second = key
     x = x ^ (x * 0x3D20ADEA)
-    x = x + first
-    x = x * (second | 1)
+    x = x + key
+    x = x * (key >> 16 | 1)
     x = x ^ (x * 0x05526C56)
     return x ^ (x * 0x53A22864)
 
 
-def keys(seed, number):
-    """Two words to scramble with, unrelated for other seeds and other numbers."""
-    first = _hash(seed + _hash(number + 0x9E3779B9))
-    return first, _hash(first ^ 0x85EBCA6B)
+def key(seed, number):
+    """Word to scramble with, unrelated for other seeds and other numbers."""
+    return _hash(seed + number * 0x9E3779B9)
 
 
 def _hash(x):
@@ -145,10 +149,10 @@ def sobol_number(index, seed, draw):
         coordinate = sobol_known(index, draw[0])
     else:
         block = draw // BLOCK
-        shuffled = dr.brev(owen(dr.brev(index), keys(~seed, block)))
+        shuffled = dr.brev(owen(dr.brev(index), key(~seed, block)))
         index = dr.select(block == 0, index, shuffled)
         coordinate = sobol_any(index, draw - block * BLOCK)
-    return dr.brev(owen(coordinate, keys(seed, draw)))
+    return dr.brev(owen(coordinate, key(seed, draw)))
 
 
 def fraction(bits):
@@ -160,10 +164,10 @@ class Sobol(mi.Sampler):
     r"""Owen-scrambled Sobol' points (:monosp:`sobol`).
 
     Ray ``i`` of a wavefront draws its numbers from point ``start + i`` of one scrambled
-    Sobol' sequence. What the beam and the first event draw, up to ten numbers, are
-    coordinates of the same ten-dimensional point, so that they are well distributed
-    *jointly*. The next ten come from the same sequence in a shuffled order, and so on
-    without an end: independent between blocks of ten, well distributed within.
+    Sobol' sequence. The first sixteen, more than the beam and the first event need, are
+    coordinates of the same 16-dimensional point, so that they are well distributed
+    *jointly*. The next sixteen come from the same sequence in a shuffled order, and so
+    on without an end: independent between blocks of sixteen, well distributed within.
 
     Every seed is an independent scrambling of the sequence. Each number is uniform on
     the multiples of 2**-24 in [0, 1), for any number of rays; a power of two of them
@@ -174,6 +178,10 @@ class Sobol(mi.Sampler):
      * - sample_count
        - |int|
        - Number of samples per pixel, for Mitsuba's own integrators. (Default: 4)
+
+     * - seed
+       - |int|
+       - Added to the seed of each rendering or batch. (Default: 0)
 
     .. tabs::
         .. code-tab:: xml
@@ -191,6 +199,7 @@ class Sobol(mi.Sampler):
                 f"the sampler sobol needs an llvm or cuda variant, got {mi.variant()}"
             )
         super().__init__(props)
+        self.base_seed = props.get("seed", 0)
         # Index in the sequence of the first point of the next wavefront to be seeded
         self.start = 0
         self.index = mi.UInt32(0)
@@ -201,7 +210,7 @@ class Sobol(mi.Sampler):
     def seed(self, seed, wavefront_size=0xFFFFFFFF):
         """Choose the scrambling and go to the point `start`; nothing recompiles."""
         super().seed(seed, wavefront_size)
-        self.key = mi.UInt32(seed)
+        self.key = mi.UInt32(seed) + self.base_seed
         dr.make_opaque(self.key)
         start = dr.opaque(mi.UInt32, self.start)
         self.index = dr.arange(mi.UInt32, self.wavefront_size()) + start
@@ -228,7 +237,7 @@ class Sobol(mi.Sampler):
         """Return a sampler of the same settings, to be seeded."""
         copy = type(self)(mi.Properties("sobol"))
         copy.set_sample_count(self.sample_count())
-        copy.start = self.start
+        copy.base_seed, copy.start = self.base_seed, self.start
         return copy
 
     def clone(self):
