@@ -165,6 +165,11 @@ def measure(
     seed = checked_count("seed", seed, 0)
     checked_choice("side", side, ("front", "back"))
     target = checked_target(rel_err, max_rays, floor, rays, resume)
+    if theta_i is None and emitter is None and (side != "front" or np.any(phi_i)):
+        raise ValueError(
+            "side and phi_i go with theta_i: without it the scene's emitter decides "
+            f"where light comes from, got side {side} and phi_i {phi_i}"
+        )
     incidents, stacked = incident_angles(theta_i, phi_i)
     if collector is not None:
         collector = subdivision(collector)

@@ -739,3 +739,11 @@ def test_plan_from_a_pilot(run, tmp_path):
 def test_plan_bad_input(run, arguments, message):
     code, out, err = run("plan", *arguments)
     assert (code, out, err) == (1, "", f"gonio-mi: {message}\n")
+
+
+@pytest.mark.parametrize("option", [("--side", "back"), ("--phi-i", "90")])
+def test_what_the_scenes_emitter_decides_is_refused(run, option):
+    scene = Path(__file__).parent.parent / "scenes" / "lambertian.xml"
+    code, _, err = run("measure", scene, *option)
+    assert code == 1
+    assert err.startswith("gonio-mi: side and phi_i go with theta_i: ")
