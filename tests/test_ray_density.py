@@ -1,4 +1,4 @@
-"""Numbers of rays: the paper's formulas, the planner's promise, and stopping in time."""
+"""Numbers of rays: the paper's formulas, the planner's promise, and when to stop."""
 
 import math
 
@@ -49,7 +49,7 @@ def test_impossible_probabilities_are_refused(probabilities):
 
 
 def campaigns(factor):
-    """Successful ones of 200 simulated campaigns, with `factor` times the rays asked."""
+    """Successes of 200 simulated campaigns, with `factor` times the rays asked."""
     grid = gonio.subdivision("solid:10x20")
     p = (grid.projected_solid_angles / np.pi).ravel()
     rays = int(factor * ray_density.relative_rays(p, 0.05, 0.95))
@@ -129,7 +129,7 @@ def test_bad_targets(settings, message):
 
 @pytest.mark.usefixtures("mono")
 def test_a_pilot_finds_the_lobe():
-    """The exponentiated cosine lights part of the hemisphere; the plan needs m' only."""
+    """The conductor lights part of the hemisphere; the plan needs m' only."""
     pilot = gonio.measure({"type": "roughconductor", "alpha": 0.1}, 30, rays=10**5)
     plan = gonio.plan(pilot)
     assert plan.n_patches == 900
