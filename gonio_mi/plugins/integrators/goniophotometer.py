@@ -19,8 +19,8 @@ from gonio_mi.plugins.transport import Settings, scatter_plane, trace
 from gonio_mi.record import Record
 from gonio_mi.tally import WEIGHT_SCALE, Fate, Tally, batch_sizes
 
-# Rays per kernel launch. It takes part in the seeding: a change of it changes the random
-# numbers.
+# Rays per kernel launch. It takes part in the seeding: a change of it changes the
+# random numbers.
 LAUNCH = 2**24
 
 ESTIMATORS = ("weighted", "analog")
