@@ -51,7 +51,8 @@ class Ledger:
     rejected : int
         The BSDF's ``sample`` gave no direction (zero density).
     invalid : int
-        ``sample`` gave a weight that is negative, not finite or above 32768, or a
+        ``sample`` gave a weight that is negative, not finite or above 32768 (2**30 for
+        the product of all weights of a path), or a
         direction that is no unit vector.
     unlit : int
         The emitter sends nothing along this ray.

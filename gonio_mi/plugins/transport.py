@@ -13,8 +13,9 @@ from ..tally import Fate
 
 __all__ = ["Exits", "Settings", "flux_context", "scatter_plane", "trace"]
 
-# Weights above this would overflow the fixed-point sums.
+# Weights and powers above these would overflow the fixed-point sums.
 LARGEST_WEIGHT = 2.0**15
+LARGEST_POWER = 2.0**30
 
 # Relative excess of a weight over 1 that is taken for float32 rounding: 16 ulp.
 ROUNDING = 2.0**-20
@@ -192,6 +193,7 @@ def _after_event(throughput, bsdf_weight, bs, wo, sampler, analog):
     valid = (smallest >= 0) & (largest <= LARGEST_WEIGHT)
     valid &= zero | (dr.abs(norm2 - 1) < 1e-3)
     product = throughput * dr.select(valid, bsdf_weight, 0.0)
+    valid &= dr.max(product) <= LARGEST_POWER
     throughput = _whole(product, sampler.next_1d()) if analog else product
     fate = dr.select(
         dr.any(throughput > 0), mi.UInt32(Fate.REFLECTED), mi.UInt32(Fate.ABSORBED)

@@ -69,30 +69,32 @@ class Bench:
 class Sums:
     """Sums over the bins of a bench that a kernel scatters to.
 
-    What is summed of the powers is their difference to 1, and of further channels that
-    to the first: most scatters are masked, and cost little, for counted rays and for
-    achromatic specimens.
+    A bin holds hits, the excess of their powers over 1, and for each further channel
+    the excess over the first: side by side, since Dr.Jit adds such a packet in one go,
+    three times as fast as one number alone. Where that is not so, in large collectors,
+    zeros are skipped: counted rays and achromatic specimens cost one addition.
     """
 
     def __init__(self, bench, scale):
         self.bench = bench
         self.scale = scale
-        channels = len(mi.Spectrum())
-        self.hits = dr.zeros(mi.UInt32, bench.n_bins)
-        self.excesses = [dr.zeros(mi.Int64, bench.n_bins) for _ in range(channels)]
+        self.channels = len(mi.Spectrum())
+        # a packet is a power of two of numbers
+        self.width = 1 << self.channels.bit_length()
+        self.bins = dr.zeros(mi.Int64, bench.n_bins * self.width)
         self.incident = [
-            dr.zeros(mi.Int64, 1) for _ in range(0 if bench.beam.uniform else channels)
+            dr.zeros(mi.Int64, 1)
+            for _ in range(0 if bench.beam.uniform else self.channels)
         ]
 
     def add(self, bins, exits, active):
         """Scatter one ray per lane."""
-        _scatter_add(self.hits, mi.UInt32(1), bins, active)
         powers = _fixed_point(exits.throughput, self.scale)
-        bases = [mi.Int64(self.scale), *[powers[0]] * (len(powers) - 1)]
-        collected = active & (bins < self.bench.n_collected)
-        for target, power, base in zip(self.excesses, powers, bases):
-            excess = power - base
-            _scatter_add(target, excess, bins, collected & (excess != 0))
+        collected = bins < self.bench.n_collected
+        excesses = [powers[0] - self.scale, *(p - powers[0] for p in powers[1:])]
+        packet = [1, *(dr.select(collected, e, 0) for e in excesses)]
+        packet += [0] * (self.width - len(packet))
+        _scatter_add(self.bins, mi.ArrayXi64(packet), bins, active)
         for target, power in zip(
             self.incident, _fixed_point(exits.incident, self.scale)
         ):
@@ -104,28 +106,25 @@ class Sums:
         A beam of uniform power needs no sum of it: every ray that met the specimen
         carried the power 1.
         """
-        dr.eval(self.hits, self.excesses, self.incident)
+        dr.eval(self.bins, self.incident)
         bench, scale = self.bench, self.scale
-        hits = self.hits.numpy().astype(np.uint64)
-        patches, fates = np.split(hits, [bench.n_collected])
-        flux = [patches.astype(np.int64) * scale + self._excess(0)]
-        flux += [flux[0] + self._excess(c) for c in range(1, len(self.excesses))]
-        flux = np.stack(flux, axis=-1).astype(np.uint64)
-        patches = patches.reshape(bench.shape)
-        fates[Fate.REFLECTED] = patches[0].sum()
+        bins = self.bins.numpy().reshape(-1, self.width)[:, : 1 + self.channels]
+        patches, fates = np.split(bins, [bench.n_collected])
+        hits, fates = patches[:, 0].astype(np.uint64), fates[:, 0].astype(np.uint64)
+        hits = hits.reshape(bench.shape)
+        flux = patches[:, 1:].copy()
+        flux[:, 0] += patches[:, 0] * scale
+        flux[:, 1:] += flux[:, :1]
+        fates[Fate.REFLECTED] = hits[0].sum()
         if bench.shape[0] == 2:
-            fates[Fate.TRANSMITTED] = patches[1].sum()
+            fates[Fate.TRANSMITTED] = hits[1].sum()
         if self.incident:
             power = np.array([[int(total[0]) for total in self.incident]], np.uint64)
         else:
             met = fates.sum() - fates[Fate.MISSED] - fates[Fate.UNLIT]
-            power = np.full((1, flux.shape[-1]), met * np.uint64(scale))
-        return Tally(
-            patches, flux.reshape(1, *bench.shape, -1), power, fates[None], scale
-        )
-
-    def _excess(self, channel):
-        return self.excesses[channel].numpy()[: self.bench.n_collected]
+            power = np.full((1, self.channels), met * np.uint64(scale))
+        sums = flux.astype(np.uint64).reshape(1, *bench.shape, -1)
+        return Tally(hits, sums, power, fates[None], scale)
 
 
 class Goniophotometer(mi.SamplingIntegrator):
@@ -394,8 +393,22 @@ def _scatter_add(target, value, index, active):
 
 
 def _fixed_point(powers, scale):
-    """Powers of all channels as whole numbers of ``1 / scale`` of a ray."""
-    return [mi.Int64(dr.round(power * float(scale))) for power in powers]
+    """Powers of all channels as whole numbers of ``1 / scale`` of a ray.
+
+    By 32-bit integers, to which vector units convert much faster: whole rays, which
+    stay below LARGEST_POWER, and the rest.
+    """
+
+    def whole(x):
+        return mi.Int64(mi.Int32(x))
+
+    if scale == 1:
+        return [whole(dr.round(power)) for power in powers]
+    return [
+        whole(dr.floor(power)) * scale
+        + whole(dr.round((power - dr.floor(power)) * float(scale)))
+        for power in powers
+    ]
 
 
 def _wavelength_lanes(nm):
