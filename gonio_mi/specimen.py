@@ -24,7 +24,7 @@ FRAMES = re.compile(
     r'|(At|While loading) dictionary node "root": '
     r'|failed to instantiate unknown plugin of type "[^"]*": \[PluginManager\] '
     r'|(At dictionary node "\w+": )?failed to instantiate \w+ plugin of type '
-    r'"(goniophotometer|collector|patches)": \w+: '
+    r'"(goniophotometer|collector|patches|heightfield)": \w+: '
 )
 
 

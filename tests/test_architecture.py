@@ -9,10 +9,13 @@ PACKAGE = Path(__file__).parents[1] / "gonio_mi"
 
 # Physics and files that a reader can check, and use, without a renderer.
 NUMPY_LAYER = (
+    "curves",
     "directions",
     "errors",
     "exr",
     "files",
+    "heights",
+    "memory",
     "npz",
     "record",
     "statistics",

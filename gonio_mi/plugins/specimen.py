@@ -1,5 +1,6 @@
 """What is measured: the shapes of a scene without its lamps, and how flat they are."""
 
+import re
 from dataclasses import dataclass
 
 import drjit as dr
@@ -131,4 +132,7 @@ class Specimen:
 def _describe(shape):
     """One line on a shape and its BSDF, without large arrays."""
     bsdf = " ".join(str(shape.bsdf()).split())
-    return f"{shape.class_name()} with {bsdf[:200]}"
+    # of a mesh, its file or what a height field has to say
+    name = re.search(r'\bname = "([^"]*)"', str(shape)) if shape.is_mesh() else None
+    label = f"{shape.class_name()} {name[1]}" if name else shape.class_name()
+    return f"{label} with {bsdf[:200]}"
