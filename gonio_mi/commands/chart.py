@@ -1,0 +1,181 @@
+"""``gonio-mi chart``: speed against accuracy for a specimen."""
+
+import sys
+from pathlib import Path
+
+from .. import files
+from ..specimen import load_plugin_file, parse_specimen
+from .arguments import DONE, add_scene_options, number, pair, say, set_variant
+
+__all__ = ["add", "run"]
+
+EXAMPLES = """\
+examples:
+  gonio-mi chart diffuse --theta-i 45
+  gonio-mi chart roughplastic:alpha=0.2 --theta-i 45 -o chart.png chart.csv
+  gonio-mi chart scenes/micro_geometry.xml --seconds 300 -o chart.png
+  gonio-mi chart principled --theta-i 30 --sampler independent stratified sobol
+
+The error is the root mean square over the patches, relative to the mean BSDF; the time
+is that of the process, all threads together, without compilation. SPECIMEN comes first.
+"""
+
+
+def add(commands):
+    """Add the parser of the command."""
+    parser = commands.add_parser(
+        "chart",
+        help="speed against accuracy for a specimen: what to use",
+        usage="%(prog)s SPECIMEN [--theta-i DEG] [options]",
+        description="Measure a specimen by every method with more and more rays, and\n"
+        "chart the error over rays and over CPU seconds.",
+        epilog=EXAMPLES,
+    )
+    parser.set_defaults(run=run)
+    parser.add_argument(
+        "specimen",
+        metavar="SPECIMEN",
+        help="a Mitsuba scene file, or a BSDF in one word such as "
+        "roughconductor:alpha=0.2,distribution=ggx",
+    )
+    parser.add_argument(
+        "--theta-i",
+        type=number,
+        metavar="DEG",
+        help="angle of incidence in degrees in [0, 90); the scene's own emitter if it "
+        "is not given",
+    )
+    parser.add_argument(
+        "--phi-i",
+        type=number,
+        default=0,
+        metavar="DEG",
+        help="azimuth of incidence in degrees (default: 0)",
+    )
+    parser.add_argument(
+        "--side", default="front", help="lit face: front (default) or back"
+    )
+    parser.add_argument(
+        "--collector",
+        metavar="KIND:NTxNP",
+        help="patches (default: projected:30x30)",
+    )
+    _add_methods(parser.add_argument_group("methods"))
+    scene = parser.add_argument_group("scene")
+    add_scene_options(scene)
+    scene.add_argument(
+        "-D",
+        nargs="+",
+        action="extend",
+        default=[],
+        type=pair,
+        dest="parameters",
+        metavar="KEY=VALUE",
+        help="values of the $KEY parameters of the scene file",
+    )
+    output = parser.add_argument_group("output")
+    output.add_argument(
+        "-o",
+        "--output",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="FILE",
+        help="write the chart to these .png, .pdf, .svg or .csv files",
+    )
+    output.add_argument("-q", "--quiet", action="store_true", help="print nothing")
+
+
+def _add_methods(group):
+    """Add the options that say what is compared, and for how long."""
+    group.add_argument(
+        "--estimator",
+        nargs="+",
+        metavar="E",
+        help="estimators to compare (default: all that apply)",
+    )
+    group.add_argument(
+        "--sampler",
+        nargs="+",
+        metavar="S",
+        help="samplers to compare (default: independent sobol)",
+    )
+    group.add_argument(
+        "--seconds",
+        type=number,
+        default=60,
+        metavar="T",
+        help="about how long all of it may take (default: 60)",
+    )
+    group.add_argument(
+        "--target",
+        type=number,
+        default=0.01,
+        metavar="X",
+        help="relative error for which costs are compared (default: 0.01)",
+    )
+    group.add_argument(
+        "--repeats",
+        type=number,
+        default=4,
+        metavar="N",
+        help="measurements of different seeds for each point (default: 4)",
+    )
+    group.add_argument(
+        "--batches",
+        type=number,
+        metavar="N",
+        help="independent batches of each measurement (default: 32)",
+    )
+    group.add_argument("--seed", type=number, default=0, metavar="S", help="default: 0")
+
+
+def run(options):
+    """Run the command and return the exit code."""
+    from ..chart import ESTIMATORS, SAMPLERS, chart
+    from ..errors import checked_number
+
+    tables = [path for path in options.output if Path(path).suffix.lower() == ".csv"]
+    pictures = [path for path in options.output if path not in tables]
+    for path in tables:
+        files.check_output(path, (".csv",))
+    if pictures:
+        from ..chart_plot import plot_chart
+        from ..comparison_plot import check_picture
+
+        for path in pictures:
+            check_picture(path)
+    target = checked_number("target", options.target, 1e-9, 1, "a number in (0, 1)")
+    set_variant(options.variant)
+    for path in options.plugin:
+        load_plugin_file(path)
+    specimen = parse_specimen(options.specimen)
+    if options.parameters and isinstance(specimen, dict):
+        raise ValueError(f"-D goes with a scene file, got {options.specimen!r}")
+    result = chart(
+        specimen,
+        options.theta_i,
+        options.phi_i,
+        estimators=options.estimator or ESTIMATORS,
+        samplers=options.sampler or SAMPLERS,
+        seconds=options.seconds,
+        repeats=options.repeats,
+        seed=options.seed,
+        parameters=dict(options.parameters),
+        progress=not options.quiet and sys.stderr.isatty(),
+        collector=options.collector,
+        side=options.side,
+        batches=options.batches,
+    )
+    for path in tables:
+        result.save_csv(path)
+    for path in pictures:
+        plot_chart(result, path, target=target)
+    if not options.quiet:
+        print(result.table(target))
+        reference = result.reference
+        print(f"reference: {reference.source}; its error is {reference.error:.2g}")
+        print(f"use {result.advice(target)}")
+    if not any(cost.measured for _, cost in result.ranking(target)):
+        say(f"warning: no method reached {target:g}; take more --seconds")
+    return DONE

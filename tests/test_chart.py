@@ -1,0 +1,302 @@
+"""Speed against accuracy: orders, fronts and costs, and where the numbers come from."""
+
+import csv
+import importlib
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import agree, disagree, single
+
+import gonio_mi as gonio
+from gonio_mi import cli
+from gonio_mi.chart_plot import plot_chart
+from gonio_mi.curves import Chart, Curve, Point, Reference
+from gonio_mi.reference_cases import rms_expectation
+
+# the module, which has a function of its name
+runs = importlib.import_module("gonio_mi.chart")
+
+DIFFUSE = {"type": "diffuse", "reflectance": 0.5}
+GLASS = {"type": "dielectric"}
+
+
+# ------------------------------------------------------------------ curves
+
+
+def curve(estimator, order, seconds_per_ray, error=1.0, rays=(2**12, 2**16, 2**20)):
+    """Curve of an exact power law."""
+    points = [
+        Point(n, seconds_per_ray * n, error * (n / rays[0]) ** -order, 0.01, np.nan)
+        for n in rays
+    ]
+    return Curve(estimator, "sobol", tuple(points))
+
+
+def synthetic(*curves, error=1e-6):
+    values = np.ones((1, 3, 4, 1))
+    reference = Reference(values, error, 1.0, "a formula")
+    return Chart("a thing", 45.0, 0.0, "angle:3x4", curves, reference, 64.0, {})
+
+
+def test_a_power_law_has_its_order():
+    """By rounding: a straight line in logarithms."""
+    order, std_err = curve("weighted", 0.75, 1e-8).order(12, 0)
+    assert order == pytest.approx(0.75, abs=1e-12)
+    assert std_err < 1e-12
+    bent = [*curve("weighted", 0.75, 1e-8).points]
+    bent[1] = Point(bent[1].rays, 1.0, 2 * bent[1].error, 0, 0)
+    _, std_err = Curve("weighted", "sobol", tuple(bent)).order(12, 0)
+    assert std_err > 0.01
+
+
+def test_no_order_without_three_points_that_count():
+    steep = curve("weighted", 0.75, 1e-8)
+    assert np.isnan(steep.order(2**12, 0)).all(), "too few rays for the patches"
+    assert np.isnan(steep.order(12, 0.1)).all(), "the reference is not exact enough"
+
+
+def test_cost_is_interpolated_on_a_power_law():
+    half = curve("weighted", 0.5, 1e-8)
+    cost = half.cost(2.0**-3)
+    assert cost.measured
+    assert cost.rays == pytest.approx(2**18, rel=1e-12)
+    assert cost.cpu_seconds == pytest.approx(1e-8 * 2**18, rel=1e-12)
+    far = half.cost(2.0**-6)
+    assert not far.measured
+    assert far.rays == pytest.approx(2**24, rel=1e-12)
+    assert far.cpu_seconds == pytest.approx(1e-8 * 2**24, rel=1e-12)
+    near = half.cost(3.0)
+    assert (near.rays, near.measured) == (2**12, True)
+
+
+def test_a_fixed_part_of_the_time_is_not_extrapolated():
+    points = tuple(
+        Point(n, 1.0 + 1e-6 * n, n**-0.5, 0, 0) for n in (10**2, 10**4, 10**6)
+    )
+    cost = Curve("analog", "independent", points).cost(1e-4)
+    assert cost.cpu_seconds == pytest.approx(101, rel=1e-9)
+
+
+def test_the_front_holds_what_nothing_beats():
+    cheap = curve("weighted", 0.5, 1e-8)
+    dear = curve("analog", 0.5, 2e-8)
+    fast = curve("weighted", 1.0, 1e-8, error=1.5)
+    front = synthetic(dear, cheap, fast).pareto()
+    every = [p for c in (dear, cheap, fast) for p in c.points]
+    best = [
+        p
+        for p in every
+        if not any(
+            (q.cpu_seconds <= p.cpu_seconds and q.error < p.error)
+            or (q.cpu_seconds < p.cpu_seconds and q.error <= p.error)
+            for q in every
+        )
+    ]
+    assert sorted(p.cpu_seconds for _, p in front) == sorted(
+        {p.cpu_seconds for p in best}
+    )
+    assert all(c is not dear for c, _ in front)
+    assert [c.estimator for c, _ in synthetic(dear, cheap).ranking(0.1)] == [
+        "weighted",
+        "analog",
+    ]
+
+
+def test_advice_counts_independent_rays_by_theory():
+    chart = synthetic(curve("weighted", 1.0, 1e-8, rays=(2**6, 2**9, 2**12)))
+    # 64 / sqrt(n) is 1/8 for 2^18 rays, and the curve reaches it with 2^9
+    assert chart.independent_rays(1 / 8) == 2**18
+    assert "5.1e+02 rays, 1/512 of independent ones" in chart.advice(1 / 8)
+    assert "extrapolated" in chart.advice(1e-3)
+
+
+def test_claims_are_compared_with_errors():
+    points = tuple(Point(n, 1.0, e, 0, 0.8 * e) for n, e in ((10, 0.5), (100, 0.1)))
+    low = Point(1000, 1.0, 1e-6, 0, 1.0)  # where the reference decides
+    method = Curve("weighted", "sobol", (*points, low))
+    assert method.claim(1e-3) == pytest.approx(0.8, rel=1e-12)
+    assert np.isnan(method.claim(1.0))
+    assert " 0.80" in synthetic(method, error=1e-3).table(0.1)
+
+
+def test_csv_holds_every_point(tmp_path):
+    chart = synthetic(curve("weighted", 0.5, 1e-8), curve("analog", 0.5, 2e-8))
+    chart.save_csv(tmp_path / "chart.csv")
+    lines = (tmp_path / "chart.csv").read_text().splitlines()
+    assert "# specimen: a thing" in lines
+    rows = list(csv.DictReader(line for line in lines if line[0] != "#"))
+    points = [(c, p) for c in chart.curves for p in c.points]
+    assert len(rows) == len(points)
+    front = [point for _, point in chart.pareto()]
+    for row, (method, point) in zip(rows, points):
+        assert (row["estimator"], row["sampler"]) == (method.estimator, method.sampler)
+        assert float(row["error"]) == point.error
+        assert float(row["cpu_seconds"]) == point.cpu_seconds
+        assert int(row["rays"]) == point.rays
+        assert int(row["pareto"]) == (point in front)
+
+
+# ------------------------------------------------------------------ measurements
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Levels of 2^12, 2^14 and 2^16 rays, however long they take."""
+    monkeypatch.setattr(runs, "MOST_RAYS", 2**16)
+
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+
+def scores(of_curve, grid, repeats):
+    """Scores of the squared errors of each point, of a Lambertian of 1/2."""
+    for point in of_curve.points:
+        p = 0.5 * grid.projected_solid_angles / np.pi
+        expected, spread = rms_expectation(grid, p, point.rays)
+        square = (point.error * 0.5 / np.pi) ** 2
+        yield (square / expected - 1) / (spread / np.sqrt(repeats))
+
+
+@pytest.mark.usefixtures("short")
+def test_counted_rays_err_as_multinomial_statistics_say():
+    repeats = 3
+    chart = runs.chart(DIFFUSE, 30, estimators=["analog"], seconds=600, repeats=repeats)
+    grid = gonio.subdivision(chart.collector)
+    independent, sobol = chart.curves
+    assert [c.label for c in chart.curves] == ["analog, independent", "analog, sobol"]
+    assert independent.rays.tolist() == [2**12, 2**14, 2**16]
+    for z in scores(independent, grid, repeats):
+        agree(single(z))
+    # twin: the errors of points that are more even than random ones
+    *_, z = scores(sobol, grid, repeats)
+    disagree(single(z))
+    # (p - p^2) / w^2 with p = w / 2 pi, equal patches; relative to p / w
+    p = 0.5 / grid.n_patches
+    assert chart.independent == pytest.approx(np.sqrt((1 - p) / p), rel=1e-5)
+    assert chart.reference.mean == pytest.approx(0.5 / np.pi, rel=1e-5)
+    assert chart.reference.source.startswith("integral of eval")
+
+
+@pytest.mark.usefixtures("short")
+def test_nothing_is_compiled_while_time_is_taken(monkeypatch):
+    compiled = {"timed": [], "before": []}
+    run = runs._Runs.measure
+
+    def watched(self, method, rays, seed):
+        dr.kernel_history_clear()
+        record = run(self, method, rays, seed)
+        history = dr.kernel_history([dr.KernelType.JIT])
+        # out of the cache in memory; seed 0 is that of the reference and of the first runs
+        phase = compiled["timed" if seed else "before"]
+        phase.extend(
+            not kernel["cache_hit"] or kernel["cache_disk"] for kernel in history
+        )
+        return record
+
+    monkeypatch.setattr(runs._Runs, "measure", watched)
+    dr.flush_kernel_cache()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        runs.chart(DIFFUSE, 30, estimators=["analog"], seconds=600, repeats=2)
+    assert compiled["timed"]
+    assert not any(compiled["timed"])
+    assert any(compiled["before"]), "twin: the watch sees what the first runs compile"
+
+
+@pytest.mark.usefixtures("short")
+def test_both_sides_of_glass_against_a_long_run():
+    chart = runs.chart(GLASS, 30, samplers=["sobol"], seconds=4, repeats=2)
+    assert chart.reference.values.shape == (2, 30, 30, 1)
+    assert "delta components" in chart.reference.source
+    assert chart.n_patches == 1800
+    assert 0 < chart.reference.error < 0.01
+    # all patches but two are dark; those two are on either side
+    lit = np.argwhere(chart.reference.values[..., 0] > 0)
+    assert sorted(lit[:, 0]) == [0, 1]
+
+
+@pytest.mark.usefixtures("short")
+def test_what_eval_does_not_say_is_run():
+    """Textures: `eval` in the middle is not what the footprint sends."""
+    pixels = np.array([[[0.1], [0.9]], [[0.2], [0.1]]], np.float32)
+    texture = {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "raw": True}
+    uneven = {"type": "diffuse", "reflectance": texture | {"filter_type": "nearest"}}
+    chart = runs.chart(uneven, 30, samplers=["sobol"], seconds=2, repeats=2)
+    assert "is not what sample sends" in chart.reference.source
+
+
+@pytest.mark.usefixtures("short")
+def test_a_wrong_reference_is_noticed(monkeypatch):
+    right = runs._integral
+
+    def wrong(*args):
+        found = right(*args)
+        return Reference(found.values * 1.03, found.error, found.mean, found.source)
+
+    monkeypatch.setattr(runs, "_integral", wrong)
+    monkeypatch.setattr(runs, "MOST_RAYS", 2**20)
+    with pytest.warns(RuntimeWarning, match="off the reference by 0.03"):
+        runs.chart(
+            DIFFUSE, 30, estimators=["weighted"], samplers=["sobol"], seconds=600
+        )
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"seconds": 0}, "seconds must be a positive number, got 0"),
+        ({"repeats": 1}, "repeats must be at least 2, got 1"),
+        ({"samplers": "sobol"}, "samplers must be a sequence of names, got 'sobol'"),
+        ({"theta_i": [0, 30]}, "must be one incident direction, got 2"),
+        ({"estimators": ["magic"]}, "magic"),
+    ],
+)
+def test_bad_settings_are_one_sentence(settings, message):
+    with pytest.raises(ValueError, match=message.replace("[", r"\[")):
+        runs.chart(DIFFUSE, **{"theta_i": 30, "seconds": 1, **settings})
+
+
+# ------------------------------------------------------------------ picture, command
+
+
+def test_picture_shows_every_method(tmp_path):
+    chart = synthetic(curve("weighted", 0.75, 1e-8), curve("analog", 0.5, 2e-8))
+    figure = plot_chart(chart, tmp_path / "chart.png", target=0.01)
+    assert (tmp_path / "chart.png").read_bytes()[:4] == b"\x89PNG"
+    by_rays = figure.subfigs[0].axes[1]
+    labels = by_rays.get_legend_handles_labels()[1]
+    assert {"weighted, sobol", "analog, sobol"} < set(labels)
+    assert "use" not in figure.get_suptitle()
+    assert chart.advice(0.01) in figure.get_suptitle()
+
+
+@pytest.mark.usefixtures("short")
+def test_command(tmp_path, capsys):
+    outputs = [str(tmp_path / name) for name in ("chart.png", "chart.csv")]
+    options = ("--theta-i", "30", "--seconds", "600", "--estimator", "weighted")
+    few = ("--repeats", "2", "--target", "0.2")
+    assert cli.main(["chart", "diffuse", *options, *few, "-o", *outputs]) == 0
+    out = capsys.readouterr().out
+    assert "use to 0.2: weighted, " in out
+    assert "integral of eval" in out
+    rows = (tmp_path / "chart.csv").read_text().splitlines()
+    assert sum(row.startswith("weighted,sobol") for row in rows) == 3
+    assert (tmp_path / "chart.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["-o", "chart.txt"], "must end in .pdf or .png or .svg"),
+        (["--target", "2"], "target must be a number in (0, 1), got 2"),
+        (["--seconds", "soon"], "--seconds must be a number"),
+        (["--sampler", "ldsampler"], "must not be ldsampler"),
+        (["-D", "a=1"], "-D goes with a scene file"),
+    ],
+)
+def test_command_says_what_is_wrong(arguments, message, capsys):
+    assert cli.main(["chart", "diffuse", "--theta-i", "30", *arguments]) == 1
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
