@@ -26,10 +26,9 @@ def n_batches(tallies):
 
 def send(integrator, bench, key, plan, tallies, report):
     """Append the tallies of the batches of `plan` that are still missing."""
-    for index in range(n_batches(tallies), len(plan)):
-        tallies.append(
-            integrator.batch(bench, key, index, plan[index], progress=report)
-        )
+    first = n_batches(tallies)
+    for tally in integrator.tallies(bench, key, plan[first:], first, progress=report):
+        tallies.append(tally)
 
 
 def send_until(target, integrator, bench, key, tallies, report):
@@ -42,12 +41,9 @@ def send_until(target, integrator, bench, key, tallies, report):
     batches = integrator.batches
     each, goal = 0, PILOT_RAYS // batches  # rays of every batch
     while each < goal:
-        grown = Tally.join(
-            [
-                integrator.batch(bench, key, i, goal - each, each, progress=report)
-                for i in range(batches)
-            ]
-        )
+        sizes = [goal - each] * batches
+        sent = integrator.tallies(bench, key, sizes, start=each, progress=report)
+        grown = Tally.join(list(sent))
         tallies[:] = [tallies[0].accumulate(grown) if tallies else grown]
         each = goal
         record = integrator.record(bench, tallies[0], key[0])

@@ -432,9 +432,13 @@ def test_truncated_records(refuse, write, saved, ending, command):
 
 
 def interruptible(plugins, *settings):
-    """Arguments of a measurement in eight batches with the BSDF `test_interrupted`."""
+    """Arguments of a measurement in eight batches with the BSDF `test_interrupted`.
+
+    With independent rays, whose small batches share no launch.
+    """
     specimen = ":".join(["test_interrupted", ",".join(settings)])
-    return ("measure", specimen, *QUICK[2:], "--batches", "8", *plugins)
+    batches = ("--batches", "8", "--sampler", "independent")
+    return ("measure", specimen, *QUICK[2:], *batches, *plugins)
 
 
 @pytest.mark.usefixtures("sigint")

@@ -339,7 +339,7 @@ def at_most_random(rows):
 
 
 def wavefront(name, n):
-    return draw_all(sampling.seeded(mi.load_dict({"type": name}), (1, 2), 0, n))
+    return draw_all(sampling.seeded(mi.load_dict({"type": name}), [(1, 2)], 0, n))
 
 
 SAMPLERS = ["independent", "stratified", "multijitter", "orthogonal", "sobol"]
@@ -394,6 +394,18 @@ def test_launches_of_a_batch_are_one_sequence(monkeypatch):
     assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
     other = gonio.measure(PLASTIC, **settings, sampler="independent")
     assert other.tallies != random.tallies
+
+
+@pytest.mark.parametrize("trace", [False, True])
+def test_batches_that_share_a_launch_have_the_bits_of_their_own(monkeypatch, trace):
+    """Exact, with batches of unequal size, and several launches of a few batches."""
+    integrator = importlib.import_module("gonio_mi.plugins.integrators.goniophotometer")
+    settings = {"theta_i": [0, 60], "rays": 10_003, "batches": 7, "trace": trace}
+    whole = gonio.measure(PLASTIC, **settings)
+    monkeypatch.setattr(integrator, "FUSED_RAYS", 5000)
+    assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
+    monkeypatch.setattr(integrator, "FUSED_SUMS", 0)
+    assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
 
 
 def difference_to_independent(sampler, **settings):

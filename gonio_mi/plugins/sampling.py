@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-__all__ = ["check_sampler", "sampler_name", "seeded"]
+__all__ = ["apart", "check_sampler", "sampler_name", "seeded"]
 
 # Plugin names of the class names, which is all that a sampler knows.
 NAMES = {
@@ -45,16 +45,16 @@ def check_sampler(label, sampler):
         )
 
 
-def seeded(sampler, key, begin, n):
-    """Copy of `sampler` for `n` rays of a batch that has sent `begin` rays.
+def seeded(sampler, keys, begin, n):
+    """Copy of `sampler` for batches of `n` rays that have sent `begin` rays each.
 
     Parameters
     ----------
     sampler : mi.Sampler
-        With an attribute `start`, it continues one sequence through all of a batch.
+        With an attribute `start`, it continues one sequence through all of each batch.
         Samplers of fixed size get one sequence for these `n` rays, others a seed.
-    key : tuple of int
-        What tells this batch from all others.
+    keys : list of tuple of int
+        What tells each batch from all others; several only for a sampler with `start`.
     """
     sampler = sampler.clone()
     if hasattr(sampler, "start"):
@@ -62,8 +62,21 @@ def seeded(sampler, key, begin, n):
         begin, sampler.start = divmod(begin, 2**32)
     elif sampler_name(sampler) in OF_FIXED_SIZE:
         _set_size(sampler, n)
-    sampler.seed(dr.opaque(mi.UInt32, _seed(*key, begin)), n)
+    seeds = mi.UInt32([_seed(*key, begin) for key in keys])
+    dr.make_opaque(seeds)
+    sampler.seed(seeds, len(keys) * n)
     return sampler
+
+
+def apart(lane, n):
+    """Number of the group of `n` lanes, and of the lane in it; up to 2**24 lanes.
+
+    A division in double precision, exact because no quotient is nearer to a whole
+    number than ``1 / (2 n)``, and much faster than one of integers.
+    """
+    per_group = dr.rcp(mi.Float64(dr.opaque(mi.UInt32, n)))
+    group = mi.UInt32((mi.Float64(lane) + 0.5) * per_group)
+    return group, lane - group * dr.opaque(mi.UInt32, n)
 
 
 def _set_size(sampler, n):

@@ -13,7 +13,7 @@ from gonio_mi import llvm
 from gonio_mi.errors import SpecimenError, VariantError
 from gonio_mi.plugins import properties
 from gonio_mi.plugins.beam import EMISSIONS, Beam, checked_footprint
-from gonio_mi.plugins.sampling import sampler_name, seeded
+from gonio_mi.plugins.sampling import apart, sampler_name, seeded
 from gonio_mi.plugins.specimen import Specimen
 from gonio_mi.plugins.transport import Settings, scatter_plane, trace
 from gonio_mi.record import Record
@@ -22,6 +22,12 @@ from gonio_mi.tally import WEIGHT_SCALE, Fate, Tally, batch_sizes
 # Rays per kernel launch. It takes part in the seeding: a change of it changes the
 # random numbers.
 LAUNCH = 2**24
+
+# Rays of the batches that share a launch: many for its overhead, few for the progress
+# bar and Ctrl-C; and the numbers that they add up to, kept apart for each thread and
+# in its cache.
+FUSED_RAYS = 2**22
+FUSED_SUMS = 2**19
 
 ESTIMATORS = ("weighted", "analog")
 DEFAULT_RAYS = 1_000_000
@@ -75,56 +81,64 @@ class Sums:
     zeros are skipped: counted rays and achromatic specimens cost one addition.
     """
 
-    def __init__(self, bench, scale):
+    def __init__(self, bench, scale, n_batches=1):
         self.bench = bench
         self.scale = scale
+        self.n_batches = n_batches
         self.channels = len(mi.Spectrum())
-        # a packet is a power of two of numbers
-        self.width = 1 << self.channels.bit_length()
-        self.bins = dr.zeros(mi.Int64, bench.n_bins * self.width)
+        self.width = packet_width()
+        self.bins = dr.zeros(mi.Int64, n_batches * bench.n_bins * self.width)
         self.incident = [
-            dr.zeros(mi.Int64, 1)
+            dr.zeros(mi.Int64, n_batches)
             for _ in range(0 if bench.beam.uniform else self.channels)
         ]
 
-    def add(self, bins, exits, active):
-        """Scatter one ray per lane."""
+    def add(self, bins, exits, active, batch):
+        """Scatter one ray per lane, each for its `batch`."""
         powers = _fixed_point(exits.throughput, self.scale)
         collected = bins < self.bench.n_collected
         excesses = [powers[0] - self.scale, *(p - powers[0] for p in powers[1:])]
         packet = [1, *(dr.select(collected, e, 0) for e in excesses)]
         packet += [0] * (self.width - len(packet))
+        bins = bins + batch * self.bench.n_bins
         _scatter_add(self.bins, mi.ArrayXi64(packet), bins, active)
         for target, power in zip(
             self.incident, _fixed_point(exits.incident, self.scale)
         ):
-            _scatter_add(target, power, mi.UInt32(0), active)
+            _scatter_add(target, power, batch, active)
 
-    def tally(self):
-        """Run the kernel and return the :class:`Tally` of one batch.
+    def tally(self, n_batches):
+        """Run the kernel and return the :class:`Tally` of the first `n_batches`.
 
         A beam of uniform power needs no sum of it: every ray that met the specimen
         carried the power 1.
         """
         dr.eval(self.bins, self.incident)
         bench, scale = self.bench, self.scale
-        bins = self.bins.numpy().reshape(-1, self.width)[:, : 1 + self.channels]
-        patches, fates = np.split(bins, [bench.n_collected])
-        hits, fates = patches[:, 0].astype(np.uint64), fates[:, 0].astype(np.uint64)
-        hits = hits.reshape(bench.shape)
-        flux = patches[:, 1:].copy()
-        flux[:, 0] += patches[:, 0] * scale
-        flux[:, 1:] += flux[:, :1]
-        fates[Fate.REFLECTED] = hits[0].sum()
+        bins = self.bins.numpy().reshape(self.n_batches, bench.n_bins, self.width)
+        bins = bins[:n_batches, :, : 1 + self.channels]
+        patches, fates = np.split(bins, [bench.n_collected], axis=1)
+        flux = patches[..., 1:].copy()
+        flux[..., 0] += patches[..., 0] * scale
+        flux[..., 1:] += flux[..., :1]
+        sums = flux.astype(np.uint64).reshape(n_batches, *bench.shape, -1)
+        hits = patches[..., 0].astype(np.uint64).reshape(n_batches, *bench.shape)
+        fates = fates[..., 0].astype(np.uint64)
+        fates[:, Fate.REFLECTED] = hits[:, 0].sum(axis=(1, 2))
         if bench.shape[0] == 2:
-            fates[Fate.TRANSMITTED] = hits[1].sum()
+            fates[:, Fate.TRANSMITTED] = hits[:, 1].sum(axis=(1, 2))
         if self.incident:
-            power = np.array([[int(total[0]) for total in self.incident]], np.uint64)
+            power = np.stack([total.numpy() for total in self.incident], axis=-1)
+            power = power[:n_batches].astype(np.uint64)
         else:
-            met = fates.sum() - fates[Fate.MISSED] - fates[Fate.UNLIT]
-            power = np.full((1, self.channels), met * np.uint64(scale))
-        sums = flux.astype(np.uint64).reshape(1, *bench.shape, -1)
-        return Tally(hits, sums, power, fates[None], scale)
+            met = fates.sum(axis=1) - fates[:, Fate.MISSED] - fates[:, Fate.UNLIT]
+            power = np.repeat(met[:, None] * np.uint64(scale), self.channels, axis=1)
+        return Tally(hits.sum(axis=0), sums, power, fates, scale)
+
+
+def packet_width():
+    """Numbers of a bin, a power of two: hits and all channels."""
+    return 1 << len(mi.Spectrum()).bit_length()
 
 
 class Goniophotometer(mi.SamplingIntegrator):
@@ -222,8 +236,8 @@ class Goniophotometer(mi.SamplingIntegrator):
         bench = self.bench(Specimen(scene), scene.emitters(), sensor)
         key = (int(mi.UInt32(seed)[0]), 0)
         sizes = batch_sizes(spp or self.rays, self.batches)
-        tallies = [self.batch(bench, key, i, n) for i, n in enumerate(sizes)]
-        record = self.record(bench, Tally.join(tallies), key[0])
+        tallies = self.tallies(bench, key, sizes)
+        record = self.record(bench, Tally.join(list(tallies)), key[0])
         record.settings["rays"] = sum(sizes)
         sensor.film().record = record
         return sensor.film().develop() if develop else None
@@ -255,37 +269,60 @@ class Goniophotometer(mi.SamplingIntegrator):
         )
         return Bench(specimen, beam, sensor)
 
-    def batch(self, bench, key, index, rays, start=0, progress=None):
-        """Tally of one independent batch, or of a later part of it.
+    def tallies(self, bench, key, sizes, first=0, start=0, progress=None):
+        """Tallies of independent batches, in order: of one batch each, or of several.
+
+        Small batches share a launch if the sampler keeps them apart; the bits do not
+        depend on that.
 
         Parameters
         ----------
         bench : Bench
         key : tuple of int
             Seed, and whatever tells this measurement from others of the same seed.
-        index : int
-            Number of the batch.
-        rays : int
-            Rays to send; as often again for each further four wavelengths.
+        sizes : sequence of int
+            Rays to send in each batch, in descending order and alike within one ray; as
+            often again for each further four wavelengths.
+        first : int
+            Number of the first of these batches.
         start : int
-            Rays of this batch that were sent before.
+            Rays of each of these batches that were sent before.
         progress : callable, optional
             Called after each launch with the rays it sent.
+
+        Yields
+        ------
+        Tally
         """
-        groups = []
-        for number, nm in enumerate(self._wavelength_groups()):
-            total = None
-            for begin in range(start, start + rays, LAUNCH):
-                n = min(LAUNCH, start + rays - begin)
-                sampler = seeded(
-                    bench.sensor.sampler(), (*key, index, number), begin, n
-                )
-                tally = self._launch(bench, sampler, n, nm)
-                total = tally if total is None else total.accumulate(tally)
-                if progress is not None:
-                    progress(n)
-            groups.append(total if nm is None else total.first(len(nm)))
-        return groups[0] if len(groups) == 1 else Tally.join_channels(groups)
+        capacity = self._capacity(bench)
+        while sizes:
+            several = max(1, min(len(sizes), capacity, FUSED_RAYS // sizes[0]))
+            groups = []
+            for number, nm in enumerate(self._wavelength_groups()):
+                keys = [(*key, first + i, number) for i in range(several)]
+                tally = self._part(bench, keys, sizes[:several], start, nm, progress)
+                groups.append(tally if nm is None else tally.first(len(nm)))
+            yield groups[0] if len(groups) == 1 else Tally.join_channels(groups)
+            first, sizes = first + several, sizes[several:]
+
+    def _capacity(self, bench):
+        """Batches that may share a launch: the same for all launches at a bench."""
+        if not hasattr(bench.sensor.sampler(), "start"):
+            return 1
+        fitting = FUSED_SUMS // (bench.n_bins * packet_width())
+        return max(1, min(fitting, self.batches))
+
+    def _part(self, bench, keys, sizes, start, nm, progress):
+        """Tally of the batches of `keys`, by one launch or more for a single one."""
+        total = None
+        for begin in range(start, start + sizes[0], LAUNCH):
+            parts = [min(LAUNCH, start + size - begin) for size in sizes]
+            sampler = seeded(bench.sensor.sampler(), keys, begin, parts[0])
+            tally = self._launch(bench, sampler, parts, nm)
+            total = tally if total is None else total.accumulate(tally)
+            if progress is not None:
+                progress(sum(parts))
+        return total
 
     def record(self, bench, tally, seed):
         """Record of a finished `tally`, with all that is needed to repeat it."""
@@ -303,14 +340,19 @@ class Goniophotometer(mi.SamplingIntegrator):
 
     # --------------------------------------------------------------------- one launch
 
-    def _launch(self, bench, sampler, n, nm):
-        """Send `n` rays in one kernel and return their tally."""
+    def _launch(self, bench, sampler, sizes, nm):
+        """Send the rays of all batches in one kernel and return their tally."""
         exits = self._exits(bench, sampler, nm)
-        sums = Sums(bench, 1 if self.analog else WEIGHT_SCALE)
+        capacity = self._capacity(bench)
+        sums = Sums(bench, 1 if self.analog else WEIGHT_SCALE, capacity)
         # as many lanes as rays, even where none of them draws a number
-        active = dr.arange(mi.UInt32, n) < dr.opaque(mi.UInt32, n)
-        sums.add(bench.bins(exits), exits, active)
-        return sums.tally()
+        lane = dr.arange(mi.UInt32, len(sizes) * sizes[0])
+        batch, ray = (mi.UInt32(0), lane) if capacity == 1 else apart(lane, sizes[0])
+        # the last batches may be shorter by one ray
+        full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
+        size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
+        sums.add(bench.bins(exits), exits, ray < size, batch)
+        return sums.tally(len(sizes))
 
     def _exits(self, bench, sampler, nm):
         """Follow the rays by the cheapest transport that is exact for the specimen."""

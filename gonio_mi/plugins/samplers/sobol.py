@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.errors import VariantError
+from gonio_mi.plugins.sampling import apart
 
 # Primitive polynomial (its coefficients as bits) and initial direction numbers of each
 # Sobol' dimension after the first: Joe and Kuo 2008, table new-joe-kuo-6.21201.
@@ -208,12 +209,20 @@ class Sobol(mi.Sampler):
         _byte_table()
 
     def seed(self, seed, wavefront_size=0xFFFFFFFF):
-        """Choose the scrambling and go to the point `start`; nothing recompiles."""
+        """Choose the scrambling and go to the point `start`; nothing recompiles.
+
+        Several seeds share the wavefront evenly: that many sequences, one after the
+        other.
+        """
         super().seed(seed, wavefront_size)
         self.key = mi.UInt32(seed) + self.base_seed
         dr.make_opaque(self.key)
-        start = dr.opaque(mi.UInt32, self.start)
-        self.index = dr.arange(mi.UInt32, self.wavefront_size()) + start
+        lane = dr.arange(mi.UInt32, self.wavefront_size())
+        n_keys = dr.width(self.key)
+        if n_keys > 1:
+            sequence, lane = apart(lane, self.wavefront_size() // n_keys)
+            self.key = dr.gather(mi.UInt32, self.key, sequence)
+        self.index = lane + dr.opaque(mi.UInt32, self.start)
         self.draw = mi.UInt32(0)
 
     def advance(self):
