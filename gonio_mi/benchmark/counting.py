@@ -1,0 +1,69 @@
+"""Raw speed: all count the same rays into 900 patches."""
+
+from .c_loop import CompilerError
+from .rivals import c_rays, chi2_rays, gonio_rays, numba_rays, numpy_rays
+from .table import print_table
+from .timing import in_turns
+
+__all__ = ["SPECIMENS", "print_rates", "rivals"]
+
+SPECIMENS = {
+    "diffuse": {"type": "diffuse", "reflectance": 1.0},
+    "rough conductor": {"type": "roughconductor", "alpha": 0.2, "distribution": "ggx"},
+}
+
+
+def rivals():
+    """All that can run here, as ``{(specimen, name): Rival}``, ours first.
+
+    Returns
+    -------
+    rivals : dict
+    absent : list of str
+        One sentence for each that is left out.
+    """
+    found, absent = {}, []
+    for name, specimen in SPECIMENS.items():
+        ways = [
+            gonio_rays(specimen, estimator, sampler, batches=1)
+            for sampler in ("independent", "sobol")
+            for estimator in ("analog", "weighted")
+        ]
+        for way in [*ways, chi2_rays(specimen)]:
+            found[name, way.name.removesuffix(", 1 batch")] = way
+    for build in (numpy_rays, numba_rays, c_rays):
+        try:
+            way = build()
+        except ImportError:
+            absent.append("numba is left out: pip install 'gonio-mi[benchmark]'")
+        except CompilerError as error:
+            absent.append(f"the C loop is left out: {error}")
+        else:
+            found["diffuse", way.name] = way
+    return found, absent
+
+
+def print_rates(rays, repeats):
+    """Print speeds, relative to counting independent rays off the diffuse specimen."""
+    found, absent = rivals()
+    times = in_turns(
+        {key: lambda rival=rival: rival.flux(rays, 0) for key, rival in found.items()},
+        repeats,
+    )
+    first = next(iter(times.values())).cpu
+    rows = [
+        (
+            *key,
+            f"{1e9 * time.cpu / rays:.2f}",
+            f"{rays / time.wall / 1e6:.0f}",
+            f"{first / time.cpu:.2f}",
+        )
+        for key, time in times.items()
+    ]
+    print_table(
+        f"Counting: {rays:g} rays into 900 patches, medians of {repeats} runs in turns",
+        ("specimen", "method", "core-ns per ray", "Mray/s", "speed"),
+        rows,
+    )
+    for sentence in absent:
+        print(sentence)

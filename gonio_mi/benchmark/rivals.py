@@ -1,0 +1,183 @@
+"""Ways to count the rays of a flat specimen: ours, and what is commonly used."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import goniophotometer
+from ..directions import direction
+from ..quadrature import integrate
+from ..subdivision import EqualProjectedSolidAngle, EqualSolidAngle, Subdivision
+from . import c_loop
+
+__all__ = [
+    "GRID",
+    "THETA_I",
+    "Rival",
+    "c_rays",
+    "chi2_rays",
+    "gonio_rays",
+    "numba_rays",
+    "numpy_rays",
+    "patch_integrals",
+]
+
+GRID = EqualProjectedSolidAngle(30, 30)
+THETA_I = 45.0  # degrees
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A way to measure a map.
+
+    Attributes
+    ----------
+    name : str
+    flux : callable
+        ``flux(size, seed)`` gives the flux fraction of each patch, float64, shaped like
+        `grid`.
+    grid : Subdivision
+    size : str
+        What the size counts, in the plural.
+    first : int
+        Smallest size worth trying.
+    """
+
+    name: str
+    flux: Callable
+    grid: Subdivision = GRID
+    size: str = "rays"
+    first: int = 2**12
+
+
+def gonio_rays(
+    specimen, estimator, sampler, *, batches=32, grid=GRID, footprint="point"
+):
+    """Our instrument, by rays; by default at one point, as the others do."""
+
+    def flux(rays, seed):
+        record = goniophotometer.measure(
+            specimen,
+            THETA_I,
+            collector=grid,
+            rays=rays,
+            batches=batches,
+            estimator=estimator,
+            sampler=sampler,
+            seed=seed,
+            footprint=footprint,
+        )
+        return record.brdf[..., 0] * grid.projected_solid_angles
+
+    shown = "1 batch" if batches == 1 else f"{batches} batches"
+    return Rival(f"gonio-mi, {sampler}, {estimator}, {shown}", flux, grid)
+
+
+def patch_integrals(specimen):
+    """Our adaptive integral of ``eval``; its size is one over the tolerated error."""
+
+    def flux(size, seed):
+        del seed
+        bsdf = mi.load_dict(specimen)
+        return integrate(bsdf, THETA_I, 0, GRID, rel_err=1 / size).flux[0, ..., 0]
+
+    return Rival("gonio-mi, integral of eval", flux, size="1 / rel_err", first=1)
+
+
+def chi2_rays(specimen):
+    """The histogram that Mitsuba's chi-square test fills.
+
+    It counts directions whatever their weight, which is the reflectance of nothing but
+    white surfaces, on a grid of ``(phi, cos(theta))``: 30x30 patches of equal solid
+    angle above, and as many below.
+    """
+    wi = direction(np.radians(THETA_I), 0.0).tolist()
+    sample, pdf = mi.chi2.BSDFAdapter(specimen["type"], specimen, wi=wi)
+    grid = EqualSolidAngle(30, 30)
+
+    def flux(rays, seed):
+        test = mi.chi2.ChiSquareTest(
+            domain=mi.chi2.SphericalDomain(),
+            sample_func=sample,
+            pdf_func=pdf,
+            sample_dim=3,
+            sample_count=rays,
+            res=2 * grid.n_theta,
+            seed=seed,
+        )
+        test.tabulate_histogram()
+        # rows from the pole down, columns of azimuth from -180 degrees
+        counts = test.histogram.numpy().reshape(2 * grid.n_theta, grid.n_phi)
+        upper = counts[: grid.n_theta].astype(float)
+        return np.roll(upper, -(grid.n_phi // 2), axis=1) / rays
+
+    return Rival("mi.chi2 histogram", flux, grid)
+
+
+def numpy_rays():
+    """A white Lambertian surface, in blocks of NumPy."""
+
+    def flux(rays, seed):
+        generator = np.random.default_rng(seed)
+        counts = np.zeros(GRID.n_patches, np.int64)
+        for start in range(0, rays, 2**18):
+            n = min(2**18, rays - start)
+            sin2, turn = generator.random((2, n), dtype=np.float32)
+            r, phi = np.sqrt(sin2), np.float32(2 * np.pi) * turn
+            x, y = r * np.cos(phi), r * np.sin(phi)
+            v = np.stack([x, y, np.sqrt(1 - sin2)], axis=-1)
+            counts += np.bincount(GRID.patch(v), minlength=GRID.n_patches)
+        return counts.reshape(GRID.shape) / rays
+
+    return Rival("NumPy", flux)
+
+
+@cache
+def _numba_loop():
+    """Compiled parallel loop, or ImportError without numba."""
+    import numba
+
+    @numba.njit(parallel=True, fastmath=True)
+    def count(rays, seed, n_theta, n_phi, n_parts):
+        counts = np.zeros((n_parts, n_theta * n_phi), np.int64)
+        for part in numba.prange(n_parts):
+            # numba knows the legacy generator only, one in each thread
+            np.random.seed(seed * n_parts + part)  # noqa: NPY002
+            own = np.zeros(n_theta * n_phi, np.uint32)
+            for _ in range(rays * part // n_parts, rays * (part + 1) // n_parts):
+                r = np.sqrt(np.random.random())  # noqa: NPY002
+                phi = 2 * np.pi * np.random.random()  # noqa: NPY002
+                x, y = r * np.cos(phi), r * np.sin(phi)
+                ring = min(int((x * x + y * y) * n_theta), n_theta - 1)
+                turn = np.arctan2(y, x) / (2 * np.pi)
+                sector = min(int((turn + (turn < 0)) * n_phi), n_phi - 1)
+                own[ring * n_phi + sector] += 1
+            counts[part] = own
+        return counts.sum(axis=0)
+
+    return count
+
+
+def numba_rays():
+    """A white Lambertian surface, in a parallel loop; ImportError without numba."""
+    count = _numba_loop()
+
+    def flux(rays, seed):
+        counts = count(rays, seed, *GRID.shape, 16)
+        return counts.reshape(GRID.shape) / rays
+
+    return Rival("numba, parallel loop", flux)
+
+
+def c_rays():
+    """A white Lambertian surface, in vectorised C; CompilerError without a compiler."""
+    c_loop.library()
+
+    def flux(rays, seed):
+        return c_loop.count_diffuse(rays, seed, GRID, dr.thread_count()) / rays
+
+    return Rival("C, vectorised by hand", flux)

@@ -1,0 +1,57 @@
+"""CPU seconds, and repetitions in turns."""
+
+import resource
+import time
+from dataclasses import dataclass
+from statistics import median
+
+__all__ = ["Times", "cpu_seconds", "in_turns", "peak_memory"]
+
+
+def cpu_seconds():
+    """CPU seconds spent so far by all threads and by finished child processes."""
+    own, children = (
+        resource.getrusage(who)
+        for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    )
+    return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
+
+
+def peak_memory():
+    """Largest resident set of this process so far, in bytes (Linux)."""
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+@dataclass(frozen=True)
+class Times:
+    """Median CPU seconds of all threads, and seconds on the clock."""
+
+    cpu: float
+    wall: float
+
+
+def in_turns(runs, repeats):
+    """Median times of every run; all are warmed up, then repeated one after another.
+
+    Parameters
+    ----------
+    runs : dict of str to callable
+        Called without arguments.
+    repeats : int
+
+    Returns
+    -------
+    dict of str to Times
+    """
+    for run in runs.values():
+        run()
+    spent = {name: [] for name in runs}
+    for _ in range(repeats):
+        for name, run in runs.items():
+            cpu, wall = cpu_seconds(), time.perf_counter()
+            run()
+            spent[name].append((cpu_seconds() - cpu, time.perf_counter() - wall))
+    return {
+        name: Times(*(median(column) for column in zip(*times)))
+        for name, times in spent.items()
+    }
