@@ -11,7 +11,7 @@ import warnings
 from importlib import metadata
 from pathlib import Path
 
-from .commands import chart, compare, doctor, measure, plan, plot, show
+from .commands import chart, compare, doctor, measure, plan, plot, show, validate
 from .commands.arguments import (
     INCOMPLETE,
     PROGRAM,
@@ -25,7 +25,7 @@ from .errors import FileFormatError, LLVMError, SpecimenError, VariantError
 
 __all__ = ["main"]
 
-COMMANDS = (measure, show, plot, compare, plan, chart, doctor)
+COMMANDS = (measure, show, plot, validate, compare, plan, chart, doctor)
 
 EXAMPLES = """\
 examples:

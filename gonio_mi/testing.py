@@ -1,0 +1,21 @@
+"""For the test suites of those who write Mitsuba plugins."""
+
+from .validation import validate
+
+__all__ = ["assert_bsdf_valid"]
+
+
+def assert_bsdf_valid(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=()):
+    """Raise AssertionError with the verdict if a BSDF plugin is wrong.
+
+    Parameters and further errors as of :func:`gonio_mi.validation.validate`.
+
+    Returns
+    -------
+    Verdict
+    """
+    __tracebackhide__ = True  # pytest shows the caller's line
+    verdict = validate(specimen, effort=effort, seed=seed, alpha=alpha, allow=allow)
+    if not verdict.passed:
+        raise AssertionError(str(verdict))
+    return verdict

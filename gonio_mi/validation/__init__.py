@@ -1,0 +1,19 @@
+"""Whether a BSDF plugin is right, and which of its functions is wrong.
+
+One flat BSDF at one incident direction is all that is needed: its functions are asked
+about the same directions, and what they answer is compared.
+"""
+
+from .evidence import PROPERTIES
+from .inspection import validate
+from .report import check_report, save_report
+from .verdict import Property, Verdict
+
+__all__ = [
+    "PROPERTIES",
+    "Property",
+    "Verdict",
+    "check_report",
+    "save_report",
+    "validate",
+]

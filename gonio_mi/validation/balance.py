@@ -1,0 +1,69 @@
+"""Drawn against due: counts, weights and energy, by patch and in total."""
+
+import numpy as np
+from scipy import special
+
+__all__ = ["check_energy", "check_maps", "check_pooled"]
+
+# A relative gain of light that interpolated tables may cause.
+ENERGY_MARGIN = 1e-4
+
+
+def check_maps(evidence, maps):
+    """Counted directions against ``pdf``, weights against ``eval``, in four views."""
+    for name, scores in (
+        ("sampling", maps.count_scores),
+        ("weights", maps.weight_scores),
+    ):
+        texts = scores.statistics
+        for view, p in scores.p_values.items():
+            evidence.test(name, p, texts[view], maps.condition)
+    excess = maps.pdf.sum() - 1 - maps.pdf_error.sum()
+    if excess > 1e-3:
+        evidence.breach(
+            "sampling",
+            "pdf",
+            f"`pdf` integrates to {maps.pdf.sum():.5g} at {maps.condition}",
+            f"`pdf` integrates to {maps.pdf.sum():.4g}, more than 1",
+            size=excess,
+        )
+
+
+def check_pooled(evidence):
+    """Sums of all patches over all conditions: a small error that is everywhere."""
+    for name in ("sampling", "weights"):
+        scores = [
+            (m.count_scores if name == "sampling" else m.weight_scores).total
+            for m in evidence.maps
+        ]
+        # those that cannot vary are judged one by one
+        scores = [z for z in scores if 0 < abs(z) < 8]
+        if len(scores) > 1:
+            z = float(np.sum(scores) / np.sqrt(len(scores)))
+            p = float(2 * special.ndtr(-abs(z)))
+            evidence.test(name, p, f"z of all sums together {z:+.1f}")
+
+
+def check_energy(evidence, maps):
+    """Reflectance plus transmittance is at most 1, in importance mode.
+
+    The smooth part is integrated, the discrete one is sampled; and all that was sampled
+    is another test, of the weights.
+    """
+    if maps.condition.mode != "importance" or maps.condition.component is not None:
+        return
+    drawn = maps.totals
+    std_err = np.sqrt(drawn.variance / drawn.n)
+    flux = maps.smooth_flux + drawn.delta_mean
+    worst = int(flux.argmax())
+    # only what is sampled of it varies
+    noise = std_err[worst] if drawn.delta_mean[worst] > 0 else 0.0
+    slack = ENERGY_MARGIN + maps.eval_error.sum()
+    for value, error, what in (
+        (flux[worst], noise, "`eval` integrates to"),
+        (drawn.mean.max(), std_err[drawn.mean.argmax()], "weights have the mean"),
+    ):
+        excess = value - 1 - slack
+        z = excess / max(error, 1e-7)
+        text = f"{what} {value:.5g}"
+        evidence.test("energy", float(special.ndtr(-z)), text, maps.condition)

@@ -1,0 +1,148 @@
+"""Under which circumstances a BSDF is examined, and how hard."""
+
+from dataclasses import dataclass, replace
+
+import mitsuba as mi
+import numpy as np
+
+from ..directions import direction
+from ..errors import checked_choice
+
+__all__ = ["EFFORTS", "Condition", "Effort"]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One incident direction, place, transport mode and choice of components.
+
+    Attributes
+    ----------
+    theta_i, phi_i : float
+        Incident direction in degrees, `theta_i` from the normal of the lit face.
+    side : {"front", "back"}
+        Lit face.
+    uv : tuple of float
+        Texture coordinates.
+    mode : {"importance", "radiance"}
+    component : int or None
+        The only component that is enabled; None for all.
+    """
+
+    theta_i: float
+    phi_i: float = 0.0
+    side: str = "front"
+    uv: tuple = (0.5, 0.5)
+    mode: str = "importance"
+    component: int | None = None
+
+    @property
+    def wi(self):
+        """Unit vector to the source, shape (3,), in local coordinates."""
+        face = 1 if self.side == "front" else -1
+        wi = direction(np.radians(self.theta_i), np.radians(self.phi_i))
+        return wi * [1, 1, face]
+
+    @property
+    def context(self):
+        """Mitsuba's BSDF context."""
+        mode = getattr(mi.TransportMode, self.mode.capitalize())
+        ctx = mi.BSDFContext(mode)
+        if self.component is not None:
+            ctx.component = self.component
+        return ctx
+
+    def __str__(self):
+        words = [f"theta_i {self.theta_i:g}, phi_i {self.phi_i:g}"]
+        if self.side != "front":
+            words.append(self.side)
+        if self.component is not None:
+            words.append(f"component {self.component}")
+        if self.mode != "importance":
+            words.append(f"{self.mode} mode")
+        return ", ".join(words)
+
+
+# Azimuths and places that no symmetry of a model distinguishes.
+PHI = (0.0, 25.0, 140.0, 260.0, 305.0)
+PLACES = ((0.5, 0.5), (0.15, 0.7), (0.85, 0.35))
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How many samples, patches and incident directions.
+
+    Attributes
+    ----------
+    samples : int
+        Of each map.
+    checked : int
+        Samples of each incident direction whose identities are checked.
+    collector : str
+        Patches of the maps.
+    angles : tuple of float
+        Polar angles of incidence, in degrees, of the checked samples.
+    map_angles : tuple of float
+        Those that get maps, of the front with all components.
+    few_angles : tuple of float
+        Those of the back, of single components, and of radiance mode.
+    """
+
+    samples: int
+    checked: int
+    collector: str
+    angles: tuple
+    map_angles: tuple
+    few_angles: tuple
+
+    @staticmethod
+    def named(name):
+        """Effort of a name; ValueError for any other."""
+        return EFFORTS[checked_choice("effort", name, tuple(EFFORTS))]
+
+    def checks(self, sides, components):
+        """Conditions of the checked samples."""
+        yield from self._spread(self.angles, sides)
+        for component in components:
+            few = self._spread(self.few_angles, sides)
+            yield from (replace(one, component=component) for one in few)
+
+    def maps(self, sides, components):
+        """Conditions of the maps, in importance mode."""
+        yield from self._spread(self.map_angles, sides[:1])
+        yield from self._spread(self.few_angles, sides[1:])
+        for component in components:
+            few = self._spread(self.few_angles[:1], sides[:1])
+            yield from (replace(one, component=component) for one in few)
+
+    def radiance(self, sides):
+        """Conditions to be examined in radiance mode."""
+        return self._spread(self.few_angles[:1], sides)
+
+    @staticmethod
+    def _spread(angles, sides):
+        """Angles on both sides, each with an azimuth and a place of its own."""
+        for side in sides:
+            for i, theta_i in enumerate(angles):
+                phi_i = PHI[i % len(PHI)]
+                yield Condition(theta_i, phi_i, side, PLACES[i % len(PLACES)])
+
+
+EFFORTS = {
+    "quick": Effort(2**17, 2**14, "projected:12x16", (0, 40, 75, 89.9), (35,), (50,)),
+    "normal": Effort(
+        2**20,
+        2**16,
+        "projected:20x32",
+        (0, 15, 30, 45, 60, 75, 85, 89, 89.9),
+        (0, 30, 60, 80, 89),
+        (20, 70),
+    ),
+    "thorough": Effort(
+        2**23,
+        2**18,
+        "projected:30x60",
+        (0, 0.5, 5, 15, 30, 45, 60, 70, 75, 80, 85, 87, 89, 89.5, 89.9),
+        (0, 15, 30, 45, 60, 75, 85, 89, 89.9),
+        (0, 20, 45, 70, 88),
+    ),
+}

@@ -1,0 +1,239 @@
+"""What a plugin declares about itself, against what it does; and its masks."""
+
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+
+from .conditions import Condition
+from .drawing import collect
+from .identities import is_many, unequal
+from .probe import Probe, numbers, spectral
+
+__all__ = ["check_components", "check_flags", "check_masks", "check_sides"]
+
+# What a lobe can be: names as in mi.BSDFFlags.
+LOBES = (
+    "Null",
+    "DiffuseReflection",
+    "DiffuseTransmission",
+    "GlossyReflection",
+    "GlossyTransmission",
+    "DeltaReflection",
+    "DeltaTransmission",
+)
+
+
+def check_flags(evidence, bsdf):
+    """Sampled types are declared, and declared ones of any use occur."""
+    flags, n = int(bsdf.flags()), bsdf.component_count()
+    union = 0
+    for i in range(n):
+        union |= int(bsdf.flags(i))
+    if union & ~flags:
+        _breach(
+            evidence,
+            "flags",
+            f"{_names(union & ~flags)} of a component only",
+            "`flags` of the whole lacks what a component declares",
+        )
+    seen, any_light = 0, False
+    for drawn in evidence.drawn:
+        given = drawn.given
+        any_light |= bool(given.any())
+        if not given.any():
+            continue
+        types = drawn.type[given]
+        kinds = int(np.bitwise_or.reduce(types))
+        seen |= kinds
+        if kinds & ~flags:
+            names = _names(kinds & ~flags)
+            _breach(
+                evidence,
+                "flags",
+                f"{names} sampled at {drawn.condition}",
+                f"`flags` does not declare {names}, which `sample` draws",
+            )
+            return
+        components = drawn.component[given]
+        wrong = components >= n
+        if wrong.any():
+            _breach(
+                evidence,
+                "sample",
+                f"{int(components.max())} of {n} components",
+                "`sample` names a component that is not declared",
+            )
+            return
+        for i in set(components.tolist()):
+            own = int(np.bitwise_or.reduce(types[components == i]))
+            if own & ~int(bsdf.flags(i)):
+                names = _names(own & ~int(bsdf.flags(i)))
+                _breach(
+                    evidence,
+                    "sample",
+                    f"{names} as component {i}",
+                    f"`sample` gives component {i} a type that its flags lack",
+                )
+                return
+    lobes = sum(int(getattr(mi.BSDFFlags, name)) for name in LOBES)
+    missing = flags & lobes & ~seen
+    if any_light and missing:
+        _breach(
+            evidence,
+            "flags",
+            f"{_names(missing)} never sampled",
+            f"`flags` declares {_names(missing)}, which `sample` never draws",
+            size=0.5,
+        )
+
+
+def check_sides(evidence, bsdf, seed):
+    """Both sides, rotation, place and differentials as declared."""
+    flags = int(bsdf.flags())
+    all_flags = mi.BSDFFlags
+    base = Condition(50.0, 20.0)
+    for side, flag in (("front", all_flags.FrontSide), ("back", all_flags.BackSide)):
+        if not flags & int(flag) and not flags & int(all_flags.Transmission):
+            drawn = collect(bsdf, replace(base, side=side), 2**12, (seed, 31))
+            lit = (np.nan_to_num(drawn.weight, nan=1) > 0).any(axis=1)
+            lit |= (np.nan_to_num(drawn.eval, nan=1) > 0).any(axis=1)
+            if lit.any():
+                function = "eval" if not drawn.given.any() else "sample"
+                _breach(
+                    evidence,
+                    function if np.isnan(drawn.weight).any() else "flags",
+                    f"{lit.mean():.3g} of the samples scatter at "
+                    f"{replace(base, side=side)}",
+                    f"`flags` does not declare {flag.name}, whose light is scattered",
+                )
+    if not _has_light(evidence):
+        return
+    drawn = collect(bsdf, base, 2**12, (seed, 32))
+    if not flags & int(all_flags.Anisotropic):
+        _check_variation(evidence, bsdf, drawn, "Anisotropic", _turn)
+    if not flags & int(all_flags.SpatiallyVarying):
+        _check_variation(evidence, bsdf, drawn, "SpatiallyVarying", _move)
+    if not bsdf.needs_differentials():
+        _check_variation(evidence, bsdf, drawn, "NeedsDifferentials", _differentiate)
+
+
+def _check_variation(evidence, bsdf, drawn, name, change):
+    """``eval`` does not change where its flags say so."""
+    probe = Probe(bsdf, drawn.condition)
+    wo = change(probe, drawn.wo)
+    value = spectral(probe.eval(mi.Vector3f(wo.T)), drawn.n)
+    differs = unequal(value, drawn.eval, drawn.eval_slack, 1e-3) & drawn.smooth
+    if is_many(differs, drawn.n):
+        _breach(
+            evidence,
+            "flags",
+            f"`eval` changes for {differs.mean():.3g} of them",
+            f"`flags` does not declare {name}, but `eval` depends on it",
+        )
+
+
+def _turn(probe, wo):
+    """Both directions, turned about the normal."""
+    turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
+    probe.wi = mi.Vector3f((turn @ probe.condition.wi).tolist())
+    return wo @ turn.T
+
+
+def _move(probe, wo):
+    probe.uv = mi.Point2f(0.21, 0.83)
+    return wo
+
+
+def _differentiate(probe, wo):
+    """Rays with differentials."""
+    plain = probe.interaction
+
+    def interaction(wi=None):
+        si = plain(wi)
+        si.duv_dx, si.duv_dy = mi.Vector2f(0.3, 0.1), mi.Vector2f(-0.1, 0.2)
+        return si
+
+    probe.interaction = interaction
+    return wo
+
+
+def check_components(evidence, bsdf, drawn):
+    """Values of the components add up to the whole; an undeclared one is dark."""
+    n = bsdf.component_count()
+    if drawn.condition.component is not None or not n:
+        return
+    wo = mi.Vector3f(drawn.wo.T)
+    total = 0.0
+    for i in range(n):
+        probe = Probe(bsdf, replace(drawn.condition, component=i))
+        total = total + spectral(probe.eval(wo), drawn.n)
+    usable = drawn.smooth & np.isfinite(total).all(axis=1)
+    wrong = unequal(total, drawn.eval, drawn.eval_slack, 1e-3) & usable
+    if is_many(wrong, drawn.n):
+        ratio = total[wrong].sum(axis=1) / np.maximum(
+            drawn.eval[wrong].sum(axis=1), 1e-30
+        )
+        evidence.breach(
+            "components",
+            "eval",
+            f"their sum is {np.median(ratio):.4g} times the whole for "
+            f"{wrong.mean():.3g} of the samples at {drawn.condition}",
+            "`eval` does not heed ctx.component, or the components are not a sum",
+        )
+
+
+def check_masks(evidence, bsdf, seed):
+    """Every other ray is inactive: it gets no light, the others what they got.
+
+    The density of an inactive ray is of no use to anyone, and not looked at.
+    """
+    condition, n = Condition(40.0, 25.0), 2**10
+    drawn = collect(bsdf, condition, n, (seed, 41))
+    probe = Probe(bsdf, condition)
+    active = np.arange(n) % 2 == 0
+    mask = mi.Bool(active)
+    wo = mi.Vector3f(drawn.wo.T)
+    sample1 = mi.Float(drawn.sample1)
+    sample2 = mi.Point2f(drawn.sample2.T)
+    joint = probe.eval_pdf(wo, mask)
+    one = probe.sample(sample1, sample2, mask)
+    answers = [
+        ("sample", one.weight, drawn.weight),
+        ("eval", probe.eval(wo, mask), drawn.eval),
+        ("pdf", probe.pdf(wo, mask), drawn.pdf),
+        ("eval_pdf", joint[0], drawn.joint["eval_pdf"][0]),
+        ("eval_pdf", joint[1], drawn.joint["eval_pdf"][1]),
+    ]
+    for function, masked, plain in answers:
+        flat = np.ndim(plain) == 1
+        masked = numbers(masked, n) if flat else spectral(masked, n)
+        usable = active & np.isfinite(plain if flat else plain.sum(axis=1))
+        changed = unequal(masked.astype(float), plain, 0.0) & usable
+        light = np.zeros(n) if flat else np.abs(masked).sum(axis=1)
+        awake = ~active & (light != 0)
+        for wrong, what in (
+            (awake, "ignores `active`: inactive rays get a value"),
+            (changed, "answers active rays differently when others are not"),
+        ):
+            if wrong.any():
+                evidence.breach(
+                    "masks",
+                    function,
+                    f"{wrong.sum()} of {n // 2} rays at {condition}",
+                    f"`{function}` {what}",
+                    size=float(wrong.mean()),
+                )
+
+
+def _has_light(evidence):
+    return any(drawn.given.any() for drawn in evidence.drawn)
+
+
+def _names(flags):
+    names = [name for name in LOBES if flags & int(getattr(mi.BSDFFlags, name))]
+    return " and ".join(names) or f"flag {flags:#x}"
+
+
+def _breach(evidence, function, statistic, mistake, size=1.0):
+    evidence.breach("flags", function, statistic, mistake, size=size)

@@ -1,0 +1,147 @@
+"""Discrete lobes: one direction each, one weight, and the probability that they say."""
+
+import mitsuba as mi
+import numpy as np
+from scipy import special
+
+from .drawing import collect
+from .identities import is_many
+
+__all__ = ["check_delta", "check_null"]
+
+# Distance of directions that are the same, in units of length.
+SAME = 1e-3
+
+
+def check_delta(evidence, drawn, bsdf, key):
+    """Direction, weight, probability and reversal of each discrete lobe."""
+    lobes = drawn.given & drawn.delta & np.isfinite(drawn.wo).all(axis=1)
+    if not lobes.any():
+        return
+    for component, kind in sorted(set(zip(drawn.component[lobes], drawn.type[lobes]))):
+        own = lobes & (drawn.component == component) & (drawn.type == kind)
+        if is_many(own, drawn.n):
+            _check_lobe(evidence, drawn, own, int(kind), bsdf, key)
+
+
+def _check_lobe(evidence, drawn, own, kind, bsdf, key):
+    wo, weight = drawn.wo[own], drawn.weight[own]
+    where = f"at {drawn.condition}"
+    middle = np.median(wo, axis=0)
+    spread = np.abs(wo - middle).max()
+    if spread > SAME:
+        evidence.breach(
+            "delta",
+            "sample",
+            f"directions differ by up to {spread:.3g} {where}",
+            "`sample` gives many directions to a lobe whose sampled_type is discrete",
+            size=spread,
+        )
+        return
+    _check_direction(evidence, drawn, own, middle, kind)
+    _check_probability(evidence, drawn, own)
+    if np.ptp(weight, axis=0).max() > 1e-3 * np.abs(weight).max():
+        evidence.breach(
+            "delta",
+            "sample",
+            f"weights from {weight.min():.4g} to {weight.max():.4g} {where}",
+            "`sample` gives one discrete lobe different weights",
+        )
+        return
+    _check_reversal(evidence, drawn, own, middle, bsdf, key)
+
+
+def _check_direction(evidence, drawn, own, wo, kind):
+    """Mirrored, refracted by eta or straight, about one normal of the surface."""
+    wi, flags = drawn.condition.wi, mi.BSDFFlags
+    if kind & int(flags.Null):
+        off, law = np.abs(wo + wi).max(), "straight on"
+    elif kind & int(flags.DeltaReflection):
+        off, law = np.abs(wo - wi * [-1, -1, 1]).max(), "that of a mirror"
+    else:
+        eta = float(np.median(drawn.eta[own]))
+        off, law = (
+            np.abs(wi[:2] + eta * wo[:2]).max(),
+            "that of Snell's law for its eta",
+        )
+    if off > SAME:
+        evidence.breach(
+            "delta",
+            "sample",
+            f"the direction is off by {off:.3g} at {drawn.condition}",
+            f"the direction of a discrete lobe of `sample` is not {law}",
+            size=off,
+        )
+
+
+def _check_probability(evidence, drawn, own):
+    """The pdf of a discrete sample is the probability of its lobe."""
+    p = float(np.median(drawn.sampled_pdf[own]))
+    k, n = int(own.sum()), drawn.n
+    if not 0 <= p <= 1 + 1e-4:
+        tail = 0.0
+    elif p > 1 - 1e-6:
+        tail = float(k == n)
+    else:
+        tails = special.bdtr(k, n, p), special.bdtrc(max(k - 1, 0), n, p)
+        tail = min(1.0, 2 * min(tails))
+    evidence.test(
+        "delta",
+        tail,
+        f"a discrete lobe of pdf {p:.5g} is drawn {k / n:.5g} of the time",
+        drawn.condition,
+    )
+
+
+def _check_reversal(evidence, drawn, own, wo, bsdf, key):
+    """Light sent back along a discrete lobe returns with the same share."""
+    wi = drawn.condition.wi
+    if drawn.condition.mode != "importance" or abs(wo[2]) < 1e-3:
+        return
+    back = collect(bsdf, _Reversed(drawn.condition, wo), drawn.n, (*key, 7))
+    returned = back.given & back.delta
+    returned &= np.abs(back.wo - wi).max(axis=1) < 10 * SAME
+    shares = [
+        (x.weight[mask] * x.sampled_pdf[mask][:, None]).mean(axis=0)
+        if mask.any()
+        else np.zeros(drawn.weight.shape[1])
+        for x, mask in ((drawn, own), (back, returned))
+    ]
+    if np.abs(shares[0] - shares[1]).max() > 2e-3:
+        evidence.breach(
+            "reciprocity",
+            "sample",
+            f"a discrete lobe has {shares[0].max():.4g} of the light, "
+            f"{shares[1].max():.4g} on the way back, at {drawn.condition}",
+            "`sample` gives a discrete lobe another share than its reverse in "
+            "importance mode: 1/eta^2 belongs to radiance mode only",
+        )
+
+
+class _Reversed:
+    """A condition lit from an arbitrary direction."""
+
+    def __init__(self, condition, wi):
+        self.wi, self._condition = wi / np.linalg.norm(wi), condition
+
+    def __getattr__(self, name):
+        return getattr(self._condition, name)
+
+
+def check_null(evidence, drawn, probe):
+    """``eval_null_transmission`` is what passes undeviated."""
+    if drawn.condition.component is not None:
+        return
+    null = drawn.given & ((drawn.type & int(mi.BSDFFlags.Null)) != 0)
+    if not null.any():
+        return
+    passed = (drawn.weight[null] * drawn.sampled_pdf[null][:, None]).mean(axis=0)
+    said = np.ravel(np.array(probe.null_transmission(), dtype=float))
+    if np.abs(passed - said).max() > 2e-3:
+        evidence.breach(
+            "delta",
+            "eval_null_transmission",
+            f"says {said.max():.4g}, sampled is {passed.max():.4g} "
+            f"at {drawn.condition}",
+            "`eval_null_transmission` is not the share that `sample` lets pass",
+        )

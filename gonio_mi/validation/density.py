@@ -1,0 +1,146 @@
+"""Directions that are not drawn with the density of ``pdf``, and who is wrong."""
+
+import numpy as np
+
+from ..subdivision import EqualSolidAngle
+from .ratios import FACTORS, factor
+
+__all__ = ["explain_density"]
+
+# Patches on which reciprocals of the density are summed up, and samples each needs.
+COARSE = EqualSolidAngle(8, 12)
+ENOUGH = 200
+
+# What may distort a density.
+DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four")
+
+
+def explain_density(evidence, failed):
+    """Return function and mistake, where counted directions contradict ``pdf``."""
+    maps = max(evidence.maps, key=_misfit)
+    n = maps.totals.n
+    drawn, due = maps.totals.counts / n, maps.pdf
+    sums = f"`pdf` integrates to {due.sum():.4f}, sampled mass is {drawn.sum():.4f}"
+    outside = drawn[due < 1e-6].sum()
+    turned = _turned(maps)
+    if turned:
+        return "sample", f"`sample` draws directions {turned}"
+    if outside > 0.02 * drawn.sum():
+        return (
+            "sample",
+            f"`sample` draws {outside:.3g} of its directions where `pdf` is 0",
+        )
+    distortion = _distortion(evidence)
+    if distortion:
+        return "pdf", f"`pdf` {distortion} ({sums})"
+    z = maps.count_scores
+    constant = np.std(z.z) < 2 and abs(z.total) > 5
+    if abs(due.sum() - drawn.sum()) > 2e-3 * due.sum() or constant:
+        if (
+            due.sum() < drawn.sum() - 0.02
+            and "weights" in failed
+            and "energy" in failed
+        ):
+            return "sample", f"`sample` draws more than `pdf` says: {sums}"
+        return "pdf", sums
+    if "weights" not in failed:
+        return "pdf", (
+            f"`pdf` is not the density of `sample`, whose weights are right ({sums})"
+        )
+    if (
+        len({int(c) for d in evidence.drawn for c in np.unique(d.component[d.smooth])})
+        > 1
+    ):
+        return "sample", (
+            "`sample` draws lobes or directions with another probability than `pdf` "
+            f"says: {_worst_patch(maps)}"
+        )
+    return "sample", f"`sample` draws another density than `pdf`: {_worst_patch(maps)}"
+
+
+def _misfit(maps):
+    """Distance of counted and due, weighed by what chance explains."""
+    scores = maps.count_scores
+    return float(np.sum(scores.z**2)) / max(len(scores.z), 1) + scores.total**2
+
+
+def _worst_patch(maps):
+    scores = maps.count_scores
+    if not scores.z.size:
+        return f"z of the sum {scores.total:+.1f}"
+    k = int(scores.first[np.abs(scores.z).argmax()])
+    grid = maps.subdivision
+    half, patch = divmod(k, grid.n_patches)
+    i, j = divmod(patch, grid.n_phi)
+    theta, phi = np.degrees(grid.theta[i]), np.degrees(grid.phi[j])
+    where = "lit side" if half == 0 else "other side"
+    return (
+        f"{maps.totals.counts[k]:.0f} where {maps.totals.n * maps.pdf[k]:.1f} are due "
+        f"at theta_o {theta:.0f}, phi_o {phi:.0f} of the {where}, {maps.condition}"
+    )
+
+
+def _turned(maps):
+    """How the counted map is turned or mirrored against the density; empty if not."""
+    grid = maps.subdivision
+    shape = (2, *grid.shape)
+    drawn = (maps.totals.counts / maps.totals.n).reshape(shape)
+    due = maps.pdf.reshape(shape)
+    misfit = np.abs(drawn - due).sum()
+    n = grid.n_phi
+    columns = np.arange(n)
+    changes = {
+        "in the wrong hemisphere": due[::-1],
+        "mirrored in phi: a sign is wrong": due[:, :, (-1 - columns) % n],
+        "turned by 180 degrees in phi: a sign is wrong": due[
+            :, :, (columns + n // 2) % n
+        ],
+        "mirrored in x: a sign is wrong": due[:, :, (n // 2 - 1 - columns) % n],
+        "with x and y swapped": due[:, :, (n // 4 - 1 - columns) % n],
+        "turned by 90 degrees in phi: axes are swapped": due[
+            :, :, (columns + n // 4) % n
+        ],
+        "turned by -90 degrees in phi: axes are swapped": due[
+            :, :, (columns - n // 4) % n
+        ],
+    }
+    best = min(changes, key=lambda name: np.abs(drawn - changes[name]).sum())
+    return best if np.abs(drawn - changes[best]).sum() < 0.4 * misfit else ""
+
+
+def _distortion(evidence):
+    """Factor by which the density of ``pdf`` is distorted; empty if none fits.
+
+    The mean of 1 / density over samples in a patch is the patch's solid angle.
+    """
+    found = {name: [] for name in ("", *DISTORTIONS)}
+    best = {}
+    for drawn in evidence.drawn:
+        ok = drawn.smooth & (drawn.pdf > 0) & np.isfinite(drawn.pdf)
+        if drawn.condition.component is not None or not ok.any():
+            continue
+        wo = drawn.wo[ok]
+        patch = COARSE.patch(wo) + COARSE.n_patches * (wo[:, 2] < 0)
+        enough = np.bincount(patch, minlength=2 * COARSE.n_patches) >= ENOUGH
+        solid = 2 * np.pi / COARSE.n_patches
+        for name in found:
+            t = 1.0 if not name else factor(name, drawn, ok)
+            for power in (1, -1):
+                sums = np.bincount(
+                    patch,
+                    1 / (drawn.pdf[ok] * t**power),
+                    minlength=2 * COARSE.n_patches,
+                )
+                off = np.abs(sums[enough] / drawn.n / solid - 1)
+                best.setdefault((name, power), []).append(off)
+    scores = {
+        key: float(np.median(np.concatenate(off)))
+        for key, off in best.items()
+        if sum(map(len, off)) > 10
+    }
+    if not scores:
+        return ""
+    (name, power), score = min(scores.items(), key=lambda item: item[1])
+    if not name or score > 0.5 * scores["", 1] or score > 0.1:
+        return ""
+    return f"lacks {FACTORS[name]}" if power > 0 else f"has {FACTORS[name]} too much"

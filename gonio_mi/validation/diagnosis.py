@@ -1,0 +1,155 @@
+"""From failed properties to the one function that explains them, and its mistake."""
+
+import numpy as np
+
+from .density import explain_density
+from .ratios import explain_ratio
+
+__all__ = ["diagnose"]
+
+# What is looked at first explains what comes later.
+ORDER = (
+    "answers",
+    "directions",
+    "delta",
+    "sampling",
+    "sampled_pdf",
+    "sampled_weight",
+    "weights",
+    "eval_pdf",
+    "eval_pdf_sample",
+    "energy",
+    "adjoint",
+    "reciprocity",
+    "flags",
+    "masks",
+    "components",
+    "ends",
+)
+
+
+def diagnose(evidence, failed):
+    """Likely guilty function and mistake, from the names of failed properties.
+
+    Returns
+    -------
+    function, mistake : str
+    """
+    for name in ORDER:
+        if name not in failed:
+            continue
+        if name in ("sampling", "sampled_pdf", "sampled_weight", "weights"):
+            found = _of_densities(evidence, failed)
+        elif name == "energy":
+            found = _of_energy(evidence)
+        else:
+            found = _worst(evidence, name)
+        if found is not None:
+            return found
+    return "sample", "`sample` or `eval` is wrong"
+
+
+def _worst(evidence, name):
+    """What the worst breach of a property says."""
+    own = [b for b in evidence.breaches if b.property == name]
+    if not own:
+        if name == "delta":
+            return (
+                "sample",
+                "`sample`: the pdf of a discrete lobe is not its probability",
+            )
+        return None
+    worst = max(own, key=lambda b: b.size)
+    if name == "eval_pdf_sample":
+        # what is wrong with eval_pdf too is its mistake
+        joint = [b for b in evidence.breaches if b.property == "eval_pdf"]
+        worst = joint[0] if joint else worst
+    return worst.function, worst.mistake
+
+
+def _of_energy(evidence):
+    """Which of ``eval`` and the weights gain light; both are the model's."""
+    totals = [m.smooth_flux.max() + m.totals.delta_mean.max() for m in evidence.maps]
+    discrete = any(m.totals.delta_mean.max() > 1 + 1e-4 for m in evidence.maps)
+    most = max(totals, default=1.0)
+    function = "sample" if discrete else "eval"
+    return function, f"`{function}` gains light: {most:.4g} of it leaves"
+
+
+def _of_densities(evidence, failed):
+    """Which of ``sample``, ``pdf`` and ``eval`` contradicts the two others."""
+    if "sampling" not in failed:
+        if "sampled_pdf" in failed:
+            return _of_sampled_pdf(evidence)
+        return _of_weights(evidence, failed)
+    beyond = [b for b in evidence.breaches if b.property == "sampled_pdf"]
+    if beyond and "sampled_weight" not in failed and "weights" not in failed:
+        text = explain_ratio(_all(evidence, "pdf"), "pdf", "the density of `sample`")
+        return "pdf", text
+    return explain_density(evidence, failed)
+
+
+def _of_sampled_pdf(evidence):
+    text = explain_ratio(_all(evidence, "sampled_pdf"), "sample", "pdf, over `pdf`,")
+    return "sample", text.replace("`sample`", "the pdf that `sample` returns", 1)
+
+
+def _of_weights(evidence, failed):
+    """``sample`` or ``eval``: whichever lacks a property on its own."""
+    cases = _all(evidence, "sampled_weight")
+    if not cases:
+        return "sample", (
+            "`sample`: the weights do not sum up to `eval`, where directions agree "
+            "with `pdf`"
+        )
+    flux = max((m.smooth_flux.max() for m in evidence.maps), default=0.0)
+    mean = max((m.totals.mean.max() for m in evidence.maps), default=0.0)
+    guilty = "sample"
+    gains = "energy" in failed and flux > 1.001 > mean
+    if gains or ("reciprocity" in failed and _weights_are_reciprocal(evidence)):
+        guilty = "eval"
+    elif "answers" in failed:
+        guilty = _worst(evidence, "answers")[0]
+    elif _is_constant(cases) and not mean > 1.001 and flux > 0:
+        # a weight that lacks a probability gains light, or differs between lobes
+        guilty = "eval"
+    if guilty == "eval":
+        cases = [(1 / ratio, drawn, mask) for ratio, drawn, mask in cases]
+        return "eval", explain_ratio(cases, "eval", "value, over weight times pdf,")
+    return "sample", explain_ratio(cases, "sample", "weight times pdf, over `eval`,")
+
+
+def _weights_are_reciprocal(evidence):
+    """Whether the ratio of `eval` to the weights has what `eval` lacks of reciprocity.
+
+    A model that is not reciprocal fails in weights and ``eval`` alike.
+    """
+    own = [b for b in evidence.breaches if b.property == "reciprocity"]
+    return any(b.function == "eval" for b in own)
+
+
+def _is_constant(cases):
+    ratios = np.concatenate([ratio for ratio, _, _ in cases])
+    low, high = np.quantile(ratios, [0.02, 0.98])
+    return high - low < 1e-3 * abs(high)
+
+
+def _all(evidence, what):
+    """Ratios that should be 1, of each set of samples, with the samples they are of."""
+    cases = []
+    for drawn in evidence.drawn:
+        if drawn.condition.component is not None:
+            continue
+        ok = drawn.smooth & (drawn.pdf > 0) & np.isfinite(drawn.pdf)
+        ok &= np.isfinite(drawn.sampled_pdf) & (np.abs(drawn.wo[:, 2]) > 1e-4)
+        if what == "sampled_weight":
+            over = drawn.weight.sum(axis=1) * drawn.pdf
+            under = drawn.eval.sum(axis=1)
+        elif what == "sampled_pdf":
+            over, under = drawn.sampled_pdf, drawn.pdf
+        else:
+            over, under = drawn.pdf, drawn.sampled_pdf
+        ok &= np.isfinite(under) & (under > 0) & (over > 0)
+        if ok.any():
+            cases.append((over[ok] / under[ok], drawn, ok))
+    return cases

@@ -1,0 +1,115 @@
+"""Where formulas break: horizon and normal, first and last random numbers, limits."""
+
+from itertools import product
+
+import mitsuba as mi
+import numpy as np
+
+from ..directions import direction
+from .conditions import Condition
+from .probe import Probe, numbers, spectral
+
+__all__ = ["check_ends", "check_roughness"]
+
+# Polar angles of incidence in degrees, and the ends of random numbers in [0, 1).
+ANGLES = (0, 1e-3, 89.99, 90, 90.01, 120, 179.999, 180)
+LAST = float(np.nextafter(np.float32(1), np.float32(0)))
+NUMBERS = (0.0, 0.5, LAST)
+
+# Names of parameters that are a roughness, and the limits to try.
+ROUGHNESSES = ("alpha", "alpha_u", "alpha_v", "roughness")
+LIMITS = (1e-3, 1.0)
+
+
+def check_ends(evidence, bsdf, where=""):
+    """All functions are finite and at least 0 at the ends.
+
+    Directions: sampled ones, and some at the normal, the horizon, the mirror direction
+    and straight on.
+    """
+    corners = np.array(list(product(NUMBERS, repeat=3)), dtype=np.float32)
+    sample1 = mi.Float(corners[:, 0])
+    sample2 = mi.Point2f(corners[:, 1:].T)
+    for theta_i, phi_i in product(ANGLES, (0.0, 25.0)):
+        condition = Condition(theta_i, phi_i)
+        probe = Probe(bsdf, condition)
+        wi = condition.wi
+        place = f"at {condition}{where}"
+        one = probe.sample(sample1, sample2)
+        n = len(corners)
+        weight, wo = spectral(one.weight, n), spectral(one.bs.wo, n)
+        pdf = numbers(one.bs.pdf, n)
+        given = (weight != 0).any(axis=1)
+        _finite(evidence, "sample", "weight", weight, corners, place)
+        _finite(evidence, "sample", "pdf", pdf[given], corners[given], place)
+        _unit(evidence, wo, given, corners, place)
+        extra = [wi, -wi, wi * [-1, -1, 1], wi * [-1, -1, -1]]
+        extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
+        good = given & np.isfinite(wo).all(axis=1)
+        vectors = np.concatenate([wo[good], extra])
+        v = mi.Vector3f(np.ascontiguousarray(vectors.T, dtype=np.float32))
+        n = len(vectors)
+        joint = probe.eval_pdf(v)
+        for function, value in (
+            ("eval", spectral(probe.eval(v), n)),
+            ("pdf", numbers(probe.pdf(v), n)),
+            ("eval_pdf", spectral(joint[0], n)),
+            ("eval_pdf", numbers(joint[1], n)),
+        ):
+            _finite(evidence, function, "value", value, vectors, place, "wo")
+
+
+def check_roughness(evidence, bsdf):
+    """The ends again at the limits of roughness, if the plugin has such parameters."""
+    params = mi.traverse(bsdf)
+    names = [
+        key
+        for key in params.keys()  # noqa: SIM118
+        if key.removesuffix(".value").split(".")[-1] in ROUGHNESSES
+        and isinstance(params[key], (float, mi.Float))
+    ]
+    before = {key: type(params[key])(params[key]) for key in names}
+    try:
+        for limit in LIMITS if names else ():
+            for key in names:
+                params[key] = type(before[key])(limit)
+            params.update()
+            check_ends(evidence, bsdf, f", roughness {limit:g}")
+    finally:
+        for key in names:
+            params[key] = before[key]
+        params.update()
+
+
+def _finite(evidence, function, what, value, inputs, place, name="sample"):
+    if not value.size:
+        return
+    wrong = ~np.isfinite(value) | (value < 0)
+    wrong = wrong if wrong.ndim == 1 else wrong.any(axis=1)
+    if wrong.any():
+        example = np.ravel(value[wrong][0])
+        example = example[~np.isfinite(example) | (example < 0)][0]
+        evidence.breach(
+            "ends",
+            function,
+            f"{what} {example:g} {place}, {name} {_text(inputs[wrong][0])}",
+            f"`{function}` gives {example:g} at an end of its domain",
+            size=float(wrong.sum()),
+        )
+
+
+def _unit(evidence, wo, given, corners, place):
+    length = np.linalg.norm(wo, axis=1)
+    wrong = given & ~(np.abs(length - 1) < 1e-3)
+    if wrong.any():
+        evidence.breach(
+            "ends",
+            "sample",
+            f"direction {_text(wo[wrong][0])} {place}, "
+            f"sample {_text(corners[wrong][0])}",
+            "`sample` gives a direction of another length than 1 at an end",
+        )
+
+
+def _text(values):
+    return "(" + ", ".join(f"{x:.8g}" for x in values) + ")"

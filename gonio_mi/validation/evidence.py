@@ -1,0 +1,106 @@
+"""What the checks find: certain breaches, and tests that chance takes part in."""
+
+from dataclasses import dataclass, field
+
+__all__ = ["PROPERTIES", "Breach", "Evidence", "Test"]
+
+# What a BSDF should have, in the order of a verdict.
+PROPERTIES = {
+    "answers": "all functions answer, with finite values of at least 0",
+    "directions": "sampled directions are unit vectors on the side of their type",
+    "sampling": "directions are drawn with the density of `pdf`",
+    "weights": "sampled weights sum up to the integral of `eval`",
+    "sampled_pdf": "the pdf that `sample` returns is that of `pdf`",
+    "sampled_weight": "weight times pdf is `eval`",
+    "eval_pdf": "`eval_pdf` answers as `eval` and `pdf`",
+    "eval_pdf_sample": "`eval_pdf_sample` answers as the separate functions",
+    "energy": "no more light leaves than came",
+    "reciprocity": "exchanging source and detector changes nothing, but by eta^2",
+    "adjoint": "radiance and importance mode are adjoint to each other",
+    "delta": "discrete lobes have one direction, weight and probability",
+    "flags": "flags declare what is observed",
+    "components": "components add up to the whole",
+    "masks": "inactive rays get 0, active ones what they get anyway",
+    "ends": "finite at the ends: horizon, normal, random numbers, roughness",
+}
+
+
+@dataclass(frozen=True)
+class Breach:
+    """A property that a BSDF certainly lacks.
+
+    Attributes
+    ----------
+    property : str
+        Key of `PROPERTIES`.
+    function : str
+        Of the plugin, the likely culprit.
+    statistic : str
+        How much and where.
+    mistake : str
+        What is likely wrong, as a sentence about the function.
+    size : float
+        The larger, the more it says: the worst breach of a property is shown.
+    """
+
+    property: str
+    function: str
+    statistic: str
+    mistake: str
+    size: float = 1.0
+
+
+@dataclass(frozen=True)
+class Test:
+    """A statistical test of a property, with its p-value.
+
+    Attributes
+    ----------
+    property : str
+    p : float
+        Probability of so much by chance.
+    statistic : str
+    condition : Condition or None
+        None for one over all conditions.
+    """
+
+    property: str
+    p: float
+    statistic: str
+    condition: object = None
+
+    __test__ = False  # no test of pytest's
+
+
+@dataclass
+class Evidence:
+    """All that was found about a BSDF.
+
+    Attributes
+    ----------
+    breaches, tests : list
+    undecided : dict of str
+        By property, why it could not be decided and what it would take.
+    remarks : dict of str
+        By property, what holds, in numbers.
+    declared : dict of str
+        By property, why it is lacking with the plugin's own declaration.
+    maps : list of FourMaps
+    drawn : list of Drawn
+    """
+
+    breaches: list = field(default_factory=list)
+    tests: list = field(default_factory=list)
+    undecided: dict = field(default_factory=dict)
+    remarks: dict = field(default_factory=dict)
+    declared: dict = field(default_factory=dict)
+    maps: list = field(default_factory=list)
+    drawn: list = field(default_factory=list)
+
+    def breach(self, *args, **kwargs):
+        """Add a :class:`Breach`."""
+        self.breaches.append(Breach(*args, **kwargs))
+
+    def test(self, *args, **kwargs):
+        """Add a :class:`Test`."""
+        self.tests.append(Test(*args, **kwargs))

@@ -1,0 +1,192 @@
+"""What must be equal for every sample, for a BSDF has several functions to ask."""
+
+import mitsuba as mi
+import numpy as np
+
+__all__ = ["check_answers", "check_directions", "check_identities", "unequal"]
+
+# Relative difference that single precision may leave, and how many times the change
+# under a displacement of both directions by 4 ulp.
+ROUNDING = 1e-4
+SLACK = 16
+
+# Share of samples that may differ by more, for rounding is not bounded by its sample.
+FEW = 5e-5
+
+
+def unequal(a, b, slack, rounding=ROUNDING):
+    """Mask of samples whose values differ by more than rounding, shape ``(n,)``."""
+    tolerance = rounding * np.maximum(np.abs(a), np.abs(b)) + SLACK * slack
+    differs = np.abs(a - b) > tolerance
+    return differs if differs.ndim == 1 else differs.any(axis=1)
+
+
+def is_many(mask, n):
+    """Whether more samples than rounding may spoil."""
+    return mask.sum() > max(2, FEW * n)
+
+
+def check_answers(evidence, drawn):
+    """All values are finite and at least 0."""
+    given = drawn.given
+    smooth = given & ~drawn.delta
+    values = {
+        "sample": [
+            ("weight", drawn.weight, None),
+            ("pdf", drawn.sampled_pdf, given),
+            ("direction", drawn.wo, given),
+        ],
+        "eval": [("value", drawn.eval, smooth), ("value", drawn.reverse, smooth)],
+        "pdf": [("value", drawn.pdf, smooth)],
+        "eval_pdf": [("value", x, smooth) for x in drawn.joint["eval_pdf"]],
+        "eval_pdf_sample": [
+            ("value", x, smooth) for x in drawn.joint["eval_pdf_sample"]
+        ],
+    }
+    for function, answers in values.items():
+        for what, value, where in answers:
+            wrong = ~np.isfinite(value)
+            if what != "direction":
+                wrong |= value < 0
+            wrong = wrong if wrong.ndim == 1 else wrong.any(axis=1)
+            if where is not None:
+                wrong = wrong & where
+            if wrong.any():
+                example = np.ravel(value[wrong][0])
+                example = example[~np.isfinite(example) | (example < 0)][0]
+                evidence.breach(
+                    "answers",
+                    function,
+                    f"{wrong.mean():.3g} of the samples at {drawn.condition}",
+                    f"the {what} of `{function}` is {example:g} in places",
+                    size=float(wrong.mean()),
+                )
+
+
+def check_directions(evidence, drawn):
+    """Unit vectors, on the side and of the type that the record says."""
+    given = drawn.given & np.isfinite(drawn.wo).all(axis=1)
+    if not given.any():
+        return
+    length = np.linalg.norm(drawn.wo, axis=1)
+    flags = mi.BSDFFlags
+    reflects = (drawn.type & int(flags.Reflection)) != 0
+    transmits = (drawn.type & int(flags.Transmission)) != 0
+    # on the horizon no side is wrong
+    beside = np.abs(drawn.wo[:, 2]) < 1e-5
+    beside |= abs(drawn.condition.wi[2]) < 1e-5
+    cases = [
+        (np.abs(length - 1) > 1e-3, "directions are not of length 1"),
+        (
+            reflects & ~transmits & ~drawn.reflected & ~beside,
+            "a sample of a reflecting type leaves on the other side",
+        ),
+        (
+            transmits & ~reflects & drawn.reflected & ~beside,
+            "a sample of a transmitting type leaves on the side of incidence",
+        ),
+        (
+            ~reflects & ~transmits,
+            "sampled_type names neither reflection nor transmission",
+        ),
+        (
+            reflects & ~((drawn.eta > 0.999) & (drawn.eta < 1.001)) & ~transmits,
+            "eta is not 1 for a reflection",
+        ),
+        (~(drawn.eta > 0), "eta is not positive"),
+    ]
+    for wrong, mistake in cases:
+        wrong = wrong & given
+        if is_many(wrong, drawn.n):
+            evidence.breach(
+                "directions",
+                "sample",
+                f"{wrong.mean():.3g} of the samples at {drawn.condition}",
+                f"`sample`: {mistake}",
+                size=float(wrong.mean()),
+            )
+
+
+def check_identities(evidence, drawn):
+    """Densities and values of all functions agree, sample by sample."""
+    smooth = drawn.smooth & np.isfinite(drawn.eval).all(axis=1)
+    smooth &= np.isfinite(drawn.pdf) & np.isfinite(drawn.sampled_pdf)
+    if smooth.any():
+        _check_sampled(evidence, drawn, smooth)
+    _check_joint(evidence, drawn)
+
+
+def _check_sampled(evidence, drawn, smooth):
+    slack = drawn.pdf_slack
+    density = unequal(drawn.sampled_pdf, drawn.pdf, slack) & smooth
+    if is_many(density, drawn.n):
+        _unequal(
+            evidence,
+            "sampled_pdf",
+            "sample",
+            drawn,
+            density,
+            drawn.sampled_pdf / np.maximum(drawn.pdf, 1e-30),
+            "pdf / `pdf`",
+        )
+    products = [drawn.weight * p[:, None] for p in (drawn.sampled_pdf, drawn.pdf)]
+    # where a density is badly conditioned, so is the product
+    relative = slack / np.maximum(drawn.pdf, 1e-30)
+    wrong = [
+        unequal(x, drawn.eval, drawn.eval_slack + np.abs(x) * relative[:, None])
+        & smooth
+        for x in products
+    ]
+    if all(is_many(one, drawn.n) for one in wrong):
+        ratio = products[1].sum(axis=1) / np.maximum(drawn.eval.sum(axis=1), 1e-30)
+        _unequal(
+            evidence,
+            "sampled_weight",
+            "sample",
+            drawn,
+            wrong[1],
+            ratio,
+            "weight * pdf / `eval`",
+        )
+
+
+def _check_joint(evidence, drawn):
+    """``eval_pdf`` and ``eval_pdf_sample`` against the separate calls."""
+    usable = np.isfinite(drawn.wo).all(axis=1) & ~drawn.delta
+    usable &= np.abs(np.linalg.norm(drawn.wo, axis=1) - 1) < 1e-3
+    for function in ("eval_pdf", "eval_pdf_sample"):
+        value, pdf = drawn.joint[function]
+        wrong = unequal(value, drawn.eval, drawn.eval_slack) & usable
+        if is_many(wrong, drawn.n):
+            ratio = value.sum(axis=1) / np.maximum(drawn.eval.sum(axis=1), 1e-30)
+            _unequal(evidence, function, function, drawn, wrong, ratio, "its `eval`")
+        wrong = unequal(pdf, drawn.pdf, drawn.pdf_slack) & usable
+        if is_many(wrong, drawn.n):
+            ratio = pdf / np.maximum(drawn.pdf, 1e-30)
+            _unequal(evidence, function, function, drawn, wrong, ratio, "its `pdf`")
+    own, given = drawn.joint, drawn.given
+    wrong = (np.abs(own["wo"] - drawn.wo).max(axis=1) > 1e-4) & given
+    wrong |= unequal(own["weight"], drawn.weight, 0.0)
+    wrong |= unequal(own["pdf"], drawn.sampled_pdf, 0.0) & given
+    if is_many(wrong, drawn.n):
+        evidence.breach(
+            "eval_pdf_sample",
+            "eval_pdf_sample",
+            f"{wrong.mean():.3g} of the samples at {drawn.condition}",
+            "`eval_pdf_sample` draws other samples than `sample`",
+            size=float(wrong.mean()),
+        )
+
+
+def _unequal(evidence, name, function, drawn, wrong, ratio, what):
+    """Add a breach that tells by how much values differ."""
+    low, middle, high = np.quantile(ratio[wrong], [0.05, 0.5, 0.95])
+    spread = f"{low:.4g} to {high:.4g}, median {middle:.4g}"
+    evidence.breach(
+        name,
+        function,
+        f"{what} is {spread} for {wrong.mean():.3g} of the samples at "
+        f"{drawn.condition}",
+        f"`{function}`: {what} should be 1",
+        size=float(wrong.mean()),
+    )

@@ -1,0 +1,179 @@
+"""The examination of one BSDF: all checks in turn, ending in a verdict."""
+
+import os
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+
+from ..errors import SpecimenError, checked_count, checked_number
+from ..specimen import check_variant, load_specimen, loaded, specimen_name
+from ..subdivision import subdivision
+from . import balance, declarations, delta, ends, identities, symmetry
+from .conditions import Effort
+from .diagnosis import diagnose
+from .drawing import collect
+from .evidence import PROPERTIES, Evidence
+from .maps import four_maps
+from .probe import PluginFault, Probe
+from .verdict import FAILS, Verdict, judge
+
+__all__ = ["validate"]
+
+
+def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=()):
+    """Whether a BSDF is right, and if not, which of its functions is wrong.
+
+    Parameters
+    ----------
+    specimen : dict, mi.BSDF, mi.Scene, str or path
+        As of :func:`gonio_mi.measure`; of a scene, the BSDF of its only shape.
+    effort : {"quick", "normal", "thorough"}
+        Seconds, some ten seconds, or minutes.
+    seed : int
+        Same seed, same verdict.
+    alpha : float
+        Probability that a right BSDF fails, shared by all statistical tests.
+    allow : sequence of str
+        Names of properties that the model knowingly lacks, such as ``"energy"``.
+
+    Returns
+    -------
+    Verdict
+
+    Raises
+    ------
+    SpecimenError
+        If Mitsuba cannot load the specimen, or it is no BSDF.
+    ValueError, TypeError
+        If an argument is out of range.
+    """
+    plan = Effort.named(effort)
+    seed = checked_count("seed", seed, 0)
+    alpha = checked_number("alpha", alpha, 1e-12, 1, "a probability in [1e-12, 1)")
+    allow = (allow,) if isinstance(allow, str) else tuple(allow)
+    for name in allow:
+        if name not in PROPERTIES:
+            raise ValueError(
+                f"allow must name some of {', '.join(PROPERTIES)}, got {name!r}"
+            )
+    bsdf, name = _bsdf(specimen)
+    evidence = Evidence()
+    try:
+        _examine(evidence, bsdf, plan, seed)
+    except PluginFault as fault:
+        _stop(evidence, fault)
+    properties = judge(evidence, alpha, allow)
+    failed = [p.name for p in properties if p.status == FAILS]
+    function, mistake = diagnose(evidence, failed) if failed else (None, None)
+    settings = {
+        "effort": effort,
+        "seed": seed,
+        "alpha": alpha,
+        "allow": list(allow),
+        "variant": mi.variant(),
+        "n_tests": len(evidence.tests),
+        "n_samples": sum(m.totals.n for m in evidence.maps)
+        + sum(d.n for d in evidence.drawn),
+    }
+    return Verdict(
+        name, tuple(properties), function, mistake, settings, tuple(evidence.maps)
+    )
+
+
+def _bsdf(specimen):
+    """BSDF of a specimen, and its name."""
+    check_variant()
+    if isinstance(specimen, dict):
+        specimen, name = (
+            loaded("the specimen", mi.load_dict, specimen),
+            specimen_name(specimen),
+        )
+    else:
+        name = str(specimen) if isinstance(specimen, (str, os.PathLike)) else None
+    if not isinstance(specimen, mi.BSDF):
+        scene = load_specimen(specimen)
+        shapes = [s for s in scene.shapes() if not s.is_emitter()]
+        if len(shapes) != 1:
+            raise SpecimenError(
+                "a scene to validate must have one shape, whose BSDF is meant, "
+                f"got {len(shapes)}"
+            )
+        specimen = shapes[0].bsdf()
+    return specimen, name or specimen.class_name()
+
+
+def _examine(evidence, bsdf, plan, seed):
+    """All checks, from those that explain most."""
+    flags = int(bsdf.flags())
+    n = bsdf.component_count()
+    components = range(n) if n > 1 else ()
+    lower = int(mi.BSDFFlags.BackSide) | int(mi.BSDFFlags.Transmission)
+    sides = ("front", "back") if flags & lower else ("front",)
+    if not flags & (int(mi.BSDFFlags.FrontSide) | int(mi.BSDFFlags.Transmission)):
+        sides = ("back",) if sides != ("front",) else sides
+    conditions = list(plan.checks(sides, components))
+    radiance = [replace(one, mode="radiance") for one in plan.radiance(sides)]
+    for i, condition in enumerate([*conditions, *radiance]):
+        _check_samples(evidence, bsdf, condition, plan, flags, (seed, 1, i))
+    declarations.check_flags(evidence, bsdf)
+    declarations.check_sides(evidence, bsdf, seed)
+    for drawn in evidence.drawn[:: max(1, len(plan.angles) // 3)]:
+        declarations.check_components(evidence, bsdf, drawn)
+    declarations.check_masks(evidence, bsdf, seed)
+    ends.check_ends(evidence, bsdf)
+    ends.check_roughness(evidence, bsdf)
+    _check_maps(evidence, bsdf, plan, sides, components, seed)
+
+
+def _check_samples(evidence, bsdf, condition, plan, flags, key):
+    drawn = collect(bsdf, condition, plan.checked, key)
+    evidence.drawn.append(drawn)
+    identities.check_answers(evidence, drawn)
+    identities.check_directions(evidence, drawn)
+    identities.check_identities(evidence, drawn)
+    symmetry.check_symmetry(evidence, drawn, flags)
+    delta.check_delta(evidence, drawn, bsdf, key)
+    delta.check_null(evidence, drawn, Probe(bsdf, condition))
+
+
+def _check_maps(evidence, bsdf, plan, sides, components, seed):
+    """Statistics of what is drawn."""
+    grid = subdivision(plan.collector)
+    conditions = list(plan.maps(sides, components))
+    if any(_depends_on_mode(drawn) for drawn in evidence.drawn):
+        conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]
+    failed = 0
+    for i, condition in enumerate(conditions):
+        maps = four_maps(bsdf, condition, grid, plan.samples, (seed, 2, i))
+        if maps is None:
+            failed += 1
+            continue
+        evidence.maps.append(maps)
+        balance.check_maps(evidence, maps)
+        balance.check_energy(evidence, maps)
+    balance.check_pooled(evidence)
+    if failed:
+        text = (
+            f"the integrals of {failed} of {len(conditions)} incident directions did "
+            "not converge: it would take a rougher lobe"
+        )
+        for name in ("sampling", "weights", "energy"):
+            if failed == len(conditions):
+                evidence.undecided[name] = text
+            else:
+                evidence.remarks[name] = text
+
+
+def _depends_on_mode(drawn):
+    differs = np.abs(drawn.eval - drawn.other_mode) > 1e-4 * np.abs(drawn.eval)
+    return bool((differs.any(axis=1) & drawn.smooth).any())
+
+
+def _stop(evidence, fault):
+    """A fault is the last thing that is known."""
+    evidence.breach(
+        "answers", fault.function, str(fault), f"`{fault.function}` {fault.what}", 10.0
+    )
+    for name in PROPERTIES:
+        evidence.undecided[name] = f"`{fault.function}` must answer first"

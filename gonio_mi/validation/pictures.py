@@ -1,0 +1,103 @@
+"""Four maps and their scores as pictures."""
+
+import numpy as np
+
+__all__ = ["check_matplotlib", "draw"]
+
+# Scores beyond this have the colour of this.
+LARGE = 6
+
+
+def check_matplotlib():
+    """Raise ImportError in one sentence without Matplotlib."""
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError:
+        raise ImportError(
+            'pictures need matplotlib: run pip install "gonio-mi[plot]"'
+        ) from None
+
+
+def draw(maps):
+    """Figure of one :class:`FourMaps`: what is drawn, what is due, and the scores.
+
+    One row for each hemisphere into which anything goes, per unit of projected solid
+    angle in orthographic projection; the lit side is the upper row.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = _columns(maps)
+    halves = [
+        half
+        for half in (0, 1)
+        if any(np.any(values[half] != 0) for _, values in columns)
+    ] or [0]
+    figure = Figure(figsize=(16, 2.9 * len(halves)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(halves), 6, squeeze=False)
+    for row, half in zip(axes, halves):
+        for i in (0, 3):
+            top = max(columns[i + k][1][half].max() for k in (0, 1))
+            for k in (0, 1):
+                title, values = columns[i + k]
+                _patches(row[i + k], maps, values[half], title, 0, top or 1, "viridis")
+            title, values = columns[i + 2]
+            _patches(row[i + 2], maps, values[half], title, -LARGE, LARGE, "RdBu_r")
+        row[0].set_ylabel("lit side" if half == 0 else "other side")
+    return figure
+
+
+def _columns(maps):
+    """Title and values, shape (2, n_theta, n_phi), of each picture."""
+    shape = (2, *maps.subdivision.shape)
+    solid = maps.subdivision.projected_solid_angles
+
+    def density(values):
+        return values.reshape(shape) / solid
+
+    def scores(found):
+        z = np.zeros(int(np.prod(shape)))
+        ends = np.append(found.first[1:], z.size)
+        for value, begin, end in zip(found.z, found.first, ends):
+            z[begin:end] = value
+        return z.reshape(shape)
+
+    drawn, n = maps.totals, maps.totals.n
+    return [
+        ("counted directions", density(drawn.counts / n)),
+        ("integral of pdf", density(maps.pdf)),
+        ("z: counted - pdf", scores(maps.count_scores)),
+        ("summed weights", density(drawn.sums / n)),
+        ("integral of eval", density(maps.eval)),
+        ("z: weights - eval", scores(maps.weight_scores)),
+    ]
+
+
+def _patches(axes, maps, values, title, low, high, cmap):
+    """Fill each patch with the colour of its value."""
+    grid = maps.subdivision
+    phi = np.linspace(0, 2 * np.pi, 4 * grid.n_phi + 1)
+    radius = np.sin(grid.theta_edges)[:, None]
+    mesh = axes.pcolormesh(
+        radius * np.cos(phi),
+        radius * np.sin(phi),
+        np.repeat(values, 4, axis=1),
+        vmin=low,
+        vmax=high,
+        cmap=cmap,
+        rasterized=True,
+    )
+    wi = maps.condition.wi
+    axes.plot(wi[0], wi[1], "o", mfc="none", mec="tab:red", ms=6)
+    axes.set_title(title, fontsize="medium")
+    axes.set_aspect("equal")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    axes.figure.colorbar(mesh, ax=axes, shrink=0.7)

@@ -1,0 +1,231 @@
+"""The functions of a BSDF, called with care: what they answer is checked for its form.
+
+Whatever a plugin does wrong, from raising to looping, ends in a :class:`PluginFault`.
+"""
+
+import contextlib
+import signal
+import threading
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+__all__ = ["PluginFault", "Probe", "Sampled", "numbers", "spectral"]
+
+# Seconds that one call of a plugin's function may take before it counts as hung.
+PATIENCE = 60
+
+# Channels of a spectral variant, in nm.
+WAVELENGTHS_NM = (450.0, 520.0, 580.0, 650.0)
+
+
+class PluginFault(Exception):  # noqa: N818
+    """A function of the plugin gave no usable answer.
+
+    Attributes
+    ----------
+    function : str
+        Its name.
+    what : str
+        What it did, as the rest of a sentence.
+    """
+
+    def __init__(self, function, what):
+        super().__init__(f"`{function}` {what}")
+        self.function, self.what = function, what
+
+
+@dataclass
+class Sampled:
+    """Answer of ``sample``: Mitsuba's record and the weight."""
+
+    bs: object
+    weight: object
+
+    @property
+    def delta(self):
+        """Whether in a discrete set of directions."""
+        return mi.has_flag(self.bs.sampled_type, mi.BSDFFlags.Delta)
+
+
+class Probe:
+    """The functions of a BSDF under one condition.
+
+    Parameters
+    ----------
+    bsdf : mi.BSDF
+    condition : Condition
+    """
+
+    def __init__(self, bsdf, condition):
+        self.bsdf, self.condition = bsdf, condition
+        self.ctx = condition.context
+        self.wi = mi.Vector3f(condition.wi.tolist())
+        self.uv = mi.Point2f(list(condition.uv))
+        # what varies between conditions is no literal of the kernel
+        dr.make_opaque(self.wi, self.uv)
+
+    def interaction(self, wi=None):
+        """Point of a flat surface in z = 0, of 2 x 2 scene units, lit from `wi`."""
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.t = 1.0
+        si.uv = self.uv
+        si.n = mi.Normal3f(0, 0, 1)
+        si.sh_frame = mi.Frame3f(
+            mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1)
+        )
+        si.dp_du, si.dp_dv = mi.Vector3f(2, 0, 0), mi.Vector3f(0, 2, 0)
+        if mi.is_spectral:
+            si.wavelengths = mi.Spectrum(list(WAVELENGTHS_NM))
+        si.wi = self.wi if wi is None else wi
+        return si
+
+    def sample(self, sample1, sample2, active=True, wi=None):
+        """Answer of ``sample``."""
+        answer = self._call(
+            "sample", self.interaction(wi), sample1, sample2, active=active
+        )
+        return self._sampled("sample", answer, dr.width(sample1, sample2))
+
+    def eval(self, wo, active=True, wi=None, ctx=None):
+        """Answer of ``eval``."""
+        answer = self._call("eval", self.interaction(wi), wo, active=active, ctx=ctx)
+        return self._spectrum("eval", answer, dr.width(wo, active))
+
+    def pdf(self, wo, active=True, wi=None):
+        """Answer of ``pdf``."""
+        answer = self._call("pdf", self.interaction(wi), wo, active=active)
+        return self._float("pdf", answer, dr.width(wo, active))
+
+    def eval_pdf(self, wo, active=True):
+        """Both answers of ``eval_pdf``."""
+        answer = self._call("eval_pdf", self.interaction(), wo, active=active)
+        value, pdf = self._parts("eval_pdf", answer, 2)
+        n = dr.width(wo, active)
+        return self._spectrum("eval_pdf", value, n), self._float("eval_pdf", pdf, n)
+
+    def eval_pdf_sample(self, wo, sample1, sample2, active=True):
+        """Value, density and :class:`Sampled` of ``eval_pdf_sample``."""
+        name = "eval_pdf_sample"
+        answer = self._call(
+            name, self.interaction(), wo, sample1, sample2, active=active
+        )
+        value, pdf, bs, weight = self._parts(name, answer, 4)
+        n = dr.width(wo, sample1, sample2)
+        sampled = self._sampled(name, (bs, weight), n)
+        return self._spectrum(name, value, n), self._float(name, pdf, n), sampled
+
+    def null_transmission(self):
+        """Answer of ``eval_null_transmission``."""
+        with self._patience("eval_null_transmission"):
+            answer = self.bsdf.eval_null_transmission(self.interaction())
+        return self._spectrum("eval_null_transmission", answer, 1)
+
+    def _call(self, function, *arguments, active, ctx=None):
+        method = getattr(self.bsdf, function)
+        with self._patience(function):
+            return method(ctx or self.ctx, *arguments, active)
+
+    @contextlib.contextmanager
+    def _patience(self, function):
+        """Whatever goes wrong within is the plugin's fault."""
+        try:
+            with _time_limit(PATIENCE):
+                yield
+        except _TimeOutError:
+            raise PluginFault(
+                function, f"did not return within {PATIENCE} seconds"
+            ) from None
+        except (KeyboardInterrupt, PluginFault):
+            raise
+        except Exception as error:
+            # a plugin may raise anything
+            text = " ".join(str(error).split())
+            raise PluginFault(
+                function, f"raised {type(error).__name__}: {text:.200}"
+            ) from error
+
+    def _sampled(self, function, answer, n):
+        bs, weight = self._parts(function, answer, 2)
+        if not isinstance(bs, mi.BSDFSample3f):
+            raise PluginFault(function, f"must return a BSDFSample3f, got {_kind(bs)}")
+        weight = self._spectrum(function, weight, n)
+        self._check_width(function, bs, n)
+        return Sampled(bs, weight)
+
+    def _parts(self, function, answer, n):
+        if not isinstance(answer, tuple) or len(answer) != n:
+            raise PluginFault(
+                function, f"must return a tuple of {n} values, got {_kind(answer)}"
+            )
+        return answer
+
+    def _spectrum(self, function, value, n):
+        return self._of_type(function, value, n, mi.Spectrum)
+
+    def _float(self, function, value, n):
+        return self._of_type(function, value, n, mi.Float)
+
+    def _of_type(self, function, value, n, kind):
+        simple = isinstance(value, (int, float)) or dr.is_array_v(value)
+        depth = dr.depth_v(value) if dr.is_array_v(value) else 0
+        try:
+            if not simple or depth > dr.depth_v(kind):
+                raise TypeError
+            value = kind(value)
+        except (TypeError, RuntimeError):
+            raise PluginFault(
+                function, f"must return a {kind.__name__}, got {_kind(value)}"
+            ) from None
+        self._check_width(function, value, n)
+        return value
+
+    def _check_width(self, function, value, n):
+        width = dr.width(value)
+        if width not in (1, n):
+            raise PluginFault(
+                function, f"must return one value per ray, {n} or 1, got {width}"
+            )
+
+
+class _TimeOutError(Exception):
+    pass
+
+
+@contextlib.contextmanager
+def _time_limit(seconds):
+    """Raise in Python code that runs for longer; only the main thread can."""
+    usable = hasattr(signal, "setitimer")
+    if not usable or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def ring(*_):
+        raise _TimeOutError
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def _kind(value):
+    if isinstance(value, tuple):
+        return f"a tuple of {len(value)}"
+    return type(value).__name__
+
+
+def numbers(value, n):
+    """NumPy array of a scalar quantity, shape ``(n,)``."""
+    return np.broadcast_to(np.ravel(np.array(value)), n)
+
+
+def spectral(value, n):
+    """NumPy array of a vector or spectrum in float64, shape ``(n, channels)``."""
+    array = np.array(value, dtype=float)
+    return np.broadcast_to(array.reshape(len(array), -1).T, (n, len(array)))

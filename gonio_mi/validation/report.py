@@ -1,0 +1,85 @@
+"""The report on a BSDF: one self-contained HTML file, with the four maps in it."""
+
+import base64
+import html
+import io
+
+from ..files import check_output, replacing
+from .pictures import check_matplotlib, draw
+
+__all__ = ["check_report", "save_report"]
+
+STYLE = """
+body { font: 15px/1.5 sans-serif; max-width: 70em; margin: 2em auto; padding: 0 1em; }
+table { border-collapse: collapse; } td { padding: .3em .8em; vertical-align: top; }
+tr { border-top: 1px solid #ddd; } img { max-width: 100%; }
+.fails td:first-child { background: #c33; color: white; }
+.holds td:first-child { background: #cec; }
+.lacks td:first-child, .undecided td:first-child { background: #fd8; }
+small { color: #555; }
+"""
+
+
+def check_report(path):
+    """Raise one clear sentence unless a report can be made and written to `path`.
+
+    Raises
+    ------
+    ImportError
+        Without Matplotlib.
+    ValueError, OSError
+        If the ending is not ``.html``, or the file cannot be written.
+    """
+    check_matplotlib()
+    check_output(path, (".html",))
+
+
+def save_report(verdict, path):
+    """Write verdict, properties and the maps of every incident direction to `path`.
+
+    Raises as :func:`check_report`.
+    """
+    check_report(path)
+    name = html.escape(verdict.name)
+    head = "nothing wrong was found" if verdict.passed else _code(verdict.mistake)
+    parts = [
+        "<!doctype html>",
+        f'<html lang="en"><meta charset="utf-8"><title>{name}</title>',
+        f"<style>{STYLE}</style>",
+        f"<h1>{name}</h1>",
+        f"<p><b>{head}</b></p>",
+        "<table>",
+        *(_row(one) for one in verdict.properties),
+        "</table>",
+        f"<p><small>{html.escape(str(verdict).splitlines()[-2])}</small></p>",
+    ]
+    for maps in verdict.maps:
+        parts.append(f"<h2>{html.escape(str(maps.condition))}</h2>")
+        parts.append(f'<img alt="four maps" src="{_image(maps)}">')
+    with replacing(path) as stream:
+        stream.write("\n".join(parts).encode())
+
+
+def _row(one):
+    details = [html.escape(one.statistic)] if one.statistic else []
+    if one.mistake:
+        details.append(f"<b>{_code(one.mistake)}</b>")
+    text = "<br>".join([_code(one.question), *(f"<small>{d}</small>" for d in details)])
+    return (
+        f'<tr class="{one.status}"><td>{one.status}</td>'
+        f"<td>{one.name}</td><td>{text}</td></tr>"
+    )
+
+
+def _code(text):
+    """Escaped text, with what stands between backquotes as code."""
+    pieces = html.escape(text).split("`")
+    return "".join(
+        f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces)
+    )
+
+
+def _image(maps):
+    stream = io.BytesIO()
+    draw(maps).savefig(stream, format="png", dpi=90)
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()

@@ -1,0 +1,113 @@
+"""Reciprocity, and the adjoint relation between the transport modes."""
+
+import mitsuba as mi
+import numpy as np
+
+from .identities import is_many, unequal
+
+__all__ = ["check_symmetry"]
+
+# Relative difference that is taken for rounding; both directions have been rounded.
+ROUNDING = 1e-3
+
+
+def check_symmetry(evidence, drawn, flags):
+    """Compare ``eval`` with source and detector exchanged.
+
+    With ``f = eval / |cos theta_o|`` in importance mode, it is that ``f(wi, wo)`` is
+    ``eta^2 f(wo, wi)``, where eta is the sample's relative index of refraction
+    (1 for a reflection), and ``f(wi, wo)`` of one mode is ``f(wo, wi)`` of the other (Veach 1997, section 5.2).
+    """
+    if drawn.condition.mode != "importance":
+        return
+    cos_i, cos_o = abs(drawn.condition.wi[2]), np.abs(drawn.wo[:, 2])
+    smooth = drawn.smooth & (cos_o > 1e-4)
+    for value in (drawn.eval, drawn.reverse, drawn.reverse_other_mode):
+        smooth = smooth & np.isfinite(value).all(axis=1)
+    if not smooth.any():
+        return
+    cos_o = np.where(smooth, cos_o, 1.0)[:, None]
+    forward, backward = drawn.eval / cos_o, drawn.reverse / cos_i
+    adjoint = drawn.reverse_other_mode / cos_i
+    slack = drawn.eval_slack / cos_o + drawn.reverse_slack / cos_i
+    # reflection has no index, whatever a plugin says
+    eta2 = np.where(drawn.reflected, 1.0, drawn.eta**2)[:, None]
+    wrong = unequal(forward, eta2 * backward, slack * (1 + eta2), ROUNDING) & smooth
+    if is_many(wrong, drawn.n):
+        declared = flags & int(mi.BSDFFlags.NonSymmetric)
+        # glass declares it too, for its eta^2
+        only_reflects = not flags & int(mi.BSDFFlags.Transmission)
+        text = _ratio(forward, eta2 * backward, wrong, drawn)
+        if declared and only_reflects:
+            evidence.declared["reciprocity"] = f"{text}, declared as NonSymmetric"
+        else:
+            evidence.breach(
+                "reciprocity",
+                "eval",
+                text,
+                _not_reciprocal(forward, backward, drawn, wrong),
+                size=float(wrong.mean()),
+            )
+    wrong = unequal(forward, adjoint, slack * (1 + eta2), ROUNDING) & smooth
+    if is_many(wrong, drawn.n):
+        evidence.breach(
+            "adjoint",
+            "eval",
+            _ratio(forward, adjoint, wrong, drawn),
+            _not_adjoint(forward, adjoint, drawn, wrong),
+            size=float(wrong.mean()),
+        )
+
+
+def _ratio(a, b, wrong, drawn):
+    a, b = a[wrong].sum(axis=1), b[wrong].sum(axis=1)
+    ratio = a / np.where(b > 0, b, 1e-30)
+    low, high = np.quantile(ratio, [0.05, 0.95])
+    return (
+        f"f(wi, wo) over f(wo, wi) is {low:.4g} to {high:.4g} for "
+        f"{wrong.mean():.3g} of the samples at {drawn.condition}"
+    )
+
+
+def _not_reciprocal(forward, backward, drawn, wrong):
+    """Likely mistake in ``eval``, by the ratio of both directions."""
+    ratio = forward[wrong].sum(axis=1) / np.maximum(backward[wrong].sum(axis=1), 1e-30)
+    cosines = np.abs(drawn.wo[wrong, 2]) / abs(drawn.condition.wi[2])
+    if drawn.reflected[wrong].all():
+        if _is_constant(ratio * cosines):
+            return "`eval` lacks the cosine of wo"
+        if _is_constant(ratio / cosines):
+            return "`eval` has the cosine of wo twice"
+        return "`eval` is not symmetric in wi and wo, in a Fresnel term perhaps"
+    if _is_constant(ratio):
+        return (
+            f"`eval` transmits {np.median(ratio):.4g} times what it does the other "
+            "way, where eta^2 is due"
+        )
+    return "`eval` is not symmetric in wi and wo, but for eta^2, in transmission"
+
+
+def _not_adjoint(forward, adjoint, drawn, wrong):
+    """Likely mistake between the modes."""
+    transmitted = ~drawn.reflected[wrong]
+    if transmitted.all():
+        ratio = forward[wrong].sum(axis=1) / np.maximum(
+            adjoint[wrong].sum(axis=1), 1e-30
+        )
+        eta2 = np.median(drawn.eta[wrong]) ** 2
+        if _is_constant(ratio):
+            middle = np.median(ratio)
+            if abs(middle * eta2 - 1) < 1e-3 or abs(middle / eta2 - 1) < 1e-3:
+                return (
+                    "`eval` is the same in both modes: 1/eta^2 is missing in radiance "
+                    "mode, or there in importance mode"
+                )
+            return f"`eval` of the modes has the ratio {middle:.4g}, where 1 is due"
+    return (
+        "`eval` of radiance mode is not that of importance mode with wi and wo swapped"
+    )
+
+
+def _is_constant(ratio):
+    low, high = np.quantile(ratio, [0.02, 0.98])
+    return high - low < 0.01 * abs(high)
