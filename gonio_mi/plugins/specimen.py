@@ -9,7 +9,27 @@ import numpy as np
 
 from ..errors import SpecimenError
 
-__all__ = ["Plane", "Specimen"]
+__all__ = ["Plane", "Specimen", "checked_period"]
+
+
+def checked_period(period):
+    """Return ``"none"``, ``"box"``, or extents in x and y as a text like ``"2.0,3.0"``.
+
+    `period` is one of these, one number for both, or a pair of numbers.
+    """
+    if isinstance(period, str) and period in ("none", "box"):
+        return period
+    try:
+        words = period.split(",") if isinstance(period, str) else period
+        extents = np.broadcast_to(np.asarray(words, dtype=float), 2).tolist()
+    except (TypeError, ValueError):
+        extents = [np.nan, np.nan]
+    if not all(0 < extent < np.inf for extent in extents):
+        raise ValueError(
+            "period must be 'none', 'box', or one or two positive numbers, "
+            f"got {period!r}"
+        )
+    return "{!r},{!r}".format(*extents)
 
 
 @dataclass(frozen=True)
@@ -49,14 +69,26 @@ class Plane:
 class Specimen:
     """The shapes of `scene` that emit nothing.
 
+    Parameters
+    ----------
+    scene : mi.Scene
+    period : str
+        ``"none"``: the geometry is all there is. ``"box"``: its bounding box is one cell
+        of an infinite surface, and what leaves through a side of it enters again
+        through the opposite one. Extents in x and y, such as ``"2.0,3.0"``: the same
+        with a cell of that size about the middle of the box.
+
     Attributes
     ----------
     scene : mi.Scene
         Specimen only: lamps do not stand in the way of what they light.
     low, high : ndarray, shape (3,)
-        Corners of the bounding box, in scene units.
+        Corners of the bounding box, in scene units; in x and y those of the cell, if
+        there is one.
+    periodic : bool
+        Whether there is one.
     plane : Plane or None
-        Set if the specimen is one flat rectangle.
+        Set if the specimen is one flat rectangle, and not periodic.
     name : str
         What its user calls it.
     description : str
@@ -64,14 +96,17 @@ class Specimen:
     transmits : bool
         Whether light may reach the other side, for all that is declared: true unless
         the specimen is a flat rectangle whose BSDF has no transmitting component.
+    closed_to_light : bool
+        Whether no shape's BSDF has one.
 
     Raises
     ------
     SpecimenError
-        If there is no shape, or something that the instrument does not model.
+        If there is no shape, something that the instrument does not model, or a cell
+        that is smaller than the geometry.
     """
 
-    def __init__(self, scene):
+    def __init__(self, scene, period="none"):
         everything = scene.shapes()
         shapes = [shape for shape in everything if not shape.is_emitter()]
         if not shapes:
@@ -95,7 +130,14 @@ class Specimen:
             raise SpecimenError(
                 f"the specimen must be of finite size, got {self.low} to {self.high}"
             )
-        self.plane = self._plane(shapes)
+        self.periodic = period != "none"
+        if self.periodic:
+            self._set_cell(period)
+        self.closed_to_light = not any(
+            mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Transmission)
+            for shape in shapes
+        )
+        self.plane = None if self.periodic else self._plane(shapes)
         self.transmits = self.plane is None or mi.has_flag(
             self.plane.bsdf.flags(), mi.BSDFFlags.Transmission
         )
@@ -110,10 +152,30 @@ class Specimen:
         return float(np.linalg.norm(self.high - self.low))
 
     @property
+    def reach(self):
+        """Largest coordinate of the bounding box, the unit of rounding errors."""
+        return float(np.abs([self.low, self.high]).max())
+
+    @property
     def detail(self):
         """Smallest extent of the bounding box that is not 0."""
         extents = self.high - self.low
         return float(extents[extents > 1e-6 * extents.max()].min())
+
+    def _set_cell(self, period):
+        """Put the cell's sides into the place of the bounding box's."""
+        extent = (self.high - self.low)[:2]
+        period = extent if period == "box" else np.array(period.split(","), float)
+        if np.any(period < extent * (1 - 2.0**-20)):
+            raise SpecimenError(
+                "period must hold the geometry, which is "
+                f"{extent[0]:g} x {extent[1]:g}, got {period[0]:g} x {period[1]:g}"
+            )
+        # where cell and geometry are equal, to the bit
+        period = np.where(period < extent * (1 + 2.0**-20), extent, period)
+        margin = (period - extent) / 2
+        self.low[:2] -= margin
+        self.high[:2] += margin
 
     def _plane(self, shapes):
         """:class:`Plane` if the specimen is a single rectangle parallel to z = 0."""

@@ -35,6 +35,7 @@ class Settings:
     analog: bool
     max_depth: int
     rr_depth: int
+    delta_only: bool = False  # on a plane: all else is integrated
 
 
 @dataclass
@@ -85,6 +86,10 @@ def scatter_plane(plane, beam, sampler, wavelengths, settings):
     exit_throughput, fate = _after_event(
         throughput, bsdf_weight, bs, wo, sampler, settings.analog
     )
+    if settings.delta_only:
+        delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+        left = fate == mi.UInt32(Fate.REFLECTED)
+        fate = dr.select(left & ~delta, mi.UInt32(Fate.INTEGRATED), fate)
     fate = dr.select(inside, fate, mi.UInt32(Fate.MISSED))
     fate = dr.select(lit, fate, mi.UInt32(Fate.UNLIT))
     incident = dr.select(inside & lit, throughput, 0.0)
