@@ -73,7 +73,7 @@ class Specimen:
     ----------
     scene : mi.Scene
     period : str
-        ``"none"``: the geometry is all there is. ``"box"``: its bounding box is one cell
+        ``"none"``: the geometry is all there is. ``"box"``: its bounding box is a cell
         of an infinite surface, and what leaves through a side of it enters again
         through the opposite one. Extents in x and y, such as ``"2.0,3.0"``: the same
         with a cell of that size about the middle of the box.

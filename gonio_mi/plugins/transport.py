@@ -22,10 +22,22 @@ ROUNDING = 2.0**-20
 
 # How far a ray starts off its surface, in units of the local coordinates: 64 ulp. Off a
 # plane 2 ulp are enough, since a hit on that plane is recognised, within this part of
-# the specimen's size, and stepped over.
+# the specimen's coordinates, and stepped over.
 SURFACE_OFFSET = 2.0**-18
 PLANE_OFFSET = 2.0**-23
 SAME_PLANE = 2.0**-20
+
+# How far a reflected ray starts back along the one that came, in the same units: 4
+# ulp. Where two walls meet, a point off the one may lie behind the other, but the light
+# came from where there is none.
+RETREAT = 2.0**-21
+
+# How far above the specimen rays start, and how far they are lifted where they enter a
+# periodic cell, so that no rounding takes them below an edge that they passed above.
+LIFT = 2.0**-20
+
+# Cells after which a ray is as good as horizontal.
+MAX_CELLS = 4096
 
 
 @dataclass(frozen=True)
@@ -52,6 +64,8 @@ class Exits:
         :class:`Fate`; REFLECTED stands for having left in any direction.
     incident : mi.Spectrum
         Power that met the specimen.
+    depth : mi.UInt32
+        Surface events.
     """
 
     p: object
@@ -59,6 +73,7 @@ class Exits:
     throughput: object
     fate: object
     incident: object
+    depth: object
 
 
 def flux_context():
@@ -93,7 +108,8 @@ def scatter_plane(plane, beam, sampler, wavelengths, settings):
     fate = dr.select(inside, fate, mi.UInt32(Fate.MISSED))
     fate = dr.select(lit, fate, mi.UInt32(Fate.UNLIT))
     incident = dr.select(inside & lit, throughput, 0.0)
-    return Exits(p, wo, exit_throughput, fate, incident)
+    depth = dr.select(inside & lit, mi.UInt32(1), 0)
+    return Exits(p, wo, exit_throughput, fate, incident, depth)
 
 
 @dr.syntax
@@ -102,8 +118,9 @@ def trace(specimen, beam, sampler, wavelengths, settings):
     p, wi, distance, weight = beam.sample(sampler, wavelengths)
     β = _emitted(weight, sampler, settings.analog, beam.uniform)
 
-    # from the emitter, or from just outside of the specimen if that is nearer
-    start = dr.minimum(distance, 2.0 * specimen.size)
+    # from just above the footprint, to which nothing stands in the way
+    p, shift = _into_cell(specimen, p)
+    start = dr.minimum(distance, specimen.reach * LIFT / dr.abs(wi.z))
     ray = mi.Ray3f(p + start * wi, -wi)
     ray.wavelengths = wavelengths
 
@@ -112,13 +129,15 @@ def trace(specimen, beam, sampler, wavelengths, settings):
     scene = specimen.scene
     detail = specimen.detail
     analog = settings.analog
-    same_plane = specimen.size * SAME_PLANE
+    same_plane = specimen.reach * SAME_PLANE
+    nearby = 64 * specimen.reach * RETREAT
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
 
     lit = dr.any(β > 0)
     incident = mi.Spectrum(β)  # Power that met the specimen
     depth = mi.UInt32(0)  # Surface events so far
+    cells = mi.UInt32(0)  # Sides of a periodic cell that were crossed
     fate = dr.select(lit, mi.UInt32(Fate.MISSED), mi.UInt32(Fate.UNLIT))
     active = mi.Bool(lit)  # Still in flight?
 
@@ -130,12 +149,20 @@ def trace(specimen, beam, sampler, wavelengths, settings):
         hit = active & si.is_valid()
 
         # ------------------- Rays that leave, or have had enough events ---------------
+        entry, step, crosses = _through_side(specimen, beam.side, ray.o, ray.d)
+        crosses &= active & ~hit
+        endless = crosses & (cells >= MAX_CELLS)
         fate[active & ~hit & (depth > 0)] = mi.UInt32(Fate.REFLECTED)
+        fate[endless] = mi.UInt32(Fate.SIDEWAYS)
+        crosses &= ~endless
 
         # A plane cannot be hit from itself: that is rounding, to be stepped over
         beside = dr.abs(dr.dot(si.p - ray.o, si.n)) < same_plane
         own = hit & dr.all(si.n == n) & beside
-        active = hit & ~own
+        # Of two walls that meet in a crest, rounding may show the far one, from behind:
+        # which is nearer is seen from nearby
+        behind = _from_behind(specimen, si, ray) & hit & ~own & (si.t > nearby)
+        active = hit & ~own & ~behind
 
         truncated = active & (depth >= max_depth)
         fate[truncated] = mi.UInt32(Fate.TRUNCATED)
@@ -165,13 +192,23 @@ def trace(specimen, beam, sampler, wavelengths, settings):
 
         # ------------------------------- Next ray -------------------------------------
         flat = dr.all((si.dn_du == 0) & (si.dn_dv == 0))
-        scale = dr.max(dr.abs(si.p)) + detail
-        n[active] = si.n
-        offset[active] = scale * dr.select(flat, PLANE_OFFSET, SURFACE_OFFSET)
+        scale = detail + dr.max(dr.abs(si.p))
+        across = detail + dr.dot(dr.abs(si.n), dr.abs(si.p))
+        offset[active] = dr.select(flat, across * PLANE_OFFSET, scale * SURFACE_OFFSET)
         offset[own] = 8 * offset
+        n[active] = si.n
+        n[behind | crosses] = mi.Normal3f(0)
+        reflected = active & (dr.dot(si.n, wo) * dr.dot(si.n, ray.d) < 0)
+        retreat = dr.select(reflected, scale * RETREAT, 0.0)
+        retreat = dr.select(behind, nearby / 2, retreat)
+        origin = si.p - retreat * ray.d
         ray.d[active] = wo
-        active |= own
-        ray.o[active] = si.p + dr.copysign(offset, dr.dot(n, ray.d)) * n
+        active |= own | behind
+        ray.o[active] = origin + dr.copysign(offset, dr.dot(n, ray.d)) * n
+        ray.o[crosses] = entry
+        shift[crosses] = shift + step
+        cells[crosses] = cells + 1
+        active |= crosses
 
     incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
     fate = dr.select(
@@ -179,7 +216,7 @@ def trace(specimen, beam, sampler, wavelengths, settings):
         mi.UInt32(Fate.SIDEWAYS),
         fate,
     )
-    return Exits(ray.o, ray.d, β, fate, incident)
+    return Exits(ray.o + shift, ray.d, β, fate, incident, depth)
 
 
 def _emitted(weight, sampler, analog, uniform):
@@ -231,17 +268,70 @@ def _shading_normal_correction(si, ray, bs, wo):
     return dr.select(flat, mi.Float(1.0), corrected)
 
 
-def _leaves_by_a_side(specimen, o, d):
-    """Whether a ray from inside the bounding box crosses one of its four sides."""
+def _from_behind(specimen, si, ray):
+    """Whether a surface without transmission is hit on the side of no normal."""
+    if not specimen.closed_to_light:
+        return mi.Bool(False)
+    return dr.dot(si.n, ray.d) > 0
 
-    def exit_distance(low, high, o, d):
-        face = dr.select(d > 0, mi.Float(float(high)), mi.Float(float(low)))
-        # -0 and +0 alike: along the face, never through it
-        return dr.select(d == 0, dr.inf, (face - o) / d)
 
+def _into_cell(specimen, p):
+    """Points of the footprint moved into the periodic cell, and by how much."""
+    if not specimen.periodic:
+        return p, mi.Vector3f(0)
     low, high = specimen.low, specimen.high
-    t_x = exit_distance(low[0], high[0], o.x, d.x)
-    t_y = exit_distance(low[1], high[1], o.y, d.y)
-    t_z = exit_distance(low[2], high[2], o.z, d.z)
+    shift = mi.Vector3f(0)
+    for axis in (0, 1):
+        period = float(high[axis] - low[axis])
+        shift[axis] = period * dr.floor((p[axis] - float(low[axis])) / period)
+    return p - shift, shift
+
+
+def _through_side(specimen, side, o, d):
+    """Where rays that leave the periodic cell through a side enter it again.
+
+    Returns
+    -------
+    p : mi.Point3f
+        On the opposite side, to the bit, and lifted towards the emitter's `side`.
+    step : mi.Vector3f
+        By how much the ray went further than that.
+    crosses : mi.Bool
+        Whether it leaves through a side; never if the specimen is not periodic.
+    """
+    p, step = mi.Point3f(o), mi.Vector3f(0)
+    if not specimen.periodic:
+        return p, step, mi.Bool(False)
+    low, high = specimen.low, specimen.high
+    t_x, t_y, t_z = (_exit_distance(low[i], high[i], o[i], d[i]) for i in range(3))
+    # a ray that is outside by rounding leaves at once
+    t = dr.maximum(dr.minimum(t_x, t_y), 0)
+    p = o + t * d
+    p.z += side * specimen.reach * LIFT
+    for axis, leaves in ((0, t_x <= t_y), (1, t_x > t_y)):
+        near, far = float(low[axis]), float(high[axis])
+        up = d[axis] > 0
+        p[axis] = dr.select(leaves, dr.select(up, near, far), p[axis])
+        jump = dr.select(up, far - near, near - far)
+        step[axis] = dr.select(leaves, jump, 0.0)
+    return p, step, t < t_z
+
+
+def _leaves_by_a_side(specimen, o, d):
+    """Whether a ray from inside the bounding box crosses one of its four sides.
+
+    A periodic specimen has none.
+    """
+    if specimen.periodic:
+        return mi.Bool(False)
+    low, high = specimen.low, specimen.high
+    t_x, t_y, t_z = (_exit_distance(low[i], high[i], o[i], d[i]) for i in range(3))
     # the horizon is at an infinite distance in z
     return ~(dr.minimum(t_x, t_y) >= t_z)
+
+
+def _exit_distance(low, high, o, d):
+    """Distance to the face of a slab through which a ray from inside leaves."""
+    face = dr.select(d > 0, mi.Float(float(high)), mi.Float(float(low)))
+    # -0 and +0 alike: along the face, never through it
+    return dr.select(d == 0, dr.inf, (face - o) / d)
