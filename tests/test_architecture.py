@@ -14,6 +14,7 @@ NUMPY_LAYER = (
     "errors",
     "exr",
     "files",
+    "lobes",
     "heights",
     "memory",
     "npz",

@@ -14,9 +14,11 @@ __all__ = ["MODULES", "register"]
 # In the order of registration: a module comes after those whose plugins it looks up.
 MODULES = (
     "samplers.sobol",
+    "shapes.heightfield",
     "bsdfs.cosinelobe",
     "bsdfs.glossymixture",
     "bsdfs.anisotropicphong",
+    "bsdfs.goniometric",
     "films.patches",
     "sensors.collector",
     "integrators.goniophotometer",

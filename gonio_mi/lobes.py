@@ -1,0 +1,250 @@
+"""A stack of records as lobes, and the ways on which they move between angles.
+
+Seen from the unit disk onto which the hemisphere projects, flux per area is the BRDF
+itself. Turned so that light comes from +x, a mirror lobe lies at ``x = -sin(theta_i)``:
+between two incident angles, what both have in different places is moved on straight
+lines over the disk, and what both have in one place stays there.
+
+Which point of one lobe belongs to which of the other is decided by their quantiles:
+those along x first, then those across (the Knothe-Rosenblatt map; for one dimension see
+A. L. Read, *Linear interpolation of histograms*, 1999,
+doi:10.1016/S0168-9002(98)01347-3), of histograms that are coarse on purpose, so that
+the noise of a record does not steer its light. The lobes that are moved are the records
+themselves, all of them: no light is lost or made.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["LobeTable"]
+
+# Cells per side of the histograms; points per side and cell, to fill them.
+N_CELLS = 32
+N_POINTS = 8
+
+# Part of the light that is spread evenly over the histograms: bounds how far apart
+# neighbouring points can be moved. It is not part of the lobes.
+EVEN = 0.01
+
+# Gaps between azimuths of incidence that may be bridged, in degrees.
+WIDEST_GAP = 120
+
+# Of the whole table.
+MOST_BYTES = 2**31
+
+
+@dataclass(frozen=True, eq=False)
+class LobeTable:
+    """Lobes at ``P`` azimuths x ``N`` polar angles of incidence, and the ways between.
+
+    A *leg* leads from one polar angle to the next; there are ``K = max(N - 1, 1)``, and
+    ``H`` hemispheres. Across a leg, histogram borders of both ends cut the disk into
+    ``S = 2 N_CELLS - 1`` strips of x, and each strip into ``S`` cells of
+    ``y / sqrt(1 - x^2)``; within one, points move together.
+
+    Attributes
+    ----------
+    theta_i, phi_i : ndarray, shapes (N,), (P,)
+        Incident directions in degrees, ascending. A single azimuth means isotropic.
+    theta_edges, phi_edges : ndarray
+        Borders of rings and sectors in radians, absolute azimuth.
+    brdf : ndarray, shape (P, N, H, n_theta, n_phi, channels)
+        Patch means of BRDF and BTDF in 1/sr.
+    flux : ndarray, shape (P, N, H, channels)
+        Flux fractions: reflectance and transmittance.
+    rings : ndarray, shape (P, N, H, n_theta + 1)
+        Share of the light (mean of the channels) below each border.
+    sectors : ndarray, shape (P, N, H, n_theta, n_phi + 1)
+        The same for the azimuth within a ring.
+    strips, strip_slopes : ndarray, shape (2, P, K, H, S)
+        Where a strip begins, and its width per share of the light, on both ends of the
+        leg.
+    cells, cell_slopes : ndarray, shape (2, P, K, H, S, S)
+        The same across a strip.
+    """
+
+    theta_i: np.ndarray
+    phi_i: np.ndarray
+    theta_edges: np.ndarray
+    phi_edges: np.ndarray
+    brdf: np.ndarray
+    flux: np.ndarray
+    rings: np.ndarray
+    sectors: np.ndarray
+    strips: np.ndarray
+    strip_slopes: np.ndarray
+    cells: np.ndarray
+    cell_slopes: np.ndarray
+
+    @classmethod
+    def of(cls, record, mixture=None):
+        """Lobes of a record.
+
+        Parameters
+        ----------
+        record : Record
+        mixture : sequence of float, shape (channels,), optional
+            Weights that make one channel of all.
+
+        Raises
+        ------
+        ValueError
+            If the incident directions are unknown, no grid, or too far apart in
+            azimuth; if nothing was incident; or if the table does not fit.
+        """
+        patches = record.subdivision
+        flux = record.flux_fraction if record.stacked else record.flux_fraction[None]
+        if not np.isfinite(flux).all():
+            raise ValueError("the record must have incident light in all its stack")
+        theta_i, phi_i, flux = _grid(record, flux)
+        if mixture is not None:
+            flux = flux @ np.asarray(mixture, dtype=float)[:, None]
+        n_azimuths, n_angles, n_hemispheres = flux.shape[:3]
+        _check_size(flux.shape)
+        brdf = flux / patches.projected_solid_angles[..., None]
+        shape = 2, n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
+        strips, strip_slopes = np.empty((2, *shape))
+        cells, cell_slopes = np.empty((2, *shape, shape[-1]))
+        for azimuth, phi in enumerate(np.radians(phi_i)):
+            histograms = _histograms(brdf[azimuth].mean(axis=-1), patches, phi)
+            for leg, hemisphere in np.ndindex(shape[2:4]):
+                ends = [
+                    histograms[min(leg + end, n_angles - 1), hemisphere]
+                    for end in (0, 1)
+                ]
+                here = slice(None), azimuth, leg, hemisphere
+                strips[here], strip_slopes[here], cells[here], cell_slopes[here] = _leg(
+                    *ends
+                )
+        weight = flux.mean(axis=-1)
+        return cls(
+            theta_i=theta_i,
+            phi_i=phi_i,
+            theta_edges=patches.theta_edges,
+            phi_edges=patches.phi_edges,
+            brdf=brdf,
+            flux=flux.sum(axis=(3, 4)),
+            rings=_cumulative(weight.sum(axis=-1)),
+            sectors=_cumulative(weight),
+            strips=strips,
+            strip_slopes=strip_slopes,
+            cells=cells,
+            cell_slopes=cell_slopes,
+        )
+
+
+def _grid(record, flux):
+    """Sorted angles of incidence in degrees, and flux ``(P, N, H, ..., channels)``."""
+    angles = np.stack([np.mod(record.phi_i, 360), record.theta_i], axis=-1)
+    if not np.isfinite(angles).all():
+        raise ValueError("the record must know its incident directions, got NaN")
+    order = np.lexsort([angles[:, 1], angles[:, 0]])
+    phi_i, theta_i = (np.unique(column) for column in angles.T)
+    grid = [(phi, theta) for phi in phi_i for theta in theta_i]
+    if [tuple(pair) for pair in angles[order]] != grid:
+        raise ValueError(
+            f"the record's {len(angles)} incident directions must be each of its "
+            f"{len(theta_i)} polar angles at each of its {len(phi_i)} azimuths, once"
+        )
+    gaps = np.diff([*phi_i, phi_i[0] + 360])
+    if len(phi_i) > 1 and gaps.max() > WIDEST_GAP:
+        raise ValueError(
+            "the azimuths of incidence of an anisotropic record must go all around, "
+            f"with gaps of at most {WIDEST_GAP} degrees, got one of {gaps.max():g}"
+        )
+    flux = flux[order].reshape(len(phi_i), len(theta_i), *flux.shape[1:])
+    return theta_i, phi_i, flux
+
+
+def _check_size(shape):
+    """Raise ValueError unless the table of a record of this shape fits into memory."""
+    n_azimuths, n_angles, n_hemispheres, *patches, n_channels = shape
+    n_lobes = n_azimuths * n_angles * n_hemispheres
+    n_bytes = 8 * n_lobes * (4 * (2 * N_CELLS) ** 2 + np.prod(patches) * n_channels * 3)
+    if n_bytes > MOST_BYTES:
+        raise ValueError(
+            f"a table of {n_azimuths} x {n_angles} incident directions and "
+            f"{patches[0]} x {patches[1]} patches must need at most {MOST_BYTES:.2g} "
+            f"bytes, got {n_bytes:.2g}"
+        )
+
+
+# ------------------------------------------------------------------ ways between lobes
+
+
+def _histograms(brdf, patches, phi_i):
+    """Light in each cell of the disk, shape ``(N, H, N_CELLS, N_CELLS)``.
+
+    Light comes from +x; cells are equal steps of x and of ``y / sqrt(1 - x^2)``.
+    """
+    n = N_CELLS * N_POINTS
+    x, v = np.meshgrid(*2 * [(np.arange(n) + 0.5) * (2 / n) - 1], indexing="ij")
+    across = np.sqrt(1 - x**2)
+    y, z = v * across, across * np.sqrt(1 - v**2)
+    turned = [
+        x * np.cos(phi_i) - y * np.sin(phi_i),
+        x * np.sin(phi_i) + y * np.cos(phi_i),
+    ]
+    index = patches.patch(np.stack([*turned, z], axis=-1))
+    light = brdf.reshape(*brdf.shape[:2], -1)[..., index] * across
+    light = light.reshape(*brdf.shape[:2], N_CELLS, N_POINTS, N_CELLS, N_POINTS)
+    light = light.sum(axis=(3, 5))
+    even = across.reshape(N_CELLS, N_POINTS, N_CELLS, N_POINTS).sum(axis=(1, 3))
+    total = light.sum(axis=(2, 3), keepdims=True)
+    light = light / np.where(total > 0, total, 1)
+    return (1 - EVEN) * light + EVEN * even / even.sum()
+
+
+def _leg(first, second):
+    """Strips and cells of a leg between two histograms, and their slopes."""
+    along = [_cumulative(histogram.sum(axis=1)) for histogram in (first, second)]
+    strips, strip_slopes, of = _merged(*along)
+    across = [
+        _cumulative(histogram)[index] for histogram, index in zip((first, second), of)
+    ]
+    cells, cell_slopes, _ = _merged(*across)
+    return strips, strip_slopes, cells, cell_slopes
+
+
+def _cumulative(weight):
+    """Share of light below each border of the last axis; even where there is none."""
+    total = weight.sum(axis=-1, keepdims=True)
+    share = np.where(total > 0, weight, 1.0)
+    cumulative = np.cumsum(share, axis=-1)
+    cumulative = cumulative / cumulative[..., -1:]
+    return np.concatenate([np.zeros_like(total), cumulative], axis=-1)
+
+
+def _merged(first, second):
+    """Pieces on which the quantile functions of both distributions are linear.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (..., n + 1)
+        Share of the light below n + 1 equidistant borders from -1 to 1; strictly
+        ascending.
+
+    Returns
+    -------
+    begin, slope : ndarray, shape (2, ..., 2 n - 1)
+        Where each piece begins in either distribution; its growth per share of light.
+    of : ndarray of int, shape (2, ..., 2 n - 1)
+        The cell that it is part of.
+    """
+    n = first.shape[-1] - 1
+    inner = np.concatenate([first[..., 1:-1], second[..., 1:-1]], axis=-1)
+    order = np.argsort(inner, axis=-1, kind="stable")
+    zero = np.zeros((*first.shape[:-1], 1))
+    share = np.take_along_axis(inner, order, axis=-1)
+    share = np.concatenate([zero, share], axis=-1)
+    passed = np.cumsum(order < n - 1, axis=-1)
+    passed = np.concatenate([zero.astype(int), passed], axis=-1)
+    of = np.stack([passed, np.arange(2 * n - 1) - passed])
+    begin, slope = np.empty((2, *of.shape))
+    for end, cumulative in enumerate((first, second)):
+        low = np.take_along_axis(cumulative, of[end], axis=-1)
+        high = np.take_along_axis(cumulative, of[end] + 1, axis=-1)
+        slope[end] = (2 / n) / (high - low)
+        begin[end] = of[end] * (2 / n) - 1 + (share - low) * slope[end]
+    return begin, slope, of

@@ -1,0 +1,297 @@
+"""Looking up and sampling the lobes of one face of a specimen, in Dr.Jit."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+__all__ = ["LitFace"]
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where to look in the table: one measured azimuth, and for each lane a leg."""
+
+    weight: object  # share of this azimuth
+    azimuth: object  # its index
+    leg: object  # index among the legs of all azimuths
+    rows: tuple  # indices of azimuth and polar angle at both ends of the leg
+    t: object  # how far on the leg, from 0 to 1
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Point of the unit disk, turned so that light comes from +x."""
+
+    x: object
+    v: object  # y / sqrt(1 - x^2)
+
+
+class LitFace:
+    """Lobe table as Dr.Jit arrays; double precision keeps pole and horizon.
+
+    Directions are seen from this face: light comes from z > 0.
+
+    Parameters
+    ----------
+    table : LobeTable
+    """
+
+    def __init__(self, table):
+        n_azimuths, n_angles, self.n_hemispheres, self.n_theta, self.n_phi, channels = (
+            table.brdf.shape
+        )
+        self.n_azimuths, self.n_angles = n_azimuths, n_angles
+        self.n_legs, self.n_strips = table.strips.shape[2], table.strips.shape[-1]
+        sin2 = np.sin(table.theta_edges) ** 2
+        self.arrays = SimpleNamespace(
+            sin_i=_doubles(np.sin(np.radians(table.theta_i))),
+            phi_i=_doubles(np.radians(table.phi_i)),
+            sin2=_doubles([*sin2[:-1], 1]),
+            phi=_doubles(table.phi_edges),
+            flux=_doubles(table.flux.mean(axis=-1)),
+            brdf=[_doubles(table.brdf[..., channel]) for channel in range(channels)],
+            rings=_doubles(table.rings),
+            sectors=_doubles(table.sectors),
+            strips=[_doubles(end) for end in table.strips],
+            strip_slopes=[_doubles(end) for end in table.strip_slopes],
+            cells=[_doubles(end) for end in table.cells],
+            cell_slopes=[_doubles(end) for end in table.cell_slopes],
+        )
+
+    # -------------------------------------------------------------- value and density
+
+    def eval_pdf(self, wi, wo, enabled, active):
+        """BSDF times cosine, and density in 1/sr.
+
+        `enabled` holds whether reflection and transmission are asked for.
+        """
+        lower = wo.z < 0
+        wanted = active & dr.select(lower, enabled[1], enabled[0]) & (wo.z != 0)
+        hemisphere = mi.UInt32(0)
+        if self.n_hemispheres == 1:
+            wanted &= ~lower
+        else:
+            hemisphere = dr.select(lower, mi.UInt32(1), hemisphere)
+        phi_i = self._azimuth_of_incidence(wi)
+        point = _point(wo, phi_i)
+        places = self._places(wi, phi_i)
+        value = [mi.Float64(0) for _ in self.arrays.brdf]
+        total = mi.Float64(0)
+        for place in places:
+            for number in self._hemispheres(enabled):
+                total += sum(self._fluxes(place, number))
+            for channel, brdf in enumerate(
+                self._brdf(place, hemisphere, point, wanted)
+            ):
+                value[channel] += place.weight * brdf
+        cosine = dr.abs(wo.z)
+        mean = sum(value) / len(value)
+        pdf = dr.select(wanted & (total > 0), mi.Float(mean / total) * cosine, 0)
+        value = [mi.Float(channel) * cosine for channel in value]
+        value = mi.Spectrum(value if len(value) > 1 else value[0])
+        return value & wanted, pdf
+
+    def _brdf(self, place, hemisphere, point, active):
+        """BRDF of one azimuth: both ends of the leg, moved to where `wi` wants them."""
+        values = [mi.Float64(0) for _ in self.arrays.brdf]
+        for end, row in enumerate(place.rows):
+            source, stretch = point, 1.0
+            if self.n_angles > 1:
+                source, stretch = self._moved(place, hemisphere, point, place.t, end)
+            ring, sector = self._patch(place, source)
+            row = row * self.n_hemispheres + hemisphere
+            index = (row * self.n_theta + ring) * self.n_phi + sector
+            share = stretch * (place.t if end else 1 - place.t)
+            for channel, brdf in enumerate(self.arrays.brdf):
+                values[channel] += share * _read(brdf, index, active)
+        return values
+
+    def _patch(self, place, point):
+        """Ring and sector in which a point lies."""
+        arrays = self.arrays
+        across2 = 1 - dr.square(point.x)
+        y = point.v * dr.safe_sqrt(across2)
+        z2 = across2 * (1 - dr.square(point.v))
+        # whichever of sine and cosine keeps its precision
+        sin2 = dr.select(z2 < 0.5, 1 - z2, dr.square(point.x) + dr.square(y))
+        ring = _last(self.n_theta, lambda i: _read(arrays.sin2, i) <= sin2)
+        phi = dr.atan2(y, point.x) + _read(arrays.phi_i, place.azimuth)
+        phi -= 2 * dr.pi * dr.floor(phi * (0.5 / dr.pi))
+        sector = _last(self.n_phi, lambda i: _read(arrays.phi, i) <= phi)
+        return ring, sector
+
+    def _fluxes(self, place, hemisphere):
+        """Light that both ends of the leg contribute to a hemisphere."""
+        rows = [row * self.n_hemispheres + hemisphere for row in place.rows]
+        low, high = (_read(self.arrays.flux, row) for row in rows)
+        return place.weight * (1 - place.t) * low, place.weight * place.t * high
+
+    # -------------------------------------------------------------- incident direction
+
+    def _azimuth_of_incidence(self, wi):
+        """Azimuth of `wi`; along the normal, where all meet, the record's first one."""
+        normal = (wi.x == 0) & (wi.y == 0)
+        first = _read(self.arrays.phi_i, mi.UInt32(0))
+        return dr.select(normal, first, mi.Float64(dr.atan2(wi.y, wi.x)))
+
+    def _places(self, wi, phi):
+        """Return the one or two measured azimuths to mix for `wi`."""
+        arrays = self.arrays
+        leg, t = mi.UInt32(0), mi.Float64(0)
+        if self.n_angles > 1:
+            x, y = mi.Float64(wi.x), mi.Float64(wi.y)
+            sine = dr.sqrt(x * x + y * y)
+            leg = _last(self.n_legs, lambda i: _read(arrays.sin_i, i) <= sine)
+            low, high = _read(arrays.sin_i, leg), _read(arrays.sin_i, leg + 1)
+            t = dr.clip((sine - low) / (high - low), 0, 1)
+        if self.n_azimuths == 1:
+            return [self._place(mi.Float64(1), mi.UInt32(0), leg, t)]
+        turn = 2 * dr.pi
+        phi -= turn * dr.floor(phi / turn)
+        last = mi.UInt32(self.n_azimuths - 1)
+        low = _last(self.n_azimuths, lambda i: _read(arrays.phi_i, i) <= phi)
+        # before the first azimuth is after the last one
+        low = dr.select(phi < _read(arrays.phi_i, mi.UInt32(0)), last, low)
+        high = dr.select(low == last, 0, low + 1)
+        past = phi - _read(arrays.phi_i, low)
+        gap = _read(arrays.phi_i, high) - _read(arrays.phi_i, low)
+        share = dr.select(past < 0, past + turn, past)
+        share /= dr.select(gap <= 0, gap + turn, gap)
+        return [
+            self._place(1 - share, low, leg, t),
+            self._place(share, high, leg, t),
+        ]
+
+    def _place(self, weight, azimuth, leg, t):
+        first = azimuth * self.n_angles
+        rows = first + leg, first + dr.minimum(leg + 1, self.n_angles - 1)
+        return _Place(weight, azimuth, azimuth * self.n_legs + leg, rows, t)
+
+    # ------------------------------------------------------------------- between angles
+
+    def _moved(self, place, hemisphere, point, start, to):
+        """Where a point at `start` of the leg is at `to`, and the stretch of areas."""
+        arrays = self.arrays
+        number = place.leg * self.n_hemispheres + hemisphere
+        x, number, stretch_x = self._moved_along(
+            (arrays.strips, arrays.strip_slopes), number, point.x, start, to
+        )
+        v, _, stretch_v = self._moved_along(
+            (arrays.cells, arrays.cell_slopes), number, point.v, start, to
+        )
+        x, v = dr.clip(x, -1, 1), dr.clip(v, -1, 1)
+        # of y / v, at the new point and at the old one
+        across = dr.safe_sqrt(
+            (1 - x * x) / dr.maximum(1 - dr.square(point.x), 2.0**-60)
+        )
+        return _Point(x, v), stretch_x * stretch_v * across
+
+    def _moved_along(self, pieces, number, coordinate, start, to):
+        """The same for one coordinate; also the number of the piece."""
+        begins, slopes = pieces
+        first = number * self.n_strips
+
+        def at(ends, index, t):
+            low, high = (_read(end, index) for end in ends)
+            return (1 - t) * low + t * high
+
+        piece = _last(
+            self.n_strips, lambda i: at(begins, first + i, start) <= coordinate
+        )
+        index = first + piece
+        slope, new_slope = at(slopes, index, start), at(slopes, index, to)
+        share = (coordinate - at(begins, index, start)) / slope
+        return at(begins, index, to) + share * new_slope, index, new_slope / slope
+
+    # ------------------------------------------------------------------------- sampling
+
+    def sample(self, wi, enabled, sample1, sample2):
+        """Direction of light: of a lobe picked by `sample1`, moved to its place."""
+        phi_i = self._azimuth_of_incidence(wi)
+        choices = [
+            (place, end, number, flux)
+            for place in self._places(wi, phi_i)
+            for number in self._hemispheres(enabled)
+            for end, flux in enumerate(self._fluxes(place, number))
+        ]
+        if not choices:
+            return mi.Vector3f(0)
+        left = mi.Float64(sample1) * sum(flux for *_, flux in choices)
+        picked = (mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.Float64(0))
+        for place, end, number, flux in choices:
+            # one without light is never picked, however `left` is rounded
+            this = (left >= 0) & (flux > 0)
+            own = place.azimuth, place.leg, place.rows[end], number, float(end)
+            picked = [dr.select(this, new, old) for new, old in zip(own, picked)]
+            left -= flux
+        azimuth, leg, row, hemisphere, end = picked
+        place = _Place(1, azimuth, leg, (row, row), choices[0][0].t)
+        point = self._drawn(place, hemisphere, sample2)
+        if self.n_angles > 1:
+            point, _ = self._moved(place, hemisphere, point, end, place.t)
+        return _direction(point, phi_i, hemisphere == 0)
+
+    def _drawn(self, place, hemisphere, sample2):
+        """Point of a record's lobe, evenly distributed over each patch."""
+        arrays = self.arrays
+        row = place.rows[0] * self.n_hemispheres + hemisphere
+        sin2, ring = _quantile(arrays.rings, row, self.n_theta, sample2.x, arrays.sin2)
+        ring += row * self.n_theta
+        phi, _ = _quantile(arrays.sectors, ring, self.n_phi, sample2.y, arrays.phi)
+        phi -= _read(arrays.phi_i, place.azimuth)
+        sin, cos = dr.sincos(phi)
+        sine = dr.sqrt(sin2)
+        x, y = sine * cos, sine * sin
+        across = dr.sqrt(1 - sin2 + y * y)
+        return _Point(x, dr.select(across > 0, y / across, 0))
+
+    def _hemispheres(self, enabled):
+        return [n for n in range(self.n_hemispheres) if enabled[n]]
+
+
+def _quantile(shares, row, n, share, borders):
+    """Coordinate below which `share` of a row's light is, and its bin."""
+    first = row * (n + 1)
+    share = mi.Float64(share)
+    number = _last(n, lambda i: _read(shares, first + i) <= share)
+    low, high = _read(shares, first + number), _read(shares, first + number + 1)
+    inside = dr.select(high > low, (share - low) / (high - low), 0.5)
+    begin, end = _read(borders, number), _read(borders, number + 1)
+    return begin + inside * (end - begin), number
+
+
+def _point(wo, phi_i):
+    """Point of the disk below (or above) which a unit vector ends."""
+    x, y, z = (mi.Float64(component) for component in (wo.x, wo.y, wo.z))
+    norm = dr.rsqrt(x * x + y * y + z * z)
+    sin, cos = dr.sincos(phi_i)
+    x, y, z = norm * (x * cos + y * sin), norm * (y * cos - x * sin), norm * z
+    across = dr.sqrt(y * y + z * z)
+    return _Point(dr.clip(x, -1, 1), dr.select(across > 0, y / across, 0))
+
+
+def _direction(point, phi_i, upper):
+    """Unit vector above or below a point of the disk."""
+    across = dr.safe_sqrt(1 - dr.square(point.x))
+    x, y = point.x, point.v * across
+    z = across * dr.safe_sqrt(1 - dr.square(point.v))
+    sin, cos = dr.sincos(phi_i)
+    return mi.Vector3f(x * cos - y * sin, x * sin + y * cos, dr.select(upper, z, -z))
+
+
+def _last(n, begins):
+    """Last of `n` ascending pieces that `begins`; the first always does."""
+    if n == 1:
+        return mi.UInt32(0)
+    return mi.UInt32(dr.binary_search(1, n, begins)) - 1
+
+
+def _read(array, index, active=True):
+    return dr.gather(mi.Float64, array, mi.UInt32(index), active)
+
+
+def _doubles(values):
+    return mi.Float64(np.ascontiguousarray(values, dtype=np.float64).ravel())
