@@ -7,6 +7,7 @@ import numpy as np
 
 from ..directions import direction
 from ..errors import checked_choice
+from ..subdivision import Borders
 
 __all__ = ["EFFORTS", "Condition", "Effort"]
 
@@ -63,7 +64,7 @@ class Condition:
 
 
 # Azimuths and places that no symmetry of a model distinguishes.
-PHI = (0.0, 25.0, 140.0, 260.0, 305.0)
+PHI = (25.0, 140.0, 260.0, 305.0, 0.0)
 PLACES = ((0.5, 0.5), (0.15, 0.7), (0.85, 0.35))
 
 
@@ -77,8 +78,8 @@ class Effort:
         Of each map.
     checked : int
         Samples of each incident direction whose identities are checked.
-    collector : str
-        Patches of the maps.
+    rings, sectors : int
+        Patches of the maps: see :attr:`patches`.
     angles : tuple of float
         Polar angles of incidence, in degrees, of the checked samples.
     map_angles : tuple of float
@@ -89,10 +90,23 @@ class Effort:
 
     samples: int
     checked: int
-    collector: str
+    rings: int
+    sectors: int
     angles: tuple
     map_angles: tuple
     few_angles: tuple
+
+    @property
+    def patches(self):
+        """Rings of equal projected solid angle, and thin ones at pole and horizon."""
+        sines = np.sqrt(np.arange(self.rings + 1) / self.rings)
+        theta = np.degrees(np.arcsin(sines))
+        thin = np.array([1.0, 2.5, 5.0, 8.0])
+        theta = np.sort(np.concatenate([theta, thin, 90 - thin]))
+        # no slivers
+        kept = np.concatenate([[True], np.diff(theta) > 0.2])
+        theta = [*theta[kept][:-1], 90.0] if kept[-1] else [*theta[kept], 90.0]
+        return Borders(theta, np.linspace(0, 360, self.sectors + 1))
 
     @staticmethod
     def named(name):
@@ -128,11 +142,12 @@ class Effort:
 
 
 EFFORTS = {
-    "quick": Effort(2**17, 2**14, "projected:12x16", (0, 40, 75, 89.9), (35,), (50,)),
+    "quick": Effort(2**17, 2**14, 12, 16, (0, 40, 75, 89.9), (35,), (50,)),
     "normal": Effort(
         2**20,
         2**16,
-        "projected:20x32",
+        20,
+        32,
         (0, 15, 30, 45, 60, 75, 85, 89, 89.9),
         (0, 30, 60, 80, 89),
         (20, 70),
@@ -140,7 +155,8 @@ EFFORTS = {
     "thorough": Effort(
         2**23,
         2**18,
-        "projected:30x60",
+        30,
+        60,
         (0, 0.5, 5, 15, 30, 45, 60, 70, 75, 80, 85, 87, 89, 89.5, 89.9),
         (0, 15, 30, 45, 60, 75, 85, 89, 89.9),
         (0, 20, 45, 70, 88),

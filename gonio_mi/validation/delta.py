@@ -1,11 +1,13 @@
 """Discrete lobes: one direction each, one weight, and the probability that they say."""
 
+from dataclasses import replace
+
 import mitsuba as mi
 import numpy as np
 from scipy import special
 
 from .drawing import collect
-from .identities import is_many
+from .identities import is_many, unequal
 
 __all__ = ["check_delta", "check_null"]
 
@@ -49,6 +51,7 @@ def _check_lobe(evidence, drawn, own, kind, bsdf, key):
         )
         return
     _check_reversal(evidence, drawn, own, middle, bsdf, key)
+    _check_modes(evidence, drawn, own, bsdf, key)
 
 
 def _check_direction(evidence, drawn, own, wo, kind):
@@ -115,6 +118,28 @@ def _check_reversal(evidence, drawn, own, wo, bsdf, key):
             f"{shares[1].max():.4g} on the way back, at {drawn.condition}",
             "`sample` gives a discrete lobe another share than its reverse in "
             "importance mode: 1/eta^2 belongs to radiance mode only",
+        )
+
+
+def _check_modes(evidence, drawn, own, bsdf, key):
+    """Radiance that crosses an interface is divided by eta^2."""
+    if drawn.condition.mode != "importance":
+        return
+    same = collect(bsdf, replace(drawn.condition, mode="radiance"), drawn.n, key)
+    both = own & same.given & (same.type == drawn.type)
+    reflected = drawn.reflected | ((drawn.type & int(mi.BSDFFlags.Null)) != 0)
+    eta2 = np.where(reflected, 1.0, drawn.eta**2)[:, None]
+    wrong = unequal(same.weight * eta2, drawn.weight, 0.0, 1e-3) & both
+    if is_many(wrong, drawn.n):
+        ratio = np.median(same.weight[wrong] / drawn.weight[wrong])
+        evidence.breach(
+            "adjoint",
+            "sample",
+            f"radiance over importance is {ratio:.4g} where 1/eta^2 = "
+            f"{1 / np.median(eta2[wrong]):.4g} at {drawn.condition}",
+            "`sample` weight lacks 1/eta^2 in radiance mode"
+            if abs(ratio - 1) < 1e-3
+            else f"`sample` weight in radiance mode is {ratio:.4g} times the other one",
         )
 
 

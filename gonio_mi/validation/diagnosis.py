@@ -1,8 +1,12 @@
 """From failed properties to the one function that explains them, and its mistake."""
 
+from dataclasses import replace
+
+import mitsuba as mi
 import numpy as np
 
 from .density import explain_density
+from .probe import Probe, numbers, spectral
 from .ratios import explain_ratio
 
 __all__ = ["diagnose"]
@@ -19,8 +23,8 @@ ORDER = (
     "eval_pdf",
     "eval_pdf_sample",
     "energy",
-    "adjoint",
     "reciprocity",
+    "adjoint",
     "flags",
     "masks",
     "components",
@@ -28,8 +32,16 @@ ORDER = (
 )
 
 
-def diagnose(evidence, failed):
-    """Likely guilty function and mistake, from the names of failed properties.
+def diagnose(evidence, failed, bsdf):
+    """Likely guilty function and mistake.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    failed : list of str
+        Names of properties.
+    bsdf : mi.BSDF
+        To be asked for its single lobes.
 
     Returns
     -------
@@ -39,7 +51,7 @@ def diagnose(evidence, failed):
         if name not in failed:
             continue
         if name in ("sampling", "sampled_pdf", "sampled_weight", "weights"):
-            found = _of_densities(evidence, failed)
+            found = _of_densities(evidence, failed, bsdf)
         elif name == "energy":
             found = _of_energy(evidence)
         else:
@@ -76,12 +88,12 @@ def _of_energy(evidence):
     return function, f"`{function}` gains light: {most:.4g} of it leaves"
 
 
-def _of_densities(evidence, failed):
+def _of_densities(evidence, failed, bsdf):
     """Which of ``sample``, ``pdf`` and ``eval`` contradicts the two others."""
     if "sampling" not in failed:
         if "sampled_pdf" in failed:
             return _of_sampled_pdf(evidence)
-        return _of_weights(evidence, failed)
+        return _of_weights(evidence, failed, bsdf)
     beyond = [b for b in evidence.breaches if b.property == "sampled_pdf"]
     if beyond and "sampled_weight" not in failed and "weights" not in failed:
         text = explain_ratio(_all(evidence, "pdf"), "pdf", "the density of `sample`")
@@ -94,9 +106,13 @@ def _of_sampled_pdf(evidence):
     return "sample", text.replace("`sample`", "the pdf that `sample` returns", 1)
 
 
-def _of_weights(evidence, failed):
+def _of_weights(evidence, failed, bsdf):
     """``sample`` or ``eval``: whichever lacks a property on its own."""
     cases = _all(evidence, "sampled_weight")
+    whole = [b for b in evidence.breaches if b.property == "sampled_weight"]
+    if whole and all("component" in b.statistic for b in whole):
+        # only single components disagree
+        return _worst(evidence, "components") or _worst(evidence, "sampled_weight")
     if not cases:
         return "sample", (
             "`sample`: the weights do not sum up to `eval`, where directions agree "
@@ -116,7 +132,34 @@ def _of_weights(evidence, failed):
     if guilty == "eval":
         cases = [(1 / ratio, drawn, mask) for ratio, drawn, mask in cases]
         return "eval", explain_ratio(cases, "eval", "value, over weight times pdf,")
+    if _is_of_lobe_alone(evidence, bsdf):
+        return "sample", (
+            "`sample` weight lacks division by the probability of the lobe: it is "
+            "value over pdf of the picked lobe alone"
+        )
     return "sample", explain_ratio(cases, "sample", "weight times pdf, over `eval`,")
+
+
+def _is_of_lobe_alone(evidence, bsdf):
+    """Whether weights are those of a single component, as if there were no other."""
+    n = bsdf.component_count()
+    drawn = evidence.drawn[0]
+    if n < 2 or drawn.condition.component is not None:
+        return False
+    wo = mi.Vector3f(drawn.wo.T)
+    ratios = []
+    for i in range(n):
+        own = drawn.smooth & (drawn.component == i)
+        if own.any():
+            probe = Probe(bsdf, replace(drawn.condition, component=i))
+            value = spectral(probe.eval(wo), drawn.n)[own].sum(axis=1)
+            pdf = numbers(probe.pdf(wo), drawn.n)[own]
+            weight = drawn.weight[own].sum(axis=1)
+            ratios.append(weight * pdf / np.maximum(value, 1e-30))
+    if len(ratios) < 2:
+        return False
+    low, high = np.quantile(np.concatenate(ratios), [0.02, 0.98])
+    return low > 0.998 and high < 1.002
 
 
 def _weights_are_reciprocal(evidence):

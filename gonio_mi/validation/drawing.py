@@ -24,6 +24,7 @@ _DRJIT = SimpleNamespace(
     ceil=dr.ceil,
     minimum=dr.minimum,
     where=dr.select,
+    count_below=lambda borders, x: sum(dr.select(x >= b, 1.0, 0.0) for b in borders),
 )
 
 

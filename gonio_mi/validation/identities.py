@@ -159,11 +159,29 @@ def _check_joint(evidence, drawn):
         wrong = unequal(value, drawn.eval, drawn.eval_slack) & usable
         if is_many(wrong, drawn.n):
             ratio = value.sum(axis=1) / np.maximum(drawn.eval.sum(axis=1), 1e-30)
-            _unequal(evidence, function, function, drawn, wrong, ratio, "its `eval`")
+            _unequal(
+                evidence,
+                function,
+                function,
+                drawn,
+                wrong,
+                ratio,
+                "its value over `eval`",
+                f"`{function}` answers otherwise than `eval`",
+            )
         wrong = unequal(pdf, drawn.pdf, drawn.pdf_slack) & usable
         if is_many(wrong, drawn.n):
             ratio = pdf / np.maximum(drawn.pdf, 1e-30)
-            _unequal(evidence, function, function, drawn, wrong, ratio, "its `pdf`")
+            _unequal(
+                evidence,
+                function,
+                function,
+                drawn,
+                wrong,
+                ratio,
+                "its value over `pdf`",
+                f"`{function}` answers otherwise than `pdf`",
+            )
     own, given = drawn.joint, drawn.given
     wrong = (np.abs(own["wo"] - drawn.wo).max(axis=1) > 1e-4) & given
     wrong |= unequal(own["weight"], drawn.weight, 0.0)
@@ -178,8 +196,9 @@ def _check_joint(evidence, drawn):
         )
 
 
-def _unequal(evidence, name, function, drawn, wrong, ratio, what):
+def _unequal(evidence, name, function, drawn, wrong, ratio, what, mistake=None):
     """Add a breach that tells by how much values differ."""
+    mistake = mistake or f"`{function}`: {what} should be 1"
     low, middle, high = np.quantile(ratio[wrong], [0.05, 0.5, 0.95])
     spread = f"{low:.4g} to {high:.4g}, median {middle:.4g}"
     evidence.breach(
@@ -187,6 +206,6 @@ def _unequal(evidence, name, function, drawn, wrong, ratio, what):
         function,
         f"{what} is {spread} for {wrong.mean():.3g} of the samples at "
         f"{drawn.condition}",
-        f"`{function}`: {what} should be 1",
+        mistake,
         size=float(wrong.mean()),
     )

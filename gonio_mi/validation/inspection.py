@@ -8,7 +8,6 @@ import numpy as np
 
 from ..errors import SpecimenError, checked_count, checked_number
 from ..specimen import check_variant, load_specimen, loaded, specimen_name
-from ..subdivision import subdivision
 from . import balance, declarations, delta, ends, identities, symmetry
 from .conditions import Effort
 from .diagnosis import diagnose
@@ -65,7 +64,7 @@ def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=()):
         _stop(evidence, fault)
     properties = judge(evidence, alpha, allow)
     failed = [p.name for p in properties if p.status == FAILS]
-    function, mistake = diagnose(evidence, failed) if failed else (None, None)
+    function, mistake = diagnose(evidence, failed, bsdf) if failed else (None, None)
     settings = {
         "effort": effort,
         "seed": seed,
@@ -139,7 +138,7 @@ def _check_samples(evidence, bsdf, condition, plan, flags, key):
 
 def _check_maps(evidence, bsdf, plan, sides, components, seed):
     """Statistics of what is drawn."""
-    grid = subdivision(plan.collector)
+    grid = plan.patches
     conditions = list(plan.maps(sides, components))
     if any(_depends_on_mode(drawn) for drawn in evidence.drawn):
         conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]

@@ -35,7 +35,7 @@ def draw(maps):
     halves = [
         half
         for half in (0, 1)
-        if any(np.any(values[half] != 0) for _, values in columns)
+        if any(np.any(columns[i][1][half] != 0) for i in (0, 1, 3, 4))
     ] or [0]
     figure = Figure(figsize=(16, 2.9 * len(halves)), layout="constrained")
     FigureCanvasAgg(figure)

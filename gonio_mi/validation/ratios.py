@@ -63,21 +63,20 @@ def explain_ratio(cases, function, what):
     what : str
         The ratio, in words.
     """
-    # the worst half tells most; where all is right nothing can be told
-    cases = [c for c in cases if not _is_near(c[0])] or cases
+    # what is right tells nothing
+    cases = [case for case in cases if not _is_near(case[0])] or cases
     if not cases:
         return f"`{function}` contradicts the other functions"
-    for name, text in FACTORS.items():
-        if _trivial(name, cases):
-            continue
-        for power, words in ((1, "has {} too much"), (-1, "lacks {}")):
-            # probabilities are known from frequencies only
-            near = 0.02 if name == "component" else NEAR
-            if all(
-                _is_near(ratio / factor(name, drawn, mask) ** power, near)
-                for ratio, drawn, mask in cases
-            ):
-                return _worded(function, name, power, words.format(text), drawn=cases)
+    for name, power, constant in _candidates():
+        near = 0.02 if name == "component" else NEAR  # known from frequencies only
+        rests = [
+            ratio / factor(name, drawn, mask) ** power for ratio, drawn, mask in cases
+        ]
+        if _is_constantly(1.0, name, rests, cases, near):
+            return _worded(function, name, power)
+        if constant and _is_constantly(float(np.median(rests[0])), name, rests, cases):
+            rest = f", and has a factor {np.median(rests[0]):.4g} besides"
+            return _worded(function, name, power) + rest
     ratios = np.concatenate([ratio for ratio, _, _ in cases])
     low, middle, high = np.quantile(ratios, [0.05, 0.5, 0.95])
     if high - low < NEAR * middle:
@@ -85,22 +84,36 @@ def explain_ratio(cases, function, what):
     return f"`{function}`: {what} is {low:.4g} to {high:.4g}, median {middle:.4g}"
 
 
-def _worded(function, name, power, words, drawn):
-    modes = {case[1].condition.mode for case in drawn}
-    mode = f" in {modes.pop()} mode" if name == "eta2" and len(modes) == 1 else ""
-    if function == "sample" and name in ("component", "pdf"):
-        # weight times pdf has a factor too little: it was never divided by it
-        verb = "is divided by {} once more" if power < 0 else "lacks division by {}"
-        return "`sample` weight " + verb.format(FACTORS[name])
-    return f"`{function}` {words}{mode}"
+def _candidates():
+    """Factors once too often or once too few, alone, then beside a constant."""
+    for constant in (False, True):
+        for name in FACTORS:
+            if not (constant and name in ("pi", "four", "two", "component", "eta2")):
+                yield name, 1, constant
+                yield name, -1, constant
 
 
-def _trivial(name, cases):
-    """Whether a factor is 1 for all samples, or cannot be told from a constant."""
+def _is_constantly(value, name, rests, cases, near=NEAR):
+    """Whether a ratio is one value once a factor is taken out, which is not trivial."""
     values = [factor(name, drawn, mask) for _, drawn, mask in cases]
-    if name in ("pi", "four", "two"):
+    if name not in ("pi", "four", "two", "eta2") and all(
+        np.ptp(v) < 1e-6 for v in values
+    ):
         return False
-    return all(np.ptp(v) < 1e-6 for v in values) and name in ("component", "cos_h")
+    if all(np.abs(v - 1).max() < 1e-6 for v in values):
+        return False
+    return all(_is_near(rest / value, near) for rest in rests)
+
+
+def _worded(function, name, power):
+    text = FACTORS[name]
+    if function == "sample" and name in ("component", "pdf"):
+        # weight times pdf has a factor too much: it was never divided by it
+        verb = "lacks division by" if power > 0 else "is divided once more by"
+        return f"`sample` weight {verb} {text}"
+    if power < 0:
+        return f"`{function}` lacks {text}"
+    return f"`{function}` has {text} too much"
 
 
 def _is_near(ratio, near=NEAR):

@@ -16,7 +16,8 @@ def check_symmetry(evidence, drawn, flags):
 
     With ``f = eval / |cos theta_o|`` in importance mode, it is that ``f(wi, wo)`` is
     ``eta^2 f(wo, wi)``, where eta is the sample's relative index of refraction
-    (1 for a reflection), and ``f(wi, wo)`` of one mode is ``f(wo, wi)`` of the other (Veach 1997, section 5.2).
+    (1 for a reflection), and that ``f(wi, wo)`` of one mode is ``f(wo, wi)`` of the
+    other (Veach 1997, section 5.2).
     """
     if drawn.condition.mode != "importance":
         return

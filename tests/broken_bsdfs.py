@@ -1,0 +1,508 @@
+# ruff: noqa: ARG002 (every method has Mitsuba's signature)
+"""Right BSDF plugins, and the same with one mistake each.
+
+`MISTAKES` maps the name of a broken plugin to the function that is guilty. The classes
+are made anew for the variant that is set, by :func:`register`.
+"""
+
+import drjit as dr
+import mitsuba as mi
+
+# Right plugins, whose mistakes are below.
+RIGHT = ("lambert", "two_faces", "mixture", "brushed", "glass", "frosted")
+
+MISTAKES = {
+    # of a Lambertian
+    "eval_without_cosine": "eval",
+    "eval_with_two_cosines": "eval",
+    "eval_without_pi": "eval",
+    "eval_negative": "eval",
+    "eval_nan_at_grazing": "eval",
+    "eval_ignores_active": "eval",
+    "eval_gains_one_percent": "eval",
+    "weight_without_division": "sample",
+    "weight_with_cosine": "sample",
+    "sample_ignores_active": "sample",
+    "sample_clamps_at_pole": "sample",
+    "sample_not_unit": "sample",
+    "pdf_uniform": "pdf",
+    "pdf_half_a_percent_off": "pdf",
+    "pdf_a_permille_off_everywhere": "pdf",
+    "flags_of_another_lobe": "flags",
+    "flags_without_back_side": "flags",
+    "hemisphere_mixed_up": "sample",
+    # of a mixture with a microfacet lobe
+    "weight_without_lobe_probability": "sample",
+    "lobes_picked_the_wrong_way": "sample",
+    "sample_reused": "sample",
+    "sampled_pdf_of_one_lobe": "sample",
+    "phi_with_wrong_sign": "sample",
+    "density_without_jacobian": "pdf",
+    "pdf_without_jacobian": "pdf",
+    "fresnel_not_reciprocal": "eval",
+    "eval_ignores_component": "eval",
+    "eval_pdf_of_one_lobe": "eval_pdf",
+    "eval_pdf_sample_without_cosine": "eval_pdf_sample",
+    # of an anisotropic lobe
+    "axes_swapped": "sample",
+    "flags_isotropic": "flags",
+    # of interfaces
+    "radiance_without_eta2": "sample",
+    "importance_with_eta2": "sample",
+    "refraction_not_snells": "sample",
+    "discrete_pdf_not_probability": "sample",
+    "eval_the_same_in_both_modes": "eval",
+    # no usable answer
+    "pdf_raises": "pdf",
+    "eval_returns_a_direction": "eval",
+    "sample_returns_weight_only": "sample",
+}
+
+
+def register():
+    """Define and register all plugins for the variant that is set."""
+    flags = mi.BSDFFlags
+    diffuse = int(flags.DiffuseReflection)
+    glossy = int(flags.GlossyReflection)
+    front, back = int(flags.FrontSide), int(flags.BackSide)
+    cosine = mi.Frame3f.cos_theta
+
+    class Plugin(mi.BSDF):
+        components = (diffuse | front,)
+
+        def __init__(self, props):
+            super().__init__(props)
+            self.m_components = list(self.components)
+            self.m_flags = 0
+            for one in self.components:
+                self.m_flags |= one
+
+        def to_string(self):
+            return f"{type(self).__name__}[]"
+
+    # ------------------------------------------------------------------- Lambertian
+
+    class Lambert(Plugin):
+        reflectance = 0.8
+
+        def value(self, si, wo):
+            return mi.Spectrum(self.reflectance * dr.inv_pi * cosine(wo))
+
+        def density(self, si, wo):
+            return dr.inv_pi * cosine(wo)
+
+        def direction(self, si, sample1, sample2):
+            return mi.warp.square_to_cosine_hemisphere(sample2)
+
+        def above(self, si, wo):
+            return (cosine(si.wi) > 0) & (cosine(wo) > 0)
+
+        def weight(self, si, bs):
+            return self.value(si, bs.wo) / bs.pdf
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs = dr.zeros(mi.BSDFSample3f)
+            bs.wo = self.direction(si, sample1, sample2)
+            bs.pdf = self.density(si, bs.wo)
+            bs.eta = 1.0
+            bs.sampled_type = mi.UInt32(diffuse)
+            ok = active & self.above(si, bs.wo) & (bs.pdf > 0)
+            return bs, self.weight(si, bs) & ok
+
+        def eval(self, ctx, si, wo, active=True):
+            return self.value(si, wo) & (active & self.above(si, wo))
+
+        def pdf(self, ctx, si, wo, active=True):
+            return dr.select(active & self.above(si, wo), self.density(si, wo), 0)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+    class EvalWithoutCosine(Lambert):
+        def eval(self, ctx, si, wo, active=True):
+            return mi.Spectrum(0.8 * dr.inv_pi) & (active & self.above(si, wo))
+
+    class EvalWithTwoCosines(Lambert):
+        def eval(self, ctx, si, wo, active=True):
+            return super().eval(ctx, si, wo, active) * cosine(wo)
+
+    class EvalWithoutPi(Lambert):
+        def eval(self, ctx, si, wo, active=True):
+            return super().eval(ctx, si, wo, active) * dr.pi
+
+    class EvalNegative(Lambert):
+        def eval(self, ctx, si, wo, active=True):
+            return super().eval(ctx, si, wo, active) - 0.01
+
+    class EvalNanAtGrazing(Lambert):
+        def eval(self, ctx, si, wo, active=True):
+            fade = dr.sqrt(1 - dr.square(0.01 / cosine(si.wi)))
+            return super().eval(ctx, si, wo, active) * dr.select(
+                cosine(si.wi) > 0.02, 1, fade
+            )
+
+    class EvalIgnoresActive(Lambert):
+        def eval(self, ctx, si, wo, active=True):
+            return super().eval(ctx, si, wo, True)
+
+    class EvalGainsOnePercent(Lambert):
+        reflectance = 1.01
+
+    class WeightWithoutDivision(Lambert):
+        def weight(self, si, bs):
+            return self.value(si, bs.wo)
+
+    class WeightWithCosine(Lambert):
+        def weight(self, si, bs):
+            return super().weight(si, bs) * cosine(bs.wo)
+
+    class SampleIgnoresActive(Lambert):
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            return super().sample(ctx, si, sample1, sample2, True)
+
+    class SampleClampsAtPole(Lambert):
+        def direction(self, si, sample1, sample2):
+            phi = dr.two_pi * sample2.y
+            sin_theta = dr.maximum(dr.sqrt(sample2.x), 0.05)
+            cos_theta = dr.safe_sqrt(1 - dr.square(sin_theta))
+            return mi.Vector3f(
+                sin_theta * dr.cos(phi), sin_theta * dr.sin(phi), cos_theta
+            )
+
+    class SampleNotUnit(Lambert):
+        def direction(self, si, sample1, sample2):
+            return 1.01 * super().direction(si, sample1, sample2)
+
+    class PdfUniform(Lambert):
+        def pdf(self, ctx, si, wo, active=True):
+            return dr.select(active & self.above(si, wo), 0.5 * dr.inv_pi, mi.Float(0))
+
+    class PdfHalfAPercentOff(Lambert):
+        def pdf(self, ctx, si, wo, active=True):
+            return 1.005 * super().pdf(ctx, si, wo, active)
+
+    class PdfAPermilleOffEverywhere(Lambert):
+        def density(self, si, wo):
+            return 0.999 * super().density(si, wo)
+
+    class FlagsOfAnotherLobe(Lambert):
+        components = (glossy | front,)
+
+    class TwoFaces(Lambert):
+        components = (diffuse | front | back,)
+
+        def above(self, si, wo):
+            return cosine(si.wi) * cosine(wo) > 0
+
+        def value(self, si, wo):
+            return mi.Spectrum(0.8 * dr.inv_pi * dr.abs(cosine(wo)))
+
+        def density(self, si, wo):
+            return dr.inv_pi * dr.abs(cosine(wo))
+
+        def direction(self, si, sample1, sample2):
+            wo = super().direction(si, sample1, sample2)
+            wo.z = dr.mulsign(wo.z, cosine(si.wi))
+            return wo
+
+    class FlagsWithoutBackSide(TwoFaces):
+        components = (diffuse | front,)
+
+    class HemisphereMixedUp(TwoFaces):
+        """Samples of the back leave on the front, with the weight of the back."""
+
+        def direction(self, si, sample1, sample2):
+            return mi.warp.square_to_cosine_hemisphere(sample2)
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs, _ = super().sample(ctx, si, sample1, sample2, active)
+            return bs, mi.Spectrum(0.8) & active
+
+    # ------------------------------------- Mixture of a Lambertian and microfacets
+
+    class Mixture(Plugin):
+        components = (diffuse | front, glossy | front)
+        alpha = (0.3, 0.3)
+        share = 0.3  # probability of the glossy lobe
+
+        def facets(self):
+            alpha_u, alpha_v = (mi.Float(a) for a in self.alpha)
+            return mi.MicrofacetDistribution(
+                mi.MicrofacetType.GGX, alpha_u, alpha_v, False
+            )
+
+        def fresnel(self, si, wo, h):
+            return 0.1 + 0.3 * (1 - dr.abs(dr.dot(wo, h))) ** 5
+
+        def value(self, ctx, si, wo):
+            h = dr.normalize(si.wi + wo)
+            facets = self.facets()
+            value = mi.Spectrum(0)
+            if ctx.is_enabled(flags.DiffuseReflection, 0):
+                value += 0.5 * dr.inv_pi * cosine(wo)
+            if ctx.is_enabled(flags.GlossyReflection, 1):
+                value += (
+                    self.fresnel(si, wo, h)
+                    * facets.eval(h)
+                    * facets.G(si.wi, wo, h)
+                    / (4 * cosine(si.wi))
+                )
+            return value
+
+        def jacobian(self, wo, h):
+            return 1 / (4 * dr.abs(dr.dot(wo, h)))
+
+        def densities(self, si, wo):
+            h = dr.normalize(si.wi + wo)
+            return (
+                dr.inv_pi * cosine(wo),
+                self.facets().pdf(si.wi, h) * self.jacobian(wo, h),
+            )
+
+        def glossy_share(self, ctx):
+            first = ctx.is_enabled(flags.DiffuseReflection, 0)
+            second = ctx.is_enabled(flags.GlossyReflection, 1)
+            return self.share if first and second else float(second)
+
+        def density(self, ctx, si, wo):
+            first, second = self.densities(si, wo)
+            share = self.glossy_share(ctx)
+            return (1 - share) * first + share * second
+
+        def above(self, si, wo):
+            return (cosine(si.wi) > 0) & (cosine(wo) > 0)
+
+        def pick(self, ctx, sample1, sample2):
+            return sample1 < self.glossy_share(ctx), sample2
+
+        def facet(self, si, sample2):
+            return mi.Vector3f(self.facets().sample(si.wi, sample2)[0])
+
+        def reflected(self, wi, h):
+            return mi.reflect(wi, h)
+
+        def weight(self, ctx, si, bs):
+            return self.value(ctx, si, bs.wo) / bs.pdf
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs = dr.zeros(mi.BSDFSample3f)
+            second, sample2 = self.pick(ctx, sample1, sample2)
+            bs.wo = dr.select(
+                second,
+                self.reflected(si.wi, self.facet(si, sample2)),
+                mi.warp.square_to_cosine_hemisphere(sample2),
+            )
+            bs.sampled_component = dr.select(second, mi.UInt32(1), mi.UInt32(0))
+            bs.sampled_type = dr.select(second, mi.UInt32(glossy), mi.UInt32(diffuse))
+            bs.eta = 1.0
+            bs.pdf = self.density(ctx, si, bs.wo)
+            ok = active & self.above(si, bs.wo) & (bs.pdf > 0)
+            return bs, self.weight(ctx, si, bs) & ok
+
+        def eval(self, ctx, si, wo, active=True):
+            return self.value(ctx, si, wo) & (active & self.above(si, wo))
+
+        def pdf(self, ctx, si, wo, active=True):
+            return dr.select(active & self.above(si, wo), self.density(ctx, si, wo), 0)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+    class WeightWithoutLobeProbability(Mixture):
+        def weight(self, ctx, si, bs):
+            first = bs.sampled_component == 0
+            diffuse_pdf, glossy_pdf = self.densities(si, bs.wo)
+            only = mi.BSDFContext(ctx.mode)
+            only.component = 0
+            lambert = self.value(only, si, bs.wo) / diffuse_pdf
+            only.component = 1
+            return dr.select(first, lambert, self.value(only, si, bs.wo) / glossy_pdf)
+
+    class LobesPickedTheWrongWay(Mixture):
+        def pick(self, ctx, sample1, sample2):
+            return sample1 >= self.glossy_share(ctx), sample2
+
+    class SampleReused(Mixture):
+        def pick(self, ctx, sample1, sample2):
+            return sample2.x < self.glossy_share(ctx), sample2
+
+    class SampledPdfOfOneLobe(Mixture):
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs, weight = super().sample(ctx, si, sample1, sample2, active)
+            first, second = self.densities(si, bs.wo)
+            bs.pdf = dr.select(bs.sampled_component == 0, first, second)
+            return bs, weight
+
+    class PhiWithWrongSign(Mixture):
+        def reflected(self, wi, h):
+            wo = mi.reflect(wi, h)
+            return mi.Vector3f(wo.x, -wo.y, wo.z)
+
+    class DensityWithoutJacobian(Mixture):
+        def jacobian(self, wo, h):
+            return 1.0
+
+    class PdfWithoutJacobian(Mixture):
+        def pdf(self, ctx, si, wo, active=True):
+            h = dr.normalize(si.wi + wo)
+            share = self.glossy_share(ctx)
+            pdf = (1 - share) * dr.inv_pi * cosine(wo)
+            pdf += share * self.facets().pdf(si.wi, h)
+            return dr.select(active & self.above(si, wo), pdf, 0)
+
+    class FresnelNotReciprocal(Mixture):
+        def fresnel(self, si, wo, h):
+            return 0.1 + 0.3 * (1 - dr.abs(cosine(si.wi))) ** 5
+
+    class EvalIgnoresComponent(Mixture):
+        def eval(self, ctx, si, wo, active=True):
+            return super().eval(mi.BSDFContext(ctx.mode), si, wo, active)
+
+    class EvalPdfOfOneLobe(Mixture):
+        def eval_pdf(self, ctx, si, wo, active=True):
+            value = self.eval(ctx, si, wo, active)
+            pdf = dr.select(self.above(si, wo), self.densities(si, wo)[0], 0)
+            return value, pdf
+
+    class EvalPdfSampleWithoutCosine(Mixture):
+        def eval_pdf_sample(self, ctx, si, wo, sample1, sample2, active=True):
+            value, pdf = self.eval_pdf(ctx, si, wo, active)
+            bs, weight = self.sample(ctx, si, sample1, sample2, active)
+            return value / dr.maximum(cosine(wo), 1e-4), pdf, bs, weight
+
+    class Brushed(Mixture):
+        components = (diffuse | front, glossy | front | int(flags.Anisotropic))
+        alpha = (0.1, 0.4)
+        share = 0.6
+
+    class AxesSwapped(Brushed):
+        def facet(self, si, sample2):
+            h = super().facet(si, sample2)
+            return mi.Vector3f(h.y, h.x, h.z)
+
+    class FlagsIsotropic(Brushed):
+        components = (diffuse | front, glossy | front)
+
+    # -------------------------------------------------------------------- Interfaces
+
+    class Glass(Plugin):
+        components = (
+            int(flags.DeltaReflection) | front | back,
+            int(flags.DeltaTransmission) | front | back | int(flags.NonSymmetric),
+        )
+
+        def factor(self, ctx, eta):
+            radiance = ctx.mode == mi.TransportMode.Radiance
+            return 1 / dr.square(eta) if radiance else mi.Float(1)
+
+        def refracted(self, wi, cos_t, eta_ti):
+            return mi.refract(wi, cos_t, eta_ti)
+
+        def probability(self, f):
+            return f
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            f, cos_t, eta, eta_ti = mi.fresnel(cosine(si.wi), 1.5)
+            r = ctx.is_enabled(flags.DeltaReflection, 0)
+            t = ctx.is_enabled(flags.DeltaTransmission, 1)
+            bs = dr.zeros(mi.BSDFSample3f)
+            share = f if r and t else mi.Float(float(r))
+            reflect = sample1 <= share
+            bs.wo = dr.select(
+                reflect, mi.reflect(si.wi), self.refracted(si.wi, cos_t, eta_ti)
+            )
+            bs.pdf = self.probability(dr.select(reflect, share, 1 - share))
+            bs.eta = dr.select(reflect, 1, eta)
+            bs.sampled_component = dr.select(reflect, mi.UInt32(0), mi.UInt32(1))
+            bs.sampled_type = dr.select(
+                reflect,
+                mi.UInt32(+flags.DeltaReflection),
+                mi.UInt32(+flags.DeltaTransmission),
+            )
+            weight = dr.select(reflect, 1, self.factor(ctx, eta))
+            if not (r and t):
+                weight *= f if r else 1 - f
+            return bs, mi.Spectrum(weight) & (active & (r or t))
+
+        def eval(self, ctx, si, wo, active=True):
+            return mi.Spectrum(0)
+
+        def pdf(self, ctx, si, wo, active=True):
+            return mi.Float(0)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return mi.Spectrum(0), mi.Float(0)
+
+    class RadianceWithoutEta2(Glass):
+        def factor(self, ctx, eta):
+            return mi.Float(1)
+
+    class ImportanceWithEta2(Glass):
+        def factor(self, ctx, eta):
+            return 1 / dr.square(eta)
+
+    class RefractionNotSnells(Glass):
+        def refracted(self, wi, cos_t, eta_ti):
+            return dr.normalize(mi.Vector3f(-wi.x, -wi.y, -1.5 * wi.z))
+
+    class DiscretePdfNotProbability(Glass):
+        def probability(self, f):
+            return mi.Float(1)
+
+    class Frosted(TwoFaces):
+        """Scatters evenly to the other side, where the index is 1.5 (below) or 1."""
+
+        components = (
+            int(flags.DiffuseTransmission) | front | back | int(flags.NonSymmetric),
+        )
+
+        def above(self, si, wo):
+            return cosine(si.wi) * cosine(wo) < 0
+
+        def direction(self, si, sample1, sample2):
+            wo = super().direction(si, sample1, sample2)
+            return mi.Vector3f(wo.x, wo.y, -wo.z)
+
+        def eta(self, si):
+            return dr.select(cosine(si.wi) > 0, mi.Float(1.5), 1 / 1.5)
+
+        def factor(self, ctx, si):
+            """Of the flux 0.8 passes downwards, 0.8 / 1.5^2 upwards."""
+            up = cosine(si.wi) < 0
+            if ctx.mode == mi.TransportMode.Radiance:
+                up = ~up
+            return dr.select(up, 1 / 1.5**2, mi.Float(1))
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs, weight = super().sample(ctx, si, sample1, sample2, active)
+            bs.eta = self.eta(si)
+            bs.sampled_type = mi.UInt32(+flags.DiffuseTransmission)
+            return bs, weight * self.factor(ctx, si)
+
+        def eval(self, ctx, si, wo, active=True):
+            return super().eval(ctx, si, wo, active) * self.factor(ctx, si)
+
+    class EvalTheSameInBothModes(Frosted):
+        def factor(self, ctx, si):
+            return super().factor(mi.BSDFContext(mi.TransportMode.Importance), si)
+
+    # --------------------------------------------------------------- No usable answer
+
+    class PdfRaises(Lambert):
+        def pdf(self, ctx, si, wo, active=True):
+            return self.undefined(wo)
+
+    class EvalReturnsADirection(Lambert):
+        def eval(self, ctx, si, wo, active=True):
+            return wo
+
+    class SampleReturnsWeightOnly(Lambert):
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            return super().sample(ctx, si, sample1, sample2, active)[1]
+
+    for plugin in [value for value in locals().values() if isinstance(value, type)]:
+        if plugin is not Plugin and issubclass(plugin, Plugin):
+            name = "".join(
+                f"_{c.lower()}" if c.isupper() else c for c in plugin.__name__
+            )
+            mi.register_bsdf(name[1:], plugin)
