@@ -15,7 +15,7 @@ OTHERS = ("tab:purple", "tab:brown", "tab:pink", "tab:cyan", "tab:olive")
 STYLES = {"analog": ("o", "--", "w"), "weighted": ("o", "-", None)}
 QUADRATURE = ("*", "-", None)
 FRONT = "0.82"
-LEGEND = {"fontsize": "small", "frameon": False, "loc": "upper right"}
+LEGEND = {"fontsize": "small", "frameon": False}
 LEVEL = 1.96  # of the error bars, 95 %
 
 
@@ -53,7 +53,9 @@ def plot_chart(chart, path=None, *, target=0.01):
     _draw_front(by_time, chart)
     for curve in chart.curves:
         _draw_curve(by_time, curve, curve.cpu_seconds, colours[curve.sampler])
-        _draw_curve(by_rays, curve, curve.rays, colours[curve.sampler])
+        # integrals send no rays; their label is wanted all the same
+        rays = np.where(curve.rays > 0, curve.rays, np.nan)
+        _draw_curve(by_rays, curve, rays, colours[curve.sampler])
     _draw_expectation(by_rays, chart)
     _finish(by_time, by_rays, chart, target)
     _draw_table(below.subplots(), chart, target, colours)
@@ -121,6 +123,7 @@ def _finish(by_time, by_rays, chart, target):
     low = min(errors[errors > 0].min(), target) / 2
     for axes in (by_time, by_rays):
         axes.set(xscale="log", yscale="log")
+        _plain_ticks(axes)
         axes.axhline(target, c="tab:red", lw=0.8, zorder=0)
         axes.axhspan(low / 1e6, chart.least, color="0.9", hatch="///", lw=0, zorder=-1)
         axes.grid(alpha=0.3, lw=0.5)
@@ -130,8 +133,20 @@ def _finish(by_time, by_rays, chart, target):
     by_time.set_ylabel("RMS error over the patches / mean BSDF")
     by_rays.set_xlabel("rays of one measurement")
     handles, labels = by_time.get_legend_handles_labels()
-    by_time.legend(handles[:1], labels[:1], **LEGEND)
-    by_rays.legend(**LEGEND)
+    by_time.legend(handles[:1], labels[:1], **LEGEND, loc="upper right")
+    by_rays.legend(**LEGEND, loc="best")
+
+
+def _plain_ticks(axes):
+    """Numbers at 1, 2 and 5 of each decade if there are few, else at its beginning."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    low, high = axes.get_xlim()
+    few = high < 300 * low
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,)))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    if few:
+        axes.xaxis.set_major_formatter("{x:g}")
 
 
 def _draw_table(axes, chart, target, colours):
@@ -155,7 +170,7 @@ def _draw_table(axes, chart, target, colours):
                 curve.label,
                 f"{about}{cost.cpu_seconds:.2g}",
                 f"{cost.cpu_seconds / best:.3g}",
-                f"{about}{cost.rays:.2g}",
+                f"{about}{cost.rays:.2g}" if cost.rays else "none",
                 _order(curve, chart),
                 _claim(curve, chart),
             ]

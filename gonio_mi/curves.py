@@ -27,7 +27,7 @@ class Point:
     Attributes
     ----------
     rays : int
-        Of one measurement; for the estimator ``quadrature``, evaluations of the BSDF.
+        Of one measurement; 0 for integrals, which send none.
     cpu_seconds : float
         Of one measurement: median, over all threads.
     error : float
@@ -67,7 +67,7 @@ class Curve:
     Attributes
     ----------
     estimator, sampler : str
-        The sampler of ``quadrature`` is empty.
+        The sampler of integrals, which send no rays, is empty.
     points : tuple of Point
     """
 
@@ -108,7 +108,7 @@ class Curve:
             points' scatter about the line.
         """
         good = (self.rays >= ENOUGH_RAYS * n_patches) & (self.error >= max(least, 1e-9))
-        if self.estimator == "quadrature" or good.sum() < FEWEST_POINTS:
+        if good.sum() < FEWEST_POINTS:
             return np.nan, np.nan
         x, y = np.log(self.rays[good]), np.log(self.error[good])
         (slope, _), covariance = np.polyfit(x, y, 1, cov=True)
@@ -133,6 +133,8 @@ class Curve:
         errors = np.log(np.maximum(self.error[[k, k - 1]], 1e-300))
 
         def between(values):
+            if not values.all():
+                return 0.0
             return float(np.exp(np.interp(np.log(target), errors, np.log(values))))
 
         rays, seconds = self.rays[[k, k - 1]], self.cpu_seconds[[k, k - 1]]
@@ -226,15 +228,19 @@ class Chart:
         return (self.independent / error) ** 2
 
     def ranking(self, target):
-        """Curves and their :class:`Cost` to reach `target`, cheapest first."""
+        """Curves and their :class:`Cost` to reach `target`, cheapest first.
+
+        Those that did not reach it come last.
+        """
         costs = [(curve, curve.cost(target)) for curve in self.curves]
-        return sorted(costs, key=lambda entry: entry[1].cpu_seconds)
+        costs.sort(key=lambda entry: (not entry[1].measured, entry[1].cpu_seconds))
+        return costs
 
     def advice(self, target):
         """One line: what to use for the error `target`, and what that saves."""
         curve, cost = self.ranking(target)[0]
         text = f"to {target:.2g}: {curve.label}, {cost.cpu_seconds:.2g} CPU s"
-        if curve.estimator != "quadrature":
+        if cost.rays:
             saved = self.independent_rays(target) / cost.rays
             text += f", {cost.rays:.2g} rays, 1/{saved:.3g} of independent ones"
         return text if cost.measured else text + " (extrapolated)"
@@ -249,7 +255,7 @@ class Chart:
             claim = curve.claim(self.least)
             about = " " if cost.measured else "~"
             lines.append(
-                f"{curve.label:26s} {about}{cost.cpu_seconds:7.2g} {cost.rays:8.2g}   "
+                f"{curve.label:26s} {about}{cost.cpu_seconds:7.2g} {_rays(cost):>8s}   "
                 f"{fitted:16s} {'-' if np.isnan(claim) else f'{claim:.2f}'}"
             )
         return "\n".join(lines)
@@ -288,3 +294,7 @@ class Chart:
                 )
         with replacing(path) as stream:
             stream.write(text.getvalue().encode())
+
+
+def _rays(cost):
+    return f"{cost.rays:.2g}" if cost.rays else "-"

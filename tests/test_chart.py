@@ -15,11 +15,13 @@ from gonio_mi.chart_plot import plot_chart
 from gonio_mi.curves import Chart, Curve, Point, Reference
 from gonio_mi.reference_cases import rms_expectation
 
-# the module, which has a function of its name
-runs = importlib.import_module("gonio_mi.chart")
+# the package has functions of these names
+charting = importlib.import_module("gonio_mi.chart")
+runs = importlib.import_module("gonio_mi.chart_runs")
 
 DIFFUSE = {"type": "diffuse", "reflectance": 0.5}
 GLASS = {"type": "dielectric"}
+PLASTIC = {"type": "roughplastic", "alpha": 0.2}
 
 
 # ------------------------------------------------------------------ curves
@@ -162,7 +164,9 @@ def scores(of_curve, grid, repeats):
 @pytest.mark.usefixtures("short")
 def test_counted_rays_err_as_multinomial_statistics_say():
     repeats = 3
-    chart = runs.chart(DIFFUSE, 30, estimators=["analog"], seconds=600, repeats=repeats)
+    chart = charting.chart(
+        DIFFUSE, 30, estimators=["analog"], seconds=600, repeats=repeats
+    )
     grid = gonio.subdivision(chart.collector)
     independent, sobol = chart.curves
     assert [c.label for c in chart.curves] == ["analog, independent", "analog, sobol"]
@@ -176,70 +180,122 @@ def test_counted_rays_err_as_multinomial_statistics_say():
     p = 0.5 / grid.n_patches
     assert chart.independent == pytest.approx(np.sqrt((1 - p) / p), rel=1e-5)
     assert chart.reference.mean == pytest.approx(0.5 / np.pi, rel=1e-5)
-    assert chart.reference.source.startswith("integral of eval")
+    assert chart.reference.source == "quadrature to 1e-06"
 
 
 @pytest.mark.usefixtures("short")
 def test_nothing_is_compiled_while_time_is_taken(monkeypatch):
     compiled = {"timed": [], "before": []}
-    run = runs._Runs.measure
+    run = runs.Runs.measure
 
-    def watched(self, method, rays, seed):
+    def watched(self, seed, **settings):
         dr.kernel_history_clear()
-        record = run(self, method, rays, seed)
+        record = run(self, seed, **settings)
         history = dr.kernel_history([dr.KernelType.JIT])
-        # out of the cache in memory; seed 0 is that of the reference and of the first runs
+        # out of the cache in memory
         phase = compiled["timed" if seed else "before"]
         phase.extend(
             not kernel["cache_hit"] or kernel["cache_disk"] for kernel in history
         )
         return record
 
-    monkeypatch.setattr(runs._Runs, "measure", watched)
+    monkeypatch.setattr(runs.Runs, "measure", watched)
     dr.flush_kernel_cache()
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        runs.chart(DIFFUSE, 30, estimators=["analog"], seconds=600, repeats=2)
+        charting.chart(DIFFUSE, 30, samplers=["sobol"], seconds=600, repeats=2)
     assert compiled["timed"]
     assert not any(compiled["timed"])
     assert any(compiled["before"]), "twin: the watch sees what the first runs compile"
 
 
 @pytest.mark.usefixtures("short")
-def test_both_sides_of_glass_against_a_long_run():
-    chart = runs.chart(GLASS, 30, samplers=["sobol"], seconds=4, repeats=2)
+def test_both_sides_of_glass():
+    chart = charting.chart(GLASS, 30, samplers=["sobol"], seconds=4, repeats=2)
     assert chart.reference.values.shape == (2, 30, 30, 1)
-    assert "delta components" in chart.reference.source
+    assert "rays for delta lobes" in chart.reference.source
     assert chart.n_patches == 1800
-    assert 0 < chart.reference.error < 0.01
+    assert chart.curves[-1].label == "quadrature, sobol"
     # all patches but two are dark; those two are on either side
     lit = np.argwhere(chart.reference.values[..., 0] > 0)
     assert sorted(lit[:, 0]) == [0, 1]
 
 
 @pytest.mark.usefixtures("short")
-def test_what_eval_does_not_say_is_run():
-    """Textures: `eval` in the middle is not what the footprint sends."""
+def test_integrals_err_less_than_rays():
+    chart = charting.chart(PLASTIC, 45, samplers=["sobol"], seconds=600, repeats=2)
+    *sampled, integrals = chart.curves
+    assert integrals.label == "quadrature"
+    assert not integrals.rays.any()
+    assert len(integrals.points) == len(runs.TOLERANCES)
+    for point, tolerance in zip(integrals.points, runs.TOLERANCES):
+        assert point.error <= tolerance
+        assert point.error >= chart.reference.error, "none can be told from less"
+    assert max(integrals.error) < min(method.error.min() for method in sampled)
+    assert "rays" not in chart.advice(1e-5)
+
+
+@pytest.mark.usefixtures("short")
+def test_geometry_is_measured_against_a_long_run():
+    settings = {"trace": True, "samplers": ["sobol"], "repeats": 2}
+    chart = charting.chart(PLASTIC, 45, seconds=3, **settings)
+    assert "rays, weighted, sobol (" in chart.reference.source
+    assert [c.estimator for c in chart.curves] == ["analog", "weighted"]
+    # the same truth by a way that knows no rays
+    exact = charting.chart(PLASTIC, 45, seconds=1, repeats=2, estimators=["quadrature"])
+    error = chart.reference.values - exact.reference.values
+    rms = np.sqrt(np.mean(error**2)) / exact.reference.mean
+    # of 900 patches, whose scatter is that of Student's t with 31 degrees of freedom:
+    # a mean square of 31 / 29, certain to sqrt(2.2 / 900)
+    square = (rms / chart.reference.error) ** 2 * 29 / 31
+    z = (square - 1) / np.sqrt(2.2 / 900)
+    agree(single(z))
+    wrong = (2 * rms / chart.reference.error) ** 2 * 29 / 31
+    disagree(single((wrong - 1) / np.sqrt(2.2 / 900)))
+
+
+@pytest.mark.usefixtures("short")
+def test_textures_are_run():
+    """`eval` in the middle is not what the footprint sends."""
     pixels = np.array([[[0.1], [0.9]], [[0.2], [0.1]]], np.float32)
     texture = {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "raw": True}
     uneven = {"type": "diffuse", "reflectance": texture | {"filter_type": "nearest"}}
-    chart = runs.chart(uneven, 30, samplers=["sobol"], seconds=2, repeats=2)
-    assert "is not what sample sends" in chart.reference.source
+    chart = charting.chart(uneven, 30, samplers=["sobol"], seconds=2, repeats=2)
+    assert "the same BSDF all over the specimen" in chart.reference.source
+
+
+@pytest.mark.usefixtures("short")
+def test_integrals_that_disagree_with_rays_are_not_the_truth(monkeypatch):
+    right = runs.Runs.measure
+
+    def wrong(self, seed, **settings):
+        record = right(self, seed, **settings)
+        if settings["estimator"] == "quadrature":
+            (tally,) = record.tallies
+            tally.sums[...] = tally.sums * 1.03
+        return record
+
+    monkeypatch.setattr(runs.Runs, "measure", wrong)
+    chart = charting.chart(DIFFUSE, 30, samplers=["sobol"], seconds=2, repeats=2)
+    assert "(eval is not what sample sends)" in chart.reference.source
+    assert all(c.sampler for c in chart.curves)
+    assert chart.reference.mean == pytest.approx(0.5 / np.pi, rel=1e-3)
 
 
 @pytest.mark.usefixtures("short")
 def test_a_wrong_reference_is_noticed(monkeypatch):
-    right = runs._integral
+    right = runs.find_reference
 
     def wrong(*args):
-        found = right(*args)
-        return Reference(found.values * 1.03, found.error, found.mean, found.source)
+        pilot, found, integrates = right(*args)
+        values = found.values * 1.03
+        found = Reference(values, found.error, found.mean, found.source)
+        return pilot, found, integrates
 
-    monkeypatch.setattr(runs, "_integral", wrong)
+    monkeypatch.setattr(charting, "find_reference", wrong)
     monkeypatch.setattr(runs, "MOST_RAYS", 2**20)
+    settings = {"estimators": ["weighted"], "samplers": ["sobol"], "seconds": 600}
     with pytest.warns(RuntimeWarning, match="off the reference by 0.03"):
-        runs.chart(
-            DIFFUSE, 30, estimators=["weighted"], samplers=["sobol"], seconds=600
-        )
+        charting.chart(DIFFUSE, 30, **settings)
 
 
 @pytest.mark.parametrize(
@@ -254,7 +310,7 @@ def test_a_wrong_reference_is_noticed(monkeypatch):
 )
 def test_bad_settings_are_one_sentence(settings, message):
     with pytest.raises(ValueError, match=message.replace("[", r"\[")):
-        runs.chart(DIFFUSE, **{"theta_i": 30, "seconds": 1, **settings})
+        charting.chart(DIFFUSE, **{"theta_i": 30, "seconds": 1, **settings})
 
 
 # ------------------------------------------------------------------ picture, command
@@ -279,7 +335,7 @@ def test_command(tmp_path, capsys):
     assert cli.main(["chart", "diffuse", *options, *few, "-o", *outputs]) == 0
     out = capsys.readouterr().out
     assert "use to 0.2: weighted, " in out
-    assert "integral of eval" in out
+    assert "reference: quadrature to" in out
     rows = (tmp_path / "chart.csv").read_text().splitlines()
     assert sum(row.startswith("weighted,sobol") for row in rows) == 3
     assert (tmp_path / "chart.png").stat().st_size > 10_000
