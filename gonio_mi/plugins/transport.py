@@ -27,10 +27,10 @@ SURFACE_OFFSET = 2.0**-18
 PLANE_OFFSET = 2.0**-23
 SAME_PLANE = 2.0**-20
 
-# How far a reflected ray starts back along the one that came, in the same units: 4
+# How far a reflected ray starts back along the one that came, in the same units: 16
 # ulp. Where two walls meet, a point off the one may lie behind the other, but the light
 # came from where there is none.
-RETREAT = 2.0**-21
+RETREAT = 2.0**-19
 
 # How far above the specimen rays start, and how far they are lifted where they enter a
 # periodic cell, so that no rounding takes them below an edge that they passed above.
@@ -130,7 +130,7 @@ def trace(specimen, beam, sampler, wavelengths, settings):
     detail = specimen.detail
     analog = settings.analog
     same_plane = specimen.reach * SAME_PLANE
-    nearby = 64 * specimen.reach * RETREAT
+    nearby = 16 * specimen.reach * RETREAT
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
 

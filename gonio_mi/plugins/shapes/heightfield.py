@@ -72,7 +72,8 @@ def heightfield(props):
      * - correlation_length
        - |float|
        - Of a random surface: where the autocorrelation is 1/e; where alpha_u and
-         alpha_v differ, the geometric mean over x and y. (Default: `size` / 32)
+         alpha_v differ, the geometric mean over x and y. (Default: `size` / 32, or four
+         grid spacings if that is more)
 
      * - shortest
        - |float|
@@ -148,10 +149,11 @@ def _heights(props, size):
         return "heightfield", _array(props["heights"]) * scale, closed
     resolution = properties.count(props, "resolution", 256, minimum=4)
     alpha = _positive(props, "alpha", 0.2)
+    length = size * max(1 / 32, 4 / resolution)
     asked = {
         "alpha_u": _positive(props, "alpha_u", alpha),
         "alpha_v": _positive(props, "alpha_v", alpha),
-        "correlation_length": _positive(props, "correlation_length", size / 32),
+        "correlation_length": _positive(props, "correlation_length", length),
         "correlation": properties.choice(
             props, "correlation", "gaussian", CORRELATIONS
         ),

@@ -1,0 +1,145 @@
+"""Traced micro-geometry, ray by ray, and exact ray counting in two dimensions."""
+
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+
+from gonio_mi.directions import direction
+from gonio_mi.plugins.beam import Beam
+from gonio_mi.plugins.specimen import Specimen
+from gonio_mi.plugins.transport import Settings, trace
+from gonio_mi.tally import Fate
+
+MIRROR = {"type": "twosided", "bsdf": {"type": "conductor"}}
+
+
+@dataclass
+class Rays:
+    """What became of each ray, as NumPy arrays."""
+
+    fate: np.ndarray
+    d: np.ndarray
+    depth: np.ndarray
+    weight: np.ndarray
+
+    @property
+    def reflected(self):
+        return self.fate_is(Fate.REFLECTED) & (self.d[:, 2] > 0)
+
+    @property
+    def transmitted(self):
+        return self.fate_is(Fate.REFLECTED) & (self.d[:, 2] <= 0)
+
+    def fate_is(self, fate):
+        return self.fate == fate
+
+
+def traced(
+    shapes, theta_i, phi_i=0.0, *, n, period="box", seed=0, footprint="full", side=1
+):
+    """Rays sent at the shape or shapes, from incident angles in degrees."""
+    if "type" in shapes:
+        shapes = {"shape": shapes}
+    specimen = Specimen(mi.load_dict({"type": "scene", **shapes}), period)
+    wi = direction(np.radians(theta_i), np.radians(phi_i)) * [1, 1, side]
+    emitter = mi.load_dict({"type": "directional", "direction": (-wi).tolist()})
+    beam = Beam(specimen, emitter, footprint, "radiometric")
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed, n)
+    exits = trace(
+        specimen, beam, sampler, mi.Color0f(), Settings(False, 1000, 2**32 - 1)
+    )
+    return Rays(
+        np.array(exits.fate),
+        np.array(exits.d).T.astype(float),
+        np.array(exits.depth),
+        np.array(exits.throughput)[0].astype(float),
+    )
+
+
+def heightfield(z=None, *, bsdf=MIRROR, transform=None, **settings):
+    """Dictionary of a height field."""
+    shape = {"type": "heightfield", "bsdf": bsdf, **settings}
+    if z is not None:
+        shape["heights"] = mi.TensorXf(np.asarray(z, np.float32))
+    if transform is not None:
+        shape["to_world"] = transform
+    return shape
+
+
+def grooves(half_angle, n_grooves, scale=1.0, bsdf=MIRROR):
+    """V-grooves along y, of width `scale`, with walls `half_angle` degrees off z."""
+    depth = 0.5 / np.tan(np.radians(half_angle))
+    return heightfield(
+        depth * np.tile([0.0, -1.0], (4, n_grooves)),
+        size=float(n_grooves),
+        bsdf=bsdf,
+        transform=mi.ScalarTransform4f().scale(scale),
+    )
+
+
+# -------------------------------------------------------------- rays in two dimensions
+
+
+def in_groove(x, half_angle, theta):
+    """Order and exit angle from z, in radians, of a ray into a mirror V-groove.
+
+    In double precision, one ray at a time. The groove has its crests at (-1/2, 0) and
+    (1/2, 0); the ray crosses z = 0 at `x` and comes from the angle `theta` towards +x.
+    """
+    depth = 0.5 / np.tan(half_angle)
+    p = np.array([x, 0.0])
+    d = -np.array([np.sin(theta), np.cos(theta)])
+    sine, cosine = np.sin(half_angle), np.cos(half_angle)
+    # normals of the right wall and of the left, both through the valley
+    normals = [np.array([-cosine, sine]), np.array([cosine, sine])]
+    valley = np.array([0.0, -depth])
+    order, last = 0, None
+    while True:
+        best, wall = np.inf, None
+        for i, n in enumerate(normals):
+            if i == last or d @ n >= 0:
+                continue
+            t = ((valley - p) @ n) / (d @ n)
+            if t < best:
+                best, wall = t, i
+        if wall is None or (p + best * d)[1] > 0:
+            return order, float(np.arctan2(d[0], d[1]))
+        p, last = p + best * d, wall
+        d = d - 2 * (d @ normals[wall]) * normals[wall]
+        order += 1
+
+
+def groove_shares(half_angle, theta, n=2000):
+    """Shares of the rays by order and exit angle: exact, borders by bisection.
+
+    Angles in degrees; exit angles in radians, rounded to ten digits.
+    """
+    half_angle, theta = np.radians(half_angle), np.radians(theta)
+
+    def outcome(x):
+        order, angle = in_groove(x, half_angle, theta)
+        return order, round(angle, 10)
+
+    shares = {}
+    edges = np.linspace(-0.5, 0.5, n + 1)
+    low = edges[0]
+    centres = (edges[:-1] + edges[1:]) / 2
+    kinds = [outcome(x) for x in centres]
+    for i in range(1, n + 1):
+        if i < n and kinds[i] == kinds[i - 1]:
+            continue
+        high = 0.5
+        if i < n:
+            a, b = centres[i - 1], centres[i]
+            while b - a > 1e-15:
+                middle = (a + b) / 2
+                if middle in (a, b):
+                    break
+                a, b = (middle, b) if outcome(middle) == kinds[i - 1] else (a, middle)
+            high = b
+        kind = kinds[i - 1]
+        shares[kind] = shares.get(kind, 0.0) + high - low
+        low = high
+    return shares
