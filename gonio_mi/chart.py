@@ -84,9 +84,7 @@ def chart(
         pilot, reference, integrates = find_reference(runs, seconds)
         methods = _methods(estimators, samplers, integrates)
         if not methods:
-            raise SpecimenError(
-                f"the estimator quadrature does not apply: {reference.source}"
-            )
+            raise SpecimenError(reference.refused)
         curves = _curves(runs, clock, reference, methods)
     result = Chart(
         specimen=specimen_name(specimen, parameters),

@@ -136,6 +136,7 @@ def find_reference(runs, seconds):
             f"theta_i and phi_i must be one incident direction, got {len(pilot)}"
         )
     rays = max(PILOT_RAYS, int(rate * seconds * REFERENCE_SHARE))
+    refused = ""
     try:
         record = _integral(runs, pilot, rays, seconds)
         integrates = "delta" if record.ledger.emitted else "flat"
@@ -144,14 +145,16 @@ def find_reference(runs, seconds):
             words += f", {rays:.2g} rays for delta lobes"
     except SpecimenError as error:
         record = runs.measure(0, rays=rays, **EVEN)
-        integrates, words = "", f"{rays:.2g} rays, weighted, sobol ({error})"
+        integrates, refused = "", str(error)
+        words = f"{rays:.2g} rays, weighted, sobol"
     values, std_err = arrays(record)
     weights = record.subdivision.projected_solid_angles[..., None]
     mean = float(np.average(values, weights=np.broadcast_to(weights, values.shape)))
     if not mean > 0:
         raise SpecimenError("the specimen must send some light to the collector")
     error = np.hypot(_rms(std_err), SINGLE_PRECISION * _rms(values)) / mean
-    return pilot, Reference(values, float(error), mean, words), integrates
+    reference = Reference(values, float(error), mean, words, refused)
+    return pilot, reference, integrates
 
 
 def _integral(runs, pilot, rays, seconds):

@@ -162,12 +162,15 @@ class Reference:
         Mean BSDF in 1/sr over all patches, by projected solid angle.
     source : str
         Where it comes from.
+    refused : str
+        Why it is not an integral, if it is none.
     """
 
     values: np.ndarray
     error: float
     mean: float
     source: str
+    refused: str = ""
 
 
 @dataclass(frozen=True, eq=False)

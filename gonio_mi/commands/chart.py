@@ -175,6 +175,8 @@ def run(options):
         print(result.table(target))
         reference = result.reference
         print(f"reference: {reference.source}; its error is {reference.error:.2g}")
+        if reference.refused:
+            print(f"no quadrature: {reference.refused}")
         print(f"use {result.advice(target)}")
     if not any(cost.measured for _, cost in result.ranking(target)):
         say(f"warning: no method reached {target:g}; take more --seconds")
