@@ -11,6 +11,8 @@ The parts of one incident direction, in a stack with its number after a dot:
     linear values in 1/sr, grey for the mean unless the channels are R, G, B.
 ``tally``
     The sums in units of 1/scale of a ray: one row per batch, hemisphere and ring.
+``integral``
+    Of integrals only: what they may be wrong by, in the same unit.
 
 Whole numbers beyond 32 bits have their upper half in ``count_high`` and ``sum_high``.
 The first header holds the rest as JSON, ``gonio.record``, and a check sum.
@@ -48,7 +50,7 @@ MULTI_PART, LONG_NAMES = 0x1000, 0x400
 def write(record, stream):
     """Write `record` to a binary stream."""
     text = json_of(_description(record))
-    arrays = [(tally.hits, tally.sums) for tally in record.tallies]
+    arrays = [_arrays(tally) for tally in record.tallies]
     exact = {"gonio.record": text, "gonio.sha256": _digest(text, arrays)}
     parts = []
     for index in range(len(record)):
@@ -94,7 +96,7 @@ def read(stream):
         arrays = _sums(parts, index, len(fates), names, header, len(fates[index]))
         tallies.append(arrays | {"incident": incident[index], "fates": fates[index]})
     record = rebuilt(header, tallies)
-    arrays = [(tally.hits, tally.sums) for tally in record.tallies]
+    arrays = [_arrays(tally) for tally in record.tallies]
     require(
         headers[0].get("gonio.sha256") == _digest(text, arrays),
         "it is damaged: its content does not agree with its check sum",
@@ -108,6 +110,12 @@ def _description(record):
         "incident": [tally.incident.tolist() for tally in record.tallies],
         "fates": [tally.fates.tolist() for tally in record.tallies],
     }
+
+
+def _arrays(tally):
+    """What the pixels hold of a tally, exactly."""
+    errors = [] if tally.errors is None else [tally.errors]
+    return [tally.hits, tally.sums, *errors]
 
 
 def _part_name(name, index, n):
@@ -199,7 +207,7 @@ def _check_sizes(headers, size):
 
 
 def _sums(parts, index, n, names, header, n_batches):
-    """Arrays `hits` and `sums` of one incident direction."""
+    """Arrays `hits`, `sums` and if there are some `errors` of one direction."""
     shape = parsed_subdivision(header).shape
     hits = []
     for part in ("brdf", "btdf"):
@@ -209,10 +217,18 @@ def _sums(parts, index, n, names, header, n_batches):
     rows = n_batches * len(hits) * shape[0], shape[1]
     layers = parts.get(_part_name("tally", index, n))
     sums = [_joined(layers, "sum", f".{name}", "tally", rows) for name in names]
-    return {
+    arrays = {
         "hits": np.stack(hits),
         "sums": np.stack(sums, axis=-1).reshape(n_batches, len(hits), *shape, -1),
     }
+    layers = parts.get(_part_name("integral", index, n))
+    if layers is not None:
+        rows = len(hits) * shape[0], shape[1]
+        errors = [
+            _joined(layers, "error", f".{name}", "integral", rows) for name in names
+        ]
+        arrays["errors"] = np.stack(errors, axis=-1).reshape(len(hits), *shape, -1)
+    return arrays
 
 
 def _joined(layers, layer, channel, part, shape):

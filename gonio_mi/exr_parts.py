@@ -24,6 +24,8 @@ MEANINGS = {
     "is sin(theta), phi = 0 to the right, counter-clockwise, linear values in 1/sr",
     "tally": "received flux in units of 1/scale of a ray, one row per batch, "
     "hemisphere and ring, one column per sector; the high layers count 2^32",
+    "integral": "what the integrals may be wrong by in units of 1/scale of a ray, one "
+    "row per hemisphere and ring; the high layers count 2^32",
 }
 
 
@@ -56,6 +58,11 @@ def layers(single):
     rows = tally.sums.reshape(-1, single.subdivision.n_phi, len(names))
     for number, name in enumerate(names):
         parts["tally"] |= _halves("sum", f".{name}", rows[..., number])
+    if tally.errors is not None:
+        rows = tally.errors.reshape(-1, single.subdivision.n_phi, len(names))
+        parts["integral"] = {}
+        for number, name in enumerate(names):
+            parts["integral"] |= _halves("error", f".{name}", rows[..., number])
     return parts
 
 

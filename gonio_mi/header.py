@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 FORMAT = "gonio-mi record"
-VERSION = 1
+VERSION = 2
 
 # Deflate expands by at most 1032 (zlib's technical details). A file that announces more
 # than this many times its own size does not hold what it says.
@@ -88,7 +88,8 @@ def rebuilt(header, tallies):
     header : dict
         As :func:`header_of` made it, from a file: not to be trusted.
     tallies : list of dict
-        The arrays `hits`, `sums`, `incident` and `fates` of :class:`Tally`.
+        The arrays `hits`, `sums`, `incident` and `fates` of :class:`Tally`, and
+        `errors` if it has some.
 
     Raises
     ------
@@ -155,6 +156,8 @@ def _check_shapes(arrays, patches, n_channels):
         "incident": (n_batches, n_channels),
         "fates": (n_batches, len(Fate)),
     }
+    if "errors" in arrays:
+        shapes["errors"] = (n_hemispheres, *patches, n_channels)
     for name, shape in shapes.items():
         array = arrays[name]
         require(

@@ -2,7 +2,8 @@
 
 `hits` has shape ``(n_incident, n_hemispheres, n_theta, n_phi)``; `sums`, `incident` and
 `fates` hold the batches of all incident directions, `n_batches` of each, one after the
-other on their first axis. The rest is the header, `settings` as JSON.
+other on their first axis. `errors`, of integrals only, is `hits` with channels. The
+rest is the header, `settings` as JSON.
 """
 
 import math
@@ -42,6 +43,7 @@ TALLIES = {
     "incident": ("uint64", 2),
     "fates": ("uint64", 2),
 }
+INTEGRALS = {"errors": ("uint64", 5)}
 
 
 def write(record, stream):
@@ -51,6 +53,8 @@ def write(record, stream):
     arrays = {name: np.array(header[name], HEADER[name][0]) for name in HEADER}
     arrays["n_batches"] = np.array([tally.n_batches for tally in record.tallies])
     arrays["hits"] = np.stack([tally.hits for tally in record.tallies])
+    if record.tallies[0].errors is not None:
+        arrays["errors"] = np.stack([tally.errors for tally in record.tallies])
     for name in ("sums", "incident", "fates"):
         parts = [getattr(tally, name) for tally in record.tallies]
         arrays[name] = parts[0] if len(parts) == 1 else np.concatenate(parts)
@@ -82,11 +86,12 @@ def read(stream):
         header = {name: array.tolist() for name, array in header.items()}
         header["settings"] = parsed_json(header["settings"])
         check_format(header)
-        arrays = {name: _array(archive, members, name, TALLIES) for name in TALLIES}
+        expected = TALLIES | (INTEGRALS if "errors.npy" in members else {})
+        arrays = {name: _array(archive, members, name, expected) for name in expected}
     n_batches = arrays.pop("n_batches")
-    per_direction = {"hits": arrays.pop("hits")}
+    per_direction = {k: arrays.pop(k) for k in ("hits", "errors") if k in arrays}
     require(
-        len(n_batches) == len(per_direction["hits"])
+        all(len(array) == len(n_batches) for array in per_direction.values())
         and min(n_batches, default=0) > 0
         and all(len(array) == sum(n_batches.tolist()) for array in arrays.values()),
         "its numbers of batches do not fit its arrays",

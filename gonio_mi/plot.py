@@ -68,7 +68,7 @@ def plot(record, path=None, *, index=0):
         check_output(path, FIGURE_ENDINGS)
     single = record[index]
     shown = ["brdf"]
-    if single.has_lower and single.counts[1].any():
+    if single.has_lower and single.btdf.any():
         shown.append("btdf")
 
     size = 7 if len(shown) == 1 else 10, 8

@@ -27,7 +27,7 @@ def draw_map(axes, single, of):
         Of one incident direction.
     of : {"brdf", "btdf"}
     """
-    empty = single.counts[int(of == "btdf")] == 0
+    empty = single.without_hit[int(of == "btdf")]
     values = np.ma.masked_array(getattr(single, of).mean(axis=-1), mask=empty)
     _draw_patches(axes, single.subdivision, values, _label(single, of))
     _draw_grid(axes)

@@ -72,7 +72,7 @@ def profile(single, of="brdf", level=LEVEL):
         value=cut(getattr(single, of)),
         low=cut(low),
         high=cut(high),
-        empty=cut(single.counts[int(of == "btdf")]) == 0,
+        empty=cut(single.without_hit[int(of == "btdf")]),
     )
 
 

@@ -1,6 +1,7 @@
 """Converged patch integrals of a flat specimen's BSDF: no rays, no random numbers."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import drjit as dr
 import mitsuba as mi
@@ -11,7 +12,7 @@ from .errors import SpecimenError
 from .plugins.transport import flux_context
 from .subdivision import Subdivision
 
-__all__ = ["PatchIntegrals", "integrate"]
+__all__ = ["PatchIntegrals", "Rule", "integrate"]
 
 # Points per axis and cell; a cell is compared with the sum of its four quarters.
 ORDER = 4
@@ -22,9 +23,63 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
 N_GUIDES = 2**14
 MOST_GUIDES = 8
 
+# Part of the tolerated error that the cells of a patch share.
+CAUTION = 1 / 4
+
 # Evaluations of one level of refinement, and levels, after which we give up.
 MAX_EVALUATIONS = 2**25
 MAX_LEVELS = 24
+
+# Patches below this fraction of the mean need no relative precision.
+FLOOR = 1e-6
+
+# What single precision leaves of an integral's digits, at best.
+ROUNDING = 2.0**-22
+
+
+@dataclass(frozen=True, eq=False)
+class Rule:
+    """Directions and weights whose sums are patch integrals.
+
+    Attributes
+    ----------
+    subdivision : Subdivision
+    patch : ndarray of int, shape (n,)
+        Patch of each direction; ``n_patches`` more in the lower hemisphere.
+    theta, phi : ndarray, shape (n,)
+        Direction in radians, from the pole of its own hemisphere.
+    lower : ndarray of bool, shape (n,)
+    weight : ndarray, shape (n,)
+        Area of the direction in ``(theta, phi)``.
+    beam : _Beam
+    """
+
+    subdivision: Subdivision
+    patch: np.ndarray
+    theta: np.ndarray
+    phi: np.ndarray
+    lower: np.ndarray
+    weight: np.ndarray
+    beam: object
+
+    def values(self, bsdf):
+        """Patch means of BRDF and BTDF that follow the gradients of the BSDF.
+
+        Returns
+        -------
+        mi.TensorXf, shape (2, n_theta, n_phi, channels)
+            In 1/sr, in single precision.
+        """
+        values = self.beam.evaluate(bsdf, self.theta, self.phi, self.lower)
+        n = 2 * self.subdivision.n_patches
+        solid = np.tile(self.subdivision.projected_solid_angles.ravel(), 2)
+        weight = mi.Float(self.weight * np.sin(self.theta) / solid[self.patch])
+        patch = mi.UInt32(self.patch)
+        channels = len(values)
+        sums = dr.zeros(mi.Float, n * channels)
+        for number, value in enumerate(values):
+            dr.scatter_add(sums, value * weight, patch * channels + number)
+        return mi.TensorXf(sums, (2, *self.subdivision.shape, channels))
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,28 +91,49 @@ class PatchIntegrals:
     subdivision : Subdivision
     flux : ndarray of float64, shape (n_hemispheres, n_theta, n_phi, channels)
     error : ndarray, same shape
-        Estimated absolute error of `flux`.
+        Estimated absolute error of `flux`: the differences of all cells added up, as if
+        none cancelled. A BSDF with kinks (tables inside) may be off by twice as much.
     n_evaluations : int
+    rule : Rule
+        The converged rule, to integrate a similar BSDF, or to differentiate it.
     """
 
     subdivision: Subdivision
     flux: np.ndarray
     error: np.ndarray
     n_evaluations: int
+    cells: object
+    beam: object
 
     @property
     def values(self):
         """Patch means of BRDF and BTDF in 1/sr, shaped like `flux`."""
         return self.flux / self.subdivision.projected_solid_angles[..., None]
 
+    @cached_property
+    def rule(self):
+        """The converged :class:`Rule`."""
+        theta, phi, lower, weight = self.cells.nodes()
+        patch = np.repeat(self.cells.patch, ORDER**2)
+        return Rule(self.subdivision, patch, theta, phi, lower, weight, self.beam)
+
 
 def integrate(
-    bsdf, theta_i, phi_i, subdivision, *, rel_err=1e-6, side="front", pdf=False
+    bsdf,
+    theta_i,
+    phi_i,
+    subdivision,
+    *,
+    rel_err=1e-6,
+    side="front",
+    pdf=False,
+    interaction=None,
 ):
     """Integrate ``eval`` (or ``pdf``) of a BSDF over every patch of both hemispheres.
 
     Adaptive tensor Gauss-Legendre rule in polar angle and azimuth: cells whose value
-    differs from the sum of their quarters are split, down to the lobe's scale.
+    differs from the sum of their quarters are split, down to the lobe's scale, or to
+    where the single precision of ``eval`` shows.
 
     Parameters
     ----------
@@ -68,10 +144,14 @@ def integrate(
     subdivision : Subdivision
     rel_err : float
         Tolerated error of each patch, relative to the patch, or to a millionth of the
-        whole where that is more. Single precision of ``eval`` limits it to about 1e-6.
+        mean over all patches where that is more. Single precision of ``eval`` limits
+        it to about 1e-6 for smooth BSDFs, and more for sharp lobes.
     side : {"front", "back"}
     pdf : bool
         Integrate the sampling density over solid angle instead.
+    interaction : mi.SurfaceInteraction3f, optional
+        Point and frame of the surface. Default: the middle of a square with its normal
+        along +z.
 
     Returns
     -------
@@ -80,47 +160,57 @@ def integrate(
     Raises
     ------
     SpecimenError
-        If it does not converge.
+        If it does not converge, or is not finite.
     """
-    evaluator = _Evaluator(bsdf, theta_i, phi_i, side, pdf)
-    shape = (2, *subdivision.shape)
-    n_patches = 2 * subdivision.n_patches
+    beam = _Beam.of(theta_i, phi_i, side, interaction)
+    evaluator = _Evaluator(bsdf, beam, pdf)
     cells = _Cells.of(subdivision)
+    n_patches = 2 * subdivision.n_patches
     guides = evaluator.guides(subdivision)
     coarse = evaluator.integrals(cells)
     flux = np.zeros((n_patches, coarse.shape[-1]))
-    error = np.zeros_like(flux)
-    for _ in range(MAX_LEVELS):
+    error, square = np.zeros_like(flux), np.zeros_like(flux)
+    finished = []
+    for level in range(MAX_LEVELS):
         quarters = cells.quarters()
-        if len(quarters.patch) * ORDER**2 > MAX_EVALUATIONS:
-            break
         fine = evaluator.integrals(quarters)
         sums = fine.reshape(len(cells.patch), 4, -1).sum(axis=1)
         difference = np.abs(sums - coarse)
         estimate = flux + _add_up(cells.patch, sums, n_patches)
-        # what a patch tolerates is shared by its cells, by area
-        floor = 1e-6 * estimate.sum() / estimate.size
-        tolerance = rel_err * np.maximum(estimate[cells.patch], floor)
-        open_cells = np.any(
-            difference > tolerance * cells.share[:, None] ** 0.5, axis=1
-        )
+        allowed = rel_err * np.maximum(estimate, FLOOR * estimate.mean())
+        # shared by the cells of a patch, by area: the squares of their errors add up.
+        # A part of it, since later levels may find the patch darker.
+        tolerance = CAUTION * allowed[cells.patch] * cells.share[:, None] ** 0.5
+        open_cells = ~np.all(difference <= tolerance, axis=1)
         open_cells |= np.bincount(guides.cell, minlength=len(open_cells)) > MOST_GUIDES
+        n_next = 4 * ORDER**2 * 4 * np.count_nonzero(open_cells)
+        if level == MAX_LEVELS - 1 or n_next > MAX_EVALUATIONS:
+            open_cells[:] = False
         done = ~open_cells
+        children = np.repeat(open_cells, 4)
         flux += _add_up(cells.patch[done], sums[done], n_patches)
         error += _add_up(cells.patch[done], difference[done], n_patches)
+        square += _add_up(cells.patch[done], difference[done] ** 2, n_patches)
+        finished.append(quarters[~children])
         if not open_cells.any():
-            return PatchIntegrals(
-                subdivision,
-                flux.reshape(*shape, -1),
-                error.reshape(*shape, -1),
-                evaluator.n_evaluations,
-            )
-        children = np.repeat(open_cells, 4)
+            break
         guides = guides.descend(cells, open_cells)
         cells, coarse = quarters[children], fine[children]
-    raise SpecimenError(
-        f"the integral of {bsdf.class_name()} over the patches did not converge to "
-        f"{rel_err:g} after {evaluator.n_evaluations:.3g} evaluations"
+    if not np.all(np.sqrt(square) <= allowed):
+        reached = np.max(np.sqrt(square) / allowed) * rel_err
+        raise SpecimenError(
+            f"the integral of {bsdf.class_name()} over the patches must converge to "
+            f"{rel_err:g}, but {evaluator.n_evaluations:.3g} evaluations gave "
+            f"{reached:.2g} for the worst patch"
+        )
+    shape = (2, *subdivision.shape, -1)
+    return PatchIntegrals(
+        subdivision,
+        flux.reshape(shape),
+        np.hypot(error, ROUNDING * flux).reshape(shape),
+        evaluator.n_evaluations,
+        _Cells.join(finished),
+        beam,
     )
 
 
@@ -167,14 +257,27 @@ class _Cells:
             np.repeat(self.share / 4, 4),
         )
 
-    def __getitem__(self, chosen):
-        return _Cells(
-            self.patch[chosen],
-            self.lower[chosen],
-            self.theta[chosen],
-            self.phi[chosen],
-            self.share[chosen],
+    def nodes(self):
+        """Polar angle, azimuth, hemisphere and weight of the points of the rule."""
+        half_theta, half_phi = (np.diff(b) / 2 for b in (self.theta, self.phi))
+        theta = self.theta.mean(axis=1, keepdims=True) + half_theta * NODES
+        phi = self.phi.mean(axis=1, keepdims=True) + half_phi * NODES
+        weight = (half_theta * half_phi)[:, :, None] * WEIGHTS[:, None] * WEIGHTS
+        arrays = np.broadcast_arrays(
+            theta[:, :, None], phi[:, None, :], self.lower[:, None, None], weight
         )
+        return [array.ravel() for array in arrays]
+
+    @classmethod
+    def join(cls, several):
+        """All cells of `several`."""
+        return cls(*map(np.concatenate, zip(*map(_Cells._columns, several))))
+
+    def _columns(self):
+        return self.patch, self.lower, self.theta, self.phi, self.share
+
+    def __getitem__(self, chosen):
+        return _Cells(*(column[chosen] for column in self._columns()))
 
 
 @dataclass(frozen=True)
@@ -195,75 +298,81 @@ class _Guides:
         return _Guides(4 * rank[cell] + 2 * beyond + onwards, theta, phi)
 
 
+@dataclass(frozen=True)
+class _Beam:
+    """Light from one direction at one point of a surface."""
+
+    interaction: object
+    side: int
+
+    @classmethod
+    def of(cls, theta_i, phi_i, side, interaction):
+        """Beam of an incident direction in degrees, from the normal of the lit face."""
+        side = 1 if side == "front" else -1
+        wi = direction(np.radians(theta_i), np.radians(phi_i)) * [1, 1, side]
+        wi = mi.Vector3f(wi.tolist())
+        dr.make_opaque(wi)
+        si = _square() if interaction is None else mi.SurfaceInteraction3f(interaction)
+        si.wi = si.to_local(wi)
+        return cls(si, side)
+
+    def evaluate(self, bsdf, theta, phi, lower, pdf=False):
+        """``eval`` of all channels, or ``pdf``, towards `theta` and `phi`."""
+        wo = direction(theta, phi)
+        wo[:, 2] *= np.where(lower, -self.side, self.side)
+        wo = self.interaction.to_local(mi.Vector3f(np.ascontiguousarray(wo.T)))
+        function = bsdf.pdf if pdf else bsdf.eval
+        value = function(flux_context(), self.interaction, wo)
+        return [value] if pdf else list(value)
+
+
+def _square():
+    """Point in the middle of a square in z = 0, as Mitsuba's `rectangle` gives it."""
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.t = 1.0
+    si.uv = mi.Point2f(0.5)
+    si.n = mi.Normal3f(0, 0, 1)
+    si.sh_frame = mi.Frame3f(
+        mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1)
+    )
+    si.dp_du, si.dp_dv = mi.Vector3f(2, 0, 0), mi.Vector3f(0, 2, 0)
+    return si
+
+
 class _Evaluator:
     """Evaluates the BSDF for light from one direction."""
 
-    def __init__(self, bsdf, theta_i, phi_i, side, pdf):
+    def __init__(self, bsdf, beam, pdf):
         self.bsdf = bsdf
+        self.beam = beam
         self.pdf = pdf
-        self.side = 1 if side == "front" else -1
-        wi = direction(np.radians(theta_i), np.radians(phi_i)) * [1, 1, self.side]
-        self.wi = mi.Vector3f(wi.tolist())
-        dr.make_opaque(self.wi)
         self.n_evaluations = 0
 
     def guides(self, grid):
         """Sampled directions, without those of delta components."""
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(0, N_GUIDES)
+        si = self.beam.interaction
         bs, weight = self.bsdf.sample(
-            flux_context(), self._interaction(), sampler.next_1d(), sampler.next_2d()
+            flux_context(), si, sampler.next_1d(), sampler.next_2d()
         )
         delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
         wanted = np.broadcast_to((~delta & dr.any(weight > 0)).numpy(), N_GUIDES)
-        wo = np.broadcast_to(bs.wo.numpy(), (3, N_GUIDES)).T[wanted]
-        wo = wo * [1, 1, self.side]
+        wo = np.broadcast_to(si.to_world(bs.wo).numpy(), (3, N_GUIDES)).T[wanted]
+        wo = wo * [1, 1, self.beam.side]
         patch = grid.patch(wo) + grid.n_patches * (wo[:, 2] < 0)
         theta, phi = angles(wo)
         return _Guides(patch, np.minimum(theta, np.pi - theta), phi)
 
     def integrals(self, cells):
         """Integral over each cell, shape ``(n, channels)``."""
-        half_theta = np.diff(cells.theta) / 2
-        half_phi = np.diff(cells.phi) / 2
-        theta = cells.theta.mean(axis=1, keepdims=True) + half_theta * NODES
-        phi = cells.phi.mean(axis=1, keepdims=True) + half_phi * NODES
-        theta, phi, lower = np.broadcast_arrays(
-            theta[:, :, None], phi[:, None, :], cells.lower[:, None, None]
-        )
-        values = self._values(theta.ravel(), phi.ravel(), lower.ravel())
-        values = values.reshape(*theta.shape, -1)
-        weights = (half_theta * half_phi)[:, :, None] * WEIGHTS[:, None] * WEIGHTS
-        return np.einsum("nij,nijc->nc", weights, values)
-
-    def _interaction(self):
-        """Point in the middle of a square specimen, lit from `wi`."""
-        si = dr.zeros(mi.SurfaceInteraction3f)
-        si.t = 1.0
-        si.uv = mi.Point2f(0.5)
-        si.n = mi.Normal3f(0, 0, 1)
-        si.sh_frame = mi.Frame3f(
-            mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1)
-        )
-        si.dp_du, si.dp_dv = mi.Vector3f(2, 0, 0), mi.Vector3f(0, 2, 0)
-        si.wi = self.wi
-        return si
-
-    def _values(self, theta, phi, lower):
-        """``eval`` or ``pdf`` per dtheta dphi, shape ``(n, channels)``."""
+        theta, phi, lower, weight = cells.nodes()
         self.n_evaluations += len(theta)
-        wo = direction(theta, phi)
-        wo[:, 2] *= np.where(lower, -self.side, self.side)
-        wo = mi.Vector3f(np.ascontiguousarray(wo.T))
-        si = self._interaction()
-        if self.pdf:
-            values = self.bsdf.pdf(flux_context(), si, wo).numpy()[None]
-        else:
-            values = self.bsdf.eval(flux_context(), si, wo).numpy()
-        values = np.broadcast_to(
-            np.asarray(values, dtype=float), (len(values), len(theta))
-        )
-        return (values * np.sin(theta)).T
+        values = self.beam.evaluate(self.bsdf, theta, phi, lower, self.pdf)
+        weight = weight * np.sin(theta)
+        columns = [np.broadcast_to(v.numpy(), len(theta)) * weight for v in values]
+        values = np.stack(columns, axis=-1).reshape(len(cells.patch), ORDER**2, -1)
+        return values.sum(axis=1)
 
 
 def _add_up(index, values, n):

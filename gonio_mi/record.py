@@ -67,12 +67,15 @@ class Record:
 
     @cached_property
     def brdf_std_err(self):
-        """Standard error of `brdf`; NaN where nothing was received or known."""
+        """Standard error of `brdf`; NaN where nothing was received or known.
+
+        For integrals their estimated error, with that of the delta components.
+        """
         return self._squeeze(self._per_patch(0, self._std_err))
 
     @cached_property
     def btdf_std_err(self):
-        """Standard error of `btdf`; NaN where nothing was received or known."""
+        """Standard error of `btdf`, as of `brdf`."""
         return self._lower(lambda: self._per_patch(1, self._std_err))
 
     @cached_property
@@ -111,6 +114,15 @@ class Record:
         return self._squeeze(np.stack([tally.hits for tally in self.tallies]))
 
     @property
+    def without_hit(self):
+        """Whether a patch is known by an upper limit only, shaped like `counts`."""
+        integrated = [tally.errors is not None for tally in self.tallies]
+        integrated = np.array(integrated)[:, None, None, None]
+        return self._squeeze(
+            np.stack([tally.hits == 0 for tally in self.tallies]) & ~integrated
+        )
+
+    @property
     def ledger(self):
         """:class:`Ledger` over all batches and incident directions."""
         total = Ledger()
@@ -142,6 +154,9 @@ class Record:
         the largest mean weight seen. Evenly distributed rays may give all batches the
         same sum: no interval by Student's t is narrower than that of an empty patch to
         either side, unless all rays were received.
+
+        Integrals (estimator `quadrature`) may be wrong by their error, to which
+        Student's t for the sampled delta components is added.
 
         Parameters
         ----------
@@ -178,10 +193,17 @@ class Record:
 
     def _patch_interval(self, tally, hemisphere, level):
         """Interval of the flux fractions of one hemisphere."""
+        fraction = self._fraction(tally, hemisphere)
+        if tally.errors is not None:
+            half = _integral_error(tally, hemisphere)
+            scatter = _scatter(tally, tally.sums[:, hemisphere])
+            low, high = statistics.student_interval(
+                fraction, scatter, tally.n_batches, level
+            )
+            return np.stack([low - half, high + half])
         passes = self.settings.get("passes", 1)
         hits = tally.hits[hemisphere][..., None] // passes
         rays = _incident_rays(tally) // passes
-        fraction = self._fraction(tally, hemisphere)
         if self._is_binomial(tally):
             return np.stack(statistics.binomial_interval(hits, rays, level))
         with np.errstate(invalid="ignore"):
@@ -211,6 +233,13 @@ class Record:
     def _total_interval(self, tally, hemisphere, level):
         """Interval of one hemisphere's total."""
         value, std_err = _total(tally, hemisphere)
+        if tally.errors is not None:
+            half = _integral_error(tally, hemisphere).sum(axis=(0, 1))
+            scatter = _scatter(tally, _sum_of_patches(tally, hemisphere))
+            low, high = statistics.student_interval(
+                value, scatter, tally.n_batches, level
+            )
+            return np.stack([low - half, high + half])
         passes = self.settings.get("passes", 1)
         hits = tally.hits[hemisphere].sum() // passes
         rays = _incident_rays(tally) // passes
@@ -274,8 +303,8 @@ class Record:
         Raises
         ------
         ValueError
-            If the two differ in anything but their rays, batches and seed, or were made
-            with the same seed, whose rays would be counted twice.
+            If the two differ in anything but their rays, batches and seed, were made
+            with the same seed, whose rays would be counted twice, or hold integrals.
         """
         own, others = _repeatable(self), _repeatable(other)
         for key in sorted(own.keys() | others.keys()):
@@ -284,6 +313,8 @@ class Record:
                     f"records must agree in {key} to be merged, got {own.get(key)!r} "
                     f"and {others.get(key)!r}"
                 )
+        if any(t.errors is not None for t in (*self.tallies, *other.tallies)):
+            raise ValueError("records of the estimator quadrature cannot be merged")
         seeds = [*_seeds(self), *_seeds(other)]
         if len(set(seeds)) < len(seeds):
             raise ValueError(
@@ -324,6 +355,7 @@ class Record:
         """Whether each patch counted independent rays of one channel, one by one."""
         return (
             self._independent
+            and tally.errors is None
             and tally.scale == 1
             and tally.channels == 1
             and np.array_equal(tally.sums[..., 0].sum(axis=0), tally.hits)
@@ -334,6 +366,9 @@ class Record:
         return statistics.ratio(tally.sums[:, hemisphere], _incident(tally)[:, 0])
 
     def _std_err(self, tally, hemisphere):
+        if tally.errors is not None:
+            scatter = _scatter(tally, tally.sums[:, hemisphere])
+            return np.hypot(scatter, _integral_error(tally, hemisphere))
         hits = tally.hits[hemisphere][..., None]
         if self._is_binomial(tally):
             return statistics.binomial_std_err(hits, _incident_rays(tally))
@@ -368,13 +403,32 @@ def _incident_rays(tally):
     return ledger.emitted - ledger.missed - ledger.unlit
 
 
+def _integral_error(tally, hemisphere):
+    """What the integrals of one hemisphere's flux fractions may be wrong by."""
+    return tally.errors[hemisphere] / tally.incident.max(axis=0)
+
+
+def _scatter(tally, sums):
+    """Standard error of the sampled part of `sums` per batch; 0 if nothing was sent."""
+    if not tally.ledger.emitted:
+        return np.zeros(sums.shape[1:])
+    incident = tally.incident.reshape(-1, *[1] * (sums.ndim - 2), tally.channels)
+    return statistics.batch_std_err(sums, incident)
+
+
+def _sum_of_patches(tally, hemisphere):
+    """Sum over the patches of one hemisphere, per batch and channel."""
+    return tally.sums[:, hemisphere].sum(axis=(1, 2), dtype=np.uint64)
+
+
 def _total(tally, hemisphere):
     """Flux fraction of one hemisphere and its standard error, per channel."""
-    sums = tally.sums[:, hemisphere].sum(axis=(1, 2), dtype=np.uint64)
-    return (
-        statistics.ratio(sums, tally.incident),
-        statistics.batch_std_err(sums, tally.incident),
-    )
+    sums = _sum_of_patches(tally, hemisphere)
+    value = statistics.ratio(sums, tally.incident)
+    if tally.errors is None:
+        return value, statistics.batch_std_err(sums, tally.incident)
+    error = _integral_error(tally, hemisphere).sum(axis=(0, 1))
+    return value, np.hypot(_scatter(tally, sums), error)
 
 
 def _seeds(record):

@@ -82,7 +82,7 @@ def _direction(look):
         "dht": _totals(look, "dht") if look.has_lower else None,
         "ledger": look.ledger.rows | {"emitted": look.ledger.emitted},
         "n_patches": look.counts.size,
-        "n_without_hit": int(np.sum(look.counts == 0)),
+        "n_without_hit": int(np.sum(look.without_hit)),
         "n_lobe": n_lobe,
         "rel_err_lobe": worst,
     }

@@ -1,6 +1,6 @@
 """Exact integer sums of what the collector received, and the ledger of every ray."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -30,6 +30,7 @@ class Fate(IntEnum):
     REJECTED = 6
     INVALID = 7
     UNLIT = 8
+    INTEGRATED = 9
 
 
 @dataclass(frozen=True)
@@ -52,10 +53,11 @@ class Ledger:
         The BSDF's ``sample`` gave no direction (zero density).
     invalid : int
         ``sample`` gave a weight that is negative, not finite or above 32768 (2**30 for
-        the product of all weights of a path), or a
-        direction that is no unit vector.
+        the product of all weights of a path), or a direction that is no unit vector.
     unlit : int
         The emitter sends nothing along this ray.
+    integrated : int
+        ``sample`` chose a component that the estimator `quadrature` integrates.
     """
 
     reflected: int = 0
@@ -67,6 +69,7 @@ class Ledger:
     rejected: int = 0
     invalid: int = 0
     unlit: int = 0
+    integrated: int = 0
 
     @classmethod
     def from_counts(cls, counts):
@@ -103,7 +106,11 @@ class Tally:
     fates : ndarray of uint64, shape (n_batches, len(Fate))
         Rays by their fate.
     scale : int
-        1 when rays are counted, `WEIGHT_SCALE` when weights are summed.
+        1 when rays are counted, `WEIGHT_SCALE` when weights are summed, a power of two
+        at least as large for integrals.
+    errors : ndarray of uint64, shape (n_hemispheres, n_theta, n_phi, channels), or None
+        What the integrals in the sums of each batch may be wrong by, in the same unit.
+        None if all was sampled.
     """
 
     hits: np.ndarray
@@ -111,6 +118,7 @@ class Tally:
     incident: np.ndarray
     fates: np.ndarray
     scale: int
+    errors: np.ndarray | None = None
 
     @classmethod
     def empty(cls, n_hemispheres, shape, channels, scale):
@@ -145,6 +153,38 @@ class Tally:
         """:class:`Ledger` over all batches."""
         return Ledger.from_counts(self.fates.sum(axis=0))
 
+    def with_integrals(self, flux, errors):
+        """Tally of what was sampled and what was integrated, together.
+
+        Parameters
+        ----------
+        flux, errors : ndarray of float64, shaped like `errors` of the tally
+            Flux fractions to add to each batch, and what they may be wrong by. They are
+            rounded to ``2**-62`` of the flux of all batches, or a bit more.
+        """
+        tally = self if self.n_batches else self._of_one_ray()
+        most = max(int(tally.incident.sum(axis=0).max()), tally.scale)
+        finer = 1 << (62 - most.bit_length())
+        incident = tally.incident * np.uint64(finer)
+        per_batch = incident[:, None, None, None, :].astype(float)
+        return replace(
+            tally,
+            sums=tally.sums * np.uint64(finer)
+            + np.round(flux * per_batch).astype(np.uint64),
+            incident=incident,
+            scale=tally.scale * finer,
+            errors=np.ceil(errors * per_batch.max(axis=0)).astype(np.uint64),
+        )
+
+    def _of_one_ray(self):
+        """One batch that received nothing, of the flux of a ray that was not sent."""
+        return replace(
+            self,
+            sums=np.zeros((1, *self.sums.shape[1:]), np.uint64),
+            incident=np.full((1, self.channels), self.scale, np.uint64),
+            fates=np.zeros((1, len(Fate)), np.uint64),
+        )
+
     def __add__(self, other):
         """Tally of the batches of both, exactly; see :meth:`join`."""
         return Tally.join([self, other])
@@ -162,6 +202,8 @@ class Tally:
         """
         first = tallies[0]
         for other in tallies:
+            if len(tallies) > 1 and other.errors is not None:
+                raise ValueError("tallies that hold integrals cannot be joined")
             if first.hits.shape != other.hits.shape or first.scale != other.scale:
                 raise ValueError(
                     "tallies must share patches and scale to be joined, got "
@@ -176,6 +218,7 @@ class Tally:
             incident=np.concatenate([tally.incident for tally in tallies]),
             fates=np.concatenate([tally.fates for tally in tallies]),
             scale=first.scale,
+            errors=first.errors,
         )
 
     def accumulate(self, other):
@@ -203,12 +246,11 @@ class Tally:
 
     def first(self, channels):
         """Tally of the first `channels` channels."""
-        return Tally(
-            self.hits,
-            self.sums[..., :channels],
-            self.incident[..., :channels],
-            self.fates,
-            self.scale,
+        return replace(
+            self,
+            sums=self.sums[..., :channels],
+            incident=self.incident[..., :channels],
+            errors=None if self.errors is None else self.errors[..., :channels],
         )
 
     def __eq__(self, other):
@@ -217,7 +259,7 @@ class Tally:
             and self.scale == other.scale
             and all(
                 np.array_equal(getattr(self, name), getattr(other, name))
-                for name in ("hits", "sums", "incident", "fates")
+                for name in ("hits", "sums", "incident", "fates", "errors")
             )
         )
 
@@ -229,10 +271,10 @@ class Tally:
             raise ValueError(
                 f"a tally of {self.channels} channels cannot become one of {channels}"
             )
-        return Tally(
-            self.hits,
-            np.repeat(self.sums, channels, axis=-1),
-            np.repeat(self.incident, channels, axis=-1),
-            self.fates,
-            self.scale,
+        errors = self.errors
+        return replace(
+            self,
+            sums=np.repeat(self.sums, channels, axis=-1),
+            incident=np.repeat(self.incident, channels, axis=-1),
+            errors=None if errors is None else np.repeat(errors, channels, axis=-1),
         )

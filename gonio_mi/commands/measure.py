@@ -132,7 +132,8 @@ def add(commands):
         type=number,
         metavar="X",
         help="instead of --rays: go on until every patch worth reporting has this "
-        "relative standard error",
+        "relative standard error; for quadrature the error of every patch (default "
+        "there: 1e-4)",
     )
     method.add_argument(
         "--max-rays",
@@ -143,7 +144,8 @@ def add(commands):
     method.add_argument(
         "--estimator",
         metavar="E",
-        help="weighted (default) sums the rays' power, analog counts rays",
+        help="weighted (default) sums the rays' power, analog counts rays, quadrature "
+        "integrates the BSDF of a flat specimen without rays",
     )
     method.add_argument(
         "--sampler", metavar="S", help="Mitsuba sampler (default: sobol)"
@@ -279,7 +281,7 @@ def _save(record, paths):
 def _is_imprecise(record):
     """Whether a precision was asked for and not reached."""
     asked = record.settings.get("rel_err")
-    return asked is not None and record.settings["reached"] > asked
+    return asked is not None and record.settings.get("reached", 0) > asked
 
 
 def _one_or_many(values):

@@ -11,6 +11,9 @@ from ..errors import SpecimenError
 
 __all__ = ["Plane", "Specimen", "checked_period"]
 
+# Points at which a BSDF is compared with itself.
+N_POINTS = 2**12
+
 
 def checked_period(period):
     """Return ``"none"``, ``"box"``, or extents in x and y as a text like ``"2.0,3.0"``.
@@ -55,6 +58,22 @@ class Plane:
         si.wavelengths = wavelengths
         si.wi = si.to_local(wi)
         return si
+
+    def is_uniform(self, wavelengths):
+        """Whether the BSDF answers alike at many random points of the plane.
+
+        Flags do not tell: of the stock BSDFs only some declare their textures.
+        """
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(0, N_POINTS)
+        wi, wo = (mi.warp.square_to_uniform_sphere(sampler.next_2d()) for _ in "io")
+
+        def values(uv):
+            si = self.interactions(uv, wi, wavelengths)
+            return self.bsdf.eval(mi.BSDFContext(), si, si.to_local(wo))
+
+        alike = values(sampler.next_2d()) == values(mi.Point2f(0.5))
+        return bool(dr.all(alike, axis=None))
 
     def uv(self, p):
         """Texture coordinates of points of the plane; the specimen ends at 0 and 1."""

@@ -29,10 +29,13 @@ LAUNCH = 2**24
 FUSED_RAYS = 2**22
 FUSED_SUMS = 2**19
 
-ESTIMATORS = ("weighted", "analog")
+ESTIMATORS = ("weighted", "analog", "quadrature")
 DEFAULT_RAYS = 1_000_000
 DEFAULT_BATCHES = 32
 DEFAULT_WAVELENGTHS = "550"
+
+# Relative error of each patch to which the estimator `quadrature` integrates.
+DEFAULT_INTEGRAL_ERR = 1e-4
 
 
 class Bench:
@@ -162,7 +165,14 @@ class Goniophotometer(mi.SamplingIntegrator):
      * - estimator
        - |string|
        - ``weighted`` sums throughput; ``analog`` lets a ray survive or end at each
-         event and counts it (the paper's eq. 5). (Default: ``weighted``)
+         event and counts it (the paper's eq. 5); ``quadrature`` integrates ``eval``
+         over the patches, for a flat specimen that is the same everywhere in a
+         collimated beam, and samples delta components only. (Default: ``weighted``)
+
+     * - rel_err
+       - |float|
+       - Relative error of each patch to which ``quadrature`` converges, down to a
+         millionth of the mean patch. (Default: 1e-4)
 
      * - max_depth
        - |int|
@@ -213,6 +223,9 @@ class Goniophotometer(mi.SamplingIntegrator):
                 props, "batches", DEFAULT_BATCHES, maximum=65536
             ),
             "estimator": properties.choice(props, "estimator", "weighted", ESTIMATORS),
+            "rel_err": properties.number(
+                props, "rel_err", DEFAULT_INTEGRAL_ERR, 1e-9, 1, "in [1e-9, 1)"
+            ),
             "max_depth": properties.count(props, "max_depth", 1000, maximum=2**31),
             "rr_depth": properties.count(props, "rr_depth", -1, minimum=-1),
             "footprint": checked_footprint(props.get("footprint", "full")),
@@ -223,6 +236,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         self.rays = self.settings["rays"]
         self.batches = self.settings["batches"]
         self.analog = self.settings["estimator"] == "analog"
+        self.integrates = self.settings["estimator"] == "quadrature"
         self.wavelengths = _wavelengths(self.settings["wavelengths"])
         super().__init__(props)
 
@@ -236,9 +250,12 @@ class Goniophotometer(mi.SamplingIntegrator):
         bench = self.bench(Specimen(scene), scene.emitters(), sensor)
         key = (int(mi.UInt32(seed)[0]), 0)
         sizes = batch_sizes(spp or self.rays, self.batches)
-        tallies = self.tallies(bench, key, sizes)
-        record = self.record(bench, Tally.join(list(tallies)), key[0])
-        record.settings["rays"] = sum(sizes)
+        tallies = list(self.tallies(bench, key, sizes)) if self.samples(bench) else []
+        if self.integrates:
+            tallies = [self.integrated(bench, tallies)]
+        record = self.record(bench, Tally.join(tallies), key[0])
+        if self.samples(bench):
+            record.settings["rays"] = sum(sizes)
         sensor.film().record = record
         return sensor.film().develop() if develop else None
 
@@ -267,7 +284,10 @@ class Goniophotometer(mi.SamplingIntegrator):
         beam = Beam(
             specimen, emitters[0], self.settings["footprint"], self.settings["emission"]
         )
-        return Bench(specimen, beam, sensor)
+        bench = Bench(specimen, beam, sensor)
+        if self.integrates:
+            self._check_integrable(bench)
+        return bench
 
     def tallies(self, bench, key, sizes, first=0, start=0, progress=None):
         """Tallies of independent batches, in order: of one batch each, or of several.
@@ -304,6 +324,26 @@ class Goniophotometer(mi.SamplingIntegrator):
                 groups.append(tally if nm is None else tally.first(len(nm)))
             yield groups[0] if len(groups) == 1 else Tally.join_channels(groups)
             first, sizes = first + several, sizes[several:]
+
+    def samples(self, bench):
+        """Whether rays are needed: always, but for integrals without delta lobes."""
+        return not self.integrates or mi.has_flag(
+            bench.specimen.plane.bsdf.flags(), mi.BSDFFlags.Delta
+        )
+
+    def integrated(self, bench, tallies):
+        """Tally of all but the delta components, and of the `tallies` of those."""
+        flux, errors = self._integrals(bench)
+        if tallies:
+            sampled = Tally.join(tallies).spread(flux.shape[-1])
+        else:
+            sampled = Tally.empty(
+                bench.shape[0],
+                bench.film.subdivision.shape,
+                flux.shape[-1],
+                WEIGHT_SCALE,
+            )
+        return sampled.with_integrals(flux, errors)
 
     def _capacity(self, bench):
         """Batches that may share a launch: the same for all launches at a bench."""
@@ -363,6 +403,7 @@ class Goniophotometer(mi.SamplingIntegrator):
             analog=self.analog,
             max_depth=self.settings["max_depth"],
             rr_depth=rr_depth if roulette else 2**32 - 1,
+            delta_only=self.integrates,
         )
         wavelengths = _wavelength_lanes(nm)
         plane = bench.specimen.plane
@@ -372,6 +413,49 @@ class Goniophotometer(mi.SamplingIntegrator):
 
     def _traces(self, bench):
         return self.settings["trace"] or bench.specimen.plane is None
+
+    # ---------------------------------------------------------------------- integrals
+
+    def _integrals(self, bench):
+        """Flux fractions of all but the delta components, and their errors."""
+        from gonio_mi.quadrature import integrate  # what knows no plugin, above us
+
+        beam = bench.beam
+        flux, error = [], []
+        for nm in self._wavelength_groups():
+            si = mi.SurfaceInteraction3f(bench.specimen.plane.interaction)
+            si.wavelengths = _wavelength_lanes(nm)
+            found = integrate(
+                bench.specimen.plane.bsdf,
+                beam.theta_i,
+                beam.phi_i,
+                bench.film.subdivision,
+                rel_err=self.settings["rel_err"],
+                side="front" if beam.side > 0 else "back",
+                interaction=si,
+            )
+            used = slice(None, None if nm is None else len(nm))
+            flux.append(found.flux[: bench.shape[0], ..., used])
+            error.append(found.error[: bench.shape[0], ..., used])
+        return np.concatenate(flux, axis=-1), np.concatenate(error, axis=-1)
+
+    def _check_integrable(self, bench):
+        """Raise SpecimenError where the estimator `quadrature` does not apply."""
+        plane = bench.specimen.plane
+        reasons = {
+            "a single flat rectangle": plane is not None and not self.settings["trace"],
+            "a collimated beam": bench.beam.collimated,
+            "a collector in the far field": not bench.sensor.radius,
+        }
+        if plane is not None:
+            lanes = _wavelength_lanes(self._wavelength_groups()[0])
+            uniform = self.settings["footprint"] == "point" or plane.is_uniform(lanes)
+            reasons["the same BSDF all over the specimen"] = uniform
+        for reason, holds in reasons.items():
+            if not holds:
+                raise SpecimenError(
+                    f"the estimator quadrature needs {reason}: take weighted instead"
+                )
 
     # --------------------------------------------------------------------- description
 
@@ -406,12 +490,13 @@ class Goniophotometer(mi.SamplingIntegrator):
             "transport": "traced" if self._traces(bench) else "plane",
             "sampler": sampler_name(sampler),
             "seed": seed,
-            "rays": self.rays,
+            "rays": self.rays if self.samples(bench) else 0,
             "passes": self.passes,
             "max_depth": self.settings["max_depth"],
             "rr_depth": self.settings["rr_depth"],
             "collector_radius": bench.sensor.radius,
             "variant": mi.variant(),
+            **({"rel_err": self.settings["rel_err"]} if self.integrates else {}),
             "versions": {
                 "gonio_mi": version("gonio-mi"),
                 "mitsuba": mi.__version__,

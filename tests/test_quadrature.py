@@ -1,0 +1,275 @@
+"""The estimator `quadrature`: converged, honest about its error, and refused elsewhere.
+
+What is compared with sampled rays shares the suite's budget of false alarms (`budget`);
+all else is exact, rounding, or within the errors that the two sides state.
+"""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import agree, disagree, scores, verdict
+
+import gonio_mi as gonio
+from gonio_mi.quadrature import integrate
+
+SHARP = {"type": "roughconductor", "alpha": 0.005}
+MATERIALS = {
+    "roughplastic": {"type": "roughplastic", "alpha": 0.1},
+    "principled": {"type": "principled", "roughness": 0.3, "specular": 0.5},
+    "roughdielectric": {"type": "roughdielectric", "alpha": 0.2},
+    "anisotropic": {"type": "roughconductor", "alpha_u": 0.1, "alpha_v": 0.4},
+    "plastic": {"type": "plastic"},
+    "mask": {"type": "mask", "opacity": 0.3, "bsdf": {"type": "diffuse"}},
+    "dielectric": {"type": "dielectric"},
+}
+NO_RAYS = ("roughplastic", "principled", "roughdielectric", "anisotropic")
+GRID = "projected:10x12"
+
+
+def integrated(specimen, theta_i=40, phi_i=20, **settings):
+    settings = {"collector": GRID} | settings
+    return gonio.measure(specimen, theta_i, phi_i, estimator="quadrature", **settings)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("collector", ["angle:9x20", "solid:30x30", "projected:30x7"])
+def test_lambertian(collector):
+    """1/pi within the stated error, to which rounding of `eval` belongs."""
+    record = integrated(
+        {"type": "diffuse", "reflectance": 1.0}, 30, collector=collector
+    )
+    assert np.all(np.abs(record.brdf - 1 / np.pi) <= record.brdf_std_err)
+    assert record.brdf_std_err.max() < 1e-6
+    assert record.ledger.emitted == 0
+    assert not record.without_hit.any()
+    low, high = record.interval(0.95, of="dhr")
+    assert low < 1 < high
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("theta_i", [0, 45, 89])
+@pytest.mark.parametrize("name", NO_RAYS)
+def test_promised_error(name, theta_i):
+    """Rules agree within what was asked of them; and the looser one is the cheaper."""
+    bsdf = mi.load_dict(MATERIALS[name])
+    grid = gonio.EqualProjectedSolidAngle(10, 12)
+    asked = (1e-3, 1e-4, 1e-5)
+    *loose, tight = (integrate(bsdf, theta_i, 20, grid, rel_err=e) for e in asked)
+    flux = np.maximum(tight.flux, 1e-6 * tight.flux.mean())
+    for rel_err, found in zip(asked, loose):
+        assert np.all(np.abs(found.flux - tight.flux) <= (rel_err + 1e-5) * flux)
+        assert found.n_evaluations <= tight.n_evaluations
+    twin = integrate(bsdf, abs(theta_i - 0.5), 20, grid, rel_err=1e-4)
+    assert np.any(np.abs(twin.flux - tight.flux) > (1e-3 + 1e-5) * flux)
+
+
+@pytest.mark.usefixtures("rgb")
+@pytest.mark.parametrize("theta_i", [0, 60, 89])
+@pytest.mark.parametrize("name", MATERIALS)
+def test_as_sampled(name, theta_i):
+    """Integrals and delta components together, against independent rays."""
+    settings = {"collector": "projected:6x8", "rays": 10**6}
+    exact = integrated(MATERIALS[name], theta_i, **settings)
+    assert bool(exact.ledger.emitted) == (name not in NO_RAYS)
+    rays = gonio.measure(
+        MATERIALS[name], theta_i, 20, sampler="independent", **settings
+    )
+    for hemisphere, fraction in enumerate(exact.flux_fraction):
+        if name == "dielectric":  # one patch of each: the totals say it all
+            continue
+        reference = fraction[..., 0]
+        if rays.counts[hemisphere].sum() < 10_000:
+            continue
+        agree(verdict(scores(rays, reference, hemisphere)))
+        disagree(verdict(scores(rays, 1.1 * reference, hemisphere)))
+    total = exact.dhr + (0 if exact.dht is None else exact.dht)
+    assert np.all(total <= 1 + 1e-4)
+
+
+@pytest.mark.usefixtures("mono")
+def test_delta_components_have_the_intervals_of_their_rays():
+    """Glass is all delta: the same rays as the estimator `weighted`, the same sums."""
+    settings = {"collector": GRID, "rays": 10**4, "seed": 3}
+    exact = integrated({"type": "dielectric"}, **settings)
+    rays = gonio.measure({"type": "dielectric"}, 40, 20, **settings)
+    np.testing.assert_array_equal(exact.counts, rays.counts)
+    # rounding of the larger scale
+    np.testing.assert_allclose(exact.dhr, rays.dhr, rtol=1e-15)
+    np.testing.assert_allclose(exact.dhr_std_err, rays.dhr_std_err, rtol=1e-9)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("theta_i", [0, 85, 89])
+@pytest.mark.parametrize("collector", ["projected:30x30", "angle:30x30"])
+def test_sharp_lobe(collector, theta_i):
+    """Roughness 0.005 at grazing: two collectors, the same reflectance."""
+    record = integrated(SHARP, theta_i, collector=collector)
+    fine = integrated(SHARP, theta_i, collector="projected:50x40")
+    assert np.abs(record.dhr - fine.dhr) <= record.dhr_std_err + fine.dhr_std_err
+    assert record.dhr_std_err < 1e-4
+
+
+@pytest.mark.usefixtures("rgb")
+def test_colours_and_stacks():
+    """Channels in their order, and directions in theirs."""
+    colour = {"type": "rgb", "value": [0.1, 0.5, 0.9]}
+    record = integrated({"type": "diffuse", "reflectance": colour}, [0, 50], [0, 90])
+    assert record.brdf.shape == (4, 10, 12, 3)
+    expected = np.array([0.1, 0.5, 0.9]) / np.pi
+    # rounding of the colour to single precision and the stated error
+    np.testing.assert_allclose(
+        record.brdf, np.broadcast_to(expected, (4, 10, 12, 3)), 1e-6
+    )
+
+
+@pytest.mark.usefixtures("spectral")
+def test_wavelengths():
+    """More wavelengths than Mitsuba takes at once."""
+    ramp = {"type": "regular", "wavelength_min": 400.0, "wavelength_max": 700.0}
+    ramp |= {"values": "0.2, 0.8"}
+    nm = [400, 475, 550, 625, 700]
+    record = integrated({"type": "diffuse", "reflectance": ramp}, wavelengths=nm)
+    expected = np.array([0.2, 0.35, 0.5, 0.65, 0.8]) / np.pi
+    # single precision of the wavelength and of what is interpolated
+    np.testing.assert_allclose(record.brdf[3, 4], expected, rtol=1e-6)
+
+
+@pytest.mark.usefixtures("mono")
+def test_frame_of_the_specimen():
+    """A rectangle turned by 90 degrees swaps the roughnesses, and both sides agree."""
+    bsdf = {"type": "roughconductor", "alpha_u": 0.4, "alpha_v": 0.1}
+    turn = mi.ScalarTransform4f().rotate([0, 0, 1], 90)
+    turned = {"type": "rectangle", "to_world": turn, "bsdf": bsdf}
+    same = integrated(MATERIALS["anisotropic"])
+    other = integrated(turned)
+    error = same.brdf_std_err + other.brdf_std_err
+    # the frame is rounded to single precision: an ulp of direction on a lobe of 0.1
+    error += same.brdf * 10 * 2.0**-22
+    assert np.all(np.abs(same.brdf - other.brdf) <= error)
+    flipped = {"type": "rectangle", "bsdf": {"type": "twosided", "nested": bsdf}}
+    front, back = (integrated(flipped, side=side) for side in ("front", "back"))
+    assert np.all(np.abs(front.dhr - back.dhr) <= front.dhr_std_err + back.dhr_std_err)
+
+
+@pytest.mark.usefixtures("rgb")
+@pytest.mark.parametrize("name", ["roughdielectric", "plastic"])
+@pytest.mark.parametrize("ending", ["npz", "exr"])
+@pytest.mark.parametrize("theta_i", [30, [0, 60]])
+def test_files(tmp_path, name, ending, theta_i):
+    record = integrated(MATERIALS[name], theta_i, rays=1000, batches=4)
+    path = tmp_path / f"record.{ending}"
+    record.save(path)
+    assert gonio.load(path) == record
+
+
+@pytest.mark.usefixtures("mono")
+def test_as_a_plugin_and_again():
+    """A scene file's own estimator; no random number, so that the bits repeat."""
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {
+                "type": "goniophotometer",
+                "estimator": "quadrature",
+                "rel_err": 1e-3,
+            },
+            "emitter": {"type": "directional", "direction": [0, 0, -1]},
+            "specimen": {"type": "rectangle", "bsdf": MATERIALS["roughplastic"]},
+            "sensor": {
+                "type": "collector",
+                "film": {"type": "patches", "subdivision": GRID},
+            },
+        }
+    )
+    image = mi.render(scene).numpy()
+    record = gonio.measure(scene)
+    assert record.settings["rel_err"] == 1e-3
+    assert record.settings["rays"] == 0
+    assert record == scene.sensors()[0].film().record or record.tallies
+    assert record.tallies == gonio.measure(scene, seed=5).tallies
+    np.testing.assert_array_equal(image, record.brdf.astype(np.float32))
+
+
+@pytest.mark.usefixtures("mono")
+def test_gradients():
+    """Of the reflectance exactly; of the roughness as differences of second order."""
+    grid = gonio.EqualProjectedSolidAngle(6, 8)
+    diffuse = mi.load_dict({"type": "diffuse", "reflectance": 0.5})
+    rule = integrate(diffuse, 30, 0, grid).rule
+    parameters = mi.traverse(diffuse)
+    parameters["reflectance.value"] = mi.Float(0.5)
+    dr.enable_grad(parameters["reflectance.value"])
+    parameters.update()
+    values = rule.values(diffuse)
+    dr.backward(dr.sum(values, axis=None))
+    # rounding: single-precision sums of some hundred terms
+    gradient = parameters["reflectance.value"].grad[0]
+    np.testing.assert_allclose(gradient, grid.n_patches / np.pi, rtol=1e-5)
+
+    conductor = mi.load_dict({"type": "roughconductor", "alpha": 0.3})
+    rule = integrate(conductor, 30, 0, grid).rule
+    parameters = mi.traverse(conductor)
+
+    def values_at(alpha):
+        parameters["alpha.value"] = mi.Float(alpha)
+        parameters.update()
+        return rule.values(conductor).numpy()[0, 0, 0, 0].astype(float)
+
+    differences = [
+        (values_at(0.3 + h) - values_at(0.3 - h)) / (2 * h) for h in (0.06, 0.03)
+    ]
+    parameters["alpha.value"] = mi.Float(0.3)
+    dr.enable_grad(parameters["alpha.value"])
+    parameters.update()
+    dr.backward(dr.gather(mi.Float, rule.values(conductor).array, 0))
+    slope = parameters["alpha.value"].grad[0]
+    errors = [abs(d - slope) for d in differences]
+    # second order: a quarter, give or take the next order
+    assert errors[1] < 0.35 * errors[0]
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("specimen", "settings", "reason"),
+    [
+        ("scenes/micro_geometry.xml", {}, "a single flat rectangle"),
+        ({"type": "diffuse"}, {"trace": True}, "a single flat rectangle"),
+        ({"type": "diffuse"}, {"collector_radius": 10}, "far field"),
+        (
+            {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
+            {},
+            "the same BSDF all over",
+        ),
+        ({"type": "diffuse"}, {"rel_err": 2}, "rel_err must be"),
+    ],
+)
+def test_refused(specimen, settings, reason):
+    with pytest.raises(gonio.SpecimenError, match=reason):
+        integrated(specimen, **settings)
+
+
+@pytest.mark.usefixtures("mono")
+def test_what_does_not_converge_is_refused(monkeypatch):
+    monkeypatch.setattr("gonio_mi.quadrature.MAX_EVALUATIONS", 10**3)
+    with pytest.raises(
+        gonio.SpecimenError, match=r"must converge to 1e-05, but .* gave"
+    ):
+        integrated(SHARP, 60, rel_err=1e-5)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_textured_specimen_at_a_point():
+    """In the middle of a checkerboard of reflectances 0.4 and 0.2 there is one."""
+    texture = {"type": "checkerboard", "color0": 0.4, "color1": 0.4}
+    record = integrated({"type": "diffuse", "reflectance": texture}, footprint="point")
+    np.testing.assert_allclose(record.dhr, 0.4, rtol=1e-6)
+
+
+@pytest.mark.usefixtures("mono")
+def test_no_merging_and_no_resuming():
+    record = integrated({"type": "diffuse"})
+    with pytest.raises(ValueError, match="quadrature cannot be merged"):
+        record.merge(integrated({"type": "diffuse"}, seed=1))
+    with pytest.raises(ValueError, match="resume is for sampled rays"):
+        integrated({"type": "diffuse"}, resume=record)
