@@ -1,21 +1,30 @@
 """Every method of the benchmark gives the right answer; how fast is not tested."""
 
+import time
+from dataclasses import replace
+
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import agree, count_verdict, disagree
+from budget import agree, count_verdict, disagree, normal_scores, scores, verdict
 
-from gonio_mi.benchmark import c_loop
+import gonio_mi as gonio
+from gonio_mi.benchmark import c_loop, groove, renderers
+from gonio_mi.benchmark.batch_designs import crossing
 from gonio_mi.benchmark.counting import SPECIMENS, rivals
+from gonio_mi.benchmark.equal_error import error, klems_groove_flux, search
+from gonio_mi.benchmark.renderers import KLEMS
 from gonio_mi.benchmark.rivals import (
     GRID,
     THETA_I,
+    Rival,
     c_rays,
     chi2_rays,
     gonio_rays,
     numba_rays,
     numpy_rays,
 )
+from gonio_mi.directions import direction
 from gonio_mi.quadrature import integrate
 from gonio_mi.subdivision import subdivision
 
@@ -130,3 +139,164 @@ def test_a_compiler_that_fails_is_named(monkeypatch):
         pytest.skip("no C compiler")
     with pytest.raises(c_loop.CompilerError, match="cannot build the C loop"):
         c_loop.library.__wrapped__()
+
+
+# ----------------------------------------------------------- V-groove and renderers
+
+WI = direction(np.radians([THETA_I]), np.zeros(1))
+COARSE = subdivision("projected:6x8")
+
+
+def groove_flux(grid):
+    """Exact flux fractions of the groove in the patches of `grid`."""
+    points = groove.patch_points(*renderers.patch_borders(grid), 8)
+    return groove.patch_means(WI, points).reshape(grid.shape) * (
+        grid.projected_solid_angles
+    )
+
+
+def test_groove_is_reciprocal(monkeypatch):
+    """Swapped directions give the same, up to an error of second order in the panels."""
+    rng = np.random.default_rng(0)
+    v = direction(np.arcsin(np.sqrt(rng.random(20))), 2 * np.pi * rng.random(20))
+    differences = []
+    for n in (25, 50):
+        monkeypatch.setattr(groove, "N_PANELS", n)
+        f = groove.brdf(v, v)
+        differences.append(np.abs(f - f.T).max())
+    assert differences[1] < differences[0] / 2**1.5
+
+
+@pytest.mark.parametrize("theta_deg", [0.0, 45.0, 80.0])
+def test_groove_without_absorption(monkeypatch, theta_deg):
+    """All the light comes back, the better the finer the panels: second order."""
+    monkeypatch.setattr(groove, "REFLECTANCE", 1.0)
+    theta, phi = np.radians([[0, 90]]), np.radians([[0, 360]])
+    wi = direction(np.radians([theta_deg]), np.zeros(1))
+    lost = []
+    for n in (20, 40):
+        monkeypatch.setattr(groove, "N_PANELS", n)
+        points = groove.patch_points(theta, phi, 8 * n)
+        lost.append(abs(np.pi * groove.patch_means(wi, points)[0, 0] - 1))
+    assert lost[1] < lost[0] / 2**1.5
+
+
+@pytest.mark.usefixtures("mono")
+def test_instrument_measures_the_groove():
+    """The traced V-groove has the BRDF of its radiosity; twin: 2 % more."""
+    scene = mi.load_dict({"type": "scene", **groove.walls()}, optimize=False)
+    record = gonio.measure(
+        scene, THETA_I, collector=COARSE, rays=2 * 10**5, sampler="independent"
+    )
+    agree(verdict(scores(record, groove_flux(COARSE))))
+    disagree(verdict(scores(record, 1.02 * groove_flux(COARSE))))
+
+
+@pytest.mark.usefixtures("mono")
+def test_path_towards_directions():
+    """A ray is exact for its direction; more of them in a patch are better."""
+    white = renderers.path_directions(SPECIMENS["diffuse"]).flux(1, 0)
+    # single precision of a product of few factors
+    single = 16 * np.finfo(np.float32).eps
+    np.testing.assert_allclose(white * GRID.n_patches, 1, rtol=single)
+    conductor = SPECIMENS["rough conductor"]
+    exact = integrate(mi.load_dict(conductor), THETA_I, 0, GRID).flux[0, ..., 0]
+    rival = renderers.path_directions(conductor)
+    # midpoints: second order
+    assert error(rival, exact, 2) < error(rival, exact, 1) / 2**1.5
+
+
+@pytest.mark.usefixtures("mono")
+def test_path_samples_of_the_groove():
+    """Means of seeds agree with the radiosity at the same points; twin: 2 % more."""
+    rival = renderers.path_samples(groove.walls())
+    flux = np.stack([rival.flux(256, seed) for seed in range(16)])
+    points = groove.patch_points(*renderers.patch_borders(GRID), 1)
+    exact = groove.patch_means(WI, points).reshape(GRID.shape)
+
+    def compared(exact):
+        # groups of 25 patches, so that means are normal
+        values = flux.reshape(16, -1, 25).sum(axis=2)
+        target = (exact * GRID.projected_solid_angles).reshape(-1, 25).sum(axis=1)
+        std_err = values.std(axis=0, ddof=1) / 4
+        return verdict(normal_scores((values.mean(axis=0) - target) / std_err, 15))
+
+    agree(compared(exact))
+    disagree(compared(1.02 * exact))
+
+
+def radiance(geometry):
+    return built(lambda: renderers.radiance_genbsdf(geometry, groove.REFLECTANCE))
+
+
+def test_klems_patches_fill_the_hemisphere():
+    omega = KLEMS.projected_solid_angles
+    assert omega.shape == (145,)
+    assert abs(omega.sum() - np.pi) <= 145 * np.finfo(float).eps * np.pi
+
+
+def test_radiance_of_the_plate():
+    """Every incident direction gets its light back, to the six digits of the file."""
+    flux = radiance(renderers.RADIANCE_PLATE).flux(1, 0)
+    assert flux.shape == (145, 145)
+    np.testing.assert_allclose(flux.sum(axis=1), groove.REFLECTANCE, rtol=145e-6)
+
+
+def test_radiance_of_the_groove():
+    """It comes nearer to the radiosity with more samples; not if lit from elsewhere."""
+    rival = radiance(renderers.RADIANCE_GROOVE)
+    exact = klems_groove_flux()
+    maps = {nsamp: rival.flux(nsamp, 0) for nsamp in (1, 8)}
+    rival = replace(rival, flux=lambda nsamp, _: maps[nsamp])
+    few, many = (error(rival, exact, nsamp) for nsamp in (1, 8))
+    assert many < few / 2
+    opposite = exact[np.r_[0, 5:9, 1:5]]
+    swapped = np.concatenate([opposite, exact[9:]])
+    assert error(rival, swapped, 8) > many
+
+
+# ---------------------------------------------------------------------- equal error
+
+
+def law(size, order=0.5, spent=0.0):
+    """Rival whose relative error is ``size ** -order``."""
+
+    def flux(n, seed):
+        deadline = time.process_time() + n * spent
+        while time.process_time() < deadline:
+            pass
+        sign = (-1) ** (np.indices(GRID.shape).sum(axis=0) + seed)
+        return GRID.projected_solid_angles * (1 + sign * n**-order)
+
+    return Rival("law", flux, first=size)
+
+
+def test_search_finds_the_size():
+    """Within the step of three bisections of a factor of four."""
+    found = search(law(7), GRID.projected_solid_angles, 0.01, limit=np.inf)
+    assert found.scale == 1
+    assert 1e4 <= found.size <= 1e4 * 4 ** (1 / 8) + 1
+    assert found.error <= 0.01
+    assert search(law(10**6), GRID.projected_solid_angles, 0.01, 1).size == 10**6
+
+
+def test_search_extrapolates_what_is_too_slow():
+    """By the law of the errors so far; of one error alone, as independent samples."""
+    exact = GRID.projected_solid_angles
+    slow = search(law(16, spent=0.001), exact, 0.01, limit=0.001)
+    assert slow.size == 16
+    assert slow.size * slow.scale == pytest.approx(1e4, rel=1e-9)
+    limit = 1.5 * 2**-10
+    later = search(law(16, order=0.75, spent=2**-20), exact, 1e-4, limit=limit)
+    assert later.size * later.scale == pytest.approx(1e-4 ** (-1 / 0.75), rel=1e-6)
+
+
+def test_crossing():
+    """A power law is met where it should be; its error bar is that of the goal."""
+    goal = np.array([0.9, 1.1]) * 1e5**-1.5
+    found = crossing(goal, lambda n: np.full(2, float(n) ** -1.5))
+    assert found.rays == pytest.approx(1e5, rel=1e-12)
+    relative = goal.std(ddof=1) / goal.mean() / 2**0.5
+    assert found.std_err / found.rays == pytest.approx(relative / 1.5, rel=1e-9)
+    with pytest.raises(ValueError, match="beyond the first 16384 rays"):
+        crossing(np.ones(2), lambda n: np.full(2, 1 / n))

@@ -4,23 +4,62 @@ import argparse
 
 import mitsuba as mi
 
+from .batch_designs import print_ratios
 from .counting import print_rates
+from .endurance import print_growth
+from .equal_error import print_costs
 
 __all__ = ["main"]
 
 
 def main(argv=None):
-    """Run the benchmark and print its tables."""
+    """Compare with others, or run one part of the benchmark, and print tables."""
     parser = argparse.ArgumentParser(
         prog="python -m gonio_mi.benchmark",
-        description="Compare the instrument with what a user would pick instead.",
+        description="Compare the instrument with what a user would pick instead: raw "
+        "speed, and the cost of a map of equal error. Ratios of medians in turns.",
     )
-    parser.add_argument("--rays", type=float, default=2**24)
+    part = parser.add_mutually_exclusive_group()
+    part.add_argument("--counting", action="store_true", help="raw speed only")
+    part.add_argument("--equal-error", action="store_true", help="equal error only")
+    part.add_argument(
+        "--error", action="store_true", help="sobol against independent rays, instead"
+    )
+    part.add_argument(
+        "--long",
+        nargs="?",
+        type=float,
+        const=1e9,
+        metavar="RAYS",
+        help="memory and time per ray from 1e7 to RAYS (1e9), instead",
+    )
+    parser.add_argument(
+        "--rays", type=float, help="for raw speed 1.7e7, for --error 1e8 if not given"
+    )
     parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--seeds", type=int, default=6, help="for --error (6)")
+    parser.add_argument(
+        "--target", type=float, default=0.01, help="RMS error to reach (0.01)"
+    )
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=4.0,
+        help="CPU seconds of one run, beyond which costs are extrapolated (4)",
+    )
     parser.add_argument("--variant", default="llvm_ad_mono")
     options = parser.parse_args(argv)
     mi.set_variant(options.variant)
-    print_rates(int(options.rays), options.repeats)
+
+    if options.error:
+        print_ratios(int(options.rays or 1e8), options.seeds, options.repeats)
+    elif options.long:
+        print_growth(int(options.long))
+    else:
+        if not options.equal_error:
+            print_rates(int(options.rays or 2**24), options.repeats)
+        if not options.counting:
+            print_costs(options.target, options.repeats, options.limit)
 
 
 if __name__ == "__main__":

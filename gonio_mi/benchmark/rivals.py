@@ -45,6 +45,10 @@ class Rival:
         What the size counts, in the plural.
     first : int
         Smallest size worth trying.
+    incident : int
+        Incident directions that it measures at once.
+    random : bool
+        Whether another seed gives another map.
     """
 
     name: str
@@ -52,6 +56,8 @@ class Rival:
     grid: Subdivision = GRID
     size: str = "rays"
     first: int = 2**12
+    incident: int = 1
+    random: bool = True
 
 
 def gonio_rays(
@@ -85,7 +91,9 @@ def patch_integrals(specimen):
         bsdf = mi.load_dict(specimen)
         return integrate(bsdf, THETA_I, 0, GRID, rel_err=1 / size).flux[0, ..., 0]
 
-    return Rival("gonio-mi, integral of eval", flux, size="1 / rel_err", first=1)
+    return Rival(
+        "gonio-mi, integral of eval", flux, size="1 / rel_err", first=1, random=False
+    )
 
 
 def chi2_rays(specimen):

@@ -1,0 +1,240 @@
+"""What a map of a given error costs: CPU seconds for each incident direction."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import mitsuba as mi
+import numpy as np
+
+from ..directions import direction
+from ..quadrature import integrate
+from ..subdivision import EqualProjectedSolidAngle
+from . import groove
+from .c_loop import CompilerError
+from .renderers import (
+    KLEMS,
+    RADIANCE_GROOVE,
+    RADIANCE_PLATE,
+    patch_borders,
+    path_directions,
+    path_samples,
+    radiance_genbsdf,
+)
+from .rivals import (
+    GRID,
+    THETA_I,
+    c_rays,
+    chi2_rays,
+    gonio_rays,
+    numba_rays,
+    numpy_rays,
+    patch_integrals,
+)
+from .table import print_table
+from .timing import cpu_seconds, in_turns
+
+__all__ = ["Found", "contests", "error", "print_costs", "search"]
+
+WHITE = {"type": "diffuse", "reflectance": 1.0}
+CONDUCTOR = {"type": "roughconductor", "alpha": 0.2, "distribution": "ggx"}
+COARSE = EqualProjectedSolidAngle(12, 12)
+
+# Seeds whose squared errors are averaged, of methods that have a seed.
+SEEDS = 2
+
+
+# -------------------------------------------------------------------------- contests
+
+
+def contests():
+    """All comparisons that can run here, of :class:`Rival` with their exact flux.
+
+    Returns
+    -------
+    contests : dict of str to list of (Rival, ndarray)
+        The first of each list is our default.
+    absent : list of str
+        One sentence for each that is left out.
+    """
+    absent = []
+    lambert = GRID.projected_solid_angles / np.pi
+    # a renderer's scene: the instrument's own copy of it would be one mesh
+    walls = mi.load_dict({"type": "scene", **groove.walls()}, optimize=False)
+    lit = direction(np.radians([THETA_I]), np.zeros(1))
+    conductor = integrate(mi.load_dict(CONDUCTOR), THETA_I, 0, GRID).flux[0, ..., 0]
+    fine, coarse = (_groove_flux(lit, g).reshape(g.shape) for g in (GRID, COARSE))
+    found = {
+        "white plate, 900 patches": [
+            *((rival, lambert) for rival in _ours(WHITE)),
+            (patch_integrals(WHITE), lambert),
+            (path_directions(WHITE), lambert),
+            (chi2_rays(WHITE), chi2_rays(WHITE).grid.projected_solid_angles / np.pi),
+            (numpy_rays(), lambert),
+        ],
+        "rough conductor, 900 patches": [
+            *((rival, conductor) for rival in _ours(CONDUCTOR)),
+            (patch_integrals(CONDUCTOR), conductor),
+            (path_directions(CONDUCTOR), conductor),
+        ],
+        "diffuse V-groove, 900 patches": [
+            (rival, fine)
+            for rival in (
+                *_ours(walls, footprint="full"),
+                path_samples(groove.walls(), 2),
+            )
+        ],
+        "white plate, 145 patches": [
+            (rival, COARSE.projected_solid_angles / np.pi)
+            for rival in _ours(WHITE, grid=COARSE)
+        ],
+        "diffuse V-groove, 145 patches": [
+            (rival, coarse) for rival in _ours(walls, grid=COARSE, footprint="full")
+        ],
+    }
+    for build in (numba_rays, c_rays):
+        try:
+            found["white plate, 900 patches"].append((build(), lambert))
+        except ImportError:
+            absent.append("numba is left out: pip install 'gonio-mi[benchmark]'")
+        except CompilerError as problem:
+            absent.append(f"the C loop is left out: {problem}")
+    try:
+        plate = radiance_genbsdf(RADIANCE_PLATE, groove.REFLECTANCE)
+        grooves = radiance_genbsdf(RADIANCE_GROOVE, groove.REFLECTANCE)
+    except ImportError:
+        absent.append("Radiance is left out: pip install 'gonio-mi[benchmark]'")
+    else:
+        every = np.broadcast_to(KLEMS.projected_solid_angles / np.pi, (145, 145))
+        found["white plate, 145 patches"].append((plate, groove.REFLECTANCE * every))
+        found["diffuse V-groove, 145 patches"].append((grooves, klems_groove_flux()))
+    return found, absent
+
+
+def _ours(specimen, **settings):
+    """Our samplers, the default first; one batch has no error bars, as the others."""
+    designs = (("sobol", 32), ("sobol", 8), ("sobol", 1), ("independent", 32))
+    return [
+        gonio_rays(specimen, "weighted", sampler, batches=batches, **settings)
+        for sampler, batches in designs
+    ]
+
+
+def _groove_flux(wi, grid):
+    """Exact flux fractions of the V-groove, shape (len(wi), patches)."""
+    borders = grid.borders if grid is KLEMS else patch_borders(grid)
+    points = groove.patch_points(*borders, 4)
+    flux = groove.patch_means(wi, points)
+    return flux * np.ravel(grid.projected_solid_angles)
+
+
+def klems_groove_flux():
+    """Means over incident patches too; Radiance numbers them by the way light takes."""
+    points = groove.patch_points(*KLEMS.borders, 3) * [-1, -1, 1]
+    flux = _groove_flux(points.reshape(-1, 3), KLEMS)
+    return flux.reshape(145, -1, 145).mean(axis=1)
+
+
+# ------------------------------------------------------------------- error and cost
+
+
+def error(rival, exact, size, seeds=SEEDS):
+    """RMS error of the BRDF over the patches (and seeds), over its mean."""
+    omega = rival.grid.projected_solid_angles
+    squares = [
+        np.mean(((rival.flux(size, seed) - exact) / omega) ** 2)
+        for seed in range(seeds if rival.random else 1)
+    ]
+    return np.sqrt(np.mean(squares)) / np.mean(exact / omega)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Size of a rival that reaches an error.
+
+    Attributes
+    ----------
+    size : int
+        Largest that was run.
+    error : float
+        At that size.
+    scale : float
+        How many times as large it has to be: 1 unless extrapolated.
+    """
+
+    size: int
+    error: float
+    scale: float = 1.0
+
+
+def search(rival, exact, target, limit):
+    """Find the size of a rival whose error is at most `target`.
+
+    By factors of four, then by three bisections. If one run takes more than `limit` CPU
+    seconds before, the size is extrapolated by the power law of all errors so far.
+    """
+    sizes, errors = [rival.first], [error(rival, exact, rival.first)]
+    while errors[-1] > target:
+        start = cpu_seconds()
+        rival.flux(sizes[-1], 0)
+        if cpu_seconds() - start > limit:
+            order = 0.5  # of independent samples
+            if len(sizes) > 1:
+                order = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+            scale = (errors[-1] / target) ** (1 / order)
+            return Found(sizes[-1], errors[-1], float(scale))
+        sizes.append(4 * sizes[-1])
+        errors.append(error(rival, exact, sizes[-1]))
+    low, high, reached = sizes[-1] // 4, sizes[-1], errors[-1]
+    for _ in range(3):
+        middle = round((low * high) ** 0.5)
+        if not max(low, rival.first) < middle < high:
+            break
+        tried = error(rival, exact, middle)
+        if tried <= target:
+            high, reached = middle, tried
+        else:
+            low = middle
+    return Found(high, reached)
+
+
+def print_costs(target, repeats, limit):
+    """Print what a map of the relative RMS error `target` costs by each method."""
+    found, absent = contests()
+    print(
+        f"\nEqual error: {target:.2%} RMS over the patches, relative to the mean BRDF. "
+        "CPU time for one\nincident direction, medians of "
+        f"{repeats} runs in turns; ~ is extrapolated from the errors of\nsmaller runs, "
+        "the largest of which is shown."
+    )
+    for contest, rivals in found.items():
+        results = {r.name: search(r, exact, target, limit) for r, exact in rivals}
+        times = in_turns(
+            {r.name: partial(r.flux, results[r.name].size, 1) for r, _ in rivals},
+            repeats,
+        )
+        costs = {
+            r.name: times[r.name].cpu * results[r.name].scale / r.incident
+            for r, _ in rivals
+        }
+        first = next(iter(costs.values()))
+        print_table(
+            contest,
+            ("method", "size", "error", "CPU ms", "cost"),
+            [
+                _row(r, results[r.name], costs[r.name], costs[r.name] / first)
+                for r, _ in rivals
+            ],
+        )
+    for sentence in absent:
+        print(sentence)
+
+
+def _row(rival, found, cost, ratio):
+    mark = "~" if found.scale > 1 else ""
+    return (
+        rival.name,
+        f"{found.size:g} {rival.size}",
+        f"{found.error:.2%}",
+        f"{mark}{1e3 * cost:.3g}",
+        f"{mark}{ratio:.2g}",
+    )
