@@ -156,7 +156,7 @@ def groove_flux(grid):
 
 
 def test_groove_is_reciprocal(monkeypatch):
-    """Swapped directions give the same, up to an error of second order in the panels."""
+    """Swapped directions give the same, but for an error of second order."""
     rng = np.random.default_rng(0)
     v = direction(np.arcsin(np.sqrt(rng.random(20))), 2 * np.pi * rng.random(20))
     differences = []
