@@ -7,7 +7,7 @@ import numpy as np
 from .comparison_plot import check_picture
 from .files import replacing
 
-__all__ = ["plot_chart"]
+__all__ = ["draw_by_time", "plot_chart"]
 
 COLOURS = {"independent": "tab:orange", "sobol": "tab:blue", "": "tab:green"}
 OTHERS = ("tab:purple", "tab:brown", "tab:pink", "tab:cyan", "tab:olive")
@@ -25,7 +25,7 @@ def plot_chart(chart, path=None, *, target=0.01):
     To the left the error over the CPU seconds of one measurement, with the Pareto front
     as a broad grey line; to the right over its rays, with the expectation for
     counted independent rays. Bars are 95 % intervals from the scatter between seeds.
-    Below the hatched line the reference's own error takes part. Under both, what each
+    In the grey below the reference's own error takes part. Under both, what each
     method needs for the error `target`, cheapest first.
 
     Parameters
@@ -50,20 +50,34 @@ def plot_chart(chart, path=None, *, target=0.01):
     above, below = figure.subfigures(2, 1, height_ratios=(4.2, height))
     by_time, by_rays = above.subplots(1, 2, sharey=True)
     colours = _colours(chart)
-    _draw_front(by_time, chart)
+    draw_by_time(by_time, chart, target)
     for curve in chart.curves:
-        _draw_curve(by_time, curve, curve.cpu_seconds, colours[curve.sampler])
         # integrals send no rays; their label is wanted all the same
         rays = np.where(curve.rays > 0, curve.rays, np.nan)
         _draw_curve(by_rays, curve, rays, colours[curve.sampler])
     _draw_expectation(by_rays, chart)
-    _finish(by_time, by_rays, chart, target)
+    _finish(by_rays, chart, target)
+    by_time.set_xlabel("CPU seconds of one measurement")
+    by_time.set_ylabel("RMS error over the patches / mean BSDF")
+    by_rays.set_xlabel("rays of one measurement")
+    handles, labels = by_time.get_legend_handles_labels()
+    by_time.legend(handles[:1], labels[:1], **LEGEND, loc="upper right")
+    by_rays.legend(**LEGEND, loc="best")
     _draw_table(below.subplots(), chart, target, colours)
     figure.suptitle(_title(chart, target), size="medium", parse_math=False)
     if path is not None:
         with replacing(path) as stream:
             figure.savefig(stream, format=Path(path).suffix[1:].lower(), dpi=150)
     return figure
+
+
+def draw_by_time(axes, chart, target=0.01):
+    """Draw the left part of :func:`plot_chart` on axes, without labels and legend."""
+    colours = _colours(chart)
+    _draw_front(axes, chart)
+    for curve in chart.curves:
+        _draw_curve(axes, curve, curve.cpu_seconds, colours[curve.sampler])
+    _finish(axes, chart, target)
 
 
 def _colours(chart):
@@ -117,24 +131,17 @@ def _draw_expectation(axes, chart):
     )
 
 
-def _finish(by_time, by_rays, chart, target):
+def _finish(axes, chart, target):
     """Axes, the target, the reference's error."""
     errors = np.concatenate([curve.error for curve in chart.curves])
     low = min(errors[errors > 0].min(), target) / 2
-    for axes in (by_time, by_rays):
-        axes.set(xscale="log", yscale="log")
-        _plain_ticks(axes)
-        axes.axhline(target, c="tab:red", lw=0.8, zorder=0)
-        axes.axhspan(low / 1e6, chart.least, color="0.9", hatch="///", lw=0, zorder=-1)
-        axes.grid(alpha=0.3, lw=0.5)
-        axes.spines[["top", "right"]].set_visible(False)
-    by_time.set_ylim(low, None)
-    by_time.set_xlabel("CPU seconds of one measurement")
-    by_time.set_ylabel("RMS error over the patches / mean BSDF")
-    by_rays.set_xlabel("rays of one measurement")
-    handles, labels = by_time.get_legend_handles_labels()
-    by_time.legend(handles[:1], labels[:1], **LEGEND, loc="upper right")
-    by_rays.legend(**LEGEND, loc="best")
+    axes.set(xscale="log", yscale="log")
+    _plain_ticks(axes)
+    axes.axhline(target, c="tab:red", lw=0.8, zorder=0)
+    axes.axhspan(low / 1e6, chart.least, color="0.9", lw=0, zorder=-1)
+    axes.set_ylim(low, None)
+    axes.grid(alpha=0.3, lw=0.5)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _plain_ticks(axes):
@@ -200,7 +207,7 @@ def _claim(curve, chart):
 
 
 def _title(chart, target):
-    """Two lines: specimen and conditions; what to use."""
+    """Specimen and conditions; what to use; what is taken for true."""
     direction = "incident as the emitter"
     if not np.isnan(chart.theta_i):
         direction = f"θᵢ = {chart.theta_i:g}°, φᵢ = {chart.phi_i:g}°"
@@ -212,5 +219,6 @@ def _title(chart, target):
     reference = (
         f"reference: {chart.reference.source}, error {chart.reference.error:.1g}"
     )
-    text = f"{', '.join(parts)}\n{chart.advice(target)}\n{reference}"
+    advice = f"{chart.advice(target)};  {chart.advice(target / 10)}"
+    text = f"{', '.join(parts)}\n{advice}\n{reference}"
     return text.encode("utf-8", "backslashreplace").decode()

@@ -143,8 +143,10 @@ class Curve:
     def _extrapolated(self, target):
         rays, seconds = self.rays, self.cpu_seconds
         more = rays[-1] * ((self.error[-1] / target) ** 2 - 1)
-        # the fixed part of the time does not grow
-        per_ray = max(seconds[-1] - seconds[0], 0) / max(rays[-1] - rays[0], 1)
+        if seconds[-1] > seconds[0]:  # a fixed part of the time does not grow
+            per_ray = (seconds[-1] - seconds[0]) / max(rays[-1] - rays[0], 1)
+        else:
+            per_ray = seconds[-1] / max(rays[-1], 1)
         return Cost(rays[-1] + more, seconds[-1] + per_ray * more, False)
 
 
@@ -244,8 +246,10 @@ class Chart:
         curve, cost = self.ranking(target)[0]
         text = f"to {target:.2g}: {curve.label}, {cost.cpu_seconds:.2g} CPU s"
         if cost.rays:
+            text += f", {cost.rays:.2g} rays"
             saved = self.independent_rays(target) / cost.rays
-            text += f", {cost.rays:.2g} rays, 1/{saved:.3g} of independent ones"
+            if saved > 1:
+                text += f", 1/{saved:.3g} of independent ones"
         return text if cost.measured else text + " (extrapolated)"
 
     def table(self, target):

@@ -79,6 +79,10 @@ def test_a_fixed_part_of_the_time_is_not_extrapolated():
     )
     cost = Curve("analog", "independent", points).cost(1e-4)
     assert cost.cpu_seconds == pytest.approx(101, rel=1e-9)
+    # where nothing has grown, all of the time may be that of the rays
+    flat = tuple(Point(n, 1.0, n**-0.5, 0, 0) for n in (10**2, 10**4))
+    cost = Curve("analog", "independent", flat).cost(1e-3)
+    assert cost.cpu_seconds == pytest.approx(100, rel=1e-9)
 
 
 def test_the_front_holds_what_nothing_beats():

@@ -178,6 +178,7 @@ def run(options):
         if reference.refused:
             print(f"no quadrature: {reference.refused}")
         print(f"use {result.advice(target)}")
+        print(f"use {result.advice(target / 10)}")
     if not any(cost.measured for _, cost in result.ranking(target)):
         say(f"warning: no method reached {target:g}; take more --seconds")
     return DONE
