@@ -5,7 +5,6 @@ import os
 import time
 import warnings
 from contextlib import nullcontext
-from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
@@ -17,7 +16,7 @@ from .errors import (
     checked_choice,
     checked_count,
 )
-from .incidence import emitter_scene, incident_angles
+from .incidence import emitter_scene, incident_angles, incident_key
 from .plugins.specimen import Specimen
 from .ray_density import FLOOR
 from .record import Record
@@ -206,8 +205,8 @@ def measure(
     interrupted = False
     with _bar(None if target else left * integrator.passes, progress) as report:
         try:
-            for number, (bench, tallies) in enumerate(zip(benches, finished)):
-                key = (seed, number)
+            for incident, bench, tallies in zip(incidents, benches, finished):
+                key = (seed, *incident_key(incident))
                 if not integrator.samples(bench):
                     if report is not None:
                         report(sum(plan))
@@ -225,14 +224,12 @@ def measure(
                 raise
             interrupted = True
 
-    record = _stack(
-        [
-            integrator.record(bench, Tally.join(tallies), seed)
-            for bench, tallies in zip(benches, finished)
-            if tallies
-        ],
-        stacked,
-    )
+    records = [
+        integrator.record(bench, Tally.join(tallies), seed)
+        for bench, tallies in zip(benches, finished)
+        if tallies
+    ]
+    record = Record.stack(records) if stacked else records[0]
     logger.info("measured for %.3g s: %r", time.perf_counter() - started, record)
     if target:
         record.settings.update(target.reached(record))
@@ -381,16 +378,3 @@ def _check_batches(resume, plan, passes):
                 f"{len(sizes)} batches of up to {max(sizes)} rays instead of "
                 f"{len(plan)} of up to {max(plan)}"
             )
-
-
-def _stack(records, stacked):
-    """One record of all incident directions."""
-    channels = max((record.channels for record in records), key=len)
-    return replace(
-        records[0],
-        theta_i=np.concatenate([record.theta_i for record in records]),
-        phi_i=np.concatenate([record.phi_i for record in records]),
-        channels=channels,
-        tallies=tuple(record.tallies[0].spread(len(channels)) for record in records),
-        stacked=stacked,
-    )

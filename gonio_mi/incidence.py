@@ -7,7 +7,7 @@ from .directions import direction
 from .errors import SpecimenError, checked_number
 from .specimen import loaded
 
-__all__ = ["emitter_scene", "incident_angles"]
+__all__ = ["emitter_scene", "incident_angles", "incident_key"]
 
 
 def incident_angles(theta_i, phi_i):
@@ -21,6 +21,17 @@ def incident_angles(theta_i, phi_i):
         for value in _sequence("phi_i", phi_i)
     ]
     return [(theta, phi) for theta in polar for phi in azimuths], stacked
+
+
+def incident_key(incident):
+    """Whole numbers that tell a direction from others; they seed its random numbers.
+
+    A direction has the same bits alone and in any stack.
+    """
+    if incident is None:
+        return (0,)
+    # no minus zero
+    return tuple((np.array(incident, dtype=float) + 0.0).view(np.uint64).tolist())
 
 
 def _sequence(name, value):

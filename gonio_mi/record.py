@@ -262,6 +262,34 @@ class Record:
     def __len__(self):
         return len(self.tallies)
 
+    @classmethod
+    def stack(cls, records):
+        """One record of the incident directions of all `records`, in their order.
+
+        Raises
+        ------
+        ValueError
+            If there is none, or two differ in anything but the incident directions.
+        """
+        records = list(records)
+        if not records:
+            raise ValueError("records must hold at least one to be stacked, got none")
+        for other in records[1:]:
+            _check_alike(records[0], other, ("created", "batches"), "stacked")
+        channels = max((record.channels for record in records), key=len)
+        return replace(
+            records[0],
+            theta_i=np.concatenate([record.theta_i for record in records]),
+            phi_i=np.concatenate([record.phi_i for record in records]),
+            channels=channels,
+            tallies=tuple(
+                tally.spread(len(channels))
+                for record in records
+                for tally in record.tallies
+            ),
+            stacked=True,
+        )
+
     def __getitem__(self, index):
         """Record of one incident direction of the stack."""
         tally = self.tallies[index]
@@ -306,12 +334,13 @@ class Record:
             If the two differ in anything but their rays, batches and seed, were made
             with the same seed, whose rays would be counted twice, or hold integrals.
         """
-        own, others = _repeatable(self), _repeatable(other)
-        for key in sorted(own.keys() | others.keys()):
-            if own.get(key) != others.get(key):
+        free = ("rays", "batches", "seed", "created", "versions", "specimen")
+        _check_alike(self, other, free, "merged")
+        for key in ("theta_i", "phi_i"):
+            a, b = getattr(self, key).tolist(), getattr(other, key).tolist()
+            if a != b:
                 raise ValueError(
-                    f"records must agree in {key} to be merged, got {own.get(key)!r} "
-                    f"and {others.get(key)!r}"
+                    f"records must agree in {key} to be merged, got {a!r} and {b!r}"
                 )
         if any(t.errors is not None for t in (*self.tallies, *other.tallies)):
             raise ValueError("records of the estimator quadrature cannot be merged")
@@ -436,12 +465,16 @@ def _seeds(record):
     return seed if isinstance(seed, list) else [seed]
 
 
-def _repeatable(record):
-    """What must be equal for two records to be of the same measurement."""
-    own = {"rays", "batches", "seed", "created", "versions", "specimen"}
-    settings = {k: v for k, v in record.settings.items() if k not in own}
-    return settings | {
-        "collector": str(record.subdivision),
-        "theta_i": record.theta_i.tolist(),
-        "phi_i": record.phi_i.tolist(),
-    }
+def _check_alike(one, other, free, purpose):
+    """Raise ValueError if any setting that is not `free`, or the collector, differs."""
+    settings = []
+    for record in (one, other):
+        own = {k: v for k, v in record.settings.items() if k not in free}
+        settings.append(own | {"collector": str(record.subdivision)})
+    a, b = settings
+    for key in sorted(a.keys() | b.keys()):
+        if a.get(key) != b.get(key):
+            raise ValueError(
+                f"records must agree in {key} to be {purpose}, got {a.get(key)!r} and "
+                f"{b.get(key)!r}"
+            )
