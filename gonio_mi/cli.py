@@ -11,7 +11,17 @@ import warnings
 from importlib import metadata
 from pathlib import Path
 
-from .commands import chart, compare, doctor, measure, plan, plot, show, validate
+from .commands import (
+    chart,
+    compare,
+    doctor,
+    export,
+    measure,
+    plan,
+    plot,
+    show,
+    validate,
+)
 from .commands.arguments import (
     INCOMPLETE,
     PROGRAM,
@@ -25,7 +35,7 @@ from .errors import FileFormatError, LLVMError, SpecimenError, VariantError
 
 __all__ = ["main"]
 
-COMMANDS = (measure, show, plot, validate, compare, plan, chart, doctor)
+COMMANDS = (measure, show, plot, validate, compare, export, plan, chart, doctor)
 
 EXAMPLES = """\
 examples:

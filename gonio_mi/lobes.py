@@ -30,6 +30,9 @@ EVEN = 0.01
 # Gaps between azimuths of incidence that may be bridged, in degrees.
 WIDEST_GAP = 120
 
+# Angles of incidence that differ by less are the same, in degrees.
+SAME_ANGLE = 1e-3
+
 # Of the whole table.
 MOST_BYTES = 2**31
 
@@ -101,8 +104,11 @@ class LobeTable:
         if mixture is not None:
             flux = flux @ np.asarray(mixture, dtype=float)[:, None]
         n_azimuths, n_angles, n_hemispheres = flux.shape[:3]
-        _check_size(flux.shape)
         brdf = flux / patches.projected_solid_angles[..., None]
+        if hasattr(patches, "refined"):
+            patches, brdf = patches.refined(brdf)
+            flux = brdf * patches.projected_solid_angles[..., None]
+        _check_size(flux.shape)
         shape = 2, n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
         strips, strip_slopes = np.empty((2, *shape))
         cells, cell_slopes = np.empty((2, *shape, shape[-1]))
@@ -136,15 +142,21 @@ class LobeTable:
 
 def _grid(record, flux):
     """Sorted angles of incidence in degrees, and flux ``(P, N, H, ..., channels)``."""
-    angles = np.stack([np.mod(record.phi_i, 360), record.theta_i], axis=-1)
-    if not np.isfinite(angles).all():
+    if not np.isfinite([record.theta_i, record.phi_i]).all():
         raise ValueError("the record must know its incident directions, got NaN")
-    order = np.lexsort([angles[:, 1], angles[:, 0]])
-    phi_i, theta_i = (np.unique(column) for column in angles.T)
-    grid = [(phi, theta) for phi in phi_i for theta in theta_i]
-    if [tuple(pair) for pair in angles[order]] != grid:
+    theta_i, of_theta = _levels(record.theta_i)
+    # along the normal there is no azimuth: what was measured there is for all of them
+    normal = (of_theta == 0) & (theta_i[0] < SAME_ANGLE)
+    turned = np.mod(record.phi_i + SAME_ANGLE / 2, 360) - SAME_ANGLE / 2
+    phi_i, of_phi = _levels(turned if normal.all() else turned[~normal])
+    grid = np.full((len(phi_i), len(theta_i)), -1)
+    index = np.flatnonzero(~normal)
+    if len(index):
+        grid[of_phi, of_theta[index]] = index
+    tilted = grid[:, int(normal.any()) :]
+    if (tilted < 0).any() or tilted.size != len(index):
         raise ValueError(
-            f"the record's {len(angles)} incident directions must be each of its "
+            f"the record's {len(flux)} incident directions must be each of its "
             f"{len(theta_i)} polar angles at each of its {len(phi_i)} azimuths, once"
         )
     gaps = np.diff([*phi_i, phi_i[0] + 360])
@@ -153,8 +165,23 @@ def _grid(record, flux):
             "the azimuths of incidence of an anisotropic record must go all around, "
             f"with gaps of at most {WIDEST_GAP} degrees, got one of {gaps.max():g}"
         )
-    flux = flux[order].reshape(len(phi_i), len(theta_i), *flux.shape[1:])
-    return theta_i, phi_i, flux
+    lobes = flux[grid]
+    if normal.any():
+        lobes[:, 0] = flux[normal].mean(axis=0)
+    return theta_i, phi_i, lobes
+
+
+def _levels(angles):
+    """Distinct angles in degrees, ascending, and the number of each angle's.
+
+    They come from directions in single precision.
+    """
+    order = np.argsort(angles, kind="stable")
+    steps = np.diff(angles[order], prepend=angles[order[0]]) > SAME_ANGLE
+    number = np.empty(len(angles), dtype=int)
+    number[order] = np.cumsum(steps)
+    levels = [angles[number == n].mean() for n in range(number.max() + 1)]
+    return np.array(levels), number
 
 
 def _check_size(shape):

@@ -409,8 +409,9 @@ def subdivision(text):
     text : str or Subdivision
         ``angle``, ``solid``, ``projected`` or ``sine``, a colon, rings, ``x``, sectors;
         or ``borders:`` and the borders in degrees, ``borders:0,30,90x0,180,360``;
-        or ``apertures:`` and cones, see :class:`gonio_mi.apertures.Apertures`. A
-        subdivision is returned as it is.
+        or ``apertures:`` and cones, see :class:`gonio_mi.apertures.Apertures`;
+        or ``klems``, see :class:`gonio_mi.klems.Klems`. A subdivision is returned as
+        it is.
 
     Raises
     ------
@@ -436,6 +437,10 @@ def subdivision(text):
             return Apertures.parse(size)
         except ValueError as error:
             raise ValueError(f"collector {text!r}: {error}") from None
+    if text == "klems":
+        from .klems import Klems  # which builds on this module
+
+        return Klems()
     if name not in _KINDS or not (_is_integer(rings) and _is_integer(sectors)):
         raise ValueError(f"{form}, got {text!r}")
     return _KINDS[name](int(rings), int(sectors))

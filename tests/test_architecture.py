@@ -14,15 +14,19 @@ NUMPY_LAYER = (
     "errors",
     "exr",
     "files",
+    "klems",
     "lobes",
     "heights",
     "memory",
     "npz",
+    "radiance_xml",
+    "netcdf",
     "record",
     "statistics",
     "subdivision",
     "summary",
     "tally",
+    "tensor_file",
 )
 PLUGIN_CLASSES = ("films", "integrators", "samplers", "sensors", "bsdfs", "shapes")
 

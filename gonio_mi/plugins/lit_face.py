@@ -68,6 +68,16 @@ class LitFace:
 
         `enabled` holds whether reflection and transmission are asked for.
         """
+        value, total, wanted = self.values(wi, wo, enabled, active)
+        cosine = dr.abs(wo.z)
+        mean = sum(value) / len(value)
+        pdf = dr.select(wanted & (total > 0), mi.Float(mean / total) * cosine, 0)
+        value = [mi.Float(channel) * cosine for channel in value]
+        value = mi.Spectrum(value if len(value) > 1 else value[0])
+        return value & wanted, pdf
+
+    def values(self, wi, wo, enabled=(True, True), active=True):
+        """BSDF in 1/sr in each channel; all the light; where the first is not zero."""
         lower = wo.z < 0
         wanted = active & dr.select(lower, enabled[1], enabled[0]) & (wo.z != 0)
         hemisphere = mi.UInt32(0)
@@ -77,22 +87,15 @@ class LitFace:
             hemisphere = dr.select(lower, mi.UInt32(1), hemisphere)
         phi_i = self._azimuth_of_incidence(wi)
         point = _point(wo, phi_i)
-        places = self._places(wi, phi_i)
         value = [mi.Float64(0) for _ in self.arrays.brdf]
         total = mi.Float64(0)
-        for place in places:
+        for place in self._places(wi, phi_i):
             for number in self._hemispheres(enabled):
                 total += sum(self._fluxes(place, number))
-            for channel, brdf in enumerate(
-                self._brdf(place, hemisphere, point, wanted)
-            ):
-                value[channel] += place.weight * brdf
-        cosine = dr.abs(wo.z)
-        mean = sum(value) / len(value)
-        pdf = dr.select(wanted & (total > 0), mi.Float(mean / total) * cosine, 0)
-        value = [mi.Float(channel) * cosine for channel in value]
-        value = mi.Spectrum(value if len(value) > 1 else value[0])
-        return value & wanted, pdf
+            brdf = self._brdf(place, hemisphere, point, wanted)
+            for channel, own in enumerate(brdf):
+                value[channel] += place.weight * own
+        return value, total, wanted
 
     def _brdf(self, place, hemisphere, point, active):
         """BRDF of one azimuth: both ends of the leg, moved to where `wi` wants them."""

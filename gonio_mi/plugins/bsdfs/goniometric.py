@@ -8,10 +8,15 @@ import mitsuba as mi
 
 from gonio_mi import files
 from gonio_mi.lobes import LobeTable
-from gonio_mi.plugins import properties
 from gonio_mi.plugins.lit_face import LitFace
 
 LUMINANCE = (0.212671, 0.715160, 0.072169)
+
+# Signs of z on the front and the back.
+SIDES = (1, -1)
+
+# Samples drawn by the cosine in radiance mode.
+EVEN = 0.1
 
 
 class Goniometric(mi.BSDF):
@@ -31,11 +36,6 @@ class Goniometric(mi.BSDF):
          specimen with two equal faces it may be the same file. (Default: none, that
          face is black)
 
-     * - eta
-       - |float|
-       - Refractive index below the specimen over that above it, for pictures of a bare
-         interface: see below. (Default: 1)
-
     With a lower hemisphere in the record, component 0 is reflection and component 1
     transmission. At an incident direction of the record, the BSDF is the record: the
     patch means, constant over each patch. Between two polar angles lobes *move*: both
@@ -47,19 +47,21 @@ class Goniometric(mi.BSDF):
     incidence; between two measured azimuths the two lobes are mixed. Outside of the
     polar angles of the record, the nearest counts.
 
-    Sampling is exact, up to float32: each sample has the weight of the reflectance (in
+    In importance mode :math:`\omega_i` looks to the lamp, and the value is what was
+    measured: flux per incident flux, in which nothing is divided by :math:`\eta^2`.
+    Sampling is exact up to float32: each sample has the weight of the reflectance (in
     the record's colours), and ``pdf`` integrates to 1 unless the record is black.
+
+    In radiance mode, that of Mitsuba's path tracers, the lamp is in the direction
+    :math:`\omega_o`: the value is what was measured with light from there, on whichever
+    face that is. A record is not reciprocal, be it only for its patches and its noise;
+    with nothing to assume, a transmitting specimen between two media needs no
+    :math:`\eta` either, but both faces. Directions are drawn as in importance mode and,
+    for one sample in ten, by the cosine, so that nothing is missed; weights vary as far
+    as the record is not reciprocal.
 
     A record of one channel fits all variants; one of the channels R, G, B those of
     rgb, and by its luminance monochrome ones.
-
-    In importance mode this is the measured quantity, flux per incident flux, and
-    nothing is divided by :math:`\eta^2`. In radiance mode, :math:`\omega_i` looks to
-    the camera, and the same value stands for light in the opposite direction, as if the
-    specimen were reciprocal; with the same medium on both sides, as around any finite
-    specimen, nothing else is needed. If the record is of a bare interface between two
-    media, `eta` scales transmitted radiance by :math:`1/\eta^2` from above and
-    :math:`\eta^2` from below. Mitsuba's path tracers work in this mode.
 
     .. tabs::
         .. code-tab:: xml
@@ -76,10 +78,6 @@ class Goniometric(mi.BSDF):
 
     def __init__(self, props):
         super().__init__(props)
-        self.eta = mi.Float(
-            properties.number(props, "eta", 1.0, 0.01, 100, "a number from 0.01 to 100")
-        )
-        dr.make_opaque(self.eta)
         self.files = [props.get(name) for name in ("filename", "back_filename")]
         if self.files[0] is None:
             raise ValueError("goniometric.filename must name a record, got nothing")
@@ -102,7 +100,8 @@ class Goniometric(mi.BSDF):
                 if face is not None and face.n_hemispheres > hemisphere
             ]
             for face, side in having:
-                flags |= side
+                # in radiance mode transmission is seen from the other side
+                flags |= sides[0] | sides[1] if hemisphere else side
                 if face.n_azimuths > 1:
                     flags |= mi.BSDFFlags.Anisotropic
             if having:
@@ -114,15 +113,21 @@ class Goniometric(mi.BSDF):
     def sample(self, ctx, si, sample1, sample2, active=True):
         """Pick a hemisphere by `sample1` and draw `wo` by `sample2`."""
         bs = dr.zeros(mi.BSDFSample3f)
-        value = mi.Spectrum(0)
-        for face, side, wi, lit in self._lit(si.wi, active):
-            wo = face.sample(wi, self._enabled(ctx), sample1, sample2)
-            bs.wo[lit] = mi.Vector3f(wo.x, wo.y, wo.z * side)
-            face_value, face_pdf = self._of_face(ctx, face, side, wi, wo, lit)
-            value[lit] = face_value
-            bs.pdf[lit] = face_pdf
+        for side, guide, hemispheres in self._guides(ctx):
+            lit = active & (si.wi.z * side > 0)
+            if ctx.mode == mi.TransportMode.Importance:
+                wo = guide.sample(_seen(si.wi, side), hemispheres, sample1, sample2)
+            else:
+                rest = (sample1 - EVEN) / (1 - EVEN)
+                wo = guide.sample(_seen(si.wi, side), hemispheres, rest, sample2)
+                even = mi.warp.square_to_cosine_hemisphere(sample2)
+                below = (sample1 > EVEN / 2) | ~mi.Bool(hemispheres[0])
+                even.z = dr.select(below & hemispheres[1], -even.z, even.z)
+                wo = dr.select(sample1 < EVEN, even, wo)
+            bs.wo[lit] = _seen(wo, side)
+        value, bs.pdf = self.eval_pdf(ctx, si, bs.wo, active)
         below = bs.wo.z * si.wi.z < 0
-        bs.eta = dr.select(below, self._relative_eta(si.wi.z), 1.0)
+        bs.eta = 1.0
         bs.sampled_type = dr.select(
             below,
             mi.UInt32(+mi.BSDFFlags.GlossyTransmission),
@@ -141,36 +146,50 @@ class Goniometric(mi.BSDF):
 
     def eval_pdf(self, ctx, si, wo, active=True):
         """Both of :meth:`eval` and :meth:`pdf`."""
+        if ctx.mode == mi.TransportMode.Importance:
+            return self._from_lamp(ctx, si.wi, wo, active)
+        value, _ = self._from_lamp(ctx, wo, si.wi, active)
+        value *= dr.select(si.wi.z == 0, 0, dr.abs(wo.z / si.wi.z))
+        pdf = mi.Float(0)
+        for side, guide, hemispheres in self._guides(ctx):
+            lit = active & (si.wi.z * side > 0)
+            seen = _seen(wo, side)
+            _, density = guide.eval_pdf(_seen(si.wi, side), seen, hemispheres, lit)
+            wanted = dr.select(seen.z < 0, hemispheres[1], hemispheres[0])
+            even = dr.select(wanted, dr.abs(wo.z) * dr.inv_pi / sum(hemispheres), 0)
+            pdf += dr.select(lit, (1 - EVEN) * density + EVEN * even, 0)
+        return value, pdf
+
+    def _from_lamp(self, ctx, lamp, detector, active):
+        """Value and density of `detector` for light from the direction `lamp`."""
         value, pdf = mi.Spectrum(0), mi.Float(0)
-        for face, side, wi, lit in self._lit(si.wi, active):
-            seen = mi.Vector3f(wo.x, wo.y, wo.z * side)
-            face_value, face_pdf = self._of_face(ctx, face, side, wi, seen, lit)
-            value += face_value & lit
-            pdf += dr.select(lit, face_pdf, 0)
-        return value, pdf
-
-    def _lit(self, wi, active):
-        """Faces, their side, `wi` seen from them, and where that is the lit one."""
-        for face, side in zip(self.faces, (1, -1)):
+        for face, side in zip(self.faces, SIDES):
             if face is not None:
-                yield (
-                    face,
-                    side,
-                    mi.Vector3f(wi.x, wi.y, dr.abs(wi.z)),
-                    (active & (wi.z * side > 0)),
+                lit = active & (lamp.z * side > 0)
+                face_value, face_pdf = face.eval_pdf(
+                    _seen(lamp, side), _seen(detector, side), self._enabled(ctx), lit
                 )
-
-    def _of_face(self, ctx, face, side, wi, wo, active):
-        """Value and density for light on one face, seen from it."""
-        value, pdf = face.eval_pdf(wi, wo, self._enabled(ctx), active)
-        if ctx.mode == mi.TransportMode.Radiance:
-            eta = self._relative_eta(side)
-            value *= dr.select(wo.z < 0, 1 / dr.square(eta), 1.0)
+                value += face_value & lit
+                pdf += dr.select(lit, face_pdf, 0)
         return value, pdf
 
-    def _relative_eta(self, side):
-        """Refractive index on the side of transmission over that of incidence."""
-        return dr.select(side > 0, self.eta, 1 / self.eta)
+    def _guides(self, ctx):
+        """Sides of `wi`, the face to sample there, and hemispheres that hold `wo`."""
+        enabled = self._enabled(ctx)
+        for number, side in enumerate(SIDES):
+            own, other = self.faces[number], self.faces[1 - number]
+            if ctx.mode == mi.TransportMode.Importance:
+                hemispheres = enabled
+                guide = own
+            else:
+                # the lamp is on the own face, or behind the specimen on the other one
+                through = other is not None and other.n_hemispheres == 2
+                hemispheres = enabled[0] and own is not None, enabled[1] and through
+                guide = own
+                if own is None or (not hemispheres[0] and own.n_hemispheres == 1):
+                    guide = other
+            if guide is not None and any(hemispheres):
+                yield side, guide, hemispheres
 
     def _enabled(self, ctx):
         """Which hemispheres the context asks for."""
@@ -181,10 +200,12 @@ class Goniometric(mi.BSDF):
 
     def to_string(self):
         """Return a readable description."""
-        return (
-            f"Goniometric[filename={self.files[0]}, back_filename={self.files[1]}, "
-            f"eta={self.eta[0]:g}]"
-        )
+        return f"Goniometric[filename={self.files[0]}, back_filename={self.files[1]}]"
+
+
+def _seen(v, side):
+    """Return `v` seen from the face on that side."""
+    return mi.Vector3f(v.x, v.y, v.z * side)
 
 
 def _table(label, name):

@@ -1,0 +1,83 @@
+"""Records as labelled arrays of xarray, and as NetCDF files."""
+
+import json
+
+import numpy as np
+
+__all__ = ["dataset", "write"]
+
+CONVENTIONS = (
+    "Patch means in 1/sr, without cosine. Angles in degrees: theta_i from the normal "
+    "of the lit face, phi from +x counter-clockwise, theta from the pole of either "
+    "hemisphere; the mirror direction has phi = phi_i + 180."
+)
+
+
+def dataset(record):
+    """Labelled arrays of a record.
+
+    Parameters
+    ----------
+    record : Record
+
+    Returns
+    -------
+    xarray.Dataset
+        `bsdf` and `std_err` in 1/sr, with the dimensions ``incident, hemisphere, ring,
+        sector, channel``; `counts` without the last; as coordinates `theta_i`, `phi_i`
+        and the middles `theta`, `phi` of the patches in degrees; the settings as JSON.
+
+    Raises
+    ------
+    ImportError
+        Without xarray.
+    """
+    try:
+        import xarray
+    except ImportError:
+        raise ImportError(
+            "NetCDF files need xarray, which is not installed: "
+            'pip install "gonio-mi[netcdf]"'
+        ) from None
+    stack = [record[index] for index in range(len(record))]
+    names = ["reflection", "transmission"][: 1 + record.has_lower]
+    quantities = ["brdf", "btdf"][: len(names)]
+    values, errors = (
+        np.array([[getattr(one, name + end) for name in quantities] for one in stack])
+        for end in ("", "_std_err")
+    )
+    counts = np.stack([one.counts for one in stack]).astype(float)
+    theta, phi = (np.degrees(angle) for angle in record.subdivision.middles)
+    patches = "incident", "hemisphere", "ring", "sector"
+    unit = {"units": "sr-1"}
+    degrees = {"units": "degree"}
+    return xarray.Dataset(
+        {
+            "bsdf": ((*patches, "channel"), values, unit),
+            "std_err": ((*patches, "channel"), errors, unit),
+            "counts": (patches, counts),
+            "projected_solid_angle": (
+                patches[2:],
+                record.subdivision.projected_solid_angles,
+                {"units": "sr"},
+            ),
+        },
+        coords={
+            "theta_i": ("incident", record.theta_i, degrees),
+            "phi_i": ("incident", record.phi_i, degrees),
+            "hemisphere": names,
+            "theta": (patches[2:], theta, degrees),
+            "phi": (patches[2:], phi, degrees),
+            "channel": list(record.channels),
+        },
+        attrs={
+            "collector": str(record.subdivision),
+            "conventions": CONVENTIONS,
+            "settings": json.dumps(record.settings),
+        },
+    )
+
+
+def write(record, stream):
+    """Write a record to a binary stream as NetCDF 3, which SciPy makes."""
+    stream.write(bytes(dataset(record).to_netcdf(engine="scipy")))

@@ -1,0 +1,147 @@
+"""Values of a record in any direction, as other formats want them."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .directions import direction
+from .klems import Klems
+from .lobes import LobeTable
+from .plugins.lit_face import LitFace
+
+__all__ = ["Material", "half_vector_grid", "klems_matrix", "patch_points"]
+
+# Points per side of a patch of exit or of incidence that is averaged over.
+POINTS_OUT, POINTS_IN = 8, 3
+
+
+class Material:
+    """BRDF and BTDF of a record between its incident directions.
+
+    As the BSDF plugin `goniometric` has them. It needs a variant of Dr.Jit.
+
+    Parameters
+    ----------
+    record : Record
+
+    Attributes
+    ----------
+    theta_i, phi_i : ndarray
+        The record's incident directions in degrees, ascending.
+    channels : tuple of str
+    has_lower : bool
+
+    Raises
+    ------
+    ValueError
+        If the incident directions are unknown or no grid; see `LobeTable.of`.
+    """
+
+    def __init__(self, record):
+        self.channels = record.channels
+        self.has_lower = record.has_lower
+        table = LobeTable.of(record)
+        self.theta_i, self.phi_i = table.theta_i, table.phi_i
+        self._face = LitFace(table)
+
+    def values(self, theta_i, phi_i, wo):
+        """BRDF or BTDF in 1/sr, shape ``(n, channels)``.
+
+        Parameters
+        ----------
+        theta_i, phi_i : float or array_like, shape (n,)
+            Incident directions in degrees, from the normal of the lit face.
+        wo : array_like, shape (n, 3)
+            Unit vectors of exit; z > 0 is the lit side.
+        """
+        wi = direction(np.radians(theta_i), np.radians(phi_i))
+        wi, wo = (_vectors(v) for v in np.broadcast_arrays(wi, wo))
+        values, _, wanted = self._face.values(wi, wo)
+        dr.eval(values, wanted)
+        inside = np.broadcast_to(wanted.numpy(), dr.width(wo))
+        return np.stack([np.where(inside, v.numpy(), 0) for v in values], axis=-1)
+
+
+def _vectors(v):
+    return mi.Vector3f(np.ascontiguousarray(v.T, dtype=np.float32))
+
+
+def patch_points(patches, n):
+    """Points evenly distributed over each patch, shape ``(n_patches, n * n, 3)``.
+
+    Each stands for the same projected solid angle of its patch; on z > 0.
+    """
+    if isinstance(patches, Klems):
+        low, high, left, right = patches.cells.T
+    else:
+        theta, phi = patches.theta_edges, patches.phi_edges
+        low, high = (edge.repeat(patches.n_phi) for edge in (theta[:-1], theta[1:]))
+        left, right = (np.tile(edge, patches.n_theta) for edge in (phi[:-1], phi[1:]))
+    step = (np.arange(n) + 0.5) / n
+    along, around = (axis.ravel() for axis in np.meshgrid(step, step, indexing="ij"))
+    begin, end = np.sin(low[:, None]) ** 2, np.sin(high[:, None]) ** 2
+    sin2 = begin + along * (end - begin)
+    phi = left[:, None] + around * (right - left)[:, None]
+    return direction(np.arcsin(np.sqrt(sin2)), phi)
+
+
+def klems_matrix(material, hemisphere):
+    """Means over pairs of Klems patches in 1/sr, ``(145, 145, channels)``.
+
+    Exit patches times incident ones, of Radiance's order: the incident patch is that of
+    the direction of flight.
+
+    Parameters
+    ----------
+    material : Material
+    hemisphere : {0, 1}
+        Reflection or transmission.
+    """
+    patches = Klems()
+    wo = patch_points(patches, POINTS_OUT) * [1, 1, -1 if hemisphere else 1]
+    n_out = len(wo)
+    matrix = np.zeros((n_out, patches.n_patches, len(material.channels)))
+    flights = patch_points(patches, POINTS_IN)
+    for column, points in enumerate(flights):
+        x, y, z = np.repeat(points, wo.shape[0] * wo.shape[1], axis=0).T
+        theta_i = np.degrees(np.arctan2(np.hypot(x, y), z))
+        phi_i = np.degrees(np.arctan2(-y, -x))
+        every = np.tile(wo.reshape(-1, 3), (len(points), 1))
+        values = material.values(theta_i, phi_i, every)
+        values = values.reshape(len(points), *wo.shape[:2], -1)
+        matrix[:, column] = values.mean(axis=(0, 2))
+    return matrix
+
+
+def half_vector_grid(material, theta_i, phi_i, origin, size, n=4):
+    """BRDF times cosine on a grid of half vectors, ``(channels, size, size)``.
+
+    Rows are azimuths of the half vector from `origin`, -pi to pi; columns its polar
+    angles, in equal steps of the square root. Each value is a mean over the grid's cell
+    about it.
+
+    Parameters
+    ----------
+    material : Material
+    theta_i, phi_i, origin : float
+        In degrees.
+    size : int
+        Rows and columns.
+    n : int
+        Points per side of a cell.
+    """
+    step = ((np.arange(n) + 0.5) / n - 0.5) / (size - 1)
+    u = np.abs(np.arange(size)[:, None] / (size - 1) + step).ravel()
+    u = np.where(u > 1, 2 - u, u)
+    theta_m = u**2 * (np.pi / 2)
+    phi_m = 2 * np.pi * (np.arange(size)[:, None] / (size - 1) + step).ravel() - np.pi
+    theta_m, phi_m = np.meshgrid(theta_m, phi_m + np.radians(origin))
+    half = direction(theta_m, phi_m)
+    wi = direction(np.radians(theta_i), np.radians(phi_i))
+    wo = 2 * (half @ wi)[..., None] * half - wi
+    wo = wo.reshape(-1, 3)
+    above = wo[:, 2] > 0
+    values = np.zeros((len(wo), len(material.channels)))
+    values[above] = material.values(theta_i, phi_i, wo[above]) * wo[above, 2:]
+    values = values.reshape(size, n, size, n, -1).mean(axis=(1, 3))
+    return np.moveaxis(values, -1, 0)
