@@ -52,6 +52,8 @@ def measure(
     rr_depth=None,
     trace=None,
     wavelengths=None,
+    period=None,
+    order=None,
     batches=None,
     parameters=None,
     resume=None,
@@ -121,6 +123,13 @@ def measure(
         Surface events before Russian roulette; -1, the default, for never.
     trace : bool
         Trace rays even where a flat specimen does not need it. Default False.
+    period : {"none", "box"}, float or (float, float)
+        ``box`` makes the specimen's bounding box one cell of an infinite surface, so
+        that there are no edges; numbers are the extents of that cell in x and y, about
+        the middle of the box. Default ``none``.
+    order : int or str
+        Collect only rays with so many surface events: ``2``, or ``"3+"`` for three or
+        more. With one seed, orders 1, 2 and ``"3+"`` add up to ``"all"``, the default.
     wavelengths : sequence of float
         In nm, the channels in spectral variants. Default 550.
     batches : int
@@ -159,6 +168,8 @@ def measure(
         "emission": emission,
         "trace": trace,
         "wavelengths": _joined(wavelengths),
+        "period": _joined(period),
+        "order": None if order is None else str(order),
     }
     if wavelengths is not None and not mi.is_spectral:
         raise VariantError(
@@ -183,7 +194,7 @@ def measure(
     target = checked_target(rel_err, max_rays, floor, rays, resume)
     integrator = _integrator(scene, integrator_settings)
     sensor = _sensor(scene, collector, collector_radius, hemispheres, sampler)
-    measured = Specimen(scene)
+    measured = Specimen(scene, integrator.settings["period"])
     measured.name = specimen_name(specimen, parameters)
     emitters = [emitter_scene(scene, emitter, incident, side) for incident in incidents]
     benches = [

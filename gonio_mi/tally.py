@@ -31,6 +31,7 @@ class Fate(IntEnum):
     INVALID = 7
     UNLIT = 8
     INTEGRATED = 9
+    OTHER_ORDER = 10
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,8 @@ class Ledger:
         The emitter sends nothing along this ray.
     integrated : int
         ``sample`` chose a component that the estimator `quadrature` integrates.
+    other_order : int
+        Left after another number of surface events than the `order` that is collected.
     """
 
     reflected: int = 0
@@ -70,6 +73,7 @@ class Ledger:
     invalid: int = 0
     unlit: int = 0
     integrated: int = 0
+    other_order: int = 0
 
     @classmethod
     def from_counts(cls, counts):

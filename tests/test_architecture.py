@@ -18,6 +18,7 @@ NUMPY_LAYER = (
     "lobes",
     "heights",
     "memory",
+    "morton",
     "npz",
     "radiance_xml",
     "netcdf",

@@ -170,6 +170,18 @@ def add(commands):
         help="surface events before a ray is truncated (default: 1000)",
     )
     method.add_argument(
+        "--period",
+        metavar="box|PX,PY",
+        help="the specimen is one cell of an infinite surface: its bounding box, or of "
+        "these extents in x and y (default: none)",
+    )
+    method.add_argument(
+        "--order",
+        metavar="N|N+",
+        help="collect rays with so many surface events, or at least so many "
+        "(default: all)",
+    )
+    method.add_argument(
         "--rr-depth",
         type=number,
         metavar="N",
@@ -247,6 +259,8 @@ def run(options):
             collector_radius=options.collector_radius,
             hemispheres=options.hemispheres,
             max_depth=options.max_depth,
+            period=options.period,
+            order=options.order,
             rr_depth=options.rr_depth,
             trace=options.trace,
             wavelengths=options.wavelengths,

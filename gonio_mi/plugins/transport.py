@@ -115,6 +115,8 @@ def scatter_plane(plane, beam, sampler, wavelengths, settings):
 @dr.syntax
 def trace(specimen, beam, sampler, wavelengths, settings):
     """Follow every ray through the geometry until it leaves, ends or is cut off."""
+    if hasattr(sampler, "follow_curve"):
+        sampler.follow_curve()
     p, wi, distance, weight = beam.sample(sampler, wavelengths)
     β = _emitted(weight, sampler, settings.analog, beam.uniform)
 

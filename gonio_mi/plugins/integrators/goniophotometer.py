@@ -13,8 +13,9 @@ from gonio_mi import llvm
 from gonio_mi.errors import SpecimenError, VariantError
 from gonio_mi.plugins import properties
 from gonio_mi.plugins.beam import EMISSIONS, Beam, checked_footprint
+from gonio_mi.plugins.order import checked_order, of_order, orders
 from gonio_mi.plugins.sampling import apart, sampler_name, seeded
-from gonio_mi.plugins.specimen import Specimen
+from gonio_mi.plugins.specimen import Specimen, checked_period
 from gonio_mi.plugins.transport import Settings, scatter_plane, trace
 from gonio_mi.record import Record
 from gonio_mi.tally import WEIGHT_SCALE, Fate, Tally, batch_sizes
@@ -197,6 +198,17 @@ class Goniophotometer(mi.SamplingIntegrator):
        - |bool|
        - Trace rays even where a flat specimen does not need it. (Default: false)
 
+     * - period
+       - |string| or |float|
+       - ``none``; ``box``: the specimen's bounding box is one cell of an infinite
+         surface, and what leaves through a side of it enters through the opposite one;
+         or the cell's extents in x and y, such as ``2,3``. (Default: ``none``)
+
+     * - order
+       - |string|
+       - Surface events of the rays that are collected: ``2`` for two, ``3+`` for three
+         or more; the others are in the ledger. (Default: ``all``)
+
      * - wavelengths
        - |string|
        - Wavelengths in nm of the channels in spectral variants, separated by commas.
@@ -231,6 +243,8 @@ class Goniophotometer(mi.SamplingIntegrator):
             "footprint": checked_footprint(props.get("footprint", "full")),
             "emission": properties.choice(props, "emission", EMISSIONS[0], EMISSIONS),
             "trace": bool(props.get("trace", False)),
+            "period": checked_period(props.get("period", "none")),
+            "order": checked_order(props.get("order", "all")),
             "wavelengths": props.get("wavelengths", DEFAULT_WAVELENGTHS),
         }
         self.rays = self.settings["rays"]
@@ -247,7 +261,8 @@ class Goniophotometer(mi.SamplingIntegrator):
         del evaluate
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
-        bench = self.bench(Specimen(scene), scene.emitters(), sensor)
+        specimen = Specimen(scene, self.settings["period"])
+        bench = self.bench(specimen, scene.emitters(), sensor)
         key = (int(mi.UInt32(seed)[0]), 0)
         sizes = batch_sizes(spp or self.rays, self.batches)
         tallies = list(self.tallies(bench, key, sizes)) if self.samples(bench) else []
@@ -399,17 +414,21 @@ class Goniophotometer(mi.SamplingIntegrator):
         rr_depth = self.settings["rr_depth"]
         # counted rays live or die at each event as it is, and stay whole
         roulette = rr_depth >= 0 and not self.analog
+        low, high = orders(self.settings["order"])
         settings = Settings(
             analog=self.analog,
-            max_depth=self.settings["max_depth"],
+            # nothing that comes later is collected
+            max_depth=min(self.settings["max_depth"], high),
             rr_depth=rr_depth if roulette else 2**32 - 1,
             delta_only=self.integrates,
         )
         wavelengths = _wavelength_lanes(nm)
         plane = bench.specimen.plane
         if self._traces(bench):
-            return trace(bench.specimen, bench.beam, sampler, wavelengths, settings)
-        return scatter_plane(plane, bench.beam, sampler, wavelengths, settings)
+            exits = trace(bench.specimen, bench.beam, sampler, wavelengths, settings)
+        else:
+            exits = scatter_plane(plane, bench.beam, sampler, wavelengths, settings)
+        return of_order(exits, low, high)
 
     def _traces(self, bench):
         return self.settings["trace"] or bench.specimen.plane is None
@@ -494,6 +513,8 @@ class Goniophotometer(mi.SamplingIntegrator):
             "passes": self.passes,
             "max_depth": self.settings["max_depth"],
             "rr_depth": self.settings["rr_depth"],
+            "period": self.settings["period"],
+            "order": self.settings["order"],
             "collector_radius": bench.sensor.radius,
             "variant": mi.variant(),
             **({"rel_err": self.settings["rel_err"]} if self.integrates else {}),

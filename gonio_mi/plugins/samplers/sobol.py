@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.errors import VariantError
+from gonio_mi.morton import sorting_tables
 from gonio_mi.plugins.sampling import apart
 
 # Primitive polynomial (its coefficients as bits) and initial direction numbers of each
@@ -82,6 +83,28 @@ def _byte_table():
         numbers = np.array([row[bit] for row in MIRRORED], np.uint32)
         table[:, bit // 8] ^= numbers[:, None] * set_in.astype(np.uint32)
     return mi.UInt32(table.ravel())
+
+
+@cache
+def _curve_table():
+    """Tables of :func:`sorting_tables` for the first two draws of a block."""
+    pair = [direction_numbers(dimension) for dimension in ORDER[:2]]
+    return mi.UInt32(sorting_tables(*pair).ravel())
+
+
+def along_curve(lane, n):
+    """Permutation of the numbers below `n` that follows a Morton curve.
+
+    It keeps the longest blocks of a power of two apart that make up `n`, and follows
+    the curve in each of them.
+    """
+    bits = 31 - dr.lzcnt(lane ^ n)
+    place = lane & ((mi.UInt32(1) << bits) - 1)
+    index = lane ^ place
+    for byte in range(4):
+        entry = (4 * bits + byte) * 256 + ((place >> 8 * byte) & 255)
+        index = index ^ dr.gather(mi.UInt32, _curve_table(), entry)
+    return index
 
 
 def sobol_known(index, draw):
@@ -203,6 +226,8 @@ class Sobol(mi.Sampler):
         self.base_seed = props.get("seed", 0)
         # Index in the sequence of the first point of the next wavefront to be seeded
         self.start = 0
+        # Points of each sequence in the wavefront
+        self.per_sequence = 0
         self.index = mi.UInt32(0)
         self.key = mi.UInt32(0)
         self.draw = mi.UInt32(0)
@@ -219,11 +244,22 @@ class Sobol(mi.Sampler):
         dr.make_opaque(self.key)
         lane = dr.arange(mi.UInt32, self.wavefront_size())
         n_keys = dr.width(self.key)
+        self.per_sequence = self.wavefront_size() // n_keys
         if n_keys > 1:
-            sequence, lane = apart(lane, self.wavefront_size() // n_keys)
+            sequence, lane = apart(lane, self.per_sequence)
             self.key = dr.gather(mi.UInt32, self.key, sequence)
         self.index = lane + dr.opaque(mi.UInt32, self.start)
         self.draw = mi.UInt32(0)
+
+    def follow_curve(self):
+        """Give neighbouring lanes points whose first two numbers are neighbours.
+
+        They are the same points: only their order changes, and what is traced from
+        them meets the same parts of memory.
+        """
+        start = dr.opaque(mi.UInt32, self.start)
+        n = dr.opaque(mi.UInt32, self.per_sequence)
+        self.index = along_curve(self.index - start, n) + start
 
     def advance(self):
         """Go on by one wavefront."""
@@ -255,6 +291,7 @@ class Sobol(mi.Sampler):
         if self.wavefront_size():
             mi.Sampler.seed(copy, 0, self.wavefront_size())
         copy.index, copy.key, copy.draw = self.index, self.key, self.draw
+        copy.per_sequence = self.per_sequence
         return copy
 
     def schedule_state(self):

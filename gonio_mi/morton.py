@@ -1,0 +1,80 @@
+"""Sobol' points in the order of a Morton curve, whatever is their scrambling.
+
+The digits that a Morton curve sorts by, the first of x, the first of y, the second of x
+and so on, are a matrix over GF(2) times the bits of the index; its inverse enumerates
+the points along the curve. Nested (Owen) scrambling moves whole elementary intervals
+and so keeps neighbours together.
+"""
+
+import numpy as np
+
+__all__ = ["sorting_tables"]
+
+
+def sorting_tables(x_columns, y_columns):
+    """Tables that turn a place along the curve into the index of a point.
+
+    Parameters
+    ----------
+    x_columns, y_columns : sequence of 32 int
+        What each bit of the index, from the lowest, adds by exclusive or to either
+        coordinate, a fraction of 2**32.
+
+    Returns
+    -------
+    ndarray of uint32, shape (33, 4, 256)
+        Among the first ``2**h`` points, number ``i`` along the curve has the index that
+        is the exclusive or of ``table[h, b, byte b of i]`` over all four bytes.
+    """
+    digits = [
+        _functional(columns, 31 - place)
+        for place in range(32)
+        for columns in (x_columns, y_columns)
+    ]
+    tables = np.zeros((33, 4, 256), np.uint32)
+    byte = np.arange(256)
+    for h in range(1, 33):
+        columns = _inverse_columns(digits, h)
+        for bit, column in enumerate(columns):
+            chosen = (byte >> bit % 8 & 1).astype(np.uint32)
+            tables[h, bit // 8] ^= chosen * np.uint32(column)
+    return tables
+
+
+def _functional(columns, bit):
+    """Which bits of the index decide about one bit of a coordinate, as a mask."""
+    return sum((column >> bit & 1) << k for k, column in enumerate(columns))
+
+
+def _inverse_columns(digits, h):
+    """Index bits that each bit, from the lowest, of a place among 2**h stands for.
+
+    Digits that depend on those before them sort nothing, and are left out.
+    """
+    low = (1 << h) - 1
+    # rows of [digit | number of the digit], in reduced echelon form
+    rows, chosen = [], 0
+    for digit in digits:
+        row = [digit & low, 1 << chosen]
+        for mask, pivot, combination in rows:
+            if row[0] >> pivot & 1:
+                row = [row[0] ^ mask, row[1] ^ combination]
+        if not row[0]:
+            continue
+        pivot = row[0].bit_length() - 1
+        rows = [
+            (mask ^ row[0], p, c ^ row[1]) if mask >> pivot & 1 else (mask, p, c)
+            for mask, p, c in rows
+        ]
+        rows.append((row[0], pivot, row[1]))
+        chosen += 1
+        if chosen == h:
+            break
+    # bit `pivot` of the index is the sum of the chosen digits in `combination`, of
+    # which number j is bit h - 1 - j of the place
+    columns = [0] * h
+    for _, pivot, combination in rows:
+        for j in range(h):
+            if combination >> j & 1:
+                columns[h - 1 - j] |= 1 << pivot
+    return columns
