@@ -6,6 +6,7 @@ about the same directions, and what they answer is compared.
 
 from .evidence import PROPERTIES
 from .inspection import validate
+from .pictures import draw
 from .report import check_report, save_report
 from .verdict import Property, Verdict
 
@@ -14,6 +15,7 @@ __all__ = [
     "Property",
     "Verdict",
     "check_report",
+    "draw",
     "save_report",
     "validate",
 ]

@@ -102,8 +102,8 @@ def _check_reversal(evidence, drawn, own, wo, bsdf, key):
     if drawn.condition.mode != "importance" or abs(wo[2]) < 1e-3:
         return
     back = collect(bsdf, _Reversed(drawn.condition, wo), drawn.n, (*key, 7))
-    returned = back.given & back.delta
-    returned &= np.abs(back.wo - wi).max(axis=1) < 10 * SAME
+    returned = back.given & (back.type == drawn.type[own][0])
+    returned &= np.abs(back.wo - wi).max(axis=1) < SAME
     shares = [
         (x.weight[mask] * x.sampled_pdf[mask][:, None]).mean(axis=0)
         if mask.any()

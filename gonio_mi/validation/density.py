@@ -30,6 +30,12 @@ def explain_density(evidence, failed):
             "sample",
             f"`sample` draws {outside:.3g} of its directions where `pdf` is 0",
         )
+    never = due[drawn == 0].sum()
+    if never > 0.02 * due.sum():
+        return "pdf", (
+            f"`pdf` has {never:.3g} of its integral where `sample` never draws, "
+            f"at {maps.condition}"
+        )
     distortion = _distortion(evidence)
     if distortion:
         return "pdf", f"`pdf` {distortion} ({sums})"

@@ -62,8 +62,13 @@ def check_symmetry(evidence, drawn, flags):
 
 def _ratio(a, b, wrong, drawn):
     a, b = a[wrong].sum(axis=1), b[wrong].sum(axis=1)
-    ratio = a / np.where(b > 0, b, 1e-30)
-    low, high = np.quantile(ratio, [0.05, 0.95])
+    one_way = np.mean((a > 0) != (b > 0))
+    if one_way > 0.5:
+        return f"light goes one way only for {one_way:.3g} of the samples at " + str(
+            drawn.condition
+        )
+    both = (a > 0) & (b > 0)
+    low, high = np.quantile(a[both] / b[both], [0.05, 0.95])
     return (
         f"f(wi, wo) over f(wo, wi) is {low:.4g} to {high:.4g} for "
         f"{wrong.mean():.3g} of the samples at {drawn.condition}"
