@@ -127,7 +127,8 @@ def _check_sampled(evidence, drawn, smooth):
             drawn,
             density,
             drawn.sampled_pdf / np.maximum(drawn.pdf, 1e-30),
-            "pdf / `pdf`",
+            "its pdf over `pdf`",
+            "`sample` returns another pdf than `pdf`",
         )
     products = [drawn.weight * p[:, None] for p in (drawn.sampled_pdf, drawn.pdf)]
     # where a density is badly conditioned, so is the product
@@ -146,7 +147,8 @@ def _check_sampled(evidence, drawn, smooth):
             drawn,
             wrong[1],
             ratio,
-            "weight * pdf / `eval`",
+            "weight times pdf over `eval`",
+            "the weight of `sample` is not `eval` over pdf",
         )
 
 

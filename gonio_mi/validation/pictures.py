@@ -21,8 +21,8 @@ def check_matplotlib():
 def draw(maps):
     """Figure of one :class:`FourMaps`: what is drawn, what is due, and the scores.
 
-    One row for each hemisphere into which anything goes, per unit of projected solid
-    angle in orthographic projection; the lit side is the upper row.
+    One row for each hemisphere into which anything goes, in 1/sr and in orthographic
+    projection; the lit side is the upper row.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def draw(maps):
 def _columns(maps):
     """Title and values, shape (2, n_theta, n_phi), of each picture."""
     shape = (2, *maps.subdivision.shape)
-    solid = maps.subdivision.projected_solid_angles
+    solid = maps.subdivision.solid_angles
 
     def density(values):
         return values.reshape(shape) / solid
