@@ -85,6 +85,15 @@ def test_bad_periods_are_one_sentence(period, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_footprint_that_misses_is_one_sentence():
+    apart = {"type": "scene"}
+    for name, x in (("left", -3), ("right", 3)):
+        at = mi.ScalarTransform4f().translate([x, 0, 0])
+        apart[name] = {"type": "rectangle", "to_world": at}
+    with pytest.raises(SpecimenError, match="but all 1000 rays missed it"):
+        gonio.measure(apart, 30, footprint=0.2, rays=1000)
+
+
 @pytest.mark.parametrize("order", ["0", "-1", "1.5", "+", "two"])
 def test_bad_orders_are_one_sentence(order):
     with pytest.raises((SpecimenError, ValueError), match="order must be") as caught:

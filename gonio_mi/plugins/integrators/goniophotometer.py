@@ -381,6 +381,11 @@ class Goniophotometer(mi.SamplingIntegrator):
 
     def record(self, bench, tally, seed):
         """Record of a finished `tally`, with all that is needed to repeat it."""
+        if 0 < tally.ledger.missed == tally.ledger.emitted:
+            raise SpecimenError(
+                f"the footprint {self.settings['footprint']} must meet the specimen, "
+                f"but all {tally.ledger.emitted} rays missed it"
+            )
         _warn_of_invalid(tally.ledger)
         if not mi.is_spectral and tally.achromatic:
             tally = tally.first(1)
