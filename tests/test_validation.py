@@ -128,11 +128,8 @@ def test_arguments(changes, error, text):
 
 @pytest.mark.usefixtures("rgb")
 def test_colours():
-    colour = {"type": "rgb", "value": [0.2, 0.5, 0.9]}
-    specimen = {"type": "roughplastic", "distribution": "ggx"}
-    verdict = validate(
-        specimen | {"diffuse_reflectance": colour}, effort="quick", alpha=ALPHA
-    )
+    specimen = {"type": "roughconductor", "alpha": 0.3, "distribution": "ggx"}
+    verdict = validate(specimen | {"material": "Cu"}, effort="quick", alpha=ALPHA)
     assert verdict.passed, str(verdict)
 
 

@@ -30,10 +30,11 @@ def explain_density(evidence, failed):
             "sample",
             f"`sample` draws {outside:.3g} of its directions where `pdf` is 0",
         )
-    never = due[drawn == 0].sum()
-    if never > 0.02 * due.sum():
+    sides = zip(drawn.reshape(2, -1).sum(axis=1), due.reshape(2, -1).sum(axis=1))
+    never = sum(integral for counts, integral in sides if counts == 0)
+    if never > 1e-3:
         return "pdf", (
-            f"`pdf` has {never:.3g} of its integral where `sample` never draws, "
+            f"`pdf` integrates to {never:.3g} on a side where `sample` never goes, "
             f"at {maps.condition}"
         )
     distortion = _distortion(evidence)
