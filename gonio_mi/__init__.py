@@ -11,6 +11,7 @@ llvm.prepare()
 
 from . import plugins  # noqa: E402, F401
 from .apertures import Apertures  # noqa: E402
+from .campaign import campaign  # noqa: E402
 from .comparison import Comparison, compare, measure_like  # noqa: E402
 from .errors import (  # noqa: E402
     FileFormatError,
@@ -53,6 +54,7 @@ __all__ = [
     "Subdivision",
     "VariantError",
     "adapted",
+    "campaign",
     "compare",
     "load",
     "measure",

@@ -57,6 +57,8 @@ def measure(
     batches=None,
     parameters=None,
     resume=None,
+    executor=None,
+    folder=None,
     progress=False,
 ):
     """Measure how a specimen scatters light.
@@ -139,6 +141,9 @@ def measure(
     resume : Record
         An interrupted record of this very measurement, which is carried on: the result
         has the bits of an uninterrupted one.
+    executor, folder : optional
+        Where to measure the incident directions, and where to keep what is finished:
+        see :func:`campaign`, of which this is the case of one specimen.
     progress : bool
         Show a progress bar on standard error.
 
@@ -157,6 +162,8 @@ def measure(
         If no variant is set, or one that cannot be used, or `wavelengths` are given in
         one that is not spectral.
     """
+    if executor is not None or folder is not None:
+        return _by_campaign(dict(locals()))
     check_variant()
     integrator_settings = {
         "estimator": estimator,
@@ -198,7 +205,8 @@ def measure(
     measured.name = specimen_name(specimen, parameters)
     emitters = [emitter_scene(scene, emitter, incident, side) for incident in incidents]
     benches = [
-        integrator.bench(measured, lamps.emitters(), sensor) for lamps in emitters
+        integrator.bench(measured, lamps.emitters(), sensor, incident)
+        for lamps, incident in zip(emitters, incidents)
     ]
 
     plan = batch_sizes(integrator.rays, integrator.batches)
@@ -259,6 +267,18 @@ def measure(
             stacklevel=2,
         )
     return record
+
+
+def _by_campaign(arguments):
+    """Record of what the arguments of :func:`measure` ask for, by a campaign."""
+    from .campaign import campaign  # which stands on this module
+
+    if arguments.pop("resume") is not None:
+        raise ValueError("resume and folder exclude each other, got both")
+    specimen = arguments.pop("specimen")
+    stacked = np.ndim(arguments["theta_i"]) > 0 or np.ndim(arguments["phi_i"]) > 0
+    record = campaign({"specimen": specimen}, **arguments)["specimen"]
+    return record if stacked else record[0]
 
 
 # ------------------------------------------------------------------ parts of the bench
@@ -363,8 +383,8 @@ def _check_resumable(resume, descriptions, benches):
             )
         own = descriptions[i] | {
             "collector": str(benches[i].film.subdivision),
-            "theta_i": benches[i].beam.theta_i,
-            "phi_i": benches[i].beam.phi_i,
+            "theta_i": benches[i].theta_i,
+            "phi_i": benches[i].phi_i,
         }
         others = resume.settings | {
             "collector": str(resume.subdivision),

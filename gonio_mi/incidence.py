@@ -20,7 +20,7 @@ def incident_angles(theta_i, phi_i):
         checked_number("phi_i", value, -np.inf, np.inf, "a finite angle in degrees")
         for value in _sequence("phi_i", phi_i)
     ]
-    return [(theta, phi) for theta in polar for phi in azimuths], stacked
+    return [(theta, phi % 360.0) for theta in polar for phi in azimuths], stacked
 
 
 def incident_key(incident):

@@ -3,8 +3,11 @@
 import signal
 import sys
 import warnings
+from functools import partial
 
 from .. import files
+from ..campaign import campaign
+from ..errors import checked_count
 from ..goniophotometer import measure
 from ..specimen import load_plugin_file, parse_specimen
 from ..summary import summarize, summary_text
@@ -223,6 +226,18 @@ def add(commands):
         help="carry on this interrupted record of the very same measurement",
     )
     output.add_argument(
+        "--workers",
+        type=number,
+        metavar="N",
+        help="measure the incident directions in that many processes",
+    )
+    output.add_argument(
+        "--folder",
+        metavar="DIR",
+        help="keep finished incident directions there: the same command carries on, "
+        "also after a crash",
+    )
+    output.add_argument(
         "-q", "--quiet", action="store_true", help="no numbers and no progress bar"
     )
 
@@ -231,7 +246,6 @@ def run(options):
     """Measure; what goes wrong with files does so before."""
     for path in options.output:
         files.check_output(path)
-    resume = None if options.resume is None else files.load(options.resume)
     set_variant(options.variant)
     for path in options.plugin:
         load_plugin_file(path)
@@ -242,7 +256,7 @@ def run(options):
     with _CtrlC() as ctrl_c:
         # said below, with the files' names
         warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
-        record = measure(
+        record = _measure(options)(
             specimen,
             _one_or_many(options.theta_i),
             _one_or_many(options.phi_i),
@@ -266,7 +280,6 @@ def run(options):
             wavelengths=options.wavelengths,
             batches=options.batches,
             parameters=dict(options.parameters),
-            resume=resume,
             progress=not options.quiet and sys.stderr.isatty(),
         )
         ctrl_c.ignored = True
@@ -278,6 +291,39 @@ def run(options):
     if unsaved:
         return USER_ERROR
     return INCOMPLETE if ctrl_c.pressed or _is_imprecise(record) else DONE
+
+
+def _measure(options):
+    """Function that measures here and at once, or in a campaign."""
+    if options.workers is None and options.folder is None:
+        resume = None if options.resume is None else files.load(options.resume)
+        return partial(measure, resume=resume)
+    if options.resume is not None:
+        raise ValueError("--resume goes without --workers and --folder")
+    workers = options.workers and checked_count("workers", options.workers)
+
+    def by_campaign(specimen, theta_i, phi_i, **settings):
+        try:
+            record = campaign(
+                {options.specimen: specimen},
+                theta_i,
+                phi_i,
+                executor=workers,
+                folder=options.folder,
+                plugins=options.plugin,
+                **settings,
+            )[options.specimen]
+        except KeyboardInterrupt:
+            if options.folder is None:
+                raise
+            say(
+                f"interrupted: {options.folder} holds what was finished; the same "
+                "command carries on"
+            )
+            raise SystemExit(INCOMPLETE) from None
+        return record if len(record) > 1 else record[0]
+
+    return by_campaign
 
 
 def _save(record, paths):

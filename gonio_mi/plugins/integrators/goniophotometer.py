@@ -42,9 +42,11 @@ DEFAULT_INTEGRAL_ERR = 1e-4
 class Bench:
     """One specimen, one beam and one collector, ready to be launched at."""
 
-    def __init__(self, specimen, beam, sensor):
+    def __init__(self, specimen, beam, sensor, incident=None):
         self.specimen = specimen
         self.beam = beam
+        # as asked for, or what single precision leaves of the emitter's direction
+        self.theta_i, self.phi_i = incident or (beam.theta_i, beam.phi_i)
         self.sensor = sensor
         self.film = sensor.film()
         subdivision = self.film.subdivision
@@ -274,8 +276,11 @@ class Goniophotometer(mi.SamplingIntegrator):
         sensor.film().record = record
         return sensor.film().develop() if develop else None
 
-    def bench(self, specimen, emitters, sensor):
-        """Set up a :class:`Bench` for the one emitter of `emitters`."""
+    def bench(self, specimen, emitters, sensor, incident=None):
+        """Set up a :class:`Bench` for the one emitter of `emitters`.
+
+        `incident` is the pair of angles in degrees that it was made for, if any.
+        """
         if not hasattr(sensor, "arrival"):
             raise SpecimenError(
                 "the integrator goniophotometer needs a sensor of type collector, "
@@ -299,7 +304,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         beam = Beam(
             specimen, emitters[0], self.settings["footprint"], self.settings["emission"]
         )
-        bench = Bench(specimen, beam, sensor)
+        bench = Bench(specimen, beam, sensor, incident)
         if self.integrates:
             self._check_integrable(bench)
         return bench
@@ -391,8 +396,8 @@ class Goniophotometer(mi.SamplingIntegrator):
             tally = tally.first(1)
         return Record(
             subdivision=bench.film.subdivision,
-            theta_i=np.array([bench.beam.theta_i]),
-            phi_i=np.array([bench.beam.phi_i]),
+            theta_i=np.array([bench.theta_i]),
+            phi_i=np.array([bench.phi_i]),
             channels=self._channel_names(tally.channels),
             tallies=(tally,),
             settings=self.describe(bench, seed) | {"batches": tally.n_batches},
@@ -451,8 +456,8 @@ class Goniophotometer(mi.SamplingIntegrator):
             si.wavelengths = _wavelength_lanes(nm)
             found = integrate(
                 bench.specimen.plane.bsdf,
-                beam.theta_i,
-                beam.phi_i,
+                bench.theta_i,
+                bench.phi_i,
                 bench.film.subdivision,
                 rel_err=self.settings["rel_err"],
                 side="front" if beam.side > 0 else "back",

@@ -1,0 +1,222 @@
+"""Campaigns: the same bits wherever they are measured, and nothing finished is lost.
+
+All is exact. Processes are killed for real.
+"""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
+
+import mitsuba as mi
+import pytest
+
+import gonio_mi as gonio
+from gonio_mi.cli import main
+
+SPECIMENS = {
+    "matt": {"type": "diffuse"},
+    "metal": {"type": "roughconductor", "alpha": 0.3},
+}
+ANGLES = {"theta_i": [0, 40], "phi_i": [0, 90, 200]}
+SETTINGS = {"rays": 5000, "batches": 4, "collector": "projected:6x6"}
+
+# Dies once in each folder it is told of; afterwards a diffuse reflector.
+DEADLY = """
+import os
+import mitsuba as mi
+
+class Deadly(mi.BSDF):
+    def __new__(cls, props):
+        marker = props["marker"]
+        if not os.path.exists(marker) or props.get("always", False):
+            open(marker, "w").close()
+            os._exit(9)
+        return mi.load_dict({"type": "diffuse"})
+
+mi.register_bsdf("deadly", Deadly)
+"""
+
+
+@pytest.fixture(scope="module")
+def reference():
+    before = mi.variant()
+    mi.set_variant("llvm_ad_mono")
+    yield {k: gonio.measure(v, **ANGLES, **SETTINGS) for k, v in SPECIMENS.items()}
+    mi.set_variant(before or "llvm_ad_mono")
+
+
+def same(records, reference):
+    return {k: r.tallies for k, r in records.items()} == {
+        k: r.tallies for k, r in reference.items()
+    }
+
+
+@pytest.fixture(params=["here", "threads", "processes"])
+def executor(request):
+    if request.param == "here":
+        yield None
+    elif request.param == "threads":
+        with ThreadPoolExecutor(3) as pool:
+            yield pool
+    else:
+        yield 2
+
+
+@pytest.mark.usefixtures("mono")
+def test_same_bits_wherever(executor, reference, monkeypatch):
+    """One direction a task, so that they end in another order than they began."""
+    monkeypatch.setattr(sys.modules["gonio_mi.campaign"], "TASK_RAYS", 1)
+    records = gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, executor=executor)
+    assert same(records, reference)
+    assert list(records["matt"].phi_i) == [0, 90, 200] * 2
+    assert records["metal"].brdf.shape == (6, 6, 6, 1)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_cluster_of_two_workers(reference):
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        records = gonio.campaign(
+            SPECIMENS, **ANGLES, **SETTINGS, executor=client.get_executor(), threads=1
+        )
+    assert same(records, reference)
+
+
+@pytest.mark.usefixtures("mono")
+def test_measure_takes_an_executor_and_a_folder(reference, tmp_path):
+    settings = {**ANGLES, **SETTINGS, "folder": tmp_path}
+    with ThreadPoolExecutor(2) as pool:
+        record = gonio.measure(SPECIMENS["metal"], **settings, executor=pool)
+    assert record.tallies == reference["metal"].tallies
+    single = gonio.measure(
+        SPECIMENS["metal"], 40, 90, **SETTINGS, folder=tmp_path / "b"
+    )
+    assert not single.stacked
+    assert single.tallies == reference["metal"][4].tallies
+
+
+@pytest.mark.usefixtures("mono")
+def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch):
+    module = sys.modules["gonio_mi.campaign"]
+    monkeypatch.setattr(module, "TASK_RAYS", 1)
+    gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, folder=tmp_path)
+    files = sorted(tmp_path.glob("*.npz"))
+    assert len(files) == 12
+    files[3].unlink()
+    files[7].write_bytes(files[7].read_bytes()[:100])
+    measured = []
+
+    def measure(specimen, *incident, **settings):
+        measured.append(incident)
+        return gonio.measure(specimen, *incident, **settings)
+
+    monkeypatch.setattr(module, "measure", measure)
+    records = gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, folder=tmp_path)
+    assert measured == [(40, 0), (0, 90)]
+    assert same(records, reference)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_folder_of_something_else(tmp_path):
+    gonio.campaign(SPECIMENS, 0, **SETTINGS, folder=tmp_path / "a")
+    for change in ({"rays": 5001}, {"seed": 1}, {"theta_i": 1}):
+        with pytest.raises(ValueError, match="must hold this very campaign"):
+            arguments = {"theta_i": 0} | SETTINGS | change
+            gonio.campaign(SPECIMENS, **arguments, folder=tmp_path / "a")
+    # the same number in other words
+    gonio.campaign(SPECIMENS, 0, **SETTINGS | {"rays": 5e3}, folder=tmp_path / "a")
+    (tmp_path / "campaign.json").write_text("[]")
+    with pytest.raises(ValueError, match="a campaign or nothing"):
+        gonio.campaign(SPECIMENS, 0, **SETTINGS, folder=tmp_path)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ({"specimens": {}}, "at least one"),
+        ({"specimens": {"type": "diffuse"}}, "diffuse"),
+        ({"theta_i": None}, "theta_i must be given"),
+        ({"executor": 0}, "executor must be at least 1"),
+        ({"estimator": "magic"}, "estimator must be"),
+    ],
+)
+def test_bad_arguments(arguments, reason):
+    arguments = {"specimens": SPECIMENS, "theta_i": 0} | SETTINGS | arguments
+    with pytest.raises((TypeError, ValueError), match=reason):
+        gonio.campaign(**arguments)
+
+
+@pytest.mark.usefixtures("mono")
+def test_what_cannot_be_sent():
+    bsdf = mi.load_dict({"type": "diffuse"})
+    with pytest.raises(ValueError, match="white must be plain values or a path"):
+        gonio.campaign({"white": bsdf}, 0, **SETTINGS, executor=1)
+
+
+@pytest.fixture
+def deadly(tmp_path):
+    plugin = tmp_path / "deadly.py"
+    plugin.write_text(DEADLY)
+    specimen = {"type": "deadly", "marker": str(tmp_path / "died")}
+    return specimen, {"plugins": [plugin], "executor": 1}
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_worker_that_dies_is_replaced(deadly, reference):
+    specimen, settings = deadly
+    with pytest.warns(RuntimeWarning, match="a worker died; 1 tasks are sent again"):
+        records = gonio.campaign({"matt": specimen}, **ANGLES, **SETTINGS, **settings)
+    assert records["matt"].tallies == reference["matt"].tallies
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.filterwarnings("ignore:a worker died")
+def test_workers_that_keep_dying(deadly):
+    specimen, settings = deadly
+    with pytest.raises(BrokenExecutor):
+        gonio.campaign(
+            {"matt": specimen | {"always": True}}, 0, **SETTINGS, **settings, retries=1
+        )
+
+
+def command(folder, output):
+    angles = ("--theta-i", "0", "20", "40", "60", "--phi-i", "0", "90")
+    settings = ("--rays", "3e6", "--collector", "projected:6x6", "-q")
+    return ["measure", "diffuse", *angles, *settings, "--folder", folder, "-o", output]
+
+
+@pytest.mark.usefixtures("mono")
+def test_killed_at_random_moments(tmp_path):
+    """SIGKILL, and the same command again: no finished file changes, the same bits."""
+    folder, output = str(tmp_path / "folder"), str(tmp_path / "out.npz")
+    moments = random.Random(0)
+    process = [sys.executable, "-m", "gonio_mi.cli", *command(folder, output)]
+    finished = {}
+    for _ in range(int(os.environ.get("GONIO_KILLS", 2))):
+        with subprocess.Popen(process) as running:
+            while not list(tmp_path.glob("folder/*.json")) and running.poll() is None:
+                time.sleep(0.01)
+            time.sleep(moments.uniform(0, 1.0))
+            running.send_signal(signal.SIGKILL)
+        now = {path: path.read_bytes() for path in tmp_path.glob("folder/*.npz")}
+        assert finished.items() <= now.items()
+        finished = now
+    assert main(command(folder, output)) == 0
+    whole = gonio.measure(
+        {"type": "diffuse"},
+        [0, 20, 40, 60],
+        [0, 90],
+        rays=3e6,
+        collector="projected:6x6",
+    )
+    assert gonio.load(output).tallies == whole.tallies
