@@ -209,7 +209,7 @@ def test_path_towards_directions():
 @pytest.mark.usefixtures("mono")
 def test_path_samples_of_the_groove():
     """Means of seeds agree with the radiosity at the same points; twin: 2 % more."""
-    rival = renderers.path_samples(groove.walls())
+    rival = renderers.path_samples(groove.walls)
     flux = np.stack([rival.flux(256, seed) for seed in range(16)])
     points = groove.patch_points(*renderers.patch_borders(GRID), 1)
     exact = groove.patch_means(WI, points).reshape(GRID.shape)

@@ -80,7 +80,7 @@ def contests():
             (rival, fine)
             for rival in (
                 *_ours(walls, footprint="full"),
-                path_samples(groove.walls(), 2),
+                path_samples(groove.walls, 2),
             )
         ],
         "white plate, 145 patches": [

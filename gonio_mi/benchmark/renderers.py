@@ -4,6 +4,7 @@ import contextlib
 import io
 import os
 from dataclasses import dataclass
+from functools import lru_cache
 
 import mitsuba as mi
 import numpy as np
@@ -39,28 +40,30 @@ def path_directions(specimen):
     Each ray gives the exact value for its direction; the error is that of taking these
     for the mean. The size is n.
     """
-    shapes = {"plate": {"type": "rectangle", "bsdf": specimen}}
-    scenes = {}
+
+    def plate():
+        return {"plate": {"type": "rectangle", "bsdf": specimen}}
 
     def flux(n, seed):
-        if n not in scenes:
-            scenes[n] = _path_scene(shapes, n)
-        return _path_flux(scenes[n], n, 1, seed)
+        return _path_flux(_path_scene(plate, n), n, 1, seed)
 
     name = "Mitsuba path, batch of distant"
     return Rival(name, flux, size="x as many per patch", first=1, random=False)
 
 
 def path_samples(shapes, n=1):
-    """Stock Mitsuba towards ``n x n`` points of every patch, by so many paths each."""
-    scene = _path_scene(shapes, n)
+    """Stock Mitsuba towards ``n x n`` points of every patch, by so many paths each.
+
+    `shapes` is a function that gives Mitsuba's dictionaries of them.
+    """
 
     def flux(paths, seed):
-        return _path_flux(scene, n, paths, seed)
+        return _path_flux(_path_scene(shapes, n), n, paths, seed)
 
     return Rival("Mitsuba path, batch of distant", flux, size="paths each", first=1)
 
 
+@lru_cache(maxsize=1)  # all sensors that exist, of any scene, make a rendering slower
 def _path_scene(shapes, n):
     """One `distant` sensor for each direction, in a `batch`, above the lit specimen."""
     points = groove.patch_points(*patch_borders(GRID), n).reshape(-1, 3)
@@ -92,7 +95,7 @@ def _path_scene(shapes, n):
                     "direction": (-direction(np.radians(THETA_I), 0.0)).tolist(),
                 },
                 "sensor": batch,
-                **shapes,
+                **shapes(),
             }
         )
     finally:
