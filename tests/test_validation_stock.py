@@ -57,7 +57,7 @@ def test_beckmann_density():
 
 
 def test_roughplastic_has_a_density_below_the_horizon():
-    bsdf = mi.load_dict({"type": "roughplastic", "alpha": 0.3})
+    bsdf = mi.load_dict({"type": "roughplastic", "alpha": 0.3, "distribution": "ggx"})
     below = mi.Vector3f(0.6, 0, -0.8)
     dr.make_opaque(below)
     si = lit_from(0.5)
