@@ -1,0 +1,336 @@
+"""Files of other tools: read back, by independent readers where there are some."""
+
+import io
+import struct
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import synthetic
+
+import gonio_mi as gonio
+from gonio_mi import cli, exports, radiance_xml, resampling, tensor_file
+from gonio_mi.directions import direction
+from gonio_mi.errors import FileFormatError, VariantError
+from gonio_mi.klems import Klems
+from gonio_mi.subdivision import subdivision
+
+EPS = float(np.finfo(np.float32).eps)
+
+# Radiance perturbs its values by up to this, on purpose.
+RADIANCE_NOISE = 3e-4
+
+
+def lambertian(reflectance=0.5, theta_i=(0.0, 30.0, 60.0), collector="projected:9x16"):
+    """Record of a Lambertian to the rounding of its whole numbers."""
+    patches = subdivision(collector)
+    base = synthetic.record(
+        collector, theta_i=theta_i, phi_i=(0.0,) * len(theta_i), n_batches=2
+    )
+    share = patches.projected_solid_angles * (reflectance / np.pi)
+    for tally in base.tallies:
+        one = np.round(share * tally.incident[0, 0]).astype(np.uint64)
+        tally.sums[:] = one[None, None, ..., None]
+    return base
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    """Average over fewer points of each Klems patch."""
+    monkeypatch.setattr(resampling, "POINTS_OUT", 2)
+    monkeypatch.setattr(resampling, "POINTS_IN", 1)
+
+
+@pytest.fixture
+def glossy():
+    return synthetic.record(
+        "projected:8x16", theta_i=(0, 30, 60), phi_i=(0, 0, 0), power=6, both=True
+    )
+
+
+# ---------------------------------------------------------------------------- Klems
+
+
+def test_klems_sizes_and_order():
+    klems = subdivision("klems")
+    assert klems == Klems()
+    assert str(klems) == "klems"
+    assert klems.n_patches == 145
+    rounding = 145 * np.finfo(float).eps
+    assert abs(klems.solid_angles.sum() - 2 * np.pi) <= 2 * np.pi * rounding
+    assert abs(klems.projected_solid_angles.sum() - np.pi) <= np.pi * rounding
+    theta, phi = klems.middles
+    assert klems.patch(direction(theta, phi))[:, 0].tolist() == list(range(145))
+    points = resampling.patch_points(klems, 4)
+    assert (klems.patch(points) == np.arange(145)[:, None]).all()
+
+
+@pytest.mark.usefixtures("mono")
+def test_klems_in_the_instrument(tmp_path):
+    """Dr.Jit numbers the patches as NumPy does; files and sums are as of any other."""
+    record = gonio.measure(
+        {"type": "diffuse", "reflectance": 0.5},
+        30,
+        collector="klems",
+        rays=2**16,
+        estimator="analog",
+    )
+    assert record.brdf.shape == (145, 1, 1)
+    assert record.counts.sum() == record.ledger.reflected
+    for ending in (".npz", ".exr"):
+        record.save(tmp_path / f"klems{ending}")
+        assert gonio.load(tmp_path / f"klems{ending}") == record
+    film = mi.load_dict({"type": "patches", "subdivision": "klems"})
+    wo = direction(*np.random.default_rng(3).uniform(0, 1.57, (2, 10_000)))
+    index = film.patch_index(mi.Vector3f(wo.T.astype(np.float32))).numpy()
+    assert (index != Klems().patch(wo)).sum() <= 1
+
+
+@pytest.mark.usefixtures("mono")
+def test_material_of_a_klems_record():
+    record = gonio.measure(
+        {"type": "roughconductor", "alpha": 0.3}, (0, 40), collector="klems", rays=2**16
+    )
+    theta, phi = (angle[:, 0] for angle in Klems().middles)
+    material = resampling.Material(record)
+    seen = material.values(40, 0, direction(theta, phi))
+    brdf = record.brdf[1, :, 0]
+    assert (np.abs(seen - brdf) <= 32 * EPS * brdf.max()).all()
+
+
+# ------------------------------------------------------------------------- Radiance
+
+
+@pytest.mark.usefixtures("mono", "coarse")
+def test_klems_matrix_of_a_lambertian():
+    matrix = resampling.klems_matrix(resampling.Material(lambertian()), 0)
+    assert (np.abs(matrix - 0.5 / np.pi) <= 64 * EPS).all()
+
+
+@pytest.mark.usefixtures("mono", "coarse")
+def test_radiance_reads_what_was_written(tmp_path, glossy):
+    bsdf = pytest.importorskip("pyradiance").bsdf
+    path = tmp_path / "glossy.xml"
+    exports.export(glossy, path)
+    with open(path, "rb") as stream:
+        matrices = radiance_xml.read(stream)
+    theirs = bsdf.load_file(str(path))
+    klems, rng = Klems(), np.random.default_rng(1)
+    names = "Reflection Back", "Transmission Back"
+    both = [matrices["Visible", name] for name in names]
+    for matrix, lower in zip(both, (False, True)):
+        for _ in range(200):
+            theta_i, theta_o = np.degrees(np.arcsin(np.sqrt(rng.random(2))))
+            phi_i, phi_o = rng.random(2) * 360
+            wo = direction(np.radians(theta_o), np.radians(phi_o))
+            own = matrix[klems.patch(wo), radiance_xml.incident_patch(theta_i, phi_i)]
+            theta = 180 - theta_o if lower else theta_o
+            seen = np.max(bsdf.query(theirs, theta_i, phi_i, theta, phi_o))
+            assert abs(seen - own) <= 2 * RADIANCE_NOISE * own + 1e-6 * matrix.max()
+    column = radiance_xml.incident_patch(30, 40)
+    flux = sum((m * klems.projected_solid_angles)[:, column].sum() for m in both)
+    total = bsdf.direct_hemi(theirs, 30.0, 40.0, bsdf.SAMPLE_ALL)
+    assert abs(total - flux) <= 2 * RADIANCE_NOISE * flux
+
+
+def test_twin_radiance_would_notice_a_turned_column():
+    assert radiance_xml.incident_patch(30, 0) != radiance_xml.incident_patch(30, 180)
+
+
+def test_radiance_matrices_come_back():
+    rng = np.random.default_rng(4)
+    matrices = {
+        (wavelength, direction): rng.random((145, 145))
+        for wavelength in radiance_xml.WAVELENGTHS
+        for direction in radiance_xml.DIRECTIONS.values()
+    }
+    stream = io.BytesIO()
+    radiance_xml.write(matrices, stream, name="<a & b>")
+    again = radiance_xml.read(io.BytesIO(stream.getvalue()))
+    assert again.keys() == matrices.keys()
+    for key, matrix in matrices.items():
+        assert (np.abs(again[key] - matrix) <= 1e-6 * matrix).all()  # seven digits
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (b"<?xml", b"<?xml oops", "not XML"),
+        (b"</WindowElement>", b"", "not XML"),
+        (b"<WindowElement ", b'<!DOCTYPE x [<!ENTITY a "b">]><WindowElement ', "DTD"),
+        (b"WindowElement", b"Elsewhere", "no WindowElement"),
+        (b"Columns", b"TensorTree3", "must be Columns or Rows"),
+        (b"LBNL/Klems Full<", b"LBNL/Klems Half<", "must be LBNL/Klems Full"),
+        (b"0.25 ", b"", "must hold 21025 values, got"),
+        (b"0.25 ", b"nan ", "not finite"),
+        (b"0.25 ", b"x ", "could not convert"),
+        (b">Visible<", b">Solar<", "no visible BSDF"),
+    ],
+)
+def test_bad_radiance_files_are_refused(old, new, message):
+    stream = io.BytesIO()
+    radiance_xml.write(
+        {("Visible", "Reflection Back"): np.full((145, 145), 0.25)}, stream
+    )
+    data = stream.getvalue().replace(old, new)
+    with pytest.raises(FileFormatError, match=message):
+        radiance_xml.read(io.BytesIO(data))
+
+
+# ------------------------------------------------------------------ Mitsuba's measured
+
+
+@pytest.mark.usefixtures("rgb")
+def test_measured_of_a_lambertian_converges(tmp_path, monkeypatch):
+    """Second order of the grid in what the stock plugin reflects."""
+    errors = []
+    for grid in (16, 32):
+        monkeypatch.setattr(exports, "GRID", grid)
+        monkeypatch.setattr(exports, "RAYS", 2**18)
+        losses = exports.export(lambertian(), tmp_path / "lambertian.bsdf")
+        errors.append([abs(loss.written - 0.5) for loss in losses])
+    assert len(losses) == 3
+    # 4, less what the first order has left at these grids
+    assert (np.array(errors[0]) > 3 * np.array(errors[1])).all()
+
+
+@pytest.mark.usefixtures("rgb")
+def test_measured_of_an_anisotropic_colour_converges(tmp_path, monkeypatch):
+    """First order in where the light goes: a bilinear grid has no patch borders."""
+    angles = [(theta, phi) for theta in (10, 50) for phi in (0, 90, 180, 270)]
+    theta_i, phi_i = zip(*angles)
+    record = synthetic.record(
+        "projected:4x8",
+        theta_i=theta_i,
+        phi_i=phi_i,
+        channels=("R", "G", "B"),
+        power=2,
+        rays=10**6,
+    )
+    misplaced = []
+    for grid in (16, 32):
+        monkeypatch.setattr(exports, "GRID", grid)
+        monkeypatch.setattr(exports, "RAYS", 2**16)
+        losses = exports.export(record, tmp_path / "colour.bsdf")
+        misplaced.append([loss.misplaced for loss in losses])
+    assert len(losses) == 8
+    assert (np.array(misplaced[0]) > 1.7 * np.array(misplaced[1])).all()
+
+
+@pytest.mark.usefixtures("mono")
+def test_measured_needs_rgb(tmp_path):
+    with pytest.raises(VariantError, match="needs a variant of rgb"):
+        exports.export(lambertian(), tmp_path / "a.bsdf")
+
+
+def test_tensor_files_agree_with_mitsubas_own(tmp_path):
+    tensor_io = pytest.importorskip("mitsuba.python.tensor_io")
+    fields = {
+        "ramp": np.arange(12, dtype=np.float32).reshape(3, 4),
+        "text": np.frombuffer(b"words", np.uint8),
+        "one": np.array([1.5]),
+    }
+    with open(tmp_path / "ours", "wb") as stream:
+        tensor_file.write(fields, stream)
+    theirs = tensor_io.read(str(tmp_path / "ours"))
+    tensor_io.write(str(tmp_path / "theirs"), **fields)
+    with open(tmp_path / "theirs", "rb") as stream:
+        ours = tensor_file.read(stream)
+    for name, array in fields.items():
+        assert np.array_equal(theirs[name], array)
+        assert np.array_equal(ours[name], array)
+
+
+def tensor_bytes(n_fields=1, kind=10, place=64, shape=(4,), version=1, cut=None):
+    data = b"tensor_file\0" + bytes([version, 0]) + struct.pack("<I", n_fields)
+    data += struct.pack("<H", 1) + b"a" + struct.pack("<HB", len(shape), kind)
+    data += struct.pack(f"<Q{len(shape)}Q", place, *shape)
+    return (data + bytes(100))[:cut]
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"PK", "truncated"),
+        (b"something else", "no tensor file"),
+        (tensor_bytes(version=2), "unknown version 2.0"),
+        (tensor_bytes(n_fields=2**31), "announces 2147483648 fields"),
+        (tensor_bytes(kind=99), "unknown type 99"),
+        (tensor_bytes(shape=(2**62, 2**62)), "does not fit into"),
+        (tensor_bytes(place=2**63), "does not fit into"),
+        (tensor_bytes(shape=(1,) * 40), "has 40 axes"),
+        (tensor_bytes(cut=30), "truncated"),
+    ],
+)
+def test_bad_tensor_files_are_refused(data, message):
+    """Before anything of the announced size is allocated."""
+    with pytest.raises(FileFormatError, match=message):
+        tensor_file.read(io.BytesIO(data))
+
+
+# ----------------------------------------------------------------------------- tables
+
+
+@pytest.mark.usefixtures("mono")
+def test_csv_is_what_compare_reads(tmp_path, glossy):
+    losses = exports.export(glossy, tmp_path / "run.csv")
+    assert len(losses) == 6
+    assert all(loss.misplaced <= np.finfo(float).eps for loss in losses)
+    table = gonio.read_measured(tmp_path / "run.brdf.csv")
+    assert len(table) == 3 * 128
+    assert np.array_equal(table.value[:128].reshape(8, 16), glossy.brdf[0, ..., 0])
+    known = np.isfinite(glossy.brdf_std_err[0, ..., 0]).ravel()
+    sigma = glossy.brdf_std_err[0, ..., 0].ravel()
+    assert np.array_equal(table.sigma[:128][known], sigma[known])
+    assert (gonio.read_measured(tmp_path / "run.btdf.csv").theta_o > 90).all()
+
+
+@pytest.mark.usefixtures("mono")
+def test_netcdf_is_what_xarray_reads(tmp_path, glossy):
+    xarray = pytest.importorskip("xarray")
+    losses = exports.export(glossy, tmp_path / "run.nc")
+    assert all(loss.misplaced <= np.finfo(float).eps for loss in losses)
+    with xarray.open_dataset(tmp_path / "run.nc", engine="scipy") as data:
+        assert np.array_equal(data.bsdf.values[:, 0], glossy.brdf)
+        assert np.array_equal(data.bsdf.values[:, 1], glossy.btdf)
+        assert np.array_equal(data.counts.values, glossy.counts)
+        assert data.bsdf.sel(hemisphere="reflection").isel(incident=1).size == 128
+        assert data.theta_i.values.tolist() == [0, 30, 60]
+
+
+def test_without_xarray_a_sentence(monkeypatch):
+    from gonio_mi import netcdf
+
+    monkeypatch.setitem(__import__("sys").modules, "xarray", None)
+    with pytest.raises(ImportError, match=r'pip install "gonio-mi\[netcdf\]"'):
+        netcdf.dataset(synthetic.record())
+
+
+# ------------------------------------------------------------------------ command line
+
+
+@pytest.mark.usefixtures("mono", "coarse")
+def test_command_prints_what_was_lost(tmp_path, capsys, glossy):
+    glossy.save(tmp_path / "run.npz")
+    target = tmp_path / "run.xml"
+    assert cli.main(["export", str(tmp_path / "run.npz"), "-o", str(target)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == str(target)
+    assert len(lines) == 7
+    assert "of the light is in other patches" in lines[1]
+    assert target.exists()
+
+
+@pytest.mark.parametrize("name", ["run.txt", "nowhere/run.csv"])
+def test_command_refuses_before_it_works(tmp_path, capsys, name, glossy):
+    glossy.save(tmp_path / "run.npz")
+    code = cli.main(["export", str(tmp_path / "run.npz"), "-o", str(tmp_path / name)])
+    assert code == 1
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.usefixtures("mono")
+def test_records_of_wavelengths_are_refused(tmp_path):
+    record = synthetic.record(channels=("400nm", "500nm"))
+    with pytest.raises(ValueError, match="one channel or of R, G, B"):
+        exports.export(record, tmp_path / "run.xml")
