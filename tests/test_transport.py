@@ -287,3 +287,11 @@ def worst(z):
     return Verdict(
         {"worst": float(2 * stats.norm.sf(np.abs(z).max()) * z.size)}, z.size
     )
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("theta_i", [0, 60, 89, 89.99])
+def test_a_traced_plane_loses_nothing(theta_i):
+    """Exact: also where a ray lands within rounding of an edge, grazing."""
+    record = gonio.measure({"type": "diffuse"}, theta_i, rays=2**20, trace=True)
+    assert record.ledger.reflected == 2**20

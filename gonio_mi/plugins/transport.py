@@ -327,7 +327,10 @@ def _leaves_by_a_side(specimen, o, d):
     if specimen.periodic:
         return mi.Bool(False)
     low, high = specimen.low, specimen.high
-    t_x, t_y, t_z = (_exit_distance(low[i], high[i], o[i], d[i]) for i in range(3))
+    # a ray that starts just outside of a face has passed it
+    t_x, t_y, t_z = (
+        dr.maximum(_exit_distance(low[i], high[i], o[i], d[i]), 0) for i in range(3)
+    )
     # the horizon is at an infinite distance in z
     return ~(dr.minimum(t_x, t_y) >= t_z)
 
