@@ -44,8 +44,8 @@ def main(argv=None):
     parser.add_argument(
         "--limit",
         type=float,
-        default=4.0,
-        help="CPU seconds of one run, beyond which costs are extrapolated (4)",
+        default=10.0,
+        help="CPU seconds of one run, beyond which costs are extrapolated (10)",
     )
     parser.add_argument("--variant", default="llvm_ad_mono")
     options = parser.parse_args(argv)

@@ -172,18 +172,18 @@ def search(rival, exact, target, limit):
     By factors of four, then by three bisections. If one run takes more than `limit` CPU
     seconds before, the size is extrapolated by the power law of all errors so far.
     """
-    sizes, errors = [rival.first], [error(rival, exact, rival.first)]
-    while errors[-1] > target:
-        start = cpu_seconds()
-        rival.flux(sizes[-1], 0)
-        if cpu_seconds() - start > limit:
+    sizes, errors, spent = [], [], 0.0
+    while not errors or errors[-1] > target:
+        if spent > limit:
             order = 0.5  # of independent samples
             if len(sizes) > 1:
                 order = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
             scale = (errors[-1] / target) ** (1 / order)
             return Found(sizes[-1], errors[-1], float(scale))
-        sizes.append(4 * sizes[-1])
+        sizes.append(4 * sizes[-1] if sizes else rival.first)
+        start = cpu_seconds()
         errors.append(error(rival, exact, sizes[-1]))
+        spent = (cpu_seconds() - start) / (SEEDS if rival.random else 1)
     low, high, reached = sizes[-1] // 4, sizes[-1], errors[-1]
     for _ in range(3):
         middle = round((low * high) ** 0.5)

@@ -162,7 +162,8 @@ def radiance_genbsdf(geometry, reflectance):
     Returns
     -------
     Rival
-        Its flux has the shape (145 incident, 145 outgoing); the size is `nsamp`.
+        Its flux has the shape (145 incident, 145 outgoing); the size is the number of
+        samples for each incident patch.
 
     Raises
     ------
@@ -175,11 +176,15 @@ def radiance_genbsdf(geometry, reflectance):
     scene = (scene + geometry).encode()
     processes = len(os.sched_getaffinity(0))
 
-    def flux(nsamp, seed):
+    def flux(samples, seed):
         del seed  # it has none
         with contextlib.redirect_stdout(io.StringIO()):  # remarks on the bounding box
             result = pyradiance.generate_bsdf(
-                scene, nsamp=nsamp, nproc=processes, front=False
+                # a grid of at least one more, which squares make exact
+                scene,
+                nsamp=samples - 1,
+                nproc=processes,
+                front=False,
             )
         matrix = np.array(result.back.reflectance.split(), dtype=float)
         return matrix.reshape(145, 145).T
@@ -188,8 +193,8 @@ def radiance_genbsdf(geometry, reflectance):
         "Radiance genBSDF, Klems",
         flux,
         KLEMS,
-        size="nsamp",
-        first=1,
+        size="samples",
+        first=16,
         incident=145,
         random=False,
     )
