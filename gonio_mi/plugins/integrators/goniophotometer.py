@@ -13,12 +13,15 @@ from gonio_mi import llvm
 from gonio_mi.errors import SpecimenError, VariantError
 from gonio_mi.plugins import properties
 from gonio_mi.plugins.beam import EMISSIONS, Beam, checked_footprint
+from gonio_mi.plugins.bench import Bench
+from gonio_mi.plugins.integrals import check_integrable, integrals
 from gonio_mi.plugins.order import checked_order, of_order, orders
 from gonio_mi.plugins.sampling import apart, sampler_name, seeded
 from gonio_mi.plugins.specimen import Specimen, checked_period
+from gonio_mi.plugins.sums import Sums, packet_width
 from gonio_mi.plugins.transport import Settings, scatter_plane, trace
 from gonio_mi.record import Record
-from gonio_mi.tally import WEIGHT_SCALE, Fate, Tally, batch_sizes
+from gonio_mi.tally import WEIGHT_SCALE, Tally, batch_sizes
 
 # Rays per kernel launch. It takes part in the seeding: a change of it changes the
 # random numbers.
@@ -37,114 +40,6 @@ DEFAULT_WAVELENGTHS = "550"
 
 # Relative error of each patch to which the estimator `quadrature` integrates.
 DEFAULT_INTEGRAL_ERR = 1e-4
-
-
-class Bench:
-    """One specimen, one beam and one collector, ready to be launched at."""
-
-    def __init__(self, specimen, beam, sensor, incident=None):
-        self.specimen = specimen
-        self.beam = beam
-        # as asked for, or what single precision leaves of the emitter's direction
-        self.theta_i, self.phi_i = incident or (beam.theta_i, beam.phi_i)
-        self.sensor = sensor
-        self.film = sensor.film()
-        subdivision = self.film.subdivision
-        both = self.film.hemispheres == "both" or (
-            self.film.hemispheres == "auto" and specimen.transmits
-        )
-        self.shape = (1 + both, *subdivision.shape)
-        self.n_patches = subdivision.n_patches
-        self.n_collected = self.shape[0] * self.n_patches
-        self.n_bins = self.n_collected + len(Fate)
-
-    def bins(self, exits):
-        """Index of the patch that each ray reached, or of its fate's bin behind."""
-        d = self.sensor.arrival(exits.p, exits.d)
-        up = self.beam.side * d.z
-        left = (exits.fate == mi.UInt32(Fate.REFLECTED)) & (up != 0)
-        lower = up < 0
-        patch = dr.minimum(self.film.patch_index(d), self.n_patches - 1)
-        fate = dr.select(
-            exits.fate == mi.UInt32(Fate.REFLECTED),
-            mi.UInt32(Fate.SIDEWAYS),
-            exits.fate,
-        )
-        if self.shape[0] == 2:
-            patch += dr.select(lower, mi.UInt32(self.n_patches), mi.UInt32(0))
-        else:
-            fate = dr.select(left & lower, mi.UInt32(Fate.TRANSMITTED), fate)
-            left &= ~lower
-        return dr.select(left, patch, self.n_collected + fate)
-
-
-class Sums:
-    """Sums over the bins of a bench that a kernel scatters to.
-
-    A bin holds hits, the excess of their powers over 1, and for each further channel
-    the excess over the first: side by side, since Dr.Jit adds such a packet in one go,
-    three times as fast as one number alone. Where that is not so, in large collectors,
-    zeros are skipped: counted rays and achromatic specimens cost one addition.
-    """
-
-    def __init__(self, bench, scale, n_batches=1):
-        self.bench = bench
-        self.scale = scale
-        self.n_batches = n_batches
-        self.channels = len(mi.Spectrum())
-        self.width = packet_width()
-        self.bins = dr.zeros(mi.Int64, n_batches * bench.n_bins * self.width)
-        self.incident = [
-            dr.zeros(mi.Int64, n_batches)
-            for _ in range(0 if bench.beam.uniform else self.channels)
-        ]
-
-    def add(self, bins, exits, active, batch):
-        """Scatter one ray per lane, each for its `batch`."""
-        powers = _fixed_point(exits.throughput, self.scale)
-        collected = bins < self.bench.n_collected
-        excesses = [powers[0] - self.scale, *(p - powers[0] for p in powers[1:])]
-        packet = [1, *(dr.select(collected, e, 0) for e in excesses)]
-        packet += [0] * (self.width - len(packet))
-        bins = bins + batch * self.bench.n_bins
-        _scatter_add(self.bins, mi.ArrayXi64(packet), bins, active)
-        for target, power in zip(
-            self.incident, _fixed_point(exits.incident, self.scale)
-        ):
-            _scatter_add(target, power, batch, active)
-
-    def tally(self, n_batches):
-        """Run the kernel and return the :class:`Tally` of the first `n_batches`.
-
-        A beam of uniform power needs no sum of it: every ray that met the specimen
-        carried the power 1.
-        """
-        dr.eval(self.bins, self.incident)
-        bench, scale = self.bench, self.scale
-        bins = self.bins.numpy().reshape(self.n_batches, bench.n_bins, self.width)
-        bins = bins[:n_batches, :, : 1 + self.channels]
-        patches, fates = np.split(bins, [bench.n_collected], axis=1)
-        flux = patches[..., 1:].copy()
-        flux[..., 0] += patches[..., 0] * scale
-        flux[..., 1:] += flux[..., :1]
-        sums = flux.astype(np.uint64).reshape(n_batches, *bench.shape, -1)
-        hits = patches[..., 0].astype(np.uint64).reshape(n_batches, *bench.shape)
-        fates = fates[..., 0].astype(np.uint64)
-        fates[:, Fate.REFLECTED] = hits[:, 0].sum(axis=(1, 2))
-        if bench.shape[0] == 2:
-            fates[:, Fate.TRANSMITTED] = hits[:, 1].sum(axis=(1, 2))
-        if self.incident:
-            power = np.stack([total.numpy() for total in self.incident], axis=-1)
-            power = power[:n_batches].astype(np.uint64)
-        else:
-            met = fates.sum(axis=1) - fates[:, Fate.MISSED] - fates[:, Fate.UNLIT]
-            power = np.repeat(met[:, None] * np.uint64(scale), self.channels, axis=1)
-        return Tally(hits.sum(axis=0), sums, power, fates, scale)
-
-
-def packet_width():
-    """Numbers of a bin, a power of two: hits and all channels."""
-    return 1 << len(mi.Spectrum()).bit_length()
 
 
 class Goniophotometer(mi.SamplingIntegrator):
@@ -306,7 +201,8 @@ class Goniophotometer(mi.SamplingIntegrator):
         )
         bench = Bench(specimen, beam, sensor, incident)
         if self.integrates:
-            self._check_integrable(bench)
+            lanes = _wavelength_lanes(self._wavelength_groups()[0])
+            check_integrable(bench, self.settings, lanes)
         return bench
 
     def tallies(self, bench, key, sizes, first=0, start=0, progress=None):
@@ -353,7 +249,12 @@ class Goniophotometer(mi.SamplingIntegrator):
 
     def integrated(self, bench, tallies):
         """Tally of all but the delta components, and of the `tallies` of those."""
-        flux, errors = self._integrals(bench)
+        lanes = [(_wavelength_lanes(nm), nm) for nm in self._wavelength_groups()]
+        parts = [
+            integrals(bench, wavelengths, self.settings["rel_err"], nm and len(nm))
+            for wavelengths, nm in lanes
+        ]
+        flux, errors = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts))
         if tallies:
             sampled = Tally.join(tallies).spread(flux.shape[-1])
         else:
@@ -443,49 +344,6 @@ class Goniophotometer(mi.SamplingIntegrator):
     def _traces(self, bench):
         return self.settings["trace"] or bench.specimen.plane is None
 
-    # ---------------------------------------------------------------------- integrals
-
-    def _integrals(self, bench):
-        """Flux fractions of all but the delta components, and their errors."""
-        from gonio_mi.quadrature import integrate  # what knows no plugin, above us
-
-        beam = bench.beam
-        flux, error = [], []
-        for nm in self._wavelength_groups():
-            si = mi.SurfaceInteraction3f(bench.specimen.plane.interaction)
-            si.wavelengths = _wavelength_lanes(nm)
-            found = integrate(
-                bench.specimen.plane.bsdf,
-                bench.theta_i,
-                bench.phi_i,
-                bench.film.subdivision,
-                rel_err=self.settings["rel_err"],
-                side="front" if beam.side > 0 else "back",
-                interaction=si,
-            )
-            used = slice(None, None if nm is None else len(nm))
-            flux.append(found.flux[: bench.shape[0], ..., used])
-            error.append(found.error[: bench.shape[0], ..., used])
-        return np.concatenate(flux, axis=-1), np.concatenate(error, axis=-1)
-
-    def _check_integrable(self, bench):
-        """Raise SpecimenError where the estimator `quadrature` does not apply."""
-        plane = bench.specimen.plane
-        reasons = {
-            "a single flat rectangle": plane is not None and not self.settings["trace"],
-            "a collimated beam": bench.beam.collimated,
-            "a collector in the far field": not bench.sensor.radius,
-        }
-        if plane is not None:
-            lanes = _wavelength_lanes(self._wavelength_groups()[0])
-            uniform = self.settings["footprint"] == "point" or plane.is_uniform(lanes)
-            reasons["the same BSDF all over the specimen"] = uniform
-        for reason, holds in reasons.items():
-            if not holds:
-                raise SpecimenError(
-                    f"the estimator quadrature needs {reason}: take weighted instead"
-                )
-
     # --------------------------------------------------------------------- description
 
     @property
@@ -543,30 +401,6 @@ class Goniophotometer(mi.SamplingIntegrator):
     def to_string(self):
         """Return a readable description."""
         return f"Goniophotometer{self.settings}"
-
-
-def _scatter_add(target, value, index, active):
-    """Add to the sums, in the kernel that is being traced."""
-    dr.scatter_reduce(dr.ReduceOp.Add, target, value, index, active)
-
-
-def _fixed_point(powers, scale):
-    """Powers of all channels as whole numbers of ``1 / scale`` of a ray.
-
-    By 32-bit integers, to which vector units convert much faster: whole rays, which
-    stay below LARGEST_POWER, and the rest.
-    """
-
-    def whole(x):
-        return mi.Int64(mi.Int32(x))
-
-    if scale == 1:
-        return [whole(dr.round(power)) for power in powers]
-    return [
-        whole(dr.floor(power)) * scale
-        + whole(dr.round((power - dr.floor(power)) * float(scale)))
-        for power in powers
-    ]
 
 
 def _wavelength_lanes(nm):

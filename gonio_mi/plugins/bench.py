@@ -1,0 +1,47 @@
+"""One specimen, one beam and one collector: where exits are to be counted."""
+
+import drjit as dr
+import mitsuba as mi
+
+from ..tally import Fate
+
+__all__ = ["Bench"]
+
+
+class Bench:
+    """One specimen, one beam and one collector, ready to be launched at."""
+
+    def __init__(self, specimen, beam, sensor, incident=None):
+        self.specimen = specimen
+        self.beam = beam
+        # as asked for, or what single precision leaves of the emitter's direction
+        self.theta_i, self.phi_i = incident or (beam.theta_i, beam.phi_i)
+        self.sensor = sensor
+        self.film = sensor.film()
+        subdivision = self.film.subdivision
+        both = self.film.hemispheres == "both" or (
+            self.film.hemispheres == "auto" and specimen.transmits
+        )
+        self.shape = (1 + both, *subdivision.shape)
+        self.n_patches = subdivision.n_patches
+        self.n_collected = self.shape[0] * self.n_patches
+        self.n_bins = self.n_collected + len(Fate)
+
+    def bins(self, exits):
+        """Index of the patch that each ray reached, or of its fate's bin behind."""
+        d = self.sensor.arrival(exits.p, exits.d)
+        up = self.beam.side * d.z
+        left = (exits.fate == mi.UInt32(Fate.REFLECTED)) & (up != 0)
+        lower = up < 0
+        patch = dr.minimum(self.film.patch_index(d), self.n_patches - 1)
+        fate = dr.select(
+            exits.fate == mi.UInt32(Fate.REFLECTED),
+            mi.UInt32(Fate.SIDEWAYS),
+            exits.fate,
+        )
+        if self.shape[0] == 2:
+            patch += dr.select(lower, mi.UInt32(self.n_patches), mi.UInt32(0))
+        else:
+            fate = dr.select(left & lower, mi.UInt32(Fate.TRANSMITTED), fate)
+            left &= ~lower
+        return dr.select(left, patch, self.n_collected + fate)
