@@ -235,12 +235,14 @@ def measure(
                     send(integrator, bench, key, plan, tallies, report)
                 if integrator.integrates:
                     tallies[:] = [integrator.integrated(bench, tallies)]
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, RuntimeError) as error:
+            if not _is_ctrl_c(error):
+                raise
             if integrator.integrates:  # rays alone are not enough
                 whole = [t and t[0].errors is not None for t in finished]
                 finished = [t if done else [] for t, done in zip(finished, whole)]
             if not any(finished):
-                raise
+                raise KeyboardInterrupt from None
             interrupted = True
 
     records = [
@@ -282,6 +284,13 @@ def _by_campaign(arguments):
 
 
 # ------------------------------------------------------------------ parts of the bench
+
+
+def _is_ctrl_c(error):
+    """Whether Ctrl-C is at the bottom of it: Dr.Jit wraps what a loop raises."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _asked(scene, estimator):

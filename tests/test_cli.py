@@ -463,7 +463,7 @@ def test_ctrl_c_keeps_what_was_measured(run, plugins, tmp_path):
 def test_ctrl_c_in_a_stack(run, plugins, tmp_path):
     part, rest, whole = (tmp_path / f"{name}.npz" for name in ("part", "rest", "whole"))
     angles = ("--theta-i", "0", "30", "60", "-q")
-    assert run(*interruptible(plugins, "at=12"), *angles, "-o", part)[0] == 2
+    assert run(*interruptible(plugins, "at=20"), *angles, "-o", part)[0] == 2
     assert 1 < len(gonio.load(part)) < 3
     resume = ("--resume", part, "-o", rest)
     assert run(*interruptible(plugins), *angles, *resume)[0] == 0
