@@ -68,9 +68,11 @@ def load_specimen(specimen, parameters=None):
         if not path.is_file():
             raise SpecimenError(f"specimen must be an existing file, got {str(path)!r}")
         parameters = {k: str(v) for k, v in (parameters or {}).items()}
+        # Mitsuba's optimisation would merge shapes into meshes without a bounding box
+        parameters |= {"optimize": False}
         specimen = loaded(f"the specimen {path}", mi.load_file, str(path), **parameters)
     elif isinstance(specimen, dict):
-        specimen = loaded("the specimen", mi.load_dict, specimen)
+        specimen = loaded("the specimen", mi.load_dict, specimen, optimize=False)
     if isinstance(specimen, mi.Scene):
         return specimen
     if isinstance(specimen, mi.BSDF):

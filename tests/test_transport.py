@@ -295,3 +295,21 @@ def test_a_traced_plane_loses_nothing(theta_i):
     """Exact: also where a ray lands within rounding of an edge, grazing."""
     record = gonio.measure({"type": "diffuse"}, theta_i, rays=2**20, trace=True)
     assert record.ledger.reflected == 2**20
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("loaded", [True, False])
+def test_shapes_that_mitsuba_merges(loaded):
+    """Exact: two white plates of one BSDF, which become a mesh without a bounding box."""
+    white = {"type": "diffuse", "reflectance": 1.0}
+    aside = mi.ScalarTransform4f().translate([2, 0, 0])
+    plates = {
+        "type": "scene",
+        "one": {"type": "rectangle", "bsdf": white},
+        "other": {"type": "rectangle", "bsdf": white, "to_world": aside},
+    }
+    if loaded:
+        plates = mi.load_dict(plates)
+        assert not plates.bbox().valid()  # when this fails, Mitsuba has mended it
+    record = gonio.measure(plates, 30, rays=10_000)
+    assert record.ledger.reflected == 10_000

@@ -136,10 +136,14 @@ class Specimen:
                     "participating media are not modelled: take the medium of the "
                     f"{shape.class_name()} {shape.id()!r} out of the scene"
                 )
+            if isinstance(shape, mi.Mesh) and not shape.bbox().valid():
+                # merged from others by Mitsuba 3.9.1, which forgets to
+                shape.recompute_bbox()
         scene = mi.load_dict(
             # watertight: without it rays slip between the triangles of a mesh
             {"type": "scene", "embree_use_robust_intersections": True}
-            | {f"shape_{i}": shape for i, shape in enumerate(shapes)}
+            | {f"shape_{i}": shape for i, shape in enumerate(shapes)},
+            optimize=False,
         )
         self.scene = scene
         box = scene.bbox()
