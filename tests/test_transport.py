@@ -300,7 +300,7 @@ def test_a_traced_plane_loses_nothing(theta_i):
 @pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("loaded", [True, False])
 def test_shapes_that_mitsuba_merges(loaded):
-    """Exact: two white plates of one BSDF, which become a mesh without a bounding box."""
+    """Exact: two white plates of one BSDF, which become a mesh without a box."""
     white = {"type": "diffuse", "reflectance": 1.0}
     aside = mi.ScalarTransform4f().translate([2, 0, 0])
     plates = {
