@@ -107,6 +107,21 @@ class Apertures(Subdivision):
         return axes[:, :1], axes[:, 1:]
 
     @property
+    def axes(self):
+        """Axes of the cones as unit vectors, shape ``(n_theta, 3)``; last the pole."""
+        return np.vstack([_axes(self.directions), [0, 0, 1]])
+
+    @property
+    def cells(self):
+        """Each cone about its own axis; for the rest the hemisphere, which holds it.
+
+        Shape ``(n_theta, 4)``, in radians.
+        """
+        half = np.radians(self.half_angle)
+        cones = [(0, half, 0, 2 * np.pi)] * (self.n_theta - 1)
+        return np.array([*cones, (0, np.pi / 2, 0, 2 * np.pi)])
+
+    @property
     def solid_angles(self):
         """Exact solid angle of each cone and of the rest in sr, sum 2 pi.
 

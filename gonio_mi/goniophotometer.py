@@ -48,6 +48,7 @@ def measure(
     emission=None,
     collector_radius=None,
     hemispheres=None,
+    points=None,
     max_depth=None,
     rr_depth=None,
     trace=None,
@@ -94,10 +95,12 @@ def measure(
     sampler : str or dict
         Mitsuba sampler plugin. Default ``sobol``, one evenly distributed sequence for
         each batch; ``independent`` sends independent rays.
-    estimator : {"weighted", "analog", "quadrature"}
-        Sum throughput; let rays survive or end and count them; or integrate ``eval``
-        over the patches of a flat specimen in a collimated beam, deterministic, with
-        rays for delta components only. Default ``weighted``.
+    estimator : {"weighted", "analog", "quadrature", "next_event"}
+        Sum throughput; let rays survive or end and count them; integrate ``eval`` over
+        the patches of a flat specimen in a collimated beam, deterministic, with rays
+        for delta components only; or deposit ``eval``, at every event on geometry,
+        towards points in random patches that are in sight, with rays after delta
+        components only: for patches far from the lobes. Default ``weighted``.
     seed : int
         Same seed, same bits: whatever the number of threads.
     side : {"front", "back"}
@@ -119,6 +122,8 @@ def measure(
     hemispheres : {"auto", "upper", "both"}
         ``auto`` leaves out the lower one for flat specimens that declare no
         transmission.
+    points : int
+        Points for each event, of the estimator `next_event`. Default 1.
     max_depth : int
         Surface events before a ray is truncated. Default 1000.
     rr_depth : int
@@ -169,6 +174,7 @@ def measure(
         "estimator": estimator,
         "rays": None if rays is None else checked_count("rays", rays, 1, MAX_RAYS),
         "batches": None if batches is None else checked_count("batches", batches),
+        "points": points,
         "max_depth": max_depth,
         "rr_depth": rr_depth,
         "footprint": footprint,

@@ -110,7 +110,10 @@ class Record:
 
     @property
     def counts(self):
-        """Rays per patch, uint64, shape ``(n_hemispheres, n_theta, n_phi)``."""
+        """Rays per patch, uint64, shape ``(n_hemispheres, n_theta, n_phi)``.
+
+        For the estimator `next_event` deposits: several from one ray, or none.
+        """
         return self._squeeze(np.stack([tally.hits for tally in self.tallies]))
 
     @property
@@ -153,7 +156,8 @@ class Record:
         it empty with probability ``(1 - level) / 2``, at the larger of unit weight and
         the largest mean weight seen. Evenly distributed rays may give all batches the
         same sum: no interval by Student's t is narrower than that of an empty patch to
-        either side, unless all rays were received.
+        either side, unless all rays were received. Deposits of `next_event` are not
+        counts: Student's t however few they are.
 
         Integrals (estimator `quadrature`) may be wrong by their error, to which
         Student's t for the sampled delta components is added.
@@ -219,6 +223,7 @@ class Record:
             )
         )
         least = FEW_HITS if self._independent else FEW_EVEN_HITS
+        least = 0 if self._deposited else least
         few = np.broadcast_to((hits < least) & (hits > 0), fraction.shape)
         exact = np.stack(statistics.binomial_interval(hits, rays, level)) * weight
         largest = np.nanmax(weight, initial=1.0)
@@ -379,6 +384,10 @@ class Record:
     @property
     def _independent(self):
         return self.settings.get("sampler") == "independent"
+
+    @property
+    def _deposited(self):
+        return self.settings.get("estimator") == "next_event"
 
     def _is_binomial(self, tally):
         """Whether each patch counted independent rays of one channel, one by one."""

@@ -64,6 +64,8 @@ class Subdivision:
     n_theta: int
     n_phi: int
     name: ClassVar[str] = ""
+    #: Where the patches' cells have their poles, shape (n_patches, 3); None for +z.
+    axes: ClassVar[np.ndarray | None] = None
 
     @property
     def shape(self):
@@ -106,6 +108,17 @@ class Subdivision:
         Two arrays of the shape ``(n_theta, n_phi)``; NaN for a patch without a middle.
         """
         return np.meshgrid(self.theta, self.phi, indexing="ij")
+
+    @property
+    def cells(self):
+        """Borders of each patch in radians, shape ``(n_patches, 4)``.
+
+        Columns: lower and upper polar angle, lower and upper azimuth, both about the
+        patch's own pole in `axes`.
+        """
+        low, high = (np.repeat(e, self.n_phi) for e in _pairs(self.theta_edges))
+        left, right = (np.tile(e, self.n_theta) for e in _pairs(self.phi_edges))
+        return np.stack([low, high, left, right], axis=-1)
 
     @property
     def solid_angles(self):
@@ -489,6 +502,10 @@ def adapted(brdf, grid, n_theta, n_phi, uniform=0.25):
     share = np.diff(grid.phi_edges) / (2 * np.pi)
     phi = np.degrees(quantiles(flux.sum(axis=0), share, grid.phi_edges, n_phi))
     return Borders((0, *theta, 90), (0, *phi, 360))
+
+
+def _pairs(edges):
+    return edges[:-1], edges[1:]
 
 
 def _numbers(text):

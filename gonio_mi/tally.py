@@ -47,14 +47,16 @@ class Ledger:
     missed : int
         Never met the specimen. These rays are not part of the incident flux.
     sideways : int
-        Left through a side of the specimen's bounding box, or along the horizon.
+        Left through a side of the specimen's bounding box, along the horizon, or past
+        a collector of finite radius.
     truncated : int
         Still inside after ``max_depth`` surface events.
     rejected : int
         The BSDF's ``sample`` gave no direction (zero density).
     invalid : int
         ``sample`` gave a weight that is negative, not finite or above 32768 (2**30 for
-        the product of all weights of a path), or a direction that is no unit vector.
+        the product of all weights of a path), or a direction that is no unit vector;
+        or ``eval`` the like, for the estimator `next_event`.
     unlit : int
         The emitter sends nothing along this ray.
     integrated : int
@@ -102,7 +104,8 @@ class Tally:
     Attributes
     ----------
     hits : ndarray of uint64, shape (n_hemispheres, n_theta, n_phi)
-        Rays that each patch received. Hemisphere 0 is the emitter's side.
+        Rays that each patch received, or deposits of the estimator `next_event`.
+        Hemisphere 0 is the emitter's side.
     sums : ndarray of uint64, shape (n_batches, n_hemispheres, n_theta, n_phi, channels)
         Received flux in units of ``1 / scale`` of a ray.
     incident : ndarray of uint64, shape (n_batches, channels)

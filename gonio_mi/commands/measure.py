@@ -148,7 +148,14 @@ def add(commands):
         "--estimator",
         metavar="E",
         help="weighted (default) sums the rays' power, analog counts rays, quadrature "
-        "integrates the BSDF of a flat specimen without rays",
+        "integrates the BSDF of a flat specimen without rays, next_event evaluates it "
+        "on geometry towards points in random patches",
+    )
+    method.add_argument(
+        "--points",
+        type=number,
+        metavar="N",
+        help="points for each event, of the estimator next_event (default: 1)",
     )
     method.add_argument(
         "--sampler", metavar="S", help="Mitsuba sampler (default: sobol)"
@@ -266,6 +273,7 @@ def run(options):
             max_rays=options.max_rays,
             sampler=options.sampler,
             estimator=options.estimator,
+            points=options.points,
             seed=options.seed,
             side=options.side,
             footprint=options.footprint,

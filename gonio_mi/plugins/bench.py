@@ -31,7 +31,8 @@ class Bench:
         """Index of the patch that each ray reached, or of its fate's bin behind."""
         d = self.sensor.arrival(exits.p, exits.d)
         up = self.beam.side * d.z
-        left = (exits.fate == mi.UInt32(Fate.REFLECTED)) & (up != 0)
+        # comparisons with NaN are false
+        left = (exits.fate == mi.UInt32(Fate.REFLECTED)) & (dr.abs(up) > 0)
         lower = up < 0
         patch = dr.minimum(self.film.patch_index(d), self.n_patches - 1)
         fate = dr.select(
@@ -45,3 +46,10 @@ class Bench:
             fate = dr.select(left & lower, mi.UInt32(Fate.TRANSMITTED), fate)
             left &= ~lower
         return dr.select(left, patch, self.n_collected + fate)
+
+    def fate_bins(self, bins):
+        """Bins of the fates of rays whose `bins` may be those of patches."""
+        reflected = mi.UInt32(self.n_collected + Fate.REFLECTED)
+        transmitted = mi.UInt32(self.n_collected + Fate.TRANSMITTED)
+        fate = dr.select(bins < self.n_patches, reflected, transmitted)
+        return dr.select(bins < self.n_collected, fate, bins)

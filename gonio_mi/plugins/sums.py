@@ -16,12 +16,16 @@ class Sums:
     the excess over the first: side by side, since Dr.Jit adds such a packet in one go,
     three times as fast as one number alone. Where that is not so, in large collectors,
     zeros are skipped: counted rays and achromatic specimens cost one addition.
+
+    A patch's bin holds the rays that arrived there. With `deposits` it holds what
+    `deposit` adds, and the rays are in the bins of their fates.
     """
 
-    def __init__(self, bench, scale, n_batches=1):
+    def __init__(self, bench, scale, n_batches=1, *, deposits=False):
         self.bench = bench
         self.scale = scale
         self.n_batches = n_batches
+        self.deposits = deposits
         self.channels = len(mi.Spectrum())
         self.width = packet_width()
         self.bins = dr.zeros(mi.Int64, n_batches * bench.n_bins * self.width)
@@ -32,17 +36,23 @@ class Sums:
 
     def add(self, bins, exits, active, batch):
         """Scatter one ray per lane, each for its `batch`."""
-        powers = _fixed_point(exits.throughput, self.scale)
+        if self.deposits:
+            bins = self.bench.fate_bins(bins)
+        self.deposit(bins, exits.throughput, active, batch)
+        for target, power in zip(
+            self.incident, _fixed_point(exits.incident, self.scale)
+        ):
+            _scatter_add(target, power, batch, active)
+
+    def deposit(self, bins, power, active, batch):
+        """Scatter a power per lane to a patch, or one lane to its fate."""
+        powers = _fixed_point(power, self.scale)
         collected = bins < self.bench.n_collected
         excesses = [powers[0] - self.scale, *(p - powers[0] for p in powers[1:])]
         packet = [1, *(dr.select(collected, e, 0) for e in excesses)]
         packet += [0] * (self.width - len(packet))
         bins = bins + batch * self.bench.n_bins
         _scatter_add(self.bins, mi.ArrayXi64(packet), bins, active)
-        for target, power in zip(
-            self.incident, _fixed_point(exits.incident, self.scale)
-        ):
-            _scatter_add(target, power, batch, active)
 
     def tally(self, n_batches):
         """Run the kernel and return the :class:`Tally` of the first `n_batches`.
@@ -61,8 +71,9 @@ class Sums:
         sums = flux.astype(np.uint64).reshape(n_batches, *bench.shape, -1)
         hits = patches[..., 0].astype(np.uint64).reshape(n_batches, *bench.shape)
         fates = fates[..., 0].astype(np.uint64)
-        fates[:, Fate.REFLECTED] = hits[:, 0].sum(axis=(1, 2))
-        if bench.shape[0] == 2:
+        if not self.deposits:
+            fates[:, Fate.REFLECTED] = hits[:, 0].sum(axis=(1, 2))
+        if bench.shape[0] == 2 and not self.deposits:
             fates[:, Fate.TRANSMITTED] = hits[:, 1].sum(axis=(1, 2))
         if self.incident:
             power = np.stack([total.numpy() for total in self.incident], axis=-1)

@@ -10,8 +10,26 @@ import drjit as dr
 import mitsuba as mi
 
 from ..tally import Fate
+from .flight import (
+    LIFT,
+    MAX_CELLS,
+    departure,
+    into_cell,
+    is_misjudged,
+    leaves_by_a_side,
+    resume,
+    through_side,
+)
 
-__all__ = ["Exits", "Settings", "flux_context", "scatter_plane", "trace"]
+__all__ = [
+    "LARGEST_POWER",
+    "Exits",
+    "Settings",
+    "flux_context",
+    "scatter_plane",
+    "shading_normal_correction",
+    "trace",
+]
 
 # Weights and powers above these would overflow the fixed-point sums.
 LARGEST_WEIGHT = 2.0**15
@@ -19,25 +37,6 @@ LARGEST_POWER = 2.0**30
 
 # Relative excess of a weight over 1 that is taken for float32 rounding: 16 ulp.
 ROUNDING = 2.0**-20
-
-# How far a ray starts off its surface, in units of the local coordinates: 64 ulp. Off a
-# plane 2 ulp are enough, since a hit on that plane is recognised, within this part of
-# the specimen's coordinates, and stepped over.
-SURFACE_OFFSET = 2.0**-18
-PLANE_OFFSET = 2.0**-23
-SAME_PLANE = 2.0**-20
-
-# How far a reflected ray starts back along the one that came, in the same units: 16
-# ulp. Where two walls meet, a point off the one may lie behind the other, but the light
-# came from where there is none.
-RETREAT = 2.0**-19
-
-# How far above the specimen rays start, and how far they are lifted where they enter a
-# periodic cell, so that no rounding takes them below an edge that they passed above.
-LIFT = 2.0**-20
-
-# Cells after which a ray is as good as horizontal.
-MAX_CELLS = 4096
 
 
 @dataclass(frozen=True)
@@ -66,6 +65,8 @@ class Exits:
         Power that met the specimen.
     depth : mi.UInt32
         Surface events.
+    delta : mi.Bool
+        Whether the last of them was a delta component; true without any.
     """
 
     p: object
@@ -74,6 +75,7 @@ class Exits:
     fate: object
     incident: object
     depth: object
+    delta: object
 
 
 def flux_context():
@@ -101,27 +103,30 @@ def scatter_plane(plane, beam, sampler, wavelengths, settings):
     exit_throughput, fate = _after_event(
         throughput, bsdf_weight, bs, wo, sampler, settings.analog
     )
+    delta = _is_delta(bs)
     if settings.delta_only:
-        delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
         left = fate == mi.UInt32(Fate.REFLECTED)
         fate = dr.select(left & ~delta, mi.UInt32(Fate.INTEGRATED), fate)
     fate = dr.select(inside, fate, mi.UInt32(Fate.MISSED))
     fate = dr.select(lit, fate, mi.UInt32(Fate.UNLIT))
     incident = dr.select(inside & lit, throughput, 0.0)
     depth = dr.select(inside & lit, mi.UInt32(1), 0)
-    return Exits(p, wo, exit_throughput, fate, incident, depth)
+    return Exits(p, wo, exit_throughput, fate, incident, depth, delta)
 
 
 @dr.syntax
-def trace(specimen, beam, sampler, wavelengths, settings):
-    """Follow every ray through the geometry until it leaves, ends or is cut off."""
+def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
+    """Follow every ray through the geometry until it leaves, ends or is cut off.
+
+    `deposits`, a :class:`gonio_mi.plugins.next_event.Deposits`, is told of every event.
+    """
     if hasattr(sampler, "follow_curve"):
         sampler.follow_curve()
     p, wi, distance, weight = beam.sample(sampler, wavelengths)
     β = _emitted(weight, sampler, settings.analog, beam.uniform)
 
     # from just above the footprint, to which nothing stands in the way
-    p, shift = _into_cell(specimen, p)
+    p, shift = into_cell(specimen, p)
     start = dr.minimum(distance, specimen.reach * LIFT / dr.abs(wi.z))
     ray = mi.Ray3f(p + start * wi, -wi)
     ray.wavelengths = wavelengths
@@ -129,10 +134,7 @@ def trace(specimen, beam, sampler, wavelengths, settings):
     ctx = flux_context()
     flags = mi.RayFlags.All | mi.RayFlags.dNSdUV
     scene = specimen.scene
-    detail = specimen.detail
     analog = settings.analog
-    same_plane = specimen.reach * SAME_PLANE
-    nearby = 16 * specimen.reach * RETREAT
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
 
@@ -141,6 +143,7 @@ def trace(specimen, beam, sampler, wavelengths, settings):
     depth = mi.UInt32(0)  # Surface events so far
     cells = mi.UInt32(0)  # Sides of a periodic cell that were crossed
     fate = dr.select(lit, mi.UInt32(Fate.MISSED), mi.UInt32(Fate.UNLIT))
+    delta = mi.Bool(True)  # Was the last of them a delta component?
     active = mi.Bool(lit)  # Still in flight?
 
     n = mi.Normal3f(0)  # Geometric normal where the ray started
@@ -151,37 +154,40 @@ def trace(specimen, beam, sampler, wavelengths, settings):
         hit = active & si.is_valid()
 
         # ------------------- Rays that leave, or have had enough events ---------------
-        entry, step, crosses = _through_side(specimen, beam.side, ray.o, ray.d)
+        entry, step, crosses = through_side(specimen, beam.side, ray.o, ray.d)
         crosses &= active & ~hit
         endless = crosses & (cells >= MAX_CELLS)
         fate[active & ~hit & (depth > 0)] = mi.UInt32(Fate.REFLECTED)
         fate[endless] = mi.UInt32(Fate.SIDEWAYS)
         crosses &= ~endless
 
-        # A plane cannot be hit from itself: that is rounding, to be stepped over
-        beside = dr.abs(dr.dot(si.p - ray.o, si.n)) < same_plane
-        own = hit & dr.all(si.n == n) & beside
-        # Of two walls that meet in a crest, rounding may show the far one, from behind:
-        # which is nearer is seen from nearby
-        behind = _from_behind(specimen, si, ray) & hit & ~own & (si.t > nearby)
+        own, behind = is_misjudged(specimen, si, ray, n)
+        own &= hit
+        behind &= hit
         active = hit & ~own & ~behind
 
         truncated = active & (depth >= max_depth)
         fate[truncated] = mi.UInt32(Fate.TRUNCATED)
         active &= ~truncated
 
-        # ------------------------------- Scattering -----------------------------------
         bsdf = si.bsdf(ray)
+        if deposits is not None:
+            sound = deposits.add(si, bsdf, ray, β, depth, shift, sampler, active)
+            fate[active & ~sound] = mi.UInt32(Fate.INVALID)
+            active &= sound
+
+        # ------------------------------- Scattering -----------------------------------
         bs, bsdf_weight = bsdf.sample(
             ctx, si, sampler.next_1d(active), sampler.next_2d(active), active
         )
         wo = si.to_world(bs.wo)
-        bsdf_weight *= _shading_normal_correction(si, ray, bs, wo)
+        bsdf_weight *= shading_normal_correction(si, ray, bs.wo, wo)
         event_β, event_fate = _after_event(β, bsdf_weight, bs, wo, sampler, analog)
         β[active] = event_β
         fate[active] = event_fate
         active &= event_fate == mi.UInt32(Fate.REFLECTED)
         depth[active] += 1
+        delta[active] = _is_delta(bs)
 
         # ---------------------------- Russian roulette --------------------------------
         survival = dr.select(
@@ -193,17 +199,13 @@ def trace(specimen, beam, sampler, wavelengths, settings):
         active &= survives
 
         # ------------------------------- Next ray -------------------------------------
-        flat = dr.all((si.dn_du == 0) & (si.dn_dv == 0))
-        scale = detail + dr.max(dr.abs(si.p))
-        across = detail + dr.dot(dr.abs(si.n), dr.abs(si.p))
-        offset[active] = dr.select(flat, across * PLANE_OFFSET, scale * SURFACE_OFFSET)
+        onward = resume(specimen, si, ray.d, behind)
+        origin, off_surface = departure(specimen, si, ray.d, wo)
+        origin = dr.select(active, origin, onward)
+        offset[active] = off_surface
         offset[own] = 8 * offset
         n[active] = si.n
         n[behind | crosses] = mi.Normal3f(0)
-        reflected = active & (dr.dot(si.n, wo) * dr.dot(si.n, ray.d) < 0)
-        retreat = dr.select(reflected, scale * RETREAT, 0.0)
-        retreat = dr.select(behind, nearby / 2, retreat)
-        origin = si.p - retreat * ray.d
         ray.d[active] = wo
         active |= own | behind
         ray.o[active] = origin + dr.copysign(offset, dr.dot(n, ray.d)) * n
@@ -214,11 +216,11 @@ def trace(specimen, beam, sampler, wavelengths, settings):
 
     incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
     fate = dr.select(
-        (fate == mi.UInt32(Fate.REFLECTED)) & _leaves_by_a_side(specimen, ray.o, ray.d),
+        (fate == mi.UInt32(Fate.REFLECTED)) & leaves_by_a_side(specimen, ray.o, ray.d),
         mi.UInt32(Fate.SIDEWAYS),
         fate,
     )
-    return Exits(ray.o + shift, ray.d, β, fate, incident, depth)
+    return Exits(ray.o + shift, ray.d, β, fate, incident, depth, delta)
 
 
 def _emitted(weight, sampler, analog, uniform):
@@ -257,86 +259,21 @@ def _whole(x, u):
     return floor + dr.select(above, mi.Spectrum(1.0), mi.Spectrum(0.0))
 
 
-def _shading_normal_correction(si, ray, bs, wo):
+def shading_normal_correction(si, ray, local_wo, wo):
     """Adjoint correction for interpolated normals (Veach 1997, eq. 5.19); 1 for others.
 
-    0 where geometric and shading normal disagree about the side: light would leak.
+    `wo` is given in the frame of shading and in the world. 0 where both normals
+    disagree about the side: light would leak.
     """
     wi_n, wo_n = dr.dot(si.n, -ray.d), dr.dot(si.n, wo)
-    wi_s, wo_s = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(bs.wo)
+    wi_s, wo_s = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(local_wo)
     agree = (wi_n * wi_s > 0) & (wo_n * wo_s > 0)
     flat = dr.all(si.sh_frame.n == si.n)
     corrected = dr.select(agree, dr.abs(wi_s * wo_n / (wo_s * wi_n)), 0.0)
     return dr.select(flat, mi.Float(1.0), corrected)
 
 
-def _from_behind(specimen, si, ray):
-    """Whether a surface without transmission is hit on the side of no normal."""
-    if not specimen.closed_to_light:
-        return mi.Bool(False)
-    return dr.dot(si.n, ray.d) > 0
-
-
-def _into_cell(specimen, p):
-    """Points of the footprint moved into the periodic cell, and by how much."""
-    if not specimen.periodic:
-        return p, mi.Vector3f(0)
-    low, high = specimen.low, specimen.high
-    shift = mi.Vector3f(0)
-    for axis in (0, 1):
-        period = float(high[axis] - low[axis])
-        shift[axis] = period * dr.floor((p[axis] - float(low[axis])) / period)
-    return p - shift, shift
-
-
-def _through_side(specimen, side, o, d):
-    """Where rays that leave the periodic cell through a side enter it again.
-
-    Returns
-    -------
-    p : mi.Point3f
-        On the opposite side, to the bit, and lifted towards the emitter's `side`.
-    step : mi.Vector3f
-        By how much the ray went further than that.
-    crosses : mi.Bool
-        Whether it leaves through a side; never if the specimen is not periodic.
-    """
-    p, step = mi.Point3f(o), mi.Vector3f(0)
-    if not specimen.periodic:
-        return p, step, mi.Bool(False)
-    low, high = specimen.low, specimen.high
-    t_x, t_y, t_z = (_exit_distance(low[i], high[i], o[i], d[i]) for i in range(3))
-    # a ray that is outside by rounding leaves at once
-    t = dr.maximum(dr.minimum(t_x, t_y), 0)
-    p = o + t * d
-    p.z += side * specimen.reach * LIFT
-    for axis, leaves in ((0, t_x <= t_y), (1, t_x > t_y)):
-        near, far = float(low[axis]), float(high[axis])
-        up = d[axis] > 0
-        p[axis] = dr.select(leaves, dr.select(up, near, far), p[axis])
-        jump = dr.select(up, far - near, near - far)
-        step[axis] = dr.select(leaves, jump, 0.0)
-    return p, step, t < t_z
-
-
-def _leaves_by_a_side(specimen, o, d):
-    """Whether a ray from inside the bounding box crosses one of its four sides.
-
-    A periodic specimen has none.
-    """
-    if specimen.periodic:
-        return mi.Bool(False)
-    low, high = specimen.low, specimen.high
-    # a ray that starts just outside of a face has passed it
-    t_x, t_y, t_z = (
-        dr.maximum(_exit_distance(low[i], high[i], o[i], d[i]), 0) for i in range(3)
-    )
-    # the horizon is at an infinite distance in z
-    return ~(dr.minimum(t_x, t_y) >= t_z)
-
-
-def _exit_distance(low, high, o, d):
-    """Distance to the face of a slab through which a ray from inside leaves."""
-    face = dr.select(d > 0, mi.Float(float(high)), mi.Float(float(low)))
-    # -0 and +0 alike: along the face, never through it
-    return dr.select(d == 0, dr.inf, (face - o) / d)
+def _is_delta(bs):
+    """Whether a sampled component has no density."""
+    delta, line = mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D
+    return mi.has_flag(bs.sampled_type, delta) | mi.has_flag(bs.sampled_type, line)

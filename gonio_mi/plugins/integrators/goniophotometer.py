@@ -15,6 +15,7 @@ from gonio_mi.plugins import properties
 from gonio_mi.plugins.beam import EMISSIONS, Beam, checked_footprint
 from gonio_mi.plugins.bench import Bench
 from gonio_mi.plugins.integrals import check_integrable, integrals
+from gonio_mi.plugins.next_event import MOST_POINTS, Deposits, check_traced
 from gonio_mi.plugins.order import checked_order, of_order, orders
 from gonio_mi.plugins.sampling import apart, sampler_name, seeded
 from gonio_mi.plugins.specimen import Specimen, checked_period
@@ -33,7 +34,7 @@ LAUNCH = 2**24
 FUSED_RAYS = 2**22
 FUSED_SUMS = 2**19
 
-ESTIMATORS = ("weighted", "analog", "quadrature")
+ESTIMATORS = ("weighted", "analog", "quadrature", "next_event")
 DEFAULT_RAYS = 1_000_000
 DEFAULT_BATCHES = 32
 DEFAULT_WAVELENGTHS = "550"
@@ -65,7 +66,13 @@ class Goniophotometer(mi.SamplingIntegrator):
        - ``weighted`` sums throughput; ``analog`` lets a ray survive or end at each
          event and counts it (the paper's eq. 5); ``quadrature`` integrates ``eval``
          over the patches, for a flat specimen that is the same everywhere in a
-         collimated beam, and samples delta components only. (Default: ``weighted``)
+         collimated beam, and samples delta components only; ``next_event`` deposits
+         ``eval`` towards points in random patches at every event on geometry, and
+         counts rays after delta components only. (Default: ``weighted``)
+
+     * - points
+       - |int|
+       - Points for each event, of the estimator ``next_event``. (Default: 1)
 
      * - rel_err
        - |float|
@@ -135,6 +142,7 @@ class Goniophotometer(mi.SamplingIntegrator):
             "rel_err": properties.number(
                 props, "rel_err", DEFAULT_INTEGRAL_ERR, 1e-9, 1, "in [1e-9, 1)"
             ),
+            "points": properties.count(props, "points", 1, maximum=MOST_POINTS),
             "max_depth": properties.count(props, "max_depth", 1000, maximum=2**31),
             "rr_depth": properties.count(props, "rr_depth", -1, minimum=-1),
             "footprint": checked_footprint(props.get("footprint", "full")),
@@ -148,6 +156,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         self.batches = self.settings["batches"]
         self.analog = self.settings["estimator"] == "analog"
         self.integrates = self.settings["estimator"] == "quadrature"
+        self.deposits = self.settings["estimator"] == "next_event"
         self.wavelengths = _wavelengths(self.settings["wavelengths"])
         super().__init__(props)
 
@@ -203,6 +212,8 @@ class Goniophotometer(mi.SamplingIntegrator):
         if self.integrates:
             lanes = _wavelength_lanes(self._wavelength_groups()[0])
             check_integrable(bench, self.settings, lanes)
+        if self.deposits:
+            check_traced(bench, self.settings)
         return bench
 
     def tallies(self, bench, key, sizes, first=0, start=0, progress=None):
@@ -292,7 +303,8 @@ class Goniophotometer(mi.SamplingIntegrator):
                 f"the footprint {self.settings['footprint']} must meet the specimen, "
                 f"but all {tally.ledger.emitted} rays missed it"
             )
-        _warn_of_invalid(tally.ledger)
+        functions = "sample() or eval()" if self.deposits else "sample()"
+        _warn_of_invalid(tally.ledger, functions)
         if not mi.is_spectral and tally.achromatic:
             tally = tally.first(1)
         return Record(
@@ -308,19 +320,32 @@ class Goniophotometer(mi.SamplingIntegrator):
 
     def _launch(self, bench, sampler, sizes, nm):
         """Send the rays of all batches in one kernel and return their tally."""
-        exits = self._exits(bench, sampler, nm)
         capacity = self._capacity(bench)
-        sums = Sums(bench, 1 if self.analog else WEIGHT_SCALE, capacity)
+        scale = 1 if self.analog else WEIGHT_SCALE
+        sums = Sums(bench, scale, capacity, deposits=self.deposits)
         # as many lanes as rays, even where none of them draws a number
         lane = dr.arange(mi.UInt32, len(sizes) * sizes[0])
         batch, ray = (mi.UInt32(0), lane) if capacity == 1 else apart(lane, sizes[0])
         # the last batches may be shorter by one ray
         full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
         size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
-        sums.add(bench.bins(exits), exits, ray < size, batch)
+        active = ray < size
+        deposits = self._deposits(bench, sums, active, batch)
+        exits = self._exits(bench, sampler, nm, deposits)
+        bins = bench.bins(exits)
+        sums.add(bins, exits, active, batch)
+        if deposits is not None:
+            deposits.add_exits(bins, exits)
         return sums.tally(len(sizes))
 
-    def _exits(self, bench, sampler, nm):
+    def _deposits(self, bench, sums, active, batch):
+        """:class:`Deposits` of the rays, None where they are counted themselves."""
+        if not self.deposits:
+            return None
+        order = orders(self.settings["order"])
+        return Deposits(bench, sums, self.settings["points"], order, active, batch)
+
+    def _exits(self, bench, sampler, nm, deposits):
         """Follow the rays by the cheapest transport that is exact for the specimen."""
         rr_depth = self.settings["rr_depth"]
         # counted rays live or die at each event as it is, and stay whole
@@ -336,7 +361,9 @@ class Goniophotometer(mi.SamplingIntegrator):
         wavelengths = _wavelength_lanes(nm)
         plane = bench.specimen.plane
         if self._traces(bench):
-            exits = trace(bench.specimen, bench.beam, sampler, wavelengths, settings)
+            exits = trace(
+                bench.specimen, bench.beam, sampler, wavelengths, settings, deposits
+            )
         else:
             exits = scatter_plane(plane, bench.beam, sampler, wavelengths, settings)
         return of_order(exits, low, high)
@@ -386,6 +413,7 @@ class Goniophotometer(mi.SamplingIntegrator):
             "collector_radius": bench.sensor.radius,
             "variant": mi.variant(),
             **({"rel_err": self.settings["rel_err"]} if self.integrates else {}),
+            **({"points": self.settings["points"]} if self.deposits else {}),
             "versions": {
                 "gonio_mi": version("gonio-mi"),
                 "mitsuba": mi.__version__,
@@ -437,12 +465,12 @@ def _check_variant():
         llvm.check()
 
 
-def _warn_of_invalid(ledger):
+def _warn_of_invalid(ledger, functions):
     if ledger.invalid:
         warnings.warn(
-            "the BSDF's sample() returned a negative, infinite or NaN weight, or no "
-            f"unit direction, for {ledger.invalid} of {ledger.emitted} rays; they are "
-            "in the ledger's row invalid and in no patch",
+            f"the BSDF's {functions} returned a negative, infinite or NaN weight, or "
+            f"no unit direction, for {ledger.invalid} of {ledger.emitted} rays; they "
+            "are in the ledger's row invalid and in no patch",
             RuntimeWarning,
             stacklevel=3,
         )

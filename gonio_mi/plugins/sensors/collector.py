@@ -56,7 +56,8 @@ class Collector(mi.Sensor):
     def arrival(self, p, d):
         """Direction from the origin of where a ray meets the collector.
 
-        `p` lies inside of the sphere; in the far field that direction is `d`.
+        In the far field that direction is `d`. NaN for a ray that passes by: on a
+        periodic specimen `p` may lie outside of the sphere.
         """
         if self.radius == 0:
             return d
@@ -65,6 +66,24 @@ class Collector(mi.Sensor):
             projection * projection + self.radius**2 - dr.squared_norm(p)
         )
         return dr.normalize(mi.Vector3f(p) + t * d)
+
+    def seen(self, p, u):
+        """Direction from `p` to the point of the collector in the direction `u`.
+
+        Returns
+        -------
+        wo : mi.Vector3f
+            For which `arrival` is `u`.
+        change : mi.Float
+            Solid angle seen from `p` by that seen from the origin; 0 where `p` is
+            outside of the sphere, and the point on its near side.
+        """
+        if self.radius == 0:
+            return u, mi.Float(1)
+        path = self.radius * u - p
+        wo = dr.normalize(path)
+        cosine = dr.maximum(dr.dot(u, wo), 0)
+        return wo, self.radius**2 * cosine / dr.squared_norm(path)
 
     def to_string(self):
         """Return a readable description."""

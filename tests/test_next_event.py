@@ -1,0 +1,234 @@
+"""Estimator `next_event`: `eval` is deposited from geometry towards patches."""
+
+import gonio_mi as gonio
+
+# isort: split
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import agree, difference_scores, disagree, scores, verdict
+from surfaces import MIRROR, grooves, heightfield
+
+from gonio_mi.errors import SpecimenError
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+GRID = "projected:8x12"
+RAYS = 2**17
+
+
+def both_sided(bsdf):
+    return {"type": "twosided", "bsdf": bsdf}
+
+
+GREY = both_sided({"type": "diffuse", "reflectance": 0.8})
+ROUGH_MIRROR = both_sided({"type": "roughconductor", "alpha": 0.3})
+SHELL = {"type": "mask", "opacity": 0.6, "bsdf": GREY}
+
+
+def field(bsdf, **settings):
+    return heightfield(bsdf=bsdf, alpha=0.5, resolution=32, **settings)
+
+
+def packed_spheres():
+    """Spheres of which a plane hides the lower halves, in cells of 2 x 2."""
+    down = mi.ScalarTransform4f().translate([0, 0, -1])
+    return {
+        "type": "scene",
+        "sphere": {"type": "sphere", "center": [0, 0, -1], "bsdf": GREY},
+        "plane": {"type": "rectangle", "to_world": down, "bsdf": GREY},
+    }
+
+
+# Specimen, and settings of the measurement.
+CASES = {
+    "rough mirror": lambda: (field(ROUGH_MIRROR), {"period": "box"}),
+    "grooves": lambda: (grooves(30, 1, bsdf=GREY), {"period": "box"}),
+    "spheres": lambda: (packed_spheres(), {"period": "2,2"}),
+    "edges": lambda: (field(GREY), {"theta_i": 70}),
+    "smooth normals": lambda: (
+        field(GREY, face_normals=False),
+        {"period": "box", "theta_i": 60},
+    ),
+    "delta and smooth": lambda: (
+        field(both_sided({"type": "plastic", "diffuse_reflectance": 0.8})),
+        {"period": "box"},
+    ),
+    "rough glass": lambda: (
+        field({"type": "roughdielectric", "alpha": 0.5}),
+        {"period": "box", "collector": "projected:4x6"},
+    ),
+    "shell": lambda: (field(SHELL), {"period": "box", "collector": "projected:4x6"}),
+    "second order": lambda: (field(GREY), {"period": "box", "order": 2}),
+    "near collector, back": lambda: (
+        field({"type": "roughdielectric", "alpha": 0.5}),
+        {"collector_radius": 2.0, "side": "back", "collector": "projected:4x6"},
+    ),
+    "apertures": lambda: (
+        field(GREY),
+        {"period": "box", "collector": "apertures:10@30/180,60/90,0/0"},
+    ),
+    "klems": lambda: (field(GREY), {"period": "box", "collector": "klems"}),
+}
+
+
+def measured(name, estimator, **settings):
+    specimen, own = CASES[name]()
+    settings = {"theta_i": 30, "collector": GRID, "rays": RAYS, **own, **settings}
+    return gonio.measure(specimen, estimator=estimator, **settings)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_deposits_are_unbiased(name):
+    """All patches of both hemispheres against `weighted`; twin: 10 % off."""
+    deposited = measured(name, "next_event", seed=1, points=2)
+    weighted = measured(name, "weighted", seed=2)
+    assert deposited.ledger.emitted == RAYS
+    for hemisphere in (0, 1):
+        z = difference_scores(weighted, deposited, hemisphere)
+        if not z.size:
+            assert not deposited.counts[hemisphere].any()
+            continue
+        agree(verdict(z))
+    shares = weighted.flux_fraction[0, ..., 0]
+    disagree(verdict(scores(deposited, 1.1 * shares)))
+
+
+def test_lambertian_plane():
+    """Each deposit is cos / pi per solid angle: the patches' mean is 1 / pi."""
+    plane = {"type": "diffuse", "reflectance": 1.0}
+    for sampler in ("sobol", "independent"):
+        record = gonio.measure(
+            plane,
+            45,
+            estimator="next_event",
+            sampler=sampler,
+            trace=True,
+            collector="angle:6x8",
+            rays=RAYS,
+        )
+        truth = record.subdivision.projected_solid_angles / np.pi
+        agree(verdict(scores(record, truth)))
+        disagree(verdict(scores(record, 1.03 * truth)))
+        assert record.ledger.reflected + record.ledger.rejected == RAYS
+
+
+def test_delta_specimens_are_those_of_weighted():
+    """Exact: after delta components rays are counted, from the same numbers."""
+    glass = {"type": "dielectric"}
+    for bsdf in (MIRROR, glass):
+        a, b = (
+            gonio.measure(
+                field(bsdf), 50, period="box", estimator=estimator, rays=50_000
+            )
+            for estimator in ("weighted", "next_event")
+        )
+        assert a.tallies == b.tallies
+        assert a.counts.sum() == 50_000
+
+
+def test_ledger_counts_rays_and_patches_count_deposits():
+    """Exact: rows add up to the rays; each ray deposits at most once per point."""
+    record = measured("edges", "next_event", points=3)
+    ledger = record.ledger
+    assert ledger.emitted == RAYS
+    assert min(ledger.reflected, ledger.missed, ledger.sideways) > 0
+    assert ledger.transmitted == ledger.absorbed == 0
+    first = measured("edges", "next_event", points=3, order=1)
+    assert ledger.reflected < first.counts.sum() <= 3 * (RAYS - ledger.missed)
+    assert first.counts.sum() < record.counts.sum()
+
+
+@pytest.mark.parametrize("estimator", ["weighted", "next_event"])
+def test_orders_add_up(estimator):
+    """Exact: with one seed, what orders receive adds up to the whole."""
+    total, *parts = (
+        measured("rough mirror", estimator, order=order, rays=20_000)
+        for order in ("all", 1, "2+")
+    )
+    (sums,) = (tally.sums for tally in total.tallies)
+    assert np.array_equal(sum(part.tallies[0].sums for part in parts), sums)
+    assert all(part.ledger.emitted == 20_000 for part in parts)
+
+
+def test_few_deposits_have_an_interval_by_students_t():
+    """Exact: however few, as wide as the batches say; none where there is none."""
+    record = measured("rough mirror", "next_event", rays=512, batches=8)
+    few = (record.counts[0] > 0) & (record.counts[0] < 10)
+    assert few.any()
+    low, high = record.interval(0.95)
+    half = (high - low)[few, 0] / 2
+    assert (half >= 2.36 * record.brdf_std_err[few, 0]).all()
+    empty = record.without_hit[0]
+    assert empty.any()
+    assert (low[empty] == 0).all()
+    assert (high[empty] > 0).all()
+
+
+def test_channels(rgb):  # noqa: ARG001
+    """Each channel carries its own colour."""
+    colour = {"type": "rgb", "value": [0.1, 0.5, 0.9]}
+    paint = both_sided({"type": "diffuse", "reflectance": colour})
+    records = [
+        gonio.measure(
+            field(paint),
+            30,
+            period="box",
+            order=1,
+            estimator=estimator,
+            rays=RAYS,
+            collector="projected:3x4",
+            seed=seed,
+        )
+        for seed, estimator in enumerate(("weighted", "next_event"))
+    ]
+    for channel in range(3):
+        agree(verdict(difference_scores(*records, channel=channel)))
+    disagree(verdict(scores(records[1], records[0].flux_fraction[0, ..., 1])))
+
+
+def test_an_invalid_eval_is_in_the_ledger():
+    """A NaN reaches no patch; rows still add up."""
+
+    class Broken(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            self.m_flags = int(mi.BSDFFlags.DiffuseReflection)
+            self.m_flags |= int(mi.BSDFFlags.FrontSide)
+            self.m_components = [self.m_flags]
+
+        def sample(self, ctx, si, sample1, sample2, active=True):  # noqa: ARG002
+            bs = mi.BSDFSample3f()
+            bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+            bs.pdf = mi.warp.square_to_cosine_hemisphere_pdf(bs.wo)
+            bs.sampled_type = mi.UInt32(int(mi.BSDFFlags.DiffuseReflection))
+            bs.sampled_component, bs.eta = mi.UInt32(0), mi.Float(1)
+            return bs, mi.Spectrum(1.0)
+
+        def eval(self, ctx, si, wo, active=True):  # noqa: ARG002
+            return mi.Spectrum(float("nan"))
+
+        def to_string(self):
+            return "Broken[]"
+
+    mi.register_bsdf("nan_eval", Broken)
+    with pytest.warns(RuntimeWarning, match=r"sample\(\) or eval\(\) returned"):
+        record = gonio.measure(
+            {"type": "nan_eval"}, 30, estimator="next_event", trace=True, rays=1000
+        )
+    assert record.ledger.invalid == record.ledger.emitted == 1000
+    assert not record.counts.any()
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"estimator": "next_event"}, "needs geometry, got a flat rectangle"),
+        ({"points": 0}, "points must be"),
+        ({"points": 10**6}, "points must be"),
+    ],
+)
+def test_bad_settings_are_one_sentence(settings, message):
+    with pytest.raises((SpecimenError, ValueError), match=message) as caught:
+        gonio.measure({"type": "diffuse"}, 30, rays=1000, **settings)
+    assert "\n" not in str(caught.value)
