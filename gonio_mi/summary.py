@@ -52,7 +52,7 @@ def summarize(record):
         "ledger": record.ledger.rows | {"emitted": record.ledger.emitted},
         "worst_patches": patches[:N_WORST],
     }
-    return _known(numbers | {"warnings": _warnings(record.ledger, directions)})
+    return _known(numbers | {"warnings": _warnings(record, directions)})
 
 
 def summary_text(numbers):
@@ -133,12 +133,15 @@ def _worst_patches(look):
     return worst
 
 
-def _warnings(ledger, directions):
+def _warnings(record, directions):
     """Sentences on rays that make the result doubtful."""
-    sentences = []
+    ledger, sentences = record.ledger, []
+    called = "sample()"
+    if record.settings.get("estimator") == "next_event":
+        called += " or eval()"
     if ledger.invalid:
         sentences.append(
-            f"{_share(ledger.invalid, ledger)} are invalid: the BSDF's sample() "
+            f"{_share(ledger.invalid, ledger)} are invalid: the BSDF's {called} "
             "returned a weight that is negative, infinite or NaN, or no unit "
             "direction; their flux is in no patch"
         )
@@ -147,10 +150,16 @@ def _warnings(ledger, directions):
             f"{_share(ledger.truncated, ledger)} were truncated by max_depth; their "
             "flux is in no patch"
         )
-    for row, sentence in (
-        ("sideways", "left sideways, over the edge of the specimen, into no patch"),
-        ("missed", "missed the specimen; they are not part of the incident flux"),
-    ):
+    rows = {
+        "sideways": "left sideways, over the edge of the specimen, into no patch",
+        "missed": "missed the specimen; they are not part of the incident flux",
+    }
+    if record.settings.get("transmission") == "none":
+        rows["transmitted"] = (
+            "leaked to the other side, through gaps of the geometry or around its "
+            "edges, since no BSDF declares transmission"
+        )
+    for row, sentence in rows.items():
         if any(_exceeds_error(direction, row) for direction in directions):
             sentences.append(
                 f"{_share(getattr(ledger, row), ledger)} {sentence}: more than the "

@@ -143,3 +143,34 @@ def groove_shares(half_angle, theta, n=2000):
         shares[kind] = shares.get(kind, 0.0) + high - low
         low = high
     return shares
+
+
+def diffuse_groove_dhr(half_angle, theta, rho, n_nodes=16):
+    """Reflectance of a Lambertian V-groove: radiosity of two endless strips, no rays.
+
+    A strip at the distance s from the valley sees one at s' on the other wall, which is
+    turned by the opening angle w, under the form factor sin(w)^2 s s' / (2 r^3) per s',
+    with r^2 = s^2 + s'^2 - 2 s s' cos(w). The integral equation is solved at Gauss's
+    nodes of panels that shrink towards the valley, with a border where the crest's
+    shadow ends. All light that is not absorbed leaves. Angles in degrees.
+    """
+    half_angle, theta = np.radians(half_angle), np.radians(theta)
+    length, opening = 0.5 / np.sin(half_angle), 2 * half_angle
+    # from above or, beyond the wall's slope, only what the other crest lets through
+    dark = max(0.0, np.sin(theta - half_angle) / np.sin(theta + half_angle)) * length
+    edges = np.append(0, length * 0.25 ** np.arange(11, -1, -1))
+    edges = np.sort(np.append(edges, dark)) if dark else edges
+    x, weight = np.polynomial.legendre.leggauss(n_nodes)
+    low, high = edges[:-1, None], edges[1:, None]
+    s = ((low + high) / 2 + (high - low) / 2 * x).ravel()
+    ds = ((high - low) / 2 * weight).ravel()
+    r2 = s[:, None] ** 2 + s**2 - 2 * np.outer(s, s) * np.cos(opening)
+    seen = np.sin(opening) ** 2 * np.outer(s, s) / (2 * r2**1.5) * ds
+    facing = np.where(s > dark, np.sin(half_angle + theta), 0.0)
+    averted = np.full(s.size, max(np.sin(half_angle - theta), 0.0))
+    n = s.size
+    coupling = np.eye(2 * n)
+    coupling[:n, n:] = coupling[n:, :n] = -rho * seen
+    radiosity = rho * np.linalg.solve(coupling, np.append(facing, averted))
+    absorbed = (1 - rho) / rho * radiosity @ np.tile(ds, 2)
+    return float(1 - absorbed / np.cos(theta))

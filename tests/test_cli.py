@@ -614,13 +614,22 @@ def synthetic(hits_per_batch=100, batches=4, **fates):
         ({"sideways": 600}, ["left sideways"]),
         ({"missed": 600}, ["missed the specimen"]),
         ({"invalid": 1, "sideways": 600}, ["are invalid", "left sideways"]),
+        ({"transmitted": 600}, ["leaked to the other side"]),
     ],
 )
 def test_warnings(fates, words):
-    sentences = summarize(synthetic(**fates))["warnings"]
+    record = synthetic(**fates)
+    record.settings["transmission"] = "none"
+    sentences = summarize(record)["warnings"]
     assert len(sentences) == len(words)
     for sentence, word in zip(sentences, words):
         assert word in sentence
+
+
+def test_declared_transmission_is_no_leak():
+    record = synthetic(transmitted=600)
+    record.settings["transmission"] = "declared"
+    assert summarize(record)["warnings"] == []
 
 
 def test_losses_within_the_statistical_error_are_no_warning():

@@ -396,6 +396,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         return {
             "specimen": bench.specimen.name,
             "surface": bench.specimen.description,
+            "transmission": "none" if bench.specimen.closed_to_light else "declared",
             "emitter": bench.beam.emitter.class_name(),
             "emission": self.settings["emission"],
             "footprint": self.settings["footprint"],
