@@ -534,8 +534,8 @@ def test_other_settings_cannot_be_resumed(refuse, saved, tmp_path):
     path = tmp_path / "run.npz"
     assert cli.main([*QUICK, "-q", "-o", str(path)]) == 0
     assert "its rays is 10000" in refuse(*DIFFUSE, "--rays", "2e4", "--resume", path)
-    assert "32 batches" in refuse(*QUICK, "--batches", "64", "--resume", path)
-    assert "32 batches" in refuse(*QUICK, "--batches", "16", "--resume", path)
+    assert "16 batches" in refuse(*QUICK, "--batches", "64", "--resume", path)
+    assert "16 batches" in refuse(*QUICK, "--batches", "8", "--resume", path)
     assert "resume must" in refuse(*QUICK, "--resume", saved[0])
 
 

@@ -125,7 +125,7 @@ def _add_methods(group):
         "--batches",
         type=number,
         metavar="N",
-        help="independent batches of each measurement (default: 32)",
+        help="independent batches of each measurement (default: 16)",
     )
     group.add_argument("--seed", type=number, default=0, metavar="S", help="default: 0")
 

@@ -171,7 +171,7 @@ def add(commands):
         "--batches",
         type=number,
         metavar="N",
-        help="independent batches, from which error bars come (default: 32)",
+        help="independent batches, from which error bars come (default: 16)",
     )
     method.add_argument(
         "--max-depth",

@@ -4,7 +4,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-__all__ = ["apart", "check_sampler", "sampler_name", "seeded"]
+__all__ = [
+    "apart",
+    "check_sampler",
+    "continues",
+    "sampler_name",
+    "seeded",
+    "turns_of",
+]
 
 # Plugin names of the class names, which is all that a sampler knows.
 NAMES = {
@@ -27,6 +34,11 @@ def sampler_name(sampler):
     # a sampler in Python has the class name of its base
     name = type(sampler).__name__ if name == "Sampler" else name
     return NAMES.get(name, name)
+
+
+# Rays of a lane, and lanes that keep all threads busy. They take part in the seeding.
+MOST_TURNS = 16
+FEWEST_LANES = 2**16
 
 
 def check_sampler(label, sampler):
@@ -66,6 +78,16 @@ def seeded(sampler, keys, begin, n):
     dr.make_opaque(seeds)
     sampler.seed(seeds, len(keys) * n)
     return sampler
+
+
+def continues(sampler):
+    """Whether a lane may draw ray after ray: its generator has no end and no order."""
+    return sampler_name(sampler) == "independent"
+
+
+def turns_of(sampler, n):
+    """Rays that a lane sends one after the other, of `n` in all."""
+    return max(1, min(MOST_TURNS, n // FEWEST_LANES)) if continues(sampler) else 1
 
 
 def apart(lane, n):

@@ -17,7 +17,7 @@ from gonio_mi.plugins.bench import Bench
 from gonio_mi.plugins.integrals import check_integrable, integrals
 from gonio_mi.plugins.next_event import MOST_POINTS, Deposits, check_traced
 from gonio_mi.plugins.order import checked_order, of_order, orders
-from gonio_mi.plugins.sampling import apart, sampler_name, seeded
+from gonio_mi.plugins.sampling import apart, continues, sampler_name, seeded, turns_of
 from gonio_mi.plugins.specimen import Specimen, checked_period
 from gonio_mi.plugins.sums import Sums, packet_width
 from gonio_mi.plugins.transport import Settings, scatter_plane, trace
@@ -36,7 +36,7 @@ FUSED_SUMS = 2**19
 
 ESTIMATORS = ("weighted", "analog", "quadrature", "next_event")
 DEFAULT_RAYS = 1_000_000
-DEFAULT_BATCHES = 32
+DEFAULT_BATCHES = 16
 DEFAULT_WAVELENGTHS = "550"
 
 # Relative error of each patch to which the estimator `quadrature` integrates.
@@ -59,7 +59,7 @@ class Goniophotometer(mi.SamplingIntegrator):
 
      * - batches
        - |int|
-       - Independent batches, from whose scatter uncertainties come. (Default: 32)
+       - Independent batches, from whose scatter uncertainties come. (Default: 16)
 
      * - estimator
        - |string|
@@ -289,8 +289,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         total = None
         for begin in range(start, start + sizes[0], LAUNCH):
             parts = [min(LAUNCH, start + size - begin) for size in sizes]
-            sampler = seeded(bench.sensor.sampler(), keys, begin, parts[0])
-            tally = self._launch(bench, sampler, parts, nm)
+            tally = self._launch(bench, keys, parts, begin, nm)
             total = tally if total is None else total.accumulate(tally)
             if progress is not None:
                 progress(sum(parts))
@@ -318,24 +317,35 @@ class Goniophotometer(mi.SamplingIntegrator):
 
     # --------------------------------------------------------------------- one launch
 
-    def _launch(self, bench, sampler, sizes, nm):
-        """Send the rays of all batches in one kernel and return their tally."""
+    def _launch(self, bench, keys, sizes, begin, nm):
+        """Send rays of all batches of `keys` in one kernel and return their tally."""
         capacity = self._capacity(bench)
         scale = 1 if self.analog else WEIGHT_SCALE
         sums = Sums(bench, scale, capacity, deposits=self.deposits)
+        sampler = bench.sensor.sampler()
+        turns = 1 if self._traces(bench) else turns_of(sampler, sizes[0])
+        lanes = -(-sizes[0] // turns)
+        sampler = seeded(sampler, keys, begin, lanes)
         # as many lanes as rays, even where none of them draws a number
-        lane = dr.arange(mi.UInt32, len(sizes) * sizes[0])
-        batch, ray = (mi.UInt32(0), lane) if capacity == 1 else apart(lane, sizes[0])
+        lane = dr.arange(mi.UInt32, len(sizes) * lanes)
+        batch, ray = (mi.UInt32(0), lane) if capacity == 1 else apart(lane, lanes)
         # the last batches may be shorter by one ray
         full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
         size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
-        active = ray < size
-        deposits = self._deposits(bench, sums, active, batch)
-        exits = self._exits(bench, sampler, nm, deposits)
-        bins = bench.bins(exits)
-        sums.add(bins, exits, active, batch)
-        if deposits is not None:
-            deposits.add_exits(bins, exits)
+
+        def add(sampler, ray):
+            active = ray < size
+            deposits = self._deposits(bench, sums, active, batch)
+            exits = self._exits(bench, sampler, nm, deposits)
+            bins = bench.bins(exits)
+            sums.add(bins, exits, active, batch)
+            if deposits is not None:
+                deposits.add_exits(bins, exits)
+
+        if continues(sampler) and not self._traces(bench):
+            _in_turns(add, sampler, ray, lanes, turns)
+        else:
+            add(sampler, ray)
         return sums.tally(len(sizes))
 
     def _deposits(self, bench, sums, active, batch):
@@ -430,6 +440,16 @@ class Goniophotometer(mi.SamplingIntegrator):
     def to_string(self):
         """Return a readable description."""
         return f"Goniophotometer{self.settings}"
+
+
+@dr.syntax
+def _in_turns(add, sampler, ray, lanes, turns):
+    """Send a ray in each lane, then the next ones: a generator is costly to seed."""
+    lanes, turns = dr.opaque(mi.UInt32, lanes), dr.opaque(mi.UInt32, turns)
+    turn = mi.UInt32(0)
+    while turn < turns:
+        add(sampler, ray + turn * lanes)
+        turn += 1
 
 
 def _wavelength_lanes(nm):
