@@ -164,6 +164,29 @@ def test_twins_of_scale_and_shift():
         disagree(two_sample(reference_histogram(), histogram(rays)))
 
 
+def test_benchmark_sends_the_same_paths():
+    """The film of Mitsuba's `path` shows what our footprint is; every path ends."""
+    from gonio_mi.benchmark import micro_geometry as benchmark
+
+    scene = mi.load_dict({"type": "scene", "surface": benchmark.surface(64)})
+    film = benchmark._film(scene, 1)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(0, RAYS)
+    draws = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
+    ray, _ = film.sample_ray(0, *draws)
+    hits = np.count_nonzero(np.array(scene.ray_test(ray)))
+    ours = traced(benchmark.surface(64), benchmark.THETA_I, n=RAYS, period="none")
+    mine = RAYS - np.count_nonzero(ours.fate_is(Fate.MISSED))
+    share = (hits + mine) / (2 * RAYS)
+    error = np.sqrt(2 * RAYS * share * (1 - share))
+    agree(single((hits - mine) / error))
+    disagree(single((hits - mine + 0.01 * RAYS) / error))
+    for coherent in (False, True):
+        assert benchmark.film_paths(64, coherent)(2**14, 0) == 1
+    reflected = benchmark.gonio_paths(64, "sobol")(2**14, 0)
+    assert 0.8 < reflected < mine / RAYS
+
+
 # ------------------------------------------------------------------------ cavities
 
 

@@ -8,6 +8,7 @@ from .batch_designs import print_ratios
 from .counting import print_rates
 from .endurance import print_growth
 from .equal_error import print_costs
+from .micro_geometry import print_speeds
 
 __all__ = ["main"]
 
@@ -23,6 +24,9 @@ def main(argv=None):
     part.add_argument("--counting", action="store_true", help="raw speed only")
     part.add_argument("--equal-error", action="store_true", help="equal error only")
     part.add_argument(
+        "--geometry", action="store_true", help="paths on a rough mirror, instead"
+    )
+    part.add_argument(
         "--error", action="store_true", help="sobol against independent rays, instead"
     )
     part.add_argument(
@@ -34,7 +38,9 @@ def main(argv=None):
         help="memory and time per ray from 1e7 to RAYS (1e9), instead",
     )
     parser.add_argument(
-        "--rays", type=float, help="for raw speed 1.7e7, for --error 1e8 if not given"
+        "--rays",
+        type=float,
+        help="for raw speed 1.7e7, for --error 1e8, for --geometry 4.2e6 if not given",
     )
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--seeds", type=int, default=6, help="for --error (6)")
@@ -53,6 +59,8 @@ def main(argv=None):
 
     if options.error:
         print_ratios(int(options.rays or 1e8), options.seeds, options.repeats)
+    elif options.geometry:
+        print_speeds(int(options.rays or 2**22), options.repeats)
     elif options.long:
         print_growth(int(options.long))
     else:

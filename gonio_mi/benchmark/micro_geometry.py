@@ -1,0 +1,158 @@
+"""Speed on geometry: a random rough mirror, every bounce, beside Mitsuba's `path`."""
+
+from functools import lru_cache
+
+import mitsuba as mi
+import numpy as np
+
+from ..directions import direction
+from ..plugins.specimen import Specimen
+from .table import print_table
+from .timing import in_turns
+
+__all__ = ["film_paths", "gonio_paths", "print_speeds"]
+
+THETA_I = 30.0  # degrees
+
+# No path on such a surface has as many events.
+MAX_DEPTH = 1000
+
+
+def surface(resolution, alpha=0.5):
+    """Height field of ``resolution x resolution`` cells as a Mitsuba dictionary."""
+    mirror = {"type": "twosided", "bsdf": {"type": "conductor"}}
+    return {
+        "type": "heightfield",
+        "alpha": alpha,
+        "resolution": resolution,
+        "bsdf": mirror,
+    }
+
+
+def gonio_paths(resolution, sampler, estimator="weighted", period="none"):
+    """Our instrument, set up: a function that sends rays in one batch.
+
+    Returns
+    -------
+    callable
+        ``send(rays, seed)`` gives the share of the rays that were reflected.
+    """
+    integrator = mi.load_dict(
+        {
+            "type": "goniophotometer",
+            "batches": 1,
+            "estimator": estimator,
+            "period": period,
+            "max_depth": MAX_DEPTH,
+        }
+    )
+    sensor = mi.load_dict(
+        {"type": "collector", "film": {"type": "patches"}, "sampler": {"type": sampler}}
+    )
+    incoming = -direction(np.radians(THETA_I), 0.0)
+    lamp = mi.load_dict({"type": "directional", "direction": incoming.tolist()})
+    scene = mi.load_dict({"type": "scene", "surface": surface(resolution)})
+    bench = integrator.bench(Specimen(scene, period), [lamp], sensor)
+
+    def send(rays, seed):
+        (tally,) = integrator.tallies(bench, (seed, 0), [rays])
+        return tally.ledger.reflected / rays
+
+    return send
+
+
+def film_paths(resolution, coherent):
+    """Mitsuba's `path` along the same directions, from an orthographic film.
+
+    The film is what the specimen's top looks like from the lamp, so that its paths
+    begin as our rays do; they end in light of radiance 1 from everywhere. `coherent`:
+    one path for each pixel of a square film, in the order of its rows; else all paths
+    from random positions on a film of one pixel.
+
+    Returns
+    -------
+    callable
+        ``send(paths, seed)`` gives the mean radiance that the film received.
+    """
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {
+                "type": "path",
+                "max_depth": MAX_DEPTH,
+                "rr_depth": MAX_DEPTH,
+            },
+            "light": {"type": "constant", "radiance": 1.0},
+            "surface": surface(resolution),
+        }
+    )
+
+    def send(paths, seed):
+        side = round(paths**0.5) if coherent else 1
+        image = mi.render(
+            scene, sensor=_film(scene, side), spp=paths // side**2, seed=seed
+        )
+        return float(np.mean(image.numpy()))
+
+    return send
+
+
+@lru_cache(maxsize=2)
+def _film(scene, side):
+    """Orthographic sensor of ``side x side`` pixels that shows the specimen's top."""
+    top = np.array([0, 0, scene.shapes()[0].bbox().max.z])
+    towards = direction(np.radians(THETA_I), 0.0)
+    to_world = mi.ScalarTransform4f().look_at(
+        (top + 4 * towards).tolist(), top.tolist(), [0, 1, 0]
+    )
+    film = {
+        "type": "hdrfilm",
+        "width": side,
+        "height": side,
+        "pixel_format": "luminance",
+    }
+    return mi.load_dict(
+        {
+            "type": "orthographic",
+            "to_world": to_world.scale([np.cos(np.radians(THETA_I)), 1, 1]),
+            "film": film | {"rfilter": {"type": "box"}},
+        }
+    )
+
+
+def print_speeds(rays, repeats, resolution=512):
+    """Print paths per second on one surface, relative to random starts of our own."""
+    ways = {
+        ("gonio-mi", "random origins (independent)"): gonio_paths(
+            resolution, "independent"
+        ),
+        ("gonio-mi", "origins along a curve (sobol)"): gonio_paths(resolution, "sobol"),
+        ("gonio-mi", "the same, one periodic cell"): gonio_paths(
+            resolution, "sobol", period="box"
+        ),
+        ("Mitsuba path", "random film positions, one pixel"): film_paths(
+            resolution, coherent=False
+        ),
+        ("Mitsuba path", "one path per pixel, in rows"): film_paths(
+            resolution, coherent=True
+        ),
+    }
+    times = in_turns(
+        {key: lambda send=send: send(rays, 0) for key, send in ways.items()}, repeats
+    )
+    first = next(iter(times.values())).cpu
+    rows = [
+        (
+            *key,
+            f"{1e9 * time.cpu / rays:.0f}",
+            f"{rays / time.wall / 1e6:.2f}",
+            f"{first / time.cpu:.2f}",
+        )
+        for key, time in times.items()
+    ]
+    print_table(
+        f"Mirror height field of {resolution}^2 cells, alpha 0.5, at {THETA_I:g} "
+        f"degrees, every bounce: {rays:g} paths, medians of {repeats} runs in turns",
+        ("method", "paths start", "core-ns per path", "Mpath/s", "speed"),
+        rows,
+    )
