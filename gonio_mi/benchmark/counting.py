@@ -1,7 +1,7 @@
 """Raw speed: all count the same rays into 900 patches."""
 
 from .c_loop import CompilerError
-from .rivals import c_rays, chi2_rays, gonio_rays, numba_rays, numpy_rays
+from .rivals import c_rays, chi2_rays, gonio_rays, numba_rays, numpy_rays, samples
 from .table import print_table
 from .timing import in_turns
 
@@ -46,10 +46,12 @@ def rivals():
 def print_rates(rays, repeats):
     """Print speeds, relative to counting independent rays off the diffuse specimen."""
     found, absent = rivals()
-    times = in_turns(
-        {key: lambda rival=rival: rival.flux(rays, 0) for key, rival in found.items()},
-        repeats,
-    )
+    runs = {
+        key: lambda rival=rival: rival.flux(rays, 0) for key, rival in found.items()
+    }
+    for name, specimen in SPECIMENS.items():
+        runs[name, "Mitsuba's sample, nothing counted"] = samples(specimen, rays)
+    times = in_turns(runs, repeats)
     first = next(iter(times.values())).cpu
     rows = [
         (

@@ -24,6 +24,7 @@ __all__ = [
     "numba_rays",
     "numpy_rays",
     "patch_integrals",
+    "samples",
 ]
 
 GRID = EqualProjectedSolidAngle(30, 30)
@@ -81,6 +82,28 @@ def gonio_rays(
 
     shown = "1 batch" if batches == 1 else f"{batches} batches"
     return Rival(f"gonio-mi, {sampler}, {estimator}, {shown}", flux, grid)
+
+
+def samples(specimen, rays):
+    """Run of independent random numbers and Mitsuba's ``sample`` alone.
+
+    Less than that is not to be had, whatever is done with the directions.
+    """
+    bsdf = mi.load_dict(specimen)
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.wi = mi.Vector3f(direction(np.radians(THETA_I), 0.0).tolist())
+    dr.make_opaque(si.wi)
+
+    def run():
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(0, rays)
+        bs, weight = bsdf.sample(
+            mi.BSDFContext(), si, sampler.next_1d(), sampler.next_2d()
+        )
+        dr.eval(dr.sum(bs.wo.x + bs.wo.y + bs.wo.z + dr.sum(weight)))
+        dr.sync_thread()
+
+    return run
 
 
 def patch_integrals(specimen):
