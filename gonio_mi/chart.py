@@ -14,7 +14,9 @@ from .specimen import load_specimen, specimen_name
 
 __all__ = ["ESTIMATORS", "SAMPLERS", "chart"]
 
-ESTIMATORS = ("analog", "weighted", "quadrature")
+NEEDS_GEOMETRY = "the estimator next_event needs geometry, got a flat rectangle"
+
+ESTIMATORS = ("analog", "weighted", "quadrature", "next_event")
 SAMPLERS = ("independent", "sobol")
 
 
@@ -51,7 +53,8 @@ def chart(
     estimators, samplers : sequence of str
         Every pair of them is a method. ``quadrature`` is left out where it does not
         apply, and gets finer tolerances instead of more rays; for a BSDF with delta
-        components, more rays of the sampler ``sobol``.
+        components, more rays of the sampler ``sobol``. ``next_event`` is left out on
+        flat specimens.
     seconds : float
         About how long all of it may take.
     repeats : int
@@ -82,9 +85,12 @@ def chart(
     with _Clock(seconds, progress) as clock:
         clock.show("reference")
         pilot, reference, integrates = find_reference(runs, seconds)
+        flat = pilot.settings["transport"] == "plane"
+        if flat:
+            estimators = [name for name in estimators if name != "next_event"]
         methods = _methods(estimators, samplers, integrates)
         if not methods:
-            raise SpecimenError(reference.refused)
+            raise SpecimenError(reference.refused or NEEDS_GEOMETRY)
         curves = _curves(runs, clock, reference, methods)
     result = Chart(
         specimen=specimen_name(specimen, parameters),

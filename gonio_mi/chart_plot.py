@@ -12,7 +12,11 @@ __all__ = ["draw_by_time", "plot_chart"]
 COLOURS = {"independent": "tab:orange", "sobol": "tab:blue", "": "tab:green"}
 OTHERS = ("tab:purple", "tab:brown", "tab:pink", "tab:cyan", "tab:olive")
 # Filled and solid for one estimator, hollow and dashed for the other.
-STYLES = {"analog": ("o", "--", "w"), "weighted": ("o", "-", None)}
+STYLES = {
+    "analog": ("o", "--", "w"),
+    "weighted": ("o", "-", None),
+    "next_event": ("^", "-.", None),
+}
 QUADRATURE = ("*", "-", None)
 FRONT = "0.82"
 LEGEND = {"fontsize": "small", "frameon": False}

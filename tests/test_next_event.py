@@ -9,6 +9,7 @@ import pytest
 from budget import agree, difference_scores, disagree, scores, verdict
 from surfaces import MIRROR, grooves, heightfield
 
+from gonio_mi import chart as charting
 from gonio_mi.errors import SpecimenError
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -232,3 +233,12 @@ def test_bad_settings_are_one_sentence(settings, message):
     with pytest.raises((SpecimenError, ValueError), match=message) as caught:
         gonio.measure({"type": "diffuse"}, 30, rays=1000, **settings)
     assert "\n" not in str(caught.value)
+
+
+def test_a_chart_compares_it_on_geometry_only():
+    names = ["weighted", "next_event"]
+    settings = {"estimators": names, "samplers": ["sobol"], "seconds": 1, "repeats": 2}
+    chart = charting.chart(field(GREY), 30, period="box", collector=GRID, **settings)
+    assert [curve.estimator for curve in chart.curves] == names
+    flat = charting.chart({"type": "diffuse"}, 30, collector=GRID, **settings)
+    assert [curve.estimator for curve in flat.curves] == ["weighted"]
