@@ -100,7 +100,8 @@ def measure(
         the patches of a flat specimen in a collimated beam, deterministic, with rays
         for delta components only; or deposit ``eval``, at every event on geometry,
         towards points in random patches that are in sight, with rays after delta
-        components only: for patches far from the lobes. Default ``weighted``.
+        components only: for rough facets, patches far from the lobes, and narrow
+        apertures, but not for totals. Default ``weighted``.
     seed : int
         Same seed, same bits: whatever the number of threads.
     side : {"front", "back"}
@@ -123,7 +124,8 @@ def measure(
         ``auto`` leaves out the lower one for flat specimens that declare no
         transmission.
     points : int
-        Points for each event, of the estimator `next_event`. Default 1.
+        Points for each event, of the estimator `next_event`. Default 1. With
+        ``hemispheres="upper"`` none is spent on a dark lower one.
     max_depth : int
         Surface events before a ray is truncated. Default 1000.
     rr_depth : int

@@ -231,7 +231,9 @@ def _settings_text(numbers):
         ),
         (
             "method",
-            f"estimator {known('estimator')}, sampler {known('sampler')}, transport "
+            f"estimator {known('estimator')}, "
+            + (f"points {settings['points']}, " if "points" in settings else "")
+            + f"sampler {known('sampler')}, transport "
             f"{known('transport')}, max_depth {known('max_depth')}, "
             f"rr_depth {known('rr_depth')}",
         ),
