@@ -100,7 +100,7 @@ def test_rel_err_is_reached(sampler, estimator):
     assert record.settings["reached"] == worst
     assert record.settings["n_lobe"] == 30
     assert record.settings["paper_rays"] == 30 * 105_967
-    assert record.n_batches == 32
+    assert record.n_batches == 16
 
 
 @pytest.mark.usefixtures("mono")
