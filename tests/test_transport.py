@@ -190,10 +190,11 @@ def test_mirror_shows_the_lamp(emission, trace):
         collector="projected:8x12",
         sampler="independent",
         trace=trace,
+        batches=32,
     )
-    agree(verdict(against_runs(record, mirrored_lamp(30, emission, 32))))
+    agree(verdict(against_runs(record, mirrored_lamp(30, emission, 16))))
     other = {"radiometric": "equal_power", "equal_power": "radiometric"}[emission]
-    disagree(verdict(against_runs(record, mirrored_lamp(30, other, 32))))
+    disagree(verdict(against_runs(record, mirrored_lamp(30, other, 16))))
 
 
 def against_runs(record, runs):
