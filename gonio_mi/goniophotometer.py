@@ -142,8 +142,8 @@ def measure(
     wavelengths : sequence of float
         In nm, the channels in spectral variants. Default 550.
     batches : int
-        Independent batches from which uncertainties come. Default 16: with `sobol` every
-        doubling costs a fifth of the precision that the same rays give.
+        Independent batches from which uncertainties come. Default 16: with `sobol`
+        every doubling costs a fifth of the precision that the same rays give.
     parameters : dict
         Values for the ``$name`` parameters of an XML file.
     resume : Record

@@ -34,6 +34,13 @@ def spent():
     return _spent
 
 
+def add(verdicts):
+    """Count the verdicts that another process has passed."""
+    global _spent
+    _spent += verdicts
+    assert _spent <= SHARES, "more verdicts than budget.SHARES: raise it"
+
+
 @dataclass
 class Verdict:
     """The p-values of one statistical comparison, by view."""

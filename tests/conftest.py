@@ -41,6 +41,21 @@ def variant(request):
     yield from _variant(request.param)
 
 
+# ------------------------------------------------------------ the false-alarm budget
+
+
+def pytest_sessionfinish(session):
+    """Report the verdicts of a process to the one that started it."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["verdicts"] = budget.spent()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    """Add the verdicts of a process that has ended."""
+    budget.add(getattr(node, "workeroutput", {}).get("verdicts", 0))
+
+
 def pytest_terminal_summary(terminalreporter):
     """Say how much of the false-alarm budget was used."""
     if budget.spent():

@@ -81,7 +81,7 @@ def test_a_cluster_of_two_workers(reference):
     distributed = pytest.importorskip("distributed")
     with (
         distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
         ) as cluster,
         distributed.Client(cluster) as client,
     ):
@@ -129,8 +129,8 @@ def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch
 def test_a_folder_of_something_else(tmp_path):
     gonio.campaign(SPECIMENS, 0, **SETTINGS, folder=tmp_path / "a")
     for change in ({"rays": 5001}, {"seed": 1}, {"theta_i": 1}):
+        arguments = {"theta_i": 0} | SETTINGS | change
         with pytest.raises(ValueError, match="must hold this very campaign"):
-            arguments = {"theta_i": 0} | SETTINGS | change
             gonio.campaign(SPECIMENS, **arguments, folder=tmp_path / "a")
     # the same number in other words
     gonio.campaign(SPECIMENS, 0, **SETTINGS | {"rays": 5e3}, folder=tmp_path / "a")

@@ -294,7 +294,8 @@ def test_colours_are_the_records(plugin):
         plugin(record),
         half_way,
         collector="projected:1x1",
-        rays=2**18,
+        rays=2**20,
+        batches=32,
         sampler="independent",
     )
     fractions = record.flux_fraction[1:].sum(axis=(2, 3)).mean(axis=0)

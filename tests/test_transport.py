@@ -192,9 +192,9 @@ def test_mirror_shows_the_lamp(emission, trace):
         trace=trace,
         batches=32,
     )
-    agree(verdict(against_runs(record, mirrored_lamp(30, emission, 16))))
+    agree(verdict(against_runs(record, mirrored_lamp(30, emission, 32))))
     other = {"radiometric": "equal_power", "equal_power": "radiometric"}[emission]
-    disagree(verdict(against_runs(record, mirrored_lamp(30, other, 16))))
+    disagree(verdict(against_runs(record, mirrored_lamp(30, other, 32))))
 
 
 def against_runs(record, runs):

@@ -8,6 +8,7 @@ __all__ = [
     "apart",
     "check_sampler",
     "continues",
+    "in_turns",
     "sampler_name",
     "seeded",
     "turns_of",
@@ -88,6 +89,16 @@ def continues(sampler):
 def turns_of(sampler, n):
     """Rays that a lane sends one after the other, of `n` in all."""
     return max(1, min(MOST_TURNS, n // FEWEST_LANES)) if continues(sampler) else 1
+
+
+@dr.syntax
+def in_turns(add, sampler, ray, lanes, turns):
+    """Send a ray in each lane, then the next ones: a generator is costly to seed."""
+    lanes, turns = dr.opaque(mi.UInt32, lanes), dr.opaque(mi.UInt32, turns)
+    turn = mi.UInt32(0)
+    while turn < turns:
+        add(sampler, ray + turn * lanes)
+        turn += 1
 
 
 def apart(lane, n):

@@ -17,7 +17,14 @@ from gonio_mi.plugins.bench import Bench
 from gonio_mi.plugins.integrals import check_integrable, integrals
 from gonio_mi.plugins.next_event import MOST_POINTS, Deposits, check_traced
 from gonio_mi.plugins.order import checked_order, of_order, orders
-from gonio_mi.plugins.sampling import apart, continues, sampler_name, seeded, turns_of
+from gonio_mi.plugins.sampling import (
+    apart,
+    continues,
+    in_turns,
+    sampler_name,
+    seeded,
+    turns_of,
+)
 from gonio_mi.plugins.specimen import Specimen, checked_period
 from gonio_mi.plugins.sums import Sums, packet_width
 from gonio_mi.plugins.transport import Settings, scatter_plane, trace
@@ -343,7 +350,7 @@ class Goniophotometer(mi.SamplingIntegrator):
                 deposits.add_exits(bins, exits)
 
         if continues(sampler) and not self._traces(bench):
-            _in_turns(add, sampler, ray, lanes, turns)
+            in_turns(add, sampler, ray, lanes, turns)
         else:
             add(sampler, ray)
         return sums.tally(len(sizes))
@@ -440,16 +447,6 @@ class Goniophotometer(mi.SamplingIntegrator):
     def to_string(self):
         """Return a readable description."""
         return f"Goniophotometer{self.settings}"
-
-
-@dr.syntax
-def _in_turns(add, sampler, ray, lanes, turns):
-    """Send a ray in each lane, then the next ones: a generator is costly to seed."""
-    lanes, turns = dr.opaque(mi.UInt32, lanes), dr.opaque(mi.UInt32, turns)
-    turn = mi.UInt32(0)
-    while turn < turns:
-        add(sampler, ray + turn * lanes)
-        turn += 1
 
 
 def _wavelength_lanes(nm):
