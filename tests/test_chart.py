@@ -250,13 +250,13 @@ def test_geometry_is_measured_against_a_long_run():
     exact = charting.chart(PLASTIC, 45, seconds=1, repeats=2, estimators=["quadrature"])
     error = chart.reference.values - exact.reference.values
     rms = np.sqrt(np.mean(error**2)) / exact.reference.mean
-    # of 900 patches, whose scatter is that of Student's t with 31 degrees of freedom:
-    # a mean square of 31 / 29, certain to sqrt(2.2 / 900)
-    square = (rms / chart.reference.error) ** 2 * 29 / 31
-    z = (square - 1) / np.sqrt(2.2 / 900)
+    # of 900 patches, whose scatter is that of Student's t with 15 degrees of freedom:
+    # a mean square of 15 / 13, certain to sqrt(2.55 / 900)
+    square = (rms / chart.reference.error) ** 2 * 13 / 15
+    z = (square - 1) / np.sqrt(2.55 / 900)
     agree(single(z))
-    wrong = (2 * rms / chart.reference.error) ** 2 * 29 / 31
-    disagree(single((wrong - 1) / np.sqrt(2.2 / 900)))
+    wrong = (2 * rms / chart.reference.error) ** 2 * 13 / 15
+    disagree(single((wrong - 1) / np.sqrt(2.55 / 900)))
 
 
 @pytest.mark.usefixtures("short")
