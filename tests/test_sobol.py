@@ -396,6 +396,15 @@ def test_launches_of_a_batch_are_one_sequence(monkeypatch):
     assert other.tallies != random.tallies
 
 
+def test_the_best_dimensions_go_to_the_scattering_with_any_footprint():
+    """Exact: where light lands is of no importance to a BSDF without textures."""
+    settings = {"theta_i": 30, "rays": 10_000}
+    full, point = (
+        gonio.measure(PLASTIC, **settings, footprint=f) for f in ("full", "point")
+    )
+    assert full.tallies == point.tallies
+
+
 @pytest.mark.parametrize("trace", [False, True])
 def test_batches_that_share_a_launch_have_the_bits_of_their_own(monkeypatch, trace):
     """Exact, with batches of unequal size, and several launches of a few batches."""

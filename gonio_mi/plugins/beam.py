@@ -103,6 +103,9 @@ class Beam:
         """Points of the footprint."""
         middle = mi.Point3f(self.middle.tolist())
         if self.footprint == "point":
+            if hasattr(sampler, "skip"):
+                # the best dimensions are those that come after the footprint's
+                sampler.skip(2)
             return middle
         if self.footprint != "full":
             disk = mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())

@@ -278,6 +278,10 @@ class Sobol(mi.Sampler):
         x = self.next_1d(active)
         return mi.Point2f(x, self.next_1d(active))
 
+    def skip(self, n):
+        """Leave out the next `n` numbers of each point."""
+        self.draw = self.draw + n
+
     def fork(self):
         """Return a sampler of the same settings, to be seeded."""
         copy = type(self)(mi.Properties("sobol"))
