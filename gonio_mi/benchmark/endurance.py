@@ -7,7 +7,7 @@ from .timing import cpu_seconds, peak_memory
 
 __all__ = ["print_growth"]
 
-SPECIMEN = {"type": "roughconductor", "alpha": 0.2}
+SPECIMEN = {"type": "diffuse", "reflectance": 1.0}
 
 
 def print_growth(most):
@@ -29,7 +29,7 @@ def print_growth(most):
             )
             rays *= 10
     print_table(
-        "Growth: rough conductor, 900 patches; the peak is that of the process so far",
+        "Growth: diffuse, 900 patches; the peak is that of the process so far",
         ("sampler", "rays", "core-ns per ray", "peak MiB"),
         rows,
     )
