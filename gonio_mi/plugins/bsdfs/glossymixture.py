@@ -112,13 +112,19 @@ class GlossyMixture(mi.BSDF):
         dr.make_opaque(self.glossy_share)
 
     def sample(self, ctx, si, sample1, sample2, active=True):
-        """Pick a lobe by `sample1` alone and draw `wo` from it by `sample2`."""
+        """Pick a lobe by the first of `sample2` and draw `wo` from what is left of it.
+
+        In two dimensions instead of three, evenly distributed points are worth more.
+        """
+        del sample1
         active = active & (mi.Frame3f.cos_theta(si.wi) > 0)
         bs = dr.zeros(mi.BSDFSample3f)
         share = self._enabled_share(ctx)
         if share is None:
             return bs, mi.Spectrum(0)
-        glossy = sample1 < share
+        glossy = sample2.x < share
+        rest = dr.select(glossy, sample2.x / share, (sample2.x - share) / (1 - share))
+        sample2 = mi.Point2f(rest, sample2.y)
         mirror = mi.reflect(si.wi)
         bs.wo = dr.select(
             glossy,
