@@ -1,7 +1,5 @@
 """Campaigns: specimens times directions, in this process or in others, resumable."""
 
-import hashlib
-import json
 import logging
 import multiprocessing
 import os
@@ -16,19 +14,18 @@ from concurrent.futures import (
 )
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
-from pathlib import Path
 from threading import Lock
 
 import drjit as dr
 import mitsuba as mi
-from tqdm import tqdm
 
-from . import files
-from .errors import FileFormatError, checked_count
+from .campaign_folder import CampaignFolder
+from .errors import checked_count
 from .goniophotometer import measure
 from .incidence import incident_angles
+from .progress import bar
 from .record import Record
-from .specimen import check_variant, load_plugin_file
+from .specimen import check_variant, load_plugin_file, specimen_name
 
 __all__ = ["campaign"]
 
@@ -37,8 +34,6 @@ logger = logging.getLogger(__name__)
 # Rays of one task, at least: setting up a specimen is worth some 1e6 of them.
 TASK_RAYS = 10**7
 DEFAULT_RAYS = 10**6
-
-FORMAT = "gonio-mi campaign"
 
 
 def campaign(
@@ -111,17 +106,20 @@ def campaign(
     tasks = _tasks(specimens, incidents, plugins, threads, settings)
     if executor is not None:
         _check_picklable(tasks)
-    kept = _Kept(folder, tasks, incidents)
-    done = {task.number: kept.load(task) for task in tasks}
-    done = {number: record for number, record in done.items() if record is not None}
+    kept = None if folder is None else CampaignFolder(folder, tasks, incidents)
+    done = {} if kept is None else kept.load(tasks)
     todo = [task for task in tasks if task.number not in done]
     if done:
         logger.info("%d of %d tasks were finished before", len(done), len(tasks))
-    with _bar(tasks, done, progress) as report:
+    n_done = sum(len(record) for record in done.values())
+    total = len(incidents) * len(specimens)
+    with bar(progress, total=total, initial=n_done, unit="direction") as report:
         for task, record in _finished(todo, executor, retries):
-            kept.save(task, record)
             done[task.number] = record
-            report(len(task.incidents))
+            if kept is not None:
+                kept.save(task, record)
+            if report is not None:
+                report(len(record))
     return {
         str(name): Record.stack(
             done[task.number] for task in tasks if task.name == str(name)
@@ -143,6 +141,7 @@ class _Task:
     incidents: tuple
     variant: str
     plugins: tuple
+    directory: str  # of relative paths
     threads: int | None
     settings: dict = field(hash=False)
 
@@ -153,11 +152,23 @@ class _Task:
                 mi.set_variant(self.variant)
             for path in self.plugins:
                 load_plugin_file(path)
-            with _threads(self.threads):
-                return Record.stack(
-                    measure(self.specimen, *incident, **self.settings)
-                    for incident in self.incidents
-                )
+            with _threads(self.threads), warnings.catch_warnings():
+                # what a campaign keeps is whole directions
+                warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
+                return Record.stack(map(self._measured, self.incidents))
+
+    def _measured(self, incident):
+        """Record of one direction; Ctrl-C is raised, even if there is part of it."""
+        specimen = self.specimen
+        if isinstance(specimen, (str, os.PathLike)):
+            specimen = os.path.join(self.directory, specimen)
+        record = measure(specimen, *incident, **self.settings)
+        if record.settings.get("interrupted"):
+            raise KeyboardInterrupt
+        # the same wherever it is measured
+        name = specimen_name(self.specimen, self.settings.get("parameters"))
+        record.settings["specimen"] = name
+        return record
 
 
 _here = Lock()
@@ -197,6 +208,7 @@ def _tasks(specimens, incidents, plugins, threads, settings):
                     some,
                     mi.variant(),
                     plugins,
+                    os.getcwd(),
                     threads,
                     settings,
                 )
@@ -260,101 +272,3 @@ def _started(executor):
         spawn = multiprocessing.get_context("spawn")
         return ProcessPoolExecutor(executor, mp_context=spawn)
     return nullcontext(executor)
-
-
-def _bar(tasks, done, shown):
-    """Context of the function to report measured directions to."""
-    if not shown:
-        return nullcontext(lambda _: None)
-    return _Bar(
-        total=sum(len(task.incidents) for task in tasks),
-        initial=sum(len(t.incidents) for t in tasks if t.number in done),
-        unit="direction",
-        leave=False,
-    )
-
-
-class _Bar(tqdm):
-    """Progress bar whose context is its function to report."""
-
-    def __enter__(self):
-        super().__enter__()
-        return self.update
-
-
-# -------------------------------------------------------------------------- keeping
-
-
-class _Kept:
-    """The folder of a campaign: a description of it, and a record for each task."""
-
-    def __init__(self, folder, tasks, incidents):
-        self.folder = None if folder is None else Path(folder)
-        if self.folder is None:
-            return
-        described = {
-            "format": FORMAT,
-            "variant": tasks[0].variant,
-            "incidents": [list(incident) for incident in incidents],
-            "specimens": {task.name: _fingerprint(task.specimen) for task in tasks},
-            "settings": {k: _text(v) for k, v in sorted(tasks[0].settings.items())},
-        }
-        self.folder.mkdir(parents=True, exist_ok=True)
-        path = self.folder / "campaign.json"
-        if path.exists():
-            self._check(path, described)
-        else:
-            with files.replacing(path) as stream:
-                stream.write(json.dumps(described, indent=1).encode())
-
-    def load(self, task):
-        """Record of a task that was finished before, or None."""
-        if self.folder is None or not self._path(task).exists():
-            return None
-        try:
-            return files.load(self._path(task))
-        except FileFormatError as error:
-            logger.warning("%s; it is measured again", error)
-            return None
-
-    def save(self, task, record):
-        """Keep the record of a task."""
-        if self.folder is not None:
-            record.save(self._path(task))
-
-    def _path(self, task):
-        theta_i, phi_i = task.incidents[0]
-        name = f"{task.number:06d}_theta_i_{theta_i:g}_phi_i_{phi_i:g}.npz"
-        return self.folder / name
-
-    @staticmethod
-    def _check(path, described):
-        """Raise ValueError unless the folder holds this very campaign."""
-        try:
-            found = json.loads(path.read_text())
-        except ValueError:
-            found = None
-        if not isinstance(found, dict) or found.get("format") != FORMAT:
-            raise ValueError(
-                f"folder must hold a campaign or nothing, got {path.parent}"
-            )
-        for key, own in described.items():
-            if found.get(key) != own:
-                raise ValueError(
-                    f"folder must hold this very campaign, but in {path.parent} its "
-                    f"{key} are {found.get(key)!r:.200} instead of {own!r:.200}"
-                )
-
-
-def _text(value):
-    """Text of a setting, the same for 1e6 and 1000000."""
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return repr(float(value) if is_number else value)
-
-
-def _fingerprint(specimen):
-    """Text that tells a specimen from others: for a file, of its content too."""
-    if isinstance(specimen, (str, os.PathLike)):
-        content = Path(specimen).read_bytes()
-        return f"{os.fspath(specimen)} sha256:{hashlib.sha256(content).hexdigest()}"
-    return repr(specimen)

@@ -1,14 +1,11 @@
 """The instrument: takes a specimen and settings, runs batches, returns a record."""
 
 import logging
-import os
 import time
 import warnings
-from contextlib import nullcontext
 
 import mitsuba as mi
 import numpy as np
-from tqdm import tqdm
 
 from .batches import MAX_RAYS, checked_target, n_batches, send, send_until
 from .errors import (
@@ -17,9 +14,12 @@ from .errors import (
     checked_count,
 )
 from .incidence import emitter_scene, incident_angles, incident_key
+from .memory import check_memory
 from .plugins.specimen import Specimen
+from .progress import bar
 from .ray_density import FLOOR
 from .record import Record
+from .resuming import check_resumable
 from .specimen import check_variant, load_specimen, loaded, specimen_name
 from .subdivision import subdivision
 from .tally import Tally, batch_sizes
@@ -158,7 +158,8 @@ def measure(
     Returns
     -------
     Record
-        After Ctrl-C, of the batches that were finished, with a warning.
+        After Ctrl-C, of the batches that were finished, with a warning and the setting
+        ``interrupted``.
 
     Raises
     ------
@@ -219,22 +220,63 @@ def measure(
     ]
 
     plan = batch_sizes(integrator.rays, integrator.batches)
-    _check_memory(benches, len(plan))
+    sums = sum(bench.n_collected for bench in benches)
+    check_memory(
+        f"{sums} patches in {len(plan)} batches",
+        2 * 8 * sums * len(plan) * len(mi.Spectrum()),  # while they are joined
+        "take fewer patches, incident directions or batches",
+    )
     finished = [[] for _ in benches]
     if resume is not None:
-        _check_resumable(
-            resume, [integrator.describe(b, seed) for b in benches], benches
-        )
-        _check_batches(resume, plan, integrator.passes)
+        check_resumable(resume, integrator, benches, seed, plan)
         finished[: len(resume)] = [[tally] for tally in resume.tallies]
 
     started = time.perf_counter()
+    keys = [(seed, *incident_key(incident)) for incident in incidents]
+    complete = _send_all(integrator, benches, keys, plan, target, finished, progress)
+    records = [
+        integrator.record(bench, Tally.join(tallies), seed)
+        for bench, tallies in zip(benches, finished)
+        if tallies
+    ]
+    record = Record.stack(records) if stacked else records[0]
+    logger.info("measured for %.3g s: %r", time.perf_counter() - started, record)
+    if target:
+        record.settings.update(target.reached(record))
+        if complete and not record.settings["reached"] <= rel_err:
+            warnings.warn(
+                f"rel_err of {rel_err:g} was not reached with {target.max_rays:g} "
+                f"rays: it is {record.settings['reached']:.3g} in the worst patch",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+    if not complete:
+        record.settings["interrupted"] = True
+        if integrator.integrates or target:
+            kept = f"{len(records)} of {len(benches)} incident directions"
+            kept += ", the last one less precise" if target else ""
+        else:
+            batches = sum(map(n_batches, finished))
+            kept = f"{batches} of {len(plan) * len(benches)} batches; resume= carries "
+            kept += "it on"
+        warnings.warn(
+            f"interrupted: the record holds {kept}", RuntimeWarning, stacklevel=2
+        )
+    return record
+
+
+def _send_all(integrator, benches, keys, plan, target, finished, progress):
+    """Append to `finished` the tallies of all benches; return whether all are there.
+
+    After Ctrl-C they are those of what was finished; it is raised if that is nothing.
+    """
     left = sum(sum(plan[n_batches(tallies) :]) for tallies in finished)
-    interrupted = False
-    with _bar(None if target else left * integrator.passes, progress) as report:
+    rays = None if target else left * integrator.passes
+    with bar(
+        progress, total=rays, unit="ray", unit_scale=True, delay=1, mininterval=0.2
+    ) as report:
         try:
-            for incident, bench, tallies in zip(incidents, benches, finished):
-                key = (seed, *incident_key(incident))
+            for bench, key, tallies in zip(benches, keys, finished):
                 if not integrator.samples(bench):
                     if report is not None:
                         report(sum(plan))
@@ -248,36 +290,13 @@ def measure(
             if not _is_ctrl_c(error):
                 raise
             if integrator.integrates:  # rays alone are not enough
-                whole = [t and t[0].errors is not None for t in finished]
-                finished = [t if done else [] for t, done in zip(finished, whole)]
+                for tallies in finished:
+                    if tallies and tallies[0].errors is None:
+                        tallies.clear()
             if not any(finished):
                 raise KeyboardInterrupt from None
-            interrupted = True
-
-    records = [
-        integrator.record(bench, Tally.join(tallies), seed)
-        for bench, tallies in zip(benches, finished)
-        if tallies
-    ]
-    record = Record.stack(records) if stacked else records[0]
-    logger.info("measured for %.3g s: %r", time.perf_counter() - started, record)
-    if target:
-        record.settings.update(target.reached(record))
-        if not (interrupted or record.settings["reached"] <= rel_err):
-            warnings.warn(
-                f"rel_err of {rel_err:g} was not reached with {target.max_rays:g} "
-                f"rays: it is {record.settings['reached']:.3g} in the worst patch",
-                RuntimeWarning,
-                stacklevel=2,
-            )
-    if interrupted:
-        warnings.warn(
-            f"interrupted: the record holds {sum(map(n_batches, finished))} of "
-            f"{len(plan) * len(benches)} batches; resume= carries it on",
-            RuntimeWarning,
-            stacklevel=2,
-        )
-    return record
+            return False
+    return True
 
 
 def _by_campaign(arguments):
@@ -305,22 +324,6 @@ def _is_ctrl_c(error):
 def _asked(scene, estimator):
     """Estimator that is given, or that of the scene's own integrator."""
     return estimator or getattr(scene.integrator(), "settings", {}).get("estimator")
-
-
-def _check_memory(benches, n_batches):
-    """Raise ValueError if the sums of all batches would not fit, twice over."""
-    sums = sum(bench.n_collected for bench in benches)
-    needed = 2 * 8 * sums * n_batches * len(mi.Spectrum())
-    try:
-        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):  # not a POSIX system
-        return
-    if needed > memory:
-        raise ValueError(
-            f"{sums} patches in {n_batches} batches must fit into the "
-            f"{memory / 2**30:.3g} GiB of memory, got {needed / 2**30:.3g} GiB: take "
-            "fewer patches, incident directions or batches"
-        )
 
 
 def _joined(wavelengths):
@@ -359,71 +362,3 @@ def _sensor(scene, collector, radius, hemispheres, sampler):
             sampler = {"type": sampler}
         sensor["sampler"] = loaded("the sampler", mi.load_dict, sampler)
     return loaded("the collector", mi.load_dict, sensor | {"film": film})
-
-
-# ---------------------------------------------------------------- progress and resuming
-
-
-def _bar(total, shown):
-    """Context that gives the function to report sent rays to."""
-    if not shown:
-        return nullcontext()
-    return _Bar(total)
-
-
-class _Bar(tqdm):
-    """Progress bar in rays, whose context is its function to report."""
-
-    def __init__(self, total):
-        super().__init__(
-            total=total,
-            unit="ray",
-            unit_scale=True,
-            delay=1,
-            mininterval=0.2,
-            leave=False,
-        )
-
-    def __enter__(self):
-        super().__enter__()
-        return self.update
-
-
-def _check_resumable(resume, descriptions, benches):
-    """Raise ValueError unless `resume` is the beginning of this measurement."""
-    if not isinstance(resume, Record):
-        raise TypeError(f"resume must be a Record, got {resume!r}")
-    for i in range(len(resume)):
-        if i >= len(benches):
-            raise ValueError(
-                f"resume must hold at most {len(benches)} incident directions, "
-                f"got {len(resume)}"
-            )
-        own = descriptions[i] | {
-            "collector": str(benches[i].film.subdivision),
-            "theta_i": benches[i].theta_i,
-            "phi_i": benches[i].phi_i,
-        }
-        others = resume.settings | {
-            "collector": str(resume.subdivision),
-            "theta_i": float(resume.theta_i[i]),
-            "phi_i": float(resume.phi_i[i]),
-        }
-        for key in own.keys() - {"created", "versions", "specimen"}:
-            if own[key] != others.get(key) and own[key] == own[key]:
-                raise ValueError(
-                    f"resume must be a record of this measurement, but its {key} is "
-                    f"{others.get(key)!r} instead of {own[key]!r}"
-                )
-
-
-def _check_batches(resume, plan, passes):
-    """Raise ValueError unless the batches of `resume` are the first ones of `plan`."""
-    for tally in resume.tallies:
-        sizes = (tally.fates.sum(axis=1) // passes).tolist()
-        if sizes != plan[: len(sizes)]:
-            raise ValueError(
-                "resume must be a record of this measurement, but it has "
-                f"{len(sizes)} batches of up to {max(sizes)} rays instead of "
-                f"{len(plan)} of up to {max(plan)}"
-            )

@@ -125,6 +125,67 @@ def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch
     assert same(records, reference)
 
 
+@pytest.fixture
+def interrupted():
+    """BSDF plugin that reflects diffusely, until its 14th sample() is interrupted."""
+
+    class Interrupted(mi.BSDF):
+        calls = 0
+
+        def __init__(self, props):
+            super().__init__(props)
+            self.diffuse = mi.load_dict({"type": "diffuse"})
+            self.m_components = [self.diffuse.flags(0)]
+            self.m_flags = self.diffuse.flags()
+
+        def sample(self, *arguments):
+            Interrupted.calls += 1
+            if Interrupted.calls == 14:
+                raise KeyboardInterrupt
+            return self.diffuse.sample(*arguments)
+
+        def to_string(self):
+            return "Interrupted"
+
+    mi.register_bsdf("test_interrupted_once", Interrupted)
+    return Interrupted
+
+
+@pytest.mark.usefixtures("mono")
+def test_ctrl_c_keeps_whole_directions_only(interrupted, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules["gonio_mi.campaign"], "TASK_RAYS", 1)
+    specimen = {"type": "test_interrupted_once"}
+    settings = ANGLES | SETTINGS | {"sampler": "independent"}
+    with pytest.warns(RuntimeWarning, match="interrupted: the record holds"):
+        part = gonio.measure(specimen, **settings)
+    assert part.settings["interrupted"]
+    assert len(part) > 1
+    assert 0 < part.tallies[-1].n_batches < 4  # it came amid a direction
+    interrupted.calls = 0
+    with pytest.raises(KeyboardInterrupt):
+        gonio.campaign({"matt": specimen}, **settings, folder=tmp_path)
+    assert len(list(tmp_path.glob("*.npz"))) == len(part) - 1
+    record = gonio.campaign({"matt": specimen}, **settings, folder=tmp_path)["matt"]
+    assert record.tallies == gonio.measure(SPECIMENS["matt"], **settings).tallies
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_relative_path_is_found_from_elsewhere(tmp_path, monkeypatch):
+    scene = '<scene version="3.0.0"><shape type="rectangle"/></scene>'
+    (tmp_path / "plate.xml").write_text(scene)
+    monkeypatch.chdir(tmp_path)
+    with ThreadPoolExecutor(1) as pool:
+        submit = pool.submit
+
+        def elsewhere(run, task):
+            monkeypatch.chdir("/")
+            return submit(run, task)
+
+        monkeypatch.setattr(pool, "submit", elsewhere)
+        record = gonio.measure("plate.xml", 0, **SETTINGS, executor=pool)
+    assert record.settings["specimen"] == "plate.xml"
+
+
 @pytest.mark.usefixtures("mono")
 def test_a_folder_of_something_else(tmp_path):
     gonio.campaign(SPECIMENS, 0, **SETTINGS, folder=tmp_path / "a")

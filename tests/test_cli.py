@@ -41,7 +41,7 @@ class Diffuse(mi.BSDF):
         self.m_components = [mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide]
         self.m_flags = self.m_components[0]
 
-    def sample(self, ctx, si, sample1, sample2, active):
+    def sample(self, ctx, si, sample1, sample2, active=True):
         bs = mi.BSDFSample3f()
         bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
         bs.pdf = mi.warp.square_to_cosine_hemisphere_pdf(bs.wo)
@@ -52,6 +52,10 @@ class Diffuse(mi.BSDF):
 
     def weight(self, sample1):
         return 0.5
+
+    def eval(self, ctx, si, wo, active=True):
+        above = (si.wi.z > 0) & (wo.z > 0)
+        return mi.Spectrum(self.weight(0.5) * wo.z * dr.inv_pi) & above & active
 
     def to_string(self):
         return type(self).__name__
@@ -469,6 +473,20 @@ def test_ctrl_c_in_a_stack(run, plugins, tmp_path):
     assert run(*interruptible(plugins), *angles, *resume)[0] == 0
     assert run(*interruptible(plugins), *angles, "-o", whole)[0] == 0
     assert gonio.load(rest).tallies == gonio.load(whole).tallies
+
+
+@pytest.mark.usefixtures("sigint")
+def test_ctrl_c_keeps_whole_integrals(run, plugins, tmp_path):
+    part = tmp_path / "part.npz"
+    angles = ("--theta-i", "0", "30", "60", "--estimator", "quadrature", "-q")
+    plate = ("measure", "test_interrupted:at=14", *plugins, *angles)
+    code, _, err = run(*plate, "-o", part)
+    n = len(gonio.load(part))
+    assert code == 2
+    assert 0 < n < 3
+    assert err == (
+        f"gonio-mi: interrupted: {part} holds {n} of 3 incident directions\n"
+    )
 
 
 @pytest.mark.usefixtures("sigint")

@@ -8,6 +8,7 @@ import mitsuba as mi
 
 from .. import llvm
 from ..errors import VariantError
+from ..specimen import load_plugin_file, parse_specimen
 
 __all__ = [
     "DEFAULT_VARIANT",
@@ -19,12 +20,13 @@ __all__ = [
     "Parser",
     "UsageError",
     "add_scene_options",
+    "add_specimen",
     "number",
     "number_or_word",
-    "pair",
     "say",
     "sentence",
     "set_variant",
+    "specimen_of",
 ]
 
 PROGRAM = "gonio-mi"
@@ -54,6 +56,16 @@ class UsageError(ValueError):
     """Arguments that cannot be parsed."""
 
 
+def add_specimen(parser):
+    """Add the argument that :func:`specimen_of` understands."""
+    parser.add_argument(
+        "specimen",
+        metavar="SPECIMEN",
+        help="a Mitsuba scene file, or a BSDF in one word such as "
+        "roughconductor:alpha=0.2,distribution=ggx",
+    )
+
+
 def add_scene_options(group):
     """Add the options that say what Mitsuba loads specimens with."""
     group.add_argument(
@@ -70,6 +82,35 @@ def add_scene_options(group):
         metavar="FILE",
         help="Python files that register your own Mitsuba plugins; run first",
     )
+    group.add_argument(
+        "-D",
+        nargs="+",
+        action="extend",
+        default=[],
+        type=_pair,
+        dest="parameters",
+        metavar="KEY=VALUE",
+        help="values of the $KEY parameters of the scene file",
+    )
+
+
+def specimen_of(word, options):
+    """Set the variant, run the plugin files, and read the specimen.
+
+    Returns
+    -------
+    specimen : str or dict
+        What ``gonio_mi.measure`` takes.
+    parameters : dict
+        Values for the ``$name`` parameters of a scene file.
+    """
+    set_variant(options.variant)
+    for path in options.plugin:
+        load_plugin_file(path)
+    specimen = parse_specimen(word)
+    if options.parameters and isinstance(specimen, dict):
+        raise ValueError(f"-D goes with a scene file, got {word!r}")
+    return specimen, dict(options.parameters)
 
 
 def number(text):
@@ -94,14 +135,6 @@ def number_or_word(text):
         return text
 
 
-def pair(text):
-    """Name and value of ``name=value``."""
-    name, equals, value = text.partition("=")
-    if not (name and equals):
-        raise argparse.ArgumentTypeError(f"must look like key=value, got {text!r}")
-    return name, value
-
-
 def set_variant(variant):
     """Set a Mitsuba variant that the instrument can use."""
     usable = [
@@ -121,6 +154,14 @@ def set_variant(variant):
         raise VariantError(
             f"the variant {variant} does not work on this machine: {error}"
         ) from error
+
+
+def _pair(text):
+    """Name and value of ``name=value``."""
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"must look like key=value, got {text!r}")
+    return name, value
 
 
 def say(text):

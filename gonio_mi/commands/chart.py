@@ -4,8 +4,14 @@ import sys
 from pathlib import Path
 
 from .. import files
-from ..specimen import load_plugin_file, parse_specimen
-from .arguments import DONE, add_scene_options, number, pair, say, set_variant
+from .arguments import (
+    DONE,
+    add_scene_options,
+    add_specimen,
+    number,
+    say,
+    specimen_of,
+)
 
 __all__ = ["add", "run"]
 
@@ -32,12 +38,7 @@ def add(commands):
         epilog=EXAMPLES,
     )
     parser.set_defaults(run=run)
-    parser.add_argument(
-        "specimen",
-        metavar="SPECIMEN",
-        help="a Mitsuba scene file, or a BSDF in one word such as "
-        "roughconductor:alpha=0.2,distribution=ggx",
-    )
+    add_specimen(parser)
     parser.add_argument(
         "--theta-i",
         type=number,
@@ -61,18 +62,7 @@ def add(commands):
         help="patches (default: projected:30x30)",
     )
     _add_methods(parser.add_argument_group("methods"))
-    scene = parser.add_argument_group("scene")
-    add_scene_options(scene)
-    scene.add_argument(
-        "-D",
-        nargs="+",
-        action="extend",
-        default=[],
-        type=pair,
-        dest="parameters",
-        metavar="KEY=VALUE",
-        help="values of the $KEY parameters of the scene file",
-    )
+    add_scene_options(parser.add_argument_group("scene"))
     output = parser.add_argument_group("output")
     output.add_argument(
         "-o",
@@ -146,12 +136,7 @@ def run(options):
         for path in pictures:
             check_picture(path)
     target = checked_number("target", options.target, 1e-9, 1, "a number in (0, 1)")
-    set_variant(options.variant)
-    for path in options.plugin:
-        load_plugin_file(path)
-    specimen = parse_specimen(options.specimen)
-    if options.parameters and isinstance(specimen, dict):
-        raise ValueError(f"-D goes with a scene file, got {options.specimen!r}")
+    specimen, parameters = specimen_of(options.specimen, options)
     result = chart(
         specimen,
         options.theta_i,
@@ -161,7 +146,7 @@ def run(options):
         seconds=options.seconds,
         repeats=options.repeats,
         seed=options.seed,
-        parameters=dict(options.parameters),
+        parameters=parameters,
         progress=not options.quiet and sys.stderr.isatty(),
         collector=options.collector,
         side=options.side,

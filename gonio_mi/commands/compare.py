@@ -4,8 +4,7 @@ import json
 from pathlib import Path
 
 from .. import files
-from ..specimen import load_plugin_file, parse_specimen
-from .arguments import DONE, FAILED, add_scene_options, number, set_variant
+from .arguments import DONE, FAILED, add_scene_options, number, specimen_of
 
 __all__ = ["add", "run"]
 
@@ -103,12 +102,11 @@ def run(options):
             f"RECORD must be an .exr or .npz file if OTHER is one, got {options.record}"
         )
     else:
-        set_variant(options.variant)
-        for path in options.plugin:
-            load_plugin_file(path)
+        specimen, parameters = specimen_of(options.record, options)
         record = measure_like(
-            parse_specimen(options.record),
+            specimen,
             other,
+            parameters=parameters,
             aperture_half_angle=options.aperture_half_angle,
             rays=options.rays,
             seed=options.seed,

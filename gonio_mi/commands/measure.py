@@ -9,19 +9,18 @@ from .. import files
 from ..campaign import campaign
 from ..errors import checked_count
 from ..goniophotometer import measure
-from ..specimen import load_plugin_file, parse_specimen
 from ..summary import summarize, summary_text
 from .arguments import (
     DONE,
     INCOMPLETE,
     USER_ERROR,
     add_scene_options,
+    add_specimen,
     number,
     number_or_word,
-    pair,
     say,
     sentence,
-    set_variant,
+    specimen_of,
 )
 
 __all__ = ["add", "run"]
@@ -43,6 +42,31 @@ Options take their defaults from the scene file if that is a complete measuremen
 """
 
 
+# Options that are arguments of `gonio_mi.measure`.
+SETTINGS = (
+    "collector",
+    "rays",
+    "rel_err",
+    "max_rays",
+    "sampler",
+    "estimator",
+    "points",
+    "seed",
+    "side",
+    "footprint",
+    "emission",
+    "collector_radius",
+    "hemispheres",
+    "max_depth",
+    "period",
+    "order",
+    "rr_depth",
+    "trace",
+    "wavelengths",
+    "batches",
+)
+
+
 def add(commands):
     """Add the parser of the command."""
     parser = commands.add_parser(
@@ -53,24 +77,29 @@ def add(commands):
         epilog=EXAMPLES,
     )
     parser.set_defaults(run=run)
-    parser.add_argument(
-        "specimen",
-        metavar="SPECIMEN",
-        help="a Mitsuba scene file, or a BSDF in one word such as "
-        "roughconductor:alpha=0.2,distribution=ggx",
-    )
+    add_specimen(parser)
 
     light = parser.add_argument_group(
         "light", "a collimated beam, or the scene's own emitter if no angle is given"
     )
-    light.add_argument(
+    _add_light(light)
+    _add_collector(parser.add_argument_group("collector"))
+    _add_method(parser.add_argument_group("method"))
+    _add_events(parser.add_argument_group("events on the surface"))
+    add_scene_options(parser.add_argument_group("scene"))
+    _add_output(parser.add_argument_group("output"))
+
+
+def _add_light(group):
+    """Add the options of the beam."""
+    group.add_argument(
         "--theta-i",
         nargs="+",
         type=number,
         metavar="DEG",
         help="angles of incidence from the normal, in degrees in [0, 90)",
     )
-    light.add_argument(
+    group.add_argument(
         "--phi-i",
         nargs="+",
         type=number,
@@ -79,23 +108,23 @@ def add(commands):
         help="azimuths of incidence in degrees, from +x counter-clockwise; each is "
         "combined with each --theta-i (default: 0)",
     )
-    light.add_argument(
+    group.add_argument(
         "--side", default="front", help="lit face: front (default) or back"
     )
-    light.add_argument(
+    group.add_argument(
         "--footprint",
         type=number_or_word,
         metavar="full|point|R",
         help="where light lands: all over the specimen, in its middle, or in a disk of "
         "radius R (default: full)",
     )
-    light.add_argument(
+    group.add_argument(
         "--emission",
         metavar="E",
         help="weights of the rays of an emitter of finite size: radiometric (default) "
         "or equal_power",
     )
-    light.add_argument(
+    group.add_argument(
         "--wavelengths",
         nargs="+",
         type=number,
@@ -103,34 +132,38 @@ def add(commands):
         help="channels of a spectral variant, in nm (default: 550)",
     )
 
-    collector = parser.add_argument_group("collector")
-    collector.add_argument(
+
+def _add_collector(group):
+    """Add the options of the collector."""
+    group.add_argument(
         "--collector",
         metavar="KIND:NTxNP",
         help="patches of equal solid angle (solid), projected solid angle (projected) "
         "or steps of angle (angle), rings x sectors of each hemisphere (default: "
         "projected:30x30)",
     )
-    collector.add_argument(
+    group.add_argument(
         "--collector-radius",
         type=number,
         metavar="R",
         help="radius of the collector in scene units (default: 0, the far field)",
     )
-    collector.add_argument(
+    group.add_argument(
         "--hemispheres",
         metavar="H",
         help="auto (default: the lower one if the specimen transmits), upper or both",
     )
 
-    method = parser.add_argument_group("method")
-    method.add_argument(
+
+def _add_method(group):
+    """Add the options of estimator and sampler, and of how long to go on."""
+    group.add_argument(
         "--rays",
         type=number,
         metavar="N",
         help="rays for each incident direction (default: 1e6)",
     )
-    method.add_argument(
+    group.add_argument(
         "--rel-err",
         type=number,
         metavar="X",
@@ -138,87 +171,80 @@ def add(commands):
         "relative standard error; for quadrature the error of every patch (default "
         "there: 1e-4)",
     )
-    method.add_argument(
+    group.add_argument(
         "--max-rays",
         type=number,
         metavar="N",
         help="where to stop then at the latest (default: 1e9)",
     )
-    method.add_argument(
+    group.add_argument(
         "--estimator",
         metavar="E",
         help="weighted (default) sums the rays' power, analog counts rays, quadrature "
         "integrates the BSDF of a flat specimen without rays, next_event evaluates it "
         "on geometry towards points in random patches",
     )
-    method.add_argument(
+    group.add_argument(
         "--points",
         type=number,
         metavar="N",
         help="points for each event, of the estimator next_event (default: 1)",
     )
-    method.add_argument(
+    group.add_argument(
         "--sampler", metavar="S", help="Mitsuba sampler (default: sobol)"
     )
-    method.add_argument(
+    group.add_argument(
         "--seed",
         type=number,
         default=0,
         metavar="S",
         help="same seed, same result, to the last bit (default: 0)",
     )
-    method.add_argument(
+    group.add_argument(
         "--batches",
         type=number,
         metavar="N",
         help="independent batches, from which error bars come (default: 16)",
     )
-    method.add_argument(
+
+
+def _add_events(group):
+    """Add the options of what a ray may meet."""
+    group.add_argument(
         "--max-depth",
         type=number,
         metavar="N",
         help="surface events before a ray is truncated (default: 1000)",
     )
-    method.add_argument(
+    group.add_argument(
         "--period",
         metavar="box|PX,PY",
         help="the specimen is one cell of an infinite surface: its bounding box, or of "
         "these extents in x and y (default: none)",
     )
-    method.add_argument(
+    group.add_argument(
         "--order",
         metavar="N|N+",
         help="collect rays with so many surface events, or at least so many "
         "(default: all)",
     )
-    method.add_argument(
+    group.add_argument(
         "--rr-depth",
         type=number,
         metavar="N",
         help="surface events before Russian roulette (default: -1, never)",
     )
-    method.add_argument(
+    group.add_argument(
         "--trace",
         action="store_true",
         default=None,
         help="trace rays even where a flat specimen does not need it",
     )
 
-    scene = parser.add_argument_group("scene")
-    add_scene_options(scene)
-    scene.add_argument(
-        "-D",
-        nargs="+",
-        action="extend",
-        default=[],
-        type=pair,
-        dest="parameters",
-        metavar="KEY=VALUE",
-        help="values of the $KEY parameters of the scene file",
-    )
 
-    output = parser.add_argument_group("output")
-    output.add_argument(
+def _add_output(group):
+    """Add the options of what becomes of the record."""
+    group.add_argument(
         "-o",
         "--output",
         nargs="+",
@@ -227,24 +253,24 @@ def add(commands):
         metavar="FILE",
         help="write the record to these .exr or .npz files; both keep everything",
     )
-    output.add_argument(
+    group.add_argument(
         "--resume",
         metavar="RECORD",
         help="carry on this interrupted record of the very same measurement",
     )
-    output.add_argument(
+    group.add_argument(
         "--workers",
         type=number,
         metavar="N",
         help="measure the incident directions in that many processes",
     )
-    output.add_argument(
+    group.add_argument(
         "--folder",
         metavar="DIR",
         help="keep finished incident directions there: the same command carries on, "
         "also after a crash",
     )
-    output.add_argument(
+    group.add_argument(
         "-q", "--quiet", action="store_true", help="no numbers and no progress bar"
     )
 
@@ -253,12 +279,7 @@ def run(options):
     """Measure; what goes wrong with files does so before."""
     for path in options.output:
         files.check_output(path)
-    set_variant(options.variant)
-    for path in options.plugin:
-        load_plugin_file(path)
-    specimen = parse_specimen(options.specimen)
-    if options.parameters and isinstance(specimen, dict):
-        raise ValueError(f"-D goes with a scene file, got {options.specimen!r}")
+    specimen, parameters = specimen_of(options.specimen, options)
 
     with _CtrlC() as ctrl_c:
         # said below, with the files' names
@@ -267,27 +288,8 @@ def run(options):
             specimen,
             _one_or_many(options.theta_i),
             _one_or_many(options.phi_i),
-            collector=options.collector,
-            rays=options.rays,
-            rel_err=options.rel_err,
-            max_rays=options.max_rays,
-            sampler=options.sampler,
-            estimator=options.estimator,
-            points=options.points,
-            seed=options.seed,
-            side=options.side,
-            footprint=options.footprint,
-            emission=options.emission,
-            collector_radius=options.collector_radius,
-            hemispheres=options.hemispheres,
-            max_depth=options.max_depth,
-            period=options.period,
-            order=options.order,
-            rr_depth=options.rr_depth,
-            trace=options.trace,
-            wavelengths=options.wavelengths,
-            batches=options.batches,
-            parameters=dict(options.parameters),
+            **{name: getattr(options, name) for name in SETTINGS},
+            parameters=parameters,
             progress=not options.quiet and sys.stderr.isatty(),
         )
         ctrl_c.ignored = True
@@ -359,11 +361,15 @@ def _one_or_many(values):
 
 def _remains(options, record):
     """What is left of an interrupted measurement."""
-    rays = f"{record.ledger.emitted:,}".replace(",", " ")
+    if record.ledger.emitted:
+        kept = f"{record.ledger.emitted:,} rays".replace(",", " ")
+    else:
+        asked = len(options.theta_i or [None]) * len(options.phi_i)
+        kept = f"{len(record)} of {asked} incident directions"
     if not options.output:
-        return f"{rays} rays were measured and nothing was saved, for want of -o"
-    kept = f"{' and '.join(options.output)} holds {rays} rays"
-    if options.rel_err is not None:
+        return f"{kept} were finished and nothing was saved, for want of -o"
+    kept = f"{' and '.join(options.output)} holds {kept}"
+    if record.settings["estimator"] == "quadrature" or options.rel_err is not None:
         return kept
     return f"{kept}; --resume {options.output[0]} carries it on"
 

@@ -2,8 +2,15 @@
 
 import json
 
-from ..specimen import load_plugin_file, load_specimen, parse_specimen
-from .arguments import DONE, FAILED, add_scene_options, number, pair, set_variant
+from ..specimen import load_specimen
+from .arguments import (
+    DONE,
+    FAILED,
+    add_scene_options,
+    add_specimen,
+    number,
+    specimen_of,
+)
 
 __all__ = ["add", "run"]
 
@@ -30,12 +37,7 @@ def add(commands):
         epilog=EXAMPLES,
     )
     parser.set_defaults(run=run)
-    parser.add_argument(
-        "specimen",
-        metavar="SPECIMEN",
-        help="a BSDF in one word such as roughconductor:alpha=0.2, or a scene file "
-        "with one shape",
-    )
+    add_specimen(parser)
     parser.add_argument(
         "--effort",
         default="normal",
@@ -60,18 +62,7 @@ def add(commands):
         "--report", metavar="HTML", help="write one file with verdict and maps"
     )
     parser.add_argument("--json", action="store_true", help="for machines")
-    scene = parser.add_argument_group("scene")
-    add_scene_options(scene)
-    scene.add_argument(
-        "-D",
-        nargs="+",
-        action="extend",
-        default=[],
-        type=pair,
-        dest="parameters",
-        metavar="KEY=VALUE",
-        help="values of the $KEY parameters of the scene file",
-    )
+    add_scene_options(parser.add_argument_group("scene"))
 
 
 def run(options):
@@ -80,14 +71,9 @@ def run(options):
 
     if options.report is not None:
         check_report(options.report)
-    set_variant(options.variant)
-    for path in options.plugin:
-        load_plugin_file(path)
-    specimen = parse_specimen(options.specimen)
-    if options.parameters:
-        if isinstance(specimen, dict):
-            raise ValueError(f"-D goes with a scene file, got {options.specimen!r}")
-        specimen = load_specimen(specimen, dict(options.parameters))
+    specimen, parameters = specimen_of(options.specimen, options)
+    if parameters:
+        specimen = load_specimen(specimen, parameters)
     verdict = validate(
         specimen,
         effort=options.effort,
