@@ -339,8 +339,8 @@ class Record:
             If the two differ in anything but their rays, batches and seed, were made
             with the same seed, whose rays would be counted twice, or hold integrals.
         """
-        free = ("rays", "batches", "seed", "created", "versions", "specimen")
-        _check_alike(self, other, free, "merged")
+        free = {"rays", "batches", "seed", "created", "versions", "specimen"}
+        _check_alike(self, other, free | {"interrupted"}, "merged")
         for key in ("theta_i", "phi_i"):
             a, b = getattr(self, key).tolist(), getattr(other, key).tolist()
             if a != b:
