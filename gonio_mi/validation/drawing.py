@@ -1,12 +1,12 @@
 """Samples of a BSDF: counted and summed by patch, and collected one by one."""
 
 from dataclasses import dataclass
-from types import SimpleNamespace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..plugins.arrays import DRJIT
 from .probe import Probe, numbers, spectral
 
 __all__ = ["Drawn", "Totals", "collect", "count"]
@@ -16,16 +16,6 @@ CHUNK = 2**20
 
 # Size of the displacement that tells how a function answers to rounding: 4 ulp of 1.
 ULPS = 2.0**-21
-
-_DRJIT = SimpleNamespace(
-    sqrt=dr.sqrt,
-    atan2=dr.atan2,
-    floor=dr.floor,
-    ceil=dr.ceil,
-    minimum=dr.minimum,
-    where=dr.select,
-    count_below=lambda borders, x: sum(dr.select(x >= b, 1.0, 0.0) for b in borders),
-)
 
 
 @dataclass
@@ -84,7 +74,7 @@ def count(bsdf, condition, subdivision, n, key):
         one = probe.sample(sample1, sample2)
         wo = one.bs.wo
         smooth = ~one.delta & _is_counted(probe, one)
-        index = subdivision.patch_index(_DRJIT, wo.x, wo.y, dr.abs(wo.z))
+        index = subdivision.patch_index(DRJIT, wo.x, wo.y, dr.abs(wo.z))
         index = dr.clip(index, 0, m - 1) + dr.select(face * wo.z < 0, float(m), 0.0)
         index = dr.select(smooth, mi.UInt32(index), 2 * m)
         delta = one.delta

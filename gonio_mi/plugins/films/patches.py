@@ -1,40 +1,12 @@
 """Film `patches`: the collector's patches, their tally and the record."""
 
-from types import SimpleNamespace
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from gonio_mi.plugins import properties
+from gonio_mi.plugins.arrays import DRJIT
 from gonio_mi.subdivision import subdivision
-
-
-def _count_below(borders, x):
-    """Count the ascending `borders` that are not above `x`."""
-    borders = mi.Float(borders.tolist())
-    count = dr.binary_search(
-        0, dr.width(borders), lambda i: dr.gather(mi.Float, borders, i) <= x
-    )
-    return mi.Float(count)
-
-
-def _take(table, index):
-    """Entries of a float32 `table` at whole floating-point numbers."""
-    return dr.gather(mi.Float, mi.Float(table), mi.UInt32(index))
-
-
-# The array functions that Subdivision.patch_index calls.
-DRJIT = SimpleNamespace(
-    sqrt=dr.sqrt,
-    atan2=dr.atan2,
-    floor=dr.floor,
-    ceil=dr.ceil,
-    minimum=dr.minimum,
-    where=dr.select,
-    count_below=_count_below,
-    take=_take,
-)
 
 
 class Patches(mi.Film):
