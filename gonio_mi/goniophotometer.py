@@ -243,25 +243,11 @@ def measure(
     logger.info("measured for %.3g s: %r", time.perf_counter() - started, record)
     if target:
         record.settings.update(target.reached(record))
-        if complete and not record.settings["reached"] <= rel_err:
-            warnings.warn(
-                f"rel_err of {rel_err:g} was not reached with {target.max_rays:g} "
-                f"rays: it is {record.settings['reached']:.3g} in the worst patch",
-                RuntimeWarning,
-                stacklevel=2,
-            )
+        if complete:
+            _warn_unless_reached(record, target)
     if not complete:
         record.settings["interrupted"] = True
-        if integrator.integrates or target:
-            kept = f"{len(records)} of {len(benches)} incident directions"
-            kept += ", the last one less precise" if target else ""
-        else:
-            batches = sum(map(n_batches, finished))
-            kept = f"{batches} of {len(plan) * len(benches)} batches; resume= carries "
-            kept += "it on"
-        warnings.warn(
-            f"interrupted: the record holds {kept}", RuntimeWarning, stacklevel=2
-        )
+        _warn_of_interruption(integrator, target, plan, finished)
     return record
 
 
@@ -297,6 +283,27 @@ def _send_all(integrator, benches, keys, plan, target, finished, progress):
                 raise KeyboardInterrupt from None
             return False
     return True
+
+
+def _warn_unless_reached(record, target):
+    if not record.settings["reached"] <= target.rel_err:
+        warnings.warn(
+            f"rel_err of {target.rel_err:g} was not reached with {target.max_rays:g} "
+            f"rays: it is {record.settings['reached']:.3g} in the worst patch",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+
+def _warn_of_interruption(integrator, target, plan, finished):
+    if integrator.integrates or target:
+        kept = f"{sum(map(bool, finished))} of {len(finished)} incident directions"
+        kept += ", the last one less precise" if target else ""
+    else:
+        batches = sum(map(n_batches, finished))
+        kept = f"{batches} of {len(plan) * len(finished)} batches; resume= carries "
+        kept += "it on"
+    warnings.warn(f"interrupted: the record holds {kept}", RuntimeWarning, stacklevel=3)
 
 
 def _by_campaign(arguments):
