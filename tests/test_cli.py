@@ -90,7 +90,15 @@ class Interrupted(Diffuse):
             signal.raise_signal(signal.SIGINT)
         return 0.5
 
-for plugin in (Diffuse, Invalid, Raising, Interrupted):
+class Nameless(mi.BSDF):
+    def __init__(self, props):
+        super().__init__(props)
+        self.m_components = [mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide]
+        self.m_flags = self.m_components[0]
+
+    sample, weight = Diffuse.sample, Diffuse.weight
+
+for plugin in (Diffuse, Invalid, Raising, Interrupted, Nameless):
     mi.register_bsdf("test_" + plugin.__name__.lower(), plugin)
 """
 
@@ -365,6 +373,12 @@ def test_bad_scene_parameters(refuse, write):
 )
 def test_bad_plugin_files(refuse, write, content, words):
     assert words in refuse(*QUICK, "--plugin", write("mine.py", content))
+
+
+def test_a_plugin_without_to_string(run, plugins):
+    code, out, _ = run("measure", "test_nameless", *QUICK[2:], *plugins)
+    assert code == 0
+    assert "Nameless" in out
 
 
 def test_errors_in_plugins_name_the_line(refuse, plugins):

@@ -216,8 +216,15 @@ class Specimen:
 
 def _describe(shape):
     """One line on a shape and its BSDF, without large arrays."""
-    bsdf = " ".join(str(shape.bsdf()).split())
     # of a mesh, its file or what a height field has to say
-    name = re.search(r'\bname = "([^"]*)"', str(shape)) if shape.is_mesh() else None
+    name = re.search(r'\bname = "([^"]*)"', _text(shape)) if shape.is_mesh() else None
     label = f"{shape.class_name()} {name[1]}" if name else shape.class_name()
-    return f"{label} with {bsdf[:200]}"
+    return f"{label} with {_text(shape.bsdf())[:200]}"
+
+
+def _text(thing):
+    """Mitsuba's text of a shape or BSDF on one line, or the name of its class."""
+    try:
+        return " ".join(str(thing).split())
+    except RuntimeError:  # one of them is a plugin in Python without to_string
+        return thing.class_name()
