@@ -227,4 +227,4 @@ def _text(thing):
     try:
         return " ".join(str(thing).split())
     except RuntimeError:  # one of them is a plugin in Python without to_string
-        return thing.class_name()
+        return type(thing).__name__
