@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
+from .hemisphere import BORDER
 from .statistics import ratio
-from .subdivision import BORDER
 
 __all__ = ["PointSet", "Readings", "judge"]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from .directions import direction
 from .errors import checked_number
-from .subdivision import BORDER, Subdivision
+from .hemisphere import BORDER, Subdivision
 
 __all__ = ["Apertures", "disjoint_groups"]
 
@@ -42,7 +42,6 @@ class Apertures(Subdivision):
     directions: tuple[tuple[float, float], ...]
 
     name: ClassVar[str] = "apertures"
-    n_phi: ClassVar[int] = 1
 
     def __post_init__(self):
         condition = "an angle in degrees in [0.01, 90]"
@@ -86,6 +85,11 @@ class Apertures(Subdivision):
     def n_theta(self):
         """Number of cones, and one for what is between them."""
         return len(self.directions) + 1
+
+    @property
+    def n_phi(self):
+        """One."""
+        return 1
 
     @property
     def theta_edges(self):

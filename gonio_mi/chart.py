@@ -10,6 +10,7 @@ from tqdm import tqdm
 from .chart_runs import GROWTH, TOO_FAR, Method, Runs, find_reference
 from .curves import Chart, Curve
 from .errors import SpecimenError, checked_count, checked_number
+from .ray_density import rms_expectation
 from .specimen import load_specimen, specimen_name
 
 __all__ = ["ESTIMATORS", "SAMPLERS", "chart"]
@@ -182,8 +183,6 @@ def _next(spent):
 
 def _independent(grid, reference):
     """Expected relative error of one counted independent ray."""
-    from .reference_cases import rms_expectation  # imports SciPy's statistics, slow
-
     p = reference.values * grid.projected_solid_angles[..., None]
     square, _ = rms_expectation(grid, np.moveaxis(p, -1, 0), 1)
     return float(np.sqrt(square) / reference.mean)

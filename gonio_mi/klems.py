@@ -10,7 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from .subdivision import BORDER, Borders, Subdivision
+from .borders import Borders
+from .hemisphere import BORDER, Subdivision
 
 __all__ = ["Klems"]
 
@@ -30,11 +31,19 @@ class Klems(Subdivision):
     """
 
     name: ClassVar[str] = "klems"
-    n_theta: ClassVar[int] = sum(N_PHI)
-    n_phi: ClassVar[int] = 1
 
     def __str__(self):
         return self.name
+
+    @property
+    def n_theta(self):
+        """Number of patches."""
+        return sum(N_PHI)
+
+    @property
+    def n_phi(self):
+        """One."""
+        return 1
 
     @property
     def theta_edges(self):

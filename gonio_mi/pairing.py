@@ -5,7 +5,7 @@ import numpy as np
 from .agreement import PointSet, Readings
 from .apertures import Apertures
 from .directions import direction
-from .subdivision import BORDER
+from .hemisphere import BORDER
 
 __all__ = ["check_uncertainties", "pair_with_record", "pair_with_table", "pole_angle"]
 

@@ -25,6 +25,7 @@ __all__ = [
     "precision",
     "reliability",
     "relative_rays",
+    "rms_expectation",
     "simulated_reliability",
     "union_rays",
 ]
@@ -207,6 +208,29 @@ def simulated_reliability(probabilities, rel_err, rays, campaigns=200, seed=0):
     return fraction, math.sqrt(
         max(fraction * (1 - fraction), 1 / campaigns) / campaigns
     )
+
+
+def rms_expectation(grid, probabilities, rays):
+    """Expected squared RMS error of a BRDF map, and its relative standard deviation.
+
+    Of `rays` independent rays, of which a patch receives one with its probability.
+
+    Parameters
+    ----------
+    grid : Subdivision
+    probabilities : ndarray, shape (n_theta, n_phi)
+    rays : int
+
+    Returns
+    -------
+    mean_square, relative_std : float
+        The second by the binomial fourth moment, with patches as if independent.
+    """
+    p = probabilities
+    scale = (rays * grid.projected_solid_angles) ** -2.0
+    variance = rays * p * (1 - p)
+    spread = np.sqrt(np.sum((variance + 2 * variance**2) * scale**2))
+    return np.mean(variance * scale), spread / np.sum(variance * scale)
 
 
 @dataclass(frozen=True)

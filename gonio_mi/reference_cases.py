@@ -12,9 +12,10 @@ from scipy import stats
 
 from .goniophotometer import measure
 from .quadrature import integrate
+from .ray_density import rms_expectation
 from .subdivision import subdivision
 
-__all__ = ["main", "rms_expectation"]
+__all__ = ["main"]
 
 VARIANT = "llvm_ad_mono"
 GLASS = 1.5046
@@ -37,29 +38,6 @@ def fresnel(theta_i, eta=GLASS):
     s = (cos_i - eta * cos_t) / (cos_i + eta * cos_t)
     p = (eta * cos_i - cos_t) / (eta * cos_i + cos_t)
     return (s**2 + p**2) / 2
-
-
-def rms_expectation(grid, probabilities, rays):
-    """Expected squared RMS error of a BRDF map, and its relative standard deviation.
-
-    Of `rays` independent rays, of which a patch receives one with its probability.
-
-    Parameters
-    ----------
-    grid : Subdivision
-    probabilities : ndarray, shape (n_theta, n_phi)
-    rays : int
-
-    Returns
-    -------
-    mean_square, relative_std : float
-        The second by the binomial fourth moment, with patches as if independent.
-    """
-    p = probabilities
-    scale = (rays * grid.projected_solid_angles) ** -2.0
-    variance = rays * p * (1 - p)
-    spread = np.sqrt(np.sum((variance + 2 * variance**2) * scale**2))
-    return np.mean(variance * scale), spread / np.sum(variance * scale)
 
 
 def cases(rays, seed):

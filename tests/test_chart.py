@@ -13,7 +13,7 @@ import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.chart_plot import plot_chart
 from gonio_mi.curves import Chart, Curve, Point, Reference
-from gonio_mi.reference_cases import rms_expectation
+from gonio_mi.ray_density import rms_expectation
 
 # the package has functions of these names
 charting = importlib.import_module("gonio_mi.chart")
