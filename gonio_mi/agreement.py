@@ -39,15 +39,13 @@ class Readings:
     def of(cls, record, index, hemisphere, patch, channel):
         """Readings at flat patch indices, of each its hemisphere and channel."""
         one, tally = record[index], record.tallies[index]
+        estimates = record.estimates[index]
         row, column = np.divmod(patch, record.subdivision.n_phi)
         where = (hemisphere, row, column, channel)
         pair = (one.brdf, one.btdf) if record.has_lower else (one.brdf,)
         errors = (one.brdf_std_err, one.btdf_std_err)[: len(pair)]
         solid = record.subdivision.projected_solid_angles[row, column]
-        passes = record.settings.get("passes", 1)
-        hits = tally.hits[where[:3]] // np.uint64(passes)
-        ledger = tally.ledger
-        rays = (ledger.emitted - ledger.missed - ledger.unlit) // passes
+        hits, rays = estimates.hits[where[:3]], estimates.rays
         value = np.stack(pair)[where]
         flux = tally.sums.sum(axis=(0, 2, 3), dtype=float) / tally.scale
         mean_weight = flux / np.maximum(tally.hits.sum(axis=(1, 2)), 1)[:, None]
@@ -59,7 +57,6 @@ class Readings:
         incident = tally.incident[:, channel].astype(float)
         n = len(sums)
         factor = np.sqrt(n / max(n - 1, 1)) / incident.sum(axis=0) / solid
-        binomial = record._is_binomial(tally)
         return cls(
             value,
             np.stack(errors)[where],
@@ -67,7 +64,7 @@ class Readings:
             hits.astype(float),
             rays * solid / weight,
             weight,
-            1e9 if binomial else n - 1.0,
+            1e9 if estimates.binomial else n - 1.0,
         )
 
     @property

@@ -158,7 +158,7 @@ def _channel(record, table):
 
 def check_uncertainties(record):
     """Raise ValueError for a record whose scatter is not known."""
-    if record.n_batches < 2 and not all(map(record._is_binomial, record.tallies)):
+    if record.n_batches < 2 and not all(one.binomial for one in record.estimates):
         raise ValueError(
             "the record must have at least 2 batches for its uncertainties to be "
             f"known, got {record.n_batches}"

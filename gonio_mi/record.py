@@ -7,15 +7,11 @@ import numpy as np
 
 from . import statistics
 from .errors import checked_choice, checked_number
+from .estimates import Estimates
 from .subdivision import Subdivision
 from .tally import Ledger, Tally
 
 __all__ = ["Record"]
-
-# Below this many hits the sum of a patch is too skewed for Student's t.
-FEW_HITS = 100
-# The same for rays that are distributed evenly, whose counts scatter less.
-FEW_EVEN_HITS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +51,7 @@ class Record:
     @cached_property
     def brdf(self):
         """Patch mean of the BRDF in 1/sr, shape ``(n_theta, n_phi, channels)``."""
-        return self._squeeze(self._per_patch(0, self._fraction))
+        return self._per_patch(Estimates.fraction, 0)
 
     @cached_property
     def btdf(self):
@@ -63,7 +59,7 @@ class Record:
 
         There is none where the specimen declares that it cannot transmit.
         """
-        return self._lower(lambda: self._per_patch(1, self._fraction))
+        return self._per_patch(Estimates.fraction, 1)
 
     @cached_property
     def brdf_std_err(self):
@@ -71,32 +67,32 @@ class Record:
 
         For integrals their estimated error, with that of the delta components.
         """
-        return self._squeeze(self._per_patch(0, self._std_err))
+        return self._per_patch(Estimates.std_err, 0)
 
     @cached_property
     def btdf_std_err(self):
         """Standard error of `btdf`, as of `brdf`."""
-        return self._lower(lambda: self._per_patch(1, self._std_err))
+        return self._per_patch(Estimates.std_err, 1)
 
     @cached_property
     def dhr(self):
         """Directional-hemispherical reflectance, shape ``(channels,)``."""
-        return self._squeeze(self._hemispheres(0)[0])
+        return self._of_hemisphere(Estimates.total, 0)
 
     @cached_property
     def dht(self):
         """Directional-hemispherical transmittance, or None without lower hemisphere."""
-        return self._lower(lambda: self._hemispheres(1)[0])
+        return self._of_hemisphere(Estimates.total, 1)
 
     @cached_property
     def dhr_std_err(self):
         """Standard error of `dhr` from the batches; NaN for a single batch."""
-        return self._squeeze(self._hemispheres(0)[1])
+        return self._of_hemisphere(Estimates.total_std_err, 0)
 
     @cached_property
     def dht_std_err(self):
         """Standard error of `dht` from the batches; NaN for a single batch."""
-        return self._lower(lambda: self._hemispheres(1)[1])
+        return self._of_hemisphere(Estimates.total_std_err, 1)
 
     @property
     def flux_fraction(self):
@@ -104,9 +100,11 @@ class Record:
 
         The raw measured quantity; it sums to ``dhr`` and ``dht``.
         """
-        return self._squeeze(
-            np.stack([statistics.ratio(t.sums, _incident(t)) for t in self.tallies])
-        )
+        fractions = [
+            statistics.ratio(tally.sums, tally.incident[:, None, None, None])
+            for tally in self.tallies
+        ]
+        return self._squeeze(np.stack(fractions))
 
     @property
     def counts(self):
@@ -144,6 +142,19 @@ class Record:
         return all(tally.hits.shape[0] == 2 for tally in self.tallies)
 
     # ------------------------------------------------------------ uncertainties
+
+    @cached_property
+    def estimates(self):
+        """:class:`gonio_mi.estimates.Estimates` of each incident direction."""
+        return tuple(
+            Estimates(
+                tally,
+                independent=self.settings.get("sampler") == "independent",
+                deposited=self.settings.get("estimator") == "next_event",
+                passes=self.settings.get("passes", 1),
+            )
+            for tally in self.tallies
+        )
 
     def interval(self, level=0.95, of="brdf"):
         """Interval that covers the true patch mean with probability `level`.
@@ -183,84 +194,13 @@ class Record:
         hemisphere = int(of in ("btdf", "dht"))
         if hemisphere and not self.has_lower:
             raise ValueError(f"of must be brdf or dhr for a record without {of}")
-        if of in ("dhr", "dht"):
-            intervals = [
-                self._total_interval(t, hemisphere, level) for t in self.tallies
-            ]
-            low, high = np.stack(intervals, axis=1)
-        else:
-            intervals = [
-                self._patch_interval(t, hemisphere, level) for t in self.tallies
-            ]
-            low, high = np.stack(intervals, axis=1) / self._projected
-        return self._squeeze(low), self._squeeze(high)
-
-    def _patch_interval(self, tally, hemisphere, level):
-        """Interval of the flux fractions of one hemisphere."""
-        fraction = self._fraction(tally, hemisphere)
-        if tally.errors is not None:
-            half = _integral_error(tally, hemisphere)
-            scatter = _scatter(tally, tally.sums[:, hemisphere])
-            low, high = statistics.student_interval(
-                fraction, scatter, tally.n_batches, level
-            )
-            return np.stack([low - half, high + half])
-        passes = self.settings.get("passes", 1)
-        hits = tally.hits[hemisphere][..., None] // passes
-        rays = _incident_rays(tally) // passes
-        if self._is_binomial(tally):
-            return np.stack(statistics.binomial_interval(hits, rays, level))
-        with np.errstate(invalid="ignore"):
-            weight = fraction * rays / hits
-        resolution = statistics.upper_limit(rays, level) * weight * (hits < rays)
-        interval = np.stack(
-            statistics.student_interval(
-                fraction,
-                self._std_err(tally, hemisphere),
-                tally.n_batches,
-                level,
-                resolution,
-            )
+        of_all = of in ("dhr", "dht")
+        interval = Estimates.total_interval if of_all else Estimates.interval
+        low, high = np.stack(
+            [interval(one, hemisphere, level) for one in self.estimates], axis=1
         )
-        least = FEW_HITS if self._independent else FEW_EVEN_HITS
-        least = 0 if self._deposited else least
-        few = np.broadcast_to((hits < least) & (hits > 0), fraction.shape)
-        exact = np.stack(statistics.binomial_interval(hits, rays, level)) * weight
-        largest = np.nanmax(weight, initial=1.0)
-        empty = np.broadcast_to(hits == 0, fraction.shape)
-        interval = np.where(few, exact, interval)
-        interval[0] = np.where(empty, 0.0, interval[0])
-        interval[1] = np.where(
-            empty, statistics.upper_limit(rays, level) * largest, interval[1]
-        )
-        return interval
-
-    def _total_interval(self, tally, hemisphere, level):
-        """Interval of one hemisphere's total."""
-        value, std_err = _total(tally, hemisphere)
-        if tally.errors is not None:
-            half = _integral_error(tally, hemisphere).sum(axis=(0, 1))
-            scatter = _scatter(tally, _sum_of_patches(tally, hemisphere))
-            low, high = statistics.student_interval(
-                value, scatter, tally.n_batches, level
-            )
-            return np.stack([low - half, high + half])
-        passes = self.settings.get("passes", 1)
-        hits = tally.hits[hemisphere].sum() // passes
-        rays = _incident_rays(tally) // passes
-        if self._is_binomial(tally) or hits == 0:
-            return np.stack(
-                statistics.binomial_interval(
-                    np.broadcast_to(hits, value.shape), rays, level
-                )
-            )
-        weight = value * rays / hits
-        resolution = statistics.upper_limit(rays, level) * weight * (hits < rays)
-        return np.stack(
-            statistics.student_interval(
-                value, std_err, tally.n_batches, level, resolution
-            )
-        )
+        solid = 1.0 if of_all else self._projected
+        return self._squeeze(low / solid), self._squeeze(high / solid)
 
     # --------------------------------------------------------------- composition
 
@@ -381,92 +321,21 @@ class Record:
     def _projected(self):
         return self.subdivision.projected_solid_angles[..., None]
 
-    @property
-    def _independent(self):
-        return self.settings.get("sampler") == "independent"
+    def _per_patch(self, quantity, hemisphere):
+        """Estimates of one hemisphere over solid angles; None if it was not there."""
+        values = self._of_hemisphere(quantity, hemisphere)
+        return None if values is None else values / self._projected
 
-    @property
-    def _deposited(self):
-        return self.settings.get("estimator") == "next_event"
-
-    def _is_binomial(self, tally):
-        """Whether each patch counted independent rays of one channel, one by one."""
-        return (
-            self._independent
-            and tally.errors is None
-            and tally.scale == 1
-            and tally.channels == 1
-            and np.array_equal(tally.sums[..., 0].sum(axis=0), tally.hits)
-            and tally.incident.sum() == _incident_rays(tally)
+    def _of_hemisphere(self, quantity, hemisphere):
+        """Estimates of one hemisphere; None if it was not there."""
+        if hemisphere and not self.has_lower:
+            return None
+        return self._squeeze(
+            np.stack([quantity(one, hemisphere) for one in self.estimates])
         )
-
-    def _fraction(self, tally, hemisphere):
-        return statistics.ratio(tally.sums[:, hemisphere], _incident(tally)[:, 0])
-
-    def _std_err(self, tally, hemisphere):
-        if tally.errors is not None:
-            scatter = _scatter(tally, tally.sums[:, hemisphere])
-            return np.hypot(scatter, _integral_error(tally, hemisphere))
-        hits = tally.hits[hemisphere][..., None]
-        if self._is_binomial(tally):
-            return statistics.binomial_std_err(hits, _incident_rays(tally))
-        std_err = statistics.batch_std_err(
-            tally.sums[:, hemisphere], _incident(tally)[:, 0]
-        )
-        return np.where(hits > 0, std_err, np.nan)
-
-    def _per_patch(self, hemisphere, quantity):
-        return (
-            np.stack([quantity(t, hemisphere) for t in self.tallies]) / self._projected
-        )
-
-    def _hemispheres(self, hemisphere):
-        return np.stack([_total(tally, hemisphere) for tally in self.tallies], axis=1)
-
-    def _lower(self, quantity):
-        return self._squeeze(quantity()) if self.has_lower else None
 
     def _squeeze(self, array):
         return array if self.stacked else array[0]
-
-
-def _incident(tally):
-    """Incident flux per batch, broadcastable to the tally's sums."""
-    return tally.incident[:, None, None, None, :]
-
-
-def _incident_rays(tally):
-    """Rays that met the specimen."""
-    ledger = tally.ledger
-    return ledger.emitted - ledger.missed - ledger.unlit
-
-
-def _integral_error(tally, hemisphere):
-    """What the integrals of one hemisphere's flux fractions may be wrong by."""
-    return tally.errors[hemisphere] / tally.incident.max(axis=0)
-
-
-def _scatter(tally, sums):
-    """Standard error of the sampled part of `sums` per batch; 0 if nothing was sent."""
-    if not tally.ledger.emitted:
-        return np.zeros(sums.shape[1:])
-    incident = tally.incident.reshape(-1, *[1] * (sums.ndim - 2), tally.channels)
-    return statistics.batch_std_err(sums, incident)
-
-
-def _sum_of_patches(tally, hemisphere):
-    """Sum over the patches of one hemisphere, per batch and channel."""
-    return tally.sums[:, hemisphere].sum(axis=(1, 2), dtype=np.uint64)
-
-
-def _total(tally, hemisphere):
-    """Flux fraction of one hemisphere and its standard error, per channel."""
-    sums = _sum_of_patches(tally, hemisphere)
-    value = statistics.ratio(sums, tally.incident)
-    if tally.errors is None:
-        return value, statistics.batch_std_err(sums, tally.incident)
-    error = _integral_error(tally, hemisphere).sum(axis=(0, 1))
-    return value, np.hypot(_scatter(tally, sums), error)
 
 
 def _seeds(record):

@@ -15,6 +15,7 @@ NUMPY_LAYER = (
     "directions",
     "equal_steps",
     "errors",
+    "estimates",
     "exr",
     "files",
     "heights",

@@ -1,0 +1,165 @@
+"""Estimates from a tally: flux fractions, their standard errors and intervals."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import statistics
+from .tally import Tally
+
+__all__ = ["Estimates"]
+
+# Below this many hits the sum of a patch is too skewed for Student's t.
+FEW_HITS = 100
+# The same for rays that are distributed evenly, whose counts scatter less.
+FEW_EVEN_HITS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """What the tally of one incident direction says of each hemisphere.
+
+    Hemisphere 0 is the emitter's side. Values of its patches have the shape ``(n_theta,
+    n_phi, channels)``, those of its total ``(channels,)``.
+
+    Attributes
+    ----------
+    tally : Tally
+    independent : bool
+        Whether its rays are independent; else they are distributed evenly.
+    deposited : bool
+        Whether its hits are deposits: several from one ray, or none.
+    passes : int
+        How often each ray was sent, for more wavelengths than one carries.
+    """
+
+    tally: Tally
+    independent: bool
+    deposited: bool = False
+    passes: int = 1
+
+    @property
+    def hits(self):
+        """Hits per patch of one pass, shape ``(n_hemispheres, n_theta, n_phi)``."""
+        return self.tally.hits // np.uint64(self.passes)
+
+    @property
+    def rays(self):
+        """Rays of one pass that met the specimen."""
+        return self._all_rays // self.passes
+
+    @property
+    def binomial(self):
+        """Whether each patch counted independent rays of one channel, one by one."""
+        tally = self.tally
+        return (
+            self.independent
+            and tally.errors is None
+            and tally.scale == 1
+            and tally.channels == 1
+            and np.array_equal(tally.sums[..., 0].sum(axis=0), tally.hits)
+            and tally.incident.sum() == self._all_rays
+        )
+
+    def fraction(self, hemisphere):
+        """Flux fraction of each patch."""
+        return statistics.ratio(self.tally.sums[:, hemisphere], self._incident)
+
+    def std_err(self, hemisphere):
+        """Standard error of :meth:`fraction`; NaN where there was no hit."""
+        sums = self.tally.sums[:, hemisphere]
+        if self.tally.errors is not None:
+            return np.hypot(self._scatter(sums), self._error(hemisphere))
+        hits = self.tally.hits[hemisphere][..., None]
+        if self.binomial:
+            return statistics.binomial_std_err(hits, self._all_rays)
+        std_err = statistics.batch_std_err(sums, self._incident)
+        return np.where(hits > 0, std_err, np.nan)
+
+    def total(self, hemisphere):
+        """Flux fraction of all patches together."""
+        return statistics.ratio(self._sum(hemisphere), self.tally.incident)
+
+    def total_std_err(self, hemisphere):
+        """Standard error of :meth:`total`."""
+        sums = self._sum(hemisphere)
+        if self.tally.errors is None:
+            return statistics.batch_std_err(sums, self.tally.incident)
+        return np.hypot(self._scatter(sums), self._error(hemisphere).sum(axis=(0, 1)))
+
+    def interval(self, hemisphere, level):
+        """Limits of :meth:`fraction`, ``(low, high)``; see :meth:`Record.interval`."""
+        fraction = self.fraction(hemisphere)
+        if self.tally.errors is not None:
+            sums, error = self.tally.sums[:, hemisphere], self._error(hemisphere)
+            return self._integral_interval(fraction, sums, error, level)
+        hits = self.hits[hemisphere][..., None]
+        if self.binomial:
+            return statistics.binomial_interval(hits, self.rays, level)
+        with np.errstate(invalid="ignore"):
+            weight = fraction * self.rays / hits
+        low, high = self._student(
+            fraction, self.std_err(hemisphere), weight, hits, level
+        )
+        least = FEW_HITS if self.independent else FEW_EVEN_HITS
+        few = (hits < least) & (hits > 0) & (not self.deposited)
+        exact = statistics.binomial_interval(hits, self.rays, level)
+        low, high = (
+            np.where(few, limit * weight, student)
+            for limit, student in zip(exact, (low, high))
+        )
+        most = statistics.upper_limit(self.rays, level) * np.nanmax(weight, initial=1.0)
+        return np.where(hits == 0, 0.0, low), np.where(hits == 0, most, high)
+
+    def total_interval(self, hemisphere, level):
+        """Limits of :meth:`total`, ``(low, high)``; see :meth:`Record.interval`."""
+        value = self.total(hemisphere)
+        if self.tally.errors is not None:
+            error = self._error(hemisphere).sum(axis=(0, 1))
+            return self._integral_interval(value, self._sum(hemisphere), error, level)
+        hits = self.tally.hits[hemisphere].sum() // self.passes
+        if self.binomial or hits == 0:
+            hits = np.broadcast_to(hits, value.shape)
+            return statistics.binomial_interval(hits, self.rays, level)
+        weight = value * self.rays / hits
+        return self._student(value, self.total_std_err(hemisphere), weight, hits, level)
+
+    def _student(self, value, std_err, weight, hits, level):
+        """Interval by Student's t, no narrower than that of no hit to either side."""
+        resolution = statistics.upper_limit(self.rays, level) * weight
+        return statistics.student_interval(
+            value, std_err, self.tally.n_batches, level, resolution * (hits < self.rays)
+        )
+
+    def _integral_interval(self, value, sums, error, level):
+        """Interval of integrals that may be wrong by `error`, and sampled `sums`."""
+        low, high = statistics.student_interval(
+            value, self._scatter(sums), self.tally.n_batches, level
+        )
+        return low - error, high + error
+
+    @property
+    def _incident(self):
+        """Incident flux per batch, broadcastable to the sums of one hemisphere."""
+        return self.tally.incident[:, None, None, :]
+
+    @property
+    def _all_rays(self):
+        """Rays of all passes that met the specimen."""
+        ledger = self.tally.ledger
+        return ledger.emitted - ledger.missed - ledger.unlit
+
+    def _sum(self, hemisphere):
+        """Sum over the patches of one hemisphere, per batch and channel."""
+        return self.tally.sums[:, hemisphere].sum(axis=(1, 2), dtype=np.uint64)
+
+    def _error(self, hemisphere):
+        """What the integrals of a hemisphere's flux fractions may be wrong by."""
+        return self.tally.errors[hemisphere] / self.tally.incident.max(axis=0)
+
+    def _scatter(self, sums):
+        """Standard error of the sampled part of `sums`; 0 if nothing was sent."""
+        if not self.tally.ledger.emitted:
+            return np.zeros(sums.shape[1:])
+        shape = -1, *[1] * (sums.ndim - 2), self.tally.channels
+        return statistics.batch_std_err(sums, self.tally.incident.reshape(shape))
