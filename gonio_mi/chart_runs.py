@@ -147,14 +147,18 @@ def find_reference(runs, seconds):
         record = runs.measure(0, rays=rays, **EVEN)
         integrates, refused = "", str(error)
         words = f"{rays:.2g} rays, weighted, sobol"
+    return pilot, _reference(record, words, refused), integrates
+
+
+def _reference(record, source, refused):
+    """:class:`gonio_mi.curves.Reference` from a record."""
     values, std_err = arrays(record)
     weights = record.subdivision.projected_solid_angles[..., None]
     mean = float(np.average(values, weights=np.broadcast_to(weights, values.shape)))
     if not mean > 0:
         raise SpecimenError("the specimen must send some light to the collector")
     error = np.hypot(_rms(std_err), SINGLE_PRECISION * _rms(values)) / mean
-    reference = Reference(values, float(error), mean, words, refused)
-    return pilot, reference, integrates
+    return Reference(values, float(error), mean, source, refused)
 
 
 def _integral(runs, pilot, rays, seconds):

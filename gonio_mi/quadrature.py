@@ -7,6 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .cells import NODES_PER_CELL, Cells, Guides
 from .directions import angles, direction
 from .errors import SpecimenError
 from .plugins.transport import flux_context
@@ -14,16 +15,13 @@ from .subdivision import Subdivision
 
 __all__ = ["PatchIntegrals", "Rule", "integrate"]
 
-# Points per axis and cell; a cell is compared with the sum of its four quarters.
-ORDER = 4
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
-
 # Sampled directions that show where narrow lobes are, and how many of them a cell may
 # hold before it is split unseen.
 N_GUIDES = 2**14
 MOST_GUIDES = 8
 
-# Part of the tolerated error that the cells of a patch share.
+# Part of the tolerated error that the cells of a patch share, since later levels may
+# find the patch darker.
 CAUTION = 1 / 4
 
 # Evaluations of one level of refinement, and levels, after which we give up.
@@ -114,7 +112,7 @@ class PatchIntegrals:
     def rule(self):
         """The converged :class:`Rule`."""
         theta, phi, lower, weight = self.cells.nodes()
-        patch = np.repeat(self.cells.patch, ORDER**2)
+        patch = np.repeat(self.cells.patch, NODES_PER_CELL)
         return Rule(self.subdivision, patch, theta, phi, lower, weight, self.beam)
 
 
@@ -164,138 +162,82 @@ def integrate(
     """
     beam = _Beam.of(theta_i, phi_i, side, interaction)
     evaluator = _Evaluator(bsdf, beam, pdf)
-    cells = _Cells.of(subdivision)
-    n_patches = 2 * subdivision.n_patches
+    cells = Cells.of(subdivision)
     guides = evaluator.guides(subdivision)
     coarse = evaluator.integrals(cells)
-    flux = np.zeros((n_patches, coarse.shape[-1]))
-    error, square = np.zeros_like(flux), np.zeros_like(flux)
-    finished = []
+    sums, finished = _PatchSums(2 * subdivision.n_patches, coarse.shape[-1]), []
     for level in range(MAX_LEVELS):
         quarters = cells.quarters()
         fine = evaluator.integrals(quarters)
-        sums = fine.reshape(len(cells.patch), 4, -1).sum(axis=1)
-        difference = np.abs(sums - coarse)
-        estimate = flux + _add_up(cells.patch, sums, n_patches)
-        allowed = rel_err * np.maximum(estimate, FLOOR * estimate.mean())
-        # shared by the cells of a patch, by area: the squares of their errors add up.
-        # A part of it, since later levels may find the patch darker.
-        tolerance = CAUTION * allowed[cells.patch] * cells.share[:, None] ** 0.5
-        open_cells = ~np.all(difference <= tolerance, axis=1)
-        open_cells |= np.bincount(guides.cell, minlength=len(open_cells)) > MOST_GUIDES
-        n_next = 4 * ORDER**2 * 4 * np.count_nonzero(open_cells)
+        values = fine.reshape(len(cells.patch), 4, -1).sum(axis=1)
+        difference = np.abs(values - coarse)
+        allowed = sums.allowed(cells, values, rel_err)
+        open_cells = _unfinished(cells, guides, difference, allowed)
+        n_next = 4 * NODES_PER_CELL * 4 * np.count_nonzero(open_cells)
         if level == MAX_LEVELS - 1 or n_next > MAX_EVALUATIONS:
             open_cells[:] = False
-        done = ~open_cells
         children = np.repeat(open_cells, 4)
-        flux += _add_up(cells.patch[done], sums[done], n_patches)
-        error += _add_up(cells.patch[done], difference[done], n_patches)
-        square += _add_up(cells.patch[done], difference[done] ** 2, n_patches)
+        sums.add(cells[~open_cells], values[~open_cells], difference[~open_cells])
         finished.append(quarters[~children])
         if not open_cells.any():
             break
         guides = guides.descend(cells, open_cells)
         cells, coarse = quarters[children], fine[children]
-    if not np.all(np.sqrt(square) <= allowed):
-        reached = np.max(np.sqrt(square) / allowed) * rel_err
+    error = np.sqrt(sums.square)
+    if not np.all(error <= allowed):
         raise SpecimenError(
             f"the integral of {bsdf.class_name()} over the patches must converge to "
             f"{rel_err:g}, but {evaluator.n_evaluations:.3g} evaluations gave "
-            f"{reached:.2g} for the worst patch"
+            f"{np.max(error / allowed) * rel_err:.2g} for the worst patch"
         )
     shape = (2, *subdivision.shape, -1)
     return PatchIntegrals(
         subdivision,
-        flux.reshape(shape),
-        np.hypot(error, ROUNDING * flux).reshape(shape),
+        sums.flux.reshape(shape),
+        np.hypot(sums.error, ROUNDING * sums.flux).reshape(shape),
         evaluator.n_evaluations,
-        _Cells.join(finished),
+        Cells.join(finished),
         beam,
     )
 
 
-@dataclass(frozen=True)
-class _Cells:
-    """Rectangles in ``(theta, phi)``, each a part of one patch."""
+def _unfinished(cells, guides, difference, allowed):
+    """Whether each cell must be quartered: its own part of the error is too large.
 
-    patch: np.ndarray  # n_patches more for the lower hemisphere
-    lower: np.ndarray  # whether in the lower hemisphere
-    theta: np.ndarray  # borders in polar angle, shape (n, 2)
-    phi: np.ndarray  # borders in azimuth, shape (n, 2)
-    share: np.ndarray  # part of the patch's area
-
-    @classmethod
-    def of(cls, grid):
-        """One cell per patch of both hemispheres."""
-        theta = np.stack([grid.theta_edges[:-1], grid.theta_edges[1:]], axis=-1)
-        phi = np.stack([grid.phi_edges[:-1], grid.phi_edges[1:]], axis=-1)
-        n = grid.n_patches
-        return cls(
-            np.arange(2 * n),
-            np.arange(2 * n) >= n,
-            np.tile(np.repeat(theta, grid.n_phi, axis=0), (2, 1)),
-            np.tile(phi, (2 * grid.n_theta, 1)),
-            np.ones(2 * n),
-        )
-
-    def quarters(self):
-        """Four cells for each one, in its place."""
-        halves = [(i, j) for i in (0, 1) for j in (0, 1)]
-
-        def split(borders, k):
-            middle = borders.mean(axis=1)
-            parts = [(borders[:, 0], middle), (middle, borders[:, 1])]
-            return np.stack(
-                [np.column_stack(parts[half[k]]) for half in halves], axis=1
-            ).reshape(-1, 2)
-
-        return _Cells(
-            np.repeat(self.patch, 4),
-            np.repeat(self.lower, 4),
-            split(self.theta, 0),
-            split(self.phi, 1),
-            np.repeat(self.share / 4, 4),
-        )
-
-    def nodes(self):
-        """Polar angle, azimuth, hemisphere and weight of the points of the rule."""
-        half_theta, half_phi = (np.diff(b) / 2 for b in (self.theta, self.phi))
-        theta = self.theta.mean(axis=1, keepdims=True) + half_theta * NODES
-        phi = self.phi.mean(axis=1, keepdims=True) + half_phi * NODES
-        weight = (half_theta * half_phi)[:, :, None] * WEIGHTS[:, None] * WEIGHTS
-        arrays = np.broadcast_arrays(
-            theta[:, :, None], phi[:, None, :], self.lower[:, None, None], weight
-        )
-        return [array.ravel() for array in arrays]
-
-    @classmethod
-    def join(cls, several):
-        """All cells of `several`."""
-        return cls(*map(np.concatenate, zip(*map(_Cells._columns, several))))
-
-    def _columns(self):
-        return self.patch, self.lower, self.theta, self.phi, self.share
-
-    def __getitem__(self, chosen):
-        return _Cells(*(column[chosen] for column in self._columns()))
+    That of a patch is shared by its cells by area: the squares of their errors add up.
+    Or the cell holds so many sampled directions that its points may miss a lobe.
+    """
+    tolerance = CAUTION * allowed[cells.patch] * cells.share[:, None] ** 0.5
+    held = np.bincount(guides.cell, minlength=len(cells.patch))
+    return ~np.all(difference <= tolerance, axis=1) | (held > MOST_GUIDES)
 
 
-@dataclass(frozen=True)
-class _Guides:
-    """Directions that ``sample`` gave, and the cell that each is in."""
+class _PatchSums:
+    """Sums over the finished cells of each patch.
 
-    cell: np.ndarray
-    theta: np.ndarray
-    phi: np.ndarray
+    Arrays of shape ``(n_patches, channels)``: the integral, its error as if nothing
+    cancelled, and the sum of the squares of the cells' errors.
+    """
 
-    def descend(self, cells, chosen):
-        """Guides of the chosen cells, in their quarters."""
-        kept = chosen[self.cell]
-        cell, theta, phi = self.cell[kept], self.theta[kept], self.phi[kept]
-        beyond = theta >= cells.theta.mean(axis=1)[cell]
-        onwards = phi >= cells.phi.mean(axis=1)[cell]
-        rank = np.cumsum(chosen) - 1
-        return _Guides(4 * rank[cell] + 2 * beyond + onwards, theta, phi)
+    def __init__(self, n_patches, channels):
+        self.flux, self.error, self.square = np.zeros((3, n_patches, channels))
+
+    def allowed(self, cells, values, rel_err):
+        """Tolerated error of each patch, if the open `cells` have these `values`."""
+        estimate = self.flux + self._by_patch(cells, values)
+        return rel_err * np.maximum(estimate, FLOOR * estimate.mean())
+
+    def add(self, cells, values, difference):
+        """Add the integrals over finished cells, and what they may be wrong by."""
+        self.flux += self._by_patch(cells, values)
+        self.error += self._by_patch(cells, difference)
+        self.square += self._by_patch(cells, difference**2)
+
+    def _by_patch(self, cells, values):
+        """Sum of the cells' values in each patch."""
+        n = len(self.flux)
+        columns = [np.bincount(cells.patch, one, minlength=n) for one in values.T]
+        return np.stack(columns, axis=-1)
 
 
 @dataclass(frozen=True)
@@ -362,7 +304,7 @@ class _Evaluator:
         wo = wo * [1, 1, self.beam.side]
         patch = grid.patch(wo) + grid.n_patches * (wo[:, 2] < 0)
         theta, phi = angles(wo)
-        return _Guides(patch, np.minimum(theta, np.pi - theta), phi)
+        return Guides(patch, np.minimum(theta, np.pi - theta), phi)
 
     def integrals(self, cells):
         """Integral over each cell, shape ``(n, channels)``."""
@@ -371,11 +313,5 @@ class _Evaluator:
         values = self.beam.evaluate(self.bsdf, theta, phi, lower, self.pdf)
         weight = weight * np.sin(theta)
         columns = [np.broadcast_to(v.numpy(), len(theta)) * weight for v in values]
-        values = np.stack(columns, axis=-1).reshape(len(cells.patch), ORDER**2, -1)
-        return values.sum(axis=1)
-
-
-def _add_up(index, values, n):
-    """Sum of `values`, shape ``(m, channels)``, by `index` below `n`."""
-    columns = [np.bincount(index, column, minlength=n) for column in values.T]
-    return np.stack(columns, axis=-1)
+        shape = len(cells.patch), NODES_PER_CELL, -1
+        return np.stack(columns, axis=-1).reshape(shape).sum(axis=1)

@@ -11,6 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "gonio_mi"
 NUMPY_LAYER = (
     "apertures",
     "borders",
+    "cells",
     "curves",
     "directions",
     "equal_steps",
