@@ -1,0 +1,215 @@
+"""Which interval a patch gets, on tallies made by hand: exact, or by rounding."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import synthetic
+
+from gonio_mi import statistics
+from gonio_mi.estimates import FEW_EVEN_HITS, FEW_HITS, Estimates
+from gonio_mi.tally import WEIGHT_SCALE, Fate, Tally
+
+EPS = np.finfo(float).eps
+LEVEL = 0.9
+RAYS = 1000  # of each of two batches
+HITS = ((50, 54), (40, 40), (12, 20), (2, 4), (0, 0))
+
+
+def tally(hits=HITS, weight=0.5, missed=0):
+    """One ring of patches in two batches, whose hits had this weight."""
+    hits = np.array(hits, np.uint64).T[:, None, None, :]
+    fates = np.zeros((len(hits), len(Fate)), np.uint64)
+    fates[:, Fate.REFLECTED] = hits.sum(axis=(1, 2, 3))
+    fates[:, Fate.ABSORBED] = RAYS - fates[:, Fate.REFLECTED]
+    fates[:, Fate.MISSED] = missed
+    unit = np.uint64(round(weight * WEIGHT_SCALE))
+    return Tally(
+        hits=hits.sum(axis=0, dtype=np.uint64),
+        sums=(hits * unit)[..., None],
+        incident=np.full((len(hits), 1), RAYS * WEIGHT_SCALE, np.uint64),
+        fates=fates,
+        scale=WEIGHT_SCALE,
+    )
+
+
+def close(found, expected):
+    # rounding: some ten operations on either side
+    np.testing.assert_allclose(found, expected, rtol=32 * EPS)
+
+
+def student(estimates, patch):
+    """Interval by Student's t of one patch, with what no hit leaves open."""
+    sums = estimates.tally.sums[:, 0, 0, patch]
+    weight = estimates.fraction(0)[0, patch] * 2 * RAYS / sum(HITS[patch])
+    return statistics.student_interval(
+        estimates.fraction(0)[0, patch],
+        statistics.batch_std_err(sums, estimates.tally.incident),
+        2,
+        LEVEL,
+        statistics.upper_limit(2 * RAYS, LEVEL) * weight,
+    )
+
+
+def test_values_and_standard_errors():
+    estimates = Estimates(tally(), independent=True)
+    hits = np.array(HITS)
+    close(estimates.fraction(0)[0, :, 0], hits.sum(axis=1) * 0.5 / (2 * RAYS))
+    scatter = np.abs(np.diff(hits))[:, 0] / 2 * 0.5 / RAYS  # of two batches
+    close(estimates.std_err(0)[0, :4, 0], scatter[:4])
+    assert np.isnan(estimates.std_err(0)[0, 4, 0])
+    totals = hits.sum(axis=0)
+    close(estimates.total(0)[0], totals.sum() * 0.5 / (2 * RAYS))
+    close(estimates.total_std_err(0)[0], abs(np.diff(totals)[0]) / 2 * 0.5 / RAYS)
+
+
+@pytest.mark.parametrize(
+    ("independent", "deposited", "by_student"),
+    [(True, False, 1), (False, False, 3), (True, True, 4), (False, True, 4)],
+)
+def test_few_hits_have_exact_intervals(independent, deposited, by_student):
+    """From how many hits on Student's t is taken: 100, or 30 of even rays, or none."""
+    assert sum(HITS[0]) > FEW_HITS > sum(HITS[1])
+    assert sum(HITS[2]) > FEW_EVEN_HITS > sum(HITS[3])
+    estimates = Estimates(tally(), independent, deposited)
+    low, high = (limit[0, :, 0] for limit in estimates.interval(0, LEVEL))
+    for patch, hits in enumerate(HITS[:4]):
+        expected = np.ravel(student(estimates, patch))
+        exact = statistics.binomial_interval(sum(hits), 2 * RAYS, LEVEL)
+        exact = np.multiply(exact, 0.5)
+        assert not np.allclose(exact, expected), "twin: the two are told apart"
+        close((low[patch], high[patch]), expected if patch < by_student else exact)
+    assert low[4] == 0
+    close(high[4], statistics.upper_limit(2 * RAYS, LEVEL))
+
+
+def test_an_empty_patch_may_be_of_the_largest_weight():
+    estimates = Estimates(tally(weight=4.0), independent=True)
+    _, high = estimates.interval(0, LEVEL)
+    close(high[0, 4, 0], 4 * statistics.upper_limit(2 * RAYS, LEVEL))
+
+
+def test_equal_batches_leave_what_no_hit_leaves_open():
+    """The second patch got 40 hits of each batch, which is no proof of no error."""
+    even = Estimates(tally(), independent=False)
+    assert even.std_err(0)[0, 1, 0] == 0
+    low, high = (limit[0, 1, 0] for limit in even.interval(0, LEVEL))
+    limit = statistics.upper_limit(2 * RAYS, LEVEL) * 0.5
+    close((low, high), np.array([-limit, limit]) + 40 * 0.5 / RAYS)
+    total = Estimates(tally([(40, 40)]), independent=False)
+    np.testing.assert_array_equal(np.ravel(total.total_interval(0, LEVEL)), (low, high))
+
+
+def test_all_rays_in_one_patch_leave_nothing_open():
+    one = Estimates(tally([(RAYS, RAYS)], weight=1.0), independent=False)
+    np.testing.assert_array_equal(one.interval(0, LEVEL), np.ones((2, 1, 1, 1)))
+    np.testing.assert_array_equal(one.total_interval(0, LEVEL), np.ones((2, 1)))
+
+
+def test_rays_that_missed_are_not_incident():
+    estimates = Estimates(tally(missed=500), independent=True)
+    assert estimates.rays == 2 * RAYS
+    whole = Estimates(tally(), independent=True)
+    np.testing.assert_array_equal(
+        estimates.interval(0, LEVEL), whole.interval(0, LEVEL)
+    )
+
+
+@pytest.mark.parametrize(
+    ("hits", "interval"),
+    [(HITS, Estimates.interval), ([(40, 40)], Estimates.total_interval)],
+)
+def test_passes_of_the_same_rays_count_once(hits, interval):
+    """Twice the hits and rays of two passes tell no more than those of one."""
+    once = tally(hits)
+    twice = replace(once, hits=once.hits * 2, fates=once.fates * np.uint64(2))
+    one, two = Estimates(once, True), Estimates(twice, True, passes=2)
+    assert two.rays == one.rays
+    np.testing.assert_array_equal(two.hits, one.hits)
+    np.testing.assert_array_equal(interval(two, 0, LEVEL), interval(one, 0, LEVEL))
+    twin = interval(Estimates(twice, True), 0, LEVEL)
+    assert not np.array_equal(twin, interval(one, 0, LEVEL))
+
+
+def test_counted_rays_are_binomial():
+    record = synthetic.record(analog=True)
+    (estimates,) = record.estimates
+    assert estimates.binomial
+    (one,) = record.tallies
+    rays = one.ledger.emitted
+    low, high = estimates.interval(0, LEVEL)
+    exact = statistics.binomial_interval(one.hits[0][..., None], rays, LEVEL)
+    np.testing.assert_array_equal((low, high), exact)
+    n = one.hits.sum()
+    np.testing.assert_array_equal(
+        np.ravel(estimates.total_interval(0, LEVEL)),
+        statistics.binomial_interval(n, rays, LEVEL),
+    )
+    for other in (
+        replace(one, scale=WEIGHT_SCALE),
+        replace(one, incident=one.incident - np.uint64(1)),
+        replace(one, hits=one.hits + np.uint64(1)),
+        one.spread(3),
+    ):
+        assert not Estimates(other, independent=True).binomial
+    assert not Estimates(one, independent=False).binomial
+
+
+def integrals(sums=(0, 0), error=1e-3):
+    """Two patches of flux 0.25, integrated, with `error`; `sums` are sampled."""
+    shape = (1, 1, 2, 1)
+    sampled = tally([(hits, hits) for hits in sums])
+    return sampled.with_integrals(np.full(shape, 0.25), np.full(shape, error))
+
+
+def test_integrals_are_wrong_by_their_error():
+    estimates = Estimates(integrals(), independent=False)
+    # the fixed point is 2**-62 of the flux of all batches, about; errors round up
+    step = 2.0**-50
+    low, high = estimates.interval(0, LEVEL)
+    np.testing.assert_allclose(low, 0.25 - 1e-3, rtol=0, atol=step)
+    np.testing.assert_allclose(high, 0.25 + 1e-3, rtol=0, atol=step)
+    np.testing.assert_allclose(estimates.std_err(0), 1e-3, rtol=0, atol=step)
+    assert np.all(estimates.std_err(0) >= 1e-3)
+    # those of a total add up as if none cancelled
+    np.testing.assert_allclose(
+        np.ravel(estimates.total_interval(0, LEVEL)), (0.498, 0.502), atol=step
+    )
+    np.testing.assert_allclose(estimates.total_std_err(0), 2e-3, rtol=0, atol=step)
+
+
+def test_errors_of_integrals_are_never_rounded_down():
+    """Whatever the batches' sizes, of which the largest is what they are stored for."""
+    sampled = tally()
+    sampled.incident[1] //= np.uint64(3)
+    shape = sampled.hits.shape + (1,)
+    errors = np.reshape([1e-3, 2e-4, 3e-5, 5e-4, 7e-6], shape)
+    one = sampled.with_integrals(np.zeros(shape), errors)
+    largest = int(one.incident.max())
+    for n, error in zip(one.errors.ravel().tolist(), errors.ravel().tolist()):
+        # rounding: of one product, which is then rounded up to a whole number
+        exact = Fraction(error) * largest
+        assert (1 - Fraction(EPS)) * exact <= n <= (1 + Fraction(EPS)) * exact + 1
+
+
+def test_what_is_sampled_of_integrals_scatters():
+    one = integrals(sums=(100, 0))
+    one.sums[0, 0, 0, 0, 0] += one.incident[0, 0] // np.uint64(100)  # 0.01 in one batch
+    estimates = Estimates(one, independent=False)
+    close(estimates.std_err(0)[0, 0, 0], np.hypot(0.005, 1e-3))
+    close(estimates.std_err(0)[0, 1, 0], 1e-3)
+    low, high = (limit[0, 0, 0] for limit in estimates.interval(0, LEVEL))
+    half = statistics.student_interval(0.0, 0.005, 2, LEVEL)[1] + 1e-3
+    middle = estimates.fraction(0)[0, 0, 0]
+    np.testing.assert_allclose((low, high), (middle - half, middle + half), rtol=1e-12)
+    close(estimates.total_std_err(0)[0], np.hypot(0.005, 2e-3))
+
+
+def test_integrals_fill_64_bits_and_no_more():
+    """Sums of all batches are from 2**61 up to 2**62: no bit of a flux is lost."""
+    for n_batches in (1, 2, 1000):
+        sampled = tally(np.full((2, n_batches), 10))
+        one = sampled.with_integrals(np.full((1, 1, 2, 1), 0.5), np.zeros((1, 1, 2, 1)))
+        incident = sum(one.incident.ravel().tolist())
+        assert 2**61 <= incident < 2**62

@@ -1,0 +1,96 @@
+"""Standard errors and intervals against SciPy's own, by rounding alone."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from gonio_mi import statistics
+
+EPS = np.finfo(float).eps
+# rounding: a few operations, and two implementations of the same special function
+# that are each good to some tens of eps
+FUNCTIONS = 1000 * EPS
+
+
+def test_ratio_of_sums():
+    sums = np.array([[1, 2], [3, 5], [6, 8]], dtype=np.uint64)
+    incident = np.array([[10], [10], [20]], dtype=np.uint64)
+    np.testing.assert_array_equal(statistics.ratio(sums, incident), [10 / 40, 15 / 40])
+    assert np.isnan(statistics.ratio(0 * sums, 0 * incident)).all()
+
+
+def test_std_err_of_equal_batches_is_that_of_their_mean():
+    sums = np.array([[1, 20], [3, 50], [6, 80], [7, 70]], dtype=np.uint64)
+    incident = np.full((4, 1), 100, np.uint64)
+    expected = stats.sem(sums / 100, axis=0)
+    # rounding: some ten operations
+    np.testing.assert_allclose(
+        statistics.batch_std_err(sums, incident), expected, rtol=16 * EPS
+    )
+    assert np.isnan(statistics.batch_std_err(sums[:1], incident[:1])).all()
+
+
+def test_std_err_of_batches_of_one_ratio_is_zero():
+    """Whatever their sizes: only the scatter of the ratio counts."""
+    incident = np.array([10, 20, 40], dtype=np.uint64)
+    assert statistics.batch_std_err(incident // np.uint64(2), incident) == 0
+
+
+def test_std_err_of_unequal_batches_is_cochrans():
+    """Eq. 6.13: of n batches, sum (y - R x)^2 n / (n - 1), over the sum of x."""
+    sums, incident = np.array([1, 5, 3], np.uint64), np.array([10, 30, 20], np.uint64)
+    residual = np.array([1, 5, 3]) - 9 / 60 * np.array([10, 30, 20])
+    expected = np.sqrt(np.sum(residual**2) * 3 / 2) / 60
+    # rounding: some ten operations
+    np.testing.assert_allclose(
+        statistics.batch_std_err(sums, incident), expected, rtol=16 * EPS
+    )
+
+
+def test_binomial_std_err():
+    std_err = statistics.binomial_std_err(np.array([0, 25, 100]), 100)
+    # rounding: some five operations
+    np.testing.assert_allclose(
+        std_err, [np.nan, np.sqrt(0.25 * 0.75 / 100), 0], rtol=8 * EPS
+    )
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95, 0.999])
+@pytest.mark.parametrize("rays", [1, 30, 1000])
+def test_binomial_interval_is_clopper_and_pearsons(rays, level):
+    """At either limit, what was seen or more extreme has the chance (1 - level) / 2."""
+    hits, tail = np.unique([0, 1, rays // 3, rays - 1, rays]), (1 - level) / 2
+    low, high = statistics.binomial_interval(hits, rays, level)
+    assert low[0] == 0
+    assert high[-1] == 1
+    # an eps of a limit p moves the tail by about hits / p + misses / (1 - p) eps
+    above = stats.binom.sf(hits[1:] - 1, rays, low[1:])
+    moved = hits[1:] + (rays - hits[1:]) / (1 - low[1:])
+    assert np.all(np.abs(above / tail - 1) <= FUNCTIONS + moved * EPS)
+    below = stats.binom.cdf(hits[:-1], rays, high[:-1])
+    moved = hits[:-1] + (rays - hits[:-1]) / (1 - high[:-1])
+    assert np.all(np.abs(below / tail - 1) <= FUNCTIONS + moved * EPS)
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95, 0.999])
+@pytest.mark.parametrize("n_batches", [2, 3, 16])
+def test_student_interval(n_batches, level):
+    value, std_err = np.array([1.0, 2.0]), np.array([0.1, 0.3])
+    interval = statistics.student_interval(value, std_err, n_batches, level)
+    exact = stats.t.interval(level, n_batches - 1, value, std_err)
+    np.testing.assert_allclose(interval, exact, rtol=FUNCTIONS)
+
+
+def test_student_interval_has_a_resolution():
+    low, high = statistics.student_interval(1.0, np.array([0.0, np.nan]), 4, 0.9, 0.25)
+    np.testing.assert_array_equal((low, high), [[0.75, np.nan], [1.25, np.nan]])
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95])
+@pytest.mark.parametrize("rays", [1, 10, 10**9])
+def test_upper_limit_leaves_a_patch_empty_as_often_as_it_says(rays, level):
+    limit = statistics.upper_limit(rays, level)
+    # rounding: log, division and exponential, and the power of the check that makes
+    # n eps of the eps in 1 - p, by log1p none
+    empty = np.exp(rays * np.log1p(-limit))
+    np.testing.assert_allclose(empty, (1 - level) / 2, rtol=64 * EPS)
