@@ -48,7 +48,8 @@ class Readings:
         hits, rays = estimates.hits[where[:3]], estimates.rays
         value = np.stack(pair)[where]
         flux = tally.sums.sum(axis=(0, 2, 3), dtype=float) / tally.scale
-        mean_weight = flux / np.maximum(tally.hits.sum(axis=(1, 2)), 1)[:, None]
+        all_hits = estimates.hits.sum(axis=(1, 2))[:, None]
+        mean_weight = flux / np.maximum(all_hits, 1)
         usual = np.where(mean_weight > 0, mean_weight, 1.0)[hemisphere, channel]
         # the mean weight of a hit, as far as the flux that came with it
         weight = np.where(hits > 0, value * solid * rays / np.maximum(hits, 1), usual)

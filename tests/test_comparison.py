@@ -4,6 +4,7 @@ Statistical verdicts share the suite's false-alarm budget; each has a twin that 
 """
 
 import json
+from dataclasses import replace
 
 import budget
 import mitsuba as mi
@@ -15,6 +16,7 @@ from references import eval_flux
 from scipy import special, stats
 
 import gonio_mi as gonio
+from gonio_mi.agreement import Readings
 from gonio_mi.apertures import Apertures, disjoint_groups
 from gonio_mi.cli import main
 from gonio_mi.comparison import compare, measure_like
@@ -228,6 +230,80 @@ def test_empty_patch_of_one_of_two_records():
         made.sums[:n, 0, 0, 0] = made.scale
     comparison = compare(a, b)
     assert comparison.z[0] == pytest.approx(special.ndtri(0.5**12), rel=100 * EPS)
+
+
+def test_few_hits_and_an_uncertain_mean():
+    """The mean of Poisson's law follows a gamma distribution: a negative binomial."""
+    record = gloss()
+    (made,) = record.tallies
+    made.sums[:, 0, 0, 0] = 0
+    made.hits[0, 0, 0] = 0
+    values, sigma = record.brdf[..., 0].ravel().copy(), np.zeros(48)
+    # 20 hits were expected, give or take 10: 4 successes of a chance of 1 in 6
+    solid = record.subdivision.projected_solid_angles[0, 0]
+    values[0] = 20 / made.ledger.emitted / solid
+    sigma[0] = values[0] / 2
+    comparison = compare(record, table_of(record, values, sigma=sigma))
+    # ROUNDING of the mean and of its variance
+    expected = special.ndtri(stats.nbinom.cdf(0, 4, 1 / 6))
+    assert comparison.z[0] == pytest.approx(expected, rel=2.0**-18)
+
+
+def test_empty_patch_of_the_shorter_of_two_records():
+    """One has a quarter of all rays: of 12 hits it gets none by (3 / 4)^12."""
+    a = synthetic.record(rays=50_000, n_batches=32, seed=1)
+    b = synthetic.record(rays=150_000, n_batches=32, seed=2)
+    for record, n in ((a, 0), (b, 12)):
+        (made,) = record.tallies
+        made.hits[0, 0, 0] = n
+        made.sums[:, 0, 0, 0] = 0
+        made.sums[:n, 0, 0, 0] = made.scale
+    z = special.ndtri(0.75**12)
+    # rounding: of the flux that a hit is worth, twice, and of the inverse of a tail
+    assert compare(a, b).z[0] == pytest.approx(z, rel=100 * EPS)
+    assert compare(b, a).z[0] == pytest.approx(-z, rel=100 * EPS)
+
+
+def test_passes_of_the_same_rays_count_once():
+    """Hits, and what one is worth, are those of one pass of the rays."""
+    once = gloss(analog=True)
+    (made,) = once.tallies
+    made.hits[0, 0, 0] = 0
+    made.sums[:, 0, 0, 0] = 0
+    doubled = replace(made, hits=made.hits * 2, fates=made.fates * np.uint64(2))
+    twice = replace(once, tallies=(doubled,), settings={**once.settings, "passes": 2})
+    patch = np.arange(once.subdivision.n_patches)
+    zero = np.zeros_like(patch)
+    one, two = (Readings.of(r, 0, zero, patch, zero) for r in (once, twice))
+    for name in ("value", "hits", "exposure", "weight"):
+        np.testing.assert_array_equal(getattr(two, name), getattr(one, name))
+    assert one.weight[0] > 0, "of an empty patch"
+
+
+@pytest.mark.parametrize("n_batches", [2, 3, 8])
+def test_the_total_is_students(n_batches):
+    """With one degree of freedom less than batches, for their own scatter alone."""
+    record = synthetic.record(rays=50_000, n_batches=n_batches)
+    values, _, _ = truth(record)
+    comparison = compare(record, table_of(record, 1.01 * values))
+    # 0.606 of the flux, known up to ROUNDING
+    rounding = 2.0**-20 * 0.606
+    variance = record.dhr_std_err[0] ** 2 + rounding**2
+    dof = variance**2 / (record.dhr_std_err[0] ** 4 / (n_batches - 1))
+    t = (record.dhr[0] - 0.606) / np.sqrt(variance)
+    expected = abs(budget.normal_scores(t, dof))
+    # rounding: 48 patches are summed to 0.6 and taken from it, and t is of that size
+    rtol = 48 * EPS * 0.606 / abs(record.dhr[0] - 0.606)
+    assert comparison.statistics["total"] == pytest.approx(expected, rel=10 * rtol)
+
+
+def test_a_total_of_few_hits_is_not_tested():
+    """Some 600 hits, where Student's t needs 1000; three times as many are enough."""
+    for rays, tested in ((250, False), (750, True)):
+        record = synthetic.record(rays=rays)
+        values, _, _ = truth(record)
+        comparison = compare(record, table_of(record, 2 * values))
+        assert bool(comparison.statistics["total"]) == tested
 
 
 def test_a_record_agrees_with_itself_and_says_so():
