@@ -10,7 +10,8 @@ import budget
 import mitsuba as mi
 import pytest
 
-from gonio_mi.validation import inspection, validate
+from gonio_mi.validation import maps, validate
+from gonio_mi.validation.integrals import integrals
 
 SEEDS = int(os.environ.get("GONIO_SEEDS", "1"))
 
@@ -34,17 +35,15 @@ RIGHT = {
 
 @pytest.fixture
 def remembered(monkeypatch):
-    """Integrals do not depend on the seed."""
-    known, maps = {}, inspection.four_maps.__globals__
-    integrate = maps["integrate"]
+    """Integrals do not depend on the seed, but for how far they are refined."""
+    known = {}
 
-    def integral(view, *args, **kwargs):
-        key = (view.probe.condition, args[:2])
-        if key not in known:
-            known[key] = integrate(view, *args, **kwargs)
-        return known[key]
+    def integral(probe, *args):
+        if probe.condition not in known:
+            known[probe.condition] = integrals(probe, *args)
+        return known[probe.condition]
 
-    monkeypatch.setitem(maps, "integrate", integral)
+    monkeypatch.setattr(maps, "integrals", integral)
 
 
 @pytest.mark.usefixtures("mono", "remembered")

@@ -18,7 +18,7 @@ def check_maps(evidence, maps):
         texts = scores.statistics
         for view, p in scores.p_values.items():
             evidence.test(name, p, texts[view], maps.condition)
-    excess = maps.pdf.sum() - 1 - maps.pdf_error.sum()
+    excess = maps.pdf.sum() - 1 - maps.pdf_sum_bound
     if excess > 1e-3:
         evidence.breach(
             "sampling",
@@ -58,7 +58,7 @@ def check_energy(evidence, maps):
     worst = int(flux.argmax())
     # only what is sampled of it varies
     noise = std_err[worst] if drawn.delta_mean[worst] > 0 else 0.0
-    slack = ENERGY_MARGIN + maps.eval_error.sum()
+    slack = ENERGY_MARGIN + maps.smooth_bound[worst]
     for value, error, what in (
         (flux[worst], noise, "`eval` integrates to"),
         (drawn.mean.max(), std_err[drawn.mean.argmax()], "weights have the mean"),

@@ -9,10 +9,13 @@ import numpy as np
 from ..plugins.arrays import DRJIT
 from .probe import Probe, numbers, spectral
 
-__all__ = ["Drawn", "Totals", "collect", "count"]
+__all__ = ["Drawn", "Totals", "collect", "count", "rounding"]
 
 # Samples of one launch, whose values come back one by one.
 CHUNK = 2**20
+
+# Samples that tell how well integrals can be known.
+ROUNDED = 2**12
 
 # Size of the displacement that tells how a function answers to rounding: 4 ulp of 1.
 ULPS = 2.0**-21
@@ -36,6 +39,8 @@ class Totals:
         Of the weight of a sample, with those in discrete directions.
     delta_mean : ndarray, shape (channels,)
         What discrete directions have of `mean`.
+    peaks : ndarray, shape (2 n_patches,)
+        Greatest density of a sample in each patch.
     """
 
     n: int
@@ -45,6 +50,13 @@ class Totals:
     mean: np.ndarray
     variance: np.ndarray
     delta_mean: np.ndarray
+    peaks: np.ndarray
+
+    @property
+    def usual_weight(self):
+        """Weight that most light is in: the mean, weighed by weights."""
+        sums = self.sums.sum()
+        return self.squares.sum() / sums if sums > 0 else 1.0
 
 
 def count(bsdf, condition, subdivision, n, key):
@@ -66,7 +78,7 @@ def count(bsdf, condition, subdivision, n, key):
     probe = Probe(bsdf, condition)
     m = subdivision.n_patches
     face = 1.0 if condition.side == "front" else -1.0
-    counts, sums, squares = (np.zeros(2 * m + 1) for _ in range(3))
+    counts, sums, squares, peaks = (np.zeros(2 * m + 1) for _ in range(4))
     first, second, delta_first = 0.0, 0.0, 0.0
     for begin in range(0, n, CHUNK):
         size = min(CHUNK, n - begin)
@@ -78,13 +90,14 @@ def count(bsdf, condition, subdivision, n, key):
         index = dr.clip(index, 0, m - 1) + dr.select(face * wo.z < 0, float(m), 0.0)
         index = dr.select(smooth, mi.UInt32(index), 2 * m)
         delta = one.delta
-        dr.eval(index, one.weight, delta)
+        dr.eval(index, one.weight, one.bs.pdf, delta)
         index, weight = numbers(index, size), spectral(one.weight, size)
         weight = np.where(np.isfinite(weight), weight, 0.0)
         mean = weight.mean(axis=1)
         counts += np.bincount(index, minlength=2 * m + 1)
         sums += np.bincount(index, mean, minlength=2 * m + 1)
         squares += np.bincount(index, mean**2, minlength=2 * m + 1)
+        np.maximum.at(peaks, index, numbers(one.bs.pdf, size))
         first = first + weight.sum(axis=0)
         second = second + (weight**2).sum(axis=0)
         delta_first = delta_first + weight[numbers(delta, size)].sum(axis=0)
@@ -97,6 +110,7 @@ def count(bsdf, condition, subdivision, n, key):
         first / n,
         variance,
         delta_first / n,
+        peaks[:-1],
     )
 
 
@@ -202,19 +216,14 @@ def collect(bsdf, condition, n, key):
     wi = mi.Vector3f(probe.wi) + dr.zeros(mi.Vector3f, n)
     reverse = probe.eval(wi, wi=wo)
     reverse_other_mode = probe.eval(wi, wi=wo, ctx=other)
-    eval_slack, pdf_slack, reverse_slack = mi.Spectrum(0), mi.Float(0), mi.Spectrum(0)
-    for moved_wi, moved_wo in _displaced(wi, wo, key):
-        dr.eval(moved_wi, moved_wo)
-        eval_slack = dr.maximum(
-            eval_slack, dr.abs(probe.eval(moved_wo, wi=moved_wi) - value)
-        )
-        pdf_slack = dr.maximum(
-            pdf_slack, dr.abs(probe.pdf(moved_wo, wi=moved_wi) - pdf)
-        )
-        reverse_slack = dr.maximum(
-            reverse_slack, dr.abs(probe.eval(moved_wi, wi=moved_wo) - reverse)
-        )
-        dr.eval(eval_slack, pdf_slack, reverse_slack)
+    eval_slack, pdf_slack, reverse_slack = _changes(
+        wi,
+        wo,
+        key,
+        (lambda wi, wo: probe.eval(wo, wi=wi), value),
+        (lambda wi, wo: probe.pdf(wo, wi=wi), pdf),
+        (lambda wi, wo: probe.eval(wi, wi=wo), reverse),
+    )
     return Drawn(
         condition,
         spectral(wo, n),
@@ -244,6 +253,60 @@ def collect(bsdf, condition, n, key):
         spectral(reverse_slack, n),
         spectral(reverse_other_mode, n),
     )
+
+
+def rounding(probe, key):
+    """Relative error that single precision may leave in integrals.
+
+    A value in single precision is the true one at directions that are displaced by a
+    few ulp; if that went the same way everywhere, an integral would be off by the mean
+    of the changes.
+
+    Returns
+    -------
+    pdf, eval : float
+    """
+    n = ROUNDED
+    one = probe.sample(*_random(n, (*key, 2)))
+    wo = mi.Vector3f(one.bs.wo)
+    wi = mi.Vector3f(probe.wi) + dr.zeros(mi.Vector3f, n)
+    dr.eval(wo, one.weight, one.bs)
+    value, pdf = probe.eval(wo), probe.pdf(wo)
+    slacks = _changes(
+        wi,
+        wo,
+        key,
+        (lambda wi, wo: probe.pdf(wo, wi=wi), pdf),
+        (lambda wi, wo: probe.eval(wo, wi=wi), value),
+    )
+    density = numbers(pdf, n)
+    usable = ~numbers(one.delta, n) & (density > 0) & np.isfinite(density)
+    relative = []
+    for function, slack in zip((pdf, value), slacks):
+        sums = [
+            np.nan_to_num(spectral_or_flat[usable] / density[usable]).sum()
+            for spectral_or_flat in (_mean(slack, n), _mean(function, n))
+        ]
+        relative.append(float(sums[0] / sums[1]) if sums[1] > 0 else 0.0)
+    return relative
+
+
+def _mean(value, n):
+    """Number for each sample: the mean over channels."""
+    return numbers(value, n) if dr.depth_v(value) == 1 else spectral(value, n).mean(1)
+
+
+def _changes(wi, wo, key, *functions):
+    """Largest changes of functions (with their values) by rounding of directions."""
+    largest = [0 * value for _, value in functions]
+    for moved_wi, moved_wo in _displaced(wi, wo, key):
+        dr.eval(moved_wi, moved_wo)
+        for i, (function, value) in enumerate(functions):
+            change = dr.abs(function(moved_wi, moved_wo) - value)
+            dr.eval(change)  # one kernel for each function, whatever its arguments
+            largest[i] = dr.maximum(largest[i], change)
+        dr.eval(largest)
+    return largest
 
 
 def _displaced(wi, wo, key):

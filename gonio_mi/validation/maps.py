@@ -1,31 +1,25 @@
 """Four maps of a BSDF on the same patches, and the scores of the drawn against the due.
 
-Counted directions and summed weights come from ``sample``, the integrals of ``pdf`` and
-``eval`` from converged quadrature.
+Counted directions and summed weights come from ``sample``, the other two are integrals
+of ``pdf`` and ``eval``.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
 
-import drjit as dr
 import numpy as np
 from scipy import special
 
 from ..errors import SpecimenError
-from ..quadrature import integrate
 from ..subdivision import Subdivision
-from .drawing import Totals, count
+from .drawing import Totals, count, rounding
+from .integrals import Integrals, integrals
 from .probe import Probe
 
 __all__ = ["FourMaps", "Scores", "four_maps"]
 
 # Patches are merged until that many equivalent hits are due.
 ENOUGH_HITS = 100
-
-# What the integrals are converged to, relative to a patch, and what may remain of the
-# total where kinks hide from the rule's own estimate: a fifth of that was seen.
-REL_ERR = 1e-3
-PRECISION = 1e-4
 
 
 @dataclass(frozen=True)
@@ -79,109 +73,99 @@ class FourMaps:
     subdivision : Subdivision
     totals : Totals
         Drawn; see there for the order of patches.
-    pdf, eval : ndarray, shape (2 n_patches,)
-        Integrals of ``pdf`` and of the mean over channels of ``eval``.
-    pdf_error, eval_error : ndarray, same shape
-        Their estimated errors.
+    due_counts, due_weights : Integrals
+        Of ``pdf``, and of the mean over channels of ``eval``.
+    pdf_rounding, eval_rounding : float
+        Relative error that single precision may leave in them.
     smooth_flux : ndarray, shape (channels,)
         Sum of the integral of ``eval``, for each channel.
+    smooth_bound : ndarray, shape (channels,)
+        Within which that is right.
     """
 
     condition: object
     subdivision: Subdivision
     totals: Totals
-    pdf: np.ndarray
-    pdf_error: np.ndarray
-    eval: np.ndarray
-    eval_error: np.ndarray
+    due_counts: Integrals
+    due_weights: Integrals
+    pdf_rounding: float
+    eval_rounding: float
     smooth_flux: np.ndarray
+    smooth_bound: np.ndarray
+
+    @property
+    def pdf(self):
+        """Integral of ``pdf`` by patch, shape (2 n_patches,)."""
+        return self.due_counts.values
+
+    @property
+    def eval(self):
+        """Integral of the mean over channels of ``eval``, shape (2 n_patches,)."""
+        return self.due_weights.values
+
+    @property
+    def pdf_sum_bound(self):
+        """Within which the sum of `pdf` is right."""
+        return self.due_counts.sum_bound + self.pdf_rounding * self.pdf.sum()
 
     @cached_property
     def count_scores(self):
         """Counted directions against the integral of ``pdf``."""
         drawn, n = self.totals, self.totals.n
-        first = _groups(n * self.pdf)
-        k, q, e = (_merged(x, first) for x in (drawn.counts, self.pdf, self._slack()))
-        total = _binomial_score(
-            drawn.counts.sum(), n, self.pdf.sum(), self._slack().sum()
-        )
-        return Scores(_binomial_score(k, n, q, e), first, float(total))
+        due, bound, variance = _uncertain(self.due_counts, self.pdf_rounding)
+        first = _groups(n * due)
+        k, q, e, v = (_merged(x, first) for x in (drawn.counts, due, bound, variance))
+        z = _binomial_score(k, n, q, e) / _widened(n * v, q * (1 - q))
+        total = _binomial_score(drawn.counts.sum(), n, due.sum(), self.pdf_sum_bound)
+        return Scores(z, first, float(total))
 
     @cached_property
     def weight_scores(self):
         """Summed weights against the integral of ``eval``."""
         drawn, n = self.totals, self.totals.n
-        squares, sums = drawn.squares.sum(), drawn.sums.sum()
-        if sums <= 0 and self.eval.sum() <= 0:
+        if drawn.sums.sum() <= 0 and self.eval.sum() <= 0:
             return Scores(np.zeros(0), np.zeros(0, int), 0.0)
-        usual = squares / sums if sums > 0 else 1.0
-        error = self.eval_error + PRECISION * np.abs(self.eval)
-        first = _groups(n * self.eval / usual)
-        w, w2, due, e = (
-            _merged(x, first) for x in (drawn.sums, drawn.squares, self.eval, error)
+        usual = drawn.usual_weight
+        due, bound, variance = _uncertain(self.due_weights, self.eval_rounding)
+        first = _groups(n * due / usual)
+        w, w2, q, e, v = (
+            _merged(x, first) for x in (drawn.sums, drawn.squares, due, bound, variance)
         )
-        z = _weight_score(w, w2, n, due, e, usual)
-        total = _weight_score(
-            *(np.array([x]) for x in (sums, squares)),
-            n,
-            np.array([self.eval.sum()]),
-            np.array([error.sum()]),
-            usual,
-        )
+        z = _weight_score(w, w2, n, q, e, usual) / _widened(n * v, w2 / n)
+        sums = (x.sum(keepdims=True) for x in (drawn.sums, drawn.squares))
+        sum_bound = self.due_weights.sum_bound + self.eval_rounding * due.sum()
+        total = _weight_score(*sums, n, due.sum(keepdims=True), sum_bound, usual)
         return Scores(z, first, float(total[0]))
-
-    def _slack(self):
-        return self.pdf_error + PRECISION * np.abs(self.pdf)
 
 
 def four_maps(bsdf, condition, subdivision, n, key):
     """Draw, integrate and return :class:`FourMaps`, or None if it does not converge."""
     totals = count(bsdf, condition, subdivision, n, key)
-    view = _Integrand(Probe(bsdf, condition))
+    probe = Probe(bsdf, condition)
     try:
-        found = integrate(
-            view,
-            condition.theta_i,
-            condition.phi_i,
-            subdivision,
-            rel_err=REL_ERR,
-            side=condition.side,
-        )
+        due_counts, *channels = integrals(probe, subdivision, totals)
     except SpecimenError:
         return None
-    flux = found.flux.reshape(2 * subdivision.n_patches, -1)
-    error = found.error.reshape(flux.shape)
     return FourMaps(
         condition,
         subdivision,
         totals,
-        flux[:, 0],
-        error[:, 0],
-        flux[:, 1:].mean(axis=1),
-        error[:, 1:].mean(axis=1),
-        flux[:, 1:].sum(axis=0),
+        due_counts,
+        Integrals.mean(channels),
+        *rounding(probe, key),
+        np.array([one.values.sum() for one in channels]),
+        np.array([one.sum_bound for one in channels]),
     )
 
 
-class _Integrand:
-    """A BSDF to :func:`integrate`, whose channels are its density and its values."""
+def _uncertain(due, relative):
+    """Values of integrals, bounds of their errors with those of rounding, variances."""
+    return due.values, due.bound + relative * np.abs(due.values), due.std_err**2
 
-    def __init__(self, probe):
-        self.probe = probe
 
-    def class_name(self):
-        return self.probe.bsdf.class_name()
-
-    def sample(self, _, si, sample1, sample2):
-        del si
-        one = self.probe.sample(sample1, sample2)
-        return one.bs, one.weight
-
-    def eval(self, _, si, wo):
-        del si
-        pdf, value = self.probe.pdf(wo), self.probe.eval(wo)
-        # what is not finite has a property of its own
-        return [dr.select(dr.isfinite(x), x, 0.0) for x in (pdf, *value)]
+def _widened(variance, by_chance):
+    """Standard deviation of a score that has a second random error."""
+    return np.sqrt(1 + variance / np.maximum(by_chance, variance + 1e-300))
 
 
 def _groups(due):
