@@ -105,16 +105,22 @@ def adapted(brdf, grid, n_theta, n_phi, uniform=0.25):
     Returns
     -------
     Borders
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a number is out of its range, or `brdf` has another shape or no light.
     """
     uniform = checked_number(
         "uniform", uniform, 2.0**-30, 1 + 2.0**-52, "a number in (0, 1]"
     )
     n_theta, n_phi = checked_count("n_theta", n_theta), checked_count("n_phi", n_phi)
-    flux = np.asarray(brdf, dtype=float) * grid.projected_solid_angles
-    if flux.shape != grid.shape or not flux.sum() > 0:
+    brdf = np.asarray(brdf, dtype=float)
+    if brdf.shape != grid.shape or not brdf.sum() > 0:
         raise ValueError(
-            f"brdf must have the shape {grid.shape} and carry light, got {flux.shape}"
+            f"brdf must have the shape {grid.shape} and carry light, got {brdf.shape}"
         )
+    flux = brdf * grid.projected_solid_angles
 
     def quantiles(marginal, measure, edges, n):
         density = (1 - uniform) * marginal / marginal.sum() + uniform * measure

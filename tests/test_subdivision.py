@@ -5,23 +5,37 @@ import numpy as np
 import pytest
 
 from gonio_mi import (
+    Borders,
     EqualAngle,
     EqualProjectedSolidAngle,
+    EqualSine,
     EqualSolidAngle,
+    adapted,
     subdivision,
 )
 from gonio_mi.directions import angles, direction
-from gonio_mi.subdivision import BORDER
+from gonio_mi.hemisphere import BORDER
 
-KINDS = (EqualAngle, EqualSolidAngle, EqualProjectedSolidAngle)
+
+def uneven(n_theta, n_phi):
+    """Borders that are narrow at the pole and at the azimuth 0."""
+    theta = 90 * (np.arange(n_theta + 1) / n_theta) ** 1.5
+    phi = 360 * (np.arange(n_phi + 1) / n_phi) ** 1.5
+    return Borders(theta, phi)
+
+
+KINDS = (EqualAngle, EqualSolidAngle, EqualProjectedSolidAngle, EqualSine)
 SIZES = ((1, 1), (2, 3), (10, 10), (30, 30), (100, 100), (1000, 1000))
 EPS = np.finfo(float).eps
 
-kinds = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+kinds = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+all_kinds = pytest.mark.parametrize(
+    "kind", [*KINDS, uneven], ids=lambda kind: kind.__name__
+)
 sizes = pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}x{size[1]}")
 
 
-@kinds
+@all_kinds
 @sizes
 def test_solid_angles_sum_to_the_hemisphere(kind, size):
     # rounding: each ring's borders, two sines and three products, then the sum
@@ -39,20 +53,21 @@ def test_what_is_said_to_be_equal_is_equal(kind, size):
         EqualAngle: np.diff(patches.theta_edges),
         EqualSolidAngle: patches.solid_angles,
         EqualProjectedSolidAngle: patches.projected_solid_angles,
+        EqualSine: np.diff(np.sin(patches.theta_edges)),
     }[kind]
     # rounding: a ring is the difference of borders, exact to a few eps of pi / 2
     bound = 8 * EPS * size[0]
     np.testing.assert_allclose(measure, measure.mean(), rtol=bound)
 
 
-@kinds
+@all_kinds
 def test_projected_solid_angles_are_the_integral_of_the_cosine(kind):
     # rounding: a 20-point Gauss rule is exact far below eps on one ring
     patches = kind(30, 7)
     x, w = np.polynomial.legendre.leggauss(20)
     low, high = patches.theta_edges[:-1, None], patches.theta_edges[1:, None]
     theta = (low + high) / 2 + (high - low) / 2 * x
-    half = (high - low)[:, 0] / 2 * 2 * np.pi / 7
+    half = (high - low)[:, 0] / 2 * patches.phi_edges[1]
     np.testing.assert_allclose(
         patches.projected_solid_angles[:, 0],
         half * (np.sin(theta) * np.cos(theta) @ w),
@@ -102,7 +117,7 @@ def test_mean_of_angles_converges_quadratically():
     np.testing.assert_allclose(orders, 2, atol=0.01)
 
 
-@kinds
+@all_kinds
 @sizes
 def test_borders_are_half_open(kind, size):
     """A direction on a border is in the patch that begins there."""
@@ -115,7 +130,7 @@ def test_borders_are_half_open(kind, size):
     np.testing.assert_array_equal(on_sector % size[1], np.arange(size[1]))
 
 
-@kinds
+@all_kinds
 @sizes
 def test_centres_are_in_their_patches(kind, size):
     patches = kind(*size)
@@ -142,7 +157,7 @@ def test_pole_and_signs_of_zero(kind):
         assert patches.patch([zero, -s, s]) % 8 == 6
 
 
-@kinds
+@all_kinds
 @pytest.mark.parametrize("n", [1, 30, 1000])
 def test_the_last_ring_reaches_the_horizon(kind, n):
     patches = kind(n, 4)
@@ -162,7 +177,7 @@ def float32_directions(n, seed):
     return direction(theta, rng.uniform(0, 2 * np.pi, 3 * n)).astype(np.float32)
 
 
-@kinds
+@all_kinds
 @sizes
 @pytest.mark.usefixtures("mono")
 def test_numpy_and_drjit_agree_on_the_patch(kind, size):
@@ -196,7 +211,7 @@ def test_numpy_and_drjit_agree_on_the_patch(kind, size):
     assert np.all(gap[step > 0] <= 2 * BORDER)
 
 
-@kinds
+@all_kinds
 def test_every_direction_has_exactly_one_patch(kind):
     """Counting by index and counting by borders agree, cell by cell."""
     patches = kind(12, 16)
@@ -213,10 +228,63 @@ def test_every_direction_has_exactly_one_patch(kind):
     np.testing.assert_array_equal(patches.patch(v)[clear], (ring * 16 + sector)[clear])
 
 
-@pytest.mark.parametrize("text", ["projected:30x30", "angle:1x1", "solid:7x100"])
+@pytest.mark.parametrize(
+    "text", ["projected:30x30", "angle:1x1", "solid:7x100", "sine:9x20", "klems"]
+)
 def test_name_round_trip(text):
     assert str(subdivision(text)) == text
     assert subdivision(text) == subdivision(str(subdivision(text)))
+
+
+def test_name_of_borders():
+    found = subdivision("borders:0,30.5,90x0,120,180,360")
+    assert found == Borders((0, 30.5, 90), (0, 120, 180, 360))
+    assert subdivision(str(uneven(7, 9))) == uneven(7, 9)
+    assert found.shape == (2, 3)
+
+
+@pytest.mark.parametrize(
+    ("theta", "phi", "name"),
+    [
+        ((0, 90, 30), (0, 360), "theta_deg must ascend from 0 to 90"),
+        ((0, 0, 90), (0, 360), "theta_deg must ascend from 0 to 90"),
+        ((1, 90), (0, 360), "theta_deg must ascend from 0 to 90"),
+        ((0, 90), (0, 180), "phi_deg must ascend from 0 to 360"),
+        ((0, 90), (), "phi_deg must ascend from 0 to 360"),
+    ],
+)
+def test_borders_ascend_from_end_to_end(theta, phi, name):
+    with pytest.raises(ValueError, match=name):
+        Borders(theta, phi)
+
+
+def test_adapted_borders_are_quantiles():
+    """Of a pilot that saw three quarters of the light in the first of two rings."""
+    grid = Borders((0, 45, 90), (0, 90, 360))
+    flux = np.array([[0.5, 0.25], [0.0, 0.25]])
+    found = adapted(flux / grid.projected_solid_angles, grid, 4, 2, uniform=0.5)
+    # the rings have half of all projected solid angle each: mixed with these, the
+    # flux is 5/8 and 3/8, and the quarters of all of it are at these sin^2
+    sin2 = np.array([0, 0.4 * 0.5, 0.8 * 0.5, 0.5 + 0.5 / 3, 1])
+    # half of the flux in the first of four quadrants, which gets 3/8 of the measure;
+    # the rest of a half, 1/8, is a fifth of what the other three have
+    phi = np.array([0, 90 + 270 / 5, 360])
+    # rounding: a few products and sums, and the arcsine near its steep end
+    np.testing.assert_allclose(np.sin(found.theta_edges) ** 2, sin2, atol=16 * EPS)
+    np.testing.assert_allclose(found.phi_deg, phi, rtol=16 * EPS)
+
+
+@pytest.mark.parametrize(
+    ("brdf", "uniform", "message"),
+    [
+        (np.zeros((2, 3)), 0.5, "carry light"),
+        (np.ones((3, 2)), 0.5, "brdf must have the shape"),
+        (np.ones((2, 3)), 0.0, "uniform must be a number in"),
+    ],
+)
+def test_pilots_that_adapt_nothing(brdf, uniform, message):
+    with pytest.raises(ValueError, match=message):
+        adapted(brdf, EqualAngle(2, 3), 4, 4, uniform)
 
 
 @pytest.mark.parametrize(
