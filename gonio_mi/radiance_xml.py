@@ -1,7 +1,7 @@
-"""Radiance's BSDF files: matrices in the Klems full basis, as WINDOW writes them.
+"""Radiance's BSDF files, as WINDOW writes them: Klems matrices and tensor trees.
 
 Radiance lights the face that WINDOW calls the back from +z, and names the incident
-patch by the azimuth of flight; the data are rows of exit and columns of incidence.
+patch by the azimuth of flight; matrices are rows of exit and columns of incidence.
 """
 
 import math
@@ -13,10 +13,15 @@ import numpy as np
 from .errors import FileFormatError
 from .header import require, size_of
 from .klems import N_PHI, THETA_DEG, Klems
+from .tensor_tree import TensorTree
 
 __all__ = ["DIRECTIONS", "incident_patch", "read", "write"]
 
-BASIS = "LBNL/Klems Full"
+KLEMS = "LBNL/Klems Full"
+SHIRLEY_CHIU = "LBNL/Shirley-Chiu"
+
+# Ranks of the data structures of tensor trees.
+RANKS = {"TensorTree3": 3, "TensorTree4": 4}
 
 # Reflection and transmission, by the lit face.
 DIRECTIONS = {
@@ -26,39 +31,45 @@ DIRECTIONS = {
     ("back", 1): "Transmission Front",
 }
 
-# CIE colour-matching component of each block, and the detector that WINDOW names.
-WAVELENGTHS = {"Visible": "Y", "CIE-X": "X", "CIE-Z": "Z"}
+# CIE component of each block, and the detector that WINDOW names: colour-matching
+# functions for matrices, u' and v' of CIE 1976 for trees.
+WAVELENGTHS = {"Visible": "Y", "CIE-X": "X", "CIE-Z": "Z", "CIE-u": "u", "CIE-v": "v"}
 
 # Longest file read: a hundred times what 12 matrices need.
 MOST_BYTES = 2**29
 
 
 def incident_patch(theta_i, phi_i):
-    """Column of an incident direction in degrees, `theta_i` from the lit normal."""
-    theta, phi = np.radians([theta_i, phi_i + 180])
-    sine = math.sin(theta)
-    flight = [sine * math.cos(phi), sine * math.sin(phi), math.cos(theta)]
-    return int(Klems().patch(flight))
+    """Columns of incident directions in degrees, `theta_i` from the lit normal."""
+    theta, phi = np.radians(theta_i), np.radians(phi_i) + math.pi
+    sine = np.sin(theta)
+    flight = [sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)]
+    return Klems().patch(np.stack(np.broadcast_arrays(*flight), axis=-1))
 
 
-def write(matrices, stream, name="gonio-mi"):
-    """Write matrices as Radiance reads them.
+# ----------------------------------------------------------------------------- writing
+
+
+def write(blocks, stream, name="gonio-mi"):
+    """Write a BSDF as Radiance reads it.
 
     Parameters
     ----------
-    matrices : dict
-        By ``(wavelength, direction)``, of ``Visible``, ``CIE-X``, ``CIE-Z`` and the
-        values of :data:`DIRECTIONS`: arrays ``(145, 145)`` of BRDF or BTDF in 1/sr,
-        exit patches times incident ones.
+    blocks : dict
+        By ``(wavelength, direction)``, of :data:`WAVELENGTHS` and the values of
+        :data:`DIRECTIONS`: arrays ``(145, 145)`` of BRDF or BTDF in 1/sr, exit patches
+        times incident ones, or trees of one rank.
     stream : binary stream
     name : str
         Of the material.
     """
-    blocks = "".join(
-        _block(wavelength, direction, matrix)
-        for (wavelength, direction), matrix in matrices.items()
-    )
-    text = f"""<?xml version="1.0" encoding="UTF-8"?>
+    first = next(iter(blocks.values()))
+    if isinstance(first, TensorTree):
+        definition = _structure(f"TensorTree{first.rank}")
+    else:
+        definition = _structure("Columns") + _klems_basis()
+    stream.write(
+        f"""<?xml version="1.0" encoding="UTF-8"?>
 <WindowElement xmlns="http://windows.lbl.gov"
  xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"
  xsi:schemaLocation="http://windows.lbl.gov/BSDF-v1.4.xsd">
@@ -72,29 +83,39 @@ def write(matrices, stream, name="gonio-mi"):
 <DeviceType>Other</DeviceType>
 </Material>
 <DataDefinition>
-<IncidentDataStructure>Columns</IncidentDataStructure>
-<AngleBasis>
-<AngleBasisName>{BASIS}</AngleBasisName>
-{_basis()}</AngleBasis>
-</DataDefinition>
-{blocks}</Layer>
-</Optical>
-</WindowElement>
-"""
-    stream.write(text.encode())
+{definition}</DataDefinition>
+""".encode()
+    )
+    for (wavelength, direction), block in blocks.items():
+        stream.write(_block(wavelength, direction, block).encode())
+    stream.write(b"</Layer>\n</Optical>\n</WindowElement>\n")
 
 
-def _basis():
-    return "".join(
+def _structure(name):
+    return f"<IncidentDataStructure>{name}</IncidentDataStructure>\n"
+
+
+def _klems_basis():
+    rings = "".join(
         f"<AngleBasisBlock><Theta>{(low + high) / 2 if low else 0:g}</Theta>"
         f"<nPhis>{n}</nPhis><ThetaBounds><LowerTheta>{low}</LowerTheta>"
         f"<UpperTheta>{high}</UpperTheta></ThetaBounds></AngleBasisBlock>\n"
         for low, high, n in zip(THETA_DEG, THETA_DEG[1:], N_PHI)
     )
+    return f"<AngleBasis>\n<AngleBasisName>{KLEMS}</AngleBasisName>\n{rings}</AngleBasis>\n"
 
 
-def _block(wavelength, direction, matrix):
-    rows = "\n".join(" ".join(f"{value:.7g}" for value in row) for row in matrix)
+def _block(wavelength, direction, block):
+    if isinstance(block, TensorTree):
+        basis = f"<AngleBasis>{SHIRLEY_CHIU}</AngleBasis>"
+        text = block.text()
+    else:
+        basis = (
+            f"<ColumnAngleBasis>{KLEMS}</ColumnAngleBasis>\n"
+            f"<RowAngleBasis>{KLEMS}</RowAngleBasis>"
+        )
+        text = "\n".join(" ".join(f"{v:.7g}" for v in row) for row in block) + "\n"
+    kind = "BRDF" if "Reflection" in direction else "BTDF"
     return f"""<WavelengthData>
 <LayerNumber>System</LayerNumber>
 <Wavelength unit="Integral">{wavelength}</Wavelength>
@@ -102,20 +123,20 @@ def _block(wavelength, direction, matrix):
 <DetectorSpectrum>ASTM E308 1931 {WAVELENGTHS[wavelength]}.dsp</DetectorSpectrum>
 <WavelengthDataBlock>
 <WavelengthDataDirection>{direction}</WavelengthDataDirection>
-<ColumnAngleBasis>{BASIS}</ColumnAngleBasis>
-<RowAngleBasis>{BASIS}</RowAngleBasis>
-<ScatteringDataType>{"BRDF" if "Reflection" in direction else "BTDF"}\
-</ScatteringDataType>
+{basis}
+<ScatteringDataType>{kind}</ScatteringDataType>
 <ScatteringData>
-{rows}
-</ScatteringData>
+{text}</ScatteringData>
 </WavelengthDataBlock>
 </WavelengthData>
 """
 
 
+# ----------------------------------------------------------------------------- reading
+
+
 def read(stream):
-    """Read matrices from a Radiance file in the Klems full basis.
+    """Read a Radiance file in the Klems full basis, or of tensor trees.
 
     Returns
     -------
@@ -127,45 +148,66 @@ def read(stream):
     FileFormatError
         If the file is something else or is damaged. Entities are not expanded.
     """
-    size = size_of(stream)
-    require(size <= MOST_BYTES, f"it has {size} bytes, more than any such file needs")
-    data = stream.read()
-    require(b"<!DOCTYPE" not in data and b"<!ENTITY" not in data, "it has a DTD")
-    try:
-        root = ElementTree.fromstring(data)
-    except ElementTree.ParseError as error:
-        raise FileFormatError(f"it is not XML: {error}") from None
-    for element in root.iter():
-        element.tag = element.tag.rpartition("}")[2]
-    require(root.tag == "WindowElement", "it is no WindowElement of Radiance")
+    root = _root(stream)
     structure = root.findtext(".//IncidentDataStructure", "").strip()
+    known = ("Columns", "Rows", *RANKS)
     require(
-        structure in ("Columns", "Rows"),
-        f"its IncidentDataStructure must be Columns or Rows, got {structure!r:.40}",
+        structure in known,
+        f"its IncidentDataStructure must be {', '.join(known)}, got {structure!r:.40}",
     )
-    matrices = {}
+    blocks = {}
     for data in root.iter("WavelengthData"):
         wavelength = data.findtext("Wavelength", "").strip()
         if wavelength in WAVELENGTHS:
             for block in data.iter("WavelengthDataBlock"):
-                direction, matrix = _matrix(block, structure == "Rows")
-                matrices[wavelength, direction] = matrix
-    require(bool(matrices), "it holds no visible BSDF")
-    return matrices
-
-
-def _matrix(block, by_rows):
-    """Direction and matrix of one block."""
-    for basis in ("ColumnAngleBasis", "RowAngleBasis"):
-        name = block.findtext(basis, "").strip()
-        require(name == BASIS, f"its {basis} must be {BASIS}, got {name!r:.40}")
-    direction = block.findtext("WavelengthDataDirection", "").strip()
+                direction = block.findtext("WavelengthDataDirection", "").strip()
+                require(
+                    direction in DIRECTIONS.values(),
+                    f"its WavelengthDataDirection {direction!r:.40} is unknown",
+                )
+                blocks[wavelength, direction] = _data(block, direction, structure)
     require(
-        direction in DIRECTIONS.values(),
-        f"its WavelengthDataDirection {direction!r:.40} is unknown",
+        any(wavelength == "Visible" for wavelength, _ in blocks),
+        "it holds no visible BSDF",
     )
+    return blocks
+
+
+def _root(stream):
+    """Root element of an XML file without a DTD, tags without name spaces."""
+    size = size_of(stream)
+    require(size <= MOST_BYTES, f"it has {size} bytes, more than any such file needs")
+    parser = ElementTree.XMLParser(target=_WithoutDTD())
+    try:
+        root = ElementTree.parse(stream, parser).getroot()
+    except FileFormatError:
+        raise
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise FileFormatError(f"it is not XML: {error}") from None
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]
+    require(root.tag == "WindowElement", "it is no WindowElement of Radiance")
+    return root
+
+
+class _WithoutDTD(ElementTree.TreeBuilder):
+    """Builder that stops before any entity is declared, in whatever encoding."""
+
+    def doctype(self, *_):
+        """Raise FileFormatError."""
+        raise FileFormatError("it has a DTD")
+
+
+def _data(block, direction, structure):
+    """Matrix or tree of one block."""
+    text = block.findtext("ScatteringData", "")
+    if structure in RANKS:
+        _check_basis(block, "AngleBasis", SHIRLEY_CHIU)
+        return TensorTree.parsed(text, RANKS[structure])
+    for basis in ("ColumnAngleBasis", "RowAngleBasis"):
+        _check_basis(block, basis, KLEMS)
     n = sum(N_PHI)
-    words = block.findtext("ScatteringData", "").replace(",", " ").split()
+    words = text.replace(",", " ").split()
     require(
         len(words) == n * n, f"{direction} must hold {n * n} values, got {len(words)}"
     )
@@ -174,4 +216,9 @@ def _matrix(block, by_rows):
     except ValueError as error:
         raise FileFormatError(f"{direction}: {error}") from None
     require(bool(np.isfinite(values).all()), f"{direction} holds a value not finite")
-    return direction, values.T if by_rows else values
+    return values.T if structure == "Rows" else values
+
+
+def _check_basis(block, tag, wanted):
+    name = block.findtext(tag, "").strip()
+    require(name == wanted, f"its {tag} must be {wanted}, got {name!r:.40}")

@@ -8,11 +8,24 @@ from .directions import direction
 from .klems import Klems
 from .lobes import LobeTable
 from .plugins.lit_face import LitFace
+from .tensor_tree import grid_directions
 
-__all__ = ["Material", "half_vector_grid", "klems_matrix", "patch_points"]
+__all__ = [
+    "Material",
+    "half_vector_grid",
+    "klems_matrix",
+    "patch_points",
+    "tensor_grid",
+]
 
 # Points per side of a patch of exit or of incidence that is averaged over.
 POINTS_OUT, POINTS_IN = 8, 3
+
+# The same of the cells of tensor trees, of which there are more.
+CELL_POINTS = 2
+
+# Values that are asked for at once, at most or for one incident patch.
+MOST_VALUES = 2**20
 
 
 class Material:
@@ -98,19 +111,55 @@ def klems_matrix(material, hemisphere):
         Reflection or transmission.
     """
     patches = Klems()
-    wo = patch_points(patches, POINTS_OUT) * [1, 1, -1 if hemisphere else 1]
-    n_out = len(wo)
-    matrix = np.zeros((n_out, patches.n_patches, len(material.channels)))
-    flights = patch_points(patches, POINTS_IN)
-    for column, points in enumerate(flights):
-        x, y, z = np.repeat(points, wo.shape[0] * wo.shape[1], axis=0).T
-        theta_i = np.degrees(np.arctan2(np.hypot(x, y), z))
-        phi_i = np.degrees(np.arctan2(-y, -x))
-        every = np.tile(wo.reshape(-1, 3), (len(points), 1))
-        values = material.values(theta_i, phi_i, every)
-        values = values.reshape(len(points), *wo.shape[:2], -1)
-        matrix[:, column] = values.mean(axis=(0, 2))
-    return matrix
+    x, y, z = np.moveaxis(patch_points(patches, POINTS_IN), -1, 0)
+    theta_i = np.degrees(np.arctan2(np.hypot(x, y), z))
+    phi_i = np.degrees(np.arctan2(-y, -x))
+    means = _means(
+        material, hemisphere, theta_i, phi_i, patch_points(patches, POINTS_OUT)
+    )
+    return np.swapaxes(means, 0, 1)
+
+
+def tensor_grid(material, hemisphere, rank, size):
+    """Means over the cells of a tensor tree's grid in 1/sr, ``(size, ..., channels)``.
+
+    See `tensor_tree`: the half that rank 3 does not use holds the mean of the other.
+
+    Parameters
+    ----------
+    material : Material
+    hemisphere : {0, 1}
+        Reflection or transmission.
+    rank : {3, 4}
+    size : int
+        Cells per axis.
+    """
+    directions = grid_directions(rank, size, CELL_POINTS, CELL_POINTS)
+    means = _means(material, hemisphere, *directions)
+    grid = means.reshape(-1, *[size] * (rank - 1), means.shape[-1])
+    if rank == 4:
+        return grid
+    unused = np.broadcast_to(grid.mean(axis=(0, 1, 2)), grid.shape)
+    return np.concatenate([grid, unused])
+
+
+def _means(material, hemisphere, theta_i, phi_i, wo):
+    """Means over points of incidence and of exit, ``(n_in, n_out, channels)``.
+
+    `theta_i` and `phi_i` have the shape ``(n_in, points)``, `wo` ``(n_out, points, 3)``
+    with z > 0.
+    """
+    n_out, n_points, _ = wo.shape
+    n_in = theta_i.shape[1]
+    wo = wo.reshape(-1, 3) * [1, 1, -1 if hemisphere else 1]
+    means = []
+    n_chunks = -(-theta_i.size * len(wo) // MOST_VALUES)
+    for chunk in zip(*(np.array_split(a, n_chunks) for a in (theta_i, phi_i))):
+        theta, phi = (np.repeat(angles, len(wo)) for angles in chunk)
+        values = material.values(theta, phi, np.tile(wo, (chunk[0].size, 1)))
+        values = values.reshape(-1, n_in, n_out, n_points, values.shape[-1])
+        means.append(values.mean(axis=(1, 3)))
+    return np.concatenate(means)
 
 
 def half_vector_grid(material, theta_i, phi_i, origin, size, n=4):

@@ -9,6 +9,7 @@ PACKAGE = Path(__file__).parents[1] / "gonio_mi"
 
 # Physics and files that a reader can check, and use, without a renderer.
 NUMPY_LAYER = (
+    "channels",
     "apertures",
     "borders",
     "cells",
@@ -23,18 +24,22 @@ NUMPY_LAYER = (
     "hemisphere",
     "klems",
     "lobes",
+    "loss",
     "memory",
     "morton",
     "npz",
+    "radiance_bsdf",
     "radiance_xml",
     "ray_density",
     "netcdf",
     "record",
+    "shirley_chiu",
     "statistics",
     "subdivision",
     "summary",
     "tally",
     "tensor_file",
+    "tensor_tree",
 )
 PLUGIN_CLASSES = ("films", "integrators", "samplers", "sensors", "bsdfs", "shapes")
 

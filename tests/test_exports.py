@@ -9,7 +9,13 @@ import pytest
 import synthetic
 
 import gonio_mi as gonio
-from gonio_mi import cli, exports, radiance_xml, resampling, tensor_file
+from gonio_mi import (
+    cli,
+    exports,
+    measured_export,
+    resampling,
+    tensor_file,
+)
 from gonio_mi.directions import direction
 from gonio_mi.errors import FileFormatError, VariantError
 from gonio_mi.klems import Klems
@@ -19,19 +25,6 @@ EPS = float(np.finfo(np.float32).eps)
 
 # Radiance perturbs its values by up to this, on purpose.
 RADIANCE_NOISE = 3e-4
-
-
-def lambertian(reflectance=0.5, theta_i=(0.0, 30.0, 60.0), collector="projected:9x16"):
-    """Record of a Lambertian to the rounding of its whole numbers."""
-    patches = subdivision(collector)
-    base = synthetic.record(
-        collector, theta_i=theta_i, phi_i=(0.0,) * len(theta_i), n_batches=2
-    )
-    share = patches.projected_solid_angles * (reflectance / np.pi)
-    for tally in base.tallies:
-        one = np.round(share * tally.incident[0, 0]).astype(np.uint64)
-        tally.sums[:] = one[None, None, ..., None]
-    return base
 
 
 @pytest.fixture
@@ -98,85 +91,6 @@ def test_material_of_a_klems_record():
     assert (np.abs(seen - brdf) <= 32 * EPS * brdf.max()).all()
 
 
-# ------------------------------------------------------------------------- Radiance
-
-
-@pytest.mark.usefixtures("mono", "coarse")
-def test_klems_matrix_of_a_lambertian():
-    matrix = resampling.klems_matrix(resampling.Material(lambertian()), 0)
-    assert (np.abs(matrix - 0.5 / np.pi) <= 64 * EPS).all()
-
-
-@pytest.mark.usefixtures("mono", "coarse")
-def test_radiance_reads_what_was_written(tmp_path, glossy):
-    bsdf = pytest.importorskip("pyradiance").bsdf
-    path = tmp_path / "glossy.xml"
-    exports.export(glossy, path)
-    with open(path, "rb") as stream:
-        matrices = radiance_xml.read(stream)
-    theirs = bsdf.load_file(str(path))
-    klems, rng = Klems(), np.random.default_rng(1)
-    names = "Reflection Back", "Transmission Back"
-    both = [matrices["Visible", name] for name in names]
-    for matrix, lower in zip(both, (False, True)):
-        for _ in range(200):
-            theta_i, theta_o = np.degrees(np.arcsin(np.sqrt(rng.random(2))))
-            phi_i, phi_o = rng.random(2) * 360
-            wo = direction(np.radians(theta_o), np.radians(phi_o))
-            own = matrix[klems.patch(wo), radiance_xml.incident_patch(theta_i, phi_i)]
-            theta = 180 - theta_o if lower else theta_o
-            seen = np.max(bsdf.query(theirs, theta_i, phi_i, theta, phi_o))
-            assert abs(seen - own) <= 2 * RADIANCE_NOISE * own + 1e-6 * matrix.max()
-    column = radiance_xml.incident_patch(30, 40)
-    flux = sum((m * klems.projected_solid_angles)[:, column].sum() for m in both)
-    total = bsdf.direct_hemi(theirs, 30.0, 40.0, bsdf.SAMPLE_ALL)
-    assert abs(total - flux) <= 2 * RADIANCE_NOISE * flux
-
-
-def test_twin_radiance_would_notice_a_turned_column():
-    assert radiance_xml.incident_patch(30, 0) != radiance_xml.incident_patch(30, 180)
-
-
-def test_radiance_matrices_come_back():
-    rng = np.random.default_rng(4)
-    matrices = {
-        (wavelength, direction): rng.random((145, 145))
-        for wavelength in radiance_xml.WAVELENGTHS
-        for direction in radiance_xml.DIRECTIONS.values()
-    }
-    stream = io.BytesIO()
-    radiance_xml.write(matrices, stream, name="<a & b>")
-    again = radiance_xml.read(io.BytesIO(stream.getvalue()))
-    assert again.keys() == matrices.keys()
-    for key, matrix in matrices.items():
-        assert (np.abs(again[key] - matrix) <= 1e-6 * matrix).all()  # seven digits
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (b"<?xml", b"<?xml oops", "not XML"),
-        (b"</WindowElement>", b"", "not XML"),
-        (b"<WindowElement ", b'<!DOCTYPE x [<!ENTITY a "b">]><WindowElement ', "DTD"),
-        (b"WindowElement", b"Elsewhere", "no WindowElement"),
-        (b"Columns", b"TensorTree3", "must be Columns or Rows"),
-        (b"LBNL/Klems Full<", b"LBNL/Klems Half<", "must be LBNL/Klems Full"),
-        (b"0.25 ", b"", "must hold 21025 values, got"),
-        (b"0.25 ", b"nan ", "not finite"),
-        (b"0.25 ", b"x ", "could not convert"),
-        (b">Visible<", b">Solar<", "no visible BSDF"),
-    ],
-)
-def test_bad_radiance_files_are_refused(old, new, message):
-    stream = io.BytesIO()
-    radiance_xml.write(
-        {("Visible", "Reflection Back"): np.full((145, 145), 0.25)}, stream
-    )
-    data = stream.getvalue().replace(old, new)
-    with pytest.raises(FileFormatError, match=message):
-        radiance_xml.read(io.BytesIO(data))
-
-
 # ------------------------------------------------------------------ Mitsuba's measured
 
 
@@ -185,9 +99,9 @@ def test_measured_of_a_lambertian_converges(tmp_path, monkeypatch):
     """Second order of the grid in what the stock plugin reflects."""
     errors = []
     for grid in (16, 32):
-        monkeypatch.setattr(exports, "GRID", grid)
-        monkeypatch.setattr(exports, "RAYS", 2**18)
-        losses = exports.export(lambertian(), tmp_path / "lambertian.bsdf")
+        monkeypatch.setattr(measured_export, "GRID", grid)
+        monkeypatch.setattr(measured_export, "RAYS", 2**18)
+        losses = exports.export(synthetic.lambertian(), tmp_path / "lambertian.bsdf")
         errors.append([abs(loss.written - 0.5) for loss in losses])
     assert len(losses) == 3
     # 4, less what the first order has left at these grids
@@ -209,8 +123,8 @@ def test_measured_of_an_anisotropic_colour_converges(tmp_path, monkeypatch):
     )
     misplaced = []
     for grid in (16, 32):
-        monkeypatch.setattr(exports, "GRID", grid)
-        monkeypatch.setattr(exports, "RAYS", 2**16)
+        monkeypatch.setattr(measured_export, "GRID", grid)
+        monkeypatch.setattr(measured_export, "RAYS", 2**16)
         losses = exports.export(record, tmp_path / "colour.bsdf")
         misplaced.append([loss.misplaced for loss in losses])
     assert len(losses) == 8
@@ -220,7 +134,7 @@ def test_measured_of_an_anisotropic_colour_converges(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("mono")
 def test_measured_needs_rgb(tmp_path):
     with pytest.raises(VariantError, match="needs a variant of rgb"):
-        exports.export(lambertian(), tmp_path / "a.bsdf")
+        exports.export(synthetic.lambertian(), tmp_path / "a.bsdf")
 
 
 def test_tensor_files_agree_with_mitsubas_own(tmp_path):

@@ -1,6 +1,9 @@
 """``gonio-mi export``: a record in the files of other tools."""
 
+from pathlib import Path
+
 from .. import files
+from ..channels import wavelengths_nm
 from .arguments import DONE, set_variant
 
 __all__ = ["add", "run"]
@@ -11,10 +14,11 @@ def add(commands):
     parser = commands.add_parser(
         "export",
         help="write a record for other tools",
-        description="Write a record for other tools: .csv, a Radiance .xml in the\n"
-        "Klems full basis, a .bsdf for Mitsuba's plugin measured, or NetCDF .nc.\n"
-        "What was written is read back, and what was lost is said.",
-        epilog="example:\n  gonio-mi export run.npz -o run.xml run.bsdf",
+        description="Write a record for other tools: a table .csv, a Radiance .xml,\n"
+        "a .bsdf for Mitsuba's plugin measured, or NetCDF .nc. What was written is\n"
+        "read back, and what was lost is said.",
+        epilog="examples:\n  gonio-mi export run.npz -o run.xml run.bsdf\n"
+        "  gonio-mi export run.npz -o run.xml --basis tensor3",
     )
     parser.set_defaults(run=run)
     parser.add_argument("record", metavar="RECORD", help="an .exr or .npz file")
@@ -26,6 +30,12 @@ def add(commands):
         metavar="OUT",
         help="files that end in .csv, .xml, .bsdf or .nc",
     )
+    parser.add_argument(
+        "--basis",
+        choices=("klems", "tensor3", "tensor4"),
+        help="of .xml: the Klems full basis (default), or a tensor tree for isotropic "
+        "(3) or any (4) materials",
+    )
 
 
 def run(options):
@@ -35,9 +45,15 @@ def run(options):
 
     for path in options.output:
         files.check_output(path, ENDINGS)
-    set_variant("llvm_ad_rgb")
+    endings = {Path(path).suffix.lower() for path in options.output}
+    if options.basis and ".xml" not in endings:
+        raise ValueError(
+            f"--basis goes with a file .xml, got {', '.join(options.output)}"
+        )
+    spectral = wavelengths_nm(record.channels) is not None
+    set_variant("llvm_ad_spectral" if spectral else "llvm_ad_rgb")
     for path in options.output:
-        print(path)
-        for loss in export(record, path):
+        print(path, flush=True)
+        for loss in export(record, path, options.basis or "klems"):
             print(f"  {loss}")
     return DONE
