@@ -287,18 +287,25 @@ def test_search_extrapolates_what_is_too_slow():
     exact = GRID.projected_solid_angles
     slow = search(law(16, spent=0.001), exact, 0.01, limit=0.001)
     assert slow.size == 16
-    assert slow.size * slow.scale == pytest.approx(1e4, rel=1e-9)
+    # rounding: a sum over all patches, squared
+    rounding = 2 * GRID.n_patches * np.finfo(float).eps
+    assert slow.size * slow.scale == pytest.approx(1e4, rel=rounding)
     limit = 1.5 * 2**-10
     later = search(law(16, order=0.75, spent=2**-20), exact, 1e-4, limit=limit)
-    assert later.size * later.scale == pytest.approx(1e-4 ** (-1 / 0.75), rel=1e-6)
+    # the order is a ratio of logarithms, and the size a power of it: 1e-4 is ten
+    # octaves of it from the errors that tell it, so ten times the rounding
+    expected = 1e-4 ** (-1 / 0.75)
+    assert later.size * later.scale == pytest.approx(expected, rel=10 * rounding)
 
 
 def test_crossing():
     """A power law is met where it should be; its error bar is that of the goal."""
     goal = np.array([0.9, 1.1]) * 1e5**-1.5
     found = crossing(goal, lambda n: np.full(2, float(n) ** -1.5))
-    assert found.rays == pytest.approx(1e5, rel=1e-12)
+    # rounding: logarithms and powers of numbers up to 2^17
+    rounding = 100 * np.finfo(float).eps
+    assert found.rays == pytest.approx(1e5, rel=rounding)
     relative = goal.std(ddof=1) / goal.mean() / 2**0.5
-    assert found.std_err / found.rays == pytest.approx(relative / 1.5, rel=1e-9)
+    assert found.std_err / found.rays == pytest.approx(relative / 1.5, rel=rounding)
     with pytest.raises(ValueError, match="beyond the first 16384 rays"):
         crossing(np.ones(2), lambda n: np.full(2, 1 / n))

@@ -23,6 +23,10 @@ DIFFUSE = {"type": "diffuse", "reflectance": 0.5}
 GLASS = {"type": "dielectric"}
 PLASTIC = {"type": "roughplastic", "alpha": 0.2}
 
+EPS = np.finfo(float).eps
+# rounding: lines through and between logarithms of up to 17, and back by exp
+LOGARITHMS = 100 * EPS
+
 
 # ------------------------------------------------------------------ curves
 
@@ -45,12 +49,14 @@ def synthetic(*curves, error=1e-6):
 def test_a_power_law_has_its_order():
     """By rounding: a straight line in logarithms."""
     order, std_err = curve("weighted", 0.75, 1e-8).order(12, 0)
-    assert order == pytest.approx(0.75, abs=1e-12)
-    assert std_err < 1e-12
+    assert order == pytest.approx(0.75, abs=LOGARITHMS)
+    assert std_err < LOGARITHMS
     bent = [*curve("weighted", 0.75, 1e-8).points]
     bent[1] = Point(bent[1].rays, 1.0, 2 * bent[1].error, 0, 0)
-    _, std_err = Curve("weighted", "sobol", tuple(bent)).order(12, 0)
-    assert std_err > 0.01
+    order, std_err = Curve("weighted", "sobol", tuple(bent)).order(12, 0)
+    assert order == pytest.approx(0.75, abs=LOGARITHMS)
+    # ln 2 times sqrt(2 / 3) is left, over the root of 2 (ln 16)^2
+    assert std_err == pytest.approx(np.sqrt(1 / 3) / 4, rel=LOGARITHMS)
 
 
 def test_no_order_without_three_points_that_count():
@@ -63,12 +69,13 @@ def test_cost_is_interpolated_on_a_power_law():
     half = curve("weighted", 0.5, 1e-8)
     cost = half.cost(2.0**-3)
     assert cost.measured
-    assert cost.rays == pytest.approx(2**18, rel=1e-12)
-    assert cost.cpu_seconds == pytest.approx(1e-8 * 2**18, rel=1e-12)
+    assert cost.rays == pytest.approx(2**18, rel=LOGARITHMS)
+    assert cost.cpu_seconds == pytest.approx(1e-8 * 2**18, rel=LOGARITHMS)
     far = half.cost(2.0**-6)
     assert not far.measured
-    assert far.rays == pytest.approx(2**24, rel=1e-12)
-    assert far.cpu_seconds == pytest.approx(1e-8 * 2**24, rel=1e-12)
+    # rounding: some ten operations
+    assert far.rays == pytest.approx(2**24, rel=16 * EPS)
+    assert far.cpu_seconds == pytest.approx(1e-8 * 2**24, rel=16 * EPS)
     near = half.cost(3.0)
     assert (near.rays, near.measured) == (2**12, True)
 
@@ -78,11 +85,12 @@ def test_a_fixed_part_of_the_time_is_not_extrapolated():
         Point(n, 1.0 + 1e-6 * n, n**-0.5, 0, 0) for n in (10**2, 10**4, 10**6)
     )
     cost = Curve("analog", "independent", points).cost(1e-4)
-    assert cost.cpu_seconds == pytest.approx(101, rel=1e-9)
+    # rounding: some ten operations
+    assert cost.cpu_seconds == pytest.approx(101, rel=16 * EPS)
     # where nothing has grown, all of the time may be that of the rays
     flat = tuple(Point(n, 1.0, n**-0.5, 0, 0) for n in (10**2, 10**4))
     cost = Curve("analog", "independent", flat).cost(1e-3)
-    assert cost.cpu_seconds == pytest.approx(100, rel=1e-9)
+    assert cost.cpu_seconds == pytest.approx(100, rel=16 * EPS)
 
 
 def test_the_front_holds_what_nothing_beats():
@@ -122,7 +130,8 @@ def test_claims_are_compared_with_errors():
     points = tuple(Point(n, 1.0, e, 0, 0.8 * e) for n, e in ((10, 0.5), (100, 0.1)))
     low = Point(1000, 1.0, 1e-6, 0, 1.0)  # where the reference decides
     method = Curve("weighted", "sobol", (*points, low))
-    assert method.claim(1e-3) == pytest.approx(0.8, rel=1e-12)
+    # rounding: a product and a quotient
+    assert method.claim(1e-3) == pytest.approx(0.8, rel=2 * EPS)
     assert np.isnan(method.claim(1.0))
     assert " 0.80" in synthetic(method, error=1e-3).table(0.1)
 
@@ -182,9 +191,9 @@ def test_counted_rays_err_as_multinomial_statistics_say():
     disagree(single(z))
     # (p - p^2) / w^2 with p = w / 2 pi, equal patches; relative to p / w
     p = 0.5 / grid.n_patches
-    assert chart.independent == pytest.approx(np.sqrt((1 - p) / p), rel=1e-5)
-    assert chart.reference.mean == pytest.approx(0.5 / np.pi, rel=1e-5)
     assert chart.reference.source == "quadrature to 1e-06"
+    assert chart.independent == pytest.approx(np.sqrt((1 - p) / p), rel=1e-6)
+    assert chart.reference.mean == pytest.approx(0.5 / np.pi, rel=1e-6)
 
 
 @pytest.mark.usefixtures("short")
@@ -284,7 +293,8 @@ def test_integrals_that_disagree_with_rays_are_not_the_truth(monkeypatch):
     chart = charting.chart(DIFFUSE, 30, samplers=["sobol"], seconds=2, repeats=2)
     assert chart.reference.refused == "eval is not what sample sends"
     assert all(c.sampler for c in chart.curves)
-    assert chart.reference.mean == pytest.approx(0.5 / np.pi, rel=1e-3)
+    # exact weights of 1/2: but some rays in 1e7 leave along the horizon
+    assert chart.reference.mean == pytest.approx(0.5 / np.pi, rel=1e-6)
 
 
 @pytest.mark.usefixtures("short")

@@ -119,8 +119,8 @@ def test_slab_of_any_size():
         size = [1000 * scale, 1000 * scale, 0.5 * scale]
         specimen["to_world"] = transform.scale(size)
         records.append(measure(specimen, 45, rays=10**5))
-    for record in records:
-        assert record.tallies == records[1].tallies
+    small, middle, large = records
+    assert small.tallies == middle.tallies == large.tallies
 
 
 def test_russian_roulette_is_unbiased():

@@ -1,6 +1,6 @@
 """Nominal intervals cover the truth as often as they say, for many and few hits.
 
-Alpha: each check may fail a correct instrument with probability 1e-5.
+Each verdict takes a share of the suite's false-alarm budget.
 """
 
 from functools import cache
@@ -8,11 +8,11 @@ from functools import cache
 import mitsuba as mi
 import numpy as np
 import pytest
+from budget import Verdict, agree, disagree, normal_scores, single
 from scipy import stats
 
 import gonio_mi as gonio
 
-ALPHA = 1e-5
 LEVEL = 0.95
 SEEDS = 60
 RHO = 0.5
@@ -50,34 +50,41 @@ def coverage(rays, estimator, shrink=1.0):
 
 
 def score(fractions):
-    """t score of the mean coverage against LEVEL, from the scatter between runs."""
-    return (fractions.mean() - LEVEL) / (
-        fractions.std(ddof=1) / np.sqrt(len(fractions))
-    )
+    """Score of the mean coverage against LEVEL, from the scatter between runs."""
+    std_err = fractions.std(ddof=1) / np.sqrt(len(fractions))
+    return normal_scores((fractions.mean() - LEVEL) / std_err, len(fractions) - 1)
+
+
+def wide_enough(z):
+    """Verdict on intervals not being too narrow."""
+    return Verdict({"coverage": float(stats.norm.cdf(z))})
 
 
 @pytest.mark.parametrize("estimator", ["analog", "weighted"])
 @pytest.mark.parametrize("rays", [300, 20_000, 200_000])
 def test_patch_intervals_cover(rays, estimator):
     """About 1.5, 100 and 1000 hits a patch for analog; twice that for weighted."""
-    fractions = coverage(rays, estimator)
-    t = score(fractions)
-    print(f"coverage {fractions.mean():.4f}, t = {t:.2f}")
-    assert t > stats.t.ppf(ALPHA, SEEDS - 1), "intervals are too narrow"
-    if rays == 200_000:  # exact intervals of few hits may cover more
-        assert t < stats.t.isf(ALPHA, SEEDS - 1), "intervals are too wide"
+    z = score(coverage(rays, estimator))
+    if rays == 200_000:
+        agree(single(z))
+    else:  # exact intervals of few hits may cover more
+        agree(wide_enough(z))
 
 
 def test_narrow_intervals_are_caught():
     """Twin: intervals of 0.85 of their width cover 90 %, and the score says so."""
-    fractions = coverage(200_000, "weighted", shrink=0.85)
-    assert score(fractions) < stats.t.ppf(ALPHA, SEEDS - 1)
+    z = score(coverage(200_000, "weighted", shrink=0.85))
+    disagree(wide_enough(z))
+    disagree(single(z))
 
 
 def test_total_interval_covers():
     """Dhr of a grey specimen under the analog estimator is binomial."""
     covered = sum(low[0] <= RHO <= high[0] for _, (low, high) in runs(300, "analog"))
-    assert stats.binom.cdf(covered, SEEDS, LEVEL) > ALPHA
+    agree(Verdict({"covered": float(stats.binom.cdf(covered, SEEDS, LEVEL))}))
+    # twin: the true value of another specimen
+    wrong = sum(low[0] <= 0.6 <= high[0] for _, (low, high) in runs(300, "analog"))
+    disagree(Verdict({"covered": float(stats.binom.cdf(wrong, SEEDS, LEVEL))}))
 
 
 def test_empty_patches_have_an_upper_limit():

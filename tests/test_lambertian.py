@@ -25,6 +25,7 @@ from scipy import stats
 
 import gonio_mi as gonio
 
+EPS = np.finfo(float).eps
 KINDS = ("angle", "solid", "projected")
 SIZES = (10, 30, 100)
 ANGLES = (0, 45, 89, 89.9, 89.99)
@@ -83,10 +84,10 @@ def test_rms_error_is_that_of_counting(kind, n, rays):
         disagree(rms_verdict(record, 1 + 10 * expected * np.pi)[0])
     agree(count_verdict(record.counts[0], fractions(record)))
     if kind == "projected":
-        # the closed form of design and paper for equal patches
+        # the closed form of design and paper for equal patches; rounding: a sum of m
         m = n * n
         closed = m / np.pi * np.sqrt((1 - 1 / m) / (m * rays))
-        assert expected == pytest.approx(closed, rel=m * 1e-15)
+        assert expected == pytest.approx(closed, rel=m * EPS)
     print(f"{kind}:{n}x{n} {rays:.0e}: RMS {measured:.4g}, expected {expected:.4g}")
 
 

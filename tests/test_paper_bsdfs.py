@@ -429,9 +429,7 @@ def test_limits_of_the_lobes_are_lambertian():
         },
     ):
         value, _ = evaluate(mi.load_dict(plugin), wi, wo)
-        bound = power_error(1, np.maximum(wo[:, 2], 1e-3))
-        seen = wo[:, 2] > 1e-3
-        assert (np.abs(value / diffuse[0] - 1)[seen] <= bound[seen]).all()
+        assert (np.abs(value / diffuse[0] - 1) <= power_error(1, wo[:, 2])).all()
 
 
 @pytest.mark.usefixtures("mono")
@@ -462,7 +460,8 @@ def test_area_of_facets(e_u, e_v):
     # convergence: 5e-7 of the helper's 32 nodes, as much of the brute force, whose
     # values change by less than that with twice the azimuths
     np.testing.assert_allclose(area, exact, rtol=1e-6)
-    assert area[0] == pytest.approx(mean, rel=1e-15)
+    # rounding: of the closed form, to which nothing is added
+    assert area[0] == pytest.approx(mean, rel=4 * np.finfo(float).eps)
     # twin: the facets that face away are needed
     assert np.abs(k[:, 2] * mean / exact - 1).max() > 0.9
 
@@ -586,11 +585,10 @@ def test_facets_conserve_energy(e_u, e_v):
         albedo = np.array([dhr(bsdf, t, phi_i, 1e-5) for t in (0, 30, 60, 75, 85, 89)])
         # two areas of 5e-7 too small, rounding, convergence
         assert (albedo[:, 0] <= 1 + 1e-6 + 30 * EPS + albedo[:, 1]).all()
-        assert (albedo[:, 0] > 0.25).all()
-    # twin: without the mean cosine of the facets light would be gained
-    mean = facets.mean_cosine(e_u, e_v)
-    smooth = [(a, b) for a, b in EXPONENTS if a > 1]
-    assert (e_u, e_v) not in smooth or (albedo[:, 0] / mean > 1 + 1e-3).any()
+        # twin: without the mean cosine of smooth facets light would be gained
+        if min(e_u, e_v) >= 50:
+            mean = facets.mean_cosine(e_u, e_v)
+            assert (albedo[:, 0] / mean > 1 + 1e-3).any()
 
 
 @pytest.mark.usefixtures("mono")

@@ -32,6 +32,9 @@ MATERIALS = {
 NO_RAYS = ("roughplastic", "principled", "roughdielectric", "anisotropic")
 GRID = "projected:10x12"
 
+REL_ERR = 1e-6  # to which integrals converge if nothing else is asked
+SINGLE = 2.0**-24  # relative rounding error of a float32 operation
+
 
 def integrated(specimen, theta_i=40, phi_i=20, **settings):
     settings = {"collector": GRID} | settings
@@ -46,7 +49,7 @@ def test_lambertian(collector):
         {"type": "diffuse", "reflectance": 1.0}, 30, collector=collector
     )
     assert np.all(np.abs(record.brdf - 1 / np.pi) <= record.brdf_std_err)
-    assert record.brdf_std_err.max() < 1e-6
+    assert np.all(record.brdf_std_err <= REL_ERR * record.brdf)
     assert record.ledger.emitted == 0
     assert not record.without_hit.any()
     low, high = record.interval(0.95, of="dhr")
@@ -61,13 +64,14 @@ def test_promised_error(name, theta_i):
     bsdf = mi.load_dict(MATERIALS[name])
     grid = gonio.EqualProjectedSolidAngle(10, 12)
     asked = (1e-3, 1e-4, 1e-5)
+    least = asked[-1]
     *loose, tight = (integrate(bsdf, theta_i, 20, grid, rel_err=e) for e in asked)
     flux = np.maximum(tight.flux, 1e-6 * tight.flux.mean())
     for rel_err, found in zip(asked, loose):
-        assert np.all(np.abs(found.flux - tight.flux) <= (rel_err + 1e-5) * flux)
+        assert np.all(np.abs(found.flux - tight.flux) <= (rel_err + least) * flux)
         assert found.n_evaluations <= tight.n_evaluations
     twin = integrate(bsdf, abs(theta_i - 0.5), 20, grid, rel_err=1e-4)
-    assert np.any(np.abs(twin.flux - tight.flux) > (1e-3 + 1e-5) * flux)
+    assert np.any(np.abs(twin.flux - tight.flux) > (asked[0] + least) * flux)
 
 
 @pytest.mark.usefixtures("rgb")
@@ -89,8 +93,11 @@ def test_as_sampled(name, theta_i):
             continue
         agree(verdict(scores(rays, reference, hemisphere)))
         disagree(verdict(scores(rays, 1.1 * reference, hemisphere)))
-    total = exact.dhr + (0 if exact.dht is None else exact.dht)
-    assert np.all(total <= 1 + 1e-4)
+    # nothing shines, up to what the integrals may be wrong by and the delta components
+    total, error = exact.dhr, exact.dhr_std_err
+    if exact.dht is not None:
+        total, error = total + exact.dht, error + exact.dht_std_err
+    assert np.all(total <= 1 + error)
 
 
 @pytest.mark.usefixtures("mono")
@@ -100,9 +107,12 @@ def test_delta_components_have_the_intervals_of_their_rays():
     exact = integrated({"type": "dielectric"}, **settings)
     rays = gonio.measure({"type": "dielectric"}, 40, 20, **settings)
     np.testing.assert_array_equal(exact.counts, rays.counts)
-    # rounding of the larger scale
-    np.testing.assert_allclose(exact.dhr, rays.dhr, rtol=1e-15)
-    np.testing.assert_allclose(exact.dhr_std_err, rays.dhr_std_err, rtol=1e-9)
+    # rounding of the larger scale: of the sums, which the scatter is a part of
+    rounding = 16 * np.finfo(float).eps * rays.dhr[0]
+    np.testing.assert_allclose(exact.dhr, rays.dhr, rtol=0, atol=rounding)
+    np.testing.assert_allclose(
+        exact.dhr_std_err, rays.dhr_std_err, rtol=0, atol=rounding
+    )
 
 
 @pytest.mark.usefixtures("mono")
@@ -112,8 +122,10 @@ def test_sharp_lobe(collector, theta_i):
     """Roughness 0.005 at grazing: two collectors, the same reflectance."""
     record = integrated(SHARP, theta_i, collector=collector)
     fine = integrated(SHARP, theta_i, collector="projected:50x40")
-    assert np.abs(record.dhr - fine.dhr) <= record.dhr_std_err + fine.dhr_std_err
-    assert record.dhr_std_err < 1e-4
+    error = record.dhr_std_err + fine.dhr_std_err
+    assert np.abs(record.dhr - fine.dhr) <= error
+    # twin: a ten-thousandth is noticed
+    assert np.abs((1 + 1e-4) * record.dhr - fine.dhr) > error
 
 
 @pytest.mark.usefixtures("rgb")
@@ -124,9 +136,9 @@ def test_colours_and_stacks():
     assert record.brdf.shape == (4, 10, 12, 3)
     expected = np.array([0.1, 0.5, 0.9]) / np.pi
     # rounding of the colour to single precision and the stated error
-    np.testing.assert_allclose(
-        record.brdf, np.broadcast_to(expected, (4, 10, 12, 3)), 1e-6
-    )
+    error = record.brdf_std_err + SINGLE * expected
+    assert np.all(np.abs(record.brdf - expected) <= error)
+    assert record.brdf_std_err.max() <= REL_ERR * expected.max()
 
 
 @pytest.mark.usefixtures("spectral")
@@ -137,8 +149,11 @@ def test_wavelengths():
     nm = [400, 475, 550, 625, 700]
     record = integrated({"type": "diffuse", "reflectance": ramp}, wavelengths=nm)
     expected = np.array([0.2, 0.35, 0.5, 0.65, 0.8]) / np.pi
-    # single precision of the wavelength and of what is interpolated
-    np.testing.assert_allclose(record.brdf[3, 4], expected, rtol=1e-6)
+    # some ten operations in single precision on the wavelength, of 700 nm in 300,
+    # and the stated error
+    error = record.brdf_std_err[3, 4] + 10 * SINGLE * 700 / 300 * expected
+    assert np.all(np.abs(record.brdf[3, 4] - expected) <= error)
+    assert np.all(record.brdf_std_err <= REL_ERR * record.brdf)
 
 
 @pytest.mark.usefixtures("mono")
@@ -192,8 +207,11 @@ def test_as_a_plugin_and_again():
     record = gonio.measure(scene)
     assert record.settings["rel_err"] == 1e-3
     assert record.settings["rays"] == 0
-    assert record == scene.sensors()[0].film().record or record.tallies
+    rendered = scene.sensors()[0].film().record
+    assert rendered.tallies == record.tallies
     assert record.tallies == gonio.measure(scene, seed=5).tallies
+    finer = gonio.measure(scene, rel_err=1e-5)
+    assert finer.tallies != record.tallies, "twin: another rule has other bits"
     np.testing.assert_array_equal(image, record.brdf.astype(np.float32))
 
 
@@ -209,9 +227,10 @@ def test_gradients():
     parameters.update()
     values = rule.values(diffuse)
     dr.backward(dr.sum(values, axis=None))
-    # rounding: single-precision sums of some hundred terms
+    # rounding: single-precision sums over the points of a patch, and over the patches
+    n = len(rule.weight) / grid.n_patches + grid.n_patches
     gradient = parameters["reflectance.value"].grad[0]
-    np.testing.assert_allclose(gradient, grid.n_patches / np.pi, rtol=1e-5)
+    np.testing.assert_allclose(gradient, grid.n_patches / np.pi, rtol=n * SINGLE)
 
     conductor = mi.load_dict({"type": "roughconductor", "alpha": 0.3})
     rule = integrate(conductor, 30, 0, grid).rule
@@ -266,10 +285,11 @@ def test_what_does_not_converge_is_refused(monkeypatch):
 
 @pytest.mark.usefixtures("mono")
 def test_a_textured_specimen_at_a_point():
-    """In the middle of a checkerboard of reflectances 0.4 and 0.2 there is one."""
+    """At a point there is one reflectance, even of a texture."""
     texture = {"type": "checkerboard", "color0": 0.4, "color1": 0.4}
     record = integrated({"type": "diffuse", "reflectance": texture}, footprint="point")
-    np.testing.assert_allclose(record.dhr, 0.4, rtol=1e-6)
+    assert np.abs(record.dhr - 0.4) <= record.dhr_std_err + SINGLE * 0.4
+    assert record.dhr_std_err <= REL_ERR * record.dhr
 
 
 @pytest.mark.usefixtures("mono")

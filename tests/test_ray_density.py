@@ -5,13 +5,15 @@ import math
 import mitsuba as mi
 import numpy as np
 import pytest
+import synthetic
+from budget import Verdict, agree, disagree
 from scipy import stats
 
 import gonio_mi as gonio
 from gonio_mi import ray_density
 
-ALPHA = 1e-5
 PAPER = {"epsilon": 0.005, "delta": 0.01}
+EPS = np.finfo(float).eps
 
 
 def test_equation_17():
@@ -60,13 +62,46 @@ def campaigns(factor):
 def test_simultaneous_reliability_is_delivered():
     """Asked for 95 %, at least 95 %: not fewer successes than chance allows."""
     successes = campaigns(1.0)
-    print(f"{successes} of 200 campaigns")
-    assert stats.binom.cdf(successes, 200, 0.95) > ALPHA
+    agree(Verdict({"successes": float(stats.binom.cdf(successes, 200, 0.95))}))
 
 
 def test_too_few_rays_are_caught():
     """Twin: with half of the rays the same test fails."""
-    assert stats.binom.cdf(campaigns(0.5), 200, 0.95) < ALPHA
+    few = campaigns(0.5)
+    disagree(Verdict({"successes": float(stats.binom.cdf(few, 200, 0.95))}))
+
+
+def test_std_err_of_simulated_reliability():
+    """Of a proportion of 50 campaigns; of one in 50 where none or all succeeded."""
+    p = np.full(20, 0.05)
+    fraction, std_err = ray_density.simulated_reliability(p, 0.2, 5000, campaigns=50)
+    assert 0 < fraction < 1
+    # rounding: a handful of operations
+    expected = math.sqrt(fraction * (1 - fraction) / 50)
+    assert std_err == pytest.approx(expected, rel=4 * EPS)
+    fraction, std_err = ray_density.simulated_reliability(p, 0.9, 5000, campaigns=50)
+    assert (fraction, std_err) == (1, pytest.approx(1 / 50, rel=4 * EPS))
+
+
+def test_reliability_is_the_union_bound():
+    """Two tails of the normal law for each patch; 0 where that is no bound."""
+    p, rays = np.array([0.1, 0.25]), 10**4
+    z = 0.03 * np.sqrt(rays * p / (1 - p))
+    expected = 1 - 2 * stats.norm.sf(z).sum()
+    # two implementations of the error function, each good to some eps
+    found = ray_density.reliability(p, 0.03, rays)
+    assert found == pytest.approx(expected, rel=32 * EPS)
+    assert ray_density.reliability(p, 1e-4, rays) == 0
+
+
+def test_equal_patches_need_the_rays_of_one_at_a_stricter_level():
+    """A union over m: N = z^2 (1 - p) / (p eps^2) for the tail (1 - level) / (2 m)."""
+    m, rel_err, level = 50, 0.05, 0.9
+    z = stats.norm.isf((1 - level) / (2 * m))
+    expected = (z / rel_err) ** 2 * (m - 1)
+    found = ray_density.relative_rays(np.full(m, 1 / m), rel_err, level)
+    # up to the next whole ray, and the tolerance of the root, 9e-16 of ln N
+    assert abs(found - expected) <= 1 + expected * 32 * EPS * math.log(expected)
 
 
 def test_lobe_counts_what_is_above_the_floor():
@@ -136,6 +171,17 @@ def test_a_pilot_finds_the_lobe():
     assert 0 < plan.n_lobe < 450
     assert plan.paper_lobe == plan.n_lobe * 105_967
     assert "m'" in str(plan)
+
+
+def test_the_darkest_channel_decides():
+    """Of the channels of a patch the one with the least light needs most rays."""
+    grey = synthetic.record(rays=10**6)
+    tinted = synthetic.record(rays=10**6, channels=("R", "G"))  # G has a quarter of R
+    most = gonio.plan(tinted)
+    assert most.n_lobe == gonio.plan(grey).n_lobe
+    # a quarter of the light: four times the rays but for 1 - p, which is above 1 / 2
+    assert 4 * gonio.plan(grey).relative <= most.relative
+    assert most.relative <= 2 * 4 * gonio.plan(grey).relative
 
 
 def test_a_pilot_without_light_is_refused():
