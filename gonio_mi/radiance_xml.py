@@ -102,7 +102,8 @@ def _klems_basis():
         f"<UpperTheta>{high}</UpperTheta></ThetaBounds></AngleBasisBlock>\n"
         for low, high, n in zip(THETA_DEG, THETA_DEG[1:], N_PHI)
     )
-    return f"<AngleBasis>\n<AngleBasisName>{KLEMS}</AngleBasisName>\n{rings}</AngleBasis>\n"
+    name = f"<AngleBasisName>{KLEMS}</AngleBasisName>"
+    return f"<AngleBasis>\n{name}\n{rings}</AngleBasis>\n"
 
 
 def _block(wavelength, direction, block):

@@ -25,6 +25,7 @@ NUMPY_LAYER = (
     "klems",
     "lobes",
     "loss",
+    "material_files",
     "memory",
     "morton",
     "npz",

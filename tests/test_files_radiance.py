@@ -253,7 +253,7 @@ def test_colours_come_back(kind):
     else:
         points = tensor_tree.coordinates(len(shape), theta_i, phi_i, v)
         index = tuple((points * 4).astype(int).T)
-    # rounding of three components times the condition of the matrix to RGB, 5.3
+    # rounding of three components times the condition of the matrix to RGB, 4.3
     assert (np.abs(seen - values[index]) <= 20 * DIGITS * values.max()).all()
 
 

@@ -506,7 +506,8 @@ def saved(record, folder):
         (synthetic.record(theta_i=(30, 30), phi_i=(0, 90)), "gaps of at most 120"),
         (synthetic.record(theta_i=(30, 30), phi_i=(0, 360)), "once"),
         (synthetic.record(theta_i=(np.nan,)), "know its incident directions"),
-        (synthetic.record(channels=("400nm", "500nm")), "one channel or R, G, B"),
+        (synthetic.record(channels=("400nm", "500nm")), "in a spectral variant"),
+        (synthetic.record(channels=("L", "R")), "one channel, R, G, B or wavelengths"),
     ],
 )
 def test_unfit_records_are_refused_in_a_sentence(plugin, record, message):

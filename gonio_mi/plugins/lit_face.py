@@ -1,5 +1,6 @@
 """Looking up and sampling the lobes of one face of a specimen, in Dr.Jit."""
 
+import itertools
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -37,9 +38,12 @@ class LitFace:
     Parameters
     ----------
     table : LobeTable
+    wavelengths : sequence of float, optional
+        Of the table's channels in nm, for spectral variants.
     """
 
-    def __init__(self, table):
+    def __init__(self, table, wavelengths=None):
+        self.wavelengths = wavelengths
         n_azimuths, n_angles, self.n_hemispheres, self.n_theta, self.n_phi, channels = (
             table.brdf.shape
         )
@@ -63,8 +67,8 @@ class LitFace:
 
     # -------------------------------------------------------------- value and density
 
-    def eval_pdf(self, wi, wo, enabled, active):
-        """BSDF times cosine, and density in 1/sr.
+    def eval_pdf(self, wi, wo, enabled, active, wavelengths):
+        """BSDF times cosine at the wavelengths, and density in 1/sr.
 
         `enabled` holds whether reflection and transmission are asked for.
         """
@@ -72,9 +76,23 @@ class LitFace:
         cosine = dr.abs(wo.z)
         mean = sum(value) / len(value)
         pdf = dr.select(wanted & (total > 0), mi.Float(mean / total) * cosine, 0)
-        value = [mi.Float(channel) * cosine for channel in value]
-        value = mi.Spectrum(value if len(value) > 1 else value[0])
-        return value & wanted, pdf
+        value = self._spectrum([mi.Float(channel) for channel in value], wavelengths)
+        return (value * cosine) & wanted, pdf
+
+    def _spectrum(self, values, wavelengths):
+        """Spectrum of the channels, linear in between and constant beyond them."""
+        if len(values) == 1:
+            return mi.Spectrum(values[0])
+        if self.wavelengths is None:
+            return mi.Spectrum(values)
+        order = sorted(range(len(values)), key=lambda i: self.wavelengths[i])
+        spectrum = mi.Spectrum(values[order[0]])
+        for low, high in itertools.pairwise(order):
+            begin, end = self.wavelengths[low], self.wavelengths[high]
+            if end > begin:
+                share = dr.clip((wavelengths - begin) / (end - begin), 0, 1)
+                spectrum += share * (values[high] - values[low])
+        return spectrum
 
     def values(self, wi, wo, enabled=(True, True), active=True):
         """BSDF in 1/sr in each channel; all the light; where the first is not zero."""

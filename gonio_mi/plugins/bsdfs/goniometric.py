@@ -6,8 +6,9 @@ import operator
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi import files
+from gonio_mi.channels import wavelengths_nm
 from gonio_mi.lobes import LobeTable
+from gonio_mi.material_files import load_material
 from gonio_mi.plugins.lit_face import LitFace
 
 LUMINANCE = (0.212671, 0.715160, 0.072169)
@@ -28,12 +29,14 @@ class Goniometric(mi.BSDF):
        - |string|
        - Record of the front face, ``.npz`` or ``.exr``: a stack over polar angles of
          incidence at one azimuth (isotropic), or at each of several azimuths that go
-         all around (anisotropic).
+         all around (anisotropic). Or a Radiance ``.xml`` in the Klems full basis, lit
+         from +z.
 
      * - back_filename
        - |string|
        - Record of light that meets the other face, measured with ``side="back"``. For a
-         specimen with two equal faces it may be the same file. (Default: none, that
+         specimen with two equal faces it may be the same file. Of an ``.xml``, which
+         may be the same as well, the side lit from -z counts. (Default: none, that
          face is black)
 
     With a lower hemisphere in the record, component 0 is reflection and component 1
@@ -61,7 +64,8 @@ class Goniometric(mi.BSDF):
     as the record is not reciprocal.
 
     A record of one channel fits all variants; one of the channels R, G, B those of
-    rgb, and by its luminance monochrome ones.
+    rgb, and by its luminance monochrome ones; one of several wavelengths spectral
+    variants: it is linear in between and constant beyond them.
 
     .. tabs::
         .. code-tab:: xml
@@ -82,8 +86,10 @@ class Goniometric(mi.BSDF):
         if self.files[0] is None:
             raise ValueError("goniometric.filename must name a record, got nothing")
         self.faces = [
-            None if name is None else LitFace(_table(f"goniometric.{key}", name))
-            for key, name in zip(("filename", "back_filename"), self.files)
+            None if name is None else _face(f"goniometric.{key}", name, side)
+            for key, name, side in zip(
+                ("filename", "back_filename"), self.files, ("front", "back")
+            )
         ]
         self._declare()
 
@@ -147,27 +153,33 @@ class Goniometric(mi.BSDF):
     def eval_pdf(self, ctx, si, wo, active=True):
         """Both of :meth:`eval` and :meth:`pdf`."""
         if ctx.mode == mi.TransportMode.Importance:
-            return self._from_lamp(ctx, si.wi, wo, active)
-        value, _ = self._from_lamp(ctx, wo, si.wi, active)
+            return self._from_lamp(ctx, si.wi, wo, si.wavelengths, active)
+        value, _ = self._from_lamp(ctx, wo, si.wi, si.wavelengths, active)
         value *= dr.select(si.wi.z == 0, 0, dr.abs(wo.z / si.wi.z))
         pdf = mi.Float(0)
         for side, guide, hemispheres in self._guides(ctx):
             lit = active & (si.wi.z * side > 0)
             seen = _seen(wo, side)
-            _, density = guide.eval_pdf(_seen(si.wi, side), seen, hemispheres, lit)
+            _, density = guide.eval_pdf(
+                _seen(si.wi, side), seen, hemispheres, lit, si.wavelengths
+            )
             wanted = dr.select(seen.z < 0, hemispheres[1], hemispheres[0])
             even = dr.select(wanted, dr.abs(wo.z) * dr.inv_pi / sum(hemispheres), 0)
             pdf += dr.select(lit, (1 - EVEN) * density + EVEN * even, 0)
         return value, pdf
 
-    def _from_lamp(self, ctx, lamp, detector, active):
+    def _from_lamp(self, ctx, lamp, detector, wavelengths, active):
         """Value and density of `detector` for light from the direction `lamp`."""
         value, pdf = mi.Spectrum(0), mi.Float(0)
         for face, side in zip(self.faces, SIDES):
             if face is not None:
                 lit = active & (lamp.z * side > 0)
                 face_value, face_pdf = face.eval_pdf(
-                    _seen(lamp, side), _seen(detector, side), self._enabled(ctx), lit
+                    _seen(lamp, side),
+                    _seen(detector, side),
+                    self._enabled(ctx),
+                    lit,
+                    wavelengths,
                 )
                 value += face_value & lit
                 pdf += dr.select(lit, face_pdf, 0)
@@ -208,26 +220,39 @@ def _seen(v, side):
     return mi.Vector3f(v.x, v.y, v.z * side)
 
 
-def _table(label, name):
-    """Lobes of the record in a file, in the variant's channels."""
+def _face(label, name, side):
+    """Face of the material in a file, in the variant's channels."""
     try:
-        record = files.load(str(mi.file_resolver().resolve(name)))
-        mixture = None
-        if len(record.channels) > 1 and record.channels != ("R", "G", "B"):
-            raise ValueError(
-                "the record must have one channel or R, G, B, got "
-                f"{', '.join(record.channels)[:80]}"
-            )
-        if len(record.channels) == 3 and not mi.is_rgb:
-            if mi.is_spectral:
-                raise ValueError(
-                    "a record of R, G, B must be used in an rgb or monochrome variant, "
-                    f"got {mi.variant()}"
-                )
-            mixture = LUMINANCE
-        return LobeTable.of(record, mixture)
+        material = load_material(str(mi.file_resolver().resolve(name)), side)
+        wavelengths = wavelengths_nm(material.channels)
+        return LitFace(LobeTable.of(material, _mixture(material)), wavelengths)
     except (ValueError, OSError) as error:
         raise type(error)(f"{label}: {error}") from None
+
+
+def _mixture(material):
+    """Weights that make one channel of three where the variant has one, or None."""
+    channels = material.channels
+    said = ", ".join(channels)[:80]
+    if len(channels) == 1:
+        return None
+    if wavelengths_nm(channels) is not None:
+        if not mi.is_spectral:
+            raise ValueError(
+                f"a record of {said} must be used in a spectral variant, got "
+                f"{mi.variant()}"
+            )
+        return None
+    if channels != ("R", "G", "B"):
+        raise ValueError(
+            f"the record must have one channel, R, G, B or wavelengths, got {said}"
+        )
+    if mi.is_spectral:
+        raise ValueError(
+            "a record of R, G, B must be used in an rgb or monochrome variant, "
+            f"got {mi.variant()}"
+        )
+    return None if mi.is_rgb else LUMINANCE
 
 
 mi.register_bsdf("goniometric", Goniometric)
