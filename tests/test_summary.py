@@ -1,0 +1,120 @@
+"""The numbers of a record and their text, on records made by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic
+
+from gonio_mi.ray_density import precision
+from gonio_mi.summary import summarize, summary_text
+from gonio_mi.tally import Fate
+
+
+def moved(record, row, n):
+    """Record `n` of whose absorbed rays have another fate, in the first batch."""
+    (tally,) = record.tallies
+    fates = tally.fates.copy()
+    fates[0, Fate.ABSORBED] -= np.uint64(n)
+    fates[0, row] += np.uint64(n)
+    return replace(record, tallies=(replace(tally, fates=fates),))
+
+
+def line(record, word):
+    """The first line of a record's text that begins with `word`."""
+    lines = summary_text(summarize(record)).splitlines()
+    return next(line for line in lines if line.startswith(word))
+
+
+@pytest.mark.parametrize(
+    ("n", "share"),
+    [
+        (0, None),
+        (1, "<0.0001"),
+        (40, "0.0010"),
+        (3_999_999, ">99.9999"),
+        (4_000_000, "100.0000"),
+    ],
+)
+def test_shares_are_0_or_100_of_nothing_and_all_only(n, share):
+    record = synthetic.record(rays=10**6)
+    (tally,) = record.tallies
+    tally.fates[:] = 0
+    tally.fates[0, Fate.SIDEWAYS] = n
+    tally.fates[0, Fate.ABSORBED] = 4 * 10**6 - n
+    if share is None:
+        assert "sideways" not in summary_text(summarize(record))
+    else:
+        assert line(record, "sideways").split()[-1] == share
+
+
+def test_standard_errors_have_two_digits():
+    record = synthetic.record()
+    (total,) = summarize(record)["directions"][0]["dhr"]
+    std_err = line(record, "30 ").split()[5]
+    assert len(std_err.lstrip("0.")) == 2
+    # rounded to the last of its digits
+    assert abs(float(std_err) - total["std_err"]) <= 10.0 ** -(len(std_err) - 2) / 2
+
+
+@pytest.mark.parametrize("of", ["brdf", "btdf"])
+def test_theta_o_counts_from_one_pole_in_both_hemispheres(of):
+    record = synthetic.record(both=of == "btdf")
+    theta, phi = (np.degrees(a) for a in record.subdivision.middles)
+    if of == "btdf":
+        theta = 180 - theta
+    found = summarize(record)["worst_patches"]
+    assert {patch["of"] for patch in found} == {of}
+    for patch in found:
+        here = getattr(record, of)[..., 0] == patch["value"]
+        here &= record.counts[int(of == "btdf")] == patch["hits"]
+        assert (patch["theta_o"], patch["phi_o"]) in zip(theta[here], phi[here])
+
+
+def test_rays_of_all_passes_are_asked_for():
+    """An interrupted record of two passes says how many there should be."""
+    record = synthetic.record()
+    assert "80 000, batches" in line(record, "rays")
+    passes = replace(record, settings={**record.settings, "passes": 2})
+    assert "80 000 of 160 000 asked for" in line(passes, "rays")
+
+
+@pytest.mark.parametrize(("n", "warned"), [(1, False), (2, True)])
+def test_a_ray_in_a_million_is_rounding(n, warned):
+    """Where batches agree to the bit, as even points may."""
+    record = synthetic.record(rays=250_000)
+    record.settings["sampler"] = "sobol"
+    (tally,) = record.tallies
+    tally.fates[:] = 0
+    tally.fates[:, Fate.REFLECTED] = 250_000
+    tally.hits[:] = 0
+    tally.hits[0, 0, 0] = 10**6
+    tally.sums[:] = 0
+    tally.sums[:, 0, 0, 0] = tally.incident
+    assert record.interval(of="dhr")[0] == record.interval(of="dhr")[1]
+    tally.fates[0, Fate.REFLECTED] -= np.uint64(n)
+    tally.fates[0, Fate.SIDEWAYS] += np.uint64(n)
+    assert bool(summarize(record)["warnings"]) == warned
+
+
+@pytest.mark.parametrize("row", [Fate.SIDEWAYS, Fate.MISSED])
+def test_losses_beyond_the_statistical_error_are_warned_of(row):
+    record = synthetic.record()
+    low, high = record.interval(of="dhr")
+    few, many = (round(f * (high - low)[0] / 2 * 80_000) for f in (0.9, 1.1))
+    assert not summarize(moved(record, row, few))["warnings"]
+    (warning,) = summarize(moved(record, row, many))["warnings"]
+    assert "more than the statistical error" in warning
+
+
+def test_what_is_not_known_is_none():
+    """No standard error, and so no precision, of a single batch of even rays."""
+    record = synthetic.record(n_batches=1)
+    record.settings["sampler"] = "sobol"
+    assert precision(record) == (np.inf, precision(synthetic.record())[1])
+    (direction,) = summarize(record)["directions"]
+    assert direction["rel_err_lobe"] is None
+    assert direction["dhr"][0]["std_err"] is None
+    assert summarize(record)["worst_patches"] == []
+    text = " ".join(summary_text(summarize(record)).split())
+    assert "their standard errors are not known" in text
