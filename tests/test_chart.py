@@ -174,6 +174,35 @@ def scores(of_curve, grid, repeats):
         yield (square / expected - 1) / (spread / np.sqrt(repeats))
 
 
+def test_points_are_means_over_seeds(monkeypatch):
+    """Of squares; with the scatter of their mean, and no seed twice."""
+    values = np.ones((1, 3, 4, 1))
+    reference = Reference(2 * values, 0.0, 2.0, "a formula")
+    seeds, off = [], (1.0, 2.0, 4.0)
+
+    def measure(_, seed, **settings):
+        seeds.append((seed, *settings.values()))
+        return off[(len(seeds) - 1) % 3]
+
+    monkeypatch.setattr(runs.Runs, "measure", measure)
+    monkeypatch.setattr(runs, "arrays", lambda x: (x + 2 * values, 0.5 * values))
+    several = runs.Runs(None, {}, 0, repeats=3)
+    method = runs.Method("analog", "sobol")
+    point = several.point(method, 0, reference)
+    squares = np.square(off) / 4
+    # rounding: some ten operations
+    assert point.error == pytest.approx(np.sqrt(squares.mean()), rel=16 * EPS)
+    scatter = squares.std(ddof=1) / np.sqrt(3)
+    expected = scatter / (2 * point.error)  # by the derivative of the root
+    assert point.error_std_err == pytest.approx(expected, rel=16 * EPS)
+    assert point.claimed == pytest.approx(0.25, rel=16 * EPS)
+    several.point(method, 1, reference)
+    several.warm_up(method)
+    own = [seed for seed, *_ in seeds]
+    assert own[-1] == 0, "that of the reference, whose first runs are not measured"
+    assert len(set(own)) == 7
+
+
 @pytest.mark.usefixtures("short")
 def test_counted_rays_err_as_multinomial_statistics_say():
     repeats = 3

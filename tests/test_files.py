@@ -204,12 +204,25 @@ def test_truncated(tmp_path, ending):
         refused(path)
 
 
-def test_truncated_exr_is_one_sentence(tmp_path, capfd):
+@pytest.mark.parametrize("missing", [1, 100, 10_000])
+def test_truncated_exr_is_one_sentence(tmp_path, capfd, missing):
     """The EXR library would add lines to standard error."""
     path = saved(tmp_path, RECORDS["stack"], ".exr")
-    path.write_bytes(path.read_bytes()[:-100])
+    path.write_bytes(path.read_bytes()[:-missing])
     assert "truncated" in refused(path)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("part", ["brdf", "btdf", "tally"])
+@pytest.mark.parametrize("direction", [0, 2])
+def test_one_more_count_does_not_agree_with_the_check_sum(tmp_path, part, direction):
+    path = saved(tmp_path, RECORDS["stack"], ".exr")
+    image = OpenEXR.File(str(path), separate_channels=True)
+    (one,) = [p for p in image.parts if p.name() == f"{part}.{direction}"]
+    layer = "sum.Y" if part == "tally" else "count"
+    one.channels[layer].pixels[-1, -1] += 1
+    OpenEXR.File(image.parts).write(str(path))
+    assert "check sum" in refused(path)
 
 
 def test_flipped_bits_never_give_another_record(tmp_path, ending):
@@ -278,6 +291,23 @@ def rewritten_exr(tmp_path, **changes):
     parts[0].header["gonio.record"] = json.dumps(header)
     OpenEXR.File(parts).write(str(path))
     return path
+
+
+def test_tiled_images_are_refused(tmp_path):
+    """Their chunks are other than those whose presence is checked."""
+    path = saved(tmp_path, RECORDS["plain"], ".exr")
+    parts = OpenEXR.File(str(path), separate_channels=True).parts
+    for part in parts:
+        part.header["type"] = OpenEXR.tiledimage
+        part.header["tiles"] = OpenEXR.TileDescription()
+    OpenEXR.File(parts).write(str(path))
+    assert "no plain images" in refused(path)
+
+
+def test_a_direction_without_batches_is_refused(tmp_path):
+    none = {name: getattr(TALLY, name)[:0] for name in ("sums", "incident", "fates")}
+    path = rewritten_npz(tmp_path, n_batches=np.array([0]), **none)
+    assert "numbers of batches" in refused(path)
 
 
 def test_rewriting_alone_changes_nothing(tmp_path):
