@@ -17,13 +17,12 @@ RAYS = 1000  # of each of two batches
 HITS = ((50, 54), (40, 40), (12, 20), (2, 4), (0, 0))
 
 
-def tally(hits=HITS, weight=0.5, missed=0):
+def tally(hits=HITS, weight=0.5):
     """One ring of patches in two batches, whose hits had this weight."""
     hits = np.array(hits, np.uint64).T[:, None, None, :]
     fates = np.zeros((len(hits), len(Fate)), np.uint64)
     fates[:, Fate.REFLECTED] = hits.sum(axis=(1, 2, 3))
     fates[:, Fate.ABSORBED] = RAYS - fates[:, Fate.REFLECTED]
-    fates[:, Fate.MISSED] = missed
     unit = np.uint64(round(weight * WEIGHT_SCALE))
     return Tally(
         hits=hits.sum(axis=0, dtype=np.uint64),
@@ -101,14 +100,25 @@ def test_equal_batches_leave_what_no_hit_leaves_open():
     np.testing.assert_array_equal(np.ravel(total.total_interval(0, LEVEL)), (low, high))
 
 
+def test_nothing_received_has_an_upper_limit():
+    dark = Estimates(tally([(0, 0), (0, 0)]), independent=False)
+    limit = statistics.upper_limit(2 * RAYS, LEVEL)
+    for low, high in (dark.interval(0, LEVEL), dark.total_interval(0, LEVEL)):
+        assert not low.any()
+        close(high, limit)
+
+
 def test_all_rays_in_one_patch_leave_nothing_open():
     one = Estimates(tally([(RAYS, RAYS)], weight=1.0), independent=False)
     np.testing.assert_array_equal(one.interval(0, LEVEL), np.ones((2, 1, 1, 1)))
     np.testing.assert_array_equal(one.total_interval(0, LEVEL), np.ones((2, 1)))
 
 
-def test_rays_that_missed_are_not_incident():
-    estimates = Estimates(tally(missed=500), independent=True)
+@pytest.mark.parametrize("row", [Fate.MISSED, Fate.UNLIT])
+def test_rays_that_missed_are_not_incident(row):
+    beside = tally()
+    beside.fates[:, row] = 500
+    estimates = Estimates(beside, independent=True)
     assert estimates.rays == 2 * RAYS
     whole = Estimates(tally(), independent=True)
     np.testing.assert_array_equal(

@@ -262,13 +262,13 @@ def test_adapted_borders_are_quantiles():
     """Of a pilot that saw three quarters of the light in the first of two rings."""
     grid = Borders((0, 45, 90), (0, 90, 360))
     flux = np.array([[0.5, 0.25], [0.0, 0.25]])
-    found = adapted(flux / grid.projected_solid_angles, grid, 4, 2, uniform=0.5)
-    # the rings have half of all projected solid angle each: mixed with these, the
-    # flux is 5/8 and 3/8, and the quarters of all of it are at these sin^2
-    sin2 = np.array([0, 0.4 * 0.5, 0.8 * 0.5, 0.5 + 0.5 / 3, 1])
-    # half of the flux in the first of four quadrants, which gets 3/8 of the measure;
-    # the rest of a half, 1/8, is a fifth of what the other three have
-    phi = np.array([0, 90 + 270 / 5, 360])
+    found = adapted(flux / grid.projected_solid_angles, grid, 4, 2, uniform=0.25)
+    # the rings have half of all projected solid angle each: with a quarter of that the
+    # flux is 11/16 and 5/16, and the quarters of all of it are at these sin^2
+    sin2 = np.array([0, 2 / 11, 4 / 11, 0.5 + 0.5 / 5, 1])
+    # the first quadrant has half of the flux, and so 3/8 + 1/16 of the mixture: the
+    # rest of a half, 1/16, is a ninth of what the other three have
+    phi = np.array([0, 90 + 270 / 9, 360])
     # rounding: a few products and sums, and the arcsine near its steep end
     np.testing.assert_allclose(np.sin(found.theta_edges) ** 2, sin2, atol=16 * EPS)
     np.testing.assert_allclose(found.phi_deg, phi, rtol=16 * EPS)
