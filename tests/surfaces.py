@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from gonio_mi.directions import direction
+from gonio_mi.plugins import flight
 from gonio_mi.plugins.beam import Beam
 from gonio_mi.plugins.specimen import Specimen
 from gonio_mi.plugins.transport import Settings, trace
@@ -39,12 +41,60 @@ def traced(
     shapes, theta_i, phi_i=0.0, *, n, period="box", seed=0, footprint="full", side=1
 ):
     """Rays sent at the shape or shapes, from incident angles in degrees."""
-    if "type" in shapes:
-        shapes = {"shape": shapes}
-    specimen = Specimen(mi.load_dict({"type": "scene", **shapes}), period)
+    specimen = specimen_of(shapes, period)
     wi = direction(np.radians(theta_i), np.radians(phi_i)) * [1, 1, side]
     emitter = mi.load_dict({"type": "directional", "direction": (-wi).tolist()})
-    beam = Beam(specimen, emitter, footprint, "radiometric")
+    return followed(
+        specimen, Beam(specimen, emitter, footprint, "radiometric"), n, seed
+    )
+
+
+@dataclass
+class Aimed:
+    """A beam along given rays: points of the specimen's top, and one direction."""
+
+    p: np.ndarray
+    wi: np.ndarray
+    side, uniform = 1, True
+
+    def sample(self, sampler, wavelengths):  # noqa: ARG002
+        p, wi = mi.Point3f(self.p.T), mi.Vector3f(self.wi.tolist())
+        return p, wi, mi.Float(dr.inf), mi.Spectrum(1.0)
+
+
+def aimed_at_edges(specimen, wi, n):
+    """Beam of `n` rays from the direction `wi`, each at a point of a mesh's edges."""
+    mesh = mi.traverse(specimen.scene.shapes()[0])
+    vertices = np.array(mesh["vertex_positions"], float).reshape(-1, 3)
+    faces = np.array(mesh["faces"]).reshape(-1, 3)
+    rng = np.random.default_rng(0)
+    face, corner = rng.integers(len(faces), size=n), rng.integers(3, size=n)
+    a, b = (vertices[faces[face, (corner + i) % 3]] for i in (0, 1))
+    points = a + (b - a) * rng.uniform(size=(n, 1))
+    height = (specimen.high[2] - points[:, 2]) / wi[2]
+    return Aimed((points + height[:, None] * wi).astype(np.float32), wi)
+
+
+def as_it_is(specimen, p):  # noqa: ARG001
+    """A point, not taken into the cell: `flight.into_cell` broken."""
+    return mi.Point3f(p), mi.Vector3f(0)
+
+
+def resumed_in_line(specimen, si, d, behind):
+    """Where a ray would look again from, if not from beside: `flight.resume` broken."""
+    back = dr.minimum(si.t / 2, specimen.reach * flight.NEARBY)
+    return si.p - dr.select(behind, back, 0.0) * d
+
+
+def specimen_of(shapes, period):
+    """Specimen of a shape, or of a dictionary of several."""
+    if "type" in shapes:
+        shapes = {"shape": shapes}
+    return Specimen(mi.load_dict({"type": "scene", **shapes}), period)
+
+
+def followed(specimen, beam, n, seed=0):
+    """What becomes of `n` rays of a beam."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, n)
     exits = trace(

@@ -3,14 +3,16 @@
 import gonio_mi as gonio
 
 # isort: split
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 from budget import agree, difference_scores, disagree, scores, verdict
-from surfaces import MIRROR, grooves, heightfield
+from surfaces import MIRROR, as_it_is, grooves, heightfield, specimen_of
 
 from gonio_mi import chart as charting
 from gonio_mi.errors import SpecimenError
+from gonio_mi.plugins import flight
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -126,6 +128,63 @@ def test_delta_specimens_are_those_of_weighted():
         )
         assert a.tallies == b.tallies
         assert a.counts.sum() == 50_000
+
+
+def below(specimen, theta_i, **settings):
+    """Deposits in the lower hemisphere, where a closed opaque surface sends none."""
+    record = gonio.measure(
+        specimen,
+        theta_i,
+        estimator="next_event",
+        hemispheres="both",
+        collector="projected:4x6",
+        rays=2**18,
+        points=4,
+        **settings,
+    )
+    assert record.counts[0].any()
+    return record.counts[1].sum()
+
+
+@pytest.mark.parametrize("theta_i", [30, 89.9])
+@pytest.mark.parametrize(
+    "name", ["rough mirror", "grooves", "spheres", "smooth normals"]
+)
+def test_nothing_is_deposited_below_a_closed_surface(name, theta_i):
+    specimen, settings = CASES[name]()
+    period = settings["period"]
+    assert below(specimen, theta_i, period=period) == 0
+
+
+def test_twin_of_a_closed_surface():
+    """Light passes between balls, and deposits say so."""
+    assert below(packed_spheres()["sphere"], 30, period="box") > 0
+
+
+@pytest.mark.parametrize("mended", [True, False])
+def test_light_that_starts_beside_the_cell(mended, monkeypatch):
+    """Exact: off a wall at its side it goes inside; twin: taken as it is, it escapes.
+
+    Rays that start up to 1e-5 beyond the side y = 1, between two balls, and go down to
+    the plane between them, which ends there.
+    """
+    specimen = specimen_of(
+        {k: v for k, v in packed_spheres().items() if k != "type"}, "2,2"
+    )
+    rng = np.random.default_rng(0)
+    n = 1000
+    start = np.stack(
+        [
+            rng.uniform(-0.1, 0.1, n),
+            1 + rng.uniform(1e-6, 1e-5, n),
+            rng.uniform(-0.99, -0.9, n),
+        ]
+    )
+    ray = mi.Ray3f(mi.Point3f(start), dr.normalize(mi.Vector3f(0.1, -1e-4, -1)))
+    if not mended:
+        monkeypatch.setattr(flight, "into_cell", as_it_is)
+    free = flight.escapes(specimen, 1, ray, mi.Normal3f(0), mi.Float(0), mi.Bool(True))
+    assert np.array(free).any() != mended
 
 
 def test_ledger_counts_rays_and_patches_count_deposits():

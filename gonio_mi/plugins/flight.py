@@ -10,7 +10,6 @@ __all__ = [
     "into_cell",
     "is_misjudged",
     "leaves_by_a_side",
-    "nearby",
     "resume",
     "through_side",
 ]
@@ -27,8 +26,13 @@ SAME_PLANE = 2.0**-20
 # came from where there is none.
 RETREAT = 2.0**-19
 
+# Distance, in units of the specimen's coordinates, from which a ray looks again at what
+# it met from behind.
+NEARBY = 2.0**-16
+
 # How far above the specimen rays start, and how far they are lifted where they enter a
-# periodic cell, so that no rounding takes them below an edge that they passed above.
+# periodic cell or meet a crest, so that no rounding takes them below an edge that they
+# passed above.
 LIFT = 2.0**-20
 
 # Cells after which a ray is as good as horizontal.
@@ -54,8 +58,10 @@ def departure(specimen, si, d, wo):
     return si.p - dr.select(reflected, scale * RETREAT, 0.0) * d, offset
 
 
-def is_misjudged(specimen, si, ray, n):
+def is_misjudged(specimen, si, ray, n, again):
     """Whether what a ray that left a surface of normal `n` hits is not what it meets.
+
+    `again`: whether the ray is one that looks again.
 
     Returns
     -------
@@ -63,22 +69,21 @@ def is_misjudged(specimen, si, ray, n):
         A plane cannot be hit from itself: that is rounding, to be stepped over.
     behind : mi.Bool
         Of two walls that meet in a crest, rounding may show the far one, from behind:
-        which is nearer is seen from nearby.
+        that is looked at again, from nearby and beside.
     """
     beside = dr.abs(dr.dot(si.p - ray.o, si.n)) < specimen.reach * SAME_PLANE
     own = dr.all(si.n == n) & beside
-    behind = _from_behind(specimen, si, ray) & ~own & (si.t > nearby(specimen))
-    return own, behind
+    return own, _from_behind(specimen, si, ray) & ~own & ~again
 
 
 def resume(specimen, si, d, behind):
-    """Where a ray goes on that `is_misjudged`: on the plane, or just before it."""
-    return si.p - dr.select(behind, nearby(specimen) / 2, 0.0) * d
+    """Where a ray goes on that `is_misjudged`: on the plane, or just before it.
 
-
-def nearby(specimen):
-    """Distance from which it is seen which of two walls is nearer."""
-    return 16 * specimen.reach * RETREAT
+    A ray that meets a crest within rounding is moved off its far wall: it passes above,
+    or meets the near wall. One that comes from behind an open surface meets it again.
+    """
+    back = dr.minimum(si.t / 2, specimen.reach * NEARBY)
+    return si.p + dr.select(behind, specimen.reach * LIFT * si.n - back * d, 0.0)
 
 
 @dr.syntax
@@ -101,9 +106,11 @@ def escapes(specimen, side, ray, n, offset, active):
         False for those that leave through a side of the specimen's bounding box.
     """
     ray, n, offset = mi.Ray3f(ray), mi.Normal3f(n), mi.Float(offset)
+    ray.o = into_cell(specimen, ray.o)[0]
     free = mi.Bool(False)
     flying = mi.Bool(active)
     cells = mi.UInt32(0)
+    again = mi.Bool(False)
     scene = specimen.scene
     while flying:
         si = scene.ray_intersect(ray, mi.RayFlags.Minimal, False, flying)
@@ -112,13 +119,15 @@ def escapes(specimen, side, ray, n, offset, active):
         crosses &= flying & ~hit
         free |= flying & ~hit & ~crosses
         crosses &= cells < MAX_CELLS
-        own, behind = is_misjudged(specimen, si, ray, n)
+        own, behind = is_misjudged(specimen, si, ray, n, again)
         own &= hit
         behind &= hit
+        again = mi.Bool(behind)
         offset[own] = 8 * offset
         n[behind | crosses] = mi.Normal3f(0)
         origin = resume(specimen, si, ray.d, behind)
-        ray.o[own | behind] = origin + dr.copysign(offset, dr.dot(n, ray.d)) * n
+        origin += dr.copysign(offset, dr.dot(n, ray.d)) * n
+        ray.o[own | behind] = into_cell(specimen, origin)[0]
         ray.o[crosses] = entry
         cells[crosses] = cells + 1
         flying = own | behind | crosses
@@ -133,9 +142,12 @@ def _from_behind(specimen, si, ray):
 
 
 def into_cell(specimen, p):
-    """Points of the footprint moved into the periodic cell, and by how much."""
+    """Points moved into the periodic cell, and by how much.
+
+    Beside it there is no geometry: not even what is just a rounding error away.
+    """
     if not specimen.periodic:
-        return p, mi.Vector3f(0)
+        return mi.Point3f(p), mi.Vector3f(0)
     low, high = specimen.low, specimen.high
     shift = mi.Vector3f(0)
     for axis in (0, 1):

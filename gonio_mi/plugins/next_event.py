@@ -98,6 +98,7 @@ class Deposits:
         sound = mi.Bool(True)
         i = mi.UInt32(0)
         n_points = dr.opaque(mi.UInt32, self.points)
+        specimen = self.bench.specimen
         part = dr.rcp(mi.Float(n_points))  # of the collector, for each point
         while i < n_points:
             share = (mi.Float(i) + sampler.next_1d(active)) * part
@@ -113,10 +114,9 @@ class Deposits:
             sound &= good | ~wanted
             shines = wanted & good & (dr.max(power) > 0)
 
-            start, offset = departure(self.bench.specimen, si, ray.d, wo)
+            start, offset = departure(specimen, si, ray.d, wo)
             onward = mi.Ray3f(start + dr.copysign(offset, dr.dot(si.n, wo)) * si.n, wo)
             side = self.bench.beam.side
-            specimen = self.bench.specimen
             shines &= escapes(specimen, side, onward, si.n, offset, shines)
             self.sums.deposit(number, power, shines, self.batch)
             i += 1

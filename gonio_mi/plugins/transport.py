@@ -125,10 +125,11 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
     p, wi, distance, weight = beam.sample(sampler, wavelengths)
     β = _emitted(weight, sampler, settings.analog, beam.uniform)
 
-    # from just above the footprint, to which nothing stands in the way
-    p, shift = into_cell(specimen, p)
+    # from just above the footprint, to which nothing stands in the way; grazing, that
+    # may be above the next cell
     start = dr.minimum(distance, specimen.reach * LIFT / dr.abs(wi.z))
-    ray = mi.Ray3f(p + start * wi, -wi)
+    origin, shift = into_cell(specimen, p + start * wi)
+    ray = mi.Ray3f(origin, -wi)
     ray.wavelengths = wavelengths
 
     ctx = flux_context()
@@ -148,6 +149,7 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
 
     n = mi.Normal3f(0)  # Geometric normal where the ray started
     offset = mi.Float(0)  # How far off its surface
+    again = mi.Bool(False)  # Does it look again at what it met from behind?
 
     while active:
         si = scene.ray_intersect(ray, flags, False, active)
@@ -161,9 +163,10 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
         fate[endless] = mi.UInt32(Fate.SIDEWAYS)
         crosses &= ~endless
 
-        own, behind = is_misjudged(specimen, si, ray, n)
+        own, behind = is_misjudged(specimen, si, ray, n, again)
         own &= hit
         behind &= hit
+        again = mi.Bool(behind)
         active = hit & ~own & ~behind
 
         truncated = active & (depth >= max_depth)
@@ -208,7 +211,10 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
         n[behind | crosses] = mi.Normal3f(0)
         ray.d[active] = wo
         active |= own | behind
-        ray.o[active] = origin + dr.copysign(offset, dr.dot(n, ray.d)) * n
+        origin += dr.copysign(offset, dr.dot(n, ray.d)) * n
+        origin, moved = into_cell(specimen, origin)
+        ray.o[active] = origin
+        shift[active] = shift + moved
         ray.o[crosses] = entry
         shift[crosses] = shift + step
         cells[crosses] = cells + 1
