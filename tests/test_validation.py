@@ -1,6 +1,10 @@
-"""Verdicts on right and on broken BSDFs: the power of `validate`, and its answers."""
+"""Verdicts on right and on broken BSDFs: the power of `validate`, and its answers.
+
+GONIO_EFFORT=normal (or thorough) examines the broken ones harder than quick.
+"""
 
 import json
+import os
 from pathlib import Path
 
 import broken_bsdfs
@@ -14,6 +18,7 @@ from gonio_mi.testing import assert_bsdf_valid
 from gonio_mi.validation import PROPERTIES, probe, save_report, validate
 
 ALPHA = budget.ALPHA
+EFFORT = os.environ.get("GONIO_EFFORT", "quick")
 
 
 @pytest.fixture
@@ -25,7 +30,7 @@ def plugins(mono):
 @pytest.mark.usefixtures("plugins")
 @pytest.mark.parametrize("name", RIGHT)
 def test_right_plugin_passes(name):
-    verdict = validate({"type": name}, effort="quick", alpha=ALPHA)
+    verdict = validate({"type": name}, effort=EFFORT, alpha=ALPHA)
     assert verdict.passed, str(verdict)
     assert verdict.function is None
 
@@ -34,7 +39,7 @@ def test_right_plugin_passes(name):
 @pytest.mark.parametrize("name", MISTAKES)
 def test_mistake_is_seen_and_its_function_named(name):
     """The twins of the test above; the budget of a verdict is that of the user."""
-    verdict = validate({"type": name}, effort="quick")
+    verdict = validate({"type": name}, effort=EFFORT)
     assert not verdict.passed, str(verdict)
     assert verdict.function == MISTAKES[name], str(verdict)
     assert f"`{MISTAKES[name]}`" in verdict.mistake or "pdf" in verdict.mistake

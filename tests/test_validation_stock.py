@@ -1,7 +1,7 @@
 """What `validate` finds in Mitsuba's own BSDFs, confirmed by plain calls of Mitsuba.
 
-Nothing of gonio_mi takes part here: if a later Mitsuba mends one of these, its test
-fails, and the README's table has a row too many.
+Nothing of gonio_mi takes part here, but for the file that `measured` reads: if a later
+Mitsuba mends one of these, its test fails, and the README's table has a row too many.
 """
 
 import drjit as dr
@@ -9,15 +9,19 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from gonio_mi.validation.stock import coloured
+
 pytestmark = pytest.mark.usefixtures("mono")
 
 GGX = {"type": "roughconductor", "alpha": 0.2, "distribution": "ggx"}
 DIFFUSE = {"type": "diffuse"}
 
 
-def lit_from(theta, side=1):
+def lit_from(theta, side=1, phi=0.0):
     si = dr.zeros(mi.SurfaceInteraction3f)
-    si.wi = mi.Vector3f(float(np.sin(theta)), 0, float(side * np.cos(theta)))
+    sine = np.sin(theta)
+    x, y, z = sine * np.cos(phi), sine * np.sin(phi), side * np.cos(theta)
+    si.wi = mi.Vector3f(float(x), float(y), float(z))
     # with literals, Dr.Jit would skip what it knows to be inactive
     dr.make_opaque(si.wi)
     si.n = mi.Normal3f(0, 0, 1)
@@ -129,3 +133,68 @@ def test_twosided_counts_its_back_twice():
     si, wo = lit_from(0.5, -1), mi.Vector3f(-0.5, 0, -(0.75**0.5))
     values = [only(bsdf.eval(context(i), si, wo)) for i in (None, 0, 1)]
     assert values[0] == values[1] == values[2] > 0
+
+
+# The fibre of `hair` runs along y. This one absorbs nothing.
+PALE = {"type": "hair", "sigma_a": 0.0}
+
+
+def hair_integral(bsdf, si, n):
+    """Integral of pdf over the sphere, by a midpoint rule of n x n directions."""
+    y = ((np.arange(n) + 0.5) / n * 2 - 1)[:, None]
+    phi = (np.arange(n) + 0.5) / n * 2 * np.pi
+    across = np.sqrt(1 - y**2)
+    wo = np.stack(np.broadcast_arrays(across * np.cos(phi), y, across * np.sin(phi)))
+    pdf = bsdf.pdf(context(), si, mi.Vector3f(wo.reshape(3, -1).astype(np.float32)))
+    return np.mean(pdf.numpy(), dtype=float) * 4 * np.pi
+
+
+def test_hair_has_a_density_of_less_than_one():
+    """No sample fails, and light that nothing absorbs is lost in `eval` too."""
+    bsdf = mi.load_dict(PALE)
+    si = lit_from(np.radians(35), phi=np.radians(25))
+    coarse, fine = (hair_integral(bsdf, si, n) for n in (500, 1000))
+    n = 2**16
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(1, n)
+    weight = bsdf.sample(context(), si, sampler.next_1d(), sampler.next_2d())[1]
+    assert np.all(np.array(weight) > 0)
+    assert 1 - fine > 20 * abs(fine - coarse)
+    assert 1 - fine > 1e-3
+
+
+def test_hair_samples_late_orders_across_the_fibre_only():
+    """They have no component along the fibre at all; `pdf` says they are spread."""
+    bsdf = mi.load_dict(PALE)
+    si = lit_from(np.radians(70))
+    n = 2**16
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(1, n)
+    bs = bsdf.sample(context(), si, sampler.next_1d(), sampler.next_2d())[0]
+    assert np.count_nonzero(np.array(bs.wo.y) == 0) > n / 50
+
+
+def test_hair_is_not_adjoint():
+    bsdf = mi.load_dict(PALE)
+    one, other = lit_from(0.5), lit_from(1.2, -1, 0.3)
+    radiance, importance = context(), mi.BSDFContext(mi.TransportMode.Importance)
+    there, back = (
+        only(bsdf.eval(ctx, si, wo)) / abs(only(wo.z))
+        for ctx, si, wo in ((radiance, one, other.wi), (importance, other, one.wi))
+    )
+    assert abs(there / back - 1) > 0.01
+
+
+def test_pigments_of_hair_need_colours():
+    bsdf = mi.load_dict({"type": "hair"})
+    with pytest.raises(RuntimeError, match="non-spectral"):
+        bsdf.eval(context(), lit_from(0.5), mi.Vector3f(0, 0.6, 0.8))
+
+
+def test_measured_is_as_reciprocal_as_its_table(rgb):
+    assert mi.variant() == rgb
+    bsdf = next(mi.load_dict(d) for name, d in coloured() if name == "measured")
+    one, other = lit_from(0.5), lit_from(1.2, phi=2.0)
+    there = only(bsdf.eval(context(), one, other.wi)) / np.cos(1.2)
+    back = only(bsdf.eval(context(), other, one.wi)) / np.cos(0.5)
+    assert abs(there / back - 1) > 0.01

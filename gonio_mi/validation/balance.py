@@ -3,10 +3,10 @@
 import numpy as np
 from scipy import special
 
-__all__ = ["check_energy", "check_maps", "check_pooled"]
+from .identities import ROUNDING
+from .integrals import SUM_ERROR
 
-# A relative gain of light that interpolated tables may cause.
-ENERGY_MARGIN = 1e-4
+__all__ = ["check_energy", "check_maps", "check_pooled"]
 
 
 def check_maps(evidence, maps):
@@ -18,8 +18,8 @@ def check_maps(evidence, maps):
         texts = scores.statistics
         for view, p in scores.p_values.items():
             evidence.test(name, p, texts[view], maps.condition)
-    excess = maps.pdf.sum() - 1 - maps.pdf_sum_bound
-    if excess > 1e-3:
+    excess = maps.pdf.sum() - 1 - max(maps.pdf_sum_bound, SUM_ERROR)
+    if excess > 0:
         evidence.breach(
             "sampling",
             "pdf",
@@ -58,10 +58,15 @@ def check_energy(evidence, maps):
     worst = int(flux.argmax())
     # only what is sampled of it varies
     noise = std_err[worst] if drawn.delta_mean[worst] > 0 else 0.0
-    slack = ENERGY_MARGIN + maps.smooth_bound[worst]
-    for value, error, what in (
-        (flux[worst], noise, "`eval` integrates to"),
-        (drawn.mean.max(), std_err[drawn.mean.argmax()], "weights have the mean"),
+    bound = max(maps.smooth_bound[worst] + maps.eval_rounding, SUM_ERROR)
+    for value, error, slack, what in (
+        (flux[worst], noise, bound, "`eval` integrates to"),
+        (
+            drawn.mean.max(),
+            std_err[drawn.mean.argmax()],
+            ROUNDING,
+            "weights have the mean",
+        ),
     ):
         excess = value - 1 - slack
         z = excess / max(error, 1e-7)

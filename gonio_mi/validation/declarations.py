@@ -119,7 +119,7 @@ def _check_variation(evidence, bsdf, drawn, name, change):
     probe = Probe(bsdf, drawn.condition)
     wo = change(probe, drawn.wo)
     value = spectral(probe.eval(mi.Vector3f(wo.T)), drawn.n)
-    differs = unequal(value, drawn.eval, drawn.eval_slack, 1e-3) & drawn.smooth
+    differs = unequal(value, drawn.eval, drawn.eval_slack) & drawn.smooth
     if is_many(differs, drawn.n):
         _breach(
             evidence,
@@ -160,7 +160,7 @@ def check_components(evidence, bsdf, drawn):
         probe = Probe(bsdf, replace(drawn.condition, component=i))
         total = total + spectral(probe.eval(wo), drawn.n)
     usable = drawn.smooth & np.isfinite(total).all(axis=1)
-    wrong = unequal(total, drawn.eval, drawn.eval_slack, 1e-3) & usable
+    wrong = unequal(total, drawn.eval, drawn.eval_slack) & usable
     if is_many(wrong, drawn.n):
         ratio = total[wrong].sum(axis=1) / np.maximum(
             drawn.eval[wrong].sum(axis=1), 1e-30

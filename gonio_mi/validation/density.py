@@ -11,6 +11,9 @@ __all__ = ["explain_density"]
 COARSE = EqualSolidAngle(8, 12)
 ENOUGH = 200
 
+# Densities below that have no usable reciprocal.
+SMALLEST = 1e-30
+
 # What may distort a density.
 DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four")
 
@@ -136,11 +139,8 @@ def _distortion(evidence):
         for name in found:
             t = 1.0 if not name else factor(name, drawn, ok)
             for power in (1, -1):
-                sums = np.bincount(
-                    patch,
-                    1 / (drawn.pdf[ok] * t**power),
-                    minlength=2 * COARSE.n_patches,
-                )
+                density = np.maximum(drawn.pdf[ok] * t**power, SMALLEST)
+                sums = np.bincount(patch, 1 / density, minlength=2 * COARSE.n_patches)
                 off = np.abs(sums[enough] / drawn.n / solid - 1)
                 best.setdefault((name, power), []).append(off)
     scores = {

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..directions import direction
 from .conditions import Condition
+from .identities import ROUNDING
 from .probe import Probe, numbers, spectral
 
 __all__ = ["check_ends", "check_roughness"]
@@ -100,7 +101,7 @@ def _finite(evidence, function, what, value, inputs, place, name="sample"):
 
 def _unit(evidence, wo, given, corners, place):
     length = np.linalg.norm(wo, axis=1)
-    wrong = given & ~(np.abs(length - 1) < 1e-3)
+    wrong = given & ~(np.abs(length - 1) < ROUNDING)
     if wrong.any():
         evidence.breach(
             "ends",

@@ -4,7 +4,6 @@ import os
 from dataclasses import replace
 
 import mitsuba as mi
-import numpy as np
 
 from ..errors import SpecimenError, checked_count, checked_number
 from ..specimen import check_variant, load_specimen, loaded, specimen_name
@@ -114,7 +113,7 @@ def _examine(evidence, bsdf, plan, seed):
     conditions = list(plan.checks(sides, components))
     radiance = [replace(one, mode="radiance") for one in plan.radiance(sides)]
     for i, condition in enumerate([*conditions, *radiance]):
-        _check_samples(evidence, bsdf, condition, plan, flags, (seed, 1, i))
+        _check_samples(evidence, bsdf, condition, plan, (seed, 1, i))
     declarations.check_flags(evidence, bsdf)
     declarations.check_sides(evidence, bsdf, seed)
     for drawn in evidence.drawn[:: max(1, len(plan.angles) // 3)]:
@@ -125,13 +124,13 @@ def _examine(evidence, bsdf, plan, seed):
     _check_maps(evidence, bsdf, plan, sides, components, seed)
 
 
-def _check_samples(evidence, bsdf, condition, plan, flags, key):
+def _check_samples(evidence, bsdf, condition, plan, key):
     drawn = collect(bsdf, condition, plan.checked, key)
     evidence.drawn.append(drawn)
     identities.check_answers(evidence, drawn)
     identities.check_directions(evidence, drawn)
     identities.check_identities(evidence, drawn)
-    symmetry.check_symmetry(evidence, drawn, flags)
+    symmetry.check_symmetry(evidence, drawn, bsdf)
     delta.check_delta(evidence, drawn, bsdf, key)
     delta.check_null(evidence, drawn, Probe(bsdf, condition))
 
@@ -165,8 +164,9 @@ def _check_maps(evidence, bsdf, plan, sides, components, seed):
 
 
 def _depends_on_mode(drawn):
-    differs = np.abs(drawn.eval - drawn.other_mode) > 1e-4 * np.abs(drawn.eval)
-    return bool((differs.any(axis=1) & drawn.smooth).any())
+    return bool(
+        (identities.unequal(drawn.eval, drawn.other_mode, 0) & drawn.smooth).any()
+    )
 
 
 def _stop(evidence, fault):

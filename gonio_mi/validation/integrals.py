@@ -15,9 +15,9 @@ from ..directions import direction
 from ..errors import SpecimenError
 from ..quadrature import integrate
 
-__all__ = ["Integrals", "integrals"]
+__all__ = ["SUM_ERROR", "Integrals", "integrals"]
 
-# Numbers of points and generators of Fibonacci lattices, on patches that need ever more,
+# Numbers of points and generators of Fibonacci lattices, where patches need ever more,
 # and random shifts of each.
 LATTICES = (21, 13), (89, 55), (377, 233), (1597, 987), (6765, 4181)
 SHIFTS = 16
@@ -36,8 +36,10 @@ SUM_ERROR = 1e-4
 # shows a lobe that was missed.
 MISSED = 3.0
 
-# Of adaptive integrals: relative error of a patch; evaluations for each sample.
+# Of adaptive integrals: relative error of a patch, how many times its estimate kinks
+# may hide (see there), and evaluations for each sample.
 REL_ERR = 1e-3
+HIDDEN = 2
 EVALUATIONS = 4
 LEAST_EVALUATIONS = 2**21
 
@@ -100,11 +102,12 @@ def _lattice(probe, subdivision, totals):
     """Integrals by shifted lattices; None where that takes too many points."""
     m = 2 * subdivision.n_patches
     means, largest = None, np.zeros(m)
-    refined, left = np.arange(m), _most_evaluations(totals) // 2
+    refined, rough = np.arange(m), np.ones(m, bool)
+    left = _most_evaluations(totals) // 2
     for n_points, generator in LATTICES:
         left -= len(refined) * SHIFTS * n_points
         if left < 0:
-            return None
+            break
         wo = _points(probe.condition, subdivision, refined, n_points, generator)
         values = np.stack(_values(probe, wo), axis=-1)
         values = values.reshape(len(refined), SHIFTS, n_points, -1)
@@ -113,28 +116,31 @@ def _lattice(probe, subdivision, totals):
         area = subdivision.solid_angles.ravel()[refined % subdivision.n_patches]
         means[refined] = values.mean(axis=2) * area[:, None, None]
         largest[refined] = values[..., 0].max(axis=(1, 2))
-        rough = _rough(means, totals)
-        rough |= totals.peaks > MISSED * largest
-        if not rough.any():
-            return _of_means(means)
-        refined = np.flatnonzero(rough)
-    return None
+        rough = _rough(means, totals) | (totals.peaks > MISSED * largest)
+        refined = np.flatnonzero(rough | _rough_in_sum(means))
+        if not refined.size:
+            break
+    # how well the sum is known, it says itself
+    return None if rough.any() else _of_means(means)
 
 
 def _rough(means, totals):
-    """Which patches must be known better for the samples to judge."""
+    """Patches that must be known better for the samples to judge."""
     values, n = means.mean(axis=1), totals.n
     std_err = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
     noise = np.sqrt(np.maximum(values[:, 0], 1 / n) / n)
     weight_noise = np.sqrt(np.maximum(totals.squares, totals.usual_weight**2)) / n
     rough = std_err[:, 0] > SHARE * noise
-    rough |= std_err[:, 1:].mean(axis=1) > SHARE * weight_noise
+    return rough | (std_err[:, 1:].mean(axis=1) > SHARE * weight_noise)
+
+
+def _rough_in_sum(means):
+    """Patches that have more than their part of the variance of a rough sum."""
+    values = means.mean(axis=1)
+    std_err = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
     allowed = SUM_ERROR * np.maximum(values.sum(axis=0), 1)
     off = WIDE * means.sum(axis=0).std(axis=0, ddof=1) / np.sqrt(SHIFTS) > allowed
-    # patches that have more than their part of the sum's variance
-    return rough | np.any(
-        (std_err * np.sqrt(len(means)) * WIDE > allowed) & off, axis=1
-    )
+    return np.any((std_err * np.sqrt(len(means)) * WIDE > allowed) & off, axis=1)
 
 
 def _of_means(means):
@@ -197,7 +203,7 @@ def _adaptive(probe, subdivision, totals):
         side=condition.side,
     )
     flux = found.flux.reshape(2 * subdivision.n_patches, -1)
-    error = found.error.reshape(flux.shape)
+    error = HIDDEN * found.error.reshape(flux.shape)
     nothing = np.zeros(len(flux))
     return [
         Integrals(flux[:, c], error[:, c], nothing, float(error[:, c].sum()))

@@ -1,14 +1,19 @@
 """The table of Mitsuba's own BSDFs: ``python -m gonio_mi.validation.stock [NAME]``."""
 
 import sys
+import tempfile
+from itertools import chain
+from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
 
+from ..exports import export
+from ..goniophotometer import measure
 from .inspection import validate
 from .verdict import FAILS
 
-__all__ = ["cases", "table"]
+__all__ = ["cases", "coloured", "table"]
 
 GGX = {"distribution": "ggx"}
 
@@ -82,6 +87,7 @@ def cases():
             {"type": "principled", "spec_trans": 0.7, "eta": 1.5, "roughness": 0.4},
         ),
         ("principledthin", {"type": "principledthin"}),
+        ("hair:sigma_a=0.2", {"type": "hair", "sigma_a": 0.2}),
         (
             "principledthin:spec_trans=0.5,diff_trans=1,roughness=0.4",
             {
@@ -110,23 +116,52 @@ def cases():
     )
 
 
-def table(names=(), effort="normal"):
+def coloured():
+    """The same for cases that need a variant of rgb, which must be set.
+
+    The file of `measured` is a record of a metal that was measured here.
+    """
+    yield "hair", {"type": "hair"}
+    metal = {"type": "roughconductor", "alpha": 0.3} | GGX
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "metal.bsdf"
+        record = measure(
+            metal, theta_i=range(0, 90, 15), collector="projected:20x40", rays=2**19
+        )
+        export(record, path)
+        yield "measured", {"type": "measured", "filename": str(path)}
+
+
+def table(cases, names=(), effort="normal"):
     """Rows of the table, one for each case whose name begins with one of `names`.
+
+    Parameters
+    ----------
+    cases : iterable of (str, dict)
+    names : sequence of str
+        Empty for all.
+    effort : str
+        As of :func:`validate`.
 
     Yields
     ------
     name : str
     verdict : Verdict
     """
-    for name, specimen in cases():
+    for name, specimen in cases:
         if not names or any(name.startswith(wanted) for wanted in names):
             yield name, validate(specimen, effort=effort)
+
+
+def _coloured_table(names):
+    mi.set_variant("llvm_ad_rgb")
+    yield from table(coloured(), names)
 
 
 def _print(names):
     """Print the table in Markdown."""
     print("| BSDF | verdict | what was found |\n|---|---|---|")
-    for name, verdict in table(names):
+    for name, verdict in chain(table(cases(), names), _coloured_table(names)):
         found = [
             f"{one.name}: {one.statistic}"
             for one in verdict.properties

@@ -3,15 +3,12 @@
 import mitsuba as mi
 import numpy as np
 
-from .identities import is_many, unequal
+from .identities import ROUNDING, is_many, unequal
 
 __all__ = ["check_symmetry"]
 
-# Relative difference that is taken for rounding; both directions have been rounded.
-ROUNDING = 1e-3
 
-
-def check_symmetry(evidence, drawn, flags):
+def check_symmetry(evidence, drawn, bsdf):
     """Compare ``eval`` with source and detector exchanged.
 
     With ``f = eval / |cos theta_o|`` in importance mode, it is that ``f(wi, wo)`` is
@@ -33,13 +30,10 @@ def check_symmetry(evidence, drawn, flags):
     slack = drawn.eval_slack / cos_o + drawn.reverse_slack / cos_i
     # reflection has no index, whatever a plugin says
     eta2 = np.where(drawn.reflected, 1.0, drawn.eta**2)[:, None]
-    wrong = unequal(forward, eta2 * backward, slack * (1 + eta2), ROUNDING) & smooth
+    wrong = unequal(forward, eta2 * backward, slack * (1 + eta2)) & smooth
     if is_many(wrong, drawn.n):
-        declared = flags & int(mi.BSDFFlags.NonSymmetric)
-        # glass declares it too, for its eta^2
-        only_reflects = not flags & int(mi.BSDFFlags.Transmission)
         text = _ratio(forward, eta2 * backward, wrong, drawn)
-        if declared and only_reflects:
+        if np.all(_declared(drawn, bsdf, eta2)[wrong]):
             evidence.declared["reciprocity"] = f"{text}, declared as NonSymmetric"
         else:
             evidence.breach(
@@ -49,7 +43,7 @@ def check_symmetry(evidence, drawn, flags):
                 _not_reciprocal(forward, backward, drawn, wrong),
                 size=float(wrong.mean()),
             )
-    wrong = unequal(forward, adjoint, slack * (1 + eta2), ROUNDING) & smooth
+    wrong = unequal(forward, adjoint, slack * (1 + eta2)) & smooth
     if is_many(wrong, drawn.n):
         evidence.breach(
             "adjoint",
@@ -58,6 +52,19 @@ def check_symmetry(evidence, drawn, flags):
             _not_adjoint(forward, adjoint, drawn, wrong),
             size=float(wrong.mean()),
         )
+
+
+def _declared(drawn, bsdf, eta2):
+    """Samples for whose side a component is NonSymmetric, not just for its eta^2."""
+    flags, n = mi.BSDFFlags, bsdf.component_count()
+    wanted = range(n) if (only := drawn.condition.component) is None else [only]
+    own = [int(bsdf.flags(i)) for i in wanted] or [int(bsdf.flags())]
+    reflects, transmits = (
+        any(f & int(flags.NonSymmetric) and f & int(side) for f in own)
+        for side in (flags.Reflection, flags.Transmission)
+    )
+    straight = np.abs(eta2[:, 0] - 1) < ROUNDING
+    return np.where(drawn.reflected, reflects, transmits & straight)
 
 
 def _ratio(a, b, wrong, drawn):

@@ -1,0 +1,124 @@
+"""Integrals over patches that samples are compared with: exact ones, steps, spikes."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from gonio_mi import SpecimenError
+from gonio_mi.subdivision import EqualAngle
+from gonio_mi.validation.conditions import Condition
+from gonio_mi.validation.drawing import count, rounding
+from gonio_mi.validation.integrals import SHARE, SUM_ERROR, WIDE, integrals
+from gonio_mi.validation.probe import Probe
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+GRID = EqualAngle(6, 8)
+BEAM = Condition(40.0, 25.0)
+N = 2**16
+KEY = (0, 1)
+
+
+def samples():
+    """Cosine-distributed ones."""
+    white = mi.load_dict({"type": "diffuse", "reflectance": 1.0})
+    return count(white, BEAM, GRID, N, KEY)
+
+
+class Density:
+    """The functions of a BSDF that is a function of wo, for :func:`integrals`."""
+
+    condition = BEAM
+
+    def __init__(self, function):
+        self.function = function
+        self.bsdf = mi.load_dict({"type": "diffuse"})
+        self.wi = mi.Vector3f(BEAM.wi.tolist())
+
+    def pdf(self, wo, wi=None):  # noqa: ARG002
+        return dr.select(wo.z > 0, self.function(wo), 0.0)
+
+    def eval(self, wo, wi=None):  # noqa: ARG002
+        return mi.Spectrum(self.pdf(wo))
+
+    def sample(self, sample1, sample2):
+        return Probe(self.bsdf, BEAM).sample(sample1, sample2)
+
+
+def lambert(wo):
+    return dr.inv_pi * wo.z
+
+
+def steps(wo):
+    """Half of the Lambertian in a chequered pattern that no patch border follows."""
+    half = 0.5 * (dr.floor(5.3 * wo.x) + dr.floor(5.3 * wo.y))
+    return lambert(wo) * dr.select(half == dr.floor(half), 0.5, 1.5)
+
+
+def test_lambertian_is_exact():
+    exact = np.concatenate([GRID.projected_solid_angles.ravel() / np.pi, np.zeros(48)])
+    probe = Probe(mi.load_dict({"type": "diffuse", "reflectance": 0.5}), BEAM)
+    pdf, value = integrals(probe, GRID, samples())
+    slack = WIDE * pdf.std_err + rounding(probe, KEY)[0] * exact
+    assert np.all(np.abs(pdf.values - exact) <= slack)
+    assert abs(pdf.values.sum() - 1) <= pdf.sum_bound + rounding(probe, KEY)[0]
+    assert pdf.sum_bound <= SUM_ERROR
+    # all functions share the points
+    np.testing.assert_allclose(value.values, 0.5 * pdf.values, rtol=2**-20)
+
+
+@pytest.mark.parametrize("function", [lambert, steps])
+def test_as_precise_as_samples_can_judge(function):
+    drawn = samples()
+    pdf, _ = integrals(Density(function), GRID, drawn)
+    noise = np.sqrt(np.maximum(pdf.values, 1 / N) / N)
+    assert np.all(pdf.std_err <= SHARE * noise)
+
+
+def test_errors_of_steps_are_as_they_say():
+    """A midpoint rule of 512 x 512 points a patch is 500 times finer."""
+    pdf, _ = integrals(Density(steps), GRID, samples())
+    n = 512
+    theta, phi = ((np.arange(k * n) + 0.5) / n for k in GRID.shape)
+    theta, phi = theta * np.pi / 12, phi * np.pi / 4
+    sine = np.sin(theta)[:, None]
+    wo = np.stack(
+        np.broadcast_arrays(
+            sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)[:, None]
+        )
+    )
+    values = steps(mi.Vector3f(wo.reshape(3, -1).astype(np.float32))).numpy()
+    values = values.reshape(wo.shape[1:]) * sine * (np.pi / 12 / n) * (np.pi / 4 / n)
+    fine = values.reshape(6, n, 8, n).sum(axis=(1, 3), dtype=float).ravel()
+    off = np.abs(pdf.values[:48] - fine)
+    # Student's t of 15 degrees of freedom is beyond twice WIDE in one of 1e6 cases
+    assert np.all(off <= 2 * WIDE * pdf.std_err[:48])
+    # the twin: without its errors, it would not agree
+    assert np.any(off > rounding(Density(steps), KEY)[0] * fine)
+
+
+def test_a_spike_that_a_lattice_misses_is_found_by_samples():
+    """A lobe 1e-3 wide, in which samples are, is integrated by smaller cells."""
+    sharp = mi.load_dict(
+        {"type": "roughconductor", "alpha": 1e-3, "distribution": "ggx"}
+    )
+    drawn = count(sharp, BEAM, GRID, N, KEY)
+    pdf, _ = integrals(Probe(sharp, BEAM), GRID, drawn)
+    mass = drawn.counts.sum() / N
+    # 6 sigma of the binomial, and rounding of so sharp a lobe
+    slack = 6 * np.sqrt(mass * (1 - mass) / N) + rounding(Probe(sharp, BEAM), KEY)[0]
+    assert abs(pdf.values.sum() - mass) <= pdf.sum_bound + slack
+
+
+def test_what_takes_too_long_is_refused():
+    """Noise has no integral; samples of the spike ask for ever smaller cells."""
+    drawn = samples()
+    drawn.peaks[:] = 1e9
+
+    def noise(wo):
+        number = dr.sin(1e7 * wo.x) * 1e5
+        return number - dr.floor(number)
+
+    with pytest.raises(SpecimenError, match="too many evaluations"):
+        integrals(Density(noise), GRID, drawn)
