@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from . import netcdf
+from . import astm, netcdf
+from .channels import wavelengths_nm
 from .errors import checked_choice
 from .files import check_output, replacing
 from .loss import fractions_of, losses
@@ -14,7 +15,7 @@ from .radiance_export import BASES, write_radiance
 
 __all__ = ["BASES", "ENDINGS", "export"]
 
-ENDINGS = (".csv", ".xml", ".bsdf", ".nc")
+ENDINGS = (".csv", ".astm", ".xml", ".bsdf", ".nc")
 
 
 def export(record, path, basis="klems"):
@@ -27,7 +28,8 @@ def export(record, path, basis="klems"):
     record : Record
     path : str or path
         ``.csv``: values at the middles of patches, read by `read_measured`; for several
-        quantities or channels their names are put before the ending. ``.xml``: a
+        quantities or channels their names are put before the ending. ``.astm``: text
+        after ASTM E1392, of reflection; see :mod:`gonio_mi.astm`. ``.xml``: a
         Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only; needs a
         variant of rgb, or a spectral one for channels that are wavelengths. ``.nc``:
         NetCDF, by xarray.
@@ -65,18 +67,49 @@ def _csv(record, path):
         for number in range(len(record.channels))
     }
     fractions = np.zeros_like(fractions_of(record))
-    theta, _ = record.subdivision.middles
-    known = np.isfinite(theta)
     for (quantity, number), table in tables.items():
         name = Path(path)
         if len(tables) > 1:
             channel = record.channels[number] if len(record.channels) > 1 else ""
             name = name.with_suffix(f".{quantity}{channel}{name.suffix}")
         table.save(name)
-        values = read_measured(name).value.reshape(len(record), -1)
-        projected = record.subdivision.projected_solid_angles[known]
-        fractions[:, int(quantity == "btdf"), known, number] = values * projected
+        written = _in_patches(read_measured(name), record.subdivision)
+        fractions[:, int(quantity == "btdf"), ..., number] = written
     return losses(record, fractions)
+
+
+def _astm(record, path):
+    """One table of reflection, a column for each channel."""
+    names = record.channels
+    if len(names) == 1 and wavelengths_nm(names) is None:
+        names = (astm.GREY,)
+    tables = [_table(record, "brdf", number) for number in range(len(names))]
+    first = tables[0]
+    angles = np.radians([first.theta_i, first.phi_i, first.theta_o, first.phi_o])
+    with replacing(path) as stream:
+        astm.write(
+            angles.T,
+            np.stack([table.value for table in tables], axis=-1),
+            names,
+            stream,
+            source="gonio-mi",
+            specimen=str(record.settings.get("specimen", "a record")),
+            collector=str(record.subdivision),
+        )
+    written = [
+        _in_patches(read_measured(path, name), record.subdivision) for name in names
+    ]
+    return losses(record, np.stack(written, axis=-1)[:, None])
+
+
+def _in_patches(table, patches):
+    """Flux fractions of a table of middles, shape ``(n_incident, n_theta, n_phi)``."""
+    known = np.isfinite(patches.middles[0])
+    projected = patches.projected_solid_angles
+    values = table.value.reshape(-1, int(known.sum()))
+    fractions = np.zeros((len(values), *projected.shape))
+    fractions[:, known] = values * projected[known]
+    return fractions
 
 
 def _table(record, quantity, number):
@@ -122,4 +155,4 @@ def _netcdf(record, path):
     return losses(record, values * projected)
 
 
-_FORMATS = {".csv": _csv, ".bsdf": write_measured, ".nc": _netcdf}
+_FORMATS = {".csv": _csv, ".astm": _astm, ".bsdf": write_measured, ".nc": _netcdf}

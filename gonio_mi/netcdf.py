@@ -4,6 +4,8 @@ import json
 
 import numpy as np
 
+from .channels import wavelengths_nm
+
 __all__ = ["dataset", "write"]
 
 CONVENTIONS = (
@@ -25,7 +27,8 @@ def dataset(record):
     xarray.Dataset
         `bsdf` and `std_err` in 1/sr, with the dimensions ``incident, hemisphere, ring,
         sector, channel``; `counts` without the last; as coordinates `theta_i`, `phi_i`
-        and the middles `theta`, `phi` of the patches in degrees; the settings as JSON.
+        and the middles `theta`, `phi` of the patches in degrees, and `wavelength` in nm
+        of channels that have one; the settings as JSON.
 
     Raises
     ------
@@ -51,6 +54,10 @@ def dataset(record):
     patches = "incident", "hemisphere", "ring", "sector"
     unit = {"units": "sr-1"}
     degrees = {"units": "degree"}
+    coordinates = {}
+    wavelengths = wavelengths_nm(record.channels)
+    if wavelengths is not None:
+        coordinates["wavelength"] = ("channel", wavelengths, {"units": "nm"})
     return xarray.Dataset(
         {
             "bsdf": ((*patches, "channel"), values, unit),
@@ -69,6 +76,7 @@ def dataset(record):
             "theta": (patches[2:], theta, degrees),
             "phi": (patches[2:], phi, degrees),
             "channel": list(record.channels),
+            **coordinates,
         },
         attrs={
             "collector": str(record.subdivision),

@@ -11,6 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "gonio_mi"
 NUMPY_LAYER = (
     "channels",
     "apertures",
+    "astm",
     "borders",
     "cells",
     "curves",
@@ -26,6 +27,8 @@ NUMPY_LAYER = (
     "lobes",
     "loss",
     "material_files",
+    "measured",
+    "measured_table",
     "memory",
     "morton",
     "npz",

@@ -200,6 +200,75 @@ def test_csv_is_what_compare_reads(tmp_path, glossy):
 
 
 @pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("channels", "columns"),
+    [
+        (("Y",), "Integrated"),
+        (("550nm",), "550nm"),
+        (("R", "G", "B"), "R,G,B"),
+        (("400nm", "700nm"), "400nm,700nm"),
+    ],
+)
+def test_astm_is_what_compare_reads(tmp_path, channels, columns):
+    record = synthetic.record(
+        "projected:4x8", theta_i=(0, 30), phi_i=(0, 40), channels=channels
+    )
+    path = tmp_path / "run.astm"
+    losses = exports.export(record, path)
+    # degrees become radians and degrees again
+    rounding = 4 * np.finfo(float).eps
+    assert all(loss.misplaced <= rounding for loss in losses)
+    lines = path.read_text().splitlines()
+    assert lines[3:5] == [
+        "NUM_POINTS 64",
+        f"VARS theta_i,phi_i,theta_s,phi_s,{columns}",
+    ]
+    assert [len(line.split(",")) for line in lines[5:]] == 64 * [4 + len(channels)]
+    table = gonio.read_measured(path, columns.split(",")[-1])
+    assert np.array_equal(table.value[32:], record.brdf[1, ..., -1].ravel())
+    assert (np.abs(table.theta_i - np.repeat([0, 30], 32)) <= 30 * rounding).all()
+    assert table.header["COLLECTOR"] == "projected:4x8"
+    assert gonio.compare(record, table).passed
+    if len(channels) > 1:
+        with pytest.raises(ValueError, match=f"must be one of {channels[0]}, .*None"):
+            gonio.read_measured(path)
+
+
+ASTM = "KEY words\nNUM_POINTS 1\nVARS theta_i,phi_i,theta_s,phi_s,R\n0,0,1,2,0.5\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("VARS", "WARS", "no line VARS"),
+        ("theta_s", "theta", "its VARS must be theta_i,"),
+        (",R", "", "its VARS must be theta_i,"),
+        ("POINTS 1", "POINTS 99999999999", "announces 99999999999 points and holds 1"),
+        (",0.5", "", "line 4 must have 5 numbers, got 4"),
+        ("0.5", "half", "line 4: could not convert"),
+        ("1,2", "2,2", "theta_o must be an angle in degrees in"),
+        ("0.5", "nan", "value must be a finite number"),
+        ("KEY", "KEY\0", "it is not text"),
+        ("0,0,1,2,0.5\n", "", "announces 1 points and holds 0"),
+        ("1\nVARS", "0\nVARS", "announces 0 points and holds 1"),
+    ],
+)
+def test_bad_astm_files_are_refused(tmp_path, old, new, message):
+    path = tmp_path / "bad.astm"
+    path.write_text(ASTM)
+    assert gonio.read_measured(path).value.tolist() == [0.5]
+    path.write_text(ASTM.replace(old, new))
+    with pytest.raises(FileFormatError, match=message) as error:
+        gonio.read_measured(path)
+    assert str(path) in str(error.value)
+
+
+def test_a_material_is_no_table(tmp_path):
+    with pytest.raises(FileFormatError, match=r"goniometric:filename=.*a\.xml"):
+        gonio.read_measured(tmp_path / "a.xml")
+
+
+@pytest.mark.usefixtures("mono")
 def test_netcdf_is_what_xarray_reads(tmp_path, glossy):
     xarray = pytest.importorskip("xarray")
     losses = exports.export(glossy, tmp_path / "run.nc")
@@ -210,6 +279,18 @@ def test_netcdf_is_what_xarray_reads(tmp_path, glossy):
         assert np.array_equal(data.counts.values, glossy.counts)
         assert data.bsdf.sel(hemisphere="reflection").isel(incident=1).size == 128
         assert data.theta_i.values.tolist() == [0, 30, 60]
+
+
+def test_netcdf_of_wavelengths_has_them_as_numbers(tmp_path):
+    from gonio_mi import netcdf
+
+    pytest.importorskip("xarray")
+    data = netcdf.dataset(synthetic.record(channels=("400nm", "632.8nm")))
+    assert data.wavelength.values.tolist() == [400, 632.8]
+    assert data.wavelength.attrs == {"units": "nm"}
+    nearest = data.swap_dims(channel="wavelength").sel(wavelength=630, method="nearest")
+    assert np.array_equal(nearest.bsdf, data.bsdf[..., 1])
+    assert "wavelength" not in netcdf.dataset(synthetic.record()).coords
 
 
 def test_without_xarray_a_sentence(monkeypatch):

@@ -14,9 +14,9 @@ def add(commands):
     parser = commands.add_parser(
         "export",
         help="write a record for other tools",
-        description="Write a record for other tools: a table .csv, a Radiance .xml,\n"
-        "a .bsdf for Mitsuba's plugin measured, or NetCDF .nc. What was written is\n"
-        "read back, and what was lost is said.",
+        description="Write a record for other tools: a table .csv or .astm (after\n"
+        "ASTM E1392), a Radiance .xml, a .bsdf for Mitsuba's plugin measured, or\n"
+        "NetCDF .nc. What was written is read back, and what was lost is said.",
         epilog="examples:\n  gonio-mi export run.npz -o run.xml run.bsdf\n"
         "  gonio-mi export run.npz -o run.xml --basis tensor3",
     )
@@ -28,7 +28,7 @@ def add(commands):
         required=True,
         nargs="+",
         metavar="OUT",
-        help="files that end in .csv, .xml, .bsdf or .nc",
+        help="files that end in .csv, .astm, .xml, .bsdf or .nc",
     )
     parser.add_argument(
         "--basis",
