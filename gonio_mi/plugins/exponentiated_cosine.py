@@ -10,15 +10,16 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi.plugins import properties
+from gonio_mi.plugins.front import GLOSSY
 
 __all__ = [
     "FORMS",
     "MAX_EXPONENT",
-    "above",
     "around",
     "cosine_power",
     "density",
     "exponent",
+    "flags",
     "polar",
     "throughput",
 ]
@@ -42,9 +43,9 @@ def exponent(props, name, default):
     return value
 
 
-def above(wi, wo):
-    """Whether both directions are above the horizon."""
-    return (mi.Frame3f.cos_theta(wi) > 0) & (mi.Frame3f.cos_theta(wo) > 0)
+def flags(form):
+    """Flags of the component that is the lobe."""
+    return GLOSSY | mi.BSDFFlags.NonSymmetric if form == "unit" else GLOSSY
 
 
 def cosine_power(n, axis, d):

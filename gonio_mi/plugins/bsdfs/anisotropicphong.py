@@ -4,10 +4,8 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi.plugins import exponentiated_cosine as lobe
-from gonio_mi.plugins import facets
+from gonio_mi.plugins import facets, front
 from gonio_mi.plugins.reflectance import reflectance
-
-GLOSSY = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
 
 
 class AnisotropicPhong(mi.BSDF):
@@ -136,8 +134,8 @@ class AnisotropicPhong(mi.BSDF):
             return
         e_u, e_v = self.exponent_u[0], self.exponent_v[0]
         anisotropic = mi.BSDFFlags.Anisotropic if e_u != e_v else mi.BSDFFlags.Empty
-        self.m_components = [GLOSSY | anisotropic]
-        self.m_flags = GLOSSY | anisotropic
+        self.m_flags = front.GLOSSY | anisotropic
+        self.m_components = [self.m_flags]
         table = facets.averted_area_table(e_u, e_v)
         # hardware interpolation would round to 8 bits
         self.averted_area = mi.Texture2f(mi.TensorXf(table[..., None]), use_accel=False)
@@ -148,22 +146,18 @@ class AnisotropicPhong(mi.BSDF):
         """Draw a facet and reflect at it."""
         del sample1  # there is one lobe
         active = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-        bs = dr.zeros(mi.BSDFSample3f)
-        if not ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0):
-            return bs, mi.Spectrum(0)
+        if not front.glossy_enabled(ctx):
+            return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
         h = self._sample_facet(sample2)
         facing = dr.dot(h, si.wi) > 0
-        bs.wo = dr.normalize(mi.reflect(si.wi, h))
-        bs.eta = 1.0
-        bs.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
-        bs.sampled_component = mi.UInt32(0)
-        h, cos_d = _half_vector(si.wi, bs.wo)
-        bs.pdf = dr.select(active & facing, self._density(h) / (4 * cos_d), 0)
-        above = active & (bs.pdf > 0) & (mi.Frame3f.cos_theta(bs.wo) > 0)
+        wo = dr.normalize(mi.reflect(si.wi, h))
+        h, cos_d = _half_vector(si.wi, wo)
+        pdf = dr.select(active & facing, self._density(h) / (4 * cos_d), 0)
+        above = active & (pdf > 0) & (mi.Frame3f.cos_theta(wo) > 0)
         weight = self._fresnel(si, cos_d, above) * (
-            self._shadowing(si.wi, bs.wo) * 4 * cos_d * mi.Frame3f.cos_theta(bs.wo)
+            self._shadowing(si.wi, wo) * 4 * cos_d * mi.Frame3f.cos_theta(wo)
         )
-        return bs, weight & above
+        return front.glossy_sample(wo, pdf), weight & above
 
     def eval(self, ctx, si, wo, active=True):
         """BRDF times the cosine of `wo`."""
@@ -171,17 +165,17 @@ class AnisotropicPhong(mi.BSDF):
 
     def pdf(self, ctx, si, wo, active=True):
         """Density of `wo` in 1/sr; its integral is less than 1."""
-        if not ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0):
+        if not front.glossy_enabled(ctx):
             return mi.Float(0)
-        active = active & lobe.above(si.wi, wo)
+        active = active & front.above(si.wi, wo)
         h, cos_d = _half_vector(si.wi, wo)
         return dr.select(active, self._density(h) / (4 * cos_d), 0)
 
     def eval_pdf(self, ctx, si, wo, active=True):
         """Both of :meth:`eval` and :meth:`pdf`."""
-        if not ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0):
+        if not front.glossy_enabled(ctx):
             return mi.Spectrum(0), mi.Float(0)
-        active = active & lobe.above(si.wi, wo)
+        active = active & front.above(si.wi, wo)
         h, cos_d = _half_vector(si.wi, wo)
         density = self._density(h)
         value = self._fresnel(si, cos_d, active) * (

@@ -4,10 +4,8 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi.plugins import exponentiated_cosine as lobe
-from gonio_mi.plugins import properties
+from gonio_mi.plugins import front, properties
 from gonio_mi.plugins.reflectance import reflectance
-
-GLOSSY = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
 
 
 class CosineLobe(mi.BSDF):
@@ -110,11 +108,8 @@ class CosineLobe(mi.BSDF):
         self.exponent = lobe.exponent(props, "exponent", 16.0)
         self.form = properties.choice(props, "normalisation", "unit", lobe.FORMS)
         self.reflectance = reflectance(props, "reflectance", 1.0)
-        flags = GLOSSY
-        if self.form == "unit":
-            flags |= mi.BSDFFlags.NonSymmetric
-        self.m_components = [flags]
-        self.m_flags = flags
+        self.m_flags = lobe.flags(self.form)
+        self.m_components = [self.m_flags]
 
     def traverse(self, cb):
         """Expose exponent and reflectance."""
@@ -125,18 +120,15 @@ class CosineLobe(mi.BSDF):
         """Draw `wo` from the lobe; what falls below the horizon has no weight."""
         del sample1  # there is one lobe
         active = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-        bs = dr.zeros(mi.BSDFSample3f)
-        if not ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0):
-            return bs, mi.Spectrum(0)
+        if not front.glossy_enabled(ctx):
+            return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
         mirror = mi.reflect(si.wi)
-        bs.wo = lobe.around(self.exponent, mirror, sample2)
-        bs.pdf = dr.select(active, lobe.density(self.exponent, mirror, bs.wo), 0)
-        bs.eta = 1.0
-        bs.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
-        bs.sampled_component = mi.UInt32(0)
-        above = active & (mi.Frame3f.cos_theta(bs.wo) > 0)
-        weight = lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, bs.wo)
-        return bs, (self.reflectance.eval(si, above) * weight) & above
+        wo = lobe.around(self.exponent, mirror, sample2)
+        pdf = dr.select(active, lobe.density(self.exponent, mirror, wo), 0)
+        above = active & (mi.Frame3f.cos_theta(wo) > 0)
+        weight = lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
+        weight = (self.reflectance.eval(si, above) * weight) & above
+        return front.glossy_sample(wo, pdf), weight
 
     def eval(self, ctx, si, wo, active=True):
         """BRDF times the cosine of `wo`."""
@@ -144,17 +136,17 @@ class CosineLobe(mi.BSDF):
 
     def pdf(self, ctx, si, wo, active=True):
         """Density of `wo` in 1/sr; its integral is what stays above the horizon."""
-        if not ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0):
+        if not front.glossy_enabled(ctx):
             return mi.Float(0)
-        active = active & lobe.above(si.wi, wo)
+        active = active & front.above(si.wi, wo)
         density = lobe.density(self.exponent, mi.reflect(si.wi), wo)
         return dr.select(active, density, 0)
 
     def eval_pdf(self, ctx, si, wo, active=True):
         """Both of :meth:`eval` and :meth:`pdf`."""
-        if not ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0):
+        if not front.glossy_enabled(ctx):
             return mi.Spectrum(0), mi.Float(0)
-        active = active & lobe.above(si.wi, wo)
+        active = active & front.above(si.wi, wo)
         pdf = self.pdf(ctx, si, wo, active)
         weight = lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
         return (self.reflectance.eval(si, active) * (weight * pdf)) & active, pdf

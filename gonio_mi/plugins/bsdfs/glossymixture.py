@@ -4,11 +4,10 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi.plugins import exponentiated_cosine as lobe
-from gonio_mi.plugins import properties
+from gonio_mi.plugins import front, properties
 from gonio_mi.plugins.reflectance import mean, reflectance
 
 DIFFUSE = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
-GLOSSY = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
 
 
 class GlossyMixture(mi.BSDF):
@@ -90,11 +89,8 @@ class GlossyMixture(mi.BSDF):
                 "glossymixture: diffuse_reflectance + specular_reflectance must be at "
                 f"most 1, got {total:g}"
             )
-        glossy = GLOSSY
-        if self.form == "unit":
-            glossy |= mi.BSDFFlags.NonSymmetric
-        self.m_components = [DIFFUSE, glossy]
-        self.m_flags = DIFFUSE | glossy
+        self.m_components = [DIFFUSE, lobe.flags(self.form)]
+        self.m_flags = DIFFUSE | lobe.flags(self.form)
         self.parameters_changed([])
 
     def traverse(self, cb):
@@ -156,16 +152,16 @@ class GlossyMixture(mi.BSDF):
             return mi.Float(0)
         cosine, glossy = self._densities(si, wo)
         pdf = (1 - share) * cosine + share * glossy
-        return dr.select(active & lobe.above(si.wi, wo), pdf, 0)
+        return dr.select(active & front.above(si.wi, wo), pdf, 0)
 
     def eval_pdf(self, ctx, si, wo, active=True):
         """Both of :meth:`eval` and :meth:`pdf`."""
-        active = active & lobe.above(si.wi, wo)
+        active = active & front.above(si.wi, wo)
         cosine, glossy = self._densities(si, wo)
         value = mi.Spectrum(0)
         if ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0):
             value += self.diffuse.eval(si, active) * cosine
-        if ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 1):
+        if front.glossy_enabled(ctx, 1):
             glossy *= lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
             value += self.specular.eval(si, active) * glossy
         return value & active, self.pdf(ctx, si, wo, active)
@@ -180,7 +176,7 @@ class GlossyMixture(mi.BSDF):
     def _enabled_share(self, ctx):
         """Probability of the glossy lobe among the enabled ones; None without any."""
         diffuse = ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0)
-        glossy = ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 1)
+        glossy = front.glossy_enabled(ctx, 1)
         if diffuse and glossy:
             return self.glossy_share
         if diffuse or glossy:
