@@ -281,7 +281,7 @@ def test_netcdf_is_what_xarray_reads(tmp_path, glossy):
         assert data.theta_i.values.tolist() == [0, 30, 60]
 
 
-def test_netcdf_of_wavelengths_has_them_as_numbers(tmp_path):
+def test_netcdf_of_wavelengths_has_them_as_numbers():
     from gonio_mi import netcdf
 
     pytest.importorskip("xarray")
