@@ -13,6 +13,11 @@ __all__ = ["Deposits", "check_traced"]
 # More would only repeat what a further ray tells better.
 MOST_POINTS = 1024
 
+# Part of the points that goes to the lower hemisphere, if there is one; and where all
+# surfaces are opaque and no gap was seen. It changes what is learned, never the result.
+LOWER = 1 / 2
+LOWER_IF_DARK = 1 / 16
+
 
 def check_traced(bench, settings):
     """Raise SpecimenError for a flat specimen, which needs no points in patches."""
@@ -32,6 +37,9 @@ class Deposits:
     nothing stands in the way. That is an unbiased estimate of what those rays carry to
     the patch whose last event this is; those whose last event is a delta component
     are counted where they arrive.
+
+    Patches of one hemisphere are equally likely. Of the points one half goes to the
+    lower hemisphere; one sixteenth if that seems to be dark, which is not relied upon.
 
     Parameters
     ----------
@@ -54,6 +62,9 @@ class Deposits:
             mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth)
             for shape in bench.specimen.scene.shapes()
         )
+        self.lower = 0.0
+        if bench.shape[0] == 2:
+            self.lower = LOWER_IF_DARK if bench.specimen.seems_dark else LOWER
         subdivision = bench.film.subdivision
         theta_low, theta_high, phi_low, phi_high = subdivision.cells.T
         # sin^2(theta / 2) is proportional to solid angle, and exact at the pole
@@ -102,13 +113,11 @@ class Deposits:
         part = dr.rcp(mi.Float(n_points))  # of the collector, for each point
         while i < n_points:
             share = (mi.Float(i) + sampler.next_1d(active)) * part
-            number, wo, solid_angle = self._point(
-                si.p + shift, share, sampler.next_2d()
-            )
+            number, wo, spread = self._point(si.p + shift, share, sampler.next_2d())
             local_wo = si.to_local(wo)
             value = bsdf.eval(flux_context(), si, local_wo, wanted)
             value *= shading_normal_correction(si, ray, local_wo, wo)
-            power = value * β * (solid_angle * (self.bench.n_collected * part))
+            power = value * β * (spread * part)
             # comparisons with NaN are false
             good = (dr.min(power) >= 0) & (dr.max(power) <= LARGEST_POWER)
             sound &= good | ~wanted
@@ -136,15 +145,18 @@ class Deposits:
         number : mi.UInt32
             Of the patch, over both hemispheres.
         wo : mi.Vector3f
-        solid_angle : mi.Float
-            That of the patch in sr, times the change to that seen from `p`; 0 where the
-            point belongs to another patch.
+        spread : mi.Float
+            Solid angle of the patch as seen from `p`, in sr, over the probability of
+            the patch; 0 where the point belongs to another patch.
         """
         bench = self.bench
-        number = mi.UInt32(share * float(bench.n_collected))
-        number = dr.minimum(number, bench.n_collected - 1)
-        lower = number >= bench.n_patches
-        patch = number - dr.select(lower, mi.UInt32(bench.n_patches), 0)
+        upper = dr.opaque(mi.Float, 1 - self.lower)
+        lower = share >= upper
+        part = dr.select(lower, 1 - upper, upper)
+        place = dr.select(lower, share - upper, share) / part
+        patch = mi.UInt32(place * float(bench.n_patches))
+        patch = dr.minimum(patch, bench.n_patches - 1)
+        number = patch + dr.select(lower, mi.UInt32(bench.n_patches), 0)
         low, span, phi_low, phi_span = (
             dr.gather(mi.Float, column, patch) for column in self.table
         )
@@ -161,4 +173,4 @@ class Deposits:
         up = dr.select(lower, -float(bench.beam.side), float(bench.beam.side))
         point.z *= up
         seen, change = bench.sensor.seen(p, point)
-        return number, seen, solid_angle * change
+        return number, seen, solid_angle * change * (float(bench.n_patches) / part)

@@ -2,12 +2,14 @@
 
 import re
 from dataclasses import dataclass
+from functools import cached_property
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
+from .flight import LIFT, escapes
 
 __all__ = ["Plane", "Specimen", "checked_period"]
 
@@ -184,6 +186,25 @@ class Specimen:
         """Smallest extent of the bounding box that is not 0."""
         extents = self.high - self.low
         return float(extents[extents > 1e-6 * extents.max()].min())
+
+    @cached_property
+    def seems_dark(self):
+        """Whether no surface transmits, and no ray of a few thousand finds a gap.
+
+        They come from above, from all directions and all over the box.
+        """
+        if not self.closed_to_light:
+            return False
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(0, N_POINTS)
+        x, y = sampler.next_2d()
+        top = float(self.high[2] + self.reach * LIFT)
+        low, extent = self.low.tolist(), (self.high - self.low).tolist()
+        start = mi.Point3f(low[0] + x * extent[0], low[1] + y * extent[1], top)
+        down = -mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+        ray, active = mi.Ray3f(start, down), mi.Bool(True)
+        free = escapes(self, 1, ray, mi.Normal3f(0), mi.Float(0), active)
+        return not dr.any(free)
 
     def _set_cell(self, period):
         """Put the cell's sides into the place of the bounding box's."""
