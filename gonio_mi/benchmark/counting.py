@@ -3,7 +3,7 @@
 from .c_loop import CompilerError
 from .rivals import c_rays, chi2_rays, gonio_rays, numba_rays, numpy_rays, samples
 from .table import print_table
-from .timing import in_turns
+from .timing import in_turns, speeds
 
 __all__ = ["SPECIMENS", "print_rates", "rivals"]
 
@@ -52,20 +52,10 @@ def print_rates(rays, repeats):
     for name, specimen in SPECIMENS.items():
         runs[name, "Mitsuba's sample, nothing counted"] = samples(specimen, rays)
     times = in_turns(runs, repeats)
-    first = next(iter(times.values())).cpu
-    rows = [
-        (
-            *key,
-            f"{1e9 * time.cpu / rays:.2f}",
-            f"{rays / time.wall / 1e6:.0f}",
-            f"{first / time.cpu:.2f}",
-        )
-        for key, time in times.items()
-    ]
     print_table(
         f"Counting: {rays:g} rays into 900 patches, medians of {repeats} runs in turns",
         ("specimen", "method", "core-ns per ray", "Mray/s", "speed"),
-        rows,
+        speeds(times, rays),
     )
     for sentence in absent:
         print(sentence)

@@ -15,7 +15,6 @@ from .renderers import (
     KLEMS,
     RADIANCE_GROOVE,
     RADIANCE_PLATE,
-    patch_borders,
     path_directions,
     path_samples,
     radiance_genbsdf,
@@ -104,7 +103,7 @@ def contests():
     except ImportError:
         absent.append("Radiance is left out: pip install 'gonio-mi[benchmark]'")
     else:
-        every = np.broadcast_to(KLEMS.projected_solid_angles / np.pi, (145, 145))
+        every = np.broadcast_to(KLEMS.projected_solid_angles / np.pi, (145, 145, 1))
         found["white plate, 145 patches"].append((plate, groove.REFLECTANCE * every))
         found["diffuse V-groove, 145 patches"].append((grooves, klems_groove_flux()))
     return found, absent
@@ -121,17 +120,19 @@ def _ours(specimen, **settings):
 
 def _groove_flux(wi, grid):
     """Exact flux fractions of the V-groove, shape (len(wi), patches)."""
-    borders = grid.borders if grid is KLEMS else patch_borders(grid)
-    points = groove.patch_points(*borders, 4)
+    points = groove.patch_points(grid.cells, 4)
     flux = groove.patch_means(wi, points)
     return flux * np.ravel(grid.projected_solid_angles)
 
 
 def klems_groove_flux():
-    """Means over incident patches too; Radiance numbers them by the way light takes."""
-    points = groove.patch_points(*KLEMS.borders, 3) * [-1, -1, 1]
+    """Exact flux fractions from each Klems patch into each, shape (145, 145, 1).
+
+    Means over incident patches too; Radiance numbers them by the way light takes.
+    """
+    points = groove.patch_points(KLEMS.cells, 3) * [-1, -1, 1]
     flux = _groove_flux(points.reshape(-1, 3), KLEMS)
-    return flux.reshape(145, -1, 145).mean(axis=1)
+    return flux.reshape(145, -1, 145).mean(axis=1)[..., None]
 
 
 # ------------------------------------------------------------------- error and cost

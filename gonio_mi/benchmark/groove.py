@@ -75,25 +75,26 @@ def _exposure(w, edges):
     return np.concatenate(exposures, axis=1)
 
 
-def patch_points(theta_edges, phi_edges, n):
+def patch_points(cells, n):
     """Directions of ``n x n`` points in each patch, of equal projected solid angles.
 
     Parameters
     ----------
-    theta_edges, phi_edges : array_like, shape (patches, 2)
-        Borders of each patch in radians.
+    cells : ndarray, shape (patches, 4)
+        Borders of each patch, see :attr:`gonio_mi.Subdivision.cells`.
+    n : int
 
     Returns
     -------
     ndarray, shape (patches, n * n, 3)
     """
     part = (np.arange(n) + 0.5) / n
-    low, high = np.sin(theta_edges.T) ** 2
+    low, high = np.sin(cells[:, :2].T) ** 2
     theta = np.arcsin(np.sqrt(low[:, None] + (high - low)[:, None] * part))
-    first, last = phi_edges.T
+    first, last = cells[:, 2:].T
     phi = first[:, None] + (last - first)[:, None] * part
     theta, phi = np.broadcast_arrays(theta[:, :, None], phi[:, None, :])
-    return direction(theta, phi).reshape(len(theta_edges), n * n, 3)
+    return direction(theta, phi).reshape(len(cells), n * n, 3)
 
 
 def patch_means(wi, points):

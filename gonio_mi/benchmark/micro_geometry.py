@@ -8,7 +8,7 @@ import numpy as np
 from ..directions import direction
 from ..plugins.specimen import Specimen
 from .table import print_table
-from .timing import in_turns
+from .timing import in_turns, speeds
 
 __all__ = ["film_paths", "gonio_paths", "print_speeds"]
 
@@ -54,11 +54,11 @@ def gonio_paths(resolution, sampler, estimator="weighted", period="none"):
     scene = mi.load_dict({"type": "scene", "surface": surface(resolution)})
     bench = integrator.bench(Specimen(scene, period), [lamp], sensor)
 
-    def send(rays, seed):
+    def _send(rays, seed):
         (tally,) = integrator.tallies(bench, (seed, 0), [rays])
         return tally.ledger.reflected / rays
 
-    return send
+    return _send
 
 
 def film_paths(resolution, coherent):
@@ -87,14 +87,14 @@ def film_paths(resolution, coherent):
         }
     )
 
-    def send(paths, seed):
+    def _send(paths, seed):
         side = round(paths**0.5) if coherent else 1
         image = mi.render(
             scene, sensor=_film(scene, side), spp=paths // side**2, seed=seed
         )
         return float(np.mean(image.numpy()))
 
-    return send
+    return _send
 
 
 @lru_cache(maxsize=2)
@@ -140,19 +140,9 @@ def print_speeds(rays, repeats, resolution=512):
     times = in_turns(
         {key: lambda send=send: send(rays, 0) for key, send in ways.items()}, repeats
     )
-    first = next(iter(times.values())).cpu
-    rows = [
-        (
-            *key,
-            f"{1e9 * time.cpu / rays:.0f}",
-            f"{rays / time.wall / 1e6:.2f}",
-            f"{first / time.cpu:.2f}",
-        )
-        for key, time in times.items()
-    ]
     print_table(
         f"Mirror height field of {resolution}^2 cells, alpha 0.5, at {THETA_I:g} "
         f"degrees, every bounce: {rays:g} paths, medians of {repeats} runs in turns",
         ("method", "paths start", "core-ns per path", "Mpath/s", "speed"),
-        rows,
+        speeds(times, rays),
     )

@@ -3,24 +3,24 @@
 import contextlib
 import io
 import os
-from dataclasses import dataclass
 from functools import lru_cache
 
 import mitsuba as mi
 import numpy as np
 
 from ..directions import direction
+from ..klems import Klems
 from . import groove
 from .rivals import GRID, THETA_I, Rival
 
 __all__ = [
     "KLEMS",
-    "KlemsPatches",
-    "patch_borders",
     "path_directions",
     "path_samples",
     "radiance_genbsdf",
 ]
+
+KLEMS = Klems()
 
 RADIANCE_PLATE = (
     "m polygon plate 0 0 12  -1 -1 -0.001  1 -1 -0.001  1 1 -0.001  -1 1 -0.001"
@@ -41,14 +41,14 @@ def path_directions(specimen):
     for the mean. The size is n.
     """
 
-    def plate():
+    def _plate():
         return {"plate": {"type": "rectangle", "bsdf": specimen}}
 
-    def flux(n, seed):
-        return _path_flux(_path_scene(plate, n), n, 1, seed)
+    def _flux(n, seed):
+        return _path_flux(_path_scene(_plate, n), n, 1, seed)
 
     name = "Mitsuba path, batch of distant"
-    return Rival(name, flux, size="x as many per patch", first=1, random=False)
+    return Rival(name, _flux, size="x as many per patch", first=1, random=False)
 
 
 def path_samples(shapes, n=1):
@@ -57,16 +57,16 @@ def path_samples(shapes, n=1):
     `shapes` is a function that gives Mitsuba's dictionaries of them.
     """
 
-    def flux(paths, seed):
+    def _flux(paths, seed):
         return _path_flux(_path_scene(shapes, n), n, paths, seed)
 
-    return Rival("Mitsuba path, batch of distant", flux, size="paths each", first=1)
+    return Rival("Mitsuba path, batch of distant", _flux, size="paths each", first=1)
 
 
 @lru_cache(maxsize=1)  # all sensors that exist, of any scene, make a rendering slower
 def _path_scene(shapes, n):
     """One `distant` sensor for each direction, in a `batch`, above the lit specimen."""
-    points = groove.patch_points(*patch_borders(GRID), n).reshape(-1, 3)
+    points = groove.patch_points(GRID.cells, n).reshape(-1, 3)
     film = {"type": "hdrfilm", "height": 1, "rfilter": {"type": "box"}}
     # sensors in a batch do not learn of the scene's size: rays start on the target
     target = mi.load_dict(
@@ -109,44 +109,7 @@ def _path_flux(scene, n, paths, seed):
     return brdf / np.cos(np.radians(THETA_I)) * GRID.projected_solid_angles
 
 
-def patch_borders(grid):
-    """Borders of all patches of a grid in polar angle and azimuth, shapes (n, 2)."""
-    theta = np.stack([grid.theta_edges[:-1], grid.theta_edges[1:]], axis=-1)
-    phi = np.stack([grid.phi_edges[:-1], grid.phi_edges[1:]], axis=-1)
-    return np.repeat(theta, grid.n_phi, axis=0), np.tile(phi, (grid.n_theta, 1))
-
-
 # -------------------------------------------------------------------------- Radiance
-
-
-@dataclass(frozen=True)
-class KlemsPatches:
-    """The full Klems basis: 145 patches, in rings of unlike numbers of sectors.
-
-    The middle of the first sector of each ring is at the azimuth 0.
-    """
-
-    n_patches: int = 145
-
-    @property
-    def borders(self):
-        """Borders of all patches in polar angle and azimuth, shapes (145, 2)."""
-        theta_deg = (0, 5, 15, 25, 35, 45, 55, 65, 75, 90)
-        theta, phi = [], []
-        for i, n in enumerate((1, 8, 16, 20, 24, 24, 24, 16, 12)):
-            first = np.arange(n) - 0.5
-            theta += [np.radians(theta_deg[i : i + 2])] * n
-            phi += list(2 * np.pi / n * np.stack([first, first + 1], axis=-1))
-        return np.array(theta), np.array(phi)
-
-    @property
-    def projected_solid_angles(self):
-        """Projected solid angle of each patch in sr, shape (145,)."""
-        theta, phi = self.borders
-        return np.diff(np.sin(theta) ** 2)[:, 0] * np.diff(phi)[:, 0] / 2
-
-
-KLEMS = KlemsPatches()
 
 
 def radiance_genbsdf(geometry, reflectance):
@@ -162,8 +125,8 @@ def radiance_genbsdf(geometry, reflectance):
     Returns
     -------
     Rival
-        Its flux has the shape (145 incident, 145 outgoing); the size is the number of
-        samples for each incident patch.
+        Its flux has the shape (145 incident, 145 outgoing, 1); the size is the number
+        of samples for each incident patch.
 
     Raises
     ------
@@ -176,7 +139,7 @@ def radiance_genbsdf(geometry, reflectance):
     scene = (scene + geometry).encode()
     processes = len(os.sched_getaffinity(0))
 
-    def flux(samples, seed):
+    def _flux(samples, seed):
         del seed  # it has none
         with contextlib.redirect_stdout(io.StringIO()):  # remarks on the bounding box
             result = pyradiance.generate_bsdf(
@@ -187,11 +150,11 @@ def radiance_genbsdf(geometry, reflectance):
                 front=False,
             )
         matrix = np.array(result.back.reflectance.split(), dtype=float)
-        return matrix.reshape(145, 145).T
+        return matrix.reshape(145, 145).T[..., None]
 
     return Rival(
         "Radiance genBSDF, Klems",
-        flux,
+        _flux,
         KLEMS,
         size="samples",
         first=16,

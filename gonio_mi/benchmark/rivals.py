@@ -66,7 +66,7 @@ def gonio_rays(
 ):
     """Our instrument, by rays; by default at one point, as the others do."""
 
-    def flux(rays, seed):
+    def _flux(rays, seed):
         record = goniophotometer.measure(
             specimen,
             THETA_I,
@@ -81,7 +81,7 @@ def gonio_rays(
         return record.brdf[..., 0] * grid.projected_solid_angles
 
     shown = "1 batch" if batches == 1 else f"{batches} batches"
-    return Rival(f"gonio-mi, {sampler}, {estimator}, {shown}", flux, grid)
+    return Rival(f"gonio-mi, {sampler}, {estimator}, {shown}", _flux, grid)
 
 
 def samples(specimen, rays):
@@ -94,7 +94,7 @@ def samples(specimen, rays):
     si.wi = mi.Vector3f(direction(np.radians(THETA_I), 0.0).tolist())
     dr.make_opaque(si.wi)
 
-    def run():
+    def _run():
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(0, rays)
         bs, weight = bsdf.sample(
@@ -103,19 +103,19 @@ def samples(specimen, rays):
         dr.eval(dr.sum(bs.wo.x + bs.wo.y + bs.wo.z + dr.sum(weight)))
         dr.sync_thread()
 
-    return run
+    return _run
 
 
 def patch_integrals(specimen):
     """Our adaptive integral of ``eval``; its size is one over the tolerated error."""
 
-    def flux(size, seed):
+    def _flux(size, seed):
         del seed
         bsdf = mi.load_dict(specimen)
         return integrate(bsdf, THETA_I, 0, GRID, rel_err=1 / size).flux[0, ..., 0]
 
     return Rival(
-        "gonio-mi, integral of eval", flux, size="1 / rel_err", first=1, random=False
+        "gonio-mi, integral of eval", _flux, size="1 / rel_err", first=1, random=False
     )
 
 
@@ -130,7 +130,7 @@ def chi2_rays(specimen):
     sample, pdf = mi.chi2.BSDFAdapter(specimen["type"], specimen, wi=wi)
     grid = EqualSolidAngle(30, 30)
 
-    def flux(rays, seed):
+    def _flux(rays, seed):
         test = mi.chi2.ChiSquareTest(
             domain=mi.chi2.SphericalDomain(),
             sample_func=sample,
@@ -146,13 +146,13 @@ def chi2_rays(specimen):
         upper = counts[: grid.n_theta].astype(float)
         return np.roll(upper, -(grid.n_phi // 2), axis=1) / rays
 
-    return Rival("mi.chi2 histogram", flux, grid)
+    return Rival("mi.chi2 histogram", _flux, grid)
 
 
 def numpy_rays():
     """A white Lambertian surface, in blocks of NumPy."""
 
-    def flux(rays, seed):
+    def _flux(rays, seed):
         generator = np.random.default_rng(seed)
         counts = np.zeros(GRID.n_patches, np.int64)
         for start in range(0, rays, 2**18):
@@ -164,7 +164,7 @@ def numpy_rays():
             counts += np.bincount(GRID.patch(v), minlength=GRID.n_patches)
         return counts.reshape(GRID.shape) / rays
 
-    return Rival("NumPy", flux)
+    return Rival("NumPy", _flux)
 
 
 @cache
@@ -173,7 +173,7 @@ def _numba_loop():
     import numba
 
     @numba.njit(parallel=True, fastmath=True)
-    def count(rays, seed, n_theta, n_phi, n_parts):
+    def _count(rays, seed, n_theta, n_phi, n_parts):
         counts = np.zeros((n_parts, n_theta * n_phi), np.int64)
         for part in numba.prange(n_parts):
             # numba knows the legacy generator only, one in each thread
@@ -190,25 +190,25 @@ def _numba_loop():
             counts[part] = own
         return counts.sum(axis=0)
 
-    return count
+    return _count
 
 
 def numba_rays():
     """A white Lambertian surface, in a parallel loop; ImportError without numba."""
     count = _numba_loop()
 
-    def flux(rays, seed):
+    def _flux(rays, seed):
         counts = count(rays, seed, *GRID.shape, 16)
         return counts.reshape(GRID.shape) / rays
 
-    return Rival("numba, parallel loop", flux)
+    return Rival("numba, parallel loop", _flux)
 
 
 def c_rays():
     """A white Lambertian surface, in vectorised C; CompilerError without a compiler."""
     c_loop.library()
 
-    def flux(rays, seed):
+    def _flux(rays, seed):
         return c_loop.count_diffuse(rays, seed, GRID, dr.thread_count()) / rays
 
-    return Rival("C, vectorised by hand", flux)
+    return Rival("C, vectorised by hand", _flux)

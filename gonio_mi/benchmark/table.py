@@ -14,7 +14,7 @@ def print_table(title, header, rows):
     """
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
 
-    def line(row):
+    def _line(row):
         cells = [
             text.ljust(width) if i < 2 else text.rjust(width)
             for i, (text, width) in enumerate(zip(row, widths))
@@ -27,5 +27,5 @@ def print_table(title, header, rows):
     ]
     print(f"\n{title}\n")
     for row in (header, rule, *rows):
-        print(line(row))
+        print(_line(row))
     print(flush=True)

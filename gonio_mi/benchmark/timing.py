@@ -5,7 +5,7 @@ import time
 from dataclasses import dataclass
 from statistics import median
 
-__all__ = ["Times", "cpu_seconds", "in_turns", "peak_memory"]
+__all__ = ["Times", "cpu_seconds", "in_turns", "peak_memory", "speeds"]
 
 
 def cpu_seconds():
@@ -55,3 +55,29 @@ def in_turns(runs, repeats):
         name: Times(*(median(column) for column in zip(*times)))
         for name, times in spent.items()
     }
+
+
+def speeds(times, n):
+    """Rows of a table of speeds, relative to the first.
+
+    Parameters
+    ----------
+    times : dict of tuple of str to Times
+        The first cells of each row, and how long `n` rays or paths took.
+    n : int
+
+    Returns
+    -------
+    list of tuple of str
+        Those cells, core-nanoseconds for each, millions a second, and the speed.
+    """
+    first = next(iter(times.values())).cpu
+    return [
+        (
+            *cells,
+            f"{1e9 * time.cpu / n:.4g}",
+            f"{n / time.wall / 1e6:.3g}",
+            f"{first / time.cpu:.2f}",
+        )
+        for cells, time in times.items()
+    ]
