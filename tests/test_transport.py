@@ -20,6 +20,7 @@ from scipy import stats
 
 import gonio_mi as gonio
 from gonio_mi.directions import direction
+from gonio_mi.plugins.specimen import Specimen
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -314,3 +315,49 @@ def test_shapes_that_mitsuba_merges(loaded):
         assert not plates.bbox().valid()  # when this fails, Mitsuba has mended it
     record = gonio.measure(plates, 30, rays=10_000)
     assert record.ledger.reflected == 10_000
+
+
+def ball(radius):
+    """Scene of a mesh and a ball in front of it."""
+    field = {"type": "heightfield", "alpha": 0.5, "resolution": 16}
+    sphere = {"type": "sphere", "radius": radius, "center": [0, 0, 1]}
+    return mi.load_dict({"type": "scene", "field": field, "sphere": sphere})
+
+
+def tallies(scene):
+    return gonio.measure(scene, 30, rays=10_000).tallies
+
+
+def shrink(scene, parameter):
+    """Shrink a shape by half, towards the origin."""
+    parameters = mi.traverse(scene)
+    value = parameters[parameter]
+    if isinstance(value, mi.Float):
+        parameters[parameter] = value * 0.5
+    else:
+        parameters[parameter] = mi.Transform4f().scale(0.5) @ value
+    parameters.update()
+
+
+def test_geometry_is_built_once():
+    """Exact: a loaded scene that is measured again is not built again; same bits."""
+    scene, other = ball(0.2), ball(0.2)
+    built = Specimen(scene).scene
+    assert Specimen(scene, "box").scene is built
+    again = tallies(scene)
+    assert Specimen(scene).scene is built
+    assert Specimen(other).scene is not built
+    assert tallies(other) == again
+
+
+@pytest.mark.parametrize("parameter", ["field.vertex_positions", "sphere.to_world"])
+def test_changed_geometry_is_seen(parameter):
+    """Exact: after a change of a mesh or a ball, what a new scene gives; same bits."""
+    scene = ball(0.2)
+    before = tallies(scene)
+    shrink(scene, parameter)
+    after = tallies(scene)
+    assert after != before
+    other = ball(0.2)
+    shrink(other, parameter)
+    assert tallies(other) == after

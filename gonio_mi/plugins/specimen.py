@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import SpecimenError
 from .flight import LIFT, escapes
+from .geometry import scene_of
 
 __all__ = ["Plane", "Specimen", "checked_period"]
 
@@ -141,13 +142,7 @@ class Specimen:
             if isinstance(shape, mi.Mesh) and not shape.bbox().valid():
                 # merged from others by Mitsuba 3.9.1, which forgets to
                 shape.recompute_bbox()
-        scene = mi.load_dict(
-            # watertight: without it rays slip between the triangles of a mesh
-            {"type": "scene", "embree_use_robust_intersections": True}
-            | {f"shape_{i}": shape for i, shape in enumerate(shapes)},
-            optimize=False,
-        )
-        self.scene = scene
+        self.scene = scene = scene_of(shapes)
         box = scene.bbox()
         self.low = np.array(box.min, dtype=float).ravel()
         self.high = np.array(box.max, dtype=float).ravel()
