@@ -7,8 +7,9 @@ import pytest
 
 from gonio_mi import SpecimenError
 from gonio_mi.subdivision import EqualAngle
+from gonio_mi.validation.collecting import rounding
 from gonio_mi.validation.conditions import Condition
-from gonio_mi.validation.drawing import count, rounding
+from gonio_mi.validation.drawing import count
 from gonio_mi.validation.integrals import SHARE, SUM_ERROR, WIDE, integrals
 from gonio_mi.validation.probe import Probe
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import mitsuba as mi
 import numpy as np
 
+from .collecting import collect
 from .conditions import Condition
-from .drawing import collect
 from .identities import is_many, unequal
 from .probe import Probe, numbers, spectral
 
@@ -37,56 +37,54 @@ def check_flags(evidence, bsdf):
             f"{_names(union & ~flags)} of a component only",
             "`flags` of the whole lacks what a component declares",
         )
-    seen, any_light = 0, False
+    seen = 0
     for drawn in evidence.drawn:
-        given = drawn.given
-        any_light |= bool(given.any())
-        if not given.any():
-            continue
-        types = drawn.type[given]
-        kinds = int(np.bitwise_or.reduce(types))
-        seen |= kinds
-        if kinds & ~flags:
-            names = _names(kinds & ~flags)
-            _breach(
-                evidence,
-                "flags",
-                f"{names} sampled at {drawn.condition}",
-                f"`flags` does not declare {names}, which `sample` draws",
-            )
-            return
-        components = drawn.component[given]
-        wrong = components >= n
-        if wrong.any():
-            _breach(
-                evidence,
-                "sample",
-                f"{int(components.max())} of {n} components",
-                "`sample` names a component that is not declared",
-            )
-            return
-        for i in set(components.tolist()):
-            own = int(np.bitwise_or.reduce(types[components == i]))
-            if own & ~int(bsdf.flags(i)):
-                names = _names(own & ~int(bsdf.flags(i)))
-                _breach(
-                    evidence,
-                    "sample",
-                    f"{names} as component {i}",
-                    f"`sample` gives component {i} a type that its flags lack",
-                )
+        if drawn.given.any():
+            kinds, breach = _undeclared(bsdf, drawn)
+            seen |= kinds
+            if breach:
+                _breach(evidence, *breach)
                 return
     lobes = sum(int(getattr(mi.BSDFFlags, name)) for name in LOBES)
     missing = flags & lobes & ~seen
-    if any_light and missing:
+    if seen and missing:
         # costs time at most, and a texture may use it elsewhere
-        evidence.remarks["flags"] = f"{_names(missing)} declared and never sampled"
+        evidence.remark("flags", f"{_names(missing)} declared and never sampled")
+
+
+def _undeclared(bsdf, drawn):
+    """Types of all samples, and the breach of those that are not declared, or None."""
+    flags, n = int(bsdf.flags()), bsdf.component_count()
+    types, components = drawn.type[drawn.given], drawn.component[drawn.given]
+    kinds = int(np.bitwise_or.reduce(types))
+    if kinds & ~flags:
+        names = _names(kinds & ~flags)
+        return kinds, (
+            "flags",
+            f"{names} sampled at {drawn.condition}",
+            f"`flags` does not declare {names}, which `sample` draws",
+        )
+    if components.max() >= n:
+        return kinds, (
+            "sample",
+            f"{int(components.max())} of {n} components",
+            "`sample` names a component that is not declared",
+        )
+    for i in set(components.tolist()):
+        own = int(np.bitwise_or.reduce(types[components == i])) & ~int(bsdf.flags(i))
+        if own:
+            return kinds, (
+                "sample",
+                f"{_names(own)} as component {i}",
+                f"`sample` gives component {i} a type that its flags lack",
+            )
+    return kinds, None
 
 
 def check_sides(evidence, bsdf, seed):
-    """Both sides, rotation and differentials as declared.
+    """Both sides, rotation, differentials and places as declared.
 
-    SpatiallyVarying is not looked at: none of Mitsuba's BSDFs declares it.
+    SpatiallyVarying is a remark: none of Mitsuba's BSDFs declares it.
     """
     flags = int(bsdf.flags())
     all_flags = mi.BSDFFlags
@@ -108,25 +106,30 @@ def check_sides(evidence, bsdf, seed):
     if not _has_light(evidence):
         return
     drawn = collect(bsdf, base, 2**12, (seed, 32))
-    if not flags & int(all_flags.Anisotropic):
-        _check_variation(evidence, bsdf, drawn, "Anisotropic", _turn)
-    if not bsdf.needs_differentials():
-        _check_variation(evidence, bsdf, drawn, "NeedsDifferentials", _differentiate)
+    for name, declared, change in (
+        ("Anisotropic", flags & int(all_flags.Anisotropic), _turn),
+        ("NeedsDifferentials", bsdf.needs_differentials(), _differentiate),
+    ):
+        changed = 0.0 if declared else _changed(bsdf, drawn, change)
+        if changed:
+            _breach(
+                evidence,
+                "flags",
+                f"`eval` changes for {changed:.3g} of them",
+                f"`flags` does not declare {name}, but `eval` depends on it",
+            )
+    if not flags & int(all_flags.SpatiallyVarying) and _changed(bsdf, drawn, _move):
+        text = "`eval` depends on uv without SpatiallyVarying, as Mitsuba's own do"
+        evidence.remark("flags", text)
 
 
-def _check_variation(evidence, bsdf, drawn, name, change):
-    """``eval`` does not change where its flags say so."""
+def _changed(bsdf, drawn, change):
+    """Share of samples for which `change` changes ``eval``; 0 for a few."""
     probe = Probe(bsdf, drawn.condition)
     wo = change(probe, drawn.wo)
     value = spectral(probe.eval(mi.Vector3f(wo.T)), drawn.n)
     differs = unequal(value, drawn.eval, drawn.eval_slack) & drawn.smooth
-    if is_many(differs, drawn.n):
-        _breach(
-            evidence,
-            "flags",
-            f"`eval` changes for {differs.mean():.3g} of them",
-            f"`flags` does not declare {name}, but `eval` depends on it",
-        )
+    return float(differs.mean()) if is_many(differs, drawn.n) else 0.0
 
 
 def _turn(probe, wo):
@@ -136,16 +139,22 @@ def _turn(probe, wo):
     return wo @ turn.T
 
 
+def _move(probe, wo):
+    """Another place of the texture."""
+    probe.uv = mi.Point2f(0.15, 0.7)
+    return wo
+
+
 def _differentiate(probe, wo):
     """Rays with differentials."""
     plain = probe.interaction
 
-    def interaction(wi=None):
+    def _interaction(wi=None):
         si = plain(wi)
         si.duv_dx, si.duv_dy = mi.Vector2f(0.3, 0.1), mi.Vector2f(-0.1, 0.2)
         return si
 
-    probe.interaction = interaction
+    probe.interaction = _interaction
     return wo
 
 
@@ -177,7 +186,7 @@ def check_components(evidence, bsdf, drawn):
 def check_masks(evidence, bsdf, seed):
     """Every other ray is inactive: it gets no light, the others what they got.
 
-    The density of an inactive ray is of no use to anyone, and not looked at.
+    The density of an inactive ray is of no use to anyone, and a remark only.
     """
     condition, n = Condition(40.0, 25.0), 2**10
     drawn = collect(bsdf, condition, n, (seed, 41))
@@ -196,6 +205,9 @@ def check_masks(evidence, bsdf, seed):
         ("eval_pdf", joint[0], drawn.joint["eval_pdf"][0]),
         ("eval_pdf", joint[1], drawn.joint["eval_pdf"][1]),
     ]
+    densities = numbers(answers[2][1], n)
+    if densities[~active].any():
+        evidence.remark("masks", "`pdf` gives inactive rays a value, which nobody uses")
     for function, masked, plain in answers:
         flat = np.ndim(plain) == 1
         masked = numbers(masked, n) if flat else spectral(masked, n)

@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 from scipy import special
 
-from .drawing import collect
+from .collecting import collect
 from .identities import ROUNDING, is_many, unequal
 
 __all__ = ["check_delta", "check_null"]

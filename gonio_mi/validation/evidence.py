@@ -82,7 +82,7 @@ class Evidence:
     undecided : dict of str
         By property, why it could not be decided and what it would take.
     remarks : dict of str
-        By property, what holds, in numbers.
+        By property, what is worth knowing though it holds.
     declared : dict of str
         By property, why it is lacking with the plugin's own declaration.
     maps : list of FourMaps
@@ -100,6 +100,11 @@ class Evidence:
     def breach(self, *args, **kwargs):
         """Add a :class:`Breach`."""
         self.breaches.append(Breach(*args, **kwargs))
+
+    def remark(self, name, text):
+        """Note what says nothing against a property."""
+        known = self.remarks.get(name)
+        self.remarks[name] = f"{known}; {text}" if known else text
 
     def test(self, *args, **kwargs):
         """Add a :class:`Test`."""

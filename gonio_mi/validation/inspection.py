@@ -8,9 +8,9 @@ import mitsuba as mi
 from ..errors import SpecimenError, checked_count, checked_number
 from ..specimen import check_variant, load_specimen, loaded, specimen_name
 from . import balance, declarations, delta, ends, identities, symmetry
+from .collecting import collect
 from .conditions import Effort
 from .diagnosis import diagnose
-from .drawing import collect
 from .evidence import PROPERTIES, Evidence
 from .maps import four_maps
 from .probe import PluginFault, Probe
@@ -154,13 +154,13 @@ def _check_maps(evidence, bsdf, plan, sides, components, seed):
     if failed:
         text = (
             f"the integrals of {failed} of {len(conditions)} incident directions did "
-            "not converge: it would take a rougher lobe"
+            "not converge: it would take more effort, or a smoother lobe"
         )
         for name in ("sampling", "weights", "energy"):
             if failed == len(conditions):
                 evidence.undecided[name] = text
             else:
-                evidence.remarks[name] = text
+                evidence.remark(name, text)
 
 
 def _depends_on_mode(drawn):

@@ -12,7 +12,8 @@ from scipy import special
 
 from ..errors import SpecimenError
 from ..subdivision import Subdivision
-from .drawing import Totals, count, rounding
+from .collecting import rounding
+from .drawing import Totals, count
 from .integrals import Integrals, integrals
 from .probe import Probe
 

@@ -57,10 +57,10 @@ def _columns(maps):
     shape = (2, *maps.subdivision.shape)
     solid = maps.subdivision.solid_angles
 
-    def density(values):
+    def _density(values):
         return values.reshape(shape) / solid
 
-    def scores(found):
+    def _scores(found):
         z = np.zeros(int(np.prod(shape)))
         ends = np.append(found.first[1:], z.size)
         for value, begin, end in zip(found.z, found.first, ends):
@@ -69,12 +69,12 @@ def _columns(maps):
 
     drawn, n = maps.totals, maps.totals.n
     return [
-        ("counted directions", density(drawn.counts / n)),
-        ("integral of pdf", density(maps.pdf)),
-        ("z: counted - pdf", scores(maps.count_scores)),
-        ("summed weights", density(drawn.sums / n)),
-        ("integral of eval", density(maps.eval)),
-        ("z: weights - eval", scores(maps.weight_scores)),
+        ("counted directions", _density(drawn.counts / n)),
+        ("integral of pdf", _density(maps.pdf)),
+        ("z: counted - pdf", _scores(maps.count_scores)),
+        ("summed weights", _density(drawn.sums / n)),
+        ("integral of eval", _density(maps.eval)),
+        ("z: weights - eval", _scores(maps.weight_scores)),
     ]
 
 

@@ -202,10 +202,10 @@ def _time_limit(seconds):
         yield
         return
 
-    def ring(*_):
+    def _ring(*_):
         raise _TimeOutError
 
-    before = signal.signal(signal.SIGALRM, ring)
+    before = signal.signal(signal.SIGALRM, _ring)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield

@@ -68,6 +68,32 @@ def cases():
             {"type": "roughplastic", "alpha": 0.3} | GGX,
         ),
         ("pplastic:alpha=0.3", {"type": "pplastic", "alpha": 0.3}),
+    )
+    yield from _principled()
+    yield from (
+        ("hair:sigma_a=0.2", {"type": "hair", "sigma_a": 0.2}),
+        ("null", {"type": "null"}),
+        ("mask of diffuse", {"type": "mask", "opacity": 0.4, "nested": diffuse}),
+        ("twosided roughconductor", {"type": "twosided", "nested": ggx}),
+        ("twosided, two BSDFs", {"type": "twosided", "front": diffuse, "back": ggx}),
+        (
+            "blendbsdf of diffuse and roughconductor",
+            {"type": "blendbsdf", "weight": 0.3, "first": diffuse, "second": ggx},
+        ),
+        (
+            "bumpmap of diffuse",
+            {"type": "bumpmap", "arbitrary": bump, "nested": diffuse},
+        ),
+        (
+            "normalmap of roughconductor",
+            {"type": "normalmap", "normalmap": normal, "nested": ggx},
+        ),
+    )
+
+
+def _principled():
+    """Cases of both principled BSDFs."""
+    yield from (
         ("principled", {"type": "principled"}),
         (
             "principled:metallic=1,anisotropic=0.8,roughness=0.3",
@@ -87,7 +113,6 @@ def cases():
             {"type": "principled", "spec_trans": 0.7, "eta": 1.5, "roughness": 0.4},
         ),
         ("principledthin", {"type": "principledthin"}),
-        ("hair:sigma_a=0.2", {"type": "hair", "sigma_a": 0.2}),
         (
             "principledthin:spec_trans=0.5,diff_trans=1,roughness=0.4",
             {
@@ -96,22 +121,6 @@ def cases():
                 "diff_trans": 1.0,
                 "roughness": 0.4,
             },
-        ),
-        ("null", {"type": "null"}),
-        ("mask of diffuse", {"type": "mask", "opacity": 0.4, "nested": diffuse}),
-        ("twosided roughconductor", {"type": "twosided", "nested": ggx}),
-        ("twosided, two BSDFs", {"type": "twosided", "front": diffuse, "back": ggx}),
-        (
-            "blendbsdf of diffuse and roughconductor",
-            {"type": "blendbsdf", "weight": 0.3, "first": diffuse, "second": ggx},
-        ),
-        (
-            "bumpmap of diffuse",
-            {"type": "bumpmap", "arbitrary": bump, "nested": diffuse},
-        ),
-        (
-            "normalmap of roughconductor",
-            {"type": "normalmap", "normalmap": normal, "nested": ggx},
         ),
     )
 
