@@ -8,6 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from .directions import direction
+
 __all__ = ["BORDER", "Subdivision"]
 
 # A direction this close to a border counts as on it: a few float32 rounding errors.
@@ -102,6 +104,31 @@ class Subdivision:
         low, high = (np.repeat(e, self.n_phi) for e in _pairs(self.theta_edges))
         left, right = (np.tile(e, self.n_theta) for e in _pairs(self.phi_edges))
         return np.stack([low, high, left, right], axis=-1)
+
+    def points(self, n):
+        """Directions of ``n x n`` points in each patch, with z > 0.
+
+        Each stands for the same projected solid angle of its patch.
+
+        Returns
+        -------
+        ndarray, shape (n_patches, n * n, 3)
+
+        Raises
+        ------
+        ValueError
+            If the patches have poles of their own.
+        """
+        if self.axes is not None:
+            raise ValueError(f"the patches must have a common pole, got {self!s:.60}")
+        low, high, left, right = self.cells.T[:, :, None]
+        step = (np.arange(n) + 0.5) / n
+        along, around = (
+            axis.ravel() for axis in np.meshgrid(step, step, indexing="ij")
+        )
+        begin, end = np.sin(low) ** 2, np.sin(high) ** 2
+        sin2 = begin + along * (end - begin)
+        return direction(np.arcsin(np.sqrt(sin2)), left + around * (right - left))
 
     @property
     def solid_angles(self):

@@ -7,7 +7,7 @@ from .errors import checked_choice
 from .files import replacing
 from .loss import losses
 from .radiance_bsdf import RadianceBSDF
-from .resampling import Material, klems_matrix, patch_points, tensor_grid
+from .resampling import Material, klems_matrix, tensor_grid
 
 __all__ = ["BASES", "write_radiance"]
 
@@ -83,7 +83,7 @@ def _check_isotropic_grey(material):
 def _fractions(bsdf, record, side):
     """Flux fractions of a file in the patches and incident directions of a record."""
     patches = record.subdivision
-    points = patch_points(patches, POINTS)
+    points = patches.points(POINTS)
     shape = *patches.shape, -1
     fractions = [
         [

@@ -14,7 +14,6 @@ __all__ = [
     "Material",
     "half_vector_grid",
     "klems_matrix",
-    "patch_points",
     "tensor_grid",
 ]
 
@@ -79,25 +78,6 @@ def _vectors(v):
     return mi.Vector3f(np.ascontiguousarray(v.T, dtype=np.float32))
 
 
-def patch_points(patches, n):
-    """Points evenly distributed over each patch, shape ``(n_patches, n * n, 3)``.
-
-    Each stands for the same projected solid angle of its patch; on z > 0.
-    """
-    if isinstance(patches, Klems):
-        low, high, left, right = patches.cells.T
-    else:
-        theta, phi = patches.theta_edges, patches.phi_edges
-        low, high = (edge.repeat(patches.n_phi) for edge in (theta[:-1], theta[1:]))
-        left, right = (np.tile(edge, patches.n_theta) for edge in (phi[:-1], phi[1:]))
-    step = (np.arange(n) + 0.5) / n
-    along, around = (axis.ravel() for axis in np.meshgrid(step, step, indexing="ij"))
-    begin, end = np.sin(low[:, None]) ** 2, np.sin(high[:, None]) ** 2
-    sin2 = begin + along * (end - begin)
-    phi = left[:, None] + around * (right - left)[:, None]
-    return direction(np.arcsin(np.sqrt(sin2)), phi)
-
-
 def klems_matrix(material, hemisphere):
     """Means over pairs of Klems patches in 1/sr, ``(145, 145, channels)``.
 
@@ -111,12 +91,10 @@ def klems_matrix(material, hemisphere):
         Reflection or transmission.
     """
     patches = Klems()
-    x, y, z = np.moveaxis(patch_points(patches, POINTS_IN), -1, 0)
+    x, y, z = np.moveaxis(patches.points(POINTS_IN), -1, 0)
     theta_i = np.degrees(np.arctan2(np.hypot(x, y), z))
     phi_i = np.degrees(np.arctan2(-y, -x))
-    means = _means(
-        material, hemisphere, theta_i, phi_i, patch_points(patches, POINTS_OUT)
-    )
+    means = _means(material, hemisphere, theta_i, phi_i, patches.points(POINTS_OUT))
     return np.swapaxes(means, 0, 1)
 
 

@@ -150,7 +150,7 @@ COARSE = subdivision("projected:6x8")
 
 def groove_flux(grid):
     """Exact flux fractions of the groove in the patches of `grid`."""
-    points = groove.patch_points(grid.cells, 8)
+    points = grid.points(8)
     return groove.patch_means(WI, points).reshape(grid.shape) * (
         grid.projected_solid_angles
     )
@@ -172,12 +172,12 @@ def test_groove_is_reciprocal(monkeypatch):
 def test_groove_without_absorption(monkeypatch, theta_deg):
     """All the light comes back, the better the finer the panels: second order."""
     monkeypatch.setattr(groove, "REFLECTANCE", 1.0)
-    hemisphere = np.radians([[0, 90, 0, 360]])
+    hemisphere = gonio.EqualAngle(1, 1)
     wi = direction(np.radians([theta_deg]), np.zeros(1))
     lost = []
     for n in (20, 40):
         monkeypatch.setattr(groove, "N_PANELS", n)
-        points = groove.patch_points(hemisphere, 8 * n)
+        points = hemisphere.points(8 * n)
         lost.append(abs(np.pi * groove.patch_means(wi, points)[0, 0] - 1))
     assert lost[1] < lost[0] / 2**1.5
 
@@ -212,7 +212,7 @@ def test_path_samples_of_the_groove():
     """Means of seeds agree with the radiosity at the same points; twin: 2 % more."""
     rival = renderers.path_samples(groove.walls)
     flux = np.stack([rival.flux(256, seed) for seed in range(16)])
-    points = groove.patch_points(GRID.cells, 1)
+    points = GRID.points(1)
     exact = groove.patch_means(WI, points).reshape(GRID.shape)
 
     def compared(exact):

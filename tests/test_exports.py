@@ -54,7 +54,7 @@ def test_klems_sizes_and_order():
     assert abs(klems.projected_solid_angles.sum() - np.pi) <= np.pi * rounding
     theta, phi = klems.middles
     assert klems.patch(direction(theta, phi))[:, 0].tolist() == list(range(145))
-    points = resampling.patch_points(klems, 4)
+    points = klems.points(4)
     assert (klems.patch(points) == np.arange(145)[:, None]).all()
 
 

@@ -131,6 +131,32 @@ def test_borders_are_half_open(kind, size):
 
 
 @all_kinds
+def test_points_of_a_patch_share_its_projected_solid_angle(kind):
+    patches = kind(6, 5)
+    points = patches.points(4)
+    assert points.shape == (30, 16, 3)
+    np.testing.assert_array_equal(
+        patches.patch(points), np.arange(30)[:, None] * np.ones(16, int)
+    )
+    # as many in each cell of a grid of sin^2 and azimuth inside of the patch
+    low, high, left, right = patches.cells.T[:, :, None]
+    theta, phi = angles(points)
+    rank = (np.sin(theta) ** 2 - np.sin(low) ** 2) / (
+        np.sin(high) ** 2 - np.sin(low) ** 2
+    )
+    turn = (phi - left) / (right - left)
+    cell = 4 * np.floor(4 * rank) + np.floor(4 * turn)
+    np.testing.assert_array_equal(
+        np.sort(cell, axis=1), np.tile(np.arange(16), (30, 1))
+    )
+
+
+def test_apertures_have_no_common_points():
+    with pytest.raises(ValueError, match="must have a common pole"):
+        subdivision("apertures:5.0@30.0/0.0").points(2)
+
+
+@all_kinds
 @sizes
 def test_centres_are_in_their_patches(kind, size):
     patches = kind(*size)

@@ -120,7 +120,7 @@ def _ours(specimen, **settings):
 
 def _groove_flux(wi, grid):
     """Exact flux fractions of the V-groove, shape (len(wi), patches)."""
-    points = groove.patch_points(grid.cells, 4)
+    points = grid.points(4)
     flux = groove.patch_means(wi, points)
     return flux * np.ravel(grid.projected_solid_angles)
 
@@ -130,7 +130,7 @@ def klems_groove_flux():
 
     Means over incident patches too; Radiance numbers them by the way light takes.
     """
-    points = groove.patch_points(KLEMS.cells, 3) * [-1, -1, 1]
+    points = KLEMS.points(3) * [-1, -1, 1]
     flux = _groove_flux(points.reshape(-1, 3), KLEMS)
     return flux.reshape(145, -1, 145).mean(axis=1)[..., None]
 

@@ -9,9 +9,7 @@ a and b of the other wall under the form factor s/2 (1/sqrt(s^2+a^2) - 1/sqrt(s^
 import mitsuba as mi
 import numpy as np
 
-from ..directions import direction
-
-__all__ = ["REFLECTANCE", "brdf", "patch_means", "patch_points", "walls"]
+__all__ = ["REFLECTANCE", "brdf", "patch_means", "walls"]
 
 REFLECTANCE = 0.8
 
@@ -73,28 +71,6 @@ def _exposure(w, edges):
         part = np.clip((edges[1:] - border) / np.diff(edges), 0, 1)
         exposures.append(cosine[:, None] * part)
     return np.concatenate(exposures, axis=1)
-
-
-def patch_points(cells, n):
-    """Directions of ``n x n`` points in each patch, of equal projected solid angles.
-
-    Parameters
-    ----------
-    cells : ndarray, shape (patches, 4)
-        Borders of each patch, see :attr:`gonio_mi.Subdivision.cells`.
-    n : int
-
-    Returns
-    -------
-    ndarray, shape (patches, n * n, 3)
-    """
-    part = (np.arange(n) + 0.5) / n
-    low, high = np.sin(cells[:, :2].T) ** 2
-    theta = np.arcsin(np.sqrt(low[:, None] + (high - low)[:, None] * part))
-    first, last = cells[:, 2:].T
-    phi = first[:, None] + (last - first)[:, None] * part
-    theta, phi = np.broadcast_arrays(theta[:, :, None], phi[:, None, :])
-    return direction(theta, phi).reshape(len(cells), n * n, 3)
 
 
 def patch_means(wi, points):

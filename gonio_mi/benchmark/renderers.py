@@ -10,7 +10,6 @@ import numpy as np
 
 from ..directions import direction
 from ..klems import Klems
-from . import groove
 from .rivals import GRID, THETA_I, Rival
 
 __all__ = [
@@ -66,7 +65,7 @@ def path_samples(shapes, n=1):
 @lru_cache(maxsize=1)  # all sensors that exist, of any scene, make a rendering slower
 def _path_scene(shapes, n):
     """One `distant` sensor for each direction, in a `batch`, above the lit specimen."""
-    points = groove.patch_points(GRID.cells, n).reshape(-1, 3)
+    points = GRID.points(n).reshape(-1, 3)
     film = {"type": "hdrfilm", "height": 1, "rfilter": {"type": "box"}}
     # sensors in a batch do not learn of the scene's size: rays start on the target
     target = mi.load_dict(
