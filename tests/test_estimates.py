@@ -201,6 +201,9 @@ def test_errors_of_integrals_are_never_rounded_down():
         # rounding: of one product, which is then rounded up to a whole number
         exact = Fraction(error) * largest
         assert (1 - Fraction(EPS)) * exact <= n <= (1 + Fraction(EPS)) * exact + 1
+    # and where nothing was sampled, they come back
+    again = Estimates(one, independent=False).std_err(0)[0, 4]
+    assert 7e-6 <= again <= 7e-6 * (1 + EPS) + 1 / largest
 
 
 def test_what_is_sampled_of_integrals_scatters():

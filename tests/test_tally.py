@@ -1,5 +1,7 @@
 """Tallies add, join and split without losing a count."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import synthetic
@@ -82,13 +84,26 @@ def test_channels_keep_their_order():
     np.testing.assert_array_equal(joined.first(2).incident, a.incident)
 
 
+def test_errors_of_integrals_follow_their_channels():
+    shape = (2, 2, 3, 3)
+    errors = np.linspace(1e-4, 1e-3, 36).reshape(shape)
+    whole = tally(1, channels=3).with_integrals(np.zeros(shape), errors)
+    np.testing.assert_array_equal(whole.first(2).errors, whole.errors[..., :2])
+    grey = tally(1).with_integrals(np.zeros((2, 2, 3, 1)), errors[..., :1])
+    for channel in range(3):
+        np.testing.assert_array_equal(
+            grey.spread(3).errors[..., channel], grey.errors[..., 0]
+        )
+
+
 def test_what_cannot_be_joined():
     a = tally(1)
     other = synthetic.tally(
         PATCHES, np.full((1, 2, 3), 0.1), 10, np.random.default_rng()
     )
-    with pytest.raises(ValueError, match="must share patches and scale"):
-        a + other
+    for one in (other, replace(a, scale=1)):
+        with pytest.raises(ValueError, match="must share patches and scale"):
+            a + one
     shape = (*a.hits.shape, 1)
     whole = a.with_integrals(np.zeros(shape), np.zeros(shape))
     with pytest.raises(ValueError, match="that hold integrals cannot be joined"):

@@ -1,0 +1,137 @@
+"""Records are composed and taken apart without losing a count, or refuse to be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import synthetic
+
+from gonio_mi.record import Record
+
+STACK = synthetic.record(theta_i=(0, 30, 60), phi_i=(0, 10, 20), both=True)
+
+
+def with_settings(record, **settings):
+    return replace(record, settings={**record.settings, **settings})
+
+
+def test_a_stack_is_its_directions():
+    assert len(STACK) == 3
+    again = Record.stack([STACK[i] for i in range(3)])
+    assert again == STACK
+    for i, (theta, phi) in enumerate(((0, 0), (30, 10), (60, 20))):
+        one = STACK[i]
+        assert (one.theta_i.tolist(), one.phi_i.tolist()) == ([theta], [phi])
+        np.testing.assert_array_equal(one.brdf, STACK.brdf[i])
+        np.testing.assert_array_equal(one.btdf_std_err, STACK.btdf_std_err[i])
+        np.testing.assert_array_equal(one.dht, STACK.dht[i])
+        for of in ("brdf", "btdf", "dhr", "dht"):
+            np.testing.assert_array_equal(
+                one.interval(0.9, of), np.stack(STACK.interval(0.9, of), axis=1)[i]
+            )
+    assert STACK[-1] == STACK[2]
+    assert STACK.ledger.emitted == sum(STACK[i].ledger.emitted for i in range(3))
+
+
+def test_what_sums_to_the_totals():
+    fractions = STACK.flux_fraction
+    assert fractions.shape == (3, 2, 6, 8, 1)
+    # rounding: a sum over 48 patches
+    rtol = 48 * np.finfo(float).eps
+    totals = np.stack([STACK.dhr, STACK.dht], axis=1)
+    np.testing.assert_allclose(fractions.sum(axis=(2, 3)), totals, rtol=rtol)
+    projected = STACK.subdivision.projected_solid_angles[..., None]
+    for hemisphere, values in enumerate((STACK.brdf, STACK.btdf)):
+        np.testing.assert_array_equal(values, fractions[:, hemisphere] / projected)
+
+
+@pytest.mark.parametrize("of", ["brdf", "btdf", "dhr", "dht"])
+def test_intervals_hold_what_they_are_of(of):
+    low, high = STACK.interval(0.95, of)
+    value = getattr(STACK, of)
+    assert low.shape == value.shape
+    assert np.all((low <= value) & (value <= high))
+
+
+def test_what_there_is_no_interval_of():
+    with pytest.raises(ValueError, match="of must be brdf or dhr for a record without"):
+        synthetic.record().interval(of="dht")
+    with pytest.raises(ValueError, match="of must be one of"):
+        STACK.interval(of="bsdf")
+    for level in (0, 1, float("nan")):
+        with pytest.raises(ValueError, match="level must be between 0 and 1"):
+            STACK.interval(level)
+    assert synthetic.record().btdf is None
+    assert synthetic.record().dht_std_err is None
+
+
+def test_merged_records_have_the_rays_of_both():
+    a, b = (
+        with_settings(
+            synthetic.record(theta_i=(0, 30), phi_i=(0, 10), seed=seed), batches=4
+        )
+        for seed in (1, 2)
+    )
+    both = a.merge(b)
+    assert both.tallies == tuple(x + y for x, y in zip(a.tallies, b.tallies))
+    assert both.n_batches == 8
+    assert both.settings["seed"] == [1, 2]
+    assert both.settings["rays"] == a.settings["rays"] + b.settings["rays"]
+    assert both.ledger == a.ledger + b.ledger
+    with pytest.raises(
+        ValueError, match=r"different seeds to be merged, got \[1, 2, 2"
+    ):
+        both.merge(b)
+
+
+def test_channels_of_a_grey_record_are_repeated():
+    grey, tinted = synthetic.record(), synthetic.record(seed=2, channels="RGB")
+    grey, tinted = (with_settings(record, batches=4) for record in (grey, tinted))
+    merged = grey.merge(tinted)
+    assert merged.channels == ("R", "G", "B")
+    assert merged.tallies[0].channels == 3
+    tinted = with_settings(tinted, seed=1)
+    stacked = Record.stack([grey, tinted])
+    assert stacked.channels == ("R", "G", "B")
+    assert stacked.brdf.shape == (2, 6, 8, 3)
+    np.testing.assert_array_equal(stacked[0].brdf[..., 2], grey.brdf[..., 0])
+
+
+@pytest.mark.parametrize(
+    ("other", "message"),
+    [
+        (synthetic.record("angle:6x8", seed=2), "agree in collector to be merged"),
+        (synthetic.record(theta_i=(31,), seed=2), "agree in theta_i to be merged"),
+        (synthetic.record(phi_i=(21,), seed=2), "agree in phi_i to be merged"),
+        (synthetic.record(analog=True, seed=2), "agree in estimator to be merged"),
+        (synthetic.record(), r"different seeds to be merged, got \[1, 1\]"),
+    ],
+)
+def test_records_that_cannot_be_merged(other, message):
+    with pytest.raises(ValueError, match=message):
+        synthetic.record().merge(other)
+
+
+def test_records_that_cannot_be_stacked():
+    with pytest.raises(ValueError, match="at least one to be stacked, got none"):
+        Record.stack([])
+    other = with_settings(synthetic.record(), side="back")
+    with pytest.raises(ValueError, match="agree in side to be stacked, got None and"):
+        Record.stack([synthetic.record(), other])
+
+
+def test_what_makes_two_records_equal():
+    assert synthetic.record() == synthetic.record()
+    for other in (
+        synthetic.record(seed=2),
+        synthetic.record("angle:6x8"),
+        synthetic.record(theta_i=(31,)),
+        synthetic.record(phi_i=(21,)),
+        synthetic.record(channels=("550nm",)),
+        synthetic.record(stacked=True),
+        with_settings(synthetic.record(), side="back"),
+        "a record",
+    ):
+        assert synthetic.record() != other
+    unknown = synthetic.record(theta_i=(np.nan,))
+    assert unknown == synthetic.record(theta_i=(np.nan,))
