@@ -182,6 +182,13 @@ class Specimen:
         extents = self.high - self.low
         return float(extents[extents > 1e-6 * extents.max()].min())
 
+    @property
+    def transmission(self):
+        """How light may pass: as BSDFs ``declared``, through ``gaps``, or ``none``."""
+        if not self.closed_to_light:
+            return "declared"
+        return "none" if self.plane is not None or self.seems_dark else "gaps"
+
     @cached_property
     def seems_dark(self):
         """Whether no surface transmits, and no ray of a few thousand finds a gap.

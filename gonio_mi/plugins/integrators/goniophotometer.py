@@ -15,19 +15,18 @@ from gonio_mi.plugins import properties
 from gonio_mi.plugins.beam import EMISSIONS, Beam, checked_footprint
 from gonio_mi.plugins.bench import Bench
 from gonio_mi.plugins.integrals import check_integrable, integrals
-from gonio_mi.plugins.next_event import MOST_POINTS, Deposits, check_traced
-from gonio_mi.plugins.order import checked_order, of_order, orders
-from gonio_mi.plugins.sampling import (
-    apart,
-    continues,
-    in_turns,
-    sampler_name,
-    seeded,
-    turns_of,
-)
+from gonio_mi.plugins.launch import launch, traces
+from gonio_mi.plugins.next_event import MOST_POINTS, check_traced
+from gonio_mi.plugins.order import checked_order
+from gonio_mi.plugins.sampling import sampler_name
 from gonio_mi.plugins.specimen import Specimen, checked_period
-from gonio_mi.plugins.sums import Sums, packet_width
-from gonio_mi.plugins.transport import Settings, scatter_plane, trace
+from gonio_mi.plugins.sums import packet_width
+from gonio_mi.plugins.wavelengths import (
+    channel_names,
+    checked_wavelengths,
+    passes,
+    wavelength_lanes,
+)
 from gonio_mi.record import Record
 from gonio_mi.tally import WEIGHT_SCALE, Tally, batch_sizes
 
@@ -164,7 +163,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         self.analog = self.settings["estimator"] == "analog"
         self.integrates = self.settings["estimator"] == "quadrature"
         self.deposits = self.settings["estimator"] == "next_event"
-        self.wavelengths = _wavelengths(self.settings["wavelengths"])
+        self.wavelengths = checked_wavelengths(self.settings["wavelengths"])
         super().__init__(props)
 
     # ------------------------------------------------------------------ measuring
@@ -217,7 +216,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         )
         bench = Bench(specimen, beam, sensor, incident)
         if self.integrates:
-            lanes = _wavelength_lanes(self._wavelength_groups()[0])
+            lanes = wavelength_lanes(passes(self.wavelengths)[0])
             check_integrable(bench, self.settings, lanes)
         if self.deposits:
             check_traced(bench, self.settings)
@@ -252,9 +251,10 @@ class Goniophotometer(mi.SamplingIntegrator):
         while sizes:
             several = max(1, min(len(sizes), capacity, FUSED_RAYS // sizes[0]))
             groups = []
-            for number, nm in enumerate(self._wavelength_groups()):
+            for number, nm in enumerate(passes(self.wavelengths)):
                 keys = [(*key, first + i, number) for i in range(several)]
-                tally = self._part(bench, keys, sizes[:several], start, nm, progress)
+                lanes = wavelength_lanes(nm)
+                tally = self._part(bench, keys, sizes[:several], start, lanes, progress)
                 groups.append(tally if nm is None else tally.first(len(nm)))
             yield groups[0] if len(groups) == 1 else Tally.join_channels(groups)
             first, sizes = first + several, sizes[several:]
@@ -267,7 +267,7 @@ class Goniophotometer(mi.SamplingIntegrator):
 
     def integrated(self, bench, tallies):
         """Tally of all but the delta components, and of the `tallies` of those."""
-        lanes = [(_wavelength_lanes(nm), nm) for nm in self._wavelength_groups()]
+        lanes = [(wavelength_lanes(nm), nm) for nm in passes(self.wavelengths)]
         parts = [
             integrals(bench, wavelengths, self.settings["rel_err"], nm and len(nm))
             for wavelengths, nm in lanes
@@ -291,12 +291,14 @@ class Goniophotometer(mi.SamplingIntegrator):
         fitting = FUSED_SUMS // (bench.n_bins * packet_width())
         return max(1, min(fitting, self.batches))
 
-    def _part(self, bench, keys, sizes, start, nm, progress):
+    def _part(self, bench, keys, sizes, start, wavelengths, progress):
         """Tally of the batches of `keys`, by one launch or more for a single one."""
-        total = None
+        total, capacity = None, self._capacity(bench)
         for begin in range(start, start + sizes[0], LAUNCH):
             parts = [min(LAUNCH, start + size - begin) for size in sizes]
-            tally = self._launch(bench, keys, parts, begin, nm)
+            tally = launch(
+                bench, self.settings, keys, parts, begin, wavelengths, capacity
+            )
             total = tally if total is None else total.accumulate(tally)
             if progress is not None:
                 progress(sum(parts))
@@ -317,95 +319,17 @@ class Goniophotometer(mi.SamplingIntegrator):
             subdivision=bench.film.subdivision,
             theta_i=np.array([bench.theta_i]),
             phi_i=np.array([bench.phi_i]),
-            channels=self._channel_names(tally.channels),
+            channels=channel_names(self.wavelengths, tally.channels),
             tallies=(tally,),
             settings=self.describe(bench, seed) | {"batches": tally.n_batches},
         )
-
-    # --------------------------------------------------------------------- one launch
-
-    def _launch(self, bench, keys, sizes, begin, nm):
-        """Send rays of all batches of `keys` in one kernel and return their tally."""
-        capacity = self._capacity(bench)
-        scale = 1 if self.analog else WEIGHT_SCALE
-        sums = Sums(bench, scale, capacity, deposits=self.deposits)
-        sampler = bench.sensor.sampler()
-        turns = 1 if self._traces(bench) else turns_of(sampler, sizes[0])
-        lanes = -(-sizes[0] // turns)
-        sampler = seeded(sampler, keys, begin, lanes)
-        # as many lanes as rays, even where none of them draws a number
-        lane = dr.arange(mi.UInt32, len(sizes) * lanes)
-        batch, ray = (mi.UInt32(0), lane) if capacity == 1 else apart(lane, lanes)
-        # the last batches may be shorter by one ray
-        full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
-        size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
-
-        def add(sampler, ray):
-            active = ray < size
-            deposits = self._deposits(bench, sums, active, batch)
-            exits = self._exits(bench, sampler, nm, deposits)
-            bins = bench.bins(exits)
-            sums.add(bins, exits, active, batch)
-            if deposits is not None:
-                deposits.add_exits(bins, exits)
-
-        if continues(sampler) and not self._traces(bench):
-            in_turns(add, sampler, ray, lanes, turns)
-        else:
-            add(sampler, ray)
-        return sums.tally(len(sizes))
-
-    def _deposits(self, bench, sums, active, batch):
-        """:class:`Deposits` of the rays, None where they are counted themselves."""
-        if not self.deposits:
-            return None
-        order = orders(self.settings["order"])
-        return Deposits(bench, sums, self.settings["points"], order, active, batch)
-
-    def _exits(self, bench, sampler, nm, deposits):
-        """Follow the rays by the cheapest transport that is exact for the specimen."""
-        rr_depth = self.settings["rr_depth"]
-        # counted rays live or die at each event as it is, and stay whole
-        roulette = rr_depth >= 0 and not self.analog
-        low, high = orders(self.settings["order"])
-        settings = Settings(
-            analog=self.analog,
-            # nothing that comes later is collected
-            max_depth=min(self.settings["max_depth"], high),
-            rr_depth=rr_depth if roulette else 2**32 - 1,
-            delta_only=self.integrates,
-        )
-        wavelengths = _wavelength_lanes(nm)
-        plane = bench.specimen.plane
-        if self._traces(bench):
-            exits = trace(
-                bench.specimen, bench.beam, sampler, wavelengths, settings, deposits
-            )
-        else:
-            exits = scatter_plane(plane, bench.beam, sampler, wavelengths, settings)
-        return of_order(exits, low, high)
-
-    def _traces(self, bench):
-        return self.settings["trace"] or bench.specimen.plane is None
 
     # --------------------------------------------------------------------- description
 
     @property
     def passes(self):
         """How often the rays are sent: once for every four wavelengths."""
-        return len(self._wavelength_groups())
-
-    def _wavelength_groups(self):
-        """Wavelengths of each pass, at most four; None outside of spectral variants."""
-        if not mi.is_spectral:
-            return [None]
-        nm = self.wavelengths
-        return [nm[i : i + 4] for i in range(0, len(nm), 4)]
-
-    def _channel_names(self, channels):
-        if mi.is_spectral:
-            return tuple(f"{nm:g}nm" for nm in self.wavelengths)
-        return ("Y",) if channels == 1 else ("R", "G", "B")
+        return len(passes(self.wavelengths))
 
     def describe(self, bench, seed):
         """Settings of the measurement, in JSON's types."""
@@ -413,13 +337,13 @@ class Goniophotometer(mi.SamplingIntegrator):
         return {
             "specimen": bench.specimen.name,
             "surface": bench.specimen.description,
-            "transmission": "none" if bench.specimen.closed_to_light else "declared",
+            "transmission": bench.specimen.transmission,
             "emitter": bench.beam.emitter.class_name(),
             "emission": self.settings["emission"],
             "footprint": self.settings["footprint"],
             "side": "front" if bench.beam.side > 0 else "back",
             "estimator": self.settings["estimator"],
-            "transport": "traced" if self._traces(bench) else "plane",
+            "transport": "traced" if traces(bench, self.settings) else "plane",
             "sampler": sampler_name(sampler),
             "seed": seed,
             "rays": self.rays if self.samples(bench) else 0,
@@ -447,29 +371,6 @@ class Goniophotometer(mi.SamplingIntegrator):
     def to_string(self):
         """Return a readable description."""
         return f"Goniophotometer{self.settings}"
-
-
-def _wavelength_lanes(nm):
-    """Up to four wavelengths for Mitsuba, the last one repeated; none without `nm`."""
-    if nm is None:
-        return mi.Color0f()
-    lanes = mi.Spectrum([*nm, *[nm[-1]] * (4 - len(nm))])
-    dr.make_opaque(lanes)
-    return lanes
-
-
-def _wavelengths(text):
-    """Tuple of wavelengths in nm from a number or a text with commas."""
-    try:
-        nm = tuple(float(word) for word in str(text).split(","))
-    except ValueError:
-        nm = ()
-    if not nm or not all(100 <= x <= 10000 for x in nm):
-        raise ValueError(
-            "goniophotometer.wavelengths must be numbers of nm from 100 to 10000, "
-            f"got {text!r}"
-        )
-    return nm
 
 
 def _check_variant():

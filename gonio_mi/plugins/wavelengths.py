@@ -1,0 +1,43 @@
+"""The wavelengths of a measurement: up to four in each pass of spectral variants."""
+
+import drjit as dr
+import mitsuba as mi
+
+__all__ = ["channel_names", "checked_wavelengths", "passes", "wavelength_lanes"]
+
+
+def checked_wavelengths(text):
+    """Tuple of wavelengths in nm from a number or a text with commas."""
+    try:
+        nm = tuple(float(word) for word in str(text).split(","))
+    except ValueError:
+        nm = ()
+    if not nm or not all(100 <= x <= 10000 for x in nm):
+        raise ValueError(
+            "goniophotometer.wavelengths must be numbers of nm from 100 to 10000, "
+            f"got {text!r}"
+        )
+    return nm
+
+
+def passes(nm):
+    """Wavelengths of each pass, at most four; one of None in other variants."""
+    if not mi.is_spectral:
+        return [None]
+    return [nm[i : i + 4] for i in range(0, len(nm), 4)]
+
+
+def wavelength_lanes(nm):
+    """Up to four wavelengths for Mitsuba, the last one repeated; none without `nm`."""
+    if nm is None:
+        return mi.Color0f()
+    lanes = mi.Spectrum([*nm, *[nm[-1]] * (4 - len(nm))])
+    dr.make_opaque(lanes)
+    return lanes
+
+
+def channel_names(nm, channels):
+    """Names of the channels of a tally: wavelengths, colours or luminance."""
+    if mi.is_spectral:
+        return tuple(f"{x:g}nm" for x in nm)
+    return ("Y",) if channels == 1 else ("R", "G", "B")
