@@ -122,14 +122,14 @@ def adapted(brdf, grid, n_theta, n_phi, uniform=0.25):
         )
     flux = brdf * grid.projected_solid_angles
 
-    def quantiles(marginal, measure, edges, n):
+    def _quantiles(marginal, measure, edges, n):
         density = (1 - uniform) * marginal / marginal.sum() + uniform * measure
         cumulative = np.append(0, np.cumsum(density))
         return np.interp(np.arange(1, n) / n, cumulative / cumulative[-1], edges)
 
     sin2 = np.sin(grid.theta_edges) ** 2
-    inner = quantiles(flux.sum(axis=1), np.diff(sin2), sin2, n_theta)
+    inner = _quantiles(flux.sum(axis=1), np.diff(sin2), sin2, n_theta)
     theta = np.degrees(np.arcsin(np.sqrt(inner)))
     share = np.diff(grid.phi_edges) / (2 * np.pi)
-    phi = np.degrees(quantiles(flux.sum(axis=0), share, grid.phi_edges, n_phi))
+    phi = np.degrees(_quantiles(flux.sum(axis=0), share, grid.phi_edges, n_phi))
     return Borders((0, *theta, 90), (0, *phi, 360))

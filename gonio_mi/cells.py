@@ -41,7 +41,7 @@ class Cells:
         """Four cells for each one, in its place."""
         halves = [(i, j) for i in (0, 1) for j in (0, 1)]
 
-        def split(borders, k):
+        def _split(borders, k):
             middle = borders.mean(axis=1)
             parts = [(borders[:, 0], middle), (middle, borders[:, 1])]
             return np.stack(
@@ -51,8 +51,8 @@ class Cells:
         return Cells(
             np.repeat(self.patch, 4),
             np.repeat(self.lower, 4),
-            split(self.theta, 0),
-            split(self.phi, 1),
+            _split(self.theta, 0),
+            _split(self.phi, 1),
             np.repeat(self.share / 4, 4),
         )
 

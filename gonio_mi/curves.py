@@ -132,13 +132,13 @@ class Curve:
             return Cost(self.rays[0], self.cpu_seconds[0], True)
         errors = np.log(np.maximum(self.error[[k, k - 1]], 1e-300))
 
-        def between(values):
+        def _between(values):
             if not values.all():
                 return 0.0
             return float(np.exp(np.interp(np.log(target), errors, np.log(values))))
 
         rays, seconds = self.rays[[k, k - 1]], self.cpu_seconds[[k, k - 1]]
-        return Cost(between(rays), between(seconds), True)
+        return Cost(_between(rays), _between(seconds), True)
 
     def _extrapolated(self, target):
         rays, seconds = self.rays, self.cpu_seconds

@@ -21,15 +21,6 @@ VARIANT = "llvm_ad_mono"
 GLASS = 1.5046
 BK7 = {"int_ior": GLASS, "ext_ior": 1.0}
 
-SLAB = {
-    "type": "scene",
-    "slab": {
-        "type": "cube",
-        "to_world": [2000.0, 2000.0, 1.0],
-        "bsdf": {"type": "dielectric", **BK7},
-    },
-}
-
 
 def fresnel(theta_i, eta=GLASS):
     """Unpolarised reflectance of a smooth interface for `theta_i` in degrees."""
@@ -42,12 +33,19 @@ def fresnel(theta_i, eta=GLASS):
 
 def cases(rays, seed):
     """Yield ``(case, reference, measured, std_err, p_value)``."""
-    shared = {"seed": seed, "sampler": "independent"}
+    settings = {"seed": seed, "sampler": "independent"}
+    yield from _counting_cases(rays, settings)
+    yield from _glass_cases(rays, settings)
+    yield from _rough_cases(rays, settings)
+
+
+def _counting_cases(rays, settings):
+    """RMS error of a counted Lambertian, which multinomial statistics know."""
     white = {"type": "diffuse", "reflectance": 1.0}
     for name in ("angle:30x30", "solid:30x30", "projected:30x30"):
         grid = subdivision(name)
         record = measure(
-            white, 45, rays=rays, collector=grid, estimator="analog", **shared
+            white, 45, rays=rays, collector=grid, estimator="analog", **settings
         )
         square = np.mean((record.brdf[..., 0] - 1 / np.pi) ** 2)
         expected, spread = rms_expectation(
@@ -57,31 +55,25 @@ def cases(rays, seed):
         rms = np.sqrt(square)
         yield f"Lambertian, {name}: RMS error", expected**0.5, rms, rms * spread / 2, p
 
-    for theta_i in (0, 60):
-        record = measure(
-            {"type": "dielectric", **BK7},
-            theta_i,
-            rays=rays,
-            estimator="analog",
-            **shared,
-        )
-        yield _total(f"glass, {theta_i} degrees: R", fresnel(theta_i), record)
-        interface = fresnel(theta_i)
-        slab = SLAB | {
-            "slab": SLAB["slab"]
-            | {"to_world": mi.ScalarTransform4f().scale(SLAB["slab"]["to_world"])}
-        }
-        record = measure(
-            slab,
-            theta_i,
-            rays=rays // 10,
-            footprint="point",
-            estimator="analog",
-            **shared,
-        )
-        expected = 2 * interface / (1 + interface)
-        yield _total(f"glass slab, {theta_i} degrees: R, all orders", expected, record)
 
+def _glass_cases(rays, settings):
+    """Fresnel's reflectance of glass, and of a slab with all inner reflections."""
+    settings = settings | {"estimator": "analog"}
+    glass = {"type": "dielectric", **BK7}
+    wide = mi.ScalarTransform4f().scale([2000.0, 2000.0, 1.0])
+    slab = {"type": "cube", "to_world": wide, "bsdf": glass}
+    slab = {"type": "scene", "slab": slab}
+    for theta_i in (0, 60):
+        once = fresnel(theta_i)
+        record = measure(glass, theta_i, rays=rays, **settings)
+        yield _total(f"glass, {theta_i} degrees: R", once, record)
+        record = measure(slab, theta_i, rays=rays // 10, footprint="point", **settings)
+        label = f"glass slab, {theta_i} degrees: R, all orders"
+        yield _total(label, 2 * once / (1 + once), record)
+
+
+def _rough_cases(rays, settings):
+    """Rough surfaces against the integral of ``eval``: their totals and patches."""
     for name, specimen, theta_i in (
         ("rough conductor 0.2", {"type": "roughconductor", "alpha": 0.2}, 60),
         ("rough plastic 0.1", {"type": "roughplastic", "alpha": 0.1}, 30),
@@ -90,7 +82,7 @@ def cases(rays, seed):
         grid = subdivision("projected:10x10")
         exact = integrate(mi.load_dict(specimen), theta_i, 0, grid)
         record = measure(
-            specimen, theta_i, rays=rays, collector=grid, hemispheres="both", **shared
+            specimen, theta_i, rays=rays, collector=grid, hemispheres="both", **settings
         )
         label = f"{name}, {theta_i} degrees"
         yield _total(f"{label}: R", exact.flux[0].sum(), record)

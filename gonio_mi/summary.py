@@ -206,7 +206,7 @@ def _settings_text(numbers):
     """What was measured, and how."""
     settings = numbers["settings"]
 
-    def known(key):
+    def _shown(key):
         return settings.get(key, "?")
 
     n_directions = len(numbers["directions"])
@@ -216,16 +216,16 @@ def _settings_text(numbers):
     asked = n_directions * rays * settings.get("passes", 1)
     radius = settings.get("collector_radius")
     lines = [
-        ("specimen", known("specimen")),
-        ("surface", known("surface")),
+        ("specimen", _shown("specimen")),
+        ("surface", _shown("surface")),
         (
             "light",
-            f"{known('emitter')} on the {known('side')}, "
-            f"footprint {known('footprint')}, emission {known('emission')}",
+            f"{_shown('emitter')} on the {_shown('side')}, "
+            f"footprint {_shown('footprint')}, emission {_shown('emission')}",
         ),
         (
             "collector",
-            f"{known('collector')}, hemispheres {known('hemispheres')}, "
+            f"{_shown('collector')}, hemispheres {_shown('hemispheres')}, "
             + (f"radius {radius:g}" if radius else "far field"),
         ),
         (
@@ -233,20 +233,20 @@ def _settings_text(numbers):
             _grouped(emitted)
             + (f" of {_grouped(asked)} asked for" if emitted < asked else "")
             + (f" over {n_directions} incident directions" if n_directions > 1 else "")
-            + f", batches {known('batches')}, seed {known('seed')}"
+            + f", batches {_shown('batches')}, seed {_shown('seed')}"
             + (f", rel_err {goal:g} asked for" if goal is not None else ""),
         ),
         (
             "method",
-            f"estimator {known('estimator')}, "
+            f"estimator {_shown('estimator')}, "
             + (f"points {settings['points']}, " if "points" in settings else "")
-            + f"sampler {known('sampler')}, transport "
-            f"{known('transport')}, max_depth {known('max_depth')}, "
-            f"rr_depth {known('rr_depth')}",
+            + f"sampler {_shown('sampler')}, transport "
+            f"{_shown('transport')}, max_depth {_shown('max_depth')}, "
+            f"rr_depth {_shown('rr_depth')}",
         ),
         (
             "made",
-            f"{known('created')}, variant {known('variant')}, "
+            f"{_shown('created')}, variant {_shown('variant')}, "
             + ", ".join(f"{k} {v}" for k, v in settings.get("versions", {}).items()),
         ),
     ]

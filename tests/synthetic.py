@@ -89,9 +89,7 @@ def record(
 def lambertian(reflectance=0.5, theta_i=(0.0, 30.0, 60.0), collector="projected:9x16"):
     """Record of a Lambertian to the rounding of its whole numbers."""
     patches = subdivision(collector)
-    base = record(
-        collector, theta_i=theta_i, phi_i=(0.0,) * len(theta_i), n_batches=2
-    )
+    base = record(collector, theta_i=theta_i, phi_i=(0.0,) * len(theta_i), n_batches=2)
     share = patches.projected_solid_angles * (reflectance / np.pi)
     for tally in base.tallies:
         one = np.round(share * tally.incident[0, 0]).astype(np.uint64)

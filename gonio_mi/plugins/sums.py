@@ -101,13 +101,13 @@ def _fixed_point(powers, scale):
     stay below LARGEST_POWER, and the rest.
     """
 
-    def whole(x):
+    def _whole(x):
         return mi.Int64(mi.Int32(x))
 
     if scale == 1:
-        return [whole(dr.round(power)) for power in powers]
+        return [_whole(dr.round(power)) for power in powers]
     return [
-        whole(dr.floor(power)) * scale
-        + whole(dr.round((power - dr.floor(power)) * float(scale)))
+        _whole(dr.floor(power)) * scale
+        + _whole(dr.round((power - dr.floor(power)) * float(scale)))
         for power in powers
     ]
