@@ -10,7 +10,7 @@ __all__ = ["scene_of"]
 
 # The shapes that were built last, a digest of their geometry, and their scene: what is
 # measured again is found here, and nothing else is kept alive.
-_last = []
+_last: list = []
 
 
 def scene_of(shapes):
