@@ -240,6 +240,12 @@ def test_benchmark_sends_the_same_paths():
     error = np.sqrt(2 * RAYS * share * (1 - share))
     agree(single((hits - mine) / error))
     disagree(single((hits - mine + 0.01 * RAYS) / error))
+    events = ours.depth * (ours.d[:, 2] > 0)
+    # evenly distributed points have no larger error than independent ones
+    error = events.std() * np.sqrt(2 / RAYS)
+    bare = benchmark.bare_paths(64)(RAYS, 0)
+    agree(single((bare - events.mean()) / error))
+    disagree(single((bare + 0.05 - events.mean()) / error))
     for coherent in (False, True):
         assert benchmark.film_paths(64, coherent)(2**14, 0) == 1
     reflected = benchmark.gonio_paths(64, "sobol")(2**14, 0)
