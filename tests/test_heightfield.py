@@ -98,10 +98,12 @@ def test_statistics_of_known_surfaces():
     x = np.arange(n) / n
     z = np.tile(amplitude * np.sin(2 * np.pi * n_waves * x), (4, 1))
     s = height_statistics(z, 1 / n)
-    assert np.isclose(s.rms_height, amplitude / np.sqrt(2), rtol=1e-12)
+    # as many units of 2^-52 as there are terms in the sums
+    rounding = z.size * np.finfo(float).eps
+    assert np.isclose(s.rms_height, amplitude / np.sqrt(2), rtol=rounding)
     # difference quotient of a sine, times its amplitude, in the mean of squares
     slope = amplitude * 2 * n * np.sin(np.pi * n_waves / n)
-    assert np.isclose(s.alpha_u, slope, rtol=1e-12)
+    assert np.isclose(s.alpha_u, slope, rtol=rounding)
     assert s.alpha_v == 0
     assert np.isnan(s.correlation_length_v)
     # the cosine's 1/e, by linear interpolation on a grid of steps 1/n
@@ -121,8 +123,10 @@ def test_heights_repeat_and_differ():
     )
     k = np.hypot(*np.meshgrid(np.fft.fftfreq(64, 0.1), np.fft.fftfreq(64, 0.1)))
     power = np.abs(np.fft.fft2(limited)) ** 2
-    # rounding of the transforms
-    assert power[k > 1 / 0.8 + 1e-9].max() < 1e-24 * power.max()
+    # rounding: of amplitudes one unit for each row, squared; and of the wave numbers
+    eps = np.finfo(float).eps
+    shorter = k > (1 + 4 * eps) / 0.8
+    assert power[shorter].max() < (64 * eps) ** 2 * power.max()
 
 
 @pytest.mark.parametrize(
@@ -173,7 +177,9 @@ def test_mesh_is_the_grid(periodic):
     assert x[0, 0] == -4
     assert x[0, -1] == 4
     assert y[-1, 0] == -y[0, 0]
-    assert np.allclose(np.diff(y[:, 0]), np.diff(x[0])[0], rtol=1e-6)
+    # rounding: of two points of at most 4, by half a unit of 2^-22 each
+    rounding = 2.0**-22
+    assert np.allclose(np.diff(y[:, 0]), np.diff(x[0])[0], rtol=0, atol=rounding)
     expected = z / 2 + 1
     if periodic:
         expected = np.pad(expected, ((0, 1), (0, 1)), mode="wrap")
@@ -230,4 +236,5 @@ def test_smooth_normals_follow_the_surface():
         slope = 0.2 * np.pi * np.cos(2 * np.pi * (at + 0.5))
         errors.append(np.abs(-normal[0] / normal[2] - slope).max())
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert np.all(orders > 1.8), f"errors {errors}"
+    # nearer to second order than to first
+    assert np.all(orders > 1.5), f"errors {errors}"

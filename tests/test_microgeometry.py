@@ -267,7 +267,8 @@ def test_diffuse_grooves(half_angle, theta_i, estimator):
         diffuse_groove_dhr(half_angle, theta_i, *rest)
         for rest in ((0.8, 32), (0.8, 16), (1 - 1e-9,))
     )
-    assert abs(white - 1) < 1e-5
+    # nearly white walls absorb 1e-9 at each of some events, fewer than ten in the mean
+    assert 0 < 1 - white < 1e-8
     wall = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.8}}
     record = gonio.measure(
         grooves(half_angle, 1, bsdf=wall),
