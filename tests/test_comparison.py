@@ -280,6 +280,21 @@ def test_passes_of_the_same_rays_count_once():
     assert one.weight[0] > 0, "of an empty patch"
 
 
+def test_batches_that_agree_are_trusted_to_a_rounded_hit():
+    """Of each batch 1 / 12 of a hit in square, where all have the same sum."""
+    record = gloss()
+    (made,) = record.tallies
+    made.hits[0, 0, 0] = 320
+    made.sums[:, 0, 0, 0] = 10 * made.scale
+    zero = np.zeros(1, int)
+    even = Readings.of(record, 0, zero, zero, zero)
+    assert even.std_err == 0
+    solid = record.subdivision.projected_solid_angles[0, 0]
+    expected = np.sqrt(32 / 12) / (made.ledger.emitted * solid)
+    # rounding: some ten operations
+    assert even.error[0] == pytest.approx(expected, rel=16 * EPS)
+
+
 @pytest.mark.parametrize("n_batches", [2, 3, 8])
 def test_the_total_is_students(n_batches):
     """With one degree of freedom less than batches, for their own scatter alone."""
