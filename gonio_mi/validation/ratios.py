@@ -30,7 +30,7 @@ def factor(name, drawn, mask):
     half = wi + wo
     half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
     if name == "cos_o":
-        return np.abs(wo[:, 2])
+        return np.maximum(np.abs(wo[:, 2]), 1e-9)
     if name == "cos_i":
         return np.full(len(wo), abs(wi[2]))
     if name == "sin_o":
