@@ -234,6 +234,20 @@ def test_astm_is_what_compare_reads(tmp_path, channels, columns):
             gonio.read_measured(path)
 
 
+@pytest.mark.usefixtures("mono")
+def test_compare_takes_a_channel_of_an_astm_file(tmp_path, capsys):
+    record, table = tmp_path / "run.npz", tmp_path / "run.astm"
+    three = synthetic.record("projected:4x8", channels=("R", "G", "B"))
+    three.save(record)
+    exports.export(three, table)
+    command = ["compare", str(record), str(table)]
+    assert cli.main([*command, "--channel", "G"]) == 0
+    assert cli.main(command) == 1
+    assert "channel must be one of R, G, B" in capsys.readouterr().err
+    assert cli.main(["compare", str(record), str(record), "--channel", "G"]) == 1
+    assert "--channel goes with a table" in capsys.readouterr().err
+
+
 ASTM = "KEY words\nNUM_POINTS 1\nVARS theta_i,phi_i,theta_s,phi_s,R\n0,0,1,2,0.5\n"
 
 

@@ -40,7 +40,14 @@ def add(commands):
         help="an .exr or .npz file; with a table also a specimen as of `measure`",
     )
     parser.add_argument(
-        "other", metavar="OTHER", help="an .exr or .npz file, or a CSV table"
+        "other",
+        metavar="OTHER",
+        help="an .exr or .npz file, or a table: CSV, or .astm",
+    )
+    parser.add_argument(
+        "--channel",
+        metavar="NAME",
+        help="of an .astm table that has several, such as 550nm",
     )
     parser.add_argument(
         "--uncertainty",
@@ -94,7 +101,12 @@ def run(options):
 
     if options.output is not None:
         check_picture(options.output)
-    other = (files.load if is_record(options.other) else read_measured)(options.other)
+    if is_record(options.other):
+        if options.channel is not None:
+            raise ValueError(f"--channel goes with a table, got {options.other!r}")
+        other = files.load(options.other)
+    else:
+        other = read_measured(options.other, options.channel)
     if is_record(options.record):
         record = files.load(options.record)
     elif is_record(options.other):
