@@ -10,7 +10,6 @@ from . import llvm
 llvm.prepare()
 
 from . import plugins  # noqa: E402, F401
-from .apertures import Apertures  # noqa: E402
 from .campaign import campaign  # noqa: E402
 from .comparison import Comparison, compare, measure_like  # noqa: E402
 from .errors import (  # noqa: E402
@@ -20,8 +19,8 @@ from .errors import (  # noqa: E402
     VariantError,
 )
 from .files import load  # noqa: E402
+from .files.measured import MeasuredTable, read_measured  # noqa: E402
 from .goniophotometer import measure  # noqa: E402
-from .measured import MeasuredTable, read_measured  # noqa: E402
 from .ray_density import Plan, plan  # noqa: E402
 from .record import Record  # noqa: E402
 from .subdivision import (  # noqa: E402
@@ -34,6 +33,7 @@ from .subdivision import (  # noqa: E402
     adapted,
     subdivision,
 )
+from .subdivision.apertures import Apertures  # noqa: E402
 from .tally import Ledger  # noqa: E402
 
 __all__ = [

@@ -8,11 +8,7 @@ import mitsuba as mi
 import numpy as np
 
 from .batches import MAX_RAYS, checked_target, n_batches, send, send_until
-from .errors import (
-    VariantError,
-    checked_choice,
-    checked_count,
-)
+from .errors import VariantError, checked_choice, checked_count
 from .incidence import emitter_scene, incident_angles, incident_key
 from .memory import check_memory
 from .plugins.specimen import Specimen

@@ -11,13 +11,13 @@ from budget import agree, disagree, single
 
 import gonio_mi as gonio
 from gonio_mi import cli
-from gonio_mi.chart_plot import plot_chart
-from gonio_mi.curves import Chart, Curve, Point, Reference
+from gonio_mi.chart.curves import Chart, Curve, Point, Reference
+from gonio_mi.chart.picture import plot_chart
 from gonio_mi.ray_density import rms_expectation
 
 # the package has functions of these names
 charting = importlib.import_module("gonio_mi.chart")
-runs = importlib.import_module("gonio_mi.chart_runs")
+runs = importlib.import_module("gonio_mi.chart.runs")
 
 DIFFUSE = {"type": "diffuse", "reflectance": 0.5}
 GLASS = {"type": "dielectric"}

@@ -9,17 +9,12 @@ import pytest
 import synthetic
 
 import gonio_mi as gonio
-from gonio_mi import (
-    cli,
-    exports,
-    measured_export,
-    resampling,
-    tensor_file,
-)
+from gonio_mi import cli
 from gonio_mi.directions import direction
 from gonio_mi.errors import FileFormatError, VariantError
-from gonio_mi.klems import Klems
+from gonio_mi.files import exports, measured_export, resampling, tensor_file
 from gonio_mi.subdivision import subdivision
+from gonio_mi.subdivision.klems import Klems
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -296,7 +291,7 @@ def test_netcdf_is_what_xarray_reads(tmp_path, glossy):
 
 
 def test_netcdf_of_wavelengths_has_them_as_numbers():
-    from gonio_mi import netcdf
+    from gonio_mi.files import netcdf
 
     pytest.importorskip("xarray")
     data = netcdf.dataset(synthetic.record(channels=("400nm", "632.8nm")))
@@ -308,7 +303,7 @@ def test_netcdf_of_wavelengths_has_them_as_numbers():
 
 
 def test_without_xarray_a_sentence(monkeypatch):
-    from gonio_mi import netcdf
+    from gonio_mi.files import netcdf
 
     monkeypatch.setitem(__import__("sys").modules, "xarray", None)
     with pytest.raises(ImportError, match=r'pip install "gonio-mi\[netcdf\]"'):

@@ -13,7 +13,8 @@ import pytest
 import synthetic
 
 import gonio_mi as gonio
-from gonio_mi import exr_parts, files, npz
+from gonio_mi import files
+from gonio_mi.files import exr_parts, npz
 from gonio_mi.tally import Tally
 
 NAN = float("nan")

@@ -8,14 +8,20 @@ import numpy as np
 import pytest
 import synthetic
 
-from gonio_mi import exports, radiance_export, radiance_xml, resampling, tensor_tree
 from gonio_mi.directions import direction
 from gonio_mi.errors import FileFormatError
-from gonio_mi.klems import Klems
-from gonio_mi.radiance_bsdf import XYZ, RadianceBSDF, matrices, trees
-from gonio_mi.radiance_export import BASES
-from gonio_mi.shirley_chiu import directions_of, square_of
-from gonio_mi.tensor_tree import TensorTree
+from gonio_mi.files import (
+    exports,
+    radiance_export,
+    radiance_xml,
+    resampling,
+    tensor_tree,
+)
+from gonio_mi.files.radiance_bsdf import XYZ, RadianceBSDF, matrices, trees
+from gonio_mi.files.radiance_export import BASES
+from gonio_mi.files.shirley_chiu import directions_of, square_of
+from gonio_mi.files.tensor_tree import TensorTree
+from gonio_mi.subdivision.klems import Klems
 
 EPS = float(np.finfo(np.float32).eps)
 

@@ -7,10 +7,16 @@ from budget import agree, disagree, scores, single
 from test_goniometric import EPS, IMPORTANCE, ROUNDING, interaction, isotropic, values
 
 import gonio_mi as gonio
-from gonio_mi import exports, measured_export, radiance_export, radiance_xml, resampling
 from gonio_mi.directions import direction
-from gonio_mi.klems import Klems
-from gonio_mi.material_files import load_material
+from gonio_mi.files import (
+    exports,
+    measured_export,
+    radiance_export,
+    radiance_xml,
+    resampling,
+)
+from gonio_mi.files.material_files import load_material
+from gonio_mi.subdivision.klems import Klems
 
 # Not in their order.
 CHANNELS = ("500nm", "400nm", "650nm")

@@ -14,7 +14,7 @@ from gonio_mi import (
     subdivision,
 )
 from gonio_mi.directions import angles, direction
-from gonio_mi.hemisphere import BORDER
+from gonio_mi.subdivision.hemisphere import BORDER
 
 
 def uneven(n_theta, n_phi):

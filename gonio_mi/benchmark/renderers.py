@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..directions import direction
-from ..klems import Klems
+from ..subdivision.klems import Klems
 from .rivals import GRID, THETA_I, Rival
 
 __all__ = [

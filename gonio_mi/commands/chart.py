@@ -4,14 +4,7 @@ import sys
 from pathlib import Path
 
 from .. import files
-from .arguments import (
-    DONE,
-    add_scene_options,
-    add_specimen,
-    number,
-    say,
-    specimen_of,
-)
+from .arguments import DONE, add_scene_options, add_specimen, number, say, specimen_of
 
 __all__ = ["add", "run"]
 
@@ -130,8 +123,8 @@ def run(options):
     for path in tables:
         files.check_output(path, (".csv",))
     if pictures:
-        from ..chart_plot import plot_chart
-        from ..comparison_plot import check_picture
+        from ..chart.picture import plot_chart
+        from ..comparison.picture import check_picture
 
         for path in pictures:
             check_picture(path)

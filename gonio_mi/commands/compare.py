@@ -93,8 +93,8 @@ def add(commands):
 def run(options):
     """Run the command and return the exit code."""
     from ..comparison import compare, measure_like
-    from ..comparison_plot import check_picture
-    from ..measured import read_measured
+    from ..comparison.picture import check_picture
+    from ..files.measured import read_measured
 
     def is_record(path):
         return Path(path).suffix.lower() in files.ENDINGS

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from .. import files
-from ..channels import wavelengths_nm
+from ..files.channels import wavelengths_nm
 from .arguments import DONE, set_variant
 
 __all__ = ["add", "run"]
@@ -41,7 +41,7 @@ def add(commands):
 def run(options):
     """Run the command and return the exit code."""
     record = files.load(options.record)
-    from ..exports import ENDINGS, export  # which needs a renderer
+    from ..files.exports import ENDINGS, export  # which needs a renderer
 
     for path in options.output:
         files.check_output(path, ENDINGS)

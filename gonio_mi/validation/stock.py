@@ -8,7 +8,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
-from ..exports import export
+from ..files.exports import export
 from ..goniophotometer import measure
 from .inspection import validate
 from .verdict import FAILS

@@ -6,9 +6,9 @@ import operator
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi.channels import wavelengths_nm
+from gonio_mi.files.channels import wavelengths_nm
+from gonio_mi.files.material_files import load_material
 from gonio_mi.lobes import LobeTable
-from gonio_mi.material_files import load_material
 from gonio_mi.plugins.lit_face import LitFace
 
 LUMINANCE = (0.212671, 0.715160, 0.072169)

@@ -1,0 +1,188 @@
+"""Which points of a record belong to which of another one, or of a measured table."""
+
+import numpy as np
+
+from ..directions import direction
+from ..subdivision.apertures import Apertures
+from ..subdivision.hemisphere import BORDER
+from .agreement import PointSet, Readings
+
+__all__ = ["check_uncertainties", "pair_with_record", "pair_with_table", "pole_angle"]
+
+
+def pair_with_record(record, other, relative):
+    """Sets of points of two records, patch by patch."""
+    for what, a, b in (
+        ("collector", record.subdivision, other.subdivision),
+        ("channels", record.channels, other.channels),
+        ("hemispheres", _hemispheres(record), _hemispheres(other)),
+        ("number of incident directions", len(record), len(other)),
+    ):
+        if a != b:
+            raise ValueError(
+                f"the records must have the same {what} to be compared patch by patch, "
+                f"got {a!s:.60} and {b!s:.60}"
+            )
+    seeds = [r.settings.get("seed") for r in (record, other)]
+    notes = []
+    if seeds[0] == seeds[1]:
+        notes.append(
+            f"both records have the seed {seeds[0]}: their rays are not independent; "
+            "measure one again with another seed"
+        )
+    patches = record.subdivision
+    n = patches.n_patches - isinstance(patches, Apertures)
+    shape = (2 if record.has_lower else 1, n, len(record.channels))
+    hemisphere, patch, channel = (a.ravel() for a in np.indices(shape))
+    theta, phi = (angle.ravel() for angle in patches.middles)
+    theta_o = np.degrees(theta)[patch]
+    sets = []
+    for k in range(len(record)):
+        incident = (record.theta_i[k], record.phi_i[k])
+        _check_incident(incident, (other.theta_i[k], other.phi_i[k]))
+        first = Readings.of(record, k, hemisphere, patch, channel)
+        second = Readings.of(other, k, hemisphere, patch, channel)
+        columns = {
+            "theta_i": np.full(len(patch), incident[0]),
+            "phi_i": np.full(len(patch), incident[1]),
+            "theta_o": np.where(hemisphere, 180 - theta_o, theta_o),
+            "phi_o": np.degrees(phi)[patch],
+            "channel": np.array(record.channels)[channel],
+        }
+        solid = patches.projected_solid_angles.ravel()[patch]
+        keys = [(k, h, c) for h, c in zip(hemisphere.tolist(), channel.tolist())]
+        error = relative * np.abs(second.value)
+        sets.append(PointSet(columns, first, second.value, error, second, solid, keys))
+    return sets, notes
+
+
+def pair_with_table(records, table):
+    """Sets of points of a table, each with the records that hold it."""
+    notes = []
+    errors = table.bsdf_std_err
+    if not (errors.any() or table.scale_uncertainty):
+        notes.append(f"{table.name} states no uncertainty: its values count as exact")
+    sets = []
+    hemisphere = int(table.quantity == "btdf")
+    v = direction(np.radians(pole_angle(table.theta_o)), np.radians(table.phi_o))
+    left = np.ones(len(table), bool)
+    for record in records:
+        if hemisphere and not record.has_lower:
+            raise ValueError(
+                f"{table.name} holds btdf, but the record has no lower hemisphere; "
+                "measure it with hemispheres='both'"
+            )
+        channel = _channel(record, table)
+        patches = record.subdivision
+        if isinstance(patches, Apertures):
+            patch, held = _own_apertures(patches, v, table)
+        else:
+            patch, held = patches.patch(v), np.ones(len(table), bool)
+            notes.append(
+                f"means over patches of {patches} stand for points; a record made like "
+                "the table (measure_like) has no such bias"
+            )
+        for k in range(len(record)):
+            incident = (record.theta_i[k], record.phi_i[k])
+            here = left & held & _same(incident, (table.theta_i, table.phi_i))
+            if not here.any():
+                continue
+            left &= ~here
+            names = ("theta_i", "phi_i", "theta_o", "phi_o")
+            columns = {name: getattr(table, name)[here] for name in names}
+            own = np.full(here.sum(), channel)
+            columns["channel"] = np.array(record.channels)[own]
+            where = np.full(here.sum(), hemisphere)
+            readings = Readings.of(record, k, where, patch[here], own)
+            solid = patches.projected_solid_angles.ravel()[patch[here]]
+            keys = [tuple(np.round(incident, 3))] * len(own)
+            sets.append(
+                PointSet(
+                    columns, readings, table.bsdf[here], errors[here], None, solid, keys
+                )
+            )
+    if left.any():
+        row = int(np.argmax(left))
+        known = "; ".join(
+            f"{theta:.6g}, {phi:.6g}"
+            for record in records[:4]
+            for theta, phi in zip(record.theta_i[:4], record.phi_i[:4])
+        )
+        what = "incident direction"
+        if any(
+            _same(incident, (table.theta_i[row], table.phi_i[row]))
+            for record in records
+            for incident in zip(record.theta_i, record.phi_i)
+        ):
+            what, known = "aperture around theta_o, phi_o", "others"
+            of = (table.theta_o[row], table.phi_o[row])
+        else:
+            of = (table.theta_i[row], table.phi_i[row])
+        raise ValueError(
+            f"the record must have each {what} of {table.name}, but lacks "
+            f"{of[0]:g}, {of[1]:g} degrees (it has {known})"
+        )
+    return sets, list(dict.fromkeys(notes))
+
+
+def _own_apertures(patches, v, table):
+    """Which aperture stands in each direction, and whether one does."""
+    if table.aperture_half_angle is not None and not np.isclose(
+        table.aperture_half_angle, patches.half_angle, rtol=BORDER, atol=0
+    ):
+        raise ValueError(
+            f"the record's apertures must have the half-angle of {table.name}, "
+            f"{table.aperture_half_angle:g} degrees, got {patches.half_angle:g}"
+        )
+    from scipy.spatial import cKDTree  # slow to import
+
+    theta, phi = (angle.ravel() for angle in patches.middles)
+    axes = direction(theta[:-1], phi[:-1])
+    distance, nearest = cKDTree(axes).query(v)
+    return nearest, distance <= BORDER
+
+
+def _channel(record, table):
+    """Index of the record's channel that a table's values belong to."""
+    names = list(record.channels)
+    if table.channel is None and len(names) == 1:
+        return 0
+    if table.channel not in names:
+        said = "no channel" if table.channel is None else f"channel {table.channel}"
+        raise ValueError(
+            f"the table's header must name a channel of the record "
+            f"({', '.join(names)}), but {table.name} names {said}"
+        )
+    return names.index(table.channel)
+
+
+def check_uncertainties(record):
+    """Raise ValueError for a record whose scatter is not known."""
+    if record.n_batches < 2 and not all(one.binomial for one in record.estimates):
+        raise ValueError(
+            "the record must have at least 2 batches for its uncertainties to be "
+            f"known, got {record.n_batches}"
+        )
+
+
+def _check_incident(a, b):
+    if not _same(a, b):
+        raise ValueError(
+            "the records must have the same incident directions, got (theta_i, phi_i) "
+            f"= ({a[0]:.6g}, {a[1]:.6g}) and ({b[0]:.6g}, {b[1]:.6g}) degrees"
+        )
+
+
+def _same(a, b):
+    """Whether two directions, in degrees, are one but for single precision."""
+    first, second = (direction(*np.radians(pair)) for pair in (a, b))
+    return np.linalg.norm(first - second, axis=-1) <= BORDER
+
+
+def _hemispheres(record):
+    return "both" if record.has_lower else "upper"
+
+
+def pole_angle(theta_o):
+    """Angle from the pole of its own hemisphere, in degrees."""
+    return np.where(theta_o > 90, 180 - theta_o, theta_o)

@@ -1,0 +1,153 @@
+"""Picture of a comparison: both curves with error bars, and their scores below."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..files import check_output, replacing
+
+__all__ = ["ENDINGS", "check_picture", "plot_comparison"]
+
+ENDINGS = (".pdf", ".png", ".svg")
+
+MAX_PANELS = 6
+
+# Azimuths closer than this, in degrees, are the same.
+SAME = 1e-3
+
+
+def check_picture(path):
+    """Raise one clear sentence unless a picture can be drawn and written to `path`.
+
+    Raises
+    ------
+    ImportError
+        Without Matplotlib.
+    ValueError, OSError
+        If the ending is not one of `ENDINGS`, or the file cannot be written.
+    """
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError:
+        raise ImportError(
+            'plots need matplotlib: run pip install "gonio-mi[plot]"'
+        ) from None
+    check_output(path, ENDINGS)
+
+
+def plot_comparison(comparison, path):
+    """Write a figure to `path`, which ends in one of `ENDINGS`.
+
+    One panel per incident direction and channel, up to six, with the points of the two
+    half-planes next to the plane of incidence over the signed polar angle: positive on
+    the mirror direction's side. Points that do not line up are drawn over theta_o.
+
+    Raises as :func:`check_picture`.
+    """
+    check_picture(path)
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    panels = _panels(comparison)
+    shown = panels[:MAX_PANELS]
+    figure = Figure(figsize=(5.2 * len(shown) + 0.8, 5.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(
+        2,
+        len(shown),
+        squeeze=False,
+        sharex="col",
+        height_ratios=(3, 1),
+    )
+    for (above, below), panel in zip(axes.T, shown):
+        _draw(comparison, panel, above, below)
+    axes[0, 0].set_ylabel("BSDF (1/sr)")
+    axes[1, 0].set_ylabel("z")
+    verdict = "agree" if comparison.passed else "differ"
+    title = f"{verdict}: p = {comparison.p_value:.2g}, rms {comparison.rms:.3g} 1/sr"
+    if len(panels) > len(shown):
+        title += f"; {len(shown)} of {len(panels)} panels"
+    figure.suptitle(title, fontsize="medium")
+    with replacing(path) as stream:
+        ending = Path(path).suffix[1:].lower()
+        figure.savefig(stream, format=ending, dpi=150)
+
+
+def _panels(comparison):
+    """Distinct incident directions and channels, in order."""
+    columns = (comparison.theta_i, comparison.phi_i, comparison.channel)
+    return list(dict.fromkeys(zip(*(column.tolist() for column in columns))))
+
+
+def _draw(comparison, panel, above, below):
+    """One incident direction and channel."""
+    theta_i, phi_i, channel = panel
+    own = (comparison.theta_i == theta_i) & (comparison.phi_i == phi_i)
+    own &= comparison.channel == channel
+    points = np.flatnonzero(own)
+    x, in_plane, label = _profile(
+        comparison.theta_o[points], comparison.phi_o[points], phi_i
+    )
+    points, x = points[in_plane], x[in_plane]
+    order = np.argsort(x, kind="stable")
+    points, x = points[order], x[order]
+    for name, values, errors, style in (
+        ("other", comparison.other, comparison.other_std_err, "s"),
+        ("record", comparison.value, comparison.std_err, "o"),
+    ):
+        above.errorbar(
+            x,
+            values[points],
+            np.nan_to_num(errors[points]),
+            fmt=f"-{style}",
+            markersize=3,
+            linewidth=0.8,
+            capsize=2,
+            label=f"{name} +- std_err",
+            mfc="none" if name == "other" else None,
+        )
+    above.legend(frameon=False)
+    above.set_title(
+        f"theta_i {theta_i:.4g}°, phi_i {phi_i:.4g}°, {channel}", fontsize="small"
+    )
+    z = comparison.z[points]
+    below.axhspan(-2, 2, color="0.9")
+    below.axhline(0, color="0.5", linewidth=0.8)
+    below.plot(x, z, "o", markersize=3, color="C1")
+    reach = max(3.5, 1.1 * np.abs(z).max())
+    below.set_ylim(-reach, reach)
+    below.set_xlabel(label)
+
+
+def _profile(theta_o, phi_o, phi_i):
+    """Abscissa of each point, which points lie in the profile, and the axis label."""
+    ahead = _turn(phi_o - phi_i - 180)
+    back = _turn(phi_o - phi_i)
+    nearest = [
+        angle[np.argmin(np.abs(angle) - SAME * np.sign(angle))]
+        for angle in (ahead, back)
+    ]
+    on_pole = np.minimum(theta_o, 180 - theta_o) < SAME
+    forward = np.abs(_turn(ahead - nearest[0])) < SAME
+    backward = np.abs(_turn(back - nearest[1])) < SAME
+    # a half-plane on the other's side is no half-plane of its own
+    forward &= abs(nearest[0]) <= 90
+    backward &= abs(nearest[1]) <= 90
+    chosen = forward | backward | on_pole
+    if chosen.sum() < min(3, len(theta_o)):
+        return theta_o, np.ones(len(theta_o), bool), "theta_o (degrees), all points"
+    azimuths = [
+        f"{(phi_i + turn + angle) % 360:.4g}°"
+        for turn, angle, there in (
+            (180, nearest[0], forward),
+            (0, nearest[1], backward),
+        )
+        if there.any()
+    ]
+    label = f"theta_o (degrees), phi_o {' and '.join(azimuths)}"
+    return np.where(backward & ~forward, -theta_o, theta_o), chosen, label
+
+
+def _turn(angle):
+    """Angle in degrees in [-180, 180)."""
+    return (angle + 180) % 360 - 180

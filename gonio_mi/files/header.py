@@ -1,0 +1,188 @@
+"""What files hold of a record besides its sums, and the checks on what is read."""
+
+import json
+import math
+import os
+
+import numpy as np
+
+from ..errors import FileFormatError
+from ..record import Record
+from ..subdivision import subdivision
+from ..tally import Fate, Tally
+
+__all__ = [
+    "FORMAT",
+    "MAX_EXPANSION",
+    "VERSION",
+    "check_format",
+    "header_of",
+    "json_of",
+    "parsed_json",
+    "parsed_subdivision",
+    "rebuilt",
+    "require",
+    "size_of",
+]
+
+FORMAT = "gonio-mi record"
+VERSION = 2
+
+# Deflate expands by at most 1032 (zlib's technical details). A file that announces more
+# than this many times its own size does not hold what it says.
+MAX_EXPANSION = 1100
+
+
+def header_of(record):
+    """Everything but the integer sums, as a dictionary of JSON's types.
+
+    Angles are in degrees; None where the incident direction is unknown.
+    """
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "subdivision": str(record.subdivision),
+        "theta_i": [None if math.isnan(x) else float(x) for x in record.theta_i],
+        "phi_i": [None if math.isnan(x) else float(x) for x in record.phi_i],
+        "channels": list(record.channels),
+        "stacked": bool(record.stacked),
+        "scales": [int(tally.scale) for tally in record.tallies],
+        "settings": record.settings,
+    }
+
+
+def json_of(value):
+    """JSON text in ASCII; floats keep all their bits."""
+    return json.dumps(value, ensure_ascii=True)
+
+
+def parsed_json(text):
+    """Return what :func:`json_of` wrote, or raise FileFormatError."""
+    require(isinstance(text, str), "its description is not text")
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        raise FileFormatError("its description is damaged: not JSON") from None
+
+
+def check_format(header):
+    """Raise FileFormatError unless `header` is ours and of a version that we read."""
+    require(
+        isinstance(header, dict) and header.get("format") == FORMAT,
+        "it was not written by gonio-mi",
+    )
+    version = header.get("version")
+    if version != VERSION:
+        newer = isinstance(version, int) and version > VERSION
+        raise FileFormatError(
+            f"it has format version {version!r} and this gonio-mi reads {VERSION}"
+            + (": install a newer gonio-mi" if newer else "")
+        )
+
+
+def rebuilt(header, tallies):
+    """Record from its header and, per incident direction, the arrays of its tally.
+
+    Parameters
+    ----------
+    header : dict
+        As :func:`header_of` made it, from a file: not to be trusted.
+    tallies : list of dict
+        The arrays `hits`, `sums`, `incident` and `fates` of :class:`Tally`, and
+        `errors` if it has some.
+
+    Raises
+    ------
+    FileFormatError
+        If anything is missing, of another type or shape, or does not fit the rest.
+    """
+    check_format(header)
+    n = len(tallies)
+    theta_i, phi_i = (_angles(header, key, n) for key in ("theta_i", "phi_i"))
+    channels = _listed(header, "channels", str)
+    scales = _listed(header, "scales", int)
+    stacked, settings = header.get("stacked"), header.get("settings")
+    require(len(channels) > 0, "it has no channels")
+    require(isinstance(stacked, bool), "its entry stacked is not a truth value")
+    require(isinstance(settings, dict), "its settings are not a dictionary")
+    require(stacked or n == 1, f"it holds {n} incident directions but is not a stack")
+    require(len(scales) == n, f"it has {len(scales)} scales for {n} directions")
+    patches = parsed_subdivision(header)
+    for arrays, scale in zip(tallies, scales):
+        require(0 < scale < 2**63, f"its scale {scale} is out of range")
+        _check_shapes(arrays, patches.shape, len(channels))
+    return Record(
+        subdivision=patches,
+        theta_i=theta_i,
+        phi_i=phi_i,
+        channels=tuple(channels),
+        tallies=tuple(Tally(**arrays, scale=s) for arrays, s in zip(tallies, scales)),
+        settings=settings,
+        stacked=stacked,
+    )
+
+
+def parsed_subdivision(header):
+    """Return the subdivision that the header names, or raise FileFormatError."""
+    name = header.get("subdivision")
+    try:
+        return subdivision(name)
+    except (TypeError, ValueError):
+        raise FileFormatError(f"its subdivision {name!r:.80} is unknown") from None
+
+
+def require(condition, reason):
+    """Raise FileFormatError with `reason`, a clause about the file, unless it holds."""
+    if not condition:
+        raise FileFormatError(reason)
+
+
+def size_of(stream):
+    """Size of an open file in bytes; the position is kept."""
+    position = stream.tell()
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(position)
+    return size
+
+
+def _check_shapes(arrays, patches, n_channels):
+    """Raise FileFormatError unless the arrays of a tally fit the header."""
+    n_hemispheres, n_batches = len(arrays["hits"]), len(arrays["fates"])
+    require(n_hemispheres in (1, 2), f"it has {n_hemispheres} hemispheres")
+    require(n_batches > 0, "it holds no batch")
+    shapes = {
+        "hits": (n_hemispheres, *patches),
+        "sums": (n_batches, n_hemispheres, *patches, n_channels),
+        "incident": (n_batches, n_channels),
+        "fates": (n_batches, len(Fate)),
+    }
+    if "errors" in arrays:
+        shapes["errors"] = (n_hemispheres, *patches, n_channels)
+    for name, shape in shapes.items():
+        array = arrays[name]
+        require(
+            array.shape == shape and array.dtype == np.uint64,
+            f"its array {name} is {array.dtype} {array.shape}, not uint64 {shape}",
+        )
+
+
+def _angles(header, key, n):
+    """Array of `n` angles in degrees."""
+    values = _listed(header, key, (float, type(None)))
+    angles = np.array(values, dtype=float)  # NaN for None
+    require(
+        len(values) == n and not np.isinf(angles).any(), f"its {key} are not {n} angles"
+    )
+    return angles
+
+
+def _listed(header, key, kinds):
+    """List of values of certain types; a truth value is no number."""
+    values = header.get(key)
+    require(
+        isinstance(values, list)
+        and all(isinstance(value, kinds) for value in values)
+        and not any(isinstance(value, bool) for value in values),
+        f"its entry {key} is not a list of the right type",
+    )
+    return values

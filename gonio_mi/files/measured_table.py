@@ -1,0 +1,189 @@
+"""Tables of measured values: what they hold, and in which ranges."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import checked_choice, checked_number
+from . import replacing
+
+__all__ = [
+    "COLUMNS",
+    "NUMBERS",
+    "QUANTITIES",
+    "TEXTS",
+    "UNITS",
+    "MeasuredTable",
+    "fits",
+]
+
+COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "value")
+QUANTITIES = ("brdf", "brdf_cos", "btdf")
+UNITS = ("1/sr", "sr^-1")
+
+# Header keys that are numbers: interval and condition of each.
+NUMBERS = {
+    "uncertainty": (0, np.inf, "a finite number of 0 or more"),
+    "scale_uncertainty": (0, np.inf, "a finite number of 0 or more"),
+    "aperture_half_angle": (0, 90, "an angle in degrees in [0, 90)"),
+    "aperture_solid_angle": (0, 2 * np.pi, "a solid angle in sr in [0, 2 pi)"),
+    "emitter_half_angle": (0, 90, "an angle in degrees in [0, 90)"),
+    "emitter_distance": (0, np.inf, "a finite distance of 0 or more"),
+}
+TEXTS = ("units", "quantity", "channel")
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredTable:
+    """Values that an instrument has measured, one per pair of directions.
+
+    Parameters
+    ----------
+    theta_i, phi_i, theta_o, phi_o : array_like of float, shape (n,)
+        Directions of incidence and of exit in degrees, away from the surface:
+        ``0 <= theta_i < 90`` from the normal of the lit face, azimuths from +x
+        counter-clockwise, of any turn. ``0 <= theta_o < 90`` for reflection,
+        ``90 < theta_o <= 180`` for transmission: the horizon is no direction of exit.
+    value : array_like of float, shape (n,)
+        `quantity` in 1/sr; noise may leave it negative.
+    sigma : array_like of float, shape (n,), optional
+        Standard uncertainty of `value` in 1/sr, 0 or more, independent between points.
+    quantity : {"brdf", "brdf_cos", "btdf"}
+        ``brdf_cos`` is the BRDF times cos(theta_o).
+    uncertainty : float
+        Relative standard uncertainty of each value, independent between points; it adds
+        to `sigma` in quadrature. 0.005 is 0.5 %.
+    scale_uncertainty : float
+        Relative standard uncertainty of a factor common to all values: calibration.
+    aperture_half_angle : float, optional
+        Of the detector's circular aperture, in degrees, seen from the specimen.
+    emitter_half_angle : float
+        Of a round source, in degrees; 0 is a collimated beam.
+    emitter_distance : float, optional
+        From the specimen to that source, in scene units.
+    channel : str, optional
+        Channel of a record that the values belong to, such as ``"550nm"``.
+    header : dict
+        Other keys of the file's header, as text.
+    name : str
+        Where the table came from, for messages.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a column is empty, of another length than the others, or holds a value that
+        is not finite or outside of its range; or a setting is.
+    """
+
+    theta_i: np.ndarray
+    phi_i: np.ndarray
+    theta_o: np.ndarray
+    phi_o: np.ndarray
+    value: np.ndarray
+    sigma: np.ndarray | None = None
+    quantity: str = "brdf"
+    uncertainty: float = 0.0
+    scale_uncertainty: float = 0.0
+    aperture_half_angle: float | None = None
+    emitter_half_angle: float = 0.0
+    emitter_distance: float | None = None
+    channel: str | None = None
+    header: dict = field(default_factory=dict)
+    name: str = "the table"
+
+    def __post_init__(self):
+        checked_choice("quantity", self.quantity, QUANTITIES)
+        for name, (low, high, condition) in NUMBERS.items():
+            value = getattr(self, name, None)
+            if value is not None:
+                value = checked_number(name, value, low, high, condition)
+                object.__setattr__(self, name, value)
+        for name in ("aperture_half_angle", "emitter_distance"):
+            if getattr(self, name) == 0:
+                raise ValueError(f"{name} must be positive, got 0")
+        for name in (*COLUMNS, "sigma"):
+            column = getattr(self, name)
+            if column is not None:
+                object.__setattr__(self, name, self._checked(name, column))
+
+    def _checked(self, name, column):
+        """Column as a read-only array, or the first row that does not fit."""
+        column = np.array(column, dtype=float)
+        n = np.size(self.theta_i)
+        if column.ndim != 1 or column.size != n or n == 0:
+            raise ValueError(
+                f"{name} must hold one number for each of {n or 'at least one'} rows, "
+                f"got the shape {column.shape}"
+            )
+        good, condition = fits(name, column, self.quantity)
+        if not good.all():
+            row = int(np.argmin(good))
+            raise ValueError(
+                f"{name} must be {condition}, got {column[row]:g} in row {row}"
+            )
+        column.flags.writeable = False
+        return column
+
+    def __len__(self):
+        return len(self.value)
+
+    def __repr__(self):
+        return (
+            f"<MeasuredTable {self.name}: {len(self)} values of {self.quantity}, "
+            f"{len(self.incident)} incident directions>"
+        )
+
+    @property
+    def incident(self):
+        """Distinct pairs (theta_i, phi_i) in degrees, in the order of the table."""
+        return list(dict.fromkeys(zip(self.theta_i.tolist(), self.phi_i.tolist())))
+
+    @property
+    def bsdf(self):
+        """BRDF or BTDF in 1/sr without cosine, shape (n,)."""
+        return self.value / self._cosine
+
+    @property
+    def bsdf_std_err(self):
+        """Standard uncertainty of `bsdf` that is independent between points.
+
+        `sigma` and `uncertainty` in quadrature, in 1/sr, shape (n,).
+        """
+        sigma = 0.0 if self.sigma is None else self.sigma
+        return np.hypot(sigma, self.uncertainty * np.abs(self.value)) / self._cosine
+
+    @property
+    def _cosine(self):
+        if self.quantity != "brdf_cos":
+            return 1.0
+        return np.cos(np.radians(self.theta_o))
+
+    def save(self, path):
+        """Write the table as a CSV file that `read_measured` reads back."""
+        lines = [f"# units: {UNITS[0]}", f"# quantity: {self.quantity}"]
+        for key in (*NUMBERS, "channel"):
+            value = getattr(self, key, None)
+            if value:
+                lines.append(f"# {key}: {value}")
+        lines += [f"# {key}: {value}" for key, value in self.header.items()]
+        names = [*COLUMNS, *(() if self.sigma is None else ("sigma",))]
+        lines.append(",".join(names))
+        for row in zip(*(getattr(self, name).tolist() for name in names)):
+            lines.append(",".join(map(repr, row)))
+        with replacing(path) as stream:
+            stream.write(("\n".join(lines) + "\n").encode())
+
+
+def fits(name, value, quantity):
+    """Whether each value fits its column, and the condition; NaN never does."""
+    if name == "theta_i":
+        return (value >= 0) & (value < 90), "an angle in degrees in [0, 90)"
+    if name == "theta_o" and quantity == "btdf":
+        condition = "an angle in degrees in (90, 180] for btdf"
+        return (value > 90) & (value <= 180), condition
+    if name == "theta_o":
+        condition = f"an angle in degrees in [0, 90) for {quantity}"
+        return (value >= 0) & (value < 90), condition
+    if name == "sigma":
+        return (value >= 0) & np.isfinite(value), "a finite number of 0 or more"
+    return np.isfinite(value), "a finite number"

@@ -1,0 +1,121 @@
+"""A record as one figure: polar maps, and the profile in the plane of incidence.
+
+matplotlib is the optional extra ``plot``; it is imported when a figure is drawn.
+"""
+
+import math
+from pathlib import Path
+
+from ..errors import checked_count
+from ..files import check_output, replacing
+from .profile import draw_profiles
+
+__all__ = ["FIGURE_ENDINGS", "plot"]
+
+FIGURE_ENDINGS = (".pdf", ".png", ".svg")
+MAX_TITLE = 80
+WORDS = ("estimator", "sampler")
+
+
+def plot(record, path=None, *, index=0):
+    """Draw one figure of a record, and write it if `path` is given.
+
+    Above, the patches of one incident direction in orthographic projection, seen along
+    -z: the radius is sin(theta_o), so that equal areas are equal projected solid
+    angles; phi_o is 0 to the right and grows counter-clockwise. Colours are linear, or
+    logarithmic where values differ by more than a factor of 100. With several channels
+    they show the mean. Transmission is drawn if any was received.
+
+    Below, the profile in the plane of incidence with 95 % intervals: one curve per
+    channel, or per incident direction of a stack of up to 8 with one channel. Triangles
+    are the upper limits of patches without a hit, dotted lines the mirror directions.
+
+    Parameters
+    ----------
+    record : Record
+    path : str or path, optional
+        Ends in ``.pdf``, ``.png`` or ``.svg``.
+    index : int
+        Number of the incident direction of a stack.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ImportError
+        If matplotlib is not installed.
+    ValueError
+        If there is no such direction, or for another file ending.
+    OSError
+        If the file cannot be written.
+    """
+    try:
+        from .figure import NotebookFigure
+        from .polar_map import draw_map
+    except ImportError:
+        raise ImportError(
+            'plots need matplotlib: run pip install "gonio-mi[plot]"'
+        ) from None
+    index = checked_count("index", index, 0)
+    if index >= len(record):
+        raise ValueError(
+            f"index must be below {len(record)}, the number of incident directions, "
+            f"got {index}"
+        )
+    if path is not None:
+        check_output(path, FIGURE_ENDINGS)
+    single = record[index]
+    shown = ["brdf"]
+    if single.has_lower and single.btdf.any():
+        shown.append("btdf")
+
+    size = 7 if len(shown) == 1 else 10, 8
+    figure = NotebookFigure(figsize=size, layout="constrained")
+    above, below = figure.subfigures(2, 1, height_ratios=(1.3, 1))
+    for axes, of in zip(above.subplots(1, len(shown), squeeze=False)[0], shown):
+        draw_map(axes, single, of)
+    draw_profiles(below.subplots(), record, index, shown)
+    figure.suptitle(_title(record, index), size="medium", parse_math=False)
+    if path is not None:
+        with replacing(path) as stream:
+            figure.savefig(stream, format=Path(path).suffix[1:].lower(), dpi=150)
+    return figure
+
+
+def _title(record, index):
+    """Three lines: specimen, incident direction and settings, totals."""
+    single, settings = record[index], record.settings
+    specimen = " ".join(str(settings.get("specimen", "specimen")).split())
+    if len(specimen) > MAX_TITLE:
+        specimen = specimen[: MAX_TITLE - 1] + "…"
+    direction = f"θᵢ = {single.theta_i[0]:g}°, φᵢ = {single.phi_i[0]:g}°"
+    if math.isnan(single.theta_i[0]):
+        direction = "incident as the emitter"
+    if len(record) > 1:
+        direction += f" ({index + 1} of {len(record)} directions)"
+    facts = [direction, "back side" if settings.get("side") == "back" else ""]
+    rays = [f"{single.ledger.emitted:,} rays".replace(",", " ")]
+    rays += [f"{settings[key]} {key}" for key in WORDS if key in settings]
+    lines = [
+        specimen,
+        ", ".join(filter(None, facts)) + ", " + str(record.subdivision),
+        ", ".join(rays),
+    ]
+    totals = [_total("dhr", single.dhr, single.dhr_std_err)]
+    if single.has_lower:
+        totals.append(_total("dht", single.dht, single.dht_std_err))
+    lines[-1] += "; " + ", ".join(totals)
+    return "\n".join(lines).encode("utf-8", "backslashreplace").decode()
+
+
+def _total(name, values, std_errs):
+    """Mean over the channels, with the standard error of a single channel."""
+    if len(values) > 1:
+        return f"{name} {values.mean():.4g}"
+    value, std_err = float(values[0]), float(std_errs[0])
+    if not std_err > 0:
+        return f"{name} {value:.4g}"
+    decimals = max(0, 1 - math.floor(math.log10(std_err)))
+    return f"{name} {value:.{decimals}f} ± {std_err:.{decimals}f}"

@@ -1,0 +1,135 @@
+"""Hemispheres cut at given borders, or at those that suit a pilot measurement."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..errors import checked_count, checked_number
+from .hemisphere import BORDER, Subdivision
+
+__all__ = ["Borders", "adapted"]
+
+
+@dataclass(frozen=True)
+class Borders(Subdivision):
+    """Rings and sectors between given borders, in degrees.
+
+    Parameters
+    ----------
+    theta_deg : sequence of float
+        Ring borders, ascending from 0 to 90.
+    phi_deg : sequence of float
+        Sector borders, ascending from 0 to 360.
+
+    Raises
+    ------
+    ValueError
+        If the borders do not ascend, or do not begin and end there.
+    """
+
+    theta_deg: tuple[float, ...]
+    phi_deg: tuple[float, ...]
+
+    name = "borders"
+
+    def __post_init__(self):
+        for field, end in (("theta_deg", 90), ("phi_deg", 360)):
+            borders = tuple(float(x) for x in getattr(self, field))
+            ascends = all(low < high for low, high in pairwise(borders))
+            if len(borders) < 2 or borders[0] != 0 or borders[-1] != end or not ascends:
+                raise ValueError(
+                    f"{field} must ascend from 0 to {end} degrees, got {borders}"
+                )
+            object.__setattr__(self, field, borders)
+
+    def __str__(self):
+        theta, phi = (
+            ",".join(map(repr, borders)) for borders in (self.theta_deg, self.phi_deg)
+        )
+        return f"{self.name}:{theta}x{phi}"
+
+    @property
+    def n_theta(self):
+        """Number of rings."""
+        return len(self.theta_deg) - 1
+
+    @property
+    def n_phi(self):
+        """Number of sectors."""
+        return len(self.phi_deg) - 1
+
+    @property
+    def theta_edges(self):
+        """Ring borders in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
+        return np.radians(self.theta_deg)
+
+    @property
+    def phi_edges(self):
+        """Sector borders in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
+        return np.radians(self.phi_deg)
+
+    def _ring(self, xp, sin2, z):
+        # inner borders passed, by whichever of sin^2 and cos^2 keeps its precision
+        above = xp.count_below(np.sin(self.theta_edges[1:-1]) ** 2, sin2 * (1 + BORDER))
+        beyond = xp.count_below(
+            -(np.cos(self.theta_edges[1:-1]) ** 2), -z * z * (1 - BORDER)
+        )
+        return xp.where(sin2 < z * z, above, beyond)
+
+    def _sector(self, xp, x, y):
+        turn = xp.atan2(y, x) + BORDER
+        turn = xp.where(turn < 0, turn + 2 * np.pi, turn)
+        sector = xp.count_below(self.phi_edges[1:-1], turn)
+        return xp.where(((x == 0) & (y == 0)) | (turn >= 2 * np.pi), 0.0, sector)
+
+
+def adapted(brdf, grid, n_theta, n_phi, uniform=0.25):
+    """Subdivision whose rings and sectors are narrow where a pilot found the light.
+
+    After the paper's section 4 (and Greenberg et al. 1997): borders are quantiles of
+    the pilot's flux over polar angle and over azimuth, mixed with a share of equal
+    projected solid angles so that no direction is left without patches.
+
+    Parameters
+    ----------
+    brdf : array_like, shape (grid.n_theta, grid.n_phi)
+        Pilot's BRDF in 1/sr, or anything proportional to it.
+    grid : Subdivision
+        The pilot's patches.
+    n_theta, n_phi : int
+        Rings and sectors to make.
+    uniform : float
+        Share of the patches that are spread uniformly, in (0, 1].
+
+    Returns
+    -------
+    Borders
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a number is out of its range, or `brdf` has another shape or no light.
+    """
+    uniform = checked_number(
+        "uniform", uniform, 2.0**-30, 1 + 2.0**-52, "a number in (0, 1]"
+    )
+    n_theta, n_phi = checked_count("n_theta", n_theta), checked_count("n_phi", n_phi)
+    brdf = np.asarray(brdf, dtype=float)
+    if brdf.shape != grid.shape or not brdf.sum() > 0:
+        raise ValueError(
+            f"brdf must have the shape {grid.shape} and carry light, got {brdf.shape}"
+        )
+    flux = brdf * grid.projected_solid_angles
+
+    def _quantiles(marginal, measure, edges, n):
+        density = (1 - uniform) * marginal / marginal.sum() + uniform * measure
+        cumulative = np.append(0, np.cumsum(density))
+        return np.interp(np.arange(1, n) / n, cumulative / cumulative[-1], edges)
+
+    sin2 = np.sin(grid.theta_edges) ** 2
+    inner = _quantiles(flux.sum(axis=1), np.diff(sin2), sin2, n_theta)
+    theta = np.degrees(np.arcsin(np.sqrt(inner)))
+    share = np.diff(grid.phi_edges) / (2 * np.pi)
+    phi = np.degrees(_quantiles(flux.sum(axis=0), share, grid.phi_edges, n_phi))
+    return Borders((0, *theta, 90), (0, *phi, 360))

@@ -1,0 +1,152 @@
+"""Hemispheres cut in equal steps of a coordinate (the paper's section 3)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import checked_count
+from .hemisphere import BORDER, Subdivision
+
+__all__ = [
+    "EqualAngle",
+    "EqualProjectedSolidAngle",
+    "EqualSine",
+    "EqualSolidAngle",
+]
+
+# Single precision, in which patches are numbered, counts no further.
+MOST_PATCHES = 2**24
+
+
+@dataclass(frozen=True)
+class _Regular(Subdivision):
+    """Equal steps of a coordinate of the polar angle, and of azimuth.
+
+    Parameters
+    ----------
+    n_theta, n_phi : int
+        Number of rings and of sectors, each at least 1.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a number is not an integer or is below 1, or if there are more than 2**24
+        patches.
+    """
+
+    n_theta: int
+    n_phi: int
+
+    def __post_init__(self):
+        for field in ("n_theta", "n_phi"):
+            object.__setattr__(self, field, checked_count(field, getattr(self, field)))
+        if self.n_patches > MOST_PATCHES:
+            raise ValueError(
+                f"a collector must have at most {MOST_PATCHES} patches, got {self}"
+            )
+
+    def __str__(self):
+        return f"{self.name}:{self.n_theta}x{self.n_phi}"
+
+    @property
+    def theta_edges(self):
+        """Ring borders in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
+        edges = self._edges(np.arange(self.n_theta + 1) / self.n_theta)
+        edges[-1] = np.pi / 2
+        return edges
+
+    @property
+    def phi_edges(self):
+        """Sector borders in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
+        return np.linspace(0, 2 * np.pi, self.n_phi + 1)
+
+    def _ring(self, xp, sin2, z):
+        """Ring of a direction, counted from whichever end keeps its precision."""
+        from_pole, from_horizon = self._coordinates(xp, sin2, z)
+        n = float(self.n_theta)
+        above = xp.floor(from_pole * (n * (1 + BORDER)))
+        below = n - xp.ceil(from_horizon * (n * (1 - BORDER)))
+        return xp.minimum(xp.where(sin2 < z * z, above, below), n - 1)
+
+    def _sector(self, xp, x, y):
+        """Sector of a direction; the collector is turned by ``BORDER`` radians."""
+        n = float(self.n_phi)
+        turn = (xp.atan2(y, x) + BORDER) * (n / (2 * np.pi))
+        sector = xp.floor(xp.where(turn < 0, turn + n, turn))
+        # the pole, and what rounding lifted to a full turn, are in the first sector
+        return xp.where(((x == 0) & (y == 0)) | (sector >= n), 0.0, sector)
+
+    def _edges(self, fraction):
+        """Polar angle of a ring border, given its fraction of all rings."""
+        raise NotImplementedError
+
+    def _coordinates(self, xp, sin2, z):
+        """Ring coordinate in [0, 1], measured from the pole and from the horizon."""
+        raise NotImplementedError
+
+
+class EqualAngle(_Regular):
+    """Equal steps of polar angle and azimuth (the paper's section 3.1)."""
+
+    name = "angle"
+
+    def _edges(self, fraction):
+        return fraction * (np.pi / 2)
+
+    def _coordinates(self, xp, sin2, z):
+        sin = xp.sqrt(sin2)
+        return xp.atan2(sin, z) * (2 / np.pi), xp.atan2(z, sin) * (2 / np.pi)
+
+
+class EqualSolidAngle(_Regular):
+    """Patches of equal solid angle: equal steps of cos(theta) (eq. 11)."""
+
+    name = "solid"
+
+    @property
+    def solid_angles(self):
+        """Solid angle of each patch in sr, shape ``(n_theta, n_phi)``: all the same."""
+        return np.full(self.shape, 2 * np.pi / self.n_patches)
+
+    def _edges(self, fraction):
+        # 1 - cos(theta) = 2 sin^2(theta / 2), without cancellation at the pole
+        return 2 * np.arcsin(np.sqrt(fraction / 2))
+
+    def _coordinates(self, xp, sin2, z):  # noqa: ARG002
+        return sin2 / (1.0 + z), z
+
+
+class EqualProjectedSolidAngle(_Regular):
+    """Patches of equal projected solid angle: equal steps of sin^2(theta) (eq. 13)."""
+
+    name = "projected"
+
+    @property
+    def projected_solid_angles(self):
+        """Projected solid angle of each patch in sr: all the same."""
+        return np.full(self.shape, np.pi / self.n_patches)
+
+    def _edges(self, fraction):
+        return np.arcsin(np.sqrt(fraction))
+
+    def _coordinates(self, xp, sin2, z):  # noqa: ARG002
+        return sin2, z * z
+
+
+class EqualSine(_Regular):
+    """Equal steps of sin(theta): many small patches at the top.
+
+    The paper's Figure 11 uses "the reverse of the equal adjusted solid angle
+    subdivision" with "a larger number of smaller patches on the top". Equal projected
+    rings are their own mirror image, so it cannot be meant literally; eq. 11 applied to
+    the elevation fits the words. That reading is an inference.
+    """
+
+    name = "sine"
+
+    def _edges(self, fraction):
+        return np.arcsin(fraction)
+
+    def _coordinates(self, xp, sin2, z):
+        sin = xp.sqrt(sin2)
+        return sin, z * z / (1.0 + sin)
