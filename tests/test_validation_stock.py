@@ -82,6 +82,19 @@ def test_blendbsdf():
     assert only(first.sampled_component) == only(second.sampled_component) == 0
 
 
+def test_blendbsdf_of_a_mirror():
+    """Mirrored light must be worth 1, but the other lobe's density takes part."""
+    nested = {"a": {"type": "diffuse"}, "b": {"type": "conductor"}}
+    bsdf = mi.load_dict({"type": "blendbsdf", "weight": 0.25, **nested})
+    random = mi.Float([0.1]), mi.Point2f(0.3, 0.6)
+    bs, weight = bsdf.sample(context(), lit_from(0.5), *random)
+    assert mi.has_flag(bs.sampled_type, mi.BSDFFlags.DeltaReflection)
+    density = np.cos(0.5) / np.pi  # diffuse: reflectance 0.5
+    mixed = (0.25 + 0.75 * 0.5 * density) / (0.25 + 0.75 * density)
+    assert abs(only(weight) - mixed) <= 16 * np.finfo(np.float32).eps
+    assert mixed < 0.8
+
+
 def test_principled():
     bsdf = mi.load_dict({"type": "principled"})
     si, wo = lit_from(0.5), mi.Vector3f(0, 0.6, 0.8)

@@ -81,6 +81,15 @@ def cases():
             {"type": "blendbsdf", "weight": 0.3, "first": diffuse, "second": ggx},
         ),
         (
+            "blendbsdf of diffuse and conductor",
+            {
+                "type": "blendbsdf",
+                "weight": 0.25,
+                "first": diffuse,
+                "second": {"type": "conductor"},
+            },
+        ),
+        (
             "bumpmap of diffuse",
             {"type": "bumpmap", "arbitrary": bump, "nested": diffuse},
         ),
