@@ -82,10 +82,10 @@ class Plane:
         """Texture coordinates of points of the plane; the specimen ends at 0 and 1."""
         centre = self.interaction
         offset = p - centre.p
-        return mi.Point2f(
-            dr.dot(offset, centre.dp_du) / dr.squared_norm(centre.dp_du) + 0.5,
-            dr.dot(offset, centre.dp_dv) / dr.squared_norm(centre.dp_dv) + 0.5,
-        )
+        # of a sheared rectangle, both are not perpendicular (Cramer's rule)
+        du, dv = centre.dp_du, centre.dp_dv
+        area = _cross(du, dv)
+        return mi.Point2f(_cross(offset, dv), _cross(du, offset)) / area + 0.5
 
 
 class Specimen:
@@ -235,6 +235,11 @@ class Specimen:
         si = self.scene.ray_intersect(ray)
         dr.make_opaque(si)
         return Plane(shapes[0].bsdf(), si)
+
+
+def _cross(a, b):
+    """Signed area of the parallelogram of two horizontal vectors."""
+    return a.x * b.y - a.y * b.x
 
 
 def _describe(shape):

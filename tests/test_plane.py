@@ -1,0 +1,93 @@
+"""The flat rectangle that needs no ray tracing, wherever and however it lies."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import agree, difference_scores, disagree, normal_scores, single, verdict
+
+import gonio_mi as gonio
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+RAYS = 2**18
+
+
+def transform(*rows):
+    return mi.ScalarTransform4f([*rows, [0, 0, 0, 1]])
+
+
+def placed(name):
+    """How a rectangle of 2 x 2 lies in the plane z = const."""
+    sheared = transform([1, 0.6, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0])
+    t = mi.ScalarTransform4f()
+    return {
+        "sheared": sheared,
+        "rotated": t.rotate([0, 0, 1], 25).scale([1, 2, 1]),
+        "both": sheared @ t.rotate([0, 0, 1], 25).scale([1, 2, 1]),
+        "small": t.scale(1e-3) @ sheared,
+        "shifted": t.translate([3, -2, 0.5]) @ sheared,
+    }[name]
+
+
+def bitmap(pixels):
+    return {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(np.asarray(pixels, np.float32)[..., None]),
+        "raw": True,
+        "filter_type": "nearest",
+    }
+
+
+def textured(to_world):
+    """Brushed metal, whose reflectance differs in 3 x 4 fields."""
+    pixels = [[0.0, 0.3, 1.0], [0.9, 0.1, 0.0], [0.2, 0.8, 0.4], [0.0, 0.0, 0.7]]
+    metal = {"type": "roughconductor", "alpha_u": 0.2, "alpha_v": 0.5}
+    return {
+        "type": "rectangle",
+        "to_world": to_world,
+        "bsdf": {
+            "type": "twosided",
+            "bsdf": metal | {"specular_reflectance": bitmap(pixels)},
+        },
+    }
+
+
+def measured(specimen, **settings):
+    return gonio.measure(
+        specimen,
+        30,
+        40,
+        rays=RAYS,
+        collector="projected:4x8",
+        sampler="independent",
+        **settings,
+    )
+
+
+def check(plane, traced):
+    """Agreement of patches, totals, and of the rays that missed."""
+    assert plane.settings["transport"] == "plane"
+    assert traced.settings["transport"] == "traced"
+    agree(verdict(difference_scores(plane, traced)))
+    std_err = np.hypot(plane.dhr_std_err[0], traced.dhr_std_err[0])
+    difference = plane.dhr[0] - traced.dhr[0]
+    dof = 2 * plane.tallies[0].n_batches - 2
+    agree(single(normal_scores(difference / std_err, dof)))
+    disagree(single(normal_scores((difference + 0.05 * plane.dhr[0]) / std_err, dof)))
+
+
+@pytest.mark.parametrize("name", ["sheared", "rotated", "both", "small", "shifted"])
+def test_as_traced(name):
+    """Over an edge, where light lands tells what it meets, or that it missed."""
+    specimen = textured(placed(name))
+    # in units of the plate
+    radius = 1.3 * (1e-3 if name == "small" else 1)
+    plane = measured(specimen, footprint=radius)
+    traced = measured(specimen, footprint=radius, trace=True, seed=1)
+    check(plane, traced)
+    missed = [record.ledger.missed for record in (plane, traced)]
+    assert min(missed) > 0
+    p = sum(missed) / (2 * RAYS)
+    spread = np.sqrt(2 * RAYS * p * (1 - p))
+    agree(single((missed[0] - missed[1]) / spread))
+    disagree(single((missed[0] - missed[1] + 0.01 * RAYS) / spread))
