@@ -9,7 +9,7 @@ import numpy as np
 
 from .batches import MAX_RAYS, checked_target, n_batches, send, send_until
 from .errors import VariantError, checked_choice, checked_count
-from .incidence import emitter_scene, incident_angles, incident_key
+from .incidence import emitter_scene, incident_angles, incident_key, lamp_digest
 from .memory import check_memory
 from .plugins.specimen import Specimen
 from .progress import bar
@@ -210,8 +210,9 @@ def measure(
     measured = Specimen(scene, integrator.settings["period"])
     measured.name = specimen_name(specimen, parameters)
     emitters = [emitter_scene(scene, emitter, incident, side) for incident in incidents]
+    lamp = lamp_digest(emitter)
     benches = [
-        integrator.bench(measured, lamps.emitters(), sensor, incident)
+        integrator.bench(measured, lamps.emitters(), sensor, incident, lamp)
         for lamps, incident in zip(emitters, incidents)
     ]
 

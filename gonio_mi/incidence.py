@@ -5,9 +5,10 @@ import numpy as np
 
 from .directions import direction
 from .errors import SpecimenError, checked_number
+from .plugins.digest import emitter_digest
 from .specimen import loaded
 
-__all__ = ["emitter_scene", "incident_angles", "incident_key"]
+__all__ = ["emitter_scene", "incident_angles", "incident_key", "lamp_digest"]
 
 
 def incident_angles(theta_i, phi_i):
@@ -61,6 +62,14 @@ def emitter_scene(scene, emitter, incident, side):
     elif incident is not None:
         emitter = _turned(emitter, incident, side)
     return loaded("the emitter", mi.load_dict, {"type": "scene", "emitter": emitter})
+
+
+def lamp_digest(emitter):
+    """Digest of an emitter given as a dictionary, as it is described; None for None."""
+    if emitter is None:
+        return None
+    scene = emitter_scene(None, emitter, None, "front")  # which its emitters need
+    return emitter_digest(scene.emitters())
 
 
 def _beam_direction(incident, side):

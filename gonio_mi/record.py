@@ -11,7 +11,10 @@ from .estimates import Estimates
 from .subdivision import Subdivision
 from .tally import Ledger, Tally
 
-__all__ = ["Record"]
+__all__ = ["DIGESTS", "Record"]
+
+# Settings that tell a specimen and its lamp from others; old records lack them.
+DIGESTS = ("digest", "emitter_digest")
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +36,9 @@ class Record:
     tallies : tuple of Tally
         One per incident direction.
     settings : dict
-        All that is needed to repeat the measurement, in JSON's types.
+        All that is needed to repeat the measurement, in JSON's types; ``digest`` tells
+        the specimen from others, and ``emitter_digest`` its emitter, None for a
+        collimated beam.
     stacked : bool
         Whether it was asked for as a stack.
     """
@@ -220,7 +225,9 @@ class Record:
         if not records:
             raise ValueError("records must hold at least one to be stacked, got none")
         for other in records[1:]:
-            _check_alike(records[0], other, ("created", "batches"), "stacked")
+            # a lamp that was moved, not turned, has another digest
+            free = ("created", "batches", "emitter_digest")
+            _check_alike(records[0], other, free, "stacked")
         channels = max((record.channels for record in records), key=len)
         return replace(
             records[0],
@@ -276,8 +283,9 @@ class Record:
         Raises
         ------
         ValueError
-            If the two differ in anything but their rays, batches and seed, were made
-            with the same seed, whose rays would be counted twice, or hold integrals.
+            If the two differ in anything but their rays, batches and seed (specimens
+            and emitters by their digests), were made with the same seed, whose rays
+            would be counted twice, or hold integrals.
         """
         free = {"rays", "batches", "seed", "created", "versions", "specimen"}
         _check_alike(self, other, free | {"interrupted"}, "merged")
@@ -351,6 +359,8 @@ def _check_alike(one, other, free, purpose):
         settings.append(own | {"collector": str(record.subdivision)})
     a, b = settings
     for key in sorted(a.keys() | b.keys()):
+        if key in DIGESTS and not (key in a and key in b):
+            continue
         if a.get(key) != b.get(key):
             raise ValueError(
                 f"records must agree in {key} to be {purpose}, got {a.get(key)!r} and "

@@ -1,6 +1,6 @@
 """Whether an interrupted record is the beginning of a measurement."""
 
-from .record import Record
+from .record import DIGESTS, Record
 
 __all__ = ["check_resumable"]
 
@@ -40,7 +40,8 @@ def check_resumable(resume, integrator, benches, seed, plan):
             "theta_i": float(resume.theta_i[i]),
             "phi_i": float(resume.phi_i[i]),
         }
-        for key in own.keys() - FREE:
+        lacking = set(DIGESTS) - others.keys()
+        for key in own.keys() - FREE - lacking:
             if own[key] != others.get(key) and own[key] == own[key]:
                 raise ValueError(
                     f"resume must be a record of this measurement, but its {key} is "

@@ -21,10 +21,17 @@ import mitsuba as mi
 
 from ..errors import checked_count
 from ..goniophotometer import measure
-from ..incidence import incident_angles
+from ..incidence import incident_angles, lamp_digest
+from ..plugins.digest import specimen_digest
+from ..plugins.specimen import Specimen
 from ..progress import bar
 from ..record import Record
-from ..specimen import check_variant, load_plugin_file, specimen_name
+from ..specimen import (
+    check_variant,
+    load_plugin_file,
+    load_specimen,
+    specimen_name,
+)
 from .folder import CampaignFolder
 
 __all__ = ["campaign"]
@@ -66,7 +73,9 @@ def campaign(
         ``client.get_executor()``. Default: this process.
     folder : path, optional
         Where finished tasks are kept, as records. Started again with the same
-        arguments, a campaign that was killed measures only what is missing.
+        arguments, a campaign that was killed measures only what is missing. Specimens
+        whose files or data have changed since are refused, as far as their ``digest``
+        shows it (:func:`gonio_mi.plugins.digest.digest`).
     plugins : sequence of path
         Python files that register plugins, to be run in each worker first.
     threads : int, optional
@@ -110,6 +119,7 @@ def campaign(
     done = {} if kept is None else kept.load(tasks)
     todo = [task for task in tasks if task.number not in done]
     if done:
+        _check_specimens(tasks, done, folder)
         logger.info("%d of %d tasks were finished before", len(done), len(tasks))
     n_done = sum(len(record) for record in done.values())
     total = len(incidents) * len(specimens)
@@ -159,16 +169,30 @@ class _Task:
 
     def _measured(self, incident):
         """Record of one direction; Ctrl-C is raised, even if there is part of it."""
-        specimen = self.specimen
-        if isinstance(specimen, (str, os.PathLike)):
-            specimen = os.path.join(self.directory, specimen)
-        record = measure(specimen, *incident, **self.settings)
+        record = measure(self._located(), *incident, **self.settings)
         if record.settings.get("interrupted"):
             raise KeyboardInterrupt
         # the same wherever it is measured
         name = specimen_name(self.specimen, self.settings.get("parameters"))
         record.settings["specimen"] = name
         return record
+
+    def digests(self):
+        """Digests of the specimen and the emitter as they are now."""
+        with _here:
+            for path in self.plugins:
+                load_plugin_file(path)
+            scene = load_specimen(self._located(), self.settings.get("parameters"))
+            return {
+                "digest": specimen_digest(Specimen(scene)),
+                "emitter_digest": lamp_digest(self.settings.get("emitter")),
+            }
+
+    def _located(self):
+        """Return the specimen; if it is a file, its path from anywhere."""
+        if isinstance(self.specimen, (str, os.PathLike)):
+            return os.path.join(self.directory, self.specimen)
+        return self.specimen
 
 
 _here = Lock()
@@ -214,6 +238,24 @@ def _tasks(specimens, incidents, plugins, threads, settings):
                 )
             )
     return tasks
+
+
+def _check_specimens(tasks, done, folder):
+    """Raise ValueError if finished records are of specimens that have changed since."""
+    names = {}
+    for task in tasks:
+        if task.number in done:
+            if task.name not in names:
+                names[task.name] = task.digests()
+            for key, own in names[task.name].items():
+                found = done[task.number].settings.get(key, own)
+                if found is not None and found != own:
+                    thing = "specimen" if key == "digest" else "emitter"
+                    raise ValueError(
+                        "folder must hold this very campaign, but in "
+                        f"{os.fspath(folder)} the {thing} of {task.name} was another "
+                        f"one: its digest is {found} instead of {own}"
+                    )
 
 
 def _check_picklable(tasks):

@@ -4,18 +4,27 @@ import drjit as dr
 import mitsuba as mi
 
 from ..tally import Fate
+from .digest import emitter_digest
 
 __all__ = ["Bench"]
 
 
 class Bench:
-    """One specimen, one beam and one collector, ready to be launched at."""
+    """One specimen, one beam and one collector, ready to be launched at.
 
-    def __init__(self, specimen, beam, sensor, incident=None):
+    `lamp` is the digest of the beam's emitter before it was turned, if it was; None
+    remains for a collimated beam, whose direction is all there is.
+    """
+
+    def __init__(self, specimen, beam, sensor, incident=None, lamp=None):
         self.specimen = specimen
         self.beam = beam
         # as asked for, or what single precision leaves of the emitter's direction
         self.theta_i, self.phi_i = incident or (beam.theta_i, beam.phi_i)
+        if beam.collimated:
+            self.lamp = None
+        else:
+            self.lamp = lamp or emitter_digest([beam.emitter])
         self.sensor = sensor
         self.film = sensor.film()
         subdivision = self.film.subdivision

@@ -1,10 +1,10 @@
 """Shapes with their acceleration structure, which is built once for each geometry."""
 
-import hashlib
 import re
 
 import mitsuba as mi
-import numpy as np
+
+from .digest import digest
 
 __all__ = ["scene_of"]
 
@@ -19,8 +19,8 @@ def scene_of(shapes):
     That of the call before, if these are the same objects and no parameter of their
     geometry has changed since.
     """
-    digest = _digest(shapes)
-    if _last and _same(_last[0], shapes) and _last[1] == digest:
+    geometry = digest(shapes, geometry=True)
+    if _last and _same(_last[0], shapes) and _last[1] == geometry:
         return _last[2]
     # the old one is freed before the new one is built
     _last.clear()
@@ -30,7 +30,7 @@ def scene_of(shapes):
         | dict(zip(_names(shapes), shapes)),
         optimize=False,
     )
-    _last[:] = list(shapes), digest, scene
+    _last[:] = list(shapes), geometry, scene
     return scene
 
 
@@ -46,17 +46,3 @@ def _names(shapes):
 def _same(shapes, others):
     """Whether both hold the same objects, in the same order."""
     return len(shapes) == len(others) and all(a is b for a, b in zip(shapes, others))
-
-
-def _digest(shapes):
-    """Digest of all parameters of the shapes but those of their BSDFs and lamps."""
-    digest = hashlib.blake2b()
-    for shape in shapes:
-        parameters = mi.traverse(shape)
-        for key, (_, _, node, _) in parameters.properties.items():
-            if isinstance(node, mi.Shape):
-                value = parameters[key]
-                array = np.ascontiguousarray(getattr(value, "matrix", value))
-                digest.update(f"{key} {array.dtype} {array.shape}".encode())
-                digest.update(array)
-    return digest.digest()

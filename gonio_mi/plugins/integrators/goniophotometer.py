@@ -14,6 +14,7 @@ from gonio_mi.errors import SpecimenError, VariantError
 from gonio_mi.plugins import properties
 from gonio_mi.plugins.beam import EMISSIONS, Beam, checked_footprint
 from gonio_mi.plugins.bench import Bench
+from gonio_mi.plugins.digest import specimen_digest
 from gonio_mi.plugins.integrals import check_integrable, integrals
 from gonio_mi.plugins.launch import launch, traces
 from gonio_mi.plugins.next_event import MOST_POINTS, check_traced
@@ -186,10 +187,11 @@ class Goniophotometer(mi.SamplingIntegrator):
         sensor.film().record = record
         return sensor.film().develop() if develop else None
 
-    def bench(self, specimen, emitters, sensor, incident=None):
+    def bench(self, specimen, emitters, sensor, incident=None, lamp=None):
         """Set up a :class:`Bench` for the one emitter of `emitters`.
 
-        `incident` is the pair of angles in degrees that it was made for, if any.
+        `incident` is the pair of angles in degrees that it was made for, if any, and
+        `lamp` the digest of the emitter before it was turned there.
         """
         if not hasattr(sensor, "arrival"):
             raise SpecimenError(
@@ -214,7 +216,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         beam = Beam(
             specimen, emitters[0], self.settings["footprint"], self.settings["emission"]
         )
-        bench = Bench(specimen, beam, sensor, incident)
+        bench = Bench(specimen, beam, sensor, incident, lamp)
         if self.integrates:
             lanes = wavelength_lanes(passes(self.wavelengths)[0])
             check_integrable(bench, self.settings, lanes)
@@ -337,8 +339,10 @@ class Goniophotometer(mi.SamplingIntegrator):
         return {
             "specimen": bench.specimen.name,
             "surface": bench.specimen.description,
+            "digest": specimen_digest(bench.specimen),
             "transmission": bench.specimen.transmission,
             "emitter": bench.beam.emitter.class_name(),
+            "emitter_digest": bench.lamp,
             "emission": self.settings["emission"],
             "footprint": self.settings["footprint"],
             "side": "front" if bench.beam.side > 0 else "back",

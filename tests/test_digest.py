@@ -1,0 +1,262 @@
+"""Records of different specimens are never mixed. All is exact."""
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import gonio_mi as gonio
+from gonio_mi.tally import Tally
+
+SETTINGS = {"rays": 800, "batches": 4, "collector": "projected:3x3"}
+
+
+def checkered(value):
+    """Bitmap whose mean, which is in its text, is always the same."""
+    pixels = np.full((4, 4, 1), 0.5, np.float32)
+    pixels[0, 0], pixels[3, 3] = value, 1 - value
+    bitmap = mi.Bitmap(pixels)
+    texture = {"type": "bitmap", "bitmap": bitmap, "raw": True}
+    return {"type": "diffuse", "reflectance": texture}
+
+
+def blended(value):
+    """Two BSDFs whose Mitsuba texts agree in their first 200 characters."""
+    metal = {"type": "roughconductor", "alpha": 0.123}
+    matt = {"type": "diffuse", "reflectance": value}
+    matt = {"type": "twosided", "bsdf": matt}
+    metal = {"type": "twosided", "bsdf": metal}
+    return {"type": "blendbsdf", "weight": 0.5, "metal": metal, "matt": matt}
+
+
+def block(height):
+    stretch = mi.ScalarTransform4f().scale([1, 1, height])
+    return {"type": "cube", "to_world": stretch, "bsdf": {"type": "diffuse"}}
+
+
+def lamp(radiance, half=0.3):
+    turned = mi.ScalarTransform4f().translate([0, 0, 2]).rotate([1, 0, 0], 180)
+    light = {"type": "area", "radiance": radiance}
+    return {"type": "rectangle", "to_world": turned.scale(half), "emitter": light}
+
+
+def textured(value):
+    pixels = np.ones((2, 2, 1), np.float32)
+    pixels[0, 0] = value
+    bitmap = mi.Bitmap(pixels)
+    return lamp({"type": "bitmap", "bitmap": bitmap, "raw": True})
+
+
+def sky(value):
+    pixels = np.ones((4, 8, 3), np.float32)
+    pixels[0] = value
+    return {"type": "envmap", "bitmap": mi.Bitmap(pixels)}
+
+
+SPECIMENS = (checkered, blended, block)
+LAMPS = {
+    "size": lambda x: lamp(1.0, half=x),
+    "texture": textured,
+    "sky": sky,
+}
+
+
+def measured(specimen, seed=0, **settings):
+    return gonio.measure(specimen, 30, seed=seed, **SETTINGS | settings)
+
+
+def interrupted(record):
+    """Sums and fates of the first two batches of a record."""
+    tally = record.tallies[0]
+    first = Tally(
+        tally.hits // 2,
+        tally.sums[:2],
+        tally.incident[:2],
+        tally.fates[:2],
+        tally.scale,
+    )
+    return replace(record, tallies=(first,))
+
+
+def without_digests(record):
+    settings = {k: v for k, v in record.settings.items() if "digest" not in k}
+    return replace(record, settings=settings)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("make", SPECIMENS)
+def test_different_specimens_cannot_be_mixed(make):
+    one, same, other = (measured(make(x), s) for s, x in enumerate((0.2, 0.2, 0.9)))
+    assert one.merge(same).n_batches == 8
+    with pytest.raises(ValueError, match="agree in digest to be merged"):
+        one.merge(other)
+    with pytest.raises(ValueError, match="agree in digest to be stacked"):
+        gonio.Record.stack(
+            [one, replace(other, settings=one.settings | {"digest": "0"})]
+        )
+    resumed = measured(make(0.2), resume=interrupted(one))
+    np.testing.assert_array_equal(resumed.brdf, one.brdf)
+    with pytest.raises(ValueError, match="but its digest is"):
+        measured(make(0.9), resume=interrupted(one))
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("make", LAMPS.values(), ids=LAMPS)
+def test_different_emitters_cannot_be_mixed(make):
+    matt = {"type": "diffuse"}
+    one, same, other = (
+        measured(matt, s, emitter=make(x)) for s, x in enumerate((0.2, 0.2, 0.9))
+    )
+    assert one.merge(same).n_batches == 8
+    with pytest.raises(ValueError, match="agree in emitter_digest to be merged"):
+        one.merge(other)
+    with pytest.raises(ValueError, match="but its emitter_digest is"):
+        measured(matt, emitter=make(0.9), resume=interrupted(one))
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_turned_lamp_is_the_same_lamp():
+    matt, settings = {"type": "diffuse"}, SETTINGS | {"emitter": lamp(1.0)}
+    stack = gonio.measure(matt, [0, 30, 60], **settings)
+    alone = gonio.measure(matt, 60, **settings)
+    for key in ("digest", "emitter_digest"):
+        assert stack.settings[key] == alone.settings[key]
+    assert measured(matt).settings["emitter_digest"] is None
+
+
+@pytest.mark.usefixtures("mono")
+def test_records_without_a_digest_are_what_they_were():
+    one, other = (measured(blended(0.2), seed) for seed in (0, 1))
+    old = without_digests(one)
+    assert old.merge(other).tallies == one.merge(other).tallies
+    resumed = measured(blended(0.2), resume=interrupted(old))
+    np.testing.assert_array_equal(resumed.brdf, one.brdf)
+    assert len(gonio.Record.stack([old, one])) == 2
+
+
+SCRIPT = """
+import sys
+import gonio_mi as gonio, mitsuba as mi
+mi.set_variant("llvm_ad_mono")
+sys.path.insert(0, sys.argv[1])
+import test_digest
+for make in test_digest.SPECIMENS:
+    print(test_digest.measured(make(0.2)).settings["digest"])
+for make in test_digest.LAMPS.values():
+    record = test_digest.measured({"type": "principled"}, emitter=make(0.2))
+    print(record.settings["digest"], record.settings["emitter_digest"])
+"""
+
+
+@pytest.mark.usefixtures("mono")
+def test_another_process_has_the_same_digests():
+    here = [measured(make(0.2)).settings["digest"] for make in SPECIMENS]
+    for make in LAMPS.values():
+        settings = measured({"type": "principled"}, emitter=make(0.2)).settings
+        here += [settings["digest"], settings["emitter_digest"]]
+    there = subprocess.run(
+        [sys.executable, "-c", SCRIPT, Path(__file__).parent],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"PYTHONHASHSEED": "7"},
+    )
+    assert there.stdout.split() == here
+    assert len(set(here)) == len(SPECIMENS) + 1 + len(LAMPS)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_specimen_that_is_measured_again_has_its_digest():
+    scene = mi.load_dict({"type": "scene", "block": block(0.2), "e": lamp(1.0)})
+    assert len({measured(scene).settings["digest"] for _ in range(3)}) == 1
+    before = measured(scene).settings["digest"]
+    parameters = mi.traverse(scene)
+    parameters["block.bsdf.reflectance.value"] = 0.25
+    parameters.update()
+    assert measured(scene).settings["digest"] != before
+
+
+@pytest.fixture
+def wordless():
+    """BSDF plugin whose text holds an address, as Python's own texts do."""
+
+    class Wordless(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            self.diffuse = mi.load_dict({"type": "diffuse"})
+            self.m_components = [self.diffuse.flags(0)]
+            self.m_flags = self.diffuse.flags()
+            self.word = props.get("word", "a")
+
+        def sample(self, *arguments):
+            return self.diffuse.sample(*arguments)
+
+        def to_string(self):
+            return f"Wordless[{object.__repr__(self)}, {self.word}]"
+
+    mi.register_bsdf("test_wordless", Wordless)
+
+
+@pytest.mark.usefixtures("mono", "wordless")
+def test_addresses_are_no_part_of_it():
+    plugins = [{"type": "test_wordless", "word": word} for word in ("a", "a", "b")]
+    scenes = [gonio.specimen.load_specimen(plugin) for plugin in plugins]
+    digests = [gonio.plugins.digest.digest(scene.shapes()) for scene in scenes]
+    assert digests[0] == digests[1] != digests[2]
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_folder_sees_the_data_of_bitmaps(tmp_path):
+    for make in SPECIMENS:
+        folder = tmp_path / make.__name__
+        first = gonio.measure(make(0.2), [30], **SETTINGS, folder=folder)
+        again = gonio.measure(make(0.2), [30], **SETTINGS, folder=folder)
+        assert again == first
+        with pytest.raises(ValueError, match="must hold this very campaign"):
+            gonio.measure(make(0.9), [30], **SETTINGS, folder=folder)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_folder_sees_the_files_that_a_specimen_names(tmp_path):
+    def groove(depth):
+        shape = mi.load_dict(block(depth))
+        shape.write_ply(str(tmp_path / "mesh.ply"))
+
+    def picture(value):
+        mi.Bitmap(np.full((4, 4, 1), value, np.float32)).write(str(tmp_path / "t.exr"))
+
+    def table(value):
+        angles = {"theta_i": [0, 30, 60]}
+        specimen = {"type": "diffuse", "reflectance": value}
+        gonio.measure(specimen, **angles, **SETTINGS).save(tmp_path / "g.npz")
+
+    mesh = '<shape type="ply"><string name="filename" value="mesh.ply"/></shape>'
+    (tmp_path / "mesh.xml").write_text(f'<scene version="3.0.0">{mesh}</scene>')
+    texture = {"type": "bitmap", "filename": str(tmp_path / "t.exr"), "raw": True}
+    for change, specimen in (
+        (groove, str(tmp_path / "mesh.xml")),
+        (picture, {"type": "diffuse", "reflectance": texture}),
+        (table, {"type": "goniometric", "filename": str(tmp_path / "g.npz")}),
+    ):
+        settings = SETTINGS | {"folder": tmp_path / change.__name__}
+        change(0.2)
+        gonio.measure(specimen, [30], **settings)
+        gonio.measure(specimen, [30], **settings)
+        change(0.9)
+        with pytest.raises(ValueError, match="the specimen of specimen was another"):
+            gonio.measure(specimen, [30], **settings)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_folder_sees_the_data_of_emitters(tmp_path):
+    settings = SETTINGS | {"folder": tmp_path}
+    matt = {"type": "diffuse"}
+    gonio.measure(matt, [0, 30], **settings, emitter=textured(0.2))
+    gonio.measure(matt, [0, 30], **settings, emitter=textured(0.2))
+    with pytest.raises(ValueError, match="the emitter of specimen was another one"):
+        gonio.measure(matt, [0, 30], **settings, emitter=textured(0.9))
