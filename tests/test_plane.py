@@ -25,6 +25,7 @@ def placed(name):
         "rotated": t.rotate([0, 0, 1], 25).scale([1, 2, 1]),
         "both": sheared @ t.rotate([0, 0, 1], 25).scale([1, 2, 1]),
         "small": t.scale(1e-3) @ sheared,
+        "mirrored": t.scale([-1, 1, 1]) @ sheared,
         "shifted": t.translate([3, -2, 0.5]) @ sheared,
     }[name]
 
@@ -76,7 +77,9 @@ def check(plane, traced):
     disagree(single(normal_scores((difference + 0.05 * plane.dhr[0]) / std_err, dof)))
 
 
-@pytest.mark.parametrize("name", ["sheared", "rotated", "both", "small", "shifted"])
+@pytest.mark.parametrize(
+    "name", ["sheared", "rotated", "both", "small", "shifted", "mirrored"]
+)
 def test_as_traced(name):
     """Over an edge, where light lands tells what it meets, or that it missed."""
     specimen = textured(placed(name))

@@ -7,6 +7,7 @@ __all__ = [
     "MAX_CELLS",
     "departure",
     "escapes",
+    "intersect",
     "into_cell",
     "is_misjudged",
     "leaves_by_a_side",
@@ -35,8 +36,23 @@ NEARBY = 2.0**-16
 # passed above.
 LIFT = 2.0**-20
 
+# How far above the footprint rays start, in the same units: further than a ray is moved
+# that looks again, so that it does not pass what faces away.
+START = 2.0**-18
+
 # Cells after which a ray is as good as horizontal.
 MAX_CELLS = 4096
+
+
+def intersect(scene, ray, flags, active):
+    """Surface interaction whose geometric normal is on the side of the shading normal.
+
+    Mitsuba 3.9.1 turns the former alone over where a rectangle or mesh is mirrored.
+    """
+    flags |= mi.RayFlags.ShadingFrame
+    si = scene.ray_intersect(ray, flags, False, active)
+    si.n = dr.select(dr.dot(si.n, si.sh_frame.n) < 0, -si.n, si.n)
+    return si
 
 
 def departure(specimen, si, d, wo):
@@ -80,10 +96,13 @@ def resume(specimen, si, d, behind):
     """Where a ray goes on that `is_misjudged`: on the plane, or just before it.
 
     A ray that meets a crest within rounding is moved off its far wall: it passes above,
-    or meets the near wall. One that comes from behind an open surface meets it again.
+    or meets the near wall. One that comes from behind a surface that is open, or faces
+    away, meets it again: it is moved back by more than off.
     """
-    back = dr.minimum(si.t / 2, specimen.reach * NEARBY)
-    return si.p + dr.select(behind, specimen.reach * LIFT * si.n - back * d, 0.0)
+    off = specimen.reach * LIFT
+    beyond = 2 * off / dr.abs(dr.dot(si.n, d))
+    back = dr.minimum(si.t / 2, dr.maximum(specimen.reach * NEARBY, beyond))
+    return si.p + dr.select(behind, off * si.n - back * d, 0.0)
 
 
 @dr.syntax
@@ -113,7 +132,7 @@ def escapes(specimen, side, ray, n, offset, active):
     again = mi.Bool(False)
     scene = specimen.scene
     while flying:
-        si = scene.ray_intersect(ray, mi.RayFlags.Minimal, False, flying)
+        si = intersect(scene, ray, mi.RayFlags.Minimal, flying)
         hit = flying & si.is_valid()
         entry, _, crosses = through_side(specimen, side, ray.o, ray.d)
         crosses &= flying & ~hit

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
-from .flight import LIFT, escapes
+from .flight import START, escapes, intersect
 from .geometry import scene_of
 
 __all__ = ["Plane", "Specimen", "checked_period"]
@@ -200,7 +200,7 @@ class Specimen:
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(0, N_POINTS)
         x, y = sampler.next_2d()
-        top = float(self.high[2] + self.reach * LIFT)
+        top = float(self.high[2] + self.reach * START)
         low, extent = self.low.tolist(), (self.high - self.low).tolist()
         start = mi.Point3f(low[0] + x * extent[0], low[1] + y * extent[1], top)
         down = -mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
@@ -232,7 +232,7 @@ class Specimen:
         centre = (self.low + self.high) / 2
         above = mi.Point3f((centre + [0, 0, 1]).tolist())
         ray = mi.Ray3f(above, mi.Vector3f(0, 0, -1))
-        si = self.scene.ray_intersect(ray)
+        si = intersect(self.scene, ray, mi.RayFlags.All, True)
         dr.make_opaque(si)
         return Plane(shapes[0].bsdf(), si)
 

@@ -11,9 +11,10 @@ import mitsuba as mi
 
 from ..tally import Fate
 from .flight import (
-    LIFT,
     MAX_CELLS,
+    START,
     departure,
+    intersect,
     into_cell,
     is_misjudged,
     leaves_by_a_side,
@@ -127,7 +128,7 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
 
     # from just above the footprint, to which nothing stands in the way; grazing, that
     # may be above the next cell
-    start = dr.minimum(distance, specimen.reach * LIFT / dr.abs(wi.z))
+    start = dr.minimum(distance, specimen.reach * START / dr.abs(wi.z))
     origin, shift = into_cell(specimen, p + start * wi)
     ray = mi.Ray3f(origin, -wi)
     ray.wavelengths = wavelengths
@@ -152,7 +153,7 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
     again = mi.Bool(False)  # Does it look again at what it met from behind?
 
     while active:
-        si = scene.ray_intersect(ray, flags, False, active)
+        si = intersect(scene, ray, flags, active)
         hit = active & si.is_valid()
 
         # ------------------- Rays that leave, or have had enough events ---------------
