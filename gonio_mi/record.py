@@ -243,7 +243,20 @@ class Record:
         )
 
     def __getitem__(self, index):
-        """Record of one incident direction of the stack."""
+        """Record of one incident direction of the stack; a stack for a slice."""
+        if isinstance(index, slice):
+            if not self.tallies[index]:
+                raise ValueError(
+                    f"a stack must hold at least one incident direction, got {index} "
+                    f"of {len(self)}"
+                )
+            return replace(
+                self,
+                theta_i=self.theta_i[index],
+                phi_i=self.phi_i[index],
+                tallies=self.tallies[index],
+                stacked=True,
+            )
         tally = self.tallies[index]
         return replace(
             self,
@@ -291,7 +304,7 @@ class Record:
         _check_alike(self, other, free | {"interrupted"}, "merged")
         for key in ("theta_i", "phi_i"):
             a, b = getattr(self, key).tolist(), getattr(other, key).tolist()
-            if a != b:
+            if not np.array_equal(a, b, equal_nan=True):
                 raise ValueError(
                     f"records must agree in {key} to be merged, got {a!r} and {b!r}"
                 )

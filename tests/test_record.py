@@ -97,6 +97,30 @@ def test_channels_of_a_grey_record_are_repeated():
     np.testing.assert_array_equal(stacked[0].brdf[..., 2], grey.brdf[..., 0])
 
 
+def test_records_without_an_incident_direction_are_merged():
+    """Those under a sky have none."""
+    unknown = {"theta_i": (np.nan,), "phi_i": (np.nan,)}
+    a, b = (
+        with_settings(synthetic.record(**unknown, seed=seed), batches=4)
+        for seed in (1, 2)
+    )
+    assert a.merge(b).n_batches == 8
+    with pytest.raises(ValueError, match="agree in theta_i to be merged"):
+        a.merge(synthetic.record(phi_i=(np.nan,), seed=2))
+
+
+@pytest.mark.parametrize("part", [slice(0, 2), slice(1, None), slice(None, None, -2)])
+def test_a_slice_is_a_stack(part):
+    sliced = STACK[part]
+    assert sliced == Record.stack([STACK[i] for i in range(3)[part]])
+    assert sliced.stacked
+
+
+def test_a_slice_of_nothing():
+    with pytest.raises(ValueError, match="at least one incident direction"):
+        STACK[2:2]
+
+
 @pytest.mark.parametrize(
     ("other", "message"),
     [
