@@ -13,6 +13,7 @@ import numpy as np
 from scipy import special
 
 from .errors import checked_count, checked_number
+from .record import Record
 from .subdivision import subdivision
 
 __all__ = [
@@ -325,8 +326,9 @@ def plan(
 
     Raises
     ------
-    ValueError
-        If a number is out of its range, or the pilot is a stack or reflects nothing.
+    TypeError, ValueError
+        If a number is out of its range, or the pilot is no record, a stack, or
+        reflects nothing.
     """
     if pilot is None:
         grid = subdivision(collector)
@@ -354,6 +356,10 @@ def plan(
 
 def _pilot_probabilities(pilot, floor):
     """Flux fractions of the patches worth reporting, and the number of all patches."""
+    if not isinstance(pilot, Record):
+        raise TypeError(
+            f"pilot must be a Record, got {pilot!r:.80} (collector= takes patches)"
+        )
     if len(pilot) != 1:
         raise ValueError(
             f"the pilot must be of one incident direction, got a stack of {len(pilot)}"

@@ -189,3 +189,10 @@ def test_a_pilot_without_light_is_refused():
     pilot = gonio.measure({"type": "diffuse", "reflectance": 0.0}, 30, rays=1000)
     with pytest.raises(ValueError, match="must have received some light"):
         gonio.plan(pilot)
+
+
+def test_a_pilot_that_is_the_name_of_a_collector():
+    with pytest.raises(
+        TypeError, match="pilot must be a Record, got 'projected:30x30'"
+    ):
+        ray_density.plan("projected:30x30")
