@@ -322,6 +322,12 @@ def test_bad_names_are_refused(text):
         subdivision(text)
 
 
+@pytest.mark.parametrize("text", ["klems:3", "klem"])
+def test_all_kinds_are_told(text):
+    with pytest.raises(ValueError, match=r"borders:.*, apertures:.*, or klems, got"):
+        subdivision(text)
+
+
 def test_too_many_patches_are_refused():
     """Beyond 2**24 patches single precision would merge neighbours."""
     assert EqualAngle(4096, 4096).n_patches == 2**24

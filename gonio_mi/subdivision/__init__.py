@@ -48,7 +48,10 @@ def subdivision(text):
     """
     if isinstance(text, Subdivision):
         return text
-    form = f"collector must look like projected:30x30 (one of {', '.join(_KINDS)})"
+    form = (
+        f"collector must look like projected:30x30 (one of {', '.join(_KINDS)}), "
+        "borders:0,30,90x0,180,360, apertures:5@10/0,45/90, or klems"
+    )
     if not isinstance(text, str):
         raise TypeError(f"{form}, got {text!r}")
     name, _, size = text.partition(":")
