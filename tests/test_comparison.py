@@ -321,6 +321,19 @@ def test_a_total_of_few_hits_is_not_tested():
         assert bool(comparison.statistics["total"]) == tested
 
 
+@pytest.mark.parametrize("sampler", ["sobol", "independent"])
+@pytest.mark.parametrize("rays", [10_000, 10**8])
+def test_a_test_without_power_says_so(sampler, rays):
+    """Evenly distributed rays with few hits only; the verdict as printed holds it."""
+    pair = [synthetic.record(rays=rays, seed=seed) for seed in (1, 2)]
+    one, other = (
+        replace(record, settings=record.settings | {"sampler": sampler})
+        for record in pair
+    )
+    noted = "next to no power" in str(compare(one, other))
+    assert noted == (sampler == "sobol" and rays < 10**8)
+
+
 def test_a_record_agrees_with_itself_and_says_so():
     record = gloss()
     comparison = compare(record, record)

@@ -8,7 +8,7 @@ from scipy import special
 from ..statistics import ratio
 from ..subdivision.hemisphere import BORDER
 
-__all__ = ["PointSet", "Readings", "judge"]
+__all__ = ["FEW_HITS", "PointSet", "Readings", "judge", "mostly_few"]
 
 # Below this many hits the mean of batches is too skewed for Student's t far out: its
 # two-sided tail at 1e-5 is 1.3 times too heavy at 1000 hits, 4.4 times at 100.
@@ -151,6 +151,12 @@ def judge(sets, scale):
         "total": _largest(statistics["total"], max(len(total), 1)),
     }
     return z, np.concatenate(errors), statistics, p_values
+
+
+def mostly_few(sets):
+    """Whether most points have fewer than `FEW_HITS` hits on either side."""
+    few = np.concatenate([_errors(one, 1.0)[2] for one in sets])
+    return bool(few.mean() > 0.5)
 
 
 def _fitted_scale(sets, scale):
