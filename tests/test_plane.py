@@ -6,6 +6,7 @@ import pytest
 from budget import agree, difference_scores, disagree, normal_scores, single, verdict
 
 import gonio_mi as gonio
+from gonio_mi.errors import SpecimenError
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -30,12 +31,12 @@ def placed(name):
     }[name]
 
 
-def bitmap(pixels):
+def bitmap(pixels, filter_type="nearest"):
     return {
         "type": "bitmap",
         "bitmap": mi.Bitmap(np.asarray(pixels, np.float32)[..., None]),
         "raw": True,
-        "filter_type": "nearest",
+        "filter_type": filter_type,
     }
 
 
@@ -94,3 +95,59 @@ def test_as_traced(name):
     spread = np.sqrt(2 * RAYS * p * (1 - p))
     agree(single((missed[0] - missed[1]) / spread))
     disagree(single((missed[0] - missed[1] + 0.01 * RAYS) / spread))
+
+
+# ------------------------------------------------------------- the same everywhere
+
+
+def of_bitmap(pixels, **settings):
+    """A BSDF for each way in which a texture is nested in others."""
+    texture = bitmap(pixels, **settings)
+    plain = {"type": "diffuse", "reflectance": texture}
+    halves = {"one": {"type": "diffuse"}, "other": {"type": "conductor"}}
+    return {
+        "diffuse": plain,
+        "twosided": {"type": "twosided", "bsdf": plain},
+        "mask": {"type": "mask", "opacity": texture, "bsdf": {"type": "diffuse"}},
+        "blendbsdf": {"type": "blendbsdf", "weight": texture} | halves,
+    }
+
+
+@pytest.mark.parametrize("kind", ["diffuse", "twosided", "mask", "blendbsdf"])
+def test_quadrature_sees_a_small_spot(kind):
+    """Two by two of 200 x 200 texels, which few thousand random points miss."""
+    pixels = np.full((200, 200), 0.001)
+    pixels[57:59, 101:103] = 1
+    settings = {"estimator": "quadrature", "collector": "projected:2x4"}
+    with pytest.raises(SpecimenError, match="the same BSDF all over"):
+        gonio.measure(of_bitmap(pixels)[kind], 30, **settings)
+    # a bitmap of one value is no texture, though it is rounded between its texels
+    same = of_bitmap(np.full((8, 8), 0.3), filter_type="bilinear")[kind]
+    record = gonio.measure(same, 30, rays=1000, **settings)
+    assert record.settings["transport"] == "plane"
+
+
+def test_quadrature_sees_an_undeclared_texture():
+    """A wrapper that tells of no texture is asked at random points."""
+    checks = {"type": "diffuse", "reflectance": {"type": "checkerboard"}}
+
+    class Wrapper(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            self.nested = mi.load_dict(checks)
+            self.m_components = [mi.BSDFFlags.DiffuseReflection]
+            self.m_flags = mi.BSDFFlags.DiffuseReflection
+
+        def eval(self, ctx, si, wo, active=True):
+            return self.nested.eval(ctx, si, wo, active)
+
+        def to_string(self):
+            return "Wrapper"
+
+    mi.register_bsdf("undeclared", Wrapper)
+    assert not any(
+        isinstance(part, mi.Texture)
+        for part in mi.traverse(mi.load_dict({"type": "undeclared"})).hierarchy
+    )
+    with pytest.raises(SpecimenError, match="the same BSDF all over"):
+        gonio.measure({"type": "undeclared"}, 30, estimator="quadrature")
