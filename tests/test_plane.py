@@ -151,3 +151,12 @@ def test_quadrature_sees_an_undeclared_texture():
     )
     with pytest.raises(SpecimenError, match="the same BSDF all over"):
         gonio.measure({"type": "undeclared"}, 30, estimator="quadrature")
+
+
+def test_a_collector_encloses_the_farthest_corner():
+    """Exact: that of 2 x 2 is at sqrt(2), not at sqrt(3)."""
+    settings = {"rays": 1000, "collector": "projected:2x4"}
+    record = gonio.measure({"type": "diffuse"}, 30, collector_radius=1.5, **settings)
+    assert record.settings["collector_radius"] == 1.5
+    with pytest.raises(SpecimenError, match="must enclose the specimen"):
+        gonio.measure({"type": "diffuse"}, 30, collector_radius=1.41, **settings)

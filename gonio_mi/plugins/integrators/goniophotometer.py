@@ -203,15 +203,11 @@ class Goniophotometer(mi.SamplingIntegrator):
                 "the scene must have one emitter, or an incident angle be given, "
                 f"got {len(emitters)} emitters"
             )
-        if (
-            0
-            < sensor.radius
-            <= np.abs([specimen.low, specimen.high]).max() * np.sqrt(3)
-        ):
+        corner = np.abs([specimen.low, specimen.high]).max(axis=0)
+        if 0 < sensor.radius <= np.linalg.norm(corner):
             raise SpecimenError(
                 "collector.radius must enclose the specimen, whose corner is at "
-                f"{np.abs([specimen.low, specimen.high]).max(axis=0)}, "
-                f"got {sensor.radius}"
+                f"{corner}, got {sensor.radius}"
             )
         beam = Beam(
             specimen, emitters[0], self.settings["footprint"], self.settings["emission"]
