@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..tally import Fate
-from .digest import emitter_digest
+from .digest import emitter_digest, specimen_digest
 
 __all__ = ["Bench"]
 
@@ -35,6 +35,14 @@ class Bench:
         self.n_patches = subdivision.n_patches
         self.n_collected = self.shape[0] * self.n_patches
         self.n_bins = self.n_collected + len(Fate)
+
+    @property
+    def digests(self):
+        """What tells the specimen and the emitter from others, for the settings."""
+        return {
+            "digest": specimen_digest(self.specimen),
+            "emitter_digest": self.lamp,
+        }
 
     def bins(self, exits):
         """Index of the patch that each ray reached, or of its fate's bin behind."""

@@ -14,7 +14,6 @@ from gonio_mi.errors import SpecimenError, VariantError
 from gonio_mi.plugins import properties
 from gonio_mi.plugins.beam import EMISSIONS, Beam, checked_footprint
 from gonio_mi.plugins.bench import Bench
-from gonio_mi.plugins.digest import specimen_digest
 from gonio_mi.plugins.integrals import check_integrable, integrals
 from gonio_mi.plugins.launch import launch, traces
 from gonio_mi.plugins.next_event import MOST_POINTS, check_traced
@@ -335,10 +334,9 @@ class Goniophotometer(mi.SamplingIntegrator):
         return {
             "specimen": bench.specimen.name,
             "surface": bench.specimen.description,
-            "digest": specimen_digest(bench.specimen),
+            **bench.digests,
             "transmission": bench.specimen.transmission,
             "emitter": bench.beam.emitter.class_name(),
-            "emitter_digest": bench.lamp,
             "emission": self.settings["emission"],
             "footprint": self.settings["footprint"],
             "side": "front" if bench.beam.side > 0 else "back",
