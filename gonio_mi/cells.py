@@ -4,13 +4,51 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["NODES_PER_CELL", "Cells", "Guides"]
+__all__ = [
+    "BLIND",
+    "NODES_PER_CELL",
+    "QUARTERS",
+    "Cells",
+    "Guides",
+    "noise",
+    "off_polynomial",
+    "way_to_split",
+]
 
 # Points per axis of the tensor Gauss-Legendre rule.
 ORDER = 4
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
 
 NODES_PER_CELL = ORDER**2
+
+# Ways to split a cell into four: halves of both sides, or fourths of one.
+QUARTERS, ACROSS_THETA, ACROSS_PHI = range(3)
+
+# What part of a cell each of the four takes, of its polar angles and its azimuths.
+_HALVES, _FOURTHS = np.linspace(0, 1, 3), np.linspace(0, 1, 5)
+_FOURTHS = np.stack([_FOURTHS[:-1], _FOURTHS[1:]], axis=-1)
+_HALVES = np.stack([_HALVES[:-1], _HALVES[1:]], axis=-1)
+_WHOLE = np.tile([0.0, 1.0], (4, 1))
+PARTS = np.stack(
+    [
+        [np.repeat(_HALVES, 2, axis=0), np.tile(_HALVES, (2, 1))],
+        [_FOURTHS, _WHOLE],
+        [_WHOLE, _FOURTHS],
+    ]
+)
+
+# Nodes of both halves of a side of [-1, 1]. Then points that are beyond the outermost,
+# one near each corner, and between the innermost: a step there is hidden from nodes.
+_HALF_NODES = np.concatenate([(NODES - 1) / 2, (NODES + 1) / 2])
+_END = _HALF_NODES[-1]
+PROBES = np.array([[-1, -_END], [-_END, 1], [1, _END], [_END, -1], [0, 0]])
+
+# The part of a cell, along one side, that is beyond its outermost nodes.
+BLIND = 1 + _HALF_NODES[0]
+
+# How far inside its cell a probe is, in radians: single precision leaves a step that
+# lies on a border where it is.
+INSIDE = 2.0**-21
 
 
 @dataclass(frozen=True)
@@ -21,7 +59,7 @@ class Cells:
     lower: np.ndarray  # whether in the lower hemisphere
     theta: np.ndarray  # borders in polar angle, shape (n, 2)
     phi: np.ndarray  # borders in azimuth, shape (n, 2)
-    share: np.ndarray  # part of the patch's area
+    share: np.ndarray  # part of the patch's polar angles and azimuths, shape (n, 2)
 
     @classmethod
     def of(cls, grid):
@@ -34,27 +72,52 @@ class Cells:
             np.arange(2 * n) >= n,
             np.tile(np.repeat(theta, grid.n_phi, axis=0), (2, 1)),
             np.tile(phi, (2 * grid.n_theta, 1)),
-            np.ones(2 * n),
+            np.ones((2 * n, 2)),
         )
 
-    def quarters(self):
-        """Four cells for each one, in its place."""
-        halves = [(i, j) for i in (0, 1) for j in (0, 1)]
+    @property
+    def area(self):
+        """Solid angle, about."""
+        theta = self.theta.mean(axis=1)
+        return np.diff(self.theta)[:, 0] * np.diff(self.phi)[:, 0] * np.sin(theta)
 
-        def _split(borders, k):
-            middle = borders.mean(axis=1)
-            parts = [(borders[:, 0], middle), (middle, borders[:, 1])]
-            return np.stack(
-                [np.column_stack(parts[half[k]]) for half in halves], axis=1
-            ).reshape(-1, 2)
+    def split(self, way):
+        """Four cells for each one, in its place, in the `way` of each."""
+        parts = PARTS[way]
 
+        def _borders(borders, part):
+            low, high = borders[:, 0, None, None], borders[:, 1, None, None]
+            return (low * (1 - part) + high * part).reshape(-1, 2)
+
+        share = self.share[:, :, None] * np.diff(parts)[..., 0]
         return Cells(
             np.repeat(self.patch, 4),
             np.repeat(self.lower, 4),
-            _split(self.theta, 0),
-            _split(self.phi, 1),
-            np.repeat(self.share / 4, 4),
+            _borders(self.theta, parts[:, 0]),
+            _borders(self.phi, parts[:, 1]),
+            np.swapaxes(share, 1, 2).reshape(-1, 2),
         )
+
+    def tolerated(self, way):
+        """Part of a patch's tolerated error: random ones add up by their squares."""
+        across = np.column_stack([self.share.prod(axis=1) ** 0.5, self.share[:, ::-1]])
+        return across[np.arange(len(way)), way]
+
+    def narrow(self, way, least):
+        """Whether cells are split across a side that is below `least` radians."""
+        widths = np.hstack([np.diff(self.theta), np.diff(self.phi)])
+        across = widths[np.arange(len(way)), np.maximum(way, 1) - 1]
+        return (way != QUARTERS) & (across < least)
+
+    def probes(self):
+        """Polar angle, azimuth and hemisphere of the corners and the middle."""
+        angles = []
+        for borders, place in zip((self.theta, self.phi), PROBES.T):
+            half = np.diff(borders) / 2
+            inside = np.maximum(half - INSIDE, half / 2)
+            middle = borders.mean(axis=1, keepdims=True)
+            angles.append((middle + inside * place).ravel())
+        return *angles, np.repeat(self.lower, len(PROBES))
 
     def nodes(self):
         """Polar angle, azimuth, hemisphere and weight of the points of the rule."""
@@ -87,11 +150,82 @@ class Guides:
     theta: np.ndarray
     phi: np.ndarray
 
-    def descend(self, cells, chosen):
-        """Guides of the chosen cells, in their quarters."""
+    def held(self, n_cells):
+        """How many of them are in each cell."""
+        return np.bincount(self.cell, minlength=n_cells)
+
+    def descend(self, cells, chosen, way):
+        """Guides of the chosen cells, in the parts of the `way` of each."""
         kept = chosen[self.cell]
         cell, theta, phi = self.cell[kept], self.theta[kept], self.phi[kept]
-        beyond = theta >= cells.theta.mean(axis=1)[cell]
-        onwards = phi >= cells.phi.mean(axis=1)[cell]
+        fourth = [
+            np.clip(4 * (angle - borders[:, 0]) // np.diff(borders)[:, 0], 0, 3)
+            for angle, borders in ((theta, cells.theta[cell]), (phi, cells.phi[cell]))
+        ]
+        quarter = 2 * (fourth[0] // 2) + fourth[1] // 2
+        part = np.choose(way[cell], [quarter, *fourth]).astype(int)
         rank = np.cumsum(chosen) - 1
-        return Guides(4 * rank[cell] + 2 * beyond + onwards, theta, phi)
+        return Guides(4 * rank[cell] + part, theta, phi)
+
+
+def _lagrange(nodes, x):
+    """What each node's value contributes at `x` to the polynomial through all."""
+    others = ~np.eye(len(nodes), dtype=bool)
+    return np.array(
+        [np.prod((x - nodes[o]) / (node - nodes[o])) for node, o in zip(nodes, others)]
+    )
+
+
+def _continuation():
+    """Values at the probes as sums over the nodes of the quarters: their polynomial."""
+    rows = []
+    for theta, phi in PROBES:
+        basis = np.outer(_lagrange(_HALF_NODES, theta), _lagrange(_HALF_NODES, phi))
+        basis = basis.reshape(2, ORDER, 2, ORDER)  # half, node, half, node
+        rows.append(np.swapaxes(basis, 1, 2).ravel())
+    return np.array(rows)
+
+
+CONTINUATION = _continuation()
+
+
+def _difference(nodes):
+    """Weights of the highest difference that as many values have, at most 1."""
+    weights = [1 / np.prod(x - np.delete(nodes, i)) for i, x in enumerate(nodes)]
+    return np.array(weights) / np.abs(weights).max()
+
+
+# Third differences, as part of the largest value, that are taken for a step; and how
+# many times less they are along it.
+STEP = 0.1
+ALONG = 1 / 32
+
+# Of the nodes of a cell along one side, and of those of both its halves.
+ROUGH, FINE_ROUGH = _difference(NODES), _difference(_HALF_NODES)
+
+
+def off_polynomial(found, values):
+    """How far values at the probes are from the polynomial through those at nodes."""
+    expected = np.einsum("pk,nkc->npc", CONTINUATION, values)
+    return np.abs(found - expected).max(axis=1)
+
+
+def noise(values):
+    """How far the values at the nodes of quarters are from smooth, by cell."""
+    n = len(values)
+    values = values.reshape(n, 2, 2, ORDER, ORDER, -1).swapaxes(2, 3)
+    values = values.reshape(n, 2 * ORDER, 2 * ORDER, -1)
+    theta = np.abs(np.einsum("ntpc,t->npc", values, FINE_ROUGH)).max(axis=1)
+    phi = np.abs(np.einsum("ntpc,p->ntc", values, FINE_ROUGH)).max(axis=1)
+    return np.maximum(theta, phi) + 2.0**-22 * np.abs(values).max(axis=(1, 2))
+
+
+def way_to_split(values):
+    """How to split cells: across a step that keeps to one angle, or into quarters."""
+    values = values.reshape(len(values), ORDER, ORDER, -1)
+    theta = np.abs(np.einsum("ntpc,t->npc", values, ROUGH)).max(axis=(1, 2))
+    phi = np.abs(np.einsum("ntpc,p->ntc", values, ROUGH)).max(axis=(1, 2))
+    step = STEP * values.max(axis=(1, 2, 3))
+    across_theta = (theta > step) & (phi < ALONG * theta)
+    across_phi = (phi > step) & (theta < ALONG * phi)
+    return np.select([across_theta, across_phi], [ACROSS_THETA, ACROSS_PHI], QUARTERS)

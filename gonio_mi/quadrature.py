@@ -7,7 +7,16 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .cells import NODES_PER_CELL, Cells, Guides
+from .cells import (
+    BLIND,
+    NODES_PER_CELL,
+    QUARTERS,
+    Cells,
+    Guides,
+    noise,
+    off_polynomial,
+    way_to_split,
+)
 from .directions import angles, direction
 from .errors import SpecimenError
 from .plugins.transport import flux_context
@@ -31,8 +40,13 @@ MAX_LEVELS = 24
 # Patches below this fraction of the mean need no relative precision.
 FLOOR = 1e-6
 
-# What single precision leaves of an integral's digits, at best.
+# What single precision leaves of an integral's digits, at best; and of a direction, in
+# radians: a step is not looked for in narrower cells.
 ROUNDING = 2.0**-22
+NARROWEST = 2.0**-21
+
+# Times the noise of the values, by which they may be off the polynomial through them.
+UNSURE = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +145,9 @@ def integrate(
 
     Adaptive tensor Gauss-Legendre rule in polar angle and azimuth: cells whose value
     differs from the sum of their quarters are split, down to the lobe's scale, or to
-    where the single precision of ``eval`` shows.
+    where the single precision of ``eval`` shows. Steps of ``eval`` no node sees are
+    looked for next to the borders and in the middle of each cell; cells with a step
+    along one angle are split across it, and count as wrong by the step.
 
     Parameters
     ----------
@@ -158,37 +174,47 @@ def integrate(
     Raises
     ------
     SpecimenError
-        If it does not converge, or is not finite.
+        If it does not converge, or a value is negative or not finite.
     """
     beam = _Beam.of(theta_i, phi_i, side, interaction)
     evaluator = _Evaluator(bsdf, beam, pdf)
     cells = Cells.of(subdivision)
     guides = evaluator.guides(subdivision)
-    coarse = evaluator.integrals(cells)
+    coarse, way, _ = evaluator.integrals(cells)
     sums, finished = _PatchSums(2 * subdivision.n_patches, coarse.shape[-1]), []
     for level in range(MAX_LEVELS):
-        quarters = cells.quarters()
-        fine = evaluator.integrals(quarters)
+        full = guides.held(len(cells.patch)) > MOST_GUIDES
+        way[full] = QUARTERS
+        parts = cells.split(way)
+        fine, ways, values_at = evaluator.integrals(parts)
         values = fine.reshape(len(cells.patch), 4, -1).sum(axis=1)
-        difference = np.abs(values - coarse)
         allowed = sums.allowed(cells, values, rel_err)
-        open_cells = _unfinished(cells, guides, difference, allowed)
+        tolerance = CAUTION * allowed[cells.patch] * cells.tolerated(way)[:, None]
+        difference = np.abs(values - coarse)
+        stepped = way != QUARTERS
+        difference[stepped] = _swing(values_at, cells, stepped)
+        difference[~stepped] += evaluator.hidden(cells[~stepped], values_at[~stepped])
+        open_cells = ~np.all(difference <= tolerance, axis=1)
+        open_cells |= full
+        sharp = cells.narrow(way, NARROWEST)
+        open_cells &= ~sharp
         n_next = 4 * NODES_PER_CELL * 4 * np.count_nonzero(open_cells)
         if level == MAX_LEVELS - 1 or n_next > MAX_EVALUATIONS:
             open_cells[:] = False
         children = np.repeat(open_cells, 4)
-        sums.add(cells[~open_cells], values[~open_cells], difference[~open_cells])
-        finished.append(quarters[~children])
+        for chosen in (sharp, ~sharp & ~open_cells):
+            sums.add(cells[chosen], values[chosen], difference[chosen], ~sharp[chosen])
+        finished.append(parts[~children])
         if not open_cells.any():
             break
-        guides = guides.descend(cells, open_cells)
-        cells, coarse = quarters[children], fine[children]
+        guides = guides.descend(cells, open_cells, way)
+        cells, coarse, way = parts[children], fine[children], ways[children]
     error = np.sqrt(sums.square)
     if not np.all(error <= allowed):
         raise SpecimenError(
             f"the integral of {bsdf.class_name()} over the patches must converge to "
             f"{rel_err:g}, but {evaluator.n_evaluations:.3g} evaluations gave "
-            f"{np.max(error / allowed) * rel_err:.2g} for the worst patch"
+            f"{_worst(error, allowed) * rel_err:.2g} for the worst patch"
         )
     shape = (2, *subdivision.shape, -1)
     return PatchIntegrals(
@@ -201,15 +227,11 @@ def integrate(
     )
 
 
-def _unfinished(cells, guides, difference, allowed):
-    """Whether each cell must be quartered: its own part of the error is too large.
-
-    That of a patch is shared by its cells by area: the squares of their errors add up.
-    Or the cell holds so many sampled directions that its points may miss a lobe.
-    """
-    tolerance = CAUTION * allowed[cells.patch] * cells.share[:, None] ** 0.5
-    held = np.bincount(guides.cell, minlength=len(cells.patch))
-    return ~np.all(difference <= tolerance, axis=1) | (held > MOST_GUIDES)
+def _swing(values_at, cells, chosen):
+    """What a step anywhere in the chosen cells, in one of four parts, can change."""
+    values = values_at[chosen]
+    swing = values.max(axis=1) - values.min(axis=1)
+    return swing * cells.area[chosen, None] / 4
 
 
 class _PatchSums:
@@ -227,11 +249,14 @@ class _PatchSums:
         estimate = self.flux + self._by_patch(cells, values)
         return rel_err * np.maximum(estimate, FLOOR * estimate.mean())
 
-    def add(self, cells, values, difference):
-        """Add the integrals over finished cells, and what they may be wrong by."""
+    def add(self, cells, values, difference, counted):
+        """Add the integrals over finished cells, and what they may be wrong by.
+
+        Where single precision ends, no convergence is asked: it is not `counted`.
+        """
         self.flux += self._by_patch(cells, values)
         self.error += self._by_patch(cells, difference)
-        self.square += self._by_patch(cells, difference**2)
+        self.square += self._by_patch(cells, counted[:, None] * difference**2)
 
     def _by_patch(self, cells, values):
         """Sum of the cells' values in each patch."""
@@ -307,11 +332,53 @@ class _Evaluator:
         return Guides(patch, np.minimum(theta, np.pi - theta), phi)
 
     def integrals(self, cells):
-        """Integral over each cell, shape ``(n, channels)``."""
+        """Integrals over cells, how to split each, and the values that say so.
+
+        Returns
+        -------
+        integrals : ndarray, shape (n, channels)
+        way : ndarray of int, shape (n,)
+        values : ndarray, shape (n / 4, 4 * NODES_PER_CELL, channels)
+        """
         theta, phi, lower, weight = cells.nodes()
+        values = self._values(theta, phi, lower)
+        weight = weight * np.sin(theta)
+        shape = len(cells.patch), NODES_PER_CELL, values.shape[-1]
+        integrals = (values * weight[:, None]).reshape(shape).sum(axis=1)
+        way = way_to_split(values.reshape(shape))
+        return integrals, way, values.reshape(-1, 4 * NODES_PER_CELL, shape[-1])
+
+    def hidden(self, cells, values):
+        """What a step between the nodes of the quarters of each cell can change.
+
+        There, BSDF and the polynomial through its `values` differ.
+        """
+        if not len(values):
+            return values[:, 0]
+        found = self._values(*cells.probes()).reshape(len(values), -1, values.shape[-1])
+        off = off_polynomial(found, values) - UNSURE * noise(values)
+        return BLIND * np.maximum(off, 0) * cells.area[:, None]
+
+    def _values(self, theta, phi, lower):
+        """Values towards directions, shape ``(n, channels)``."""
         self.n_evaluations += len(theta)
         values = self.beam.evaluate(self.bsdf, theta, phi, lower, self.pdf)
-        weight = weight * np.sin(theta)
-        columns = [np.broadcast_to(v.numpy(), len(theta)) * weight for v in values]
-        shape = len(cells.patch), NODES_PER_CELL, -1
-        return np.stack(columns, axis=-1).reshape(shape).sum(axis=1)
+        columns = [np.broadcast_to(value.numpy(), len(theta)) for value in values]
+        values = np.stack(columns, axis=-1).astype(float)
+        least = -ROUNDING * values.max(initial=0)
+        if not (values.min(initial=0) >= least and np.isfinite(least)):
+            wrong = ~np.all((values >= least) & np.isfinite(values), axis=1)
+            first = np.argmax(wrong)
+            raise SpecimenError(
+                f"{'pdf' if self.pdf else 'eval'} of {self.bsdf.class_name()} must be "
+                f"finite and not negative, got {values[first].min():.3g} towards theta "
+                f"{np.degrees(theta[first]):.3f}, phi {np.degrees(phi[first]):.3f} "
+                f"degrees{' in transmission' if lower[first] else ''}"
+            )
+        return values
+
+
+def _worst(error, allowed):
+    """The largest ratio; where nothing is allowed and nothing wrong, none."""
+    ratio = np.where(error > 0, np.inf, 0)
+    return np.max(np.divide(error, allowed, where=allowed > 0, out=ratio))

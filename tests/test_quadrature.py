@@ -284,6 +284,32 @@ def test_what_does_not_converge_is_refused(monkeypatch):
 
 
 @pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("theta_i", [75, 80])
+def test_steps_between_the_nodes(theta_i):
+    """Transmission ends at one polar angle: coarse patches are sums of fine ones."""
+    bsdf = mi.load_dict(
+        {"type": "roughdielectric", "alpha": 0.3, "distribution": "ggx"}
+    )
+    coarse = integrate(bsdf, theta_i, 10, gonio.EqualProjectedSolidAngle(10, 10))
+    fine = integrate(bsdf, theta_i, 10, gonio.EqualProjectedSolidAngle(20, 20))
+    flux, error = (
+        array.reshape(2, 10, 2, 10, 2, 1).sum(axis=(2, 4))
+        for array in (fine.flux, fine.error)
+    )
+    # patches below a millionth of the mean need no relative precision
+    error += coarse.error + REL_ERR * 1e-6 * flux.mean()
+    assert np.all(np.abs(coarse.flux - flux) <= error)
+    assert np.any(np.abs(coarse.flux - (1 + 1e-4) * flux) > error), "twin"
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_negative_value_is_named():
+    with pytest.raises(gonio.SpecimenError, match=r"eval of .* must be finite and not"):
+        integrated({"type": "diffuse", "reflectance": -0.3})
+    assert integrated({"type": "diffuse", "reflectance": 0.3}).dhr > 0, "twin"
+
+
+@pytest.mark.usefixtures("mono")
 def test_a_textured_specimen_at_a_point():
     """At a point there is one reflectance, even of a texture."""
     texture = {"type": "checkerboard", "color0": 0.4, "color1": 0.4}
