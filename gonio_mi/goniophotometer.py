@@ -24,6 +24,11 @@ __all__ = ["measure"]
 
 logger = logging.getLogger(__name__)
 
+# Light is said to be created where the intervals of this level begin above all that
+# came, and by more than what a path of so many events loses to single precision.
+SURE = 1 - 1e-9
+ROUNDING = 1000 * float(np.finfo(np.float32).eps)
+
 
 def measure(
     specimen,
@@ -155,7 +160,8 @@ def measure(
     -------
     Record
         After Ctrl-C, of the batches that were finished, with a warning and the setting
-        ``interrupted``.
+        ``interrupted``. A BSDF that creates light, as a reflectance above 1 does, gives
+        a warning.
 
     Raises
     ------
@@ -237,6 +243,7 @@ def measure(
         if tallies
     ]
     record = Record.stack(records) if stacked else records[0]
+    _warn_of_created_light(records)
     logger.info("measured for %.3g s: %r", time.perf_counter() - started, record)
     if target:
         record.settings.update(target.reached(record))
@@ -280,6 +287,23 @@ def _send_all(integrator, benches, keys, plan, target, finished, progress):
                 raise KeyboardInterrupt from None
             return False
     return True
+
+
+def _warn_of_created_light(records):
+    """Warn if more light left than came, beyond chance and single precision."""
+    for record in records:
+        total, low = record.dhr, record.interval(SURE, "dhr")[0]
+        if record.has_lower:
+            total, low = total + record.dht, low + record.interval(SURE, "dht")[0]
+        if np.any(low > 1 + ROUNDING):
+            theta_i, phi_i = record.theta_i[0], record.phi_i[0]
+            warnings.warn(
+                f"the BSDF creates light: {np.max(total):.6g} of what came leaves for "
+                f"incidence at theta_i {theta_i:g}, phi_i {phi_i:g}",
+                RuntimeWarning,
+                stacklevel=3,
+            )
+            return
 
 
 def _warn_unless_reached(record, target):

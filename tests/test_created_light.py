@@ -1,0 +1,50 @@
+"""More light than came is told, and never of a specimen that is right.
+
+The intervals of level 1 - 1e-9 leave chance no part in these tests.
+"""
+
+import warnings
+
+import pytest
+
+import gonio_mi as gonio
+
+SETTINGS = {"rays": 10_000, "collector": "projected:4x4"}
+
+
+def diffuse(reflectance):
+    return {
+        "type": "diffuse",
+        "reflectance": {"type": "uniform", "value": reflectance},
+    }
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("estimator", ["weighted", "quadrature"])
+@pytest.mark.parametrize("reflectance", [1.7, 1.001])
+def test_a_reflectance_above_one_is_told(estimator, reflectance):
+    with pytest.warns(RuntimeWarning, match=f"creates light: {reflectance}"):
+        gonio.measure(diffuse(reflectance), 30, **SETTINGS, estimator=estimator)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("sampler", ["sobol", "independent"])
+@pytest.mark.parametrize(
+    "specimen",
+    [
+        diffuse(1.0),
+        {"type": "conductor"},
+        {"type": "roughconductor", "alpha": 0.02},
+        {"type": "dielectric"},
+        {"type": "roughdielectric", "alpha": 0.3},
+        {"type": "cosinelobe", "exponent": 50, "reflectance": 1.0},
+    ],
+    ids=lambda specimen: specimen["type"],
+)
+def test_white_specimens_are_right(specimen, sampler):
+    for settings in ({}, {"trace": True}, {"rays": 40}, {"estimator": "analog"}):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            gonio.measure(
+                specimen, [0, 60, 89], **SETTINGS | {"sampler": sampler} | settings
+            )
