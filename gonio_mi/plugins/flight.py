@@ -99,9 +99,9 @@ def resume(specimen, si, d, behind):
     or meets the near wall. One that comes from behind a surface that is open, or faces
     away, meets it again: it is moved back by more than off.
     """
-    off = specimen.reach * LIFT
-    beyond = 2 * off / dr.abs(dr.dot(si.n, d))
-    back = dr.minimum(si.t / 2, dr.maximum(specimen.reach * NEARBY, beyond))
+    # grazing, it meets the surface no further from where it did
+    off = specimen.reach * LIFT * dr.abs(dr.dot(si.n, d))
+    back = dr.minimum(si.t / 2, specimen.reach * NEARBY)
     return si.p + dr.select(behind, off * si.n - back * d, 0.0)
 
 
