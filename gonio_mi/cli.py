@@ -5,6 +5,7 @@ measurement was interrupted, 3 a validation or comparison failed.
 """
 
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -47,6 +48,9 @@ examples:
 exit codes: 0 done, 1 an error of yours (said in one line), 2 interrupted, or the asked
 precision was not reached, 3 a validation or comparison failed
 """
+
+# How Mitsuba begins what it says when a plugin gives up.
+MITSUBA = re.compile(r"\[\w+\.(cpp|h):\d+\]")
 
 
 def main(arguments=None):
@@ -100,10 +104,12 @@ def _show_warning(message, *_, **__):
 def _is_the_users(error):
     """Whether an error is the user's to mend, and not a bug to trace.
 
-    That is what the instrument itself raises, and what files do.
+    That is what the instrument itself raises, what files do, and what Mitsuba refuses.
     """
     own = (FileFormatError, LLVMError, SpecimenError, VariantError, UsageError)
     if isinstance(error, (*own, OSError)):
+        return True
+    if isinstance(error, RuntimeError) and MITSUBA.search(str(error)):
         return True
     innermost = list(traceback.walk_tb(error.__traceback__))[-1][0]
     module = innermost.f_globals.get("__name__", "")

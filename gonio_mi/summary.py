@@ -17,6 +17,9 @@ WIDTH = 88
 # along the horizon.
 ROUNDING = 1e-6
 
+# Relative rounding of single precision.
+SINGLE = 2.0**-24
+
 # How light gets to the other side of a specimen whose BSDFs declare no transmission: by
 # what a few thousand straight rays found.
 PASSED = {
@@ -262,7 +265,7 @@ def _totals_text(numbers):
         angles = [_angle(direction["theta_i"]), _angle(direction["phi_i"])]
         for quantity in ("dhr", "dht"):
             for total in direction[quantity] or []:
-                decimals = _decimals(total["std_err"])
+                decimals = _decimals(total["value"], total["std_err"])
                 rows.append(
                     [
                         *angles,
@@ -370,11 +373,15 @@ def _angle(degrees):
     return "-" if degrees is None else f"{round(degrees, 6) + 0.0:.4g}"
 
 
-def _decimals(std_err):
-    """Decimals that show two digits of a standard error."""
+def _decimals(value, std_err):
+    """Decimals that show two digits of a standard error, but no more than are known.
+
+    Mitsuba computes in single precision, which carries some seven digits of the value.
+    """
     if not std_err:
         return 6
-    return min(max(1 - math.floor(math.log10(std_err)), 2), 12)
+    least = max(std_err, SINGLE * abs(value))
+    return min(max(1 - math.floor(math.log10(least)), 2), 12)
 
 
 def _fixed(value, decimals):

@@ -493,7 +493,7 @@ def test_ctrl_c_in_a_stack(run, plugins, tmp_path):
 def test_ctrl_c_keeps_whole_integrals(run, plugins, tmp_path):
     part = tmp_path / "part.npz"
     angles = ("--theta-i", "0", "30", "60", "--estimator", "quadrature", "-q")
-    plate = ("measure", "test_interrupted:at=14", *plugins, *angles)
+    plate = ("measure", "test_interrupted:at=24", *plugins, *angles)
     code, _, err = run(*plate, "-o", part)
     n = len(gonio.load(part))
     assert code == 2

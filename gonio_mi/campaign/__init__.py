@@ -40,6 +40,9 @@ logger = logging.getLogger(__name__)
 
 # Rays of one task, at least: setting up a specimen is worth some 1e6 of them.
 TASK_RAYS = 10**7
+# Tasks of a specimen, at least: there may be as many workers, and what is finished is
+# kept by task.
+TASKS = 16
 DEFAULT_RAYS = 10**6
 
 
@@ -218,7 +221,9 @@ def _threads(n):
 def _tasks(specimens, incidents, plugins, threads, settings):
     """Tasks of a few directions each, in order."""
     rays = settings.get("rays") or DEFAULT_RAYS
-    few = 1 if settings.get("rel_err") else max(1, int(TASK_RAYS // rays))
+    # the same whatever the executor: a folder may be carried on by another
+    most = max(1, len(incidents) // TASKS)
+    few = 1 if settings.get("rel_err") else max(1, min(int(TASK_RAYS // rays), most))
     plugins = tuple(os.path.abspath(path) for path in plugins)
     tasks = []
     for name, specimen in specimens.items():

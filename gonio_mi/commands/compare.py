@@ -108,6 +108,11 @@ def run(options):
     else:
         other = read_measured(options.other, options.channel)
     if is_record(options.record):
+        if options.aperture_half_angle is not None:
+            raise ValueError(
+                "--aperture-half-angle goes with a specimen, which is measured; "
+                f"{options.record} was"
+            )
         record = files.load(options.record)
     elif is_record(options.other):
         raise ValueError(

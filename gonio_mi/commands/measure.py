@@ -138,9 +138,10 @@ def _add_collector(group):
     group.add_argument(
         "--collector",
         metavar="KIND:NTxNP",
-        help="patches of equal solid angle (solid), projected solid angle (projected) "
-        "or steps of angle (angle), rings x sectors of each hemisphere (default: "
-        "projected:30x30)",
+        help="patches of equal solid angle (solid), projected solid angle (projected), "
+        "steps of angle (angle) or of its sine (sine), rings x sectors of each "
+        "hemisphere (default: projected:30x30); or klems, "
+        "borders:0,30,90x0,180,360 or apertures:HALF_ANGLE@THETA/PHI,...",
     )
     group.add_argument(
         "--collector-radius",
@@ -310,7 +311,9 @@ def _measure(options):
         return partial(measure, resume=resume)
     if options.resume is not None:
         raise ValueError("--resume goes without --workers and --folder")
-    workers = options.workers and checked_count("workers", options.workers)
+    workers = options.workers
+    if workers is not None:
+        workers = checked_count("workers", workers)
 
     def by_campaign(specimen, theta_i, phi_i, **settings):
         try:
