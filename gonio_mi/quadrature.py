@@ -187,6 +187,7 @@ def integrate(
         way[full] = QUARTERS
         parts = cells.split(way)
         fine, ways, values_at = evaluator.integrals(parts)
+        values_at = values_at.reshape(len(cells.patch), 4 * NODES_PER_CELL, -1)
         values = fine.reshape(len(cells.patch), 4, -1).sum(axis=1)
         allowed = sums.allowed(cells, values, rel_err)
         tolerance = CAUTION * allowed[cells.patch] * cells.tolerated(way)[:, None]
@@ -338,7 +339,7 @@ class _Evaluator:
         -------
         integrals : ndarray, shape (n, channels)
         way : ndarray of int, shape (n,)
-        values : ndarray, shape (n / 4, 4 * NODES_PER_CELL, channels)
+        values : ndarray, shape (n, NODES_PER_CELL, channels)
         """
         theta, phi, lower, weight = cells.nodes()
         values = self._values(theta, phi, lower)
@@ -346,7 +347,7 @@ class _Evaluator:
         shape = len(cells.patch), NODES_PER_CELL, values.shape[-1]
         integrals = (values * weight[:, None]).reshape(shape).sum(axis=1)
         way = way_to_split(values.reshape(shape))
-        return integrals, way, values.reshape(-1, 4 * NODES_PER_CELL, shape[-1])
+        return integrals, way, values.reshape(shape)
 
     def hidden(self, cells, values):
         """What a step between the nodes of the quarters of each cell can change.

@@ -2,6 +2,7 @@
 
 import csv
 import importlib
+from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
@@ -315,7 +316,8 @@ def test_integrals_that_disagree_with_rays_are_not_the_truth(monkeypatch):
         record = right(self, seed, **settings)
         if settings["estimator"] == "quadrature":
             (tally,) = record.tallies
-            tally.sums[...] = tally.sums * 1.03
+            tally = replace(tally, sums=(tally.sums * 1.03).astype(tally.sums.dtype))
+            record = replace(record, tallies=(tally,))
         return record
 
     monkeypatch.setattr(runs.Runs, "measure", wrong)

@@ -103,6 +103,7 @@ def test_rows(weight, z, pdf, row):
 
 
 @pytest.mark.usefixtures("mono")
+@pytest.mark.filterwarnings("ignore:the BSDF creates light")
 def test_weights_above_one_are_summed_exactly():
     """Exact: analog rays of weight 2.5 count twice or three times."""
     specimen = scripted(lambda _: mi.Float(2.5))

@@ -99,9 +99,9 @@ def resume(specimen, si, d, behind):
     or meets the near wall. One that comes from behind a surface that is open, or faces
     away, meets it again: it is moved back by more than off.
     """
-    # grazing, it meets the surface no further from where it did
-    off = specimen.reach * LIFT * dr.abs(dr.dot(si.n, d))
-    back = dr.minimum(si.t / 2, specimen.reach * NEARBY)
+    off = specimen.reach * LIFT
+    beyond = 2 * off / dr.abs(dr.dot(si.n, d))
+    back = dr.minimum(si.t / 2, dr.maximum(specimen.reach * NEARBY, beyond))
     return si.p + dr.select(behind, off * si.n - back * d, 0.0)
 
 
@@ -154,8 +154,11 @@ def escapes(specimen, side, ray, n, offset, active):
 
 
 def _from_behind(specimen, si, ray):
-    """Whether a surface without transmission is hit on the side of no normal."""
-    if not specimen.closed_to_light:
+    """Whether a surface without transmission is hit on the side of no normal.
+
+    In a plane there is no crest that could be the reason.
+    """
+    if not specimen.closed_to_light or specimen.low[2] == specimen.high[2]:
         return mi.Bool(False)
     return dr.dot(si.n, ray.d) > 0
 
