@@ -375,6 +375,30 @@ def test_bad_plugin_files(refuse, write, content, words):
     assert words in refuse(*QUICK, "--plugin", write("mine.py", content))
 
 
+def test_what_mitsuba_refuses_while_measuring_is_a_sentence(refuse):
+    assert "non-spectral color type" in refuse("measure", "hair", "--theta-i", "45")
+
+
+def test_workers_are_called_so(refuse):
+    arguments = ("measure", "diffuse", "--theta-i", "0", "--workers", "0")
+    assert "workers must be at least 1, got 0" in refuse(*arguments)
+
+
+def test_a_folder_says_only_which_settings_differ(run, refuse, tmp_path):
+    arguments = ("measure", "diffuse", "--theta-i", "0", "-q", "--folder", tmp_path)
+    assert run(*arguments, "--rays", "5000")[0] == 0
+    err = refuse(*arguments, "--rays", "6000")
+    assert "settings are {'rays': '5000.0'} instead of {'rays': '6000.0'}" in err
+
+
+def test_an_aperture_goes_with_what_is_measured(run, refuse, write, tmp_path):
+    record = tmp_path / "run.npz"
+    assert run(*QUICK, "-q", "-o", record)[0] == 0
+    table = write("table.csv", "theta_i,phi_i,theta_o,phi_o,value\n45,0,30,180,0.3\n")
+    arguments = ("compare", record, table, "--aperture-half-angle", "2")
+    assert "--aperture-half-angle goes with a specimen" in refuse(*arguments)
+
+
 def test_a_plugin_without_to_string(run, plugins):
     code, out, _ = run("measure", "test_nameless", *QUICK[2:], *plugins)
     assert code == 0

@@ -38,10 +38,10 @@ __all__ = ["campaign"]
 
 logger = logging.getLogger(__name__)
 
-# Rays of one task, at least: setting up a specimen is worth some 1e6 of them.
+# Rays of one task, if there are directions enough for so many tasks: setting up a
+# specimen is worth some 1e6 rays, but what is finished is kept, and shared out among
+# workers, by task.
 TASK_RAYS = 10**7
-# Tasks of a specimen, at least: there may be as many workers, and what is finished is
-# kept by task.
 TASKS = 16
 DEFAULT_RAYS = 10**6
 

@@ -315,7 +315,7 @@ def _measure(options):
     if workers is not None:
         workers = checked_count("workers", workers)
 
-    def by_campaign(specimen, theta_i, phi_i, **settings):
+    def _by_campaign(specimen, theta_i, phi_i, **settings):
         try:
             record = campaign(
                 {options.specimen: specimen},
@@ -336,7 +336,7 @@ def _measure(options):
             raise SystemExit(INCOMPLETE) from None
         return record if len(record) > 1 else record[0]
 
-    return by_campaign
+    return _by_campaign
 
 
 def _save(record, paths):

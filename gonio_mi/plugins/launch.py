@@ -52,7 +52,7 @@ def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
     full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
     size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
 
-    def add(sampler, ray):
+    def _add(sampler, ray):
         active = ray < size
         deposits = None
         if deposited:
@@ -66,9 +66,9 @@ def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
             deposits.add_exits(bins, exits)
 
     if continues(sampler) and not traced:
-        in_turns(add, sampler, ray, lanes, turns)
+        in_turns(_add, sampler, ray, lanes, turns)
     else:
-        add(sampler, ray)
+        _add(sampler, ray)
     return sums.tally(len(sizes))
 
 
