@@ -271,10 +271,10 @@ def _totals_text(numbers):
                         *angles,
                         quantity,
                         total["channel"],
-                        *(
-                            _fixed(total[key], decimals)
-                            for key in ("value", "std_err", "low", "high")
-                        ),
+                        _fixed(total["value"], decimals),
+                        _std_err(total, decimals),
+                        _fixed(total["low"], decimals),
+                        _fixed(total["high"], decimals),
                     ]
                 )
     return _table(header, rows)
@@ -382,6 +382,14 @@ def _decimals(value, std_err):
         return 6
     least = max(std_err, SINGLE * abs(value))
     return min(max(1 - math.floor(math.log10(least)), 2), 12)
+
+
+def _std_err(total, decimals):
+    """Text of a standard error, or of the rounding in which it is lost."""
+    rounding = SINGLE * abs(total["value"] or 0)
+    if total["std_err"] and total["std_err"] < rounding:
+        return f"<{rounding:.{decimals}f}"
+    return _fixed(total["std_err"], decimals)
 
 
 def _fixed(value, decimals):

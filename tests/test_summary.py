@@ -57,6 +57,15 @@ def test_standard_errors_have_two_digits():
     assert abs(float(std_err) - total["std_err"]) <= 10.0 ** -(len(std_err) - 2) / 2
 
 
+def test_no_more_digits_than_single_precision_has():
+    numbers = summarize(synthetic.record())
+    (total,) = numbers["directions"][0]["dhr"]
+    total |= {"value": 0.8, "std_err": 3e-11, "low": 0.8 - 6e-11, "high": 0.8 + 6e-11}
+    (row,) = (r for r in summary_text(numbers).splitlines() if " dhr " in r)
+    # 2^-24 of the value
+    assert row.split()[4:] == ["0.800000000", "<0.000000048", *["0.800000000"] * 2]
+
+
 @pytest.mark.parametrize("of", ["brdf", "btdf"])
 def test_theta_o_counts_from_one_pole_in_both_hemispheres(of):
     record = synthetic.record(both=of == "btdf")
