@@ -10,20 +10,7 @@ from . import llvm
 llvm.prepare()
 
 from . import plugins  # noqa: E402, F401
-from .campaign import campaign  # noqa: E402
-from .comparison import Comparison, compare, measure_like  # noqa: E402
-from .errors import (  # noqa: E402
-    FileFormatError,
-    LLVMError,
-    SpecimenError,
-    VariantError,
-)
-from .files import load  # noqa: E402
-from .files.measured import MeasuredTable, read_measured  # noqa: E402
-from .goniophotometer import measure  # noqa: E402
-from .ray_density import Plan, plan  # noqa: E402
-from .record import Record  # noqa: E402
-from .subdivision import (  # noqa: E402
+from .collector import (  # noqa: E402
     Borders,
     EqualAngle,
     EqualProjectedSolidAngle,
@@ -33,8 +20,16 @@ from .subdivision import (  # noqa: E402
     adapted,
     subdivision,
 )
-from .subdivision.apertures import Apertures  # noqa: E402
-from .tally import Ledger  # noqa: E402
+from .collector.apertures import Apertures  # noqa: E402
+from .comparison import Comparison, compare, measure_like  # noqa: E402
+from .errors import FileFormatError, LLVMError, SpecimenError, VariantError  # noqa: E402
+from .files import load  # noqa: E402
+from .files.measured import MeasuredTable, read_measured  # noqa: E402
+from .instrument.campaigns import campaign  # noqa: E402
+from .instrument.measurement import measure  # noqa: E402
+from .results.ray_density import Plan, plan  # noqa: E402
+from .results.record import Record  # noqa: E402
+from .results.tally import Ledger  # noqa: E402
 
 __all__ = [
     "Apertures",

@@ -10,7 +10,7 @@ import numpy as np
 
 from . import llvm
 from .errors import LLVMError
-from .goniophotometer import measure
+from .instrument.measurement import measure
 
 __all__ = ["Row", "diagnose", "run"]
 

@@ -4,7 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from gonio_mi.directions import direction
+from gonio_mi.collector.directions import direction
 
 
 def fresnel(cos_i, eta):

@@ -6,12 +6,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from gonio_mi.directions import direction
-from gonio_mi.plugins import flight
-from gonio_mi.plugins.beam import Beam
-from gonio_mi.plugins.specimen import Specimen
-from gonio_mi.plugins.transport import Settings, trace
-from gonio_mi.tally import Fate
+from gonio_mi.collector.directions import direction
+from gonio_mi.results.tally import Fate
+from gonio_mi.transport import ray_offsets
+from gonio_mi.transport.beam import Beam
+from gonio_mi.transport.loop import Settings, trace
+from gonio_mi.transport.specimen import Specimen
 
 MIRROR = {"type": "twosided", "bsdf": {"type": "conductor"}}
 
@@ -76,13 +76,13 @@ def aimed_at_edges(specimen, wi, n):
 
 
 def as_it_is(specimen, p):  # noqa: ARG001
-    """A point, not taken into the cell: `flight.into_cell` broken."""
+    """A point, not taken into the cell: `ray_offsets.into_cell` broken."""
     return mi.Point3f(p), mi.Vector3f(0)
 
 
 def resumed_in_line(specimen, si, d, behind):
-    """Where a ray would look again from, if not from beside: `flight.resume` broken."""
-    back = dr.minimum(si.t / 2, specimen.reach * flight.NEARBY)
+    """Where a ray would look again from, if not from beside: `resume` broken."""
+    back = dr.minimum(si.t / 2, specimen.reach * ray_offsets.NEARBY)
     return si.p - dr.select(behind, back, 0.0) * d
 
 

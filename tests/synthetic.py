@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from gonio_mi.record import Record
-from gonio_mi.subdivision import subdivision
-from gonio_mi.tally import WEIGHT_SCALE, Fate, Tally
+from gonio_mi.collector import subdivision
+from gonio_mi.results.record import Record
+from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Tally
 
 
 def specular(patches, theta_deg, phi_deg, power):

@@ -23,9 +23,9 @@ from gonio_mi.benchmark.rivals import (
     numba_rays,
     numpy_rays,
 )
-from gonio_mi.directions import direction
+from gonio_mi.collector import subdivision
+from gonio_mi.collector.directions import direction
 from gonio_mi.quadrature import integrate
-from gonio_mi.subdivision import subdivision
 
 RAYS = 2 * 10**6
 

@@ -69,7 +69,7 @@ def executor(request):
 @pytest.mark.usefixtures("mono")
 def test_same_bits_wherever(executor, reference, monkeypatch):
     """One direction a task, so that they end in another order than they began."""
-    monkeypatch.setattr(sys.modules["gonio_mi.campaign"], "TASK_RAYS", 1)
+    monkeypatch.setattr(sys.modules["gonio_mi.instrument.campaigns"], "TASK_RAYS", 1)
     records = gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, executor=executor)
     assert same(records, reference)
     assert list(records["matt"].phi_i) == [0, 90, 200] * 2
@@ -106,7 +106,7 @@ def test_measure_takes_an_executor_and_a_folder(reference, tmp_path):
 
 @pytest.mark.usefixtures("mono")
 def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch):
-    module = sys.modules["gonio_mi.campaign"]
+    module = sys.modules["gonio_mi.instrument.campaigns"]
     monkeypatch.setattr(module, "TASK_RAYS", 1)
     gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, folder=tmp_path)
     files = sorted(tmp_path.glob("*.npz"))
@@ -153,7 +153,7 @@ def interrupted():
 
 @pytest.mark.usefixtures("mono")
 def test_ctrl_c_keeps_whole_directions_only(interrupted, tmp_path, monkeypatch):
-    monkeypatch.setattr(sys.modules["gonio_mi.campaign"], "TASK_RAYS", 1)
+    monkeypatch.setattr(sys.modules["gonio_mi.instrument.campaigns"], "TASK_RAYS", 1)
     specimen = {"type": "test_interrupted_once"}
     settings = ANGLES | SETTINGS | {"sampler": "independent"}
     with pytest.warns(RuntimeWarning, match="interrupted: the record holds"):

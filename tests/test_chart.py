@@ -12,13 +12,13 @@ from budget import agree, disagree, single
 
 import gonio_mi as gonio
 from gonio_mi import cli
-from gonio_mi.chart.curves import Chart, Curve, Point, Reference
-from gonio_mi.chart.picture import plot_chart
-from gonio_mi.ray_density import rms_expectation
+from gonio_mi.charts.chart_figure import plot_chart
+from gonio_mi.charts.curves import Chart, Curve, Point, Reference
+from gonio_mi.results.ray_density import rms_expectation
 
 # the package has functions of these names
-charting = importlib.import_module("gonio_mi.chart")
-runs = importlib.import_module("gonio_mi.chart.runs")
+charting = importlib.import_module("gonio_mi.charts.charting")
+runs = importlib.import_module("gonio_mi.charts.runs")
 
 DIFFUSE = {"type": "diffuse", "reflectance": 0.5}
 GLASS = {"type": "dielectric"}

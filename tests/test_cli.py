@@ -11,10 +11,10 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi import cli, files
-from gonio_mi.record import Record
-from gonio_mi.subdivision import subdivision
-from gonio_mi.summary import summarize, summary_text
-from gonio_mi.tally import Fate, Tally
+from gonio_mi.collector import subdivision
+from gonio_mi.results.record import Record
+from gonio_mi.results.summary import summarize, summary_text
+from gonio_mi.results.tally import Fate, Tally
 
 pytestmark = pytest.mark.usefixtures("mono")
 

@@ -17,13 +17,13 @@ from scipy import special, stats
 
 import gonio_mi as gonio
 from gonio_mi.cli import main
+from gonio_mi.collector import subdivision
+from gonio_mi.collector.apertures import Apertures, disjoint_groups
+from gonio_mi.collector.directions import direction
 from gonio_mi.comparison import compare, measure_like
 from gonio_mi.comparison.agreement import Readings
-from gonio_mi.directions import direction
 from gonio_mi.files.measured import MeasuredTable, read_measured
-from gonio_mi.record import Record
-from gonio_mi.subdivision import subdivision
-from gonio_mi.subdivision.apertures import Apertures, disjoint_groups
+from gonio_mi.results.record import Record
 
 EPS = np.finfo(float).eps
 HEADER = "theta_i,phi_i,theta_o,phi_o,value,sigma"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import gonio_mi as gonio
-from gonio_mi.tally import Tally
+from gonio_mi.results.tally import Tally
 
 SETTINGS = {"rays": 800, "batches": 4, "collector": "projected:3x3"}
 

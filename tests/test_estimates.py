@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import synthetic
 
-from gonio_mi import statistics
-from gonio_mi.estimates import FEW_EVEN_HITS, FEW_HITS, Estimates
-from gonio_mi.tally import WEIGHT_SCALE, Fate, Tally
+from gonio_mi.results import statistics
+from gonio_mi.results.estimates import FEW_EVEN_HITS, FEW_HITS, Estimates
+from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Tally
 
 EPS = np.finfo(float).eps
 LEVEL = 0.9

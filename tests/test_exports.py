@@ -10,11 +10,12 @@ import synthetic
 
 import gonio_mi as gonio
 from gonio_mi import cli
-from gonio_mi.directions import direction
+from gonio_mi.collector import subdivision
+from gonio_mi.collector.directions import direction
+from gonio_mi.collector.klems import Klems
 from gonio_mi.errors import FileFormatError, VariantError
-from gonio_mi.files import exports, measured_export, resampling, tensor_file
-from gonio_mi.subdivision import subdivision
-from gonio_mi.subdivision.klems import Klems
+from gonio_mi.exports import exporting, measured_export, resampling
+from gonio_mi.files import tensor_file
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -96,7 +97,7 @@ def test_measured_of_a_lambertian_converges(tmp_path, monkeypatch):
     for grid in (16, 32):
         monkeypatch.setattr(measured_export, "GRID", grid)
         monkeypatch.setattr(measured_export, "RAYS", 2**18)
-        losses = exports.export(synthetic.lambertian(), tmp_path / "lambertian.bsdf")
+        losses = exporting.export(synthetic.lambertian(), tmp_path / "lambertian.bsdf")
         errors.append([abs(loss.written - 0.5) for loss in losses])
     assert len(losses) == 3
     # 4, less what the first order has left at these grids
@@ -120,7 +121,7 @@ def test_measured_of_an_anisotropic_colour_converges(tmp_path, monkeypatch):
     for grid in (16, 32):
         monkeypatch.setattr(measured_export, "GRID", grid)
         monkeypatch.setattr(measured_export, "RAYS", 2**16)
-        losses = exports.export(record, tmp_path / "colour.bsdf")
+        losses = exporting.export(record, tmp_path / "colour.bsdf")
         misplaced.append([loss.misplaced for loss in losses])
     assert len(losses) == 8
     assert (np.array(misplaced[0]) > 1.7 * np.array(misplaced[1])).all()
@@ -129,7 +130,7 @@ def test_measured_of_an_anisotropic_colour_converges(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("mono")
 def test_measured_needs_rgb(tmp_path):
     with pytest.raises(VariantError, match="needs a variant of rgb"):
-        exports.export(synthetic.lambertian(), tmp_path / "a.bsdf")
+        exporting.export(synthetic.lambertian(), tmp_path / "a.bsdf")
 
 
 def test_tensor_files_agree_with_mitsubas_own(tmp_path):
@@ -182,7 +183,7 @@ def test_bad_tensor_files_are_refused(data, message):
 
 @pytest.mark.usefixtures("mono")
 def test_csv_is_what_compare_reads(tmp_path, glossy):
-    losses = exports.export(glossy, tmp_path / "run.csv")
+    losses = exporting.export(glossy, tmp_path / "run.csv")
     assert len(losses) == 6
     assert all(loss.misplaced <= np.finfo(float).eps for loss in losses)
     table = gonio.read_measured(tmp_path / "run.brdf.csv")
@@ -209,7 +210,7 @@ def test_astm_is_what_compare_reads(tmp_path, channels, columns):
         "projected:4x8", theta_i=(0, 30), phi_i=(0, 40), channels=channels
     )
     path = tmp_path / "run.astm"
-    losses = exports.export(record, path)
+    losses = exporting.export(record, path)
     # degrees become radians and degrees again
     rounding = 4 * np.finfo(float).eps
     assert all(loss.misplaced <= rounding for loss in losses)
@@ -234,7 +235,7 @@ def test_compare_takes_a_channel_of_an_astm_file(tmp_path, capsys):
     record, table = tmp_path / "run.npz", tmp_path / "run.astm"
     three = synthetic.record("projected:4x8", channels=("R", "G", "B"))
     three.save(record)
-    exports.export(three, table)
+    exporting.export(three, table)
     command = ["compare", str(record), str(table)]
     assert cli.main([*command, "--channel", "G"]) == 0
     assert cli.main(command) == 1
@@ -280,7 +281,7 @@ def test_a_material_is_no_table(tmp_path):
 @pytest.mark.usefixtures("mono")
 def test_netcdf_is_what_xarray_reads(tmp_path, glossy):
     xarray = pytest.importorskip("xarray")
-    losses = exports.export(glossy, tmp_path / "run.nc")
+    losses = exporting.export(glossy, tmp_path / "run.nc")
     assert all(loss.misplaced <= np.finfo(float).eps for loss in losses)
     with xarray.open_dataset(tmp_path / "run.nc", engine="scipy") as data:
         assert np.array_equal(data.bsdf.values[:, 0], glossy.brdf)
@@ -337,4 +338,4 @@ def test_command_refuses_before_it_works(tmp_path, capsys, name, glossy):
 def test_records_of_wavelengths_are_refused(tmp_path):
     record = synthetic.record(channels=("400nm", "500nm"))
     with pytest.raises(ValueError, match="one channel or of R, G, B"):
-        exports.export(record, tmp_path / "run.xml")
+        exporting.export(record, tmp_path / "run.xml")

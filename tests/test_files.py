@@ -15,7 +15,7 @@ import synthetic
 import gonio_mi as gonio
 from gonio_mi import files
 from gonio_mi.files import exr_parts, npz
-from gonio_mi.tally import Tally
+from gonio_mi.results.tally import Tally
 
 NAN = float("nan")
 ENDINGS = [".npz", ".exr"]

@@ -8,20 +8,15 @@ import numpy as np
 import pytest
 import synthetic
 
-from gonio_mi.directions import direction
+from gonio_mi.collector.directions import direction
+from gonio_mi.collector.klems import Klems
 from gonio_mi.errors import FileFormatError
-from gonio_mi.files import (
-    exports,
-    radiance_export,
-    radiance_xml,
-    resampling,
-    tensor_tree,
-)
+from gonio_mi.exports import exporting, radiance_export, resampling
+from gonio_mi.exports.radiance_export import BASES
+from gonio_mi.files import radiance_xml, tensor_tree
 from gonio_mi.files.radiance_bsdf import XYZ, RadianceBSDF, matrices, trees
-from gonio_mi.files.radiance_export import BASES
 from gonio_mi.files.shirley_chiu import directions_of, square_of
 from gonio_mi.files.tensor_tree import TensorTree
-from gonio_mi.subdivision.klems import Klems
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -72,7 +67,7 @@ def test_finer_trees_lose_less(tmp_path, glossy, monkeypatch):
     lost = []
     for size in (16, 32):
         monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: size})
-        losses = exports.export(glossy, tmp_path / "a.xml", "tensor3")
+        losses = exporting.export(glossy, tmp_path / "a.xml", "tensor3")
         lost.append(np.mean([loss.misplaced for loss in losses]))
     assert lost[0] > 1.5 * lost[1]
 
@@ -90,7 +85,7 @@ def test_trees_of_rank_3_are_isotropic_and_grey(tmp_path, phi_i, channels, messa
     theta_i = (0, 30, 60) if len(set(phi_i)) == 1 else (30, 30, 30)
     record = synthetic.record(theta_i=theta_i, phi_i=phi_i, channels=channels)
     with pytest.raises(ValueError, match=message):
-        exports.export(record, tmp_path / "run.xml", "tensor3")
+        exporting.export(record, tmp_path / "run.xml", "tensor3")
 
 
 def test_squares_of_disks():
@@ -176,7 +171,7 @@ def test_radiance_renders_what_was_written(tmp_path, glossy, basis, side):
             theta_i=(20, 60), phi_i=(0, 0), power=6, both=True, channels=("R", "G", "B")
         )
     glossy.settings["side"] = side
-    exports.export(glossy, tmp_path / "plate.xml", basis)
+    exporting.export(glossy, tmp_path / "plate.xml", basis)
     with open(tmp_path / "plate.xml", "rb") as stream:
         own = RadianceBSDF(stream)
     rng = np.random.default_rng(5)
@@ -206,7 +201,7 @@ def test_radiance_renders_what_was_written(tmp_path, glossy, basis, side):
 
 @pytest.mark.usefixtures("mono", "coarse")
 def test_twin_radiance_would_notice_a_turned_lamp(tmp_path, glossy):
-    exports.export(glossy, tmp_path / "plate.xml", "tensor3")
+    exporting.export(glossy, tmp_path / "plate.xml", "tensor3")
     with open(tmp_path / "plate.xml", "rb") as stream:
         own = RadianceBSDF(stream)
     wi, wo = direction(0.7, 1.3), direction(0.5, 4.0)
@@ -221,7 +216,7 @@ def test_twin_radiance_would_notice_a_turned_lamp(tmp_path, glossy):
 @pytest.mark.usefixtures("mono", "coarse")
 def test_klems_light_is_all_there(tmp_path, glossy):
     bsdf = pytest.importorskip("pyradiance").bsdf
-    exports.export(glossy, tmp_path / "sum.xml")
+    exporting.export(glossy, tmp_path / "sum.xml")
     with open(tmp_path / "sum.xml", "rb") as stream:
         blocks = radiance_xml.read(stream)
     column = radiance_xml.incident_patch(30, 40)

@@ -7,7 +7,7 @@ from budget import agree, disagree, single
 from references import fresnel, slab
 
 import gonio_mi as gonio
-from gonio_mi.plugins.transport import flux_context
+from gonio_mi.transport.loop import flux_context
 
 pytestmark = pytest.mark.usefixtures("mono")
 

@@ -8,10 +8,10 @@ import synthetic
 from budget import agree, disagree, normal_scores, scores, single, verdict
 
 import gonio_mi as gonio
-from gonio_mi.directions import direction
-from gonio_mi.lobes import LobeTable
+from gonio_mi.collector.directions import direction
+from gonio_mi.materials.lobes import LobeTable
 from gonio_mi.quadrature import integrate
-from gonio_mi.tally import WEIGHT_SCALE, Fate, Tally
+from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Tally
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -517,7 +517,7 @@ def test_unfit_records_are_refused_in_a_sentence(plugin, record, message):
 
 
 def test_table_that_does_not_fit_is_refused(monkeypatch):
-    monkeypatch.setattr("gonio_mi.lobes.MOST_BYTES", 1000)
+    monkeypatch.setattr("gonio_mi.materials.lobes.MOST_BYTES", 1000)
     with pytest.raises(ValueError, match=r"must need at most 1e\+03 bytes, got"):
         LobeTable.of(isotropic())
 

@@ -7,16 +7,11 @@ from budget import agree, disagree, scores, single
 from test_goniometric import EPS, IMPORTANCE, ROUNDING, interaction, isotropic, values
 
 import gonio_mi as gonio
-from gonio_mi.directions import direction
-from gonio_mi.files import (
-    exports,
-    measured_export,
-    radiance_export,
-    radiance_xml,
-    resampling,
-)
+from gonio_mi.collector.directions import direction
+from gonio_mi.collector.klems import Klems
+from gonio_mi.exports import exporting, measured_export, radiance_export, resampling
+from gonio_mi.files import radiance_xml
 from gonio_mi.files.material_files import load_material
-from gonio_mi.subdivision.klems import Klems
 
 # Not in their order.
 CHANNELS = ("500nm", "400nm", "650nm")
@@ -109,7 +104,7 @@ def test_measured_has_spectra(tmp_path, monkeypatch):
         for channels in (("550nm",), CHANNELS)
     )
     lost = [
-        exports.export(record, tmp_path / f"{len(record.channels)}.bsdf")
+        exporting.export(record, tmp_path / f"{len(record.channels)}.bsdf")
         for record in (grey, coloured)
     ]
     # the channels of a synthetic record are one shape, times 1, 0.625 and 0.25
@@ -120,7 +115,7 @@ def test_measured_has_spectra(tmp_path, monkeypatch):
         assert abs(several.written / several.recorded - scale) <= noise
         assert abs(several.misplaced - one.misplaced) <= noise
     with pytest.raises(gonio.VariantError, match="needs a variant of rgb"):
-        exports.export(isotropic(), tmp_path / "grey.bsdf")
+        exporting.export(isotropic(), tmp_path / "grey.bsdf")
 
 
 # --------------------------------------------------------------------------- Radiance
@@ -173,7 +168,7 @@ def test_files_that_are_no_material_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 8, 4: 4})
     record = isotropic()
     for name, basis in (("tree.xml", "tensor4"), ("front.xml", "klems")):
-        exports.export(record, tmp_path / name, basis)
+        exporting.export(record, tmp_path / name, basis)
     (tmp_path / "foreign.xml").write_text("<a/>")
     front = {"back_filename": str(tmp_path / "front.xml")}
     for name, parameters, message in (

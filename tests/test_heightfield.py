@@ -6,7 +6,7 @@ from budget import agree, disagree, normal_scores, single
 
 import gonio_mi as gonio
 from gonio_mi.errors import SpecimenError
-from gonio_mi.heights import gaussian_heights, height_statistics
+from gonio_mi.surfaces.heights import gaussian_heights, height_statistics
 
 # isort: split
 import mitsuba as mi

@@ -26,11 +26,11 @@ from surfaces import (
     traced,
 )
 
-from gonio_mi.directions import direction
-from gonio_mi.plugins import transport
-from gonio_mi.plugins.flight import RETREAT
-from gonio_mi.summary import summarize
-from gonio_mi.tally import Fate
+from gonio_mi.collector.directions import direction
+from gonio_mi.results.summary import summarize
+from gonio_mi.results.tally import Fate
+from gonio_mi.transport import loop as transport
+from gonio_mi.transport.ray_offsets import RETREAT
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -386,7 +386,7 @@ def test_single_scattering_follows_smith():
     Facets of a grid are its chords: their slopes, and with them the share of rays that
     scatter once, change at second order of the spacing.
     """
-    from gonio_mi.heights import gaussian_heights, height_statistics
+    from gonio_mi.surfaces.heights import gaussian_heights, height_statistics
 
     n = 512
     z = gaussian_heights((n, n), 2 / n, 0.5, 0.5, 0.1, seed=1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import gonio_mi as gonio
-from gonio_mi.directions import direction
+from gonio_mi.collector.directions import direction
 
 pytestmark = pytest.mark.usefixtures("mono")
 

@@ -16,8 +16,8 @@ from references import patch_fluxes
 from scipy import special, stats
 
 import gonio_mi as gonio
-from gonio_mi.directions import direction
-from gonio_mi.plugins import facets
+from gonio_mi.collector.directions import direction
+from gonio_mi.materials import facets
 
 EPS = 2.0**-24  # largest relative rounding error of a float32 operation
 RAYS = 10**6

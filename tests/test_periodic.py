@@ -10,7 +10,7 @@ from budget import agree, disagree, single, verdict
 from surfaces import MIRROR, grooves, heightfield, traced
 
 from gonio_mi.errors import SpecimenError
-from gonio_mi.tally import Fate
+from gonio_mi.results.tally import Fate
 
 pytestmark = pytest.mark.usefixtures("mono")
 

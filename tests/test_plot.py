@@ -12,8 +12,8 @@ pytest.importorskip("matplotlib")
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
-from gonio_mi.plot import plot
-from gonio_mi.plot.profile import MAX_POINTS, profile
+from gonio_mi.plots import plot
+from gonio_mi.plots.profile import MAX_POINTS, profile
 
 NAN = float("nan")
 
@@ -243,7 +243,7 @@ def test_bad_arguments(tmp_path):
 
 def test_without_matplotlib_one_sentence_says_what_to_install(monkeypatch):
     for name in list(sys.modules):
-        if name in ("gonio_mi.plot.figure", "gonio_mi.plot.polar_map"):
+        if name in ("gonio_mi.plots.figure", "gonio_mi.plots.polar_map"):
             monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(ImportError, match=r'pip install "gonio-mi\[plot\]"$'):

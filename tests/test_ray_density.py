@@ -10,7 +10,7 @@ from budget import Verdict, agree, disagree
 from scipy import stats
 
 import gonio_mi as gonio
-from gonio_mi import ray_density
+from gonio_mi.results import ray_density
 
 PAPER = {"epsilon": 0.005, "delta": 0.01}
 EPS = np.finfo(float).eps

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import synthetic
 
-from gonio_mi.record import Record
+from gonio_mi.results.record import Record
 
 STACK = synthetic.record(theta_i=(0, 30, 60), phi_i=(0, 10, 20), both=True)
 

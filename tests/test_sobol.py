@@ -28,7 +28,7 @@ from scipy import stats
 from scipy.stats import qmc
 
 import gonio_mi as gonio
-from gonio_mi.plugins import sampling
+from gonio_mi.transport import sampling
 
 pytestmark = pytest.mark.usefixtures("mono")
 

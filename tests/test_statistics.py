@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from gonio_mi import statistics
+from gonio_mi.results import statistics
 
 EPS = np.finfo(float).eps
 # rounding: a few operations, and two implementations of the same special function

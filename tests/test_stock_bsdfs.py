@@ -11,7 +11,7 @@ from budget import agree, disagree, scores, single, verdict
 from references import eval_flux, fresnel, patch_fluxes, slab
 
 import gonio_mi as gonio
-from gonio_mi.directions import direction
+from gonio_mi.collector.directions import direction
 
 RAYS = 2 * 10**6
 ANGLES = (0, 30, 60, 85, 89.9)

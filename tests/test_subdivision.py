@@ -13,8 +13,8 @@ from gonio_mi import (
     adapted,
     subdivision,
 )
-from gonio_mi.directions import angles, direction
-from gonio_mi.subdivision.hemisphere import BORDER
+from gonio_mi.collector.directions import angles, direction
+from gonio_mi.collector.hemisphere import BORDER
 
 
 def uneven(n_theta, n_phi):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import synthetic
 
-from gonio_mi.ray_density import precision
-from gonio_mi.summary import summarize, summary_text
-from gonio_mi.tally import Fate
+from gonio_mi.results.ray_density import precision
+from gonio_mi.results.summary import summarize, summary_text
+from gonio_mi.results.tally import Fate
 
 
 def moved(record, row, n):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import synthetic
 
-from gonio_mi.subdivision import subdivision
-from gonio_mi.tally import Fate, Ledger, Tally, batch_sizes
+from gonio_mi.collector import subdivision
+from gonio_mi.results.tally import Fate, Ledger, Tally, batch_sizes
 
 PATCHES = subdivision("angle:2x3")
 

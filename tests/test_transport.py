@@ -19,8 +19,8 @@ from budget import (
 from scipy import stats
 
 import gonio_mi as gonio
-from gonio_mi.directions import direction
-from gonio_mi.plugins.specimen import Specimen
+from gonio_mi.collector.directions import direction
+from gonio_mi.transport.specimen import Specimen
 
 pytestmark = pytest.mark.usefixtures("mono")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gonio_mi import SpecimenError
-from gonio_mi.subdivision import EqualAngle
+from gonio_mi.collector import EqualAngle
 from gonio_mi.validation.collecting import rounding
 from gonio_mi.validation.conditions import Condition
 from gonio_mi.validation.drawing import count

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from gonio_mi.validation.stock import coloured
+from gonio_mi.benchmark.stock import coloured
 
 pytestmark = pytest.mark.usefixtures("mono")
 

@@ -6,7 +6,7 @@ from functools import partial
 import mitsuba as mi
 import numpy as np
 
-from .. import goniophotometer
+from ..instrument.measurement import measure
 from ..quadrature import integrate
 from .rivals import GRID
 from .table import print_table
@@ -43,7 +43,7 @@ PILOT_RAYS = 2**21
 def measured(material, sampler, batches, rays, seed=0):
     """BRDF and BTDF of one of the `MATERIALS`, shape (2, 30, 30, 1)."""
     specimen, theta_i = MATERIALS[material]
-    record = goniophotometer.measure(
+    record = measure(
         specimen,
         theta_i,
         collector=GRID,

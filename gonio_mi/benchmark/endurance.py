@@ -1,6 +1,6 @@
 """Memory and time per ray, as the rays grow: neither may."""
 
-from .. import goniophotometer
+from ..instrument.measurement import measure
 from .rivals import GRID, THETA_I
 from .table import print_table
 from .timing import cpu_seconds, peak_memory
@@ -36,6 +36,4 @@ def print_growth(most):
 
 
 def _measure(sampler, rays):
-    goniophotometer.measure(
-        SPECIMEN, THETA_I, collector=GRID, rays=rays, sampler=sampler
-    )
+    measure(SPECIMEN, THETA_I, collector=GRID, rays=rays, sampler=sampler)

@@ -6,9 +6,9 @@ from functools import partial
 import mitsuba as mi
 import numpy as np
 
-from ..directions import direction
+from ..collector import EqualProjectedSolidAngle
+from ..collector.directions import direction
 from ..quadrature import integrate
-from ..subdivision import EqualProjectedSolidAngle
 from . import groove
 from .c_loop import CompilerError
 from .renderers import (

@@ -6,10 +6,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..directions import direction
-from ..plugins.beam import Beam
-from ..plugins.flight import SURFACE_OFFSET
-from ..plugins.specimen import Specimen
+from ..collector.directions import direction
+from ..transport.beam import Beam
+from ..transport.ray_offsets import SURFACE_OFFSET
+from ..transport.specimen import Specimen
 from .table import print_table
 from .timing import in_turns, speeds
 

@@ -8,8 +8,8 @@ from functools import lru_cache
 import mitsuba as mi
 import numpy as np
 
-from ..directions import direction
-from ..subdivision.klems import Klems
+from ..collector.directions import direction
+from ..collector.klems import Klems
 from .rivals import GRID, THETA_I, Rival
 
 __all__ = [

@@ -8,10 +8,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .. import goniophotometer
-from ..directions import direction
+from ..collector import EqualProjectedSolidAngle, EqualSolidAngle, Subdivision
+from ..collector.directions import direction
+from ..instrument.measurement import measure
 from ..quadrature import integrate
-from ..subdivision import EqualProjectedSolidAngle, EqualSolidAngle, Subdivision
 from . import c_loop
 
 __all__ = [
@@ -67,7 +67,7 @@ def gonio_rays(
     """Our instrument, by rays; by default at one point, as the others do."""
 
     def _flux(rays, seed):
-        record = goniophotometer.measure(
+        record = measure(
             specimen,
             THETA_I,
             collector=grid,

@@ -8,7 +8,7 @@ import mitsuba as mi
 
 from .. import llvm
 from ..errors import VariantError
-from ..specimen import load_plugin_file, parse_specimen
+from ..instrument.loading import load_plugin_file, parse_specimen
 
 __all__ = [
     "DEFAULT_VARIANT",

@@ -115,7 +115,7 @@ def _add_methods(group):
 
 def run(options):
     """Run the command and return the exit code."""
-    from ..chart import ESTIMATORS, SAMPLERS, chart
+    from ..charts import ESTIMATORS, SAMPLERS, chart
     from ..errors import checked_number
 
     tables = [path for path in options.output if Path(path).suffix.lower() == ".csv"]
@@ -123,8 +123,8 @@ def run(options):
     for path in tables:
         files.check_output(path, (".csv",))
     if pictures:
-        from ..chart.picture import plot_chart
-        from ..comparison.picture import check_picture
+        from ..charts.chart_figure import plot_chart
+        from ..comparison.comparison_figure import check_picture
 
         for path in pictures:
             check_picture(path)

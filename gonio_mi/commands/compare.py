@@ -93,7 +93,7 @@ def add(commands):
 def run(options):
     """Run the command and return the exit code."""
     from ..comparison import compare, measure_like
-    from ..comparison.picture import check_picture
+    from ..comparison.comparison_figure import check_picture
     from ..files.measured import read_measured
 
     def is_record(path):

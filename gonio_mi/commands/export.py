@@ -41,7 +41,7 @@ def add(commands):
 def run(options):
     """Run the command and return the exit code."""
     record = files.load(options.record)
-    from ..files.exports import ENDINGS, export  # which needs a renderer
+    from ..exports.exporting import ENDINGS, export  # which needs a renderer
 
     for path in options.output:
         files.check_output(path, ENDINGS)

@@ -6,10 +6,10 @@ import warnings
 from functools import partial
 
 from .. import files
-from ..campaign import campaign
 from ..errors import checked_count
-from ..goniophotometer import measure
-from ..summary import summarize, summary_text
+from ..instrument.campaigns import campaign
+from ..instrument.measurement import measure
+from ..results.summary import summarize, summary_text
 from .arguments import (
     DONE,
     INCOMPLETE,

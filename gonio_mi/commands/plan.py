@@ -84,7 +84,7 @@ def add(commands):
 
 def run(options):
     """Run the command and return the exit code."""
-    from ..ray_density import plan  # SciPy's statistics are slow to import
+    from ..results.ray_density import plan  # SciPy's statistics are slow to import
 
     planned = plan(
         None if options.pilot is None else files.load(options.pilot),

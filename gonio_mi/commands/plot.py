@@ -36,7 +36,7 @@ def add(commands):
 def run(options):
     """Run the command and return the exit code."""
     record = files.load(options.record)
-    from ..plot import plot  # matplotlib is an extra, and slow to import
+    from ..plots import plot  # matplotlib is an extra, and slow to import
 
     plot(record, options.output, index=options.index)
     return DONE

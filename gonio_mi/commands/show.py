@@ -3,7 +3,7 @@
 import json
 
 from .. import files
-from ..summary import summarize, summary_text
+from ..results.summary import summarize, summary_text
 from .arguments import DONE
 
 __all__ = ["add", "run"]

@@ -2,7 +2,7 @@
 
 import json
 
-from ..specimen import load_specimen
+from ..instrument.loading import load_specimen
 from .arguments import (
     DONE,
     FAILED,

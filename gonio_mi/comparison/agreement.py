@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from ..statistics import ratio
-from ..subdivision.hemisphere import BORDER
+from ..collector.hemisphere import BORDER
+from ..results.statistics import ratio
 
 __all__ = ["FEW_HITS", "PointSet", "Readings", "judge", "mostly_few"]
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..directions import direction
-from ..subdivision.apertures import Apertures
-from ..subdivision.hemisphere import BORDER
+from ..collector.apertures import Apertures
+from ..collector.directions import direction
+from ..collector.hemisphere import BORDER
 from .agreement import PointSet, Readings
 
 __all__ = ["check_uncertainties", "pair_with_record", "pair_with_table", "pole_angle"]

@@ -6,10 +6,10 @@ import os
 
 import numpy as np
 
+from ..collector import subdivision
 from ..errors import FileFormatError
-from ..record import Record
-from ..subdivision import subdivision
-from ..tally import Fate, Tally
+from ..results.record import Record
+from ..results.tally import Fate, Tally
 
 __all__ = [
     "FORMAT",

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from .. import files
-from ..directions import direction
+from ..collector.directions import direction
+from ..collector.hemisphere import Subdivision
+from ..collector.klems import THETA_DEG, Klems
 from ..errors import FileFormatError
-from ..subdivision.hemisphere import Subdivision
-from ..subdivision.klems import THETA_DEG, Klems
 from .header import require
 from .radiance_bsdf import RadianceBSDF
 

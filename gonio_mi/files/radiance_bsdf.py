@@ -5,7 +5,7 @@ Colours are linear sRGB here and CIE components in the files.
 
 import numpy as np
 
-from ..subdivision.klems import Klems
+from ..collector.klems import Klems
 from . import radiance_xml, tensor_tree
 from .header import require
 from .tensor_tree import TensorTree

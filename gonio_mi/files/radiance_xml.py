@@ -10,8 +10,8 @@ from xml.sax.saxutils import escape
 
 import numpy as np
 
+from ..collector.klems import N_PHI, THETA_DEG, Klems
 from ..errors import FileFormatError
-from ..subdivision.klems import N_PHI, THETA_DEG, Klems
 from .header import require, size_of
 from .tensor_tree import TensorTree
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import mitsuba as mi
 import numpy as np
 
-from ..directions import direction
+from ..collector import Borders
+from ..collector.directions import direction
 from ..errors import checked_choice
-from ..subdivision import Borders
 
 __all__ = ["EFFORTS", "Condition", "Effort"]
 

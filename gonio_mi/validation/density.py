@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..subdivision import EqualSolidAngle
+from ..collector import EqualSolidAngle
 from .ratios import FACTORS, factor
 
 __all__ = ["explain_density"]

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..plugins.arrays import DRJIT
+from ..transport.arrays import DRJIT
 from .probe import Probe, numbers, spectral
 
 __all__ = ["Totals", "count", "seed_of", "uniform"]

@@ -5,7 +5,7 @@ from itertools import product
 import mitsuba as mi
 import numpy as np
 
-from ..directions import direction
+from ..collector.directions import direction
 from .conditions import Condition
 from .identities import ROUNDING
 from .probe import Probe, numbers, spectral

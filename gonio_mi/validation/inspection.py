@@ -6,7 +6,7 @@ from dataclasses import replace
 import mitsuba as mi
 
 from ..errors import SpecimenError, checked_count, checked_number
-from ..specimen import check_variant, load_specimen, loaded, specimen_name
+from ..instrument.loading import check_variant, load_specimen, loaded, specimen_name
 from . import balance, declarations, delta, ends, identities, symmetry
 from .collecting import collect
 from .conditions import Effort

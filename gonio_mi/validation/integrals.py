@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..directions import direction
+from ..collector.directions import direction
 from ..errors import SpecimenError
 from ..quadrature import integrate
 

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 from scipy import special
 
+from ..collector import Subdivision
 from ..errors import SpecimenError
-from ..subdivision import Subdivision
 from .collecting import rounding
 from .drawing import Totals, count
 from .integrals import Integrals, integrals

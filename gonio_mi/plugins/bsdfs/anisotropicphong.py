@@ -3,9 +3,9 @@
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi.plugins import exponentiated_cosine as lobe
-from gonio_mi.plugins import facets, front
-from gonio_mi.plugins.reflectance import reflectance
+from gonio_mi.materials import exponentiated_cosine as lobe
+from gonio_mi.materials import facets, one_sided_glossy
+from gonio_mi.materials.reflectance import reflectance
 
 
 class AnisotropicPhong(mi.BSDF):
@@ -134,7 +134,7 @@ class AnisotropicPhong(mi.BSDF):
             return
         e_u, e_v = self.exponent_u[0], self.exponent_v[0]
         anisotropic = mi.BSDFFlags.Anisotropic if e_u != e_v else mi.BSDFFlags.Empty
-        self.m_flags = front.GLOSSY | anisotropic
+        self.m_flags = one_sided_glossy.GLOSSY | anisotropic
         self.m_components = [self.m_flags]
         table = facets.averted_area_table(e_u, e_v)
         # hardware interpolation would round to 8 bits
@@ -146,7 +146,7 @@ class AnisotropicPhong(mi.BSDF):
         """Draw a facet and reflect at it."""
         del sample1  # there is one lobe
         active = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-        if not front.glossy_enabled(ctx):
+        if not one_sided_glossy.glossy_enabled(ctx):
             return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
         h = self._sample_facet(sample2)
         facing = dr.dot(h, si.wi) > 0
@@ -157,7 +157,7 @@ class AnisotropicPhong(mi.BSDF):
         weight = self._fresnel(si, cos_d, above) * (
             self._shadowing(si.wi, wo) * 4 * cos_d * mi.Frame3f.cos_theta(wo)
         )
-        return front.glossy_sample(wo, pdf), weight & above
+        return one_sided_glossy.glossy_sample(wo, pdf), weight & above
 
     def eval(self, ctx, si, wo, active=True):
         """BRDF times the cosine of `wo`."""
@@ -165,17 +165,17 @@ class AnisotropicPhong(mi.BSDF):
 
     def pdf(self, ctx, si, wo, active=True):
         """Density of `wo` in 1/sr; its integral is less than 1."""
-        if not front.glossy_enabled(ctx):
+        if not one_sided_glossy.glossy_enabled(ctx):
             return mi.Float(0)
-        active = active & front.above(si.wi, wo)
+        active = active & one_sided_glossy.above(si.wi, wo)
         h, cos_d = _half_vector(si.wi, wo)
         return dr.select(active, self._density(h) / (4 * cos_d), 0)
 
     def eval_pdf(self, ctx, si, wo, active=True):
         """Both of :meth:`eval` and :meth:`pdf`."""
-        if not front.glossy_enabled(ctx):
+        if not one_sided_glossy.glossy_enabled(ctx):
             return mi.Spectrum(0), mi.Float(0)
-        active = active & front.above(si.wi, wo)
+        active = active & one_sided_glossy.above(si.wi, wo)
         h, cos_d = _half_vector(si.wi, wo)
         density = self._density(h)
         value = self._fresnel(si, cos_d, active) * (

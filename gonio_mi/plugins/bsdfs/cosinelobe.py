@@ -3,9 +3,10 @@
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi.plugins import exponentiated_cosine as lobe
-from gonio_mi.plugins import front, properties
-from gonio_mi.plugins.reflectance import reflectance
+from gonio_mi import properties
+from gonio_mi.materials import exponentiated_cosine as lobe
+from gonio_mi.materials import one_sided_glossy
+from gonio_mi.materials.reflectance import reflectance
 
 
 class CosineLobe(mi.BSDF):
@@ -120,7 +121,7 @@ class CosineLobe(mi.BSDF):
         """Draw `wo` from the lobe; what falls below the horizon has no weight."""
         del sample1  # there is one lobe
         active = active & (mi.Frame3f.cos_theta(si.wi) > 0)
-        if not front.glossy_enabled(ctx):
+        if not one_sided_glossy.glossy_enabled(ctx):
             return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
         mirror = mi.reflect(si.wi)
         wo = lobe.around(self.exponent, mirror, sample2)
@@ -128,7 +129,7 @@ class CosineLobe(mi.BSDF):
         above = active & (mi.Frame3f.cos_theta(wo) > 0)
         weight = lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
         weight = (self.reflectance.eval(si, above) * weight) & above
-        return front.glossy_sample(wo, pdf), weight
+        return one_sided_glossy.glossy_sample(wo, pdf), weight
 
     def eval(self, ctx, si, wo, active=True):
         """BRDF times the cosine of `wo`."""
@@ -136,17 +137,17 @@ class CosineLobe(mi.BSDF):
 
     def pdf(self, ctx, si, wo, active=True):
         """Density of `wo` in 1/sr; its integral is what stays above the horizon."""
-        if not front.glossy_enabled(ctx):
+        if not one_sided_glossy.glossy_enabled(ctx):
             return mi.Float(0)
-        active = active & front.above(si.wi, wo)
+        active = active & one_sided_glossy.above(si.wi, wo)
         density = lobe.density(self.exponent, mi.reflect(si.wi), wo)
         return dr.select(active, density, 0)
 
     def eval_pdf(self, ctx, si, wo, active=True):
         """Both of :meth:`eval` and :meth:`pdf`."""
-        if not front.glossy_enabled(ctx):
+        if not one_sided_glossy.glossy_enabled(ctx):
             return mi.Spectrum(0), mi.Float(0)
-        active = active & front.above(si.wi, wo)
+        active = active & one_sided_glossy.above(si.wi, wo)
         pdf = self.pdf(ctx, si, wo, active)
         weight = lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
         return (self.reflectance.eval(si, active) * (weight * pdf)) & active, pdf

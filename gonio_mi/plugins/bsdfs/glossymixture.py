@@ -3,9 +3,10 @@
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi.plugins import exponentiated_cosine as lobe
-from gonio_mi.plugins import front, properties
-from gonio_mi.plugins.reflectance import mean, reflectance
+from gonio_mi import properties
+from gonio_mi.materials import exponentiated_cosine as lobe
+from gonio_mi.materials import one_sided_glossy
+from gonio_mi.materials.reflectance import mean, reflectance
 
 DIFFUSE = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
 
@@ -152,16 +153,16 @@ class GlossyMixture(mi.BSDF):
             return mi.Float(0)
         cosine, glossy = self._densities(si, wo)
         pdf = (1 - share) * cosine + share * glossy
-        return dr.select(active & front.above(si.wi, wo), pdf, 0)
+        return dr.select(active & one_sided_glossy.above(si.wi, wo), pdf, 0)
 
     def eval_pdf(self, ctx, si, wo, active=True):
         """Both of :meth:`eval` and :meth:`pdf`."""
-        active = active & front.above(si.wi, wo)
+        active = active & one_sided_glossy.above(si.wi, wo)
         cosine, glossy = self._densities(si, wo)
         value = mi.Spectrum(0)
         if ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0):
             value += self.diffuse.eval(si, active) * cosine
-        if front.glossy_enabled(ctx, 1):
+        if one_sided_glossy.glossy_enabled(ctx, 1):
             glossy *= lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
             value += self.specular.eval(si, active) * glossy
         return value & active, self.pdf(ctx, si, wo, active)
@@ -176,7 +177,7 @@ class GlossyMixture(mi.BSDF):
     def _enabled_share(self, ctx):
         """Probability of the glossy lobe among the enabled ones; None without any."""
         diffuse = ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0)
-        glossy = front.glossy_enabled(ctx, 1)
+        glossy = one_sided_glossy.glossy_enabled(ctx, 1)
         if diffuse and glossy:
             return self.glossy_share
         if diffuse or glossy:

@@ -8,8 +8,8 @@ import mitsuba as mi
 
 from gonio_mi.files.channels import wavelengths_nm
 from gonio_mi.files.material_files import load_material
-from gonio_mi.lobes import LobeTable
-from gonio_mi.plugins.lit_face import LitFace
+from gonio_mi.materials.lit_face import LitFace
+from gonio_mi.materials.lobes import LobeTable
 
 LUMINANCE = (0.212671, 0.715160, 0.072169)
 

@@ -4,9 +4,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from gonio_mi.plugins import properties
-from gonio_mi.plugins.arrays import DRJIT
-from gonio_mi.subdivision import subdivision
+from gonio_mi import properties
+from gonio_mi.collector import subdivision
+from gonio_mi.transport.arrays import DRJIT
 
 
 class Patches(mi.Film):

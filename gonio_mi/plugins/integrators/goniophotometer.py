@@ -9,26 +9,25 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from gonio_mi import llvm
+from gonio_mi import llvm, properties
 from gonio_mi.errors import SpecimenError, VariantError
-from gonio_mi.plugins import properties
-from gonio_mi.plugins.beam import EMISSIONS, Beam, checked_footprint
-from gonio_mi.plugins.bench import Bench
-from gonio_mi.plugins.integrals import check_integrable, integrals
-from gonio_mi.plugins.launch import launch, traces
-from gonio_mi.plugins.next_event import MOST_POINTS, check_traced
-from gonio_mi.plugins.order import checked_order
-from gonio_mi.plugins.sampling import sampler_name
-from gonio_mi.plugins.specimen import Specimen, checked_period
-from gonio_mi.plugins.sums import packet_width
-from gonio_mi.plugins.wavelengths import (
+from gonio_mi.quadrature.plane import check_integrable, integrals
+from gonio_mi.results.record import Record
+from gonio_mi.results.tally import WEIGHT_SCALE, Tally, batch_sizes
+from gonio_mi.transport.beam import EMISSIONS, Beam, checked_footprint
+from gonio_mi.transport.bench import Bench
+from gonio_mi.transport.launch import launch, traces
+from gonio_mi.transport.next_event import MOST_POINTS, check_traced
+from gonio_mi.transport.sampling import sampler_name
+from gonio_mi.transport.scattering_order import checked_order
+from gonio_mi.transport.specimen import Specimen, checked_period
+from gonio_mi.transport.sums import packet_width
+from gonio_mi.transport.wavelengths import (
     channel_names,
     checked_wavelengths,
     passes,
     wavelength_lanes,
 )
-from gonio_mi.record import Record
-from gonio_mi.tally import WEIGHT_SCALE, Tally, batch_sizes
 
 # Rays per kernel launch. It takes part in the seeding: a change of it changes the
 # random numbers.

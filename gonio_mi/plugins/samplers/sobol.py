@@ -7,8 +7,8 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.errors import VariantError
-from gonio_mi.morton import sorting_tables
-from gonio_mi.plugins.sampling import apart
+from gonio_mi.transport.morton import sorting_tables
+from gonio_mi.transport.sampling import apart
 
 # Primitive polynomial (its coefficients as bits) and initial direction numbers of each
 # Sobol' dimension after the first: Joe and Kuo 2008, table new-joe-kuo-6.21201.

@@ -3,8 +3,8 @@
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi.plugins import properties
-from gonio_mi.plugins.sampling import check_sampler
+from gonio_mi import properties
+from gonio_mi.transport.sampling import check_sampler
 
 
 class Collector(mi.Sensor):

@@ -6,16 +6,16 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from gonio_mi import properties
 from gonio_mi.errors import SpecimenError
-from gonio_mi.heights import (
+from gonio_mi.memory import check_memory
+from gonio_mi.surfaces.heights import (
     CORRELATIONS,
     MESH_BYTES,
     checked_heights,
     gaussian_heights,
     height_statistics,
 )
-from gonio_mi.memory import check_memory
-from gonio_mi.plugins import properties
 
 POSITIVE = "a positive number"
 GENERATED = (

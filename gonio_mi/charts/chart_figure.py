@@ -1,0 +1,228 @@
+"""A chart as one figure: error over CPU seconds and over rays, and what to use."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..comparison.comparison_figure import check_picture
+from ..files import replacing
+
+__all__ = ["draw_by_time", "plot_chart"]
+
+COLOURS = {"independent": "tab:orange", "sobol": "tab:blue", "": "tab:green"}
+OTHERS = ("tab:purple", "tab:brown", "tab:pink", "tab:cyan", "tab:olive")
+# Filled and solid for one estimator, hollow and dashed for the other.
+STYLES = {
+    "analog": ("o", "--", "w"),
+    "weighted": ("o", "-", None),
+    "next_event": ("^", "-.", None),
+}
+QUADRATURE = ("*", "-", None)
+FRONT = "0.82"
+LEGEND = {"fontsize": "small", "frameon": False}
+LEVEL = 1.96  # of the error bars, 95 %
+
+
+def plot_chart(chart, path=None, *, target=0.01):
+    """Draw a chart, and write it if `path` is given.
+
+    To the left the error over the CPU seconds of one measurement, with the Pareto front
+    as a broad grey line; to the right over its rays, with the expectation for
+    counted independent rays. Bars are 95 % intervals from the scatter between seeds.
+    In the grey below the reference's own error takes part. Under both, what each
+    method needs for the error `target`, cheapest first.
+
+    Parameters
+    ----------
+    chart : Chart
+    path : str or path, optional
+        Ends in ``.pdf``, ``.png`` or ``.svg``; the errors are those of
+        :func:`gonio_mi.comparison.comparison_figure.check_picture`.
+    target : float
+        Relative error in (0, 1).
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    if path is not None:
+        check_picture(path)
+    from ..plots.figure import NotebookFigure
+
+    height = 0.25 * (1 + len(chart.curves))  # of the table, in inches
+    figure = NotebookFigure(figsize=(10, 4.8 + height), layout="constrained")
+    above, below = figure.subfigures(2, 1, height_ratios=(4.2, height))
+    by_time, by_rays = above.subplots(1, 2, sharey=True)
+    colours = _colours(chart)
+    draw_by_time(by_time, chart, target)
+    for curve in chart.curves:
+        # integrals send no rays; their label is wanted all the same
+        rays = np.where(curve.rays > 0, curve.rays, np.nan)
+        _draw_curve(by_rays, curve, rays, colours[curve.sampler])
+    _draw_expectation(by_rays, chart)
+    _finish(by_rays, chart, target)
+    by_time.set_xlabel("CPU seconds of one measurement")
+    by_time.set_ylabel("RMS error over the patches / mean BSDF")
+    by_rays.set_xlabel("rays of one measurement")
+    handles, labels = by_time.get_legend_handles_labels()
+    by_time.legend(handles[:1], labels[:1], **LEGEND, loc="upper right")
+    by_rays.legend(**LEGEND, loc="best")
+    _draw_table(below.subplots(), chart, target, colours)
+    figure.suptitle(_title(chart, target), size="medium", parse_math=False)
+    if path is not None:
+        with replacing(path) as stream:
+            figure.savefig(stream, format=Path(path).suffix[1:].lower(), dpi=150)
+    return figure
+
+
+def draw_by_time(axes, chart, target=0.01):
+    """Draw the left part of :func:`plot_chart` on axes, without labels and legend."""
+    colours = _colours(chart)
+    _draw_front(axes, chart)
+    for curve in chart.curves:
+        _draw_curve(axes, curve, curve.cpu_seconds, colours[curve.sampler])
+    _finish(axes, chart, target)
+
+
+def _colours(chart):
+    """Colour of each sampler."""
+    others = [c.sampler for c in chart.curves if c.sampler not in COLOURS]
+    return COLOURS | dict(zip(dict.fromkeys(others), OTHERS))
+
+
+def _draw_curve(axes, curve, x, colour):
+    """Points of one method with their error bars."""
+    marker, line, face = STYLES.get(curve.estimator, QUADRATURE)
+    bars = LEVEL * np.nan_to_num([point.error_std_err for point in curve.points])
+    axes.errorbar(
+        x,
+        curve.error,
+        np.minimum(bars, 0.9 * curve.error),
+        color=colour,
+        marker=marker,
+        ls=line,
+        mfc=face,
+        ms=4 if marker == "o" else 8,
+        lw=1.2,
+        label=curve.label,
+    )
+
+
+def _draw_front(axes, chart):
+    """The Pareto front over time."""
+    front = [point for _, point in chart.pareto()]
+    axes.plot(
+        [point.cpu_seconds for point in front],
+        [point.error for point in front],
+        color=FRONT,
+        lw=9,
+        solid_capstyle="round",
+        zorder=0,
+        label="Pareto front",
+    )
+
+
+def _draw_expectation(axes, chart):
+    """Error of counted independent rays, by multinomial statistics."""
+    rays = np.concatenate([c.rays for c in chart.curves if c.sampler] or [[1.0]])
+    ends = np.array([rays.min(), rays.max()])
+    axes.plot(
+        ends,
+        chart.independent / np.sqrt(ends),
+        "k:",
+        lw=1.2,
+        label=r"theory, counted rays: $p(1-p)/N$",
+    )
+
+
+def _finish(axes, chart, target):
+    """Axes, the target, the reference's error."""
+    errors = np.concatenate([curve.error for curve in chart.curves])
+    low = min(errors[errors > 0].min(), target) / 2
+    axes.set(xscale="log", yscale="log")
+    _plain_ticks(axes)
+    axes.axhline(target, c="tab:red", lw=0.8, zorder=0)
+    axes.axhspan(low / 1e6, chart.least, color="0.9", lw=0, zorder=-1)
+    axes.set_ylim(low, None)
+    axes.grid(alpha=0.3, lw=0.5)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _plain_ticks(axes):
+    """Numbers at 1, 2 and 5 of each decade if there are few, else at its beginning."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    low, high = axes.get_xlim()
+    few = high < 300 * low
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if few else (1,)))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    if few:
+        axes.xaxis.set_major_formatter("{x:g}")
+
+
+def _draw_table(axes, chart, target, colours):
+    """What each method needs for the target, cheapest first."""
+    axes.axis("off")
+    head = [
+        f"to an RMS error of {target:g}",
+        "CPU s",
+        "times the best",
+        "rays",
+        "order in rays",
+        "error bars / error",
+    ]
+    ranking = chart.ranking(target)
+    best = ranking[0][1].cpu_seconds
+    rows = []
+    for curve, cost in ranking:
+        about = "" if cost.measured else "about "
+        rows.append(
+            [
+                curve.label,
+                f"{about}{cost.cpu_seconds:.2g}",
+                f"{cost.cpu_seconds / best:.3g}",
+                f"{about}{cost.rays:.2g}" if cost.rays else "none",
+                _order(curve, chart),
+                _claim(curve, chart),
+            ]
+        )
+    table = axes.table(
+        rows, colLabels=head, loc="upper center", cellLoc="left", edges="horizontal"
+    )
+    table.auto_set_font_size(False)
+    table.set_fontsize(9)
+    table.auto_set_column_width(range(len(head)))
+    for (row, column), cell in table.get_celld().items():
+        cell.set(linewidth=0.3)
+        if row and column == 0:
+            cell.get_text().set_color(colours[ranking[row - 1][0].sampler])
+        if row == 1:
+            cell.get_text().set_weight("bold")
+
+
+def _order(curve, chart):
+    order, std_err = curve.order(chart.n_patches, chart.least)
+    return "" if np.isnan(order) else f"{order:.3f} ± {std_err:.3f}"
+
+
+def _claim(curve, chart):
+    claim = curve.claim(chart.least)
+    return "" if np.isnan(claim) else f"{claim:.2f}"
+
+
+def _title(chart, target):
+    """Specimen and conditions; what to use; what is taken for true."""
+    direction = "incident as the emitter"
+    if not np.isnan(chart.theta_i):
+        direction = f"θᵢ = {chart.theta_i:g}°, φᵢ = {chart.phi_i:g}°"
+    parts = [chart.specimen, direction, chart.collector]
+    if chart.reference.values.shape[0] == 2:
+        parts.append("BRDF and BTDF")
+    if chart.settings.get("side") == "back":
+        parts.append("back side")
+    reference = (
+        f"reference: {chart.reference.source}, error {chart.reference.error:.1g}"
+    )
+    advice = f"{chart.advice(target)};  {chart.advice(target / 10)}"
+    text = f"{', '.join(parts)}\n{advice}\n{reference}"
+    return text.encode("utf-8", "backslashreplace").decode()

@@ -1,0 +1,27 @@
+"""The collector hemisphere: directions, and how it is cut into patches."""
+
+from .apertures import Apertures
+from .borders import Borders, adapted
+from .equal_steps import (
+    EqualAngle,
+    EqualProjectedSolidAngle,
+    EqualSine,
+    EqualSolidAngle,
+)
+from .hemisphere import BORDER, Subdivision
+from .klems import Klems
+from .parsing import subdivision
+
+__all__ = [
+    "Apertures",
+    "BORDER",
+    "Borders",
+    "EqualAngle",
+    "EqualProjectedSolidAngle",
+    "EqualSine",
+    "EqualSolidAngle",
+    "Klems",
+    "Subdivision",
+    "adapted",
+    "subdivision",
+]

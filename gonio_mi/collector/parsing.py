@@ -1,0 +1,78 @@
+"""How a collector hemisphere is cut into patches, by name: ``projected:30x30``."""
+
+from .apertures import Apertures
+from .borders import Borders, adapted
+from .equal_steps import (
+    EqualAngle,
+    EqualProjectedSolidAngle,
+    EqualSine,
+    EqualSolidAngle,
+)
+from .hemisphere import BORDER, Subdivision
+from .klems import Klems
+
+__all__ = [
+    "BORDER",
+    "Borders",
+    "EqualAngle",
+    "EqualProjectedSolidAngle",
+    "EqualSine",
+    "EqualSolidAngle",
+    "Subdivision",
+    "adapted",
+    "subdivision",
+]
+
+_KINDS = {
+    kind.name: kind
+    for kind in (EqualAngle, EqualSolidAngle, EqualProjectedSolidAngle, EqualSine)
+}
+
+
+def subdivision(text):
+    """Build the subdivision that a name such as ``"projected:30x30"`` describes.
+
+    Parameters
+    ----------
+    text : str or Subdivision
+        ``angle``, ``solid``, ``projected`` or ``sine``, a colon, rings, ``x``, sectors;
+        or ``borders:`` and the borders in degrees, ``borders:0,30,90x0,180,360``;
+        or ``apertures:`` and cones, see
+        :class:`~gonio_mi.collector.apertures.Apertures`; or ``klems``, see
+        :class:`~gonio_mi.collector.klems.Klems`. A subdivision is returned as it is.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the name is not of that form, or a number is out of range.
+    """
+    if isinstance(text, Subdivision):
+        return text
+    form = (
+        f"collector must look like projected:30x30 (one of {', '.join(_KINDS)}), "
+        "borders:0,30,90x0,180,360, apertures:5@10/0,45/90, or klems"
+    )
+    if not isinstance(text, str):
+        raise TypeError(f"{form}, got {text!r}")
+    name, _, size = text.partition(":")
+    rings, _, sectors = size.partition("x")
+    try:
+        if name == Borders.name:
+            return Borders(_numbers(rings), _numbers(sectors))
+        if name == Apertures.name:
+            return Apertures.parse(size)
+    except ValueError as error:
+        raise ValueError(f"collector {text!r}: {error}") from None
+    if text == Klems.name:
+        return Klems()
+    if name not in _KINDS or not (_is_integer(rings) and _is_integer(sectors)):
+        raise ValueError(f"{form}, got {text!r}")
+    return _KINDS[name](int(rings), int(sectors))
+
+
+def _numbers(text):
+    return tuple(float(word) for word in text.split(","))
+
+
+def _is_integer(text):
+    return text.removeprefix("-").isascii() and text.removeprefix("-").isdigit()

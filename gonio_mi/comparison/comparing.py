@@ -1,0 +1,386 @@
+"""Comparison of a record with another record or with measured values: the verdict."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..collector.apertures import Apertures, disjoint_groups
+from ..errors import checked_number
+from ..files.measured import MeasuredTable
+from ..instrument.measurement import measure
+from ..results.record import Record
+from .agreement import FEW_HITS, judge, mostly_few
+from .pairing import check_uncertainties, pair_with_record, pair_with_table, pole_angle
+
+__all__ = ["ALPHA", "Comparison", "compare", "measure_like"]
+
+# Probability with which a right model is rejected.
+ALPHA = 1e-3
+
+N_WORST = 5
+
+# Distance in scene units that stands for a source far away.
+FAR = 1000.0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison:
+    """How well two sets of values agree, point by point and as a whole.
+
+    A point is a patch of the record, in one channel; with measured values, the patch
+    that holds the point. All arrays have the shape ``(n_points,)``.
+
+    Attributes
+    ----------
+    theta_i, phi_i, theta_o, phi_o : ndarray of float64
+        Directions of incidence and exit in degrees; ``theta_o > 90`` is transmission.
+    channel : ndarray of str
+    value, std_err : ndarray of float64
+        The record's BRDF or BTDF in 1/sr and its standard error, NaN without a hit.
+    other, other_std_err : ndarray of float64
+        The same of what it is compared with.
+    z : ndarray of float64
+        Difference in units of its standard error, as the normal score of the same
+        probability: positive where the record is larger, at most about 37. A common
+        scale uncertainty has no part in it: `other` counts times ``scale``, see below.
+    statistics : dict of float
+        ``chi2``, the sum of the squares of `z`; ``chi2_dof``, its effective degrees of
+        freedom (correlated points count less); ``scale``, the most likely common factor
+        of the other's values, 1 without a scale uncertainty; ``worst``, the largest
+        ``abs(z)``; ``total``, the largest normal score of a hemisphere's total.
+    p_values : dict of float
+        Of ``chi2``, ``worst`` and ``total``: the probability of a statistic this large
+        if both have the same true values.
+    alpha : float
+        Probability with which `passed` is False although they have.
+    notes : tuple of str
+        What a reader of the verdict should know.
+    """
+
+    theta_i: np.ndarray
+    phi_i: np.ndarray
+    theta_o: np.ndarray
+    phi_o: np.ndarray
+    channel: np.ndarray
+    value: np.ndarray
+    std_err: np.ndarray
+    other: np.ndarray
+    other_std_err: np.ndarray
+    z: np.ndarray
+    statistics: dict
+    p_values: dict
+    alpha: float
+    notes: tuple[str, ...] = ()
+
+    @property
+    def rms(self):
+        """Root of the mean squared difference in 1/sr, the RMS error of the paper."""
+        return float(np.sqrt(np.mean((self.value - self.other) ** 2)))
+
+    @property
+    def rms_expected(self):
+        """RMS error in 1/sr that the uncertainties alone would give.
+
+        A patch without a hit counts with the uncertainty of the other alone.
+        """
+        square = self.other_std_err**2 + np.nan_to_num(self.std_err) ** 2
+        return float(np.sqrt(np.mean(square)))
+
+    @property
+    def relative_rms(self):
+        """`rms` over the mean of the other's values; NaN if that is not positive."""
+        mean = float(np.mean(self.other))
+        return self.rms / mean if mean > 0 else float("nan")
+
+    @property
+    def p_value(self):
+        """The least of `p_values`, times their number (Bonferroni), at most 1."""
+        return min(1.0, len(self.p_values) * min(self.p_values.values()))
+
+    @property
+    def passed(self):
+        """Whether the two agree: ``p_value >= alpha``."""
+        return self.p_value >= self.alpha
+
+    @property
+    def worst(self):
+        """The points of largest ``abs(z)``, worst first: up to five dictionaries."""
+        order = np.argsort(-np.abs(self.z), kind="stable")[:N_WORST]
+        return [self._point(i) for i in order]
+
+    def to_dict(self):
+        """Everything in JSON's types; what is not known is None."""
+        return {
+            "passed": self.passed,
+            "p_value": self.p_value,
+            "alpha": self.alpha,
+            "n_points": len(self.z),
+            "rms": self.rms,
+            "rms_expected": self.rms_expected,
+            "relative_rms": _known(self.relative_rms),
+            "statistics": dict(self.statistics),
+            "p_values": dict(self.p_values),
+            "worst": self.worst,
+            "notes": list(self.notes),
+            "points": [self._point(i) for i in range(len(self.z))],
+        }
+
+    def plot(self, path):
+        """Write a picture of both curves with error bars, and of `z` below them.
+
+        One panel per incident direction and channel, along the measured half-planes
+        next to the plane of incidence.
+
+        Parameters
+        ----------
+        path : str or path
+            Ends in ``.pdf``, ``.png`` or ``.svg``.
+
+        Raises
+        ------
+        ImportError
+            Without Matplotlib.
+        ValueError, OSError
+            For another ending, or if the file cannot be written.
+        """
+        from .comparison_figure import plot_comparison  # Matplotlib is optional
+
+        plot_comparison(self, path)
+
+    def _point(self, i):
+        names = ("theta_i", "phi_i", "theta_o", "phi_o")
+        names += ("value", "std_err", "other", "other_std_err", "z")
+        point = {name: _known(float(getattr(self, name)[i])) for name in names}
+        return point | {"channel": str(self.channel[i])}
+
+    def __repr__(self):
+        verdict = "agrees" if self.passed else "differs"
+        return f"<Comparison of {len(self.z)} points: {verdict}, p {self.p_value:.3g}>"
+
+    def __str__(self):
+        found, p = self.statistics, self.p_values
+        verdict = "agree" if self.passed else "DIFFER"
+        lines = [
+            f"rms error   {self.rms:.4g} 1/sr, {100 * self.relative_rms:.3g} % of the "
+            f"mean; {self.rms_expected:.4g} from the uncertainties alone",
+            *(
+                [f"scale       the other's values times {found['scale']:.5g} fit best"]
+                if found["scale"] != 1
+                else []
+            ),
+            f"chi-square  {found['chi2']:.6g} of {len(self.z)} points, "
+            f"{found['chi2_dof']:.4g} degrees of freedom, p = {p['chi2']:.3g}",
+            f"worst       |z| = {found['worst']:.3g} of {len(self.z)} points, "
+            f"p = {p['worst']:.3g}",
+            f"total       |z| = {found['total']:.3g}, p = {p['total']:.3g}"
+            if found["total"]
+            else "total       not tested, or no difference",
+            f"verdict     {verdict}: p = {self.p_value:.3g}, where a right model falls "
+            f"below {self.alpha:g} with that probability",
+            "",
+            "worst points, angles in degrees, values in 1/sr",
+            "theta_i  phi_i  theta_o  phi_o  channel   value +- std_err      "
+            "other +- std_err          z",
+        ]
+        for point in self.worst:
+            angles = [f"{point[name]:7.4g}" for name in ("theta_i", "phi_i")]
+            angles += [f"{point[name]:7.4g}" for name in ("theta_o", "phi_o")]
+            lines.append(
+                f"{''.join(angles)}  {point['channel']:>6}  "
+                f"{_pair(point['value'], point['std_err'])}  "
+                f"{_pair(point['other'], point['other_std_err'])}  {point['z']:6.2f}"
+            )
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
+
+def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=ALPHA):
+    r"""Compare a record with another one, or with measured values.
+
+    The difference of each point over its standard error, from both uncertainties, is
+    taken as Student's t with Welch's degrees of freedom, and turned into the normal
+    score z of the same probability. A patch with fewer than 1000 hits has the smaller
+    score of that and of the exact test of its hits (of Poisson's law, spread by the
+    uncertainty of the measured value; for two records given their sum), so that empty
+    patches take part. Three tests share `alpha` (Bonferroni):
+
+    * the sum of the squares of z (and of the fitted common factor, in units of its
+      uncertainty), as a chi-square whose degrees of freedom ``n**2 / trace(R**2)`` come
+      from the correlation R of the points that the batches tell;
+      Evenly distributed rays (`sobol`) scatter less than the exact test of few hits
+      allows: with fewer than 1000 hits in most patches this test has next to no power,
+      on the safe side, and a note says so;
+    * the largest ``abs(z)``, as if the points were independent, which is on the safe
+      side (Sidak);
+    * the flux through all points together, per incident direction, hemisphere and
+      channel, if it had 1000 hits: a small error everywhere shows here.
+
+    Parameters
+    ----------
+    record : Record or sequence of Record
+        Several, if `other` is a table: what :func:`measure_like` returns.
+    other : Record or MeasuredTable
+        A record must have the same collector, channels and incident directions: there
+        is no honest way from one set of patch means to another. Of a table each point
+        is compared with the mean of the patch that holds it.
+    uncertainty : float, optional
+        Relative standard uncertainty of each value of `other`, independent between
+        points and in addition to what `other` knows itself: 0.005 is 0.5 %. Default:
+        what the table says.
+    scale_uncertainty : float, optional
+        The same of a factor common to all its values: calibration.
+    alpha : float
+        Probability in (0, 1) with which two that have the same true values fail.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the two cannot be compared: the message names what differs.
+    """
+    alpha = checked_number("alpha", alpha, 1e-100, 1, "a probability between 0 and 1")
+    records = [record] if isinstance(record, Record) else list(record)
+    if not records or not all(isinstance(r, Record) for r in records):
+        raise TypeError(f"record must be a Record or several, got {record!r:.80}")
+    for one in (*records, other):
+        if isinstance(one, Record):
+            check_uncertainties(one)
+    if isinstance(other, MeasuredTable):
+        given = {"uncertainty": uncertainty, "scale_uncertainty": scale_uncertainty}
+        table = replace(other, **{k: v for k, v in given.items() if v is not None})
+        sets, notes = pair_with_table(records, table)
+        scale = table.scale_uncertainty
+    elif isinstance(other, Record):
+        if len(records) != 1:
+            raise TypeError("record must be one Record if other is one, got several")
+        relative, scale = (
+            checked_number(name, value or 0, 0, np.inf, "a finite number of 0 or more")
+            for name, value in (
+                ("uncertainty", uncertainty),
+                ("scale_uncertainty", scale_uncertainty),
+            )
+        )
+        sets, notes = pair_with_record(records[0], other, relative)
+    else:
+        raise TypeError(f"other must be a Record or a MeasuredTable, got {other!r:.80}")
+    compared = [*records, other] if isinstance(other, Record) else records
+    if any(_is_even(one) for one in compared) and mostly_few(sets):
+        notes.append(
+            f"with evenly distributed rays and fewer than {FEW_HITS} hits in most "
+            "patches the chi-square has next to no power: it is on the safe side; take "
+            "more rays, or the sampler independent"
+        )
+    z, errors, statistics, p_values = judge(sets, scale)
+    columns = {
+        name: np.concatenate([one.columns[name] for one in sets])
+        for name in sets[0].columns
+    }
+    return Comparison(
+        **columns,
+        value=np.concatenate([one.readings.value for one in sets]),
+        std_err=np.concatenate([one.readings.std_err for one in sets]),
+        other=np.concatenate([one.other for one in sets]),
+        other_std_err=errors,
+        z=z,
+        statistics=statistics,
+        p_values=p_values,
+        alpha=alpha,
+        notes=tuple(notes),
+    )
+
+
+def _is_even(record):
+    """Whether its rays are more evenly distributed than independent ones."""
+    settings = record.settings
+    sampled = settings.get("estimator") != "quadrature"
+    return sampled and settings.get("sampler") != "independent"
+
+
+def measure_like(specimen, table, *, aperture_half_angle=None, seed=0, **settings):
+    """Measure at the solid angles of a table's points, under its emitter.
+
+    Around each measured direction stands a circular aperture, so that no patch mean
+    stands for a point. Apertures that overlap are measured one group after the other,
+    each with its own rays.
+
+    Parameters
+    ----------
+    specimen : dict, mi.BSDF, mi.Scene, str or path
+        See :func:`measure`.
+    table : MeasuredTable
+        Its `emitter_half_angle` makes a round source of uniform radiance at
+        `emitter_distance`, by default far away; without it the beam is collimated.
+    aperture_half_angle : float, optional
+        In degrees, if the table does not say it.
+    seed : int
+    **settings
+        Of :func:`measure`; `rays` are those of each record.
+
+    Returns
+    -------
+    tuple of Record
+        One or more for each incident direction of the table, for :func:`compare`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If there is no aperture's half-angle, or an aperture reaches below the horizon;
+        and as :func:`measure`.
+    """
+    half_angle = table.aperture_half_angle or aperture_half_angle
+    if half_angle is None:
+        raise ValueError(
+            f"aperture_half_angle must be given: {table.name} does not say it"
+        )
+    for key in {"theta_i", "phi_i", "collector"} & settings.keys():
+        raise TypeError(f"{key} must come from the table, got {settings[key]!r}")
+    if table.emitter_half_angle:
+        settings.setdefault("emitter", _round_source(table))
+    lower = "both" if table.quantity == "btdf" else "upper"
+    settings.setdefault("hemispheres", lower)
+    records = []
+    for theta_i, phi_i in table.incident:
+        here = (table.theta_i == theta_i) & (table.phi_i == phi_i)
+        theta_o = pole_angle(table.theta_o[here])
+        # the same direction once, whatever the turn of its azimuth
+        cones = dict.fromkeys(zip(theta_o.tolist(), (table.phi_o[here] % 360).tolist()))
+        for group in disjoint_groups(list(cones), half_angle):
+            n = len(records)
+            own = np.random.SeedSequence((seed, n)).generate_state(1)[0] if n else seed
+            records.append(
+                measure(
+                    specimen,
+                    theta_i,
+                    phi_i,
+                    collector=Apertures(half_angle, tuple(group)),
+                    seed=int(own),
+                    **settings,
+                )
+            )
+    return tuple(records)
+
+
+def _round_source(table):
+    """Disk of uniform radiance above the specimen, that faces it."""
+    import mitsuba as mi
+
+    distance = table.emitter_distance or FAR
+    radius = float(distance * np.tan(np.radians(table.emitter_half_angle)))
+    above = mi.ScalarTransform4f().translate([0, 0, distance])
+    return {
+        "type": "disk",
+        "to_world": above.rotate([1, 0, 0], 180).scale([radius, radius, 1]),
+        "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}},
+    }
+
+
+def _known(value):
+    return value if np.isfinite(value) else None
+
+
+def _pair(value, std_err):
+    if std_err is None:
+        return f"{value:9.4g} +- {'-':<8}"
+    return f"{value:9.4g} +- {std_err:<8.2g}"

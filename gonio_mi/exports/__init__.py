@@ -1,0 +1,5 @@
+"""Records as files of other programs, some of which need new measurements."""
+
+from .exporting import ENDINGS, export
+
+__all__ = ["ENDINGS", "export"]

@@ -1,0 +1,157 @@
+"""Records in the files of other tools, each with what it has lost."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import checked_choice
+from ..files import astm, check_output, netcdf, replacing
+from ..files.channels import wavelengths_nm
+from ..files.measured import MeasuredTable, read_measured
+from .loss import fractions_of, losses
+from .measured_export import write_measured
+from .radiance_export import BASES, write_radiance
+
+__all__ = ["BASES", "ENDINGS", "export"]
+
+ENDINGS = (".csv", ".astm", ".xml", ".bsdf", ".nc")
+
+
+def export(record, path, basis="klems"):
+    """Write a record to a file of another tool, and say what was lost.
+
+    What was written is read back, for Mitsuba's `measured` measured anew, and compared.
+
+    Parameters
+    ----------
+    record : Record
+    path : str or path
+        ``.csv``: values at the middles of patches, read by `read_measured`; for several
+        quantities or channels their names are put before the ending. ``.astm``: text
+        after ASTM E1392, of reflection; see :mod:`gonio_mi.files.astm`. ``.xml``: a
+        Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only; needs a
+        variant of rgb, or a spectral one for channels that are wavelengths. ``.nc``:
+        NetCDF, by xarray.
+    basis : {"klems", "tensor3", "tensor4"}
+        Of Radiance: the Klems full basis, or a tensor tree for isotropic (3) or any
+        (4) materials.
+
+    Returns
+    -------
+    list of Loss
+        One for each incident direction and hemisphere that the format holds.
+
+    Raises
+    ------
+    ValueError
+        For another ending or basis, or a record that the format cannot hold.
+    VariantError
+        Without a variant that is needed.
+    OSError
+        If the file cannot be written.
+    """
+    check_output(path, ENDINGS)
+    checked_choice("basis", basis, BASES)
+    ending = Path(path).suffix.lower()
+    if ending == ".xml":
+        return write_radiance(record, path, basis)
+    return _FORMATS[ending](record, path)
+
+
+def _csv(record, path):
+    """One table for each quantity and channel."""
+    tables = {
+        (quantity, number): _table(record, quantity, number)
+        for quantity in ("brdf", "btdf")[: 1 + record.has_lower]
+        for number in range(len(record.channels))
+    }
+    fractions = np.zeros_like(fractions_of(record))
+    for (quantity, number), table in tables.items():
+        name = Path(path)
+        if len(tables) > 1:
+            channel = record.channels[number] if len(record.channels) > 1 else ""
+            name = name.with_suffix(f".{quantity}{channel}{name.suffix}")
+        table.save(name)
+        written = _in_patches(read_measured(name), record.subdivision)
+        fractions[:, int(quantity == "btdf"), ..., number] = written
+    return losses(record, fractions)
+
+
+def _astm(record, path):
+    """One table of reflection, a column for each channel."""
+    names = record.channels
+    if len(names) == 1 and wavelengths_nm(names) is None:
+        names = (astm.GREY,)
+    tables = [_table(record, "brdf", number) for number in range(len(names))]
+    first = tables[0]
+    angles = np.radians([first.theta_i, first.phi_i, first.theta_o, first.phi_o])
+    with replacing(path) as stream:
+        astm.write(
+            angles.T,
+            np.stack([table.value for table in tables], axis=-1),
+            names,
+            stream,
+            source="gonio-mi",
+            specimen=str(record.settings.get("specimen", "a record")),
+            collector=str(record.subdivision),
+        )
+    written = [
+        _in_patches(read_measured(path, name), record.subdivision) for name in names
+    ]
+    return losses(record, np.stack(written, axis=-1)[:, None])
+
+
+def _in_patches(table, patches):
+    """Flux fractions of a table of middles, shape ``(n_incident, n_theta, n_phi)``."""
+    known = np.isfinite(patches.middles[0])
+    projected = patches.projected_solid_angles
+    values = table.value.reshape(-1, int(known.sum()))
+    fractions = np.zeros((len(values), *projected.shape))
+    fractions[:, known] = values * projected[known]
+    return fractions
+
+
+def _table(record, quantity, number):
+    """Table of one quantity in one channel."""
+    theta, phi = (np.degrees(angle) for angle in record.subdivision.middles)
+    known = np.isfinite(theta)
+    n = int(known.sum())
+    if quantity == "btdf":
+        theta = 180 - theta
+    one_sigma = 0.6827
+    columns = {"value": [], "sigma": []}
+    for index in range(len(record)):
+        one = record[index]
+        low, high = one.interval(one_sigma, quantity)
+        sigma = getattr(one, f"{quantity}_std_err")
+        sigma = np.where(np.isnan(sigma), (high - low) / 2, sigma)
+        columns["value"].append(getattr(one, quantity)[known, number])
+        columns["sigma"].append(sigma[known, number])
+    columns = {key: np.concatenate(parts) for key, parts in columns.items()}
+    if np.isnan(columns["sigma"]).any():
+        columns["sigma"] = None
+    return MeasuredTable(
+        theta_i=np.clip(record.theta_i, 0, None).repeat(n),
+        phi_i=record.phi_i.repeat(n),
+        theta_o=np.tile(theta[known], len(record)),
+        phi_o=np.tile(phi[known], len(record)),
+        quantity=quantity,
+        channel=record.channels[number] if len(record.channels) > 1 else None,
+        header={"collector": str(record.subdivision)},
+        **columns,
+    )
+
+
+def _netcdf(record, path):
+    """Labelled arrays."""
+    with replacing(path) as stream:
+        netcdf.write(record, stream)
+    import xarray
+
+    with xarray.open_dataset(path, engine="scipy") as written:
+        values = written["bsdf"].to_numpy()
+    projected = record.subdivision.projected_solid_angles[..., None]
+    return losses(record, values * projected)
+
+
+_FORMATS = {".csv": _csv, ".astm": _astm, ".bsdf": write_measured, ".nc": _netcdf}

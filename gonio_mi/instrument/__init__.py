@@ -1,0 +1,1 @@
+"""The instrument: loads a specimen, runs batches, returns records; campaigns."""

@@ -1,0 +1,201 @@
+"""From what a user calls a specimen to a Mitsuba scene."""
+
+import os
+import re
+from pathlib import Path
+
+import mitsuba as mi
+
+from .. import llvm
+from ..errors import SpecimenError, VariantError
+
+__all__ = [
+    "load_plugin_file",
+    "load_specimen",
+    "loaded",
+    "parse_specimen",
+    "specimen_name",
+]
+
+# What Mitsuba puts before messages that say it all: its source positions, the root of
+# a dictionary, the search for a plugin, and the frame around our own plugins' errors.
+FRAMES = re.compile(
+    r"\[\w+\.(cpp|h):\d+\] ?"
+    r'|(At|While loading) dictionary node "root": '
+    r'|failed to instantiate unknown plugin of type "[^"]*": \[PluginManager\] '
+    r'|(At dictionary node "\w+": )?failed to instantiate \w+ plugin of type '
+    r'"(goniophotometer|collector|patches|heightfield)": \w+: '
+)
+
+
+def check_variant():
+    """Raise :class:`VariantError` if no Mitsuba variant is set.
+
+    And :class:`LLVMError` if Dr.Jit would abort the process at its first kernel.
+    """
+    if not mi.variant():
+        raise VariantError(
+            "a Mitsuba variant must be set first, "
+            "such as mi.set_variant('llvm_ad_mono')"
+        )
+    if mi.variant().startswith("llvm"):
+        llvm.check()
+
+
+def load_specimen(specimen, parameters=None):
+    """Load a specimen as a Mitsuba scene.
+
+    Parameters
+    ----------
+    specimen : dict, mi.BSDF, mi.Scene, str or path
+        A dictionary of a BSDF, a shape or a scene; an object; or an XML file. A BSDF is
+        put on a square of 2 x 2 scene units in z = 0.
+    parameters : dict, optional
+        Values for the ``$name`` parameters of an XML file.
+
+    Returns
+    -------
+    mi.Scene
+
+    Raises
+    ------
+    SpecimenError
+        If Mitsuba cannot load it, or it is none of these.
+    """
+    check_variant()
+    if isinstance(specimen, (str, os.PathLike)):
+        path = Path(specimen)
+        if not path.is_file():
+            raise SpecimenError(f"specimen must be an existing file, got {str(path)!r}")
+        parameters = {k: str(v) for k, v in (parameters or {}).items()}
+        # Mitsuba's optimisation would merge shapes into meshes without a bounding box
+        parameters |= {"optimize": False}
+        specimen = loaded(f"the specimen {path}", mi.load_file, str(path), **parameters)
+    elif isinstance(specimen, dict):
+        specimen = loaded("the specimen", mi.load_dict, specimen, optimize=False)
+    if isinstance(specimen, mi.Scene):
+        return specimen
+    if isinstance(specimen, mi.BSDF):
+        specimen = {"type": "rectangle", "bsdf": specimen}
+    elif not isinstance(specimen, mi.Shape):
+        raise SpecimenError(
+            "specimen must be a BSDF, a shape or a scene of the variant "
+            f"{mi.variant()}, as object, dictionary or XML file, got "
+            f"{_one_line(repr(specimen)):.200}"
+        )
+    return loaded("the specimen", mi.load_dict, {"type": "scene", "shape": specimen})
+
+
+def loaded(what, load, *args, **kwargs):
+    """Return ``load(*args, **kwargs)``; if that fails, say why in one sentence."""
+    try:
+        return load(*args, **kwargs)
+    except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
+        raise SpecimenError(f"{what} cannot be loaded: {_one_line(error)}") from error
+
+
+def _one_line(error):
+    """Mitsuba's message without frames, tracebacks and line breaks."""
+    text = str(error)
+    if "Traceback (most recent call last)" in text:
+        head, _, trace = text.partition("Traceback (most recent call last)")
+        # of a traceback, the lines that are not indented: the error itself
+        lines = [line for line in trace.splitlines()[1:] if line[:1].strip()]
+        text = head.rstrip(": \n") + ": " + " ".join(lines[-3:])
+    return " ".join(FRAMES.sub("", text).split())
+
+
+def load_plugin_file(path):
+    """Run a user's Python file that registers Mitsuba plugins.
+
+    Raises
+    ------
+    SpecimenError
+        If the file is missing or raises.
+    """
+    check_variant()
+    path = Path(path)
+    if not path.is_file():
+        raise SpecimenError(f"plugin file must be an existing file, got {str(path)!r}")
+    scope = {"__name__": path.stem, "__file__": str(path)}
+    try:
+        exec(compile(path.read_bytes(), str(path), "exec"), scope)
+    except (Exception, SystemExit) as error:
+        # a user's file may raise anything
+        raise SpecimenError(
+            f"plugin file {path} raised {type(error).__name__}: {_one_line(error)}"
+        ) from error
+
+
+def parse_specimen(text):
+    """Specimen from a word of the command line.
+
+    Parameters
+    ----------
+    text : str
+        Path of an existing file or one that ends in ``.xml``; or a BSDF in one word:
+        ``diffuse``, ``roughconductor:alpha=0.2,distribution=ggx``. A value is a number,
+        ``true``, ``false``, a colour ``0.2/0.5/0.1``, or else a text.
+
+    Returns
+    -------
+    str or dict
+        What :func:`load_specimen` takes.
+    """
+    if text.endswith(".xml") or os.path.isfile(text):
+        return text
+    name, _, settings = text.partition(":")
+    specimen = {"type": name}
+    for setting in filter(None, settings.split(",")):
+        key, equals, value = setting.partition("=")
+        if not (key and equals):
+            raise SpecimenError(
+                f"specimen must look like roughconductor:alpha=0.2, got {text!r}"
+            )
+        specimen[key] = _value(value)
+    return specimen
+
+
+def _value(text):
+    """Number, boolean, colour or text."""
+    if text in ("true", "false"):
+        return text == "true"
+    if re.fullmatch(r"[-+]?\d+", text):
+        return int(text)
+    try:
+        if text.count("/") == 2:
+            return {"type": "rgb", "value": [float(x) for x in text.split("/")]}
+        return float(text)
+    except ValueError:
+        return text
+
+
+def specimen_name(specimen, parameters=None):
+    """Short name of a specimen: its file, or its BSDF in one word where that fits.
+
+    The inverse of :func:`parse_specimen`, as far as there is one.
+    """
+    settings = {}
+    if isinstance(specimen, dict):
+        name = specimen["type"]
+        settings = {key: value for key, value in specimen.items() if key != "type"}
+    elif isinstance(specimen, (str, os.PathLike)):
+        name, settings = str(specimen), parameters or {}
+    else:
+        name = specimen.class_name()
+    words = [
+        f"{key}={_word(value)}"
+        for key, value in settings.items()
+        if isinstance(value, (int, float, str)) or _is_colour(value)
+    ]
+    return f"{name}:{','.join(words)}" if words else name
+
+
+def _is_colour(value):
+    return isinstance(value, dict) and value.get("type") == "rgb"
+
+
+def _word(value):
+    if _is_colour(value):
+        return "/".join(f"{x:g}" for x in value["value"])
+    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,0 +1,57 @@
+"""Whether an interrupted record is the beginning of a measurement."""
+
+from ..results.record import DIGESTS, Record
+
+__all__ = ["check_resumable"]
+
+# Settings that say nothing of the rays.
+FREE = {"created", "versions", "specimen"}
+
+
+def check_resumable(resume, integrator, benches, seed, plan):
+    """Raise ValueError unless `resume` is the beginning of this measurement.
+
+    Parameters
+    ----------
+    resume : Record
+    integrator : mi.Integrator
+        The goniophotometer.
+    benches : sequence of Bench
+        For each incident direction; the record may hold the first ones only.
+    seed : int
+    plan : sequence of int
+        Rays of each batch; the record may hold the first ones only.
+    """
+    if not isinstance(resume, Record):
+        raise TypeError(f"resume must be a Record, got {resume!r}")
+    if len(resume) > len(benches):
+        raise ValueError(
+            f"resume must hold at most {len(benches)} incident directions, "
+            f"got {len(resume)}"
+        )
+    for i, bench in enumerate(benches[: len(resume)]):
+        own = integrator.describe(bench, seed) | {
+            "collector": str(bench.film.subdivision),
+            "theta_i": bench.theta_i,
+            "phi_i": bench.phi_i,
+        }
+        others = resume.settings | {
+            "collector": str(resume.subdivision),
+            "theta_i": float(resume.theta_i[i]),
+            "phi_i": float(resume.phi_i[i]),
+        }
+        lacking = set(DIGESTS) - others.keys()
+        for key in own.keys() - FREE - lacking:
+            if own[key] != others.get(key) and own[key] == own[key]:
+                raise ValueError(
+                    f"resume must be a record of this measurement, but its {key} is "
+                    f"{others.get(key)!r} instead of {own[key]!r}"
+                )
+    for tally in resume.tallies:
+        sizes = (tally.fates.sum(axis=1) // integrator.passes).tolist()
+        if sizes != plan[: len(sizes)]:
+            raise ValueError(
+                "resume must be a record of this measurement, but it has "
+                f"{len(sizes)} batches of up to {max(sizes)} rays instead of "
+                f"{len(plan)} of up to {max(plan)}"
+            )

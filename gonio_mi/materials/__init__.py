@@ -1,0 +1,1 @@
+"""What BSDF plugins share."""

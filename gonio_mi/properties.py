@@ -1,0 +1,30 @@
+"""Reading plugin properties, with errors that name plugin, parameter and value.
+
+Only the text of an exception survives Mitsuba's plugin loader, so it says it all.
+"""
+
+from .errors import checked_choice, checked_count, checked_number
+
+__all__ = ["choice", "count", "number"]
+
+
+def choice(props, name, default, choices):
+    """Return the string property `name`, one of `choices`."""
+    return checked_choice(_label(props, name), props.get(name, default), choices)
+
+
+def count(props, name, default, minimum=1, maximum=None):
+    """Return the whole-number property `name`."""
+    return checked_count(
+        _label(props, name), props.get(name, default), minimum, maximum
+    )
+
+
+def number(props, name, default, low, high, condition):
+    """Return the number property `name`, in ``[low, high)``."""
+    value = props.get(name, default)
+    return checked_number(_label(props, name), value, low, high, condition)
+
+
+def _label(props, name):
+    return f"{props.plugin_name()}.{name}"

@@ -1,0 +1,60 @@
+"""The estimator `quadrature`: what it needs of a bench, and what it finds."""
+
+import mitsuba as mi
+
+from ..errors import SpecimenError
+
+__all__ = ["check_integrable", "integrals"]
+
+
+def check_integrable(bench, settings, wavelengths):
+    """Raise SpecimenError where the estimator `quadrature` does not apply."""
+    plane = bench.specimen.plane
+    at_point = settings["footprint"] == "point"
+    needs = {
+        "a single flat rectangle": plane is not None and not settings["trace"],
+        "a collimated beam": bench.beam.collimated,
+        "a collector in the far field": not bench.sensor.radius,
+        "the order all": settings["order"] == "all",
+        "the same BSDF all over the specimen": plane is None
+        or at_point
+        or plane.is_uniform(wavelengths),
+    }
+    for need, holds in needs.items():
+        if not holds:
+            raise SpecimenError(
+                f"the estimator quadrature needs {need}: take weighted instead"
+            )
+
+
+def integrals(bench, wavelengths, rel_err, channels=None):
+    """Flux fractions of all but delta components, and their errors.
+
+    Parameters
+    ----------
+    bench : Bench
+    wavelengths : mi.Color0f or mi.Spectrum
+        As the surface interaction wants them.
+    rel_err : float
+    channels : int, optional
+        How many of them to keep.
+
+    Returns
+    -------
+    flux, error : ndarray, shape (n_hemispheres, n_theta, n_phi, channels)
+    """
+    from . import integrate  # which stands on these helpers
+
+    si = mi.SurfaceInteraction3f(bench.specimen.plane.interaction)
+    si.wavelengths = wavelengths
+    found = integrate(
+        bench.specimen.plane.bsdf,
+        bench.theta_i,
+        bench.phi_i,
+        bench.film.subdivision,
+        rel_err=rel_err,
+        side="front" if bench.beam.side > 0 else "back",
+        interaction=si,
+    )
+    kept = slice(0, bench.shape[0]), ..., slice(0, channels)
+    return found.flux[kept], found.error[kept]

@@ -1,0 +1,1 @@
+"""What a measurement gives: tallies, estimates, statistics, records, ray density."""

@@ -1,0 +1,383 @@
+"""How many rays a measurement needs: the paper's bounds, and what a map asks for.
+
+The paper bounds the *absolute* error of every flux fraction by ``epsilon`` with
+probability ``1 - delta``. People want a *relative* error of every patch that matters,
+all of them at once; that needs the patches' probabilities, from a pilot measurement or
+a Lambertian specimen.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from ..collector import subdivision
+from ..errors import checked_count, checked_number
+from .record import Record
+
+__all__ = [
+    "FLOOR",
+    "Plan",
+    "chebyshev_rays",
+    "lobe",
+    "paper_rays",
+    "plan",
+    "precision",
+    "reliability",
+    "relative_rays",
+    "rms_expectation",
+    "simulated_reliability",
+    "union_rays",
+]
+
+# Patches whose BRDF is below this fraction of the mean BRDF are not worth reporting.
+FLOOR = 0.1
+
+
+def chebyshev_rays(epsilon, delta):
+    """Rays for one detector by eq. 17: ``ceil(ln(2 / delta) / (2 epsilon^2))``.
+
+    Parameters
+    ----------
+    epsilon : float
+        Absolute error of the flux fraction, in (0, 1).
+    delta : float
+        Probability of exceeding it, in (0, 1).
+    """
+    epsilon, delta = _checked(epsilon, delta)
+    return math.ceil(math.log(2 / delta) / (2 * epsilon**2))
+
+
+def paper_rays(n_patches, epsilon, delta):
+    """Rays for `n_patches` detectors by the paper's eq. 21: that many times eq. 17.
+
+    Its derivation multiplies the probabilities of dependent events (eq. 18); as a bound
+    it is safe, and far from tight: see :func:`union_rays`.
+    """
+    return checked_count("n_patches", n_patches) * chebyshev_rays(epsilon, delta)
+
+
+def union_rays(n_patches, epsilon, delta):
+    """Rays for the same promise by a union bound over the patches of Hoeffding's bound.
+
+    ``ceil(ln(2 m / delta) / (2 epsilon^2))``: grows with the logarithm of the number
+    of patches, not with the number itself.
+    """
+    epsilon, delta = _checked(epsilon, delta)
+    n_patches = checked_count("n_patches", n_patches)
+    return math.ceil(math.log(2 * n_patches / delta) / (2 * epsilon**2))
+
+
+def lobe(values, projected_solid_angles, floor=FLOOR):
+    """Patches worth reporting: those that reach `floor` times the collector's mean.
+
+    Parameters
+    ----------
+    values : array_like, shape (..., n_theta, n_phi)
+        BRDF, or BRDF and BTDF, of one channel in 1/sr.
+    projected_solid_angles : array_like, shape (n_theta, n_phi)
+    floor : float
+        In [0, 1).
+
+    Returns
+    -------
+    ndarray of bool, shape of `values`
+        Their number is the paper's m', the patches inside of the lobe.
+    """
+    floor = checked_number("floor", floor, 0, 1, "a fraction in [0, 1)")
+    values = np.asarray(values, dtype=float)
+    weights = np.broadcast_to(projected_solid_angles, values.shape)
+    return (values > 0) & (values >= floor * np.average(values, weights=weights))
+
+
+def precision(record, floor=FLOOR):
+    """Largest relative standard error among the patches worth reporting.
+
+    Parameters
+    ----------
+    record : Record
+        Of one incident direction.
+    floor : float
+        See :func:`lobe`.
+
+    Returns
+    -------
+    worst : float
+        Over all channels; infinite where a standard error is not known, or if no light
+        was received at all.
+    n_lobe : int
+        Number of patches worth reporting, the paper's m'; the most of any channel.
+    """
+    value, std_err = (
+        _collector(record, "brdf", "btdf"),
+        _collector(record, "brdf_std_err", "btdf_std_err"),
+    )
+    worst, n_lobe = 0.0, 0
+    for channel in range(value.shape[-1]):
+        inside = lobe(
+            value[..., channel], record.subdivision.projected_solid_angles, floor
+        )
+        relative = std_err[..., channel][inside] / value[..., channel][inside]
+        relative = np.nan_to_num(relative, nan=np.inf)
+        worst = max(worst, relative.max(initial=0.0))
+        n_lobe = max(n_lobe, int(inside.sum()))
+    return (float(worst) if n_lobe else np.inf), n_lobe
+
+
+def _collector(record, upper, lower):
+    """Quantity over all hemispheres, ``(n_hemispheres, n_theta, n_phi, channels)``."""
+    parts = [getattr(record, upper)]
+    if record.has_lower:
+        parts.append(getattr(record, lower))
+    return np.stack(parts)
+
+
+def reliability(probabilities, rel_err, rays):
+    """Lower bound of the probability that all patches are within `rel_err` at once.
+
+    Union bound over normal tails of independent rays; at least 0.
+    """
+    p = np.asarray(probabilities, dtype=float).ravel()
+    scores = rel_err * np.sqrt(rays * p / np.maximum(1 - p, np.finfo(float).tiny))
+    return max(0.0, 1 - 2 * float(special.ndtr(-scores).sum()))
+
+
+def relative_rays(probabilities, rel_err, level=0.95):
+    """Independent rays that bring all patches within a relative error, all at once.
+
+    Parameters
+    ----------
+    probabilities : array_like
+        Flux fraction of each patch worth reporting, in (0, 1].
+    rel_err : float
+        Largest relative error of any of them, in (0, 1).
+    level : float
+        Probability that none exceeds it, in (0, 1).
+
+    Returns
+    -------
+    int
+        The smallest number for which :func:`reliability` is `level`.
+
+    Raises
+    ------
+    ValueError
+        If a probability is not in (0, 1], or there is none.
+    """
+    p = np.asarray(probabilities, dtype=float).ravel()
+    if not p.size or not ((p > 0) & (p <= 1)).all():
+        raise ValueError(
+            "probabilities must be at least one number in (0, 1], "
+            f"got {p.size} from {p.min() if p.size else np.nan:g}"
+        )
+    rel_err = checked_number("rel_err", rel_err, 1e-9, 1, "a number in (0, 1)")
+    level = checked_number("level", level, 1e-9, 1, "a number in (0, 1)")
+    # the rarest patch alone, and every patch as rare as it, bracket the answer
+    odds = (1 - p.min()) / p.min() + 1e-12
+    low = odds * (special.ndtri((1 - level) / 2) / rel_err) ** 2
+    high = odds * (special.ndtri((1 - level) / (2 * p.size)) / rel_err) ** 2
+    if p.size == 1:
+        return math.ceil(low)
+    from scipy import optimize  # slow to import, and used here only
+
+    root = optimize.brentq(
+        lambda log_n: reliability(p, rel_err, math.exp(log_n)) - level,
+        math.log(low * 0.99),
+        math.log(high * 1.01),
+    )
+    return math.ceil(math.exp(root))
+
+
+def simulated_reliability(probabilities, rel_err, rays, campaigns=200, seed=0):
+    """Fraction of simulated campaigns in which every patch is within `rel_err`.
+
+    Each campaign draws the multinomial counts that `rays` independent rays would give.
+
+    Returns
+    -------
+    fraction, std_err : float
+    """
+    p = np.asarray(probabilities, dtype=float).ravel()
+    rest = max(0.0, 1 - p.sum())
+    generator = np.random.default_rng(seed)
+    good = 0
+    for _ in range(campaigns):
+        counts = generator.multinomial(rays, np.append(p, rest) / (p.sum() + rest))[:-1]
+        good += bool(np.all(np.abs(counts / (rays * p) - 1) <= rel_err))
+    fraction = good / campaigns
+    return fraction, math.sqrt(
+        max(fraction * (1 - fraction), 1 / campaigns) / campaigns
+    )
+
+
+def rms_expectation(grid, probabilities, rays):
+    """Expected squared RMS error of a BRDF map, and its relative standard deviation.
+
+    Of `rays` independent rays, of which a patch receives one with its probability.
+
+    Parameters
+    ----------
+    grid : Subdivision
+    probabilities : ndarray, shape (n_theta, n_phi)
+    rays : int
+
+    Returns
+    -------
+    mean_square, relative_std : float
+        The second by the binomial fourth moment, with patches as if independent.
+    """
+    p = probabilities
+    scale = (rays * grid.projected_solid_angles) ** -2.0
+    variance = rays * p * (1 - p)
+    spread = np.sqrt(np.sum((variance + 2 * variance**2) * scale**2))
+    return np.mean(variance * scale), spread / np.sum(variance * scale)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Numbers of rays that the bounds ask for; see :func:`plan`.
+
+    Attributes
+    ----------
+    n_patches, n_lobe : int
+        Patches of the hemisphere, and those worth reporting (the paper's m').
+    chebyshev, paper, paper_lobe, union : int
+        Absolute error: eq. 17 for one patch, eq. 21 for all, eq. 21 with m', and the
+        union bound for all.
+    relative : int
+        Relative error `rel_err` of the patches worth reporting, all at once.
+    epsilon, delta, rel_err, level : float
+        What was asked.
+    source : str
+        Where the probabilities come from.
+    """
+
+    n_patches: int
+    n_lobe: int
+    chebyshev: int
+    paper: int
+    paper_lobe: int
+    union: int
+    relative: int
+    epsilon: float
+    delta: float
+    rel_err: float
+    level: float
+    source: str
+
+    def __str__(self):
+        absolute = (
+            f"|error| < {self.epsilon:g} of the incident flux, {1 - self.delta:.3g}"
+        )
+        relative = f"relative error < {self.rel_err:g}, {self.level:.3g}"
+        rows = [
+            (self.chebyshev, "one patch (eq. 17)", absolute),
+            (self.paper, f"{self.n_patches} patches (eq. 21)", absolute),
+            (
+                self.paper_lobe,
+                f"{self.n_lobe} patches in the lobe (eq. 21, m')",
+                absolute,
+            ),
+            (self.union, f"{self.n_patches} patches, union bound", absolute),
+            (
+                self.relative,
+                f"{self.n_lobe} patches in the lobe, all at once",
+                relative,
+            ),
+        ]
+        lines = [f"patch probabilities from {self.source}"]
+        lines += [f"{rays:14.4g}  {what:42s}{asked}" for rays, what, asked in rows]
+        return "\n".join(lines)
+
+
+def plan(
+    pilot=None,
+    *,
+    collector="projected:30x30",
+    epsilon=0.005,
+    delta=0.01,
+    rel_err=0.01,
+    level=0.95,
+    floor=FLOOR,
+):
+    """Plan the rays of a measurement.
+
+    Parameters
+    ----------
+    pilot : Record, optional
+        A first measurement of the specimen at one incident direction, which says how
+        the light is spread. Without one a Lambertian specimen of reflectance 1 is
+        assumed: the worst case of all specimens that light every patch.
+    collector : str or Subdivision
+        Patches of the Lambertian; a pilot brings its own.
+    epsilon, delta : float
+        The paper's absolute error tolerance and confidence, in (0, 1).
+    rel_err, level : float
+        Relative error that all patches worth reporting keep at once with probability
+        `level`.
+    floor : float
+        Patches below this fraction of the mean BRDF are not worth reporting.
+
+    Returns
+    -------
+    Plan
+        For independent rays.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a number is out of its range, or the pilot is no record, a stack, or
+        reflects nothing.
+    """
+    if pilot is None:
+        grid = subdivision(collector)
+        probabilities = (grid.projected_solid_angles / np.pi).ravel()
+        n_patches, source = grid.n_patches, f"a white Lambertian specimen, {grid}"
+    else:
+        probabilities, n_patches = _pilot_probabilities(pilot, floor)
+        source = f"a pilot of {pilot.ledger.emitted:.3g} rays, {pilot.subdivision}"
+    n_lobe = len(probabilities)
+    return Plan(
+        n_patches=n_patches,
+        n_lobe=n_lobe,
+        chebyshev=chebyshev_rays(epsilon, delta),
+        paper=paper_rays(n_patches, epsilon, delta),
+        paper_lobe=paper_rays(n_lobe, epsilon, delta),
+        union=union_rays(n_patches, epsilon, delta),
+        relative=relative_rays(probabilities, rel_err, level),
+        epsilon=epsilon,
+        delta=delta,
+        rel_err=rel_err,
+        level=level,
+        source=source,
+    )
+
+
+def _pilot_probabilities(pilot, floor):
+    """Flux fractions of the patches worth reporting, and the number of all patches."""
+    if not isinstance(pilot, Record):
+        raise TypeError(
+            f"pilot must be a Record, got {pilot!r:.80} (collector= takes patches)"
+        )
+    if len(pilot) != 1:
+        raise ValueError(
+            f"the pilot must be of one incident direction, got a stack of {len(pilot)}"
+        )
+    record = pilot[0]
+    values = _collector(record, "brdf", "btdf")
+    if not values.any():
+        raise ValueError("the pilot must have received some light, got none")
+    projected = record.subdivision.projected_solid_angles
+    # the channel with the least light in a patch asks for most rays
+    least = values.min(axis=-1)
+    inside = lobe(least, projected, floor)
+    return (least * projected)[inside], inside.size
+
+
+def _checked(epsilon, delta):
+    condition = "a number in (0, 1)"
+    return (
+        checked_number("epsilon", epsilon, 1e-12, 1, condition),
+        checked_number("delta", delta, 1e-300, 1, condition),
+    )

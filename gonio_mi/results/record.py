@@ -1,0 +1,381 @@
+"""The result of a measurement: values, uncertainties, ledger and how it was made."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..collector import Subdivision
+from ..errors import checked_choice, checked_number
+from . import statistics
+from .estimates import Estimates
+from .tally import Ledger, Tally
+
+__all__ = ["DIGESTS", "Record"]
+
+# Settings that tell a specimen and its lamp from others; old records lack them.
+DIGESTS = ("digest", "emitter_digest")
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What the collector received, at one incident direction or a stack of them.
+
+    Only exact integer sums are stored; everything else is derived. For a stack all
+    arrays have the incident direction as an additional first axis.
+
+    Attributes
+    ----------
+    subdivision : Subdivision
+        The patches of either hemisphere.
+    theta_i, phi_i : ndarray of float64, shape (n_incident,)
+        Incident direction in degrees, towards the centre of the emitter; ``theta_i``
+        counts from the normal of the lit face.
+    channels : tuple of str
+        ``("Y",)``, ``("R", "G", "B")`` or wavelengths such as ``"550nm"``.
+    tallies : tuple of Tally
+        One per incident direction.
+    settings : dict
+        All that is needed to repeat the measurement, in JSON's types; ``digest`` tells
+        the specimen from others, and ``emitter_digest`` its emitter, None for a
+        collimated beam.
+    stacked : bool
+        Whether it was asked for as a stack.
+    """
+
+    subdivision: Subdivision
+    theta_i: np.ndarray
+    phi_i: np.ndarray
+    channels: tuple[str, ...]
+    tallies: tuple[Tally, ...]
+    settings: dict = field(default_factory=dict)
+    stacked: bool = False
+
+    # ------------------------------------------------------------------ values
+
+    @cached_property
+    def brdf(self):
+        """Patch mean of the BRDF in 1/sr, shape ``(n_theta, n_phi, channels)``."""
+        return self._per_patch(Estimates.fraction, 0)
+
+    @cached_property
+    def btdf(self):
+        """Patch mean of the BTDF in 1/sr, or None if there was no lower hemisphere.
+
+        There is none where the specimen declares that it cannot transmit.
+        """
+        return self._per_patch(Estimates.fraction, 1)
+
+    @cached_property
+    def brdf_std_err(self):
+        """Standard error of `brdf`; NaN where nothing was received or known.
+
+        For integrals their estimated error, with that of the delta components.
+        """
+        return self._per_patch(Estimates.std_err, 0)
+
+    @cached_property
+    def btdf_std_err(self):
+        """Standard error of `btdf`, as of `brdf`."""
+        return self._per_patch(Estimates.std_err, 1)
+
+    @cached_property
+    def dhr(self):
+        """Directional-hemispherical reflectance, shape ``(channels,)``."""
+        return self._of_hemisphere(Estimates.total, 0)
+
+    @cached_property
+    def dht(self):
+        """Directional-hemispherical transmittance, or None without lower hemisphere."""
+        return self._of_hemisphere(Estimates.total, 1)
+
+    @cached_property
+    def dhr_std_err(self):
+        """Standard error of `dhr` from the batches; NaN for a single batch."""
+        return self._of_hemisphere(Estimates.total_std_err, 0)
+
+    @cached_property
+    def dht_std_err(self):
+        """Standard error of `dht` from the batches; NaN for a single batch."""
+        return self._of_hemisphere(Estimates.total_std_err, 1)
+
+    @property
+    def flux_fraction(self):
+        """Received over incident flux, ``(n_hemispheres, n_theta, n_phi, channels)``.
+
+        The raw measured quantity; it sums to ``dhr`` and ``dht``.
+        """
+        fractions = [
+            statistics.ratio(tally.sums, tally.incident[:, None, None, None])
+            for tally in self.tallies
+        ]
+        return self._squeeze(np.stack(fractions))
+
+    @property
+    def counts(self):
+        """Rays per patch, uint64, shape ``(n_hemispheres, n_theta, n_phi)``.
+
+        For the estimator `next_event` deposits: several from one ray, or none.
+        """
+        return self._squeeze(np.stack([tally.hits for tally in self.tallies]))
+
+    @property
+    def without_hit(self):
+        """Whether a patch is known by an upper limit only, shaped like `counts`."""
+        integrated = [tally.errors is not None for tally in self.tallies]
+        integrated = np.array(integrated)[:, None, None, None]
+        return self._squeeze(
+            np.stack([tally.hits == 0 for tally in self.tallies]) & ~integrated
+        )
+
+    @property
+    def ledger(self):
+        """:class:`Ledger` over all batches and incident directions."""
+        total = Ledger()
+        for tally in self.tallies:
+            total = total + tally.ledger
+        return total
+
+    @property
+    def n_batches(self):
+        """Independent batches per incident direction."""
+        return min(tally.n_batches for tally in self.tallies)
+
+    @property
+    def has_lower(self):
+        """Whether there was a lower hemisphere."""
+        return all(tally.hits.shape[0] == 2 for tally in self.tallies)
+
+    # ------------------------------------------------------------ uncertainties
+
+    @cached_property
+    def estimates(self):
+        """:class:`gonio_mi.results.estimates.Estimates` of each incident direction."""
+        return tuple(
+            Estimates(
+                tally,
+                independent=self.settings.get("sampler") == "independent",
+                deposited=self.settings.get("estimator") == "next_event",
+                passes=self.settings.get("passes", 1),
+            )
+            for tally in self.tallies
+        )
+
+    def interval(self, level=0.95, of="brdf"):
+        """Interval that covers the true patch mean with probability `level`.
+
+        Exact binomial (Clopper-Pearson) for counted independent rays. Otherwise
+        Student's t over the batches; for patches with fewer than 100 hits (30 with
+        samplers other than `independent`, which scatter less and for which it is wider
+        than need be) the exact binomial interval of the hits, times the mean weight of
+        a hit. A patch without a hit has an upper limit: the flux that would have left
+        it empty with probability ``(1 - level) / 2``, at the larger of unit weight and
+        the largest mean weight seen. Evenly distributed rays may give all batches the
+        same sum: no interval by Student's t is narrower than that of an empty patch to
+        either side, unless all rays were received. Deposits of `next_event` are not
+        counts: Student's t however few they are.
+
+        Integrals (estimator `quadrature`) may be wrong by their error, to which
+        Student's t for the sampled delta components is added.
+
+        Parameters
+        ----------
+        level : float
+            In (0, 1).
+        of : {"brdf", "btdf", "dhr", "dht"}
+
+        Returns
+        -------
+        low, high : ndarray
+            Shaped like the quantity; NaN where a single batch leaves it unknown.
+
+        Raises
+        ------
+        ValueError
+            For another `level` or `of`, or if there is no lower hemisphere.
+        """
+        level = checked_number("level", level, 1e-12, 1, "between 0 and 1")
+        checked_choice("of", of, ("brdf", "btdf", "dhr", "dht"))
+        hemisphere = int(of in ("btdf", "dht"))
+        if hemisphere and not self.has_lower:
+            raise ValueError(f"of must be brdf or dhr for a record without {of}")
+        of_all = of in ("dhr", "dht")
+        interval = Estimates.total_interval if of_all else Estimates.interval
+        low, high = np.stack(
+            [interval(one, hemisphere, level) for one in self.estimates], axis=1
+        )
+        solid = 1.0 if of_all else self._projected
+        return self._squeeze(low / solid), self._squeeze(high / solid)
+
+    # --------------------------------------------------------------- composition
+
+    def __len__(self):
+        return len(self.tallies)
+
+    @classmethod
+    def stack(cls, records):
+        """One record of the incident directions of all `records`, in their order.
+
+        Raises
+        ------
+        ValueError
+            If there is none, or two differ in anything but the incident directions.
+        """
+        records = list(records)
+        if not records:
+            raise ValueError("records must hold at least one to be stacked, got none")
+        for other in records[1:]:
+            # a lamp that was moved, not turned, has another digest
+            free = ("created", "batches", "emitter_digest")
+            _check_alike(records[0], other, free, "stacked")
+        channels = max((record.channels for record in records), key=len)
+        return replace(
+            records[0],
+            theta_i=np.concatenate([record.theta_i for record in records]),
+            phi_i=np.concatenate([record.phi_i for record in records]),
+            channels=channels,
+            tallies=tuple(
+                tally.spread(len(channels))
+                for record in records
+                for tally in record.tallies
+            ),
+            stacked=True,
+        )
+
+    def __getitem__(self, index):
+        """Record of one incident direction of the stack; a stack for a slice."""
+        if isinstance(index, slice):
+            if not self.tallies[index]:
+                raise ValueError(
+                    f"a stack must hold at least one incident direction, got {index} "
+                    f"of {len(self)}"
+                )
+            return replace(
+                self,
+                theta_i=self.theta_i[index],
+                phi_i=self.phi_i[index],
+                tallies=self.tallies[index],
+                stacked=True,
+            )
+        tally = self.tallies[index]
+        return replace(
+            self,
+            theta_i=self.theta_i[index : index + 1 or None],
+            phi_i=self.phi_i[index : index + 1 or None],
+            tallies=(tally,),
+            stacked=False,
+        )
+
+    def __eq__(self, other):
+        return (
+            isinstance(other, Record)
+            and self.subdivision == other.subdivision
+            and np.array_equal(self.theta_i, other.theta_i, equal_nan=True)
+            and np.array_equal(self.phi_i, other.phi_i, equal_nan=True)
+            and self.channels == other.channels
+            and self.settings == other.settings
+            and self.stacked == other.stacked
+            and self.tallies == other.tallies
+        )
+
+    def __repr__(self):
+        angles = ", ".join(
+            f"({theta:g}, {phi:g})"
+            for theta, phi in zip(self.theta_i[:3], self.phi_i[:3])
+        ) + (", ..." if len(self) > 3 else "")
+        return (
+            f"<Record of {self.settings.get('specimen', 'a specimen')}: "
+            f"{self.subdivision!s:.60}, "
+            f"incident (theta_i, phi_i) = {angles} degrees, "
+            f"{self.ledger.emitted} rays, dhr {np.array2string(self.dhr, precision=5)}>"
+        )
+
+    def merge(self, other):
+        """Record of the rays of both: same measurement, another seed.
+
+        Raises
+        ------
+        ValueError
+            If the two differ in anything but their rays, batches and seed (specimens
+            and emitters by their digests), were made with the same seed, whose rays
+            would be counted twice, or hold integrals.
+        """
+        free = {"rays", "batches", "seed", "created", "versions", "specimen"}
+        _check_alike(self, other, free | {"interrupted"}, "merged")
+        for key in ("theta_i", "phi_i"):
+            a, b = getattr(self, key).tolist(), getattr(other, key).tolist()
+            if not np.array_equal(a, b, equal_nan=True):
+                raise ValueError(
+                    f"records must agree in {key} to be merged, got {a!r} and {b!r}"
+                )
+        if any(t.errors is not None for t in (*self.tallies, *other.tallies)):
+            raise ValueError("records of the estimator quadrature cannot be merged")
+        seeds = [*_seeds(self), *_seeds(other)]
+        if len(set(seeds)) < len(seeds):
+            raise ValueError(
+                f"records must have different seeds to be merged, got {seeds}"
+            )
+        settings = dict(self.settings, seed=seeds)
+        for key in ("rays", "batches"):
+            settings[key] = self.settings[key] + other.settings[key]
+        tallies = tuple(a + b for a, b in zip(self.tallies, other.tallies))
+        channels = max(self.channels, other.channels, key=len)
+        return replace(self, tallies=tallies, channels=channels, settings=settings)
+
+    def save(self, path):
+        """Write to ``.npz`` or ``.exr``, both lossless; the file appears when complete.
+
+        Raises
+        ------
+        ValueError
+            For another file ending.
+        OSError
+            If it cannot be written.
+        """
+        from .. import files
+
+        files.save(self, path)
+
+    # ------------------------------------------------------------------ internals
+
+    @property
+    def _projected(self):
+        return self.subdivision.projected_solid_angles[..., None]
+
+    def _per_patch(self, quantity, hemisphere):
+        """Estimates of one hemisphere over solid angles; None if it was not there."""
+        values = self._of_hemisphere(quantity, hemisphere)
+        return None if values is None else values / self._projected
+
+    def _of_hemisphere(self, quantity, hemisphere):
+        """Estimates of one hemisphere; None if it was not there."""
+        if hemisphere and not self.has_lower:
+            return None
+        return self._squeeze(
+            np.stack([quantity(one, hemisphere) for one in self.estimates])
+        )
+
+    def _squeeze(self, array):
+        return array if self.stacked else array[0]
+
+
+def _seeds(record):
+    seed = record.settings.get("seed")
+    return seed if isinstance(seed, list) else [seed]
+
+
+def _check_alike(one, other, free, purpose):
+    """Raise ValueError if any setting that is not `free`, or the collector, differs."""
+    settings = []
+    for record in (one, other):
+        own = {k: v for k, v in record.settings.items() if k not in free}
+        settings.append(own | {"collector": str(record.subdivision)})
+    a, b = settings
+    for key in sorted(a.keys() | b.keys()):
+        if key in DIGESTS and not (key in a and key in b):
+            continue
+        if a.get(key) != b.get(key):
+            raise ValueError(
+                f"records must agree in {key} to be {purpose}, got {a.get(key)!r} and "
+                f"{b.get(key)!r}"
+            )

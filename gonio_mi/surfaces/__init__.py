@@ -1,0 +1,1 @@
+"""Surfaces made of shape, as arrays of heights."""

@@ -1,0 +1,226 @@
+"""Height fields: Gaussian ones to order, and what the statistics of any of them are."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import checked_choice, checked_count, checked_number
+from ..memory import check_memory
+
+__all__ = [
+    "CORRELATIONS",
+    "HeightStatistics",
+    "checked_heights",
+    "gaussian_heights",
+    "height_statistics",
+]
+
+CORRELATIONS = ("gaussian", "exponential")
+
+# Bytes per grid point at the peak of the synthesis, which is in double precision, and
+# of the mesh: vertices and triangles in NumPy, Mitsuba and Embree. Measured: 61, 277.
+SYNTHESIS_BYTES, MESH_BYTES = 64, 300
+
+
+@dataclass(frozen=True)
+class HeightStatistics:
+    """What a height field is like, in the units of its heights.
+
+    Attributes
+    ----------
+    rms_height : float
+        Standard deviation of the heights.
+    alpha_u, alpha_v : float
+        Roughness along x and y as Beckmann's distribution has it: sqrt(2) times the rms
+        slope of the facets, weighted by projected area.
+    correlation_length_u, correlation_length_v : float
+        Distance along x and y at which the autocorrelation has fallen to 1/e.
+    """
+
+    rms_height: float
+    alpha_u: float
+    alpha_v: float
+    correlation_length_u: float
+    correlation_length_v: float
+
+    def __str__(self):
+        return (
+            f"rms height {self.rms_height:.4g}, "
+            f"alpha {self.alpha_u:.4g} x {self.alpha_v:.4g}, "
+            f"correlation length {self.correlation_length_u:.4g} x "
+            f"{self.correlation_length_v:.4g}"
+        )
+
+
+def gaussian_heights(
+    resolution,
+    spacing,
+    alpha_u,
+    alpha_v,
+    correlation_length,
+    *,
+    correlation="gaussian",
+    shortest=0.0,
+    seed=0,
+):
+    r"""Periodic heights with Gaussian statistics, by filtering noise in Fourier space.
+
+    Slopes are then Gaussian too, which is Beckmann's distribution of facets.
+
+    Parameters
+    ----------
+    resolution : (int, int)
+        Grid points along x and along y, at least 4. The field repeats after them.
+    spacing : float
+        Distance between them.
+    alpha_u, alpha_v : float
+        Expected roughness of the facets along x and y, see :class:`HeightStatistics`;
+        one realisation scatters about it. It fixes the rms height.
+    correlation_length : float
+        Geometric mean over x and y of the distance in which the autocorrelation falls
+        to 1/e; the direction of the larger alpha has the smaller one, in proportion.
+    correlation : {"gaussian", "exponential"}
+        Autocorrelation :math:`e^{-r^2}` or :math:`e^{-r}`, r in correlation lengths.
+        The slopes of the latter have no finite variance without a band limit, so that
+        there the rms height depends on `shortest`.
+    shortest : float
+        Shortest wavelength, as a geometric mean too; no shorter than what the grid
+        holds in both directions, which is twice its spacing.
+    seed : int
+
+    Returns
+    -------
+    ndarray of float64, shape (n_y, n_x)
+        Heights of mean 0; row 0 is the smallest y.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a parameter is out of its range, or memory would not hold the field.
+    """
+    n_x, n_y = (checked_count("resolution", n, 4) for n in resolution)
+    checked_choice("correlation", correlation, CORRELATIONS)
+    what = f"a height field of {n_x} x {n_y} points"
+    check_memory(what, n_x * n_y * SYNTHESIS_BYTES, "lower its resolution")
+    alpha_u, alpha_v = (
+        checked_number(name, alpha, 1e-6, 100, "from 1e-6 to 100")
+        for name, alpha in (("alpha_u", alpha_u), ("alpha_v", alpha_v))
+    )
+    stretch = np.sqrt(alpha_v / alpha_u)
+    length_u, length_v = correlation_length * stretch, correlation_length / stretch
+    for name, length, n in (("x", length_u, n_x), ("y", length_v, n_y)):
+        if not 2 * spacing <= length <= n * spacing / 4:
+            raise ValueError(
+                f"correlation_length along {name} must be from two grid spacings to a "
+                f"quarter of the period, {2 * spacing:.4g} to {n * spacing / 4:.4g}, "
+                f"got {length:.4g}"
+            )
+    shortest = max(shortest, 2 * spacing * max(stretch, 1 / stretch))
+    k_x = 2 * np.pi * np.fft.rfftfreq(n_x, spacing)
+    k_y = 2 * np.pi * np.fft.fftfreq(n_y, spacing)[:, None]
+    square = (k_x * length_u) ** 2 + (k_y * length_v) ** 2
+    is_gaussian = correlation == "gaussian"
+    power = np.exp(-square / 4) if is_gaussian else (1 + square) ** -1.5
+    limit = (2 * np.pi / shortest * (1 + 1e-9)) ** 2
+    power *= (k_x * stretch) ** 2 + (k_y / stretch) ** 2 <= limit
+    power[0, 0] = 0
+    scale = np.sqrt(
+        alpha_u * alpha_v / _expected_alphas(power, k_x, k_y, n_x, spacing).prod()
+    )
+    noise = np.random.default_rng(seed).standard_normal((n_y, n_x))
+    spectrum = np.fft.rfft2(noise)
+    spectrum *= scale * np.sqrt(power)
+    return np.fft.irfft2(spectrum, (n_y, n_x))
+
+
+def _expected_alphas(power, k_x, k_y, n_x, spacing):
+    """Both alphas of unit white noise that is filtered with `power`, in expectation.
+
+    The variance of the difference quotient of neighbours, as the facets have it.
+    """
+    # rfft keeps one of each pair of conjugate frequencies
+    twice = np.full(k_x.size, 2.0)
+    twice[0] = 1
+    if n_x % 2 == 0:
+        twice[-1] = 1
+    points = n_x * k_y.size
+    slopes = [2 * np.sin(k * spacing / 2) / spacing for k in (k_x, k_y)]
+    variances = [np.sum(power * twice * slope**2) / points for slope in slopes]
+    if not min(variances) > 0:
+        raise ValueError(
+            "shortest must leave wavelengths that the period holds, got none"
+        )
+    return np.sqrt(2 * np.array(variances))
+
+
+def height_statistics(heights, spacing, periodic=True):
+    """:class:`HeightStatistics` of a grid of heights.
+
+    Parameters
+    ----------
+    heights : array_like, shape (n_y, n_x)
+    spacing : float
+        Distance between grid points.
+    periodic : bool
+        Whether the last row and column are next to the first.
+    """
+    heights = checked_heights(heights)
+    along = {"append": heights[:, :1]} if periodic else {}
+    across = {"append": heights[:1]} if periodic else {}
+    slope_u = np.diff(heights, axis=1, **along) / spacing
+    slope_v = np.diff(heights, axis=0, **across) / spacing
+    centred = heights - heights.mean()
+    return HeightStatistics(
+        rms_height=float(centred.std()),
+        alpha_u=float(np.sqrt(2 * np.mean(slope_u**2))),
+        alpha_v=float(np.sqrt(2 * np.mean(slope_v**2))),
+        correlation_length_u=spacing * _correlation_length(centred, periodic),
+        correlation_length_v=spacing * _correlation_length(centred.T, periodic),
+    )
+
+
+def _correlation_length(heights, periodic):
+    """Lag along the second axis at which the autocorrelation is 1/e; NaN for none."""
+    n = heights.shape[1]
+    # zeros keep the ends of a field that is not periodic apart
+    size = n if periodic else 2 * n
+    power = np.zeros(size // 2 + 1)
+    for row in heights:
+        power += np.abs(np.fft.rfft(row, size)) ** 2
+    correlation = np.fft.irfft(power, size)[: n // 2 + 1]
+    if not periodic:
+        correlation *= n / (n - np.arange(n // 2 + 1))
+    if not correlation[0] > 0:
+        return np.nan
+    correlation /= correlation[0]
+    below = np.flatnonzero(correlation < np.exp(-1))
+    if not below.size:
+        return np.nan
+    i = below[0]
+    # linear between the grid points
+    left, right = correlation[i - 1 : i + 1]
+    return float(i - 1 + (left - np.exp(-1)) / (left - right))
+
+
+def checked_heights(heights):
+    """Return `heights` as a float64 array, or say what is wrong with it."""
+    heights = np.asarray(heights)
+    if heights.ndim == 3 and heights.shape[2] == 1:
+        heights = heights[..., 0]
+    if heights.ndim != 2 or min(heights.shape) < 2:
+        raise ValueError(
+            "heights must be a grid of at least 2 x 2 numbers, got an array of shape "
+            f"{heights.shape}"
+        )
+    try:
+        heights = heights.astype(float)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"heights must be real numbers, got an array of {heights.dtype}"
+        ) from None
+    wrong = np.count_nonzero(~np.isfinite(heights))
+    if wrong:
+        raise ValueError(
+            f"heights must be finite, got {wrong} of {heights.size} that are not"
+        )
+    return heights

@@ -1,0 +1,1 @@
+"""Light transport: from the beam through the specimen to sums, in Dr.Jit kernels."""

@@ -1,0 +1,188 @@
+"""The light that meets the specimen: points of the footprint, directions, weights."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..collector.directions import angles
+from ..errors import SpecimenError, checked_number
+
+__all__ = ["Beam", "checked_footprint"]
+
+EMISSIONS = ("radiometric", "equal_power")
+
+
+def checked_footprint(footprint):
+    """Return ``"point"``, ``"full"`` or the radius of a disk as a float."""
+    if footprint in ("point", "full"):
+        return footprint
+    condition = "'point', 'full' or a positive radius"
+    radius = checked_number("footprint", footprint, 0, np.inf, condition)
+    if radius == 0:
+        raise ValueError(f"footprint must be {condition}, got {footprint!r}")
+    return radius
+
+
+class Beam:
+    """Rays from an emitter to the footprint on the plane of the specimen's top.
+
+    Parameters
+    ----------
+    specimen : Specimen
+    emitter : mi.Emitter
+        A delta direction gives a collimated beam. Any other emitter is sampled through
+        ``sample_direction``.
+    footprint : str or float
+        ``"point"``: the middle of the bounding box's top. ``"full"``: all of that top,
+        uniformly. A number: a disk of that radius about the middle.
+    emission : {"radiometric", "equal_power"}
+        ``"radiometric"`` weights a ray by radiance, cosines and distance, as light is.
+        ``"equal_power"`` is the paper's section 2.2: uniform points on emitter and
+        specimen, each ray carrying the same power.
+    """
+
+    def __init__(self, specimen, emitter, footprint, emission):
+        self.specimen = specimen
+        self.emitter = emitter
+        self.footprint = footprint
+        self.emission = emission
+        low, high = specimen.low, specimen.high
+        self.middle = np.array([*(low + high)[:2] / 2, high[2]])
+        self.half = (high - low)[:2] / 2
+        self.collimated = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaDirection)
+        self.direction = self._nominal_direction()
+        self.side = -1 if self.direction is not None and self.direction[2] < 0 else 1
+        if self.side < 0:
+            self.middle[2] = low[2]
+        if self.collimated:
+            self._wi = mi.Vector3f(self.direction.tolist())
+            dr.make_opaque(self._wi)
+        self._reference = None if self.uniform else self._mean_weight()
+
+    @property
+    def uniform(self):
+        """Whether all rays carry the same power."""
+        return self.collimated
+
+    @property
+    def theta_i(self):
+        """Angle of the nominal direction from the lit face's normal, in degrees."""
+        if self.direction is None:
+            return np.nan
+        x, y, z = self.direction
+        return float(np.degrees(angles([x, y, self.side * z])[0]))
+
+    @property
+    def phi_i(self):
+        """Azimuth of the nominal direction, in degrees."""
+        if self.direction is None:
+            return np.nan
+        return float(np.degrees(angles(self.direction)[1]))
+
+    def sample(self, sampler, wavelengths):
+        """Draw one ray per lane.
+
+        Returns
+        -------
+        p : mi.Point3f
+            Point of the footprint.
+        wi : mi.Vector3f
+            Unit vector from there to the emitter, in world coordinates.
+        distance : mi.Float
+            To the emitter.
+        weight : mi.Spectrum
+            Power of the ray, 1 on average over the beam; 0 where nothing is emitted.
+        """
+        p = self._point(sampler)
+        if self.collimated:
+            return p, self._wi, mi.Float(dr.inf), mi.Spectrum(1.0)
+        wi, distance, weight = self._towards(p, sampler.next_2d(), wavelengths)
+        return p, wi, distance, weight / self._reference
+
+    def _point(self, sampler):
+        """Points of the footprint."""
+        middle = mi.Point3f(self.middle.tolist())
+        if self.footprint == "point":
+            if hasattr(sampler, "skip"):
+                # the best dimensions are those that come after the footprint's
+                sampler.skip(2)
+            return middle
+        if self.footprint != "full":
+            disk = mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
+            return middle + self.footprint * mi.Vector3f(disk.x, disk.y, 0)
+        sample = sampler.next_2d()
+        if self.specimen.plane is not None:
+            centre = self.specimen.plane.interaction
+            u, v = sample.x - 0.5, sample.y - 0.5
+            return centre.p + u * centre.dp_du + v * centre.dp_dv
+        offset = 2 * sample - 1
+        half_x, half_y = self.half.tolist()
+        return middle + mi.Vector3f(half_x * offset.x, half_y * offset.y, 0)
+
+    def _towards(self, p, sample, wavelengths):
+        """Direction, distance and unnormalised weight from `p` to the emitter."""
+        it = dr.zeros(mi.SurfaceInteraction3f)
+        it.p, it.wavelengths = p, wavelengths
+        if self.emission == "equal_power" and self.emitter.get_shape() is not None:
+            position = self.emitter.get_shape().sample_position(0.0, sample)
+            to_emitter = position.p - p
+            distance = dr.norm(to_emitter)
+            wi = to_emitter / distance
+            lit = dr.dot(wi, position.n) < 0
+            weight = mi.Spectrum(1.0)
+        else:
+            ds, weight = self.emitter.sample_direction(it, sample)
+            wi, distance = ds.d, ds.dist
+            lit = ds.pdf > 0
+            if self.emission == "equal_power":
+                lit &= dr.any(weight > 0)
+                weight = mi.Spectrum(1.0)
+        cosine = self.side * wi.z
+        lit &= cosine > 0
+        if self.emission == "radiometric":
+            weight = weight * cosine
+        return wi, distance, dr.select(lit, weight, 0.0)
+
+    def _nominal_direction(self):
+        """Unit vector from the footprint's middle to the emitter's centre, or None."""
+        if self.collimated:
+            it = dr.zeros(mi.SurfaceInteraction3f)
+            it.p = mi.Point3f(self.middle.tolist())
+            ds, _ = self.emitter.sample_direction(it, mi.Point2f(0.5))
+            vector = np.array(ds.d, dtype=float).ravel()
+        elif self.emitter.is_environment():
+            return None
+        else:
+            box = self.emitter.bbox()
+            centre = (np.array(box.min) + np.array(box.max)).ravel() / 2
+            vector = centre - self.middle
+        norm = np.linalg.norm(vector)
+        if not np.isfinite(norm) or norm == 0:
+            raise SpecimenError(
+                f"the emitter {self.emitter.class_name()} must lie in a direction from "
+                "the specimen, got none"
+            )
+        vector /= norm
+        if abs(vector[2]) < 1e-6:
+            raise SpecimenError(
+                "the emitter must stand above or below the specimen's horizon, "
+                f"got a direction of {vector}"
+            )
+        return vector
+
+    def _mean_weight(self):
+        """Average weight over the beam, the unit of the tally; a fixed constant."""
+        n = 128
+        grid = mi.UInt32(dr.arange(mi.UInt32, n * n))
+        sample = (mi.Point2f(mi.Float(grid % n), mi.Float(grid // n)) + 0.5) / n
+        middle = mi.Point3f(self.middle.tolist())
+        wavelengths = mi.Spectrum(550.0) if mi.is_spectral else mi.Color0f()
+        _, _, weight = self._towards(middle, sample, wavelengths)
+        mean = float(np.mean(np.array(weight)))
+        if not mean > 0:
+            raise SpecimenError(
+                f"the emitter {self.emitter.class_name()} must light the specimen, "
+                "got no light at the middle of the footprint"
+            )
+        # a power of two divides exactly
+        return 2.0 ** np.round(np.log2(mean))

@@ -1,0 +1,72 @@
+"""One specimen, one beam and one collector: where exits are to be counted."""
+
+import drjit as dr
+import mitsuba as mi
+
+from ..results.tally import Fate
+from .digest import emitter_digest, specimen_digest
+
+__all__ = ["Bench"]
+
+
+class Bench:
+    """One specimen, one beam and one collector, ready to be launched at.
+
+    `lamp` is the digest of the beam's emitter before it was turned, if it was; None
+    remains for a collimated beam, whose direction is all there is.
+    """
+
+    def __init__(self, specimen, beam, sensor, incident=None, lamp=None):
+        self.specimen = specimen
+        self.beam = beam
+        # as asked for, or what single precision leaves of the emitter's direction
+        self.theta_i, self.phi_i = incident or (beam.theta_i, beam.phi_i)
+        if beam.collimated:
+            self.lamp = None
+        else:
+            self.lamp = lamp or emitter_digest([beam.emitter])
+        self.sensor = sensor
+        self.film = sensor.film()
+        subdivision = self.film.subdivision
+        both = self.film.hemispheres == "both" or (
+            self.film.hemispheres == "auto" and specimen.transmits
+        )
+        self.shape = (1 + both, *subdivision.shape)
+        self.n_patches = subdivision.n_patches
+        self.n_collected = self.shape[0] * self.n_patches
+        self.n_bins = self.n_collected + len(Fate)
+
+    @property
+    def digests(self):
+        """What tells the specimen and the emitter from others, for the settings."""
+        return {
+            "digest": specimen_digest(self.specimen),
+            "emitter_digest": self.lamp,
+        }
+
+    def bins(self, exits):
+        """Index of the patch that each ray reached, or of its fate's bin behind."""
+        d = self.sensor.arrival(exits.p, exits.d)
+        up = self.beam.side * d.z
+        # comparisons with NaN are false
+        left = (exits.fate == mi.UInt32(Fate.REFLECTED)) & (dr.abs(up) > 0)
+        lower = up < 0
+        patch = dr.minimum(self.film.patch_index(d), self.n_patches - 1)
+        fate = dr.select(
+            exits.fate == mi.UInt32(Fate.REFLECTED),
+            mi.UInt32(Fate.SIDEWAYS),
+            exits.fate,
+        )
+        if self.shape[0] == 2:
+            patch += dr.select(lower, mi.UInt32(self.n_patches), mi.UInt32(0))
+        else:
+            fate = dr.select(left & lower, mi.UInt32(Fate.TRANSMITTED), fate)
+            left &= ~lower
+        return dr.select(left, patch, self.n_collected + fate)
+
+    def fate_bins(self, bins):
+        """Bins of the fates of rays whose `bins` may be those of patches."""
+        reflected = mi.UInt32(self.n_collected + Fate.REFLECTED)
+        transmitted = mi.UInt32(self.n_collected + Fate.TRANSMITTED)
+        fate = dr.select(bins < self.n_patches, reflected, transmitted)
+        return dr.select(bins < self.n_collected, fate, bins)

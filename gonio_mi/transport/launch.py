@@ -1,0 +1,99 @@
+"""One launch: a kernel that sends the rays of some batches, and their tally."""
+
+import drjit as dr
+import mitsuba as mi
+
+from ..results.tally import WEIGHT_SCALE
+from .loop import Settings, scatter_plane, trace
+from .next_event import Deposits
+from .sampling import apart, continues, in_turns, seeded, turns_of
+from .scattering_order import of_order, orders
+from .sums import Sums
+
+__all__ = ["launch", "traces"]
+
+
+def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
+    """Send rays of several batches in one kernel and return their tally.
+
+    Parameters
+    ----------
+    bench : Bench
+    settings : dict
+        Of the integrator.
+    keys : list of tuple of int
+        What tells each batch from all others.
+    sizes : list of int
+        Rays of each batch, in descending order and alike within one ray.
+    begin : int
+        Rays of each batch that were sent before.
+    wavelengths : mi.Spectrum or mi.Color0f
+        Of the rays.
+    capacity : int
+        Batches that there is room for: the same for all launches at a bench.
+
+    Returns
+    -------
+    Tally
+        Of as many batches as `keys`.
+    """
+    analog = settings["estimator"] == "analog"
+    deposited = settings["estimator"] == "next_event"
+    traced = traces(bench, settings)
+    sums = Sums(bench, 1 if analog else WEIGHT_SCALE, capacity, deposits=deposited)
+    sampler = bench.sensor.sampler()
+    turns = 1 if traced else turns_of(sampler, sizes[0])
+    lanes = -(-sizes[0] // turns)
+    sampler = seeded(sampler, keys, begin, lanes)
+    # as many lanes as rays, even where none of them draws a number
+    lane = dr.arange(mi.UInt32, len(sizes) * lanes)
+    batch, ray = (mi.UInt32(0), lane) if capacity == 1 else apart(lane, lanes)
+    # the last batches may be shorter by one ray
+    full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
+    size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
+
+    def _add(sampler, ray):
+        active = ray < size
+        deposits = None
+        if deposited:
+            order = orders(settings["order"])
+            points = settings["points"]
+            deposits = Deposits(bench, sums, points, order, active, batch)
+        exits = _exits(bench, settings, sampler, wavelengths, deposits)
+        bins = bench.bins(exits)
+        sums.add(bins, exits, active, batch)
+        if deposits is not None:
+            deposits.add_exits(bins, exits)
+
+    if continues(sampler) and not traced:
+        in_turns(_add, sampler, ray, lanes, turns)
+    else:
+        _add(sampler, ray)
+    return sums.tally(len(sizes))
+
+
+def traces(bench, settings):
+    """Whether rays are traced: for geometry, or where that is asked for."""
+    return settings["trace"] or bench.specimen.plane is None
+
+
+def _exits(bench, settings, sampler, wavelengths, deposits):
+    """Follow the rays by the cheapest transport that is exact for the specimen."""
+    analog = settings["estimator"] == "analog"
+    rr_depth = settings["rr_depth"]
+    # counted rays live or die at each event as it is, and stay whole
+    roulette = rr_depth >= 0 and not analog
+    low, high = orders(settings["order"])
+    how = Settings(
+        analog=analog,
+        # nothing that comes later is collected
+        max_depth=min(settings["max_depth"], high),
+        rr_depth=rr_depth if roulette else 2**32 - 1,
+        delta_only=settings["estimator"] == "quadrature",
+    )
+    specimen, beam = bench.specimen, bench.beam
+    if traces(bench, settings):
+        exits = trace(specimen, beam, sampler, wavelengths, how, deposits)
+    else:
+        exits = scatter_plane(specimen.plane, beam, sampler, wavelengths, how)
+    return of_order(exits, low, high)

@@ -1,0 +1,286 @@
+"""From a beam to exits: one scattering event on a plane, or a loop through geometry.
+
+Flux travels from emitter to collector, so BSDFs are used in importance mode, in which a
+transmitted weight is not divided by eta^2 (Veach 1997, section 5.2).
+"""
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from ..results.tally import Fate
+from .ray_offsets import (
+    MAX_CELLS,
+    START,
+    departure,
+    intersect,
+    into_cell,
+    is_misjudged,
+    leaves_by_a_side,
+    resume,
+    through_side,
+)
+
+__all__ = [
+    "LARGEST_POWER",
+    "Exits",
+    "Settings",
+    "flux_context",
+    "scatter_plane",
+    "shading_normal_correction",
+    "trace",
+]
+
+# Weights and powers above these would overflow the fixed-point sums.
+LARGEST_WEIGHT = 2.0**15
+LARGEST_POWER = 2.0**30
+
+# Relative excess of a weight over 1 that is taken for float32 rounding: 16 ulp.
+ROUNDING = 2.0**-20
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How rays are followed: estimator and where paths end."""
+
+    analog: bool
+    max_depth: int
+    rr_depth: int
+    delta_only: bool = False  # on a plane: all else is integrated
+
+
+@dataclass
+class Exits:
+    """What became of each ray.
+
+    Attributes
+    ----------
+    p, d : mi.Point3f, mi.Vector3f
+        Last point on the specimen and direction of flight, where `fate` is REFLECTED.
+    throughput : mi.Spectrum
+        Power left; a whole number for the analog estimator.
+    fate : mi.UInt32
+        :class:`Fate`; REFLECTED stands for having left in any direction.
+    incident : mi.Spectrum
+        Power that met the specimen.
+    depth : mi.UInt32
+        Surface events.
+    delta : mi.Bool
+        Whether the last of them was a delta component; true without any.
+    """
+
+    p: object
+    d: object
+    throughput: object
+    fate: object
+    incident: object
+    depth: object
+    delta: object
+
+
+def flux_context():
+    """Return the BSDF context of light that travels from emitter to collector."""
+    return mi.BSDFContext(mi.TransportMode.Importance)
+
+
+def scatter_plane(plane, beam, sampler, wavelengths, settings):
+    """Scatter every ray once where it lands on the plane; exact without ray tracing."""
+    p, wi, _, weight = beam.sample(sampler, wavelengths)
+    throughput = _emitted(weight, sampler, settings.analog, beam.uniform)
+    lit = dr.any(throughput > 0)
+    if beam.footprint == "point":
+        uv, inside = mi.Point2f(0.5), mi.Bool(True)
+    else:
+        uv = plane.uv(p)
+        inside = (
+            mi.Bool(True) if beam.footprint == "full" else dr.all((uv >= 0) & (uv <= 1))
+        )
+    si = plane.interactions(uv, wi, wavelengths)
+    bs, bsdf_weight = plane.bsdf.sample(
+        flux_context(), si, sampler.next_1d(), sampler.next_2d(), lit & inside
+    )
+    wo = si.to_world(bs.wo)
+    exit_throughput, fate = _after_event(
+        throughput, bsdf_weight, bs, wo, sampler, settings.analog
+    )
+    delta = _is_delta(bs)
+    if settings.delta_only:
+        left = fate == mi.UInt32(Fate.REFLECTED)
+        fate = dr.select(left & ~delta, mi.UInt32(Fate.INTEGRATED), fate)
+    fate = dr.select(inside, fate, mi.UInt32(Fate.MISSED))
+    fate = dr.select(lit, fate, mi.UInt32(Fate.UNLIT))
+    incident = dr.select(inside & lit, throughput, 0.0)
+    depth = dr.select(inside & lit, mi.UInt32(1), 0)
+    return Exits(p, wo, exit_throughput, fate, incident, depth, delta)
+
+
+@dr.syntax
+def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
+    """Follow every ray through the geometry until it leaves, ends or is cut off.
+
+    `deposits`, a :class:`~.next_event.Deposits`, is told of every event.
+    """
+    if hasattr(sampler, "follow_curve"):
+        sampler.follow_curve()
+    p, wi, distance, weight = beam.sample(sampler, wavelengths)
+    β = _emitted(weight, sampler, settings.analog, beam.uniform)
+
+    # from just above the footprint, to which nothing stands in the way; grazing, that
+    # may be above the next cell
+    start = dr.minimum(distance, specimen.reach * START / dr.abs(wi.z))
+    origin, shift = into_cell(specimen, p + start * wi)
+    ray = mi.Ray3f(origin, -wi)
+    ray.wavelengths = wavelengths
+
+    ctx = flux_context()
+    flags = mi.RayFlags.All | mi.RayFlags.dNSdUV
+    scene = specimen.scene
+    analog = settings.analog
+    max_depth = dr.opaque(mi.UInt32, settings.max_depth)
+    rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
+
+    lit = dr.any(β > 0)
+    incident = mi.Spectrum(β)  # Power that met the specimen
+    depth = mi.UInt32(0)  # Surface events so far
+    cells = mi.UInt32(0)  # Sides of a periodic cell that were crossed
+    fate = dr.select(lit, mi.UInt32(Fate.MISSED), mi.UInt32(Fate.UNLIT))
+    delta = mi.Bool(True)  # Was the last of them a delta component?
+    active = mi.Bool(lit)  # Still in flight?
+
+    n = mi.Normal3f(0)  # Geometric normal where the ray started
+    offset = mi.Float(0)  # How far off its surface
+    again = mi.Bool(False)  # Does it look again at what it met from behind?
+
+    while active:
+        si = intersect(scene, ray, flags, active)
+        hit = active & si.is_valid()
+
+        # ------------------- Rays that leave, or have had enough events ---------------
+        entry, step, crosses = through_side(specimen, beam.side, ray.o, ray.d)
+        crosses &= active & ~hit
+        endless = crosses & (cells >= MAX_CELLS)
+        fate[active & ~hit & (depth > 0)] = mi.UInt32(Fate.REFLECTED)
+        fate[endless] = mi.UInt32(Fate.SIDEWAYS)
+        crosses &= ~endless
+
+        own, behind = is_misjudged(specimen, si, ray, n, again)
+        own &= hit
+        behind &= hit
+        again = mi.Bool(behind)
+        active = hit & ~own & ~behind
+
+        truncated = active & (depth >= max_depth)
+        fate[truncated] = mi.UInt32(Fate.TRUNCATED)
+        active &= ~truncated
+
+        bsdf = si.bsdf(ray)
+        if deposits is not None:
+            sound = deposits.add(si, bsdf, ray, β, depth, shift, sampler, active)
+            fate[active & ~sound] = mi.UInt32(Fate.INVALID)
+            active &= sound
+
+        # ------------------------------- Scattering -----------------------------------
+        bs, bsdf_weight = bsdf.sample(
+            ctx, si, sampler.next_1d(active), sampler.next_2d(active), active
+        )
+        wo = si.to_world(bs.wo)
+        bsdf_weight *= shading_normal_correction(si, ray, bs.wo, wo)
+        event_β, event_fate = _after_event(β, bsdf_weight, bs, wo, sampler, analog)
+        β[active] = event_β
+        fate[active] = event_fate
+        active &= event_fate == mi.UInt32(Fate.REFLECTED)
+        depth[active] += 1
+        delta[active] = _is_delta(bs)
+
+        # ---------------------------- Russian roulette --------------------------------
+        survival = dr.select(
+            depth > rr_depth, dr.minimum(dr.max(β), 0.95), mi.Float(1.0)
+        )
+        survives = sampler.next_1d(active) < survival
+        β[active] = dr.select(survives, β / survival, 0.0)
+        fate[active & ~survives] = mi.UInt32(Fate.ABSORBED)
+        active &= survives
+
+        # ------------------------------- Next ray -------------------------------------
+        onward = resume(specimen, si, ray.d, behind)
+        origin, off_surface = departure(specimen, si, ray.d, wo)
+        origin = dr.select(active, origin, onward)
+        offset[active] = off_surface
+        offset[own] = 8 * offset
+        n[active] = si.n
+        n[behind | crosses] = mi.Normal3f(0)
+        ray.d[active] = wo
+        active |= own | behind
+        origin += dr.copysign(offset, dr.dot(n, ray.d)) * n
+        origin, moved = into_cell(specimen, origin)
+        ray.o[active] = origin
+        shift[active] = shift + moved
+        ray.o[crosses] = entry
+        shift[crosses] = shift + step
+        cells[crosses] = cells + 1
+        active |= crosses
+
+    incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
+    fate = dr.select(
+        (fate == mi.UInt32(Fate.REFLECTED)) & leaves_by_a_side(specimen, ray.o, ray.d),
+        mi.UInt32(Fate.SIDEWAYS),
+        fate,
+    )
+    return Exits(ray.o + shift, ray.d, β, fate, incident, depth, delta)
+
+
+def _emitted(weight, sampler, analog, uniform):
+    """Power of a new ray; for the analog estimator a whole number of that mean."""
+    if not analog or uniform:
+        return mi.Spectrum(weight)
+    return _whole(weight, sampler.next_1d())
+
+
+def _after_event(throughput, bsdf_weight, bs, wo, sampler, analog):
+    """Throughput after a surface event, and its fate: REFLECTED means in flight."""
+    largest, smallest = dr.max(bsdf_weight), dr.min(bsdf_weight)
+    norm2 = dr.squared_norm(wo)
+    zero = largest == 0
+    # comparisons with NaN are false
+    valid = (smallest >= 0) & (largest <= LARGEST_WEIGHT)
+    valid &= zero | (dr.abs(norm2 - 1) < 1e-3)
+    product = throughput * dr.select(valid, bsdf_weight, 0.0)
+    valid &= dr.max(product) <= LARGEST_POWER
+    throughput = _whole(product, sampler.next_1d()) if analog else product
+    fate = dr.select(
+        dr.any(throughput > 0), mi.UInt32(Fate.REFLECTED), mi.UInt32(Fate.ABSORBED)
+    )
+    fate = dr.select(zero & ~(bs.pdf > 0), mi.UInt32(Fate.REJECTED), fate)
+    return throughput, dr.select(valid, fate, mi.UInt32(Fate.INVALID))
+
+
+def _whole(x, u):
+    """Random whole number with mean `x`, the same `u` in [0, 1) for all channels.
+
+    A weight that exceeds a whole number by rounding alone counts as that number.
+    """
+    floor = dr.floor(x)
+    rest = x - floor
+    above = (u < rest) & ((x < 1) | (rest > x * ROUNDING))
+    return floor + dr.select(above, mi.Spectrum(1.0), mi.Spectrum(0.0))
+
+
+def shading_normal_correction(si, ray, local_wo, wo):
+    """Adjoint correction for interpolated normals (Veach 1997, eq. 5.19); 1 for others.
+
+    `wo` is given in the frame of shading and in the world. 0 where both normals
+    disagree about the side: light would leak.
+    """
+    wi_n, wo_n = dr.dot(si.n, -ray.d), dr.dot(si.n, wo)
+    wi_s, wo_s = mi.Frame3f.cos_theta(si.wi), mi.Frame3f.cos_theta(local_wo)
+    agree = (wi_n * wi_s > 0) & (wo_n * wo_s > 0)
+    flat = dr.all(si.sh_frame.n == si.n)
+    corrected = dr.select(agree, dr.abs(wi_s * wo_n / (wo_s * wi_n)), 0.0)
+    return dr.select(flat, mi.Float(1.0), corrected)
+
+
+def _is_delta(bs):
+    """Whether a sampled component has no density."""
+    delta, line = mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D
+    return mi.has_flag(bs.sampled_type, delta) | mi.has_flag(bs.sampled_type, line)

@@ -1,0 +1,276 @@
+"""What is measured: the shapes of a scene without its lamps, and how flat they are."""
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..errors import SpecimenError
+from .geometry import scene_of
+from .ray_offsets import START, escapes, intersect
+
+__all__ = ["Plane", "Specimen", "checked_period"]
+
+# Points at which a BSDF is compared with itself.
+N_POINTS = 2**12
+
+# Relative difference that is taken for float32 rounding between texels: 16 ulp.
+ROUNDING = 2.0**-20
+
+
+def checked_period(period):
+    """Return ``"none"``, ``"box"``, or extents in x and y as a text like ``"2.0,3.0"``.
+
+    `period` is one of these, one number for both, or a pair of numbers.
+    """
+    if isinstance(period, str) and period in ("none", "box"):
+        return period
+    try:
+        words = period.split(",") if isinstance(period, str) else period
+        extents = np.broadcast_to(np.asarray(words, dtype=float), 2).tolist()
+    except (TypeError, ValueError):
+        extents = [np.nan, np.nan]
+    if not all(0 < extent < np.inf for extent in extents):
+        raise ValueError(
+            "period must be 'none', 'box', or one or two positive numbers, "
+            f"got {period!r}"
+        )
+    return "{!r},{!r}".format(*extents)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A single flat rectangle in z = const, the specimen that needs no ray tracing.
+
+    A point is ``centre + (u - 1/2) dp_du + (v - 1/2) dp_dv``.
+    """
+
+    bsdf: object
+    interaction: object  # Mitsuba's surface interaction at the centre
+
+    def interactions(self, uv, wi, wavelengths):
+        """Surface interactions at `uv`, for light from the world direction `wi`."""
+        centre = self.interaction
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.t = 1.0
+        si.p = centre.p + (uv.x - 0.5) * centre.dp_du + (uv.y - 0.5) * centre.dp_dv
+        si.uv = uv
+        si.n = centre.n
+        si.sh_frame = mi.Frame3f(centre.sh_frame)
+        si.dp_du, si.dp_dv = centre.dp_du, centre.dp_dv
+        si.wavelengths = wavelengths
+        si.wi = si.to_local(wi)
+        return si
+
+    def is_uniform(self, wavelengths):
+        """Whether no declared texture varies, nor the BSDF at many random points.
+
+        Flags do not tell, and not every plugin declares its textures; but a small
+        detail of one is seen there only.
+        """
+        parts = mi.traverse(self.bsdf).hierarchy
+        if any(isinstance(part, mi.Texture) and _varies(part) for part in parts):
+            return False
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(0, N_POINTS)
+        wi, wo = (mi.warp.square_to_uniform_sphere(sampler.next_2d()) for _ in "io")
+
+        def values(uv):
+            si = self.interactions(uv, wi, wavelengths)
+            return self.bsdf.eval(mi.BSDFContext(), si, si.to_local(wo))
+
+        here, there = values(mi.Point2f(0.5)), values(sampler.next_2d())
+        alike = dr.abs(there - here) <= dr.abs(here) * ROUNDING
+        return bool(dr.all(alike, axis=None))
+
+    def uv(self, p):
+        """Texture coordinates of points of the plane; the specimen ends at 0 and 1."""
+        centre = self.interaction
+        offset = p - centre.p
+        # of a sheared rectangle, both are not perpendicular (Cramer's rule)
+        du, dv = centre.dp_du, centre.dp_dv
+        area = _cross(du, dv)
+        return mi.Point2f(_cross(offset, dv), _cross(du, offset)) / area + 0.5
+
+
+class Specimen:
+    """The shapes of `scene` that emit nothing.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    period : str
+        ``"none"``: the geometry is all there is. ``"box"``: its bounding box is a cell
+        of an infinite surface, and what leaves through a side of it enters again
+        through the opposite one. Extents in x and y, such as ``"2.0,3.0"``: the same
+        with a cell of that size about the middle of the box.
+
+    Attributes
+    ----------
+    scene : mi.Scene
+        Specimen only: lamps do not stand in the way of what they light.
+    low, high : ndarray, shape (3,)
+        Corners of the bounding box, in scene units; in x and y those of the cell, if
+        there is one.
+    periodic : bool
+        Whether there is one.
+    plane : Plane or None
+        Set if the specimen is one flat rectangle, and not periodic.
+    name : str
+        What its user calls it.
+    description : str
+        Shapes and BSDFs in Mitsuba's words.
+    transmits : bool
+        Whether light may reach the other side, for all that is declared: true unless
+        the specimen is a flat rectangle whose BSDF has no transmitting component.
+    closed_to_light : bool
+        Whether no shape's BSDF has one.
+
+    Raises
+    ------
+    SpecimenError
+        If there is no shape, something that the instrument does not model, or a cell
+        that is smaller than the geometry.
+    """
+
+    def __init__(self, scene, period="none"):
+        everything = scene.shapes()
+        shapes = [shape for shape in everything if not shape.is_emitter()]
+        if not shapes:
+            raise SpecimenError("the scene must contain a shape to measure, got none")
+        for shape in shapes:
+            if shape.is_medium_transition():
+                raise SpecimenError(
+                    "participating media are not modelled: take the medium of the "
+                    f"{shape.class_name()} {shape.id()!r} out of the scene"
+                )
+            if isinstance(shape, mi.Mesh) and not shape.bbox().valid():
+                # merged from others by Mitsuba 3.9.1, which forgets to
+                shape.recompute_bbox()
+        self.scene = scene = scene_of(shapes)
+        box = scene.bbox()
+        self.low = np.array(box.min, dtype=float).ravel()
+        self.high = np.array(box.max, dtype=float).ravel()
+        if not (np.isfinite(self.low).all() and np.isfinite(self.high).all()):
+            raise SpecimenError(
+                f"the specimen must be of finite size, got {self.low} to {self.high}"
+            )
+        self.periodic = period != "none"
+        if self.periodic:
+            self._set_cell(period)
+        self.closed_to_light = not any(
+            mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Transmission)
+            for shape in shapes
+        )
+        self.plane = None if self.periodic else self._plane(shapes)
+        self.transmits = self.plane is None or mi.has_flag(
+            self.plane.bsdf.flags(), mi.BSDFFlags.Transmission
+        )
+        self.name = "a scene"
+        self.description = "; ".join(_describe(shape) for shape in shapes[:4]) + (
+            f"; and {len(shapes) - 4} more shapes" if len(shapes) > 4 else ""
+        )
+
+    @property
+    def size(self):
+        """Diagonal of the bounding box."""
+        return float(np.linalg.norm(self.high - self.low))
+
+    @property
+    def reach(self):
+        """Largest coordinate of the bounding box, the unit of rounding errors."""
+        return float(np.abs([self.low, self.high]).max())
+
+    @property
+    def detail(self):
+        """Smallest extent of the bounding box that is not 0."""
+        extents = self.high - self.low
+        return float(extents[extents > 1e-6 * extents.max()].min())
+
+    @property
+    def transmission(self):
+        """How light may pass: as BSDFs ``declared``, through ``gaps``, or ``none``."""
+        if not self.closed_to_light:
+            return "declared"
+        return "none" if self.plane is not None or self.seems_dark else "gaps"
+
+    @cached_property
+    def seems_dark(self):
+        """Whether no surface transmits, and no ray of a few thousand finds a gap.
+
+        They come from above, from all directions and all over the box.
+        """
+        if not self.closed_to_light:
+            return False
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(0, N_POINTS)
+        x, y = sampler.next_2d()
+        top = float(self.high[2] + self.reach * START)
+        low, extent = self.low.tolist(), (self.high - self.low).tolist()
+        start = mi.Point3f(low[0] + x * extent[0], low[1] + y * extent[1], top)
+        down = -mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+        ray, active = mi.Ray3f(start, down), mi.Bool(True)
+        free = escapes(self, 1, ray, mi.Normal3f(0), mi.Float(0), active)
+        return not dr.any(free)
+
+    def _set_cell(self, period):
+        """Put the cell's sides into the place of the bounding box's."""
+        extent = (self.high - self.low)[:2]
+        period = extent if period == "box" else np.array(period.split(","), float)
+        if np.any(period < extent * (1 - 2.0**-20)):
+            raise SpecimenError(
+                "period must hold the geometry, which is "
+                f"{extent[0]:g} x {extent[1]:g}, got {period[0]:g} x {period[1]:g}"
+            )
+        # where cell and geometry are equal, to the bit
+        period = np.where(period < extent * (1 + 2.0**-20), extent, period)
+        margin = (period - extent) / 2
+        self.low[:2] -= margin
+        self.high[:2] += margin
+
+    def _plane(self, shapes):
+        """:class:`Plane` if the specimen is a single rectangle parallel to z = 0."""
+        if len(shapes) > 1 or shapes[0].class_name() != "Rectangle":
+            return None
+        if self.low[2] != self.high[2]:
+            return None
+        centre = (self.low + self.high) / 2
+        above = mi.Point3f((centre + [0, 0, 1]).tolist())
+        ray = mi.Ray3f(above, mi.Vector3f(0, 0, -1))
+        si = intersect(self.scene, ray, mi.RayFlags.All, True)
+        dr.make_opaque(si)
+        return Plane(shapes[0].bsdf(), si)
+
+
+def _cross(a, b):
+    """Signed area of the parallelogram of two horizontal vectors."""
+    return a.x * b.y - a.y * b.x
+
+
+def _varies(texture):
+    """Whether a texture says that it varies, and a bitmap's texels are not all one."""
+    if not texture.is_spatially_varying():
+        return False
+    if not texture.class_name().startswith("BitmapTexture"):
+        return True
+    texels = np.array(mi.traverse(texture)["data"])
+    return bool(np.any(texels != texels[:1, :1]))
+
+
+def _describe(shape):
+    """One line on a shape and its BSDF, without large arrays."""
+    # of a mesh, its file or what a height field has to say
+    name = re.search(r'\bname = "([^"]*)"', _text(shape)) if shape.is_mesh() else None
+    label = f"{shape.class_name()} {name[1]}" if name else shape.class_name()
+    return f"{label} with {_text(shape.bsdf())[:200]}"
+
+
+def _text(thing):
+    """Mitsuba's text of a shape or BSDF on one line, or the name of its class."""
+    try:
+        return " ".join(str(thing).split())
+    except RuntimeError:  # one of them is a plugin in Python without to_string
+        return type(thing).__name__
