@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 import gonio_mi as gonio
+from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.tally import Tally
+from gonio_mi.transport.digest import digest
 
 SETTINGS = {"rays": 800, "batches": 4, "collector": "projected:3x3"}
 
@@ -205,8 +207,8 @@ def wordless():
 @pytest.mark.usefixtures("mono", "wordless")
 def test_addresses_are_no_part_of_it():
     plugins = [{"type": "test_wordless", "word": word} for word in ("a", "a", "b")]
-    scenes = [gonio.specimen.load_specimen(plugin) for plugin in plugins]
-    digests = [gonio.plugins.digest.digest(scene.shapes()) for scene in scenes]
+    scenes = [load_specimen(plugin) for plugin in plugins]
+    digests = [digest(scene.shapes()) for scene in scenes]
     assert digests[0] == digests[1] != digests[2]
 
 

@@ -7,6 +7,7 @@ from budget import agree, disagree, single
 from references import fresnel, slab
 
 import gonio_mi as gonio
+from gonio_mi.collector.directions import direction
 from gonio_mi.transport.loop import flux_context
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -75,7 +76,7 @@ def test_refracted_beam_is_in_its_patch():
     for side, eta in (("front", ETA), ("back", 1 / ETA)):
         record = measure(GLASS, 20, phi_i=33, side=side, rays=10**5)
         theta_t = np.arcsin(np.sin(np.radians(20)) / eta)
-        v = gonio.directions.direction(theta_t, np.radians(33 + 180))
+        v = direction(theta_t, np.radians(33 + 180))
         expected = record.subdivision.patch(v)
         np.testing.assert_array_equal(np.flatnonzero(record.counts[1]), [expected])
 
@@ -102,7 +103,7 @@ def test_slab(theta_i, side, estimator):
     single_surface = fresnel(np.cos(np.radians(theta_i)), ETA)
     disagree(single(z_of(ledger.reflected, met, single_surface)))
     # what passes goes straight on, what does not is mirrored: one patch each
-    v = gonio.directions.direction(np.radians(theta_i), np.pi)
+    v = direction(np.radians(theta_i), np.pi)
     if theta_i:
         expected = record.subdivision.patch(v)
         for hemisphere in (0, 1):

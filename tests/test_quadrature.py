@@ -276,7 +276,7 @@ def test_refused(specimen, settings, reason):
 
 @pytest.mark.usefixtures("mono")
 def test_what_does_not_converge_is_refused(monkeypatch):
-    monkeypatch.setattr("gonio_mi.quadrature.MAX_EVALUATIONS", 10**3)
+    monkeypatch.setattr("gonio_mi.quadrature.rule.MAX_EVALUATIONS", 10**3)
     with pytest.raises(
         gonio.SpecimenError, match=r"must converge to 1e-05, but .* gave"
     ):

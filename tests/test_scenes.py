@@ -9,6 +9,7 @@ from budget import agree, count_verdict, disagree, single, verdict
 from references import fresnel, slab
 
 import gonio_mi as gonio
+from gonio_mi.collector.directions import direction
 
 SCENES = Path(__file__).parents[1] / "scenes"
 NAMES = sorted(path.stem for path in SCENES.glob("*.xml"))
@@ -84,9 +85,7 @@ def test_v_grooves(theta_i):
     ledger = record.ledger
     n = ledger.emitted - ledger.missed
     twice = record.counts[0]
-    back = record.subdivision.patch(
-        gonio.directions.direction(np.radians(theta_i), 0.0)
-    )
+    back = record.subdivision.patch(direction(np.radians(theta_i), 0.0))
     if theta_i == 0:
         # rounding: between the walls rays fly level, and start off them by 2^-18 of the
         # largest coordinate, 50; those within that of a ridge pass over the next one
