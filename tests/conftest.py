@@ -1,11 +1,36 @@
-"""Variants for the tests. `gonio_mi` comes first: it finds the LLVM for Dr.Jit."""
+"""Variants for the tests. `gonio_mi` comes first: it finds the LLVM for Dr.Jit.
+
+``GONIO_LLVM_TARGET=x86-64-v3:8 pytest`` runs them as on a processor of that kind, with
+vectors of 8 numbers (AVX2); ``x86-64-v2:4`` is one with SSE 4.2 alone.
+"""
 
 import gonio_mi  # noqa: F401
 
 # isort: split
+import ctypes
+import os
+from pathlib import Path
+
 import budget
+import drjit as dr
 import mitsuba as mi
 import pytest
+
+
+def pytest_configure():
+    """Limit the instructions of Dr.Jit's kernels to those that the user asks for."""
+    target = os.environ.get("GONIO_LLVM_TARGET")
+    if not target:
+        return
+    processor, width = target.split(":")
+    before = mi.variant()
+    mi.set_variant("llvm_ad_mono")
+    dr.eval(dr.arange(mi.Float, 2) + 1)  # Dr.Jit has found out the processor's own
+    core = ctypes.CDLL(str(Path(dr.__file__).parent / "libdrjit-core.so"))
+    set_target = core._Z19jit_llvm_set_targetPKcS0_j  # no Python function calls it
+    set_target(processor.encode(), None, ctypes.c_uint32(int(width)))
+    if before:
+        mi.set_variant(before)
 
 
 def _variant(name):

@@ -99,7 +99,8 @@ def interaction(theta_i, phi_i=0.0, side=1):
 def values(bsdf, wo, theta_i, phi_i=0.0, side=1, mode=IMPORTANCE):
     """BSDF without cosine, shape ``(n, channels)``, at unit vectors ``(n, 3)``."""
     ctx = mi.BSDFContext(mode)
-    vectors = mi.Vector3f(np.ascontiguousarray(wo.T, dtype=np.float32))
+    # from lists: what NumPy has allocated may not be aligned, which is another kernel
+    vectors = mi.Vector3f(*wo.T.tolist())
     cosines = bsdf.eval(ctx, interaction(theta_i, phi_i, side), vectors).numpy()
     return (cosines / np.abs(wo[:, 2])).T
 

@@ -132,6 +132,8 @@ class AnisotropicPhong(mi.BSDF):
         """Compute what depends on the exponents."""
         if keys and not {"exponent_u", "exponent_v"} & set(keys):
             return
+        # variables that kernels read, so that other values give the same kernel
+        dr.make_opaque(self.exponent_u, self.exponent_v)
         e_u, e_v = self.exponent_u[0], self.exponent_v[0]
         anisotropic = mi.BSDFFlags.Anisotropic if e_u != e_v else mi.BSDFFlags.Empty
         self.m_flags = one_sided_glossy.GLOSSY | anisotropic

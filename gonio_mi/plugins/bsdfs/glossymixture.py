@@ -106,7 +106,7 @@ class GlossyMixture(mi.BSDF):
         diffuse, specular = mean(self.diffuse), mean(self.specular)
         total = diffuse + specular
         self.glossy_share = mi.Float(specular / total if total > 0 else 0.5)
-        dr.make_opaque(self.glossy_share)
+        dr.make_opaque(self.glossy_share, self.exponent)
 
     def sample(self, ctx, si, sample1, sample2, active=True):
         """Pick a lobe by the first of `sample2` and draw `wo` from what is left of it.
