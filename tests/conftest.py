@@ -1,7 +1,7 @@
 """Variants for the tests. `gonio_mi` comes first: it finds the LLVM for Dr.Jit.
 
 ``GONIO_LLVM_TARGET=x86-64-v3:8 pytest`` runs them as on a processor of that kind, with
-vectors of 8 numbers (AVX2); ``x86-64-v2:4`` is one with SSE 4.2 alone.
+vectors of 8 numbers (AVX2). Dr.Jit needs fused products, hence no less than that.
 """
 
 import gonio_mi  # noqa: F401
