@@ -7,10 +7,8 @@ measurement was interrupted, 3 a validation or comparison failed.
 import os
 import re
 import sys
-import traceback
 import warnings
 from importlib import metadata
-from pathlib import Path
 
 from .commands import (
     chart,
@@ -32,7 +30,7 @@ from .commands.arguments import (
     say,
     sentence,
 )
-from .errors import FileFormatError, LLVMError, SpecimenError, VariantError
+from .errors import FileFormatError, LLVMError, SpecimenError, VariantError, frames
 
 __all__ = ["main"]
 
@@ -111,19 +109,17 @@ def _is_the_users(error):
         return True
     if isinstance(error, RuntimeError) and MITSUBA.search(str(error)):
         return True
-    innermost = list(traceback.walk_tb(error.__traceback__))[-1][0]
-    module = innermost.f_globals.get("__name__", "")
     ours = (ImportError, TypeError, ValueError)
-    return isinstance(error, ours) and module.startswith("gonio_mi")
+    return isinstance(error, ours) and frames(error)[-1].module.startswith("gonio_mi")
 
 
 def _place(error, plugins):
     """Where in the user's own plugin files an error arose; empty if it did not."""
-    names = {os.fspath(Path(plugin)) for plugin in plugins}
+    names = {os.path.abspath(plugin): os.fspath(plugin) for plugin in plugins}
     place = ""
-    for frame, line in traceback.walk_tb(error.__traceback__):
-        code = frame.f_code
-        if code.co_filename in names:
-            place = f"{code.co_filename}, line {line}, in {code.co_name}: "
+    for frame in frames(error):
+        name = names.get(os.path.abspath(frame.file))
+        if name is not None:
+            place = f"{name}, line {frame.line}, in {frame.function}: "
             place += f"{type(error).__name__}: "
     return place

@@ -2,15 +2,19 @@
 
 import math
 import operator
+import traceback
+from typing import NamedTuple
 
 __all__ = [
     "FileFormatError",
+    "Frame",
     "LLVMError",
     "SpecimenError",
     "VariantError",
     "checked_choice",
     "checked_count",
     "checked_number",
+    "frames",
 ]
 
 
@@ -28,6 +32,27 @@ class SpecimenError(ValueError):
 
 class FileFormatError(ValueError):
     """A file that is not one of ours, is damaged, or is of an unknown version."""
+
+
+class Frame(NamedTuple):
+    """A line of a traceback."""
+
+    file: str
+    line: int
+    function: str
+    module: str
+
+
+def frames(error: BaseException) -> list[Frame]:
+    """Lines that an error came through, the innermost last.
+
+    Those of another process follow, if they are in its attribute `frames`.
+    """
+    here = []
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        code, module = frame.f_code, frame.f_globals.get("__name__", "")
+        here.append(Frame(code.co_filename, line, code.co_name, module))
+    return here + getattr(error, "frames", [])
 
 
 def checked_count(name, value, minimum=1, maximum=None):

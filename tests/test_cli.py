@@ -388,7 +388,7 @@ def test_a_folder_says_only_which_settings_differ(run, refuse, tmp_path):
     arguments = ("measure", "diffuse", "--theta-i", "0", "-q", "--folder", tmp_path)
     assert run(*arguments, "--rays", "5000")[0] == 0
     err = refuse(*arguments, "--rays", "6000")
-    assert "settings are {'rays': '5000.0'} instead of {'rays': '6000.0'}" in err
+    assert "with rays 5000, not 6000: take another folder" in err
 
 
 def test_an_aperture_goes_with_what_is_measured(run, refuse, write, tmp_path):

@@ -1,17 +1,11 @@
 """Campaigns: specimens times directions, in this process or in others, resumable."""
 
 import logging
-import multiprocessing
 import os
 import pickle
 import warnings
 from collections.abc import Mapping
-from concurrent.futures import (
-    BrokenExecutor,
-    Executor,
-    ProcessPoolExecutor,
-    as_completed,
-)
+from concurrent.futures import BrokenExecutor, Executor, as_completed
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from threading import Lock
@@ -19,15 +13,17 @@ from threading import Lock
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import checked_count
+from ..errors import SpecimenError, checked_count, frames
 from ..progress import bar
 from ..results.record import Record
 from ..transport.digest import specimen_digest
+from ..transport.plugin_digest import file_digest, plugins_digest
 from ..transport.specimen import Specimen
 from .campaign_folder import CampaignFolder
-from .incidence import incident_angles, lamp_digest
+from .incidence import emitter_scene, incident_angles, lamp_digest
 from .loading import check_variant, load_plugin_file, load_specimen, specimen_name
 from .measurement import measure
+from .workers import workers
 
 __all__ = ["campaign"]
 
@@ -71,9 +67,10 @@ def campaign(
         ``client.get_executor()``. Default: this process.
     folder : path, optional
         Where finished tasks are kept, as records. Started again with the same
-        arguments, a campaign that was killed measures only what is missing. Specimens
-        whose files or data have changed since are refused, as far as their ``digest``
-        shows it (:func:`gonio_mi.transport.digest.digest`).
+        arguments, a campaign that was killed or interrupted measures only what is
+        missing. What was measured otherwise is refused: with other settings, versions
+        or plugin files, or specimens whose files or data have changed since, as far as
+        their ``digest`` shows it (:func:`gonio_mi.transport.digest.digest`).
     plugins : sequence of path
         Python files that register plugins, to be run in each worker first.
     threads : int, optional
@@ -93,8 +90,10 @@ def campaign(
     Raises
     ------
     TypeError, ValueError
-        If a setting is out of its range, `folder` holds another campaign, or a specimen
-        cannot be sent to another process.
+        If a setting is out of its range, `folder` holds another campaign or one is at
+        work in it, or a specimen cannot be sent to another process.
+    KeyboardInterrupt
+        After Ctrl-C, at once: `folder` holds the tasks that were finished.
     concurrent.futures.BrokenExecutor
         If workers keep dying. What is finished is in `folder`.
     """
@@ -106,34 +105,43 @@ def campaign(
     incidents, _ = incident_angles(theta_i, phi_i)
     if None in incidents:
         raise ValueError("theta_i must be given for a campaign, got None")
-    workers = executor if isinstance(executor, int) else None
-    if workers is not None:
-        checked_count("executor", workers)
-        threads = threads or max(1, (os.cpu_count() or 1) // workers)
+    if isinstance(executor, int):
+        checked_count("executor", executor)
+        threads = threads or max(1, (os.cpu_count() or 1) // executor)
     tasks = _tasks(specimens, incidents, plugins, threads, settings)
     if executor is not None:
         _check_picklable(tasks)
-    kept = None if folder is None else CampaignFolder(folder, tasks, incidents)
-    done = {} if kept is None else kept.load(tasks)
-    todo = [task for task in tasks if task.number not in done]
-    if done:
-        _check_specimens(tasks, done, folder)
-        logger.info("%d of %d tasks were finished before", len(done), len(tasks))
-    n_done = sum(len(record) for record in done.values())
-    total = len(incidents) * len(specimens)
-    with bar(progress, total=total, initial=n_done, unit="direction") as report:
-        for task, record in _finished(todo, executor, retries):
-            done[task.number] = record
-            if kept is not None:
-                kept.save(task, record)
-            if report is not None:
-                report(len(record))
+    folder = None if folder is None else CampaignFolder(folder, tasks, incidents)
+    with folder or nullcontext():
+        done = _records(tasks, folder, executor, retries, progress)
     return {
         str(name): Record.stack(
             done[task.number] for task in tasks if task.name == str(name)
         )
         for name in specimens
     }
+
+
+def _records(tasks, folder, executor, retries, progress):
+    """Records of all tasks by number: those of the folder, and the others measured."""
+    done = {} if folder is None else folder.load(tasks)
+    todo = [task for task in tasks if task.number not in done]
+    if done:
+        _check_specimens(tasks, done, folder.folder)
+        logger.info("%d of %d tasks were finished before", len(done), len(tasks))
+    n_done = sum(len(record) for record in done.values())
+    total = sum(len(task.incidents) for task in tasks)
+    with bar(progress, total=total, initial=n_done, unit="direction") as report:
+
+        def keep(task, record):
+            if folder is not None:
+                folder.save(task, record)
+            done[task.number] = record
+            if report is not None:
+                report(len(record))
+
+        _finish(todo, executor, retries, keep)
+    return done
 
 
 # ---------------------------------------------------------------------------- tasks
@@ -148,7 +156,7 @@ class _Task:
     specimen: object
     incidents: tuple
     variant: str
-    plugins: tuple
+    plugins: tuple  # of paths and digests
     directory: str  # of relative paths
     threads: int | None
     settings: dict = field(hash=False)
@@ -158,8 +166,7 @@ class _Task:
         with _here:  # threads of one process share Dr.Jit and the variant
             if mi.variant() != self.variant:
                 mi.set_variant(self.variant)
-            for path in self.plugins:
-                load_plugin_file(path)
+            self._load_plugins()
             with _threads(self.threads), warnings.catch_warnings():
                 # what a campaign keeps is whole directions
                 warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
@@ -178,13 +185,26 @@ class _Task:
     def digests(self):
         """Digests of the specimen and the emitter as they are now."""
         with _here:
-            for path in self.plugins:
-                load_plugin_file(path)
+            self._load_plugins()
             scene = load_specimen(self._located(), self.settings.get("parameters"))
+            things, emitter = scene.shapes(), self.settings.get("emitter")
+            if emitter is not None:
+                things += emitter_scene(None, emitter, None, "front").emitters()
             return {
                 "digest": specimen_digest(Specimen(scene)),
-                "emitter_digest": lamp_digest(self.settings.get("emitter")),
+                "emitter_digest": lamp_digest(emitter),
+                "plugin_digest": plugins_digest(things),
             }
+
+    def _load_plugins(self):
+        """Run the plugin files, if they are still those of the campaign."""
+        for path, digest in self.plugins:
+            load_plugin_file(path)
+            if file_digest(path) != digest:
+                raise SpecimenError(
+                    f"plugin file {path} was edited while the campaign was at work: "
+                    "what is finished is of the old one; start again in another folder"
+                )
 
     def _located(self):
         """Return the specimen; if it is a file, its path from anywhere."""
@@ -198,7 +218,11 @@ _here = Lock()
 
 def _run(task):
     """Run a task; a function of the module, so that it can be sent."""
-    return task.run()
+    try:
+        return task.run()
+    except Exception as error:
+        error.frames = frames(error)  # the traceback itself is not sent back
+        raise
 
 
 @contextmanager
@@ -219,7 +243,7 @@ def _tasks(specimens, incidents, plugins, threads, settings):
     # the same whatever the executor: a folder may be carried on by another
     most = max(1, len(incidents) // TASKS)
     few = 1 if settings.get("rel_err") else max(1, min(int(TASK_RAYS // rays), most))
-    plugins = tuple(os.path.abspath(path) for path in plugins)
+    plugins = tuple((os.path.abspath(path), file_digest(path)) for path in plugins)
     tasks = []
     for name, specimen in specimens.items():
         for first in range(0, len(incidents), few):
@@ -242,19 +266,23 @@ def _tasks(specimens, incidents, plugins, threads, settings):
 
 def _check_specimens(tasks, done, folder):
     """Raise ValueError if finished records are of specimens that have changed since."""
+    things = {
+        "digest": "the specimen",
+        "emitter_digest": "the emitter",
+        "plugin_digest": "the Python code",
+    }
     names = {}
     for task in tasks:
         if task.number in done:
             if task.name not in names:
                 names[task.name] = task.digests()
             for key, own in names[task.name].items():
-                found = done[task.number].settings.get(key, own)
-                if found is not None and found != own:
-                    thing = "specimen" if key == "digest" else "emitter"
+                found = done[task.number].settings.get(key)
+                if found != own:
                     raise ValueError(
-                        "folder must hold this very campaign, but in "
-                        f"{os.fspath(folder)} the {thing} of {task.name} was another "
-                        f"one: its digest is {found} instead of {own}"
+                        f"folder must hold this very campaign, but in {folder} "
+                        f"{things[key]} of {task.name} was another: its digest is "
+                        f"{found} instead of {own}; take another folder"
                     )
 
 
@@ -274,43 +302,48 @@ def _check_picklable(tasks):
 # ------------------------------------------------------------------------ executing
 
 
-def _finished(todo, executor, retries):
-    """Tasks and their records as they come; those of dead workers are sent again."""
+def _finish(todo, executor, retries, keep):
+    """Run tasks and keep their records as they come; those of dead workers again."""
     if executor is None:
-        yield from ((task, task.run()) for task in todo)
+        for task in todo:
+            keep(task, task.run())
         return
-    for attempt in range(retries + 1):
-        missing = {task.number: task for task in todo}
+    for left in range(retries, -1, -1):
         with _started(executor) as pool:
-            futures = {pool.submit(_run, task): task for task in todo}
-            try:
-                for future in as_completed(futures):
-                    task = futures[future]
-                    try:
-                        record = future.result()
-                    except BrokenExecutor:
-                        if attempt == retries or isinstance(executor, Executor):
-                            raise
-                        continue
-                    del missing[task.number]
-                    yield task, record
-            finally:
-                for future in futures:
-                    future.cancel()
-        todo = list(missing.values())
+            replaceable = left > 0 and not isinstance(executor, Executor)
+            todo = _shared_out(todo, pool, keep, replaceable)
         if not todo:
             return
         warnings.warn(
             f"a worker died; {len(todo)} tasks are sent again",
             RuntimeWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
+
+
+def _shared_out(todo, pool, keep, replaceable):
+    """Keep what a pool measures; return the tasks of workers that died."""
+    missing = {pool.submit(_run, task): task for task in todo}
+    lost = []
+    try:
+        for future in as_completed(list(missing)):
+            try:
+                record = future.result()
+            except BrokenExecutor:
+                if not replaceable:
+                    raise
+                lost.append(missing.pop(future))
+                continue
+            keep(missing[future], record)
+            del missing[future]
+    finally:
+        # after Ctrl-C or an error: what came meanwhile
+        for future, task in missing.items():
+            if not future.cancel() and future.done() and not future.exception():
+                keep(task, future.result())
+    return lost
 
 
 def _started(executor):
     """Context of the executor; a new one of processes for their number."""
-    if isinstance(executor, int):
-        # what is forked from a process with threads may hang
-        spawn = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(executor, mp_context=spawn)
-    return nullcontext(executor)
+    return workers(executor) if isinstance(executor, int) else nullcontext(executor)

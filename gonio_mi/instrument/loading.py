@@ -1,5 +1,7 @@
 """From what a user calls a specimen to a Mitsuba scene."""
 
+import importlib.util
+import linecache
 import os
 import re
 from pathlib import Path
@@ -119,7 +121,12 @@ def load_plugin_file(path):
         raise SpecimenError(f"plugin file must be an existing file, got {str(path)!r}")
     scope = {"__name__": path.stem, "__file__": str(path)}
     try:
-        exec(compile(path.read_bytes(), str(path), "exec"), scope)
+        content = path.read_bytes()
+        text = importlib.util.decode_source(content)
+        # digests and tracebacks are of what is run, whatever becomes of the file
+        lines = text.splitlines(keepends=True)
+        linecache.cache[str(path)] = (len(text), None, lines, str(path))
+        exec(compile(content, str(path), "exec"), scope)
     except (Exception, SystemExit) as error:
         # a user's file may raise anything
         raise SpecimenError(

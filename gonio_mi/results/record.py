@@ -14,7 +14,7 @@ from .tally import Ledger, Tally
 __all__ = ["DIGESTS", "Record"]
 
 # Settings that tell a specimen and its lamp from others; old records lack them.
-DIGESTS = ("digest", "emitter_digest")
+DIGESTS = ("digest", "emitter_digest", "plugin_digest")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,9 @@ class Record:
         One per incident direction.
     settings : dict
         All that is needed to repeat the measurement, in JSON's types; ``digest`` tells
-        the specimen from others, and ``emitter_digest`` its emitter, None for a
-        collimated beam.
+        the specimen from others, ``emitter_digest`` its emitter, None for a collimated
+        beam, and ``plugin_digest`` the text of what is written in Python of both.
+        ``task`` is what a campaign's folder asked for.
     stacked : bool
         Whether it was asked for as a stack.
     """
@@ -226,8 +227,9 @@ class Record:
             raise ValueError("records must hold at least one to be stacked, got none")
         for other in records[1:]:
             # a lamp that was moved, not turned, has another digest
-            free = ("created", "batches", "emitter_digest")
+            free = ("created", "batches", "emitter_digest", "task")
             _check_alike(records[0], other, free, "stacked")
+        settings = {k: v for k, v in records[0].settings.items() if k != "task"}
         channels = max((record.channels for record in records), key=len)
         return replace(
             records[0],
@@ -239,6 +241,7 @@ class Record:
                 for record in records
                 for tally in record.tallies
             ),
+            settings=settings,
             stacked=True,
         )
 
@@ -301,7 +304,7 @@ class Record:
             would be counted twice, or hold integrals.
         """
         free = {"rays", "batches", "seed", "created", "versions", "specimen"}
-        _check_alike(self, other, free | {"interrupted"}, "merged")
+        _check_alike(self, other, free | {"interrupted", "task"}, "merged")
         for key in ("theta_i", "phi_i"):
             a, b = getattr(self, key).tolist(), getattr(other, key).tolist()
             if not np.array_equal(a, b, equal_nan=True):
@@ -316,6 +319,7 @@ class Record:
                 f"records must have different seeds to be merged, got {seeds}"
             )
         settings = dict(self.settings, seed=seeds)
+        settings.pop("task", None)
         for key in ("rays", "batches"):
             settings[key] = self.settings[key] + other.settings[key]
         tallies = tuple(a + b for a, b in zip(self.tallies, other.tallies))

@@ -5,6 +5,7 @@ import mitsuba as mi
 
 from ..results.tally import Fate
 from .digest import emitter_digest, specimen_digest
+from .plugin_digest import plugins_digest
 
 __all__ = ["Bench"]
 
@@ -39,9 +40,11 @@ class Bench:
     @property
     def digests(self):
         """What tells the specimen and the emitter from others, for the settings."""
+        things = [*self.specimen.scene.shapes(), self.beam.emitter]
         return {
             "digest": specimen_digest(self.specimen),
             "emitter_digest": self.lamp,
+            "plugin_digest": plugins_digest(things),
         }
 
     def bins(self, exits):

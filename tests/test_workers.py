@@ -1,0 +1,142 @@
+"""Workers end when they should: what users do to a campaign in several processes."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from gonio_mi.cli import main
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+
+# Measured at once at normal incidence; at any other angle it waits.
+PLUGIN = """
+import os
+import time
+import mitsuba as mi
+
+class Waiting(mi.BSDF):
+    def __init__(self, props):
+        super().__init__(props)
+        self.diffuse = mi.load_dict({"type": "diffuse"})
+        self.m_components = [self.diffuse.flags(0)]
+        self.m_flags = self.diffuse.flags()
+
+    def sample(self, ctx, si, *arguments):
+        if si.wi.z[0] < 0.99:
+            open(f"waiting_{os.getpid()}", "w").close()
+            time.sleep(600)
+        return self.diffuse.sample(ctx, si, *arguments)
+
+    def to_string(self):
+        return "Waiting"
+
+class Raising(Waiting):
+    def sample(self, *arguments):
+        raise ZeroDivisionError("no weight")
+
+mi.register_bsdf("test_waiting", Waiting)
+mi.register_bsdf("test_raising", Raising)
+"""
+
+COMMAND = """
+import sys
+from gonio_mi.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())
+"""
+
+
+@pytest.fixture
+def started(tmp_path):
+    """A campaign of two workers that wait, in a folder with a file signal.py."""
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "command.py").write_text(COMMAND)
+    (tmp_path / "plugin.py").write_text(PLUGIN)
+    (tmp_path / "signal.py").write_text("raise ImportError('not mine')")
+    angles = ("--theta-i", "0", "30", "50", "70", "80", "-q")
+    settings = ("--rays", "100", "--batches", "2", "--plugin", "plugin.py")
+    kept = ("--workers", "2", "--folder", "kept")
+    process = subprocess.Popen(
+        [sys.executable, "bin/command.py", "measure", "test_waiting"]
+        + [*angles, *settings, *kept],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    with process:
+        while len(list(tmp_path.glob("waiting_*"))) < 2 or not finished(tmp_path):
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.02)
+        yield process
+        if alive(process.pid):
+            os.killpg(process.pid, signal.SIGKILL)
+
+
+def finished(folder):
+    return [path.name for path in folder.glob("kept/*.npz")]
+
+
+def alive(group):
+    """Processes of a group, without those that have ended and wait to be buried."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, its_group = path.read_text().rpartition(")")[2].split()[:3]
+        except OSError:  # it ended meanwhile
+            continue
+        if int(its_group) == group and state != "Z":
+            found.append(int(path.parent.name))
+    return found
+
+
+def ends(group):
+    """Whether all processes of a group have ended within 5 s."""
+    end = time.monotonic() + 5
+    while alive(group) and time.monotonic() < end:
+        time.sleep(0.02)
+    return not alive(group)
+
+
+def test_no_worker_outlives_its_parent(started):
+    """SIGKILL, of which the parent knows nothing; and no worker read signal.py."""
+    assert len(alive(started.pid)) >= 3
+    os.kill(started.pid, signal.SIGKILL)
+    started.wait()
+    assert ends(started.pid)
+
+
+def test_ctrl_c(started, tmp_path):
+    """To all processes, as a terminal sends it: they end, what is done is kept."""
+    os.killpg(started.pid, signal.SIGINT)
+    _, err = started.communicate(timeout=10)
+    assert started.returncode == 2
+    assert err == (
+        "gonio-mi: interrupted: kept holds what was finished; the same command carries "
+        "on\n"
+    )
+    assert finished(tmp_path) == ["000000_theta_i_0_phi_i_0.npz"]
+    assert ends(started.pid)
+
+
+@pytest.mark.usefixtures("mono")
+def test_errors_of_workers_are_one_sentence(tmp_path, capsys):
+    plugin = tmp_path / "plugin.py"
+    plugin.write_text(PLUGIN)
+    raising = ["test_raising", "--plugin", str(plugin)]
+    for specimen, words in (
+        (["diffuse", "--seed", "-1"], "seed must be at least 0, got -1"),
+        (raising, f"{plugin}, line 24, in sample: ZeroDivisionError: no weight"),
+    ):
+        arguments = ["--theta-i", "0", "--rays", "100", "--workers", "1"]
+        assert main(["measure", *specimen, *arguments]) == 1
+        err = capsys.readouterr().err
+        assert err.startswith("gonio-mi: ")
+        assert words in err
+        assert err.count("\n") == 1
