@@ -1,5 +1,6 @@
 """Records in the files of other tools, each with what it has lost."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from ..errors import checked_choice
 from ..files import astm, check_output, netcdf, replacing
 from ..files.channels import wavelengths_nm
 from ..files.measured import MeasuredTable, read_measured
+from ..results.summary import exceeds_error, summarize
 from .loss import fractions_of, losses
 from .measured_export import write_measured
 from .radiance_export import BASES, write_radiance
@@ -21,6 +23,8 @@ def export(record, path, basis="klems"):
     """Write a record to a file of another tool, and say what was lost.
 
     What was written is read back, for Mitsuba's `measured` measured anew, and compared.
+    A warning tells of a specimen that was missed by a relevant part of the rays, and of
+    direct light, a delta, in a format that has none.
 
     Parameters
     ----------
@@ -53,9 +57,32 @@ def export(record, path, basis="klems"):
     check_output(path, ENDINGS)
     checked_choice("basis", basis, BASES)
     ending = Path(path).suffix.lower()
+    _warn_of_openings(record, ending)
     if ending == ".xml":
         return write_radiance(record, path, basis)
     return _FORMATS[ending](record, path)
+
+
+def _warn_of_openings(record, ending):
+    """Warn if the file cannot say what passed beside the specimen or through it."""
+    directions = summarize(record)["directions"]
+    ledger = record.ledger
+    if any(exceeds_error(direction, "missed") for direction in directions):
+        warnings.warn(
+            f"{ledger.missed / ledger.emitted:.2%} of the rays missed the specimen, "
+            "and the file describes it as if it had neither openings nor edges: "
+            "measure one cell of it with a period, or take a smaller footprint",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+    direct = any(exceeds_error(direction, "direct") for direction in directions)
+    if direct and ending == ".xml":
+        warnings.warn(
+            f"{np.max(record.direct):.2%} of the light passes openings straight on: "
+            "the file spreads it over the directions of the record's patch",
+            RuntimeWarning,
+            stacklevel=3,
+        )
 
 
 def _csv(record, path):

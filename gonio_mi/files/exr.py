@@ -86,15 +86,20 @@ def read(stream):
     with _silenced():
         image = OpenEXR.File(stream, separate_channels=True)
     parts = {part.name(): part.channels for part in image.parts}
-    incident, fates = (_integers(header, key) for key in ("incident", "fates"))
-    require(len(incident) == len(fates) > 0, "its numbers of directions differ")
+    per_batch = ["incident", "fates", *(["direct"] if header["version"] >= 3 else [])]
+    per_batch = {key: _integers(header, key) for key in per_batch}
+    fates = per_batch["fates"]
+    require(
+        all(len(arrays) == len(fates) > 0 for arrays in per_batch.values()),
+        "its numbers of directions differ",
+    )
     channels = header.get("channels")
     require(isinstance(channels, list), "its entry channels is not a list")
     names = exr_parts.layer_names([str(channel) for channel in channels])
     tallies = []
     for index in range(len(fates)):
         arrays = _sums(parts, index, len(fates), names, header, len(fates[index]))
-        tallies.append(arrays | {"incident": incident[index], "fates": fates[index]})
+        tallies.append(arrays | {k: rows[index] for k, rows in per_batch.items()})
     record = rebuilt(header, tallies)
     arrays = [_arrays(tally) for tally in record.tallies]
     require(
@@ -109,6 +114,7 @@ def _description(record):
     return header_of(record) | {
         "incident": [tally.incident.tolist() for tally in record.tallies],
         "fates": [tally.fates.tolist() for tally in record.tallies],
+        "direct": [tally.direct.tolist() for tally in record.tallies],
     }
 
 

@@ -26,7 +26,11 @@ __all__ = [
 ]
 
 FORMAT = "gonio-mi record"
-VERSION = 2
+VERSION = 3
+
+# Before version 3 there was no direct light, and so one row of the ledger less.
+READABLE = (2, 3)
+FATES_BEFORE_3 = len(Fate) - 1
 
 # Deflate expands by at most 1032 (zlib's technical details). A file that announces more
 # than this many times its own size does not hold what it says.
@@ -72,10 +76,11 @@ def check_format(header):
         "it was not written by gonio-mi",
     )
     version = header.get("version")
-    if version != VERSION:
+    if version not in READABLE:
         newer = isinstance(version, int) and version > VERSION
         raise FileFormatError(
-            f"it has format version {version!r} and this gonio-mi reads {VERSION}"
+            f"it has format version {version!r} and this gonio-mi reads "
+            f"{' and '.join(map(str, READABLE))}"
             + (": install a newer gonio-mi" if newer else "")
         )
 
@@ -88,8 +93,8 @@ def rebuilt(header, tallies):
     header : dict
         As :func:`header_of` made it, from a file: not to be trusted.
     tallies : list of dict
-        The arrays `hits`, `sums`, `incident` and `fates` of :class:`Tally`, and
-        `errors` if it has some.
+        The arrays `hits`, `sums`, `incident`, `fates` and `direct` of :class:`Tally`
+        (the last not before version 3), and `errors` if it has some.
 
     Raises
     ------
@@ -108,6 +113,8 @@ def rebuilt(header, tallies):
     require(stacked or n == 1, f"it holds {n} incident directions but is not a stack")
     require(len(scales) == n, f"it has {len(scales)} scales for {n} directions")
     patches = parsed_subdivision(header)
+    if header["version"] < VERSION:
+        tallies = [_without_direct(arrays) for arrays in tallies]
     for arrays, scale in zip(tallies, scales):
         require(0 < scale < 2**63, f"its scale {scale} is out of range")
         _check_shapes(arrays, patches.shape, len(channels))
@@ -145,6 +152,14 @@ def size_of(stream):
     return size
 
 
+def _without_direct(arrays):
+    """Arrays of a tally of an older version, with nothing for direct light."""
+    fates, incident = arrays["fates"], arrays["incident"]
+    if fates.ndim == 2 and fates.shape[1] == FATES_BEFORE_3:
+        fates = np.pad(fates, ((0, 0), (0, 1)))
+    return arrays | {"fates": fates, "direct": np.zeros_like(incident)}
+
+
 def _check_shapes(arrays, patches, n_channels):
     """Raise FileFormatError unless the arrays of a tally fit the header."""
     n_hemispheres, n_batches = len(arrays["hits"]), len(arrays["fates"])
@@ -155,6 +170,7 @@ def _check_shapes(arrays, patches, n_channels):
         "sums": (n_batches, n_hemispheres, *patches, n_channels),
         "incident": (n_batches, n_channels),
         "fates": (n_batches, len(Fate)),
+        "direct": (n_batches, n_channels),
     }
     if "errors" in arrays:
         shapes["errors"] = (n_hemispheres, *patches, n_channels)

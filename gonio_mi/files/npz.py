@@ -1,9 +1,9 @@
 """Records as NumPy's ``.npz``: a ZIP archive of plain arrays, readable by ``np.load``.
 
-`hits` has shape ``(n_incident, n_hemispheres, n_theta, n_phi)``; `sums`, `incident` and
-`fates` hold the batches of all incident directions, `n_batches` of each, one after the
-other on their first axis. `errors`, of integrals only, is `hits` with channels. The
-rest is the header, `settings` as JSON.
+`hits` has shape ``(n_incident, n_hemispheres, n_theta, n_phi)``; `sums`, `incident`,
+`fates` and `direct` hold the batches of all incident directions, `n_batches` of each,
+one after the other on their first axis. `errors`, of integrals only, is `hits` with
+channels. The rest is the header, `settings` as JSON.
 """
 
 import math
@@ -43,6 +43,7 @@ TALLIES = {
     "incident": ("uint64", 2),
     "fates": ("uint64", 2),
 }
+DIRECT = {"direct": ("uint64", 2)}
 INTEGRALS = {"errors": ("uint64", 5)}
 
 
@@ -55,7 +56,7 @@ def write(record, stream):
     arrays["hits"] = np.stack([tally.hits for tally in record.tallies])
     if record.tallies[0].errors is not None:
         arrays["errors"] = np.stack([tally.errors for tally in record.tallies])
-    for name in ("sums", "incident", "fates"):
+    for name in ("sums", "incident", "fates", "direct"):
         parts = [getattr(tally, name) for tally in record.tallies]
         arrays[name] = parts[0] if len(parts) == 1 else np.concatenate(parts)
     # like np.savez_compressed, but level 1: as small for noisy sums, six times faster
@@ -87,6 +88,7 @@ def read(stream):
         header["settings"] = parsed_json(header["settings"])
         check_format(header)
         expected = TALLIES | (INTEGRALS if "errors.npy" in members else {})
+        expected |= DIRECT if header["version"] >= 3 else {}
         arrays = {name: _array(archive, members, name, expected) for name in expected}
     n_batches = arrays.pop("n_batches")
     per_direction = {k: arrays.pop(k) for k in ("hits", "errors") if k in arrays}

@@ -136,10 +136,13 @@ def measure(
     period : {"none", "box"}, float or (float, float)
         ``box`` makes the specimen's bounding box one cell of an infinite surface, so
         that there are no edges; numbers are the extents of that cell in x and y, about
-        the middle of the box. Default ``none``.
+        the middle of the box. The cell is the specimen: light that passes its openings
+        is incident and transmitted, straight on (:attr:`Record.direct`). Beside a
+        finite specimen, light is ``missed`` and not incident. Default ``none``.
     order : int or str
         Collect only rays with so many surface events: ``2``, or ``"3+"`` for three or
-        more. With one seed, orders 1, 2 and ``"3+"`` add up to ``"all"``, the default.
+        more; ``0`` is the direct light that passes a periodic specimen. With one seed,
+        orders 0, 1, 2 and ``"3+"`` add up to ``"all"``, the default, to the bit.
     wavelengths : sequence of float
         In nm, the channels in spectral variants. Default 550.
     batches : int

@@ -47,6 +47,11 @@ def check_resumable(resume, integrator, benches, seed, plan):
                     f"resume must be a record of this measurement, but its {key} is "
                     f"{others.get(key)!r} instead of {own[key]!r}"
                 )
+    if resume.ledger.missed and resume.settings.get("period", "none") != "none":
+        raise ValueError(
+            "resume must be a record of this measurement, but it is of an older "
+            "gonio-mi, which left out the light that passes openings of the cell"
+        )
     for tally in resume.tallies:
         sizes = (tally.fates.sum(axis=1) // integrator.passes).tolist()
         if sizes != plan[: len(sizes)]:

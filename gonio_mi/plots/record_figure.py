@@ -15,6 +15,8 @@ __all__ = ["FIGURE_ENDINGS", "plot"]
 FIGURE_ENDINGS = (".pdf", ".png", ".svg")
 MAX_TITLE = 80
 WORDS = ("estimator", "sampler")
+# Settings that are said where they are not the default.
+DEFAULTS = {"period": "none", "order": "all"}
 
 
 def plot(record, path=None, *, index=0):
@@ -98,6 +100,11 @@ def _title(record, index):
     facts = [direction, "back side" if settings.get("side") == "back" else ""]
     rays = [f"{single.ledger.emitted:,} rays".replace(",", " ")]
     rays += [f"{settings[key]} {key}" for key in WORDS if key in settings]
+    rays += [
+        f"{key} {settings[key]}"
+        for key, default in DEFAULTS.items()
+        if settings.get(key, default) != default
+    ]
     lines = [
         specimen,
         ", ".join(filter(None, facts)) + ", " + str(record.subdivision),
@@ -106,6 +113,8 @@ def _title(record, index):
     totals = [_total("dhr", single.dhr, single.dhr_std_err)]
     if single.has_lower:
         totals.append(_total("dht", single.dht, single.dht_std_err))
+    if single.ledger.direct:
+        totals.append(_total("direct", single.direct, single.direct_std_err))
     lines[-1] += "; " + ", ".join(totals)
     return "\n".join(lines).encode("utf-8", "backslashreplace").decode()
 

@@ -118,11 +118,32 @@ class Estimates:
             error = self._error(hemisphere).sum(axis=(0, 1))
             return self._integral_interval(value, self._sum(hemisphere), error, level)
         hits = self.tally.hits[hemisphere].sum() // self.passes
+        return self._sampled_interval(
+            value, self.total_std_err(hemisphere), hits, level
+        )
+
+    @property
+    def direct(self):
+        """Flux fraction that passed a periodic specimen without any event."""
+        return statistics.ratio(self.tally.direct, self.tally.incident)
+
+    @property
+    def direct_std_err(self):
+        """Standard error of `direct`."""
+        return statistics.batch_std_err(self.tally.direct, self.tally.incident)
+
+    def direct_interval(self, level):
+        """Limits of `direct`, ``(low, high)``; see :meth:`Record.interval`."""
+        hits = self.tally.ledger.direct // self.passes
+        return self._sampled_interval(self.direct, self.direct_std_err, hits, level)
+
+    def _sampled_interval(self, value, std_err, hits, level):
+        """Interval of a sum over many patches, of so many hits in all."""
         if self.binomial or hits == 0:
             hits = np.broadcast_to(hits, value.shape)
             return statistics.binomial_interval(hits, self.rays, level)
         weight = value * self.rays / hits
-        return self._student(value, self.total_std_err(hemisphere), weight, hits, level)
+        return self._student(value, std_err, weight, hits, level)
 
     def _student(self, value, std_err, weight, hits, level):
         """Interval by Student's t, no narrower than that of no hit to either side."""

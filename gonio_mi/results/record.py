@@ -87,8 +87,26 @@ class Record:
 
     @cached_property
     def dht(self):
-        """Directional-hemispherical transmittance, or None without lower hemisphere."""
+        """Directional-hemispherical transmittance, or None without lower hemisphere.
+
+        Of a periodic specimen it includes the light that passes openings, `direct`.
+        """
         return self._of_hemisphere(Estimates.total, 1)
+
+    @cached_property
+    def direct(self):
+        """Part of `dht` that passed a periodic specimen without any surface event.
+
+        Shape ``(channels,)``. It left straight on, a delta: a patch of `btdf` holds its
+        mean. 0 for a finite specimen, beside which light is ``missed``, and where the
+        `order` that was collected is not 0 or ``all``.
+        """
+        return self._of_each(lambda one: one.direct)
+
+    @cached_property
+    def direct_std_err(self):
+        """Standard error of `direct` from the batches; NaN for a single batch."""
+        return self._of_each(lambda one: one.direct_std_err)
 
     @cached_property
     def dhr_std_err(self):
@@ -183,7 +201,7 @@ class Record:
         ----------
         level : float
             In (0, 1).
-        of : {"brdf", "btdf", "dhr", "dht"}
+        of : {"brdf", "btdf", "dhr", "dht", "direct"}
 
         Returns
         -------
@@ -196,7 +214,11 @@ class Record:
             For another `level` or `of`, or if there is no lower hemisphere.
         """
         level = checked_number("level", level, 1e-12, 1, "between 0 and 1")
-        checked_choice("of", of, ("brdf", "btdf", "dhr", "dht"))
+        checked_choice("of", of, ("brdf", "btdf", "dhr", "dht", "direct"))
+        if of == "direct":
+            limits = [one.direct_interval(level) for one in self.estimates]
+            low, high = np.stack(limits, axis=1)
+            return self._squeeze(low), self._squeeze(high)
         hemisphere = int(of in ("btdf", "dht"))
         if hemisphere and not self.has_lower:
             raise ValueError(f"of must be brdf or dhr for a record without {of}")
@@ -355,12 +377,18 @@ class Record:
         """Estimates of one hemisphere; None if it was not there."""
         if hemisphere and not self.has_lower:
             return None
-        return self._squeeze(
-            np.stack([quantity(one, hemisphere) for one in self.estimates])
-        )
+        return self._of_each(lambda one: quantity(one, hemisphere))
+
+    def _of_each(self, quantity):
+        """A quantity of the estimates of each incident direction."""
+        return self._squeeze(np.stack([quantity(one) for one in self.estimates]))
 
     def _squeeze(self, array):
         return array if self.stacked else array[0]
+
+
+def _both_ways(a, b):
+    return (a, b), (b, a)
 
 
 def _seeds(record):
@@ -370,6 +398,11 @@ def _seeds(record):
 
 def _check_alike(one, other, free, purpose):
     """Raise ValueError if any setting that is not `free`, or the collector, differs."""
+    if any(a.ledger.missed and b.ledger.direct for a, b in _both_ways(one, other)):
+        raise ValueError(
+            f"records must agree in what is incident to be {purpose}: one, of an older "
+            "gonio-mi, leaves out the light that passes the openings of its cell"
+        )
     settings = []
     for record in (one, other):
         own = {k: v for k, v in record.settings.items() if k not in free}

@@ -7,7 +7,7 @@ import numpy as np
 
 from .ray_density import FLOOR, precision
 
-__all__ = ["summarize", "summary_text"]
+__all__ = ["exceeds_error", "summarize", "summary_text"]
 
 LEVEL = 0.95
 N_WORST = 5
@@ -29,6 +29,17 @@ PASSED = {
     "as they should between threads or fibres but not in a closed surface",
 }
 
+# What `missed` rays ask for: of a finite specimen, and of a record that was made before
+# what passes a periodic cell was direct light.
+MISSED = {
+    False: "missed the specimen; they are not part of the incident flux: if it stands "
+    "for a larger surface with openings, give a period, which counts them as "
+    "transmitted; if these are its edges, take a smaller footprint",
+    True: "missed the specimen through openings of its cell; they are not part of the "
+    "incident flux, as an older gonio-mi had it: measure again, and they are "
+    "transmitted",
+}
+
 MAIN_ROWS = ("reflected", "transmitted", "absorbed")
 
 
@@ -43,7 +54,8 @@ def summarize(record):
     -------
     dict
         ``settings``, with ``collector`` and ``channels``; ``level`` of the intervals;
-        one entry per incident direction in ``directions``; ``ledger`` over all of them,
+        one entry per incident direction in ``directions``, where ``direct`` is None but
+        for periodic specimens whose direct light is collected; ``ledger`` over all,
         ``worst_patches``, of the largest relative standard error among those that
         received something; ``warnings``, a list of sentences. Angles are in degrees,
         ``brdf`` and ``btdf`` in 1/sr. What is not known is None.
@@ -92,12 +104,24 @@ def _direction(look):
         "phi_i": float(look.phi_i[0]),
         "dhr": _totals(look, "dhr"),
         "dht": _totals(look, "dht") if look.has_lower else None,
+        "direct": _totals(look, "direct") if _has_direct(look) else None,
         "ledger": look.ledger.rows | {"emitted": look.ledger.emitted},
         "n_patches": look.counts.size,
         "n_without_hit": int(np.sum(look.without_hit)),
         "n_lobe": n_lobe,
         "rel_err_lobe": worst,
     }
+
+
+def _has_direct(look):
+    """Whether direct light was collected, however little there was."""
+    settings = look.settings
+    collected = settings.get("order", "all") in ("all", "0")
+    return (
+        settings.get("period", "none") != "none"
+        and collected
+        and not (look.ledger.missed)
+    )
 
 
 def _totals(look, quantity):
@@ -164,13 +188,19 @@ def _warnings(record, directions):
         )
     rows = {
         "sideways": "left sideways, over the edge of the specimen, into no patch",
-        "missed": "missed the specimen; they are not part of the incident flux",
+        "missed": MISSED[record.settings.get("period", "none") != "none"],
+        "direct": "passed openings of the periodic cell straight on and are "
+        "transmitted, as they should between threads or slats but not in a closed "
+        "surface",
     }
-    passed = PASSED.get(record.settings.get("transmission"))
+    transmission = record.settings.get("transmission")
+    if ledger.direct and transmission == "none":
+        transmission = "gaps"  # which the few thousand rays did not find
+    passed = PASSED.get(transmission)
     if passed:
         rows["transmitted"] = passed
     for row, sentence in rows.items():
-        if any(_exceeds_error(direction, row) for direction in directions):
+        if any(exceeds_error(direction, row) for direction in directions):
             sentences.append(
                 f"{_share(getattr(ledger, row), ledger)} {sentence}: more than the "
                 "statistical error"
@@ -178,8 +208,11 @@ def _warnings(record, directions):
     return sentences
 
 
-def _exceeds_error(direction, row):
-    """Whether a row of the ledger is larger than the totals' statistical error."""
+def exceeds_error(direction, row):
+    """Whether a row of the ledger is larger than the totals' statistical error.
+
+    `direction` is one of those of :func:`summarize`.
+    """
     totals = direction["dhr"] + (direction["dht"] or [])
     # half the interval; NaN, where it is not known, is skipped by fmax
     half = np.array([(total["high"] - total["low"]) / 2 for total in totals])
@@ -244,7 +277,8 @@ def _settings_text(numbers):
             f"estimator {_shown('estimator')}, "
             + (f"points {settings['points']}, " if "points" in settings else "")
             + f"sampler {_shown('sampler')}, transport "
-            f"{_shown('transport')}, max_depth {_shown('max_depth')}, "
+            f"{_shown('transport')}, period {_shown('period')}, "
+            f"order {_shown('order')}, max_depth {_shown('max_depth')}, "
             f"rr_depth {_shown('rr_depth')}",
         ),
         (
@@ -263,7 +297,8 @@ def _totals_text(numbers):
     rows = []
     for direction in numbers["directions"]:
         angles = [_angle(direction["theta_i"]), _angle(direction["phi_i"])]
-        for quantity in ("dhr", "dht"):
+        shown = ["dhr", "dht", *(["direct"] if direction["ledger"]["direct"] else [])]
+        for quantity in shown:
             for total in direction[quantity] or []:
                 decimals = _decimals(total["value"], total["std_err"])
                 rows.append(

@@ -32,6 +32,7 @@ class Fate(IntEnum):
     UNLIT = 8
     INTEGRATED = 9
     OTHER_ORDER = 10
+    DIRECT = 11
 
 
 @dataclass(frozen=True)
@@ -41,14 +42,16 @@ class Ledger:
     Attributes
     ----------
     reflected, transmitted : int
-        Left into the hemisphere of the emitter, or into the opposite one.
+        Left into the hemisphere of the emitter, or into the opposite one, after one
+        surface event or more.
     absorbed : int
         Ended in the specimen: no throughput was left.
     missed : int
-        Never met the specimen. These rays are not part of the incident flux.
+        Never met the specimen, which is finite. These rays are not part of the
+        incident flux.
     sideways : int
         Left through a side of the specimen's bounding box, along the horizon, or past
-        a collector of finite radius.
+        a collector of finite radius (unscattered, also above its horizon).
     truncated : int
         Still inside after ``max_depth`` surface events.
     rejected : int
@@ -63,6 +66,8 @@ class Ledger:
         ``sample`` chose a component that the estimator `quadrature` integrates.
     other_order : int
         Left after another number of surface events than the `order` that is collected.
+    direct : int
+        Passed a periodic specimen without any event, straight on: transmitted.
     """
 
     reflected: int = 0
@@ -76,6 +81,7 @@ class Ledger:
     unlit: int = 0
     integrated: int = 0
     other_order: int = 0
+    direct: int = 0
 
     @classmethod
     def from_counts(cls, counts):
@@ -118,6 +124,9 @@ class Tally:
     errors : ndarray of uint64, shape (n_hemispheres, n_theta, n_phi, channels), or None
         What the integrals in the sums of each batch may be wrong by, in the same unit.
         None if all was sampled.
+    direct : ndarray of uint64, shape (n_batches, channels)
+        Flux that passed a periodic specimen without any event, in the same unit: part
+        of the sums, where there is a lower hemisphere. None is given for nothing.
     """
 
     hits: np.ndarray
@@ -126,6 +135,11 @@ class Tally:
     fates: np.ndarray
     scale: int
     errors: np.ndarray | None = None
+    direct: np.ndarray | None = None
+
+    def __post_init__(self):
+        if self.direct is None:
+            self.direct = np.zeros_like(self.incident)
 
     @classmethod
     def empty(cls, n_hemispheres, shape, channels, scale):
@@ -153,6 +167,7 @@ class Tally:
         """Whether all channels received the same."""
         return bool(np.all(self.sums == self.sums[..., :1])) and bool(
             np.all(self.incident == self.incident[..., :1])
+            and np.all(self.direct == self.direct[..., :1])
         )
 
     @property
@@ -179,6 +194,7 @@ class Tally:
             sums=tally.sums * np.uint64(finer)
             + np.round(flux * per_batch).astype(np.uint64),
             incident=incident,
+            direct=tally.direct * np.uint64(finer),
             scale=tally.scale * finer,
             errors=np.ceil(errors * per_batch.max(axis=0)).astype(np.uint64),
         )
@@ -189,6 +205,7 @@ class Tally:
             self,
             sums=np.zeros((1, *self.sums.shape[1:]), np.uint64),
             incident=np.full((1, self.channels), self.scale, np.uint64),
+            direct=np.zeros((1, self.channels), np.uint64),
             fates=np.zeros((1, len(Fate)), np.uint64),
         )
 
@@ -226,6 +243,7 @@ class Tally:
             fates=np.concatenate([tally.fates for tally in tallies]),
             scale=first.scale,
             errors=first.errors,
+            direct=np.concatenate([tally.direct for tally in tallies]),
         )
 
     def accumulate(self, other):
@@ -238,6 +256,7 @@ class Tally:
             a.incident + b.incident,
             a.fates + b.fates,
             a.scale,
+            direct=a.direct + b.direct,
         )
 
     @classmethod
@@ -249,6 +268,7 @@ class Tally:
             incident=np.concatenate([tally.incident for tally in tallies], axis=-1),
             fates=sum(tally.fates for tally in tallies[1:]) + tallies[0].fates,
             scale=tallies[0].scale,
+            direct=np.concatenate([tally.direct for tally in tallies], axis=-1),
         )
 
     def first(self, channels):
@@ -257,6 +277,7 @@ class Tally:
             self,
             sums=self.sums[..., :channels],
             incident=self.incident[..., :channels],
+            direct=self.direct[..., :channels],
             errors=None if self.errors is None else self.errors[..., :channels],
         )
 
@@ -266,7 +287,7 @@ class Tally:
             and self.scale == other.scale
             and all(
                 np.array_equal(getattr(self, name), getattr(other, name))
-                for name in ("hits", "sums", "incident", "fates", "errors")
+                for name in ("hits", "sums", "incident", "fates", "errors", "direct")
             )
         )
 
@@ -283,5 +304,6 @@ class Tally:
             self,
             sums=np.repeat(self.sums, channels, axis=-1),
             incident=np.repeat(self.incident, channels, axis=-1),
+            direct=np.repeat(self.direct, channels, axis=-1),
             errors=None if errors is None else np.repeat(errors, channels, axis=-1),
         )

@@ -51,25 +51,29 @@ class Bench:
         """Index of the patch that each ray reached, or of its fate's bin behind."""
         d = self.sensor.arrival(exits.p, exits.d)
         up = self.beam.side * d.z
+        direct = exits.fate == mi.UInt32(Fate.DIRECT)
         # comparisons with NaN are false
         left = (exits.fate == mi.UInt32(Fate.REFLECTED)) & (dr.abs(up) > 0)
         lower = up < 0
+        left |= direct & lower
         patch = dr.minimum(self.film.patch_index(d), self.n_patches - 1)
         fate = dr.select(
-            exits.fate == mi.UInt32(Fate.REFLECTED),
+            (exits.fate == mi.UInt32(Fate.REFLECTED)) | (direct & ~lower),
             mi.UInt32(Fate.SIDEWAYS),
             exits.fate,
         )
         if self.shape[0] == 2:
             patch += dr.select(lower, mi.UInt32(self.n_patches), mi.UInt32(0))
         else:
-            fate = dr.select(left & lower, mi.UInt32(Fate.TRANSMITTED), fate)
+            passed = left & lower & ~direct
+            fate = dr.select(passed, mi.UInt32(Fate.TRANSMITTED), fate)
             left &= ~lower
         return dr.select(left, patch, self.n_collected + fate)
 
-    def fate_bins(self, bins):
+    def fate_bins(self, bins, direct):
         """Bins of the fates of rays whose `bins` may be those of patches."""
         reflected = mi.UInt32(self.n_collected + Fate.REFLECTED)
         transmitted = mi.UInt32(self.n_collected + Fate.TRANSMITTED)
+        transmitted += dr.select(direct, Fate.DIRECT - Fate.TRANSMITTED, mi.UInt32(0))
         fate = dr.select(bins < self.n_patches, reflected, transmitted)
         return dr.select(bins < self.n_collected, fate, bins)

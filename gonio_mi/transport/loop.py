@@ -61,7 +61,8 @@ class Exits:
     throughput : mi.Spectrum
         Power left; a whole number for the analog estimator.
     fate : mi.UInt32
-        :class:`Fate`; REFLECTED stands for having left in any direction.
+        :class:`Fate`; REFLECTED stands for having left in any direction after an event,
+        DIRECT for having left without any.
     incident : mi.Spectrum
         Power that met the specimen.
     depth : mi.UInt32
@@ -144,7 +145,9 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
     incident = mi.Spectrum(β)  # Power that met the specimen
     depth = mi.UInt32(0)  # Surface events so far
     cells = mi.UInt32(0)  # Sides of a periodic cell that were crossed
-    fate = dr.select(lit, mi.UInt32(Fate.MISSED), mi.UInt32(Fate.UNLIT))
+    # what passes a periodic cell without any event has passed the specimen
+    passed = Fate.DIRECT if specimen.periodic else Fate.MISSED
+    fate = dr.select(lit, mi.UInt32(passed), mi.UInt32(Fate.UNLIT))
     delta = mi.Bool(True)  # Was the last of them a delta component?
     active = mi.Bool(lit)  # Still in flight?
 

@@ -15,12 +15,12 @@ UNLIMITED = 2**31
 
 
 def checked_order(order):
-    """Return `order` as a text: ``"all"``, ``"2"`` or ``"3+"``."""
+    """Return `order` as a text: ``"all"``, ``"0"``, ``"2"`` or ``"3+"``."""
     text = str(order)
-    if text != "all" and not re.fullmatch(r"[1-9]\d{0,8}\+?", text):
+    if text != "all" and not re.fullmatch(r"0|[1-9]\d{0,8}\+?", text):
         raise ValueError(
-            "order must be 'all', a number of surface events such as 2, or '3+' for "
-            f"three or more, got {order!r}"
+            "order must be 'all', a number of surface events such as 2 (0 for direct "
+            f"light), or '3+' for three or more, got {order!r}"
         )
     return text
 
@@ -42,6 +42,7 @@ def of_order(exits, low, high):
         return exits
     fate = exits.fate
     left = (fate == mi.UInt32(Fate.REFLECTED)) | (fate == mi.UInt32(Fate.SIDEWAYS))
+    left |= fate == mi.UInt32(Fate.DIRECT)
     other = left & ((exits.depth < low) | (exits.depth > high))
     other |= (fate == mi.UInt32(Fate.TRUNCATED)) & (exits.depth >= high)
     return replace(exits, fate=dr.select(other, mi.UInt32(Fate.OTHER_ORDER), fate))

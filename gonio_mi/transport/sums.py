@@ -18,7 +18,8 @@ class Sums:
     zeros are skipped: counted rays and achromatic specimens cost one addition.
 
     A patch's bin holds the rays that arrived there. With `deposits` it holds what
-    `deposit` adds, and the rays are in the bins of their fates.
+    `deposit` adds, and the rays are in the bins of their fates. Direct light is in the
+    bin of its fate as well, with its power.
     """
 
     def __init__(self, bench, scale, n_batches=1, *, deposits=False):
@@ -36,18 +37,24 @@ class Sums:
 
     def add(self, bins, exits, active, batch):
         """Scatter one ray per lane, each for its `batch`."""
+        direct = exits.fate == mi.UInt32(Fate.DIRECT)
         if self.deposits:
-            bins = self.bench.fate_bins(bins)
+            bins = self.bench.fate_bins(bins, direct)
         self.deposit(bins, exits.throughput, active, batch)
+        if self.bench.specimen.periodic and not self.deposits:
+            twice = active & direct & (bins < self.bench.n_collected)
+            bins = mi.UInt32(self.bench.n_collected + Fate.DIRECT)
+            self.deposit(bins, exits.throughput, twice, batch)
         for target, power in zip(
             self.incident, _fixed_point(exits.incident, self.scale)
         ):
             _scatter_add(target, power, batch, active)
 
     def deposit(self, bins, power, active, batch):
-        """Scatter a power per lane to a patch, or one lane to its fate."""
+        """Scatter a power per lane to a patch or to DIRECT, or one lane to its fate."""
         powers = _fixed_point(power, self.scale)
         collected = bins < self.bench.n_collected
+        collected |= bins == self.bench.n_collected + Fate.DIRECT
         excesses = [powers[0] - self.scale, *(p - powers[0] for p in powers[1:])]
         packet = [1, *(dr.select(collected, e, 0) for e in excesses)]
         packet += [0] * (self.width - len(packet))
@@ -65,23 +72,30 @@ class Sums:
         bins = self.bins.numpy().reshape(self.n_batches, bench.n_bins, self.width)
         bins = bins[:n_batches, :, : 1 + self.channels]
         patches, fates = np.split(bins, [bench.n_collected], axis=1)
-        flux = patches[..., 1:].copy()
-        flux[..., 0] += patches[..., 0] * scale
-        flux[..., 1:] += flux[..., :1]
-        sums = flux.astype(np.uint64).reshape(n_batches, *bench.shape, -1)
+        sums = _flux(patches, scale).reshape(n_batches, *bench.shape, -1)
+        direct = _flux(fates[:, Fate.DIRECT], scale)
         hits = patches[..., 0].astype(np.uint64).reshape(n_batches, *bench.shape)
         fates = fates[..., 0].astype(np.uint64)
         if not self.deposits:
             fates[:, Fate.REFLECTED] = hits[:, 0].sum(axis=(1, 2))
         if bench.shape[0] == 2 and not self.deposits:
-            fates[:, Fate.TRANSMITTED] = hits[:, 1].sum(axis=(1, 2))
+            scattered = hits[:, 1].sum(axis=(1, 2)) - fates[:, Fate.DIRECT]
+            fates[:, Fate.TRANSMITTED] = scattered
         if self.incident:
             power = np.stack([total.numpy() for total in self.incident], axis=-1)
             power = power[:n_batches].astype(np.uint64)
         else:
             met = fates.sum(axis=1) - fates[:, Fate.MISSED] - fates[:, Fate.UNLIT]
             power = np.repeat(met[:, None] * np.uint64(scale), self.channels, axis=1)
-        return Tally(hits.sum(axis=0), sums, power, fates, scale)
+        return Tally(hits.sum(axis=0), sums, power, fates, scale, direct=direct)
+
+
+def _flux(bins, scale):
+    """Flux per channel of bins of hits and excesses, in units of ``1 / scale``."""
+    flux = bins[..., 1:].copy()
+    flux[..., 0] += bins[..., 0] * scale
+    flux[..., 1:] += flux[..., :1]
+    return flux.astype(np.uint64)
 
 
 def packet_width():

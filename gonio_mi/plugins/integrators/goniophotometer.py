@@ -116,7 +116,8 @@ class Goniophotometer(mi.SamplingIntegrator):
      * - order
        - |string|
        - Surface events of the rays that are collected: ``2`` for two, ``3+`` for three
-         or more; the others are in the ledger. (Default: ``all``)
+         or more, ``0`` for direct light; the others are in the ledger. (Default:
+         ``all``)
 
      * - wavelengths
        - |string|
