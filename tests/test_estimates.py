@@ -8,7 +8,12 @@ import pytest
 import synthetic
 
 from gonio_mi.results import statistics
-from gonio_mi.results.estimates import FEW_EVEN_HITS, FEW_HITS, Estimates
+from gonio_mi.results.estimates import (
+    FEW_DEPOSITS,
+    FEW_EVEN_HITS,
+    FEW_HITS,
+    Estimates,
+)
 from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Tally
 
 EPS = np.finfo(float).eps
@@ -42,13 +47,10 @@ def student(estimates, patch):
     """Interval by Student's t of one patch, with what no hit leaves open."""
     sums = estimates.tally.sums[:, 0, 0, patch]
     weight = estimates.fraction(0)[0, patch] * 2 * RAYS / sum(HITS[patch])
-    return statistics.student_interval(
-        estimates.fraction(0)[0, patch],
-        statistics.batch_std_err(sums, estimates.tally.incident),
-        2,
-        LEVEL,
-        statistics.upper_limit(2 * RAYS, LEVEL) * weight,
-    )
+    unseen = statistics.upper_limit(2 * RAYS, LEVEL) * weight
+    std_err = statistics.batch_std_err(sums, estimates.tally.incident)
+    value = estimates.fraction(0)[0, patch]
+    return statistics.student_interval(value, std_err, 2, LEVEL, unseen, unseen)
 
 
 def test_values_and_standard_errors():
@@ -63,15 +65,12 @@ def test_values_and_standard_errors():
     close(estimates.total_std_err(0)[0], abs(np.diff(totals)[0]) / 2 * 0.5 / RAYS)
 
 
-@pytest.mark.parametrize(
-    ("independent", "deposited", "by_student"),
-    [(True, False, 1), (False, False, 3), (True, True, 4), (False, True, 4)],
-)
-def test_few_hits_have_exact_intervals(independent, deposited, by_student):
-    """From how many hits on Student's t is taken: 100, or 30 of even rays, or none."""
+@pytest.mark.parametrize(("independent", "by_student"), [(True, 1), (False, 3)])
+def test_few_hits_have_exact_intervals(independent, by_student):
+    """From how many hits on Student's t is taken: 100, or 30 of even rays."""
     assert sum(HITS[0]) > FEW_HITS > sum(HITS[1])
     assert sum(HITS[2]) > FEW_EVEN_HITS > sum(HITS[3])
-    estimates = Estimates(tally(), independent, deposited)
+    estimates = Estimates(tally(), independent)
     low, high = (limit[0, :, 0] for limit in estimates.interval(0, LEVEL))
     for patch, hits in enumerate(HITS[:4]):
         expected = np.ravel(student(estimates, patch))
@@ -81,6 +80,28 @@ def test_few_hits_have_exact_intervals(independent, deposited, by_student):
         close((low[patch], high[patch]), expected if patch < by_student else exact)
     assert low[4] == 0
     close(high[4], statistics.upper_limit(2 * RAYS, LEVEL))
+
+
+def test_few_deposits_have_the_limits_of_weighted_counts():
+    """At least: where Student's t of the two batches is wider, it stays."""
+    hits = (*HITS, (150, 151))
+    estimates = Estimates(tally(hits), independent=False, deposited=True)
+    assert max(map(sum, HITS)) < FEW_DEPOSITS < sum(hits[5])
+    low, high = (limit[0, :, 0] for limit in estimates.interval(0, LEVEL))
+    wider = set()
+    for patch in range(4):
+        wide = np.ravel(student(estimates, patch))
+        value = estimates.fraction(0)[0, patch, 0]
+        std_err = estimates.std_err(0)[0, patch, 0]
+        exact = statistics.gamma_interval(value, std_err, 1 / (2 * RAYS), LEVEL)
+        close(low[patch], min(wide[0], exact[0]))
+        close(high[patch], max(wide[1], exact[1]))
+        wider.add(bool(high[patch] > wide[1]))
+    assert wider == {True, False}
+    many = statistics.student_interval(
+        301 * 0.5 / (2 * RAYS), 0.25 / RAYS, 2, LEVEL, 0, 0
+    )
+    close((low[5], high[5]), many)
 
 
 def test_an_empty_patch_may_be_of_the_largest_weight():
@@ -108,10 +129,15 @@ def test_nothing_received_has_an_upper_limit():
         close(high, limit)
 
 
-def test_all_rays_in_one_patch_leave_nothing_open():
-    one = Estimates(tally([(RAYS, RAYS)], weight=1.0), independent=False)
-    np.testing.assert_array_equal(one.interval(0, LEVEL), np.ones((2, 1, 1, 1)))
-    np.testing.assert_array_equal(one.total_interval(0, LEVEL), np.ones((2, 1)))
+@pytest.mark.parametrize("weight", [1.0, 0.5, 2.0])
+def test_all_rays_in_one_patch_may_hide_others(weight):
+    """Some may be lost, or carry more than these, but no more than came."""
+    one = Estimates(tally([(RAYS, RAYS)], weight=weight), independent=False)
+    assert one.std_err(0) == one.total_std_err(0) == 0
+    unseen = statistics.upper_limit(2 * RAYS, LEVEL)
+    limits = weight - unseen * weight, weight + unseen * max(1 - weight, 0)
+    close(np.ravel(one.interval(0, LEVEL)), limits)
+    close(np.ravel(one.total_interval(0, LEVEL)), limits)
 
 
 @pytest.mark.parametrize("row", [Fate.MISSED, Fate.UNLIT])

@@ -27,6 +27,7 @@ def both_sided(bsdf):
 
 GREY = both_sided({"type": "diffuse", "reflectance": 0.8})
 ROUGH_MIRROR = both_sided({"type": "roughconductor", "alpha": 0.3})
+GLOSSY = both_sided({"type": "roughconductor", "alpha": 0.1, "distribution": "ggx"})
 SHELL = {"type": "mask", "opacity": 0.6, "bsdf": GREY}
 
 
@@ -46,6 +47,7 @@ def packed_spheres():
 
 # Specimen, and settings of the measurement.
 CASES = {
+    "glossy grooves": lambda: (grooves(30, 1, bsdf=GLOSSY), {"period": "box"}),
     "rough mirror": lambda: (field(ROUGH_MIRROR), {"period": "box"}),
     "grooves": lambda: (grooves(30, 1, bsdf=GREY), {"period": "box"}),
     "spheres": lambda: (packed_spheres(), {"period": "2,2"}),
@@ -213,14 +215,14 @@ def test_light_that_starts_beside_the_cell(mended, monkeypatch):
 
 
 def test_ledger_counts_rays_and_patches_count_deposits():
-    """Exact: rows add up to the rays; each ray deposits at most once per point."""
+    """Exact: rows add up to the rays; each deposits at most once per point and exit."""
     record = measured("edges", "next_event", points=3)
     ledger = record.ledger
     assert ledger.emitted == RAYS
     assert min(ledger.reflected, ledger.missed, ledger.sideways) > 0
     assert ledger.transmitted == ledger.absorbed == 0
     first = measured("edges", "next_event", points=3, order=1)
-    assert ledger.reflected < first.counts.sum() <= 3 * (RAYS - ledger.missed)
+    assert ledger.reflected < first.counts.sum() <= 4 * (RAYS - ledger.missed)
     assert first.counts.sum() < record.counts.sum()
 
 
@@ -238,7 +240,7 @@ def test_orders_add_up(estimator):
 
 def test_few_deposits_have_an_interval_by_students_t():
     """Exact: however few, as wide as the batches say; none where there is none."""
-    record = measured("rough mirror", "next_event", rays=256, batches=8)
+    record = measured("rough mirror", "next_event", rays=128, batches=8)
     few = (record.counts[0] > 0) & (record.counts[0] < 10)
     assert few.any()
     low, high = record.interval(0.95)
@@ -292,6 +294,9 @@ def test_an_invalid_eval_is_in_the_ledger():
 
         def eval(self, ctx, si, wo, active=True):  # noqa: ARG002
             return mi.Spectrum(float("nan"))
+
+        def pdf(self, ctx, si, wo, active=True):  # noqa: ARG002
+            return mi.warp.square_to_cosine_hemisphere_pdf(wo)
 
         def to_string(self):
             return "Broken[]"

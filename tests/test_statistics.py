@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from budget import Verdict, agree, disagree
 from scipy import stats
 
 from gonio_mi.results import statistics
@@ -82,8 +83,46 @@ def test_student_interval(n_batches, level):
 
 
 def test_student_interval_has_a_resolution():
-    low, high = statistics.student_interval(1.0, np.array([0.0, np.nan]), 4, 0.9, 0.25)
-    np.testing.assert_array_equal((low, high), [[0.75, np.nan], [1.25, np.nan]])
+    std_err = np.array([0.0, np.nan])
+    low, high = statistics.student_interval(1.0, std_err, 4, 0.9, 0.25, above=0.5)
+    np.testing.assert_array_equal((low, high), [[0.75, np.nan], [1.5, np.nan]])
+
+
+def test_gamma_interval_of_equal_weights_is_that_of_their_count():
+    """The exact Poisson interval (Garwood 1936), by the chi-square law of SciPy."""
+    hits, weight = np.array([1, 3, 40]), 0.25
+    low, high = statistics.gamma_interval(
+        hits * weight, np.sqrt(hits) * weight, weight, 0.9
+    )
+    # the variance is a square of a root
+    rtol = FUNCTIONS + 16 * EPS
+    np.testing.assert_allclose(
+        low, weight * stats.chi2.ppf(0.05, 2 * hits) / 2, rtol=rtol
+    )
+    np.testing.assert_allclose(
+        high, weight * stats.chi2.ppf(0.95, 2 * hits + 2) / 2, rtol=rtol
+    )
+    # without a scatter, the upper limit of a hit of the largest weight
+    low, high = statistics.gamma_interval(np.array([0.5]), np.array([0.0]), 1.0, 0.9)
+    assert low == 0.5
+    np.testing.assert_allclose(high, stats.gamma.ppf(0.95, 1.5**2) / 1.5, rtol=rtol)
+
+
+def test_gamma_interval_of_few_unlike_weights_covers():
+    """Poisson counts of two weights; twin: the normal interval of the same sums."""
+    rng = np.random.default_rng(5)
+    weights, means = np.array([0.1, 1.0]), np.array([8.0, 1.0])
+    counts = rng.poisson(means, (20_000, 2))
+    counts = counts[counts.any(axis=1)]
+    value, std_err = counts @ weights, np.sqrt(counts @ weights**2)
+
+    def _verdict(low, high):
+        outside = np.count_nonzero((low > weights @ means) | (high < weights @ means))
+        p = stats.binom.sf(outside - 1, len(value), 0.05)
+        return Verdict({"outside": float(p)})
+
+    agree(_verdict(*statistics.gamma_interval(value, std_err, 1.0, 0.95)))
+    disagree(_verdict(*stats.norm.interval(0.95, value, std_err)))
 
 
 @pytest.mark.parametrize("level", [0.5, 0.95])

@@ -100,9 +100,9 @@ def measure(
         Sum throughput; let rays survive or end and count them; integrate ``eval`` over
         the patches of a flat specimen in a collimated beam, deterministic, with rays
         for delta components only; or deposit ``eval``, at every event on geometry,
-        towards points in random patches that are in sight, with rays after delta
-        components only: for rough facets, patches far from the lobes, and narrow
-        apertures, but not for totals. Default ``weighted``.
+        towards points in random patches that are in sight, and count the rays as
+        well, by the balance heuristic: for narrow apertures and for patches far from
+        the lobes, but not for totals. Default ``weighted``.
     seed : int
         Same seed, same bits: whatever the number of threads.
     side : {"front", "back"}

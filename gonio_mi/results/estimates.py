@@ -13,6 +13,8 @@ __all__ = ["Estimates"]
 FEW_HITS = 100
 # The same for rays that are distributed evenly, whose counts scatter less.
 FEW_EVEN_HITS = 30
+# Deposits of one patch below which the few large ones among them may be missing.
+FEW_DEPOSITS = 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,17 +100,24 @@ class Estimates:
             return statistics.binomial_interval(hits, self.rays, level)
         with np.errstate(invalid="ignore"):
             weight = fraction * self.rays / hits
-        low, high = self._student(
-            fraction, self.std_err(hemisphere), weight, hits, level
-        )
-        least = FEW_HITS if self.independent else FEW_EVEN_HITS
-        few = (hits < least) & (hits > 0) & (not self.deposited)
-        exact = statistics.binomial_interval(hits, self.rays, level)
-        low, high = (
-            np.where(few, limit * weight, student)
-            for limit, student in zip(exact, (low, high))
-        )
-        most = statistics.upper_limit(self.rays, level) * np.nanmax(weight, initial=1.0)
+        std_err = self.std_err(hemisphere)
+        largest = np.nanmax(weight, initial=1.0)
+        low, high = self._student(fraction, std_err, weight, hits, level)
+        if self.deposited:
+            few = (hits < FEW_DEPOSITS) & (hits > 0)
+            limits = statistics.gamma_interval(
+                fraction, std_err, largest / self.rays, level
+            )
+            low = np.where(few, np.minimum(low, limits[0]), low)
+            high = np.where(few, np.maximum(high, limits[1]), high)
+        else:
+            few = hits < (FEW_HITS if self.independent else FEW_EVEN_HITS)
+            limits = statistics.binomial_interval(hits, self.rays, level)
+            low, high = (
+                np.where(few & (hits > 0), limit * weight, student)
+                for limit, student in zip(limits, (low, high))
+            )
+        most = statistics.upper_limit(self.rays, level) * largest
         return np.where(hits == 0, 0.0, low), np.where(hits == 0, most, high)
 
     def total_interval(self, hemisphere, level):
@@ -146,10 +155,23 @@ class Estimates:
         return self._student(value, std_err, weight, hits, level)
 
     def _student(self, value, std_err, weight, hits, level):
-        """Interval by Student's t, no narrower than that of no hit to either side."""
-        resolution = statistics.upper_limit(self.rays, level) * weight
+        """Interval by Student's t, which leaves open what too few rays show.
+
+        So many rays as would leave an empty patch empty may be of another kind, of
+        which none was seen (Hanley and Lippman-Hand 1983, JAMA 249, 1743): rays that
+        are lost, or received as well; and where all were received, which hits of unit
+        weight at most can exceed, rays of that weight.
+        """
+        unseen = statistics.upper_limit(self.rays, level)
+        more = (hits < self.rays) | self.deposited
+        above = np.where(more, weight, np.maximum(1 - weight, 0))
         return statistics.student_interval(
-            value, std_err, self.tally.n_batches, level, resolution * (hits < self.rays)
+            value,
+            std_err,
+            self.tally.n_batches,
+            level,
+            below=unseen * weight,
+            above=unseen * above,
         )
 
     def _integral_interval(self, value, sums, error, level):

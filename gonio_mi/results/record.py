@@ -189,10 +189,14 @@ class Record:
         than need be) the exact binomial interval of the hits, times the mean weight of
         a hit. A patch without a hit has an upper limit: the flux that would have left
         it empty with probability ``(1 - level) / 2``, at the larger of unit weight and
-        the largest mean weight seen. Evenly distributed rays may give all batches the
-        same sum: no interval by Student's t is narrower than that of an empty patch to
-        either side, unless all rays were received. Deposits of `next_event` are not
-        counts: Student's t however few they are.
+        the largest mean weight seen. All batches may give the same sum, and all rays
+        may have been received: no interval by Student's t is narrower than what so
+        many rays of another kind, of which none was seen, would change. Where all rays
+        were received with weight 1 they can only be lost.
+
+        Deposits of `next_event` are of very unlike weights: below 300 of them the
+        interval reaches at least to the limits for weighted counts (Fay and Feuer
+        1997), of which one of unit weight may have been missed.
 
         Integrals (estimator `quadrature`) may be wrong by their error, to which
         Student's t for the sampled delta components is added.

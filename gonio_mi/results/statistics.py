@@ -7,6 +7,7 @@ __all__ = [
     "batch_std_err",
     "binomial_interval",
     "binomial_std_err",
+    "gamma_interval",
     "ratio",
     "student_interval",
     "upper_limit",
@@ -72,14 +73,36 @@ def binomial_interval(hits, rays, level):
     return np.where(hits == 0, 0.0, low), np.where(misses == 0, 1.0, high)
 
 
-def student_interval(value, std_err, n_batches, level, resolution=0.0):
+def gamma_interval(value, std_err, largest, level):
+    """Interval for a sum of few weights: of Poisson counts of weights unlike each other.
+
+    Fay and Feuer 1997, *Confidence intervals for directly standardized rates*,
+    Statistics in Medicine 16, 791: for weights all alike it is the exact one of their
+    count, and without a scatter its upper limit is that of a count of `largest`.
+
+    Parameters
+    ----------
+    value, std_err : ndarray
+        Of the sum, above 0; `std_err` may be 0.
+    largest : float
+        Weight of a hit that may have been missed by chance, in the unit of `value`.
+    """
+    tail, variance = (1 - level) / 2, np.square(std_err)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        low = variance / value * special.gammaincinv(value**2 / variance, tail)
+    more, value_of_more = variance + largest**2, value + largest
+    high = special.gammaincinv(value_of_more**2 / more, 1 - tail) * more / value_of_more
+    return np.where(std_err == 0, value, low), high
+
+
+def student_interval(value, std_err, n_batches, level, below=0.0, above=0.0):
     """Interval by Student's t with ``n_batches - 1`` degrees of freedom.
 
-    It reaches at least `resolution` to either side; NaN where `std_err` is.
+    It reaches at least `below` and `above` to its sides; NaN where `std_err` is.
     """
     half = special.stdtrit(max(n_batches - 1, 1), (1 + level) / 2) * std_err
-    half = np.maximum(half, np.nan_to_num(resolution))
-    return value - half, value + half
+    low, high = (np.maximum(half, np.nan_to_num(least)) for least in (below, above))
+    return value - low, value + high
 
 
 def upper_limit(rays, level):

@@ -27,6 +27,7 @@ __all__ = [
     "Exits",
     "Settings",
     "flux_context",
+    "is_delta",
     "scatter_plane",
     "shading_normal_correction",
     "trace",
@@ -67,8 +68,10 @@ class Exits:
         Power that met the specimen.
     depth : mi.UInt32
         Surface events.
-    delta : mi.Bool
-        Whether the last of them was a delta component; true without any.
+    left, density : mi.Point3f, mi.Float
+        Where the last of them was, and the density in 1/sr of the direction that it
+        chose: infinite for delta components, and without any event. None for all
+        estimators but `next_event`.
     """
 
     p: object
@@ -77,7 +80,8 @@ class Exits:
     fate: object
     incident: object
     depth: object
-    delta: object
+    left: object = None
+    density: object = None
 
 
 def flux_context():
@@ -105,15 +109,14 @@ def scatter_plane(plane, beam, sampler, wavelengths, settings):
     exit_throughput, fate = _after_event(
         throughput, bsdf_weight, bs, wo, sampler, settings.analog
     )
-    delta = _is_delta(bs)
     if settings.delta_only:
         left = fate == mi.UInt32(Fate.REFLECTED)
-        fate = dr.select(left & ~delta, mi.UInt32(Fate.INTEGRATED), fate)
+        fate = dr.select(left & ~is_delta(bs), mi.UInt32(Fate.INTEGRATED), fate)
     fate = dr.select(inside, fate, mi.UInt32(Fate.MISSED))
     fate = dr.select(lit, fate, mi.UInt32(Fate.UNLIT))
     incident = dr.select(inside & lit, throughput, 0.0)
     depth = dr.select(inside & lit, mi.UInt32(1), 0)
-    return Exits(p, wo, exit_throughput, fate, incident, depth, delta)
+    return Exits(p, wo, exit_throughput, fate, incident, depth)
 
 
 @dr.syntax
@@ -148,7 +151,8 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
     # what passes a periodic cell without any event has passed the specimen
     passed = Fate.DIRECT if specimen.periodic else Fate.MISSED
     fate = dr.select(lit, mi.UInt32(passed), mi.UInt32(Fate.UNLIT))
-    delta = mi.Bool(True)  # Was the last of them a delta component?
+    left = mi.Point3f(0)  # Where the last of them was
+    density = mi.Float(dr.inf)  # Of the direction that it chose
     active = mi.Bool(lit)  # Still in flight?
 
     n = mi.Normal3f(0)  # Geometric normal where the ray started
@@ -194,7 +198,9 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
         fate[active] = event_fate
         active &= event_fate == mi.UInt32(Fate.REFLECTED)
         depth[active] += 1
-        delta[active] = _is_delta(bs)
+        if deposits is not None:
+            left[active] = si.p + shift
+            density[active] = deposits.density(si, bsdf, bs, wo, active)
 
         # ---------------------------- Russian roulette --------------------------------
         survival = dr.select(
@@ -230,7 +236,9 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
         mi.UInt32(Fate.SIDEWAYS),
         fate,
     )
-    return Exits(ray.o + shift, ray.d, β, fate, incident, depth, delta)
+    if deposits is None:
+        left = density = None
+    return Exits(ray.o + shift, ray.d, β, fate, incident, depth, left, density)
 
 
 def _emitted(weight, sampler, analog, uniform):
@@ -283,7 +291,7 @@ def shading_normal_correction(si, ray, local_wo, wo):
     return dr.select(flat, mi.Float(1.0), corrected)
 
 
-def _is_delta(bs):
+def is_delta(bs):
     """Whether a sampled component has no density."""
     delta, line = mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D
     return mi.has_flag(bs.sampled_type, delta) | mi.has_flag(bs.sampled_type, line)

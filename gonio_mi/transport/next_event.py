@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
-from .loop import LARGEST_POWER, flux_context, shading_normal_correction
+from .loop import LARGEST_POWER, flux_context, is_delta, shading_normal_correction
 from .ray_offsets import departure, escapes
 
 __all__ = ["Deposits", "check_traced"]
@@ -31,12 +31,17 @@ def check_traced(bench, settings):
 class Deposits:
     """What the events of one launch send to points in randomly chosen patches.
 
-    An event that does not choose a delta component ends in every direction at once:
-    for the direction of a point in patch j, drawn uniformly in its solid angle, the
-    flux ``throughput * eval * solid angle / probability of j`` is added to j, if
-    nothing stands in the way. That is an unbiased estimate of what those rays carry to
-    the patch whose last event this is; those whose last event is a delta component
-    are counted where they arrive.
+    What an event sends to the collector is learned in two ways. Points are drawn in
+    patches, uniformly in solid angle: with the density ``q = probability of the patch /
+    its solid angle`` per point, and each adds ``throughput * eval / q`` to its patch if
+    nothing stands in the way. And `sample` draws a direction with the density ``p``,
+    whose ray may get there. The balance heuristic (Veach and Guibas 1995, *Optimally
+    Combining Sampling Techniques for Monte Carlo Rendering*, eq. 8) takes of each point
+    the part ``n q / (n q + p)``, `n` being the points of an event, and of the ray the
+    rest. The parts add up to 1 in every direction, so that the sum is unbiased whatever
+    `pdf` says; and no point adds more than ``throughput * eval / p``, which is what a
+    ray carries: there are no rare deposits of great weight. Delta components have no
+    points, and their rays count whole.
 
     Patches of one hemisphere are equally likely. Of the points one half goes to the
     lower hemisphere; one sixteenth if that seems to be dark, which is not relied upon.
@@ -115,9 +120,10 @@ class Deposits:
             share = (mi.Float(i) + sampler.next_1d(active)) * part
             number, wo, spread = self._point(si.p + shift, share, sampler.next_2d())
             local_wo = si.to_local(wo)
-            value = bsdf.eval(flux_context(), si, local_wo, wanted)
+            value, pdf = bsdf.eval_pdf(flux_context(), si, local_wo, wanted)
             value *= shading_normal_correction(si, ray, local_wo, wo)
-            power = value * β * (spread * part)
+            spread *= part
+            power = value * β * (spread * dr.rcp(1 + _finite(pdf) * spread))
             # comparisons with NaN are false
             good = (dr.min(power) >= 0) & (dr.max(power) <= LARGEST_POWER)
             sound &= good | ~wanted
@@ -131,11 +137,41 @@ class Deposits:
             i += 1
         return sound
 
+    def density(self, si, bsdf, bs, wo, active):
+        """Density with which `sample` draws `wo`, as `pdf` has it, in 1/sr.
+
+        Infinite for components towards which there are no points.
+        """
+        pdf = bsdf.pdf(flux_context(), si, si.to_local(wo), active)
+        counted = is_delta(bs) | ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        return dr.select(counted, dr.inf, _finite(pdf))
+
     def add_exits(self, bins, exits):
-        """Count the rays whose last event was a delta component where they arrive."""
-        collected = bins < self.bench.n_collected
-        active = self.lanes & collected & exits.delta
-        self.sums.deposit(bins, exits.throughput, active, self.batch)
+        """Count each ray where it arrives, by the part that points leave to it."""
+        bench = self.bench
+        active = self.lanes & (bins < bench.n_collected)
+        lower = bins >= bench.n_patches
+        number = dr.select(active, bins, 0)
+        patch = number - dr.select(active & lower, mi.UInt32(bench.n_patches), 0)
+        u = bench.sensor.arrival(exits.p, exits.d)
+        _, change = bench.sensor.seen(exits.left, u)
+        spread = self._spread(patch, lower, change)
+        spread *= dr.rcp(dr.opaque(mi.Float, self.points))
+        expected = exits.density * spread  # times the density of all points
+        part = expected * dr.rcp(1 + expected)
+        part = dr.select(dr.isinf(exits.density), 1.0, part)
+        active &= part > 0
+        self.sums.deposit(bins, exits.throughput * part, active, self.batch)
+
+    def _spread(self, patch, lower, change):
+        """Inverse of the density of a point in `patch`, in sr.
+
+        `change`: solid angle as seen from the event, by that seen from the origin.
+        """
+        span, phi_span = (dr.gather(mi.Float, self.table[i], patch) for i in (1, 3))
+        upper = dr.opaque(mi.Float, 1 - self.lower)
+        chosen = dr.select(lower, 1 - upper, upper) / float(self.bench.n_patches)
+        return 2 * span * phi_span * change / chosen
 
     def _point(self, p, share, sample):
         """Random point of the patch that a number in [0, 1) chooses, seen from `p`.
@@ -164,13 +200,18 @@ class Deposits:
         radius = 2 * dr.sqrt(s * (1 - s))
         sin_phi, cos_phi = dr.sincos(phi_low + phi_span * sample.y)
         point = mi.Vector3f(radius * cos_phi, radius * sin_phi, 1 - 2 * s)
-        solid_angle = 2 * span * phi_span
+        inside = mi.Bool(True)
         if self.axes is not None:
             axis = dr.gather(mi.Vector3f, self.axes, patch)
             point = mi.Frame3f(axis).to_world(point)
             inside = bench.film.patch_index(point) == patch
-            solid_angle = dr.select(inside, solid_angle, 0.0)
         up = dr.select(lower, -float(bench.beam.side), float(bench.beam.side))
         point.z *= up
         seen, change = bench.sensor.seen(p, point)
-        return number, seen, solid_angle * change * (float(bench.n_patches) / part)
+        spread = self._spread(patch, lower, change)
+        return number, seen, dr.select(inside, spread, 0.0)
+
+
+def _finite(pdf):
+    """A density that is one: 0 for what is infinite, NaN or negative."""
+    return dr.select((pdf > 0) & (pdf < dr.inf), pdf, 0.0)

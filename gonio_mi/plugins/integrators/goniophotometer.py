@@ -73,7 +73,8 @@ class Goniophotometer(mi.SamplingIntegrator):
          over the patches, for a flat specimen that is the same everywhere in a
          collimated beam, and samples delta components only; ``next_event`` deposits
          ``eval`` towards points in random patches at every event on geometry, and
-         counts rays after delta components only. (Default: ``weighted``)
+         counts rays by the part that the balance heuristic leaves to them.
+         (Default: ``weighted``)
 
      * - points
        - |int|

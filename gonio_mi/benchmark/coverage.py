@@ -1,0 +1,190 @@
+"""How often intervals of nominally 95 per cent hold the truth, by estimator and rays."""
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+
+import mitsuba as mi
+import numpy as np
+
+from ..instrument.measurement import measure
+from ..results.record import Record
+from ..results.summary import summarize
+from .table import print_table
+
+__all__ = ["CASES", "Case", "Coverage", "coverage", "print_coverage"]
+
+LEVEL = 0.95
+
+# Rays of one measurement, and how often it is repeated with another seed.
+REPEATS = {1_000: 100, 10_000: 60, 100_000: 30, 1_000_000: 12}
+
+# Rays of the truth, which is one long measurement, and its seed: no other one's.
+TRUTH_RAYS = 5 * 10**7
+TRUTH_SEED = 2**31
+
+# Estimators, each with a sampler.
+SAMPLED = (
+    ("weighted", "sobol"),
+    ("weighted", "independent"),
+    ("analog", "sobol"),
+    ("analog", "independent"),
+)
+TRACED = (*SAMPLED, ("next_event", "sobol"), ("next_event", "independent"))
+
+
+@dataclass(frozen=True)
+class Case:
+    """A specimen, how it is measured, by which estimators, and in which orders."""
+
+    specimen: Callable[[], dict]
+    settings: dict
+    estimators: Sequence[tuple[str, str]] = TRACED
+    orders: Sequence[str] = ("all", "2")
+
+
+@dataclass
+class Coverage:
+    """Covered parts of several measurements of one case.
+
+    Attributes
+    ----------
+    covered : dict of str to list of float
+        By quantity (``patches``, ``dhr``, ``dht``) the part that each one covered.
+    warned : list of bool
+        Whether a measurement came with a warning, in words.
+    """
+
+    covered: dict[str, list[float]] = field(default_factory=dict)
+    warned: list[bool] = field(default_factory=list)
+
+    def add(self, record: Record, truth: Record, warned: bool) -> None:
+        """Count what the intervals of a record cover of the truth."""
+        found = {"patches": []}
+        for values, total in (("brdf", "dhr"), ("btdf", "dht")):
+            if total == "dht" and not truth.has_lower:
+                continue
+            exact = getattr(truth, values)
+            low, high = record.interval(LEVEL, of=values)
+            lit = exact > 0
+            found["patches"].append(((low <= exact) & (exact <= high))[lit])
+            low, high = record.interval(LEVEL, of=total)
+            exact = getattr(truth, total)
+            if np.all(exact > 0):
+                found[total] = [(low <= exact) & (exact <= high)]
+        for name, parts in found.items():
+            self.covered.setdefault(name, []).append(np.concatenate(parts).mean())
+        self.warned.append(warned)
+
+    def mean(self, quantity: str) -> tuple[float, float]:
+        """Covered part and its standard error, from the scatter of measurements.
+
+        That of all or none, which do not scatter, is what one more could change.
+        """
+        covered = np.array(self.covered[quantity])
+        n = len(covered)
+        scatter = covered.std(ddof=1) / np.sqrt(n)
+        return float(covered.mean()), float(scatter or 1 / (n + 2))
+
+
+def _two_sided(bsdf: dict) -> dict:
+    return {"type": "twosided", "bsdf": bsdf}
+
+
+def _groove(bsdf: dict) -> dict:
+    """V-groove of a half angle of 30 degrees, one cell of endless ones."""
+    heights = np.tile(np.array([0, -(0.75**0.5)], np.float32), (4, 1))
+    return {
+        "type": "heightfield",
+        "heights": mi.TensorXf(heights),
+        "bsdf": _two_sided(bsdf),
+    }
+
+
+def _screen() -> dict:
+    """Bars of grey with openings between them, of which a third is open."""
+    return {
+        "type": "scene",
+        "bar": {
+            "type": "cube",
+            "to_world": mi.ScalarTransform4f().scale([1 / 3, 0.5, 0.2]),
+            "bsdf": {"type": "diffuse", "reflectance": 0.5},
+        },
+    }
+
+
+PERIODIC = {"theta_i": 30, "collector": "projected:8x12", "period": "box"}
+CASES = {
+    "flat": Case(
+        lambda: {"type": "glossymixture", "diffuse_reflectance": 0.5},
+        {"theta_i": 45, "collector": "projected:8x12"},
+        (*SAMPLED, ("quadrature", "sobol")),
+        ("all",),
+    ),
+    "porous": Case(_screen, PERIODIC | {"period": "1,1"}),
+    "dark": Case(lambda: _groove({"type": "diffuse", "reflectance": 0.01}), PERIODIC),
+    "glossy": Case(
+        lambda: _groove(
+            {"type": "roughconductor", "alpha": 0.1, "distribution": "ggx"}
+        ),
+        PERIODIC,
+    ),
+}
+
+
+@cache
+def _truth(name: str, order: str) -> Record:
+    """A long measurement; of what is flat, the integral."""
+    case = CASES[name]
+    if ("quadrature", "sobol") in case.estimators:
+        how = {"estimator": "quadrature", "rel_err": 1e-6}
+    else:
+        how = {"rays": TRUTH_RAYS, "seed": TRUTH_SEED, "order": order}
+    return measure(case.specimen(), **case.settings, **how)
+
+
+def coverage(
+    name: str,
+    estimator: str,
+    sampler: str,
+    rays: int,
+    order: str = "all",
+    repeats: int | None = None,
+) -> Coverage:
+    """Coverage of one of the `CASES`, over as many seeds as `repeats`.
+
+    The truth is a long measurement, or the integral for the flat one: of the other
+    estimators it shares the transport, not the intervals.
+    """
+    case, found = CASES[name], Coverage()
+    settings = {"estimator": estimator, "sampler": sampler, **case.settings}
+    truth = _truth(name, order)
+    for seed in range(REPEATS[rays] if repeats is None else repeats):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            record = measure(
+                case.specimen(), rays=rays, seed=seed, order=order, **settings
+            )
+        warned = bool(caught or summarize(record)["warnings"])
+        found.add(record, truth, warned)
+    return found
+
+
+def print_coverage(most_rays: int, names: Sequence[str] = tuple(CASES)) -> None:
+    """Print the coverage of all cases, up to so many rays."""
+    header = ("specimen", "estimator", "sampler", "order", "quantity", "rays")
+    header = (*header, "coverage", "+-", "warned")
+    for name in names:
+        rows = []
+        for estimator, sampler in CASES[name].estimators:
+            for order in CASES[name].orders:
+                for rays in (rays for rays in REPEATS if rays <= most_rays):
+                    found = coverage(name, estimator, sampler, rays, order)
+                    for quantity in found.covered:
+                        mean, std_err = found.mean(quantity)
+                        row = (name, estimator, sampler, order, quantity, f"{rays:.0e}")
+                        warned = f"{np.mean(found.warned):.2f}"
+                        rows.append((*row, f"{mean:.3f}", f"{std_err:.3f}", warned))
+        title = f"Coverage of nominally {LEVEL:.0%} on the {name} specimen"
+        print_table(title, header, rows)

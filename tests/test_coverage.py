@@ -1,0 +1,154 @@
+"""Intervals cover the truth where it is hard: rare losses, few and unlike deposits.
+
+Each verdict takes a share of the suite's false-alarm budget. `python -m
+gonio_mi.benchmark --coverage` measures the whole table.
+"""
+
+from functools import cache
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import Verdict, agree, disagree, normal_scores
+from scipy import special, stats
+
+import gonio_mi as gonio
+from gonio_mi.benchmark import coverage
+from gonio_mi.benchmark.coverage import CASES, LEVEL, Coverage
+from gonio_mi.quadrature import integrate
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+SEEDS = 40
+
+
+def often_enough(covered):
+    """Verdict on a coverage of at least LEVEL; `covered` is that of each seed."""
+    covered = np.asarray(covered, dtype=float)
+    if set(covered) <= {0, 1}:
+        p = stats.binom.cdf(covered.sum(), len(covered), LEVEL)
+    else:
+        z = (covered.mean() - LEVEL) / (covered.std(ddof=1) / len(covered) ** 0.5)
+        p = stats.norm.cdf(normal_scores(z, len(covered) - 1))
+    return Verdict({"coverage": float(p)})
+
+
+# Lobes of which a part is drawn below the horizon: one ray in 9000, 700 and 50.
+LOSING = {
+    "rarely": ({"type": "glossymixture", "exponent": 16.0}, 50),
+    "seldom": ({"type": "glossymixture", "exponent": 16.0}, 60),
+    "often": ({"type": "cosinelobe", "exponent": 30.0}, 65),
+}
+
+
+@pytest.mark.parametrize("sampler", ["sobol", "independent"])
+@pytest.mark.parametrize("name", LOSING)
+def test_all_received_is_no_proof_of_none_lost(name, sampler):
+    """Dhr against the integral of `eval`, from 4 batches of 250 rays.
+
+    Twin: Student's t alone, whose batches often agree that nothing was lost.
+    """
+    bsdf, theta_i = LOSING[name]
+    grid = gonio.EqualProjectedSolidAngle(4, 4)
+    truth = integrate(mi.load_dict(bsdf), theta_i, 0, grid).flux.sum()
+    covered, students = [], []
+    for seed in range(SEEDS):
+        record = gonio.measure(
+            bsdf,
+            theta_i,
+            rays=1000,
+            batches=4,
+            seed=seed,
+            sampler=sampler,
+            collector=grid,
+        )
+        low, high = record.interval(LEVEL, of="dhr")
+        covered.append(low[0] <= truth <= high[0])
+        half = special.stdtrit(3, (1 + LEVEL) / 2) * record.dhr_std_err[0]
+        students.append(abs(record.dhr[0] - truth) <= half)
+    agree(often_enough(covered))
+    if name == "rarely":
+        disagree(often_enough(students))
+
+
+@cache
+def glossy(order):
+    """A glossy groove's flux fractions, from 4e6 rays that are waited for."""
+    mi.set_variant("llvm_ad_mono")
+    case = CASES["glossy"]
+    how = {"rays": 2**22, "seed": 2**20, "order": order}
+    return gonio.measure(case.specimen(), **case.settings, **how)
+
+
+@pytest.mark.parametrize("rays", [1000, 10_000])
+@pytest.mark.parametrize("order", ["all", "2"])
+def test_deposits_of_glossy_facets_cover(order, rays):
+    """All patches, and those off the lobes; twin: intervals of half their width."""
+    truth = glossy(order).brdf
+    lit = truth > 0
+    off = lit & (truth < 0.1 * truth.mean())
+    case = CASES["glossy"]
+    parts, twins = [], []
+    for seed in range(SEEDS):
+        record = gonio.measure(
+            case.specimen(),
+            **case.settings,
+            order=order,
+            rays=rays,
+            seed=seed,
+            estimator="next_event",
+        )
+        low, high = record.interval(LEVEL)
+        held = (low <= truth) & (truth <= high)
+        parts.append([held[lit].mean(), held[off].mean()])
+        near = np.abs((low + high) / 2 - truth) <= (high - low) / 4
+        twins.append([near[lit].mean(), near[off].mean()])
+    for part, twin in zip(np.transpose(parts), np.transpose(twins)):
+        agree(often_enough(part))
+        disagree(often_enough(twin))
+
+
+def test_no_deposit_weighs_more_than_rays():
+    """Rays and points together scatter less than twice as much as rays alone.
+
+    A point adds at most what a ray carries. Points alone had 36 times the mean square
+    error of both over all patches of this groove, and 150 times off its lobes.
+    """
+    case, squares = CASES["glossy"], {}
+    for estimator in ("weighted", "next_event"):
+        record = gonio.measure(
+            case.specimen(),
+            **case.settings,
+            rays=2**16,
+            batches=64,
+            seed=1,
+            estimator=estimator,
+            sampler="independent",
+        )
+        squares[estimator] = np.nansum(record.brdf_std_err**2)
+    assert squares["next_event"] < 2 * squares["weighted"]
+
+
+@pytest.mark.parametrize("estimator", ["analog", "weighted"])
+def test_the_benchmark_finds_nominal_coverage(estimator):
+    """A small share of its table; twin: the truth of a specimen 10 % darker."""
+    found = coverage.coverage("flat", estimator, "independent", 10_000, repeats=30)
+    assert not any(found.warned)
+    for part in found.covered.values():
+        agree(often_enough(part))
+    truth = gonio.measure(
+        {"type": "glossymixture", "diffuse_reflectance": 0.45},
+        **CASES["flat"].settings,
+        estimator="quadrature",
+    )
+    record = gonio.measure(
+        CASES["flat"].specimen(),
+        **CASES["flat"].settings,
+        rays=10_000,
+        estimator=estimator,
+    )
+    wrong = Coverage()
+    for _ in range(30):
+        wrong.add(record, truth, warned=False)
+    assert wrong.mean("dhr")[0] == 0
+    disagree(often_enough(wrong.covered["dhr"]))
