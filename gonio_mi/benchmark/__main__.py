@@ -6,6 +6,7 @@ import mitsuba as mi
 
 from .batch_designs import print_ratios
 from .counting import print_rates
+from .coverage import print_coverage
 from .endurance import print_growth
 from .equal_error import print_costs
 from .micro_geometry import print_speeds
@@ -30,6 +31,9 @@ def main(argv=None):
         "--error", action="store_true", help="sobol against independent rays, instead"
     )
     part.add_argument(
+        "--coverage", action="store_true", help="of intervals of 95 %%, instead"
+    )
+    part.add_argument(
         "--long",
         nargs="?",
         type=float,
@@ -40,7 +44,8 @@ def main(argv=None):
     parser.add_argument(
         "--rays",
         type=float,
-        help="for raw speed 1.7e7, for --error 1e8, for --geometry 4.2e6 if not given",
+        help="for raw speed 1.7e7, for --error 1e8, for --geometry 4.2e6, and the most "
+        "for --coverage 1e6, if not given",
     )
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--seeds", type=int, default=6, help="for --error (6)")
@@ -61,6 +66,8 @@ def main(argv=None):
         print_ratios(int(options.rays or 1e8), options.seeds, options.repeats)
     elif options.geometry:
         print_speeds(int(options.rays or 2**22), options.repeats)
+    elif options.coverage:
+        print_coverage(int(options.rays or 1e6))
     elif options.long:
         print_growth(int(options.long))
     else:

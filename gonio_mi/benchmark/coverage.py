@@ -1,9 +1,10 @@
-"""How often intervals of nominally 95 per cent hold the truth, by estimator and rays."""
+"""How often intervals of nominally 95 % hold the truth, by estimator and rays."""
 
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import product
 
 import mitsuba as mi
 import numpy as np
@@ -61,7 +62,7 @@ class Coverage:
 
     def add(self, record: Record, truth: Record, warned: bool) -> None:
         """Count what the intervals of a record cover of the truth."""
-        found = {"patches": []}
+        found: dict[str, list[np.ndarray]] = {"patches": []}
         for values, total in (("brdf", "dhr"), ("btdf", "dht")):
             if total == "dht" and not truth.has_lower:
                 continue
@@ -173,18 +174,16 @@ def coverage(
 
 def print_coverage(most_rays: int, names: Sequence[str] = tuple(CASES)) -> None:
     """Print the coverage of all cases, up to so many rays."""
-    header = ("specimen", "estimator", "sampler", "order", "quantity", "rays")
-    header = (*header, "coverage", "+-", "warned")
+    header = ("quantity", "order", "rays", "coverage", "+-", "warned")
+    numbers = [rays for rays in REPEATS if rays <= most_rays]
     for name in names:
-        rows = []
         for estimator, sampler in CASES[name].estimators:
-            for order in CASES[name].orders:
-                for rays in (rays for rays in REPEATS if rays <= most_rays):
-                    found = coverage(name, estimator, sampler, rays, order)
-                    for quantity in found.covered:
-                        mean, std_err = found.mean(quantity)
-                        row = (name, estimator, sampler, order, quantity, f"{rays:.0e}")
-                        warned = f"{np.mean(found.warned):.2f}"
-                        rows.append((*row, f"{mean:.3f}", f"{std_err:.3f}", warned))
-        title = f"Coverage of nominally {LEVEL:.0%} on the {name} specimen"
-        print_table(title, header, rows)
+            rows = []
+            for order, rays in product(CASES[name].orders, numbers):
+                found = coverage(name, estimator, sampler, rays, order)
+                warned = f"{np.mean(found.warned):.2f}"
+                for quantity in found.covered:
+                    mean, std_err = found.mean(quantity)
+                    values = f"{mean:.3f}", f"{std_err:.3f}"
+                    rows.append((quantity, order, f"{rays:.0e}", *values, warned))
+            print_table(f"{name}: {estimator}, {sampler}", header, rows)

@@ -74,7 +74,7 @@ def binomial_interval(hits, rays, level):
 
 
 def gamma_interval(value, std_err, largest, level):
-    """Interval for a sum of few weights: of Poisson counts of weights unlike each other.
+    """Interval for a sum of few weights: Poisson counts, of weights unlike each other.
 
     Fay and Feuer 1997, *Confidence intervals for directly standardized rates*,
     Statistics in Medicine 16, 791: for weights all alike it is the exact one of their
