@@ -59,6 +59,7 @@ def main(arguments=None):
     arguments : sequence of str, optional
         Default: those of the process.
     """
+    _open_standard_streams()
     with warnings.catch_warnings():
         warnings.simplefilter("always", RuntimeWarning)
         warnings.showwarning = _show_warning
@@ -69,16 +70,31 @@ def main(arguments=None):
         except KeyboardInterrupt:
             say("interrupted: there is nothing to keep")
             return INCOMPLETE
-        except BrokenPipeError:
-            # the reader of our output has left; leave nothing to flush at exit
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            return USER_ERROR
         except Exception as error:
+            if isinstance(error, BrokenPipeError) and error.filename is None:
+                # the reader of our output has left; leave nothing to flush at exit
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+                return USER_ERROR
             place = _place(error, getattr(options, "plugin", ()))
             if not (place or _is_the_users(error)):
                 raise
             say(place + sentence(error))
             return USER_ERROR
+
+
+def _open_standard_streams():
+    """Put nothing in place of the standard streams that were closed.
+
+    Otherwise a file that is opened takes the number of a stream, and what a library
+    writes there would go into it.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r+"))  # noqa: SIM115
 
 
 def _parser():

@@ -15,7 +15,44 @@ __all__ = [
     "checked_count",
     "checked_number",
     "frames",
+    "printable",
+    "shortened",
+    "shown",
 ]
+
+# Characters of a message, of a word in it, and of a value that it repeats.
+LONGEST, LONGEST_WORD, LONGEST_VALUE = 400, 120, 80
+
+
+def printable(text):
+    r"""Text in which what a terminal would obey is escaped, but for line breaks.
+
+    A file may hold any text, and an escape sequence in it could do anything to the
+    window of whoever looks at it. ``"\x1b[2J"`` becomes ``"\\x1b[2J"``.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
+
+
+def shortened(text, longest=LONGEST):
+    """One line of at most `longest` characters: what is too long lacks its middle."""
+    line = " ".join(printable(" ".join(text.split())).split())
+    words = (_without_middle(word, LONGEST_WORD) for word in line.split(" "))
+    return _without_middle(" ".join(words), longest)
+
+
+def shown(value, longest=LONGEST_VALUE):
+    """How a message repeats a value: its ``repr``, shortened."""
+    return _without_middle(printable(repr(value)), longest)
+
+
+def _without_middle(text, longest):
+    """Beginning and end of a text, which tell more than its middle."""
+    if len(text) <= longest:
+        return text
+    head = (longest - 3) * 2 // 3
+    return f"{text[:head]}...{text[head + 3 - longest :]}"
 
 
 class VariantError(RuntimeError):
@@ -26,11 +63,18 @@ class LLVMError(RuntimeError):
     """Dr.Jit would find no LLVM library that it can use."""
 
 
-class SpecimenError(ValueError):
+class _OneLineError(ValueError):
+    """An error whose message may quote what others wrote: see :func:`shortened`."""
+
+    def __init__(self, message):
+        super().__init__(shortened(str(message)))
+
+
+class SpecimenError(_OneLineError):
     """A specimen or scene that cannot be loaded or is not measurable."""
 
 
-class FileFormatError(ValueError):
+class FileFormatError(_OneLineError):
     """A file that is not one of ours, is damaged, or is of an unknown version."""
 
 
@@ -69,11 +113,11 @@ def checked_count(name, value, minimum=1, maximum=None):
             else operator.index(value)
         )
     except TypeError:
-        raise TypeError(f"{name} must be a whole number, got {value!r}") from None
+        raise TypeError(f"{name} must be a whole number, got {shown(value)}") from None
     if number < minimum:
-        raise ValueError(f"{name} must be at least {minimum}, got {value!r}")
+        raise ValueError(f"{name} must be at least {minimum}, got {shown(value)}")
     if maximum is not None and number > maximum:
-        raise ValueError(f"{name} must be at most {maximum:.3g}, got {value!r}")
+        raise ValueError(f"{name} must be at most {maximum:.3g}, got {shown(value)}")
     return number
 
 
@@ -81,15 +125,19 @@ def checked_number(name, value, low, high, condition):
     """Return `value` as a float in ``[low, high)``, or say what it must be."""
     try:
         number = float(value)
+    except OverflowError:
+        number = math.inf  # a whole number beyond all floats
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must be {condition}, got {value!r}") from None
+        raise TypeError(f"{name} must be {condition}, got {shown(value)}") from None
     if not math.isfinite(number) or not low <= number < high:
-        raise ValueError(f"{name} must be {condition}, got {value!r}")
+        raise ValueError(f"{name} must be {condition}, got {shown(value)}")
     return number
 
 
 def checked_choice(name, value, choices):
     """Return `value` if it is one of `choices`."""
     if value not in choices:
-        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")
+        raise ValueError(
+            f"{name} must be one of {', '.join(choices)}, got {shown(value)}"
+        )
     return value

@@ -98,18 +98,23 @@ def lambertian(reflectance=0.5, theta_i=(0.0, 30.0, 60.0), collector="projected:
 
 
 def huge():
-    """Record whose numbers need more than 32 bits, up to the largest of 64."""
+    """Record whose numbers need more than 32 bits, up to 64."""
     small = record(channels=("R", "G", "B"), both=True)
     one = small.tallies[0]
     sums = one.sums * np.uint64(2**20)
-    sums[0, 0, 0, 0] = [2**64 - 1, 2**32, 2**32 - 1]
+    sums[0, 0, 0, 0] = [2**63 + 1, 2**32, 2**32 - 1]
     hits = one.hits + np.uint64(2**32)
-    big = Tally(hits, sums, one.incident * np.uint64(2**20), one.fates, one.scale)
+    fates = one.fates.copy()
+    rows = [Fate.REFLECTED, Fate.TRANSMITTED]
+    fates[0, rows] += np.uint64(small.subdivision.n_patches * 2**32)
+    incident = one.incident * np.uint64(2**20)
+    settings = small.settings | {"rays": int(fates.sum())}
+    big = Tally(hits, sums, incident, fates, one.scale)
     return Record(
         small.subdivision,
         small.theta_i,
         small.phi_i,
         small.channels,
         (big,),
-        small.settings,
+        settings,
     )

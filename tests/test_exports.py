@@ -255,7 +255,7 @@ ASTM = "KEY words\nNUM_POINTS 1\nVARS theta_i,phi_i,theta_s,phi_s,R\n0,0,1,2,0.5
         (",R", "", "its VARS must be theta_i,"),
         ("POINTS 1", "POINTS 99999999999", "announces 99999999999 points and holds 1"),
         (",0.5", "", "line 4 must have 5 numbers, got 4"),
-        ("0.5", "half", "line 4: could not convert"),
+        ("0.5", "half", "line 4: must be a number"),
         ("1,2", "2,2", "theta_o must be an angle in degrees in"),
         ("0.5", "nan", "value must be a finite number"),
         ("KEY", "KEY\0", "it is not text"),

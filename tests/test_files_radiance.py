@@ -284,7 +284,7 @@ def test_radiance_matrices_come_back():
         (b"LBNL/Klems Full<", b"LBNL/Klems Half<", "must be LBNL/Klems Full"),
         (b"0.25 ", b"", "must hold 21025 values, got"),
         (b"0.25 ", b"nan ", "not finite"),
-        (b"0.25 ", b"x ", "could not convert"),
+        (b"0.25 ", b"x ", "must be a number, got"),
         (b">Visible<", b">Solar<", "no visible BSDF"),
     ],
 )
@@ -320,7 +320,7 @@ def test_entities_are_not_expanded(encoding):
         ("{ {1} {2} }", "must have 8 children"),
         ("{ 1 2 3 }", "2^3k values, got 3"),
         ("{ " + 27 * "1 " + "}", "2^3k values, got 27"),
-        ("{ x }", "could not convert"),
+        ("{ x }", "must be a number, got"),
         ("{ nan }", "not finite"),
         (10**6 * "{", "too deep"),
     ],

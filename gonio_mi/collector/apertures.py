@@ -60,9 +60,9 @@ class Apertures(Subdivision):
                     f"the cone of half-angle {half_angle:g} degrees about (theta, phi) "
                     f"= ({theta:g}, {phi:g}) must lie above the horizon"
                 )
-        pairs = _overlaps(cones, half_angle)
-        if len(pairs):
-            first, second = (cones[i] for i in pairs[0])
+        pair = _nearest(cones, half_angle)
+        if pair is not None:
+            first, second = (cones[i] for i in pair)
             raise ValueError(
                 f"apertures of half-angle {half_angle:g} degrees must not overlap, got "
                 f"them around (theta, phi) = {first} and {second}"
@@ -238,8 +238,28 @@ def _overlaps(directions, half_angle):
     """Pairs of indices of directions whose cones overlap, shape (n, 2)."""
     from scipy.spatial import cKDTree  # slow to import
 
-    reach = 2 * np.sin(np.radians(half_angle)) * (1 - BORDER)
-    return cKDTree(_axes(directions)).query_pairs(reach, output_type="ndarray")
+    return cKDTree(_axes(directions)).query_pairs(
+        _reach(half_angle), output_type="ndarray"
+    )
+
+
+def _nearest(directions, half_angle):
+    """One pair of indices whose cones overlap, or None; in little memory."""
+    from scipy.spatial import cKDTree  # slow to import
+
+    axes = _axes(directions)
+    order = np.lexsort(axes.T)
+    same = np.flatnonzero((axes[order[1:]] == axes[order[:-1]]).all(axis=1))
+    if same.size:
+        return order[same[0]], order[same[0] + 1]
+    distances, indices = cKDTree(axes).query(axes, k=2)
+    close = np.flatnonzero(distances[:, 1] <= _reach(half_angle))
+    return indices[close[0]] if close.size else None
+
+
+def _reach(half_angle):
+    """Chord between the axes of two cones that touch."""
+    return 2 * np.sin(np.radians(half_angle)) * (1 - BORDER)
 
 
 def _axes(directions):

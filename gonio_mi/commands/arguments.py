@@ -1,13 +1,14 @@
 """What the commands share: exit codes, types of arguments, messages, the variant."""
 
 import argparse
+import contextlib
 import re
 import sys
 
 import mitsuba as mi
 
 from .. import llvm
-from ..errors import VariantError
+from ..errors import VariantError, printable, shortened
 from ..instrument.loading import load_plugin_file, parse_specimen
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "sentence",
     "set_variant",
     "specimen_of",
+    "tell",
 ]
 
 PROGRAM = "gonio-mi"
@@ -164,13 +166,19 @@ def _pair(text):
     return name, value
 
 
+def tell(result):
+    """Print a result; what a file holds cannot command the terminal."""
+    print(printable(str(result)), flush=True)
+
+
 def say(text):
-    """Print a line for the user, beside the results."""
-    print(f"{PROGRAM}: {text}", file=sys.stderr)
+    """Print a line for the user, beside the results, if anyone reads it."""
+    with contextlib.suppress(OSError, ValueError):
+        print(shortened(f"{PROGRAM}: {text}"), file=sys.stderr)
 
 
 def sentence(error):
     """One line on an error."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
-    return " ".join(str(error).split())
+    return shortened(str(error))

@@ -4,7 +4,15 @@ import sys
 from pathlib import Path
 
 from .. import files
-from .arguments import DONE, add_scene_options, add_specimen, number, say, specimen_of
+from .arguments import (
+    DONE,
+    add_scene_options,
+    add_specimen,
+    number,
+    say,
+    specimen_of,
+    tell,
+)
 
 __all__ = ["add", "run"]
 
@@ -150,13 +158,13 @@ def run(options):
     for path in pictures:
         plot_chart(result, path, target=target)
     if not options.quiet:
-        print(result.table(target))
+        tell(result.table(target))
         reference = result.reference
-        print(f"reference: {reference.source}; its error is {reference.error:.2g}")
+        tell(f"reference: {reference.source}; its error is {reference.error:.2g}")
         if reference.refused:
-            print(f"no quadrature: {reference.refused}")
-        print(f"use {result.advice(target)}")
-        print(f"use {result.advice(target / 10)}")
+            tell(f"no quadrature: {reference.refused}")
+        tell(f"use {result.advice(target)}")
+        tell(f"use {result.advice(target / 10)}")
     if not any(cost.measured for _, cost in result.ranking(target)):
         say(f"warning: no method reached {target:g}; take more --seconds")
     return DONE

@@ -4,7 +4,14 @@ import json
 from pathlib import Path
 
 from .. import files
-from .arguments import DONE, FAILED, add_scene_options, number, specimen_of
+from .arguments import (
+    DONE,
+    FAILED,
+    add_scene_options,
+    number,
+    specimen_of,
+    tell,
+)
 
 __all__ = ["add", "run"]
 
@@ -140,5 +147,5 @@ def run(options):
     if options.json:
         print(json.dumps(comparison.to_dict(), indent=2, allow_nan=False))
     else:
-        print(comparison)
+        tell(comparison)
     return DONE if comparison.passed else FAILED

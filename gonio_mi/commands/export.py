@@ -4,7 +4,7 @@ from pathlib import Path
 
 from .. import files
 from ..files.channels import wavelengths_nm
-from .arguments import DONE, set_variant
+from .arguments import DONE, set_variant, tell
 
 __all__ = ["add", "run"]
 
@@ -53,7 +53,7 @@ def run(options):
     spectral = wavelengths_nm(record.channels) is not None
     set_variant("llvm_ad_spectral" if spectral else "llvm_ad_rgb")
     for path in options.output:
-        print(path, flush=True)
+        tell(path)
         for loss in export(record, path, options.basis or "klems"):
-            print(f"  {loss}")
+            tell(f"  {loss}")
     return DONE

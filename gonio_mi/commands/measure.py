@@ -21,6 +21,7 @@ from .arguments import (
     say,
     sentence,
     specimen_of,
+    tell,
 )
 
 __all__ = ["add", "run"]
@@ -279,7 +280,7 @@ def _add_output(group):
 def run(options):
     """Measure; what goes wrong with files does so before."""
     for path in options.output:
-        files.check_output(path)
+        files.check_output(path, files.ENDINGS)
     specimen, parameters = specimen_of(options.specimen, options)
 
     with _CtrlC() as ctrl_c:
@@ -296,7 +297,7 @@ def run(options):
         ctrl_c.ignored = True
         unsaved = _save(record, options.output)
         if not options.quiet:
-            print(summary_text(summarize(record)))
+            tell(summary_text(summarize(record)))
         if ctrl_c.pressed:
             say(f"interrupted: {_remains(options, record)}")
     if unsaved:

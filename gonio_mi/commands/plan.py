@@ -4,7 +4,7 @@ import json
 from dataclasses import asdict
 
 from .. import files
-from .arguments import DONE, number
+from .arguments import DONE, number, tell
 
 __all__ = ["add", "run"]
 
@@ -95,5 +95,5 @@ def run(options):
         level=options.level,
         floor=options.floor,
     )
-    print(json.dumps(asdict(planned), indent=2) if options.json else planned)
+    tell(json.dumps(asdict(planned), indent=2) if options.json else planned)
     return DONE

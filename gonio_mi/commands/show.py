@@ -4,7 +4,7 @@ import json
 
 from .. import files
 from ..results.summary import summarize, summary_text
-from .arguments import DONE
+from .arguments import DONE, tell
 
 __all__ = ["add", "run"]
 
@@ -29,5 +29,5 @@ def run(options):
     if options.json:
         print(json.dumps(numbers, indent=2, allow_nan=False))
     else:
-        print(summary_text(numbers))
+        tell(summary_text(numbers))
     return DONE

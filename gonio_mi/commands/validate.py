@@ -10,6 +10,7 @@ from .arguments import (
     add_specimen,
     number,
     specimen_of,
+    tell,
 )
 
 __all__ = ["add", "run"]
@@ -86,5 +87,5 @@ def run(options):
     if options.json:
         print(json.dumps(verdict.to_dict(), indent=2, allow_nan=False))
     else:
-        print(verdict)
+        tell(verdict)
     return DONE if verdict.passed else FAILED

@@ -7,6 +7,7 @@ import numpy as np
 from ..collector.apertures import Apertures, disjoint_groups
 from ..errors import checked_number
 from ..files.measured import MeasuredTable
+from ..files.measured_table import NUMBERS
 from ..instrument.measurement import measure
 from ..results.record import Record
 from .agreement import FEW_HITS, judge, mostly_few
@@ -256,7 +257,7 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
         if len(records) != 1:
             raise TypeError("record must be one Record if other is one, got several")
         relative, scale = (
-            checked_number(name, value or 0, 0, np.inf, "a finite number of 0 or more")
+            checked_number(name, value or 0, *NUMBERS[name])
             for name, value in (
                 ("uncertainty", uncertainty),
                 ("scale_uncertainty", scale_uncertainty),

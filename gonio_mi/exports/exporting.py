@@ -9,6 +9,7 @@ from ..errors import checked_choice
 from ..files import astm, check_output, netcdf, replacing
 from ..files.channels import wavelengths_nm
 from ..files.measured import MeasuredTable, read_measured
+from ..files.writing import takes_a_stream
 from ..results.summary import exceeds_error, summarize
 from .loss import fractions_of, losses
 from .measured_export import write_measured
@@ -55,6 +56,11 @@ def export(record, path, basis="klems"):
         If the file cannot be written.
     """
     check_output(path, ENDINGS)
+    if takes_a_stream(path):
+        raise ValueError(
+            f"{path} must be a file, for what is written is read back, got a pipe or "
+            "a device"
+        )
     checked_choice("basis", basis, BASES)
     ending = Path(path).suffix.lower()
     _warn_of_openings(record, ending)

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..errors import FileFormatError
 from .header import require
+from .numbers import decimal
 
 __all__ = ["ANGLES", "GREY", "read", "write"]
 
@@ -98,6 +99,6 @@ def _row(number, line, n):
         len(cells) == n, f"line {number} must have {n} numbers, got {len(cells)} cells"
     )
     try:
-        return [float(cell) for cell in cells]
+        return [decimal(cell) for cell in cells]
     except ValueError as error:
         raise FileFormatError(f"line {number}: {error}") from None

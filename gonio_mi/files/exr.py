@@ -15,21 +15,22 @@ The parts of one incident direction, in a stack with its number after a dot:
     Of integrals only: what they may be wrong by, in the same unit.
 
 Whole numbers beyond 32 bits have their upper half in ``count_high`` and ``sum_high``.
-The first header holds the rest as JSON, ``gonio.record``, and a check sum.
+The first header holds the rest as JSON, ``gonio.record``, and a check sum of the
+content; after the last image there is one of all bytes.
 """
 
-import contextlib
 import hashlib
 import io
 import os
-import struct
+import subprocess
+import sys
 
 import numpy as np
 import OpenEXR
 
+from ..errors import FileFormatError
 from . import exr_parts
 from .header import (
-    MAX_EXPANSION,
     check_format,
     header_of,
     json_of,
@@ -37,14 +38,30 @@ from .header import (
     parsed_subdivision,
     rebuilt,
     require,
-    size_of,
 )
+from .seal import LEAST_COMPRESSED, MOST_UNSEALED, is_sealed, seal_of
 
 __all__ = ["read", "write"]
 
 MAGIC = b"\x76\x2f\x31\x01"
-VERSION = 2
-MULTI_PART, LONG_NAMES = 0x1000, 0x400
+
+# Another process tries to read a file in a limited memory, and says no word.
+TRIAL = """
+import io, sys
+import OpenEXR
+try:
+    import resource
+    with open("/proc/self/statm") as status:
+        size = int(status.read().split()[0]) * resource.getpagesize()
+    limit = size + int(sys.argv[1])
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+except (ImportError, OSError, ValueError):
+    pass
+OpenEXR.File(io.BytesIO(sys.stdin.buffer.read()), separate_channels=True)
+"""
+
+# Seconds after which nothing more is expected of it.
+PATIENCE = 120
 
 
 def write(record, stream):
@@ -60,7 +77,10 @@ def write(record, stream):
                 header |= exact
             full_name = _part_name(name, index, len(record))
             parts.append(OpenEXR.Part(header, layers, full_name))
-    OpenEXR.File(parts).write(stream)
+    content = io.BytesIO()
+    OpenEXR.File(parts).write(content)
+    stream.write(content.getbuffer())
+    stream.write(seal_of(content.getbuffer()))
 
 
 def read(stream):
@@ -72,19 +92,16 @@ def read(stream):
         If the file holds something else, announces more than its size allows, or does
         not agree with its check sum.
     """
-    _check_complete(stream)
-    stream.seek(0)
-    with _silenced():
-        headers = [part.header for part in OpenEXR.File(stream, header_only=True).parts]
-    _check_sizes(headers, size_of(stream))
-    text = headers[0].get("gonio.record") if headers else None
+    magic = stream.read(len(MAGIC))
+    require(magic == MAGIC, "it is no OpenEXR file")
+    if not is_sealed(stream):
+        _check_elsewhere(stream)
+    image = OpenEXR.File(stream, separate_channels=True)
+    first = image.parts[0].header if image.parts else {}
+    text = first.get("gonio.record")
     require(text is not None, "it was not written by gonio-mi")
     header = parsed_json(text)
     check_format(header)
-
-    stream.seek(0)
-    with _silenced():
-        image = OpenEXR.File(stream, separate_channels=True)
     parts = {part.name(): part.channels for part in image.parts}
     per_batch = ["incident", "fates", *(["direct"] if header["version"] >= 3 else [])]
     per_batch = {key: _integers(header, key) for key in per_batch}
@@ -103,7 +120,7 @@ def read(stream):
     record = rebuilt(header, tallies)
     arrays = [_arrays(tally) for tally in record.tallies]
     require(
-        headers[0].get("gonio.sha256") == _digest(text, arrays),
+        first.get("gonio.sha256") == _digest(text, arrays),
         "it is damaged: its content does not agree with its check sum",
     )
     return record
@@ -140,75 +157,30 @@ def _digest(text, arrays):
 # ------------------------------------------------------------------ what is read
 
 
-@contextlib.contextmanager
-def _silenced():
-    """Context without what the library prints about damage, besides raising."""
-    with contextlib.redirect_stdout(io.StringIO()), open(os.devnull, "wb") as nowhere:
-        stderr = os.dup(2)
-        os.dup2(nowhere.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(stderr, 2)
-            os.close(stderr)
+def _check_elsewhere(stream):
+    """Raise FileFormatError unless another process can read the file quietly.
 
-
-def _check_complete(stream):
-    """Raise FileFormatError unless all chunks that the file lists are in it."""
-    size = size_of(stream)
-    require(stream.read(len(MAGIC)) == MAGIC, "it is no OpenEXR file")
+    Damage makes the library print to both standard streams, drop parts, take any
+    memory or crash. A file that agrees with its seal is as the library wrote it.
+    """
+    data = stream.read()
+    stream.seek(0)
+    require(b"gonio.record\0" in data, "it was not written by gonio-mi")
+    most = max(MOST_UNSEALED, LEAST_COMPRESSED * len(data))
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", TRIAL, str(most)],
+            input=data,
+            capture_output=True,
+            check=False,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+            timeout=PATIENCE,
+        )
+    except subprocess.TimeoutExpired:
+        raise FileFormatError("it is damaged: reading it comes to no end") from None
     require(
-        _number(stream) & ~LONG_NAMES == VERSION | MULTI_PART,
-        "it was not written by gonio-mi",
-    )
-    n_chunks = 0
-    while name := _name(stream):  # the first attribute of a part, or the end
-        while name:
-            kind, length = _name(stream), _number(stream)
-            if (name, kind, length) == (b"chunkCount", b"int", 4):
-                n_chunks += _number(stream)
-            else:
-                stream.seek(length, io.SEEK_CUR)
-            name = _name(stream)
-    require(0 < 8 * n_chunks < size, "its list of chunks is damaged")
-    last = max(struct.unpack(f"<{n_chunks}Q", _bytes(stream, 8 * n_chunks)))
-    require(last < size, "it is truncated")
-    stream.seek(last + 8)  # after the numbers of part and row
-    require(last + 12 + _number(stream) <= size, "it is truncated")
-
-
-def _name(stream):
-    """Text up to the next zero byte."""
-    text = b""
-    while (byte := _bytes(stream, 1)) != b"\0":
-        text += byte
-        require(len(text) < 256, "a name in its headers is too long")
-    return text
-
-
-def _number(stream):
-    """Unsigned number of 32 bits."""
-    return struct.unpack("<I", _bytes(stream, 4))[0]
-
-
-def _bytes(stream, n):
-    """Exactly `n` bytes."""
-    data = stream.read(n)
-    require(len(data) == n, "it is truncated")
-    return data
-
-
-def _check_sizes(headers, size):
-    """Raise FileFormatError if the pixels that are announced cannot be in the file."""
-    announced = 0
-    for header in headers:
-        require(header.get("type") == OpenEXR.scanlineimage, "it holds no plain images")
-        low, high = header["dataWindow"]
-        width, height = (int(b) - int(a) + 1 for a, b in zip(low, high))
-        announced += width * height * 4 * len(header["channels"])
-    require(
-        announced <= MAX_EXPANSION * size,
-        f"it announces {announced} bytes, more than {size} bytes can hold",
+        done.returncode == 0 and not done.stdout,
+        "it is truncated or damaged",
     )
 
 

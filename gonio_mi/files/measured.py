@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileFormatError, checked_choice, checked_number
+from ..errors import FileFormatError, checked_choice, checked_number, shown
 from . import astm
 from .measured_table import (
     COLUMNS,
@@ -19,8 +19,12 @@ from .measured_table import (
     MeasuredTable,
     fits,
 )
+from .numbers import decimal, is_decimal
 
 __all__ = ["MeasuredTable", "read_measured"]
+
+# Characters of a line; no table has more, and an image in text has.
+LONGEST_LINE = 10_000
 
 
 def read_measured(path, channel=None):
@@ -117,6 +121,11 @@ def _read_csv(path):
     settings, header, rows = {}, {}, []
     for number, line in enumerate(io.StringIO(text, newline=None), 1):
         line = line.strip()
+        if len(line) > LONGEST_LINE:
+            raise FileFormatError(
+                f"{path}, line {number}: must have at most {LONGEST_LINE} characters, "
+                f"got {len(line)}"
+            )
         if line.startswith("#"):
             _read_key(f"{path}, line {number}", line.lstrip("# "), settings, header)
         elif line:
@@ -159,6 +168,9 @@ def _read_key(place, comment, settings, header):
         return
     try:
         if key in NUMBERS:
+            if not is_decimal(text):
+                condition = NUMBERS[key][2]
+                raise ValueError(f"{key} must be {condition}, got {shown(text)}")
             text = checked_number(key, text, *NUMBERS[key])
         elif key == "units":
             checked_choice(key, text, UNITS)
@@ -210,9 +222,9 @@ def _read_columns(path, rows, quantity):
 def _cell(place, name, text, quantity):
     """One number, or a sentence that says where it is and what it should be."""
     try:
-        value = float(text)
-    except ValueError:
-        raise FileFormatError(f"{place}: must be a number, got {text!r}") from None
+        value = decimal(text)
+    except ValueError as error:
+        raise FileFormatError(f"{place}: {error}") from None
     good, condition = fits(name, value, quantity)
     if not good:
         raise FileFormatError(f"{place}: must be {condition}, got {text.strip()}")

@@ -21,14 +21,18 @@ COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "value")
 QUANTITIES = ("brdf", "brdf_cos", "btdf")
 UNITS = ("1/sr", "sr^-1")
 
+# Nothing that was measured is as large in 1/sr, nor a relative uncertainty; squares of
+# what is larger are no numbers any more.
+MOST, MOST_UNCERTAIN = 1e30, 1e6
+
 # Header keys that are numbers: interval and condition of each.
 NUMBERS = {
-    "uncertainty": (0, np.inf, "a finite number of 0 or more"),
-    "scale_uncertainty": (0, np.inf, "a finite number of 0 or more"),
+    "uncertainty": (0, MOST_UNCERTAIN, "a finite number of 0 or more, below 1e6"),
+    "scale_uncertainty": (0, MOST_UNCERTAIN, "a finite number of 0 or more, below 1e6"),
     "aperture_half_angle": (0, 90, "an angle in degrees in [0, 90)"),
     "aperture_solid_angle": (0, 2 * np.pi, "a solid angle in sr in [0, 2 pi)"),
     "emitter_half_angle": (0, 90, "an angle in degrees in [0, 90)"),
-    "emitter_distance": (0, np.inf, "a finite distance of 0 or more"),
+    "emitter_distance": (0, 1e15, "a finite distance of 0 or more, below 1e15"),
 }
 TEXTS = ("units", "quantity", "channel")
 
@@ -185,5 +189,5 @@ def fits(name, value, quantity):
         condition = f"an angle in degrees in [0, 90) for {quantity}"
         return (value >= 0) & (value < 90), condition
     if name == "sigma":
-        return (value >= 0) & np.isfinite(value), "a finite number of 0 or more"
-    return np.isfinite(value), "a finite number"
+        return (value >= 0) & (value < MOST), "a finite number of 0 or more"
+    return np.abs(value) < MOST, "a finite number"

@@ -6,21 +6,25 @@ one after the other on their first axis. `errors`, of integrals only, is `hits` 
 channels. The rest is the header, `settings` as JSON.
 """
 
+import io
 import math
 import zipfile
 
 import numpy as np
 
+from ..memory import check_memory
 from .header import (
     MAX_EXPANSION,
     check_format,
     header_of,
     json_of,
     parsed_json,
+    parsed_subdivision,
     rebuilt,
     require,
     size_of,
 )
+from .seal import LEAST_COMPRESSED, MOST_UNSEALED, SEAL_LENGTH, is_sealed, seal_of
 
 __all__ = ["read", "write"]
 
@@ -59,11 +63,18 @@ def write(record, stream):
     for name in ("sums", "incident", "fates", "direct"):
         parts = [getattr(tally, name) for tally in record.tallies]
         arrays[name] = parts[0] if len(parts) == 1 else np.concatenate(parts)
+    content = io.BytesIO()
     # like np.savez_compressed, but level 1: as small for noisy sums, six times faster
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+    with zipfile.ZipFile(
+        content, "w", zipfile.ZIP_DEFLATED, compresslevel=1
+    ) as archive:
+        archive.comment = bytes(SEAL_LENGTH)
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 np.lib.format.write_array(file, array, allow_pickle=False)
+    unsealed = content.getbuffer()[:-SEAL_LENGTH]
+    stream.write(unsealed)
+    stream.write(seal_of(unsealed))
 
 
 def read(stream):
@@ -74,38 +85,61 @@ def read(stream):
     FileFormatError
         If the file holds something else, or announces more than its size allows.
     """
+    size = size_of(stream)
+    most = MAX_EXPANSION * size
+    if not is_sealed(stream):
+        most = max(MOST_UNSEALED, LEAST_COMPRESSED * size)
     with zipfile.ZipFile(stream) as archive:
         members = {info.filename: info for info in archive.infolist()}
         require("format.npy" in members, "it was not written by gonio-mi")
-        size = size_of(stream)
         announced = sum(info.file_size for info in archive.infolist())
         require(
-            announced <= MAX_EXPANSION * size,
+            announced <= min(most, MAX_EXPANSION * size),
             f"it announces {announced} bytes, more than {size} bytes can hold",
         )
+        check_memory("its content", announced, "open it on a larger machine")
         header = {name: _array(archive, members, name, HEADER) for name in HEADER}
         header = {name: array.tolist() for name, array in header.items()}
         header["settings"] = parsed_json(header["settings"])
         check_format(header)
         expected = TALLIES | (INTEGRALS if "errors.npy" in members else {})
         expected |= DIRECT if header["version"] >= 3 else {}
-        arrays = {name: _array(archive, members, name, expected) for name in expected}
-    n_batches = arrays.pop("n_batches")
+        known = {f"{name}.npy" for name in HEADER | expected}
+        require(
+            members.keys() == known and len(archive.infolist()) == len(known),
+            "its arrays are not those of a record",
+        )
+        n_batches = _array(archive, members, "n_batches", expected)
+        shapes = _shapes(header, n_batches.tolist())
+        arrays = {
+            name: _array(archive, members, name, expected, shapes[name])
+            for name in expected
+            if name != "n_batches"
+        }
     per_direction = {k: arrays.pop(k) for k in ("hits", "errors") if k in arrays}
-    require(
-        all(len(array) == len(n_batches) for array in per_direction.values())
-        and min(n_batches, default=0) > 0
-        and all(len(array) == sum(n_batches.tolist()) for array in arrays.values()),
-        "its numbers of batches do not fit its arrays",
-    )
     borders = np.cumsum(n_batches)[:-1]
     per_direction |= {name: np.split(array, borders) for name, array in arrays.items()}
     tallies = zip(*per_direction.values())
     return rebuilt(header, [dict(zip(per_direction, tally)) for tally in tallies])
 
 
-def _array(archive, members, name, expected):
-    """Array of that name, once its header agrees with its type and its size."""
+def _shapes(header, n_batches):
+    """Shape that each array must have, with None for hemispheres and fates."""
+    require(min(n_batches, default=0) > 0, "its numbers of batches must be positive")
+    patches, channels = parsed_subdivision(header).shape, len(header["channels"])
+    n, total = len(n_batches), sum(n_batches)
+    return {
+        "hits": (n, None, *patches),
+        "errors": (n, None, *patches, channels),
+        "sums": (total, None, *patches, channels),
+        "incident": (total, channels),
+        "direct": (total, channels),
+        "fates": (total, None),
+    }
+
+
+def _array(archive, members, name, expected, wanted=None):
+    """Array of that name, once its header agrees with its type, size and shape."""
     kind, n_axes = expected[name]
     require(f"{name}.npy" in members, f"its array {name} is missing")
     info = members[f"{name}.npy"]
@@ -122,6 +156,10 @@ def _array(archive, members, name, expected):
     require(
         all(n >= 0 for n in shape) and math.prod(shape) * dtype.itemsize == n_bytes,
         f"its array {name} of shape {shape} does not fill its {n_bytes} bytes",
+    )
+    require(
+        wanted is None or all(w in (None, n) for w, n in zip(wanted, shape)),
+        f"its array {name} of shape {shape} does not fit its other entries",
     )
     with archive.open(info) as member:
         return np.lib.format.read_array(member, allow_pickle=False)

@@ -13,6 +13,7 @@ import numpy as np
 from ..collector.klems import N_PHI, THETA_DEG, Klems
 from ..errors import FileFormatError
 from .header import require, size_of
+from .numbers import decimal
 from .tensor_tree import TensorTree
 
 __all__ = ["DIRECTIONS", "incident_patch", "read", "write"]
@@ -166,6 +167,10 @@ def read(stream):
                     direction in DIRECTIONS.values(),
                     f"its WavelengthDataDirection {direction!r:.40} is unknown",
                 )
+                require(
+                    (wavelength, direction) not in blocks,
+                    f"it holds {wavelength} {direction} twice",
+                )
                 blocks[wavelength, direction] = _data(block, direction, structure)
     require(
         any(wavelength == "Visible" for wavelength, _ in blocks),
@@ -213,10 +218,13 @@ def _data(block, direction, structure):
         len(words) == n * n, f"{direction} must hold {n * n} values, got {len(words)}"
     )
     try:
-        values = np.array([float(word) for word in words]).reshape(n, n)
+        values = np.array([decimal(word) for word in words]).reshape(n, n)
     except ValueError as error:
         raise FileFormatError(f"{direction}: {error}") from None
-    require(bool(np.isfinite(values).all()), f"{direction} holds a value not finite")
+    require(
+        bool(np.isfinite(values).all()) and values.min() >= 0,
+        f"{direction} holds a value that is negative or not finite",
+    )
     return values.T if structure == "Rows" else values
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import FileFormatError
 from .header import require
+from .numbers import decimal
 from .shirley_chiu import directions_of, square_of
 
 __all__ = ["TensorTree", "coordinates", "grid_directions"]
@@ -205,7 +206,7 @@ def _grid(words, rank):
         f"a grid of its tensor tree must have 2^{rank}k values, got {len(words)}",
     )
     try:
-        values = np.array([float(word) for word in words])
+        values = np.array([decimal(word) for word in words])
     except ValueError as error:
         raise FileFormatError(f"its tensor tree: {error}") from None
     require(bool(np.isfinite(values).all()), "its tensor tree has a value not finite")

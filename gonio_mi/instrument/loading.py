@@ -10,6 +10,7 @@ import mitsuba as mi
 
 from .. import llvm
 from ..errors import SpecimenError, VariantError
+from .named_files import check_named_files
 
 __all__ = [
     "load_plugin_file",
@@ -63,6 +64,8 @@ def load_specimen(specimen, parameters=None):
     ------
     SpecimenError
         If Mitsuba cannot load it, or it is none of these.
+    FileFormatError
+        If a file that it names is damaged, and Mitsuba would not notice.
     """
     check_variant()
     if isinstance(specimen, (str, os.PathLike)):
@@ -70,10 +73,12 @@ def load_specimen(specimen, parameters=None):
         if not path.is_file():
             raise SpecimenError(f"specimen must be an existing file, got {str(path)!r}")
         parameters = {k: str(v) for k, v in (parameters or {}).items()}
+        check_named_files(path, parameters)
         # Mitsuba's optimisation would merge shapes into meshes without a bounding box
         parameters |= {"optimize": False}
         specimen = loaded(f"the specimen {path}", mi.load_file, str(path), **parameters)
     elif isinstance(specimen, dict):
+        check_named_files(specimen)
         specimen = loaded("the specimen", mi.load_dict, specimen, optimize=False)
     if isinstance(specimen, mi.Scene):
         return specimen

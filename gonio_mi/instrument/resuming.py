@@ -1,5 +1,6 @@
 """Whether an interrupted record is the beginning of a measurement."""
 
+from ..errors import shown
 from ..results.record import DIGESTS, Record
 
 __all__ = ["check_resumable"]
@@ -23,7 +24,7 @@ def check_resumable(resume, integrator, benches, seed, plan):
         Rays of each batch; the record may hold the first ones only.
     """
     if not isinstance(resume, Record):
-        raise TypeError(f"resume must be a Record, got {resume!r}")
+        raise TypeError(f"resume must be a Record, got {shown(resume)}")
     if len(resume) > len(benches):
         raise ValueError(
             f"resume must hold at most {len(benches)} incident directions, "
@@ -34,11 +35,13 @@ def check_resumable(resume, integrator, benches, seed, plan):
             "collector": str(bench.film.subdivision),
             "theta_i": bench.theta_i,
             "phi_i": bench.phi_i,
+            "hemispheres": "both" if bench.shape[0] == 2 else "upper",
         }
         others = resume.settings | {
             "collector": str(resume.subdivision),
             "theta_i": float(resume.theta_i[i]),
             "phi_i": float(resume.phi_i[i]),
+            "hemispheres": "both" if resume.has_lower else "upper",
         }
         lacking = set(DIGESTS) - others.keys()
         for key in own.keys() - FREE - lacking:

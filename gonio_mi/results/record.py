@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from ..collector import Subdivision
-from ..errors import checked_choice, checked_number
+from ..errors import checked_choice, checked_number, printable
 from . import statistics
 from .estimates import Estimates
 from .tally import Ledger, Tally
@@ -313,7 +313,7 @@ class Record:
             for theta, phi in zip(self.theta_i[:3], self.phi_i[:3])
         ) + (", ..." if len(self) > 3 else "")
         return (
-            f"<Record of {self.settings.get('specimen', 'a specimen')}: "
+            f"<Record of {printable(str(self.settings.get('specimen')))}: "
             f"{self.subdivision!s:.60}, "
             f"incident (theta_i, phi_i) = {angles} degrees, "
             f"{self.ledger.emitted} rays, dhr {np.array2string(self.dhr, precision=5)}>"

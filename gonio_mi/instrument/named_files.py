@@ -1,0 +1,85 @@
+"""Files that a specimen names, and that Mitsuba's plugins do not check themselves."""
+
+import os
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+
+from ..files.measured_file import check_measured
+
+__all__ = ["check_named_files"]
+
+# Scene files may include others; no more than this many deep.
+DEEPEST = 15
+
+
+def check_named_files(
+    specimen: Mapping[str, Any] | str | os.PathLike[str],
+    parameters: Mapping[str, str] | None = None,
+) -> None:
+    """Raise one clear sentence if a file of the plugin `measured` would be its end.
+
+    Names that are not found are left to Mitsuba, and so are scene files that are not
+    XML.
+
+    Parameters
+    ----------
+    specimen : dict, str or path
+        Dictionary or scene file, as Mitsuba loads it.
+    parameters : dict, optional
+        Values of the ``$name`` parameters of a scene file.
+
+    Raises
+    ------
+    FileFormatError
+        If a file is damaged.
+    """
+    if isinstance(specimen, Mapping):
+        names = _of_dictionary(specimen)
+    else:
+        names = _of_scene(Path(specimen), dict(parameters or {}), DEEPEST)
+    for name in names:
+        path = Path(str(mi.file_resolver().resolve(str(name))))
+        if path.is_file():
+            check_measured(path)
+
+
+def _of_dictionary(node: Mapping[str, Any]) -> Iterator[str | Path]:
+    """File names in a dictionary and all that it holds."""
+    if node.get("type") == "measured" and isinstance(node.get("filename"), str):
+        yield node["filename"]
+    for value in node.values():
+        if isinstance(value, Mapping):
+            yield from _of_dictionary(value)
+
+
+def _of_scene(
+    path: Path, parameters: dict[str, str], depth: int
+) -> Iterator[str | Path]:
+    """File names in a scene file and those that it includes, beside it if there."""
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (ElementTree.ParseError, OSError, ValueError, LookupError):
+        return
+    for default in root.iter("default"):
+        parameters.setdefault(default.get("name", ""), default.get("value", ""))
+    for bsdf in root.iter():
+        if bsdf.get("type") == "measured":
+            for child in bsdf.iter("string"):
+                if child.get("name") == "filename":
+                    yield _beside(path, child.get("value", ""), parameters)
+    for include in root.iter("include"):
+        other = _beside(path, include.get("filename", ""), parameters)
+        if depth:
+            yield from _of_scene(Path(other), parameters, depth - 1)
+
+
+def _beside(path: Path, name: str, parameters: Mapping[str, str]) -> str | Path:
+    """File of that name beside `path`, or the name alone if there is none."""
+    for key in sorted(parameters, key=len, reverse=True):
+        name = name.replace(f"${key}", parameters[key])
+    beside = path.parent / name
+    return beside if beside.is_file() else name
