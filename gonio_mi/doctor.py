@@ -10,7 +10,7 @@ import numpy as np
 
 from . import llvm
 from .errors import LLVMError
-from .instrument.measurement import measure
+from .instrument.measurement import measure_whole
 
 __all__ = ["Row", "diagnose", "run"]
 
@@ -121,7 +121,7 @@ def _self_test():
 
 def _measure_white():
     """Record of counted independent rays on a white Lambertian plate."""
-    return measure(
+    return measure_whole(
         {"type": "diffuse", "reflectance": 1.0},
         theta_i=45,
         phi_i=0,

@@ -119,7 +119,7 @@ def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch
         measured.append(incident)
         return gonio.measure(specimen, *incident, **settings)
 
-    monkeypatch.setattr(module, "measure", measure)
+    monkeypatch.setattr(module, "measure_whole", measure)
     records = gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, folder=tmp_path)
     assert measured == [(40, 0), (0, 90)]
     assert same(records, reference)

@@ -548,6 +548,20 @@ def test_ctrl_c_while_saving_does_not_lose_the_file(
 
 
 @pytest.mark.usefixtures("sigint")
+def test_ctrl_c_gives_no_verdict(run, plugins, write):
+    """Neither of a part of what is compared, nor of a chart."""
+    table = "theta_i,phi_i,theta_o,phi_o,value\n45,0,30,180,0.9\n"
+    compared = ("compare", "test_interrupted:at=4", write("table.csv", table))
+    compared += ("--aperture-half-angle", "5", "--rays", "2e7", *plugins)
+    drawn = ("chart", "test_interrupted:at=40", "--theta-i", "45", *plugins)
+    drawn += ("--estimator", "analog", "--sampler", "independent", "--seconds", "0.1")
+    for arguments in (compared, drawn):
+        code, out, err = run(*arguments)
+        assert (code, out) == (2, "")
+        assert err == "gonio-mi: interrupted: there is nothing to keep\n"
+
+
+@pytest.mark.usefixtures("sigint")
 def test_ctrl_c_before_the_first_batch(run, plugins, tmp_path):
     path = tmp_path / "run.npz"
     code, out, err = run(*interruptible(plugins, "at=1"), "-o", path)

@@ -143,7 +143,7 @@ def test_a_folder_at_work(folder, refused):
 
     module = sys.modules["gonio_mi.instrument.campaigns"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "measure", at_work)
+        patch.setattr(module, "measure_whole", at_work)
         measure(folder.parent / "busy", theta_i=0)
     measure(folder.parent / "busy", theta_i=0)
 
@@ -238,7 +238,7 @@ def test_a_plugin_edited_while_it_is_measured(plugin, tmp_path):
         return gonio.measure(specimen, *incident, **settings)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys.modules["gonio_mi.instrument.campaigns"], "measure", edited)
+        patch.setattr(sys.modules["gonio_mi.instrument.campaigns"], "measure_whole", edited)
         with pytest.raises(ValueError, match=r"p\.py was edited"):
             measure(tmp_path / "kept", specimens=specimens, plugins=[path])
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import SpecimenError
-from ..instrument.measurement import measure
+from ..instrument.measurement import measure_whole
 from .curves import Point, Reference
 
 __all__ = ["FIRST_RAYS", "GROWTH", "Method", "Runs", "find_reference"]
@@ -71,7 +71,7 @@ class Runs:
 
     def measure(self, seed, **settings):
         """Record of one measurement; seed 0 is for the reference and first runs."""
-        return measure(
+        return measure_whole(
             self.scene, seed=self.seed + seed, **{**self.settings, **settings}
         )
 

@@ -329,11 +329,11 @@ def _measure(options):
             )[options.specimen]
         except KeyboardInterrupt:
             if options.folder is None:
-                raise
-            say(
-                f"interrupted: {options.folder} holds what was finished; the same "
-                "command carries on"
-            )
+                kept = "nothing was kept, for want of --folder"
+            else:
+                kept = f"{options.folder} holds what was finished; the same command "
+                kept += "carries on"
+            say(f"interrupted: {kept}")
             raise SystemExit(INCOMPLETE) from None
         return record if len(record) > 1 else record[0]
 

@@ -8,7 +8,7 @@ from ..collector.apertures import Apertures, disjoint_groups
 from ..errors import checked_number
 from ..files.measured import MeasuredTable
 from ..files.measured_table import NUMBERS
-from ..instrument.measurement import measure
+from ..instrument.measurement import measure_whole
 from ..results.record import Record
 from .agreement import FEW_HITS, judge, mostly_few
 from .pairing import check_uncertainties, pair_with_record, pair_with_table, pole_angle
@@ -351,7 +351,7 @@ def measure_like(specimen, table, *, aperture_half_angle=None, seed=0, **setting
             n = len(records)
             own = np.random.SeedSequence((seed, n)).generate_state(1)[0] if n else seed
             records.append(
-                measure(
+                measure_whole(
                     specimen,
                     theta_i,
                     phi_i,

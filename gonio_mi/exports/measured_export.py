@@ -6,7 +6,7 @@ import numpy as np
 from ..errors import VariantError
 from ..files import replacing, tensor_file
 from ..files.channels import wavelengths_nm
-from ..instrument.measurement import measure
+from ..instrument.measurement import measure_whole
 from .loss import losses
 from .resampling import Material, half_vector_grid
 
@@ -49,7 +49,7 @@ def write_measured(record, path):
     if spectral:
         settings["wavelengths"] = wavelengths_nm(record.channels).tolist()
     again = [
-        measure({"type": "measured", "filename": str(path)}, *angles, **settings)
+        measure_whole({"type": "measured", "filename": str(path)}, *angles, **settings)
         for angles in zip(record.theta_i, record.phi_i)
     ]
     return losses(record, np.stack([one.flux_fraction[:1] for one in again]))

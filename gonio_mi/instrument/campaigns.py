@@ -22,7 +22,7 @@ from ..transport.specimen import Specimen
 from .campaign_folder import CampaignFolder
 from .incidence import emitter_scene, incident_angles, lamp_digest
 from .loading import check_variant, load_plugin_file, load_specimen, specimen_name
-from .measurement import measure
+from .measurement import measure_whole
 from .workers import workers
 
 __all__ = ["campaign"]
@@ -167,16 +167,12 @@ class _Task:
             if mi.variant() != self.variant:
                 mi.set_variant(self.variant)
             self._load_plugins()
-            with _threads(self.threads), warnings.catch_warnings():
-                # what a campaign keeps is whole directions
-                warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
+            with _threads(self.threads):
                 return Record.stack(map(self._measured, self.incidents))
 
     def _measured(self, incident):
-        """Record of one direction; Ctrl-C is raised, even if there is part of it."""
-        record = measure(self._located(), *incident, **self.settings)
-        if record.settings.get("interrupted"):
-            raise KeyboardInterrupt
+        """Record of one direction: what a campaign keeps is whole ones."""
+        record = measure_whole(self._located(), *incident, **self.settings)
         # the same wherever it is measured
         name = specimen_name(self.specimen, self.settings.get("parameters"))
         record.settings["specimen"] = name

@@ -20,7 +20,7 @@ from .incidence import emitter_scene, incident_angles, incident_key, lamp_digest
 from .loading import check_variant, load_specimen, loaded, specimen_name
 from .resuming import check_resumable
 
-__all__ = ["measure"]
+__all__ = ["measure", "measure_whole"]
 
 logger = logging.getLogger(__name__)
 
@@ -255,6 +255,16 @@ def measure(
     if not complete:
         record.settings["interrupted"] = True
         _warn_of_interruption(integrator, target, plan, finished)
+    return record
+
+
+def measure_whole(specimen, *args, **settings):
+    """Like :func:`measure`, but after Ctrl-C KeyboardInterrupt instead of a part."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
+        record = measure(specimen, *args, **settings)
+    if record.settings.get("interrupted"):
+        raise KeyboardInterrupt
     return record
 
 
