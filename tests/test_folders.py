@@ -237,8 +237,9 @@ def test_a_plugin_edited_while_it_is_measured(plugin, tmp_path):
         plugin(0.9)
         return gonio.measure(specimen, *incident, **settings)
 
+    module = sys.modules["gonio_mi.instrument.campaigns"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys.modules["gonio_mi.instrument.campaigns"], "measure_whole", edited)
+        patch.setattr(module, "measure_whole", edited)
         with pytest.raises(ValueError, match=r"p\.py was edited"):
             measure(tmp_path / "kept", specimens=specimens, plugins=[path])
 

@@ -28,7 +28,7 @@ from scipy import stats
 from scipy.stats import qmc
 
 import gonio_mi as gonio
-from gonio_mi.transport import sampling
+from gonio_mi.transport import launch, sampling
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -416,6 +416,53 @@ def test_batches_that_share_a_launch_have_the_bits_of_their_own(monkeypatch, tra
     assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
     monkeypatch.setattr(integrator, "FUSED_SUMS", 0)
     assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
+
+
+@pytest.mark.parametrize("trace", [False, True])
+def test_launches_as_short_as_can_be_have_the_bits_of_long_ones(monkeypatch, trace):
+    """Exact; the slowest machine there is, on which a launch is of 1024 rays."""
+    integrator = importlib.import_module("gonio_mi.plugins.integrators.goniophotometer")
+    settings = {"theta_i": 60, "rays": 20_003, "batches": 2, "trace": trace}
+    sent = []
+    tallies = integrator.Goniophotometer.tallies
+
+    def heard(*args, **kwargs):
+        kwargs["progress"] = sent.append
+        return tallies(*args, **kwargs)
+
+    monkeypatch.setattr(integrator.Goniophotometer, "tallies", heard)
+    whole = gonio.measure(PLASTIC, **settings)
+    assert sent == [20_003]
+    monkeypatch.setattr(integrator, "FIRST_TRACED", 2000)
+    monkeypatch.setattr(integrator, "FIRST_PLANE", 2000)
+    monkeypatch.setattr(launch, "SECONDS", 1e-9)
+    sent.clear()
+    assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
+    assert sum(sent) == 20_003
+    assert sent[0] <= 2000
+    assert max(sent[1:]) <= 1024
+
+
+@pytest.mark.parametrize("rate", [1e2, 1e5, 3e6, 1e9])
+def test_ctrl_c_is_heard_after_a_second(monkeypatch, rate):
+    """By a clock of our own, at `rate` rays a second; but for the first launches."""
+    clock = [0.0]
+
+    def launch_rays(_bench, _settings, _keys, sizes):
+        clock[0] += 1e-6 + sum(sizes) / rate
+
+    monkeypatch.setattr(launch, "launch", launch_rays)
+    monkeypatch.setattr(launch.time, "perf_counter", lambda: clock[0])
+    pace, begin, end = launch.Pace(2**18), 2**32 - 10**6, 2**32 + int(20 * rate)
+    parts, ends = [], []
+    while begin < end:
+        parts.append(pace.next_part(begin, end))
+        before, begin = clock[0], begin + parts[-1]
+        pace.launch(None, {}, None, [parts[-1]])
+        ends.append(clock[0] - before)
+    assert sum(parts) == end - (2**32 - 10**6)
+    assert 2**32 in np.cumsum(parts) + 2**32 - 10**6
+    assert max(ends[6:]) <= max(1.001, 1024 / rate + 1e-6)
 
 
 def difference_to_independent(sampler, **settings):

@@ -1,5 +1,7 @@
 """One launch: a kernel that sends the rays of some batches, and their tally."""
 
+import time
+
 import drjit as dr
 import mitsuba as mi
 
@@ -10,7 +12,10 @@ from .sampling import apart, continues, in_turns, seeded, turns_of
 from .scattering_order import of_order, orders
 from .sums import Sums
 
-__all__ = ["launch", "traces"]
+__all__ = ["Pace", "launch", "traces"]
+
+# What a launch is to take, so that Ctrl-C is heard within seconds.
+SECONDS = 1.0
 
 
 def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
@@ -70,6 +75,36 @@ def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
     else:
         _add(sampler, ray)
     return sums.tally(len(sizes))
+
+
+class Pace:
+    """Rays of the next launch: many for its overhead, few for Ctrl-C.
+
+    Only for samplers whose bits do not depend on how rays are shared among launches.
+
+    Parameters
+    ----------
+    rays : int
+        Of the first launch, of whose speed nothing is known.
+    """
+
+    def __init__(self, rays):
+        self.rays = rays
+
+    def launch(self, bench, settings, keys, sizes, *others):
+        """:func:`launch`, and learn from the time it takes."""
+        started = time.perf_counter()
+        tally = launch(bench, settings, keys, sizes, *others)
+        growth = SECONDS / (time.perf_counter() - started)
+        # the first one may have compiled its kernel
+        self.rays = max(int(sum(sizes) * min(max(growth, 0.25), 16)), 1024)
+        return tally
+
+    def next_part(self, begin, end):
+        """Rays to send next of those from `begin` to `end`, about alike in size."""
+        # the generator is seeded anew for every 2**32 rays
+        left = min(end, (begin // 2**32 + 1) * 2**32) - begin
+        return -(-left // -(-left // self.rays))
 
 
 def traces(bench, settings):

@@ -16,7 +16,7 @@ from gonio_mi.results.record import Record
 from gonio_mi.results.tally import WEIGHT_SCALE, Tally, batch_sizes
 from gonio_mi.transport.beam import EMISSIONS, Beam, checked_footprint
 from gonio_mi.transport.bench import Bench
-from gonio_mi.transport.launch import launch, traces
+from gonio_mi.transport.launch import Pace, traces
 from gonio_mi.transport.next_event import MOST_POINTS, check_traced
 from gonio_mi.transport.sampling import sampler_name
 from gonio_mi.transport.scattering_order import checked_order
@@ -29,8 +29,8 @@ from gonio_mi.transport.wavelengths import (
     wavelength_lanes,
 )
 
-# Rays per kernel launch. It takes part in the seeding: a change of it changes the
-# random numbers.
+# Rays per kernel launch, at most. For samplers other than `sobol` it takes part in the
+# seeding: a change of it changes the random numbers.
 LAUNCH = 2**24
 
 # Rays of the batches that share a launch: many for its overhead, few for the progress
@@ -38,6 +38,9 @@ LAUNCH = 2**24
 # in its cache.
 FUSED_RAYS = 2**22
 FUSED_SUMS = 2**19
+
+# Rays of the first launch, traced and on a plane; then as many as take a second.
+FIRST_TRACED, FIRST_PLANE = 2**18, 2**20
 
 ESTIMATORS = ("weighted", "analog", "quadrature", "next_event")
 DEFAULT_RAYS = 1_000_000
@@ -164,6 +167,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         self.analog = self.settings["estimator"] == "analog"
         self.integrates = self.settings["estimator"] == "quadrature"
         self.deposits = self.settings["estimator"] == "next_event"
+        self._pace = None
         self.wavelengths = checked_wavelengths(self.settings["wavelengths"])
         super().__init__(props)
 
@@ -246,8 +250,12 @@ class Goniophotometer(mi.SamplingIntegrator):
         Tally
         """
         capacity = self._capacity(bench)
+        if self._pace is None:
+            traced = traces(bench, self.settings)
+            self._pace = Pace(FIRST_TRACED if traced else FIRST_PLANE)
         while sizes:
-            several = max(1, min(len(sizes), capacity, FUSED_RAYS // sizes[0]))
+            most = min(FUSED_RAYS, self._pace.rays)
+            several = max(1, min(len(sizes), capacity, most // sizes[0]))
             groups = []
             for number, nm in enumerate(passes(self.wavelengths)):
                 keys = [(*key, first + i, number) for i in range(several)]
@@ -292,14 +300,20 @@ class Goniophotometer(mi.SamplingIntegrator):
     def _part(self, bench, keys, sizes, start, wavelengths, progress):
         """Tally of the batches of `keys`, by one launch or more for a single one."""
         total, capacity = None, self._capacity(bench)
-        for begin in range(start, start + sizes[0], LAUNCH):
-            parts = [min(LAUNCH, start + size - begin) for size in sizes]
-            tally = launch(
+        divisible = hasattr(bench.sensor.sampler(), "start")
+        begin, end = start, start + sizes[0]
+        while begin < end:
+            n = min(LAUNCH, end - begin)
+            if divisible:
+                n = min(n, self._pace.next_part(begin, end))
+            parts = [min(n, start + size - begin) for size in sizes]
+            tally = self._pace.launch(
                 bench, self.settings, keys, parts, begin, wavelengths, capacity
             )
             total = tally if total is None else total.accumulate(tally)
             if progress is not None:
                 progress(sum(parts))
+            begin += n
         return total
 
     def record(self, bench, tally, seed):
