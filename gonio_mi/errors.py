@@ -122,8 +122,13 @@ def checked_count(name, value, minimum=1, maximum=None):
 
 
 def checked_number(name, value, low, high, condition):
-    """Return `value` as a float in ``[low, high)``, or say what it must be."""
+    """Return `value` as a float in ``[low, high)``, or say what it must be.
+
+    A boolean, NumPy's too, is no number.
+    """
     try:
+        if isinstance(value, bool) or str(getattr(value, "dtype", "")) == "bool":
+            raise TypeError
         number = float(value)
     except OverflowError:
         number = math.inf  # a whole number beyond all floats

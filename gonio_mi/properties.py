@@ -5,7 +5,7 @@ Only the text of an exception survives Mitsuba's plugin loader, so it says it al
 
 from .errors import checked_choice, checked_count, checked_number
 
-__all__ = ["choice", "count", "number"]
+__all__ = ["choice", "count", "flag", "number"]
 
 
 def choice(props, name, default, choices):
@@ -18,6 +18,16 @@ def count(props, name, default, minimum=1, maximum=None):
     return checked_count(
         _label(props, name), props.get(name, default), minimum, maximum
     )
+
+
+def flag(props, name, default):
+    """Return the boolean property `name`; no text, of which ``"false"`` were true."""
+    value = props.get(name, default)
+    if not isinstance(value, bool):
+        raise TypeError(
+            f"{_label(props, name)} must be a boolean, true or false, got {value!r}"
+        )
+    return value
 
 
 def number(props, name, default, low, high, condition):

@@ -6,10 +6,19 @@ import numpy as np
 
 from ..collector.directions import angles
 from ..errors import SpecimenError, checked_number
+from .wavelengths import passes, wavelength_lanes
 
 __all__ = ["Beam", "checked_footprint"]
 
 EMISSIONS = ("radiometric", "equal_power")
+
+# Points, along each of two sides, from which the mean power of a beam is taken.
+N_GRID = 128
+
+# How much brighter than the footprint's middle the spot under a lamp may be, and at
+# most than the unit of power: far less than what the tally's sums hold of one ray.
+MOST_UNEVEN = 2.0**10
+HIGHEST_SPOT = 2.0**20
 
 
 def checked_footprint(footprint):
@@ -39,9 +48,16 @@ class Beam:
         ``"radiometric"`` weights a ray by radiance, cosines and distance, as light is.
         ``"equal_power"`` is the paper's section 2.2: uniform points on emitter and
         specimen, each ray carrying the same power.
+    nm : sequence of float, optional
+        Wavelengths in spectral variants.
+
+    Raises
+    ------
+    SpecimenError
+        If the emitter lights nothing of the footprint, or nothing at one of `nm`.
     """
 
-    def __init__(self, specimen, emitter, footprint, emission):
+    def __init__(self, specimen, emitter, footprint, emission, nm=None):
         self.specimen = specimen
         self.emitter = emitter
         self.footprint = footprint
@@ -57,7 +73,7 @@ class Beam:
         if self.collimated:
             self._wi = mi.Vector3f(self.direction.tolist())
             dr.make_opaque(self._wi)
-        self._reference = None if self.uniform else self._mean_weight()
+        self._reference = None if self.uniform else self._unit_power(nm)
 
     @property
     def uniform(self):
@@ -101,16 +117,19 @@ class Beam:
 
     def _point(self, sampler):
         """Points of the footprint."""
-        middle = mi.Point3f(self.middle.tolist())
         if self.footprint == "point":
             if hasattr(sampler, "skip"):
                 # the best dimensions are those that come after the footprint's
                 sampler.skip(2)
-            return middle
+            return mi.Point3f(self.middle.tolist())
+        return self._spread(sampler.next_2d())
+
+    def _spread(self, sample):
+        """Points all over a footprint that is more than a point."""
+        middle = mi.Point3f(self.middle.tolist())
         if self.footprint != "full":
-            disk = mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
+            disk = mi.warp.square_to_uniform_disk_concentric(sample)
             return middle + self.footprint * mi.Vector3f(disk.x, disk.y, 0)
-        sample = sampler.next_2d()
         if self.specimen.plane is not None:
             centre = self.specimen.plane.interaction
             u, v = sample.x - 0.5, sample.y - 0.5
@@ -153,9 +172,7 @@ class Beam:
         elif self.emitter.is_environment():
             return None
         else:
-            box = self.emitter.bbox()
-            centre = (np.array(box.min) + np.array(box.max)).ravel() / 2
-            vector = centre - self.middle
+            vector = self._centre() - self.middle
         norm = np.linalg.norm(vector)
         if not np.isfinite(norm) or norm == 0:
             raise SpecimenError(
@@ -170,19 +187,57 @@ class Beam:
             )
         return vector
 
-    def _mean_weight(self):
-        """Average weight over the beam, the unit of the tally; a fixed constant."""
-        n = 128
-        grid = mi.UInt32(dr.arange(mi.UInt32, n * n))
-        sample = (mi.Point2f(mi.Float(grid % n), mi.Float(grid // n)) + 0.5) / n
-        middle = mi.Point3f(self.middle.tolist())
-        wavelengths = mi.Spectrum(550.0) if mi.is_spectral else mi.Color0f()
-        _, _, weight = self._towards(middle, sample, wavelengths)
-        mean = float(np.mean(np.array(weight)))
-        if not mean > 0:
+    def _centre(self):
+        """Middle of the emitter's bounding box."""
+        box = self.emitter.bbox()
+        return (np.array(box.min) + np.array(box.max)).ravel() / 2
+
+    def _unit_power(self, nm):
+        """Power that counts as 1: about the mean over the beam, a power of two.
+
+        That of the footprint's middle; but of all the footprint if the middle is dark,
+        or if the spot under a small near lamp is so much brighter that single rays
+        would exceed what the tally holds.
+        """
+        grid = mi.UInt32(dr.arange(mi.UInt32, N_GRID * N_GRID))
+        x, y = mi.Float(grid % N_GRID), mi.Float(grid // N_GRID)
+        sample = (mi.Point2f(x, y) + 0.5) / N_GRID
+        powers = self._mean_weights(mi.Point3f(self.middle.tolist()), sample, nm)
+        unit = powers.mean()
+        spot = self._mean_weights(self._nearest(), sample, nm).mean()
+        if self.footprint != "point" and (unit == 0 or spot > MOST_UNEVEN * unit):
+            # points all over, as evenly as those of the grid (Roberts 2018)
+            places = mi.Point2f(mi.Float(grid) * 0.7548777, mi.Float(grid) * 0.5698403)
+            places -= dr.floor(places)
+            powers = self._mean_weights(self._spread(places), sample, nm)
+            unit = max(powers.mean(), spot / HIGHEST_SPOT)
+        dark = [x for x, power in zip(nm or (), powers) if not power > 0]
+        if dark or not unit > 0:
+            at = f" at {dark[0]:g} nm" if dark else ""
             raise SpecimenError(
-                f"the emitter {self.emitter.class_name()} must light the specimen, "
-                "got no light at the middle of the footprint"
+                f"the emitter {self.emitter.class_name()} must light the specimen{at}, "
+                "got no light on the footprint"
             )
         # a power of two divides exactly
-        return 2.0 ** np.round(np.log2(mean))
+        return 2.0 ** np.round(np.log2(unit))
+
+    def _mean_weights(self, p, sample, nm):
+        """Mean weight of rays from `p`, of each channel: of each of `nm`, if any."""
+        weights = []
+        for part in passes(nm):
+            weight = self._towards(p, sample, wavelength_lanes(part))[2]
+            means = np.array(weight, dtype=float).reshape(len(weight), -1).mean(axis=1)
+            weights += means[: None if part is None else len(part)].tolist()
+        return np.array(weights)
+
+    def _nearest(self):
+        """Point of the footprint, or of the box about it, under a lamp in its middle.
+
+        The footprint's middle for a lamp that is infinitely far.
+        """
+        if self.direction is None or self.emitter.is_environment():
+            return mi.Point3f(self.middle.tolist())
+        radius = self.footprint if isinstance(self.footprint, float) else self.half
+        nearest = self.middle.copy()
+        nearest[:2] += np.clip((self._centre() - self.middle)[:2], -radius, radius)
+        return mi.Point3f(nearest.tolist())

@@ -5,6 +5,7 @@ import operator
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from gonio_mi.files.channels import wavelengths_nm
 from gonio_mi.files.material_files import load_material
@@ -65,7 +66,8 @@ class Goniometric(mi.BSDF):
 
     A record of one channel fits all variants; one of the channels R, G, B those of
     rgb, and by its luminance monochrome ones; one of several wavelengths spectral
-    variants: it is linear in between and constant beyond them.
+    variants: it is linear in between and constant beyond them, where `measure` refuses
+    it.
 
     .. tabs::
         .. code-tab:: xml
@@ -92,6 +94,16 @@ class Goniometric(mi.BSDF):
             )
         ]
         self._declare()
+
+    def wavelength_range(self):
+        """Shortest and longest wavelength in nm of what the records hold.
+
+        Without an end for records of one channel, which hold for all.
+        """
+        held = [face.wavelengths for face in self.faces if face is not None]
+        held = [nm for nm in held if nm is not None and len(nm) > 1]
+        low, high = max(map(min, held), default=0), min(map(max, held), default=np.inf)
+        return float(low), float(high)
 
     def _declare(self):
         """Set the flags of both components."""

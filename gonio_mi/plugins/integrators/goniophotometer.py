@@ -21,7 +21,9 @@ from gonio_mi.transport.next_event import MOST_POINTS, check_traced
 from gonio_mi.transport.sampling import sampler_name
 from gonio_mi.transport.scattering_order import checked_order
 from gonio_mi.transport.specimen import Specimen, checked_period
+from gonio_mi.transport.spectral_coverage import check_covered
 from gonio_mi.transport.sums import packet_width
+from gonio_mi.transport.trial import check_works
 from gonio_mi.transport.wavelengths import (
     channel_names,
     checked_wavelengths,
@@ -157,7 +159,7 @@ class Goniophotometer(mi.SamplingIntegrator):
             "rr_depth": properties.count(props, "rr_depth", -1, minimum=-1),
             "footprint": checked_footprint(props.get("footprint", "full")),
             "emission": properties.choice(props, "emission", EMISSIONS[0], EMISSIONS),
-            "trace": bool(props.get("trace", False)),
+            "trace": properties.flag(props, "trace", False),
             "period": checked_period(props.get("period", "none")),
             "order": checked_order(props.get("order", "all")),
             "wavelengths": props.get("wavelengths", DEFAULT_WAVELENGTHS),
@@ -213,16 +215,29 @@ class Goniophotometer(mi.SamplingIntegrator):
                 "collector.radius must enclose the specimen, whose corner is at "
                 f"{corner}, got {sensor.radius}"
             )
-        beam = Beam(
-            specimen, emitters[0], self.settings["footprint"], self.settings["emission"]
-        )
+        lanes = wavelength_lanes(passes(self.wavelengths)[0])
+        bsdfs = [surface.bsdf() for surface in specimen.surfaces]
+        check_works(bsdfs, lanes, self.settings["estimator"])
+        if mi.is_spectral:
+            check_covered(bsdfs, self.wavelengths)
+        beam = self._beam(specimen, emitters[0])
         bench = Bench(specimen, beam, sensor, incident, lamp)
         if self.integrates:
-            lanes = wavelength_lanes(passes(self.wavelengths)[0])
             check_integrable(bench, self.settings, lanes)
         if self.deposits:
             check_traced(bench, self.settings)
         return bench
+
+    def _beam(self, specimen, emitter):
+        """Light of `emitter`, at wavelengths that it has."""
+        emission = self.settings["emission"]
+        collimated = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaDirection)
+        by_shape = emission == "equal_power" and emitter.get_shape() is not None
+        # of the other two, no power is asked for
+        if mi.is_spectral and not collimated and not by_shape:
+            check_covered([emitter], self.wavelengths)
+        nm = self.wavelengths if mi.is_spectral else None
+        return Beam(specimen, emitter, self.settings["footprint"], emission, nm)
 
     def tallies(self, bench, key, sizes, first=0, start=0, progress=None):
         """Tallies of independent batches, in order: of one batch each, or of several.

@@ -43,6 +43,12 @@ class Collector(mi.Sensor):
         self.radius = properties.number(
             props, "radius", 0.0, 0, float("inf"), "a finite radius of 0 or more"
         )
+        for name, value in props.objects():
+            known = mi.Sampler if name == "sampler" else (mi.Film, mi.Sampler)
+            if not isinstance(value, known):
+                raise ValueError(
+                    f"collector.{name} must be a sampler, got {value.class_name()}"
+                )
         if not any(isinstance(value, mi.Sampler) for _, value in props.objects()):
             props["sampler"] = mi.load_dict({"type": "sobol"})
         super().__init__(props)
