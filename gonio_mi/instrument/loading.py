@@ -90,6 +90,10 @@ def load_specimen(specimen, parameters=None):
             f"{mi.variant()}, as object, dictionary or XML file, got "
             f"{_one_line(repr(specimen)):.200}"
         )
+    elif specimen.class_name() == "Instance":
+        raise SpecimenError(
+            "an instance must be measured in a scene that holds its shapegroup"
+        )
     return loaded("the specimen", mi.load_dict, {"type": "scene", "shape": specimen})
 
 

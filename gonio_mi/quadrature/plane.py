@@ -15,6 +15,7 @@ def check_integrable(bench, settings, wavelengths):
         "a single flat rectangle": plane is not None and not settings["trace"],
         "a collimated beam": bench.beam.collimated,
         "a collector in the far field": not bench.sensor.radius,
+        "a collector of rings and sectors": bench.film.subdivision.axes is None,
         "the order all": settings["order"] == "all",
         "the same BSDF all over the specimen": plane is None
         or at_point

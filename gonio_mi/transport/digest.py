@@ -23,7 +23,10 @@ _known: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
 def specimen_digest(specimen):
     """:func:`digest` of the shapes of a :class:`Specimen`, which is taken once."""
     if specimen not in _known:
-        _known[specimen] = digest(specimen.scene.shapes())
+        shapes = specimen.scene.shapes()
+        if specimen.groups:
+            shapes = [*shapes, *specimen.groups, *specimen.surfaces]
+        _known[specimen] = digest(shapes)
     return _known[specimen]
 
 
@@ -70,8 +73,9 @@ def _digest_of(thing, geometry):
     parameters = mi.traverse(thing)
     # the order of keys is not that of another process
     for key in sorted(parameters.properties):
-        node = parameters.properties[key][2]
-        if not geometry or isinstance(node, mi.Shape):
+        handle, _, node, *_ = parameters.properties[key]
+        # a parameter that was not given has no value to ask for
+        if handle is not None and (not geometry or isinstance(node, mi.Shape)):
             value = parameters[key]
             array = np.ascontiguousarray(getattr(value, "matrix", value))
             if array.dtype == object:

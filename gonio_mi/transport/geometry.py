@@ -6,19 +6,44 @@ import mitsuba as mi
 
 from .digest import digest
 
-__all__ = ["scene_of"]
+__all__ = ["groups_of", "scene_of", "surfaces_of"]
 
 # The shapes that were built last, a digest of their geometry, and their scene: what is
 # measured again is found here, and nothing else is kept alive.
 _last: list = []
 
 
-def scene_of(shapes):
-    """Scene of `shapes`, ready to be traced.
+def groups_of(scene):
+    """List of the shape groups of `scene`, without which no instance can be built."""
+    if not any(map(_is_instance, scene.shapes())):
+        return []
+    return [
+        part
+        for part in mi.traverse(scene).hierarchy
+        if isinstance(part, mi.Shape) and part.class_name().startswith("ShapeGroup")
+    ]
+
+
+def surfaces_of(shapes, groups):
+    """List of the `shapes` that are no instances, and of those in the `groups`."""
+    surfaces = [shape for shape in shapes if not _is_instance(shape)]
+    for group in groups:
+        parts = mi.traverse(group).hierarchy
+        surfaces += [p for p in parts if isinstance(p, mi.Shape) and p is not group]
+    return surfaces
+
+
+def _is_instance(shape):
+    return shape.class_name() == "Instance"
+
+
+def scene_of(shapes, groups=()):
+    """Scene of `shapes`, and of the shape `groups` of their instances, to be traced.
 
     That of the call before, if these are the same objects and no parameter of their
     geometry has changed since.
     """
+    shapes = [*groups, *shapes]
     geometry = digest(shapes, geometry=True)
     if _last and _same(_last[0], shapes) and _last[1] == geometry:
         return _last[2]

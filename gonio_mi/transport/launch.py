@@ -49,6 +49,8 @@ def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
     sampler = bench.sensor.sampler()
     turns = 1 if traced else turns_of(sampler, sizes[0])
     lanes = -(-sizes[0] // turns)
+    if traced and len(sizes) * lanes == 1:
+        lanes = 2  # in a single one Dr.Jit 1.5 takes a loop's variables for constants
     sampler = seeded(sampler, keys, begin, lanes)
     # as many lanes as rays, even where none of them draws a number
     lane = dr.arange(mi.UInt32, len(sizes) * lanes)

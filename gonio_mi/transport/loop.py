@@ -274,7 +274,8 @@ def _whole(x, u):
     floor = dr.floor(x)
     rest = x - floor
     above = (u < rest) & ((x < 1) | (rest > x * ROUNDING))
-    return floor + dr.select(above, mi.Spectrum(1.0), mi.Spectrum(0.0))
+    # of that type: a loop's variable does not change its own
+    return mi.Spectrum(floor + dr.select(above, 1.0, 0.0))
 
 
 def shading_normal_correction(si, ray, local_wo, wo):

@@ -22,9 +22,12 @@ LOWER_IF_DARK = 1 / 16
 def check_traced(bench, settings):
     """Raise SpecimenError for a flat specimen, which needs no points in patches."""
     if bench.specimen.plane is not None and not settings["trace"]:
+        if bench.film.subdivision.axes is None:
+            remedy = "take quadrature, which integrates eval over all patches"
+        else:
+            remedy = "trace it all the same (trace=True, or --trace), for its apertures"
         raise SpecimenError(
-            "the estimator next_event needs geometry, got a flat rectangle: take "
-            "quadrature, which integrates eval over all patches"
+            f"the estimator next_event needs geometry, got a flat rectangle: {remedy}"
         )
 
 
@@ -65,7 +68,7 @@ class Deposits:
         self.lanes, self.batch = lanes, batch
         self.scatters = any(
             mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth)
-            for shape in bench.specimen.scene.shapes()
+            for shape in bench.specimen.surfaces
         )
         self.lower = 0.0
         if bench.shape[0] == 2:

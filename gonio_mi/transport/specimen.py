@@ -1,6 +1,7 @@
 """What is measured: the shapes of a scene without its lamps, and how flat they are."""
 
 import re
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,13 +10,23 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
-from .geometry import scene_of
+from .geometry import groups_of, scene_of, surfaces_of
 from .ray_offsets import START, escapes, intersect
 
 __all__ = ["Plane", "Specimen", "checked_period"]
 
 # Points at which a BSDF is compared with itself.
 N_POINTS = 2**12
+
+# Extents in scene units that rays find their way in.
+SMALLEST = 1e-9
+LARGEST = 1e9
+
+# Relative error of reflectances by rays that start so far off a surface, in units of
+# its coordinates over the specimen's detail (as measured on grooves and spheres), and
+# from where it is worth a warning.
+OFF_BY = 2.0**-19
+WORTH_A_WARNING = 1e-4
 
 # Relative difference that is taken for float32 rounding between texels: 16 ulp.
 ROUNDING = 2.0**-20
@@ -29,6 +40,8 @@ def checked_period(period):
     if isinstance(period, str) and period in ("none", "box"):
         return period
     try:
+        if isinstance(period, bool):
+            raise TypeError
         words = period.split(",") if isinstance(period, str) else period
         extents = np.broadcast_to(np.asarray(words, dtype=float), 2).tolist()
     except (TypeError, ValueError):
@@ -112,6 +125,10 @@ class Specimen:
     ----------
     scene : mi.Scene
         Specimen only: lamps do not stand in the way of what they light.
+    groups : list of mi.Shape
+        The shape groups that its instances repeat.
+    surfaces : list of mi.Shape
+        What light meets: shapes that are no instances, and what is in the groups.
     low, high : ndarray, shape (3,)
         Corners of the bounding box, in scene units; in x and y those of the cell, if
         there is one.
@@ -141,7 +158,9 @@ class Specimen:
         shapes = [shape for shape in everything if not shape.is_emitter()]
         if not shapes:
             raise SpecimenError("the scene must contain a shape to measure, got none")
-        for shape in shapes:
+        self.groups = groups_of(scene)
+        self.surfaces = surfaces_of(shapes, self.groups)
+        for shape in self.surfaces:
             if shape.is_medium_transition():
                 raise SpecimenError(
                     "participating media are not modelled: take the medium of the "
@@ -150,7 +169,7 @@ class Specimen:
             if isinstance(shape, mi.Mesh) and not shape.bbox().valid():
                 # merged from others by Mitsuba 3.9.1, which forgets to
                 shape.recompute_bbox()
-        self.scene = scene = scene_of(shapes)
+        self.scene = scene = scene_of(shapes, self.groups)
         box = scene.bbox()
         self.low = np.array(box.min, dtype=float).ravel()
         self.high = np.array(box.max, dtype=float).ravel()
@@ -161,17 +180,22 @@ class Specimen:
         self.periodic = period != "none"
         if self.periodic:
             self._set_cell(period)
+        self._check_extent()
         self.closed_to_light = not any(
             mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Transmission)
-            for shape in shapes
+            for shape in self.surfaces
         )
         self.plane = None if self.periodic else self._plane(shapes)
+        if self.plane is None:
+            self._warn_of_distance()
         self.transmits = self.plane is None or mi.has_flag(
             self.plane.bsdf.flags(), mi.BSDFFlags.Transmission
         )
         self.name = "a scene"
-        self.description = "; ".join(_describe(shape) for shape in shapes[:4]) + (
-            f"; and {len(shapes) - 4} more shapes" if len(shapes) > 4 else ""
+        self.description = "; ".join(map(_describe, self.surfaces[:4])) + (
+            f"; and {len(self.surfaces) - 4} more shapes"
+            if len(self.surfaces) > 4
+            else ""
         )
 
     @property
@@ -215,6 +239,28 @@ class Specimen:
         ray, active = mi.Ray3f(start, down), mi.Bool(True)
         free = escapes(self, 1, ray, mi.Normal3f(0), mi.Float(0), active)
         return not dr.any(free)
+
+    def _check_extent(self):
+        """Raise SpecimenError for what light cannot meet, or float32 not tell apart."""
+        extent = (self.high - self.low)[:2]
+        if extent.min() < SMALLEST or self.reach > LARGEST:
+            raise SpecimenError(
+                f"the specimen must be at least {SMALLEST:g} scene units wide in x and "
+                f"y, and within {LARGEST:g} of the origin, got {extent[0]:g} x "
+                f"{extent[1]:g} within {self.reach:g}"
+            )
+
+    def _warn_of_distance(self):
+        """Warn of what single precision does to geometry far from the origin."""
+        error = (self.reach - self.size) * OFF_BY / self.detail
+        if error > WORTH_A_WARNING:
+            warnings.warn(
+                f"the specimen lies up to {self.reach:g} scene units from the origin, "
+                f"where rounding changes results by up to {error:.1g} of their value: "
+                "move it to the origin",
+                RuntimeWarning,
+                stacklevel=4,
+            )
 
     def _set_cell(self, period):
         """Put the cell's sides into the place of the bounding box's."""

@@ -1,0 +1,281 @@
+"""Settings and specimens that were measured wrongly, or crashed: one sentence each."""
+
+import gonio_mi as gonio
+
+# isort: split
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import agree, disagree, normal_scores, single
+from surfaces import diffuse_groove_dhr
+
+PLATE = {"type": "diffuse", "reflectance": 0.5}
+
+
+def groove(place=(0, 0, 0), half_angle=30.0, rho=0.7):
+    """Two diffuse walls of a groove of width 1, with its valley at `place`."""
+    scene = {"type": "scene"}
+    length = 0.5 / np.sin(np.radians(half_angle))
+    for sign in (-1, 1):
+        transform = mi.ScalarTransform4f().translate(list(place))
+        transform = transform.rotate([0, 1, 0], sign * (half_angle - 90))
+        transform = transform.translate([sign * length / 2, 0, 0])
+        scene[f"wall_{1 + sign}"] = {
+            "type": "rectangle",
+            "to_world": transform.scale([length / 2, 0.5, 1]),
+            "bsdf": {"type": "diffuse", "reflectance": rho},
+        }
+    return scene
+
+
+def score(record, reference):
+    """Normal score of a reflectance from batches."""
+    t = (record.dhr[0] - reference) / record.dhr_std_err[0]
+    return float(normal_scores(t, record.settings["batches"] - 1))
+
+
+# ------------------------------------------------------------------ few rays, variants
+
+
+@pytest.mark.parametrize("sampler", ["sobol", "independent", "multijitter"])
+@pytest.mark.parametrize("estimator", ["weighted", "analog", "next_event"])
+@pytest.mark.usefixtures("mono")
+def test_batches_of_one_ray(sampler, estimator):
+    """Traced batches of one ray end: one alone, and sixteen of them."""
+    common = {"theta_i": 30, "period": "box", "sampler": sampler}
+    for rays in (1, 16):
+        record = gonio.measure(groove(), rays=rays, estimator=estimator, **common)
+        assert record.ledger.emitted == rays
+        assert record.tallies[0].n_batches == rays
+
+
+@pytest.mark.usefixtures("mono")
+def test_one_ray_is_the_first_of_a_longer_batch():
+    """The lane that is added changes no number of the others."""
+    one = gonio.measure(PLATE, theta_i=30, rays=1, batches=1, trace=True)
+    two = gonio.measure(PLATE, theta_i=30, rays=2, batches=1, trace=True)
+    first = np.argwhere(one.tallies[0].hits)
+    assert len(first) == 1
+    assert two.tallies[0].hits[tuple(first[0])] >= 1
+
+
+@pytest.mark.usefixtures("variant")
+def test_analog_estimator_in_any_variant():
+    """Counted rays in a groove against its radiosity; twin: the walls' reflectance."""
+    record = gonio.measure(
+        groove(), theta_i=20, period="box", rays=2**17, estimator="analog"
+    )
+    agree(single(score(record, diffuse_groove_dhr(30, 20, 0.7))))
+    disagree(single(score(record, 0.7)))
+
+
+@pytest.mark.usefixtures("spectral")
+def test_analog_estimator_of_channels():
+    """The same at several wavelengths, each of its own reflectance."""
+    rho = {"type": "spectrum", "value": [(400, 0.2), (800, 0.9)]}
+    record = gonio.measure(
+        groove(rho=rho),
+        theta_i=20,
+        period="box",
+        rays=2**17,
+        estimator="analog",
+        wavelengths=[400, 500, 600, 700, 800],
+    )
+    for channel, own in enumerate(np.linspace(0.2, 0.9, 5)):
+        t = record.dhr[channel] - diffuse_groove_dhr(30, 20, own)
+        t /= record.dhr_std_err[channel]
+        agree(single(float(normal_scores(t, 15))))
+
+
+# ------------------------------------------------------------------------ hair
+
+
+def fibre(**hair):
+    turn = mi.ScalarTransform4f().rotate([0, 1, 0], 90).scale([0.1, 0.1, 1])
+    return {"type": "cylinder", "to_world": turn, "bsdf": {"type": "hair", **hair}}
+
+
+def test_hair_in_colour(variant):
+    """Its absorption or its pigments are what tells it from others."""
+    settings = {"theta_i": 30, "rays": 2000}
+    given = [{"sigma_a": 0.2}, {"sigma_a": 0.3}]
+    if variant == "llvm_ad_mono":
+        with pytest.raises(gonio.SpecimenError, match=r"sample\(\) of the BSDF Hair"):
+            gonio.measure(fibre(), **settings)
+    else:
+        given += [{}, {"eumelanin": 0.1}, {"pheomelanin": 0.1}]
+    records = [gonio.measure(fibre(**each), **settings) for each in given]
+    assert len({record.settings["digest"] for record in records}) == len(given)
+    assert all((record.dhr > 0).all() for record in records)
+
+
+# ---------------------------------------------------------- plugins that raise
+
+
+@pytest.mark.parametrize("shape", ["rectangle", "sphere"])
+@pytest.mark.parametrize("nested", [False, True])
+@pytest.mark.usefixtures("mono")
+def test_plugin_that_raises(shape, nested):
+    """Its own words in one sentence, wherever it stands."""
+
+    class Moody(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            self.m_flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
+            self.m_components = [self.m_flags]
+            self.calm = False
+
+        def sample(self, *_):
+            if self.calm:
+                return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
+            raise ZeroDivisionError("of what,\nexactly?")
+
+        def to_string(self):
+            return "Moody[]"
+
+    mi.register_bsdf("moody", Moody)
+    bsdf = mi.load_dict({"type": "moody"})
+    try:
+        specimen = {"type": "twosided", "bsdf": bsdf} if nested else bsdf
+        with pytest.raises(gonio.SpecimenError) as caught:
+            gonio.measure({"type": shape, "bsdf": specimen}, theta_i=30, rays=100)
+        assert "raises ZeroDivisionError" in str(caught.value)
+        assert "of what, exactly?" in str(caught.value)
+    finally:
+        bsdf.calm = True  # Dr.Jit asks every BSDF that is still alive
+
+
+# ------------------------------------------------------------------- geometry
+
+
+def flat(x, y, z=0.0):
+    """Rectangle of these half widths."""
+    scale = mi.ScalarTransform4f().translate([0, 0, z]).scale([x, y, 1])
+    return {"type": "rectangle", "to_world": scale, "bsdf": PLATE}
+
+
+def triangle(*corners):
+    mesh = mi.Mesh("triangle", 3, 1)
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = np.ravel(corners).astype(np.float32)
+    parameters["faces"] = [0, 1, 2]
+    parameters.update()
+    return mesh
+
+
+@pytest.mark.parametrize(
+    "specimen",
+    [
+        lambda: triangle([1, 1, 1], [1, 1, 1], [1, 1, 1]),
+        lambda: triangle([0, 0, 0], [1, 0, 0], [2, 0, 0]),
+        lambda: triangle([0, 0, 0], [0, 1, 0], [0, 0, 1]),
+        lambda: flat(1, 0),
+        lambda: flat(1e-30, 1e-30),
+        lambda: flat(1e20, 1e20),
+        lambda: {"type": "sphere", "radius": 1e-25},
+    ],
+    ids=["point", "line", "upright", "no width", "atom", "galaxy", "tiny sphere"],
+)
+@pytest.mark.parametrize("trace", [False, True])
+@pytest.mark.usefixtures("mono")
+def test_collapsed_geometry(specimen, trace):
+    """Nothing to light, or nothing that single precision resolves."""
+    with pytest.raises(gonio.SpecimenError, match="must be at least 1e-09 scene units"):
+        gonio.measure(specimen(), theta_i=30, rays=100, trace=trace)
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e-4, 1, 1e5, 4e8])
+@pytest.mark.parametrize("trace", [False, True])
+@pytest.mark.usefixtures("mono")
+def test_geometry_of_any_sensible_size(scale, trace):
+    """All light of a white plate comes back, but for the rounding of a weight."""
+    plate = flat(scale, scale) | {"bsdf": {"type": "diffuse", "reflectance": 1.0}}
+    record = gonio.measure(plate, theta_i=30, rays=4096, trace=trace)
+    np.testing.assert_allclose(record.dhr, 1, rtol=4 * np.finfo(np.float32).eps)
+
+
+@pytest.mark.parametrize(
+    ("place", "half_angle", "theta_i", "rho"),
+    [
+        ((1e4, 0, 0), 30, 20, 0.7),
+        ((0, -2e4, 0), 15, 10, 0.8),
+        ((6e3, 8e3, 0), 45, 30, 0.9),
+        ((0, 0, 2e4), 30, 40, 0.5),
+    ],
+)
+@pytest.mark.usefixtures("mono")
+def test_specimen_far_from_the_origin(place, half_angle, theta_i, rho):
+    """A warning gives a bound of what rounding does there; it holds.
+
+    Twin: without it, the error is beyond chance.
+    """
+    settings = {"theta_i": theta_i, "period": "box", "rays": 2**17}
+    with pytest.warns(RuntimeWarning, match="move it to the origin") as warned:
+        record = gonio.measure(groove(place, half_angle, rho), **settings)
+    bound = float(str(warned[0].message).split("by up to ")[1].split()[0])
+    truth = diffuse_groove_dhr(half_angle, theta_i, rho)
+    error, std_err = abs(record.dhr[0] - truth), record.dhr_std_err[0]
+    agree(single(max(0.0, error - bound * truth) / std_err))
+    disagree(single(error / std_err))
+
+
+@pytest.mark.parametrize("place", [(0, 0, 0), (3, -2, 1), (20, 0, 0)])
+@pytest.mark.usefixtures("mono")
+def test_specimen_near_the_origin(place):
+    """There it is as exact as anywhere, and no warning."""
+    record = gonio.measure(groove(place), theta_i=20, period="box", rays=2**17)
+    agree(single(score(record, diffuse_groove_dhr(30, 20, 0.7))))
+
+
+# -------------------------------------------------------------------- settings
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"trace": "false"}, "trace must be a boolean, true or false, got 'false'"),
+        ({"trace": 1}, "trace must be a boolean"),
+        ({"theta_i": True}, "theta_i must be an angle in degrees .* got True"),
+        ({"theta_i": [10, np.True_]}, "theta_i must be an angle"),
+        ({"phi_i": False}, "phi_i must be a finite angle in degrees, got False"),
+        ({"footprint": True}, "footprint must be"),
+        ({"period": True}, "period must be"),
+        ({"sampler": "diffuse"}, "collector.sampler must be a sampler, got SmoothDiff"),
+        ({"sampler": {"type": "hdrfilm"}}, "collector.sampler must be a sampler"),
+        (
+            {"estimator": "quadrature", "collector": "apertures:2@0/0"},
+            "needs a collector of rings and sectors: take weighted instead",
+        ),
+        (
+            {"estimator": "next_event", "collector": "apertures:2@0/0"},
+            "got a flat rectangle: trace it all the same",
+        ),
+    ],
+)
+@pytest.mark.usefixtures("mono")
+def test_settings_in_one_sentence(settings, said):
+    """Each was measured as something else, crashed, or sent the user in a circle."""
+    with pytest.raises((TypeError, ValueError), match=said):
+        gonio.measure(PLATE, **({"theta_i": 30, "rays": 100} | settings))
+
+
+@pytest.mark.usefixtures("mono")
+def test_remedies_are_possible():
+    """What these refusals advise is measured; the plate has 1 / pi times 1 / 2."""
+    common = {"theta_i": 30, "rays": 2**16, "collector": "apertures:4@0/0,50/90"}
+    for settings in ({}, {"estimator": "next_event", "trace": True}):
+        record = gonio.measure(PLATE, **common, **settings)
+        t = record.brdf[:2, 0, 0] - 0.5 / np.pi
+        t /= np.maximum(record.brdf_std_err[:2, 0, 0], 1e-6)
+        for each in t:
+            agree(single(float(normal_scores(each, 15))))
+
+
+@pytest.mark.usefixtures("mono")
+def test_sampler_of_a_scene_file():
+    """No plugin of another kind is taken for a sampler, nor is it passed over."""
+    with pytest.raises(
+        RuntimeError, match=r"collector\.odd must be a sampler, got Smoo"
+    ):
+        mi.load_dict({"type": "collector", "film": {"type": "patches"}, "odd": PLATE})
