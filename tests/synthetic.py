@@ -9,7 +9,7 @@ from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Tally
 
 def specular(patches, theta_deg, phi_deg, power):
     """Lambertian plus a Phong-like lobe around a direction: weights of the patches."""
-    theta, phi = np.meshgrid(patches.theta, patches.phi, indexing="ij")
+    theta, phi = patches.middles
     to_theta, to_phi = np.radians([theta_deg, phi_deg])
     cosine = np.cos(theta) * np.cos(to_theta)
     cosine += np.sin(theta) * np.sin(to_theta) * np.cos(phi - to_phi)

@@ -598,7 +598,7 @@ def test_apertures_refuse(half_angle, directions, message):
     with pytest.raises(ValueError, match=message):
         Apertures(half_angle, directions)
     with pytest.raises(ValueError, match="no rings and sectors"):
-        Apertures(1, [(0, 0)]).theta_edges  # noqa: B018
+        Apertures(1, [(0, 0)]).in_rings(np.zeros((2, 1, 1)))
 
 
 # -------------------------------------------------------- under the table's conditions

@@ -71,18 +71,21 @@ def test_other_plane_other_profile():
 # ------------------------------------------------------------------ map
 
 
-@pytest.mark.parametrize("collector", ["angle:5x4", "solid:3x7", "projected:2x400"])
+@pytest.mark.parametrize(
+    "collector", ["angle:5x4", "solid:3x7", "projected:2x400", "klems"]
+)
 def test_map_draws_every_patch_in_its_place(collector):
     """Centres of the drawn pieces hit the patch whose value they have."""
     record = synthetic.record(collector, channels=("R", "G", "B"), power=1)
     patches = record.subdivision
+    rings, _ = patches.in_rings(record.brdf)
     maps, _ = panels(plot(record))
     mesh = maps[0].collections[0]
     corners = mesh.get_coordinates()
     # sin(theta) of the borders, to a few roundings of sine, cosine and root
     np.testing.assert_allclose(
         np.hypot(corners[..., 0], corners[..., 1]),
-        np.broadcast_to(np.sin(patches.theta_edges)[:, None], corners.shape[:2]),
+        np.broadcast_to(np.sin(rings.theta_edges)[:, None], corners.shape[:2]),
         rtol=4 * np.finfo(float).eps,
     )
     middles = (corners[:-1] + corners[1:]) / 2

@@ -57,6 +57,27 @@ def test_lambertian(collector):
 
 
 @pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("alpha", [0.02, 0.3])
+def test_klems_patches_are_sums_of_common_sectors(alpha):
+    """A lobe on a patch that begins below the azimuth 0; within the stated errors."""
+    specimen = {"type": "roughconductor", "alpha": alpha}
+    record = integrated(specimen, 30, 179, collector="klems")
+    numbers = np.arange(record.subdivision.n_patches)[:, None, None]
+    rings, patch = record.subdivision.in_rings(numbers)
+
+    def stated(one):
+        return one.brdf_std_err * one.subdivision.projected_solid_angles[..., None]
+
+    parts = integrated(specimen, 30, 179, collector=rings)
+    flux, error = (
+        np.bincount(patch.ravel(), values.ravel())
+        for values in (parts.flux_fraction[0], stated(parts))
+    )
+    difference = np.abs(record.flux_fraction[0].ravel() - flux)
+    assert (difference <= stated(record).ravel() + error).all()
+
+
+@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("theta_i", [0, 45, 89])
 @pytest.mark.parametrize("name", NO_RAYS)
 def test_promised_error(name, theta_i):

@@ -10,9 +10,11 @@ from gonio_mi import (
     EqualProjectedSolidAngle,
     EqualSine,
     EqualSolidAngle,
+    Subdivision,
     adapted,
     subdivision,
 )
+from gonio_mi.collector import RingsAndSectors
 from gonio_mi.collector.directions import angles, direction
 from gonio_mi.collector.hemisphere import BORDER
 
@@ -148,6 +150,51 @@ def test_points_of_a_patch_share_its_projected_solid_angle(kind):
     cell = 4 * np.floor(4 * rank) + np.floor(4 * turn)
     np.testing.assert_array_equal(
         np.sort(cell, axis=1), np.tile(np.arange(16), (30, 1))
+    )
+
+
+EVERY_KIND = ("projected:3x4", "borders:0,30,90x0,180,360", "klems", "apertures:5@30/0")
+
+
+@pytest.mark.parametrize("text", EVERY_KIND)
+def test_no_property_raises(text):
+    """All that an instrument asks of a subdivision, each has an answer to."""
+    patches = subdivision(text)
+    asked = [
+        n for n in dir(Subdivision) if isinstance(getattr(Subdivision, n), property)
+    ]
+    own = [
+        n for n in dir(patches) if isinstance(getattr(type(patches), n, 0), property)
+    ]
+    assert set(asked) <= set(own)
+    answers = {name: getattr(patches, name) for name in own}
+    n, shape = patches.n_patches, patches.shape
+    assert np.prod(shape) == n
+    assert 0 < patches.n_detectors <= n
+    for name in ("solid_angles", "projected_solid_angles"):
+        assert answers[name].shape == shape
+    assert [angle.shape for angle in patches.middles] == [shape, shape]
+    assert patches.cells.shape == (n, 4)
+    theta, phi = (angle.ravel()[: patches.n_detectors] for angle in patches.middles)
+    assert np.isfinite(theta).all()
+    found, held = patches.detectors(direction(theta, phi))
+    assert found.tolist() == list(range(patches.n_detectors))
+    assert held.all()
+
+
+@pytest.mark.parametrize("text", EVERY_KIND[:3])
+def test_values_in_rings_are_those_of_the_patches(text):
+    patches = subdivision(text)
+    numbers = np.arange(patches.n_patches).reshape(*patches.shape, 1)
+    rings, seen = patches.in_rings(numbers)
+    assert isinstance(rings, RingsAndSectors)
+    assert seen.shape == (*rings.shape, 1)
+    assert (patches.patch(rings.points(3)) == seen.reshape(-1, 1)).all()
+    # rounding: a sum of up to 4320 differences of sines, each exact to a few eps of 1
+    solid = np.bincount(seen.ravel(), rings.projected_solid_angles.ravel())
+    bound = 4320 * 4 * EPS
+    np.testing.assert_allclose(
+        solid, patches.projected_solid_angles.ravel(), rtol=0, atol=bound
     )
 
 

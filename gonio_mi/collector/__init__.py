@@ -8,7 +8,7 @@ from .equal_steps import (
     EqualSine,
     EqualSolidAngle,
 )
-from .hemisphere import BORDER, Subdivision
+from .hemisphere import BORDER, RingsAndSectors, Subdivision
 from .klems import Klems
 from .parsing import subdivision
 
@@ -21,6 +21,7 @@ __all__ = [
     "EqualSine",
     "EqualSolidAngle",
     "Klems",
+    "RingsAndSectors",
     "Subdivision",
     "adapted",
     "subdivision",

@@ -1,14 +1,16 @@
 """A collector of circular apertures: detectors that stand in measured directions."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import checked_number
 from .directions import direction
-from .hemisphere import BORDER, Subdivision
+from .hemisphere import BORDER, RingsAndSectors, Subdivision
 
 __all__ = ["Apertures", "disjoint_groups"]
 
@@ -43,7 +45,7 @@ class Apertures(Subdivision):
 
     name: ClassVar[str] = "apertures"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         condition = "an angle in degrees in [0.01, 90]"
         half_angle = checked_number(
             "half_angle", self.half_angle, 0.01, 90.01, condition
@@ -68,12 +70,12 @@ class Apertures(Subdivision):
                 f"them around (theta, phi) = {first} and {second}"
             )
 
-    def __str__(self):
+    def __str__(self) -> str:
         cones = ",".join(f"{theta!r}/{phi!r}" for theta, phi in self.directions)
         return f"{self.name}:{self.half_angle!r}@{cones}"
 
     @classmethod
-    def parse(cls, size):
+    def parse(cls, size: str) -> "Apertures":
         """Build from what follows the colon of a name, ``0.5@45.0/180.0,30.0/0.0``."""
         half_angle, _, cones = size.partition("@")
         pairs = [cone.split("/") for cone in cones.split(",")]
@@ -82,71 +84,75 @@ class Apertures(Subdivision):
         )
 
     @property
-    def n_theta(self):
-        """Number of cones, and one for what is between them."""
-        return len(self.directions) + 1
+    def shape(self) -> tuple[int, int]:
+        """The cones and what is between them, in one column."""
+        return self.n_detectors + 1, 1
 
     @property
-    def n_phi(self):
-        """One."""
-        return 1
+    def n_detectors(self) -> int:
+        """Number of cones."""
+        return len(self.directions)
 
     @property
-    def theta_edges(self):
+    def aperture_half_angle(self) -> float:
+        """In degrees."""
+        return self.half_angle
+
+    def in_rings(
+        self,
+        values: NDArray[Any],  # noqa: ARG002
+    ) -> tuple[RingsAndSectors, NDArray[Any]]:
         """Raise ValueError: apertures are not in rings."""
         raise ValueError(
             "a collector of apertures has no rings and sectors: use gonio-mi compare"
         )
 
-    # of rings and sectors too, there are none
-    theta = phi = phi_edges = theta_edges
-
     @property
-    def middles(self):
+    def middles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Polar angles and azimuths of the cones' axes in radians.
 
-        Two arrays of the shape ``(n_theta, 1)``; NaN for what is between the cones.
+        Two arrays of the shape `shape`; NaN for what is between the cones.
         """
         axes = np.radians([*self.directions, (np.nan, np.nan)])
         return axes[:, :1], axes[:, 1:]
 
     @property
-    def axes(self):
-        """Axes of the cones as unit vectors, shape ``(n_theta, 3)``; last the pole."""
+    def axes(self) -> NDArray[np.float64]:
+        """Axes of the cones as unit vectors, shape ``(n_patches, 3)``; last +z."""
         return np.vstack([_axes(self.directions), [0, 0, 1]])
 
     @property
-    def cells(self):
+    def cells(self) -> NDArray[np.float64]:
         """Each cone about its own axis; for the rest the hemisphere, which holds it.
 
-        Shape ``(n_theta, 4)``, in radians.
+        Shape ``(n_patches, 4)``, in radians.
         """
         half = np.radians(self.half_angle)
-        cones = [(0, half, 0, 2 * np.pi)] * (self.n_theta - 1)
+        cones = [(0, half, 0, 2 * np.pi)] * self.n_detectors
         return np.array([*cones, (0, np.pi / 2, 0, 2 * np.pi)])
 
     @property
-    def solid_angles(self):
+    def solid_angles(self) -> NDArray[np.float64]:
         """Exact solid angle of each cone and of the rest in sr, sum 2 pi.
 
-        ``4 pi sin^2(a / 2)`` for a half-angle ``a``; shape ``(n_theta, 1)``.
+        ``4 pi sin^2(a / 2)`` for a half-angle ``a``; of the shape `shape`.
         """
         cone = 4 * np.pi * np.sin(np.radians(self.half_angle) / 2) ** 2
-        cones = np.full(self.n_theta - 1, cone)
+        cones = np.full(self.n_detectors, cone)
         return np.append(cones, 2 * np.pi - cones.sum())[:, None]
 
     @property
-    def projected_solid_angles(self):
+    def projected_solid_angles(self) -> NDArray[np.float64]:
         """Exact integral of cos(theta) over each cone and the rest in sr, sum pi.
 
-        ``pi sin^2(a) cos(theta)`` for a half-angle ``a`` around ``theta``; shape
-        ``(n_theta, 1)``.
+        ``pi sin^2(a) cos(theta)`` for a half-angle ``a`` around ``theta``; of the
+        shape `shape`.
         """
         sin2 = np.sin(np.radians(self.half_angle)) ** 2
         cones = np.pi * sin2 * np.cos(self.middles[0][:-1, 0])
         return np.append(cones, np.pi - cones.sum())[:, None]
 
-    def patch_index(self, xp, x, y, z):
+    def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:
         """Index of the cone that holds each direction, or the number of cones.
 
         A cell of a square grid, on the disk onto which Lambert's map takes the
@@ -168,7 +174,7 @@ class Apertures(Subdivision):
         cell = row * n_cells + column
         # chords keep their precision for narrow cones, where cosines would not
         limit = 4 * np.sin(np.radians(self.half_angle) / 2) ** 2
-        index = x * 0 + float(self.n_theta - 1)
+        index = x * 0 + float(self.n_detectors)
         for candidates in lists:
             cone = xp.take(candidates, cell)
             chord = (x - xp.take(axes[0], cone), y - xp.take(axes[1], cone))
@@ -176,8 +182,19 @@ class Apertures(Subdivision):
             index = xp.where(chord2 < limit, cone, index)
         return index
 
+    def detectors(
+        self, v: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Nearest cone to each direction, and whether the direction is its axis."""
+        from scipy.spatial import cKDTree  # slow to import
+
+        distance, nearest = cKDTree(_axes(self.directions)).query(v)
+        return nearest, distance <= BORDER
+
     @cached_property
-    def _search(self):
+    def _search(
+        self,
+    ) -> tuple[int, NDArray[np.float32], NDArray[np.float32]]:
         """Cells per side; the k-th cone of each cell, for each k; the cones' axes.
 
         An empty place in a list names a cone below the horizon, which holds nothing.
@@ -205,7 +222,9 @@ class Apertures(Subdivision):
         return n_cells, lists, np.vstack([axes, [0, 0, -3]]).astype(np.float32).T.copy()
 
 
-def disjoint_groups(directions, half_angle):
+def disjoint_groups(
+    directions: Sequence[tuple[float, float]], half_angle: float
+) -> list[list[tuple[float, float]]]:
     """Split `directions` into groups whose cones do not overlap.
 
     Parameters
@@ -220,10 +239,11 @@ def disjoint_groups(directions, half_angle):
     list of list of (float, float)
         Few, but not the fewest; a direction goes to the first group with room for it.
     """
-    neighbours = [[] for _ in directions]
+    neighbours: list[list[int]] = [[] for _ in directions]
     for i, j in _overlaps(directions, half_angle):
         neighbours[max(i, j)].append(min(i, j))
-    groups, group_of = [], []
+    groups: list[list[tuple[float, float]]] = []
+    group_of: list[int] = []
     for i, cone in enumerate(directions):
         taken = {group_of[j] for j in neighbours[i]}
         group = next(k for k in range(len(groups) + 1) if k not in taken)
@@ -234,7 +254,9 @@ def disjoint_groups(directions, half_angle):
     return groups
 
 
-def _overlaps(directions, half_angle):
+def _overlaps(
+    directions: Sequence[tuple[float, float]], half_angle: float
+) -> NDArray[np.int64]:
     """Pairs of indices of directions whose cones overlap, shape (n, 2)."""
     from scipy.spatial import cKDTree  # slow to import
 
@@ -262,6 +284,6 @@ def _reach(half_angle):
     return 2 * np.sin(np.radians(half_angle)) * (1 - BORDER)
 
 
-def _axes(directions):
+def _axes(directions: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
     theta, phi = np.radians(np.array(directions, dtype=float)).T
     return direction(theta, phi)

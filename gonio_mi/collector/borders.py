@@ -1,18 +1,20 @@
 """Hemispheres cut at given borders, or at those that suit a pilot measurement."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ..errors import checked_count, checked_number
-from .hemisphere import BORDER, Subdivision
+from .hemisphere import BORDER, RingsAndSectors
 
 __all__ = ["Borders", "adapted"]
 
 
 @dataclass(frozen=True)
-class Borders(Subdivision):
+class Borders(RingsAndSectors):
     """Rings and sectors between given borders, in degrees.
 
     Parameters
@@ -30,46 +32,42 @@ class Borders(Subdivision):
 
     theta_deg: tuple[float, ...]
     phi_deg: tuple[float, ...]
+    n_theta: int = field(init=False, repr=False, compare=False)
+    n_phi: int = field(init=False, repr=False, compare=False)
 
-    name = "borders"
+    name: ClassVar[str] = "borders"
 
-    def __post_init__(self):
-        for field, end in (("theta_deg", 90), ("phi_deg", 360)):
-            borders = tuple(float(x) for x in getattr(self, field))
+    def __post_init__(self) -> None:
+        for edges, n, end in (
+            ("theta_deg", "n_theta", 90),
+            ("phi_deg", "n_phi", 360),
+        ):
+            borders = tuple(float(x) for x in getattr(self, edges))
             ascends = all(low < high for low, high in pairwise(borders))
             if len(borders) < 2 or borders[0] != 0 or borders[-1] != end or not ascends:
                 raise ValueError(
-                    f"{field} must ascend from 0 to {end} degrees, got {borders}"
+                    f"{edges} must ascend from 0 to {end} degrees, got {borders}"
                 )
-            object.__setattr__(self, field, borders)
+            object.__setattr__(self, edges, borders)
+            object.__setattr__(self, n, len(borders) - 1)
 
-    def __str__(self):
+    def __str__(self) -> str:
         theta, phi = (
             ",".join(map(repr, borders)) for borders in (self.theta_deg, self.phi_deg)
         )
         return f"{self.name}:{theta}x{phi}"
 
     @property
-    def n_theta(self):
-        """Number of rings."""
-        return len(self.theta_deg) - 1
-
-    @property
-    def n_phi(self):
-        """Number of sectors."""
-        return len(self.phi_deg) - 1
-
-    @property
-    def theta_edges(self):
+    def theta_edges(self) -> NDArray[np.float64]:
         """Ring borders in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
         return np.radians(self.theta_deg)
 
     @property
-    def phi_edges(self):
+    def phi_edges(self) -> NDArray[np.float64]:
         """Sector borders in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
         return np.radians(self.phi_deg)
 
-    def _ring(self, xp, sin2, z):
+    def _ring(self, xp: Any, sin2: Any, z: Any) -> Any:
         # inner borders passed, by whichever of sin^2 and cos^2 keeps its precision
         above = xp.count_below(np.sin(self.theta_edges[1:-1]) ** 2, sin2 * (1 + BORDER))
         beyond = xp.count_below(
@@ -77,14 +75,20 @@ class Borders(Subdivision):
         )
         return xp.where(sin2 < z * z, above, beyond)
 
-    def _sector(self, xp, x, y):
+    def _sector(self, xp: Any, x: Any, y: Any) -> Any:
         turn = xp.atan2(y, x) + BORDER
         turn = xp.where(turn < 0, turn + 2 * np.pi, turn)
         sector = xp.count_below(self.phi_edges[1:-1], turn)
         return xp.where(((x == 0) & (y == 0)) | (turn >= 2 * np.pi), 0.0, sector)
 
 
-def adapted(brdf, grid, n_theta, n_phi, uniform=0.25):
+def adapted(
+    brdf: ArrayLike,
+    grid: RingsAndSectors,
+    n_theta: int,
+    n_phi: int,
+    uniform: float = 0.25,
+) -> Borders:
     """Subdivision whose rings and sectors are narrow where a pilot found the light.
 
     After the paper's section 4 (and Greenberg et al. 1997): borders are quantiles of
@@ -95,7 +99,7 @@ def adapted(brdf, grid, n_theta, n_phi, uniform=0.25):
     ----------
     brdf : array_like, shape (grid.n_theta, grid.n_phi)
         Pilot's BRDF in 1/sr, or anything proportional to it.
-    grid : Subdivision
+    grid : RingsAndSectors
         The pilot's patches.
     n_theta, n_phi : int
         Rings and sectors to make.
@@ -122,7 +126,12 @@ def adapted(brdf, grid, n_theta, n_phi, uniform=0.25):
         )
     flux = brdf * grid.projected_solid_angles
 
-    def _quantiles(marginal, measure, edges, n):
+    def _quantiles(
+        marginal: NDArray[np.float64],
+        measure: NDArray[np.float64],
+        edges: NDArray[np.float64],
+        n: int,
+    ) -> NDArray[np.float64]:
         density = (1 - uniform) * marginal / marginal.sum() + uniform * measure
         cumulative = np.append(0, np.cumsum(density))
         return np.interp(np.arange(1, n) / n, cumulative / cumulative[-1], edges)

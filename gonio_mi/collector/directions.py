@@ -1,11 +1,12 @@
 """Directions and angles: the one azimuth and polar convention of the instrument."""
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["angles", "direction", "mirror"]
 
 
-def direction(theta, phi):
+def direction(theta: ArrayLike, phi: ArrayLike) -> NDArray[np.float64]:
     """Unit vectors for polar angles and azimuths.
 
     Parameters
@@ -29,7 +30,7 @@ def direction(theta, phi):
     )
 
 
-def angles(v):
+def angles(v: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Polar angle in [0, pi] and azimuth in [0, 2 pi), in radians.
 
     Parameters
@@ -49,6 +50,6 @@ def angles(v):
     return np.arctan2(np.hypot(x, y), z), phi
 
 
-def mirror(theta, phi):
+def mirror(theta: ArrayLike, phi: ArrayLike) -> tuple[ArrayLike, NDArray[np.float64]]:
     """Direction of ideal reflection: same polar angle, azimuth turned by pi."""
     return theta, np.mod(np.asarray(phi, dtype=float) + np.pi, 2 * np.pi)

@@ -1,11 +1,14 @@
 """Hemispheres cut in equal steps of a coordinate (the paper's section 3)."""
 
+from abc import abstractmethod
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import checked_count
-from .hemisphere import BORDER, Subdivision
+from .hemisphere import BORDER, RingsAndSectors
 
 __all__ = [
     "EqualAngle",
@@ -19,7 +22,7 @@ MOST_PATCHES = 2**24
 
 
 @dataclass(frozen=True)
-class _Regular(Subdivision):
+class _Regular(RingsAndSectors):
     """Equal steps of a coordinate of the polar angle, and of azimuth.
 
     Parameters
@@ -37,7 +40,7 @@ class _Regular(Subdivision):
     n_theta: int
     n_phi: int
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in ("n_theta", "n_phi"):
             object.__setattr__(self, field, checked_count(field, getattr(self, field)))
         if self.n_patches > MOST_PATCHES:
@@ -45,22 +48,22 @@ class _Regular(Subdivision):
                 f"a collector must have at most {MOST_PATCHES} patches, got {self}"
             )
 
-    def __str__(self):
+    def __str__(self) -> str:
         return f"{self.name}:{self.n_theta}x{self.n_phi}"
 
     @property
-    def theta_edges(self):
+    def theta_edges(self) -> NDArray[np.float64]:
         """Ring borders in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
         edges = self._edges(np.arange(self.n_theta + 1) / self.n_theta)
         edges[-1] = np.pi / 2
         return edges
 
     @property
-    def phi_edges(self):
+    def phi_edges(self) -> NDArray[np.float64]:
         """Sector borders in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
         return np.linspace(0, 2 * np.pi, self.n_phi + 1)
 
-    def _ring(self, xp, sin2, z):
+    def _ring(self, xp: Any, sin2: Any, z: Any) -> Any:
         """Ring of a direction, counted from whichever end keeps its precision."""
         from_pole, from_horizon = self._coordinates(xp, sin2, z)
         n = float(self.n_theta)
@@ -68,7 +71,7 @@ class _Regular(Subdivision):
         below = n - xp.ceil(from_horizon * (n * (1 - BORDER)))
         return xp.minimum(xp.where(sin2 < z * z, above, below), n - 1)
 
-    def _sector(self, xp, x, y):
+    def _sector(self, xp: Any, x: Any, y: Any) -> Any:
         """Sector of a direction; the collector is turned by ``BORDER`` radians."""
         n = float(self.n_phi)
         turn = (xp.atan2(y, x) + BORDER) * (n / (2 * np.pi))
@@ -76,24 +79,24 @@ class _Regular(Subdivision):
         # the pole, and what rounding lifted to a full turn, are in the first sector
         return xp.where(((x == 0) & (y == 0)) | (sector >= n), 0.0, sector)
 
-    def _edges(self, fraction):
+    @abstractmethod
+    def _edges(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
         """Polar angle of a ring border, given its fraction of all rings."""
-        raise NotImplementedError
 
-    def _coordinates(self, xp, sin2, z):
+    @abstractmethod
+    def _coordinates(self, xp: Any, sin2: Any, z: Any) -> tuple[Any, Any]:
         """Ring coordinate in [0, 1], measured from the pole and from the horizon."""
-        raise NotImplementedError
 
 
 class EqualAngle(_Regular):
     """Equal steps of polar angle and azimuth (the paper's section 3.1)."""
 
-    name = "angle"
+    name: ClassVar[str] = "angle"
 
-    def _edges(self, fraction):
+    def _edges(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
         return fraction * (np.pi / 2)
 
-    def _coordinates(self, xp, sin2, z):
+    def _coordinates(self, xp: Any, sin2: Any, z: Any) -> tuple[Any, Any]:
         sin = xp.sqrt(sin2)
         return xp.atan2(sin, z) * (2 / np.pi), xp.atan2(z, sin) * (2 / np.pi)
 
@@ -101,35 +104,35 @@ class EqualAngle(_Regular):
 class EqualSolidAngle(_Regular):
     """Patches of equal solid angle: equal steps of cos(theta) (eq. 11)."""
 
-    name = "solid"
+    name: ClassVar[str] = "solid"
 
     @property
-    def solid_angles(self):
+    def solid_angles(self) -> NDArray[np.float64]:
         """Solid angle of each patch in sr, shape ``(n_theta, n_phi)``: all the same."""
         return np.full(self.shape, 2 * np.pi / self.n_patches)
 
-    def _edges(self, fraction):
+    def _edges(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
         # 1 - cos(theta) = 2 sin^2(theta / 2), without cancellation at the pole
         return 2 * np.arcsin(np.sqrt(fraction / 2))
 
-    def _coordinates(self, xp, sin2, z):  # noqa: ARG002
+    def _coordinates(self, xp: Any, sin2: Any, z: Any) -> tuple[Any, Any]:  # noqa: ARG002
         return sin2 / (1.0 + z), z
 
 
 class EqualProjectedSolidAngle(_Regular):
     """Patches of equal projected solid angle: equal steps of sin^2(theta) (eq. 13)."""
 
-    name = "projected"
+    name: ClassVar[str] = "projected"
 
     @property
-    def projected_solid_angles(self):
+    def projected_solid_angles(self) -> NDArray[np.float64]:
         """Projected solid angle of each patch in sr: all the same."""
         return np.full(self.shape, np.pi / self.n_patches)
 
-    def _edges(self, fraction):
+    def _edges(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.arcsin(np.sqrt(fraction))
 
-    def _coordinates(self, xp, sin2, z):  # noqa: ARG002
+    def _coordinates(self, xp: Any, sin2: Any, z: Any) -> tuple[Any, Any]:  # noqa: ARG002
         return sin2, z * z
 
 
@@ -142,11 +145,11 @@ class EqualSine(_Regular):
     the elevation fits the words. That reading is an inference.
     """
 
-    name = "sine"
+    name: ClassVar[str] = "sine"
 
-    def _edges(self, fraction):
+    def _edges(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.arcsin(fraction)
 
-    def _coordinates(self, xp, sin2, z):
+    def _coordinates(self, xp: Any, sin2: Any, z: Any) -> tuple[Any, Any]:
         sin = xp.sqrt(sin2)
         return sin, z * z / (1.0 + sin)

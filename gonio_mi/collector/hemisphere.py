@@ -1,16 +1,18 @@
-"""A collector hemisphere that is cut into patches: rings of polar angle times sectors.
+"""A collector hemisphere that is cut into patches, most often into rings and sectors.
 
 It is described by the angle from its own pole; the lower hemisphere mirrors the upper.
 """
 
+from abc import ABC, abstractmethod
 from types import SimpleNamespace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from .directions import direction
 
-__all__ = ["BORDER", "Subdivision"]
+__all__ = ["BORDER", "RingsAndSectors", "Subdivision"]
 
 # A direction this close to a border counts as on it: a few float32 rounding errors.
 # Relative in the ring coordinate, so that no ring gains or loses more than this
@@ -29,83 +31,139 @@ _NUMPY = SimpleNamespace(
 )
 
 
-class Subdivision:
-    r"""Rings times sectors of one collector hemisphere.
+class Subdivision(ABC):
+    """The patches of one collector hemisphere: all that an instrument asks of them.
 
-    Patch ``(i, j)`` spans ``theta_edges[i] <= theta < theta_edges[i + 1]`` and
-    ``phi_edges[j] <= phi < phi_edges[j + 1]``: half open, so that each direction of
-    the open hemisphere belongs to exactly one patch. A direction within ``2**-20`` of a
-    border counts as on it, so that single precision cannot decide. The pole belongs
-    to patch ``(0, 0)``. The horizon, theta = 90 degrees, belongs to no patch.
+    Each direction of the open hemisphere belongs to exactly one patch, and the
+    horizon, theta = 90 degrees, to none. A direction within ``2**-20`` of a border
+    counts as on it, so that single precision cannot decide. The text of a subdivision,
+    ``str(patches)``, is the name from which :func:`subdivision` rebuilds it.
 
     Attributes
     ----------
-    n_theta, n_phi : int
-        Number of rings and of sectors.
     name : str
-        Word before the colon in the name from which :func:`subdivision` rebuilds it.
+        Word before the colon in that text.
     """
 
-    n_theta: int
-    n_phi: int
     name: ClassVar[str] = ""
-    #: Where the patches' cells have their poles, shape (n_patches, 3); None for +z.
-    axes: ClassVar[np.ndarray | None] = None
 
     @property
-    def shape(self):
-        """``(n_theta, n_phi)``."""
-        return self.n_theta, self.n_phi
+    @abstractmethod
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of a map of the patches."""
 
     @property
-    def n_patches(self):
+    def n_patches(self) -> int:
         """Number of patches of one hemisphere."""
-        return self.n_theta * self.n_phi
+        n_rows, n_columns = self.shape
+        return n_rows * n_columns
 
     @property
-    def theta_edges(self):
-        """Ring borders in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
-        raise NotImplementedError
+    def n_detectors(self) -> int:
+        """Number of patches, from the first, that are more than what lies between."""
+        return self.n_patches
 
     @property
-    def phi_edges(self):
-        """Sector borders in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
-        raise NotImplementedError
+    def aperture_half_angle(self) -> float | None:
+        """In degrees, of detectors that are cones; None for others."""
+        return None
 
     @property
-    def theta(self):
-        """Middle of each ring in radians, shape ``(n_theta,)``: halves its flux.
+    @abstractmethod
+    def solid_angles(self) -> NDArray[np.float64]:
+        """Exact solid angle of each patch in sr, of the shape `shape`; sum 2 pi."""
 
-        That is the angle that halves the ring's projected solid angle.
+    @property
+    @abstractmethod
+    def projected_solid_angles(self) -> NDArray[np.float64]:
+        """Exact integral of cos(theta) over each patch in sr; sum pi.
+
+        Of the shape `shape`: the paper's adjusted solid angle (eq. 12).
         """
-        sin2 = np.sin(self.theta_edges) ** 2
-        return np.arcsin(np.sqrt((sin2[1:] + sin2[:-1]) / 2))
 
     @property
-    def phi(self):
-        """Middle of each sector in radians, shape ``(n_phi,)``."""
-        return (self.phi_edges[1:] + self.phi_edges[:-1]) / 2
-
-    @property
-    def middles(self):
+    @abstractmethod
+    def middles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Polar angles and azimuths of the patches' middles in radians.
 
-        Two arrays of the shape ``(n_theta, n_phi)``; NaN for a patch without a middle.
+        Two arrays of the shape `shape`; NaN for a patch without a middle.
         """
-        return np.meshgrid(self.theta, self.phi, indexing="ij")
 
     @property
-    def cells(self):
+    @abstractmethod
+    def cells(self) -> NDArray[np.float64]:
         """Borders of each patch in radians, shape ``(n_patches, 4)``.
 
         Columns: lower and upper polar angle, lower and upper azimuth, both about the
         patch's own pole in `axes`.
         """
-        low, high = (np.repeat(e, self.n_phi) for e in _pairs(self.theta_edges))
-        left, right = (np.tile(e, self.n_theta) for e in _pairs(self.phi_edges))
-        return np.stack([low, high, left, right], axis=-1)
 
-    def points(self, n):
+    @property
+    def axes(self) -> NDArray[np.float64] | None:
+        """Poles of the patches' cells, shape ``(n_patches, 3)``; None for +z."""
+        return None
+
+    @abstractmethod
+    def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:
+        """Patch index as a whole floating-point number, in any array library.
+
+        Parameters
+        ----------
+        xp : namespace
+            Has ``sqrt``, ``atan2``, ``floor``, ``ceil``, ``minimum``, ``where``,
+            ``count_below(borders, x)``, the number of ascending borders not above x,
+            and ``take(table, index)``, the entries of a float table at whole
+            floating-point numbers.
+        x, y, z : array
+            Components of unit vectors, z > 0.
+        """
+
+    @abstractmethod
+    def in_rings(self, values: NDArray[Any]) -> tuple["RingsAndSectors", NDArray[Any]]:
+        """Rings and sectors to draw or to tabulate instead, and `values` in them.
+
+        Each ring and sector lies within one patch.
+
+        Parameters
+        ----------
+        values : ndarray, shape (..., *shape, channels)
+            Any mean over patches.
+
+        Raises
+        ------
+        ValueError
+            If the patches are not made of rings and sectors.
+        """
+
+    def patch(self, v: ArrayLike) -> NDArray[np.int64]:
+        """Number of the patch that each direction hits, row by row of the map.
+
+        Parameters
+        ----------
+        v : array_like, shape (..., 3)
+            Unit vectors; the sign of z is ignored (the lower hemisphere mirrors).
+
+        Returns
+        -------
+        ndarray of int, shape (...)
+        """
+        x, y, z = np.moveaxis(np.asarray(v, dtype=float), -1, 0)
+        index = self.patch_index(_NUMPY, x, y, np.abs(z))
+        return np.clip(index, 0, self.n_patches - 1).astype(int)
+
+    def detectors(
+        self, v: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Patch that measures each direction, and whether there is one.
+
+        Parameters
+        ----------
+        v : ndarray, shape (n, 3)
+            Unit vectors; the sign of z is ignored.
+        """
+        return self.patch(v), np.ones(len(v), bool)
+
+    def points(self, n: int) -> NDArray[np.float64]:
         """Directions of ``n x n`` points in each patch, with z > 0.
 
         Each stands for the same projected solid angle of its patch.
@@ -119,9 +177,7 @@ class Subdivision:
         ValueError
             If the patches have poles of their own.
         """
-        if self.axes is not None:
-            raise ValueError(f"the patches must have a common pole, got {self!s:.60}")
-        low, high, left, right = self.cells.T[:, :, None]
+        low, high, left, right = self.cells_about_pole().T[:, :, None]
         step = (np.arange(n) + 0.5) / n
         along, around = (
             axis.ravel() for axis in np.meshgrid(step, step, indexing="ij")
@@ -130,15 +186,86 @@ class Subdivision:
         sin2 = begin + along * (end - begin)
         return direction(np.arcsin(np.sqrt(sin2)), left + around * (right - left))
 
+    def cells_about_pole(self) -> NDArray[np.float64]:
+        """Return `cells`, or raise ValueError if they have poles of their own."""
+        if self.axes is not None:
+            raise ValueError(f"the patches must have a common pole, got {self!s:.60}")
+        return self.cells
+
+
+class RingsAndSectors(Subdivision):
+    r"""Rings of polar angle times sectors of azimuth.
+
+    Patch ``(i, j)`` spans ``theta_edges[i] <= theta < theta_edges[i + 1]`` and
+    ``phi_edges[j] <= phi < phi_edges[j + 1]``, half open. The pole belongs to patch
+    ``(0, 0)``.
+
+    Attributes
+    ----------
+    n_theta, n_phi : int
+        Number of rings and of sectors.
+    """
+
+    n_theta: int
+    n_phi: int
+
     @property
-    def solid_angles(self):
+    def shape(self) -> tuple[int, int]:
+        """``(n_theta, n_phi)``."""
+        return self.n_theta, self.n_phi
+
+    @property
+    @abstractmethod
+    def theta_edges(self) -> NDArray[np.float64]:
+        """Ring borders in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
+
+    @property
+    @abstractmethod
+    def phi_edges(self) -> NDArray[np.float64]:
+        """Sector borders in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        """Middle of each ring in radians, shape ``(n_theta,)``: halves its flux.
+
+        That is the angle that halves the ring's projected solid angle.
+        """
+        sin2 = np.sin(self.theta_edges) ** 2
+        return np.arcsin(np.sqrt((sin2[1:] + sin2[:-1]) / 2))
+
+    @property
+    def phi(self) -> NDArray[np.float64]:
+        """Middle of each sector in radians, shape ``(n_phi,)``."""
+        return (self.phi_edges[1:] + self.phi_edges[:-1]) / 2
+
+    @property
+    def middles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Polar angles and azimuths of the patches' middles in radians.
+
+        Two arrays of the shape ``(n_theta, n_phi)``.
+        """
+        theta, phi = np.meshgrid(self.theta, self.phi, indexing="ij")
+        return theta, phi
+
+    @property
+    def cells(self) -> NDArray[np.float64]:
+        """Borders of each patch in radians, shape ``(n_patches, 4)``.
+
+        Columns: lower and upper polar angle, lower and upper azimuth.
+        """
+        low, high = (np.repeat(e, self.n_phi) for e in _pairs(self.theta_edges))
+        left, right = (np.tile(e, self.n_theta) for e in _pairs(self.phi_edges))
+        return np.stack([low, high, left, right], axis=-1)
+
+    @property
+    def solid_angles(self) -> NDArray[np.float64]:
         """Exact solid angle of each patch in sr, ``(n_theta, n_phi)``; sum 2 pi."""
         low, high = self.theta_edges[:-1], self.theta_edges[1:]
         ring = 2 * np.sin((high + low) / 2) * np.sin((high - low) / 2)
         return self._over_sectors(ring)
 
     @property
-    def projected_solid_angles(self):
+    def projected_solid_angles(self) -> NDArray[np.float64]:
         """Exact integral of cos(theta) over each patch in sr; sum pi.
 
         Shape ``(n_theta, n_phi)``: the paper's adjusted solid angle (eq. 12).
@@ -146,7 +273,7 @@ class Subdivision:
         low, high = self.theta_edges[:-1], self.theta_edges[1:]
         return self._over_sectors(np.sin(high - low) * np.sin(high + low) / 2)
 
-    def adjusted_solid_angles(self, theta_r):
+    def adjusted_solid_angles(self, theta_r: str) -> NDArray[np.float64]:
         """Solid angle times cos(theta_r), the paper's eq. 2, in sr.
 
         Parameters
@@ -169,47 +296,28 @@ class Subdivision:
             raise ValueError(f"theta_r must be 'theta' or 'cosine', got {theta_r!r}")
         return self.solid_angles * cos_theta_r[:, None]
 
-    def patch(self, v):
-        """Index ``i * n_phi + j`` of the patch that each direction hits.
-
-        Parameters
-        ----------
-        v : array_like, shape (..., 3)
-            Unit vectors; the sign of z is ignored (the lower hemisphere mirrors).
-
-        Returns
-        -------
-        ndarray of int, shape (...)
-        """
-        x, y, z = np.moveaxis(np.asarray(v, dtype=float), -1, 0)
-        index = self.patch_index(_NUMPY, x, y, np.abs(z))
-        return np.clip(index, 0, self.n_patches - 1).astype(int)
-
-    def patch_index(self, xp, x, y, z):
-        """Patch index as a whole floating-point number, in any array library.
-
-        Parameters
-        ----------
-        xp : namespace
-            Has ``sqrt``, ``atan2``, ``floor``, ``ceil``, ``minimum``, ``where`` and
-            ``count_below(borders, x)``, the number of ascending borders not above x.
-        x, y, z : array
-            Components of unit vectors, z > 0.
-        """
+    def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:
+        """Number ``i * n_phi + j`` of the patch; see `Subdivision.patch_index`."""
         return self._ring(xp, x * x + y * y, z) * self.n_phi + self._sector(xp, x, y)
 
-    def _over_sectors(self, ring):
+    def in_rings(self, values: NDArray[Any]) -> tuple["RingsAndSectors", NDArray[Any]]:
+        """Return what it is, and `values`."""
+        return self, values
+
+    def _over_sectors(self, ring: NDArray[np.float64]) -> NDArray[np.float64]:
         """Spread a ring's integral per radian of azimuth over its sectors."""
         return ring[:, None] * np.diff(self.phi_edges)
 
-    def _ring(self, xp, sin2, z):
+    @abstractmethod
+    def _ring(self, xp: Any, sin2: Any, z: Any) -> Any:
         """Ring of a direction, as a whole floating-point number."""
-        raise NotImplementedError
 
-    def _sector(self, xp, x, y):
+    @abstractmethod
+    def _sector(self, xp: Any, x: Any, y: Any) -> Any:
         """Sector of a direction, as a whole floating-point number."""
-        raise NotImplementedError
 
 
-def _pairs(edges):
+def _pairs(
+    edges: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return edges[:-1], edges[1:]

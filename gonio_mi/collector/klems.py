@@ -6,12 +6,13 @@ fenestration systems*, ASHRAE Transactions 100, 1994; borders as in Radiance's
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .borders import Borders
-from .hemisphere import BORDER, Subdivision
+from .hemisphere import BORDER, RingsAndSectors, Subdivision
 
 __all__ = ["Klems"]
 
@@ -32,32 +33,16 @@ class Klems(Subdivision):
 
     name: ClassVar[str] = "klems"
 
-    def __str__(self):
+    def __str__(self) -> str:
         return self.name
 
     @property
-    def n_theta(self):
-        """Number of patches."""
-        return sum(N_PHI)
+    def shape(self) -> tuple[int, int]:
+        """``(145, 1)``."""
+        return sum(N_PHI), 1
 
     @property
-    def n_phi(self):
-        """One."""
-        return 1
-
-    @property
-    def theta_edges(self):
-        """Raise ValueError: the sectors of Klems rings are not aligned."""
-        raise ValueError(
-            "a collector klems has sectors of its own in each ring: draw a collector "
-            "such as projected:30x30 instead"
-        )
-
-    # of a ring and a sector common to all, there are none
-    theta = phi = phi_edges = theta_edges
-
-    @property
-    def cells(self):
+    def cells(self) -> NDArray[np.float64]:
         """Borders of each patch in radians, shape ``(145, 4)``.
 
         Columns: lower and upper polar angle, lower and upper azimuth.
@@ -71,7 +56,7 @@ class Klems(Subdivision):
         return np.radians(rows)
 
     @property
-    def middles(self):
+    def middles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Polar angles and azimuths of the patches' middles in radians.
 
         Two arrays of shape ``(145, 1)``; the basis takes the mean of the polar angles,
@@ -82,19 +67,19 @@ class Klems(Subdivision):
         return theta[:, None], (left + right)[:, None] / 2
 
     @property
-    def solid_angles(self):
+    def solid_angles(self) -> NDArray[np.float64]:
         """Exact solid angle of each patch in sr, shape ``(145, 1)``; sum 2 pi."""
         low, high, left, right = self.cells.T
         return ((np.cos(low) - np.cos(high)) * (right - left))[:, None]
 
     @property
-    def projected_solid_angles(self):
+    def projected_solid_angles(self) -> NDArray[np.float64]:
         """Exact integral of cos(theta) over each patch, ``(145, 1)``; sum pi."""
         low, high, left, right = self.cells.T
         ring = np.sin(high - low) * np.sin(high + low) / 2
         return (ring * (right - left))[:, None]
 
-    def patch_index(self, xp, x, y, z):
+    def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:
         """Index of the patch of each direction; see `Subdivision.patch_index`."""
         ring = self._rings._ring(xp, x * x + y * y, z)
         sectors = np.array(N_PHI, dtype=np.float32)
@@ -106,11 +91,11 @@ class Klems(Subdivision):
         return xp.take(first, ring) + sector
 
     @property
-    def _rings(self):
+    def _rings(self) -> Borders:
         return Borders(THETA_DEG, (0, 360))
 
-    def refined(self, values):
-        """Subdivision into common sectors, and `values` in it.
+    def in_rings(self, values: NDArray[Any]) -> tuple[RingsAndSectors, NDArray[Any]]:
+        """Rings of sectors that are common to all, and `values` in them.
 
         Parameters
         ----------
@@ -123,7 +108,7 @@ class Klems(Subdivision):
             Nine rings of 480 sectors.
         values : ndarray, shape (..., 9, 480, channels)
         """
-        patches = Borders(THETA_DEG, np.arange(COMMON + 1) * (360 / COMMON))
+        patches = Borders(THETA_DEG, tuple(np.arange(COMMON + 1) * (360 / COMMON)))
         theta, phi = np.meshgrid(patches.theta, patches.phi, indexing="ij")
         sine = np.sin(theta)
         middles = np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], -1)

@@ -1,35 +1,29 @@
 """How a collector hemisphere is cut into patches, by name: ``projected:30x30``."""
 
+from collections.abc import Callable
+
 from .apertures import Apertures
-from .borders import Borders, adapted
+from .borders import Borders
 from .equal_steps import (
     EqualAngle,
     EqualProjectedSolidAngle,
     EqualSine,
     EqualSolidAngle,
 )
-from .hemisphere import BORDER, Subdivision
+from .hemisphere import Subdivision
 from .klems import Klems
 
 __all__ = [
-    "BORDER",
-    "Borders",
-    "EqualAngle",
-    "EqualProjectedSolidAngle",
-    "EqualSine",
-    "EqualSolidAngle",
-    "Subdivision",
-    "adapted",
     "subdivision",
 ]
 
-_KINDS = {
+_KINDS: dict[str, Callable[[int, int], Subdivision]] = {
     kind.name: kind
     for kind in (EqualAngle, EqualSolidAngle, EqualProjectedSolidAngle, EqualSine)
 }
 
 
-def subdivision(text):
+def subdivision(text: str | Subdivision) -> Subdivision:
     """Build the subdivision that a name such as ``"projected:30x30"`` describes.
 
     Parameters
@@ -70,9 +64,9 @@ def subdivision(text):
     return _KINDS[name](int(rings), int(sectors))
 
 
-def _numbers(text):
+def _numbers(text: str) -> tuple[float, ...]:
     return tuple(float(word) for word in text.split(","))
 
 
-def _is_integer(text):
+def _is_integer(text: str) -> bool:
     return text.removeprefix("-").isascii() and text.removeprefix("-").isdigit()

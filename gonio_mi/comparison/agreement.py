@@ -40,7 +40,7 @@ class Readings:
         """Readings at flat patch indices, of each its hemisphere and channel."""
         one, tally = record[index], record.tallies[index]
         estimates = record.estimates[index]
-        row, column = np.divmod(patch, record.subdivision.n_phi)
+        row, column = np.divmod(patch, record.subdivision.shape[1])
         where = (hemisphere, row, column, channel)
         pair = (one.brdf, one.btdf) if record.has_lower else (one.brdf,)
         errors = (one.brdf_std_err, one.btdf_std_err)[: len(pair)]

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from ..collector.apertures import Apertures
 from ..collector.directions import direction
 from ..collector.hemisphere import BORDER
 from .agreement import PointSet, Readings
@@ -31,8 +30,8 @@ def pair_with_record(record, other, relative):
             "measure one again with another seed"
         )
     patches = record.subdivision
-    n = patches.n_patches - isinstance(patches, Apertures)
-    shape = (2 if record.has_lower else 1, n, len(record.channels))
+    n_hemispheres = 2 if record.has_lower else 1
+    shape = n_hemispheres, patches.n_detectors, len(record.channels)
     hemisphere, patch, channel = (a.ravel() for a in np.indices(shape))
     theta, phi = (angle.ravel() for angle in patches.middles)
     theta_o = np.degrees(theta)[patch]
@@ -74,10 +73,10 @@ def pair_with_table(records, table):
             )
         channel = _channel(record, table)
         patches = record.subdivision
-        if isinstance(patches, Apertures):
-            patch, held = _own_apertures(patches, v, table)
+        patch, held = patches.detectors(v)
+        if patches.aperture_half_angle is not None:
+            _check_apertures(patches, table)
         else:
-            patch, held = patches.patch(v), np.ones(len(table), bool)
             notes.append(
                 f"means over patches of {patches} stand for points; a record made like "
                 "the table (measure_like) has no such bias"
@@ -125,21 +124,14 @@ def pair_with_table(records, table):
     return sets, list(dict.fromkeys(notes))
 
 
-def _own_apertures(patches, v, table):
-    """Which aperture stands in each direction, and whether one does."""
-    if table.aperture_half_angle is not None and not np.isclose(
-        table.aperture_half_angle, patches.half_angle, rtol=BORDER, atol=0
-    ):
+def _check_apertures(patches, table):
+    """Raise ValueError if the apertures are not as wide as those of the table."""
+    own, said = patches.aperture_half_angle, table.aperture_half_angle
+    if said is not None and not np.isclose(said, own, rtol=BORDER, atol=0):
         raise ValueError(
             f"the record's apertures must have the half-angle of {table.name}, "
-            f"{table.aperture_half_angle:g} degrees, got {patches.half_angle:g}"
+            f"{said:g} degrees, got {own:g}"
         )
-    from scipy.spatial import cKDTree  # slow to import
-
-    theta, phi = (angle.ravel() for angle in patches.middles)
-    axes = direction(theta[:-1], phi[:-1])
-    distance, nearest = cKDTree(axes).query(v)
-    return nearest, distance <= BORDER
 
 
 def _channel(record, table):

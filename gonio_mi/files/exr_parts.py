@@ -55,11 +55,11 @@ def layers(single):
             parts[part][f"std_err.{name}"] = _float32(std_errs[..., number])
     parts["view"] = _view(single, [values for _, values, _ in hemispheres])
     parts["tally"] = {}
-    rows = tally.sums.reshape(-1, single.subdivision.n_phi, len(names))
+    rows = tally.sums.reshape(-1, single.subdivision.shape[1], len(names))
     for number, name in enumerate(names):
         parts["tally"] |= _halves("sum", f".{name}", rows[..., number])
     if tally.errors is not None:
-        rows = tally.errors.reshape(-1, single.subdivision.n_phi, len(names))
+        rows = tally.errors.reshape(-1, single.subdivision.shape[1], len(names))
         parts["integral"] = {}
         for number, name in enumerate(names):
             parts["integral"] |= _halves("error", f".{name}", rows[..., number])

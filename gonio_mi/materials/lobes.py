@@ -105,9 +105,9 @@ class LobeTable:
             flux = flux @ np.asarray(mixture, dtype=float)[:, None]
         n_azimuths, n_angles, n_hemispheres = flux.shape[:3]
         brdf = flux / patches.projected_solid_angles[..., None]
-        if hasattr(patches, "refined"):
-            patches, brdf = patches.refined(brdf)
-            flux = brdf * patches.projected_solid_angles[..., None]
+        rings, brdf = patches.in_rings(brdf)
+        if rings != patches:  # else the flux stays as measured, to the bit
+            patches, flux = rings, brdf * rings.projected_solid_angles[..., None]
         _check_size(flux.shape)
         shape = 2, n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
         strips, strip_slopes = np.empty((2, *shape))

@@ -27,9 +27,11 @@ def draw_map(axes, single, of):
         Of one incident direction.
     of : {"brdf", "btdf"}
     """
-    empty = single.without_hit[int(of == "btdf")]
-    values = np.ma.masked_array(getattr(single, of).mean(axis=-1), mask=empty)
-    _draw_patches(axes, single.subdivision, values, _label(single, of))
+    patches, values = single.subdivision.in_rings(getattr(single, of))
+    lower = int(of == "btdf")
+    _, empty = single.subdivision.in_rings(single.without_hit[lower, ..., None])
+    mean = np.ma.masked_array(values.mean(axis=-1), mask=empty[..., 0])
+    _draw_patches(axes, patches, mean, _label(single, of))
     _draw_grid(axes)
     _mark_directions(axes, single, of)
     if empty.any():

@@ -54,7 +54,11 @@ def profile(single, of="brdf", level=LEVEL):
     level : float
         Of the intervals, in (0, 1).
     """
-    patches = single.subdivision
+    of_lower = int(of == "btdf")
+    low, high = single.interval(level, of=of)
+    means = np.stack([getattr(single, of), low, high])
+    patches, means = single.subdivision.in_rings(means)
+    _, empty = single.subdivision.in_rings(single.without_hit[of_lower, ..., None])
     phi_i = np.radians(np.nan_to_num(single.phi_i[0]))
     towards, beyond = (
         int(patches.patch([math.cos(phi), math.sin(phi), 1])) % patches.n_phi
@@ -65,14 +69,14 @@ def profile(single, of="brdf", level=LEVEL):
         return np.concatenate([array[::-1, towards], array[:, beyond]])
 
     edges, theta = np.degrees(patches.theta_edges), np.degrees(patches.theta)
-    low, high = single.interval(level, of=of)
+    value, low, high = map(cut, means)
     return Profile(
         edges=np.concatenate([-edges[:0:-1], edges]),
         theta=np.concatenate([-theta[::-1], theta]),
-        value=cut(getattr(single, of)),
-        low=cut(low),
-        high=cut(high),
-        empty=cut(single.without_hit[int(of == "btdf")]),
+        value=value,
+        low=low,
+        high=high,
+        empty=cut(empty[..., 0]),
     )
 
 

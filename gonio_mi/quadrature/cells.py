@@ -62,16 +62,18 @@ class Cells:
     share: np.ndarray  # part of the patch's polar angles and azimuths, shape (n, 2)
 
     @classmethod
-    def of(cls, grid):
-        """One cell per patch of both hemispheres."""
-        theta = np.stack([grid.theta_edges[:-1], grid.theta_edges[1:]], axis=-1)
-        phi = np.stack([grid.phi_edges[:-1], grid.phi_edges[1:]], axis=-1)
-        n = grid.n_patches
+    def of(cls, subdivision):
+        """One cell per patch of both hemispheres.
+
+        Raises ValueError for patches that have poles of their own.
+        """
+        cells = np.tile(subdivision.cells_about_pole(), (2, 1))
+        n = subdivision.n_patches
         return cls(
             np.arange(2 * n),
             np.arange(2 * n) >= n,
-            np.tile(np.repeat(theta, grid.n_phi, axis=0), (2, 1)),
-            np.tile(phi, (2 * grid.n_theta, 1)),
+            cells[:, :2],
+            cells[:, 2:],
             np.ones((2 * n, 2)),
         )
 

@@ -179,7 +179,7 @@ def integrate(
     beam = _Beam.of(theta_i, phi_i, side, interaction)
     evaluator = _Evaluator(bsdf, beam, pdf)
     cells = Cells.of(subdivision)
-    guides = evaluator.guides(subdivision)
+    guides = evaluator.guides(cells, subdivision)
     coarse, way, _ = evaluator.integrals(cells)
     sums, finished = _PatchSums(2 * subdivision.n_patches, coarse.shape[-1]), []
     for level in range(MAX_LEVELS):
@@ -316,7 +316,7 @@ class _Evaluator:
         self.pdf = pdf
         self.n_evaluations = 0
 
-    def guides(self, grid):
+    def guides(self, cells, subdivision):
         """Sampled directions, without those of delta components."""
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(0, N_GUIDES)
@@ -328,8 +328,10 @@ class _Evaluator:
         wanted = np.broadcast_to((~delta & dr.any(weight > 0)).numpy(), N_GUIDES)
         wo = np.broadcast_to(si.to_world(bs.wo).numpy(), (3, N_GUIDES)).T[wanted]
         wo = wo * [1, 1, self.beam.side]
-        patch = grid.patch(wo) + grid.n_patches * (wo[:, 2] < 0)
+        patch = subdivision.patch(wo) + subdivision.n_patches * (wo[:, 2] < 0)
         theta, phi = angles(wo)
+        # a cell may begin below the azimuth 0
+        phi[(cells.phi[patch, 0] < 0) & (phi > np.pi)] -= 2 * np.pi
         return Guides(patch, np.minimum(theta, np.pi - theta), phi)
 
     def integrals(self, cells):

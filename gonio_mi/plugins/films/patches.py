@@ -47,8 +47,7 @@ class Patches(mi.Film):
         self.hemispheres = properties.choice(
             props, "hemispheres", "auto", ("auto", "upper", "both")
         )
-        props["width"] = self.subdivision.n_phi
-        props["height"] = self.subdivision.n_theta
+        props["height"], props["width"] = self.subdivision.shape
         super().__init__(props)
         self.record = None
 
