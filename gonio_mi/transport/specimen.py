@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
+from .extents import bounds
 from .geometry import groups_of, scene_of, surfaces_of
 from .ray_offsets import START, escapes, intersect
 
@@ -130,8 +131,8 @@ class Specimen:
     surfaces : list of mi.Shape
         What light meets: shapes that are no instances, and what is in the groups.
     low, high : ndarray, shape (3,)
-        Corners of the bounding box, in scene units; in x and y those of the cell, if
-        there is one.
+        Corners of the bounding box of the surfaces, in scene units; in x and y those of
+        the cell, if there is one.
     periodic : bool
         Whether there is one.
     plane : Plane or None
@@ -170,9 +171,7 @@ class Specimen:
                 # merged from others by Mitsuba 3.9.1, which forgets to
                 shape.recompute_bbox()
         self.scene = scene = scene_of(shapes, self.groups)
-        box = scene.bbox()
-        self.low = np.array(box.min, dtype=float).ravel()
-        self.high = np.array(box.max, dtype=float).ravel()
+        self.low, self.high = bounds(shapes)
         if not (np.isfinite(self.low).all() and np.isfinite(self.high).all()):
             raise SpecimenError(
                 f"the specimen must be of finite size, got {self.low} to {self.high}"
