@@ -3,7 +3,8 @@
 import math
 import operator
 import traceback
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple, TypeVar
 
 __all__ = [
     "FileFormatError",
@@ -55,6 +56,9 @@ def _without_middle(text, longest):
     return f"{text[:head]}...{text[head + 3 - longest :]}"
 
 
+Choice = TypeVar("Choice", bound=str)
+
+
 class VariantError(RuntimeError):
     """No Mitsuba variant is set, or one that the instrument cannot use."""
 
@@ -99,7 +103,9 @@ def frames(error: BaseException) -> list[Frame]:
     return here + getattr(error, "frames", [])
 
 
-def checked_count(name, value, minimum=1, maximum=None):
+def checked_count(
+    name: str, value: Any, minimum: int = 1, maximum: int | None = None
+) -> int:
     """Return `value` as an int, or say which of `name`'s conditions it violates.
 
     Whole floats such as ``1e6`` are accepted; booleans, fractions, NaN are not.
@@ -121,7 +127,9 @@ def checked_count(name, value, minimum=1, maximum=None):
     return number
 
 
-def checked_number(name, value, low, high, condition):
+def checked_number(
+    name: str, value: Any, low: float, high: float, condition: str
+) -> float:
     """Return `value` as a float in ``[low, high)``, or say what it must be.
 
     A boolean, NumPy's too, is no number.
@@ -139,7 +147,7 @@ def checked_number(name, value, low, high, condition):
     return number
 
 
-def checked_choice(name, value, choices):
+def checked_choice(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:
     """Return `value` if it is one of `choices`."""
     if value not in choices:
         raise ValueError(

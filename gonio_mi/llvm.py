@@ -11,6 +11,7 @@ import os
 import platform
 import re
 import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -71,7 +72,7 @@ class LLVMStatus:
     reason: str
 
 
-def prepare():
+def prepare() -> None:
     """Let ``DRJIT_LIBLLVM_PATH`` name the best usable library, unless the user did.
 
     That is the one of the wheel ``karellen-llvm-core``, otherwise the newest of the
@@ -83,22 +84,22 @@ def prepare():
     # A broken installation of something else must not break the import of this package.
     with contextlib.suppress(Exception):
         path, version = _best()
-        if _is_enough(version):
+        if path and _is_enough(version):
             os.environ[VARIABLE] = path
 
 
-def status():
+def status() -> LLVMStatus:
     """:class:`LLVMStatus` of what Dr.Jit has loaded, or would load. Loads no Dr.Jit."""
     if "drjit" in sys.modules:
         return _loaded_status(sys.modules["drjit"].detail.llvm_version())
     named = os.environ.get(VARIABLE)
     path, version = (named, _version(named)) if named else _best()
-    if _is_enough(version) and not _is_absent(path):
+    if path and _is_enough(version) and not _is_absent(path):
         return LLVMStatus(path, version, True, f"{path} is LLVM {dotted(version)}")
     return LLVMStatus(path, version, False, _complaint(path, version))
 
 
-def check():
+def check() -> None:
     """Make sure that Dr.Jit can compile, before it aborts the process.
 
     Raises
@@ -114,12 +115,13 @@ def check():
 # ------------------------------------------------------------------------- verdicts
 
 
-def _loaded_status(version):
+def _loaded_status(choice: tuple[int, ...]) -> LLVMStatus:
     """Status when Dr.Jit has made its choice; it answers -1 where it has none."""
     named, path = os.environ.get(VARIABLE), _loaded_path()
-    if version[0] < 0:
+    version: tuple[int, ...] | None = choice
+    if choice[0] < 0:
         path, version = named, _version(named) if named else None
-    elif version[0] >= MINIMUM_VERSION:
+    elif choice[0] >= MINIMUM_VERSION:
         return LLVMStatus(path, version, True, f"Dr.Jit uses LLVM {dotted(version)}")
     if named and path in (named, None):
         return LLVMStatus(named, version, False, _complaint(named, version))
@@ -136,7 +138,7 @@ def _loaded_status(version):
     return LLVMStatus(path, version, False, reason)
 
 
-def _complaint(path, version):
+def _complaint(path: str | None, version: tuple[int, ...] | None) -> str:
     """Sentence on a library that Dr.Jit cannot use, and the line that fixes it."""
     need = f"Dr.Jit needs {MINIMUM_VERSION} or newer"
     named = f"{path} ({VARIABLE})"
@@ -159,7 +161,7 @@ def _complaint(path, version):
     return f"{named} {state}, and {need}: {fix}unset {VARIABLE}"
 
 
-def _install():
+def _install() -> str:
     """The line that installs a usable LLVM on this kind of machine."""
     if sys.platform == "darwin":
         return "run `brew install llvm`"
@@ -170,17 +172,17 @@ def _install():
     return "install your system's LLVM (Debian: `sudo apt install libllvm19`)"
 
 
-def _is_enough(version):
+def _is_enough(version: tuple[int, ...] | None) -> bool:
     """Whether Dr.Jit's kernels compile with this version."""
     return version is not None and version[0] >= MINIMUM_VERSION
 
 
-def _is_absent(path):
+def _is_absent(path: str) -> bool:
     """Whether a path leads to no file; a bare name is left to the loader's search."""
     return os.path.basename(path) != path and not os.path.isfile(path)
 
 
-def dotted(version):
+def dotted(version: tuple[int, ...] | None) -> str:
     """Text of a version, also of an unknown one."""
     return ".".join(map(str, version)) if version else "unknown"
 
@@ -188,7 +190,7 @@ def dotted(version):
 # ------------------------------------------------------------------------ libraries
 
 
-def _best():
+def _best() -> tuple[str | None, tuple[int, ...] | None]:
     """Path and version of the library to use, else of the system's newest, or Nones."""
     for paths in (_wheel_libraries(), _system_libraries()):
         known = [(_version_in_name(path), path) for path in paths]
@@ -198,7 +200,7 @@ def _best():
     return path, version
 
 
-def _wheel_libraries():
+def _wheel_libraries() -> list[str]:
     """Libraries of the wheel, wherever pip put it."""
     try:
         files = metadata.distribution(WHEEL).files or ()
@@ -210,18 +212,18 @@ def _wheel_libraries():
     )
 
 
-def _system_libraries():
+def _system_libraries() -> list[str]:
     """Libraries of the system's packages."""
     patterns = SYSTEM_PATTERNS.get(sys.platform, ())
     return _libraries(path for pattern in patterns for path in glob.glob(pattern))
 
 
-def _libraries(paths):
+def _libraries(paths: Iterable[str]) -> list[str]:
     """Those of `paths` that are of known version and could be loaded."""
     return [path for path in paths if _version_in_name(path) and _is_native(path)]
 
 
-def _is_native(path):
+def _is_native(path: str) -> bool:
     """Whether it is a 64 bit library, not one of 32 bits or a linker script."""
     try:
         with open(path, "rb") as file:
@@ -230,7 +232,7 @@ def _is_native(path):
         return False
 
 
-def _loaded_path():
+def _loaded_path() -> str | None:
     """Path of the libLLVM in this process's memory, if the system tells."""
     named = os.environ.get(VARIABLE)
     try:
@@ -247,12 +249,12 @@ def _loaded_path():
     return found[0] if len(found) == 1 else None
 
 
-def _version(path):
+def _version(path: str) -> tuple[int, ...] | None:
     """Version of a library by its name, or by asking it; None where neither tells."""
     return _version_in_name(path) or _version_in_library(path)
 
 
-def _version_in_name(path):
+def _version_in_name(path: str) -> tuple[int, ...] | None:
     """Version that the name of the file, or of its folder, tells."""
     resolved = os.path.realpath(path)
     for name in (os.path.basename(resolved), os.path.basename(path)):
@@ -263,7 +265,7 @@ def _version_in_name(path):
     return tuple(map(int, match[1].split("."))) if match else None
 
 
-def _version_in_library(path):
+def _version_in_library(path: str) -> tuple[int, ...] | None:
     """Version that the library itself tells, from LLVM 16 on."""
     numbers = [ctypes.c_uint() for _ in range(3)]
     try:

@@ -5,7 +5,7 @@ import os
 __all__ = ["check_memory"]
 
 
-def check_memory(what, needed, remedy):
+def check_memory(what: str, needed: float, remedy: str) -> None:
     """Raise ValueError if `what` needs more bytes than the machine has.
 
     The message ends with `remedy`, in the imperative. Where the size of the memory

@@ -1,13 +1,17 @@
 """A progress bar on standard error."""
 
-from contextlib import nullcontext
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 from tqdm import tqdm
 
 __all__ = ["bar"]
 
 
-def bar(shown, **settings):
+def bar(
+    shown: bool, **settings: Any
+) -> AbstractContextManager[Callable[[float], Any] | None]:
     """Context of the function to report progress to; of None if it is not `shown`.
 
     `settings` are those of :class:`tqdm.tqdm`.
@@ -18,6 +22,6 @@ def bar(shown, **settings):
 class _Bar(tqdm):
     """Progress bar whose context is its function to report."""
 
-    def __enter__(self):
+    def __enter__(self) -> Callable[[float], Any]:
         super().__enter__()
         return self.update

@@ -3,24 +3,29 @@
 Only the text of an exception survives Mitsuba's plugin loader, so it says it all.
 """
 
+from collections.abc import Iterable
+from typing import Any
+
 from .errors import checked_choice, checked_count, checked_number
 
 __all__ = ["choice", "count", "flag", "number"]
 
 
-def choice(props, name, default, choices):
+def choice(props: Any, name: str, default: str, choices: Iterable[str]) -> str:
     """Return the string property `name`, one of `choices`."""
     return checked_choice(_label(props, name), props.get(name, default), choices)
 
 
-def count(props, name, default, minimum=1, maximum=None):
+def count(
+    props: Any, name: str, default: int, minimum: int = 1, maximum: int | None = None
+) -> int:
     """Return the whole-number property `name`."""
     return checked_count(
         _label(props, name), props.get(name, default), minimum, maximum
     )
 
 
-def flag(props, name, default):
+def flag(props: Any, name: str, default: bool) -> bool:
     """Return the boolean property `name`; no text, of which ``"false"`` were true."""
     value = props.get(name, default)
     if not isinstance(value, bool):
@@ -30,11 +35,13 @@ def flag(props, name, default):
     return value
 
 
-def number(props, name, default, low, high, condition):
+def number(
+    props: Any, name: str, default: float, low: float, high: float, condition: str
+) -> float:
     """Return the number property `name`, in ``[low, high)``."""
     value = props.get(name, default)
     return checked_number(_label(props, name), value, low, high, condition)
 
 
-def _label(props, name):
+def _label(props: Any, name: str) -> str:
     return f"{props.plugin_name()}.{name}"

@@ -1,8 +1,13 @@
 """Rectangles of polar angle and azimuth that are quartered, and a rule for each."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+from ..collector import Subdivision
 
 __all__ = [
     "BLIND",
@@ -55,14 +60,15 @@ INSIDE = 2.0**-21
 class Cells:
     """Rectangles in ``(theta, phi)``, each a part of one patch."""
 
-    patch: np.ndarray  # n_patches more for the lower hemisphere
-    lower: np.ndarray  # whether in the lower hemisphere
-    theta: np.ndarray  # borders in polar angle, shape (n, 2)
-    phi: np.ndarray  # borders in azimuth, shape (n, 2)
-    share: np.ndarray  # part of the patch's polar angles and azimuths, shape (n, 2)
+    patch: NDArray[np.int64]  # n_patches more for the lower hemisphere
+    lower: NDArray[np.bool_]  # whether in the lower hemisphere
+    theta: NDArray[np.float64]  # borders in polar angle, shape (n, 2)
+    phi: NDArray[np.float64]  # borders in azimuth, shape (n, 2)
+    # part of the patch's polar angles and azimuths, shape (n, 2)
+    share: NDArray[np.float64]
 
     @classmethod
-    def of(cls, subdivision):
+    def of(cls, subdivision: Subdivision) -> "Cells":
         """One cell per patch of both hemispheres.
 
         Raises ValueError for patches that have poles of their own.
@@ -78,16 +84,18 @@ class Cells:
         )
 
     @property
-    def area(self):
+    def area(self) -> NDArray[np.float64]:
         """Solid angle, about."""
         theta = self.theta.mean(axis=1)
         return np.diff(self.theta)[:, 0] * np.diff(self.phi)[:, 0] * np.sin(theta)
 
-    def split(self, way):
+    def split(self, way: NDArray[np.int64]) -> "Cells":
         """Four cells for each one, in its place, in the `way` of each."""
         parts = PARTS[way]
 
-        def _borders(borders, part):
+        def _borders(
+            borders: NDArray[np.float64], part: NDArray[np.float64]
+        ) -> NDArray[np.float64]:
             low, high = borders[:, 0, None, None], borders[:, 1, None, None]
             return (low * (1 - part) + high * part).reshape(-1, 2)
 
@@ -100,28 +108,31 @@ class Cells:
             np.swapaxes(share, 1, 2).reshape(-1, 2),
         )
 
-    def tolerated(self, way):
+    def tolerated(self, way: NDArray[np.int64]) -> NDArray[np.float64]:
         """Part of a patch's tolerated error: random ones add up by their squares."""
         across = np.column_stack([self.share.prod(axis=1) ** 0.5, self.share[:, ::-1]])
         return across[np.arange(len(way)), way]
 
-    def narrow(self, way, least):
+    def narrow(self, way: NDArray[np.int64], least: float) -> NDArray[np.bool_]:
         """Whether cells are split across a side that is below `least` radians."""
         widths = np.hstack([np.diff(self.theta), np.diff(self.phi)])
         across = widths[np.arange(len(way)), np.maximum(way, 1) - 1]
         return (way != QUARTERS) & (across < least)
 
-    def probes(self):
+    def probes(
+        self,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
         """Polar angle, azimuth and hemisphere of the corners and the middle."""
-        angles = []
+        angles: list[NDArray[np.float64]] = []
         for borders, place in zip((self.theta, self.phi), PROBES.T):
             half = np.diff(borders) / 2
             inside = np.maximum(half - INSIDE, half / 2)
             middle = borders.mean(axis=1, keepdims=True)
             angles.append((middle + inside * place).ravel())
-        return *angles, np.repeat(self.lower, len(PROBES))
+        theta, phi = angles
+        return theta, phi, np.repeat(self.lower, len(PROBES))
 
-    def nodes(self):
+    def nodes(self) -> list[NDArray[Any]]:
         """Polar angle, azimuth, hemisphere and weight of the points of the rule."""
         half_theta, half_phi = (np.diff(b) / 2 for b in (self.theta, self.phi))
         theta = self.theta.mean(axis=1, keepdims=True) + half_theta * NODES
@@ -133,14 +144,14 @@ class Cells:
         return [array.ravel() for array in arrays]
 
     @classmethod
-    def join(cls, several):
+    def join(cls, several: Iterable["Cells"]) -> "Cells":
         """All cells of `several`."""
         return cls(*map(np.concatenate, zip(*map(Cells._columns, several))))
 
-    def _columns(self):
+    def _columns(self) -> tuple[NDArray[Any], ...]:
         return self.patch, self.lower, self.theta, self.phi, self.share
 
-    def __getitem__(self, chosen):
+    def __getitem__(self, chosen: Any) -> "Cells":
         return Cells(*(column[chosen] for column in self._columns()))
 
 
@@ -148,15 +159,17 @@ class Cells:
 class Guides:
     """Directions that ``sample`` gave, and the cell that each is in."""
 
-    cell: np.ndarray
-    theta: np.ndarray
-    phi: np.ndarray
+    cell: NDArray[np.int64]
+    theta: NDArray[np.float64]
+    phi: NDArray[np.float64]
 
-    def held(self, n_cells):
+    def held(self, n_cells: int) -> NDArray[np.int64]:
         """How many of them are in each cell."""
         return np.bincount(self.cell, minlength=n_cells)
 
-    def descend(self, cells, chosen, way):
+    def descend(
+        self, cells: Cells, chosen: NDArray[np.bool_], way: NDArray[np.int64]
+    ) -> "Guides":
         """Guides of the chosen cells, in the parts of the `way` of each."""
         kept = chosen[self.cell]
         cell, theta, phi = self.cell[kept], self.theta[kept], self.phi[kept]
@@ -170,7 +183,7 @@ class Guides:
         return Guides(4 * rank[cell] + part, theta, phi)
 
 
-def _lagrange(nodes, x):
+def _lagrange(nodes: NDArray[np.float64], x: float) -> NDArray[np.float64]:
     """What each node's value contributes at `x` to the polynomial through all."""
     others = ~np.eye(len(nodes), dtype=bool)
     return np.array(
@@ -178,20 +191,20 @@ def _lagrange(nodes, x):
     )
 
 
-def _continuation():
+def _continuation() -> NDArray[np.float64]:
     """Values at the probes as sums over the nodes of the quarters: their polynomial."""
     rows = []
     for theta, phi in PROBES:
         basis = np.outer(_lagrange(_HALF_NODES, theta), _lagrange(_HALF_NODES, phi))
-        basis = basis.reshape(2, ORDER, 2, ORDER)  # half, node, half, node
-        rows.append(np.swapaxes(basis, 1, 2).ravel())
+        nodes = basis.reshape(2, ORDER, 2, ORDER)  # half, node, half, node
+        rows.append(np.swapaxes(nodes, 1, 2).ravel())
     return np.array(rows)
 
 
 CONTINUATION = _continuation()
 
 
-def _difference(nodes):
+def _difference(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Weights of the highest difference that as many values have, at most 1."""
     weights = [1 / np.prod(x - np.delete(nodes, i)) for i, x in enumerate(nodes)]
     return np.array(weights) / np.abs(weights).max()
@@ -206,13 +219,15 @@ ALONG = 1 / 32
 ROUGH, FINE_ROUGH = _difference(NODES), _difference(_HALF_NODES)
 
 
-def off_polynomial(found, values):
+def off_polynomial(
+    found: NDArray[np.float64], values: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """How far values at the probes are from the polynomial through those at nodes."""
     expected = np.einsum("pk,nkc->npc", CONTINUATION, values)
     return np.abs(found - expected).max(axis=1)
 
 
-def noise(values):
+def noise(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """How far the values at the nodes of quarters are from smooth, by cell."""
     n = len(values)
     values = values.reshape(n, 2, 2, ORDER, ORDER, -1).swapaxes(2, 3)
@@ -222,7 +237,7 @@ def noise(values):
     return np.maximum(theta, phi) + 2.0**-22 * np.abs(values).max(axis=(1, 2))
 
 
-def way_to_split(values):
+def way_to_split(values: NDArray[np.float64]) -> NDArray[np.int64]:
     """How to split cells: across a step that keeps to one angle, or into quarters."""
     values = values.reshape(len(values), ORDER, ORDER, -1)
     theta = np.abs(np.einsum("ntpc,t->npc", values, ROUGH)).max(axis=(1, 2))

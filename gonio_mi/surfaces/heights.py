@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ..errors import checked_choice, checked_count, checked_number
 from ..memory import check_memory
@@ -43,7 +44,7 @@ class HeightStatistics:
     correlation_length_u: float
     correlation_length_v: float
 
-    def __str__(self):
+    def __str__(self) -> str:
         return (
             f"rms height {self.rms_height:.4g}, "
             f"alpha {self.alpha_u:.4g} x {self.alpha_v:.4g}, "
@@ -53,16 +54,16 @@ class HeightStatistics:
 
 
 def gaussian_heights(
-    resolution,
-    spacing,
-    alpha_u,
-    alpha_v,
-    correlation_length,
+    resolution: tuple[int, int],
+    spacing: float,
+    alpha_u: float,
+    alpha_v: float,
+    correlation_length: float,
     *,
-    correlation="gaussian",
-    shortest=0.0,
-    seed=0,
-):
+    correlation: str = "gaussian",
+    shortest: float = 0.0,
+    seed: int = 0,
+) -> NDArray[np.float64]:
     r"""Periodic heights with Gaussian statistics, by filtering noise in Fourier space.
 
     Slopes are then Gaussian too, which is Beckmann's distribution of facets.
@@ -133,7 +134,13 @@ def gaussian_heights(
     return np.fft.irfft2(spectrum, (n_y, n_x))
 
 
-def _expected_alphas(power, k_x, k_y, n_x, spacing):
+def _expected_alphas(
+    power: NDArray[np.floating],
+    k_x: NDArray[np.floating],
+    k_y: NDArray[np.floating],
+    n_x: int,
+    spacing: float,
+) -> NDArray[np.float64]:
     """Both alphas of unit white noise that is filtered with `power`, in expectation.
 
     The variance of the difference quotient of neighbours, as the facets have it.
@@ -153,7 +160,9 @@ def _expected_alphas(power, k_x, k_y, n_x, spacing):
     return np.sqrt(2 * np.array(variances))
 
 
-def height_statistics(heights, spacing, periodic=True):
+def height_statistics(
+    heights: ArrayLike, spacing: float, periodic: bool = True
+) -> HeightStatistics:
     """:class:`HeightStatistics` of a grid of heights.
 
     Parameters
@@ -165,10 +174,10 @@ def height_statistics(heights, spacing, periodic=True):
         Whether the last row and column are next to the first.
     """
     heights = checked_heights(heights)
-    along = {"append": heights[:, :1]} if periodic else {}
-    across = {"append": heights[:1]} if periodic else {}
-    slope_u = np.diff(heights, axis=1, **along) / spacing
-    slope_v = np.diff(heights, axis=0, **across) / spacing
+    # one more row and column of a periodic field, those that follow its last
+    more = int(periodic)
+    slope_u = np.diff(heights, axis=1, append=heights[:, :more]) / spacing
+    slope_v = np.diff(heights, axis=0, append=heights[:more]) / spacing
     centred = heights - heights.mean()
     return HeightStatistics(
         rms_height=float(centred.std()),
@@ -179,7 +188,7 @@ def height_statistics(heights, spacing, periodic=True):
     )
 
 
-def _correlation_length(heights, periodic):
+def _correlation_length(heights: NDArray[np.float64], periodic: bool) -> float:
     """Lag along the second axis at which the autocorrelation is 1/e; NaN for none."""
     n = heights.shape[1]
     # zeros keep the ends of a field that is not periodic apart
@@ -202,7 +211,7 @@ def _correlation_length(heights, periodic):
     return float(i - 1 + (left - np.exp(-1)) / (left - right))
 
 
-def checked_heights(heights):
+def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
     """Return `heights` as a float64 array, or say what is wrong with it."""
     heights = np.asarray(heights)
     if heights.ndim == 3 and heights.shape[2] == 1:

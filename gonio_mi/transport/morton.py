@@ -6,12 +6,17 @@ the points along the curve. Nested (Owen) scrambling moves whole elementary inte
 and so keeps neighbours together.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 __all__ = ["sorting_tables"]
 
 
-def sorting_tables(x_columns, y_columns):
+def sorting_tables(
+    x_columns: Sequence[int], y_columns: Sequence[int]
+) -> NDArray[np.uint32]:
     """Tables that turn a place along the curve into the index of a point.
 
     Parameters
@@ -41,19 +46,20 @@ def sorting_tables(x_columns, y_columns):
     return tables
 
 
-def _functional(columns, bit):
+def _functional(columns: Sequence[int], bit: int) -> int:
     """Which bits of the index decide about one bit of a coordinate, as a mask."""
     return sum((column >> bit & 1) << k for k, column in enumerate(columns))
 
 
-def _inverse_columns(digits, h):
+def _inverse_columns(digits: Sequence[int], h: int) -> list[int]:
     """Index bits that each bit, from the lowest, of a place among 2**h stands for.
 
     Digits that depend on those before them sort nothing, and are left out.
     """
     low = (1 << h) - 1
     # rows of [digit | number of the digit], in reduced echelon form
-    rows, chosen = [], 0
+    rows: list[tuple[int, int, int]] = []
+    chosen = 0
     for digit in digits:
         row = [digit & low, 1 << chosen]
         for mask, pivot, combination in rows:
