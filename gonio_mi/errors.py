@@ -25,7 +25,7 @@ __all__ = [
 LONGEST, LONGEST_WORD, LONGEST_VALUE = 400, 120, 80
 
 
-def printable(text):
+def printable(text: str) -> str:
     r"""Text in which what a terminal would obey is escaped, but for line breaks.
 
     A file may hold any text, and an escape sequence in it could do anything to the
@@ -36,19 +36,19 @@ def printable(text):
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
-def shortened(text, longest=LONGEST):
+def shortened(text: str, longest: int = LONGEST) -> str:
     """One line of at most `longest` characters: what is too long lacks its middle."""
     line = " ".join(printable(" ".join(text.split())).split())
     words = (_without_middle(word, LONGEST_WORD) for word in line.split(" "))
     return _without_middle(" ".join(words), longest)
 
 
-def shown(value, longest=LONGEST_VALUE):
+def shown(value: object, longest: int = LONGEST_VALUE) -> str:
     """How a message repeats a value: its ``repr``, shortened."""
     return _without_middle(printable(repr(value)), longest)
 
 
-def _without_middle(text, longest):
+def _without_middle(text: str, longest: int) -> str:
     """Beginning and end of a text, which tell more than its middle."""
     if len(text) <= longest:
         return text
@@ -70,7 +70,7 @@ class LLVMError(RuntimeError):
 class _OneLineError(ValueError):
     """An error whose message may quote what others wrote: see :func:`shortened`."""
 
-    def __init__(self, message):
+    def __init__(self, message: object) -> None:
         super().__init__(shortened(str(message)))
 
 

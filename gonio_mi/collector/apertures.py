@@ -265,7 +265,9 @@ def _overlaps(
     )
 
 
-def _nearest(directions, half_angle):
+def _nearest(
+    directions: Sequence[tuple[float, float]], half_angle: float
+) -> tuple[int, int] | None:
     """One pair of indices whose cones overlap, or None; in little memory."""
     from scipy.spatial import cKDTree  # slow to import
 
@@ -273,15 +275,18 @@ def _nearest(directions, half_angle):
     order = np.lexsort(axes.T)
     same = np.flatnonzero((axes[order[1:]] == axes[order[:-1]]).all(axis=1))
     if same.size:
-        return order[same[0]], order[same[0] + 1]
+        return int(order[same[0]]), int(order[same[0] + 1])
     distances, indices = cKDTree(axes).query(axes, k=2)
     close = np.flatnonzero(distances[:, 1] <= _reach(half_angle))
-    return indices[close[0]] if close.size else None
+    if not close.size:
+        return None
+    first, second = indices[close[0]].tolist()
+    return first, second
 
 
-def _reach(half_angle):
+def _reach(half_angle: float) -> float:
     """Chord between the axes of two cones that touch."""
-    return 2 * np.sin(np.radians(half_angle)) * (1 - BORDER)
+    return float(2 * np.sin(np.radians(half_angle)) * (1 - BORDER))
 
 
 def _axes(directions: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
