@@ -22,7 +22,13 @@ from .collector import (  # noqa: E402
 )
 from .collector.apertures import Apertures  # noqa: E402
 from .comparison import Comparison, compare, measure_like  # noqa: E402
-from .errors import FileFormatError, LLVMError, SpecimenError, VariantError  # noqa: E402
+from .errors import (  # noqa: E402
+    FileFormatError,
+    LLVMError,
+    LostRaysError,
+    SpecimenError,
+    VariantError,
+)
 from .files import load  # noqa: E402
 from .files.measured import MeasuredTable, read_measured  # noqa: E402
 from .instrument.campaigns import campaign  # noqa: E402
@@ -42,6 +48,7 @@ __all__ = [
     "FileFormatError",
     "LLVMError",
     "Ledger",
+    "LostRaysError",
     "MeasuredTable",
     "Plan",
     "Record",

@@ -30,7 +30,14 @@ from .commands.arguments import (
     say,
     sentence,
 )
-from .errors import FileFormatError, LLVMError, SpecimenError, VariantError, frames
+from .errors import (
+    FileFormatError,
+    LLVMError,
+    LostRaysError,
+    SpecimenError,
+    VariantError,
+    frames,
+)
 
 __all__ = ["main"]
 
@@ -120,8 +127,8 @@ def _is_the_users(error):
 
     That is what the instrument itself raises, what files do, and what Mitsuba refuses.
     """
-    own = (FileFormatError, LLVMError, SpecimenError, VariantError, UsageError)
-    if isinstance(error, (*own, OSError)):
+    own = (FileFormatError, LLVMError, LostRaysError, SpecimenError, VariantError)
+    if isinstance(error, (*own, UsageError, OSError)):
         return True
     if isinstance(error, RuntimeError) and MITSUBA.search(str(error)):
         return True

@@ -10,6 +10,7 @@ __all__ = [
     "FileFormatError",
     "Frame",
     "LLVMError",
+    "LostRaysError",
     "SpecimenError",
     "VariantError",
     "checked_choice",
@@ -65,6 +66,10 @@ class VariantError(RuntimeError):
 
 class LLVMError(RuntimeError):
     """Dr.Jit would find no LLVM library that it can use."""
+
+
+class LostRaysError(RuntimeError):
+    """A measurement whose ledger does not hold all rays that were sent."""
 
 
 class _OneLineError(ValueError):

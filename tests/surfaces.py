@@ -198,11 +198,39 @@ def groove_shares(half_angle, theta, n=2000):
 def diffuse_groove_dhr(half_angle, theta, rho, n_nodes=16):
     """Reflectance of a Lambertian V-groove: radiosity of two endless strips, no rays.
 
+    The integral equation of :func:`_diffuse_groove` is solved at its nodes. All light
+    that is not absorbed leaves. Angles in degrees.
+    """
+    ds, seen, lit = _diffuse_groove(half_angle, theta, n_nodes)
+    n = len(ds) // 2
+    coupling = np.eye(2 * n)
+    coupling[:n, n:] = coupling[n:, :n] = -rho * seen
+    radiosity = rho * np.linalg.solve(coupling, lit)
+    absorbed = (1 - rho) / rho * radiosity @ ds
+    return float(1 - absorbed / np.cos(np.radians(theta)))
+
+
+def diffuse_groove_order(half_angle, theta, rho, order, n_nodes=16):
+    """Part of that reflectance that leaves after `order` surface events.
+
+    The Neumann series of the same integral equation: what a wall gets `order` times,
+    less what the other wall sees of it.
+    """
+    ds, seen, lit = _diffuse_groove(half_angle, theta, n_nodes)
+    walls = lit.reshape(2, -1)
+    for _ in range(order - 1):
+        walls = walls[::-1] @ seen.T
+    escaping = walls * (1 - seen.sum(axis=1))
+    return float(rho**order * escaping.ravel() @ ds / np.cos(np.radians(theta)))
+
+
+def _diffuse_groove(half_angle, theta, n_nodes):
+    """Weights of the nodes on both walls, form factors, and what the beam brings.
+
     A strip at the distance s from the valley sees one at s' on the other wall, which is
     turned by the opening angle w, under the form factor sin(w)^2 s s' / (2 r^3) per s',
-    with r^2 = s^2 + s'^2 - 2 s s' cos(w). The integral equation is solved at Gauss's
-    nodes of panels that shrink towards the valley, with a border where the crest's
-    shadow ends. All light that is not absorbed leaves. Angles in degrees.
+    with r^2 = s^2 + s'^2 - 2 s s' cos(w). Gauss's nodes in panels that shrink towards
+    the valley, with a border where the crest's shadow ends.
     """
     half_angle, theta = np.radians(half_angle), np.radians(theta)
     length, opening = 0.5 / np.sin(half_angle), 2 * half_angle
@@ -218,9 +246,4 @@ def diffuse_groove_dhr(half_angle, theta, rho, n_nodes=16):
     seen = np.sin(opening) ** 2 * np.outer(s, s) / (2 * r2**1.5) * ds
     facing = np.where(s > dark, np.sin(half_angle + theta), 0.0)
     averted = np.full(s.size, max(np.sin(half_angle - theta), 0.0))
-    n = s.size
-    coupling = np.eye(2 * n)
-    coupling[:n, n:] = coupling[n:, :n] = -rho * seen
-    radiosity = rho * np.linalg.solve(coupling, np.append(facing, averted))
-    absorbed = (1 - rho) / rho * radiosity @ np.tile(ds, 2)
-    return float(1 - absorbed / np.cos(theta))
+    return np.tile(ds, 2), seen, np.append(facing, averted)

@@ -10,6 +10,7 @@ from tqdm import tqdm
 from ..errors import SpecimenError, checked_count, checked_number
 from ..instrument.loading import load_specimen, specimen_name
 from ..results.ray_density import rms_expectation
+from ..transport.kernels import launches_kernels
 from .curves import Chart, Curve
 from .runs import GROWTH, TOO_FAR, Method, Runs, find_reference
 
@@ -21,6 +22,7 @@ ESTIMATORS = ("analog", "weighted", "quadrature", "next_event")
 SAMPLERS = ("independent", "sobol")
 
 
+@launches_kernels()
 def chart(
     specimen,
     theta_i=None,

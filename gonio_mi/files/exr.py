@@ -103,9 +103,10 @@ def read(stream):
     header = parsed_json(text)
     check_format(header)
     parts = {part.name(): part.channels for part in image.parts}
-    per_batch = ["incident", "fates", *(["direct"] if header["version"] >= 3 else [])]
-    per_batch = {key: _integers(header, key) for key in per_batch}
-    fates = per_batch["fates"]
+    per_batch = {"fates": _integers(header, "fates")}
+    for key in ("incident", "direct")[: 1 + (header["version"] >= 3)]:
+        per_batch[key] = _numbers(header, key)
+    fates, incident = per_batch["fates"], per_batch["incident"]
     require(
         all(len(arrays) == len(fates) > 0 for arrays in per_batch.values()),
         "its numbers of directions differ",
@@ -115,7 +116,8 @@ def read(stream):
     names = exr_parts.layer_names([str(channel) for channel in channels])
     tallies = []
     for index in range(len(fates)):
-        arrays = _sums(parts, index, len(fates), names, header, len(fates[index]))
+        kind = incident[index].dtype
+        arrays = _sums(parts, index, len(fates), names, header, len(fates[index]), kind)
         tallies.append(arrays | {k: rows[index] for k, rows in per_batch.items()})
     record = rebuilt(header, tallies)
     arrays = [_arrays(tally) for tally in record.tallies]
@@ -150,7 +152,7 @@ def _digest(text, arrays):
     """Check sum of the description and of the arrays of all tallies."""
     digest = hashlib.sha256(text.encode())
     for array in (array for pair in arrays for array in pair):
-        digest.update(np.ascontiguousarray(array, dtype="<u8"))
+        digest.update(np.ascontiguousarray(exr_parts.bits(array), dtype="<u8"))
     return digest.hexdigest()
 
 
@@ -184,8 +186,11 @@ def _check_elsewhere(stream):
     )
 
 
-def _sums(parts, index, n, names, header, n_batches):
-    """Arrays `hits`, `sums` and if there are some `errors` of one direction."""
+def _sums(parts, index, n, names, header, n_batches, kind):
+    """Arrays `hits`, `sums` and if there are some `errors` of one direction.
+
+    The latter two are of the type `kind`.
+    """
     shape = parsed_subdivision(header).shape
     hits = []
     for part in ("brdf", "btdf"):
@@ -199,13 +204,15 @@ def _sums(parts, index, n, names, header, n_batches):
         "hits": np.stack(hits),
         "sums": np.stack(sums, axis=-1).reshape(n_batches, len(hits), *shape, -1),
     }
+    arrays["sums"] = arrays["sums"].view(kind)
     layers = parts.get(_part_name("integral", index, n))
     if layers is not None:
         rows = len(hits) * shape[0], shape[1]
         errors = [
             _joined(layers, "error", f".{name}", "integral", rows) for name in names
         ]
-        arrays["errors"] = np.stack(errors, axis=-1).reshape(len(hits), *shape, -1)
+        errors = np.stack(errors, axis=-1).reshape(len(hits), *shape, -1)
+        arrays["errors"] = errors.view(kind)
     return arrays
 
 
@@ -228,6 +235,21 @@ def _joined(layers, layer, channel, part, shape):
     if len(halves) == 2:
         joined |= halves[1].astype(np.uint64) << 32
     return joined
+
+
+def _numbers(header, key):
+    """As :func:`_integers`, but float64 where a list holds floats."""
+    try:
+        arrays = [np.array(rows) for rows in header.get(key)]
+    except (TypeError, ValueError, OverflowError):
+        arrays = []
+    if not any(array.dtype == np.float64 for array in arrays):
+        return _integers(header, key)
+    require(
+        all(array.ndim == 2 and array.dtype == np.float64 for array in arrays),
+        f"its entry {key} does not hold numbers",
+    )
+    return arrays
 
 
 def _integers(header, key):

@@ -7,7 +7,7 @@ import OpenEXR
 
 from .header import json_of
 
-__all__ = ["attributes", "layer_names", "layers"]
+__all__ = ["attributes", "bits", "layer_names", "layers"]
 
 VIEW_SIZE = 512
 
@@ -23,9 +23,11 @@ MEANINGS = {
     "view": "picture of the BRDF, and of the BTDF to its right: seen along -z, radius "
     "is sin(theta), phi = 0 to the right, counter-clockwise, linear values in 1/sr",
     "tally": "received flux in units of 1/scale of a ray, one row per batch, "
-    "hemisphere and ring, one column per sector; the high layers count 2^32",
+    "hemisphere and ring, one column per sector: whole numbers if scale is 1, else the "
+    "bits of numbers in double precision; the high layers hold the upper 32 bits",
     "integral": "what the integrals may be wrong by in units of 1/scale of a ray, one "
-    "row per hemisphere and ring; the high layers count 2^32",
+    "row per hemisphere and ring: the bits of numbers in double precision; the high "
+    "layers hold the upper 32 bits",
 }
 
 
@@ -55,11 +57,11 @@ def layers(single):
             parts[part][f"std_err.{name}"] = _float32(std_errs[..., number])
     parts["view"] = _view(single, [values for _, values, _ in hemispheres])
     parts["tally"] = {}
-    rows = tally.sums.reshape(-1, single.subdivision.shape[1], len(names))
+    rows = bits(tally.sums).reshape(-1, single.subdivision.shape[1], len(names))
     for number, name in enumerate(names):
         parts["tally"] |= _halves("sum", f".{name}", rows[..., number])
     if tally.errors is not None:
-        rows = tally.errors.reshape(-1, single.subdivision.shape[1], len(names))
+        rows = bits(tally.errors).reshape(-1, single.subdivision.shape[1], len(names))
         parts["integral"] = {}
         for number, name in enumerate(names):
             parts["integral"] |= _halves("error", f".{name}", rows[..., number])
@@ -133,6 +135,13 @@ def _view(single, hemispheres):
         disk[inside, 3] = 1
     picture = np.concatenate(disks, axis=1)
     return {name: _float32(picture[..., number]) for number, name in enumerate("RGBA")}
+
+
+def bits(array):
+    """Whole numbers as they are, and floats as the 64 bits that they consist of."""
+    if array.dtype == np.uint64:
+        return array
+    return np.ascontiguousarray(array, dtype=float).view(np.uint64)
 
 
 def _halves(layer, channel, integers):

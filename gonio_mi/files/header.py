@@ -174,11 +174,18 @@ def _check_shapes(arrays, patches, n_channels):
     }
     if "errors" in arrays:
         shapes["errors"] = (n_hemispheres, *patches, n_channels)
+    weights = arrays["incident"].dtype == np.float64
     for name, shape in shapes.items():
         array = arrays[name]
+        floats = weights and name in ("sums", "incident", "errors", "direct")
+        kind = np.dtype(np.float64 if floats else np.uint64)
         require(
-            array.shape == shape and array.dtype == np.uint64,
-            f"its array {name} is {array.dtype} {array.shape}, not uint64 {shape}",
+            array.shape == shape and array.dtype == kind,
+            f"its array {name} is {array.dtype} {array.shape}, not {kind} {shape}",
+        )
+        require(
+            not floats or bool(np.all((array >= 0) & np.isfinite(array))),
+            f"its array {name} holds negative numbers, infinity or NaN",
         )
 
 

@@ -28,7 +28,7 @@ from .seal import LEAST_COMPRESSED, MOST_UNSEALED, SEAL_LENGTH, is_sealed, seal_
 
 __all__ = ["read", "write"]
 
-# Type and number of axes of each array.
+# Type, or one of several, and number of axes of each array.
 HEADER = {
     "format": ("str", 0),
     "version": ("int64", 0),
@@ -43,12 +43,12 @@ HEADER = {
 TALLIES = {
     "n_batches": ("int64", 1),
     "hits": ("uint64", 4),
-    "sums": ("uint64", 5),
-    "incident": ("uint64", 2),
+    "sums": ("float64 uint64", 5),
+    "incident": ("float64 uint64", 2),
     "fates": ("uint64", 2),
 }
-DIRECT = {"direct": ("uint64", 2)}
-INTEGRALS = {"errors": ("uint64", 5)}
+DIRECT = {"direct": ("float64 uint64", 2)}
+INTEGRALS = {"errors": ("float64 uint64", 5)}
 
 
 def write(record, stream):
@@ -148,7 +148,7 @@ def _array(archive, members, name, expected, wanted=None):
         require(version == (1, 0), f"its array {name} has npy version {version}")
         shape, _, dtype = np.lib.format.read_array_header_1_0(member)
         n_bytes = info.file_size - member.tell()
-    good = dtype.kind == "U" if kind == "str" else dtype == kind
+    good = dtype.kind == "U" if kind == "str" else dtype in kind.split()
     require(
         good and len(shape) == n_axes and dtype.itemsize > 0,
         f"its array {name} is {dtype} {shape} instead of {kind} with {n_axes} axes",

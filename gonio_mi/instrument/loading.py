@@ -10,6 +10,7 @@ import mitsuba as mi
 
 from .. import llvm
 from ..errors import SpecimenError, VariantError
+from ..transport.kernels import launches_kernels
 from .named_files import check_named_files
 
 __all__ = [
@@ -45,6 +46,7 @@ def check_variant():
         llvm.check()
 
 
+@launches_kernels()
 def load_specimen(specimen, parameters=None):
     """Load a specimen as a Mitsuba scene.
 

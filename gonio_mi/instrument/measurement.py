@@ -14,6 +14,7 @@ from ..progress import bar
 from ..results.ray_density import FLOOR
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
+from ..transport.kernels import launches_kernels
 from ..transport.specimen import Specimen
 from .batches import MAX_RAYS, checked_target, n_batches, send, send_until
 from .incidence import emitter_scene, incident_angles, incident_key, lamp_digest
@@ -30,6 +31,7 @@ SURE = 1 - 1e-9
 ROUNDING = 1000 * float(np.finfo(np.float32).eps)
 
 
+@launches_kernels(unless=("executor", "folder"))
 def measure(
     specimen,
     theta_i=None,
@@ -174,7 +176,9 @@ def measure(
         If the specimen cannot be loaded or measured, or an integral not be converged.
     VariantError
         If no variant is set, or one that cannot be used, or `wavelengths` are given in
-        one that is not spectral.
+        one that is not spectral, or a flag of Dr.Jit is set with which it cannot work.
+    LostRaysError
+        If the ledger does not hold all rays that were sent.
     """
     if executor is not None or folder is not None:
         return _by_campaign(dict(locals()))

@@ -194,7 +194,7 @@ class Estimates:
 
     def _sum(self, hemisphere):
         """Sum over the patches of one hemisphere, per batch and channel."""
-        return self.tally.sums[:, hemisphere].sum(axis=(1, 2), dtype=np.uint64)
+        return self.tally.sums[:, hemisphere].sum(axis=(1, 2))
 
     def _error(self, hemisphere):
         """What the integrals of a hemisphere's flux fractions may be wrong by."""

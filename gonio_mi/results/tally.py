@@ -1,4 +1,4 @@
-"""Exact integer sums of what the collector received, and the ledger of every ray."""
+"""Sums of what the collector received, batch by batch, and the ledger of every ray."""
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -7,8 +7,8 @@ import numpy as np
 
 __all__ = ["Fate", "Ledger", "Tally", "WEIGHT_SCALE", "batch_sizes"]
 
-# Weighted sums are fixed-point multiples of 2**-24: finer than the float32 weights that
-# enter, with room for 1e12 rays of unit weight in 64 bits.
+# Weights are added up in units of 2**-24 of a ray: exactly, however faint, in a launch;
+# and in double precision, which 1e12 rays of unit weight do not exhaust, over launches.
 WEIGHT_SCALE = 2**24
 
 
@@ -112,20 +112,20 @@ class Tally:
     hits : ndarray of uint64, shape (n_hemispheres, n_theta, n_phi)
         Rays that each patch received, or deposits of the estimator `next_event`.
         Hemisphere 0 is the emitter's side.
-    sums : ndarray of uint64, shape (n_batches, n_hemispheres, n_theta, n_phi, channels)
-        Received flux in units of ``1 / scale`` of a ray.
-    incident : ndarray of uint64, shape (n_batches, channels)
-        Flux that met the specimen, in the same unit.
+    sums : ndarray, shape (n_batches, n_hemispheres, n_theta, n_phi, channels)
+        Received flux in units of ``1 / scale`` of a ray: uint64 where rays are counted,
+        float64 where weights are summed, so that faint light keeps its digits.
+    incident : ndarray, shape (n_batches, channels)
+        Flux that met the specimen, of the same type and in the same unit.
     fates : ndarray of uint64, shape (n_batches, len(Fate))
         Rays by their fate.
     scale : int
-        1 when rays are counted, `WEIGHT_SCALE` when weights are summed, a power of two
-        at least as large for integrals.
-    errors : ndarray of uint64, shape (n_hemispheres, n_theta, n_phi, channels), or None
-        What the integrals in the sums of each batch may be wrong by, in the same unit.
-        None if all was sampled.
-    direct : ndarray of uint64, shape (n_batches, channels)
-        Flux that passed a periodic specimen without any event, in the same unit: part
+        1 when rays are counted, `WEIGHT_SCALE` when weights are summed.
+    errors : ndarray, shape (n_hemispheres, n_theta, n_phi, channels), or None
+        What the integrals in the sums of each batch may be wrong by, float64, in the
+        same unit. None if all was sampled.
+    direct : ndarray, shape (n_batches, channels)
+        Flux that passed a periodic specimen without any event, like `incident`: part
         of the sums, where there is a lower hemisphere. None is given for nothing.
     """
 
@@ -143,11 +143,11 @@ class Tally:
 
     @classmethod
     def empty(cls, n_hemispheres, shape, channels, scale):
-        """A tally without batches."""
+        """A tally of weights without batches."""
         return cls(
             hits=np.zeros((n_hemispheres, *shape), np.uint64),
-            sums=np.zeros((0, n_hemispheres, *shape, channels), np.uint64),
-            incident=np.zeros((0, channels), np.uint64),
+            sums=np.zeros((0, n_hemispheres, *shape, channels)),
+            incident=np.zeros((0, channels)),
             fates=np.zeros((0, len(Fate)), np.uint64),
             scale=scale,
         )
@@ -181,31 +181,23 @@ class Tally:
         Parameters
         ----------
         flux, errors : ndarray of float64, shaped like `errors` of the tally
-            Flux fractions to add to each batch, and what they may be wrong by. They are
-            rounded to ``2**-62`` of the flux of all batches, or a bit more.
+            Flux fractions to add to each batch, and what they may be wrong by.
         """
         tally = self if self.n_batches else self._of_one_ray()
-        most = max(int(tally.incident.sum(axis=0).max()), tally.scale)
-        finer = 1 << (62 - most.bit_length())
-        incident = tally.incident * np.uint64(finer)
-        per_batch = incident[:, None, None, None, :].astype(float)
+        per_batch = tally.incident[:, None, None, None, :]
         return replace(
             tally,
-            sums=tally.sums * np.uint64(finer)
-            + np.round(flux * per_batch).astype(np.uint64),
-            incident=incident,
-            direct=tally.direct * np.uint64(finer),
-            scale=tally.scale * finer,
-            errors=np.ceil(errors * per_batch.max(axis=0)).astype(np.uint64),
+            sums=tally.sums + flux * per_batch,
+            errors=errors * per_batch.max(axis=0),
         )
 
     def _of_one_ray(self):
         """One batch that received nothing, of the flux of a ray that was not sent."""
         return replace(
             self,
-            sums=np.zeros((1, *self.sums.shape[1:]), np.uint64),
-            incident=np.full((1, self.channels), self.scale, np.uint64),
-            direct=np.zeros((1, self.channels), np.uint64),
+            sums=np.zeros((1, *self.sums.shape[1:])),
+            incident=np.full((1, self.channels), float(self.scale)),
+            direct=np.zeros((1, self.channels)),
             fates=np.zeros((1, len(Fate)), np.uint64),
         )
 

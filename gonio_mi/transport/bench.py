@@ -36,6 +36,8 @@ class Bench:
         self.n_patches = subdivision.n_patches
         self.n_collected = self.shape[0] * self.n_patches
         self.n_bins = self.n_collected + len(Fate)
+        # of powers beyond the ordinary that sums have room for: what was met so far
+        self.levels = range(0)
 
     @property
     def digests(self):

@@ -1,11 +1,11 @@
-"""One launch: a kernel that sends the rays of some batches, and their tally."""
+"""One launch: a kernel that sends the rays of some batches, and their totals."""
 
 import time
 
 import drjit as dr
 import mitsuba as mi
 
-from ..results.tally import WEIGHT_SCALE
+from .kernels import check_all_counted
 from .loop import Settings, scatter_plane, trace
 from .next_event import Deposits
 from .sampling import apart, continues, in_turns, seeded, turns_of
@@ -19,7 +19,7 @@ SECONDS = 1.0
 
 
 def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
-    """Send rays of several batches in one kernel and return their tally.
+    """Send rays of several batches in one kernel and return the totals.
 
     Parameters
     ----------
@@ -39,13 +39,31 @@ def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
 
     Returns
     -------
-    Tally
+    Totals
         Of as many batches as `keys`.
     """
-    analog = settings["estimator"] == "analog"
+    while True:
+        sums = _sums(bench, settings, keys, sizes, begin, wavelengths, capacity)
+        if not sums.lacking:
+            break
+        # fainter or brighter light than there was room for: once more, with room for it
+        bench.levels = sums.lacking
+    totals = sums.totals(len(sizes))
+    check_all_counted(sum(sizes), totals.tally().ledger.emitted)
+    return totals
+
+
+def traces(bench, settings):
+    """Whether rays are traced: for geometry, or where that is asked for."""
+    return settings["trace"] or bench.specimen.plane is None
+
+
+def _sums(bench, settings, keys, sizes, begin, wavelengths, capacity):
+    """Sums of one launch, with the arguments of :func:`launch`."""
+    counted = settings["estimator"] == "analog"
     deposited = settings["estimator"] == "next_event"
     traced = traces(bench, settings)
-    sums = Sums(bench, 1 if analog else WEIGHT_SCALE, capacity, deposits=deposited)
+    sums = Sums(bench, capacity, counted=counted, deposits=deposited)
     sampler = bench.sensor.sampler()
     turns = 1 if traced else turns_of(sampler, sizes[0])
     lanes = -(-sizes[0] // turns)
@@ -58,25 +76,39 @@ def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
     # the last batches may be shorter by one ray
     full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
     size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
+    rays = _Rays(bench, settings, wavelengths, sums, batch, size)
+    if continues(sampler) and not traced:
+        in_turns(rays.add, sampler, ray, lanes, turns)
+    else:
+        rays.add(sampler, ray)
+    sums.evaluate()
+    return sums
 
-    def _add(sampler, ray):
-        active = ray < size
+
+class _Rays:
+    """The rays of a launch, one after the other in each lane.
+
+    No closure: the traceback of an error would keep what it closes over alive.
+    """
+
+    def __init__(self, bench, settings, wavelengths, sums, batch, size):
+        self.bench, self.settings, self.wavelengths = bench, settings, wavelengths
+        self.sums, self.batch, self.size = sums, batch, size
+
+    def add(self, sampler, ray):
+        """Add to the sums what becomes of one ray per lane, number `ray` of a batch."""
+        active = ray < self.size
         deposits = None
-        if deposited:
-            order = orders(settings["order"])
-            points = settings["points"]
-            deposits = Deposits(bench, sums, points, order, active, batch)
-        exits = _exits(bench, settings, sampler, wavelengths, deposits)
-        bins = bench.bins(exits)
-        sums.add(bins, exits, active, batch)
+        if self.sums.deposits:
+            order, points = orders(self.settings["order"]), self.settings["points"]
+            deposits = Deposits(
+                self.bench, self.sums, points, order, active, self.batch
+            )
+        exits = _exits(self.bench, self.settings, sampler, self.wavelengths, deposits)
+        bins = self.bench.bins(exits)
+        self.sums.add(bins, exits, active, self.batch)
         if deposits is not None:
             deposits.add_exits(bins, exits)
-
-    if continues(sampler) and not traced:
-        in_turns(_add, sampler, ray, lanes, turns)
-    else:
-        _add(sampler, ray)
-    return sums.tally(len(sizes))
 
 
 class Pace:
@@ -96,22 +128,17 @@ class Pace:
     def launch(self, bench, settings, keys, sizes, *others):
         """:func:`launch`, and learn from the time it takes."""
         started = time.perf_counter()
-        tally = launch(bench, settings, keys, sizes, *others)
+        totals = launch(bench, settings, keys, sizes, *others)
         growth = SECONDS / (time.perf_counter() - started)
         # the first one may have compiled its kernel
         self.rays = max(int(sum(sizes) * min(max(growth, 0.25), 16)), 1024)
-        return tally
+        return totals
 
     def next_part(self, begin, end):
         """Rays to send next of those from `begin` to `end`, about alike in size."""
         # the generator is seeded anew for every 2**32 rays
         left = min(end, (begin // 2**32 + 1) * 2**32) - begin
         return -(-left // -(-left // self.rays))
-
-
-def traces(bench, settings):
-    """Whether rays are traced: for geometry, or where that is asked for."""
-    return settings["trace"] or bench.specimen.plane is None
 
 
 def _exits(bench, settings, sampler, wavelengths, deposits):

@@ -33,9 +33,12 @@ __all__ = [
     "trace",
 ]
 
-# Weights and powers above these would overflow the fixed-point sums.
+# Weights and powers above these are no measurement of anything.
 LARGEST_WEIGHT = 2.0**15
 LARGEST_POWER = 2.0**30
+
+# What single precision holds in full; below, only some threads of Dr.Jit keep anything.
+SMALLEST_POWER = 2.0**-126
 
 # Relative excess of a weight over 1 that is taken for float32 rounding: 16 ulp.
 ROUNDING = 2.0**-20
@@ -259,9 +262,8 @@ def _after_event(throughput, bsdf_weight, bs, wo, sampler, analog):
     product = throughput * dr.select(valid, bsdf_weight, 0.0)
     valid &= dr.max(product) <= LARGEST_POWER
     throughput = _whole(product, sampler.next_1d()) if analog else product
-    fate = dr.select(
-        dr.any(throughput > 0), mi.UInt32(Fate.REFLECTED), mi.UInt32(Fate.ABSORBED)
-    )
+    left = dr.any(throughput >= SMALLEST_POWER)
+    fate = dr.select(left, mi.UInt32(Fate.REFLECTED), mi.UInt32(Fate.ABSORBED))
     fate = dr.select(zero & ~(bs.pdf > 0), mi.UInt32(Fate.REJECTED), fate)
     return throughput, dr.select(valid, fate, mi.UInt32(Fate.INVALID))
 

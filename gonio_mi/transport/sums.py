@@ -4,7 +4,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..results.tally import Fate, Tally
+from ..results.tally import WEIGHT_SCALE, Fate, Tally
+from .exact_powers import LEVELS, ONE, UNIT, Digits, Exact, unit_of
 
 __all__ = ["Sums", "packet_width"]
 
@@ -20,20 +21,34 @@ class Sums:
     A patch's bin holds the rays that arrived there. With `deposits` it holds what
     `deposit` adds, and the rays are in the bins of their fates. Direct light is in the
     bin of its fate as well, with its power.
+
+    Powers beyond the ordinary are added up by themselves, in the levels that the bench
+    has room for. What other levels there were is known once the kernel has run.
+
+    Parameters
+    ----------
+    bench : Bench
+    n_batches : int
+    counted : bool
+        Whether all powers are whole numbers.
+    deposits : bool
     """
 
-    def __init__(self, bench, scale, n_batches=1, *, deposits=False):
+    def __init__(self, bench, n_batches=1, *, counted=False, deposits=False):
         self.bench = bench
-        self.scale = scale
+        self.counted = counted
+        self.one = 1 if counted else ONE
         self.n_batches = n_batches
         self.deposits = deposits
         self.channels = len(mi.Spectrum())
         self.width = packet_width()
+        self.levels = bench.levels
         self.bins = dr.zeros(mi.Int64, n_batches * bench.n_bins * self.width)
-        self.incident = [
-            dr.zeros(mi.Int64, n_batches)
-            for _ in range(0 if bench.beam.uniform else self.channels)
-        ]
+        n_rare = self.channels * n_batches * bench.n_bins
+        # first how often there was no room, for each level
+        self.rare = dr.zeros(mi.Int64, LEVELS + len(self.levels) * n_rare)
+        n_incident = 0 if bench.beam.uniform else self.channels * n_batches
+        self.incident = dr.zeros(mi.Int64, LEVELS * n_incident)
 
     def add(self, bins, exits, active, batch):
         """Scatter one ray per lane, each for its `batch`."""
@@ -45,57 +60,129 @@ class Sums:
             twice = active & direct & (bins < self.bench.n_collected)
             bins = mi.UInt32(self.bench.n_collected + Fate.DIRECT)
             self.deposit(bins, exits.throughput, twice, batch)
-        for target, power in zip(
-            self.incident, _fixed_point(exits.incident, self.scale)
-        ):
-            _scatter_add(target, power, batch, active)
+        if not self.bench.beam.uniform:
+            for channel, power in enumerate(exits.incident):
+                digits = Digits(power)
+                place = digits.level() * self.channels + channel
+                shines = active & (digits.ordinary | digits.rare)
+                number = digits.number_in_level()
+                index = place * self.n_batches + batch
+                _scatter_add(self.incident, number, index, shines)
 
     def deposit(self, bins, power, active, batch):
         """Scatter a power per lane to a patch or to DIRECT, or one lane to its fate."""
-        powers = _fixed_point(power, self.scale)
         collected = bins < self.bench.n_collected
         collected |= bins == self.bench.n_collected + Fate.DIRECT
-        excesses = [powers[0] - self.scale, *(p - powers[0] for p in powers[1:])]
+        if self.counted:
+            # by 32-bit integers, to which vector units convert much faster
+            numbers = [mi.Int64(mi.Int32(dr.round(p))) for p in power]
+        else:
+            digits = [Digits(p) for p in power]
+            numbers = [d.number() for d in digits]
+            for channel, d in enumerate(digits):
+                self._add_rare(bins, channel, d, active & collected & d.rare, batch)
+        excesses = [numbers[0] - self.one, *(n - numbers[0] for n in numbers[1:])]
         packet = [1, *(dr.select(collected, e, 0) for e in excesses)]
         packet += [0] * (self.width - len(packet))
         bins = bins + batch * self.bench.n_bins
         _scatter_add(self.bins, mi.ArrayXi64(packet), bins, active)
 
-    def tally(self, n_batches):
-        """Run the kernel and return the :class:`Tally` of the first `n_batches`.
+    def _add_rare(self, bins, channel, digits, active, batch):
+        """Scatter powers to their levels, or if there is no room, count them."""
+        index, number = digits.level(), mi.Int64(1)
+        if self.levels:
+            step = mi.UInt32(index - self.levels.start)
+            room = step < len(self.levels)
+            place = (step * self.channels + channel) * self.n_batches + batch
+            place = place * self.bench.n_bins + bins
+            index = dr.select(room, LEVELS + place, index)
+            number = dr.select(room, digits.number_in_level(), number)
+        _scatter_add(self.rare, number, index, active)
 
-        A beam of uniform power needs no sum of it: every ray that met the specimen
-        carried the power 1.
-        """
-        dr.eval(self.bins, self.incident)
-        bench, scale = self.bench, self.scale
-        bins = self.bins.numpy().reshape(self.n_batches, bench.n_bins, self.width)
-        bins = bins[:n_batches, :, : 1 + self.channels]
-        patches, fates = np.split(bins, [bench.n_collected], axis=1)
-        sums = _flux(patches, scale).reshape(n_batches, *bench.shape, -1)
-        direct = _flux(fates[:, Fate.DIRECT], scale)
-        hits = patches[..., 0].astype(np.uint64).reshape(n_batches, *bench.shape)
-        fates = fates[..., 0].astype(np.uint64)
-        if not self.deposits:
+    def evaluate(self):
+        """Run the kernel."""
+        dr.eval(self.bins, self.incident, self.rare)
+
+    @property
+    def lacking(self):
+        """Range of levels that hold all powers, if `levels` did not; else empty."""
+        (found,) = np.nonzero(self.rare.numpy()[:LEVELS])
+        if not found.size:
+            return range(0)
+        needed = [*found.tolist(), *self.levels]
+        return range(min(needed), max(needed) + 1)
+
+    def totals(self, n_batches):
+        """Return the :class:`Totals` of the first `n_batches`, once the kernel ran."""
+        shape = self.n_batches, self.bench.n_bins, self.width
+        bins = self.bins.numpy().reshape(shape)[:n_batches, :, : 1 + self.channels]
+        rays = bins[..., 0].astype(np.int64)
+        flux = bins[..., 1:].copy()
+        # beyond 64 bits in between, but not in the end
+        flux[..., 0] += rays * self.one
+        flux[..., 1:] += flux[..., :1]
+        numbers = {0 if self.counted else UNIT: flux}
+        shape = len(self.levels), self.channels, *shape[:2]
+        rare = np.moveaxis(self.rare.numpy()[LEVELS:].reshape(shape), 1, -1)
+        for level, sums in zip(self.levels, rare):
+            numbers[unit_of(level)] = sums[:n_batches]
+        incident = None
+        if not self.bench.beam.uniform:
+            shape = LEVELS, self.channels, self.n_batches
+            levels = np.moveaxis(self.incident.numpy().reshape(shape), 1, -1)
+            incident = Exact(
+                {unit_of(i): sums[:n_batches] for i, sums in enumerate(levels)}
+            )
+        return Totals(self, rays, Exact(numbers), incident)
+
+
+class Totals:
+    """What one or more launches have summed up, exactly; totals of launches add.
+
+    Parameters
+    ----------
+    sums : Sums
+        Of one of the launches.
+    rays : ndarray of int64, shape (n_batches, n_bins)
+    flux : Exact, shape (n_batches, n_bins, channels)
+    incident : Exact, shape (n_batches, channels), or None
+        None for a beam of uniform power, which needs no sum of it: every ray that met
+        the specimen carried the power 1.
+    """
+
+    def __init__(self, sums, rays, flux, incident):
+        self._sums, self._rays, self._flux, self._incident = sums, rays, flux, incident
+
+    def __add__(self, other):
+        incident = self._incident
+        if incident is not None:
+            incident = incident + other._incident
+        rays, flux = self._rays + other._rays, self._flux + other._flux
+        return Totals(self._sums, rays, flux, incident)
+
+    def tally(self):
+        """Return the :class:`Tally` of all batches."""
+        sums, bench = self._sums, self._sums.bench
+        kind = np.uint64 if sums.counted else float
+        scale = 1 if sums.counted else WEIGHT_SCALE
+        n_batches = len(self._rays)
+        flux = (scale * self._flux.powers()).astype(kind)
+        direct = flux[:, bench.n_collected + Fate.DIRECT]
+        flux = flux[:, : bench.n_collected].reshape(n_batches, *bench.shape, -1)
+        hits, fates = np.split(self._rays.astype(np.uint64), [bench.n_collected], 1)
+        hits = hits.reshape(n_batches, *bench.shape)
+        if not sums.deposits:
             fates[:, Fate.REFLECTED] = hits[:, 0].sum(axis=(1, 2))
-        if bench.shape[0] == 2 and not self.deposits:
+        if bench.shape[0] == 2 and not sums.deposits:
             scattered = hits[:, 1].sum(axis=(1, 2)) - fates[:, Fate.DIRECT]
             fates[:, Fate.TRANSMITTED] = scattered
-        if self.incident:
-            power = np.stack([total.numpy() for total in self.incident], axis=-1)
-            power = power[:n_batches].astype(np.uint64)
-        else:
+        if self._incident is None:
             met = fates.sum(axis=1) - fates[:, Fate.MISSED] - fates[:, Fate.UNLIT]
-            power = np.repeat(met[:, None] * np.uint64(scale), self.channels, axis=1)
-        return Tally(hits.sum(axis=0), sums, power, fates, scale, direct=direct)
-
-
-def _flux(bins, scale):
-    """Flux per channel of bins of hits and excesses, in units of ``1 / scale``."""
-    flux = bins[..., 1:].copy()
-    flux[..., 0] += bins[..., 0] * scale
-    flux[..., 1:] += flux[..., :1]
-    return flux.astype(np.uint64)
+            power = np.repeat(met[:, None], sums.channels, axis=1)
+        else:
+            power = self._incident.powers()
+        power = (scale * power).astype(kind)
+        return Tally(hits.sum(axis=0), flux, power, fates, scale, direct=direct)
 
 
 def packet_width():
@@ -105,23 +192,7 @@ def packet_width():
 
 def _scatter_add(target, value, index, active):
     """Add to the sums, in the kernel that is being traced."""
-    dr.scatter_reduce(dr.ReduceOp.Add, target, value, index, active)
-
-
-def _fixed_point(powers, scale):
-    """Powers of all channels as whole numbers of ``1 / scale`` of a ray.
-
-    By 32-bit integers, to which vector units convert much faster: whole rays, which
-    stay below LARGEST_POWER, and the rest.
-    """
-
-    def _whole(x):
-        return mi.Int64(mi.Int32(x))
-
-    if scale == 1:
-        return [_whole(dr.round(power)) for power in powers]
-    return [
-        _whole(dr.floor(power)) * scale
-        + _whole(dr.round((power - dr.floor(power)) * float(scale)))
-        for power in powers
-    ]
+    # the debug mode of Dr.Jit 1.5 takes the copies of other threads for out of bounds
+    direct = dr.flag(dr.JitFlag.Debug)
+    mode = dr.ReduceMode.Direct if direct else dr.ReduceMode.Auto
+    dr.scatter_reduce(dr.ReduceOp.Add, target, value, index, active, mode)

@@ -7,6 +7,7 @@ import mitsuba as mi
 
 from ..errors import SpecimenError, checked_count, checked_number
 from ..instrument.loading import check_variant, load_specimen, loaded, specimen_name
+from ..transport.kernels import launches_kernels
 from . import balance, declarations, delta, ends, identities, symmetry
 from .collecting import collect
 from .conditions import Effort
@@ -19,6 +20,7 @@ from .verdict import FAILS, Verdict, judge
 __all__ = ["validate"]
 
 
+@launches_kernels()
 def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=()):
     """Whether a BSDF is right, and if not, which of its functions is wrong.
 

@@ -16,6 +16,7 @@ from gonio_mi.results.record import Record
 from gonio_mi.results.tally import WEIGHT_SCALE, Tally, batch_sizes
 from gonio_mi.transport.beam import EMISSIONS, Beam, checked_footprint
 from gonio_mi.transport.bench import Bench
+from gonio_mi.transport.kernels import launches_kernels
 from gonio_mi.transport.launch import Pace, traces
 from gonio_mi.transport.next_event import MOST_POINTS, check_traced
 from gonio_mi.transport.sampling import sampler_name
@@ -175,6 +176,7 @@ class Goniophotometer(mi.SamplingIntegrator):
 
     # ------------------------------------------------------------------ measuring
 
+    @launches_kernels()
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
         """Measure; see the class. The film keeps the record."""
         del evaluate
@@ -322,14 +324,14 @@ class Goniophotometer(mi.SamplingIntegrator):
             if divisible:
                 n = min(n, self._pace.next_part(begin, end))
             parts = [min(n, start + size - begin) for size in sizes]
-            tally = self._pace.launch(
+            totals = self._pace.launch(
                 bench, self.settings, keys, parts, begin, wavelengths, capacity
             )
-            total = tally if total is None else total.accumulate(tally)
+            total = totals if total is None else total + totals
             if progress is not None:
                 progress(sum(parts))
             begin += n
-        return total
+        return total.tally()
 
     def record(self, bench, tally, seed):
         """Record of a finished `tally`, with all that is needed to repeat it."""

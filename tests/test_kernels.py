@@ -1,0 +1,205 @@
+"""What users do around a measurement: threads, Dr.Jit's flags, plugins that raise."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import drjit as dr
+import mitsuba as mi
+import pytest
+
+import gonio_mi as gonio
+from gonio_mi.transport.kernels import check_all_counted
+
+PLATE = {"type": "diffuse", "reflectance": 0.7}
+SMALL = {"rays": 2000, "batches": 2, "collector": "projected:3x4"}
+
+
+# ------------------------------------------------------------------------- threads
+
+
+def test_threads_share_the_instrument(mono):  # noqa: ARG001
+    """Exact: 200 measurements in four threads have the bits of one after the other."""
+    ways = [SMALL | {"seed": seed, "trace": seed == 4} for seed in range(5)]
+    alone = [gonio.measure(PLATE, 30, **way).tallies for way in ways]
+    todo = list(range(len(ways))) * 40
+    with ThreadPoolExecutor(4) as pool:
+        found = pool.map(lambda i: gonio.measure(PLATE, 30, **ways[i]).tallies, todo)
+    assert all(tallies == alone[i] for i, tallies in zip(todo, found))
+
+
+def test_threads_validate_and_render_too(mono):  # noqa: ARG001
+    """Exact: what else launches kernels takes its turn."""
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "plate": {"type": "rectangle", "bsdf": PLATE},
+            "lamp": {"type": "directional", "direction": [0, 0, -1]},
+            "sensor": {"type": "collector", "film": {"type": "patches"}},
+            "integrator": {"type": "goniophotometer", "rays": 2000},
+        }
+    )
+
+    def rendered(_):
+        return mi.render(scene).numpy().tobytes()
+
+    def measured(_):
+        return gonio.measure(PLATE, 30, **SMALL).tallies[0].sums.tobytes()
+
+    with ThreadPoolExecutor(4) as pool:
+        images = pool.map(rendered, range(8))
+        sums = pool.map(measured, range(8))
+        assert set(images) == {rendered(0)}
+        assert set(sums) == {measured(0)}
+
+
+def test_threads_of_a_campaign_do_not_wait_for_each_other(mono):  # noqa: ARG001
+    """A pool of threads measures while the thread that asked it waits."""
+    with ThreadPoolExecutor(2) as pool:
+        stack = gonio.measure(PLATE, [10, 20, 30], executor=pool, **SMALL)
+    assert stack.tallies == gonio.measure(PLATE, [10, 20, 30], **SMALL).tallies
+
+
+def test_lost_rays_are_an_error():
+    check_all_counted(10, 10)
+    with pytest.raises(gonio.LostRaysError, match="all 10 rays of a launch, got 9"):
+        check_all_counted(10, 9)
+
+
+def test_every_launch_is_checked(mono, monkeypatch):  # noqa: ARG001
+    """A kernel that loses one ray in two never becomes a record."""
+    scatter = dr.scatter_reduce
+
+    def lossy(op, target, value, index, active, mode):
+        scatter(op, target, value, index, active & (index % 2 == 0), mode)
+
+    monkeypatch.setattr(dr, "scatter_reduce", lossy)
+    with pytest.raises(gonio.LostRaysError):
+        gonio.measure(PLATE, 30, **SMALL)
+
+
+# --------------------------------------------------------------------------- flags
+
+# Flags that leave the numbers as they are, and whether they are on by default.
+HARMLESS = (
+    "CompressLoops",
+    "ConstantPropagation",
+    "Debug",
+    "KernelFreezing",
+    "KernelHistory",
+    "LaunchBlocking",
+    "OptimizeCalls",
+    "OptimizeLoops",
+    "PacketOps",
+    "ReuseIndices",
+    "ScatterReduceLocal",
+    "SymbolicCalls",
+    "SymbolicConditionals",
+    "SymbolicLoops",
+    "ValueNumbering",
+)
+
+
+@pytest.mark.parametrize("name", HARMLESS)
+@pytest.mark.parametrize("trace", [False, True])
+def test_flags_do_not_change_the_bits(name, trace, rgb):  # noqa: ARG001
+    """Exact: each flag of Dr.Jit the other way round, with several threads' sums."""
+    way = SMALL | {"rays": 40_000, "batches": 4, "trace": trace, "sampler": "sobol"}
+    before = gonio.measure(PLATE, 30, **way)
+    flag = getattr(dr.JitFlag, name)
+    level = dr.log_level()
+    dr.set_log_level(dr.LogLevel.Error)  # Dr.Jit warns of what it does not switch off
+    try:
+        with dr.scoped_set_flag(flag, not dr.flag(flag)):
+            flipped = gonio.measure(PLATE, 30, **way)
+    finally:
+        dr.set_log_level(level)
+        dr.kernel_history_clear()
+    assert flipped.tallies == before.tallies
+    assert flipped.ledger.emitted == 40_000
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["MergeFunctions", "ForbidSynchronization", "FreezingScope", "SymbolicScope"],
+)
+def test_flags_that_break_dr_jit_are_refused(name, mono):  # noqa: ARG001
+    flag = getattr(dr.JitFlag, name)
+    usual = dr.flag(flag)
+    sentence = f"flag {name} must be {'on' if usual else 'off'}"
+    dr.set_flag(flag, not usual)
+    try:
+        with pytest.raises(gonio.VariantError, match=sentence):
+            gonio.measure(PLATE, 30, **SMALL)
+    finally:
+        dr.set_flag(flag, usual)
+    assert gonio.measure(PLATE, 30, **SMALL).ledger.emitted == 2000
+
+
+# ------------------------------------------------------------------- plugins that raise
+
+
+def registered(name, mistake):
+    """Register a matte BSDF whose ``sample`` or ``eval`` raises after a first call.
+
+    That one is a trial, outside of any kernel.
+    """
+    calls = []
+
+    class Plugin(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
+            self.m_components = [flags]
+            self.m_flags = flags
+
+        def sample(self, ctx, si, sample1, sample2, active):  # noqa: ARG002
+            calls.append("sample")
+            if mistake == "sample" and calls.count("sample") > 1:
+                raise ArithmeticError("a mistake in sample")
+            bs = dr.zeros(mi.BSDFSample3f)
+            bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+            bs.pdf, bs.eta = mi.warp.square_to_cosine_hemisphere_pdf(bs.wo), 1.0
+            bs.sampled_type = mi.UInt32(+mi.BSDFFlags.DiffuseReflection)
+            return bs, mi.Spectrum(0.7)
+
+        def eval(self, ctx, si, wo, active):  # noqa: ARG002
+            calls.append("eval")
+            if mistake == "eval" and calls.count("eval") > 1:
+                raise ArithmeticError("a mistake in eval")
+            return mi.Spectrum(0.7 * dr.inv_pi) * dr.maximum(wo.z, 0)
+
+        def pdf(self, ctx, si, wo, active):  # noqa: ARG002
+            return mi.warp.square_to_cosine_hemisphere_pdf(wo)
+
+        def eval_pdf(self, ctx, si, wo, active):
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+        def to_string(self):
+            return "Plugin[]"
+
+    mi.register_bsdf(name, Plugin)
+
+
+@pytest.mark.parametrize(
+    ("function", "way"),
+    [
+        ("sample", {"trace": True}),
+        ("sample", {"sampler": "independent"}),
+        ("sample", {}),
+        ("eval", {"trace": True, "estimator": "next_event"}),
+    ],
+)
+def test_plugin_that_raises(function, way, mono):  # noqa: ARG001
+    """Its own error comes out, and goes away with its cause, though it is kept.
+
+    As in Jupyter, which keeps the last error, and with it all that its traceback holds.
+    """
+    name = f"mistaken_{function}_{len(way)}_{'sampler' in way}"
+    registered(name, function)
+    with pytest.raises(ArithmeticError, match=f"^a mistake in {function}$") as kept:
+        gonio.measure({"type": name}, 30, **SMALL, **way)
+    assert kept.value.__traceback__ is not None
+    assert kept.value.__suppress_context__ or kept.value.__context__ is None
+    good = gonio.measure(PLATE, 30, **SMALL, **way)
+    registered(name, "none")
+    mended = gonio.measure({"type": name}, 30, **SMALL, **way)
+    assert good.ledger == mended.ledger
