@@ -536,15 +536,40 @@ def test_messages_are_short(length):
         ["measure", "diffuse", "--theta-i", "9" * 5000],
         ["measure", "diffuse", "--phi-i", "9" * 400],
         ["measure", "diffuse", "-D", "z" * 5000],
+        ["measure", "diffuse", "--theta-i", "0", "--trace", "--collector-radius=1e300"],
         ["show", "w" * 5000],
         ["show", "w/" * 3000 + "a.npz"],
         ["v" * 5000],
     ],
+    ids=lambda words: "".join(words)[:20],
 )
 def test_arguments_are_not_repeated_whole(capsys, words):
     assert cli.main(words) == cli.USER_ERROR
     (line,) = capsys.readouterr().err.splitlines()
     assert len(line) <= fuzz.MOST_CHARACTERS
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        ("collector", "y" * 5000),
+        ("collector", "apertures:" + "y" * 5000),
+        ("footprint", "y" * 5000),
+        ("period", "y" * 5000),
+        ("order", "y" * 5000),
+        ("rays", "y" * 5000),
+        ("estimator", "y" * 5000),
+        ("emitter", ["y" * 5000]),
+        ("theta_i", 10**4000),
+        ("resume", "y" * 5000),
+    ],
+    ids=lambda value: str(value)[:12],
+)
+def test_values_are_not_repeated_whole(setting, value):
+    mi.set_variant("llvm_ad_mono")
+    with pytest.raises((TypeError, ValueError)) as caught:
+        gonio.measure({"type": "diffuse"}, **{"theta_i": 0, setting: value})
+    assert len(str(caught.value)) <= fuzz.MOST_CHARACTERS
 
 
 # ------------------------------------------------------------------- formats of others

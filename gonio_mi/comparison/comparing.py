@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..collector.apertures import Apertures, disjoint_groups
-from ..errors import checked_number
+from ..errors import checked_number, shown
 from ..files.measured import MeasuredTable
 from ..files.measured_table import NUMBERS
 from ..instrument.measurement import measure_whole
@@ -244,7 +244,7 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
     alpha = checked_number("alpha", alpha, 1e-100, 1, "a probability between 0 and 1")
     records = [record] if isinstance(record, Record) else list(record)
     if not records or not all(isinstance(r, Record) for r in records):
-        raise TypeError(f"record must be a Record or several, got {record!r:.80}")
+        raise TypeError(f"record must be a Record or several, got {shown(record)}")
     for one in (*records, other):
         if isinstance(one, Record):
             check_uncertainties(one)
@@ -265,7 +265,9 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
         )
         sets, notes = pair_with_record(records[0], other, relative)
     else:
-        raise TypeError(f"other must be a Record or a MeasuredTable, got {other!r:.80}")
+        raise TypeError(
+            f"other must be a Record or a MeasuredTable, got {shown(other)}"
+        )
     compared = [*records, other] if isinstance(other, Record) else records
     if any(_is_even(one) for one in compared) and mostly_few(sets):
         notes.append(
@@ -336,7 +338,7 @@ def measure_like(specimen, table, *, aperture_half_angle=None, seed=0, **setting
             f"aperture_half_angle must be given: {table.name} does not say it"
         )
     for key in {"theta_i", "phi_i", "collector"} & settings.keys():
-        raise TypeError(f"{key} must come from the table, got {settings[key]!r}")
+        raise TypeError(f"{key} must come from the table, got {shown(settings[key])}")
     if table.emitter_half_angle:
         settings.setdefault("emitter", _round_source(table))
     lower = "both" if table.quantity == "btdf" else "upper"

@@ -96,7 +96,7 @@ def _read_astm(path, channel):
     if channel not in names:
         raise ValueError(
             f"channel must be one of {', '.join(names)[:80]} for {path}, got "
-            f"{channel!r}"
+            f"{shown(channel)}"
         )
     try:
         return MeasuredTable(
@@ -163,7 +163,9 @@ def _read_key(place, comment, settings, header):
             key.lower().replace(" ", "_"), known, 1, 0.8
         )
         if similar:
-            raise FileFormatError(f"{place}: unknown key {key!r}; {similar[0]} is one")
+            raise FileFormatError(
+                f"{place}: unknown key {shown(key)}; {similar[0]} is one"
+            )
         header[key] = text
         return
     try:
@@ -190,12 +192,13 @@ def _read_columns(path, rows, quantity):
     known = [name for name in names if name in allowed]
     if not known:
         raise FileFormatError(
-            f"{place}: must name the columns {', '.join(COLUMNS)}, got {line!r:.80}"
+            f"{place}: must name the columns {', '.join(COLUMNS)}, got {shown(line)}"
         )
     for name in names:
         if name not in allowed:
             raise FileFormatError(
-                f"{place}: a column must be one of {', '.join(allowed)}, got {name!r}"
+                f"{place}: a column must be one of {', '.join(allowed)}, "
+                f"got {shown(name)}"
             )
         if names.count(name) > 1:
             raise FileFormatError(f"{place}: the column {name} must occur once")

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import checked_count, checked_number
+from ..errors import checked_count, checked_number, shown
 from ..results.ray_density import paper_rays, precision
 from ..results.tally import Tally
 
@@ -86,7 +86,9 @@ def checked_target(rel_err, max_rays, floor, rays, resume):
     """:class:`Target`, or None if a number of rays is asked for."""
     if rel_err is None:
         if max_rays is not None:
-            raise ValueError(f"max_rays goes with rel_err, got {max_rays!r} without")
+            raise ValueError(
+                f"max_rays goes with rel_err, got {shown(max_rays)} without"
+            )
         return None
     for name, other in (("rays", rays), ("resume", resume)):
         if other is not None:

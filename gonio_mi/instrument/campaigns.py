@@ -13,7 +13,7 @@ from threading import Lock
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import SpecimenError, checked_count, frames
+from ..errors import SpecimenError, checked_count, frames, shown
 from ..progress import bar
 from ..results.record import Record
 from ..transport.digest import specimen_digest
@@ -100,7 +100,8 @@ def campaign(
     check_variant()
     if not isinstance(specimens, Mapping) or not specimens:
         raise TypeError(
-            f"specimens must be a dictionary with at least one entry, got {specimens!r}"
+            "specimens must be a dictionary with at least one entry, "
+            f"got {shown(specimens)}"
         )
     incidents, _ = incident_angles(theta_i, phi_i)
     if None in incidents:
@@ -291,7 +292,7 @@ def _check_picklable(tasks):
             except Exception:  # whatever the objects' classes raise
                 raise ValueError(
                     f"{label} must be plain values or a path to be measured in another "
-                    f"process, got {value!r:.80}"
+                    f"process, got {shown(value)}"
                 ) from None
 
 

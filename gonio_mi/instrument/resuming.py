@@ -48,7 +48,7 @@ def check_resumable(resume, integrator, benches, seed, plan):
             if own[key] != others.get(key) and own[key] == own[key]:
                 raise ValueError(
                     f"resume must be a record of this measurement, but its {key} is "
-                    f"{others.get(key)!r} instead of {own[key]!r}"
+                    f"{shown(others.get(key))} instead of {shown(own[key])}"
                 )
     if resume.ledger.missed and resume.settings.get("period", "none") != "none":
         raise ValueError(

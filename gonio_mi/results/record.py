@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from ..collector import Subdivision
-from ..errors import checked_choice, checked_number, printable
+from ..errors import checked_choice, checked_number, printable, shown
 from . import statistics
 from .estimates import Estimates
 from .tally import Ledger, Tally
@@ -335,7 +335,8 @@ class Record:
             a, b = getattr(self, key).tolist(), getattr(other, key).tolist()
             if not np.array_equal(a, b, equal_nan=True):
                 raise ValueError(
-                    f"records must agree in {key} to be merged, got {a!r} and {b!r}"
+                    f"records must agree in {key} to be merged, got {shown(a)} and "
+                    f"{shown(b)}"
                 )
         if any(t.errors is not None for t in (*self.tallies, *other.tallies)):
             raise ValueError("records of the estimator quadrature cannot be merged")
@@ -417,6 +418,6 @@ def _check_alike(one, other, free, purpose):
             continue
         if a.get(key) != b.get(key):
             raise ValueError(
-                f"records must agree in {key} to be {purpose}, got {a.get(key)!r} and "
-                f"{b.get(key)!r}"
+                f"records must agree in {key} to be {purpose}, got "
+                f"{shown(a.get(key))} and {shown(b.get(key))}"
             )

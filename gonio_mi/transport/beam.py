@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..collector.directions import angles
-from ..errors import SpecimenError, checked_number
+from ..errors import SpecimenError, checked_number, shown
 from .wavelengths import passes, wavelength_lanes
 
 __all__ = ["Beam", "checked_footprint"]
@@ -28,7 +28,7 @@ def checked_footprint(footprint):
     condition = "'point', 'full' or a positive radius"
     radius = checked_number("footprint", footprint, 0, np.inf, condition)
     if radius == 0:
-        raise ValueError(f"footprint must be {condition}, got {footprint!r}")
+        raise ValueError(f"footprint must be {condition}, got {shown(footprint)}")
     return radius
 
 

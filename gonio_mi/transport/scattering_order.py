@@ -6,6 +6,7 @@ from dataclasses import replace
 import drjit as dr
 import mitsuba as mi
 
+from ..errors import shown
 from ..results.tally import Fate
 
 __all__ = ["checked_order", "of_order", "orders"]
@@ -20,7 +21,7 @@ def checked_order(order):
     if text != "all" and not re.fullmatch(r"0|[1-9]\d{0,8}\+?", text):
         raise ValueError(
             "order must be 'all', a number of surface events such as 2 (0 for direct "
-            f"light), or '3+' for three or more, got {order!r}"
+            f"light), or '3+' for three or more, got {shown(order)}"
         )
     return text
 

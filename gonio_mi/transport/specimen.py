@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SpecimenError
+from ..errors import SpecimenError, shown
 from .extents import bounds
 from .geometry import groups_of, scene_of, surfaces_of
 from .ray_offsets import START, escapes, intersect
@@ -50,7 +50,7 @@ def checked_period(period):
     if not all(0 < extent < np.inf for extent in extents):
         raise ValueError(
             "period must be 'none', 'box', or one or two positive numbers, "
-            f"got {period!r}"
+            f"got {shown(period)}"
         )
     return "{!r},{!r}".format(*extents)
 

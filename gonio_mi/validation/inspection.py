@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import mitsuba as mi
 
-from ..errors import SpecimenError, checked_count, checked_number
+from ..errors import SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import check_variant, load_specimen, loaded, specimen_name
 from ..transport.kernels import launches_kernels
 from . import balance, declarations, delta, ends, identities, symmetry
@@ -55,7 +55,7 @@ def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=()):
     for name in allow:
         if name not in PROPERTIES:
             raise ValueError(
-                f"allow must name some of {', '.join(PROPERTIES)}, got {name!r}"
+                f"allow must name some of {', '.join(PROPERTIES)}, got {shown(name)}"
             )
     bsdf, name = _bsdf(specimen)
     evidence = Evidence()

@@ -6,6 +6,9 @@ import mitsuba as mi
 from gonio_mi import properties
 from gonio_mi.transport.sampling import check_sampler
 
+# Its square, in single precision, is a number too.
+LARGEST = 1e15
+
 
 class Collector(mi.Sensor):
     r"""Collector sphere of a goniophotometer (:monosp:`collector`).
@@ -41,7 +44,7 @@ class Collector(mi.Sensor):
 
     def __init__(self, props):
         self.radius = properties.number(
-            props, "radius", 0.0, 0, float("inf"), "a finite radius of 0 or more"
+            props, "radius", 0.0, 0, LARGEST, "a finite radius of 0 or more"
         )
         for name, value in props.objects():
             known = mi.Sampler if name == "sampler" else (mi.Film, mi.Sampler)
