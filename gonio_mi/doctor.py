@@ -11,6 +11,7 @@ import numpy as np
 from . import llvm
 from .errors import LLVMError
 from .instrument.measurement import measure_whole
+from .transport.variants import usable_variants
 
 __all__ = ["Row", "diagnose", "run"]
 
@@ -50,7 +51,8 @@ def diagnose():
         Whether all rows are in order.
     """
     status = llvm.status()
-    variants = [name for name in mi.variants() if _is_measuring(name)]
+    # on the CPU
+    variants = [name for name in usable_variants() if name.startswith("llvm")]
     rows = [
         Row("python", platform.python_version(), True),
         *(_package(name) for name in REQUIRED),
@@ -82,11 +84,6 @@ def run(write=print):
 
 
 # ------------------------------------------------------------------------- findings
-
-
-def _is_measuring(variant):
-    """Whether the instrument measures in this variant on the CPU."""
-    return variant.startswith("llvm") and not variant.endswith("polarized")
 
 
 def _package(name):

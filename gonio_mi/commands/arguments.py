@@ -10,6 +10,7 @@ import mitsuba as mi
 from .. import llvm
 from ..errors import VariantError, printable, shortened
 from ..instrument.loading import load_plugin_file, parse_specimen
+from ..transport.variants import usable_variants
 
 __all__ = [
     "DEFAULT_VARIANT",
@@ -139,11 +140,7 @@ def number_or_word(text):
 
 def set_variant(variant):
     """Set a Mitsuba variant that the instrument can use."""
-    usable = [
-        name
-        for name in mi.variants()
-        if not (name.startswith("scalar") or name.endswith("polarized"))
-    ]
+    usable = usable_variants()
     if variant not in usable:
         raise ValueError(
             f"--variant must be one of {', '.join(usable)}, got {variant!r}"

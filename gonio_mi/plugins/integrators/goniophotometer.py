@@ -25,6 +25,7 @@ from gonio_mi.transport.specimen import Specimen, checked_period
 from gonio_mi.transport.spectral_coverage import check_covered
 from gonio_mi.transport.sums import packet_width
 from gonio_mi.transport.trial import check_works
+from gonio_mi.transport.variants import is_usable
 from gonio_mi.transport.wavelengths import (
     channel_names,
     checked_wavelengths,
@@ -405,7 +406,7 @@ class Goniophotometer(mi.SamplingIntegrator):
 
 def _check_variant():
     variant = mi.variant()
-    if variant.startswith("scalar") or variant.endswith("polarized"):
+    if not is_usable(variant):
         raise VariantError(
             "gonio_mi needs an unpolarised llvm or cuda variant, such as "
             f"mi.set_variant('llvm_ad_mono'), got {variant}"
