@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..comparison.comparison_figure import check_picture
 from ..files import replacing
+from ..plots.drawable import check_matplotlib, check_picture
 
 __all__ = ["draw_by_time", "plot_chart"]
 
@@ -37,7 +37,7 @@ def plot_chart(chart, path=None, *, target=0.01):
     chart : Chart
     path : str or path, optional
         Ends in ``.pdf``, ``.png`` or ``.svg``; the errors are those of
-        :func:`gonio_mi.comparison.comparison_figure.check_picture`.
+        :func:`gonio_mi.plots.check_picture`.
     target : float
         Relative error in (0, 1).
 
@@ -45,7 +45,9 @@ def plot_chart(chart, path=None, *, target=0.01):
     -------
     matplotlib.figure.Figure
     """
-    if path is not None:
+    if path is None:
+        check_matplotlib()
+    else:
         check_picture(path)
     from ..plots.figure import NotebookFigure
 

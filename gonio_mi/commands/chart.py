@@ -132,7 +132,7 @@ def run(options):
         files.check_output(path, (".csv",))
     if pictures:
         from ..charts.chart_figure import plot_chart
-        from ..comparison.comparison_figure import check_picture
+        from ..plots import check_picture
 
         for path in pictures:
             check_picture(path)

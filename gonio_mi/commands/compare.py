@@ -100,8 +100,8 @@ def add(commands):
 def run(options):
     """Run the command and return the exit code."""
     from ..comparison import compare, measure_like
-    from ..comparison.comparison_figure import check_picture
     from ..files.measured import read_measured
+    from ..plots import check_picture
 
     def is_record(path):
         return Path(path).suffix.lower() in files.ENDINGS

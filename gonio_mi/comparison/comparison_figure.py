@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files import check_output, replacing
+from ..files import replacing
+from ..plots import check_picture
 
-__all__ = ["ENDINGS", "check_picture", "plot_comparison"]
+__all__ = ["plot_comparison"]
 
-ENDINGS = (".pdf", ".png", ".svg")
 
 MAX_PANELS = 6
 
@@ -16,33 +16,14 @@ MAX_PANELS = 6
 SAME = 1e-3
 
 
-def check_picture(path):
-    """Raise one clear sentence unless a picture can be drawn and written to `path`.
-
-    Raises
-    ------
-    ImportError
-        Without Matplotlib.
-    ValueError, OSError
-        If the ending is not one of `ENDINGS`, or the file cannot be written.
-    """
-    try:
-        import matplotlib.figure  # noqa: F401
-    except ImportError:
-        raise ImportError(
-            'plots need matplotlib: run pip install "gonio-mi[plot]"'
-        ) from None
-    check_output(path, ENDINGS)
-
-
 def plot_comparison(comparison, path):
-    """Write a figure to `path`, which ends in one of `ENDINGS`.
+    """Write a figure to `path`, which ends in ``.pdf``, ``.png`` or ``.svg``.
 
     One panel per incident direction and channel, up to six, with the points of the two
     half-planes next to the plane of incidence over the signed polar angle: positive on
     the mirror direction's side. Points that do not line up are drawn over theta_o.
 
-    Raises as :func:`check_picture`.
+    Raises as :func:`gonio_mi.plots.check_picture`.
     """
     check_picture(path)
     from matplotlib.backends.backend_agg import FigureCanvasAgg

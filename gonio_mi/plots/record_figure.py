@@ -8,11 +8,11 @@ from pathlib import Path
 
 from ..errors import checked_count
 from ..files import check_output, replacing
+from .drawable import FIGURE_ENDINGS, check_matplotlib
 from .profile import draw_profiles
 
-__all__ = ["FIGURE_ENDINGS", "plot"]
+__all__ = ["plot"]
 
-FIGURE_ENDINGS = (".pdf", ".png", ".svg")
 MAX_TITLE = 80
 WORDS = ("estimator", "sampler")
 # Settings that are said where they are not the default.
@@ -53,13 +53,10 @@ def plot(record, path=None, *, index=0):
     OSError
         If the file cannot be written.
     """
-    try:
-        from .figure import NotebookFigure
-        from .polar_map import draw_map
-    except ImportError:
-        raise ImportError(
-            'plots need matplotlib: run pip install "gonio-mi[plot]"'
-        ) from None
+    check_matplotlib()
+    from .figure import NotebookFigure
+    from .polar_map import draw_map
+
     index = checked_count("index", index, 0)
     if index >= len(record):
         raise ValueError(

@@ -2,20 +2,10 @@
 
 import numpy as np
 
-__all__ = ["check_matplotlib", "draw"]
+__all__ = ["draw"]
 
 # Scores beyond this have the colour of this.
 LARGE = 6
-
-
-def check_matplotlib():
-    """Raise ImportError in one sentence without Matplotlib."""
-    try:
-        import matplotlib.figure  # noqa: F401
-    except ImportError:
-        raise ImportError(
-            'pictures need matplotlib: run pip install "gonio-mi[plot]"'
-        ) from None
 
 
 def draw(maps):

@@ -5,7 +5,8 @@ import html
 import io
 
 from ..files import check_output, replacing
-from .pictures import check_matplotlib, draw
+from ..plots.drawable import check_matplotlib
+from .pictures import draw
 
 __all__ = ["check_report", "save_report"]
 
