@@ -18,6 +18,7 @@ ROOMS = (
     "memory",
     "progress",
     "properties",
+    "single_precision",
     "collector",
     "results",
     "files",
@@ -48,6 +49,7 @@ NUMPY_LAYER = (
     "memory",
     "quadrature.cells",
     "results",
+    "single_precision",
     "surfaces",
     "transport.morton",
 )

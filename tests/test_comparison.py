@@ -210,7 +210,7 @@ def test_empty_patches_take_part():
     values[0] = 20 * weight / rays / record.subdivision.projected_solid_angles[0, 0]
     comparison = compare(record, table_of(record, values))
     z = special.ndtri(np.exp(-20))
-    # ROUNDING of the mean, and the inverse of a tail, to a few digits of eps
+    # FEW_ROUNDINGS of the mean, and the inverse of a tail, to a few digits of eps
     assert comparison.z[0] == pytest.approx(z, rel=2.0**-18)
     assert np.isnan(comparison.std_err[0])
     assert comparison.to_dict()["worst"][0]["std_err"] is None
@@ -244,7 +244,7 @@ def test_few_hits_and_an_uncertain_mean():
     values[0] = 20 / made.ledger.emitted / solid
     sigma[0] = values[0] / 2
     comparison = compare(record, table_of(record, values, sigma=sigma))
-    # ROUNDING of the mean and of its variance
+    # FEW_ROUNDINGS of the mean and of its variance
     expected = special.ndtri(stats.nbinom.cdf(0, 4, 1 / 6))
     assert comparison.z[0] == pytest.approx(expected, rel=2.0**-18)
 
@@ -301,7 +301,7 @@ def test_the_total_is_students(n_batches):
     record = synthetic.record(rays=50_000, n_batches=n_batches)
     values, _, _ = truth(record)
     comparison = compare(record, table_of(record, 1.01 * values))
-    # 0.606 of the flux, known up to ROUNDING
+    # 0.606 of the flux, known up to FEW_ROUNDINGS
     rounding = 2.0**-20 * 0.606
     variance = record.dhr_std_err[0] ** 2 + rounding**2
     dof = variance**2 / (record.dhr_std_err[0] ** 4 / (n_batches - 1))

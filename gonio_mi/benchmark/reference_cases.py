@@ -13,6 +13,7 @@ from scipy import stats
 from ..collector import subdivision
 from ..instrument.measurement import measure
 from ..quadrature import integrate
+from ..results.normal_scores import student_score
 from ..results.ray_density import rms_expectation
 
 __all__ = ["main"]
@@ -90,7 +91,7 @@ def _rough_cases(rays, settings):
         std_err = np.stack([record.brdf_std_err, record.btdf_std_err])
         lit = np.stack(list(record.counts))[..., None] >= 1000
         t = ((values - exact.values) / std_err)[lit]
-        z2 = stats.norm.isf(stats.t.sf(np.abs(t), record.n_batches - 1)) ** 2
+        z2 = student_score(t, record.n_batches - 1) ** 2
         p = stats.chi2.sf(z2.sum(), z2.size)
         yield f"{label}: chi-square of {z2.size} patches", z2.size, z2.sum(), np.nan, p
 

@@ -10,14 +10,15 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..single_precision import FEW_ROUNDINGS
 from .directions import direction
 
 __all__ = ["BORDER", "RingsAndSectors", "Subdivision"]
 
-# A direction this close to a border counts as on it: a few float32 rounding errors.
+# A direction this close to a border counts as on it: a few rounding errors.
 # Relative in the ring coordinate, so that no ring gains or loses more than this
 # fraction of its size; absolute in azimuth, where it only turns the collector.
-BORDER = 2.0**-20
+BORDER = FEW_ROUNDINGS
 
 _NUMPY = SimpleNamespace(
     sqrt=np.sqrt,

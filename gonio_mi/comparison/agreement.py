@@ -5,17 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from ..collector.hemisphere import BORDER
+from ..results.normal_scores import student_score, two_sided_score
 from ..results.statistics import ratio
+from ..single_precision import FEW_ROUNDINGS
 
-__all__ = ["FEW_HITS", "PointSet", "Readings", "judge", "mostly_few"]
+__all__ = ["FEW_FOR_TAILS", "PointSet", "Readings", "judge", "mostly_few"]
 
 # Below this many hits the mean of batches is too skewed for Student's t far out: its
 # two-sided tail at 1e-5 is 1.3 times too heavy at 1000 hits, 4.4 times at 100.
-FEW_HITS = 1000
-
-# The instrument computes in single precision; no uncertainty is below that.
-ROUNDING = BORDER
+FEW_FOR_TAILS = 1000
 
 
 @dataclass(eq=False)
@@ -137,7 +135,7 @@ def judge(sets, scale):
     pull = fitted / scale if scale else 0.0
     chi2, dof = float(z @ z + pull**2), min(float(n**2 / trace2), float(n))
     worst = float(np.abs(z).max())
-    total = [abs(t.score) for t in totals.values() if t.hits >= FEW_HITS]
+    total = [abs(t.score) for t in totals.values() if t.hits >= FEW_FOR_TAILS]
     statistics = {
         "chi2": chi2,
         "chi2_dof": dof,
@@ -154,7 +152,7 @@ def judge(sets, scale):
 
 
 def mostly_few(sets):
-    """Whether most points have fewer than `FEW_HITS` hits on either side."""
+    """Whether most points have fewer than `FEW_FOR_TAILS` hits on either side."""
     few = np.concatenate([_errors(one, 1.0)[2] for one in sets])
     return bool(few.mean() > 0.5)
 
@@ -191,7 +189,7 @@ class _Total:
         """Normal score of the difference."""
         variance = self.variance + self.shared**2
         dof = variance**2 / self.welch if self.welch else np.inf
-        return float(_normal_score(self.difference / np.sqrt(variance), dof))
+        return float(student_score(self.difference / np.sqrt(variance), dof))
 
 
 def _add_total(total, one, key, shared):
@@ -201,7 +199,7 @@ def _add_total(total, one, key, shared):
     other = one.other @ solid
     total.difference += value - other
     total.variance += variance + one.other_error**2 @ solid**2
-    total.variance += (ROUNDING * other) ** 2 + np.finfo(float).tiny
+    total.variance += (FEW_ROUNDINGS * other) ** 2 + np.finfo(float).tiny
     total.welch += variance**2 / dof
     total.shared += shared @ solid
     total.hits += one.readings.hits @ (solid > 0)
@@ -214,13 +212,14 @@ def _add_total(total, one, key, shared):
 def _errors(one, factor):
     """Variance of each difference, Welch's d.o.f., where hits are few, where none."""
     mine, others = one.readings, one.other_readings
-    sigma2 = mine.error**2 + one.other_error**2 + (ROUNDING * factor * one.other) ** 2
+    rounding = FEW_ROUNDINGS * factor * one.other
+    sigma2 = mine.error**2 + one.other_error**2 + rounding**2
     welch = mine.error**4 / mine.dof
-    few, empty = mine.hits < FEW_HITS, mine.hits == 0
+    few, empty = mine.hits < FEW_FOR_TAILS, mine.hits == 0
     if others is not None:
         sigma2 = sigma2 + others.error**2
         welch = welch + others.error**4 / others.dof
-        few, empty = few | (others.hits < FEW_HITS), empty | (others.hits == 0)
+        few, empty = few | (others.hits < FEW_FOR_TAILS), empty | (others.hits == 0)
     dof = sigma2**2 / np.maximum(welch, np.finfo(float).tiny)
     return sigma2, dof, few, empty
 
@@ -232,7 +231,7 @@ def _scores(one, factor):
     """
     mine, others = one.readings, one.other_readings
     sigma2, dof, few, empty = _errors(one, factor)
-    z = _normal_score((mine.value - factor * one.other) / np.sqrt(sigma2), dof)
+    z = student_score((mine.value - factor * one.other) / np.sqrt(sigma2), dof)
     if others is None:
         exact = _hits_score(mine, factor * one.other, sigma2 - mine.error**2)
     elif np.any(one.other_error) or factor != 1:
@@ -265,7 +264,7 @@ def _hits_score(mine, other, variance):
             special.pdtrc(np.maximum(k - 1, 0), mean),
             special.betaincc(shape, np.maximum(k, 1), p),
         )
-    score = _two_sided_score(below, np.where(k == 0, 1.0, above))
+    score = two_sided_score(below, np.where(k == 0, 1.0, above))
     # without hits, nothing speaks against a value of 0 or less
     return np.where((other <= 0) & (k == 0), 0.0, score)
 
@@ -280,7 +279,7 @@ def _two_hits_score(mine, others):
     share = own / (own + theirs)
     below = np.where(b == 0, 1.0, special.betainc(np.maximum(b, 1), a + 1, 1 - share))
     above = np.where(a == 0, 1.0, special.betainc(np.maximum(a, 1), b + 1, share))
-    return np.where(a + b == 0, 0.0, _two_sided_score(below, above))
+    return np.where(a + b == 0, 0.0, two_sided_score(below, above))
 
 
 def _trace_of_square(one, sigma):
@@ -304,19 +303,6 @@ def _trace_of_square(one, sigma):
         for before in roots[:i]:
             trace += 2 * np.sum((root @ before.T) ** 2)
     return trace
-
-
-def _normal_score(t, dof):
-    """Normal score of the same probability as Student's t."""
-    tail = special.stdtr(np.minimum(dof, 1e9), -np.abs(t))
-    return 0.0 - np.sign(t) * special.ndtri(np.maximum(tail, 1e-300))
-
-
-def _two_sided_score(below, above):
-    """Normal score from the probabilities of at most and at least what was seen."""
-    p = np.minimum(2 * np.minimum(below, above), 1.0)
-    size = -special.ndtri(np.maximum(p / 2, 1e-300))
-    return np.where(below < above, -size, size)
 
 
 def _largest(z, n):

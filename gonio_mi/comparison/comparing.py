@@ -10,7 +10,7 @@ from ..files.measured import MeasuredTable
 from ..files.measured_table import NUMBERS
 from ..instrument.measurement import measure_whole
 from ..results.record import Record
-from .agreement import FEW_HITS, judge, mostly_few
+from .agreement import FEW_FOR_TAILS, judge, mostly_few
 from .pairing import check_uncertainties, pair_with_record, pair_with_table, pole_angle
 
 __all__ = ["ALPHA", "Comparison", "compare", "measure_like"]
@@ -207,7 +207,7 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
     * the sum of the squares of z (and of the fitted common factor, in units of its
       uncertainty), as a chi-square whose degrees of freedom ``n**2 / trace(R**2)`` come
       from the correlation R of the points that the batches tell;
-      Evenly distributed rays (`sobol`) scatter less than the exact test of few hits
+      Quasi-Monte Carlo rays (`sobol`) scatter less than the exact test of few hits
       allows: with fewer than 1000 hits in most patches this test has next to no power,
       on the safe side, and a note says so;
     * the largest ``abs(z)``, as if the points were independent, which is on the safe
@@ -271,7 +271,7 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
     compared = [*records, other] if isinstance(other, Record) else records
     if any(_is_even(one) for one in compared) and mostly_few(sets):
         notes.append(
-            f"with evenly distributed rays and fewer than {FEW_HITS} hits in most "
+            f"with quasi-Monte Carlo rays and fewer than {FEW_FOR_TAILS} hits in most "
             "patches the chi-square has next to no power: it is on the safe side; take "
             "more rays, or the sampler independent"
         )
@@ -295,7 +295,7 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
 
 
 def _is_even(record):
-    """Whether its rays are more evenly distributed than independent ones."""
+    """Whether its rays are quasi-Monte Carlo: more even than independent ones."""
     settings = record.settings
     sampled = settings.get("estimator") != "quadrature"
     return sampled and settings.get("sampler") != "independent"

@@ -15,7 +15,7 @@ from .header import require
 __all__ = ["check_record"]
 
 # A polar angle of incidence that was computed may be this much below 0 degrees.
-ROUNDING = 1e-4
+BELOW_NORMAL = 1e-4
 
 # Azimuths are taken modulo a turn; beyond this nothing is left of them.
 MOST_TURNED = 1e6
@@ -84,7 +84,7 @@ def _check_angles(theta_i: np.ndarray, phi_i: np.ndarray) -> None:
     """Raise FileFormatError unless light can come from there; NaN is not known."""
     for theta, phi in zip(theta_i.tolist(), phi_i.tolist()):
         require(
-            math.isnan(theta) or -ROUNDING <= theta < 90,
+            math.isnan(theta) or -BELOW_NORMAL <= theta < 90,
             f"its theta_i is {theta:g}, not in [0, 90) degrees",
         )
         require(math.isnan(phi) or abs(phi) <= MOST_TURNED, f"its phi_i is {phi:g}")

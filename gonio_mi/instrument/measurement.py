@@ -28,7 +28,7 @@ logger = logging.getLogger(__name__)
 # Light is said to be created where the intervals of this level begin above all that
 # came, and by more than what a path of so many events loses to single precision.
 SURE = 1 - 1e-9
-ROUNDING = 1000 * float(np.finfo(np.float32).eps)
+PATH_ROUNDING = 1000 * float(np.finfo(np.float32).eps)
 
 
 @launches_kernels(unless=("executor", "folder"))
@@ -96,7 +96,7 @@ def measure(
         Patches whose BRDF (or BTDF) is below this fraction of the mean over the
         collector are not worth reporting. Default 0.1.
     sampler : str or dict
-        Mitsuba sampler plugin. Default ``sobol``, one evenly distributed sequence for
+        Mitsuba sampler plugin. Default ``sobol``, one quasi-Monte Carlo sequence for
         each batch; ``independent`` sends independent rays.
     estimator : {"weighted", "analog", "quadrature", "next_event"}
         Sum throughput; let rays survive or end and count them; integrate ``eval`` over
@@ -312,7 +312,7 @@ def _warn_of_created_light(records):
         total, low = record.dhr, record.interval(SURE, "dhr")[0]
         if record.has_lower:
             total, low = total + record.dht, low + record.interval(SURE, "dht")[0]
-        if np.any(low > 1 + ROUNDING):
+        if np.any(low > 1 + PATH_ROUNDING):
             theta_i, phi_i = record.theta_i[0], record.phi_i[0]
             warnings.warn(
                 f"the BSDF creates light: {np.max(total):.6g} of what came leaves for "

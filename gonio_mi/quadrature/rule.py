@@ -38,11 +38,11 @@ MAX_EVALUATIONS = 2**25
 MAX_LEVELS = 24
 
 # Patches below this fraction of the mean need no relative precision.
-FLOOR = 1e-6
+NEGLIGIBLE = 1e-6
 
 # What single precision leaves of an integral's digits, at best; and of a direction, in
 # radians: a step is not looked for in narrower cells.
-ROUNDING = 2.0**-22
+INTEGRAL_ROUNDING = 2.0**-22
 NARROWEST = 2.0**-21
 
 # Times the noise of the values, by which they may be off the polynomial through them.
@@ -221,7 +221,7 @@ def integrate(
     return PatchIntegrals(
         subdivision,
         sums.flux.reshape(shape),
-        np.hypot(sums.error, ROUNDING * sums.flux).reshape(shape),
+        np.hypot(sums.error, INTEGRAL_ROUNDING * sums.flux).reshape(shape),
         evaluator.n_evaluations,
         Cells.join(finished),
         beam,
@@ -248,7 +248,7 @@ class _PatchSums:
     def allowed(self, cells, values, rel_err):
         """Tolerated error of each patch, if the open `cells` have these `values`."""
         estimate = self.flux + self._by_patch(cells, values)
-        return rel_err * np.maximum(estimate, FLOOR * estimate.mean())
+        return rel_err * np.maximum(estimate, NEGLIGIBLE * estimate.mean())
 
     def add(self, cells, values, difference, counted):
         """Add the integrals over finished cells, and what they may be wrong by.
@@ -368,7 +368,7 @@ class _Evaluator:
         values = self.beam.evaluate(self.bsdf, theta, phi, lower, self.pdf)
         columns = [np.broadcast_to(value.numpy(), len(theta)) for value in values]
         values = np.stack(columns, axis=-1).astype(float)
-        least = -ROUNDING * values.max(initial=0)
+        least = -INTEGRAL_ROUNDING * values.max(initial=0)
         if not (values.min(initial=0) >= least and np.isfinite(least)):
             wrong = ~np.all((values >= least) & np.isfinite(values), axis=1)
             first = np.argmax(wrong)

@@ -5,6 +5,7 @@ import textwrap
 
 import numpy as np
 
+from ..single_precision import ROUNDING
 from .ray_density import FLOOR, precision
 
 __all__ = ["exceeds_error", "summarize", "summary_text"]
@@ -15,10 +16,7 @@ WIDTH = 88
 
 # A smaller share of rays beside the patches is rounding: `diffuse` alone sends 2 in 1e7
 # along the horizon.
-ROUNDING = 1e-6
-
-# Relative rounding of single precision.
-SINGLE = 2.0**-24
+STRAY = 1e-6
 
 # How light gets to the other side of a specimen whose BSDFs declare no transmission: by
 # what a few thousand straight rays found.
@@ -216,7 +214,7 @@ def exceeds_error(direction, row):
     totals = direction["dhr"] + (direction["dht"] or [])
     # half the interval; NaN, where it is not known, is skipped by fmax
     half = np.array([(total["high"] - total["low"]) / 2 for total in totals])
-    error = np.fmax.reduce(half, initial=ROUNDING)
+    error = np.fmax.reduce(half, initial=STRAY)
     return direction["ledger"][row] > error * direction["ledger"]["emitted"]
 
 
@@ -415,13 +413,13 @@ def _decimals(value, std_err):
     """
     if not std_err:
         return 6
-    least = max(std_err, SINGLE * abs(value))
+    least = max(std_err, ROUNDING * abs(value))
     return min(max(1 - math.floor(math.log10(least)), 2), 12)
 
 
 def _std_err(total, decimals):
     """Text of a standard error, or of the rounding in which it is lost."""
-    rounding = SINGLE * abs(total["value"] or 0)
+    rounding = ROUNDING * abs(total["value"] or 0)
     if total["std_err"] and total["std_err"] < rounding:
         return f"<{rounding:.{decimals}f}"
     return _fixed(total["std_err"], decimals)

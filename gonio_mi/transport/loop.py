@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..results.tally import Fate
+from ..single_precision import FEW_ROUNDINGS
 from .ray_offsets import (
     MAX_CELLS,
     START,
@@ -39,9 +40,6 @@ LARGEST_POWER = 2.0**30
 
 # What single precision holds in full; below, only some threads of Dr.Jit keep anything.
 SMALLEST_POWER = 2.0**-126
-
-# Relative excess of a weight over 1 that is taken for float32 rounding: 16 ulp.
-ROUNDING = 2.0**-20
 
 
 @dataclass(frozen=True)
@@ -275,7 +273,7 @@ def _whole(x, u):
     """
     floor = dr.floor(x)
     rest = x - floor
-    above = (u < rest) & ((x < 1) | (rest > x * ROUNDING))
+    above = (u < rest) & ((x < 1) | (rest > x * FEW_ROUNDINGS))
     # of that type: a loop's variable does not change its own
     return mi.Spectrum(floor + dr.select(above, 1.0, 0.0))
 

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError, shown
+from ..single_precision import FEW_ROUNDINGS
 from .extents import bounds
 from .geometry import groups_of, scene_of, surfaces_of
 from .ray_offsets import START, escapes, intersect
@@ -28,9 +29,6 @@ LARGEST = 1e9
 # from where it is worth a warning.
 OFF_BY = 2.0**-19
 WORTH_A_WARNING = 1e-4
-
-# Relative difference that is taken for float32 rounding between texels: 16 ulp.
-ROUNDING = 2.0**-20
 
 
 def checked_period(period):
@@ -97,7 +95,7 @@ class Plane:
             return self.bsdf.eval(mi.BSDFContext(), si, si.to_local(wo))
 
         here, there = values(mi.Point2f(0.5)), values(sampler.next_2d())
-        alike = dr.abs(there - here) <= dr.abs(here) * ROUNDING
+        alike = dr.abs(there - here) <= dr.abs(here) * FEW_ROUNDINGS
         return bool(dr.all(alike, axis=None))
 
     def uv(self, p):

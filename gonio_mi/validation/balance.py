@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import special
 
-from .identities import ROUNDING
+from .identities import BSDF_ROUNDING
 from .integrals import SUM_ERROR
 
 __all__ = ["check_energy", "check_maps", "check_pooled"]
@@ -64,7 +64,7 @@ def check_energy(evidence, maps):
         (
             drawn.mean.max(),
             std_err[drawn.mean.argmax()],
-            ROUNDING,
+            BSDF_ROUNDING,
             "weights have the mean",
         ),
     ):

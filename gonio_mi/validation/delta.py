@@ -7,7 +7,7 @@ import numpy as np
 from scipy import special
 
 from .collecting import collect
-from .identities import ROUNDING, is_many, unequal
+from .identities import BSDF_ROUNDING, is_many, unequal
 
 __all__ = ["check_delta", "check_null"]
 
@@ -48,7 +48,7 @@ def _check_lobe(evidence, drawn, own, kind, bsdf, key):
         return
     _check_direction(evidence, drawn, own, middle, kind)
     _check_probability(evidence, drawn, own)
-    if np.ptp(weight, axis=0).max() > ROUNDING * np.abs(weight).max():
+    if np.ptp(weight, axis=0).max() > BSDF_ROUNDING * np.abs(weight).max():
         evidence.breach(
             "delta",
             "sample",
@@ -87,9 +87,9 @@ def _check_probability(evidence, drawn, own):
     """The pdf of a discrete sample is the probability of its lobe."""
     p = float(np.median(drawn.sampled_pdf[own]))
     k, n = int(own.sum()), drawn.n
-    if not 0 <= p <= 1 + ROUNDING:
+    if not 0 <= p <= 1 + BSDF_ROUNDING:
         tail = 0.0
-    elif p > 1 - ROUNDING:
+    elif p > 1 - BSDF_ROUNDING:
         tail = float(k == n)
     else:
         tails = special.bdtr(k, n, p), special.bdtrc(max(k - 1, 0), n, p)
@@ -118,7 +118,7 @@ def _check_reversal(evidence, drawn, own, wo, bsdf, key):
     ]
     # the refracted direction is known to an error of its cosine
     cosine = min(abs(wi[2]), abs(wo[2]))
-    known = ROUNDING + STEEPEST * min(HORIZON, HORIZON**2 / cosine)
+    known = BSDF_ROUNDING + STEEPEST * min(HORIZON, HORIZON**2 / cosine)
     if np.abs(shares[0] - shares[1]).max() > known:
         evidence.breach(
             "reciprocity",
@@ -171,7 +171,7 @@ def check_null(evidence, drawn, probe):
         return
     passed = (drawn.weight[null] * drawn.sampled_pdf[null][:, None]).mean(axis=0)
     said = np.ravel(np.array(probe.null_transmission(), dtype=float))
-    if np.abs(passed - said).max() > ROUNDING:
+    if np.abs(passed - said).max() > BSDF_ROUNDING:
         evidence.breach(
             "delta",
             "eval_null_transmission",

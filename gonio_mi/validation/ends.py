@@ -7,7 +7,7 @@ import numpy as np
 
 from ..collector.directions import direction
 from .conditions import Condition
-from .identities import ROUNDING
+from .identities import BSDF_ROUNDING
 from .probe import Probe, numbers, spectral
 
 __all__ = ["check_ends", "check_roughness"]
@@ -101,7 +101,7 @@ def _finite(evidence, function, what, value, inputs, place, name="sample"):
 
 def _unit(evidence, wo, given, corners, place):
     length = np.linalg.norm(wo, axis=1)
-    wrong = given & ~(np.abs(length - 1) < ROUNDING)
+    wrong = given & ~(np.abs(length - 1) < BSDF_ROUNDING)
     if wrong.any():
         evidence.breach(
             "ends",

@@ -4,7 +4,7 @@ import mitsuba as mi
 import numpy as np
 
 __all__ = [
-    "ROUNDING",
+    "BSDF_ROUNDING",
     "check_answers",
     "check_directions",
     "check_identities",
@@ -16,7 +16,7 @@ __all__ = [
 # too, were seen to need (facets of `sample_visible=false` 1e-5 to 3e-5; all others less
 # than 1e-6). And, where they are badly conditioned, how many times the change under a
 # displacement of both directions by 4 ulp.
-ROUNDING = 2.0**-14
+BSDF_ROUNDING = 2.0**-14
 SLACK = 16
 
 # Share of samples that may differ by more, for rounding is not bounded by its sample.
@@ -25,7 +25,7 @@ FEW = 5e-5
 
 def unequal(a, b, slack):
     """Mask of samples whose values differ by more than rounding, shape ``(n,)``."""
-    tolerance = ROUNDING * np.maximum(np.abs(a), np.abs(b)) + SLACK * slack
+    tolerance = BSDF_ROUNDING * np.maximum(np.abs(a), np.abs(b)) + SLACK * slack
     differs = np.abs(a - b) > tolerance
     return differs if differs.ndim == 1 else differs.any(axis=1)
 
@@ -82,10 +82,10 @@ def check_directions(evidence, drawn):
     reflects = (drawn.type & int(flags.Reflection)) != 0
     transmits = (drawn.type & int(flags.Transmission)) != 0
     # on the horizon no side is wrong
-    beside = np.abs(drawn.wo[:, 2]) < ROUNDING
-    beside |= abs(drawn.condition.wi[2]) < ROUNDING
+    beside = np.abs(drawn.wo[:, 2]) < BSDF_ROUNDING
+    beside |= abs(drawn.condition.wi[2]) < BSDF_ROUNDING
     cases = [
-        (np.abs(length - 1) > ROUNDING, "directions are not of length 1"),
+        (np.abs(length - 1) > BSDF_ROUNDING, "directions are not of length 1"),
         (
             reflects & ~transmits & ~drawn.reflected & ~beside,
             "a sample of a reflecting type leaves on the other side",
@@ -99,7 +99,7 @@ def check_directions(evidence, drawn):
             "sampled_type names neither reflection nor transmission",
         ),
         (
-            reflects & ~(np.abs(drawn.eta - 1) < ROUNDING) & ~transmits,
+            reflects & ~(np.abs(drawn.eta - 1) < BSDF_ROUNDING) & ~transmits,
             "eta is not 1 for a reflection",
         ),
         (~(drawn.eta > 0), "eta is not positive"),
@@ -164,7 +164,7 @@ def _check_sampled(evidence, drawn, smooth):
 def _check_joint(evidence, drawn):
     """``eval_pdf`` and ``eval_pdf_sample`` against the separate calls."""
     usable = np.isfinite(drawn.wo).all(axis=1) & ~drawn.delta
-    usable &= np.abs(np.linalg.norm(drawn.wo, axis=1) - 1) < ROUNDING
+    usable &= np.abs(np.linalg.norm(drawn.wo, axis=1) - 1) < BSDF_ROUNDING
     for function in ("eval_pdf", "eval_pdf_sample"):
         value, pdf = drawn.joint[function]
         wrong = unequal(value, drawn.eval, drawn.eval_slack) & usable
@@ -194,7 +194,7 @@ def _check_joint(evidence, drawn):
                 f"`{function}` answers otherwise than `pdf`",
             )
     own, given = drawn.joint, drawn.given
-    wrong = (np.abs(own["wo"] - drawn.wo).max(axis=1) > ROUNDING) & given
+    wrong = (np.abs(own["wo"] - drawn.wo).max(axis=1) > BSDF_ROUNDING) & given
     wrong |= unequal(own["weight"], drawn.weight, 0.0)
     wrong |= unequal(own["pdf"], drawn.sampled_pdf, 0.0) & given
     if is_many(wrong, drawn.n):

@@ -12,6 +12,7 @@ from scipy import special
 
 from ..collector import Subdivision
 from ..errors import SpecimenError
+from ..results.normal_scores import two_sided_score
 from .collecting import rounding
 from .drawing import Totals, count
 from .integrals import Integrals, integrals
@@ -194,7 +195,7 @@ def _binomial_score(k, n, q, error):
     variance = np.maximum(n * p * (1 - p), np.finfo(float).tiny)
     at_most = np.where(k >= n, 1.0, special.bdtr(np.minimum(k, n - 1), n, p))
     at_least = np.where(k <= 0, 1.0, special.bdtrc(np.maximum(k - 1, 0), n, p))
-    exact = _two_sided(at_most, at_least)
+    exact = two_sided_score(at_most, at_least)
     # far out, where probabilities underflow, and for samples that cannot vary
     rough = (k - n * p) / np.sqrt(variance)
     far = (np.abs(rough) > 8) | ~np.isfinite(exact)
@@ -218,13 +219,6 @@ def _weight_score(w, w2, n, due, error, usual):
     hits, expected = w / scale, np.maximum(n * mean / scale, 0)
     at_most = special.gammaincc(hits + 1, expected)
     at_least = special.gammainc(np.maximum(hits, 1e-9), expected)
-    exact = _two_sided(at_most, at_least)
+    exact = two_sided_score(at_most, at_least)
     normal = (hits > 1000) | (np.abs(rough) > 8) | ~np.isfinite(exact)
     return np.where(w == n * mean, 0.0, np.where(normal, rough, exact))
-
-
-def _two_sided(below, above):
-    """Normal score from the probabilities of at most and at least what was seen."""
-    p = np.minimum(2 * np.minimum(below, above), 1.0)
-    size = -special.ndtri(np.maximum(p / 2, 1e-300))
-    return np.where(below < above, -size, size)

@@ -3,7 +3,7 @@
 import mitsuba as mi
 import numpy as np
 
-from .identities import ROUNDING, is_many, unequal
+from .identities import BSDF_ROUNDING, is_many, unequal
 
 __all__ = ["check_symmetry"]
 
@@ -63,7 +63,7 @@ def _declared(drawn, bsdf, eta2):
         any(f & int(flags.NonSymmetric) and f & int(side) for f in own)
         for side in (flags.Reflection, flags.Transmission)
     )
-    straight = np.abs(eta2[:, 0] - 1) < ROUNDING
+    straight = np.abs(eta2[:, 0] - 1) < BSDF_ROUNDING
     return np.where(drawn.reflected, reflects, transmits & straight)
 
 

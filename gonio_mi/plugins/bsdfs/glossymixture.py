@@ -111,7 +111,7 @@ class GlossyMixture(mi.BSDF):
     def sample(self, ctx, si, sample1, sample2, active=True):
         """Pick a lobe by the first of `sample2` and draw `wo` from what is left of it.
 
-        In two dimensions instead of three, evenly distributed points are worth more.
+        In two dimensions instead of three, low-discrepancy points are worth more.
         """
         del sample1
         active = active & (mi.Frame3f.cos_theta(si.wi) > 0)

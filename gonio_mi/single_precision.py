@@ -1,0 +1,14 @@
+"""Single precision, in which the instrument computes, and what it leaves of a number.
+
+Both are relative errors. What is larger, because more than a few operations lead to it,
+has a name of its own where it was measured.
+"""
+
+__all__ = ["FEW_ROUNDINGS", "ROUNDING"]
+
+# Of one operation: half a unit in the last place.
+ROUNDING = 2.0**-24
+
+# Of a few operations, 16 of one: borders of patches and weights of events are not
+# known any better.
+FEW_ROUNDINGS = 2.0**-20
