@@ -222,13 +222,14 @@ def _add_events(group):
         "--period",
         metavar="box|PX,PY",
         help="the specimen is one cell of an infinite surface: its bounding box, or of "
-        "these extents in x and y (default: none)",
+        "these extents in x and y; what passes its openings is transmitted (default: "
+        "none)",
     )
     group.add_argument(
         "--order",
         metavar="N|N+",
-        help="collect rays with so many surface events, or at least so many "
-        "(default: all)",
+        help="collect rays with so many surface events, or at least so many; 0 is the "
+        "light that passes a periodic specimen straight on (default: all)",
     )
     group.add_argument(
         "--rr-depth",

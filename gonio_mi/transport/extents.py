@@ -7,10 +7,18 @@ for spheres, disks, cylinders, rectangles, meshes, ellipsoids and linear curves,
 for a turned `instance`.
 """
 
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 __all__ = ["bounds"]
+
+Array = NDArray[np.float64]
+Corners = tuple[Array, Array]
 
 # Coefficients of powers of t by the four control points of a uniform cubic B-spline.
 SPLINE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6
@@ -20,7 +28,7 @@ SPLINE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) 
 POINTS, ROUNDS, SEGMENTS = 33, 5, 4096
 
 
-def bounds(shapes):
+def bounds(shapes: Sequence[mi.Shape]) -> Corners:
     """Lower and upper corner of the box of all `shapes`, each of shape ``(3,)``.
 
     Exact for the shapes that are named above, to the rounding of single precision; a
@@ -30,7 +38,7 @@ def bounds(shapes):
     return low.min(axis=0), high.max(axis=0)
 
 
-def _box(shape):
+def _box(shape: mi.Shape) -> Array:
     """Corners of the box of one shape, shape ``(2, 3)``."""
     box = shape.bbox()
     loose = np.array([box.min, box.max], dtype=float).reshape(2, 3)
@@ -42,7 +50,7 @@ def _box(shape):
     )
 
 
-def _grid(shape):
+def _grid(shape: mi.Shape) -> Corners | None:
     """Of the points where edges of the grid cross zero; None if there is none.
 
     A slice of a cell, across one axis, is bilinear: it is zero somewhere if its corners
@@ -52,7 +60,7 @@ def _grid(shape):
     parameters = mi.traverse(shape)
     values = np.array(parameters["grid"], dtype=float)[..., 0]
     size = np.array(values.shape) - 1
-    points = []
+    crossings = []
     for axis in range(3):
         ends = np.moveaxis(values, axis, 0)
         a, b = ends[:-1], ends[1:]
@@ -60,8 +68,8 @@ def _grid(shape):
         drop = (a - b)[crosses]
         place = np.argwhere(crosses).astype(float)
         place[:, 0] += a[crosses] / np.where(drop == 0, 1, drop)
-        points.append(np.insert(place[:, 1:], axis, place[:, 0], axis=1) / size)
-    points = np.concatenate(points)
+        crossings.append(np.insert(place[:, 1:], axis, place[:, 0], axis=1) / size)
+    points = np.concatenate(crossings)
     if not len(points):
         return None
     # the first axis of the grid is z
@@ -72,7 +80,7 @@ def _grid(shape):
     return corners.min(axis=1), corners.max(axis=1)
 
 
-def _curve(shape):
+def _curve(shape: mi.Shape) -> Corners:
     """Of all circles around a cubic B-spline, across its tangent."""
     parameters = mi.traverse(shape)
     points = np.array(parameters["control_points"], dtype=float).reshape(-1, 4)
@@ -83,7 +91,7 @@ def _curve(shape):
     return np.array(low), np.array(high)
 
 
-def _furthest(segments, axis, sign):
+def _furthest(segments: Array, axis: int, sign: int) -> float:
     """Largest coordinate of curves of shape ``(n, 4, 4)``, along an axis."""
     # no point of a segment is beyond the balls about its control points
     within = (sign * segments[..., axis] + segments[..., 3]).max(axis=1)
@@ -100,7 +108,7 @@ def _furthest(segments, axis, sign):
     return best
 
 
-def _reach(segments, t, axis, sign):
+def _reach(segments: Array, t: Array, axis: int, sign: int) -> Array:
     """How far the circles at `t`, of shape ``(n, m)``, reach along an axis."""
     t = t[..., None]
     powers = SPLINE @ segments
@@ -113,4 +121,7 @@ def _reach(segments, t, axis, sign):
     return sign * p[..., axis] + p[..., 3] * np.sqrt(np.maximum(1 - cosine**2, 0))
 
 
-SURFACES = {"SDFGrid": _grid, "BSplineCurve": _curve}
+SURFACES: dict[str, Callable[[mi.Shape], Corners | None]] = {
+    "SDFGrid": _grid,
+    "BSplineCurve": _curve,
+}
