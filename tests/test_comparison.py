@@ -776,3 +776,49 @@ def test_command_measures_a_specimen_like_the_table(tmp_path, capsys):
     assert main(["compare", "diffuse:reflectance=0.7", *arguments]) == 0
     assert main(["compare", "diffuse:reflectance=0.74", *arguments]) == 3
     assert "DIFFER" in capsys.readouterr().out
+
+
+# ---------------------------------------------- what is compared, and its name
+
+
+@pytest.mark.usefixtures("mono")
+def test_labels_of_two_records(tmp_path):
+    """Text and JSON call records by the setting in which they differ."""
+    settings = {"theta_i": 30, "rays": 4096, "collector": "projected:4x4"}
+    sphere = {"type": "sphere"}
+    first, second, all_orders = (
+        gonio.measure(sphere, order=order, seed=seed, **settings)
+        for seed, order in enumerate((1, 2, "all"))
+    )
+    found = compare(first, second)
+    assert found.labels == ("order 1", "order 2")
+    assert "value of order 1, other of order 2" in str(found)
+    assert found.to_dict()["labels"] == ["order 1", "order 2"]
+    again = gonio.measure(sphere, seed=9, **settings)
+    assert compare(all_orders, again).labels == ("seed 2", "seed 9")
+    assert compare(again, again).labels == ("record", "other")
+    grey = gonio.measure({"type": "diffuse"}, seed=9, **settings)
+    white = gonio.measure({"type": "diffuse", "reflectance": 1.0}, seed=8, **settings)
+    assert compare(grey, white).labels == ("diffuse", "diffuse:reflectance=1.0")
+    found.plot(tmp_path / "labels.svg")
+    for label in found.labels:
+        assert f"{label} +- std" in (tmp_path / "labels.svg").read_text()
+
+
+@pytest.mark.usefixtures("mono")
+def test_lower_hemisphere_of_one_record():
+    """Dark ones are left out; light that would be left out is refused."""
+    settings = {"theta_i": 30, "rays": 2**14, "collector": "projected:4x4"}
+    plate = {"type": "diffuse", "reflectance": 0.4}
+    upper = gonio.measure(plate, **settings)
+    both = gonio.measure(plate, hemispheres="both", seed=1, **settings)
+    for one, other in ((upper, both), (both, upper)):
+        found = compare(one, other)
+        agree(verdict_of(found))
+        assert len(found.z) == 16
+        assert any("no light came" in note for note in found.notes)
+    wrong = gonio.measure({"type": "diffuse", "reflectance": 0.42}, seed=1, **settings)
+    disagree(verdict_of(compare(both, wrong)))
+    glass = gonio.measure({"type": "roughdielectric"}, **settings)
+    with pytest.raises(ValueError, match="measure the second with hemispheres"):
+        compare(glass, upper)

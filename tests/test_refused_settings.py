@@ -10,6 +10,9 @@ import pytest
 from budget import agree, disagree, normal_scores, single
 from surfaces import diffuse_groove_dhr
 
+from gonio_mi.cli import main
+from gonio_mi.exports import export
+
 PLATE = {"type": "diffuse", "reflectance": 0.5}
 
 
@@ -279,3 +282,22 @@ def test_sampler_of_a_scene_file():
         RuntimeError, match=r"collector\.odd must be a sampler, got Smoo"
     ):
         mi.load_dict({"type": "collector", "film": {"type": "patches"}, "odd": PLATE})
+
+
+# ---------------------------------------------------------------- words for specimens
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("ending", ["npz", "xml", "exr"])
+def test_material_file_in_one_word(tmp_path, ending, monkeypatch, capsys):
+    """A plugin's setting may end in .xml; a scene file may be absent."""
+    record = gonio.measure(PLATE, theta_i=[0, 60], rays=4096, collector="klems")
+    monkeypatch.chdir(tmp_path)
+    if ending == "xml":
+        export(record, "metal.xml")
+    else:
+        record.save(f"metal.{ending}")
+    word = f"goniometric:filename=metal.{ending}"
+    assert main(["measure", word, "--theta-i", "30", "--rays", "1000"]) == 0
+    assert main(["measure", "metal_.xml", "--theta-i", "30"]) == 1
+    assert "must be an existing file, got 'metal_.xml'" in capsys.readouterr().err

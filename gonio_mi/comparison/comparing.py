@@ -11,7 +11,13 @@ from ..files.measured_table import NUMBERS
 from ..instrument.measurement import measure_whole
 from ..results.record import Record
 from .agreement import FEW_FOR_TAILS, judge, mostly_few
-from .pairing import check_uncertainties, pair_with_record, pair_with_table, pole_angle
+from .pairing import (
+    check_uncertainties,
+    labels,
+    pair_with_record,
+    pair_with_table,
+    pole_angle,
+)
 
 __all__ = ["ALPHA", "Comparison", "compare", "measure_like"]
 
@@ -56,6 +62,8 @@ class Comparison:
         Probability with which `passed` is False although they have.
     notes : tuple of str
         What a reader of the verdict should know.
+    labels : tuple of str
+        What to call the record and the other: what differs in their settings.
     """
 
     theta_i: np.ndarray
@@ -72,6 +80,7 @@ class Comparison:
     p_values: dict
     alpha: float
     notes: tuple[str, ...] = ()
+    labels: tuple[str, str] = ("record", "other")
 
     @property
     def rms(self):
@@ -123,6 +132,7 @@ class Comparison:
             "p_values": dict(self.p_values),
             "worst": self.worst,
             "notes": list(self.notes),
+            "labels": list(self.labels),
             "points": [self._point(i) for i in range(len(self.z))],
         }
 
@@ -179,7 +189,8 @@ class Comparison:
             f"verdict     {verdict}: p = {self.p_value:.3g}, where a right model falls "
             f"below {self.alpha:g} with that probability",
             "",
-            "worst points, angles in degrees, values in 1/sr",
+            "worst points, angles in degrees, values in 1/sr: value of "
+            f"{self.labels[0]}, other of {self.labels[1]}",
             "theta_i  phi_i  theta_o  phi_o  channel   value +- std_err      "
             "other +- std_err          z",
         ]
@@ -221,7 +232,8 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
         Several, if `other` is a table: what :func:`measure_like` returns.
     other : Record or MeasuredTable
         A record must have the same collector, channels and incident directions: there
-        is no honest way from one set of patch means to another. Of a table each point
+        is no honest way from one set of patch means to another. Where only one has a
+        lower hemisphere, no light may have come there. Of a table each point
         is compared with the mean of the patch that holds it.
     uncertainty : float, optional
         Relative standard uncertainty of each value of `other`, independent between
@@ -252,6 +264,7 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
         given = {"uncertainty": uncertainty, "scale_uncertainty": scale_uncertainty}
         table = replace(other, **{k: v for k, v in given.items() if v is not None})
         sets, notes = pair_with_table(records, table)
+        compared = (str(records[0].settings.get("specimen"))[:40], table.name[:40])
         scale = table.scale_uncertainty
     elif isinstance(other, Record):
         if len(records) != 1:
@@ -264,12 +277,13 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
             )
         )
         sets, notes = pair_with_record(records[0], other, relative)
+        compared = labels(records[0], other)
     else:
         raise TypeError(
             f"other must be a Record or a MeasuredTable, got {shown(other)}"
         )
-    compared = [*records, other] if isinstance(other, Record) else records
-    if any(_is_even(one) for one in compared) and mostly_few(sets):
+    measured = [*records, other] if isinstance(other, Record) else records
+    if any(_is_even(one) for one in measured) and mostly_few(sets):
         notes.append(
             f"with quasi-Monte Carlo rays and fewer than {FEW_FOR_TAILS} hits in most "
             "patches the chi-square has next to no power: it is on the safe side; take "
@@ -291,6 +305,7 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
         p_values=p_values,
         alpha=alpha,
         notes=tuple(notes),
+        labels=compared,
     )
 
 

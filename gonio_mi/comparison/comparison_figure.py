@@ -72,9 +72,10 @@ def _draw(comparison, panel, above, below):
     points, x = points[in_plane], x[in_plane]
     order = np.argsort(x, kind="stable")
     points, x = points[order], x[order]
-    for name, values, errors, style in (
-        ("other", comparison.other, comparison.other_std_err, "s"),
-        ("record", comparison.value, comparison.std_err, "o"),
+    first, second = comparison.labels
+    for name, values, errors, style, face in (
+        (second, comparison.other, comparison.other_std_err, "s", "none"),
+        (first, comparison.value, comparison.std_err, "o", None),
     ):
         above.errorbar(
             x,
@@ -85,7 +86,7 @@ def _draw(comparison, panel, above, below):
             linewidth=0.8,
             capsize=2,
             label=f"{name} +- std_err",
-            mfc="none" if name == "other" else None,
+            mfc=face,
         )
     above.legend(frameon=False)
     above.set_title(

@@ -6,7 +6,13 @@ from ..collector.directions import direction
 from ..collector.hemisphere import BORDER
 from .agreement import PointSet, Readings
 
-__all__ = ["check_uncertainties", "pair_with_record", "pair_with_table", "pole_angle"]
+__all__ = [
+    "check_uncertainties",
+    "labels",
+    "pair_with_record",
+    "pair_with_table",
+    "pole_angle",
+]
 
 
 def pair_with_record(record, other, relative):
@@ -14,7 +20,6 @@ def pair_with_record(record, other, relative):
     for what, a, b in (
         ("collector", record.subdivision, other.subdivision),
         ("channels", record.channels, other.channels),
-        ("hemispheres", _hemispheres(record), _hemispheres(other)),
         ("number of incident directions", len(record), len(other)),
     ):
         if a != b:
@@ -29,8 +34,11 @@ def pair_with_record(record, other, relative):
             f"both records have the seed {seeds[0]}: their rays are not independent; "
             "measure one again with another seed"
         )
+    both = record.has_lower and other.has_lower
+    if not both:
+        _check_dark_below(record, other, notes)
     patches = record.subdivision
-    n_hemispheres = 2 if record.has_lower else 1
+    n_hemispheres = 2 if both else 1
     shape = n_hemispheres, patches.n_detectors, len(record.channels)
     hemisphere, patch, channel = (a.ravel() for a in np.indices(shape))
     theta, phi = (angle.ravel() for angle in patches.middles)
@@ -171,8 +179,28 @@ def _same(a, b):
     return np.linalg.norm(first - second, axis=-1) <= BORDER
 
 
-def _hemispheres(record):
-    return "both" if record.has_lower else "upper"
+def _check_dark_below(record, other, notes):
+    """Raise ValueError if light of a hemisphere that one lacks would be left out."""
+    which, one = ("first", other) if other.has_lower else ("second", record)
+    if not one.has_lower:
+        return
+    if any(tally.sums[:, 1].any() for tally in one.tallies):
+        raise ValueError(
+            "the records must have the same hemispheres if light came to the lower "
+            f"one: measure the {which} with hemispheres='both'"
+        )
+    notes.append("only one has a lower hemisphere, to which no light came")
+
+
+def labels(record, other):
+    """What tells two records apart, as short texts: a setting that differs."""
+    for name in ("specimen", "order", "estimator", "variant", "emitter", "sampler"):
+        one, two = (str(r.settings.get(name)) for r in (record, other))
+        if one != two:
+            prefix = "" if name == "specimen" else f"{name} "
+            return f"{prefix}{one:.40}", f"{prefix}{two:.40}"
+    seeds = tuple(f"seed {r.settings.get('seed')}" for r in (record, other))
+    return seeds if seeds[0] != seeds[1] else ("record", "other")
 
 
 def pole_angle(theta_o):

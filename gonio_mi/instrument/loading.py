@@ -160,7 +160,8 @@ def parse_specimen(text):
     str or dict
         What :func:`load_specimen` takes.
     """
-    if text.endswith(".xml") or os.path.isfile(text):
+    is_plugin = re.match(r"\w\w+:\w+=", text)  # whatever its last value ends in
+    if os.path.isfile(text) or (text.endswith(".xml") and not is_plugin):
         return text
     name, _, settings = text.partition(":")
     specimen = {"type": name}
