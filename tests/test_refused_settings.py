@@ -104,7 +104,7 @@ def test_hair_in_colour(variant):
     settings = {"theta_i": 30, "rays": 2000}
     given = [{"sigma_a": 0.2}, {"sigma_a": 0.3}]
     if variant == "llvm_ad_mono":
-        with pytest.raises(gonio.SpecimenError, match=r"sample\(\) of the BSDF Hair"):
+        with pytest.raises(gonio.SpecimenError, match="the BSDF Hair fails in the var"):
             gonio.measure(fibre(), **settings)
     else:
         given += [{}, {"eumelanin": 0.1}, {"pheomelanin": 0.1}]
@@ -120,7 +120,7 @@ def test_hair_in_colour(variant):
 @pytest.mark.parametrize("nested", [False, True])
 @pytest.mark.usefixtures("mono")
 def test_plugin_that_raises(shape, nested):
-    """Its own words in one sentence, wherever it stands."""
+    """Its own error, whose traceback names the line, wherever it stands."""
 
     class Moody(mi.BSDF):
         def __init__(self, props):
@@ -132,7 +132,7 @@ def test_plugin_that_raises(shape, nested):
         def sample(self, *_):
             if self.calm:
                 return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
-            raise ZeroDivisionError("of what,\nexactly?")
+            raise ZeroDivisionError("of what")
 
         def to_string(self):
             return "Moody[]"
@@ -141,10 +141,9 @@ def test_plugin_that_raises(shape, nested):
     bsdf = mi.load_dict({"type": "moody"})
     try:
         specimen = {"type": "twosided", "bsdf": bsdf} if nested else bsdf
-        with pytest.raises(gonio.SpecimenError) as caught:
+        with pytest.raises(ZeroDivisionError, match="of what") as caught:
             gonio.measure({"type": shape, "bsdf": specimen}, theta_i=30, rays=100)
-        assert "raises ZeroDivisionError" in str(caught.value)
-        assert "of what, exactly?" in str(caught.value)
+        assert caught.traceback[-1].name == "sample"
     finally:
         bsdf.calm = True  # Dr.Jit asks every BSDF that is still alive
 

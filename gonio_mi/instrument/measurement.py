@@ -222,6 +222,7 @@ def measure(
     sensor = _sensor(scene, collector, collector_radius, hemispheres, sampler)
     measured = Specimen(scene, integrator.settings["period"])
     measured.name = specimen_name(specimen, parameters)
+    integrator.check(measured)
     emitters = [emitter_scene(scene, emitter, incident, side) for incident in incidents]
     lamp = lamp_digest(emitter)
     benches = [

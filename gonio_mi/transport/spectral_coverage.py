@@ -1,8 +1,12 @@
 """Which wavelengths the data of a scene cover: asked of its spectra, not of names."""
 
+from collections.abc import Iterable, Sequence
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import SpecimenError
 from .trial import class_of
@@ -14,7 +18,7 @@ N_POINTS = 16
 N_WAVELENGTHS = 16
 
 
-def check_covered(things, nm):
+def check_covered(things: Iterable[Any], nm: Sequence[float]) -> None:
     """Raise :class:`SpecimenError` where a spectrum of `things` ends before `nm`.
 
     A spectrum that is the same at all wavelengths has no end. Any other one holds in
@@ -45,14 +49,15 @@ def check_covered(things, nm):
                     )
 
 
-def _range(part):
+def _range(part: Any) -> tuple[float, float]:
     """Range in nm that a texture or BSDF declares, in single precision."""
     if not hasattr(part, "wavelength_range"):
         return 0.0, np.inf
-    return tuple(np.float32(end) for end in np.ravel(part.wavelength_range()))
+    low, high = (np.float32(end) for end in np.ravel(part.wavelength_range()))
+    return low, high
 
 
-def _ends(texture, low, high, beyond):
+def _ends(texture: Any, low: float, high: float, beyond: Sequence[float]) -> bool:
     """Whether `texture` has other values within its range than `beyond` it."""
     within = np.linspace(low, high, N_WAVELENGTHS, endpoint=False)[1:]
     try:
@@ -66,7 +71,7 @@ def _ends(texture, low, high, beyond):
     return declared or bool(np.all(outside == 0, axis=1).any())
 
 
-def _values(texture, nm):
+def _values(texture: Any, nm: Sequence[float]) -> NDArray[np.float64]:
     """Values of a texture, with axes of wavelengths and of points all over it."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, N_POINTS)
@@ -79,7 +84,7 @@ def _values(texture, nm):
     return np.array(values)
 
 
-def _label(thing, scene, part):
+def _label(thing: Any, scene: Any, part: Any) -> str:
     """Class of `thing` and, by Mitsuba's key, which of its parameters `part` is."""
     if part is thing:
         return class_of(thing)

@@ -184,6 +184,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
         specimen = Specimen(scene, self.settings["period"])
+        self.check(specimen)
         bench = self.bench(specimen, scene.emitters(), sensor)
         key = (int(mi.UInt32(seed)[0]), 0)
         sizes = batch_sizes(spp or self.rays, self.batches)
@@ -195,6 +196,17 @@ class Goniophotometer(mi.SamplingIntegrator):
             record.settings["rays"] = sum(sizes)
         sensor.film().record = record
         return sensor.film().develop() if develop else None
+
+    def check(self, specimen):
+        """Raise what a BSDF of the specimen raises, or SpecimenError beyond its data.
+
+        Once for each specimen, before its benches.
+        """
+        lanes = wavelength_lanes(passes(self.wavelengths)[0])
+        bsdfs = [surface.bsdf() for surface in specimen.surfaces]
+        check_works(bsdfs, lanes, self.settings["estimator"])
+        if mi.is_spectral:
+            check_covered(bsdfs, self.wavelengths)
 
     def bench(self, specimen, emitters, sensor, incident=None, lamp=None):
         """Set up a :class:`Bench` for the one emitter of `emitters`.
@@ -218,14 +230,10 @@ class Goniophotometer(mi.SamplingIntegrator):
                 "collector.radius must enclose the specimen, whose corner is at "
                 f"{corner}, got {sensor.radius}"
             )
-        lanes = wavelength_lanes(passes(self.wavelengths)[0])
-        bsdfs = [surface.bsdf() for surface in specimen.surfaces]
-        check_works(bsdfs, lanes, self.settings["estimator"])
-        if mi.is_spectral:
-            check_covered(bsdfs, self.wavelengths)
         beam = self._beam(specimen, emitters[0])
         bench = Bench(specimen, beam, sensor, incident, lamp)
         if self.integrates:
+            lanes = wavelength_lanes(passes(self.wavelengths)[0])
             check_integrable(bench, self.settings, lanes)
         if self.deposits:
             check_traced(bench, self.settings)
