@@ -102,6 +102,18 @@ def test_filters_multiply(transmittance, n, mono):  # noqa: ARG001
     assert record.ledger.transmitted == 1000
 
 
+@pytest.mark.parametrize("transmittance", [0.3, 1e-9, 1e-30])
+def test_russian_roulette_in_the_dark(transmittance, mono):  # noqa: ARG001
+    """Rounding: each batch of 2**16 evenly distributed rays has the mean by itself.
+
+    A chance below 2**-24 would be that of the number 0, and far too high.
+    """
+    settings = {"rr_depth": 0, "trace": True, "rays": 2**18, "batches": 4}
+    record = gonio.measure(filters(1, transmittance), 0, **settings)
+    assert record.ledger.absorbed > 0.6 * 2**18
+    np.testing.assert_allclose(record.dht[0], transmittance, rtol=8 * EPS32)
+
+
 @pytest.mark.parametrize("estimator", ["weighted", "next_event"])
 @pytest.mark.parametrize(
     ("half_angle", "theta_i", "rho"), [(40, 25, 2e-3), (30, 50, 3e-5), (55, 0, 1e-9)]

@@ -204,9 +204,9 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
             density[active] = deposits.density(si, bsdf, bs, wo, active)
 
         # ---------------------------- Russian roulette --------------------------------
-        survival = dr.select(
-            depth > rr_depth, dr.minimum(dr.max(β), 0.95), mi.Float(1.0)
-        )
+        # in steps that random numbers of 23 bits hit exactly, and never 0
+        survival = dr.ceil(dr.minimum(dr.max(β), 0.95) * 2.0**16) * 2.0**-16
+        survival = dr.select(depth > rr_depth, survival, mi.Float(1.0))
         survives = sampler.next_1d(active) < survival
         β[active] = dr.select(survives, β / survival, 0.0)
         fate[active & ~survives] = mi.UInt32(Fate.ABSORBED)
