@@ -572,6 +572,17 @@ def test_values_are_not_repeated_whole(setting, value):
     assert len(str(caught.value)) <= fuzz.MOST_CHARACTERS
 
 
+@pytest.mark.parametrize("name", ["max_depth", "points", "batches", "collector_radius"])
+def test_whole_numbers_beyond_64_bits_are_one_sentence(capfd, name):
+    """Mitsuba's bindings printed lines of types that they had tried."""
+    mi.set_variant("llvm_ad_mono")
+    with pytest.raises(ValueError, match=name.removeprefix("collector_")):
+        gonio.measure({"type": "diffuse"}, theta_i=0, **{name: 10**30})
+    with pytest.raises(ValueError, match="reflectance must be below"):
+        gonio.measure({"type": "diffuse", "reflectance": 10**30}, theta_i=0)
+    assert capfd.readouterr() == ("", "")
+
+
 # ------------------------------------------------------------------- formats of others
 
 CSV = "# quantity: brdf\n{key}theta_i,phi_i,theta_o,phi_o,value\n45,0,30,180,{value}\n"

@@ -9,7 +9,7 @@ from pathlib import Path
 import mitsuba as mi
 
 from .. import llvm
-from ..errors import SpecimenError, VariantError
+from ..errors import SpecimenError, VariantError, shown
 from ..transport.kernels import launches_kernels
 from .named_files import check_named_files
 
@@ -102,9 +102,20 @@ def load_specimen(specimen, parameters=None):
 def loaded(what, load, *args, **kwargs):
     """Return ``load(*args, **kwargs)``; if that fails, say why in one sentence."""
     try:
+        for argument in args:
+            _check_whole_numbers(argument)
         return load(*args, **kwargs)
     except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
         raise SpecimenError(f"{what} cannot be loaded: {_one_line(error)}") from error
+
+
+def _check_whole_numbers(node):
+    """Raise ValueError for what has no type in Mitsuba, which prints lines of it."""
+    if isinstance(node, dict):
+        for key, value in node.items():
+            if isinstance(value, int) and not -(2**63) <= value < 2**63:
+                raise ValueError(f"{key} must be below 2^63, got {shown(value)}")
+            _check_whole_numbers(value)
 
 
 def _one_line(error):
