@@ -194,9 +194,8 @@ def test_upper_hemisphere_alone():
     assert upper.dhr == both.dhr
 
 
-@pytest.mark.usefixtures("rgb")
 @pytest.mark.parametrize("estimator", ESTIMATORS)
-def test_coloured_lamp_of_finite_area(estimator):
+def test_coloured_lamp_of_finite_area(estimator, rgb):  # noqa: ARG001
     """Exact: through black slats all that arrives is direct, channel by channel."""
     lamp = {
         "type": "disk",
@@ -213,6 +212,33 @@ def test_coloured_lamp_of_finite_area(estimator):
     assert np.allclose(record.direct, record.dht, rtol=0, atol=0)
     assert record.ledger.direct == record.counts[1].sum()
     assert np.count_nonzero(record.counts[1]) > 1
+
+
+def test_more_wavelengths_than_a_ray_carries(spectral):  # noqa: ARG001
+    """Each pass counts its own direct light: the ledger holds that of both."""
+    nm = [400, 450, 500, 550, 600, 650]
+    record = measured(*SPECIMENS["grid"], wavelengths=nm, rays=20_000)
+    assert record.settings["passes"] == 2
+    assert len(set(record.direct[:4])) == len(set(record.direct[4:])) == 1
+    passed = 20_000 * (record.direct[0] + record.direct[4])
+    assert record.ledger.direct == round(passed)
+    low, high = record.interval(of="direct")
+    share = direct_share(SPECIMENS["grid"][0], *SPECIMENS["grid"][2:])
+    assert np.all((low < record.direct) & (record.direct < high))
+    agree(score(record.direct[0], record.direct_std_err[0], share))
+    disagree(score(record.direct[0], record.direct_std_err[0], 1.05 * share))
+
+
+def test_direct_light_of_merged_and_grown_batches():
+    """Exact: sums of two seeds, and of rounds until an error is met."""
+    one, two = (measured(*SPECIMENS["grid"], seed=seed) for seed in (1, 2))
+    merged = one.merge(two)
+    assert merged.ledger.direct == one.ledger.direct + two.ledger.direct
+    parts = [*one.tallies[0].direct, *two.tallies[0].direct]
+    assert np.array_equal(merged.tallies[0].direct, parts)
+    grown = measured(*SPECIMENS["grid"], rays=None, rel_err=0.02)
+    assert grown.ledger.emitted > 2**18
+    assert grown.direct == grown.ledger.direct / grown.ledger.emitted
 
 
 def test_direct_light_above_the_horizon_of_a_near_collector():

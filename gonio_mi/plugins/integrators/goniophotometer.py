@@ -119,7 +119,8 @@ class Goniophotometer(mi.SamplingIntegrator):
        - |string| or |float|
        - ``none``; ``box``: the specimen's bounding box is one cell of an infinite
          surface, and what leaves through a side of it enters through the opposite one;
-         or the cell's extents in x and y, such as ``2,3``. (Default: ``none``)
+         or the cell's extents in x and y, such as ``2,3``. What passes its openings is
+         transmitted. (Default: ``none``)
 
      * - order
        - |string|
