@@ -87,5 +87,5 @@ class Exact:
         """Powers in float64, each unit rounded once and added from the smallest on."""
         total = 0.0
         for unit, (high, low) in sorted(self._halves.items(), key=lambda item: item[0]):
-            total = total + np.ldexp(high * 2.0**32 + low, unit)
+            total = total + (high * 2.0**32 + low) * 2.0**unit
         return total

@@ -49,7 +49,7 @@ def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
         # fainter or brighter light than there was room for: once more, with room for it
         bench.levels = sums.lacking
     totals = sums.totals(len(sizes))
-    check_all_counted(sum(sizes), totals.tally().ledger.emitted)
+    check_all_counted(sum(sizes), totals.emitted)
     return totals
 
 

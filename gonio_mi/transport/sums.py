@@ -160,6 +160,16 @@ class Totals:
         rays, flux = self._rays + other._rays, self._flux + other._flux
         return Totals(self._sums, rays, flux, incident)
 
+    @property
+    def emitted(self):
+        """Rays that were counted: each once, whatever became of it."""
+        bench = self._sums.bench
+        fates = self._rays[:, bench.n_collected :]
+        if self._sums.deposits:
+            return int(fates.sum())
+        twice = fates[:, Fate.DIRECT].sum() if bench.shape[0] == 2 else 0
+        return int(self._rays.sum() - twice)
+
     def tally(self):
         """Return the :class:`Tally` of all batches."""
         sums, bench = self._sums, self._sums.bench
