@@ -8,9 +8,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import agree, disagree, scores, verdict
+from budget import Verdict, agree, disagree, scores, verdict
+from references import eval_flux
+from scipy import stats
 
 import gonio_mi as gonio
+from gonio_mi.collector.directions import direction
 from gonio_mi.quadrature import integrate
 
 SHARP = {"type": "roughconductor", "alpha": 0.005}
@@ -81,7 +84,7 @@ def test_klems_patches_are_sums_of_common_sectors(alpha):
 @pytest.mark.parametrize("theta_i", [0, 45, 89])
 @pytest.mark.parametrize("name", NO_RAYS)
 def test_promised_error(name, theta_i):
-    """Rules agree within what was asked of them; and the looser one is the cheaper."""
+    """Rules agree within what was asked of them; and the looser has no more cells."""
     bsdf = mi.load_dict(MATERIALS[name])
     grid = gonio.EqualProjectedSolidAngle(10, 12)
     asked = (1e-3, 1e-4, 1e-5)
@@ -90,7 +93,7 @@ def test_promised_error(name, theta_i):
     flux = np.maximum(tight.flux, 1e-6 * tight.flux.mean())
     for rel_err, found in zip(asked, loose):
         assert np.all(np.abs(found.flux - tight.flux) <= (rel_err + least) * flux)
-        assert found.n_evaluations <= tight.n_evaluations
+        assert len(found.cells.patch) <= len(tight.cells.patch)
     twin = integrate(bsdf, abs(theta_i - 0.5), 20, grid, rel_err=1e-4)
     assert np.any(np.abs(twin.flux - tight.flux) > (asked[0] + least) * flux)
 
@@ -145,8 +148,8 @@ def test_sharp_lobe(collector, theta_i):
     fine = integrated(SHARP, theta_i, collector="projected:50x40")
     error = record.dhr_std_err + fine.dhr_std_err
     assert np.abs(record.dhr - fine.dhr) <= error
-    # twin: a ten-thousandth is noticed
-    assert np.abs((1 + 1e-4) * record.dhr - fine.dhr) > error
+    # twin: what both may claim, of 1e-4 each, and a half more is noticed
+    assert np.abs((1 + 3e-4) * record.dhr - fine.dhr) > error
 
 
 @pytest.mark.usefixtures("rgb")
@@ -311,16 +314,66 @@ def test_steps_between_the_nodes(theta_i):
     bsdf = mi.load_dict(
         {"type": "roughdielectric", "alpha": 0.3, "distribution": "ggx"}
     )
-    coarse = integrate(bsdf, theta_i, 10, gonio.EqualProjectedSolidAngle(10, 10))
-    fine = integrate(bsdf, theta_i, 10, gonio.EqualProjectedSolidAngle(20, 20))
+    coarse, fine = (
+        integrate(bsdf, theta_i, 10, gonio.EqualProjectedSolidAngle(n, n), rel_err=1e-5)
+        for n in (10, 20)
+    )
     flux, error = (
         array.reshape(2, 10, 2, 10, 2, 1).sum(axis=(2, 4))
         for array in (fine.flux, fine.error)
     )
     # patches below a millionth of the mean need no relative precision
-    error += coarse.error + REL_ERR * 1e-6 * flux.mean()
+    error += coarse.error + 1e-5 * 1e-6 * flux.mean()
     assert np.all(np.abs(coarse.flux - flux) <= error)
     assert np.any(np.abs(coarse.flux - (1 + 1e-4) * flux) > error), "twin"
+
+
+# Specimens with steps and kinks, lit from inside; the error asked for, and a patch
+# that was off by some 30, 5 and 12 times its claim before another rule confirmed it.
+GLASS = {"type": "principled", "roughness": 0.3, "spec_trans": 0.7, "eta": 1.5}
+GGX = {"type": "roughdielectric", "alpha": 0.3, "distribution": "ggx"}
+STEPPED = [
+    (GGX, (60, 0), 1e-5, (9, 3)),
+    (GLASS, (50, 10), 1e-4, (8, 8)),
+    (GGX, (60, 0), 1e-4, (3, 8)),
+]
+
+
+def stratified(bsdf, incident, grid, patch, n=512, repeats=16):
+    """Reflected flux of a patch by random points, one in each of n x n strata.
+
+    Returns mean and standard error: no rule of ours, whatever the integrand.
+    """
+    rng = np.random.default_rng(11)
+    (low, high), (left, right) = (
+        edges[i : i + 2] for edges, i in zip((grid.theta_edges, grid.phi_edges), patch)
+    )
+    means = []
+    for _ in range(repeats):
+        u, v = (np.indices((n, n)) + rng.random((2, n, n))).reshape(2, -1) / n
+        theta = low + (high - low) * u
+        wo = direction(theta, left + (right - left) * v) * [1, 1, -1]
+        values = eval_flux(bsdf, *incident, wo, side="back")[:, 0] * np.sin(theta)
+        means.append((high - low) * (right - left) * values.mean())
+    return np.mean(means), np.std(means, ddof=1) / repeats**0.5
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(("specimen", "incident", "rel_err", "patch"), STEPPED)
+def test_claims_are_as_wide_as_the_truth(specimen, incident, rel_err, patch):
+    """Beyond what is claimed, only chance; twin: off by 1e-3 of the patch."""
+    bsdf = mi.load_dict(specimen)
+    grid = gonio.EqualProjectedSolidAngle(10, 12)
+    truth, std_err = stratified(bsdf, incident, grid, patch)
+    found = integrate(bsdf, *incident, grid, rel_err=rel_err, side="back")
+    flux, error = (part[(0, *patch, 0)] for part in (found.flux, found.error))
+
+    def _verdict(flux):
+        z = (abs(flux - truth) - error) / std_err
+        return Verdict({"beyond": float(min(1, 2 * stats.t.sf(z, 15)))})
+
+    agree(_verdict(flux))
+    disagree(_verdict(1.001 * flux))
 
 
 @pytest.mark.usefixtures("mono")

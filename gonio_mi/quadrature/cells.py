@@ -26,6 +26,13 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
 
 NODES_PER_CELL = ORDER**2
 
+# A rule of other points, for a whole cell, that confirms what its quarters gave: of
+# Gauss and Lobatto (Abramowitz and Stegun 1964, 25.4.32), with points on the borders.
+LOBATTO_ORDER = 8
+_TOP = np.polynomial.Legendre.basis(LOBATTO_ORDER - 1)
+LOBATTO_NODES = np.concatenate([[-1], _TOP.deriv().roots().real, [1]])
+LOBATTO_WEIGHTS = 2 / (LOBATTO_ORDER * (LOBATTO_ORDER - 1) * _TOP(LOBATTO_NODES) ** 2)
+
 # Ways to split a cell into four: halves of both sides, or fourths of one.
 QUARTERS, ACROSS_THETA, ACROSS_PHI = range(3)
 
@@ -134,12 +141,27 @@ class Cells:
 
     def nodes(self) -> list[NDArray[Any]]:
         """Polar angle, azimuth, hemisphere and weight of the points of the rule."""
-        half_theta, half_phi = (np.diff(b) / 2 for b in (self.theta, self.phi))
-        theta = self.theta.mean(axis=1, keepdims=True) + half_theta * NODES
-        phi = self.phi.mean(axis=1, keepdims=True) + half_phi * NODES
-        weight = (half_theta * half_phi)[:, :, None] * WEIGHTS[:, None] * WEIGHTS
+        return self._tensor(NODES, WEIGHTS)
+
+    def other_nodes(self):
+        """The same of the rule that confirms; what is on a border is just inside."""
+        return self._tensor(LOBATTO_NODES, LOBATTO_WEIGHTS, inside=INSIDE)
+
+    def _tensor(self, nodes, weights, inside=0.0):
+        """Tensor rule in each cell, with points at least so far inside, in radians."""
+        angles, halves = [], []
+        for borders in (self.theta, self.phi):
+            half = np.diff(borders) / 2
+            most = np.maximum(half - inside, half / 2)
+            offset = np.clip(half * nodes, -most, most)
+            angles.append(borders.mean(axis=1, keepdims=True) + offset)
+            halves.append(half)
+        weight = (halves[0] * halves[1])[:, :, None] * weights[:, None] * weights
         arrays = np.broadcast_arrays(
-            theta[:, :, None], phi[:, None, :], self.lower[:, None, None], weight
+            angles[0][:, :, None],
+            angles[1][:, None, :],
+            self.lower[:, None, None],
+            weight,
         )
         return [array.ravel() for array in arrays]
 

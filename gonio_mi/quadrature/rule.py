@@ -104,7 +104,7 @@ class PatchIntegrals:
     flux : ndarray of float64, shape (n_hemispheres, n_theta, n_phi, channels)
     error : ndarray, same shape
         Estimated absolute error of `flux`: the differences of all cells added up, as if
-        none cancelled. A BSDF with kinks (tables inside) may be off by twice as much.
+        none cancelled, from coarser cells and from a rule of other points.
     n_evaluations : int
     rule : Rule
         The converged rule, to integrate a similar BSDF, or to differentiate it.
@@ -146,8 +146,10 @@ def integrate(
     Adaptive tensor Gauss-Legendre rule in polar angle and azimuth: cells whose value
     differs from the sum of their quarters are split, down to the lobe's scale, or to
     where the single precision of ``eval`` shows. Steps of ``eval`` no node sees are
-    looked for next to the borders and in the middle of each cell; cells with a step
-    along one angle are split across it, and count as wrong by the step.
+    looked for next to the borders and in the middle of each cell, and a Gauss-Lobatto
+    rule over the whole cell, of other points and on its borders, has to confirm the
+    quarters; cells with a step along one angle are split across it, and count as wrong
+    by the step.
 
     Parameters
     ----------
@@ -195,6 +197,8 @@ def integrate(
         stepped = way != QUARTERS
         difference[stepped] = _swing(values_at, cells, stepped)
         difference[~stepped] += evaluator.hidden(cells[~stepped], values_at[~stepped])
+        settled = np.all(difference <= tolerance, axis=1) & ~stepped
+        difference[settled] += evaluator.unconfirmed(cells[settled], values[settled])
         open_cells = ~np.all(difference <= tolerance, axis=1)
         open_cells |= full
         sharp = cells.narrow(way, NARROWEST)
@@ -343,13 +347,23 @@ class _Evaluator:
         way : ndarray of int, shape (n,)
         values : ndarray, shape (n, NODES_PER_CELL, channels)
         """
-        theta, phi, lower, weight = cells.nodes()
+        integrals, values = self._rule(cells, cells.nodes())
+        return integrals, way_to_split(values), values
+
+    def unconfirmed(self, cells, integrals):
+        """How far a rule of other points is from the `integrals` over cells."""
+        if not len(integrals):
+            return integrals
+        return np.abs(self._rule(cells, cells.other_nodes())[0] - integrals)
+
+    def _rule(self, cells, nodes):
+        """Integrals over cells by a rule of `nodes`, as many in each, and values."""
+        theta, phi, lower, weight = nodes
         values = self._values(theta, phi, lower)
         weight = weight * np.sin(theta)
-        shape = len(cells.patch), NODES_PER_CELL, values.shape[-1]
+        shape = len(cells.patch), -1, values.shape[-1]
         integrals = (values * weight[:, None]).reshape(shape).sum(axis=1)
-        way = way_to_split(values.reshape(shape))
-        return integrals, way, values.reshape(shape)
+        return integrals, values.reshape(shape)
 
     def hidden(self, cells, values):
         """What a step between the nodes of the quarters of each cell can change.
