@@ -19,6 +19,7 @@ import numpy as np
 
 from .. import files
 from ..errors import FileFormatError
+from ..files.writing import PREFIX, SUFFIX
 
 __all__ = ["CampaignFolder"]
 
@@ -31,7 +32,6 @@ VERSION = 2
 LEFT_OUT = "left out"
 
 TASKS = "[0-9]*_theta_i_*_phi_i_*.npz"
-PARTIAL = ".gonio-*.partial"
 
 
 class CampaignFolder(contextlib.ExitStack):
@@ -192,7 +192,7 @@ def _tidied(folder: Path) -> Iterator[None]:
 def _written(folder: Path) -> dict[Path, int]:
     """Half-written files, and when they were last written to."""
     times = {}
-    for path in folder.glob(PARTIAL):
+    for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
         with contextlib.suppress(FileNotFoundError):
             times[path] = path.stat().st_mtime_ns
     return times
