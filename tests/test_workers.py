@@ -26,11 +26,12 @@ class Waiting(mi.BSDF):
         self.m_components = [self.diffuse.flags(0)]
         self.m_flags = self.diffuse.flags()
 
-    def sample(self, ctx, si, *arguments):
-        if si.wi.z[0] < 0.99:
+    def sample(self, ctx, si, sample1, *arguments):
+        # not in the trial with a single ray
+        if len(sample1) > 1 and si.wi.z[0] < 0.99:
             open(f"waiting_{os.getpid()}", "w").close()
             time.sleep(600)
-        return self.diffuse.sample(ctx, si, *arguments)
+        return self.diffuse.sample(ctx, si, sample1, *arguments)
 
     def to_string(self):
         return "Waiting"
@@ -71,12 +72,16 @@ def started(tmp_path):
         start_new_session=True,
     )
     with process:
-        while len(list(tmp_path.glob("waiting_*"))) < 2 or not finished(tmp_path):
-            assert process.poll() is None, process.stderr.read()
-            time.sleep(0.02)
-        yield process
-        if alive(process.pid):
-            os.killpg(process.pid, signal.SIGKILL)
+        try:
+            end = time.monotonic() + 60
+            while len(list(tmp_path.glob("waiting_*"))) < 2 or not finished(tmp_path):
+                assert process.poll() is None, process.stderr.read()
+                assert time.monotonic() < end, "it does not come so far"
+                time.sleep(0.02)
+            yield process
+        finally:
+            if alive(process.pid):
+                os.killpg(process.pid, signal.SIGKILL)
 
 
 def finished(folder):
@@ -132,7 +137,7 @@ def test_errors_of_workers_are_one_sentence(tmp_path, capsys):
     raising = ["test_raising", "--plugin", str(plugin)]
     for specimen, words in (
         (["diffuse", "--seed", "-1"], "seed must be at least 0, got -1"),
-        (raising, f"{plugin}, line 24, in sample: ZeroDivisionError: no weight"),
+        (raising, f"{plugin}, line 25, in sample: ZeroDivisionError: no weight"),
     ):
         arguments = ["--theta-i", "0", "--rays", "100", "--workers", "1"]
         assert main(["measure", *specimen, *arguments]) == 1
