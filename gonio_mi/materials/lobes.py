@@ -16,8 +16,14 @@ themselves, all of them: no light is lost or made.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..collector import RingsAndSectors
+from ..results.record import Record
 
 __all__ = ["LobeTable"]
+
+Floats = NDArray[np.float64]
 
 # Cells per side of the histograms; points per side and cell, to fill them.
 N_CELLS = 32
@@ -67,21 +73,21 @@ class LobeTable:
         The same across a strip.
     """
 
-    theta_i: np.ndarray
-    phi_i: np.ndarray
-    theta_edges: np.ndarray
-    phi_edges: np.ndarray
-    brdf: np.ndarray
-    flux: np.ndarray
-    rings: np.ndarray
-    sectors: np.ndarray
-    strips: np.ndarray
-    strip_slopes: np.ndarray
-    cells: np.ndarray
-    cell_slopes: np.ndarray
+    theta_i: Floats
+    phi_i: Floats
+    theta_edges: Floats
+    phi_edges: Floats
+    brdf: Floats
+    flux: Floats
+    rings: Floats
+    sectors: Floats
+    strips: Floats
+    strip_slopes: Floats
+    cells: Floats
+    cell_slopes: Floats
 
     @classmethod
-    def of(cls, record, mixture=None):
+    def of(cls, record: Record, mixture: ArrayLike | None = None) -> "LobeTable":
         """Lobes of a record.
 
         Parameters
@@ -140,7 +146,7 @@ class LobeTable:
         )
 
 
-def _grid(record, flux):
+def _grid(record: Record, flux: Floats) -> tuple[Floats, Floats, Floats]:
     """Sorted angles of incidence in degrees, and flux ``(P, N, H, ..., channels)``."""
     if not np.isfinite([record.theta_i, record.phi_i]).all():
         raise ValueError("the record must know its incident directions, got NaN")
@@ -171,7 +177,9 @@ def _grid(record, flux):
     return theta_i, phi_i, lobes
 
 
-def _levels(angles):
+def _levels(
+    angles: Floats,
+) -> tuple[Floats, NDArray[np.int64]]:
     """Distinct angles in degrees, ascending, and the number of each angle's.
 
     They come from directions in single precision.
@@ -184,7 +192,7 @@ def _levels(angles):
     return np.array(levels), number
 
 
-def _check_size(shape):
+def _check_size(shape: tuple[int, ...]) -> None:
     """Raise ValueError unless the table of a record of this shape fits into memory."""
     n_azimuths, n_angles, n_hemispheres, *patches, n_channels = shape
     n_lobes = n_azimuths * n_angles * n_hemispheres
@@ -200,7 +208,7 @@ def _check_size(shape):
 # ------------------------------------------------------------------ ways between lobes
 
 
-def _histograms(brdf, patches, phi_i):
+def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
     """Light in each cell of the disk, shape ``(N, H, N_CELLS, N_CELLS)``.
 
     Light comes from +x; cells are equal steps of x and of ``y / sqrt(1 - x^2)``.
@@ -223,7 +231,7 @@ def _histograms(brdf, patches, phi_i):
     return (1 - EVEN) * light + EVEN * even / even.sum()
 
 
-def _leg(first, second):
+def _leg(first: Floats, second: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Strips and cells of a leg between two histograms, and their slopes."""
     along = [_cumulative(histogram.sum(axis=1)) for histogram in (first, second)]
     strips, strip_slopes, of = _merged(*along)
@@ -234,7 +242,7 @@ def _leg(first, second):
     return strips, strip_slopes, cells, cell_slopes
 
 
-def _cumulative(weight):
+def _cumulative(weight: Floats) -> Floats:
     """Share of light below each border of the last axis; even where there is none."""
     total = weight.sum(axis=-1, keepdims=True)
     share = np.where(total > 0, weight, 1.0)
@@ -243,7 +251,7 @@ def _cumulative(weight):
     return np.concatenate([np.zeros_like(total), cumulative], axis=-1)
 
 
-def _merged(first, second):
+def _merged(first: Floats, second: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
     """Pieces on which the quantile functions of both distributions are linear.
 
     Parameters

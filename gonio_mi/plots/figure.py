@@ -13,7 +13,7 @@ class NotebookFigure(Figure):
     It is not registered with pyplot, so it is shown once and needs no closing.
     """
 
-    def _repr_png_(self):
+    def _repr_png_(self) -> bytes:
         stream = io.BytesIO()
         self.savefig(stream, format="png")
         return stream.getvalue()

@@ -1,10 +1,16 @@
 """Drawing the patches of one hemisphere in orthographic projection."""
 
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib import colors
+from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
+
+from ..collector import RingsAndSectors
+from ..results.record import Record
 
 __all__ = ["draw_map"]
 
@@ -17,7 +23,7 @@ STRAIGHT = 1
 NO_HIT = "0.8"
 
 
-def draw_map(axes, single, of):
+def draw_map(axes: Axes, single: Record, of: str) -> None:
     """Draw the patches of one hemisphere with grid, directions and colour bar.
 
     Parameters
@@ -51,14 +57,19 @@ def draw_map(axes, single, of):
     axes.set_axis_off()
 
 
-def _label(single, of):
+def _label(single: Record, of: str) -> str:
     name = of.upper()
     if len(single.channels) > 1:
         name += f", mean of {len(single.channels)} channels"
     return f"{name} (1/sr)"
 
 
-def _draw_patches(axes, patches, values, label):
+def _draw_patches(
+    axes: Axes,
+    patches: RingsAndSectors,
+    values: np.ma.MaskedArray[Any, Any],
+    label: str,
+) -> None:
     """Fill each patch with the colour of its value."""
     pieces = math.ceil(360 / patches.n_phi / STRAIGHT)
     phi = np.linspace(0, 2 * np.pi, patches.n_phi * pieces + 1)
@@ -77,7 +88,7 @@ def _draw_patches(axes, patches, values, label):
     bar.outline.set_linewidth(0.5)
 
 
-def _norm(values):
+def _norm(values: NDArray[np.float64]) -> colors.Normalize:
     """Colour scale from zero to the largest value, or logarithmic."""
     positive = values[values > 0]
     if positive.size == 0:
@@ -88,7 +99,7 @@ def _norm(values):
     return colors.Normalize(0, high)
 
 
-def _draw_grid(axes):
+def _draw_grid(axes: Axes) -> None:
     """Draw circles of theta_o and ticks of phi_o."""
     circle = np.radians(np.arange(361))
     for theta in (30, 60, 90):
@@ -119,7 +130,7 @@ def _draw_grid(axes):
             )
 
 
-def _mark_directions(axes, single, of):
+def _mark_directions(axes: Axes, single: Record, of: str) -> None:
     """Mark where the light comes from, and where a smooth specimen would send it."""
     theta, phi = np.radians([single.theta_i[0], single.phi_i[0]])
     if np.isnan(theta) or np.isnan(phi):
@@ -134,6 +145,6 @@ def _mark_directions(axes, single, of):
         axes.plot(-x, -y, marker="D", label="straight through", **style)
 
 
-def _outlined(width, colour="0.15"):
+def _outlined(width: float, colour: str = "0.15") -> list[withStroke]:
     """Effect that keeps marks readable on any colour."""
     return [withStroke(linewidth=width, foreground=colour)]

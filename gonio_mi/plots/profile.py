@@ -1,9 +1,17 @@
 """The profile of a record: its patches in the plane of incidence, and their drawing."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
+
+from ..results.record import Record
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["LEVEL", "Profile", "draw_profiles", "profile"]
 
@@ -34,15 +42,15 @@ class Profile:
         Where no ray arrived: `high` is an upper limit.
     """
 
-    edges: np.ndarray
-    theta: np.ndarray
-    value: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    empty: np.ndarray
+    edges: NDArray[np.float64]
+    theta: NDArray[np.float64]
+    value: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    empty: NDArray[np.bool_]
 
 
-def profile(single, of="brdf", level=LEVEL):
+def profile(single: Record, of: str = "brdf", level: float = LEVEL) -> Profile:
     """Return the :class:`Profile` of a record of one incident direction.
 
     It follows the sectors that contain phi_i and phi_i + 180 degrees.
@@ -65,7 +73,7 @@ def profile(single, of="brdf", level=LEVEL):
         for phi in (phi_i, phi_i + np.pi)
     )
 
-    def cut(array):
+    def cut(array: NDArray[Any]) -> NDArray[Any]:
         return np.concatenate([array[::-1, towards], array[:, beyond]])
 
     edges, theta = np.degrees(patches.theta_edges), np.degrees(patches.theta)
@@ -80,7 +88,9 @@ def profile(single, of="brdf", level=LEVEL):
     )
 
 
-def draw_profiles(axes, record, index, shown):
+def draw_profiles(
+    axes: "Axes", record: Record, index: int, shown: Sequence[str]
+) -> None:
     """Draw the profiles of a record on common axes.
 
     Parameters
@@ -122,7 +132,7 @@ def draw_profiles(axes, record, index, shown):
     _add_legend(axes, cuts, shown, record.theta_i[index])
 
 
-def _draw_curve(axes, cut, channel, colour, of):
+def _draw_curve(axes: "Axes", cut: Profile, channel: int, colour: Any, of: str) -> None:
     """Draw one channel: steps, points with intervals or a band, upper limits."""
     value, low, high = (a[:, channel] for a in (cut.value, cut.low, cut.high))
     hit = ~cut.empty
@@ -138,7 +148,7 @@ def _draw_curve(axes, cut, channel, colour, of):
     axes.plot(cut.theta[~hit], high[~hit], "v", c=colour, ms=4, mfc="none", mew=0.7)
 
 
-def _scale(axes, positive):
+def _scale(axes: "Axes", positive: NDArray[np.float64]) -> None:
     """Choose the axis of the values: logarithmic, from zero, or close to them."""
     if positive.size == 0:
         return
@@ -150,7 +160,9 @@ def _scale(axes, positive):
         axes.set_ylim(0, None)
 
 
-def _add_legend(axes, cuts, shown, theta_i):
+def _add_legend(
+    axes: "Axes", cuts: Sequence[Profile], shown: Sequence[str], theta_i: float
+) -> None:
     """Explain curves and marks, beside the axes."""
     grey = {"c": "0.4", "ls": "none"}
     if len(shown) > 1:
@@ -169,7 +181,7 @@ def _add_legend(axes, cuts, shown, theta_i):
         )
 
 
-def _direction(record, number):
+def _direction(record: Record, number: int) -> str:
     """Words for one incident direction of a stack."""
     words = rf"$\theta_i$ = {record.theta_i[number]:g}°"
     if np.ptp(record.phi_i) > 0:
@@ -177,7 +189,7 @@ def _direction(record, number):
     return words
 
 
-def _colours(channels):
+def _colours(channels: Sequence[str]) -> list[Any]:
     """Colours of the curves of one direction."""
     if len(channels) == 1:
         return ["C0"]

@@ -4,12 +4,21 @@ matplotlib is the optional extra ``plot``; it is imported when a figure is drawn
 """
 
 import math
+from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import checked_count
 from ..files import check_output, replacing
+from ..results.record import Record
 from .drawable import FIGURE_ENDINGS, check_matplotlib
 from .profile import draw_profiles
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["plot"]
 
@@ -19,7 +28,9 @@ WORDS = ("estimator", "sampler")
 DEFAULTS = {"period": "none", "order": "all"}
 
 
-def plot(record, path=None, *, index=0):
+def plot(
+    record: Record, path: str | PathLike[str] | None = None, *, index: int = 0
+) -> "Figure":
     """Draw one figure of a record, and write it if `path` is given.
 
     Above, the patches of one incident direction in orthographic projection, seen along
@@ -83,7 +94,7 @@ def plot(record, path=None, *, index=0):
     return figure
 
 
-def _title(record, index):
+def _title(record: Record, index: int) -> str:
     """Three lines: specimen, incident direction and settings, totals."""
     single, settings = record[index], record.settings
     specimen = " ".join(str(settings.get("specimen", "specimen")).split())
@@ -116,7 +127,9 @@ def _title(record, index):
     return "\n".join(lines).encode("utf-8", "backslashreplace").decode()
 
 
-def _total(name, values, std_errs):
+def _total(
+    name: str, values: NDArray[np.float64], std_errs: NDArray[np.float64]
+) -> str:
     """Mean over the channels, with the standard error of a single channel."""
     if len(values) > 1:
         return f"{name} {values.mean():.4g}"
