@@ -13,6 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "gonio_mi"
 # The rooms from the bottom upwards: each imports only from itself and from those
 # above it in this list.
 ROOMS = (
+    "array_types",
     "errors",
     "llvm",
     "memory",
@@ -42,6 +43,7 @@ ROOMS = (
 
 # Physics and files that a reader can check, and use, without a renderer.
 NUMPY_LAYER = (
+    "array_types",
     "collector",
     "errors",
     "files",

@@ -78,7 +78,7 @@ def plot(
         check_output(path, FIGURE_ENDINGS)
     single = record[index]
     shown = ["brdf"]
-    if single.has_lower and single.btdf.any():
+    if single.btdf is not None and single.btdf.any():
         shown.append("btdf")
 
     size = 7 if len(shown) == 1 else 10, 8
@@ -119,7 +119,7 @@ def _title(record: Record, index: int) -> str:
         ", ".join(rays),
     ]
     totals = [_total("dhr", single.dhr, single.dhr_std_err)]
-    if single.has_lower:
+    if single.dht is not None and single.dht_std_err is not None:
         totals.append(_total("dht", single.dht, single.dht_std_err))
     if single.ledger.direct:
         totals.append(_total("direct", single.direct, single.direct_std_err))

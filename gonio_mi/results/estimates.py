@@ -1,9 +1,11 @@
 """Estimates from a tally: flux fractions, their standard errors and intervals."""
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
+from ..array_types import Counts, Floats, Numbers
 from . import statistics
 from .tally import Tally
 
@@ -41,17 +43,17 @@ class Estimates:
     passes: int = 1
 
     @property
-    def hits(self):
+    def hits(self) -> Counts:
         """Hits per patch of one pass, shape ``(n_hemispheres, n_theta, n_phi)``."""
         return self.tally.hits // np.uint64(self.passes)
 
     @property
-    def rays(self):
+    def rays(self) -> int:
         """Rays of one pass that met the specimen."""
         return self._all_rays // self.passes
 
     @property
-    def binomial(self):
+    def binomial(self) -> bool:
         """Whether each patch counted independent rays of one channel, one by one."""
         tally = self.tally
         return (
@@ -63,11 +65,11 @@ class Estimates:
             and tally.incident.sum() == self._all_rays
         )
 
-    def fraction(self, hemisphere):
+    def fraction(self, hemisphere: int) -> Floats:
         """Flux fraction of each patch."""
         return statistics.ratio(self.tally.sums[:, hemisphere], self._incident)
 
-    def std_err(self, hemisphere):
+    def std_err(self, hemisphere: int) -> Floats:
         """Standard error of :meth:`fraction`; NaN where there was no hit."""
         sums = self.tally.sums[:, hemisphere]
         if self.tally.errors is not None:
@@ -78,18 +80,18 @@ class Estimates:
         std_err = statistics.batch_std_err(sums, self._incident)
         return np.where(hits > 0, std_err, np.nan)
 
-    def total(self, hemisphere):
+    def total(self, hemisphere: int) -> Floats:
         """Flux fraction of all patches together."""
         return statistics.ratio(self._sum(hemisphere), self.tally.incident)
 
-    def total_std_err(self, hemisphere):
+    def total_std_err(self, hemisphere: int) -> Floats:
         """Standard error of :meth:`total`."""
         sums = self._sum(hemisphere)
         if self.tally.errors is None:
             return statistics.batch_std_err(sums, self.tally.incident)
         return np.hypot(self._scatter(sums), self._error(hemisphere).sum(axis=(0, 1)))
 
-    def interval(self, hemisphere, level):
+    def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`fraction`, ``(low, high)``; see :meth:`Record.interval`."""
         fraction = self.fraction(hemisphere)
         if self.tally.errors is not None:
@@ -120,7 +122,7 @@ class Estimates:
         most = statistics.upper_limit(self.rays, level) * largest
         return np.where(hits == 0, 0.0, low), np.where(hits == 0, most, high)
 
-    def total_interval(self, hemisphere, level):
+    def total_interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`total`, ``(low, high)``; see :meth:`Record.interval`."""
         value = self.total(hemisphere)
         if self.tally.errors is not None:
@@ -132,29 +134,38 @@ class Estimates:
         )
 
     @property
-    def direct(self):
+    def direct(self) -> Floats:
         """Flux fraction that passed a periodic specimen without any event."""
         return statistics.ratio(self.tally.direct, self.tally.incident)
 
     @property
-    def direct_std_err(self):
+    def direct_std_err(self) -> Floats:
         """Standard error of `direct`."""
         return statistics.batch_std_err(self.tally.direct, self.tally.incident)
 
-    def direct_interval(self, level):
+    def direct_interval(self, level: float) -> tuple[Floats, Floats]:
         """Limits of `direct`, ``(low, high)``; see :meth:`Record.interval`."""
         hits = self.tally.ledger.direct // self.passes
         return self._sampled_interval(self.direct, self.direct_std_err, hits, level)
 
-    def _sampled_interval(self, value, std_err, hits, level):
+    def _sampled_interval(
+        self, value: Floats, std_err: Floats, hits: int, level: float
+    ) -> tuple[Floats, Floats]:
         """Interval of a sum over many patches, of so many hits in all."""
         if self.binomial or hits == 0:
-            hits = np.broadcast_to(hits, value.shape)
-            return statistics.binomial_interval(hits, self.rays, level)
+            of_each = np.broadcast_to(hits, value.shape)
+            return statistics.binomial_interval(of_each, self.rays, level)
         weight = value * self.rays / hits
         return self._student(value, std_err, weight, hits, level)
 
-    def _student(self, value, std_err, weight, hits, level):
+    def _student(
+        self,
+        value: Floats,
+        std_err: Floats,
+        weight: Floats,
+        hits: Counts | int,
+        level: float,
+    ) -> tuple[Floats, Floats]:
         """Interval by Student's t, which leaves open what too few rays show.
 
         So many rays as would leave an empty patch empty may be of another kind, of
@@ -174,7 +185,9 @@ class Estimates:
             above=unseen * above,
         )
 
-    def _integral_interval(self, value, sums, error, level):
+    def _integral_interval(
+        self, value: Floats, sums: Numbers, error: Floats, level: float
+    ) -> tuple[Floats, Floats]:
         """Interval of integrals that may be wrong by `error`, and sampled `sums`."""
         low, high = statistics.student_interval(
             value, self._scatter(sums), self.tally.n_batches, level
@@ -182,25 +195,26 @@ class Estimates:
         return low - error, high + error
 
     @property
-    def _incident(self):
+    def _incident(self) -> Numbers:
         """Incident flux per batch, broadcastable to the sums of one hemisphere."""
         return self.tally.incident[:, None, None, :]
 
     @property
-    def _all_rays(self):
+    def _all_rays(self) -> int:
         """Rays of all passes that met the specimen."""
         ledger = self.tally.ledger
         return ledger.emitted - ledger.missed - ledger.unlit
 
-    def _sum(self, hemisphere):
+    def _sum(self, hemisphere: int) -> Numbers:
         """Sum over the patches of one hemisphere, per batch and channel."""
         return self.tally.sums[:, hemisphere].sum(axis=(1, 2))
 
-    def _error(self, hemisphere):
+    def _error(self, hemisphere: int) -> Floats:
         """What the integrals of a hemisphere's flux fractions may be wrong by."""
-        return self.tally.errors[hemisphere] / self.tally.incident.max(axis=0)
+        errors = cast(Floats, self.tally.errors)  # asked for of integrals only
+        return errors[hemisphere] / self.tally.incident.max(axis=0)
 
-    def _scatter(self, sums):
+    def _scatter(self, sums: Numbers) -> Floats:
         """Standard error of the sampled part of `sums`; 0 if nothing was sent."""
         if not self.tally.ledger.emitted:
             return np.zeros(sums.shape[1:])

@@ -10,9 +10,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import special
 
-from ..collector import subdivision
+from ..array_types import Flags, Floats
+from ..collector import Subdivision, subdivision
 from ..errors import checked_count, checked_number
 from .record import Record
 
@@ -35,7 +37,7 @@ __all__ = [
 FLOOR = 0.1
 
 
-def chebyshev_rays(epsilon, delta):
+def chebyshev_rays(epsilon: float, delta: float) -> int:
     """Rays for one detector by eq. 17: ``ceil(ln(2 / delta) / (2 epsilon^2))``.
 
     Parameters
@@ -49,7 +51,7 @@ def chebyshev_rays(epsilon, delta):
     return math.ceil(math.log(2 / delta) / (2 * epsilon**2))
 
 
-def paper_rays(n_patches, epsilon, delta):
+def paper_rays(n_patches: int, epsilon: float, delta: float) -> int:
     """Rays for `n_patches` detectors by the paper's eq. 21: that many times eq. 17.
 
     Its derivation multiplies the probabilities of dependent events (eq. 18); as a bound
@@ -58,7 +60,7 @@ def paper_rays(n_patches, epsilon, delta):
     return checked_count("n_patches", n_patches) * chebyshev_rays(epsilon, delta)
 
 
-def union_rays(n_patches, epsilon, delta):
+def union_rays(n_patches: int, epsilon: float, delta: float) -> int:
     """Rays for the same promise by a union bound over the patches of Hoeffding's bound.
 
     ``ceil(ln(2 m / delta) / (2 epsilon^2))``: grows with the logarithm of the number
@@ -69,7 +71,9 @@ def union_rays(n_patches, epsilon, delta):
     return math.ceil(math.log(2 * n_patches / delta) / (2 * epsilon**2))
 
 
-def lobe(values, projected_solid_angles, floor=FLOOR):
+def lobe(
+    values: ArrayLike, projected_solid_angles: ArrayLike, floor: float = FLOOR
+) -> Flags:
     """Patches worth reporting: those that reach `floor` times the collector's mean.
 
     Parameters
@@ -91,7 +95,7 @@ def lobe(values, projected_solid_angles, floor=FLOOR):
     return (values > 0) & (values >= floor * np.average(values, weights=weights))
 
 
-def precision(record, floor=FLOOR):
+def precision(record: Record, floor: float = FLOOR) -> tuple[float, int]:
     """Largest relative standard error among the patches worth reporting.
 
     Parameters
@@ -125,7 +129,7 @@ def precision(record, floor=FLOOR):
     return (float(worst) if n_lobe else np.inf), n_lobe
 
 
-def _collector(record, upper, lower):
+def _collector(record: Record, upper: str, lower: str) -> Floats:
     """Quantity over all hemispheres, ``(n_hemispheres, n_theta, n_phi, channels)``."""
     parts = [getattr(record, upper)]
     if record.has_lower:
@@ -133,7 +137,7 @@ def _collector(record, upper, lower):
     return np.stack(parts)
 
 
-def reliability(probabilities, rel_err, rays):
+def reliability(probabilities: ArrayLike, rel_err: float, rays: float) -> float:
     """Lower bound of the probability that all patches are within `rel_err` at once.
 
     Union bound over normal tails of independent rays; at least 0.
@@ -143,7 +147,7 @@ def reliability(probabilities, rel_err, rays):
     return max(0.0, 1 - 2 * float(special.ndtr(-scores).sum()))
 
 
-def relative_rays(probabilities, rel_err, level=0.95):
+def relative_rays(probabilities: ArrayLike, rel_err: float, level: float = 0.95) -> int:
     """Independent rays that bring all patches within a relative error, all at once.
 
     Parameters
@@ -189,7 +193,13 @@ def relative_rays(probabilities, rel_err, level=0.95):
     return math.ceil(math.exp(root))
 
 
-def simulated_reliability(probabilities, rel_err, rays, campaigns=200, seed=0):
+def simulated_reliability(
+    probabilities: ArrayLike,
+    rel_err: float,
+    rays: int,
+    campaigns: int = 200,
+    seed: int = 0,
+) -> tuple[float, float]:
     """Fraction of simulated campaigns in which every patch is within `rel_err`.
 
     Each campaign draws the multinomial counts that `rays` independent rays would give.
@@ -211,7 +221,9 @@ def simulated_reliability(probabilities, rel_err, rays, campaigns=200, seed=0):
     )
 
 
-def rms_expectation(grid, probabilities, rays):
+def rms_expectation(
+    grid: Subdivision, probabilities: Floats, rays: float
+) -> tuple[float, float]:
     """Expected squared RMS error of a BRDF map, and its relative standard deviation.
 
     Of `rays` independent rays, of which a patch receives one with its probability.
@@ -231,7 +243,8 @@ def rms_expectation(grid, probabilities, rays):
     scale = (rays * grid.projected_solid_angles) ** -2.0
     variance = rays * p * (1 - p)
     spread = np.sqrt(np.sum((variance + 2 * variance**2) * scale**2))
-    return np.mean(variance * scale), spread / np.sum(variance * scale)
+    mean_square = float(np.mean(variance * scale))
+    return mean_square, float(spread / np.sum(variance * scale))
 
 
 @dataclass(frozen=True)
@@ -266,7 +279,7 @@ class Plan:
     level: float
     source: str
 
-    def __str__(self):
+    def __str__(self) -> str:
         absolute = (
             f"|error| < {self.epsilon:g} of the incident flux, {1 - self.delta:.3g}"
         )
@@ -292,15 +305,15 @@ class Plan:
 
 
 def plan(
-    pilot=None,
+    pilot: Record | None = None,
     *,
-    collector="projected:30x30",
-    epsilon=0.005,
-    delta=0.01,
-    rel_err=0.01,
-    level=0.95,
-    floor=FLOOR,
-):
+    collector: str | Subdivision = "projected:30x30",
+    epsilon: float = 0.005,
+    delta: float = 0.01,
+    rel_err: float = 0.01,
+    level: float = 0.95,
+    floor: float = FLOOR,
+) -> Plan:
     """Plan the rays of a measurement.
 
     Parameters
@@ -354,7 +367,7 @@ def plan(
     )
 
 
-def _pilot_probabilities(pilot, floor):
+def _pilot_probabilities(pilot: Record, floor: float) -> tuple[Floats, int]:
     """Flux fractions of the patches worth reporting, and the number of all patches."""
     if not isinstance(pilot, Record):
         raise TypeError(
@@ -375,7 +388,7 @@ def _pilot_probabilities(pilot, floor):
     return (least * projected)[inside], inside.size
 
 
-def _checked(epsilon, delta):
+def _checked(epsilon: float, delta: float) -> tuple[float, float]:
     condition = "a number in (0, 1)"
     return (
         checked_number("epsilon", epsilon, 1e-12, 1, condition),

@@ -1,10 +1,16 @@
 """The result of a measurement: values, uncertainties, ledger and how it was made."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from os import PathLike
+from typing import Any
 
 import numpy as np
 
+from ..array_types import Counts, Flags, Floats, Numbers
 from ..collector import Subdivision
 from ..errors import checked_choice, checked_number, printable, shown
 from . import statistics
@@ -45,30 +51,30 @@ class Record:
     """
 
     subdivision: Subdivision
-    theta_i: np.ndarray
-    phi_i: np.ndarray
+    theta_i: Floats
+    phi_i: Floats
     channels: tuple[str, ...]
     tallies: tuple[Tally, ...]
-    settings: dict = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
     stacked: bool = False
 
     # ------------------------------------------------------------------ values
 
     @cached_property
-    def brdf(self):
+    def brdf(self) -> Floats:
         """Patch mean of the BRDF in 1/sr, shape ``(n_theta, n_phi, channels)``."""
         return self._per_patch(Estimates.fraction, 0)
 
     @cached_property
-    def btdf(self):
+    def btdf(self) -> Floats | None:
         """Patch mean of the BTDF in 1/sr, or None if there was no lower hemisphere.
 
         There is none where the specimen declares that it cannot transmit.
         """
-        return self._per_patch(Estimates.fraction, 1)
+        return self._per_patch(Estimates.fraction, 1) if self.has_lower else None
 
     @cached_property
-    def brdf_std_err(self):
+    def brdf_std_err(self) -> Floats:
         """Standard error of `brdf`; NaN where nothing was received or known.
 
         For integrals their estimated error, with that of the delta components.
@@ -76,25 +82,25 @@ class Record:
         return self._per_patch(Estimates.std_err, 0)
 
     @cached_property
-    def btdf_std_err(self):
+    def btdf_std_err(self) -> Floats | None:
         """Standard error of `btdf`, as of `brdf`."""
-        return self._per_patch(Estimates.std_err, 1)
+        return self._per_patch(Estimates.std_err, 1) if self.has_lower else None
 
     @cached_property
-    def dhr(self):
+    def dhr(self) -> Floats:
         """Directional-hemispherical reflectance, shape ``(channels,)``."""
         return self._of_hemisphere(Estimates.total, 0)
 
     @cached_property
-    def dht(self):
+    def dht(self) -> Floats | None:
         """Directional-hemispherical transmittance, or None without lower hemisphere.
 
         Of a periodic specimen it includes the light that passes openings, `direct`.
         """
-        return self._of_hemisphere(Estimates.total, 1)
+        return self._of_hemisphere(Estimates.total, 1) if self.has_lower else None
 
     @cached_property
-    def direct(self):
+    def direct(self) -> Floats:
         """Part of `dht` that passed a periodic specimen without any surface event.
 
         Shape ``(channels,)``. It left straight on, a delta: a patch of `btdf` holds its
@@ -104,22 +110,24 @@ class Record:
         return self._of_each(lambda one: one.direct)
 
     @cached_property
-    def direct_std_err(self):
+    def direct_std_err(self) -> Floats:
         """Standard error of `direct` from the batches; NaN for a single batch."""
         return self._of_each(lambda one: one.direct_std_err)
 
     @cached_property
-    def dhr_std_err(self):
+    def dhr_std_err(self) -> Floats:
         """Standard error of `dhr` from the batches; NaN for a single batch."""
         return self._of_hemisphere(Estimates.total_std_err, 0)
 
     @cached_property
-    def dht_std_err(self):
+    def dht_std_err(self) -> Floats | None:
         """Standard error of `dht` from the batches; NaN for a single batch."""
+        if not self.has_lower:
+            return None
         return self._of_hemisphere(Estimates.total_std_err, 1)
 
     @property
-    def flux_fraction(self):
+    def flux_fraction(self) -> Floats:
         """Received over incident flux, ``(n_hemispheres, n_theta, n_phi, channels)``.
 
         The raw measured quantity; it sums to ``dhr`` and ``dht``.
@@ -131,7 +139,7 @@ class Record:
         return self._squeeze(np.stack(fractions))
 
     @property
-    def counts(self):
+    def counts(self) -> Counts:
         """Rays per patch, uint64, shape ``(n_hemispheres, n_theta, n_phi)``.
 
         For the estimator `next_event` deposits: several from one ray, or none.
@@ -139,16 +147,14 @@ class Record:
         return self._squeeze(np.stack([tally.hits for tally in self.tallies]))
 
     @property
-    def without_hit(self):
+    def without_hit(self) -> Flags:
         """Whether a patch is known by an upper limit only, shaped like `counts`."""
-        integrated = [tally.errors is not None for tally in self.tallies]
-        integrated = np.array(integrated)[:, None, None, None]
-        return self._squeeze(
-            np.stack([tally.hits == 0 for tally in self.tallies]) & ~integrated
-        )
+        sampled = np.array([tally.errors is None for tally in self.tallies])
+        without = np.stack([tally.hits == 0 for tally in self.tallies])
+        return self._squeeze(without & sampled[:, None, None, None])
 
     @property
-    def ledger(self):
+    def ledger(self) -> Ledger:
         """:class:`Ledger` over all batches and incident directions."""
         total = Ledger()
         for tally in self.tallies:
@@ -156,19 +162,19 @@ class Record:
         return total
 
     @property
-    def n_batches(self):
+    def n_batches(self) -> int:
         """Independent batches per incident direction."""
         return min(tally.n_batches for tally in self.tallies)
 
     @property
-    def has_lower(self):
+    def has_lower(self) -> bool:
         """Whether there was a lower hemisphere."""
         return all(tally.hits.shape[0] == 2 for tally in self.tallies)
 
     # ------------------------------------------------------------ uncertainties
 
     @cached_property
-    def estimates(self):
+    def estimates(self) -> tuple[Estimates, ...]:
         """:class:`gonio_mi.results.estimates.Estimates` of each incident direction."""
         return tuple(
             Estimates(
@@ -180,7 +186,7 @@ class Record:
             for tally in self.tallies
         )
 
-    def interval(self, level=0.95, of="brdf"):
+    def interval(self, level: float = 0.95, of: str = "brdf") -> tuple[Floats, Floats]:
         """Interval that covers the true patch mean with probability `level`.
 
         Exact binomial (Clopper-Pearson) for counted independent rays. Otherwise
@@ -236,11 +242,11 @@ class Record:
 
     # --------------------------------------------------------------- composition
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.tallies)
 
     @classmethod
-    def stack(cls, records):
+    def stack(cls, records: Iterable[Record]) -> Record:
         """One record of the incident directions of all `records`, in their order.
 
         Raises
@@ -271,7 +277,7 @@ class Record:
             stacked=True,
         )
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: int | slice) -> Record:
         """Record of one incident direction of the stack; a stack for a slice."""
         if isinstance(index, slice):
             if not self.tallies[index]:
@@ -295,7 +301,7 @@ class Record:
             stacked=False,
         )
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         return (
             isinstance(other, Record)
             and self.subdivision == other.subdivision
@@ -307,7 +313,7 @@ class Record:
             and self.tallies == other.tallies
         )
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         angles = ", ".join(
             f"({theta:g}, {phi:g})"
             for theta, phi in zip(self.theta_i[:3], self.phi_i[:3])
@@ -319,7 +325,7 @@ class Record:
             f"{self.ledger.emitted} rays, dhr {np.array2string(self.dhr, precision=5)}>"
         )
 
-    def merge(self, other):
+    def merge(self, other: Record) -> Record:
         """Record of the rays of both: same measurement, another seed.
 
         Raises
@@ -353,7 +359,7 @@ class Record:
         channels = max(self.channels, other.channels, key=len)
         return replace(self, tallies=tallies, channels=channels, settings=settings)
 
-    def save(self, path):
+    def save(self, path: str | PathLike[str]) -> None:
         """Write to ``.npz`` or ``.exr``, both lossless; the file appears when complete.
 
         Raises
@@ -370,38 +376,41 @@ class Record:
     # ------------------------------------------------------------------ internals
 
     @property
-    def _projected(self):
+    def _projected(self) -> Floats:
         return self.subdivision.projected_solid_angles[..., None]
 
-    def _per_patch(self, quantity, hemisphere):
-        """Estimates of one hemisphere over solid angles; None if it was not there."""
-        values = self._of_hemisphere(quantity, hemisphere)
-        return None if values is None else values / self._projected
+    def _per_patch(
+        self, quantity: Callable[[Estimates, int], Floats], hemisphere: int
+    ) -> Floats:
+        """Estimates of one hemisphere over solid angles."""
+        return self._of_hemisphere(quantity, hemisphere) / self._projected
 
-    def _of_hemisphere(self, quantity, hemisphere):
-        """Estimates of one hemisphere; None if it was not there."""
-        if hemisphere and not self.has_lower:
-            return None
+    def _of_hemisphere(
+        self, quantity: Callable[[Estimates, int], Floats], hemisphere: int
+    ) -> Floats:
+        """Estimates of one hemisphere."""
         return self._of_each(lambda one: quantity(one, hemisphere))
 
-    def _of_each(self, quantity):
+    def _of_each(self, quantity: Callable[[Estimates], Floats]) -> Floats:
         """A quantity of the estimates of each incident direction."""
         return self._squeeze(np.stack([quantity(one) for one in self.estimates]))
 
-    def _squeeze(self, array):
+    def _squeeze(self, array: Numbers) -> Numbers:
         return array if self.stacked else array[0]
 
 
-def _both_ways(a, b):
+def _both_ways(a: Record, b: Record) -> tuple[tuple[Record, Record], ...]:
     return (a, b), (b, a)
 
 
-def _seeds(record):
+def _seeds(record: Record) -> list[Any]:
     seed = record.settings.get("seed")
     return seed if isinstance(seed, list) else [seed]
 
 
-def _check_alike(one, other, free, purpose):
+def _check_alike(
+    one: Record, other: Record, free: Collection[str], purpose: str
+) -> None:
     """Raise ValueError if any setting that is not `free`, or the collector, differs."""
     if any(a.ledger.missed and b.ledger.direct for a, b in _both_ways(one, other)):
         raise ValueError(

@@ -1,7 +1,10 @@
 """Estimates, standard errors and intervals from counts and from independent batches."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import special
+
+from ..array_types import Floats, Numbers
 
 __all__ = [
     "batch_std_err",
@@ -14,7 +17,7 @@ __all__ = [
 ]
 
 
-def ratio(sums, incident):
+def ratio(sums: Numbers, incident: Numbers) -> Floats:
     """Flux fraction over all batches: sum of `sums` over sum of `incident`.
 
     Parameters
@@ -31,7 +34,7 @@ def ratio(sums, incident):
         return np.sum(sums, axis=0, dtype=float) / np.sum(incident, axis=0, dtype=float)
 
 
-def batch_std_err(sums, incident):
+def batch_std_err(sums: Numbers, incident: Numbers) -> Floats:
     """Standard error of :func:`ratio` from the scatter between batches.
 
     The usual linearisation of a ratio estimator (Cochran 1977, *Sampling
@@ -50,13 +53,15 @@ def batch_std_err(sums, incident):
         return np.sqrt(square * (n / (n - 1))) / incident.sum(axis=0)
 
 
-def binomial_std_err(hits, rays):
+def binomial_std_err(hits: ArrayLike, rays: ArrayLike) -> Floats:
     """Standard error of ``hits / rays`` for independent rays; NaN without a hit."""
-    p = np.asarray(hits, dtype=float) / rays
+    p = np.asarray(hits, dtype=float) / np.asarray(rays)
     return np.where(np.asarray(hits) > 0, np.sqrt(p * (1 - p) / rays), np.nan)
 
 
-def binomial_interval(hits, rays, level):
+def binomial_interval(
+    hits: ArrayLike, rays: ArrayLike, level: float
+) -> tuple[Floats, Floats]:
     """Exact interval for a probability (Clopper and Pearson 1934), also at 0 hits.
 
     Returns
@@ -73,7 +78,9 @@ def binomial_interval(hits, rays, level):
     return np.where(hits == 0, 0.0, low), np.where(misses == 0, 1.0, high)
 
 
-def gamma_interval(value, std_err, largest, level):
+def gamma_interval(
+    value: Floats, std_err: Floats, largest: float, level: float
+) -> tuple[Floats, Floats]:
     """Interval for a sum of few weights: Poisson counts, of weights unlike each other.
 
     Fay and Feuer 1997, *Confidence intervals for directly standardized rates*,
@@ -95,7 +102,14 @@ def gamma_interval(value, std_err, largest, level):
     return np.where(std_err == 0, value, low), high
 
 
-def student_interval(value, std_err, n_batches, level, below=0.0, above=0.0):
+def student_interval(
+    value: Floats,
+    std_err: Floats,
+    n_batches: int,
+    level: float,
+    below: ArrayLike = 0.0,
+    above: ArrayLike = 0.0,
+) -> tuple[Floats, Floats]:
     """Interval by Student's t with ``n_batches - 1`` degrees of freedom.
 
     It reaches at least `below` and `above` to its sides; NaN where `std_err` is.
@@ -105,6 +119,6 @@ def student_interval(value, std_err, n_batches, level, below=0.0, above=0.0):
     return value - low, value + high
 
 
-def upper_limit(rays, level):
+def upper_limit(rays: ArrayLike, level: float) -> Floats:
     """Probability of a hit that leaves a patch empty with chance (1 - level) / 2."""
     return -np.expm1(np.log((1 - level) / 2) / np.asarray(rays, dtype=float))

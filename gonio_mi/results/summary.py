@@ -2,11 +2,15 @@
 
 import math
 import textwrap
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from ..single_precision import ROUNDING
 from .ray_density import FLOOR, precision
+from .record import Record
+from .tally import Ledger
 
 __all__ = ["exceeds_error", "summarize", "summary_text"]
 
@@ -41,7 +45,7 @@ MISSED = {
 MAIN_ROWS = ("reflected", "transmitted", "absorbed")
 
 
-def summarize(record):
+def summarize(record: Record) -> dict[str, Any]:
     """Return the numbers of `record` in JSON's types.
 
     Parameters
@@ -77,7 +81,7 @@ def summarize(record):
     return _known(numbers | {"warnings": _warnings(record, directions)})
 
 
-def summary_text(numbers):
+def summary_text(numbers: dict[str, Any]) -> str:
     """Return the text for people of what :func:`summarize` returned."""
     blocks = [
         _settings_text(numbers),
@@ -94,7 +98,7 @@ def summary_text(numbers):
 # ------------------------------------------------------------------------- numbers
 
 
-def _direction(look):
+def _direction(look: Record) -> dict[str, Any]:
     """Numbers of one incident direction."""
     worst, n_lobe = precision(look, FLOOR)
     return {
@@ -111,7 +115,7 @@ def _direction(look):
     }
 
 
-def _has_direct(look):
+def _has_direct(look: Record) -> bool:
     """Whether direct light was collected, however little there was."""
     settings = look.settings
     collected = settings.get("order", "all") in ("all", "0")
@@ -122,7 +126,7 @@ def _has_direct(look):
     )
 
 
-def _totals(look, quantity):
+def _totals(look: Record, quantity: str) -> list[dict[str, Any]]:
     """One hemisphere's total, per channel."""
     low, high = look.interval(LEVEL, of=quantity)
     std_err = getattr(look, f"{quantity}_std_err")
@@ -133,7 +137,7 @@ def _totals(look, quantity):
     ]
 
 
-def _worst_patches(look):
+def _worst_patches(look: Record) -> list[dict[str, Any]]:
     """Patches of one direction with the largest relative standard error."""
     quantities = ("brdf", "btdf") if look.has_lower else ("brdf",)
     value = np.stack([getattr(look, quantity) for quantity in quantities])
@@ -167,7 +171,7 @@ def _worst_patches(look):
     return worst
 
 
-def _warnings(record, directions):
+def _warnings(record: Record, directions: list[dict[str, Any]]) -> list[str]:
     """Sentences on rays that make the result doubtful."""
     ledger, sentences = record.ledger, []
     called = "sample()"
@@ -194,7 +198,7 @@ def _warnings(record, directions):
     transmission = record.settings.get("transmission")
     if ledger.direct and transmission == "none":
         transmission = "gaps"  # which the few thousand rays did not find
-    passed = PASSED.get(transmission)
+    passed = PASSED.get(str(transmission))
     if passed:
         rows["transmitted"] = passed
     for row, sentence in rows.items():
@@ -206,7 +210,7 @@ def _warnings(record, directions):
     return sentences
 
 
-def exceeds_error(direction, row):
+def exceeds_error(direction: dict[str, Any], row: str) -> bool:
     """Whether a row of the ledger is larger than the totals' statistical error.
 
     `direction` is one of those of :func:`summarize`.
@@ -218,11 +222,11 @@ def exceeds_error(direction, row):
     return direction["ledger"][row] > error * direction["ledger"]["emitted"]
 
 
-def _share(n, ledger):
+def _share(n: int, ledger: Ledger) -> str:
     return f"{_grouped(n)} of {_grouped(ledger.emitted)} rays"
 
 
-def _known(value):
+def _known(value: Any) -> Any:
     """`value` with None in place of NaN and infinity, which JSON does not have."""
     if isinstance(value, dict):
         return {key: _known(item) for key, item in value.items()}
@@ -236,11 +240,11 @@ def _known(value):
 # ---------------------------------------------------------------------------- text
 
 
-def _settings_text(numbers):
+def _settings_text(numbers: dict[str, Any]) -> str:
     """What was measured, and how."""
     settings = numbers["settings"]
 
-    def _shown(key):
+    def _shown(key: str) -> Any:
         return settings.get(key, "?")
 
     n_directions = len(numbers["directions"])
@@ -288,7 +292,7 @@ def _settings_text(numbers):
     return "\n".join(_filled(f"{name:<10}", text) for name, text in lines)
 
 
-def _totals_text(numbers):
+def _totals_text(numbers: dict[str, Any]) -> str:
     """Reflectance and transmittance with their intervals."""
     header = ["theta_i", "phi_i", "of", "channel", "value", "std_err"]
     header += [f"{numbers['level']:.0%} low", f"{numbers['level']:.0%} high"]
@@ -313,7 +317,7 @@ def _totals_text(numbers):
     return _table(header, rows)
 
 
-def _ledger_text(ledger):
+def _ledger_text(ledger: dict[str, int]) -> str:
     """Where the rays went: all rows but those that are zero."""
     emitted = ledger["emitted"]
     shown = {
@@ -326,7 +330,7 @@ def _ledger_text(ledger):
     return _table(["ledger", "rays", "%"], rows)
 
 
-def _patches_text(numbers):
+def _patches_text(numbers: dict[str, Any]) -> str:
     """How well the patches are known, and the worst of them."""
     directions = numbers["directions"]
     n = sum(direction["n_patches"] for direction in directions)
@@ -362,7 +366,7 @@ def _patches_text(numbers):
     return _filled("patches   ", text) + "\n\n" + table
 
 
-def _table(header, rows):
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Columns aligned to the right, the first one to the left."""
     lines = [header, *rows]
     widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
@@ -375,7 +379,7 @@ def _table(header, rows):
     )
 
 
-def _filled(label, text):
+def _filled(label: str, text: str) -> str:
     """`text` behind its label, in lines of at most `WIDTH`."""
     return textwrap.fill(
         text,
@@ -386,12 +390,12 @@ def _filled(label, text):
     )
 
 
-def _grouped(n):
+def _grouped(n: int) -> str:
     """Whole number with its digits in groups of three."""
     return f"{n:,}".replace(",", " ")
 
 
-def _percent(n, total):
+def _percent(n: int, total: int) -> str:
     """Share in per cent that is 0 or 100 for nothing and all only."""
     if not total:
         return "-"
@@ -401,12 +405,11 @@ def _percent(n, total):
     return ">99.9999" if n < total and text == "100.0000" else text
 
 
-def _angle(degrees):
-    # no minus sign at 0
+def _angle(degrees: float | None) -> str:
     return "-" if degrees is None else f"{round(degrees, 6) + 0.0:.4g}"
 
 
-def _decimals(value, std_err):
+def _decimals(value: float, std_err: float | None) -> int:
     """Decimals that show two digits of a standard error, but no more than are known.
 
     Mitsuba computes in single precision, which carries some seven digits of the value.
@@ -417,7 +420,7 @@ def _decimals(value, std_err):
     return min(max(1 - math.floor(math.log10(least)), 2), 12)
 
 
-def _std_err(total, decimals):
+def _std_err(total: dict[str, Any], decimals: int) -> str:
     """Text of a standard error, or of the rounding in which it is lost."""
     rounding = ROUNDING * abs(total["value"] or 0)
     if total["std_err"] and total["std_err"] < rounding:
@@ -425,5 +428,5 @@ def _std_err(total, decimals):
     return _fixed(total["std_err"], decimals)
 
 
-def _fixed(value, decimals):
+def _fixed(value: float | None, decimals: int) -> str:
     return "-" if value is None else f"{value:.{decimals}f}"

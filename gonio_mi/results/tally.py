@@ -1,9 +1,15 @@
 """Sums of what the collector received, batch by batch, and the ledger of every ray."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import SupportsInt
 
 import numpy as np
+
+from ..array_types import Counts, Floats, Numbers
 
 __all__ = ["Fate", "Ledger", "Tally", "WEIGHT_SCALE", "batch_sizes"]
 
@@ -12,7 +18,7 @@ __all__ = ["Fate", "Ledger", "Tally", "WEIGHT_SCALE", "batch_sizes"]
 WEIGHT_SCALE = 2**24
 
 
-def batch_sizes(rays, batches):
+def batch_sizes(rays: int, batches: int) -> list[int]:
     """Split `rays` over at most `batches` batches that differ by one ray at most."""
     batches = min(rays, batches)
     return [rays // batches + (i < rays % batches) for i in range(batches)]
@@ -84,21 +90,21 @@ class Ledger:
     direct: int = 0
 
     @classmethod
-    def from_counts(cls, counts):
+    def from_counts(cls, counts: Iterable[SupportsInt]) -> Ledger:
         """Build from counts in the order of :class:`Fate`."""
         return cls(*(int(n) for n in counts))
 
     @property
-    def rows(self):
+    def rows(self) -> dict[str, int]:
         """Dictionary of row name to number of rays."""
         return {fate.name.lower(): getattr(self, fate.name.lower()) for fate in Fate}
 
     @property
-    def emitted(self):
+    def emitted(self) -> int:
         """All rays: the sum of the rows."""
         return sum(self.rows.values())
 
-    def __add__(self, other):
+    def __add__(self, other: Ledger) -> Ledger:
         """Ledger of both sets of rays."""
         return Ledger(*(a + b for a, b in zip(self.rows.values(), other.rows.values())))
 
@@ -129,20 +135,22 @@ class Tally:
         of the sums, where there is a lower hemisphere. None is given for nothing.
     """
 
-    hits: np.ndarray
-    sums: np.ndarray
-    incident: np.ndarray
-    fates: np.ndarray
+    hits: Counts
+    sums: Numbers
+    incident: Numbers
+    fates: Counts
     scale: int
-    errors: np.ndarray | None = None
-    direct: np.ndarray | None = None
+    errors: Floats | None = None
+    direct: Numbers = None  # type: ignore[assignment]  # an array ever after
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.direct is None:
             self.direct = np.zeros_like(self.incident)
 
     @classmethod
-    def empty(cls, n_hemispheres, shape, channels, scale):
+    def empty(
+        cls, n_hemispheres: int, shape: tuple[int, int], channels: int, scale: int
+    ) -> Tally:
         """A tally of weights without batches."""
         return cls(
             hits=np.zeros((n_hemispheres, *shape), np.uint64),
@@ -153,17 +161,17 @@ class Tally:
         )
 
     @property
-    def n_batches(self):
+    def n_batches(self) -> int:
         """Number of independent batches."""
         return len(self.fates)
 
     @property
-    def channels(self):
+    def channels(self) -> int:
         """Number of channels."""
         return self.sums.shape[-1]
 
     @property
-    def achromatic(self):
+    def achromatic(self) -> bool:
         """Whether all channels received the same."""
         return bool(np.all(self.sums == self.sums[..., :1])) and bool(
             np.all(self.incident == self.incident[..., :1])
@@ -171,11 +179,11 @@ class Tally:
         )
 
     @property
-    def ledger(self):
+    def ledger(self) -> Ledger:
         """:class:`Ledger` over all batches."""
         return Ledger.from_counts(self.fates.sum(axis=0))
 
-    def with_integrals(self, flux, errors):
+    def with_integrals(self, flux: Floats, errors: Floats) -> Tally:
         """Tally of what was sampled and what was integrated, together.
 
         Parameters
@@ -191,7 +199,7 @@ class Tally:
             errors=errors * per_batch.max(axis=0),
         )
 
-    def _of_one_ray(self):
+    def _of_one_ray(self) -> Tally:
         """One batch that received nothing, of the flux of a ray that was not sent."""
         return replace(
             self,
@@ -201,12 +209,12 @@ class Tally:
             fates=np.zeros((1, len(Fate)), np.uint64),
         )
 
-    def __add__(self, other):
+    def __add__(self, other: Tally) -> Tally:
         """Tally of the batches of both, exactly; see :meth:`join`."""
         return Tally.join([self, other])
 
     @classmethod
-    def join(cls, tallies):
+    def join(cls, tallies: Sequence[Tally]) -> Tally:
         """Tally of all batches of `tallies`, exactly.
 
         A tally of one channel is spread over the channels of the others.
@@ -238,7 +246,7 @@ class Tally:
             direct=np.concatenate([tally.direct for tally in tallies]),
         )
 
-    def accumulate(self, other):
+    def accumulate(self, other: Tally) -> Tally:
         """Tally of one batch from two parts of it: the sums add, batch by batch."""
         channels = max(self.channels, other.channels)
         a, b = self.spread(channels), other.spread(channels)
@@ -252,7 +260,7 @@ class Tally:
         )
 
     @classmethod
-    def join_channels(cls, tallies):
+    def join_channels(cls, tallies: Sequence[Tally]) -> Tally:
         """Tally of all channels of `tallies`, for which separate rays were sent."""
         return cls(
             hits=sum(tally.hits for tally in tallies[1:]) + tallies[0].hits,
@@ -263,7 +271,7 @@ class Tally:
             direct=np.concatenate([tally.direct for tally in tallies], axis=-1),
         )
 
-    def first(self, channels):
+    def first(self, channels: int) -> Tally:
         """Tally of the first `channels` channels."""
         return replace(
             self,
@@ -273,7 +281,7 @@ class Tally:
             errors=None if self.errors is None else self.errors[..., :channels],
         )
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         return (
             isinstance(other, Tally)
             and self.scale == other.scale
@@ -283,7 +291,7 @@ class Tally:
             )
         )
 
-    def spread(self, channels):
+    def spread(self, channels: int) -> Tally:
         """Tally with the one channel of an achromatic specimen repeated."""
         if self.channels == channels:
             return self

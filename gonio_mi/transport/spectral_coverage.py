@@ -49,7 +49,7 @@ def check_covered(things: Iterable[Any], nm: Sequence[float]) -> None:
                     )
 
 
-def _range(part: Any) -> tuple[float, float]:
+def _range(part: Any) -> tuple[Any, Any]:
     """Range in nm that a texture or BSDF declares, in single precision."""
     if not hasattr(part, "wavelength_range"):
         return 0.0, np.inf
@@ -71,7 +71,7 @@ def _ends(texture: Any, low: float, high: float, beyond: Sequence[float]) -> boo
     return declared or bool(np.all(outside == 0, axis=1).any())
 
 
-def _values(texture: Any, nm: Sequence[float]) -> NDArray[np.float64]:
+def _values(texture: Any, nm: Iterable[float]) -> NDArray[np.float64]:
     """Values of a texture, with axes of wavelengths and of points all over it."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, N_POINTS)

@@ -1,0 +1,15 @@
+"""Types of NumPy arrays, by what they hold."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Counts", "Flags", "Floats", "Integers", "Numbers"]
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Counts = NDArray[np.uint64]
+Flags = NDArray[np.bool_]
+# whatever a function passes on
+Numbers = NDArray[Any]
