@@ -1,8 +1,10 @@
 """Saving and loading of records, by the ending of the file's name."""
 
 import os
+from os import PathLike
 
 from ..errors import FileFormatError
+from ..results.record import Record
 from . import exr, npz
 from .consistency import check_record
 from .writing import checked_ending, replacing
@@ -13,7 +15,7 @@ FORMATS = {".exr": exr, ".npz": npz}
 ENDINGS = tuple(FORMATS)
 
 
-def save(record, path):
+def save(record: Record, path: str | PathLike[str]) -> None:
     """Write `record` to `path`, lossless; the file appears when it is complete.
 
     A failure leaves no partial file, and an older file as it was.
@@ -36,7 +38,7 @@ def save(record, path):
         file_format.write(record, stream)
 
 
-def load(path):
+def load(path: str | PathLike[str]) -> Record:
     """Read a record from `path`; it equals the one that was saved.
 
     Parameters
