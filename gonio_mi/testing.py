@@ -5,7 +5,9 @@ from .validation import validate
 __all__ = ["assert_bsdf_valid"]
 
 
-def assert_bsdf_valid(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=()):
+def assert_bsdf_valid(
+    specimen, *, effort="normal", seed=0, alpha=1e-3, allow=(), strict=False
+):
     """Raise AssertionError with the verdict if a BSDF plugin is wrong.
 
     Parameters and further errors as of :func:`gonio_mi.validation.validate`.
@@ -15,7 +17,10 @@ def assert_bsdf_valid(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=()
     Verdict
     """
     __tracebackhide__ = True  # pytest shows the caller's line
-    verdict = validate(specimen, effort=effort, seed=seed, alpha=alpha, allow=allow)
+    verdict = validate(
+        specimen, effort=effort, seed=seed, alpha=alpha, allow=allow, strict=strict
+    )
     if not verdict.passed:
-        raise AssertionError(str(verdict))
+        # pytest's summary shows the first line only
+        raise AssertionError(f"{verdict.headline}\n{verdict}")
     return verdict

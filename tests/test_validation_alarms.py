@@ -8,9 +8,13 @@ import os
 
 import budget
 import mitsuba as mi
+import numpy as np
 import pytest
+import right_bsdfs
+from scipy import stats
 
 from gonio_mi.validation import maps, validate
+from gonio_mi.validation.conditions import Condition, Effort
 from gonio_mi.validation.integrals import integrals
 
 SEEDS = int(os.environ.get("GONIO_SEEDS", "1"))
@@ -27,7 +31,11 @@ RIGHT = {
     "glossymixture": {"type": "glossymixture"},
     "cosinelobe": {"type": "cosinelobe"},
     "anisotropicphong": {"type": "anisotropicphong"},
+    "ggx 0.05, all normals": GGX | {"alpha": 0.05, "sample_visible": False},
     "mirror": {"type": "conductor"},
+    "glass of index 1.0001": {"type": "dielectric", "int_ior": 1.0001, "ext_ior": 1.0},
+    "glass of index 1.01": {"type": "dielectric", "int_ior": 1.01, "ext_ior": 1.0},
+    "glass of index 3": {"type": "dielectric", "int_ior": 3.0, "ext_ior": 1.0},
     "glass": {"type": "dielectric"},
     "plastic": {"type": "plastic"},
 }
@@ -38,10 +46,11 @@ def remembered(monkeypatch):
     """Integrals do not depend on the seed, but for how far they are refined."""
     known = {}
 
-    def integral(probe, *args):
-        if probe.condition not in known:
-            known[probe.condition] = integrals(probe, *args)
-        return known[probe.condition]
+    def integral(probe, subdivision, totals, limits):
+        key = probe.condition, limits.tobytes()
+        if key not in known:
+            known[key] = integrals(probe, subdivision, totals, limits)
+        return known[key]
 
     monkeypatch.setattr(maps, "integrals", integral)
 
@@ -54,3 +63,79 @@ def test_right_plugins_pass(name):
     for seed in range(SEEDS):
         verdict = validate(bsdf, effort="quick", seed=seed, alpha=alpha)
         assert verdict.passed, f"seed {seed}\n{verdict}"
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("name", right_bsdfs.HEAVY)
+def test_heavy_weights_are_no_fault(name):
+    """Whatever their tails, up to an infinite variance."""
+    right_bsdfs.register()
+    bsdf = mi.load_dict({"type": "heavy", "case": name})
+    alpha = budget.ALPHA / SEEDS
+    for seed in range(SEEDS):
+        verdict = validate(bsdf, effort="quick", seed=seed, alpha=alpha, strict=True)
+        assert verdict.passed, f"seed {seed}\n{verdict}"
+
+
+@pytest.mark.usefixtures("mono")
+def test_tails_too_heavy_to_judge_are_told():
+    right_bsdfs.register()
+    bsdf = mi.load_dict({"type": "heavy", "case": "lambert by cosine^10"})
+    weights = validate(bsdf, effort="quick")["weights"]
+    assert weights.status == "undecided"
+    assert weights.effect == "adds noise"
+    assert "tails are too heavy" in weights.statistic
+
+
+# Samplers of growing tails, and seeds of each: p-values of one view in 96 maps.
+TAILS = (
+    "lambert by uniform",
+    "lambert by cosine^3",
+    "ggx 0.1 by cosine",
+    "ggx 0.5 by mirrored power",
+    "ggx 0.3 by beckmann 0.4",
+    "ggx 0.3 by ggx 0.1",
+)
+TRIALS = 16
+
+
+@pytest.fixture(scope="module")
+def scored():
+    """Scores of weights of right plugins, and of the same if their sums were normal."""
+    mi.set_variant("llvm_ad_mono")
+    right_bsdfs.register()
+    effort = Effort.named("quick")
+    condition = Condition(35.0, 25.0)
+    found = []
+    for name in TAILS:
+        bsdf = mi.load_dict({"type": "heavy", "case": name})
+        for trial in range(TRIALS):
+            key = (trial, len(found))
+            one = maps.four_maps(bsdf, condition, effort.patches, 2**15, key)
+            plain = maps.count(bsdf, condition, effort.patches, 2**15, key)
+            found.append((one, plain))
+    return found
+
+
+def uniform(p):
+    """Probability of such p-values by chance (Kolmogorov and Smirnov)."""
+    return stats.kstest(p, "uniform").pvalue
+
+
+@pytest.mark.parametrize("view", ["mean", "spread", "worst", "total"])
+def test_p_values_are_uniform(scored, view):
+    p = [one.weight_scores.p_values[view] for one, _ in scored]
+    budget.agree(budget.Verdict({view: uniform(p)}))
+
+
+def test_sums_of_heavy_weights_are_not_normal(scored):
+    """The twin: what is not damped, with its own standard error, is another matter."""
+    p = []
+    for one, plain in scored:
+        first, n = one.damping.first, plain.n
+        due = np.add.reduceat(one.due.channels[0].values, first)
+        sums = np.add.reduceat(plain.sums, first)
+        squares = np.add.reduceat(plain.squares, first)
+        z = (sums - n * due) / np.sqrt(squares - sums**2 / n)
+        p.append(maps.Scores(z, first, 0.0).p_values["worst"])
+    budget.disagree(budget.Verdict({"worst": uniform(p)}))

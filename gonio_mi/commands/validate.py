@@ -22,7 +22,8 @@ examples:
   gonio-mi validate scene.xml -D alpha=0.3 --effort thorough --json
   gonio-mi validate cosinelobe --allow reciprocity
 
-Exit code 3: a property fails that --allow does not name.
+Exit code 3: something that --allow does not name biases images or breaks integrators
+(with --strict: anything that fails).
 """
 
 
@@ -50,6 +51,9 @@ def add(commands):
         default="",
         metavar="NAMES",
         help="properties that the model knowingly lacks: energy,reciprocity",
+    )
+    parser.add_argument(
+        "--strict", action="store_true", help="exit code 3 for whatever fails"
     )
     parser.add_argument("--seed", type=number, default=0, metavar="S")
     parser.add_argument(
@@ -81,6 +85,7 @@ def run(options):
         seed=options.seed,
         alpha=options.alpha,
         allow=[name for name in options.allow.split(",") if name],
+        strict=options.strict,
     )
     if options.report is not None:
         save_report(verdict, options.report)

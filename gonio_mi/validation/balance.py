@@ -3,10 +3,18 @@
 import numpy as np
 from scipy import special
 
+from .evidence import INTERFACE
 from .identities import BSDF_ROUNDING
 from .integrals import SUM_ERROR
 
 __all__ = ["check_energy", "check_maps", "check_pooled"]
+
+# Densities below that are on their way to an underflow: what `eval` has where they are
+# 0 is a matter of tails, and no hole in the support of `pdf`.
+UNDERFLOW = 1e-30
+
+# Share of the light that must be judged for a verdict on weights.
+JUDGED = 0.9
 
 
 def check_maps(evidence, maps):
@@ -18,14 +26,48 @@ def check_maps(evidence, maps):
         texts = scores.statistics
         for view, p in scores.p_values.items():
             evidence.test(name, p, texts[view], maps.condition)
-    excess = maps.pdf.sum() - 1 - max(maps.pdf_sum_bound, SUM_ERROR)
-    if excess > 0:
+    _check_excess(evidence, maps)
+    _check_reach(evidence, maps)
+
+
+def _check_excess(evidence, maps):
+    """``pdf`` integrates to no more than 1; where ``eval`` is black, nobody minds."""
+    used, unused = maps.pdf.sum(), maps.due.unused.values.sum()
+    slack = max(maps.pdf_sum_bound, SUM_ERROR) + maps.due.unused.sum_bound
+    if used + unused > 1 + slack:
+        harmless = used <= 1 + slack
+        text = f"`pdf` integrates to {used + unused:.4g}, more than 1"
+        if harmless:
+            text += f", {unused:.4g} of it where `eval` is black"
         evidence.breach(
             "sampling",
             "pdf",
-            f"`pdf` integrates to {maps.pdf.sum():.5g} at {maps.condition}",
-            f"`pdf` integrates to {maps.pdf.sum():.4g}, more than 1",
-            size=excess,
+            f"{used + unused:.5g} at {maps.condition}",
+            text,
+            size=used + unused - 1,
+            effect=INTERFACE if harmless else None,
+        )
+
+
+def _check_reach(evidence, maps):
+    """All light of ``eval`` is where samples go; and too rarely, if at all, is told."""
+    due, flux = maps.due, maps.smooth_flux.mean()
+    lost = due.unreached.values.sum()
+    bound = max(due.unreached.sum_bound, SUM_ERROR * max(flux, 1))
+    if lost > bound and due.least > UNDERFLOW:
+        evidence.breach(
+            "weights",
+            "pdf",
+            f"{lost / flux:.3g} of the light at {maps.condition}",
+            f"`eval` sends {lost / flux:.3g} of its light where `pdf` is 0",
+            size=lost,
+        )
+    elif maps.judged < JUDGED:
+        evidence.noisy.add("weights")
+        evidence.undecided["weights"] = (
+            f"tails are too heavy: {1 - maps.judged:.2g} of the light at "
+            f"{maps.condition} is in weights that {maps.totals.n} samples meet too "
+            "rarely, a noise that a sampler nearer to `eval` has not"
         )
 
 

@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from .drawing import seed_of, uniform
+from .identities import SLACK
 from .probe import Probe, numbers, spectral
 
 __all__ = ["Drawn", "collect", "rounding"]
@@ -16,6 +17,9 @@ ROUNDED = 2**12
 
 # Size of the displacement that tells how a function answers to rounding: 4 ulp of 1.
 ULPS = 2.0**-21
+
+# Rounding of a cosine that is found by two operations.
+COSINE = 2.0**-23
 
 
 @dataclass
@@ -108,9 +112,7 @@ def collect(bsdf, condition, n, key):
     reverse = probe.eval(wi, wi=wo)
     reverse_other_mode = probe.eval(wi, wi=wo, ctx=other)
     eval_slack, pdf_slack, reverse_slack = _changes(
-        wi,
-        wo,
-        key,
+        (*_displaced(wi, wo, key), *_tilted(wi, wo)),
         (lambda wi, wo: probe.eval(wo, wi=wi), value),
         (lambda wi, wo: probe.pdf(wo, wi=wi), pdf),
         (lambda wi, wo: probe.eval(wi, wi=wo), reverse),
@@ -173,9 +175,7 @@ def rounding(probe, key):
     dr.eval(wo, one.weight, one.bs)
     value, pdf = probe.eval(wo), probe.pdf(wo)
     slacks = _changes(
-        wi,
-        wo,
-        key,
+        _displaced(wi, wo, key),
         (lambda wi, wo: probe.pdf(wo, wi=wi), pdf),
         (lambda wi, wo: probe.eval(wo, wi=wi), value),
     )
@@ -196,13 +196,13 @@ def _mean(value, n):
     return numbers(value, n) if dr.depth_v(value) == 1 else spectral(value, n).mean(1)
 
 
-def _changes(wi, wo, key, *functions):
-    """Largest changes of functions (with their values) by rounding of directions."""
+def _changes(displaced, *functions):
+    """Largest changes of functions (with their values), times the weight of each."""
     largest = [0 * value for _, value in functions]
-    for moved_wi, moved_wo in _displaced(wi, wo, key):
+    for moved_wi, moved_wo, weight in displaced:
         dr.eval(moved_wi, moved_wo)
         for i, (function, value) in enumerate(functions):
-            change = dr.abs(function(moved_wi, moved_wo) - value)
+            change = weight * dr.abs(function(moved_wi, moved_wo) - value)
             dr.eval(change)  # one kernel for each function, whatever its arguments
             largest[i] = dr.maximum(largest[i], change)
         dr.eval(largest)
@@ -217,7 +217,24 @@ def _displaced(wi, wo, key):
 
     def _move(v):
         step = mi.Vector3f(*(2 * signs.next_1d() - 1 for _ in range(3)))
-        return dr.normalize(v + ULPS * step), dr.normalize(v - ULPS * step)
+        # of a unit vector only to within rounding, as all are in single precision
+        return v + ULPS * step, v - ULPS * step
 
     for _ in range(3):
-        yield from zip(_move(wi), _move(wo))
+        yield from ((*moved, 1.0) for moved in zip(_move(wi), _move(wo)))
+
+
+def _tilted(wi, wo):
+    """Outgoing directions whose half vector has another cosine by rounding.
+
+    A plugin that draws the cosine of a facet finds its sine from that: near the normal,
+    the angle is off by the rounding of the cosine over the sine.
+    """
+    h = dr.normalize(wi + wo)
+    h = dr.select(dr.abs(wi.z + wo.z) > 1e-4, h, mi.Vector3f(0, 0, 1))
+    sine = dr.maximum(dr.sqrt(dr.square(h.x) + dr.square(h.y)), np.sqrt(COSINE))
+    down = mi.Vector3f(h.x * h.z, h.y * h.z, -dr.square(sine)) / sine
+    for sign in (1.0, -1.0):
+        moved = dr.normalize(h + sign * (COSINE / sine) * down)
+        # the change counts as it is, those of a displacement SLACK times
+        yield wi, mi.reflect(wi, moved), 1 / SLACK

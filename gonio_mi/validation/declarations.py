@@ -7,6 +7,7 @@ import numpy as np
 
 from .collecting import collect
 from .conditions import Condition
+from .evidence import BIAS
 from .identities import is_many, unequal
 from .probe import Probe, numbers, spectral
 
@@ -59,10 +60,14 @@ def _undeclared(bsdf, drawn):
     kinds = int(np.bitwise_or.reduce(types))
     if kinds & ~flags:
         names = _names(kinds & ~flags)
+        smooth = int(mi.BSDFFlags.Smooth)
+        # integrators sample the light only if a lobe is declared to be smooth
+        unlit = kinds & smooth and not flags & smooth
         return kinds, (
             "flags",
             f"{names} sampled at {drawn.condition}",
             f"`flags` does not declare {names}, which `sample` draws",
+            BIAS if unlit else None,
         )
     if components.max() >= n:
         return kinds, (
@@ -238,5 +243,5 @@ def _names(flags):
     return " and ".join(names) or f"flag {flags:#x}"
 
 
-def _breach(evidence, function, statistic, mistake, size=1.0):
-    evidence.breach("flags", function, statistic, mistake, size=size)
+def _breach(evidence, function, statistic, mistake, effect=None):
+    evidence.breach("flags", function, statistic, mistake, effect=effect)

@@ -7,7 +7,9 @@ import numpy as np
 from scipy import special
 
 from .collecting import collect
+from .evidence import BIAS, BREAKS
 from .identities import BSDF_ROUNDING, is_many, unequal
+from .probe import Probe, numbers, spectral
 
 __all__ = ["check_delta", "check_null"]
 
@@ -16,9 +18,11 @@ __all__ = ["check_delta", "check_null"]
 HORIZON = 2.0**-11.5
 SAME = 2 * HORIZON
 
-# How fast Fresnel's transmittance falls with the cosine, at most: 5.8 for an index of
-# 1.5, 6.2 for 2.4.
-STEEPEST = 6.5
+# Rounding of a squared cosine that is found from sines: of four products.
+SQUARE = 2.0**-22
+
+# Known error of a probability: rounding of 1 minus a number, and the steps of sample1.
+STEP = 2.0**-22
 
 
 def check_delta(evidence, drawn, bsdf, key):
@@ -87,13 +91,14 @@ def _check_probability(evidence, drawn, own):
     """The pdf of a discrete sample is the probability of its lobe."""
     p = float(np.median(drawn.sampled_pdf[own]))
     k, n = int(own.sum()), drawn.n
+    # the probability within its error that suits best
+    due = float(np.clip(k / n, max(p - STEP, 0.0), min(p + STEP, 1.0)))
     if not 0 <= p <= 1 + BSDF_ROUNDING:
         tail = 0.0
-    elif p > 1 - BSDF_ROUNDING:
-        tail = float(k == n)
     else:
-        tails = special.bdtr(k, n, p), special.bdtrc(max(k - 1, 0), n, p)
-        tail = min(1.0, 2 * min(tails))
+        at_most = 1.0 if k >= n else special.bdtr(k, n, due)
+        at_least = 1.0 if k <= 0 else special.bdtrc(k - 1, n, due)
+        tail = min(1.0, 2 * min(at_most, at_least))
     evidence.test(
         "delta",
         tail,
@@ -116,9 +121,7 @@ def _check_reversal(evidence, drawn, own, wo, bsdf, key):
         else np.zeros(drawn.weight.shape[1])
         for x, mask in ((drawn, own), (back, returned))
     ]
-    # the refracted direction is known to an error of its cosine
-    cosine = min(abs(wi[2]), abs(wo[2]))
-    known = BSDF_ROUNDING + STEEPEST * min(HORIZON, HORIZON**2 / cosine)
+    known = BSDF_ROUNDING + _sensitivity(drawn.condition, own, drawn, wo, bsdf)
     if np.abs(shares[0] - shares[1]).max() > known:
         evidence.breach(
             "reciprocity",
@@ -127,7 +130,25 @@ def _check_reversal(evidence, drawn, own, wo, bsdf, key):
             f"{shares[1].max():.4g} on the way back, at {drawn.condition}",
             "`sample` gives a discrete lobe another share than its reverse in "
             "importance mode: 1/eta^2 belongs to radiance mode only",
+            effect=BREAKS,
         )
+
+
+def _sensitivity(condition, own, drawn, wo, bsdf):
+    """Change of the share of the way back where rounding tilts its direction."""
+    cosine = abs(wo[2])
+    tilt = min(SQUARE / (2 * cosine), np.sqrt(SQUARE))
+    kind, n = drawn.type[own][0], drawn.n
+    random = mi.Float(drawn.sample1), mi.Point2f(drawn.sample2.T)
+    shares = []
+    for change in (-2 * tilt, -tilt, 0.0, tilt, 2 * tilt):
+        z = max(cosine + change, tilt / 2) * np.sign(wo[2])
+        probe = Probe(bsdf, _Reversed(condition, np.array([wo[0], wo[1], z])))
+        one = probe.sample(*random)
+        share = spectral(one.weight, n) * numbers(one.bs.pdf, n)[:, None]
+        same = numbers(one.bs.sampled_type, n) == kind
+        shares.append(share[same].mean(axis=0) if same.any() else 0 * share[0])
+    return np.max(np.abs(np.array(shares) - shares[2]))
 
 
 def _check_modes(evidence, drawn, own, bsdf, key):
@@ -149,6 +170,7 @@ def _check_modes(evidence, drawn, own, bsdf, key):
             "`sample` weight lacks 1/eta^2 in radiance mode"
             if abs(ratio - 1) < 1e-3
             else f"`sample` weight in radiance mode is {ratio:.4g} times the other one",
+            effect=BIAS,
         )
 
 

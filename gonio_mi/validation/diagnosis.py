@@ -6,6 +6,7 @@ import mitsuba as mi
 import numpy as np
 
 from .density import explain_density
+from .evidence import EFFECTS
 from .probe import Probe, numbers, spectral
 from .ratios import explain_ratio
 
@@ -38,8 +39,8 @@ def diagnose(evidence, failed, bsdf):
     Parameters
     ----------
     evidence : Evidence
-    failed : list of str
-        Names of properties.
+    failed : dict
+        Effect by name of property.
     bsdf : mi.BSDF
         To be asked for its single lobes.
 
@@ -47,8 +48,9 @@ def diagnose(evidence, failed, bsdf):
     -------
     function, mistake : str
     """
+    worst = min(failed.values(), key=EFFECTS.index)
     for name in ORDER:
-        if name not in failed:
+        if failed.get(name) != worst:
             continue
         if name in ("sampling", "sampled_pdf", "sampled_weight", "weights"):
             found = _of_densities(evidence, failed, bsdf)

@@ -7,9 +7,10 @@ import mitsuba as mi
 import numpy as np
 
 from ..transport.arrays import DRJIT
+from .identities import FEW, unequal
 from .probe import Probe, numbers, spectral
 
-__all__ = ["Totals", "count", "seed_of", "uniform"]
+__all__ = ["Samples", "Totals", "count", "draw", "patch_of", "seed_of", "uniform"]
 
 # Samples of one launch, whose values come back one by one.
 CHUNK = 2**20
@@ -20,40 +21,41 @@ class Totals:
     """Sums over all samples of one condition, by patch of both hemispheres.
 
     Patch ``k`` of the lit side has index ``k``, of the other ``n_patches + k``. What
-    goes into a discrete direction is in no patch.
+    goes into a discrete direction is in no patch. Weights are means over channels,
+    damped by :class:`Damping` where one is given.
 
     Attributes
     ----------
     n : int
         Number of samples.
-    counts, sums, squares : ndarray, shape (2 n_patches,)
-        Number of samples in each patch, and the sums of their weights, a mean over
-        channels, and of the squares of these.
+    counts, sums, squares, cubes, largest : ndarray, shape (2 n_patches,)
+        Number of samples in each patch, sums of their damped weights and of the second
+        and third powers of these, and the largest.
     mean, variance : ndarray, shape (channels,)
         Of the weight of a sample, with those in discrete directions.
     delta_mean : ndarray, shape (channels,)
         What discrete directions have of `mean`.
     peaks : ndarray, shape (2 n_patches,)
         Greatest density of a sample in each patch.
+    is_ratio : bool
+        Whether weights are ``eval`` over ``pdf``, but for so few samples as rounding
+        may spoil.
     """
 
     n: int
     counts: np.ndarray
     sums: np.ndarray
     squares: np.ndarray
+    cubes: np.ndarray
+    largest: np.ndarray
     mean: np.ndarray
     variance: np.ndarray
     delta_mean: np.ndarray
     peaks: np.ndarray
-
-    @property
-    def usual_weight(self):
-        """Weight that most light is in: the mean, weighed by weights."""
-        sums = self.sums.sum()
-        return self.squares.sum() / sums if sums > 0 else 1.0
+    is_ratio: bool
 
 
-def count(bsdf, condition, subdivision, n, key):
+def count(bsdf, condition, subdivision, n, key, damping=None):
     """Draw `n` independent samples and add them up by patch.
 
     Parameters
@@ -64,58 +66,88 @@ def count(bsdf, condition, subdivision, n, key):
     n : int
     key : tuple of int
         What tells these random numbers from all others.
+    damping : Damping, optional
+        Of heavy weights.
 
     Returns
     -------
     Totals
     """
-    probe = Probe(bsdf, condition)
-    m = subdivision.n_patches
-    face = 1.0 if condition.side == "front" else -1.0
-    counts, sums, squares, peaks = (np.zeros(2 * m + 1) for _ in range(4))
-    first, second, delta_first = 0.0, 0.0, 0.0
+    m = 2 * subdivision.n_patches
+    counts, sums, squares, cubes, peaks, largest = (np.zeros(m + 1) for _ in range(6))
+    first, second, delta_first, n_other = 0.0, 0.0, 0.0, 0
     for begin in range(0, n, CHUNK):
         size = min(CHUNK, n - begin)
-        sample1, sample2 = uniform(size, (*key, begin))
-        one = probe.sample(sample1, sample2)
-        wo = one.bs.wo
-        smooth = ~one.delta & _is_counted(probe, one)
-        index = subdivision.patch_index(DRJIT, wo.x, wo.y, dr.abs(wo.z))
-        index = dr.clip(index, 0, m - 1) + dr.select(face * wo.z < 0, float(m), 0.0)
-        index = dr.select(smooth, mi.UInt32(index), 2 * m)
-        delta = one.delta
-        dr.eval(index, one.weight, one.bs.pdf, delta)
-        index, weight = numbers(index, size), spectral(one.weight, size)
-        weight = np.where(np.isfinite(weight), weight, 0.0)
-        mean = weight.mean(axis=1)
-        counts += np.bincount(index, minlength=2 * m + 1)
-        sums += np.bincount(index, mean, minlength=2 * m + 1)
-        squares += np.bincount(index, mean**2, minlength=2 * m + 1)
-        np.maximum.at(peaks, index, numbers(one.bs.pdf, size))
-        first = first + weight.sum(axis=0)
-        second = second + (weight**2).sum(axis=0)
-        delta_first = delta_first + weight[numbers(delta, size)].sum(axis=0)
+        drawn = draw(bsdf, condition, subdivision, size, (*key, begin))
+        factor = 1.0 if damping is None else damping.factors(drawn)
+        mean = drawn.weight.mean(axis=1) * factor
+        index = drawn.index
+        counts += np.bincount(index, minlength=m + 1)
+        for total, power in ((sums, 1), (squares, 2), (cubes, 3)):
+            total += np.bincount(index, mean**power, minlength=m + 1)
+        np.maximum.at(largest, index, mean)
+        np.maximum.at(peaks, index, drawn.sampled_pdf)
+        first = first + drawn.weight.sum(axis=0)
+        second = second + (drawn.weight**2).sum(axis=0)
+        delta_first = delta_first + drawn.weight[drawn.delta].sum(axis=0)
+        other = unequal(drawn.weight.mean(axis=1), drawn.ratio, 0.0)
+        n_other += np.count_nonzero(other & (index < m))
     variance = np.maximum(second / n - (first / n) ** 2, 0)
-    return Totals(
-        n,
-        counts[:-1],
-        sums[:-1],
-        squares[:-1],
-        first / n,
-        variance,
-        delta_first / n,
-        peaks[:-1],
+    by_patch = (x[:-1] for x in (counts, sums, squares, cubes, largest))
+    moments = (first / n, variance, delta_first / n)
+    return Totals(n, *by_patch, *moments, peaks[:-1], n_other <= max(2, FEW * n))
+
+
+@dataclass
+class Samples:
+    """Samples of one launch: arrays of ``(n,)``; `weight` is ``(n, channels)``.
+
+    Attributes
+    ----------
+    index : ndarray of int
+        Patch; that after the last for what is in none.
+    weight, sampled_pdf, delta : ndarray
+    ratio : ndarray
+        ``eval`` over ``pdf`` at the direction, a mean over channels.
+    """
+
+    index: np.ndarray
+    weight: np.ndarray
+    sampled_pdf: np.ndarray
+    delta: np.ndarray
+    ratio: np.ndarray
+
+
+def draw(bsdf, condition, subdivision, n, key):
+    """Draw `n` samples and return :class:`Samples`; values that are infinite are 0."""
+    probe = Probe(bsdf, condition)
+    m = subdivision.n_patches
+    one = probe.sample(*uniform(n, key))
+    wo, delta = one.bs.wo, one.delta
+    value, pdf = probe.eval(wo), probe.pdf(wo)
+    # a weight of zero means that sample failed, or that the BSDF is black there
+    counted = ~delta & dr.any(one.weight != 0) & dr.isfinite(wo.z)
+    index = dr.select(counted, patch_of(subdivision, condition, wo), 2 * m)
+    dr.eval(index, one.weight, one.bs.pdf, delta, value, pdf)
+    weight, density = spectral(one.weight, n), numbers(pdf, n).astype(float)
+    ratio = np.full(n, np.inf)
+    np.divide(spectral(value, n).mean(axis=1), density, out=ratio, where=density > 0)
+    return Samples(
+        numbers(index, n),
+        np.where(np.isfinite(weight), weight, 0.0),
+        numbers(one.bs.pdf, n),
+        numbers(delta, n),
+        ratio,
     )
 
 
-def _is_counted(probe, one):
-    """Whether ``sample`` gave a direction; a zero weight means that it failed.
-
-    Unless the BSDF is black there, and its density nevertheless positive.
-    """
-    given = dr.any(one.weight != 0)
-    black = (one.bs.pdf > 0) & dr.all(probe.eval(one.bs.wo) == 0)
-    return (given | (black & (probe.pdf(one.bs.wo) > 0))) & dr.isfinite(one.bs.wo.z)
+def patch_of(subdivision, condition, wo):
+    """Index of the patch of each direction, as of :class:`Totals`."""
+    m = subdivision.n_patches
+    face = 1.0 if condition.side == "front" else -1.0
+    index = subdivision.patch_index(DRJIT, wo.x, wo.y, dr.abs(wo.z))
+    index = dr.clip(index, 0, m - 1) + dr.select(face * wo.z < 0, float(m), 0.0)
+    return mi.UInt32(index)
 
 
 def uniform(n, key):

@@ -2,7 +2,29 @@
 
 from dataclasses import dataclass, field
 
-__all__ = ["PROPERTIES", "Breach", "Evidence", "Test"]
+__all__ = [
+    "BIAS",
+    "BREAKS",
+    "EFFECTS",
+    "HARM",
+    "INTERFACE",
+    "MODEL",
+    "NOISE",
+    "PROPERTIES",
+    "WHERE",
+    "Breach",
+    "Evidence",
+    "Test",
+    "harm",
+]
+
+# What a failure does to an image, the worst first.
+BIAS = "biases images"
+BREAKS = "breaks some integrators"
+NOISE = "adds noise"
+MODEL = "a property of the model"
+INTERFACE = "a nicety of the interface"
+EFFECTS = (BIAS, BREAKS, NOISE, MODEL, INTERFACE)
 
 # What a BSDF should have, in the order of a verdict.
 PROPERTIES = {
@@ -24,6 +46,43 @@ PROPERTIES = {
     "ends": "finite at the ends: horizon, normal, random numbers, roughness",
 }
 
+# What a failure of each does, if its breach does not say otherwise; and to which of
+# Mitsuba's integrators, by what they call.
+HARM = {
+    "answers": BIAS,
+    "directions": BIAS,
+    "sampling": BIAS,
+    "weights": BIAS,
+    "sampled_pdf": BIAS,
+    "sampled_weight": BIAS,
+    "eval_pdf": BIAS,
+    "eval_pdf_sample": BIAS,
+    "energy": MODEL,
+    "reciprocity": MODEL,
+    "adjoint": BREAKS,
+    "delta": BIAS,
+    "flags": INTERFACE,
+    "components": INTERFACE,
+    "masks": INTERFACE,
+    "ends": BIAS,
+}
+COMBINED = "path, direct, volpathmis, prb: light and BSDF sampling are combined"
+SAMPLED = "all that sample the BSDF"
+WHERE = {
+    "answers": "all",
+    "directions": SAMPLED,
+    "sampling": COMBINED,
+    "weights": SAMPLED,
+    "sampled_pdf": COMBINED,
+    "sampled_weight": SAMPLED,
+    "eval_pdf": "path, direct, volpathmis, prb",
+    "eval_pdf_sample": "path",
+    "adjoint": "ptracer and all that trace light from its source",
+    "delta": SAMPLED,
+    "flags": "path, direct, volpath, prb: no light is sampled without a smooth lobe",
+    "ends": "all, in single pixels",
+}
+
 
 @dataclass(frozen=True)
 class Breach:
@@ -41,6 +100,8 @@ class Breach:
         What is likely wrong, as a sentence about the function.
     size : float
         The larger, the more it says: the worst breach of a property is shown.
+    effect : str, optional
+        One of `EFFECTS`; that of its property by default.
     """
 
     property: str
@@ -48,6 +109,12 @@ class Breach:
     statistic: str
     mistake: str
     size: float = 1.0
+    effect: str | None = None
+
+
+def harm(breach):
+    """What a breach does to an image."""
+    return breach.effect or HARM[breach.property]
 
 
 @dataclass(frozen=True)
@@ -81,6 +148,8 @@ class Evidence:
     breaches, tests : list
     undecided : dict of str
         By property, why it could not be decided and what it would take.
+    noisy : set of str
+        Those that could not be decided because the plugin adds noise.
     remarks : dict of str
         By property, what is worth knowing though it holds.
     declared : dict of str
@@ -92,6 +161,7 @@ class Evidence:
     breaches: list = field(default_factory=list)
     tests: list = field(default_factory=list)
     undecided: dict = field(default_factory=dict)
+    noisy: set = field(default_factory=set)
     remarks: dict = field(default_factory=dict)
     declared: dict = field(default_factory=dict)
     maps: list = field(default_factory=list)

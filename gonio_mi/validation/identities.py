@@ -3,10 +3,15 @@
 import mitsuba as mi
 import numpy as np
 
+from ..collector.directions import direction
+from .probe import numbers, spectral
+
 __all__ = [
+    "FEW",
     "BSDF_ROUNDING",
     "check_answers",
     "check_directions",
+    "check_everywhere",
     "check_identities",
     "is_many",
     "unequal",
@@ -18,6 +23,9 @@ __all__ = [
 # displacement of both directions by 4 ulp.
 BSDF_ROUNDING = 2.0**-14
 SLACK = 16
+
+# Directions at which answers are looked at beside those of samples.
+EVERYWHERE = 2**12
 
 # Share of samples that may differ by more, for rounding is not bounded by its sample.
 FEW = 5e-5
@@ -70,6 +78,32 @@ def check_answers(evidence, drawn):
                     f"the {what} of `{function}` is {example:g} in places",
                     size=float(wrong.mean()),
                 )
+
+
+def check_everywhere(evidence, probe):
+    """The same for directions that no sample may have: a lattice on the sphere."""
+    z = (np.arange(EVERYWHERE) + 0.5) / EVERYWHERE * 2 - 1
+    phi = np.arange(EVERYWHERE) * np.pi * (5**0.5 - 1)
+    wo = direction(np.arccos(z), phi)
+    v = mi.Vector3f(np.ascontiguousarray(wo.T, dtype=np.float32))
+    answers = (
+        ("eval", spectral(probe.eval(v), EVERYWHERE)),
+        ("pdf", numbers(probe.pdf(v), EVERYWHERE)[:, None]),
+    )
+    for function, value in answers:
+        wrong = (~np.isfinite(value) | (value < 0)).any(axis=1)
+        if wrong.any():
+            i = int(wrong.argmax())
+            example = value[i][~np.isfinite(value[i]) | (value[i] < 0)][0]
+            theta, phi = np.degrees([np.arccos(z[i]), np.arctan2(wo[i, 1], wo[i, 0])])
+            evidence.breach(
+                "answers",
+                function,
+                f"{wrong.mean():.3g} of all directions at {probe.condition}, such as "
+                f"theta_o {theta:.0f}, phi_o {phi % 360:.0f}",
+                f"the value of `{function}` is {example:g} in places",
+                size=float(wrong.mean()),
+            )
 
 
 def check_directions(evidence, drawn):

@@ -12,7 +12,7 @@ from . import balance, declarations, delta, ends, identities, symmetry
 from .collecting import collect
 from .conditions import Effort
 from .diagnosis import diagnose
-from .evidence import PROPERTIES, Evidence
+from .evidence import INTERFACE, PROPERTIES, Evidence
 from .maps import four_maps
 from .probe import PluginFault, Probe
 from .verdict import FAILS, Verdict, judge
@@ -21,7 +21,7 @@ __all__ = ["validate"]
 
 
 @launches_kernels()
-def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=()):
+def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=(), strict=False):
     """Whether a BSDF is right, and if not, which of its functions is wrong.
 
     Parameters
@@ -36,6 +36,9 @@ def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=()):
         Probability that a right BSDF fails, shared by all statistical tests.
     allow : sequence of str
         Names of properties that the model knowingly lacks, such as ``"energy"``.
+    strict : bool
+        Whether anything that fails counts, and not only what biases images or breaks
+        integrators.
 
     Returns
     -------
@@ -64,13 +67,14 @@ def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=()):
     except PluginFault as fault:
         _stop(evidence, fault)
     properties = judge(evidence, alpha, allow)
-    failed = [p.name for p in properties if p.status == FAILS]
+    failed = {p.name: p.effect for p in properties if p.status == FAILS}
     function, mistake = diagnose(evidence, failed, bsdf) if failed else (None, None)
     settings = {
         "effort": effort,
         "seed": seed,
         "alpha": alpha,
         "allow": list(allow),
+        "strict": bool(strict),
         "variant": mi.variant(),
         "n_tests": len(evidence.tests),
         "n_samples": sum(m.totals.n for m in evidence.maps)
@@ -129,12 +133,19 @@ def _examine(evidence, bsdf, plan, seed):
 def _check_samples(evidence, bsdf, condition, plan, key):
     drawn = collect(bsdf, condition, plan.checked, key)
     evidence.drawn.append(drawn)
+    known = len(evidence.breaches)
     identities.check_answers(evidence, drawn)
+    identities.check_everywhere(evidence, Probe(bsdf, condition))
     identities.check_directions(evidence, drawn)
     identities.check_identities(evidence, drawn)
     symmetry.check_symmetry(evidence, drawn, bsdf)
     delta.check_delta(evidence, drawn, bsdf, key)
     delta.check_null(evidence, drawn, Probe(bsdf, condition))
+    if condition.component is not None:
+        # no integrator asks for one component only
+        evidence.breaches[known:] = [
+            replace(breach, effect=INTERFACE) for breach in evidence.breaches[known:]
+        ]
 
 
 def _check_maps(evidence, bsdf, plan, sides, components, seed):

@@ -14,8 +14,9 @@ import numpy as np
 from ..collector.directions import direction
 from ..errors import SpecimenError
 from ..quadrature import integrate
+from .drawing import patch_of
 
-__all__ = ["SUM_ERROR", "Integrals", "integrals"]
+__all__ = ["SUM_ERROR", "Due", "Integrals", "integrals"]
 
 # Numbers of points and generators of Fibonacci lattices, where patches need ever more,
 # and random shifts of each.
@@ -35,6 +36,12 @@ SUM_ERROR = 1e-4
 # A density that is larger by this where samples are than at all points of the patch
 # shows a lobe that was missed.
 MISSED = 3.0
+
+# Weights that are larger have no limit.
+HUGE = 1e15
+
+# Integrals of :class:`Due` before those of channels.
+N_MEANS = 6
 
 # Of adaptive integrals: relative error of a patch, how many times its estimate kinks
 # may hide (see there), and evaluations for each sample.
@@ -64,15 +71,44 @@ class Integrals:
     std_err: np.ndarray
     sum_bound: float
 
+
+@dataclass(frozen=True)
+class Due:
+    """What is due in each patch.
+
+    Attributes
+    ----------
+    counts : Integrals
+        Of ``pdf`` where ``eval`` is not black.
+    weights, squares, cubes : Integrals
+        Of damped weights, means over channels, and of their powers.
+    unreached : Integrals
+        Of ``eval`` where ``pdf`` is 0, a mean over channels.
+    unused : Integrals
+        Of ``pdf`` where ``eval`` is black.
+    channels : list of Integrals
+        Of each channel of ``eval``.
+    least : float
+        Smallest positive density that was seen; infinite where nobody looked.
+    """
+
+    counts: Integrals
+    weights: Integrals
+    squares: Integrals
+    cubes: Integrals
+    unreached: Integrals
+    unused: Integrals
+    channels: list
+    least: float
+
     @staticmethod
-    def mean(several):
-        """Mean of several, whose errors may go together."""
-        columns = zip(*((x.values, x.bound, x.std_err, x.sum_bound) for x in several))
-        return Integrals(*(np.mean(column, axis=0) for column in columns))
+    def of(found, least):
+        """What the integrals of :func:`_finite_values` are."""
+        return Due(*found[:N_MEANS], found[N_MEANS:], least)
 
 
-def integrals(probe, subdivision, totals):
-    """Integrals of ``pdf`` and of each channel of ``eval``.
+def integrals(probe, subdivision, totals, limits=None):
+    """Integrals of ``pdf``, damped weights, and of each channel of ``eval``.
 
     Parameters
     ----------
@@ -80,28 +116,33 @@ def integrals(probe, subdivision, totals):
     subdivision : Subdivision
     totals : Totals
         Samples that are to be compared with them.
+    limits : ndarray, optional
+        Of weights by patch, as of :class:`Damping`.
 
     Returns
     -------
-    list of Integrals
-        The first is of ``pdf``.
+    Due
 
     Raises
     ------
     SpecimenError
         If they do not converge.
     """
-    found = _lattice(probe, subdivision, totals)
-    return found or _adaptive(probe, subdivision, totals)
+    if limits is None:
+        limits = np.full(2 * subdivision.n_patches, np.inf)
+    # a number that single precision can multiply
+    limits = np.minimum(limits[: 2 * subdivision.n_patches], HUGE)
+    found = _lattice(probe, subdivision, totals, limits)
+    return found or _adaptive(probe, subdivision, totals, limits)
 
 
 # --------------------------------------------------------------------------- lattices
 
 
-def _lattice(probe, subdivision, totals):
+def _lattice(probe, subdivision, totals, limits):
     """Integrals by shifted lattices; None where that takes too many points."""
     m = 2 * subdivision.n_patches
-    means, largest = None, np.zeros(m)
+    means, largest, least = None, np.zeros(m), np.inf
     refined, rough = np.arange(m), np.ones(m, bool)
     left = _most_evaluations(totals) // 2
     for n_points, generator in LATTICES:
@@ -109,33 +150,39 @@ def _lattice(probe, subdivision, totals):
         if left < 0:
             break
         wo = _points(probe.condition, subdivision, refined, n_points, generator)
-        values = np.stack(_values(probe, wo), axis=-1)
+        own = np.repeat(limits[refined], SHIFTS * n_points)
+        values = np.stack(_values(probe, wo, own), axis=-1)
         values = values.reshape(len(refined), SHIFTS, n_points, -1)
         if means is None:
             means = np.zeros((m, SHIFTS, values.shape[-1]))
         area = subdivision.solid_angles.ravel()[refined % subdivision.n_patches]
         means[refined] = values.mean(axis=2) * area[:, None, None]
-        largest[refined] = values[..., 0].max(axis=(1, 2))
-        rough = _rough(means, totals) | (totals.peaks > MISSED * largest)
+        density = values[..., 0] + values[..., 5]
+        largest[refined] = density.max(axis=(1, 2))
+        least = min(least, density.min(initial=np.inf, where=density > 0))
+        rough = _rough(means, totals, limits) | (totals.peaks > MISSED * largest)
         refined = np.flatnonzero(rough | _rough_in_sum(means))
         if not refined.size:
             break
     # how well the sum is known, it says itself
-    return None if rough.any() else _of_means(means)
+    return None if rough.any() else Due.of(_of_means(means), least)
 
 
-def _rough(means, totals):
+def _rough(means, totals, limits):
     """Patches that must be known better for the samples to judge."""
     values, n = means.mean(axis=1), totals.n
     std_err = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
     noise = np.sqrt(np.maximum(values[:, 0], 1 / n) / n)
-    weight_noise = np.sqrt(np.maximum(totals.squares, totals.usual_weight**2)) / n
     rough = std_err[:, 0] > SHARE * noise
-    return rough | (std_err[:, 1:].mean(axis=1) > SHARE * weight_noise)
+    # one damped weight is a tenth of what a group leaves unknown
+    least = np.where(limits < HUGE, limits, 1.0)
+    weight_noise = np.sqrt(np.maximum(n * values[:, 2], least**2)) / n
+    return rough | (std_err[:, 1] > SHARE * weight_noise)
 
 
 def _rough_in_sum(means):
     """Patches that have more than their part of the variance of a rough sum."""
+    means = np.delete(means, [1, 2, 3], axis=2)  # powers need no such precision
     values = means.mean(axis=1)
     std_err = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
     allowed = SUM_ERROR * np.maximum(values.sum(axis=0), 1)
@@ -175,27 +222,37 @@ def _points(condition, subdivision, patches, n_points, generator):
     return wo.reshape(-1, 3)
 
 
-def _values(probe, wo):
-    """Arrays of ``pdf`` and of each channel of ``eval`` towards `wo`."""
+def _values(probe, wo, limit):
+    """Arrays of :func:`_finite_values` towards `wo`."""
     n = len(wo)
-    values = _finite_values(probe, mi.Vector3f(np.ascontiguousarray(wo.T)))
+    wo = mi.Vector3f(np.ascontiguousarray(wo.T))
+    values = _finite_values(probe, wo, mi.Float(limit))
     return [np.broadcast_to(value.numpy(), n).astype(float) for value in values]
 
 
-def _finite_values(probe, wo):
-    """The same for Dr.Jit; what is not finite has a property of its own."""
+def _finite_values(probe, wo, limit):
+    """Values as of :class:`Due`; what is not finite, or negative, is another's."""
     pdf, value = probe.pdf(wo), probe.eval(wo)
-    return [dr.select(dr.isfinite(x), x, 0.0) for x in (pdf, *value)]
+    pdf, *channels = (
+        dr.select(dr.isfinite(x), dr.maximum(x, 0.0), 0.0) for x in (pdf, *value)
+    )
+    mean = sum(channels) / len(channels)
+    damped = dr.minimum(mean, limit * pdf)
+    ratio = dr.select(pdf > 0, damped / pdf, 0.0)
+    powers = damped * ratio, damped * ratio**2
+    unreached = dr.select(pdf > 0, 0.0, mean)
+    used, unused = dr.select(mean > 0, pdf, 0.0), dr.select(mean > 0, 0.0, pdf)
+    return [used, damped, *powers, unreached, unused, *channels]
 
 
 # --------------------------------------------------------------------------- adaptive
 
 
-def _adaptive(probe, subdivision, totals):
+def _adaptive(probe, subdivision, totals, limits):
     """Integrals by cells that are split where that changes something."""
     condition = probe.condition
     found = integrate(
-        _Integrand(probe, _most_evaluations(totals)),
+        _Integrand(probe, _most_evaluations(totals), subdivision, limits),
         condition.theta_i,
         condition.phi_i,
         subdivision,
@@ -205,10 +262,11 @@ def _adaptive(probe, subdivision, totals):
     flux = found.flux.reshape(2 * subdivision.n_patches, -1)
     error = HIDDEN * found.error.reshape(flux.shape)
     nothing = np.zeros(len(flux))
-    return [
+    several = [
         Integrals(flux[:, c], error[:, c], nothing, float(error[:, c].sum()))
         for c in range(flux.shape[1])
     ]
+    return Due.of(several, np.inf)
 
 
 def _most_evaluations(totals):
@@ -217,10 +275,11 @@ def _most_evaluations(totals):
 
 
 class _Integrand:
-    """A BSDF to :func:`integrate`, whose channels are its density and its values."""
+    """A BSDF to :func:`integrate`, whose channels are those of :class:`Due`."""
 
-    def __init__(self, probe, most):
+    def __init__(self, probe, most, subdivision, limits):
         self.probe, self.left = probe, most
+        self.subdivision, self.limits = subdivision, mi.Float(limits)
 
     def class_name(self):
         """Return the name of the BSDF."""
@@ -238,4 +297,6 @@ class _Integrand:
         self.left -= dr.width(wo)
         if self.left < 0:
             raise SpecimenError("the integral takes too many evaluations")
-        return _finite_values(self.probe, wo)
+        index = patch_of(self.subdivision, self.probe.condition, wo)
+        limit = dr.gather(mi.Float, self.limits, index)
+        return _finite_values(self.probe, wo, limit)

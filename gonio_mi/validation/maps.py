@@ -14,14 +14,32 @@ from ..collector import Subdivision
 from ..errors import SpecimenError
 from ..results.normal_scores import two_sided_score
 from .collecting import rounding
-from .drawing import Totals, count
-from .integrals import Integrals, integrals
+from .damping import SMALL, Damping, groups
+from .drawing import Totals, count, draw
+from .integrals import Due, integrals
 from .probe import Probe
 
 __all__ = ["FourMaps", "Scores", "four_maps"]
 
-# Patches are merged until that many equivalent hits are due.
+# Patches are merged until that many hits are due.
 ENOUGH_HITS = 100
+
+# One sample in that many is a pilot, which chooses groups and limits of weights.
+PILOT = 8
+
+# Of the variance of a sum, what its heaviest weight may have where weights are not
+# `eval` over `pdf`, so that nothing but samples says how heavy they may be.
+TAIL = 4 * SMALL
+
+# A random number has 2^23 values; at the two ends of three of them a formula may lose
+# a sample, though no density says so.
+GRAIN = 6 * 2.0**-23
+
+# Part of a variance below which nothing is left to chance: all samples are collected.
+FREE = 0.01
+
+# Score of what chance cannot have done.
+FAR = 1e6
 
 
 @dataclass(frozen=True)
@@ -31,23 +49,31 @@ class Scores:
     Attributes
     ----------
     z : ndarray, shape (n_groups,)
+        NaN where it cannot be judged.
     first : ndarray of int, shape (n_groups,)
         Index of the first patch of each group.
     total : float
         Score of the sum of all patches.
+    mean_variance : float
+        Of the sum of `z`, over their number: less than 1, for a sample that is in one
+        group is not in another.
     """
 
     z: np.ndarray
     first: np.ndarray
     total: float
+    mean_variance: float = 1.0
 
     @property
     def p_values(self):
         """Probability of such scores by chance: of mean, spread, worst and total."""
-        z, n = self.z, len(self.z)
+        z = self.z[np.isfinite(self.z)]
+        n = len(z)
         views = {"total": 2 * special.ndtr(-abs(self.total))}
+        if n and self.mean_variance > FREE:
+            scale = np.sqrt(n / self.mean_variance)
+            views["mean"] = 2 * special.ndtr(-abs(z.mean()) * scale)
         if n:
-            views["mean"] = 2 * special.ndtr(-abs(z.mean()) * np.sqrt(n))
             views["spread"] = special.chdtrc(n, float(z @ z))
             tail = 2 * special.ndtr(-np.abs(z).max())
             views["worst"] = -np.expm1(n * np.log1p(-min(tail, 1 - 1e-16)))
@@ -56,7 +82,8 @@ class Scores:
     @property
     def statistics(self):
         """What each view is judged by, as text."""
-        z, n = self.z, len(self.z)
+        z = self.z[np.isfinite(self.z)]
+        n = len(z)
         texts = {"total": f"z of the sum {self.total:+.1f}"}
         if n:
             texts["mean"] = f"mean z {z.mean():+.2f} of {n} patches"
@@ -75,89 +102,104 @@ class FourMaps:
     subdivision : Subdivision
     totals : Totals
         Drawn; see there for the order of patches.
-    due_counts, due_weights : Integrals
-        Of ``pdf``, and of the mean over channels of ``eval``.
+    due : Due
+        Integrals of ``pdf``, of damped weights, and of ``eval``.
+    damping : Damping
+        Of heavy weights.
     pdf_rounding, eval_rounding : float
         Relative error that single precision may leave in them.
-    smooth_flux : ndarray, shape (channels,)
-        Sum of the integral of ``eval``, for each channel.
-    smooth_bound : ndarray, shape (channels,)
-        Within which that is right.
     """
 
     condition: object
     subdivision: Subdivision
     totals: Totals
-    due_counts: Integrals
-    due_weights: Integrals
+    due: Due
+    damping: Damping
     pdf_rounding: float
     eval_rounding: float
-    smooth_flux: np.ndarray
-    smooth_bound: np.ndarray
 
     @property
     def pdf(self):
-        """Integral of ``pdf`` by patch, shape (2 n_patches,)."""
-        return self.due_counts.values
+        """Integral of ``pdf`` where ``eval`` is not black, by patch, (2 n_patches,)."""
+        return self.due.counts.values
 
     @property
-    def eval(self):
-        """Integral of the mean over channels of ``eval``, shape (2 n_patches,)."""
-        return self.due_weights.values
+    def weights(self):
+        """Mean of the damped weight by patch, shape (2 n_patches,)."""
+        return self.due.weights.values
+
+    @property
+    def smooth_flux(self):
+        """Integral of ``eval``, shape (channels,)."""
+        return np.array([one.values.sum() for one in self.due.channels])
+
+    @property
+    def smooth_bound(self):
+        """Within which that is right."""
+        return np.array([one.sum_bound for one in self.due.channels])
 
     @property
     def pdf_sum_bound(self):
         """Within which the sum of `pdf` is right."""
-        return self.due_counts.sum_bound + self.pdf_rounding * self.pdf.sum()
+        return self.due.counts.sum_bound + self.pdf_rounding * self.pdf.sum() + GRAIN
+
+    @property
+    def judged(self):
+        """Share of the light of ``eval`` whose weights are light enough to judge."""
+        flux = self.smooth_flux.mean()
+        return min(1.0, self.weights.sum() / flux) if flux > 0 else 1.0
 
     @cached_property
     def count_scores(self):
         """Counted directions against the integral of ``pdf``."""
         drawn, n = self.totals, self.totals.n
-        due, bound, variance = _uncertain(self.due_counts, self.pdf_rounding)
-        first = _groups(n * due)
+        due, bound, variance = _uncertain(self.due.counts, self.pdf_rounding)
+        first = groups(n * due, ENOUGH_HITS)
         k, q, e, v = (_merged(x, first) for x in (drawn.counts, due, bound, variance))
         z = _binomial_score(k, n, q, e) / _widened(n * v, q * (1 - q))
         total = _binomial_score(drawn.counts.sum(), n, due.sum(), self.pdf_sum_bound)
-        return Scores(z, first, float(total))
+        share = np.sqrt(q / np.maximum(1 - q, q))
+        return Scores(z, first, float(total), _mean_variance(share))
 
     @cached_property
     def weight_scores(self):
-        """Summed weights against the integral of ``eval``."""
-        drawn, n = self.totals, self.totals.n
-        if drawn.sums.sum() <= 0 and self.eval.sum() <= 0:
+        """Summed weights, damped, against their mean."""
+        drawn, n, first = self.totals, self.totals.n, self.damping.first
+        if drawn.sums.sum() <= 0 and self.weights.sum() <= 0:
             return Scores(np.zeros(0), np.zeros(0, int), 0.0)
-        usual = drawn.usual_weight
-        due, bound, variance = _uncertain(self.due_weights, self.eval_rounding)
-        first = _groups(n * due / usual)
-        w, w2, q, e, v = (
-            _merged(x, first) for x in (drawn.sums, drawn.squares, due, bound, variance)
-        )
-        z = _weight_score(w, w2, n, q, e, usual) / _widened(n * v, w2 / n)
-        sums = (x.sum(keepdims=True) for x in (drawn.sums, drawn.squares))
-        sum_bound = self.due_weights.sum_bound + self.eval_rounding * due.sum()
-        total = _weight_score(*sums, n, due.sum(keepdims=True), sum_bound, usual)
-        return Scores(z, first, float(total[0]))
+        due, bound, variance = _uncertain(self.due.weights, self.eval_rounding)
+        if drawn.is_ratio:
+            squares, cubes = n * self.due.squares.values, n * self.due.cubes.values
+        else:
+            squares, cubes = drawn.squares, drawn.cubes
+        columns = drawn.sums, due, squares, cubes, bound, variance
+        merged = [_merged(x, first) for x in columns]
+        z = _sum_score(n, *merged)
+        left = np.maximum(merged[2] - n * merged[1] ** 2, merged[2] * FREE)
+        share = merged[1] * np.sqrt(n / np.where(left > 0, left, np.inf))
+        if not drawn.is_ratio and first.size:
+            # how heavy tails are can only be seen in the samples themselves
+            heaviest = np.maximum.reduceat(drawn.largest, first) ** 2
+            z[heaviest > TAIL * _merged(drawn.squares, first)] = np.nan
+        total = [float(column.sum()) for column in columns]
+        total[4] = self.due.weights.sum_bound + self.eval_rounding * total[1]
+        total[5] = 0.0  # in that bound
+        total = _sum_score(n, *map(np.atleast_1d, total))[0]
+        kept = np.isfinite(z)
+        return Scores(z, first, float(total), _mean_variance(share[kept]))
 
 
 def four_maps(bsdf, condition, subdivision, n, key):
     """Draw, integrate and return :class:`FourMaps`, or None if it does not converge."""
-    totals = count(bsdf, condition, subdivision, n, key)
+    pilot = draw(bsdf, condition, subdivision, n // PILOT, (*key, 3))
+    damping = Damping.of(pilot, 2 * subdivision.n_patches, n)
+    totals = count(bsdf, condition, subdivision, n, key, damping)
     probe = Probe(bsdf, condition)
     try:
-        due_counts, *channels = integrals(probe, subdivision, totals)
+        due = integrals(probe, subdivision, totals, damping.limits)
     except SpecimenError:
         return None
-    return FourMaps(
-        condition,
-        subdivision,
-        totals,
-        due_counts,
-        Integrals.mean(channels),
-        *rounding(probe, key),
-        np.array([one.values.sum() for one in channels]),
-        np.array([one.sum_bound for one in channels]),
-    )
+    return FourMaps(condition, subdivision, totals, due, damping, *rounding(probe, key))
 
 
 def _uncertain(due, relative):
@@ -170,17 +212,14 @@ def _widened(variance, by_chance):
     return np.sqrt(1 + variance / np.maximum(by_chance, variance + 1e-300))
 
 
-def _groups(due):
-    """First patch of each group of consecutive patches with enough hits due."""
-    starts, total = [], ENOUGH_HITS
-    for i, hits in enumerate(due.tolist()):
-        if total >= ENOUGH_HITS:
-            starts.append(i)
-            total = 0.0
-        total += hits
-    if total < ENOUGH_HITS:
-        starts.pop()
-    return np.array(starts, dtype=int)
+def _mean_variance(share):
+    """Variance of the sum of scores, over their number.
+
+    Sums over two groups have the covariance -n m m', with the means m of a sample in
+    each; `share` is sqrt(n) m over the standard deviation of its sum.
+    """
+    n = max(len(share), 1)
+    return float(1 + (np.sum(share**2) - np.sum(share) ** 2) / n)
 
 
 def _merged(values, first):
@@ -202,23 +241,31 @@ def _binomial_score(k, n, q, error):
     return np.where(k == n * p, 0.0, np.where(far, np.clip(rough, -1e6, 1e6), exact))
 
 
-def _weight_score(w, w2, n, due, error, usual):
+def _sum_score(n, w, due, squares, cubes, error, variance):
     """Normal score of sums of weights; `due` is known within `error`.
 
-    As a Poisson variable of the same relative variance (Bohm and Zech 2014, Nucl.
-    Instrum. Methods A 748, 1), which is skew as the sum itself is; where the sum varies
-    less than that, because nearly all samples contribute, by its variance.
+    As a gamma variable, shifted, of the same mean, variance and skewness as the sum of
+    `n` terms, whose powers have the sums `squares` and `cubes`. `variance` is that of
+    `due`.
     """
     mean = np.clip(w / n, due - error, due + error)
-    scale = np.where(w > 0, w2 / np.where(w > 0, w, 1), usual)
-    # a sum that is too small for want of heavy weights
-    scale = np.maximum(scale, np.where(mean * n > w, 0.5 * usual, 0))
-    variance = np.maximum(scale * np.maximum(w, n * mean) - n * mean**2, 0)
+    spread = np.maximum(squares - n * mean**2, 0)
+    third = cubes - 3 * mean * squares + 2 * n * mean**3
     rounding = np.finfo(np.float32).eps * np.maximum(np.abs(w), n * np.abs(mean))
-    rough = (w - n * mean) / np.sqrt(variance + rounding**2)
-    hits, expected = w / scale, np.maximum(n * mean / scale, 0)
-    at_most = special.gammaincc(hits + 1, expected)
-    at_least = special.gammainc(np.maximum(hits, 1e-9), expected)
-    exact = two_sided_score(at_most, at_least)
-    normal = (hits > 1000) | (np.abs(rough) > 8) | ~np.isfinite(exact)
-    return np.where(w == n * mean, 0.0, np.where(normal, rough, exact))
+    sigma = np.sqrt(spread + n**2 * variance + rounding**2)
+    rough = np.divide(w - n * mean, sigma, out=np.zeros_like(w), where=sigma > 0)
+    rough = np.where((sigma == 0) & (w != n * mean), FAR, rough)
+    skewness = np.divide(third, sigma**3, out=np.zeros_like(w), where=sigma > 0)
+    # no weight is heavy enough for more; beyond, it is the rounding of nearly nothing
+    skewness = np.clip(skewness, -np.sqrt(TAIL), np.sqrt(TAIL))
+    return np.where(w == n * mean, 0.0, _skew_score(rough, skewness))
+
+
+def _skew_score(z, skewness):
+    """Normal score of the same tail as a shifted gamma variable has beyond `z`."""
+    turned = np.sign(skewness) * z
+    shape = 4 / np.maximum(np.abs(skewness), 1e-9) ** 2
+    x = np.maximum(shape + turned * np.sqrt(shape), 0.0)
+    exact = two_sided_score(special.gammainc(shape, x), special.gammaincc(shape, x))
+    normal = (np.abs(skewness) < 1e-3) | (np.abs(z) > 8) | ~np.isfinite(exact)
+    return np.where(normal, z, np.sign(skewness) * exact)

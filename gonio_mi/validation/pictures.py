@@ -63,8 +63,8 @@ def _columns(maps):
         ("integral of pdf", _density(maps.pdf)),
         ("z: counted - pdf", _scores(maps.count_scores)),
         ("summed weights", _density(drawn.sums / n)),
-        ("integral of eval", _density(maps.eval)),
-        ("z: weights - eval", _scores(maps.weight_scores)),
+        ("due weights", _density(maps.weights)),
+        ("z: weights - due", _scores(maps.weight_scores)),
     ]
 
 

@@ -1,21 +1,16 @@
 """The functions of a BSDF, called with care: what they answer is checked for its form.
 
-Whatever a plugin does wrong, from raising to looping, ends in a :class:`PluginFault`.
+Whatever a plugin does wrong there ends in a :class:`PluginFault`.
 """
 
 import contextlib
-import signal
-import threading
 from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-__all__ = ["PluginFault", "Probe", "Sampled", "numbers", "spectral"]
-
-# Seconds that one call of a plugin's function may take before it counts as hung.
-PATIENCE = 60
+__all__ = ["PluginFault", "Probe", "Sampled", "blamed", "numbers", "spectral"]
 
 # Channels of a spectral variant, in nm.
 WAVELENGTHS_NM = (450.0, 520.0, 580.0, 650.0)
@@ -87,17 +82,19 @@ class Probe:
         answer = self._call(
             "sample", self.interaction(wi), sample1, sample2, active=active
         )
-        return self._sampled("sample", answer, dr.width(sample1, sample2))
+        return self._sampled(
+            "sample", answer, self._width(wi, sample1, sample2, active)
+        )
 
     def eval(self, wo, active=True, wi=None, ctx=None):
         """Answer of ``eval``."""
         answer = self._call("eval", self.interaction(wi), wo, active=active, ctx=ctx)
-        return self._spectrum("eval", answer, dr.width(wo, active))
+        return self._spectrum("eval", answer, self._width(wi, wo, active))
 
     def pdf(self, wo, active=True, wi=None):
         """Answer of ``pdf``."""
         answer = self._call("pdf", self.interaction(wi), wo, active=active)
-        return self._float("pdf", answer, dr.width(wo, active))
+        return self._float("pdf", answer, self._width(wi, wo, active))
 
     def eval_pdf(self, wo, active=True):
         """Both answers of ``eval_pdf``."""
@@ -119,33 +116,18 @@ class Probe:
 
     def null_transmission(self):
         """Answer of ``eval_null_transmission``."""
-        with self._patience("eval_null_transmission"):
+        with blamed("eval_null_transmission"):
             answer = self.bsdf.eval_null_transmission(self.interaction())
         return self._spectrum("eval_null_transmission", answer, 1)
 
+    def _width(self, wi, *arguments):
+        """Number of rays of a call."""
+        return dr.width(self.wi if wi is None else wi, self.uv, *arguments)
+
     def _call(self, function, *arguments, active, ctx=None):
         method = getattr(self.bsdf, function)
-        with self._patience(function):
+        with blamed(function):
             return method(ctx or self.ctx, *arguments, active)
-
-    @contextlib.contextmanager
-    def _patience(self, function):
-        """Whatever goes wrong within is the plugin's fault."""
-        try:
-            with _time_limit(PATIENCE):
-                yield
-        except _TimeOutError:
-            raise PluginFault(
-                function, f"did not return within {PATIENCE} seconds"
-            ) from None
-        except (KeyboardInterrupt, PluginFault):
-            raise
-        except Exception as error:
-            # a plugin may raise anything
-            text = " ".join(str(error).split())
-            raise PluginFault(
-                function, f"raised {type(error).__name__}: {text:.200}"
-            ) from error
 
     def _sampled(self, function, answer, n):
         bs, weight = self._parts(function, answer, 2)
@@ -190,28 +172,19 @@ class Probe:
             )
 
 
-class _TimeOutError(Exception):
-    pass
-
-
 @contextlib.contextmanager
-def _time_limit(seconds):
-    """Raise in Python code that runs for longer; only the main thread can."""
-    usable = hasattr(signal, "setitimer")
-    if not usable or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def _ring(*_):
-        raise _TimeOutError
-
-    before = signal.signal(signal.SIGALRM, _ring)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+def blamed(function):
+    """Whatever goes wrong within is the fault of the plugin's function of that name."""
     try:
         yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+    except (KeyboardInterrupt, PluginFault):
+        raise
+    except Exception as error:
+        # a plugin may raise anything
+        text = " ".join(str(error).split())
+        raise PluginFault(
+            function, f"raised {type(error).__name__}: {text:.200}"
+        ) from error
 
 
 def _kind(value):

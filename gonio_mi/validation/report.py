@@ -7,6 +7,7 @@ import io
 from ..files import check_output, replacing
 from ..plots.drawable import check_matplotlib
 from .pictures import draw
+from .verdict import FAILS
 
 __all__ = ["check_report", "save_report"]
 
@@ -42,7 +43,7 @@ def save_report(verdict, path):
     """
     check_report(path)
     name = html.escape(verdict.name)
-    head = "nothing wrong was found" if verdict.passed else _code(verdict.mistake)
+    head = _code(verdict.headline)
     parts = [
         "<!doctype html>",
         f'<html lang="en"><meta charset="utf-8"><title>{name}</title>',
@@ -50,7 +51,8 @@ def save_report(verdict, path):
         f"<h1>{name}</h1>",
         f"<p><b>{head}</b></p>",
         "<table>",
-        *(_row(one) for one in verdict.properties),
+        *(_row(one) for one in verdict.failures),
+        *(_row(one) for one in verdict.properties if one not in verdict.failures),
         "</table>",
         f"<p><small>{html.escape(str(verdict).splitlines()[-2])}</small></p>",
     ]
@@ -63,6 +65,8 @@ def save_report(verdict, path):
 
 def _row(one):
     details = [html.escape(one.statistic)] if one.statistic else []
+    if one.status == FAILS:
+        details.insert(0, html.escape(one.consequence))
     if one.mistake:
         details.append(f"<b>{_code(one.mistake)}</b>")
     text = "<br>".join([_code(one.question), *(f"<small>{d}</small>" for d in details)])

@@ -43,7 +43,9 @@ def check_symmetry(evidence, drawn, bsdf):
                 _not_reciprocal(forward, backward, drawn, wrong),
                 size=float(wrong.mean()),
             )
-    wrong = unequal(forward, adjoint, slack * (1 + eta2)) & smooth
+    # a model that is not reciprocal is so in either mode: their ratio tells them apart
+    ratio = unequal(drawn.eval, eta2 * drawn.other_mode, drawn.eval_slack * (1 + eta2))
+    wrong = unequal(forward, adjoint, slack * (1 + eta2)) & smooth & ratio
     if is_many(wrong, drawn.n):
         evidence.breach(
             "adjoint",

@@ -1,10 +1,18 @@
 """The verdict on a BSDF: one line for each property, and the likely mistake."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from .evidence import PROPERTIES
+from .evidence import (
+    BIAS,
+    BREAKS,
+    EFFECTS,
+    HARM,
+    INTERFACE,
+    NOISE,
+    PROPERTIES,
+    WHERE,
+    harm,
+)
 
 __all__ = ["FAILS", "HOLDS", "LACKS", "UNDECIDED", "Property", "Verdict", "judge"]
 
@@ -29,6 +37,8 @@ class Property:
         Of the plugin, where that is.
     p_value : float or None
         The smallest of its statistical tests, times the number of these; None without.
+    effect : str or None
+        What a failure does to an image, one of :data:`EFFECTS`; None if it holds.
     """
 
     name: str
@@ -37,15 +47,25 @@ class Property:
     mistake: str | None = None
     function: str | None = None
     p_value: float | None = None
+    effect: str | None = None
 
     @property
     def question(self):
         """What the property is."""
         return PROPERTIES[self.name]
 
+    @property
+    def consequence(self):
+        """The effect, with the integrators that it reaches."""
+        if self.effect in (BIAS, BREAKS) and self.name in WHERE:
+            return f"{self.effect} ({WHERE[self.name]})"
+        return self.effect
+
     def __str__(self):
         line = f"{self.status:<10}{self.name:<16} {self.question}"
         details = [self.statistic] if self.statistic else []
+        if self.status == FAILS:
+            details.insert(0, self.consequence)
         if self.mistake and self.status == FAILS:
             details.append(self.mistake)
         return "\n".join([line, *(f"{'':<27}{text}" for text in details)])
@@ -79,13 +99,31 @@ class Verdict:
 
     @property
     def passed(self):
-        """Whether no property fails."""
-        return not self.failures
+        """Whether nothing fails that biases images or breaks integrators.
+
+        If the verdict is strict, whether nothing fails at all.
+        """
+        grave = (BIAS, BREAKS)
+        strict = self.settings["strict"]
+        return not any(strict or one.effect in grave for one in self.failures)
 
     @property
     def failures(self):
-        """Properties that fail."""
-        return tuple(p for p in self.properties if p.status == FAILS)
+        """Properties that fail, the worst effect first."""
+        failed = [p for p in self.properties if p.status == FAILS]
+        return tuple(sorted(failed, key=lambda one: EFFECTS.index(one.effect)))
+
+    @property
+    def headline(self):
+        """The verdict in one sentence."""
+        failed = self.failures
+        if not failed:
+            undecided = sum(p.status == UNDECIDED for p in self.properties)
+            rest = f", {undecided} could not be decided" if undecided else ""
+            return f"{self.name}: nothing wrong was found{rest}"
+        word = "passes, with a remark" if self.passed else "FAILS"
+        guess = f"{failed[0].consequence}. Most likely: {self.mistake}"
+        return f"{self.name}: {word}: {guess}"
 
     def __getitem__(self, name):
         for one in self.properties:
@@ -94,20 +132,17 @@ class Verdict:
         raise KeyError(name)
 
     def __str__(self):
-        lines = [str(one) for one in self.properties]
+        failed = self.failures
+        rest = [one for one in self.properties if one not in failed]
+        lines = [str(one) for one in (*failed, *rest)]
         s = self.settings
         lines.append("")
         lines.append(
             f"{s['n_tests']} statistical tests share a false-alarm probability of "
             f"{s['alpha']:g}; {s['n_samples']:.3g} samples, seed {s['seed']}, "
-            f"effort {s['effort']}"
+            f"effort {s['effort']}, {s['variant']}"
         )
-        if self.passed:
-            undecided = sum(p.status == UNDECIDED for p in self.properties)
-            rest = f", {undecided} could not be decided" if undecided else ""
-            lines.append(f"{self.name}: nothing wrong was found{rest}")
-        else:
-            lines.append(f"{self.name}: FAILS. Most likely: {self.mistake}")
+        lines.append(self.headline)
         return "\n".join(lines)
 
     def to_dict(self):
@@ -117,6 +152,7 @@ class Verdict:
             "passed": self.passed,
             "function": self.function,
             "mistake": self.mistake,
+            "effect": self.failures[0].effect if self.failures else None,
             "properties": [
                 {
                     "name": p.name,
@@ -126,6 +162,7 @@ class Verdict:
                     "mistake": p.mistake,
                     "function": p.function,
                     "p_value": p.p_value,
+                    "effect": p.effect,
                 }
                 for p in self.properties
             ],
@@ -149,44 +186,60 @@ def judge(evidence, alpha, allow=()):
     list of Property
     """
     level = alpha / max(len(evidence.tests), 1)
-    return [_property(evidence, name, level, name in allow) for name in PROPERTIES]
+    found = {
+        name: _property(evidence, name, level, name in allow) for name in PROPERTIES
+    }
+    single, summed = found["sampled_weight"], found["weights"]
+    if single.status == FAILS and summed.status == HOLDS and summed.p_value is not None:
+        # one by one they are not eval over pdf, but on average they are
+        found["sampled_weight"] = replace(single, effect=INTERFACE)
+    return list(found.values())
 
 
 def _property(evidence, name, level, allowed):
     breaches = [b for b in evidence.breaches if b.property == name]
     tests = [t for t in evidence.tests if t.property == name]
-    worst = min(tests, key=lambda t: t.p, default=None)
-    p_value = None if worst is None else float(min(1.0, worst.p * len(tests)))
+    smallest = min((t.p for t in tests), default=None)
+    p_value = None if smallest is None else float(min(1.0, smallest * len(tests)))
     failure = LACKS if allowed else FAILS
-    # the tests of a property in one view that chance would not explain
-    if worst is not None and worst.p < level:
-        places = {str(t.condition) for t in tests if t.p < level}
-        where = "" if worst.condition is None else f" at {worst.condition}"
-        more = f", and at {len(places) - 1} more" if len(places) > 1 else ""
-        text = f"{worst.statistic}{where}{more}, p = {worst.p:.2g}"
-        function = breaches[0].function if breaches else None
-        mistake = breaches[0].mistake if breaches else None
-        return Property(name, failure, text, mistake, function, p_value)
-    if breaches:
-        worst = max(breaches, key=lambda b: b.size)
-        places = len(breaches) - 1
-        more = f"; {places} more like it" if places else ""
-        return Property(
-            name,
-            failure,
-            worst.statistic + more,
-            worst.mistake,
-            worst.function,
-            p_value,
-        )
+    beyond = [t for t in tests if t.p < level]
+    if beyond or breaches:
+        harms = [harm(b) for b in breaches] + [_harm_of(t) for t in beyond]
+        effect = min(harms, key=EFFECTS.index)
+        # what does most harm, and of that what says most
+        breaches = [b for b in breaches if harm(b) == effect] or breaches
+        worst = max(breaches, key=lambda b: b.size, default=None)
+        mistake, function = (worst.mistake, worst.function) if worst else (None, None)
+        text = _of_tests(beyond) if beyond else worst.statistic
+        if not beyond and len(breaches) > 1:
+            text += f"; {len(breaches) - 1} more like it"
+        return Property(name, failure, text, mistake, function, p_value, effect)
     if name in evidence.declared:
         return Property(name, LACKS, evidence.declared[name], p_value=p_value)
     if name in evidence.undecided:
-        return Property(name, UNDECIDED, evidence.undecided[name], p_value=p_value)
+        effect = NOISE if name in evidence.noisy else None
+        text = evidence.undecided[name]
+        return Property(name, UNDECIDED, text, p_value=p_value, effect=effect)
     text = evidence.remarks.get(name, "")
-    if worst is not None:
-        smallest = (
-            f"smallest p of {len(tests)} tests {np.min([t.p for t in tests]):.2g}"
-        )
-        text = f"{text}; {smallest}" if text else smallest
+    if tests:
+        least = f"smallest p of {len(tests)} tests {smallest:.2g}"
+        text = f"{text}; {least}" if text else least
     return Property(name, HOLDS, text, p_value=p_value)
+
+
+def _harm_of(test):
+    """What a failed test does; a single component is never asked for by itself."""
+    condition = test.condition
+    if condition is not None and condition.component is not None:
+        return INTERFACE
+    return HARM[test.property]
+
+
+def _of_tests(beyond):
+    """Statistic of the tests of a property that chance would not explain."""
+    # the whole before its components
+    worst = min(beyond, key=lambda t: (EFFECTS.index(_harm_of(t)), t.p))
+    places = {str(t.condition) for t in beyond}
+    where = "" if worst.condition is None else f" at {worst.condition}"
+    more = f", and at {len(places) - 1} more" if len(places) > 1 else ""
+    return f"{worst.statistic}{where}{more}, p = {worst.p:.2g}"
