@@ -30,6 +30,10 @@ MISTAKES = {
     "pdf_a_permille_off_everywhere": "pdf",
     "flags_of_another_lobe": "flags",
     "flags_without_back_side": "flags",
+    "flags_smooth_missing": "flags",
+    "pdf_below_the_horizon": "pdf",
+    "pdf_negative_below": "pdf",
+    "support_with_a_hole": "pdf",
     "hemisphere_mixed_up": "sample",
     # of a mixture with a microfacet lobe
     "weight_without_lobe_probability": "sample",
@@ -187,6 +191,34 @@ def register():
 
     class FlagsOfAnotherLobe(Lambert):
         components = (glossy | front,)
+
+    class FlagsSmoothMissing(Lambert):
+        """Integrators that sample light skip it."""
+
+        components = (int(flags.DeltaReflection) | front,)
+
+    class PdfBelowTheHorizon(Lambert):
+        def pdf(self, ctx, si, wo, active=True):
+            ok = active & (cosine(si.wi) > 0)
+            return dr.select(ok, dr.inv_pi * dr.abs(cosine(wo)), 0)
+
+    class PdfNegativeBelow(Lambert):
+        def pdf(self, ctx, si, wo, active=True):
+            return dr.select(active & (cosine(si.wi) > 0), dr.inv_pi * cosine(wo), 0)
+
+    class SupportWithAHole(Lambert):
+        """Samples leave out a rim of the hemisphere, and `pdf` knows."""
+
+        def density(self, si, wo):
+            inside = cosine(wo) > 0.2
+            return dr.select(inside, dr.inv_pi * cosine(wo) / (1 - 0.04), 0)
+
+        def direction(self, si, sample1, sample2):
+            wo = super().direction(si, sample1, sample2)
+            z = dr.sqrt(0.04 + 0.96 * dr.square(wo.z))
+            sines = [dr.safe_sqrt(1 - dr.square(x)) for x in (z, wo.z)]
+            across = sines[0] / dr.maximum(sines[1], 1e-6)
+            return mi.Vector3f(wo.x * across, wo.y * across, z)
 
     class TwoFaces(Lambert):
         components = (diffuse | front | back,)

@@ -5,16 +5,23 @@ GONIO_EFFORT=normal (or thorough) examines the broken ones harder than quick.
 
 import json
 import os
+import sys
 from pathlib import Path
 
 import broken_bsdfs
 import budget
+import mitsuba as mi
+import numpy as np
 import pytest
 from broken_bsdfs import MISTAKES, RIGHT
 
 from gonio_mi import SpecimenError, cli
 from gonio_mi.testing import assert_bsdf_valid
-from gonio_mi.validation import PROPERTIES, save_report, validate
+from gonio_mi.validation import PROPERTIES, delta, save_report, validate
+from gonio_mi.validation.collecting import collect
+from gonio_mi.validation.conditions import Condition
+from gonio_mi.validation.evidence import Evidence
+from gonio_mi.validation.parameters import coloured
 
 ALPHA = budget.ALPHA
 EFFORT = os.environ.get("GONIO_EFFORT", "quick")
@@ -132,6 +139,129 @@ def test_for_ci():
     assert assert_bsdf_valid({"type": "lambert"}, effort="quick").passed
     with pytest.raises(AssertionError, match="`eval` lacks the cosine of wo"):
         assert_bsdf_valid({"type": "eval_without_cosine"}, effort="quick")
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize(
+    ("name", "effect", "passed"),
+    [
+        ("pdf_half_a_percent_off", "biases images", False),
+        ("flags_smooth_missing", "biases images", False),
+        ("importance_with_eta2", "breaks some integrators", False),
+        ("fresnel_not_reciprocal", "a property of the model", True),
+        ("eval_gains_one_percent", "a property of the model", True),
+        ("sample_ignores_active", "a nicety of the interface", True),
+        ("flags_of_another_lobe", "a nicety of the interface", True),
+        ("pdf_below_the_horizon", "a nicety of the interface", True),
+    ],
+)
+def test_effect_decides(name, effect, passed):
+    """What biases images or breaks integrators fails; the rest if one is strict."""
+    verdict = validate({"type": name}, effort="quick")
+    assert verdict.failures[0].effect == effect, str(verdict)
+    assert verdict.passed == passed
+    assert effect in verdict.headline
+    assert not validate({"type": name}, effort="quick", strict=True).passed
+
+
+@pytest.mark.usefixtures("plugins")
+def test_not_reciprocal_is_one_fact():
+    """Both modes are the same, so that adjointness has nothing to add."""
+    verdict = validate({"type": "fresnel_not_reciprocal"}, effort="quick")
+    assert [one.name for one in verdict.failures] == ["reciprocity"]
+
+
+@pytest.mark.usefixtures("mono")
+def test_answers_as_wide_as_the_rays():
+    """Nested maps turn single incident directions into as many as there are rays."""
+    heights = np.linspace(0, 0.3, 16, dtype=np.float32).reshape(4, 4, 1)
+    heights = {"type": "bitmap", "bitmap": mi.Bitmap(heights), "raw": True}
+    bumps = {"type": "bumpmap", "arbitrary": heights, "nested": {"type": "diffuse"}}
+    blend = {"type": "blendbsdf", "weight": 0.5, "a": bumps, "b": bumps}
+    verdict = validate(blend, effort="quick")
+    assert verdict.answered, str(verdict)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("side", ["front", "back"])
+def test_rare_discrete_lobes_are_counted(side):
+    """Of an index of 1.01 a few reflect; a probability of 1 would allow none."""
+    bsdf = mi.load_dict({"type": "dielectric", "int_ior": 1.01, "ext_ior": 1.0})
+    drawn = collect(bsdf, Condition(40.0, 140.0, side), 2**18, (0, 1))
+    evidence = Evidence()
+    delta.check_delta(evidence, drawn, bsdf, (0, 1))
+    assert min(test.p for test in evidence.tests) > ALPHA
+    # the twin: a probability of 1, but for rounding, allows none of them
+    drawn.sampled_pdf[~drawn.reflected] = 1.0
+    delta.check_delta(twin := Evidence(), drawn, bsdf, (0, 1))
+    assert min(test.p for test in twin.tests) < ALPHA
+
+
+ONE_VARIANT = """
+import mitsuba as mi
+from own_part import Lambertian
+mi.register_bsdf("knows_rgb", Lambertian)
+"""
+OWN_PART = """
+import drjit as dr
+import mitsuba as mi
+
+class Lambertian(mi.BSDF):
+    def __init__(self, props):
+        super().__init__(props)
+        self.m_flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
+        self.m_components = [self.m_flags]
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+        bs.pdf, bs.eta = dr.inv_pi * bs.wo.z, 1.0
+        bs.sampled_type = mi.UInt32(+mi.BSDFFlags.DiffuseReflection)
+        return bs, mi.Color3f(0.2, 0.5, 0.8) & (active & (si.wi.z > 0) & (bs.pdf > 0))
+
+    def eval(self, ctx, si, wo, active=True):
+        ok = active & (si.wi.z > 0) & (wo.z > 0)
+        return mi.Color3f(0.2, 0.5, 0.8) * (dr.inv_pi * wo.z) & ok
+
+    def pdf(self, ctx, si, wo, active=True):
+        return dr.select(active & (si.wi.z > 0) & (wo.z > 0), dr.inv_pi * wo.z, 0)
+
+    def to_string(self):
+        return "Lambertian[]"
+"""
+
+
+@pytest.mark.usefixtures("mono")
+def test_command_judges_where_a_plugin_answers(tmp_path, capsys, monkeypatch):
+    """In rgb and in mono; its own modules are found beside it, in either."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    plugin = tmp_path / "one_variant.py"
+    plugin.write_text(ONE_VARIANT)
+    (tmp_path / "own_part.py").write_text(OWN_PART)
+    arguments = ["validate", "knows_rgb", "--plugin", str(plugin), "--effort", "quick"]
+    assert cli.main([*arguments, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["settings"]["variant"] == "llvm_ad_rgb"
+    assert "got Color3f" in answer["skipped"]["llvm_ad_mono"]
+    assert answer["others"] == []
+    both = (tmp_path / "own_part.py").read_text().replace("Color3f", "Spectrum")
+    both = both.replace("0.2, 0.5, 0.8", "0.5")
+    (tmp_path / "own_part.py").write_text(both)
+    assert cli.main([*arguments, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert [one["settings"]["variant"] for one in answer["others"]] == ["llvm_ad_mono"]
+    assert answer["skipped"] == {}
+
+
+@pytest.mark.usefixtures("rgb")
+def test_grey_parameters_get_a_colour():
+    """So that channels that are mixed up show."""
+    grey = {"type": "roughplastic", "diffuse_reflectance": 0.5, "alpha": 0.1}
+    params = mi.traverse(coloured(mi.load_dict(grey), grey))
+    tinted = np.ravel(params["diffuse_reflectance.value"])
+    assert tinted.max() == 0.5
+    assert len(set(tinted.tolist())) == 3
+    assert params["alpha"] == np.float32(0.1)
 
 
 PLUGIN = """

@@ -69,13 +69,16 @@ def add_specimen(parser):
     )
 
 
-def add_scene_options(group):
-    """Add the options that say what Mitsuba loads specimens with."""
+def add_scene_options(group, variants=(DEFAULT_VARIANT,)):
+    """Add the options that say what Mitsuba loads specimens with.
+
+    The default of ``--variant`` is None where a command takes several `variants`.
+    """
     group.add_argument(
         "--variant",
-        default=DEFAULT_VARIANT,
+        default=variants[0] if len(variants) == 1 else None,
         metavar="V",
-        help=f"Mitsuba variant (default: {DEFAULT_VARIANT})",
+        help=f"Mitsuba variant (default: {' and '.join(variants)})",
     )
     group.add_argument(
         "--plugin",

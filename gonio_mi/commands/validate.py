@@ -1,7 +1,9 @@
 """``gonio-mi validate``: whether a BSDF plugin is right, and who is wrong."""
 
+import argparse
 import json
 
+from ..errors import SpecimenError
 from ..instrument.loading import load_specimen
 from .arguments import (
     DONE,
@@ -9,11 +11,14 @@ from .arguments import (
     add_scene_options,
     add_specimen,
     number,
+    sentence,
     specimen_of,
-    tell,
 )
 
 __all__ = ["add", "run"]
+
+# Where a plugin is judged: with colours, and with one channel.
+VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono")
 
 EXAMPLES = """\
 examples:
@@ -67,19 +72,66 @@ def add(commands):
         "--report", metavar="HTML", help="write one file with verdict and maps"
     )
     parser.add_argument("--json", action="store_true", help="for machines")
-    add_scene_options(parser.add_argument_group("scene"))
+    add_scene_options(parser.add_argument_group("scene"), VARIANTS)
 
 
 def run(options):
     """Run the command and return the exit code."""
-    from ..validation import check_report, save_report, validate
+    from ..validation import check_report, save_report
 
     if options.report is not None:
         check_report(options.report)
+    verdicts, skipped = _verdicts(options)
+    # what fails first, for that is what the user has to know
+    verdict = min(verdicts, key=lambda one: one.passed)
+    others = [one for one in verdicts if one is not verdict]
+    if options.report is not None:
+        save_report(verdict, options.report)
+    if options.json:
+        answer = verdict.to_dict()
+        answer["others"] = [one.to_dict() for one in others]
+        answer["skipped"] = skipped
+        print(json.dumps(answer, indent=2, allow_nan=False))
+    else:
+        _print(verdict, others, skipped)
+    return DONE if verdict.passed else FAILED
+
+
+def _verdicts(options):
+    """Verdict in each variant that the plugin knows, and why it knows no others."""
+    if options.variant is not None:
+        return [_verdict(options, options.variant)], {}
+    verdicts, silent, skipped, first_error = [], [], {}, None
+    for variant in VARIANTS:
+        try:
+            verdict = _verdict(options, variant)
+        except SpecimenError as error:
+            first_error = first_error or error
+            skipped[variant] = sentence(error)
+            continue
+        if verdict.settings["variant"] in {one.settings["variant"] for one in verdicts}:
+            skipped[variant] = f"the plugin file sets {verdict.settings['variant']}"
+        elif verdict.answered:
+            verdicts.append(verdict)
+        else:
+            silent.append(verdict)
+            skipped[variant] = verdict["answers"].statistic
+    if not (verdicts or silent):
+        raise first_error
+    if not verdicts:
+        verdicts = silent[:1]
+        del skipped[verdicts[0].settings["variant"]]
+    return verdicts, skipped
+
+
+def _verdict(options, variant):
+    from ..validation import validate
+
+    options = argparse.Namespace(**(vars(options) | {"variant": variant}))
     specimen, parameters = specimen_of(options.specimen, options)
     if parameters:
         specimen = load_specimen(specimen, parameters)
-    verdict = validate(
+    return validate(
         specimen,
         effort=options.effort,
         seed=options.seed,
@@ -87,10 +139,20 @@ def run(options):
         allow=[name for name in options.allow.split(",") if name],
         strict=options.strict,
     )
-    if options.report is not None:
-        save_report(verdict, options.report)
-    if options.json:
-        print(json.dumps(verdict.to_dict(), indent=2, allow_nan=False))
-    else:
-        tell(verdict)
-    return DONE if verdict.passed else FAILED
+
+
+def _print(verdict, others, skipped):
+    """One verdict in full, and of the others what differs."""
+    for variant, reason in skipped.items():
+        print(f"not judged in {variant}: {reason}")
+    for other in others:
+        variant = other.settings["variant"]
+        if _failed(other) <= _failed(verdict):
+            print(f"nothing else was found in {variant}")
+        else:
+            print(f"in {variant}:\n{other}\n")
+    print(verdict)
+
+
+def _failed(verdict):
+    return {one.name for one in verdict.failures}

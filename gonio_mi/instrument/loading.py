@@ -4,6 +4,7 @@ import importlib.util
 import linecache
 import os
 import re
+import sys
 from pathlib import Path
 
 import mitsuba as mi
@@ -30,6 +31,9 @@ FRAMES = re.compile(
     r'|(At dictionary node "\w+": )?failed to instantiate \w+ plugin of type '
     r'"(goniophotometer|collector|patches|heightfield)": \w+: '
 )
+
+# Modules that plugin files have imported from their own folder.
+_imported: dict[str, list[str]] = {}
 
 
 def check_variant():
@@ -132,6 +136,9 @@ def _one_line(error):
 def load_plugin_file(path):
     """Run a user's Python file that registers Mitsuba plugins.
 
+    Its folder is where it finds its own modules, as with ``python FILE``. Those are
+    imported anew when the file is run again, for they may be bound to a variant.
+
     Raises
     ------
     SpecimenError
@@ -141,6 +148,12 @@ def load_plugin_file(path):
     path = Path(path)
     if not path.is_file():
         raise SpecimenError(f"plugin file must be an existing file, got {str(path)!r}")
+    folder = str(path.resolve().parent)
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    for name in _imported.pop(folder, ()):
+        sys.modules.pop(name, None)
+    known = set(sys.modules)
     scope = {"__name__": path.stem, "__file__": str(path)}
     try:
         content = path.read_bytes()
@@ -154,6 +167,13 @@ def load_plugin_file(path):
         raise SpecimenError(
             f"plugin file {path} raised {type(error).__name__}: {_one_line(error)}"
         ) from error
+    finally:
+        _imported[folder] = [
+            name
+            for name, module in list(sys.modules.items())
+            if name not in known
+            and str(getattr(module, "__file__", None)).startswith(folder + os.sep)
+        ]
 
 
 def parse_specimen(text):

@@ -60,8 +60,10 @@ def _check_lobe(evidence, drawn, own, kind, bsdf, key):
             "`sample` gives one discrete lobe different weights",
         )
         return
+    known = len(evidence.breaches)
     _check_reversal(evidence, drawn, own, middle, bsdf, key)
-    _check_modes(evidence, drawn, own, bsdf, key)
+    returns = len(evidence.breaches) == known
+    _check_modes(evidence, drawn, own, bsdf, key, returns)
 
 
 def _check_direction(evidence, drawn, own, wo, kind):
@@ -151,8 +153,11 @@ def _sensitivity(condition, own, drawn, wo, bsdf):
     return np.max(np.abs(np.array(shares) - shares[2]))
 
 
-def _check_modes(evidence, drawn, own, bsdf, key):
-    """Radiance that crosses an interface is divided by eta^2."""
+def _check_modes(evidence, drawn, own, bsdf, key, returns):
+    """Radiance that crosses an interface is divided by eta^2.
+
+    If light `returns` as it went in importance mode, it is radiance mode that is wrong.
+    """
     if drawn.condition.mode != "importance":
         return
     same = collect(bsdf, replace(drawn.condition, mode="radiance"), drawn.n, key)
@@ -168,9 +173,9 @@ def _check_modes(evidence, drawn, own, bsdf, key):
             f"radiance over importance is {ratio:.4g} where 1/eta^2 = "
             f"{1 / np.median(eta2[wrong]):.4g} at {drawn.condition}",
             "`sample` weight lacks 1/eta^2 in radiance mode"
-            if abs(ratio - 1) < 1e-3
+            if returns and abs(ratio - 1) < 1e-3
             else f"`sample` weight in radiance mode is {ratio:.4g} times the other one",
-            effect=BIAS,
+            effect=BIAS if returns else BREAKS,
         )
 
 

@@ -110,6 +110,9 @@ def _of_sampled_pdf(evidence):
 
 def _of_weights(evidence, failed, bsdf):
     """``sample`` or ``eval``: whichever lacks a property on its own."""
+    unreached = _worst(evidence, "weights")
+    if unreached:
+        return unreached
     cases = _all(evidence, "sampled_weight")
     whole = [b for b in evidence.breaches if b.property == "sampled_weight"]
     if whole and all("component" in b.statistic for b in whole):

@@ -8,6 +8,7 @@ import numpy as np
 from ..collector.directions import direction
 from .conditions import Condition
 from .identities import BSDF_ROUNDING
+from .parameters import changed, traversed
 from .probe import Probe, numbers, spectral
 
 __all__ = ["check_ends", "check_roughness"]
@@ -62,24 +63,16 @@ def check_ends(evidence, bsdf, where=""):
 
 def check_roughness(evidence, bsdf):
     """The ends again at the limits of roughness, if the plugin has such parameters."""
-    params = mi.traverse(bsdf)
+    params = traversed(bsdf)
     names = [
         key
         for key in params.keys()  # noqa: SIM118
         if key.removesuffix(".value").split(".")[-1] in ROUGHNESSES
         and isinstance(params[key], (float, mi.Float))
     ]
-    before = {key: type(params[key])(params[key]) for key in names}
-    try:
-        for limit in LIMITS if names else ():
-            for key in names:
-                params[key] = type(before[key])(limit)
-            params.update()
+    for limit in LIMITS if names else ():
+        with changed(bsdf, {key: type(params[key])(limit) for key in names}):
             check_ends(evidence, bsdf, f", roughness {limit:g}")
-    finally:
-        for key in names:
-            params[key] = before[key]
-        params.update()
 
 
 def _finite(evidence, function, what, value, inputs, place, name="sample"):

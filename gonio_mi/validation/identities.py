@@ -4,6 +4,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..collector.directions import direction
+from .evidence import INTERFACE
 from .probe import numbers, spectral
 
 __all__ = [
@@ -96,6 +97,7 @@ def check_everywhere(evidence, probe):
             i = int(wrong.argmax())
             example = value[i][~np.isfinite(value[i]) | (value[i] < 0)][0]
             theta, phi = np.degrees([np.arccos(z[i]), np.arctan2(wo[i, 1], wo[i, 0])])
+            black = np.isfinite(value[wrong]).all() and not answers[0][1][wrong].any()
             evidence.breach(
                 "answers",
                 function,
@@ -103,6 +105,7 @@ def check_everywhere(evidence, probe):
                 f"theta_o {theta:.0f}, phi_o {phi % 360:.0f}",
                 f"the value of `{function}` is {example:g} in places",
                 size=float(wrong.mean()),
+                effect=INTERFACE if black else None,
             )
 
 

@@ -8,7 +8,7 @@ import mitsuba as mi
 from ..errors import SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import check_variant, load_specimen, loaded, specimen_name
 from ..transport.kernels import launches_kernels
-from . import balance, declarations, delta, ends, identities, symmetry
+from . import balance, declarations, delta, ends, identities, parameters, symmetry
 from .collecting import collect
 from .conditions import Effort
 from .diagnosis import diagnose
@@ -23,6 +23,8 @@ __all__ = ["validate"]
 @launches_kernels()
 def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=(), strict=False):
     """Whether a BSDF is right, and if not, which of its functions is wrong.
+
+    In a variant of rgb, grey parameters of a dictionary get a colour.
 
     Parameters
     ----------
@@ -89,10 +91,10 @@ def _bsdf(specimen):
     """BSDF of a specimen, and its name."""
     check_variant()
     if isinstance(specimen, dict):
-        specimen, name = (
-            loaded("the specimen", mi.load_dict, specimen),
-            specimen_name(specimen),
-        )
+        name, grey = specimen_name(specimen), specimen
+        specimen = loaded("the specimen", mi.load_dict, specimen)
+        if isinstance(specimen, mi.BSDF):
+            specimen = parameters.coloured(specimen, grey)
     else:
         name = str(specimen) if isinstance(specimen, (str, os.PathLike)) else None
     if not isinstance(specimen, mi.BSDF):

@@ -108,6 +108,12 @@ class Verdict:
         return not any(strict or one.effect in grave for one in self.failures)
 
     @property
+    def answered(self):
+        """Whether all functions gave answers of the right form."""
+        others = (p for p in self.properties if p.name != "answers")
+        return any(p.status != UNDECIDED for p in others)
+
+    @property
     def failures(self):
         """Properties that fail, the worst effect first."""
         failed = [p for p in self.properties if p.status == FAILS]
