@@ -217,6 +217,8 @@ def test_scale_changes_nothing(scale):
     agree(two_sample(reference_histogram(), histogram(other)))
 
 
+# further out the bound of rounding is worth a warning, and it is not reached
+@pytest.mark.filterwarnings("ignore:the specimen lies up to 100")
 @pytest.mark.parametrize("shift", [[1, -2, 3], [30, 20, -100]])
 def test_shift_changes_nothing(shift):
     field = heightfield(transform=transform().translate(shift), **SURFACE)

@@ -146,7 +146,8 @@ def measure(
         more; ``0`` is the direct light that passes a periodic specimen. With one seed,
         orders 0, 1, 2 and ``"3+"`` add up to ``"all"``, the default, to the bit.
     wavelengths : sequence of float
-        In nm, the channels in spectral variants. Default 550.
+        In nm, the channels in spectral variants, where the data of specimen and lamp
+        hold them. Default 550.
     batches : int
         Independent batches from which uncertainties come. Default 16: with `sobol`
         every doubling costs a fifth of the precision that the same rays give.

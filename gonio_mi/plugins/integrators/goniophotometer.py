@@ -131,7 +131,7 @@ class Goniophotometer(mi.SamplingIntegrator):
      * - wavelengths
        - |string|
        - Wavelengths in nm of the channels in spectral variants, separated by commas.
-         (Default: 550)
+         The data of specimen and lamp must cover them. (Default: 550)
 
     .. tabs::
         .. code-tab:: xml
@@ -351,7 +351,7 @@ class Goniophotometer(mi.SamplingIntegrator):
                 f"but all {tally.ledger.emitted} rays missed it"
             )
         functions = "sample() or eval()" if self.deposits else "sample()"
-        _warn_of_invalid(tally.ledger, functions)
+        _warn_of_invalid(tally.ledger, functions, bench.beam.collimated)
         if not mi.is_spectral and tally.achromatic:
             tally = tally.first(1)
         return Record(
@@ -424,12 +424,13 @@ def _check_variant():
         llvm.check()
 
 
-def _warn_of_invalid(ledger, functions):
+def _warn_of_invalid(ledger, functions, collimated):
     if ledger.invalid:
+        near = "" if collimated else " or the emitter is too near for single rays,"
         warnings.warn(
             f"the BSDF's {functions} returned a negative, infinite or NaN weight, or "
-            f"no unit direction, for {ledger.invalid} of {ledger.emitted} rays; they "
-            "are in the ledger's row invalid and in no patch",
+            f"no unit direction,{near} for {ledger.invalid} of {ledger.emitted} "
+            "rays; they are in the ledger's row invalid and in no patch",
             RuntimeWarning,
             stacklevel=3,
         )
