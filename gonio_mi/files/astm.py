@@ -8,11 +8,18 @@ numbers separated by commas. The first four are the polar angle and the azimuth 
 incidence and of scattering in radians, ``theta_i,phi_i,theta_s,phi_s``; the others
 are BRDF, named ``R``, ``G``, ``B`` or by a wavelength such as ``550nm``, or one of any
 other name for grey. That values are in 1/sr without cosine, and that light mirrored
+from collections.abc import Sequence
+from typing import BinaryIO
+from ..array_types import Floats
 from the azimuth 0 goes to pi, is inferred from how those programs use them.
 """
 
+from collections.abc import Sequence
+from typing import BinaryIO
+
 import numpy as np
 
+from ..array_types import Floats
 from ..errors import FileFormatError
 from .header import require
 from .numbers import decimal
@@ -25,7 +32,9 @@ ANGLES = ("theta_i", "phi_i", "theta_s", "phi_s")
 GREY = "Integrated"
 
 
-def write(angles, values, names, stream, **keys):
+def write(
+    angles: Floats, values: Floats, names: Sequence[str], stream: BinaryIO, **keys: str
+) -> None:
     """Write rows to a binary stream.
 
     Parameters
@@ -47,7 +56,7 @@ def write(angles, values, names, stream, **keys):
     stream.write(("\n".join(lines) + "\n").encode())
 
 
-def read(stream):
+def read(stream: BinaryIO) -> tuple[Floats, Floats, list[str], dict[str, str]]:
     """Read rows from a binary stream.
 
     Returns
@@ -63,9 +72,9 @@ def read(stream):
     FileFormatError
         If it is something else, is damaged or lacks rows.
     """
-    text = stream.read()
-    require(b"\0" not in text, "it is not text")
-    lines = iter(enumerate(text.decode("latin-1").splitlines(), 1))
+    content = stream.read()
+    require(b"\0" not in content, "it is not text")
+    lines = iter(enumerate(content.decode("latin-1").splitlines(), 1))
     keys = {}
     for _, line in lines:
         key, _, text = line.strip().partition(" ")
@@ -92,7 +101,7 @@ def read(stream):
     return table[:, : len(ANGLES)], table[:, len(ANGLES) :], names, keys
 
 
-def _row(number, line, n):
+def _row(number: int, line: str, n: int) -> list[float]:
     """Numbers of one line."""
     cells = line.split(",")
     require(

@@ -1,10 +1,14 @@
 """What the parts of an EXR file show: maps, a picture, sums, and headers for people."""
 
 import re
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import OpenEXR
 
+from ..array_types import Counts, Floats, Numbers
+from ..results.record import Record
 from .header import json_of
 
 __all__ = ["attributes", "bits", "layer_names", "layers"]
@@ -31,7 +35,7 @@ MEANINGS = {
 }
 
 
-def layers(single):
+def layers(single: Record) -> dict[str, dict[str, Numbers]]:
     """Pixels of the parts of one incident direction.
 
     Parameters
@@ -47,7 +51,7 @@ def layers(single):
     names = layer_names(single.channels)
     tally = single.tallies[0]
     hemispheres = [("brdf", single.brdf, single.brdf_std_err)]
-    if single.has_lower:
+    if single.btdf is not None and single.btdf_std_err is not None:
         hemispheres.append(("btdf", single.btdf, single.btdf_std_err))
     parts = {}
     for (part, values, std_errs), hits in zip(hemispheres, tally.hits):
@@ -68,7 +72,7 @@ def layers(single):
     return parts
 
 
-def attributes(record, index, part):
+def attributes(record: Record, index: int, part: str) -> dict[str, Any]:
     """Header of one part, for people: what it is and how it was made."""
     tally = record.tallies[index]
     n_views = max(len(tally.hits) for tally in record.tallies)
@@ -93,17 +97,16 @@ def attributes(record, index, part):
     }
 
 
-def layer_names(channels):
+def layer_names(channels: Sequence[str]) -> list[str]:
     """Channel names that EXR readers sort as the channels are, wavelengths padded.
 
     ``380nm`` and ``1064.5nm`` become ``0380,0nm`` and ``1064,5nm``: a dot would end a
     layer's name (the comma as in Fichet et al. 2021, *An OpenEXR layout for spectral
     images*).
     """
-    parsed = [
-        re.fullmatch(r"([0-9]+)(?:\.([0-9]+))?nm", channel) for channel in channels
-    ]
-    if all(parsed):
+    found = (re.fullmatch(r"([0-9]+)(?:\.([0-9]+))?nm", name) for name in channels)
+    parsed = [match for match in found if match]
+    if len(parsed) == len(channels):
         whole = max(len(match[1]) for match in parsed)
         decimals = max(len(match[2] or "") for match in parsed)
         comma = "," if decimals else ""
@@ -119,7 +122,7 @@ def layer_names(channels):
     return names
 
 
-def _view(single, hemispheres):
+def _view(single: Record, hemispheres: Sequence[Floats]) -> dict[str, Numbers]:
     """Layers R, G, B, A of the picture."""
     axis = (np.arange(VIEW_SIZE) + 0.5) * (2 / VIEW_SIZE) - 1
     x, y = np.meshgrid(axis, -axis)
@@ -137,14 +140,14 @@ def _view(single, hemispheres):
     return {name: _float32(picture[..., number]) for number, name in enumerate("RGBA")}
 
 
-def bits(array):
+def bits(array: Numbers) -> Counts:
     """Whole numbers as they are, and floats as the 64 bits that they consist of."""
     if array.dtype == np.uint64:
         return array
     return np.ascontiguousarray(array, dtype=float).view(np.uint64)
 
 
-def _halves(layer, channel, integers):
+def _halves(layer: str, channel: str, integers: Counts) -> dict[str, Numbers]:
     """Layer of the low 32 bits and, if any is set, one of the high 32 bits."""
     halves = {f"{layer}{channel}": integers.astype(np.uint32)}
     if integers.max() > 0xFFFFFFFF:
@@ -152,11 +155,11 @@ def _halves(layer, channel, integers):
     return halves
 
 
-def _text(value):
+def _text(value: Any) -> str:
     """Readable UTF-8, also of file names that are not."""
     text = value if isinstance(value, str) else json_of(value)
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-def _float32(values):
+def _float32(values: Numbers) -> Numbers:
     return np.ascontiguousarray(values, dtype=np.float32)

@@ -3,10 +3,13 @@
 import json
 import math
 import os
+from collections.abc import Sequence
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..collector import subdivision
+from ..array_types import Floats, Numbers
+from ..collector import Subdivision, subdivision
 from ..errors import FileFormatError
 from ..results.record import Record
 from ..results.tally import Fate, Tally
@@ -37,7 +40,7 @@ FATES_BEFORE_3 = len(Fate) - 1
 MAX_EXPANSION = 1100
 
 
-def header_of(record):
+def header_of(record: Record) -> dict[str, Any]:
     """Everything but the integer sums, as a dictionary of JSON's types.
 
     Angles are in degrees; None where the incident direction is unknown.
@@ -55,12 +58,12 @@ def header_of(record):
     }
 
 
-def json_of(value):
+def json_of(value: Any) -> str:
     """JSON text in ASCII; floats keep all their bits."""
     return json.dumps(value, ensure_ascii=True)
 
 
-def parsed_json(text):
+def parsed_json(text: Any) -> Any:
     """Return what :func:`json_of` wrote, or raise FileFormatError."""
     require(isinstance(text, str), "its description is not text")
     try:
@@ -69,7 +72,7 @@ def parsed_json(text):
         raise FileFormatError("its description is damaged: not JSON") from None
 
 
-def check_format(header):
+def check_format(header: Any) -> None:
     """Raise FileFormatError unless `header` is ours and of a version that we read."""
     require(
         isinstance(header, dict) and header.get("format") == FORMAT,
@@ -85,7 +88,7 @@ def check_format(header):
         )
 
 
-def rebuilt(header, tallies):
+def rebuilt(header: dict[str, Any], tallies: Sequence[dict[str, Numbers]]) -> Record:
     """Record from its header and, per incident direction, the arrays of its tally.
 
     Parameters
@@ -106,7 +109,8 @@ def rebuilt(header, tallies):
     theta_i, phi_i = (_angles(header, key, n) for key in ("theta_i", "phi_i"))
     channels = _listed(header, "channels", str)
     scales = _listed(header, "scales", int)
-    stacked, settings = header.get("stacked"), header.get("settings")
+    stacked: Any = header.get("stacked")
+    settings: Any = header.get("settings")
     require(len(channels) > 0, "it has no channels")
     require(isinstance(stacked, bool), "its entry stacked is not a truth value")
     require(isinstance(settings, dict), "its settings are not a dictionary")
@@ -129,22 +133,22 @@ def rebuilt(header, tallies):
     )
 
 
-def parsed_subdivision(header):
+def parsed_subdivision(header: dict[str, Any]) -> Subdivision:
     """Return the subdivision that the header names, or raise FileFormatError."""
-    name = header.get("subdivision")
+    name: Any = header.get("subdivision")
     try:
         return subdivision(name)
     except (TypeError, ValueError):
         raise FileFormatError(f"its subdivision {name!r:.80} is unknown") from None
 
 
-def require(condition, reason):
+def require(condition: object, reason: str) -> None:
     """Raise FileFormatError with `reason`, a clause about the file, unless it holds."""
     if not condition:
         raise FileFormatError(reason)
 
 
-def size_of(stream):
+def size_of(stream: BinaryIO) -> int:
     """Size of an open file in bytes; the position is kept."""
     position = stream.tell()
     size = stream.seek(0, os.SEEK_END)
@@ -152,7 +156,7 @@ def size_of(stream):
     return size
 
 
-def _without_direct(arrays):
+def _without_direct(arrays: dict[str, Numbers]) -> dict[str, Numbers]:
     """Arrays of a tally of an older version, with nothing for direct light."""
     fates, incident = arrays["fates"], arrays["incident"]
     if fates.ndim == 2 and fates.shape[1] == FATES_BEFORE_3:
@@ -160,7 +164,9 @@ def _without_direct(arrays):
     return arrays | {"fates": fates, "direct": np.zeros_like(incident)}
 
 
-def _check_shapes(arrays, patches, n_channels):
+def _check_shapes(
+    arrays: dict[str, Numbers], patches: tuple[int, int], n_channels: int
+) -> None:
     """Raise FileFormatError unless the arrays of a tally fit the header."""
     n_hemispheres, n_batches = len(arrays["hits"]), len(arrays["fates"])
     require(n_hemispheres in (1, 2), f"it has {n_hemispheres} hemispheres")
@@ -189,7 +195,7 @@ def _check_shapes(arrays, patches, n_channels):
         )
 
 
-def _angles(header, key, n):
+def _angles(header: dict[str, Any], key: str, n: int) -> Floats:
     """Array of `n` angles in degrees."""
     values = _listed(header, key, (float, type(None)))
     angles = np.array(values, dtype=float)  # NaN for None
@@ -199,9 +205,11 @@ def _angles(header, key, n):
     return angles
 
 
-def _listed(header, key, kinds):
+def _listed(
+    header: dict[str, Any], key: str, kinds: type | tuple[type, ...]
+) -> list[Any]:
     """List of values of certain types; a truth value is no number."""
-    values = header.get(key)
+    values: Any = header.get(key)
     require(
         isinstance(values, list)
         and all(isinstance(value, kinds) for value in values)

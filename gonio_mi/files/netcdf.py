@@ -1,9 +1,11 @@
 """Records as labelled arrays of xarray, and as NetCDF files."""
 
 import json
+from typing import Any, BinaryIO
 
 import numpy as np
 
+from ..results.record import Record
 from .channels import wavelengths_nm
 
 __all__ = ["dataset", "write"]
@@ -15,7 +17,7 @@ CONVENTIONS = (
 )
 
 
-def dataset(record):
+def dataset(record: Record) -> Any:
     """Labelled arrays of a record.
 
     Parameters
@@ -86,6 +88,6 @@ def dataset(record):
     )
 
 
-def write(record, stream):
+def write(record: Record, stream: BinaryIO) -> None:
     """Write a record to a binary stream as NetCDF 3, which SciPy makes."""
     stream.write(bytes(dataset(record).to_netcdf(engine="scipy")))

@@ -6,11 +6,14 @@ distortion map between disk and square*, Journal of Graphics Tools 2(3), 1997.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from ..array_types import Floats
 
 __all__ = ["directions_of", "square_of"]
 
 
-def directions_of(square):
+def directions_of(square: ArrayLike) -> Floats:
     """Unit vectors above points of the square, shape ``(..., 3)``; z is not negative.
 
     Parameters
@@ -30,7 +33,7 @@ def directions_of(square):
     return np.stack([x, y, z], axis=-1)
 
 
-def square_of(x, y):
+def square_of(x: ArrayLike, y: ArrayLike) -> Floats:
     """Point of the square for each point of the unit disk, shape ``(..., 2)``."""
     x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
     radius = np.hypot(x, y)

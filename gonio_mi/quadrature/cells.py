@@ -143,11 +143,16 @@ class Cells:
         """Polar angle, azimuth, hemisphere and weight of the points of the rule."""
         return self._tensor(NODES, WEIGHTS)
 
-    def other_nodes(self):
+    def other_nodes(self) -> list[NDArray[Any]]:
         """The same of the rule that confirms; what is on a border is just inside."""
         return self._tensor(LOBATTO_NODES, LOBATTO_WEIGHTS, inside=INSIDE)
 
-    def _tensor(self, nodes, weights, inside=0.0):
+    def _tensor(
+        self,
+        nodes: NDArray[np.float64],
+        weights: NDArray[np.float64],
+        inside: float = 0.0,
+    ) -> list[NDArray[Any]]:
         """Tensor rule in each cell, with points at least so far inside, in radians."""
         angles, halves = [], []
         for borders in (self.theta, self.phi):
