@@ -1,9 +1,13 @@
 """Tables of measured values: what they hold, and in which ranges."""
 
 from dataclasses import dataclass, field
+from os import PathLike
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from ..array_types import Flags, Floats
 from ..errors import checked_choice, checked_number
 from . import replacing
 
@@ -79,12 +83,12 @@ class MeasuredTable:
         is not finite or outside of its range; or a setting is.
     """
 
-    theta_i: np.ndarray
-    phi_i: np.ndarray
-    theta_o: np.ndarray
-    phi_o: np.ndarray
-    value: np.ndarray
-    sigma: np.ndarray | None = None
+    theta_i: Floats
+    phi_i: Floats
+    theta_o: Floats
+    phi_o: Floats
+    value: Floats
+    sigma: Floats | None = None
     quantity: str = "brdf"
     uncertainty: float = 0.0
     scale_uncertainty: float = 0.0
@@ -92,10 +96,10 @@ class MeasuredTable:
     emitter_half_angle: float = 0.0
     emitter_distance: float | None = None
     channel: str | None = None
-    header: dict = field(default_factory=dict)
+    header: dict[str, Any] = field(default_factory=dict)
     name: str = "the table"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         checked_choice("quantity", self.quantity, QUANTITIES)
         for name, (low, high, condition) in NUMBERS.items():
             value = getattr(self, name, None)
@@ -110,45 +114,45 @@ class MeasuredTable:
             if column is not None:
                 object.__setattr__(self, name, self._checked(name, column))
 
-    def _checked(self, name, column):
+    def _checked(self, name: str, column: ArrayLike) -> Floats:
         """Column as a read-only array, or the first row that does not fit."""
-        column = np.array(column, dtype=float)
+        values = np.array(column, dtype=float)
         n = np.size(self.theta_i)
-        if column.ndim != 1 or column.size != n or n == 0:
+        if values.ndim != 1 or values.size != n or n == 0:
             raise ValueError(
                 f"{name} must hold one number for each of {n or 'at least one'} rows, "
-                f"got the shape {column.shape}"
+                f"got the shape {values.shape}"
             )
-        good, condition = fits(name, column, self.quantity)
+        good, condition = fits(name, values, self.quantity)
         if not good.all():
             row = int(np.argmin(good))
             raise ValueError(
-                f"{name} must be {condition}, got {column[row]:g} in row {row}"
+                f"{name} must be {condition}, got {values[row]:g} in row {row}"
             )
-        column.flags.writeable = False
-        return column
+        values.flags.writeable = False
+        return values
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.value)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return (
             f"<MeasuredTable {self.name}: {len(self)} values of {self.quantity}, "
             f"{len(self.incident)} incident directions>"
         )
 
     @property
-    def incident(self):
+    def incident(self) -> list[tuple[float, float]]:
         """Distinct pairs (theta_i, phi_i) in degrees, in the order of the table."""
         return list(dict.fromkeys(zip(self.theta_i.tolist(), self.phi_i.tolist())))
 
     @property
-    def bsdf(self):
+    def bsdf(self) -> Floats:
         """BRDF or BTDF in 1/sr without cosine, shape (n,)."""
         return self.value / self._cosine
 
     @property
-    def bsdf_std_err(self):
+    def bsdf_std_err(self) -> Floats:
         """Standard uncertainty of `bsdf` that is independent between points.
 
         `sigma` and `uncertainty` in quadrature, in 1/sr, shape (n,).
@@ -157,12 +161,12 @@ class MeasuredTable:
         return np.hypot(sigma, self.uncertainty * np.abs(self.value)) / self._cosine
 
     @property
-    def _cosine(self):
+    def _cosine(self) -> Floats | float:
         if self.quantity != "brdf_cos":
             return 1.0
         return np.cos(np.radians(self.theta_o))
 
-    def save(self, path):
+    def save(self, path: str | PathLike[str]) -> None:
         """Write the table as a CSV file that `read_measured` reads back."""
         lines = [f"# units: {UNITS[0]}", f"# quantity: {self.quantity}"]
         for key in (*NUMBERS, "channel"):
@@ -178,7 +182,7 @@ class MeasuredTable:
             stream.write(("\n".join(lines) + "\n").encode())
 
 
-def fits(name, value, quantity):
+def fits(name: str, value: Floats, quantity: str) -> tuple[Flags, str]:
     """Whether each value fits its column, and the condition; NaN never does."""
     if name == "theta_i":
         return (value >= 0) & (value < 90), "an angle in degrees in [0, 90)"

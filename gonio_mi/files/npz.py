@@ -9,10 +9,14 @@ channels. The rest is the header, `settings` as JSON.
 import io
 import math
 import zipfile
+from collections.abc import Iterable
+from typing import Any, BinaryIO
 
 import numpy as np
 
+from ..array_types import Numbers
 from ..memory import check_memory
+from ..results.record import Record
 from .header import (
     MAX_EXPANSION,
     check_format,
@@ -51,7 +55,7 @@ DIRECT = {"direct": ("float64 uint64", 2)}
 INTEGRALS = {"errors": ("float64 uint64", 5)}
 
 
-def write(record, stream):
+def write(record: Record, stream: BinaryIO) -> None:
     """Write `record` to a binary stream."""
     header = header_of(record)
     header["settings"] = json_of(header["settings"])
@@ -59,7 +63,8 @@ def write(record, stream):
     arrays["n_batches"] = np.array([tally.n_batches for tally in record.tallies])
     arrays["hits"] = np.stack([tally.hits for tally in record.tallies])
     if record.tallies[0].errors is not None:
-        arrays["errors"] = np.stack([tally.errors for tally in record.tallies])
+        errors = [tally.errors for tally in record.tallies if tally.errors is not None]
+        arrays["errors"] = np.stack(errors)
     for name in ("sums", "incident", "fates", "direct"):
         parts = [getattr(tally, name) for tally in record.tallies]
         arrays[name] = parts[0] if len(parts) == 1 else np.concatenate(parts)
@@ -77,7 +82,7 @@ def write(record, stream):
     stream.write(seal_of(unsealed))
 
 
-def read(stream):
+def read(stream: BinaryIO) -> Record:
     """Read a record from a binary file; nothing in it is executed.
 
     Raises
@@ -116,14 +121,17 @@ def read(stream):
             for name in expected
             if name != "n_batches"
         }
-    per_direction = {k: arrays.pop(k) for k in ("hits", "errors") if k in arrays}
+    single = [name for name in ("hits", "errors") if name in arrays]
+    per_direction: dict[str, Iterable[Numbers]] = {k: arrays.pop(k) for k in single}
     borders = np.cumsum(n_batches)[:-1]
     per_direction |= {name: np.split(array, borders) for name, array in arrays.items()}
     tallies = zip(*per_direction.values())
     return rebuilt(header, [dict(zip(per_direction, tally)) for tally in tallies])
 
 
-def _shapes(header, n_batches):
+def _shapes(
+    header: dict[str, Any], n_batches: list[int]
+) -> dict[str, tuple[int | None, ...]]:
     """Shape that each array must have, with None for hemispheres and fates."""
     require(min(n_batches, default=0) > 0, "its numbers of batches must be positive")
     patches, channels = parsed_subdivision(header).shape, len(header["channels"])
@@ -138,7 +146,13 @@ def _shapes(header, n_batches):
     }
 
 
-def _array(archive, members, name, expected, wanted=None):
+def _array(
+    archive: zipfile.ZipFile,
+    members: dict[str, zipfile.ZipInfo],
+    name: str,
+    expected: dict[str, tuple[str, int]],
+    wanted: tuple[int | None, ...] | None = None,
+) -> Numbers:
     """Array of that name, once its header agrees with its type, size and shape."""
     kind, n_axes = expected[name]
     require(f"{name}.npy" in members, f"its array {name} is missing")

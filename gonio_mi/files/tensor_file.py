@@ -7,9 +7,11 @@ place of its values in the file and its shape; then the values.
 
 import math
 import struct
+from typing import Any, BinaryIO
 
 import numpy as np
 
+from ..array_types import Numbers
 from .header import require, size_of
 
 __all__ = ["read", "write"]
@@ -30,7 +32,7 @@ NUMBERS = {np.dtype(name): number for number, name in TYPES.items()}
 MOST_FIELDS, MOST_AXES = 1000, 32
 
 
-def write(fields, stream):
+def write(fields: dict[str, Numbers], stream: BinaryIO) -> None:
     """Write a dictionary of arrays to a binary stream."""
     names = {name: name.encode() for name in fields}
     fields = {name: np.ascontiguousarray(array) for name, array in fields.items()}
@@ -54,7 +56,7 @@ def write(fields, stream):
     stream.write(head + body)
 
 
-def read(stream):
+def read(stream: BinaryIO) -> dict[str, Numbers]:
     """Read a dictionary of arrays from a binary file.
 
     Raises
@@ -89,11 +91,11 @@ def read(stream):
     return fields
 
 
-def _numbers(stream, layout):
+def _numbers(stream: BinaryIO, layout: str) -> tuple[Any, ...]:
     return struct.unpack(layout, _bytes(stream, struct.calcsize(layout)))
 
 
-def _bytes(stream, n):
+def _bytes(stream: BinaryIO, n: int) -> bytes:
     """Exactly `n` bytes, of which the size of the file was checked, or a few."""
     data = stream.read(n)
     require(len(data) == n, "it is truncated")
