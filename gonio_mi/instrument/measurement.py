@@ -67,8 +67,9 @@ def measure(
 ):
     """Measure how a specimen scatters light.
 
-    What is None comes from the specimen's scene file, if that is a complete measurement
-    (integrator `goniophotometer`, sensor `collector`), else from the defaults below.
+    A setting that is None takes its value from the specimen's scene file, if that is a
+    complete measurement (integrator `goniophotometer`, sensor `collector`), else from
+    the defaults below.
 
     Parameters
     ----------
