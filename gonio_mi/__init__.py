@@ -32,7 +32,7 @@ from .errors import (  # noqa: E402
 from .files import load  # noqa: E402
 from .files.measured import MeasuredTable, read_measured  # noqa: E402
 from .instrument.campaigns import campaign  # noqa: E402
-from .instrument.measurement import measure  # noqa: E402
+from .instrument.measuring import measure  # noqa: E402
 from .results.ray_density import Plan, plan  # noqa: E402
 from .results.record import Record  # noqa: E402
 from .results.tally import Ledger  # noqa: E402

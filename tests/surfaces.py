@@ -8,9 +8,10 @@ import numpy as np
 
 from gonio_mi.collector.directions import direction
 from gonio_mi.results.tally import Fate
+from gonio_mi.settings.parsed import checked_period
 from gonio_mi.transport import ray_offsets
 from gonio_mi.transport.beam import Beam
-from gonio_mi.transport.loop import Settings, trace
+from gonio_mi.transport.loop import PathSettings, trace
 from gonio_mi.transport.specimen import Specimen
 
 MIRROR = {"type": "twosided", "bsdf": {"type": "conductor"}}
@@ -90,7 +91,8 @@ def specimen_of(shapes, period):
     """Specimen of a shape, or of a dictionary of several."""
     if "type" in shapes:
         shapes = {"shape": shapes}
-    return Specimen(mi.load_dict({"type": "scene", **shapes}), period)
+    scene = mi.load_dict({"type": "scene", **shapes})
+    return Specimen(scene, checked_period("period", period))
 
 
 def followed(specimen, beam, n, seed=0):
@@ -98,7 +100,7 @@ def followed(specimen, beam, n, seed=0):
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed, n)
     exits = trace(
-        specimen, beam, sampler, mi.Color0f(), Settings(False, 1000, 2**32 - 1)
+        specimen, beam, sampler, mi.Color0f(), PathSettings(False, 1000, 2**32 - 1)
     )
     return Rays(
         np.array(exits.fate),

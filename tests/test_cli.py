@@ -557,7 +557,7 @@ def test_ctrl_c_gives_no_verdict(run, plugins, write):
     drawn += ("--estimator", "analog", "--sampler", "independent", "--seconds", "0.1")
     for arguments in (compared, drawn):
         code, out, err = run(*arguments)
-        assert (code, out) == (2, "")
+        assert (code, out) == (2, ""), err
         assert err == "gonio-mi: interrupted: there is nothing to keep\n"
 
 

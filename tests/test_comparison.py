@@ -24,6 +24,7 @@ from gonio_mi.comparison import compare, measure_like
 from gonio_mi.comparison.agreement import Readings
 from gonio_mi.files.measured import MeasuredTable, read_measured
 from gonio_mi.results.record import Record
+from gonio_mi.transport.collector_sphere import CollectorSphere
 
 EPS = np.finfo(float).eps
 HEADER = "theta_i,phi_i,theta_o,phi_o,value,sigma"
@@ -671,11 +672,11 @@ def test_apertures_see_a_lobe_that_patches_smear():
 @pytest.mark.usefixtures("mono")
 def test_apertures_in_drjit_are_those_in_numpy():
     apertures = Apertures(1.5, disjoint_groups(cones(), 1.5)[0])
-    film = mi.load_dict({"type": "patches", "subdivision": str(apertures)})
+    collector = CollectorSphere(apertures)
     rng = np.random.default_rng(3)
     v = rng.standard_normal((20_000, 3))
     v = (v / np.linalg.norm(v, axis=1, keepdims=True)).astype(np.float32)
-    found = np.array(film.patch_index(mi.Vector3f(np.ascontiguousarray(v.T))))
+    found = np.array(collector.patch_index(mi.Vector3f(np.ascontiguousarray(v.T))))
     theta, phi = np.radians(apertures.directions).T
     up = np.column_stack([v[:, :2], np.abs(v[:, 2])]).astype(float)
     cosine = up @ direction(theta, phi).T

@@ -243,8 +243,11 @@ def test_specimen_near_the_origin(place):
         ({"phi_i": False}, "phi_i must be a finite angle in degrees, got False"),
         ({"footprint": True}, "footprint must be"),
         ({"period": True}, "period must be"),
-        ({"sampler": "diffuse"}, "collector.sampler must be a sampler, got SmoothDiff"),
-        ({"sampler": {"type": "hdrfilm"}}, "collector.sampler must be a sampler"),
+        ({"sampler": "diffuse"}, "sampler must be a Mitsuba sampler, got SmoothDiff"),
+        (
+            {"sampler": {"type": "hdrfilm"}},
+            "sampler must be a Mitsuba sampler, got HDR",
+        ),
         (
             {"estimator": "quadrature", "collector": "apertures:2@0/0"},
             "needs a collector of rings and sectors: take weighted instead",

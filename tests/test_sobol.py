@@ -386,7 +386,7 @@ def test_samplers_that_measure_wrongly_are_refused(sampler, reason):
 
 
 def test_launches_of_a_batch_are_one_sequence(monkeypatch):
-    integrator = importlib.import_module("gonio_mi.plugins.integrators.goniophotometer")
+    integrator = importlib.import_module("gonio_mi.instrument.instrument")
     settings = {"theta_i": 30, "rays": 40_000, "batches": 3}
     whole = gonio.measure(PLASTIC, **settings)
     random = gonio.measure(PLASTIC, **settings, sampler="independent")
@@ -409,7 +409,7 @@ def test_the_best_dimensions_go_to_the_scattering_with_any_footprint():
 @pytest.mark.parametrize("trace", [False, True])
 def test_batches_that_share_a_launch_have_the_bits_of_their_own(monkeypatch, trace):
     """Exact, with batches of unequal size, and several launches of a few batches."""
-    integrator = importlib.import_module("gonio_mi.plugins.integrators.goniophotometer")
+    integrator = importlib.import_module("gonio_mi.instrument.instrument")
     settings = {"theta_i": [0, 60], "rays": 10_003, "batches": 7, "trace": trace}
     whole = gonio.measure(PLASTIC, **settings)
     monkeypatch.setattr(integrator, "FUSED_RAYS", 5000)
@@ -421,16 +421,16 @@ def test_batches_that_share_a_launch_have_the_bits_of_their_own(monkeypatch, tra
 @pytest.mark.parametrize("trace", [False, True])
 def test_launches_as_short_as_can_be_have_the_bits_of_long_ones(monkeypatch, trace):
     """Exact; the slowest machine there is, on which a launch is of 1024 rays."""
-    integrator = importlib.import_module("gonio_mi.plugins.integrators.goniophotometer")
+    integrator = importlib.import_module("gonio_mi.instrument.instrument")
     settings = {"theta_i": 60, "rays": 20_003, "batches": 2, "trace": trace}
     sent = []
-    tallies = integrator.Goniophotometer.tallies
+    tallies = integrator.Instrument.tallies
 
     def heard(*args, **kwargs):
         kwargs["progress"] = sent.append
         return tallies(*args, **kwargs)
 
-    monkeypatch.setattr(integrator.Goniophotometer, "tallies", heard)
+    monkeypatch.setattr(integrator.Instrument, "tallies", heard)
     whole = gonio.measure(PLASTIC, **settings)
     assert sent == [20_003]
     monkeypatch.setattr(integrator, "FIRST_TRACED", 2000)

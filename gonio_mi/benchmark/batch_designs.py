@@ -6,7 +6,7 @@ from functools import partial
 import mitsuba as mi
 import numpy as np
 
-from ..instrument.measurement import measure
+from ..instrument.measuring import measure
 from ..quadrature import integrate
 from .rivals import GRID
 from .table import print_table

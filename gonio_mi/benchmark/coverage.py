@@ -5,11 +5,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import product
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from ..instrument.measurement import measure
+from ..instrument.measuring import measure
 from ..results.record import Record
 from ..results.summary import summarize
 from .table import print_table
@@ -139,7 +140,7 @@ def _truth(name: str, order: str) -> Record:
     """A long measurement; of what is flat, the integral."""
     case = CASES[name]
     if ("quadrature", "sobol") in case.estimators:
-        how = {"estimator": "quadrature", "rel_err": 1e-6}
+        how: dict[str, Any] = {"estimator": "quadrature", "rel_err": 1e-6}
     else:
         how = {"rays": TRUTH_RAYS, "seed": TRUTH_SEED, "order": order}
     return measure(case.specimen(), **case.settings, **how)

@@ -1,6 +1,6 @@
 """Memory and time per ray, as the rays grow: neither may."""
 
-from ..instrument.measurement import measure
+from ..instrument.measuring import measure
 from .rivals import GRID, THETA_I
 from .table import print_table
 from .timing import cpu_seconds, peak_memory

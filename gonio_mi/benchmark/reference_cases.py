@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from ..collector import subdivision
-from ..instrument.measurement import measure
+from ..instrument.measuring import measure
 from ..quadrature import integrate
 from ..results.normal_scores import student_score
 from ..results.ray_density import rms_expectation

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..collector import EqualProjectedSolidAngle, EqualSolidAngle, Subdivision
 from ..collector.directions import direction
-from ..instrument.measurement import measure
+from ..instrument.measuring import measure
 from ..quadrature import integrate
 from . import c_loop
 

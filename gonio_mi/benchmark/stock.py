@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..exports.exporting import export
-from ..instrument.measurement import measure
+from ..instrument.measuring import measure
 from ..validation.inspection import validate
 from ..validation.verdict import FAILS
 

@@ -13,6 +13,7 @@ from .arguments import (
     specimen_of,
     tell,
 )
+from .setting_options import add_setting
 
 __all__ = ["add", "run"]
 
@@ -54,14 +55,8 @@ def add(commands):
         metavar="DEG",
         help="azimuth of incidence in degrees (default: 0)",
     )
-    parser.add_argument(
-        "--side", default="front", help="lit face: front (default) or back"
-    )
-    parser.add_argument(
-        "--collector",
-        metavar="KIND:NTxNP",
-        help="patches (default: projected:30x30)",
-    )
+    for name in ("side", "collector"):
+        add_setting(parser, name)
     _add_methods(parser.add_argument_group("methods"))
     add_scene_options(parser.add_argument_group("scene"))
     output = parser.add_argument_group("output")
@@ -112,13 +107,8 @@ def _add_methods(group):
         metavar="N",
         help="measurements of different seeds for each point (default: 4)",
     )
-    group.add_argument(
-        "--batches",
-        type=number,
-        metavar="N",
-        help="independent batches of each measurement (default: 16)",
-    )
-    group.add_argument("--seed", type=number, default=0, metavar="S", help="default: 0")
+    for name in ("batches", "seed"):
+        add_setting(group, name)
 
 
 def run(options):
@@ -146,11 +136,11 @@ def run(options):
         samplers=options.sampler or SAMPLERS,
         seconds=options.seconds,
         repeats=options.repeats,
-        seed=options.seed,
+        seed=options.seed or 0,
         parameters=parameters,
         progress=not options.quiet and sys.stderr.isatty(),
         collector=options.collector,
-        side=options.side,
+        side=options.side or "front",
         batches=options.batches,
     )
     for path in tables:

@@ -12,6 +12,7 @@ from .arguments import (
     specimen_of,
     tell,
 )
+from .setting_options import add_setting
 
 __all__ = ["add", "run"]
 
@@ -81,13 +82,8 @@ def add(commands):
         "-o", "--output", metavar="FIG", help="picture of both curves, such as a.png"
     )
     specimen = parser.add_argument_group("for a specimen")
-    specimen.add_argument(
-        "--rays",
-        type=number,
-        metavar="N",
-        help="rays for each incident direction (default: 1e6)",
-    )
-    specimen.add_argument("--seed", type=number, default=0, metavar="S")
+    for name in ("rays", "seed"):
+        add_setting(specimen, name)
     specimen.add_argument(
         "--aperture-half-angle",
         type=number,
@@ -133,7 +129,7 @@ def run(options):
             parameters=parameters,
             aperture_half_angle=options.aperture_half_angle,
             rays=options.rays,
-            seed=options.seed,
+            seed=options.seed or 0,
         )
     comparison = compare(
         record,

@@ -8,7 +8,7 @@ from functools import partial
 from .. import files
 from ..errors import checked_count
 from ..instrument.campaigns import campaign
-from ..instrument.measurement import measure
+from ..instrument.measuring import measure
 from ..results.summary import summarize, summary_text
 from .arguments import (
     DONE,
@@ -17,12 +17,12 @@ from .arguments import (
     add_scene_options,
     add_specimen,
     number,
-    number_or_word,
     say,
     sentence,
     specimen_of,
     tell,
 )
+from .setting_options import add_group, given_settings
 
 __all__ = ["add", "run"]
 
@@ -43,31 +43,6 @@ Options take their defaults from the scene file if that is a complete measuremen
 """
 
 
-# Options that are arguments of `gonio_mi.measure`.
-SETTINGS = (
-    "collector",
-    "rays",
-    "rel_err",
-    "max_rays",
-    "sampler",
-    "estimator",
-    "points",
-    "seed",
-    "side",
-    "footprint",
-    "emission",
-    "collector_radius",
-    "hemispheres",
-    "max_depth",
-    "period",
-    "order",
-    "rr_depth",
-    "trace",
-    "wavelengths",
-    "batches",
-)
-
-
 def add(commands):
     """Add the parser of the command."""
     parser = commands.add_parser(
@@ -80,19 +55,16 @@ def add(commands):
     parser.set_defaults(run=run)
     add_specimen(parser)
 
-    light = parser.add_argument_group(
-        "light", "a collimated beam, or the scene's own emitter if no angle is given"
-    )
-    _add_light(light)
-    _add_collector(parser.add_argument_group("collector"))
-    _add_method(parser.add_argument_group("method"))
-    _add_events(parser.add_argument_group("events on the surface"))
+    beam = "a collimated beam, or the scene's own emitter if no angle is given"
+    _add_angles(add_group(parser, "light", beam))
+    for title in ("collector", "method", "events on the surface"):
+        add_group(parser, title)
     add_scene_options(parser.add_argument_group("scene"))
     _add_output(parser.add_argument_group("output"))
 
 
-def _add_light(group):
-    """Add the options of the beam."""
+def _add_angles(group):
+    """Add the options of the incident directions."""
     group.add_argument(
         "--theta-i",
         nargs="+",
@@ -108,140 +80,6 @@ def _add_light(group):
         metavar="DEG",
         help="azimuths of incidence in degrees, from +x counter-clockwise; each is "
         "combined with each --theta-i (default: 0)",
-    )
-    group.add_argument(
-        "--side", default="front", help="lit face: front (default) or back"
-    )
-    group.add_argument(
-        "--footprint",
-        type=number_or_word,
-        metavar="full|point|R",
-        help="where light lands: all over the specimen, in its middle, or in a disk of "
-        "radius R (default: full)",
-    )
-    group.add_argument(
-        "--emission",
-        metavar="E",
-        help="weights of the rays of an emitter of finite size: radiometric (default) "
-        "or equal_power",
-    )
-    group.add_argument(
-        "--wavelengths",
-        nargs="+",
-        type=number,
-        metavar="NM",
-        help="channels of a spectral variant, in nm (default: 550)",
-    )
-
-
-def _add_collector(group):
-    """Add the options of the collector."""
-    group.add_argument(
-        "--collector",
-        metavar="KIND:NTxNP",
-        help="patches of equal solid angle (solid), projected solid angle (projected), "
-        "steps of angle (angle) or of its sine (sine), rings x sectors of each "
-        "hemisphere (default: projected:30x30); or klems, "
-        "borders:0,30,90x0,180,360 or apertures:HALF_ANGLE@THETA/PHI,...",
-    )
-    group.add_argument(
-        "--collector-radius",
-        type=number,
-        metavar="R",
-        help="radius of the collector in scene units (default: 0, the far field)",
-    )
-    group.add_argument(
-        "--hemispheres",
-        metavar="H",
-        help="auto (default: the lower one if the specimen transmits), upper or both",
-    )
-
-
-def _add_method(group):
-    """Add the options of estimator and sampler, and of how long to go on."""
-    group.add_argument(
-        "--rays",
-        type=number,
-        metavar="N",
-        help="rays for each incident direction (default: 1e6)",
-    )
-    group.add_argument(
-        "--rel-err",
-        type=number,
-        metavar="X",
-        help="instead of --rays: go on until every patch worth reporting has this "
-        "relative standard error; for quadrature the error of every patch (default "
-        "there: 1e-4)",
-    )
-    group.add_argument(
-        "--max-rays",
-        type=number,
-        metavar="N",
-        help="where to stop then at the latest (default: 1e9)",
-    )
-    group.add_argument(
-        "--estimator",
-        metavar="E",
-        help="weighted (default) sums the rays' power, analog counts rays, quadrature "
-        "integrates the BSDF of a flat specimen without rays, next_event evaluates it "
-        "on geometry towards points in random patches",
-    )
-    group.add_argument(
-        "--points",
-        type=number,
-        metavar="N",
-        help="points for each event, of the estimator next_event (default: 1)",
-    )
-    group.add_argument(
-        "--sampler", metavar="S", help="Mitsuba sampler (default: sobol)"
-    )
-    group.add_argument(
-        "--seed",
-        type=number,
-        default=0,
-        metavar="S",
-        help="same seed, same result, to the last bit (default: 0)",
-    )
-    group.add_argument(
-        "--batches",
-        type=number,
-        metavar="N",
-        help="independent batches, from which error bars come (default: 16)",
-    )
-
-
-def _add_events(group):
-    """Add the options of what a ray may meet."""
-    group.add_argument(
-        "--max-depth",
-        type=number,
-        metavar="N",
-        help="surface events before a ray is truncated (default: 1000)",
-    )
-    group.add_argument(
-        "--period",
-        metavar="box|PX,PY",
-        help="the specimen is one cell of an infinite surface: its bounding box, or of "
-        "these extents in x and y; what passes its openings is transmitted (default: "
-        "none)",
-    )
-    group.add_argument(
-        "--order",
-        metavar="N|N+",
-        help="collect rays with so many surface events, or at least so many; 0 is the "
-        "light that passes a periodic specimen straight on (default: all)",
-    )
-    group.add_argument(
-        "--rr-depth",
-        type=number,
-        metavar="N",
-        help="surface events before Russian roulette (default: -1, never)",
-    )
-    group.add_argument(
-        "--trace",
-        action="store_true",
-        default=None,
-        help="trace rays even where a flat specimen does not need it",
     )
 
 
@@ -291,7 +129,7 @@ def run(options):
             specimen,
             _one_or_many(options.theta_i),
             _one_or_many(options.phi_i),
-            **{name: getattr(options, name) for name in SETTINGS},
+            **given_settings(options),
             parameters=parameters,
             progress=not options.quiet and sys.stderr.isatty(),
         )

@@ -4,16 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import checked_count, checked_number, shown
 from ..results.ray_density import paper_rays, precision
 from ..results.tally import Tally
+from ..settings.measurement_settings import PILOT_RAYS
 
-__all__ = ["MAX_RAYS", "Target", "checked_target", "n_batches", "send", "send_until"]
+__all__ = ["Target", "n_batches", "send", "send_until"]
 
-MAX_RAYS = 1e15
-
-# Rays before the first look at the precision.
-PILOT_RAYS = 2**18
 
 # The paper's error tolerance and confidence (section 5.2).
 PAPER_EPSILON, PAPER_DELTA = 0.005, 0.01
@@ -24,29 +20,29 @@ def n_batches(tallies):
     return sum(tally.n_batches for tally in tallies)
 
 
-def send(integrator, bench, key, plan, tallies, report):
+def send(instrument, bench, key, plan, tallies, report):
     """Append the tallies of the batches of `plan` that are still missing."""
     first = n_batches(tallies)
-    for tally in integrator.tallies(bench, key, plan[first:], first, progress=report):
+    for tally in instrument.tallies(bench, key, plan[first:], first, progress=report):
         tallies.append(tally)
 
 
-def send_until(target, integrator, bench, key, tallies, report):
+def send_until(target, instrument, bench, key, tallies, report):
     """Let all batches grow by rounds until `target` is met; one tally in the end.
 
     The number of batches is fixed, so that what decides about stopping has the same
     degrees of freedom at every look; rounds grow to what the last look predicts, so
     that there are few looks.
     """
-    batches = integrator.batches
+    batches = instrument.settings.batches
     each, goal = 0, PILOT_RAYS // batches  # rays of every batch
     while each < goal:
         sizes = [goal - each] * batches
-        sent = integrator.tallies(bench, key, sizes, start=each, progress=report)
+        sent = instrument.tallies(bench, key, sizes, start=each, progress=report)
         grown = Tally.join(list(sent))
         tallies[:] = [tallies[0].accumulate(grown) if tallies else grown]
         each = goal
-        record = integrator.record(bench, tallies[0], key[0])
+        record = instrument.record(bench, tallies[0], key[0])
         goal = target.next_goal(record, each * batches) // batches
 
 
@@ -57,6 +53,13 @@ class Target:
     rel_err: float
     max_rays: int
     floor: float
+
+    @classmethod
+    def of(cls, settings):
+        """Target of the settings; None where a number of rays, or an integral, is."""
+        if settings.rel_err is None or settings.estimator == "quadrature":
+            return None
+        return cls(settings.rel_err, settings.max_rays, settings.floor)
 
     def next_goal(self, record, sent):
         """Rays in all that the record predicts; `sent` if it is good enough."""
@@ -80,23 +83,3 @@ class Target:
             "n_lobe": n_lobe,
             "paper_rays": paper_rays(n_patches, PAPER_EPSILON, PAPER_DELTA),
         }
-
-
-def checked_target(rel_err, max_rays, floor, rays, resume):
-    """:class:`Target`, or None if a number of rays is asked for."""
-    if rel_err is None:
-        if max_rays is not None:
-            raise ValueError(
-                f"max_rays goes with rel_err, got {shown(max_rays)} without"
-            )
-        return None
-    for name, other in (("rays", rays), ("resume", resume)):
-        if other is not None:
-            raise ValueError(f"rel_err and {name} exclude each other, got both")
-    return Target(
-        checked_number("rel_err", rel_err, 1e-9, 1, "a number in (0, 1)"),
-        checked_count(
-            "max_rays", 10**9 if max_rays is None else max_rays, PILOT_RAYS, MAX_RAYS
-        ),
-        checked_number("floor", floor, 0, 1, "a fraction in [0, 1)"),
-    )

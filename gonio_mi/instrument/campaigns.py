@@ -176,8 +176,7 @@ class _Task:
         record = measure_whole(self._located(), *incident, **self.settings)
         # the same wherever it is measured
         name = specimen_name(self.specimen, self.settings.get("parameters"))
-        record.settings["specimen"] = name
-        return record
+        return record.with_settings(specimen=name)
 
     def digests(self):
         """Digests of the specimen and the emitter as they are now."""

@@ -12,6 +12,7 @@ import mitsuba as mi
 from .. import llvm
 from ..errors import SpecimenError, VariantError, shown
 from ..transport.kernels import launches_kernels
+from ..transport.variants import is_usable
 from .named_files import check_named_files
 
 __all__ = [
@@ -37,7 +38,7 @@ _imported: dict[str, list[str]] = {}
 
 
 def check_variant():
-    """Raise :class:`VariantError` if no Mitsuba variant is set.
+    """Raise :class:`VariantError` if no variant is set that the instrument can use.
 
     And :class:`LLVMError` if Dr.Jit would abort the process at its first kernel.
     """
@@ -45,6 +46,11 @@ def check_variant():
         raise VariantError(
             "a Mitsuba variant must be set first, "
             "such as mi.set_variant('llvm_ad_mono')"
+        )
+    if not is_usable(mi.variant()):
+        raise VariantError(
+            "gonio_mi needs an unpolarised llvm or cuda variant, such as "
+            f"mi.set_variant('llvm_ad_mono'), got {mi.variant()}"
         )
     if mi.variant().startswith("llvm"):
         llvm.check()

@@ -9,14 +9,13 @@ __all__ = ["check_resumable"]
 FREE = {"created", "versions", "specimen"}
 
 
-def check_resumable(resume, integrator, benches, seed, plan):
+def check_resumable(resume, instrument, benches, seed, plan):
     """Raise ValueError unless `resume` is the beginning of this measurement.
 
     Parameters
     ----------
     resume : Record
-    integrator : mi.Integrator
-        The goniophotometer.
+    instrument : Instrument
     benches : sequence of Bench
         For each incident direction; the record may hold the first ones only.
     seed : int
@@ -31,8 +30,8 @@ def check_resumable(resume, integrator, benches, seed, plan):
             f"got {len(resume)}"
         )
     for i, bench in enumerate(benches[: len(resume)]):
-        own = integrator.describe(bench, seed) | {
-            "collector": str(bench.film.subdivision),
+        own = instrument.describe(bench, seed) | {
+            "collector": str(bench.collector.subdivision),
             "theta_i": bench.theta_i,
             "phi_i": bench.phi_i,
             "hemispheres": "both" if bench.shape[0] == 2 else "upper",
@@ -56,7 +55,7 @@ def check_resumable(resume, integrator, benches, seed, plan):
             "gonio-mi, which left out the light that passes openings of the cell"
         )
     for tally in resume.tallies:
-        sizes = (tally.fates.sum(axis=1) // integrator.passes).tolist()
+        sizes = (tally.fates.sum(axis=1) // instrument.passes).tolist()
         if sizes != plan[: len(sizes)]:
             raise ValueError(
                 "resume must be a record of this measurement, but it has "

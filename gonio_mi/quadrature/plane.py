@@ -3,6 +3,7 @@
 import mitsuba as mi
 
 from ..errors import SpecimenError
+from ..settings.orders import ALL_ORDERS
 
 __all__ = ["check_integrable", "integrals"]
 
@@ -10,13 +11,13 @@ __all__ = ["check_integrable", "integrals"]
 def check_integrable(bench, settings, wavelengths):
     """Raise SpecimenError where the estimator `quadrature` does not apply."""
     plane = bench.specimen.plane
-    at_point = settings["footprint"] == "point"
+    at_point = settings.footprint == "point"
     needs = {
-        "a single flat rectangle": plane is not None and not settings["trace"],
+        "a single flat rectangle": plane is not None and not settings.trace,
         "a collimated beam": bench.beam.collimated,
-        "a collector in the far field": not bench.sensor.radius,
-        "a collector of rings and sectors": bench.film.subdivision.axes is None,
-        "the order all": settings["order"] == "all",
+        "a collector in the far field": not bench.collector.radius,
+        "a collector of rings and sectors": bench.collector.subdivision.axes is None,
+        "the order all": settings.order == ALL_ORDERS,
         "the same BSDF all over the specimen": plane is None
         or at_point
         or plane.is_uniform(wavelengths),
@@ -52,7 +53,7 @@ def integrals(bench, wavelengths, rel_err, channels=None):
         bench.specimen.plane.bsdf,
         bench.theta_i,
         bench.phi_i,
-        bench.film.subdivision,
+        bench.collector.subdivision,
         rel_err=rel_err,
         side="front" if bench.beam.side > 0 else "back",
         interaction=si,

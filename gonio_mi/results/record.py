@@ -359,6 +359,10 @@ class Record:
         channels = max(self.channels, other.channels, key=len)
         return replace(self, tallies=tallies, channels=channels, settings=settings)
 
+    def with_settings(self, **changes: object) -> Record:
+        """Return the record with other values of some settings."""
+        return replace(self, settings={**self.settings, **changes})
+
     def save(self, path: str | PathLike[str]) -> None:
         """Write to ``.npz`` or ``.exr``, both lossless; the file appears when complete.
 

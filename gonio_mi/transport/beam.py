@@ -5,12 +5,10 @@ import mitsuba as mi
 import numpy as np
 
 from ..collector.directions import angles
-from ..errors import SpecimenError, checked_number, shown
+from ..errors import SpecimenError
 from .wavelengths import passes, wavelength_lanes
 
-__all__ = ["Beam", "checked_footprint"]
-
-EMISSIONS = ("radiometric", "equal_power")
+__all__ = ["Beam"]
 
 # Points, along each of two sides, from which the mean power of a beam is taken.
 N_GRID = 128
@@ -19,17 +17,6 @@ N_GRID = 128
 # most than the unit of power: far less than what the tally's sums hold of one ray.
 MOST_UNEVEN = 2.0**10
 HIGHEST_SPOT = 2.0**20
-
-
-def checked_footprint(footprint):
-    """Return ``"point"``, ``"full"`` or the radius of a disk as a float."""
-    if footprint in ("point", "full"):
-        return footprint
-    condition = "'point', 'full' or a positive radius"
-    radius = checked_number("footprint", footprint, 0, np.inf, condition)
-    if radius == 0:
-        raise ValueError(f"footprint must be {condition}, got {shown(footprint)}")
-    return radius
 
 
 class Beam:

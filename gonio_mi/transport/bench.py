@@ -17,7 +17,7 @@ class Bench:
     remains for a collimated beam, whose direction is all there is.
     """
 
-    def __init__(self, specimen, beam, sensor, incident=None, lamp=None):
+    def __init__(self, specimen, beam, collector, sampler, incident=None, lamp=None):
         self.specimen = specimen
         self.beam = beam
         # as asked for, or what single precision leaves of the emitter's direction
@@ -26,11 +26,11 @@ class Bench:
             self.lamp = None
         else:
             self.lamp = lamp or emitter_digest([beam.emitter])
-        self.sensor = sensor
-        self.film = sensor.film()
-        subdivision = self.film.subdivision
-        both = self.film.hemispheres == "both" or (
-            self.film.hemispheres == "auto" and specimen.transmits
+        self.collector = collector
+        self.sampler = sampler
+        subdivision = collector.subdivision
+        both = collector.hemispheres == "both" or (
+            collector.hemispheres == "auto" and specimen.transmits
         )
         self.shape = (1 + both, *subdivision.shape)
         self.n_patches = subdivision.n_patches
@@ -51,14 +51,14 @@ class Bench:
 
     def bins(self, exits):
         """Index of the patch that each ray reached, or of its fate's bin behind."""
-        d = self.sensor.arrival(exits.p, exits.d)
+        d = self.collector.arrival(exits.p, exits.d)
         up = self.beam.side * d.z
         direct = exits.fate == mi.UInt32(Fate.DIRECT)
         # comparisons with NaN are false
         left = (exits.fate == mi.UInt32(Fate.REFLECTED)) & (dr.abs(up) > 0)
         lower = up < 0
         left |= direct & lower
-        patch = dr.minimum(self.film.patch_index(d), self.n_patches - 1)
+        patch = dr.minimum(self.collector.patch_index(d), self.n_patches - 1)
         fate = dr.select(
             (exits.fate == mi.UInt32(Fate.REFLECTED)) | (direct & ~lower),
             mi.UInt32(Fate.SIDEWAYS),

@@ -6,10 +6,10 @@ import drjit as dr
 import mitsuba as mi
 
 from .kernels import check_all_counted
-from .loop import Settings, scatter_plane, trace
+from .loop import PathSettings, scatter_plane, trace
 from .next_event import Deposits
 from .sampling import apart, continues, in_turns, seeded, turns_of
-from .scattering_order import of_order, orders
+from .scattering_order import of_order
 from .sums import Sums
 
 __all__ = ["Pace", "launch", "traces"]
@@ -24,8 +24,7 @@ def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
     Parameters
     ----------
     bench : Bench
-    settings : dict
-        Of the integrator.
+    settings : MeasurementSettings
     keys : list of tuple of int
         What tells each batch from all others.
     sizes : list of int
@@ -55,16 +54,16 @@ def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
 
 def traces(bench, settings):
     """Whether rays are traced: for geometry, or where that is asked for."""
-    return settings["trace"] or bench.specimen.plane is None
+    return settings.trace or bench.specimen.plane is None
 
 
 def _sums(bench, settings, keys, sizes, begin, wavelengths, capacity):
     """Sums of one launch, with the arguments of :func:`launch`."""
-    counted = settings["estimator"] == "analog"
-    deposited = settings["estimator"] == "next_event"
+    counted = settings.estimator == "analog"
+    deposited = settings.estimator == "next_event"
     traced = traces(bench, settings)
     sums = Sums(bench, capacity, counted=counted, deposits=deposited)
-    sampler = bench.sensor.sampler()
+    sampler = bench.sampler
     turns = 1 if traced else turns_of(sampler, sizes[0])
     lanes = -(-sizes[0] // turns)
     if traced and len(sizes) * lanes == 1:
@@ -100,7 +99,7 @@ class _Rays:
         active = ray < self.size
         deposits = None
         if self.sums.deposits:
-            order, points = orders(self.settings["order"]), self.settings["points"]
+            order, points = self.settings.order, self.settings.points
             deposits = Deposits(
                 self.bench, self.sums, points, order, active, self.batch
             )
@@ -143,21 +142,20 @@ class Pace:
 
 def _exits(bench, settings, sampler, wavelengths, deposits):
     """Follow the rays by the cheapest transport that is exact for the specimen."""
-    analog = settings["estimator"] == "analog"
-    rr_depth = settings["rr_depth"]
+    analog = settings.estimator == "analog"
+    rr_depth = settings.rr_depth
     # counted rays live or die at each event as it is, and stay whole
     roulette = rr_depth >= 0 and not analog
-    low, high = orders(settings["order"])
-    how = Settings(
+    how = PathSettings(
         analog=analog,
         # nothing that comes later is collected
-        max_depth=min(settings["max_depth"], high),
+        max_depth=min(settings.max_depth, settings.order.most),
         rr_depth=rr_depth if roulette else 2**32 - 1,
-        delta_only=settings["estimator"] == "quadrature",
+        delta_only=settings.estimator == "quadrature",
     )
     specimen, beam = bench.specimen, bench.beam
     if traces(bench, settings):
         exits = trace(specimen, beam, sampler, wavelengths, how, deposits)
     else:
         exits = scatter_plane(specimen.plane, beam, sampler, wavelengths, how)
-    return of_order(exits, low, high)
+    return of_order(exits, settings.order)

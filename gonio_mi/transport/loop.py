@@ -26,7 +26,7 @@ from .ray_offsets import (
 __all__ = [
     "LARGEST_POWER",
     "Exits",
-    "Settings",
+    "PathSettings",
     "flux_context",
     "is_delta",
     "scatter_plane",
@@ -43,7 +43,7 @@ SMALLEST_POWER = 2.0**-126
 
 
 @dataclass(frozen=True)
-class Settings:
+class PathSettings:
     """How rays are followed: estimator and where paths end."""
 
     analog: bool

@@ -21,8 +21,8 @@ LOWER_IF_DARK = 1 / 16
 
 def check_traced(bench, settings):
     """Raise SpecimenError for a flat specimen, which needs no points in patches."""
-    if bench.specimen.plane is not None and not settings["trace"]:
-        if bench.film.subdivision.axes is None:
+    if bench.specimen.plane is not None and not settings.trace:
+        if bench.collector.subdivision.axes is None:
             remedy = "take quadrature, which integrates eval over all patches"
         else:
             remedy = "trace it all the same (trace=True, or --trace), for its apertures"
@@ -57,14 +57,14 @@ class Deposits:
     points : int
         Points for each event; their patches are chosen from equal shares of the
         collector.
-    orders : tuple of int
-        Least and largest number of surface events that is collected.
+    order : Order
+        Surface events of what is collected.
     lanes, batch : mi.Bool, mi.UInt32
         Which lanes carry a ray, and its batch.
     """
 
-    def __init__(self, bench, sums, points, orders, lanes, batch):
-        self.bench, self.sums, self.points, self.orders = bench, sums, points, orders
+    def __init__(self, bench, sums, points, order, lanes, batch):
+        self.bench, self.sums, self.points, self.order = bench, sums, points, order
         self.lanes, self.batch = lanes, batch
         self.scatters = any(
             mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth)
@@ -73,7 +73,7 @@ class Deposits:
         self.lower = 0.0
         if bench.shape[0] == 2:
             self.lower = LOWER_IF_DARK if bench.specimen.seems_dark else LOWER
-        subdivision = bench.film.subdivision
+        subdivision = bench.collector.subdivision
         theta_low, theta_high, phi_low, phi_high = subdivision.cells.T
         # sin^2(theta / 2) is proportional to solid angle, and exact at the pole
         low, high = np.sin(theta_low / 2) ** 2, np.sin(theta_high / 2) ** 2
@@ -111,7 +111,7 @@ class Deposits:
     @dr.syntax
     def _add(self, si, bsdf, ray, β, depth, shift, sampler, active):
         """Deposit, as `add`, on a specimen that has other than delta components."""
-        low, high = self.orders
+        low, high = self.order.least, self.order.most
         wanted = active & self.lanes & (depth + 1 >= low) & (depth + 1 <= high)
         wanted &= mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         sound = mi.Bool(True)
@@ -156,8 +156,8 @@ class Deposits:
         lower = bins >= bench.n_patches
         number = dr.select(active, bins, 0)
         patch = number - dr.select(active & lower, mi.UInt32(bench.n_patches), 0)
-        u = bench.sensor.arrival(exits.p, exits.d)
-        _, change = bench.sensor.seen(exits.left, u)
+        u = bench.collector.arrival(exits.p, exits.d)
+        _, change = bench.collector.seen(exits.left, u)
         spread = self._spread(patch, lower, change)
         spread *= dr.rcp(dr.opaque(mi.Float, self.points))
         expected = exits.density * spread  # times the density of all points
@@ -207,10 +207,10 @@ class Deposits:
         if self.axes is not None:
             axis = dr.gather(mi.Vector3f, self.axes, patch)
             point = mi.Frame3f(axis).to_world(point)
-            inside = bench.film.patch_index(point) == patch
+            inside = bench.collector.patch_index(point) == patch
         up = dr.select(lower, -float(bench.beam.side), float(bench.beam.side))
         point.z *= up
-        seen, change = bench.sensor.seen(p, point)
+        seen, change = bench.collector.seen(p, point)
         spread = self._spread(patch, lower, change)
         return number, seen, dr.select(inside, spread, 0.0)
 

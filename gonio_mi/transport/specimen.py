@@ -9,13 +9,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SpecimenError, shown
+from ..errors import SpecimenError
 from ..single_precision import FEW_ROUNDINGS
 from .extents import bounds
 from .geometry import groups_of, scene_of, surfaces_of
 from .ray_offsets import START, escapes, intersect
 
-__all__ = ["Plane", "Specimen", "checked_period"]
+__all__ = ["Plane", "Specimen"]
 
 # Points at which a BSDF is compared with itself.
 N_POINTS = 2**12
@@ -29,28 +29,6 @@ LARGEST = 1e9
 # from where it is worth a warning.
 OFF_BY = 2.0**-19
 WORTH_A_WARNING = 1e-4
-
-
-def checked_period(period):
-    """Return ``"none"``, ``"box"``, or extents in x and y as a text like ``"2.0,3.0"``.
-
-    `period` is one of these, one number for both, or a pair of numbers.
-    """
-    if isinstance(period, str) and period in ("none", "box"):
-        return period
-    try:
-        if isinstance(period, bool):
-            raise TypeError
-        words = period.split(",") if isinstance(period, str) else period
-        extents = np.broadcast_to(np.asarray(words, dtype=float), 2).tolist()
-    except (TypeError, ValueError):
-        extents = [np.nan, np.nan]
-    if not all(0 < extent < np.inf for extent in extents):
-        raise ValueError(
-            "period must be 'none', 'box', or one or two positive numbers, "
-            f"got {shown(period)}"
-        )
-    return "{!r},{!r}".format(*extents)
 
 
 @dataclass(frozen=True)
@@ -114,11 +92,11 @@ class Specimen:
     Parameters
     ----------
     scene : mi.Scene
-    period : str
+    period : {"none", "box"} or (float, float)
         ``"none"``: the geometry is all there is. ``"box"``: its bounding box is a cell
         of an infinite surface, and what leaves through a side of it enters again
-        through the opposite one. Extents in x and y, such as ``"2.0,3.0"``: the same
-        with a cell of that size about the middle of the box.
+        through the opposite one. Extents in x and y: the same with a cell of that size
+        about the middle of the box.
 
     Attributes
     ----------
@@ -262,7 +240,7 @@ class Specimen:
     def _set_cell(self, period):
         """Put the cell's sides into the place of the bounding box's."""
         extent = (self.high - self.low)[:2]
-        period = extent if period == "box" else np.array(period.split(","), float)
+        period = extent if period == "box" else np.array(period)
         if np.any(period < extent * (1 - 2.0**-20)):
             raise SpecimenError(
                 "period must hold the geometry, which is "

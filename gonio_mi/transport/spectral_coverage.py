@@ -54,14 +54,14 @@ def _range(part: Any) -> tuple[Any, Any]:
     if not hasattr(part, "wavelength_range"):
         return 0.0, np.inf
     low, high = (np.float32(end) for end in np.ravel(part.wavelength_range()))
-    return low, high
+    return float(low), float(high)
 
 
 def _ends(texture: Any, low: float, high: float, beyond: Sequence[float]) -> bool:
     """Whether `texture` has other values within its range than `beyond` it."""
     within = np.linspace(low, high, N_WAVELENGTHS, endpoint=False)[1:]
     try:
-        inside, outside = (_values(texture, nm) for nm in (within, beyond))
+        inside, outside = (_values(texture, nm) for nm in (within.tolist(), beyond))
     except RuntimeError:  # it is no spectrum: a map of normals, say
         return False
     if np.all(inside == inside[:1]) and np.all(outside == inside[:1]):

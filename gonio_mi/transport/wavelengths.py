@@ -3,21 +3,7 @@
 import drjit as dr
 import mitsuba as mi
 
-__all__ = ["channel_names", "checked_wavelengths", "passes", "wavelength_lanes"]
-
-
-def checked_wavelengths(text):
-    """Tuple of wavelengths in nm from a number or a text with commas."""
-    try:
-        nm = tuple(float(word) for word in str(text).split(","))
-    except ValueError:
-        nm = ()
-    if not nm or not all(100 <= x <= 10000 for x in nm):
-        raise ValueError(
-            "goniophotometer.wavelengths must be numbers of nm from 100 to 10000, "
-            f"got {text!r}"
-        )
-    return nm
+__all__ = ["channel_names", "passes", "wavelength_lanes"]
 
 
 def passes(nm):

@@ -1,12 +1,9 @@
 """Film `patches`: the collector's patches, their tally and the record."""
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from gonio_mi import properties
-from gonio_mi.collector import subdivision
-from gonio_mi.transport.arrays import DRJIT
+from gonio_mi.settings import FILM, MeasurementSettings, plugin_table
 
 
 class Patches(mi.Film):
@@ -14,15 +11,7 @@ class Patches(mi.Film):
 
     .. pluginparameters::
 
-     * - subdivision
-       - |string|
-       - ``angle``, ``solid`` or ``projected``, and rings x sectors of one hemisphere.
-         (Default: ``projected:30x30``)
-
-     * - hemispheres
-       - |string|
-       - ``both``, ``upper`` (the emitter's side only), or ``auto``: ``upper`` for a
-         flat specimen whose BSDF declares no transmission. (Default: ``auto``)
+     {parameters}
 
     The developed map has shape ``(n_theta, n_phi, channels)``: the BRDF in 1/sr.
     With both hemispheres it has ``2 n_theta`` rows, in the order of growing theta: the
@@ -43,17 +32,11 @@ class Patches(mi.Film):
     """
 
     def __init__(self, props):
-        self.subdivision = subdivision(props.get("subdivision", "projected:30x30"))
-        self.hemispheres = properties.choice(
-            props, "hemispheres", "auto", ("auto", "upper", "both")
-        )
+        self.settings = MeasurementSettings.from_properties(props, FILM)
+        self.subdivision = self.settings.collector
         props["height"], props["width"] = self.subdivision.shape
         super().__init__(props)
         self.record = None
-
-    def patch_index(self, d):
-        """Index of the patch of each unit vector `d` (mirrored into z > 0)."""
-        return mi.UInt32(self.subdivision.patch_index(DRJIT, d.x, d.y, dr.abs(d.z)))
 
     def develop(self, raw=False):  # noqa: ARG002
         """Return the map of the finished measurement as a tensor."""
@@ -79,8 +62,10 @@ class Patches(mi.Film):
     def to_string(self):
         """Return a readable description."""
         return (
-            f"Patches[subdivision={self.subdivision}, hemispheres={self.hemispheres}]"
+            f"Patches[subdivision={self.subdivision}, "
+            f"hemispheres={self.settings.hemispheres}]"
         )
 
 
+Patches.__doc__ = plugin_table(Patches.__doc__, MeasurementSettings, FILM)
 mi.register_film("patches", Patches)

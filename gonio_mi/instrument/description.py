@@ -1,0 +1,67 @@
+"""What a record says of how it was made."""
+
+from __future__ import annotations
+
+import datetime
+import platform
+from importlib.metadata import version
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..settings import INTEGRATOR, MeasurementSettings, declarations
+from ..transport.bench import Bench
+from ..transport.launch import traces
+from ..transport.sampling import sampler_name
+from ..transport.wavelengths import passes
+
+__all__ = ["described"]
+
+# Settings that a record knows better: its batches, its channels, its precision.
+KNOWN_OTHERWISE = {"batches", "wavelengths", "rel_err"}
+
+
+def described(
+    settings: MeasurementSettings, bench: Bench, seed: int, samples: bool
+) -> dict[str, object]:
+    """Settings of a measurement and what it found, in JSON's types.
+
+    Every property of the integrator is among them, `points` and `rel_err` where the
+    estimator has a use for them.
+    """
+    own = {
+        name: declared.text(getattr(settings, name))
+        for name, declared in declarations(MeasurementSettings).items()
+        if declared.plugin == INTEGRATOR and name not in KNOWN_OTHERWISE
+    }
+    if settings.estimator != "next_event":
+        del own["points"]
+    if settings.estimator == "quadrature":
+        own["rel_err"] = settings.integral_err
+    del own["trace"]  # told by the transport that was taken
+    return own | {
+        "specimen": bench.specimen.name,
+        "surface": bench.specimen.description,
+        **bench.digests,
+        "transmission": bench.specimen.transmission,
+        "emitter": bench.beam.emitter.class_name(),
+        "side": "front" if bench.beam.side > 0 else "back",
+        "transport": "traced" if traces(bench, settings) else "plane",
+        "sampler": sampler_name(bench.sampler),
+        "seed": seed,
+        "rays": settings.rays if samples else 0,
+        "passes": len(passes(settings.wavelengths)),
+        "collector_radius": bench.collector.radius,
+        "variant": mi.variant(),
+        "versions": {
+            "gonio_mi": version("gonio-mi"),
+            "mitsuba": mi.__version__,
+            "drjit": dr.__version__,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+        "created": datetime.datetime.now(datetime.timezone.utc).isoformat(
+            "T", "seconds"
+        ),
+    }

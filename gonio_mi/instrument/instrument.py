@@ -1,0 +1,252 @@
+"""The instrument: settings, collector and sampler, which measure at a bench."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..errors import SpecimenError
+from ..quadrature.plane import check_integrable, integrals
+from ..results.record import Record
+from ..results.tally import WEIGHT_SCALE, Ledger, Tally
+from ..settings import MeasurementSettings
+from ..transport.beam import Beam
+from ..transport.bench import Bench
+from ..transport.collector_sphere import CollectorSphere
+from ..transport.launch import Pace, traces
+from ..transport.next_event import check_traced
+from ..transport.specimen import Specimen
+from ..transport.spectral_coverage import check_covered
+from ..transport.sums import packet_width
+from ..transport.trial import check_works
+from ..transport.wavelengths import channel_names, passes, wavelength_lanes
+from .description import described
+
+__all__ = ["Instrument"]
+
+# Rays per kernel launch, at most. For samplers other than `sobol` it takes part in the
+# seeding: a change of it changes the random numbers.
+LAUNCH = 2**24
+
+# Rays of the batches that share a launch: many for its overhead, few for the progress
+# bar and Ctrl-C; and the numbers that they add up to, kept apart for each thread and
+# in its cache.
+FUSED_RAYS = 2**22
+FUSED_SUMS = 2**19
+
+# Rays of the first launch, traced and on a plane; then as many as take a second.
+FIRST_TRACED, FIRST_PLANE = 2**18, 2**20
+
+
+class Instrument:
+    """What measures: it sets up a bench, sends rays batch by batch, makes the record.
+
+    Parameters
+    ----------
+    settings : MeasurementSettings
+    sampler : mi.Sampler
+    """
+
+    def __init__(self, settings: MeasurementSettings, sampler: mi.Sampler) -> None:
+        self.settings = settings
+        self.sampler = sampler
+        self.collector = CollectorSphere(
+            settings.collector, settings.hemispheres, settings.collector_radius
+        )
+        self.wavelengths = settings.wavelengths
+        self._pace: Pace | None = None
+
+    @property
+    def integrates(self) -> bool:
+        """Whether ``eval`` is integrated, and rays are for delta components only."""
+        return self.settings.estimator == "quadrature"
+
+    @property
+    def deposits(self) -> bool:
+        """Whether ``eval`` is deposited at every event."""
+        return self.settings.estimator == "next_event"
+
+    @property
+    def passes(self) -> int:
+        """How often the rays are sent: once for every four wavelengths."""
+        return len(passes(self.wavelengths))
+
+    def check(self, specimen: Specimen) -> None:
+        """Raise what a BSDF of the specimen raises, or SpecimenError beyond its data.
+
+        Once for each specimen, before its benches.
+        """
+        lanes = wavelength_lanes(passes(self.wavelengths)[0])
+        bsdfs = [surface.bsdf() for surface in specimen.surfaces]
+        check_works(bsdfs, lanes, self.settings.estimator)
+        if mi.is_spectral:
+            check_covered(bsdfs, self.wavelengths)
+
+    def bench(self, specimen, emitters, incident=None, lamp=None) -> Bench:
+        """Set up a :class:`Bench` for the one emitter of `emitters`.
+
+        `incident` is the pair of angles in degrees that it was made for, if any, and
+        `lamp` the digest of the emitter before it was turned there.
+        """
+        if len(emitters) != 1:
+            raise SpecimenError(
+                "the scene must have one emitter, or an incident angle be given, "
+                f"got {len(emitters)} emitters"
+            )
+        corner = np.abs([specimen.low, specimen.high]).max(axis=0)
+        if 0 < self.collector.radius <= np.linalg.norm(corner):
+            raise SpecimenError(
+                "collector.radius must enclose the specimen, whose corner is at "
+                f"{corner}, got {self.collector.radius}"
+            )
+        beam = self._beam(specimen, emitters[0])
+        bench = Bench(specimen, beam, self.collector, self.sampler, incident, lamp)
+        if self.integrates:
+            lanes = wavelength_lanes(passes(self.wavelengths)[0])
+            check_integrable(bench, self.settings, lanes)
+        if self.deposits:
+            check_traced(bench, self.settings)
+        return bench
+
+    def _beam(self, specimen, emitter) -> Beam:
+        """Light of `emitter`, at wavelengths that it has."""
+        emission = self.settings.emission
+        collimated = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaDirection)
+        by_shape = emission == "equal_power" and emitter.get_shape() is not None
+        # of the other two, no power is asked for
+        if mi.is_spectral and not collimated and not by_shape:
+            check_covered([emitter], self.wavelengths)
+        nm = self.wavelengths if mi.is_spectral else None
+        return Beam(specimen, emitter, self.settings.footprint, emission, nm)
+
+    def tallies(self, bench, key, sizes, first=0, start=0, progress=None):
+        """Tallies of independent batches, in order: of one batch each, or of several.
+
+        Small batches share a launch if the sampler keeps them apart; the bits do not
+        depend on that.
+
+        Parameters
+        ----------
+        bench : Bench
+        key : tuple of int
+            Seed, and whatever tells this measurement from others of the same seed.
+        sizes : sequence of int
+            Rays to send in each batch, in descending order and alike within one ray; as
+            often again for each further four wavelengths.
+        first : int
+            Number of the first of these batches.
+        start : int
+            Rays of each of these batches that were sent before.
+        progress : callable, optional
+            Called after each launch with the rays it sent.
+
+        Yields
+        ------
+        Tally
+        """
+        capacity, pace = self._capacity(bench), self._pace_at(bench)
+        while sizes:
+            most = min(FUSED_RAYS, pace.rays)
+            several = max(1, min(len(sizes), capacity, most // sizes[0]))
+            groups = []
+            for number, nm in enumerate(passes(self.wavelengths)):
+                keys = [(*key, first + i, number) for i in range(several)]
+                lanes = wavelength_lanes(nm)
+                tally = self._part(bench, keys, sizes[:several], start, lanes, progress)
+                groups.append(tally if nm is None else tally.first(len(nm)))
+            yield groups[0] if len(groups) == 1 else Tally.join_channels(groups)
+            first, sizes = first + several, sizes[several:]
+
+    def samples(self, bench: Bench) -> bool:
+        """Whether rays are needed: always, but for integrals without delta lobes."""
+        return not self.integrates or mi.has_flag(
+            bench.specimen.plane.bsdf.flags(), mi.BSDFFlags.Delta
+        )
+
+    def integrated(self, bench: Bench, tallies: list[Tally]) -> Tally:
+        """Tally of all but the delta components, and of the `tallies` of those."""
+        lanes = [(wavelength_lanes(nm), nm) for nm in passes(self.wavelengths)]
+        parts = [
+            integrals(bench, wavelengths, self.settings.integral_err, nm and len(nm))
+            for wavelengths, nm in lanes
+        ]
+        flux, errors = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts))
+        if tallies:
+            sampled = Tally.join(tallies).spread(flux.shape[-1])
+        else:
+            shape = bench.collector.subdivision.shape
+            sampled = Tally.empty(bench.shape[0], shape, flux.shape[-1], WEIGHT_SCALE)
+        return sampled.with_integrals(flux, errors)
+
+    def _capacity(self, bench: Bench) -> int:
+        """Batches that may share a launch: the same for all launches at a bench."""
+        if not hasattr(self.sampler, "start"):
+            return 1
+        fitting = FUSED_SUMS // (bench.n_bins * packet_width())
+        return max(1, min(fitting, self.settings.batches))
+
+    def _pace_at(self, bench: Bench) -> Pace:
+        """How many rays a launch takes, learnt from one launch to the next."""
+        if self._pace is None:
+            traced = traces(bench, self.settings)
+            self._pace = Pace(FIRST_TRACED if traced else FIRST_PLANE)
+        return self._pace
+
+    def _part(self, bench, keys, sizes, start, wavelengths, progress) -> Tally:
+        """Tally of the batches of `keys`, by one launch or more for a single one."""
+        total: Any = None
+        capacity, pace = self._capacity(bench), self._pace_at(bench)
+        divisible = hasattr(self.sampler, "start")
+        begin, end = start, start + sizes[0]
+        while begin < end:
+            n = min(LAUNCH, end - begin)
+            if divisible:
+                n = min(n, pace.next_part(begin, end))
+            parts = [min(n, start + size - begin) for size in sizes]
+            totals = pace.launch(
+                bench, self.settings, keys, parts, begin, wavelengths, capacity
+            )
+            total = totals if total is None else total + totals
+            if progress is not None:
+                progress(sum(parts))
+            begin += n
+        return total.tally()
+
+    def record(self, bench: Bench, tally: Tally, seed: int) -> Record:
+        """Record of a finished `tally`, with all that is needed to repeat it."""
+        if 0 < tally.ledger.missed == tally.ledger.emitted:
+            raise SpecimenError(
+                f"the footprint {self.settings.footprint} must meet the specimen, "
+                f"but all {tally.ledger.emitted} rays missed it"
+            )
+        functions = "sample() or eval()" if self.deposits else "sample()"
+        _warn_of_invalid(tally.ledger, functions, bench.beam.collimated)
+        if not mi.is_spectral and tally.achromatic:
+            tally = tally.first(1)
+        return Record(
+            subdivision=bench.collector.subdivision,
+            theta_i=np.array([bench.theta_i]),
+            phi_i=np.array([bench.phi_i]),
+            channels=channel_names(self.wavelengths, tally.channels),
+            tallies=(tally,),
+            settings=self.describe(bench, seed) | {"batches": tally.n_batches},
+        )
+
+    def describe(self, bench: Bench, seed: int) -> dict[str, object]:
+        """Settings of the measurement, in JSON's types."""
+        return described(self.settings, bench, seed, self.samples(bench))
+
+
+def _warn_of_invalid(ledger: Ledger, functions: str, collimated: bool) -> None:
+    if ledger.invalid:
+        near = "" if collimated else " or the emitter is too near for single rays,"
+        warnings.warn(
+            f"the BSDF's {functions} returned a negative, infinite or NaN weight, or "
+            f"no unit direction,{near} for {ledger.invalid} of {ledger.emitted} "
+            "rays; they are in the ledger's row invalid and in no patch",
+            RuntimeWarning,
+            stacklevel=3,
+        )

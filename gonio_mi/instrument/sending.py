@@ -1,0 +1,47 @@
+"""Sending all rays of a measurement, with a progress bar and an ear for Ctrl-C."""
+
+from ..progress import bar
+from .batches import n_batches, send, send_until
+
+__all__ = ["send_all"]
+
+
+def send_all(instrument, benches, keys, plan, target, finished, progress=False):
+    """Append to `finished` the tallies of all benches; return whether all are there.
+
+    After Ctrl-C they are those of what was finished; it is raised if that is nothing.
+    """
+    left = sum(sum(plan[n_batches(tallies) :]) for tallies in finished)
+    rays = None if target else left * instrument.passes
+    with bar(
+        progress, total=rays, unit="ray", unit_scale=True, delay=1, mininterval=0.2
+    ) as report:
+        try:
+            for bench, key, tallies in zip(benches, keys, finished):
+                if not instrument.samples(bench):
+                    if report is not None:
+                        report(sum(plan))
+                elif target:
+                    send_until(target, instrument, bench, key, tallies, report)
+                else:
+                    send(instrument, bench, key, plan, tallies, report)
+                if instrument.integrates:
+                    tallies[:] = [instrument.integrated(bench, tallies)]
+        except (KeyboardInterrupt, RuntimeError) as error:
+            if not _is_ctrl_c(error):
+                raise
+            if instrument.integrates:  # rays alone are not enough
+                for tallies in finished:
+                    if tallies and tallies[0].errors is None:
+                        tallies.clear()
+            if not any(finished):
+                raise KeyboardInterrupt from None
+            return False
+    return True
+
+
+def _is_ctrl_c(error):
+    """Whether Ctrl-C is at the bottom of it: Dr.Jit wraps what a loop raises."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None

@@ -1,0 +1,18 @@
+"""The settings of a measurement, each declared once and parsed at the border."""
+
+from .declarations import Declaration, Kind, declarations, numpydoc, plugin_table
+from .measurement_settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings
+from .orders import Order
+
+__all__ = [
+    "COLLECTOR",
+    "FILM",
+    "INTEGRATOR",
+    "Kind",
+    "Declaration",
+    "MeasurementSettings",
+    "Order",
+    "declarations",
+    "numpydoc",
+    "plugin_table",
+]

@@ -1,0 +1,155 @@
+"""What is declared of a setting, and how declarations become documentation."""
+
+from __future__ import annotations
+
+import dataclasses
+import textwrap
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+__all__ = ["Declaration", "Kind", "declarations", "numpydoc", "plugin_table", "setting"]
+
+
+class Kind(Enum):
+    """How a value is written: in Python, and as a property of a Mitsuba plugin."""
+
+    COUNT = "int", "|int|"
+    NUMBER = "float", "|float|"
+    WORD = "str", "|string|"
+    WORD_OR_NUMBER = "str or float", "|string| or |float|"
+    NUMBERS = "sequence of float", "|string|"
+    FLAG = "bool", "|bool|"
+
+    @property
+    def python(self) -> str:
+        """Type in Python, as numpydoc has it."""
+        return self.value[0]
+
+    @property
+    def mitsuba(self) -> str:
+        """Type of a plugin's property, as Mitsuba's manual has it."""
+        return self.value[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Declaration:
+    """One setting: all that anything else needs to know of it.
+
+    Attributes
+    ----------
+    name : str
+        In Python and in records; on the command line with dashes.
+    default : object
+        What it is if nobody says anything; parsed.
+    check : callable
+        ``check(label, value)`` returns the parsed value, or raises a TypeError or
+        ValueError that begins with `label`.
+    kind : Kind
+    sentence : str
+        What it means, with its unit; without the default.
+    group : str
+        Heading of the command line's options, None for what has no option.
+    metavar : str
+        What stands for the value in the command line's help.
+    form : str
+        Type in Python if `kind` does not tell it.
+    plugin : str
+        Mitsuba plugin that has it as a property, None for none.
+    key : str
+        Name of that property.
+    text : callable
+        Parsed value as a number or text, for properties and records.
+    shown_default : str
+        How documentation writes the default.
+    """
+
+    name: str
+    default: Any
+    check: Callable[[str, Any], Any]
+    kind: Kind
+    sentence: str
+    group: str | None
+    metavar: str
+    form: str
+    plugin: str | None
+    key: str
+    text: Callable[[Any], Any]
+    shown_default: str
+
+    @property
+    def option(self) -> str:
+        """Option of the command line."""
+        return "--" + self.name.replace("_", "-")
+
+
+def setting(
+    default: Any,
+    check: Callable[[str, Any], Any],
+    kind: Kind,
+    sentence: str,
+    *,
+    group: str | None = None,
+    metavar: str = "N",
+    form: str = "",
+    plugin: str | None = None,
+    key: str = "",
+    text: Callable[[Any], Any] = lambda value: value,
+    shown_default: str = "",
+) -> Any:
+    """Field of a dataclass of settings; see :class:`Declaration`."""
+    return dataclasses.field(
+        default=default,
+        metadata={
+            "check": check,
+            "kind": kind,
+            "sentence": sentence,
+            "group": group,
+            "metavar": metavar,
+            "form": form or kind.python,
+            "plugin": plugin,
+            "key": key,
+            "text": text,
+            "shown_default": shown_default or str(default),
+        },
+    )
+
+
+def declarations(settings: Any) -> dict[str, Declaration]:
+    """Declarations of a dataclass of settings by name, in their order."""
+    found = {}
+    for field in dataclasses.fields(settings):
+        data = dict(field.metadata)
+        data["key"] = data["key"] or field.name
+        found[field.name] = Declaration(field.name, field.default, **data)
+    return found
+
+
+def numpydoc(settings: Any, indent: str = "    ") -> str:
+    """Rows of a numpydoc section `Parameters`, one for each setting."""
+    rows = []
+    for declared in declarations(settings).values():
+        sentence = f"{declared.sentence} Default ``{declared.shown_default}``."
+        body = textwrap.fill(sentence, 84 - len(indent), break_on_hyphens=False)
+        rows.append(f"{declared.name} : {declared.form}, optional")
+        rows.append(textwrap.indent(body, "    "))
+    return textwrap.indent("\n".join(rows), indent).lstrip()
+
+
+def plugin_table(text: str | None, settings: Any, plugin: str) -> str:
+    """Docstring of `plugin` with a row of its table for each declared property.
+
+    They take the place of ``{parameters}`` below Mitsuba's ``.. pluginparameters::``.
+    """
+    rows = []
+    for declared in declarations(settings).values():
+        if declared.plugin == plugin:
+            sentence = f"{declared.sentence} (Default: ``{declared.shown_default}``)"
+            body = textwrap.fill(sentence, 77, break_on_hyphens=False)
+            rows.append(
+                f"     * - {declared.key}\n"
+                f"       - {declared.kind.mitsuba}\n"
+                f"       - {textwrap.indent(body, ' ' * 9).lstrip()}\n"
+            )
+    return (text or "").replace("{parameters}", "\n".join(rows).strip())

@@ -1,0 +1,366 @@
+"""The settings of a measurement: one line of declaration each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ..collector import EqualProjectedSolidAngle, Subdivision, subdivision
+from .declarations import Kind, declarations, setting
+from .orders import ALL_ORDERS, Order
+from .parsed import (
+    Period,
+    checked_flag,
+    checked_footprint,
+    checked_period,
+    checked_wavelengths,
+    choice,
+    count,
+    joined,
+    number,
+)
+
+__all__ = [
+    "COLLECTOR",
+    "FILM",
+    "INTEGRATOR",
+    "MOST_POINTS",
+    "MeasurementSettings",
+    "PILOT_RAYS",
+]
+
+# Mitsuba plugins that have settings as their properties.
+INTEGRATOR, COLLECTOR, FILM = "goniophotometer", "collector", "patches"
+
+MOST_RAYS = 10**15
+MOST_BATCHES = 65536
+# In scene units: the square of larger ones is no number in single precision.
+LARGEST_RADIUS = 1e15
+# Rays before the first look at the precision.
+PILOT_RAYS = 2**18
+# More points would only repeat what a further ray tells better.
+MOST_POINTS = 1024
+# Relative error of each patch to which `quadrature` integrates, if none is asked for.
+INTEGRAL_ERR = 1e-4
+
+LIGHT, PATCHES, METHOD, EVENTS = (
+    "light",
+    "collector",
+    "method",
+    "events on the surface",
+)
+
+
+def _sampler(label: str, value: object) -> Any:  # noqa: ARG001
+    """Plugin of a sampler: its name, a dictionary or an object."""
+    if isinstance(value, str):
+        return {"type": value}
+    return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasurementSettings:
+    """How a specimen is measured: parsed values, whatever form they were given in.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is out of its range; the message begins with the setting's name.
+    """
+
+    # ------------------------------------------------------------------- how many rays
+
+    rays: int = setting(
+        10**6,
+        count(1, MOST_RAYS),
+        Kind.COUNT,
+        "Rays for each incident direction, up to 1e15. In spectral variants so many "
+        "for every four wavelengths.",
+        group=METHOD,
+        plugin=INTEGRATOR,
+        shown_default="1e6",
+    )
+    rel_err: float | None = setting(
+        None,
+        number(1e-9, 1, "a number in (0, 1)"),
+        Kind.NUMBER,
+        "Instead of `rays`: go on until the relative standard error of every patch "
+        "worth reporting is at most this, for each incident direction. For "
+        "``quadrature`` the error to which every patch converges, down to a millionth "
+        "of the mean patch.",
+        group=METHOD,
+        metavar="X",
+        plugin=INTEGRATOR,
+        shown_default="none; 1e-4 for quadrature",
+    )
+    max_rays: int = setting(
+        10**9,
+        count(PILOT_RAYS, MOST_RAYS),
+        Kind.COUNT,
+        "Rays at which `rel_err` stops at the latest, with a warning.",
+        group=METHOD,
+        shown_default="1e9",
+    )
+    floor: float = setting(
+        0.1,
+        number(0, 1, "a fraction in [0, 1)"),
+        Kind.NUMBER,
+        "Fraction of the mean over the collector: patches whose BRDF (or BTDF) is "
+        "below are not worth reporting.",
+    )
+    batches: int = setting(
+        16,
+        count(1, MOST_BATCHES),
+        Kind.COUNT,
+        "Independent batches, from whose scatter uncertainties come. With ``sobol`` "
+        "every doubling costs a fifth of the precision that the same rays give.",
+        group=METHOD,
+        plugin=INTEGRATOR,
+    )
+
+    # -------------------------------------------------------------------------- method
+
+    estimator: str = setting(
+        "weighted",
+        choice("weighted", "analog", "quadrature", "next_event"),
+        Kind.WORD,
+        "``weighted`` sums throughput. ``analog`` lets a ray survive or end at each "
+        "event and counts it (the paper's eq. 5). ``quadrature`` integrates ``eval`` "
+        "over the patches, for a flat specimen that is the same everywhere in a "
+        "collimated beam, and samples delta components only. ``next_event`` deposits "
+        "``eval`` at every event on geometry towards points in random patches that are "
+        "in sight, and counts the rays as well, by the balance heuristic: for narrow "
+        "apertures and for patches far from the lobes, not for totals.",
+        group=METHOD,
+        metavar="E",
+        form='{"weighted", "analog", "quadrature", "next_event"}',
+        plugin=INTEGRATOR,
+    )
+    points: int = setting(
+        1,
+        count(1, MOST_POINTS),
+        Kind.COUNT,
+        "Points for each event, of the estimator ``next_event``.",
+        group=METHOD,
+        plugin=INTEGRATOR,
+    )
+    sampler: Any = setting(
+        None,
+        _sampler,
+        Kind.WORD,
+        "Mitsuba sampler, by name or as a dictionary: ``sobol`` sends each batch along "
+        "one scrambled low-discrepancy sequence, ``independent`` sends independent "
+        "rays.",
+        group=METHOD,
+        metavar="S",
+        form="str or dict",
+        shown_default="sobol",
+    )
+    seed: int = setting(
+        0,
+        count(0),
+        Kind.COUNT,
+        "Same seed, same bits on the same kind of processor, whatever the number of "
+        "threads.",
+        group=METHOD,
+        metavar="S",
+    )
+
+    # --------------------------------------------------------------------------- light
+
+    side: str = setting(
+        "front",
+        choice("front", "back"),
+        Kind.WORD,
+        "Face that looks at the emitter: ``front`` (+z) or ``back`` (-z). Reflection "
+        "is always its side.",
+        group=LIGHT,
+        metavar="front|back",
+        form='{"front", "back"}',
+    )
+    footprint: str | float = setting(
+        "full",
+        checked_footprint,
+        Kind.WORD_OR_NUMBER,
+        "Where light lands on the top of the specimen: ``full`` (all over it), "
+        "``point`` (in its middle), or the radius of a disk about the middle, in scene "
+        "units.",
+        group=LIGHT,
+        metavar="full|point|R",
+        plugin=INTEGRATOR,
+    )
+    emission: str = setting(
+        "radiometric",
+        choice("radiometric", "equal_power"),
+        Kind.WORD,
+        "Weight of the rays of an emitter of finite size: ``radiometric`` (radiance, "
+        "cosines and distance, as light has them) or ``equal_power`` (the same power "
+        "for uniform points on emitter and specimen: the paper's section 2.2).",
+        group=LIGHT,
+        metavar="E",
+        form='{"radiometric", "equal_power"}',
+        plugin=INTEGRATOR,
+    )
+    wavelengths: tuple[float, ...] = setting(
+        (550.0,),
+        checked_wavelengths,
+        Kind.NUMBERS,
+        "Wavelengths in nm, which are the channels in spectral variants. The data of "
+        "specimen and emitter must cover them.",
+        group=LIGHT,
+        metavar="NM",
+        plugin=INTEGRATOR,
+        text=joined,
+        shown_default="550",
+    )
+
+    # ----------------------------------------------------------------------- collector
+
+    collector: Subdivision = setting(
+        EqualProjectedSolidAngle(30, 30),
+        lambda label, value: subdivision(value),  # noqa: ARG005
+        Kind.WORD,
+        "Patches of equal solid angle (``solid``), projected solid angle "
+        "(``projected``), steps of angle (``angle``) or of its sine (``sine``), and "
+        "rings x sectors of one hemisphere; or ``klems``, "
+        "``borders:0,30,90x0,180,360`` or ``apertures:HALF_ANGLE@THETA/PHI,...``.",
+        group=PATCHES,
+        metavar="KIND:NTxNP",
+        form="str or Subdivision",
+        plugin=FILM,
+        key="subdivision",
+        text=str,
+        shown_default="projected:30x30",
+    )
+    collector_radius: float = setting(
+        0.0,
+        number(0, LARGEST_RADIUS, "a finite radius of 0 or more"),
+        Kind.NUMBER,
+        "Radius in scene units of the sphere about the origin on which the exit "
+        "*position* decides the patch; 0 is the far field, where the exit *direction* "
+        "does.",
+        group=PATCHES,
+        metavar="R",
+        plugin=COLLECTOR,
+        key="radius",
+        shown_default="0",
+    )
+    hemispheres: str = setting(
+        "auto",
+        choice("auto", "upper", "both"),
+        Kind.WORD,
+        "``both``, ``upper`` (the emitter's side only), or ``auto``: ``upper`` for a "
+        "flat specimen whose BSDF declares no transmission.",
+        group=PATCHES,
+        metavar="H",
+        form='{"auto", "upper", "both"}',
+        plugin=FILM,
+    )
+
+    # -------------------------------------------------------------------------- events
+
+    max_depth: int = setting(
+        1000,
+        count(1, 2**31),
+        Kind.COUNT,
+        "Surface events after which a ray is truncated.",
+        group=EVENTS,
+        plugin=INTEGRATOR,
+    )
+    rr_depth: int = setting(
+        -1,
+        count(-1),
+        Kind.COUNT,
+        "Surface events after which Russian roulette sets in, for the weighted "
+        "estimator; -1 for never.",
+        group=EVENTS,
+        plugin=INTEGRATOR,
+    )
+    period: Period = setting(
+        "none",
+        checked_period,
+        Kind.WORD_OR_NUMBER,
+        "``box`` makes the specimen's bounding box one cell of an infinite surface, so "
+        "that there are no edges; numbers such as ``2,3`` are the extents of that cell "
+        "in x and y, about the middle of the box. The cell is the specimen: light that "
+        "passes its openings is incident and transmitted, straight on; beside a finite "
+        "specimen, light is ``missed`` and not incident.",
+        group=EVENTS,
+        metavar="box|PX,PY",
+        form='{"none", "box"}, float or (float, float)',
+        plugin=INTEGRATOR,
+        text=joined,
+    )
+    order: Order = setting(
+        ALL_ORDERS,
+        Order.parse,
+        Kind.WORD,
+        "Surface events of the rays that are collected: ``2`` for two, ``3+`` for "
+        "three or more, ``0`` for the direct light that passes a periodic specimen; "
+        "the others are in the ledger. With one seed, orders 0, 1, 2 and ``3+`` add up "
+        "to ``all``, to the bit.",
+        group=EVENTS,
+        metavar="N|N+",
+        form="int or str",
+        plugin=INTEGRATOR,
+        text=str,
+        shown_default="all",
+    )
+    trace: bool = setting(
+        False,
+        checked_flag,
+        Kind.FLAG,
+        "Trace rays even where a flat specimen does not need it.",
+        group=EVENTS,
+        plugin=INTEGRATOR,
+        shown_default="false",
+    )
+
+    def __post_init__(self) -> None:
+        for name, declared in declarations(type(self)).items():
+            value = getattr(self, name)
+            if value is not declared.default:
+                object.__setattr__(self, name, declared.check(name, value))
+
+    @classmethod
+    def from_properties(cls, props: Any, plugin: str) -> MeasurementSettings:
+        """Settings that are properties of a Mitsuba plugin; defaults for the others.
+
+        Parameters
+        ----------
+        props : mi.Properties
+        plugin : str
+            Whose properties are declared, under which name errors speak of them.
+        """
+        given = {}
+        for name, declared in declarations(cls).items():
+            if declared.plugin == plugin and declared.key in props:
+                label = f"{plugin}.{declared.key}"
+                given[name] = declared.check(label, props[declared.key])
+        return cls(**given)
+
+    def of_plugin(self, plugin: str) -> dict[str, Any]:
+        """Values of the settings that are properties of `plugin`, by name."""
+        return {
+            name: getattr(self, name)
+            for name, declared in declarations(type(self)).items()
+            if declared.plugin == plugin
+        }
+
+    @property
+    def integral_err(self) -> float:
+        """Relative error of each patch to which ``quadrature`` converges."""
+        return INTEGRAL_ERR if self.rel_err is None else self.rel_err
+
+    def changed(self, **given: Any) -> MeasurementSettings:
+        """These settings but for what is `given`; None stands for as it is.
+
+        Raises
+        ------
+        TypeError
+            For a name that is none of a setting.
+        """
+        names = declarations(type(self)).keys()
+        for name in given.keys() - names:
+            raise TypeError(f"measure has no setting {name!r}: take one of {names}")
+        return replace(self, **{k: v for k, v in given.items() if v is not None})

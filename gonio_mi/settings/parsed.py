@@ -1,0 +1,110 @@
+"""Checks of settings that are neither plain numbers nor words: what they become."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import checked_choice, checked_count, checked_number, shown
+
+__all__ = [
+    "Period",
+    "WORST_WAVELENGTHS",
+    "checked_flag",
+    "checked_footprint",
+    "checked_period",
+    "checked_wavelengths",
+    "choice",
+    "count",
+    "joined",
+    "number",
+]
+
+# No period, the bounding box, or extents in x and y.
+Period = str | tuple[float, float]
+
+# Wavelengths in nm that no emitter or material of Mitsuba's goes beyond.
+WORST_WAVELENGTHS = 100.0, 10000.0
+
+
+def count(minimum: int = 1, maximum: int | None = None) -> Any:
+    """Check of a whole number from `minimum` to `maximum`."""
+    return lambda label, value: checked_count(label, value, minimum, maximum)
+
+
+def number(low: float, high: float, condition: str) -> Any:
+    """Check of a number in ``[low, high)``, which `condition` says in words."""
+    return lambda label, value: checked_number(label, value, low, high, condition)
+
+
+def choice(*choices: str) -> Any:
+    """Check of one word of `choices`."""
+    return lambda label, value: checked_choice(label, value, choices)
+
+
+def joined(value: Any) -> Any:
+    """Numbers as one text with commas; a word or number as it is."""
+    return value if np.ndim(value) == 0 else ",".join(map(repr, map(float, value)))
+
+
+def checked_flag(label: str, value: object) -> bool:
+    """Return `value`, which must be a bool; text is refused, ``"false"`` too."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{label} must be a boolean, true or false, got {shown(value)}")
+    return bool(value)
+
+
+def checked_footprint(label: str, value: object) -> str | float:
+    """Return ``"point"``, ``"full"`` or the radius of a disk as a float."""
+    if isinstance(value, str) and value in ("point", "full"):
+        return value
+    condition = "'point', 'full' or a positive radius"
+    radius = checked_number(label, value, 0, math.inf, condition)
+    if radius == 0:
+        raise ValueError(f"{label} must be {condition}, got {shown(value)}")
+    return radius
+
+
+def checked_period(label: str, value: object) -> Period:
+    """Return ``"none"``, ``"box"``, or extents in x and y.
+
+    `value` is one of these, a text such as ``"2,3"``, or one number for both extents.
+    """
+    if isinstance(value, str) and value in ("none", "box"):
+        return value
+    try:
+        if isinstance(value, bool):
+            raise TypeError
+        words: Any = value.split(",") if isinstance(value, str) else value
+        x, y = np.broadcast_to(np.asarray(words, dtype=float), 2).tolist()
+    except (TypeError, ValueError):
+        x = y = math.nan
+    if not (0 < x < math.inf and 0 < y < math.inf):
+        raise ValueError(
+            f"{label} must be 'none', 'box', or one or two positive numbers, "
+            f"got {shown(value)}"
+        )
+    return x, y
+
+
+def checked_wavelengths(label: str, value: object) -> tuple[float, ...]:
+    """Wavelengths in nm, from one number, several, or a text with commas."""
+    low, high = WORST_WAVELENGTHS
+    words: Sequence[Any]
+    if isinstance(value, str):
+        words = value.split(",")
+    else:
+        words = np.atleast_1d(np.asarray(value, dtype=object)).tolist()
+    try:
+        nm = tuple(float(word) for word in words)
+    except (TypeError, ValueError):
+        nm = ()
+    if not nm or not all(low <= x <= high for x in nm):
+        raise ValueError(
+            f"{label} must be numbers of nm from {low:g} to {high:g}, "
+            f"got {shown(value)}"
+        )
+    return nm

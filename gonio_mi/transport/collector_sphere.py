@@ -1,0 +1,68 @@
+"""The collector as rays see it: where on it they arrive, and in which patch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from ..collector import Subdivision
+from .arrays import DRJIT
+
+__all__ = ["CollectorSphere"]
+
+
+@dataclass(frozen=True)
+class CollectorSphere:
+    """Sphere about the origin whose hemispheres are cut into patches.
+
+    Attributes
+    ----------
+    subdivision : Subdivision
+        Of one hemisphere; the other one is its mirror image.
+    hemispheres : {"auto", "upper", "both"}
+        ``upper`` is the emitter's side; ``auto`` lets the specimen decide.
+    radius : float
+        In scene units; 0 is the far field.
+    """
+
+    subdivision: Subdivision
+    hemispheres: str = "auto"
+    radius: float = 0.0
+
+    def patch_index(self, d: mi.Vector3f) -> mi.UInt32:
+        """Index of the patch of each unit vector `d` (mirrored into z > 0)."""
+        return mi.UInt32(self.subdivision.patch_index(DRJIT, d.x, d.y, dr.abs(d.z)))
+
+    def arrival(self, p: mi.Point3f, d: mi.Vector3f) -> mi.Vector3f:
+        """Direction from the origin of where a ray meets the collector.
+
+        In the far field that direction is `d`. NaN for a ray that passes by: on a
+        periodic specimen `p` may lie outside of the sphere.
+        """
+        if self.radius == 0:
+            return d
+        projection = dr.dot(p, d)
+        t = -projection + dr.sqrt(
+            projection * projection + self.radius**2 - dr.squared_norm(p)
+        )
+        return dr.normalize(mi.Vector3f(p) + t * d)
+
+    def seen(self, p: mi.Point3f, u: mi.Vector3f) -> tuple[mi.Vector3f, mi.Float]:
+        """Direction from `p` to the point of the collector in the direction `u`.
+
+        Returns
+        -------
+        wo : mi.Vector3f
+            For which `arrival` is `u`.
+        change : mi.Float
+            Solid angle seen from `p` by that seen from the origin; 0 where `p` is
+            outside of the sphere, and the point on its near side.
+        """
+        if self.radius == 0:
+            return u, mi.Float(1)
+        path = self.radius * u - p
+        wo = dr.normalize(path)
+        cosine = dr.maximum(dr.dot(u, wo), 0)
+        return wo, self.radius**2 * cosine / dr.squared_norm(path)
