@@ -36,7 +36,6 @@ ROOMS = (
     "charts",
     "validation",
     "benchmark",
-    "doctor",
     "testing",
     "commands",
     "cli",
@@ -198,3 +197,9 @@ def test_twin_sees_a_plugin_import():
     found = set(imports(source, PACKAGE / "not_a_file.py"))
     assert "gonio_mi.plugins.films.patches" in found
     assert "mitsuba" in found
+
+
+def test_no_two_files_share_a_name():
+    """A newcomer who knows a file's name has found it."""
+    names = [path.name for path in paths() if path.name != "__init__.py"]
+    assert sorted(names) == sorted(set(names))

@@ -16,7 +16,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from gonio_mi import doctor, llvm
+from gonio_mi import llvm
+from gonio_mi.commands import doctor
 from gonio_mi.errors import LLVMError
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -61,7 +62,7 @@ gonio_mi.llvm.check()
 """
 DOCTOR = """
 import sys
-from gonio_mi import doctor
+from gonio_mi.commands import doctor
 sys.exit(doctor.run())
 """
 

@@ -1,6 +1,27 @@
 """``gonio-mi doctor``: whether this machine is able to measure."""
 
-__all__ = ["add", "run"]
+import platform
+from importlib import metadata
+from typing import NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from .. import llvm
+from ..errors import LLVMError
+from ..instrument.measurement import measure_whole
+from ..transport.variants import usable_variants
+
+__all__ = ["Row", "add", "diagnose", "run"]
+
+VARIANT = "llvm_ad_mono"
+REQUIRED = ("gonio-mi", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
+OPTIONAL = {"matplotlib": "plot"}
+
+SELF_TEST_RAYS = 10**6
+# Chance that a correct instrument fails the self-test, over all patches together.
+FALSE_ALARM = 1e-6
 
 
 def add(commands):
@@ -11,11 +32,132 @@ def add(commands):
         description="Find out whether this machine is able to measure; if it is not, "
         "say the line that fixes it.",
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=lambda _options: run())
 
 
-def run(_options):
-    """Run the command and return the exit code."""
-    from .. import doctor
+class Row(NamedTuple):
+    """One finding.
 
-    return doctor.run()
+    Attributes
+    ----------
+    name, value : str
+    ok : bool
+        False only for what prevents measuring.
+    """
+
+    name: str
+    value: str
+    ok: bool
+
+
+def diagnose():
+    """Look at everything a measurement needs, and make one.
+
+    Sets the variant ``llvm_ad_mono`` if none is set: meant for a process of its own.
+
+    Returns
+    -------
+    rows : list of Row
+    able : bool
+        Whether all rows are in order.
+    """
+    status = llvm.status()
+    # on the CPU
+    variants = [name for name in usable_variants() if name.startswith("llvm")]
+    rows = [
+        Row("python", platform.python_version(), True),
+        *(_package(name) for name in REQUIRED),
+        *(_extra(name, extra) for name, extra in OPTIONAL.items()),
+        Row("LLVM library", status.path or "unknown", status.usable),
+        Row("LLVM version", llvm.dotted(status.version), status.usable),
+        Row("LLVM verdict", status.reason, status.usable),
+        Row("variants", ", ".join(variants) or "none of llvm", bool(variants)),
+        Row("threads", str(dr.thread_count()), True),
+        _self_test(),
+    ]
+    return rows, all(row.ok for row in rows)
+
+
+def run(write=print):
+    """Write the diagnosis line by line, and return the exit code: 0 able, 1 not.
+
+    Parameters
+    ----------
+    write : callable
+        Takes one line of text.
+    """
+    rows, able = diagnose()
+    width = max(len(row.name) for row in rows)
+    for row in rows:
+        write(f"{'ok ' if row.ok else 'BAD'}  {row.name:{width}}  {row.value}")
+    write(f"this machine is {'' if able else 'not '}able to measure")
+    return 0 if able else 1
+
+
+# ------------------------------------------------------------------------- findings
+
+
+def _package(name):
+    try:
+        return Row(name, metadata.version(name), True)
+    except metadata.PackageNotFoundError:
+        return Row(name, f"not installed: run `pip install {name}`", False)
+
+
+def _extra(name, extra):
+    row = _package(name)
+    line = f"not installed, optional: run `pip install gonio-mi[{extra}]`"
+    return row if row.ok else Row(name, line, True)
+
+
+def _self_test():
+    """Row on a white Lambertian plate, whose BRDF is 1 / pi in every patch."""
+    try:
+        if not (mi.variant() or VARIANT).startswith("cuda"):
+            llvm.check()
+        if mi.variant() is None:
+            mi.set_variant(VARIANT)
+        faults = _faults(_measure_white(), 1 / np.pi)
+    except LLVMError as error:
+        return Row("self-test", f"not run: {error}", False)
+    except Exception as error:  # whatever it is, a diagnosis reports it
+        line = " ".join(str(error).split())
+        return Row("self-test", f"{type(error).__name__}: {line}", False)
+    passed = f"white Lambertian is 1/pi everywhere (false alarm {FALSE_ALARM:g})"
+    return Row("self-test", "; ".join(faults) or passed, not faults)
+
+
+def _measure_white():
+    """Record of counted independent rays on a white Lambertian plate."""
+    return measure_whole(
+        {"type": "diffuse", "reflectance": 1.0},
+        theta_i=45,
+        phi_i=0,
+        collector="projected:10x10",
+        rays=SELF_TEST_RAYS,
+        estimator="analog",
+        sampler="independent",
+        seed=0,
+    )
+
+
+def _faults(record, brdf):
+    """Sentences on what contradicts the constant `brdf`; none from a correct record.
+
+    Every patch's exact interval has to contain it, at a level that shares `FALSE_ALARM`
+    among the patches (Bonferroni); rays are counted, so totals have to agree exactly.
+    """
+    faults = []
+    low, high = record.interval(1 - FALSE_ALARM / record.brdf.size)
+    n_off = int(np.count_nonzero(~((low <= brdf) & (brdf <= high))))
+    if n_off:
+        faults.append(f"{n_off} of {low.size} patches exclude the BRDF {brdf:.5f}")
+    ledger = record.ledger
+    if ledger.emitted != SELF_TEST_RAYS:
+        faults.append(f"the ledger holds {ledger.emitted} of {SELF_TEST_RAYS} rays")
+    if record.counts.sum() != ledger.reflected + ledger.transmitted:
+        faults.append("the patches do not hold what the ledger says has left")
+    dhr = ledger.reflected / (ledger.emitted - ledger.missed - ledger.unlit)
+    if np.any(record.dhr != dhr):
+        faults.append(f"dhr is {record.dhr}, but {dhr} by the ledger")
+    return faults

@@ -1,6 +1,6 @@
 """The settings of a measurement, each declared once and parsed at the border."""
 
-from .declarations import Declaration, Kind, declarations, numpydoc, plugin_table
+from .declaration import Declaration, Kind, declarations, numpydoc, plugin_table
 from .measurement_settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings
 from .orders import Order
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..collector import EqualProjectedSolidAngle, Subdivision, subdivision
-from .declarations import Kind, declarations, setting
+from .declaration import Kind, declarations, setting
 from .orders import ALL_ORDERS, Order
 from .parsed import (
     Period,
