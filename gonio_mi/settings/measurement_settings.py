@@ -362,5 +362,6 @@ class MeasurementSettings:
         """
         names = declarations(type(self)).keys()
         for name in given.keys() - names:
-            raise TypeError(f"measure has no setting {name!r}: take one of {names}")
+            known = ", ".join(names)
+            raise TypeError(f"measure has no setting {name!r}: take one of {known}")
         return replace(self, **{k: v for k, v in given.items() if v is not None})
