@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 # Right plugins, whose mistakes are below.
-RIGHT = ("lambert", "two_faces", "mixture", "brushed", "glass", "frosted")
+RIGHT = ("lambert", "grey", "two_faces", "mixture", "brushed", "glass", "frosted")
 
 MISTAKES = {
     # of a Lambertian
@@ -33,6 +33,12 @@ MISTAKES = {
     "flags_smooth_missing": "flags",
     "pdf_below_the_horizon": "pdf",
     "pdf_negative_below": "pdf",
+    "eval_and_pdf_are_zero": "eval",
+    "gradient_detached": "eval",
+    "gradient_of_a_cached_value": "eval",
+    "traverse_raises": "traverse",
+    "eta_of_a_reflection": "sample",
+    "eval_half_below_a_line": "eval",
     "support_with_a_hole": "pdf",
     "hemisphere_mixed_up": "sample",
     # of a mixture with a microfacet lobe
@@ -219,6 +225,61 @@ def register():
             sines = [dr.safe_sqrt(1 - dr.square(x)) for x in (z, wo.z)]
             across = sines[0] / dr.maximum(sines[1], 1e-6)
             return mi.Vector3f(wo.x * across, wo.y * across, z)
+
+    class EvalAndPdfAreZero(Lambert):
+        """As if it were a discrete lobe."""
+
+        def eval(self, ctx, si, wo, active=True):
+            return mi.Spectrum(0)
+
+        def pdf(self, ctx, si, wo, active=True):
+            return mi.Float(0)
+
+    class Grey(Lambert):
+        """With a parameter."""
+
+        def __init__(self, props):
+            super().__init__(props)
+            self.reflectance = mi.Float(props.get("reflectance", 0.6))
+
+        def traverse(self, callback):
+            kind = mi.ParamFlags.Differentiable
+            callback.put("reflectance", self.reflectance, kind)
+
+    class GradientDetached(Grey):
+        def value(self, si, wo):
+            return dr.detach(super().value(si, wo))
+
+    class GradientOfACachedValue(Grey):
+        """Half of it is only made anew, and not differentiated."""
+
+        def __init__(self, props):
+            super().__init__(props)
+            self.half = dr.detach(0.5 * self.reflectance)
+
+        def parameters_changed(self, keys=()):
+            self.half = dr.detach(0.5 * self.reflectance)
+
+        def value(self, si, wo):
+            whole = 0.5 * self.reflectance + self.half
+            return mi.Spectrum(whole * dr.inv_pi * cosine(wo))
+
+    class TraverseRaises(Lambert):
+        def traverse(self, callback):
+            callback.put_parameter("reflectance", 0.8)
+
+    class EtaOfAReflection(Lambert):
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs, weight = super().sample(ctx, si, sample1, sample2, active)
+            bs.eta = 1.5
+            return bs, weight
+
+    class EvalHalfBelowALine(Lambert):
+        """Wrong for incident light of one side only."""
+
+        def eval(self, ctx, si, wo, active=True):
+            value = super().eval(ctx, si, wo, active)
+            return value * dr.select(si.wi.y < 0, 0.5, mi.Float(1))
 
     class TwoFaces(Lambert):
         components = (diffuse | front | back,)

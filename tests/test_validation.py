@@ -49,6 +49,7 @@ def test_mistake_is_seen_and_its_function_named(name):
     assert not verdict.passed, str(verdict)
     assert verdict.function == MISTAKES[name], str(verdict)
     assert f"`{MISTAKES[name]}`" in verdict.mistake or "pdf" in verdict.mistake
+    assert verdict.headline.startswith(f"{name}: FAILS: {verdict.failures[0].effect}")
 
 
 @pytest.mark.usefixtures("plugins")
@@ -162,6 +163,35 @@ def test_effect_decides(name, effect, passed):
     assert verdict.passed == passed
     assert effect in verdict.headline
     assert not validate({"type": name}, effort="quick", strict=True).passed
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize(
+    ("name", "effect", "passed"),
+    [
+        ("gradient_detached", "breaks some integrators", False),
+        ("traverse_raises", "a nicety of the interface", True),
+        ("eta_of_a_reflection", "adds noise", True),
+    ],
+)
+def test_effect_of_parameters_and_eta(name, effect, passed):
+    verdict = validate({"type": name}, effort="quick")
+    assert [one.effect for one in verdict.failures] == [effect], str(verdict)
+    assert verdict.passed == passed
+
+
+@pytest.mark.usefixtures("plugins")
+def test_causes_come_before_consequences_and_places_are_named():
+    zero = validate({"type": "eval_and_pdf_are_zero"}, effort="quick")
+    assert zero.mistake == "`eval` and `pdf` are 0 where `sample` scatters light"
+    assert "e+2" not in str(zero)  # a ratio to 1e-30
+    half = validate({"type": "eval_half_below_a_line"}, effort="quick")
+    assert "everywhere" not in half.mistake
+    assert "phi_i 2" in half.mistake or "phi_i 3" in half.mistake
+    constant = validate({"type": "pdf_half_a_percent_off"}, effort="quick")
+    assert "everywhere" in constant.mistake
+    both = validate({"type": "weight_without_division"}, effort="quick")
+    assert both.function == "sample"
 
 
 @pytest.mark.usefixtures("plugins")

@@ -69,6 +69,69 @@ def test_roughplastic_has_a_density_below_the_horizon():
     assert only(bsdf.eval(context(), si, below)) == 0
 
 
+def test_beckmann_roughplastic_has_it_too():
+    bsdf = mi.load_dict({"type": "roughplastic", "alpha": 0.3})
+    below = mi.Vector3f(-0.995, 0, -0.0999)
+    dr.make_opaque(below)
+    assert only(bsdf.pdf(context(), lit_from(1.3), below)) > 0
+    assert only(bsdf.eval(context(), lit_from(1.3), below)) == 0
+
+
+def test_the_diffuse_density_of_roughplastic_is_negative_below():
+    bsdf = mi.load_dict({"type": "roughplastic", "alpha": 0.3, "distribution": "ggx"})
+    below = mi.Vector3f(0.6, 0, -0.8)
+    dr.make_opaque(below)
+    assert only(bsdf.pdf(context(1), lit_from(0.5), below)) < 0
+
+
+@pytest.mark.parametrize("name", ["alpha", "eta"])
+def test_gradients_of_roughplastic(name):
+    """They know nothing of the tables that the parameter changes."""
+    bsdf = mi.load_dict({"type": "roughplastic", "alpha": 0.3, "distribution": "ggx"})
+    # far from the mirror direction, where light is diffuse
+    si, wo = lit_from(0.5), mi.Vector3f(0.6, 0, 0.8)
+    params = mi.traverse(bsdf)
+    value = float(np.ravel(np.array(params[name]))[0])
+    kind = type(params[name])
+
+    def at(number):
+        params[name] = kind(number)
+        params.update()
+        return only(bsdf.eval(context(), si, wo))
+
+    h = 0.02 * value
+    difference = (at(value + h) - at(value - h)) / (2 * h)
+    finer = (at(value + h / 2) - at(value - h / 2)) / h
+    variable = kind(value)
+    dr.enable_grad(variable)
+    params[name] = variable
+    params.update()
+    answer = bsdf.eval(context(), si, wo)
+    dr.forward(variable, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
+    gradient = only(dr.grad(answer))
+    assert abs(gradient - finer) > 20 * abs(finer - difference)
+
+
+@pytest.mark.parametrize("kind", ["bumpmap", "normalmap"])
+def test_maps_of_normals_are_anisotropic_and_do_not_say_so(kind):
+    normals = np.tile(np.array([0.55, 0.5, 0.99], np.float32), (2, 2, 1))
+    heights = np.linspace(0, 0.3, 16, dtype=np.float32).reshape(4, 4, 1)
+    values = normals if kind == "normalmap" else heights
+    texture = {"type": "bitmap", "bitmap": mi.Bitmap(values), "raw": True}
+    name = "normalmap" if kind == "normalmap" else "arbitrary"
+    bsdf = mi.load_dict({"type": kind, name: texture, "nested": DIFFUSE})
+    assert not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Anisotropic)
+    answers = []
+    for phi in (0.3, 1.3):
+        si = lit_from(0.5, phi=phi)
+        si.uv = mi.Point2f(0.5, 0.5)
+        si.dp_du, si.dp_dv = mi.Vector3f(2, 0, 0), mi.Vector3f(0, 2, 0)
+        x, y = 0.6 * np.cos(phi + 2), 0.6 * np.sin(phi + 2)
+        wo = mi.Vector3f(float(x), float(y), 0.8)
+        answers.append(only(bsdf.eval(context(), si, wo)))
+    assert abs(answers[0] / answers[1] - 1) > 0.01
+
+
 def test_blendbsdf():
     bsdf = mi.load_dict({"type": "blendbsdf", "weight": 0.3, "a": DIFFUSE, "b": GGX})
     random = mi.Float([0.1]), mi.Point2f(0.0, 0.5)

@@ -101,8 +101,10 @@ def check_energy(evidence, maps):
     # only what is sampled of it varies
     noise = std_err[worst] if drawn.delta_mean[worst] > 0 else 0.0
     bound = max(maps.smooth_bound[worst] + maps.eval_rounding, SUM_ERROR)
+    smooth = maps.smooth_flux[worst] > drawn.delta_mean[worst]
+    whole = "`eval` integrates to" if smooth else "discrete lobes have the weight"
     for value, error, slack, what in (
-        (flux[worst], noise, bound, "`eval` integrates to"),
+        (flux[worst], noise, bound, whole),
         (
             drawn.mean.max(),
             std_err[drawn.mean.argmax()],

@@ -18,8 +18,8 @@ ROUNDED = 2**12
 # Size of the displacement that tells how a function answers to rounding: 4 ulp of 1.
 ULPS = 2.0**-21
 
-# Rounding of a cosine that is found by two operations.
-COSINE = 2.0**-23
+# Rounding of a cosine that is found by four operations.
+COSINE = 2.0**-22
 
 
 @dataclass

@@ -70,10 +70,11 @@ def _undeclared(bsdf, drawn):
             BIAS if unlit else None,
         )
     if components.max() >= n:
+        trap = "; m_components must be assigned, to append to it has no effect"
         return kinds, (
             "sample",
-            f"{int(components.max())} of {n} components",
-            "`sample` names a component that is not declared",
+            f"component {int(components.max())}, of {n} that are declared",
+            "`sample` names a component that is not declared" + ("" if n else trap),
         )
     for i in set(components.tolist()):
         own = int(np.bitwise_or.reduce(types[components == i])) & ~int(bsdf.flags(i))

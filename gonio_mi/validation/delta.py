@@ -7,7 +7,7 @@ import numpy as np
 from scipy import special
 
 from .collecting import collect
-from .evidence import BIAS, BREAKS
+from .evidence import BIAS, BREAKS, MODEL
 from .identities import BSDF_ROUNDING, is_many, unequal
 from .probe import Probe, numbers, spectral
 
@@ -86,6 +86,7 @@ def _check_direction(evidence, drawn, own, wo, kind):
             f"the direction is off by {off:.3g} at {drawn.condition}",
             f"the direction of a discrete lobe of `sample` is not {law}",
             size=off,
+            effect=MODEL,
         )
 
 

@@ -11,6 +11,12 @@ __all__ = ["explain_density"]
 COARSE = EqualSolidAngle(8, 12)
 ENOUGH = 200
 
+# Mean squared score, and the square of that of the sum, that chance explains.
+FITS = 16
+
+# Part of the samples that is lost.
+LOST = 1e-3
+
 # Densities below that have no usable reciprocal.
 SMALLEST = 1e-30
 
@@ -20,7 +26,11 @@ DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four"
 
 def explain_density(evidence, failed):
     """Return function and mistake, where counted directions contradict ``pdf``."""
-    maps = max(evidence.maps, key=_misfit)
+    whole = [m for m in evidence.maps if m.condition.component is None]
+    # one component says less, unless it is all that is wrong
+    maps = max(whole, key=_misfit)
+    if _misfit(maps) < FITS:
+        maps = max(evidence.maps, key=_misfit)
     turned = next(filter(None, map(_turned, evidence.maps)), "")
     n = maps.totals.n
     drawn, due = maps.totals.counts / n, maps.pdf
@@ -43,6 +53,12 @@ def explain_density(evidence, failed):
     distortion = _distortion(evidence)
     if distortion:
         return "pdf", f"`pdf` {distortion} ({sums})"
+    integral = due.sum() + maps.due.unused.values.sum()
+    if abs(integral - 1) < LOST < 1 - drawn.sum() and maps.count_scores.total < -5:
+        return "sample", (
+            f"`sample` gives no direction for {1 - drawn.sum():.4g} of its numbers, "
+            "where `pdf` integrates to 1"
+        )
     if due.sum() > 1.001 or _is_proportional(maps):
         return "pdf", sums
     if "weights" not in failed:
@@ -67,7 +83,13 @@ def _worst_patch(maps):
     scores = maps.count_scores
     if not scores.z.size:
         return f"z of the sum {scores.total:+.1f}"
-    k = int(scores.first[np.abs(scores.z).argmax()])
+    group = int(np.abs(scores.z).argmax())
+    ends = np.append(scores.first[1:], len(maps.pdf))
+    own = np.arange(scores.first[group], ends[group])
+    due = maps.totals.n * maps.pdf[own]
+    # of its group the one that is most off
+    off = np.abs(maps.totals.counts[own] - due) / np.sqrt(np.maximum(due, 1))
+    k = int(own[off.argmax()])
     grid = maps.subdivision
     half, patch = divmod(k, grid.n_patches)
     i, j = divmod(patch, grid.n_phi)

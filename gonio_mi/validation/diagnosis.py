@@ -6,11 +6,14 @@ import mitsuba as mi
 import numpy as np
 
 from .density import explain_density
-from .evidence import EFFECTS
+from .evidence import EFFECTS, INTERFACE
 from .probe import Probe, numbers, spectral
 from .ratios import explain_ratio
 
 __all__ = ["diagnose"]
+
+# Part of the samples that explains nothing else.
+RARE = 0.01
 
 # What is looked at first explains what comes later.
 ORDER = (
@@ -30,6 +33,7 @@ ORDER = (
     "masks",
     "components",
     "ends",
+    "parameters",
 )
 
 
@@ -49,9 +53,9 @@ def diagnose(evidence, failed, bsdf):
     function, mistake : str
     """
     worst = min(failed.values(), key=EFFECTS.index)
-    for name in ORDER:
-        if failed.get(name) != worst:
-            continue
+    names = [name for name in ORDER if failed.get(name) == worst]
+    # what few samples do comes after what all do
+    for name in sorted(names, key=lambda name: _is_rare(evidence, name)):
         if name in ("sampling", "sampled_pdf", "sampled_weight", "weights"):
             found = _of_densities(evidence, failed, bsdf)
         elif name == "energy":
@@ -61,6 +65,12 @@ def diagnose(evidence, failed, bsdf):
         if found is not None:
             return found
     return "sample", "`sample` or `eval` is wrong"
+
+
+def _is_rare(evidence, name):
+    """Whether only some single samples are wrong."""
+    own = [b for b in evidence.breaches if b.property == name]
+    return name in ("answers", "directions") and max(b.size for b in own) < RARE
 
 
 def _worst(evidence, name):
@@ -92,6 +102,13 @@ def _of_energy(evidence):
 
 def _of_densities(evidence, failed, bsdf):
     """Which of ``sample``, ``pdf`` and ``eval`` contradicts the two others."""
+    whole = _worst(evidence, "weights")
+    if whole and "weights" in failed:
+        # one of them is 0 where another is not
+        return whole
+    excess = _worst(evidence, "sampling")
+    if excess and failed.get("sampling") == INTERFACE:
+        return excess
     if "sampling" not in failed:
         if "sampled_pdf" in failed:
             return _of_sampled_pdf(evidence)
@@ -110,9 +127,6 @@ def _of_sampled_pdf(evidence):
 
 def _of_weights(evidence, failed, bsdf):
     """``sample`` or ``eval``: whichever lacks a property on its own."""
-    unreached = _worst(evidence, "weights")
-    if unreached:
-        return unreached
     cases = _all(evidence, "sampled_weight")
     whole = [b for b in evidence.breaches if b.property == "sampled_weight"]
     if whole and all("component" in b.statistic for b in whole):
@@ -134,15 +148,22 @@ def _of_weights(evidence, failed, bsdf):
     elif _is_constant(cases) and not mean > 1.001 and flux > 0:
         # a weight that lacks a probability gains light, or differs between lobes
         guilty = "eval"
+    both = guilty != "eval" or not (
+        gains or "reciprocity" in failed or "answers" in failed
+    )
+    both = both and _is_constant(cases)
     if guilty == "eval":
         cases = [(1 / ratio, drawn, mask) for ratio, drawn, mask in cases]
-        return "eval", explain_ratio(cases, "eval", "value, over weight times pdf,")
+        text = explain_ratio(cases, "eval", "value, over weight times pdf,")
+        return "eval", text.replace("`eval`", "`eval` or `sample`", int(both))
     if _is_of_lobe_alone(evidence, bsdf):
         return "sample", (
             "`sample` weight lacks division by the probability of the lobe: it is "
             "value over pdf of the picked lobe alone"
         )
-    return "sample", explain_ratio(cases, "sample", "weight times pdf, over `eval`,")
+    text = explain_ratio(cases, "sample", "weight times pdf, over `eval`,")
+    # a constant may be wrong in either
+    return "sample", text.replace("`sample`", "`sample` or `eval`", int(both))
 
 
 def _is_of_lobe_alone(evidence, bsdf):

@@ -7,9 +7,10 @@ import numpy as np
 
 from ..collector.directions import direction
 from .conditions import Condition
+from .evidence import INTERFACE
 from .identities import BSDF_ROUNDING
 from .parameters import changed, traversed
-from .probe import Probe, numbers, spectral
+from .probe import PluginFault, Probe, numbers, spectral
 
 __all__ = ["check_ends", "check_roughness"]
 
@@ -51,19 +52,23 @@ def check_ends(evidence, bsdf, where=""):
         vectors = np.concatenate([wo[good], extra])
         v = mi.Vector3f(np.ascontiguousarray(vectors.T, dtype=np.float32))
         n = len(vectors)
-        joint = probe.eval_pdf(v)
+        joint, values = probe.eval_pdf(v), spectral(probe.eval(v), n)
+        black = (values == 0).all(axis=1)
         for function, value in (
-            ("eval", spectral(probe.eval(v), n)),
+            ("eval", values),
             ("pdf", numbers(probe.pdf(v), n)),
             ("eval_pdf", spectral(joint[0], n)),
             ("eval_pdf", numbers(joint[1], n)),
         ):
-            _finite(evidence, function, "value", value, vectors, place, "wo")
+            _finite(evidence, function, "value", value, vectors, place, "wo", black)
 
 
 def check_roughness(evidence, bsdf):
     """The ends again at the limits of roughness, if the plugin has such parameters."""
-    params = traversed(bsdf)
+    try:
+        params = traversed(bsdf)
+    except PluginFault:
+        return  # a property of its own
     names = [
         key
         for key in params.keys()  # noqa: SIM118
@@ -75,7 +80,8 @@ def check_roughness(evidence, bsdf):
             check_ends(evidence, bsdf, f", roughness {limit:g}")
 
 
-def _finite(evidence, function, what, value, inputs, place, name="sample"):
+def _finite(evidence, function, what, value, inputs, place, name="sample", black=None):
+    """Where `black`, a negative density does no harm."""
     if not value.size:
         return
     wrong = ~np.isfinite(value) | (value < 0)
@@ -83,12 +89,16 @@ def _finite(evidence, function, what, value, inputs, place, name="sample"):
     if wrong.any():
         example = np.ravel(value[wrong][0])
         example = example[~np.isfinite(example) | (example < 0)][0]
+        harmless = (
+            black is not None and black[wrong].all() and np.isfinite(value[wrong]).all()
+        )
         evidence.breach(
             "ends",
             function,
             f"{what} {example:g} {place}, {name} {_text(inputs[wrong][0])}",
             f"`{function}` gives {example:g} at an end of its domain",
             size=float(wrong.sum()),
+            effect=INTERFACE if harmless else None,
         )
 
 

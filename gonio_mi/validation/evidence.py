@@ -44,6 +44,7 @@ PROPERTIES = {
     "components": "components add up to the whole",
     "masks": "inactive rays get 0, active ones what they get anyway",
     "ends": "finite at the ends: horizon, normal, random numbers, roughness",
+    "parameters": "`traverse` answers; gradients of `eval` are its changes",
 }
 
 # What a failure of each does, if its breach does not say otherwise; and to which of
@@ -65,6 +66,7 @@ HARM = {
     "components": INTERFACE,
     "masks": INTERFACE,
     "ends": BIAS,
+    "parameters": BREAKS,
 }
 COMBINED = "path, direct, volpathmis, prb: light and BSDF sampling are combined"
 SAMPLED = "all that sample the BSDF"
@@ -81,6 +83,7 @@ WHERE = {
     "delta": SAMPLED,
     "flags": "path, direct, volpath, prb: no light is sampled without a smooth lobe",
     "ends": "all, in single pixels",
+    "parameters": "prb and all that change or differentiate parameters",
 }
 
 

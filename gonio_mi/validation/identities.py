@@ -4,7 +4,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..collector.directions import direction
-from .evidence import INTERFACE
+from .evidence import INTERFACE, NOISE
 from .probe import numbers, spectral
 
 __all__ = [
@@ -24,6 +24,12 @@ __all__ = [
 # displacement of both directions by 4 ulp.
 BSDF_ROUNDING = 2.0**-14
 SLACK = 16
+
+# Standard errors beyond which a mean is not that of another.
+BIASED = 5
+
+# A ratio beyond that has a denominator of 0.
+INFINITE = 1e20
 
 # Directions at which answers are looked at beside those of samples.
 EVERYWHERE = 2**12
@@ -122,26 +128,30 @@ def check_directions(evidence, drawn):
     beside = np.abs(drawn.wo[:, 2]) < BSDF_ROUNDING
     beside |= abs(drawn.condition.wi[2]) < BSDF_ROUNDING
     cases = [
-        (np.abs(length - 1) > BSDF_ROUNDING, "directions are not of length 1"),
+        (np.abs(length - 1) > BSDF_ROUNDING, "directions are not of length 1", None),
         (
             reflects & ~transmits & ~drawn.reflected & ~beside,
             "a sample of a reflecting type leaves on the other side",
+            None,
         ),
         (
             transmits & ~reflects & drawn.reflected & ~beside,
             "a sample of a transmitting type leaves on the side of incidence",
+            None,
         ),
         (
             ~reflects & ~transmits,
             "sampled_type names neither reflection nor transmission",
+            INTERFACE,
         ),
         (
             reflects & ~(np.abs(drawn.eta - 1) < BSDF_ROUNDING) & ~transmits,
             "eta is not 1 for a reflection",
+            NOISE,  # Russian roulette is all that asks for it
         ),
-        (~(drawn.eta > 0), "eta is not positive"),
+        (~(drawn.eta > 0), "eta is not positive", None),
     ]
-    for wrong, mistake in cases:
+    for wrong, mistake, effect in cases:
         wrong = wrong & given
         if is_many(wrong, drawn.n):
             evidence.breach(
@@ -150,6 +160,7 @@ def check_directions(evidence, drawn):
                 f"{wrong.mean():.3g} of the samples at {drawn.condition}",
                 f"`sample`: {mistake}",
                 size=float(wrong.mean()),
+                effect=effect,
             )
 
 
@@ -162,7 +173,26 @@ def check_identities(evidence, drawn):
     _check_joint(evidence, drawn)
 
 
+def _check_dark(evidence, drawn, smooth):
+    """``eval`` and ``pdf`` are not 0 where ``sample`` scatters light."""
+    dark = smooth & (drawn.eval == 0).all(axis=1)
+    if not is_many(dark, drawn.n):
+        return
+    both = dark & (drawn.pdf == 0)
+    functions = "`eval` and `pdf` are" if is_many(both, drawn.n) else "`eval` is"
+    evidence.breach(
+        "weights",
+        "eval",
+        f"{dark.sum() / smooth.sum():.3g} of the samples with light at "
+        f"{drawn.condition}",
+        f"{functions} 0 where `sample` scatters light",
+        size=1 + float(dark.mean()),
+    )
+
+
 def _check_sampled(evidence, drawn, smooth):
+    _check_dark(evidence, drawn, smooth)
+    smooth = smooth & (drawn.eval != 0).any(axis=1)
     slack = drawn.pdf_slack
     density = unequal(drawn.sampled_pdf, drawn.pdf, slack) & smooth
     if is_many(density, drawn.n):
@@ -195,7 +225,18 @@ def _check_sampled(evidence, drawn, smooth):
             ratio,
             "weight times pdf over `eval`",
             "the weight of `sample` is not `eval` over pdf",
+            effect=None if _is_biased(drawn, smooth) else INTERFACE,
         )
+
+
+def _is_biased(drawn, smooth):
+    """Whether weights have another mean than ``eval`` over ``pdf``, beyond chance."""
+    usable = smooth & (drawn.pdf > 0)
+    ratio = drawn.eval[usable].mean(axis=1) / drawn.pdf[usable]
+    off = drawn.weight[usable].mean(axis=1) - ratio
+    if len(off) < 2:
+        return True
+    return abs(off.mean()) > BIASED * off.std() / np.sqrt(len(off))
 
 
 def _check_joint(evidence, drawn):
@@ -244,11 +285,16 @@ def _check_joint(evidence, drawn):
         )
 
 
-def _unequal(evidence, name, function, drawn, wrong, ratio, what, mistake=None):
+def _unequal(
+    evidence, name, function, drawn, wrong, ratio, what, mistake=None, effect=None
+):
     """Add a breach that tells by how much values differ."""
     mistake = mistake or f"`{function}`: {what} should be 1"
-    low, middle, high = np.quantile(ratio[wrong], [0.05, 0.5, 0.95])
-    spread = f"{low:.4g} to {high:.4g}, median {middle:.4g}"
+    usable = wrong & (np.abs(ratio) < INFINITE)
+    spread = "infinite"
+    if usable.any():
+        low, middle, high = np.quantile(ratio[usable], [0.05, 0.5, 0.95])
+        spread = f"{low:.4g} to {high:.4g}, median {middle:.4g}"
     evidence.breach(
         name,
         function,
@@ -256,4 +302,5 @@ def _unequal(evidence, name, function, drawn, wrong, ratio, what, mistake=None):
         f"{drawn.condition}",
         mistake,
         size=float(wrong.mean()),
+        effect=effect,
     )

@@ -4,6 +4,7 @@ import os
 from dataclasses import replace
 
 import mitsuba as mi
+import numpy as np
 
 from ..errors import SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import check_variant, load_specimen, loaded, specimen_name
@@ -127,6 +128,7 @@ def _examine(evidence, bsdf, plan, seed):
     for drawn in evidence.drawn[:: max(1, len(plan.angles) // 3)]:
         declarations.check_components(evidence, bsdf, drawn)
     declarations.check_masks(evidence, bsdf, seed)
+    parameters.check_parameters(evidence, bsdf, _brightest(evidence))
     ends.check_ends(evidence, bsdf)
     ends.check_roughness(evidence, bsdf)
     _check_maps(evidence, bsdf, plan, sides, components, seed)
@@ -176,6 +178,12 @@ def _check_maps(evidence, bsdf, plan, sides, components, seed):
                 evidence.undecided[name] = text
             else:
                 evidence.remark(name, text)
+
+
+def _brightest(evidence):
+    """Samples of which most have a density."""
+    whole = [one for one in evidence.drawn if one.condition.component is None]
+    return max(whole, key=lambda drawn: np.count_nonzero(drawn.smooth))
 
 
 def _depends_on_mode(drawn):

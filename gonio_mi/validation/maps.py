@@ -84,12 +84,18 @@ class Scores:
         """What each view is judged by, as text."""
         z = self.z[np.isfinite(self.z)]
         n = len(z)
-        texts = {"total": f"z of the sum {self.total:+.1f}"}
+        texts = {"total": f"z of the sum {_score(self.total)}"}
         if n:
-            texts["mean"] = f"mean z {z.mean():+.2f} of {n} patches"
-            texts["spread"] = f"mean z^2 {z @ z / n:.2f} of {n} patches"
-            texts["worst"] = f"worst z {z[np.abs(z).argmax()]:+.1f} of {n} patches"
+            texts["mean"] = f"mean z {_score(z.mean())} of {n} groups of patches"
+            texts["spread"] = f"mean z^2 {_score(z @ z / n)} of {n} groups of patches"
+            worst = z[np.abs(z).argmax()]
+            texts["worst"] = f"worst z {_score(worst)} of {n} groups of patches"
         return texts
+
+
+def _score(z):
+    """Score as text; beyond a hundred, only its sign matters."""
+    return f"{z:+.3g}" if abs(z) < 100 else f"beyond {np.sign(z) * 100:+.0f}"
 
 
 @dataclass(frozen=True)

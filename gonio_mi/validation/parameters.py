@@ -1,14 +1,27 @@
-"""What ``mi.traverse`` says of a BSDF: its parameters, to be changed for a while."""
+"""Parameters of a BSDF, as ``mi.traverse`` finds them, and gradients by them."""
 
 import contextlib
 import re
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .probe import blamed
+from .evidence import INTERFACE
+from .probe import PluginFault, Probe, blamed, spectral
 
-__all__ = ["changed", "coloured", "traversed"]
+__all__ = ["changed", "check_parameters", "coloured", "traversed"]
+
+# Relative steps of central differences: their error falls by 16 from one to the other.
+STEPS = (2.0**-4, 2.0**-6)
+
+# How many times the last step's change a gradient may be off, and how many roundings a
+# value has.
+SLACK = 4
+ROUNDINGS = 64
+
+# Part of the directions whose values may jump with a parameter.
+JUMPS = 0.1
 
 # How much a grey parameter keeps in each channel; none gains.
 TINT = (1.0, 0.8, 0.6)
@@ -41,6 +54,76 @@ def _assign(params, values):
     if values:
         with blamed("parameters_changed"):
             params.update()
+
+
+def check_parameters(evidence, bsdf, drawn):
+    """``traverse`` answers, and gradients of ``eval`` agree with its differences."""
+    try:
+        params = traversed(bsdf)
+        usable = drawn.smooth & np.isfinite(drawn.eval).all(axis=1)
+        if usable.any() and hasattr(dr, "enable_grad") and "_ad_" in mi.variant():
+            wo = mi.Vector3f(np.ascontiguousarray(drawn.wo[usable].T))
+            for name in _differentiable(params):
+                _check_gradient(evidence, bsdf, drawn.condition, params, name, wo)
+    except PluginFault as fault:
+        # images need none of it
+        effect = INTERFACE if fault.function == "traverse" else None
+        text = str(fault)
+        evidence.breach("parameters", fault.function, text, text, effect=effect)
+
+
+def _differentiable(params):
+    """Names of numbers and colours that may be differentiated, within their range.
+
+    At 0 and 1, most ranges end, where a lobe may be left out.
+    """
+    for name in params.keys():  # noqa: SIM118
+        value = params[name]
+        fixed = params.flags(name) & mi.ParamFlags.NonDifferentiable.value
+        if fixed or not isinstance(value, (mi.Float, mi.Color3f)):
+            continue
+        if not np.isin(np.ravel(np.array(value)), (0.0, 1.0)).any():
+            yield name
+
+
+def _check_gradient(evidence, bsdf, condition, params, name, wo):
+    """Gradients of ``eval``, one for each direction, against central differences."""
+    kind, value = type(params[name]), type(params[name])(params[name])
+    size = float(np.max(np.abs(np.array(value))))
+
+    def answer(step):
+        with changed(bsdf, {name: kind(value + step * size)}):
+            return spectral(Probe(bsdf, condition).eval(wo), dr.width(wo)).sum(axis=1)
+
+    pairs = [(answer(h), answer(-h), 2 * h * size) for h in STEPS]
+    coarse, fine = ((above - below) / width for above, below, width in pairs)
+    # each value is known to some roundings
+    noise = ROUNDINGS * np.finfo(np.float32).eps * (pairs[-1][0] + pairs[-1][1])
+    slack = SLACK * np.abs(fine - coarse) + noise / pairs[-1][2]
+    gradient = _gradient(bsdf, condition, name, kind(value), wo)
+    wrong = ~(np.abs(gradient - fine) <= slack)
+    # jumps, of which a gradient knows nothing, are in few directions
+    if wrong.mean() > JUMPS:
+        own, due = (float(np.median(x[wrong])) for x in (gradient, fine))
+        evidence.breach(
+            "parameters",
+            "eval",
+            f"by {name}: for {wrong.mean():.3g} of the directions at {condition}, with "
+            f"the median {own:.4g} where differences have {due:.4g}",
+            f"gradients of `eval` by {name} are not its changes",
+            size=float(wrong.mean()),
+        )
+
+
+def _gradient(bsdf, condition, name, variable, wo):
+    """Derivatives of ``eval`` by a parameter, summed over channels, shape ``(n,)``."""
+    dr.enable_grad(variable)
+    with changed(bsdf, {name: variable}):
+        answer = Probe(bsdf, condition).eval(wo)
+        with blamed("eval"):
+            flags = dr.ADFlag.Default | dr.ADFlag.AllowNoGrad
+            dr.forward(variable, flags=flags)
+        return spectral(dr.grad(answer), dr.width(wo)).sum(axis=1)
 
 
 def coloured(bsdf, specimen):

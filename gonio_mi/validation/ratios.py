@@ -64,6 +64,7 @@ def explain_ratio(cases, function, what):
         The ratio, in words.
     """
     # what is right tells nothing
+    everything = cases
     cases = [case for case in cases if not _is_near(case[0])] or cases
     if not cases:
         return f"`{function}` contradicts the other functions"
@@ -73,15 +74,49 @@ def explain_ratio(cases, function, what):
             ratio / factor(name, drawn, mask) ** power for ratio, drawn, mask in cases
         ]
         if _is_constantly(1.0, name, rests, cases, near):
-            return _worded(function, name, power)
+            return _worded(function, name, power) + _where(cases, len(everything))
         if constant and _is_constantly(float(np.median(rests[0])), name, rests, cases):
             rest = f", and has a factor {np.median(rests[0]):.4g} besides"
             return _worded(function, name, power) + rest
     ratios = np.concatenate([ratio for ratio, _, _ in cases])
     low, middle, high = np.quantile(ratios, [0.05, 0.5, 0.95])
+    place = _place(cases, len(everything))
     if high - low < NEAR * middle:
-        return f"`{function}`: {what} is {middle:.4g} everywhere"
-    return f"`{function}`: {what} is {low:.4g} to {high:.4g}, median {middle:.4g}"
+        return f"`{function}`: {what} is {middle:.4g} {place or 'everywhere'}"
+    text = f"`{function}`: {what} is {low:.4g} to {high:.4g}, median {middle:.4g}"
+    return f"{text}, {place}" if place else text
+
+
+def _where(cases, n):
+    """Incident directions of which ratios are wrong; empty if of all."""
+    if len(cases) == n:
+        return ""
+    first = max(cases, key=lambda case: np.abs(case[0] - 1).mean())[1]
+    more = f", and at {len(cases) - 1} more of {n}" if len(cases) > 1 else ""
+    return f" at {first.condition}{more}"
+
+
+def _place(cases, n):
+    """Where ratios are wrong; empty if everywhere."""
+    ratio, drawn, mask = max(cases, key=lambda case: np.abs(case[0] - 1).mean())
+    wo, reflected = drawn.wo[mask], drawn.reflected[mask]
+    wrong = np.abs(ratio - 1) > NEAR
+    words = [_where(cases, n).strip()] if len(cases) < n else []
+    if 0 < wrong.mean() < 0.95:
+        for side, name in ((reflected, "lit side"), (~reflected, "other side")):
+            if side[wrong].all() and not side.all():
+                words.append(f"on the {name}")
+        theta = np.degrees(np.arccos(np.clip(np.abs(wo[wrong, 2]), 0, 1)))
+        low, high = np.quantile(theta, [0.05, 0.95])
+        words.append(
+            f"for {wrong.mean():.2g} of the samples, with theta_o {low:.0f} to "
+            f"{high:.0f}"
+        )
+        for axis, name in ((0, "wo.x"), (1, "wo.y")):
+            signs = np.sign(wo[wrong, axis])
+            if abs(signs.sum()) == len(signs) and np.ptp(np.sign(wo[:, axis])) > 0:
+                words.append(f"{name} {'> 0' if signs[0] > 0 else '< 0'}")
+    return ", ".join(words)
 
 
 def _candidates():

@@ -1,6 +1,6 @@
 """The verdict on a BSDF: one line for each property, and the likely mistake."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from .evidence import (
     BIAS,
@@ -195,10 +195,6 @@ def judge(evidence, alpha, allow=()):
     found = {
         name: _property(evidence, name, level, name in allow) for name in PROPERTIES
     }
-    single, summed = found["sampled_weight"], found["weights"]
-    if single.status == FAILS and summed.status == HOLDS and summed.p_value is not None:
-        # one by one they are not eval over pdf, but on average they are
-        found["sampled_weight"] = replace(single, effect=INTERFACE)
     return list(found.values())
 
 
