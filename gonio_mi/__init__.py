@@ -10,6 +10,7 @@ from . import llvm
 llvm.prepare()
 
 from . import plugins  # noqa: E402, F401
+from .charts import Chart, chart  # noqa: E402
 from .collector import (  # noqa: E402
     Borders,
     EqualAngle,
@@ -29,17 +30,21 @@ from .errors import (  # noqa: E402
     SpecimenError,
     VariantError,
 )
+from .exports import Loss, export  # noqa: E402
 from .files import load  # noqa: E402
 from .files.measured import MeasuredTable, read_measured  # noqa: E402
 from .instrument.campaigns import campaign  # noqa: E402
 from .instrument.measuring import measure  # noqa: E402
+from .plots import plot  # noqa: E402
 from .results.ray_density import Plan, plan  # noqa: E402
 from .results.record import Record  # noqa: E402
 from .results.tally import Ledger  # noqa: E402
+from .validation import Verdict, validate  # noqa: E402
 
 __all__ = [
     "Apertures",
     "Borders",
+    "Chart",
     "Comparison",
     "EqualAngle",
     "EqualProjectedSolidAngle",
@@ -48,6 +53,7 @@ __all__ = [
     "FileFormatError",
     "LLVMError",
     "Ledger",
+    "Loss",
     "LostRaysError",
     "MeasuredTable",
     "Plan",
@@ -55,13 +61,18 @@ __all__ = [
     "SpecimenError",
     "Subdivision",
     "VariantError",
+    "Verdict",
     "adapted",
     "campaign",
+    "chart",
     "compare",
+    "export",
     "load",
     "measure",
     "measure_like",
     "plan",
+    "plot",
     "read_measured",
     "subdivision",
+    "validate",
 ]

@@ -8,7 +8,7 @@ from typing import Any
 
 from .errors import checked_choice, checked_count, checked_number
 
-__all__ = ["choice", "count", "flag", "number"]
+__all__ = ["choice", "count", "number"]
 
 
 def choice(props: Any, name: str, default: str, choices: Iterable[str]) -> str:
@@ -23,16 +23,6 @@ def count(
     return checked_count(
         _label(props, name), props.get(name, default), minimum, maximum
     )
-
-
-def flag(props: Any, name: str, default: bool) -> bool:
-    """Return the boolean property `name`; no text, of which ``"false"`` were true."""
-    value = props.get(name, default)
-    if not isinstance(value, bool):
-        raise TypeError(
-            f"{_label(props, name)} must be a boolean, true or false, got {value!r}"
-        )
-    return value
 
 
 def number(
