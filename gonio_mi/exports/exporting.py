@@ -1,17 +1,22 @@
 """Records in the files of other tools, each with what it has lost."""
 
 import warnings
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from ..array_types import Floats
+from ..collector.hemisphere import Subdivision
 from ..errors import checked_choice
 from ..files import astm, check_output, netcdf, replacing
 from ..files.channels import wavelengths_nm
 from ..files.measured import MeasuredTable, read_measured
 from ..files.writing import takes_a_stream
+from ..results.record import Record
 from ..results.summary import exceeds_error, summarize
-from .loss import fractions_of, losses
+from .loss import Loss, fractions_of, losses
 from .measured_export import write_measured
 from .radiance_export import BASES, write_radiance
 
@@ -20,7 +25,9 @@ __all__ = ["BASES", "ENDINGS", "export"]
 ENDINGS = (".csv", ".astm", ".xml", ".bsdf", ".nc")
 
 
-def export(record, path, basis="klems"):
+def export(
+    record: Record, path: str | PathLike[str], basis: str = "klems"
+) -> list[Loss]:
     """Write a record to a file of another tool, and say what was lost.
 
     What was written is read back, for Mitsuba's `measured` measured anew, and compared.
@@ -69,7 +76,7 @@ def export(record, path, basis="klems"):
     return _FORMATS[ending](record, path)
 
 
-def _warn_of_openings(record, ending):
+def _warn_of_openings(record: Record, ending: str) -> None:
     """Warn if the file cannot say what passed beside the specimen or through it."""
     directions = summarize(record)["directions"]
     ledger = record.ledger
@@ -91,7 +98,7 @@ def _warn_of_openings(record, ending):
         )
 
 
-def _csv(record, path):
+def _csv(record: Record, path: str | PathLike[str]) -> list[Loss]:
     """One table for each quantity and channel."""
     tables = {
         (quantity, number): _table(record, quantity, number)
@@ -110,7 +117,7 @@ def _csv(record, path):
     return losses(record, fractions)
 
 
-def _astm(record, path):
+def _astm(record: Record, path: str | PathLike[str]) -> list[Loss]:
     """One table of reflection, a column for each channel."""
     names = record.channels
     if len(names) == 1 and wavelengths_nm(names) is None:
@@ -134,7 +141,7 @@ def _astm(record, path):
     return losses(record, np.stack(written, axis=-1)[:, None])
 
 
-def _in_patches(table, patches):
+def _in_patches(table: MeasuredTable, patches: Subdivision) -> Floats:
     """Flux fractions of a table of middles, shape ``(n_incident, n_theta, n_phi)``."""
     known = np.isfinite(patches.middles[0])
     projected = patches.projected_solid_angles
@@ -144,7 +151,7 @@ def _in_patches(table, patches):
     return fractions
 
 
-def _table(record, quantity, number):
+def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
     """Table of one quantity in one channel."""
     theta, phi = (np.degrees(angle) for angle in record.subdivision.middles)
     known = np.isfinite(theta)
@@ -152,15 +159,15 @@ def _table(record, quantity, number):
     if quantity == "btdf":
         theta = 180 - theta
     one_sigma = 0.6827
-    columns = {"value": [], "sigma": []}
+    parts: dict[str, list[Floats]] = {"value": [], "sigma": []}
     for index in range(len(record)):
         one = record[index]
         low, high = one.interval(one_sigma, quantity)
         sigma = getattr(one, f"{quantity}_std_err")
         sigma = np.where(np.isnan(sigma), (high - low) / 2, sigma)
-        columns["value"].append(getattr(one, quantity)[known, number])
-        columns["sigma"].append(sigma[known, number])
-    columns = {key: np.concatenate(parts) for key, parts in columns.items()}
+        parts["value"].append(getattr(one, quantity)[known, number])
+        parts["sigma"].append(sigma[known, number])
+    columns: dict[str, Any] = {key: np.concatenate(of) for key, of in parts.items()}
     if np.isnan(columns["sigma"]).any():
         columns["sigma"] = None
     return MeasuredTable(
@@ -175,7 +182,7 @@ def _table(record, quantity, number):
     )
 
 
-def _netcdf(record, path):
+def _netcdf(record: Record, path: str | PathLike[str]) -> list[Loss]:
     """Labelled arrays."""
     with replacing(path) as stream:
         netcdf.write(record, stream)

@@ -1,8 +1,12 @@
 """What a file of another tool has lost of a record."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+from ..array_types import Floats
+from ..results.record import Record
 
 __all__ = ["Loss", "fractions_of", "losses"]
 
@@ -34,7 +38,7 @@ class Loss:
     misplaced: float
     noise: float
 
-    def __str__(self):
+    def __str__(self) -> str:
         return (
             f"theta_i {self.theta_i:.4g}, phi_i {self.phi_i:.4g}: {self.quantity} "
             f"{self.recorded:.5f} +- {self.std_err:.1g}, in the file "
@@ -43,12 +47,12 @@ class Loss:
         )
 
 
-def fractions_of(record):
+def fractions_of(record: Record) -> Floats:
     """Flux fractions with the incident direction as first axis, also of one."""
     return record.flux_fraction if record.stacked else record.flux_fraction[None]
 
 
-def losses(record, written):
+def losses(record: Record, written: Floats) -> list[Loss]:
     """Compare flux fractions of the file with those of the record.
 
     Parameters
@@ -67,11 +71,11 @@ def losses(record, written):
     for index, hemisphere in np.ndindex(written.shape[:2]):
         one = record[index]
         name = ("dhr", "dht")[hemisphere]
-        errors = (one.brdf_std_err, one.btdf_std_err)[hemisphere] * projected
+        errors: Any = (one.brdf_std_err, one.btdf_std_err)[hemisphere]
         total = recorded[index, hemisphere].sum()
         difference = np.abs(written[index, hemisphere] - recorded[index, hemisphere])
         # mean of the absolute value of a normal deviate
-        noise = np.sqrt(2 / np.pi) * np.nansum(errors)
+        noise = np.sqrt(2 / np.pi) * np.nansum(errors * projected)
         n = len(record.channels)
         every.append(
             Loss(

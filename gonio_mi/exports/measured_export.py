@@ -1,13 +1,18 @@
 """Records as material files of Mitsuba's plugin `measured`."""
 
+from os import PathLike
+from typing import Any
+
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Floats, Numbers
 from ..errors import VariantError
 from ..files import replacing, tensor_file
 from ..files.channels import wavelengths_nm
 from ..instrument.measurement import measure_whole
-from .loss import losses
+from ..results.record import Record
+from .loss import Loss, losses
 from .resampling import Material, half_vector_grid
 
 __all__ = ["write_measured"]
@@ -19,7 +24,7 @@ GRID = 128
 RAYS = 2**20
 
 
-def write_measured(record, path):
+def write_measured(record: Record, path: str | PathLike[str]) -> list[Loss]:
     """Write a record for Mitsuba's `measured`, and return its losses.
 
     Parameters
@@ -36,7 +41,8 @@ def write_measured(record, path):
         If the record's incident directions are no grid.
     """
     spectral = _is_spectral(record)
-    fields = _fields(Material(record), wavelengths_nm(record.channels), spectral)
+    wavelengths: Any = wavelengths_nm(record.channels)
+    fields = _fields(Material(record), wavelengths, spectral)
     fields = {name: array.astype(np.float32) for name, array in fields.items()}
     text = record.settings.get("specimen", "a record").encode()
     fields["description"] = np.frombuffer(text, np.uint8)
@@ -47,7 +53,7 @@ def write_measured(record, path):
         tensor_file.read(stream)
     settings = {"collector": record.subdivision, "rays": RAYS}
     if spectral:
-        settings["wavelengths"] = wavelengths_nm(record.channels).tolist()
+        settings["wavelengths"] = wavelengths.tolist()
     again = [
         measure_whole({"type": "measured", "filename": str(path)}, *angles, **settings)
         for angles in zip(record.theta_i, record.phi_i)
@@ -55,7 +61,7 @@ def write_measured(record, path):
     return losses(record, np.stack([one.flux_fraction[:1] for one in again]))
 
 
-def _is_spectral(record):
+def _is_spectral(record: Record) -> bool:
     """Whether the file is for spectral variants, or raise."""
     spectral = wavelengths_nm(record.channels) is not None
     wanted = "spectral" if spectral else "rgb"
@@ -73,7 +79,7 @@ def _is_spectral(record):
     return spectral
 
 
-def _fields(material, wavelengths, spectral):
+def _fields(material: Material, wavelengths: Any, spectral: bool) -> dict[str, Numbers]:
     """Arrays of the file, but for the texts."""
     theta_i, phi_i = material.theta_i, material.phi_i
     if len(phi_i) == 1:
@@ -105,7 +111,9 @@ def _fields(material, wavelengths, spectral):
     return fields
 
 
-def _importance(values, theta_i, azimuths, origins):
+def _importance(
+    values: Floats, theta_i: Floats, azimuths: Floats, origins: Floats
+) -> Floats:
     """Light per area of the grid of half vectors: where `measured` samples."""
     u = np.linspace(0, 1, GRID)
     theta_m, turn = u**2 * (np.pi / 2), 2 * np.pi * u[:, None] - np.pi

@@ -1,11 +1,16 @@
 """Records as Radiance's BSDF files, and those files at the record's patches."""
 
+from os import PathLike
+from typing import Any
+
 import numpy as np
 
+from ..array_types import Floats
 from ..errors import checked_choice
 from ..files import radiance_bsdf, radiance_xml, replacing
 from ..files.radiance_bsdf import RadianceBSDF
-from .loss import losses
+from ..results.record import Record
+from .loss import Loss, losses
 from .resampling import Material, klems_matrix, tensor_grid
 
 __all__ = ["BASES", "write_radiance"]
@@ -20,7 +25,9 @@ BASES = tuple(RANKS)
 POINTS = 8
 
 
-def write_radiance(record, path, basis="klems"):
+def write_radiance(
+    record: Record, path: str | PathLike[str], basis: str = "klems"
+) -> list[Loss]:
     """Write a record to an XML file of Radiance, and return its losses.
 
     Parameters
@@ -48,7 +55,7 @@ def write_radiance(record, path, basis="klems"):
     if rank == 3:
         _check_isotropic_grey(material)
     side = record.settings.get("side", "front")
-    blocks = {}
+    blocks: dict[tuple[str, str], Any] = {}
     for hemisphere in range(1 + record.has_lower):
         direction = radiance_xml.DIRECTIONS[side, hemisphere]
         if rank is None:
@@ -65,7 +72,7 @@ def write_radiance(record, path, basis="klems"):
     return losses(record, _fractions(written, record, side))
 
 
-def _check_isotropic_grey(material):
+def _check_isotropic_grey(material: Material) -> None:
     """Raise ValueError unless the material fits into a tensor tree of rank 3."""
     if len(material.phi_i) > 1:
         raise ValueError(
@@ -79,7 +86,7 @@ def _check_isotropic_grey(material):
         )
 
 
-def _fractions(bsdf, record, side):
+def _fractions(bsdf: RadianceBSDF, record: Record, side: str) -> Floats:
     """Flux fractions of a file in the patches and incident directions of a record."""
     patches = record.subdivision
     points = patches.points(POINTS)

@@ -1,14 +1,19 @@
 """Values of a record in any direction, as other formats want them."""
 
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import ArrayLike
 
+from ..array_types import Floats
 from ..collector.directions import direction
 from ..collector.klems import Klems
 from ..files.tensor_tree import grid_directions
 from ..materials.lit_face import LitFace
 from ..materials.lobes import LobeTable
+from ..results.record import Record
 
 __all__ = [
     "Material",
@@ -49,14 +54,14 @@ class Material:
         If the incident directions are unknown or no grid; see `LobeTable.of`.
     """
 
-    def __init__(self, record):
+    def __init__(self, record: Record) -> None:
         self.channels = record.channels
         self.has_lower = record.has_lower
         table = LobeTable.of(record)
         self.theta_i, self.phi_i = table.theta_i, table.phi_i
         self._face = LitFace(table)
 
-    def values(self, theta_i, phi_i, wo):
+    def values(self, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> Floats:
         """BRDF or BTDF in 1/sr, shape ``(n, channels)``.
 
         Parameters
@@ -74,11 +79,11 @@ class Material:
         return np.stack([np.where(inside, v.numpy(), 0) for v in values], axis=-1)
 
 
-def _vectors(v):
+def _vectors(v: Floats) -> Any:
     return mi.Vector3f(np.ascontiguousarray(v.T, dtype=np.float32))
 
 
-def klems_matrix(material, hemisphere):
+def klems_matrix(material: Material, hemisphere: int) -> Floats:
     """Means over pairs of Klems patches in 1/sr, ``(145, 145, channels)``.
 
     Exit patches times incident ones, of Radiance's order: the incident patch is that of
@@ -98,7 +103,7 @@ def klems_matrix(material, hemisphere):
     return np.swapaxes(means, 0, 1)
 
 
-def tensor_grid(material, hemisphere, rank, size):
+def tensor_grid(material: Material, hemisphere: int, rank: int, size: int) -> Floats:
     """Means over the cells of a tensor tree's grid in 1/sr, ``(size, ..., channels)``.
 
     See `tensor_tree`: the half that rank 3 does not use holds the mean of the other.
@@ -121,7 +126,9 @@ def tensor_grid(material, hemisphere, rank, size):
     return np.concatenate([grid, unused])
 
 
-def _means(material, hemisphere, theta_i, phi_i, wo):
+def _means(
+    material: Material, hemisphere: int, theta_i: Floats, phi_i: Floats, wo: Floats
+) -> Floats:
     """Means over points of incidence and of exit, ``(n_in, n_out, channels)``.
 
     `theta_i` and `phi_i` have the shape ``(n_in, points)``, `wo` ``(n_out, points, 3)``
@@ -140,7 +147,14 @@ def _means(material, hemisphere, theta_i, phi_i, wo):
     return np.concatenate(means)
 
 
-def half_vector_grid(material, theta_i, phi_i, origin, size, n=4):
+def half_vector_grid(
+    material: Material,
+    theta_i: float,
+    phi_i: float,
+    origin: float,
+    size: int,
+    n: int = 4,
+) -> Floats:
     """BRDF times cosine on a grid of half vectors, ``(channels, size, size)``.
 
     Rows are azimuths of the half vector from `origin`, -pi to pi; columns its polar

@@ -24,11 +24,16 @@ import io
 import os
 import subprocess
 import sys
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, BinaryIO
 
 import numpy as np
 import OpenEXR
 
+from ..array_types import Counts, Numbers
 from ..errors import FileFormatError
+from ..results.record import Record
+from ..results.tally import Tally
 from . import exr_parts
 from .header import (
     check_format,
@@ -64,12 +69,12 @@ OpenEXR.File(io.BytesIO(sys.stdin.buffer.read()), separate_channels=True)
 PATIENCE = 120
 
 
-def write(record, stream):
+def write(record: Record, stream: BinaryIO) -> None:
     """Write `record` to a binary stream."""
     text = json_of(_description(record))
     arrays = [_arrays(tally) for tally in record.tallies]
     exact = {"gonio.record": text, "gonio.sha256": _digest(text, arrays)}
-    parts = []
+    parts: list[Any] = []
     for index in range(len(record)):
         for name, layers in exr_parts.layers(record[index]).items():
             header = exr_parts.attributes(record, index, name)
@@ -83,7 +88,7 @@ def write(record, stream):
     stream.write(seal_of(content.getbuffer()))
 
 
-def read(stream):
+def read(stream: BinaryIO) -> Record:
     """Read a record from a binary file.
 
     Raises
@@ -98,7 +103,7 @@ def read(stream):
         _check_elsewhere(stream)
     image = OpenEXR.File(stream, separate_channels=True)
     first = image.parts[0].header if image.parts else {}
-    text = first.get("gonio.record")
+    text: Any = first.get("gonio.record")
     require(text is not None, "it was not written by gonio-mi")
     header = parsed_json(text)
     check_format(header)
@@ -120,15 +125,15 @@ def read(stream):
         arrays = _sums(parts, index, len(fates), names, header, len(fates[index]), kind)
         tallies.append(arrays | {k: rows[index] for k, rows in per_batch.items()})
     record = rebuilt(header, tallies)
-    arrays = [_arrays(tally) for tally in record.tallies]
+    content = [_arrays(tally) for tally in record.tallies]
     require(
-        first.get("gonio.sha256") == _digest(text, arrays),
+        first.get("gonio.sha256") == _digest(text, content),
         "it is damaged: its content does not agree with its check sum",
     )
     return record
 
 
-def _description(record):
+def _description(record: Record) -> dict[str, Any]:
     """Everything but the patches' sums."""
     return header_of(record) | {
         "incident": [tally.incident.tolist() for tally in record.tallies],
@@ -137,29 +142,29 @@ def _description(record):
     }
 
 
-def _arrays(tally):
+def _arrays(tally: Tally) -> list[Counts]:
     """What the pixels hold of a tally, exactly."""
     errors = [] if tally.errors is None else [tally.errors]
     return [tally.hits, tally.sums, *errors]
 
 
-def _part_name(name, index, n):
+def _part_name(name: str, index: int, n: int) -> str:
     """``brdf``, or in a stack ``brdf.07``."""
     return name if n == 1 else f"{name}.{index:0{len(str(n - 1))}d}"
 
 
-def _digest(text, arrays):
+def _digest(text: str, arrays: Iterable[Iterable[Numbers]]) -> str:
     """Check sum of the description and of the arrays of all tallies."""
     digest = hashlib.sha256(text.encode())
     for array in (array for pair in arrays for array in pair):
-        digest.update(np.ascontiguousarray(exr_parts.bits(array), dtype="<u8"))
+        digest.update(np.ascontiguousarray(exr_parts.bits(array), dtype="<u8").data)
     return digest.hexdigest()
 
 
 # ------------------------------------------------------------------ what is read
 
 
-def _check_elsewhere(stream):
+def _check_elsewhere(stream: BinaryIO) -> None:
     """Raise FileFormatError unless another process can read the file quietly.
 
     Damage makes the library print to both standard streams, drop parts, take any
@@ -186,7 +191,15 @@ def _check_elsewhere(stream):
     )
 
 
-def _sums(parts, index, n, names, header, n_batches, kind):
+def _sums(
+    parts: Mapping[str, Mapping[str, Any]],
+    index: int,
+    n: int,
+    names: Sequence[str],
+    header: dict[str, Any],
+    n_batches: int,
+    kind: np.dtype[Any],
+) -> dict[str, Numbers]:
     """Arrays `hits`, `sums` and if there are some `errors` of one direction.
 
     The latter two are of the type `kind`.
@@ -211,12 +224,18 @@ def _sums(parts, index, n, names, header, n_batches, kind):
         errors = [
             _joined(layers, "error", f".{name}", "integral", rows) for name in names
         ]
-        errors = np.stack(errors, axis=-1).reshape(len(hits), *shape, -1)
-        arrays["errors"] = errors.view(kind)
+        stacked = np.stack(errors, axis=-1).reshape(len(hits), *shape, -1)
+        arrays["errors"] = stacked.view(kind)
     return arrays
 
 
-def _joined(layers, layer, channel, part, shape):
+def _joined(
+    layers: Any,
+    layer: str,
+    channel: str,
+    part: str,
+    shape: tuple[int, int],
+) -> Counts:
     """uint64 numbers from their two halves."""
     require(
         layers is not None and f"{layer}{channel}" in layers,
@@ -237,10 +256,11 @@ def _joined(layers, layer, channel, part, shape):
     return joined
 
 
-def _numbers(header, key):
+def _numbers(header: dict[str, Any], key: str) -> list[Numbers]:
     """As :func:`_integers`, but float64 where a list holds floats."""
+    entry: Any = header.get(key)
     try:
-        arrays = [np.array(rows) for rows in header.get(key)]
+        arrays = [np.array(rows) for rows in entry]
     except (TypeError, ValueError, OverflowError):
         arrays = []
     if not any(array.dtype == np.float64 for array in arrays):
@@ -252,10 +272,11 @@ def _numbers(header, key):
     return arrays
 
 
-def _integers(header, key):
+def _integers(header: dict[str, Any], key: str) -> list[Numbers]:
     """List of two-dimensional uint64 arrays from lists of whole numbers."""
+    entry: Any = header.get(key)
     try:
-        arrays = [np.array(rows, dtype=np.uint64) for rows in header.get(key)]
+        arrays: Any = [np.array(rows, dtype=np.uint64) for rows in entry]
     except (TypeError, ValueError, OverflowError):
         arrays = None
     require(

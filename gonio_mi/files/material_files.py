@@ -1,6 +1,7 @@
 """Materials in files: our records, and Radiance's Klems matrices."""
 
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
 from ..collector.klems import THETA_DEG, Klems
 from ..errors import FileFormatError
+from ..results.record import Record
 from .header import require
 from .radiance_bsdf import RadianceBSDF
 
@@ -45,7 +47,9 @@ class PatchMeans:
     stacked: bool = True
 
 
-def load_material(path, side="front"):
+def load_material(
+    path: str | PathLike[str], side: str = "front"
+) -> Record | PatchMeans:
     """Record, or patch means of another tool, from a file.
 
     Parameters
@@ -78,7 +82,7 @@ def load_material(path, side="front"):
             raise FileFormatError(f"cannot load {path}: {error}") from None
 
 
-def _of_klems(bsdf, side):
+def _of_klems(bsdf: RadianceBSDF, side: str) -> PatchMeans:
     """Klems matrices at the middles of their rings, and at common azimuths."""
     require(
         bsdf.rank is None,

@@ -4,7 +4,10 @@ import csv
 import difflib
 import io
 import math
+from collections.abc import Sequence
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +30,9 @@ __all__ = ["MeasuredTable", "read_measured"]
 LONGEST_LINE = 10_000
 
 
-def read_measured(path, channel=None):
+def read_measured(
+    path: str | PathLike[str], channel: str | None = None
+) -> MeasuredTable:
     """Read measured values from a plain CSV file, or from text after ASTM E1392.
 
     A CSV file has comment lines ``# key: value``, one line with the names of the
@@ -84,7 +89,7 @@ def read_measured(path, channel=None):
     return _read_csv(path)
 
 
-def _read_astm(path, channel):
+def _read_astm(path: str | PathLike[str], channel: str | None) -> MeasuredTable:
     """One channel of a file after ASTM E1392."""
     with open(path, "rb") as stream:
         try:
@@ -93,14 +98,18 @@ def _read_astm(path, channel):
             raise FileFormatError(f"{path}: {error}") from None
     if channel is None and len(names) == 1:
         channel = names[0]
-    if channel not in names:
+    if channel is None or channel not in names:
         raise ValueError(
             f"channel must be one of {', '.join(names)[:80]} for {path}, got "
             f"{shown(channel)}"
         )
     try:
+        theta_i, phi_i, theta_o, phi_o = np.degrees(angles.T)
         return MeasuredTable(
-            *np.degrees(angles.T),
+            theta_i,
+            phi_i,
+            theta_o,
+            phi_o,
             values[:, names.index(channel)],
             channel=channel if len(names) > 1 or channel.endswith("nm") else None,
             header=header,
@@ -110,7 +119,7 @@ def _read_astm(path, channel):
         raise FileFormatError(f"{path}: {error}") from None
 
 
-def _read_csv(path):
+def _read_csv(path: str | PathLike[str]) -> MeasuredTable:
     """Table of a CSV file."""
     try:
         text = Path(path).read_bytes().decode("utf-8-sig")
@@ -118,7 +127,9 @@ def _read_csv(path):
             raise ValueError
     except ValueError:
         raise FileFormatError(f"{path} is not a CSV file: it is not text") from None
-    settings, header, rows = {}, {}, []
+    settings: dict[str, Any] = {}
+    header: dict[str, str] = {}
+    rows: list[tuple[int, str]] = []
     for number, line in enumerate(io.StringIO(text, newline=None), 1):
         line = line.strip()
         if len(line) > LONGEST_LINE:
@@ -133,7 +144,7 @@ def _read_csv(path):
     if not rows:
         raise FileFormatError(f"{path} is empty: it has no line of column names")
     quantity = settings.get("quantity", "brdf")
-    columns = _read_columns(path, rows, quantity)
+    columns: dict[str, Any] = _read_columns(path, rows, quantity)
     solid_angle = settings.pop("aperture_solid_angle", None)
     if solid_angle is not None:
         if "aperture_half_angle" in settings:
@@ -150,7 +161,9 @@ def _read_csv(path):
         raise FileFormatError(f"{path}: {error}") from None
 
 
-def _read_key(place, comment, settings, header):
+def _read_key(
+    place: str, comment: str, settings: dict[str, Any], header: dict[str, str]
+) -> None:
     """Take ``key: value`` from a comment line into `settings` or `header`."""
     key, colon, text = (part.strip() for part in comment.partition(":"))
     if not colon:
@@ -173,8 +186,9 @@ def _read_key(place, comment, settings, header):
             if not is_decimal(text):
                 condition = NUMBERS[key][2]
                 raise ValueError(f"{key} must be {condition}, got {shown(text)}")
-            text = checked_number(key, text, *NUMBERS[key])
-        elif key == "units":
+            settings[key] = checked_number(key, text, *NUMBERS[key])
+            return
+        if key == "units":
             checked_choice(key, text, UNITS)
         elif key == "quantity":
             checked_choice(key, text, QUANTITIES)
@@ -183,7 +197,9 @@ def _read_key(place, comment, settings, header):
     settings[key] = text
 
 
-def _read_columns(path, rows, quantity):
+def _read_columns(
+    path: str | PathLike[str], rows: Sequence[tuple[int, str]], quantity: str
+) -> dict[str, list[float]]:
     """Columns as lists, from numbered lines of which the first names them."""
     number, line = rows[0]
     names = [cell.strip() for cell in line.split(",")]
@@ -207,7 +223,7 @@ def _read_columns(path, rows, quantity):
             raise FileFormatError(f"{place}: the column {name} is missing")
     if len(rows) == 1:
         raise FileFormatError(f"{path} has no values: nothing follows line {number}")
-    columns = {name: [] for name in names}
+    columns: dict[str, list[float]] = {name: [] for name in names}
     for number, line in rows[1:]:
         cells = next(csv.reader([line], skipinitialspace=True))
         if len(cells) != len(names):
@@ -222,7 +238,7 @@ def _read_columns(path, rows, quantity):
     return columns
 
 
-def _cell(place, name, text, quantity):
+def _cell(place: str, name: str, text: str, quantity: str) -> float:
     """One number, or a sentence that says where it is and what it should be."""
     try:
         value = decimal(text)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..array_types import Flags, Floats
+from ..array_types import Floats
 from ..errors import checked_choice, checked_number
 from . import replacing
 
@@ -182,7 +182,7 @@ class MeasuredTable:
             stream.write(("\n".join(lines) + "\n").encode())
 
 
-def fits(name: str, value: Floats, quantity: str) -> tuple[Flags, str]:
+def fits(name: str, value: Any, quantity: str) -> tuple[Any, str]:
     """Whether each value fits its column, and the condition; NaN never does."""
     if name == "theta_i":
         return (value >= 0) & (value < 90), "an angle in degrees in [0, 90)"

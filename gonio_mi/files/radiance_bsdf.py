@@ -3,8 +3,12 @@
 Colours are linear sRGB here and CIE components in the files.
 """
 
-import numpy as np
+from typing import Any, BinaryIO
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..array_types import Floats
 from ..collector.klems import Klems
 from . import radiance_xml, tensor_tree
 from .header import require
@@ -28,7 +32,7 @@ TREE_NAMES = ("Visible", "CIE-u", "CIE-v")
 WHITE = (4 / 19, 9 / 19)
 
 
-def matrices(values, direction):
+def matrices(values: Floats, direction: str) -> dict[tuple[str, str], Floats]:
     """Blocks of a Klems matrix ``(145, 145, channels)`` in one direction."""
     if values.shape[-1] == 1:
         return {("Visible", direction): values[..., 0]}
@@ -36,7 +40,7 @@ def matrices(values, direction):
     return {(name, direction): xyz[..., i] for i, name in enumerate(MATRIX_NAMES)}
 
 
-def trees(values, direction):
+def trees(values: Floats, direction: str) -> dict[tuple[str, str], TensorTree]:
     """Blocks of tensor trees of a grid, ``(n, n, ..., channels)``."""
     if values.shape[-1] == 1:
         return {("Visible", direction): TensorTree.of(values[..., 0])}
@@ -74,11 +78,11 @@ class RadianceBSDF:
         If the file is damaged or something else.
     """
 
-    def __init__(self, stream):
-        self.blocks = radiance_xml.read(stream)
+    def __init__(self, stream: BinaryIO) -> None:
+        self.blocks: dict[tuple[str, str], Any] = radiance_xml.read(stream)
         first = next(iter(self.blocks.values()))
         self.rank = first.rank if isinstance(first, TensorTree) else None
-        self._names = MATRIX_NAMES if self.rank is None else TREE_NAMES
+        self._names: tuple[str, ...] = MATRIX_NAMES if self.rank is None else TREE_NAMES
         held = {name for name, _ in self.blocks}
         coloured = held >= set(self._names)
         if not coloured:
@@ -88,11 +92,18 @@ class RadianceBSDF:
             missing = [n for n in self._names if (n, direction) not in self.blocks]
             require(not missing, f"its {direction} lacks {', '.join(missing)}")
 
-    def holds(self, side, hemisphere):
+    def holds(self, side: str, hemisphere: int) -> bool:
         """Whether there is reflection (0) or transmission (1) of a lit face."""
         return ("Visible", radiance_xml.DIRECTIONS[side, hemisphere]) in self.blocks
 
-    def values(self, side, hemisphere, theta_i, phi_i, wo):
+    def values(
+        self,
+        side: str,
+        hemisphere: int,
+        theta_i: ArrayLike,
+        phi_i: ArrayLike,
+        wo: Floats,
+    ) -> Floats:
         """BRDF or BTDF in 1/sr, shape ``(n, channels)``.
 
         Parameters
@@ -120,7 +131,7 @@ class RadianceBSDF:
         return parts if len(self._names) == 1 else parts @ np.linalg.inv(XYZ).T
 
 
-def _xyz_of_yuv(y, u, v):
+def _xyz_of_yuv(y: Floats, u: Floats, v: Floats) -> Floats:
     """CIE XYZ of luminance and the chromaticity u', v', shape ``(n, 3)``."""
     v = np.where(v > 0, v, WHITE[1])
     x = y * 9 * u / (4 * v)

@@ -6,10 +6,15 @@ patch by the azimuth of flight; matrices are rows of exit and columns of inciden
 
 import math
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from typing import BinaryIO
+from xml.etree.ElementTree import Element
 from xml.sax.saxutils import escape
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from ..array_types import Floats, Integers
 from ..collector.klems import N_PHI, THETA_DEG, Klems
 from ..errors import FileFormatError
 from .header import require, size_of
@@ -40,7 +45,7 @@ WAVELENGTHS = {"Visible": "Y", "CIE-X": "X", "CIE-Z": "Z", "CIE-u": "u", "CIE-v"
 MOST_BYTES = 2**29
 
 
-def incident_patch(theta_i, phi_i):
+def incident_patch(theta_i: ArrayLike, phi_i: ArrayLike) -> Integers:
     """Columns of incident directions in degrees, `theta_i` from the lit normal."""
     theta, phi = np.radians(theta_i), np.radians(phi_i) + math.pi
     sine = np.sin(theta)
@@ -51,7 +56,11 @@ def incident_patch(theta_i, phi_i):
 # ----------------------------------------------------------------------------- writing
 
 
-def write(blocks, stream, name="gonio-mi"):
+def write(
+    blocks: Mapping[tuple[str, str], Floats | TensorTree],
+    stream: BinaryIO,
+    name: str = "gonio-mi",
+) -> None:
     """Write a BSDF as Radiance reads it.
 
     Parameters
@@ -92,11 +101,11 @@ def write(blocks, stream, name="gonio-mi"):
     stream.write(b"</Layer>\n</Optical>\n</WindowElement>\n")
 
 
-def _structure(name):
+def _structure(name: str) -> str:
     return f"<IncidentDataStructure>{name}</IncidentDataStructure>\n"
 
 
-def _klems_basis():
+def _klems_basis() -> str:
     rings = "".join(
         f"<AngleBasisBlock><Theta>{(low + high) / 2 if low else 0:g}</Theta>"
         f"<nPhis>{n}</nPhis><ThetaBounds><LowerTheta>{low}</LowerTheta>"
@@ -107,7 +116,7 @@ def _klems_basis():
     return f"<AngleBasis>\n{name}\n{rings}</AngleBasis>\n"
 
 
-def _block(wavelength, direction, block):
+def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
     if isinstance(block, TensorTree):
         basis = f"<AngleBasis>{SHIRLEY_CHIU}</AngleBasis>"
         text = block.text()
@@ -137,7 +146,7 @@ def _block(wavelength, direction, block):
 # ----------------------------------------------------------------------------- reading
 
 
-def read(stream):
+def read(stream: BinaryIO) -> dict[tuple[str, str], Floats | TensorTree]:
     """Read a Radiance file in the Klems full basis, or of tensor trees.
 
     Returns
@@ -179,7 +188,7 @@ def read(stream):
     return blocks
 
 
-def _root(stream):
+def _root(stream: BinaryIO) -> Element:
     """Root element of an XML file without a DTD, tags without name spaces."""
     size = size_of(stream)
     require(size <= MOST_BYTES, f"it has {size} bytes, more than any such file needs")
@@ -199,12 +208,12 @@ def _root(stream):
 class _WithoutDTD(ElementTree.TreeBuilder):
     """Builder that stops before any entity is declared, in whatever encoding."""
 
-    def doctype(self, *_):
+    def doctype(self, *_: object) -> None:
         """Raise FileFormatError."""
         raise FileFormatError("it has a DTD")
 
 
-def _data(block, direction, structure):
+def _data(block: Element, direction: str, structure: str) -> Floats | TensorTree:
     """Matrix or tree of one block."""
     text = block.findtext("ScatteringData", "")
     if structure in RANKS:
@@ -228,6 +237,6 @@ def _data(block, direction, structure):
     return values.T if structure == "Rows" else values
 
 
-def _check_basis(block, tag, wanted):
+def _check_basis(block: Element, tag: str, wanted: str) -> None:
     name = block.findtext(tag, "").strip()
     require(name == wanted, f"its {tag} must be {wanted}, got {name!r:.40}")

@@ -7,11 +7,17 @@ the exit direction in Shirley and Chiu's square, turned so that light flies to +
 rank 4: the direction of flight, and the exit direction, in that square.
 """
 
+from __future__ import annotations
+
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from ..array_types import Floats
 from ..errors import FileFormatError
 from .header import require
 from .numbers import decimal
@@ -21,6 +27,9 @@ __all__ = ["TensorTree", "coordinates", "grid_directions"]
 
 # Cells whose values differ by less, relative to their mean, become one.
 FLAT = 0.01
+
+# A grid, or nodes of the orthants.
+Node = Floats | list["Node"]
 
 # Levels of the deepest tree read: cells of a millionth.
 DEEPEST = 20
@@ -38,10 +47,10 @@ class TensorTree:
     """
 
     rank: int
-    root: object
+    root: Node
 
     @classmethod
-    def of(cls, values, flat=FLAT):
+    def of(cls, values: Floats, flat: float = FLAT) -> TensorTree:
         """Tree of a grid, in which cells of almost one value are merged.
 
         Parameters
@@ -54,7 +63,7 @@ class TensorTree:
         return cls(values.ndim, _merged(np.asarray(values, dtype=float), flat))
 
     @classmethod
-    def parsed(cls, text, rank):
+    def parsed(cls, text: str, rank: int) -> TensorTree:
         """Tree from the text that Radiance reads.
 
         Raises
@@ -65,7 +74,7 @@ class TensorTree:
         """
         before, *_ = text.partition("{")
         require(not before.strip(), "its tensor tree does not begin with a brace")
-        stack = [[]]
+        stack: list[Any] = [[]]
         for brace, run in re.findall("([{}])([^{}]*)", text):
             words = run.replace(",", " ").split()
             if brace == "{":
@@ -85,11 +94,11 @@ class TensorTree:
         require(len(stack) == 1 and len(stack[0]) == 1, "its tensor tree is not closed")
         return cls(rank, stack[0][0])
 
-    def text(self):
+    def text(self) -> str:
         """Text that Radiance reads, with six digits."""
         return _text(self.root)
 
-    def at(self, points):
+    def at(self, points: Floats) -> Floats:
         """Values at points of the cube, shape ``(n,)``.
 
         Parameters
@@ -101,7 +110,7 @@ class TensorTree:
         return _looked_up(self.root, np.clip(points, 0.0, below_one))
 
 
-def coordinates(rank, theta_i, phi_i, wo):
+def coordinates(rank: int, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> Floats:
     """Points of the cube for pairs of directions, shape ``(n, rank)``.
 
     Parameters
@@ -126,7 +135,9 @@ def coordinates(rank, theta_i, phi_i, wo):
     return np.concatenate([first, square_of(x, y)], axis=1)
 
 
-def grid_directions(rank, size, n_in, n_out):
+def grid_directions(
+    rank: int, size: int, n_in: int, n_out: int
+) -> tuple[Floats, Floats, Floats]:
     """Points evenly distributed over the cells of a grid.
 
     Parameters
@@ -156,12 +167,12 @@ def grid_directions(rank, size, n_in, n_out):
     return theta_i, phi_i, directions_of(_cells(size, n_out))
 
 
-def _points(size, n):
+def _points(size: int, n: int) -> Floats:
     """Points of each cell of an axis, shape ``(size, n)``."""
     return (np.arange(size * n).reshape(size, n) + 0.5) / (size * n)
 
 
-def _cells(size, n):
+def _cells(size: int, n: int) -> Floats:
     """Points of each cell of the square, shape ``(size**2, n**2, 2)``."""
     points = _points(size, n)
     a = points[:, None, :, None]
@@ -170,7 +181,7 @@ def _cells(size, n):
     return square.reshape(size * size, n * n, 2)
 
 
-def _merged(values, flat):
+def _merged(values: Floats, flat: float) -> Node:
     """Node of a grid, as few values as `flat` allows."""
     mean = values.mean()
     if np.ptp(values) <= flat * mean:
@@ -184,7 +195,7 @@ def _merged(values, flat):
     return children
 
 
-def _orthants(values):
+def _orthants(values: Floats) -> Iterator[Floats]:
     """Halves of all axes, the first axis fastest."""
     half = len(values) // 2
     halves = slice(None, half), slice(half, None)
@@ -192,13 +203,13 @@ def _orthants(values):
         yield values[tuple(halves[number >> k & 1] for k in range(values.ndim))]
 
 
-def _text(node):
+def _text(node: Node) -> str:
     if isinstance(node, list):
         return "{\n" + "".join(map(_text, node)) + "}\n"
     return "{ " + " ".join(f"{value:.6g}" for value in node.ravel()) + " }\n"
 
 
-def _grid(words, rank):
+def _grid(words: Sequence[str], rank: int) -> Floats:
     """Grid of the values of a leaf."""
     size = round(len(words) ** (1 / rank))
     require(
@@ -214,7 +225,7 @@ def _grid(words, rank):
     return np.maximum(values, 0.0).reshape((size,) * rank)
 
 
-def _looked_up(node, points):
+def _looked_up(node: Node, points: Floats) -> Floats:
     """Values at points in [0, 1)."""
     if isinstance(node, np.ndarray):
         return node[tuple((points * len(node)).astype(int).T)]
