@@ -34,6 +34,8 @@ MISTAKES = {
     "pdf_below_the_horizon": "pdf",
     "pdf_negative_below": "pdf",
     "eval_and_pdf_are_zero": "eval",
+    "eval_remembers_the_call_before": "eval",
+    "pdf_counts_its_calls": "pdf",
     "gradient_detached": "eval",
     "gradient_of_a_cached_value": "eval",
     "traverse_raises": "traverse",
@@ -234,6 +236,31 @@ def register():
 
         def pdf(self, ctx, si, wo, active=True):
             return mi.Float(0)
+
+    class EvalRemembersTheCallBefore(Lambert):
+        """The light of the last sample decides."""
+
+        last = None
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            first = self.last is None
+            self.last = dr.opaque(mi.Float, 1.0 if first else 0.7)
+            return super().sample(ctx, si, sample1, sample2, active)
+
+        def value(self, si, wo):
+            share = mi.Float(1) if self.last is None else self.last
+            return super().value(si, wo) * share
+
+        def weight(self, si, bs):
+            return mi.Spectrum(0.8)
+
+    class PdfCountsItsCalls(Lambert):
+        calls = 0
+
+        def pdf(self, ctx, si, wo, active=True):
+            self.calls += 1
+            drift = 1 + 0.001 * min(self.calls, 100)
+            return super().pdf(ctx, si, wo, active) * drift
 
     class Grey(Lambert):
         """With a parameter."""

@@ -130,6 +130,12 @@ def test_report_is_one_file(tmp_path):
     text = path.read_text()
     assert text.count("data:image/png;base64,") == len(verdict.maps)
     assert "mirrored in phi" in text
+    assert "the circle is the direction to the source" in text
+    # what fails comes first, with all its places
+    assert text.index('class="fails"') < text.index('class="holds"')
+    path.unlink()
+    save_report(validate({"type": "weight_with_cosine"}, effort="quick"), path)
+    assert path.read_text().count("weight times pdf over") > 3
     assert 'src="http' not in text
     with pytest.raises(ValueError, match="html"):
         save_report(verdict, tmp_path / "report.pdf")

@@ -14,6 +14,7 @@ __all__ = [
     "check_directions",
     "check_everywhere",
     "check_identities",
+    "check_memory",
     "is_many",
     "unequal",
 ]
@@ -162,6 +163,29 @@ def check_directions(evidence, drawn):
                 size=float(wrong.mean()),
                 effect=effect,
             )
+
+
+def check_memory(evidence, first, again):
+    """The same samples after all other calls: no answer depends on those before."""
+    for function, before, after in (
+        ("sample", first.weight, again.weight),
+        ("sample", first.sampled_pdf, again.sampled_pdf),
+        ("eval", first.eval, again.eval),
+        ("pdf", first.pdf, again.pdf),
+    ):
+        usable = np.isfinite(before) & np.isfinite(after)
+        usable = usable if usable.ndim == 1 else usable.all(axis=1)
+        wrong = unequal(before, after, 0.0) & usable
+        if is_many(wrong, first.n):
+            evidence.breach(
+                "answers",
+                function,
+                f"{wrong.mean():.3g} of the samples at {first.condition}",
+                f"`{function}` answers otherwise when it is asked again: it depends on "
+                "the calls before",
+                size=1.0,
+            )
+            return
 
 
 def check_identities(evidence, drawn):

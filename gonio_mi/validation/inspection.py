@@ -123,6 +123,8 @@ def _examine(evidence, bsdf, plan, seed):
     radiance = [replace(one, mode="radiance") for one in plan.radiance(sides)]
     for i, condition in enumerate([*conditions, *radiance]):
         _check_samples(evidence, bsdf, condition, plan, (seed, 1, i))
+    again = collect(bsdf, conditions[0], plan.checked, (seed, 1, 0))
+    identities.check_memory(evidence, evidence.drawn[0], again)
     declarations.check_flags(evidence, bsdf)
     declarations.check_sides(evidence, bsdf, seed)
     for drawn in evidence.drawn[:: max(1, len(plan.angles) // 3)]:

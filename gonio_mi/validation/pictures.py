@@ -38,6 +38,7 @@ def draw(maps):
                 _patches(row[i + k], maps, values[half], title, 0, top or 1, "viridis")
             title, values = columns[i + 2]
             _patches(row[i + 2], maps, values[half], title, -LARGE, LARGE, "RdBu_r")
+            _cross(row[i + 2], maps, values, half)
         row[0].set_ylabel("lit side" if half == 0 else "other side")
     return figure
 
@@ -53,7 +54,7 @@ def _columns(maps):
     def _scores(found):
         z = np.zeros(int(np.prod(shape)))
         ends = np.append(found.first[1:], z.size)
-        for value, begin, end in zip(found.z, found.first, ends):
+        for value, begin, end in zip(np.nan_to_num(found.z), found.first, ends):
             z[begin:end] = value
         return z.reshape(shape)
 
@@ -66,6 +67,16 @@ def _columns(maps):
         ("due weights", _density(maps.weights)),
         ("z: weights - due", _scores(maps.weight_scores)),
     ]
+
+
+def _cross(axes, maps, scores, half):
+    """Mark the patch whose score is the worst, if it is in this hemisphere."""
+    worst = np.unravel_index(np.abs(scores).argmax(), scores.shape)
+    if worst[0] != half or not scores[worst]:
+        return
+    theta, phi = maps.subdivision.theta[worst[1]], maps.subdivision.phi[worst[2]]
+    x, y = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi)
+    axes.plot(x, y, "x", color="black", ms=6)
 
 
 def _patches(axes, maps, values, title, low, high, cmap):

@@ -21,6 +21,12 @@ tr { border-top: 1px solid #ddd; } img { max-width: 100%; }
 small { color: #555; }
 """
 
+LEGEND = (
+    "Maps of both hemispheres, seen from the normal: the circle is the direction to "
+    "the source, the cross the patch whose score is the worst. Scores z are normal if "
+    "nothing is wrong: beyond 5 or so, they are no chance."
+)
+
 
 def check_report(path):
     """Raise one clear sentence unless a report can be made and written to `path`.
@@ -56,6 +62,8 @@ def save_report(verdict, path):
         "</table>",
         f"<p><small>{html.escape(str(verdict).splitlines()[-2])}</small></p>",
     ]
+    if verdict.maps:
+        parts.append(f"<p>{LEGEND}</p>")
     for maps in verdict.maps:
         parts.append(f"<h2>{html.escape(str(maps.condition))}</h2>")
         parts.append(f'<img alt="four maps" src="{_image(maps)}">')
@@ -69,6 +77,9 @@ def _row(one):
         details.insert(0, html.escape(one.consequence))
     if one.mistake:
         details.append(f"<b>{_code(one.mistake)}</b>")
+    if len(one.places) > 1:
+        details.append("also:")
+        details += [html.escape(place) for place in one.places if place not in details]
     text = "<br>".join([_code(one.question), *(f"<small>{d}</small>" for d in details)])
     return (
         f'<tr class="{one.status}"><td>{one.status}</td>'

@@ -16,6 +16,9 @@ from .evidence import (
 
 __all__ = ["FAILS", "HOLDS", "LACKS", "UNDECIDED", "Property", "Verdict", "judge"]
 
+# Places of a failure that are kept.
+MOST_PLACES = 10
+
 HOLDS, FAILS, UNDECIDED, LACKS = "holds", "fails", "undecided", "lacks"
 
 
@@ -39,6 +42,8 @@ class Property:
         The smallest of its statistical tests, times the number of these; None without.
     effect : str or None
         What a failure does to an image, one of :data:`EFFECTS`; None if it holds.
+    places : tuple of str
+        How much and where else it fails, sample by sample, the worst first.
     """
 
     name: str
@@ -48,6 +53,7 @@ class Property:
     function: str | None = None
     p_value: float | None = None
     effect: str | None = None
+    places: tuple = ()
 
     @property
     def question(self):
@@ -152,7 +158,19 @@ class Verdict:
         return "\n".join(lines)
 
     def to_dict(self):
-        """Everything but the maps, for JSON."""
+        """Everything but the maps, for JSON.
+
+        Returns
+        -------
+        dict
+            ``name``, ``passed`` (whether the exit code is 0), ``function`` and
+            ``mistake`` (what is most likely wrong), ``effect`` (the worst),
+            ``settings`` (effort, seed, alpha, allow, strict, variant, numbers of tests
+            and samples), and ``properties``: a list with ``name``, ``question``, ``status``,
+            ``statistic``, ``mistake``, ``function``, ``p_value``, ``effect`` and
+            ``places`` of each. The command adds ``others``, the same of other variants,
+            and ``skipped``, by variant why it could not be judged there.
+        """
         return {
             "name": self.name,
             "passed": self.passed,
@@ -169,6 +187,7 @@ class Verdict:
                     "function": p.function,
                     "p_value": p.p_value,
                     "effect": p.effect,
+                    "places": list(p.places),
                 }
                 for p in self.properties
             ],
@@ -215,7 +234,17 @@ def _property(evidence, name, level, allowed):
         text = _of_tests(beyond) if beyond else worst.statistic
         if not beyond and len(breaches) > 1:
             text += f"; {len(breaches) - 1} more like it"
-        return Property(name, failure, text, mistake, function, p_value, effect)
+        places = [b.statistic for b in sorted(breaches, key=lambda b: -b.size)]
+        return Property(
+            name,
+            failure,
+            text,
+            mistake,
+            function,
+            p_value,
+            effect,
+            tuple(places[:MOST_PLACES]),
+        )
     if name in evidence.declared:
         return Property(name, LACKS, evidence.declared[name], p_value=p_value)
     if name in evidence.undecided:
