@@ -4,6 +4,7 @@ One flat BSDF at one incident direction is all that is needed: its functions are
 about the same directions, and what they answer is compared.
 """
 
+from .adapter import from_numpy
 from .evidence import PROPERTIES
 from .inspection import validate
 from .pictures import draw
@@ -16,6 +17,7 @@ __all__ = [
     "Verdict",
     "check_report",
     "draw",
+    "from_numpy",
     "save_report",
     "validate",
 ]

@@ -166,9 +166,9 @@ class Verdict:
             ``name``, ``passed`` (whether the exit code is 0), ``function`` and
             ``mistake`` (what is most likely wrong), ``effect`` (the worst),
             ``settings`` (effort, seed, alpha, allow, strict, variant, numbers of tests
-            and samples), and ``properties``: a list with ``name``, ``question``, ``status``,
-            ``statistic``, ``mistake``, ``function``, ``p_value``, ``effect`` and
-            ``places`` of each. The command adds ``others``, the same of other variants,
+            and samples), and ``properties``: a list with ``name``, ``question``,
+            ``status``, ``statistic``, ``mistake``, ``function``, ``p_value``,
+            ``effect`` and ``places`` of each. The command adds ``others``, the same of other variants,
             and ``skipped``, by variant why it could not be judged there.
         """
         return {

@@ -1,0 +1,120 @@
+"""BSDFs that are not Mitsuba's: three functions on NumPy arrays, as a Mitsuba BSDF."""
+
+from collections.abc import Callable
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+__all__ = ["from_numpy"]
+
+
+def from_numpy(
+    sample: Callable,
+    eval: Callable,  # noqa: A002 (as the function of Mitsuba is called)
+    pdf: Callable,
+    *,
+    transmits: bool = False,
+    two_sided: bool = False,
+) -> "mi.BSDF":
+    """Mitsuba BSDF of three functions on arrays of directions.
+
+    What another engine, a shader or a port computes is judged by
+    :func:`gonio_mi.validation.validate` and measured by :func:`gonio_mi.measure` like
+    any plugin. All lobes are one component without discrete directions, the same in
+    both transport modes.
+
+    Parameters
+    ----------
+    sample : callable
+        ``sample(wi, u)``, with unit vectors to the source of shape ``(n, 3)`` and
+        random numbers in [0, 1) of the same shape, returns directions ``(n, 3)``,
+        weights, ``eval`` over ``pdf``, ``(n,)`` or ``(n, channels)``, 0 where it fails,
+        and densities ``(n,)`` in 1/sr. The surface is z = 0, its normal +z.
+    eval : callable
+        ``eval(wi, wo)`` returns the BSDF times ``|cos theta_o|``, ``(n,)`` or
+        ``(n, channels)``, in 1/sr.
+    pdf : callable
+        ``pdf(wi, wo)`` returns densities ``(n,)`` in 1/sr.
+    transmits : bool
+        Whether light passes to the other side.
+    two_sided : bool
+        Whether it scatters light that comes from below.
+
+    Returns
+    -------
+    mi.BSDF
+        For the variant that is set.
+
+    Raises
+    ------
+    TypeError
+        If one is no function.
+    """
+    functions = {"sample": sample, "eval": eval, "pdf": pdf}
+    for name, function in functions.items():
+        if not callable(function):
+            raise TypeError(f"{name} must be a function, got {type(function).__name__}")
+    flags = mi.BSDFFlags
+    lobes = int(flags.GlossyReflection) | int(flags.FrontSide)
+    lobes |= int(flags.GlossyTransmission) if transmits else 0
+    lobes |= int(flags.BackSide) if two_sided or transmits else 0
+
+    class Adapter(mi.BSDF):
+        """Calls the functions with arrays, and returns what Mitsuba expects."""
+
+        def __init__(self, props):
+            super().__init__(props)
+            self.m_flags, self.m_components = lobes, [lobes]
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            n = dr.width(si.wi, sample1, sample2, active)
+            wi = _rows(si.wi, n)
+            u = np.column_stack([_flat(sample1, n), _rows(sample2, n)])
+            wo, weight, density = functions["sample"](wi, u)
+            bs = dr.zeros(mi.BSDFSample3f, n)
+            bs.wo = mi.Vector3f(np.ascontiguousarray(np.asarray(wo).T, np.float32))
+            bs.pdf, bs.eta = _number(density, n), 1.0
+            passes = np.asarray(wo)[:, 2] * wi[:, 2] < 0
+            kinds = (int(flags.GlossyReflection), int(flags.GlossyTransmission))
+            bs.sampled_type = mi.UInt32(np.where(passes, kinds[1], kinds[0]))
+            enabled = ctx.is_enabled(flags.GlossyReflection, 0)
+            return bs, _spectrum(weight, n) & (active & enabled)
+
+        def eval(self, ctx, si, wo, active=True):
+            n = dr.width(si.wi, wo, active)
+            value = functions["eval"](_rows(si.wi, n), _rows(wo, n))
+            enabled = ctx.is_enabled(flags.GlossyReflection, 0)
+            return _spectrum(value, n) & (active & enabled)
+
+        def pdf(self, ctx, si, wo, active=True):
+            n = dr.width(si.wi, wo, active)
+            value = functions["pdf"](_rows(si.wi, n), _rows(wo, n))
+            enabled = ctx.is_enabled(flags.GlossyReflection, 0)
+            return dr.select(active & enabled, _number(value, n), 0)
+
+        def to_string(self):
+            return "Adapter[]"
+
+    return Adapter(mi.Properties("adapter"))
+
+
+def _rows(vector, n):
+    """Array of shape ``(n, k)``, in float64, of a Dr.Jit vector."""
+    array = np.array(vector, dtype=float)
+    return np.broadcast_to(array.reshape(len(array), -1).T, (n, len(array)))
+
+
+def _flat(value, n):
+    return np.broadcast_to(np.ravel(np.array(value)), n)
+
+
+def _number(values, n):
+    return mi.Float(np.ascontiguousarray(np.broadcast_to(values, n), np.float32))
+
+
+def _spectrum(values, n):
+    values = np.asarray(values, dtype=np.float32)
+    values = values[:, None] if values.ndim == 1 else values
+    channels = dr.size_v(mi.Spectrum)
+    return mi.Spectrum(np.ascontiguousarray(np.broadcast_to(values, (n, channels)).T))
