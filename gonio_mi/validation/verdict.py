@@ -168,8 +168,8 @@ class Verdict:
             ``settings`` (effort, seed, alpha, allow, strict, variant, numbers of tests
             and samples), and ``properties``: a list with ``name``, ``question``,
             ``status``, ``statistic``, ``mistake``, ``function``, ``p_value``,
-            ``effect`` and ``places`` of each. The command adds ``others``, the same of other variants,
-            and ``skipped``, by variant why it could not be judged there.
+            ``effect`` and ``places`` of each. The command adds ``others``, the same of
+            other variants, and ``skipped``, by variant why it could not be judged there.
         """
         return {
             "name": self.name,
