@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
@@ -10,24 +11,26 @@ from budget import agree, count_verdict, disagree, normal_scores, scores, verdic
 
 import gonio_mi as gonio
 from gonio_mi.benchmark import c_loop, groove, renderers
-from gonio_mi.benchmark.batch_designs import crossing
-from gonio_mi.benchmark.counting import SPECIMENS, rivals
-from gonio_mi.benchmark.equal_error import error, klems_groove_flux, search
-from gonio_mi.benchmark.rivals import (
-    GRID,
+from gonio_mi.benchmark.baselines import (
+    PATCHES,
     THETA_I,
-    Rival,
+    Baseline,
     c_rays,
     chi2_rays,
     gonio_rays,
     numba_rays,
     numpy_rays,
 )
+from gonio_mi.benchmark.batch_designs import crossing
+from gonio_mi.benchmark.counting import SPECIMENS, baselines
+from gonio_mi.benchmark.equal_error import error, klems_groove_flux, search
 from gonio_mi.collector import subdivision
 from gonio_mi.collector.directions import direction
 from gonio_mi.quadrature import integrate
 
 RAYS = 2 * 10**6
+# of this checkout, if an installed package without it is tested
+c_loop.SOURCE = Path(__file__).parents[1] / "gonio_mi/benchmark/count_diffuse.c"
 
 WHITE = {
     "gonio-mi": lambda: gonio_rays(SPECIMENS["diffuse"], "analog", "independent"),
@@ -39,7 +42,7 @@ WHITE = {
 
 
 def built(build):
-    """Rival, or a skipped test where what it needs is absent."""
+    """Baseline, or a skipped test where what it needs is absent."""
     try:
         return build()
     except (ImportError, c_loop.CompilerError) as error:
@@ -53,12 +56,12 @@ def test_white_lambertian(name):
 
     The twin: half of the azimuth is 4 % brighter.
     """
-    rival = built(WHITE[name])
-    counts = rival.flux(RAYS, 1) * RAYS
+    baseline = built(WHITE[name])
+    counts = baseline.flux(RAYS, 1) * RAYS
     if name in ("NumPy", "numba", "C"):
         # Mitsuba's diffuse rejects a few rays in ten million, on the horizon
         assert np.rint(counts.sum()) == RAYS
-    shares = rival.grid.projected_solid_angles
+    shares = baseline.subdivision.projected_solid_angles
     agree(count_verdict(counts, shares))
     wrong = shares.copy()
     wrong[:, 15:] *= 1.04
@@ -70,20 +73,22 @@ def test_seeds_are_other_rays():
     """Two seeds of one method do not count the same."""
     for build in (chi2_rays, numpy_rays, numba_rays, c_rays):
         arguments = (SPECIMENS["diffuse"],) if build is chi2_rays else ()
-        rival = built(lambda build=build, arguments=arguments: build(*arguments))
-        assert (rival.flux(10**4, 1) != rival.flux(10**4, 2)).any()
+        baseline = built(lambda build=build, arguments=arguments: build(*arguments))
+        assert (baseline.flux(10**4, 1) != baseline.flux(10**4, 2)).any()
 
 
 @pytest.mark.usefixtures("mono")
 def test_rough_conductor_histogram():
     """Mitsuba's histogram has the density of ``sample``; twin: of another roughness."""
     specimen = SPECIMENS["rough conductor"]
-    rival = chi2_rays(specimen)
-    counts = rival.flux(RAYS, 1) * RAYS
+    baseline = chi2_rays(specimen)
+    counts = baseline.flux(RAYS, 1) * RAYS
 
     def shares(specimen):
         bsdf = mi.load_dict(specimen)
-        return integrate(bsdf, THETA_I, 0, rival.grid, rel_err=1e-5, pdf=True).flux[0]
+        return integrate(
+            bsdf, THETA_I, 0, baseline.subdivision, rel_err=1e-5, pdf=True
+        ).flux[0]
 
     agree(count_verdict(counts, shares(specimen)))
     disagree(count_verdict(counts, shares(specimen | {"alpha": 0.21})))
@@ -92,46 +97,61 @@ def test_rough_conductor_histogram():
 @pytest.mark.usefixtures("mono")
 def test_what_is_compared():
     """Both specimens have our samplers and estimators, and what can run here."""
-    found, absent = rivals()
+    found, absent = baselines()
     assert len(found) + len(absent) == 2 * 5 + 3
-    assert all(rival.grid.n_patches == GRID.n_patches for rival in found.values())
+    assert all(
+        baseline.subdivision.n_patches == PATCHES.n_patches
+        for baseline in found.values()
+    )
 
 
 # ----------------------------------------------------------------------------- C loop
 
 
+def test_without_a_checkout_one_line_says_so(monkeypatch, tmp_path):
+    """What pip installs has no C."""
+    monkeypatch.setattr(c_loop, "SOURCE", tmp_path / "count_diffuse.c")
+    c_loop.library.cache_clear()
+    try:
+        _, absent = baselines_without_renderer(monkeypatch)
+    finally:
+        c_loop.library.cache_clear()
+    (line,) = (line for line in absent if "C loop" in line)
+    assert line.endswith("run the benchmark in a checkout of the repository")
+
+
 def test_c_loop_counts_are_the_same_in_any_number_of_threads():
     built(c_rays)
     # not a multiple of a chunk, nor of the lanes
-    counts = c_loop.count_diffuse(3 * 10**6 + 1, 5, GRID, 1)
+    counts = c_loop.count_diffuse(3 * 10**6 + 1, 5, PATCHES, 1)
     assert counts.sum() == 3 * 10**6 + 1
-    assert (counts == c_loop.count_diffuse(3 * 10**6 + 1, 5, GRID, 3)).all()
+    assert (counts == c_loop.count_diffuse(3 * 10**6 + 1, 5, PATCHES, 3)).all()
 
 
 @pytest.mark.parametrize("collector", ["projected:1x1", "projected:500x7"])
 def test_c_loop_has_any_number_of_patches(collector):
     built(c_rays)
-    grid = subdivision(collector)
-    counts = c_loop.count_diffuse(10**6, 2, grid, 2)
-    assert counts.shape == grid.shape
+    patches = subdivision(collector)
+    counts = c_loop.count_diffuse(10**6, 2, patches, 2)
+    assert counts.shape == patches.shape
     assert counts.sum() == 10**6
-    if grid.n_patches > 1:
-        agree(count_verdict(counts, grid.projected_solid_angles))
+    if patches.n_patches > 1:
+        agree(count_verdict(counts, patches.projected_solid_angles))
 
 
 def test_without_a_compiler_one_line_says_so(monkeypatch):
     monkeypatch.setattr(c_loop.shutil, "which", lambda _: None)
     c_loop.library.cache_clear()
     try:
-        _, absent = rivals_without_renderer(monkeypatch)
+        _, absent = baselines_without_renderer(monkeypatch)
     finally:
         c_loop.library.cache_clear()
     assert "the C loop is left out: no C compiler (cc, gcc, clang) was found" in absent
 
 
-def rivals_without_renderer(monkeypatch):
+def baselines_without_renderer(monkeypatch):
     monkeypatch.setattr("gonio_mi.benchmark.counting.SPECIMENS", {})
-    return rivals()
+    return baselines()
 
 
 def test_a_compiler_that_fails_is_named(monkeypatch):
@@ -148,11 +168,11 @@ WI = direction(np.radians([THETA_I]), np.zeros(1))
 COARSE = subdivision("projected:6x8")
 
 
-def groove_flux(grid):
-    """Exact flux fractions of the groove in the patches of `grid`."""
-    points = grid.points(8)
-    return groove.patch_means(WI, points).reshape(grid.shape) * (
-        grid.projected_solid_angles
+def groove_flux(patches):
+    """Exact flux fractions of the groove in the patches of `patches`."""
+    points = patches.points(8)
+    return groove.patch_means(WI, points).reshape(patches.shape) * (
+        patches.projected_solid_angles
     )
 
 
@@ -199,26 +219,26 @@ def test_path_towards_directions():
     white = renderers.path_directions(SPECIMENS["diffuse"]).flux(1, 0)
     # single precision of a product of few factors
     single = 16 * np.finfo(np.float32).eps
-    np.testing.assert_allclose(white * GRID.n_patches, 1, rtol=single)
+    np.testing.assert_allclose(white * PATCHES.n_patches, 1, rtol=single)
     conductor = SPECIMENS["rough conductor"]
-    exact = integrate(mi.load_dict(conductor), THETA_I, 0, GRID).flux[0, ..., 0]
-    rival = renderers.path_directions(conductor)
+    exact = integrate(mi.load_dict(conductor), THETA_I, 0, PATCHES).flux[0, ..., 0]
+    baseline = renderers.path_directions(conductor)
     # midpoints: second order
-    assert error(rival, exact, 2) < error(rival, exact, 1) / 2**1.5
+    assert error(baseline, exact, 2) < error(baseline, exact, 1) / 2**1.5
 
 
 @pytest.mark.usefixtures("mono")
 def test_path_samples_of_the_groove():
     """Means of seeds agree with the radiosity at the same points; twin: 2 % more."""
-    rival = renderers.path_samples(groove.walls)
-    flux = np.stack([rival.flux(256, seed) for seed in range(16)])
-    points = GRID.points(1)
-    exact = groove.patch_means(WI, points).reshape(GRID.shape)
+    baseline = renderers.path_samples(groove.walls)
+    flux = np.stack([baseline.flux(256, seed) for seed in range(16)])
+    points = PATCHES.points(1)
+    exact = groove.patch_means(WI, points).reshape(PATCHES.shape)
 
     def compared(exact):
         # groups of 25 patches, so that means are normal
         values = flux.reshape(16, -1, 25).sum(axis=2)
-        target = (exact * GRID.projected_solid_angles).reshape(-1, 25).sum(axis=1)
+        target = (exact * PATCHES.projected_solid_angles).reshape(-1, 25).sum(axis=1)
         std_err = values.std(axis=0, ddof=1) / 4
         return verdict(normal_scores((values.mean(axis=0) - target) / std_err, 15))
 
@@ -239,49 +259,49 @@ def test_radiance_of_the_plate():
 
 def test_radiance_of_the_groove():
     """It comes nearer to the radiosity with more samples; not if lit from elsewhere."""
-    rival = radiance(renderers.RADIANCE_GROOVE)
+    baseline = radiance(renderers.RADIANCE_GROOVE)
     exact = klems_groove_flux()
-    maps = {samples: rival.flux(samples, 0) for samples in (2, 9)}
-    rival = replace(rival, flux=lambda samples, _: maps[samples])
-    few, many = (error(rival, exact, samples) for samples in (2, 9))
+    maps = {samples: baseline.flux(samples, 0) for samples in (2, 9)}
+    baseline = replace(baseline, flux=lambda samples, _: maps[samples])
+    few, many = (error(baseline, exact, samples) for samples in (2, 9))
     assert many < few / 2
     opposite = exact[np.r_[0, 5:9, 1:5]]
     swapped = np.concatenate([opposite, exact[9:]])
-    assert error(rival, swapped, 9) > many
+    assert error(baseline, swapped, 9) > many
 
 
 # ---------------------------------------------------------------------- equal error
 
 
 def law(size, order=0.5, spent=0.0):
-    """Rival whose relative error is ``size ** -order``."""
+    """Baseline whose relative error is ``size ** -order``."""
 
     def flux(n, seed):
         deadline = time.process_time() + n * spent
         while time.process_time() < deadline:
             pass
-        sign = (-1) ** (np.indices(GRID.shape).sum(axis=0) + seed)
-        return GRID.projected_solid_angles * (1 + sign * n**-order)
+        sign = (-1) ** (np.indices(PATCHES.shape).sum(axis=0) + seed)
+        return PATCHES.projected_solid_angles * (1 + sign * n**-order)
 
-    return Rival("law", flux, first=size)
+    return Baseline("law", flux, first=size)
 
 
 def test_search_finds_the_size():
     """Within the step of three bisections of a factor of four."""
-    found = search(law(7), GRID.projected_solid_angles, 0.01, limit=np.inf)
+    found = search(law(7), PATCHES.projected_solid_angles, 0.01, limit=np.inf)
     assert found.scale == 1
     assert 1e4 <= found.size <= 1e4 * 4 ** (1 / 8) + 1
     assert found.error <= 0.01
-    assert search(law(10**6), GRID.projected_solid_angles, 0.01, 1).size == 10**6
+    assert search(law(10**6), PATCHES.projected_solid_angles, 0.01, 1).size == 10**6
 
 
 def test_search_extrapolates_what_is_too_slow():
     """By the law of the errors so far; of one error alone, as independent samples."""
-    exact = GRID.projected_solid_angles
+    exact = PATCHES.projected_solid_angles
     slow = search(law(16, spent=0.001), exact, 0.01, limit=0.001)
     assert slow.size == 16
     # rounding: a sum over all patches, squared
-    rounding = 2 * GRID.n_patches * np.finfo(float).eps
+    rounding = 2 * PATCHES.n_patches * np.finfo(float).eps
     assert slow.size * slow.scale == pytest.approx(1e4, rel=rounding)
     limit = 1.5 * 2**-10
     later = search(law(16, order=0.75, spent=2**-20), exact, 1e-4, limit=limit)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..instrument.measuring import measure
 from ..quadrature import integrate
-from .rivals import GRID
+from .baselines import PATCHES
 from .table import print_table
 from .timing import in_turns
 
@@ -46,7 +46,7 @@ def measured(material, sampler, batches, rays, seed=0):
     record = measure(
         specimen,
         theta_i,
-        collector=GRID,
+        collector=PATCHES,
         rays=round(rays),
         batches=batches,
         sampler=sampler,
@@ -116,7 +116,7 @@ def print_ratios(rays, seeds, repeats):
         f"32 batches, medians of {repeats} runs in turns."
     )
     for name, (specimen, theta_i) in MATERIALS.items():
-        exact = integrate(mi.load_dict(specimen), theta_i, 0, GRID).values
+        exact = integrate(mi.load_dict(specimen), theta_i, 0, PATCHES).values
         pilot = mean_squares(exact, seeds, name, "independent", 32, PILOT_RAYS)
         goal = pilot * (PILOT_RAYS / rays)
         found = {

@@ -1,4 +1,7 @@
-"""The hand-written C loop, built by this machine's compiler when it is asked for."""
+"""The hand-written C loop, built by this machine's compiler when it is asked for.
+
+Its source is in a checkout of the repository, not in what pip installs.
+"""
 
 import ctypes
 import shutil
@@ -18,7 +21,7 @@ FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-std=gnu11", "-shared", "-f
 
 
 class CompilerError(OSError):
-    """No C compiler, or one that cannot build the loop."""
+    """No source of the loop, no C compiler, or one that cannot build it."""
 
 
 @cache
@@ -28,8 +31,13 @@ def library():
     Raises
     ------
     CompilerError
-        If there is no compiler, or it fails.
+        If there is no source or no compiler, or it fails.
     """
+    if not SOURCE.is_file():
+        raise CompilerError(
+            f"its source {SOURCE.name} is not installed: run the benchmark in a "
+            "checkout of the repository"
+        )
     compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
     if compiler is None:
         raise CompilerError(f"no C compiler ({', '.join(COMPILERS)}) was found")
@@ -48,21 +56,21 @@ def library():
     return loaded
 
 
-def count_diffuse(rays, seed, grid, threads):
+def count_diffuse(rays, seed, subdivision, threads):
     """Count cosine-distributed directions in patches of equal projected solid angle.
 
     Parameters
     ----------
     rays, seed : int
-    grid : EqualProjectedSolidAngle
+    subdivision : EqualProjectedSolidAngle
     threads : int
         The counts do not depend on it.
 
     Returns
     -------
-    ndarray of uint64, shape ``grid.shape``
+    ndarray of uint64, shape ``subdivision.shape``
     """
-    counts = np.zeros(grid.shape, np.uint64)
-    if library().count_diffuse(rays, seed, *grid.shape, threads, counts):
-        raise MemoryError(f"the C loop got no memory or thread for {grid}")
+    counts = np.zeros(subdivision.shape, np.uint64)
+    if library().count_diffuse(rays, seed, *subdivision.shape, threads, counts):
+        raise MemoryError(f"the C loop got no memory or thread for {subdivision}")
     return counts

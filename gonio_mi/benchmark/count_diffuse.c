@@ -2,7 +2,7 @@
  * solid angle: what the instrument's kernel does, written by hand for the benchmark.
  *
  * Two random numbers give a direction by the concentric map of the disk. Its ring and
- * sector are found from the direction alone, by the rule of gonio_mi/subdivision.py, and
+ * sector are found from the direction alone, by the rule of gonio_mi/collector, and
  * one of 32-bit counters is raised. All but the last step goes through the vector
  * registers of this machine: 4, 8 or 16 rays at a time, by the vector types of GCC and
  * Clang. The coefficients are Chebyshev fits, good to single precision.

@@ -1,11 +1,11 @@
 """Raw speed: all count the same rays into 900 patches."""
 
+from .baselines import c_rays, chi2_rays, gonio_rays, numba_rays, numpy_rays, samples
 from .c_loop import CompilerError
-from .rivals import c_rays, chi2_rays, gonio_rays, numba_rays, numpy_rays, samples
 from .table import print_table
 from .timing import in_turns, speeds
 
-__all__ = ["SPECIMENS", "print_rates", "rivals"]
+__all__ = ["SPECIMENS", "print_rates", "baselines"]
 
 SPECIMENS = {
     "diffuse": {"type": "diffuse", "reflectance": 1.0},
@@ -13,12 +13,12 @@ SPECIMENS = {
 }
 
 
-def rivals():
-    """All that can run here, as ``{(specimen, name): Rival}``, ours first.
+def baselines():
+    """All that can run here, as ``{(specimen, name): Baseline}``, ours first.
 
     Returns
     -------
-    rivals : dict
+    baselines : dict
     absent : list of str
         One sentence for each that is left out.
     """
@@ -45,9 +45,10 @@ def rivals():
 
 def print_rates(rays, repeats):
     """Print speeds, relative to counting independent rays off the diffuse specimen."""
-    found, absent = rivals()
+    found, absent = baselines()
     runs = {
-        key: lambda rival=rival: rival.flux(rays, 0) for key, rival in found.items()
+        key: lambda baseline=baseline: baseline.flux(rays, 0)
+        for key, baseline in found.items()
     }
     for name, specimen in SPECIMENS.items():
         runs[name, "Mitsuba's sample, nothing counted"] = samples(specimen, rays)

@@ -1,7 +1,7 @@
 """Memory and time per ray, as the rays grow: neither may."""
 
 from ..instrument.measuring import measure
-from .rivals import GRID, THETA_I
+from .baselines import PATCHES, THETA_I
 from .table import print_table
 from .timing import cpu_seconds, peak_memory
 
@@ -36,4 +36,4 @@ def print_growth(most):
 
 
 def _measure(sampler, rays):
-    measure(SPECIMEN, THETA_I, collector=GRID, rays=rays, sampler=sampler)
+    measure(SPECIMEN, THETA_I, collector=PATCHES, rays=rays, sampler=sampler)

@@ -10,6 +10,16 @@ from ..collector import EqualProjectedSolidAngle
 from ..collector.directions import direction
 from ..quadrature import integrate
 from . import groove
+from .baselines import (
+    PATCHES,
+    THETA_I,
+    c_rays,
+    chi2_rays,
+    gonio_rays,
+    numba_rays,
+    numpy_rays,
+    patch_integrals,
+)
 from .c_loop import CompilerError
 from .renderers import (
     KLEMS,
@@ -18,16 +28,6 @@ from .renderers import (
     path_directions,
     path_samples,
     radiance_genbsdf,
-)
-from .rivals import (
-    GRID,
-    THETA_I,
-    c_rays,
-    chi2_rays,
-    gonio_rays,
-    numba_rays,
-    numpy_rays,
-    patch_integrals,
 )
 from .table import print_table
 from .timing import cpu_seconds, in_turns
@@ -46,50 +46,57 @@ SEEDS = 2
 
 
 def contests():
-    """All comparisons that can run here, of :class:`Rival` with their exact flux.
+    """All comparisons that can run here, of :class:`Baseline` with their exact flux.
 
     Returns
     -------
-    contests : dict of str to list of (Rival, ndarray)
+    contests : dict of str to list of (Baseline, ndarray)
         The first of each list is our default.
     absent : list of str
         One sentence for each that is left out.
     """
-    absent = []
-    lambert = GRID.projected_solid_angles / np.pi
+    lambert = PATCHES.projected_solid_angles / np.pi
     # a renderer's scene: the instrument's own copy of it would be one mesh
     walls = mi.load_dict({"type": "scene", **groove.walls()}, optimize=False)
     lit = direction(np.radians([THETA_I]), np.zeros(1))
-    conductor = integrate(mi.load_dict(CONDUCTOR), THETA_I, 0, GRID).flux[0, ..., 0]
-    fine, coarse = (_groove_flux(lit, g).reshape(g.shape) for g in (GRID, COARSE))
+    conductor = integrate(mi.load_dict(CONDUCTOR), THETA_I, 0, PATCHES).flux[0, ..., 0]
+    fine, coarse = (_groove_flux(lit, g).reshape(g.shape) for g in (PATCHES, COARSE))
+    histogram = chi2_rays(WHITE)
     found = {
         "white plate, 900 patches": [
-            *((rival, lambert) for rival in _ours(WHITE)),
+            *((baseline, lambert) for baseline in _ours(WHITE)),
             (patch_integrals(WHITE), lambert),
             (path_directions(WHITE), lambert),
-            (chi2_rays(WHITE), chi2_rays(WHITE).grid.projected_solid_angles / np.pi),
+            (histogram, histogram.subdivision.projected_solid_angles / np.pi),
             (numpy_rays(), lambert),
         ],
         "rough conductor, 900 patches": [
-            *((rival, conductor) for rival in _ours(CONDUCTOR)),
+            *((baseline, conductor) for baseline in _ours(CONDUCTOR)),
             (patch_integrals(CONDUCTOR), conductor),
             (path_directions(CONDUCTOR), conductor),
         ],
         "diffuse V-groove, 900 patches": [
-            (rival, fine)
-            for rival in (
+            (baseline, fine)
+            for baseline in (
                 *_ours(walls, footprint="full"),
                 path_samples(groove.walls, 2),
             )
         ],
         "white plate, 145 patches": [
-            (rival, COARSE.projected_solid_angles / np.pi)
-            for rival in _ours(WHITE, grid=COARSE)
+            (baseline, COARSE.projected_solid_angles / np.pi)
+            for baseline in _ours(WHITE, subdivision=COARSE)
         ],
         "diffuse V-groove, 145 patches": [
-            (rival, coarse) for rival in _ours(walls, grid=COARSE, footprint="full")
+            (baseline, coarse)
+            for baseline in _ours(walls, subdivision=COARSE, footprint="full")
         ],
     }
+    return found, _add_optional(found, lambert)
+
+
+def _add_optional(found, lambert):
+    """Add what other packages and a compiler offer; sentences on what is left out."""
+    absent = []
     for build in (numba_rays, c_rays):
         try:
             found["white plate, 900 patches"].append((build(), lambert))
@@ -106,7 +113,7 @@ def contests():
         every = np.broadcast_to(KLEMS.projected_solid_angles / np.pi, (145, 145, 1))
         found["white plate, 145 patches"].append((plate, groove.REFLECTANCE * every))
         found["diffuse V-groove, 145 patches"].append((grooves, klems_groove_flux()))
-    return found, absent
+    return absent
 
 
 def _ours(specimen, **settings):
@@ -118,11 +125,11 @@ def _ours(specimen, **settings):
     ]
 
 
-def _groove_flux(wi, grid):
+def _groove_flux(wi, patches):
     """Exact flux fractions of the V-groove, shape (len(wi), patches)."""
-    points = grid.points(4)
+    points = patches.points(4)
     flux = groove.patch_means(wi, points)
-    return flux * np.ravel(grid.projected_solid_angles)
+    return flux * np.ravel(patches.projected_solid_angles)
 
 
 def klems_groove_flux():
@@ -138,19 +145,19 @@ def klems_groove_flux():
 # ------------------------------------------------------------------- error and cost
 
 
-def error(rival, exact, size, seeds=SEEDS):
+def error(baseline, exact, size, seeds=SEEDS):
     """RMS error of the BRDF over the patches (and seeds), over its mean."""
-    omega = rival.grid.projected_solid_angles
+    omega = baseline.subdivision.projected_solid_angles
     squares = [
-        np.mean(((rival.flux(size, seed) - exact) / omega) ** 2)
-        for seed in range(seeds if rival.random else 1)
+        np.mean(((baseline.flux(size, seed) - exact) / omega) ** 2)
+        for seed in range(seeds if baseline.random else 1)
     ]
     return np.sqrt(np.mean(squares)) / np.mean(exact / omega)
 
 
 @dataclass(frozen=True)
 class Found:
-    """Size of a rival that reaches an error.
+    """Size of a baseline that reaches an error.
 
     Attributes
     ----------
@@ -167,8 +174,8 @@ class Found:
     scale: float = 1.0
 
 
-def search(rival, exact, target, limit):
-    """Find the size of a rival whose error is at most `target`.
+def search(baseline, exact, target, limit):
+    """Find the size of a baseline whose error is at most `target`.
 
     By factors of four, then by three bisections. If one run takes more than `limit` CPU
     seconds before, the size is extrapolated by the power law of all errors so far.
@@ -181,16 +188,16 @@ def search(rival, exact, target, limit):
                 order = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
             scale = (errors[-1] / target) ** (1 / order)
             return Found(sizes[-1], errors[-1], float(scale))
-        sizes.append(4 * sizes[-1] if sizes else rival.first)
+        sizes.append(4 * sizes[-1] if sizes else baseline.first)
         start = cpu_seconds()
-        errors.append(error(rival, exact, sizes[-1]))
-        spent = (cpu_seconds() - start) / (SEEDS if rival.random else 1)
+        errors.append(error(baseline, exact, sizes[-1]))
+        spent = (cpu_seconds() - start) / (SEEDS if baseline.random else 1)
     low, high, reached = sizes[-1] // 4, sizes[-1], errors[-1]
     for _ in range(3):
         middle = round((low * high) ** 0.5)
-        if not max(low, rival.first) < middle < high:
+        if not max(low, baseline.first) < middle < high:
             break
-        tried = error(rival, exact, middle)
+        tried = error(baseline, exact, middle)
         if tried <= target:
             high, reached = middle, tried
         else:
@@ -207,15 +214,15 @@ def print_costs(target, repeats, limit):
         f"{repeats} runs in turns; ~ is extrapolated from the errors of\nsmaller runs, "
         "the largest of which is shown."
     )
-    for contest, rivals in found.items():
-        results = {r.name: search(r, exact, target, limit) for r, exact in rivals}
+    for contest, baselines in found.items():
+        results = {r.name: search(r, exact, target, limit) for r, exact in baselines}
         times = in_turns(
-            {r.name: partial(r.flux, results[r.name].size, 1) for r, _ in rivals},
+            {r.name: partial(r.flux, results[r.name].size, 1) for r, _ in baselines},
             repeats,
         )
         costs = {
             r.name: times[r.name].cpu * results[r.name].scale / r.incident
-            for r, _ in rivals
+            for r, _ in baselines
         }
         first = next(iter(costs.values()))
         print_table(
@@ -223,18 +230,18 @@ def print_costs(target, repeats, limit):
             ("method", "size", "error", "CPU ms", "cost"),
             [
                 _row(r, results[r.name], costs[r.name], costs[r.name] / first)
-                for r, _ in rivals
+                for r, _ in baselines
             ],
         )
     for sentence in absent:
         print(sentence)
 
 
-def _row(rival, found, cost, ratio):
+def _row(baseline, found, cost, ratio):
     mark = "~" if found.scale > 1 else ""
     return (
-        rival.name,
-        f"{found.size:g} {rival.size}",
+        baseline.name,
+        f"{found.size:g} {baseline.size}",
         f"{found.error:.2%}",
         f"{mark}{1e3 * cost:.3g}",
         f"{mark}{ratio:.2g}",

@@ -44,13 +44,13 @@ def _counting_cases(rays, settings):
     """RMS error of a counted Lambertian, which multinomial statistics know."""
     white = {"type": "diffuse", "reflectance": 1.0}
     for name in ("angle:30x30", "solid:30x30", "projected:30x30"):
-        grid = subdivision(name)
+        patches = subdivision(name)
         record = measure(
-            white, 45, rays=rays, collector=grid, estimator="analog", **settings
+            white, 45, rays=rays, collector=patches, estimator="analog", **settings
         )
         square = np.mean((record.brdf[..., 0] - 1 / np.pi) ** 2)
         expected, spread = rms_expectation(
-            grid, grid.projected_solid_angles / np.pi, rays
+            patches, patches.projected_solid_angles / np.pi, rays
         )
         p = _two_sided((square / expected - 1) / spread)
         rms = np.sqrt(square)
@@ -80,10 +80,15 @@ def _rough_cases(rays, settings):
         ("rough plastic 0.1", {"type": "roughplastic", "alpha": 0.1}, 30),
         ("rough dielectric 0.3", {"type": "roughdielectric", "alpha": 0.3, **BK7}, 30),
     ):
-        grid = subdivision("projected:10x10")
-        exact = integrate(mi.load_dict(specimen), theta_i, 0, grid)
+        patches = subdivision("projected:10x10")
+        exact = integrate(mi.load_dict(specimen), theta_i, 0, patches)
         record = measure(
-            specimen, theta_i, rays=rays, collector=grid, hemispheres="both", **settings
+            specimen,
+            theta_i,
+            rays=rays,
+            collector=patches,
+            hemispheres="both",
+            **settings,
         )
         label = f"{name}, {theta_i} degrees"
         yield _total(f"{label}: R", exact.flux[0].sum(), record)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..collector.directions import direction
 from ..collector.klems import Klems
-from .rivals import GRID, THETA_I, Rival
+from .baselines import PATCHES, THETA_I, Baseline
 
 __all__ = [
     "KLEMS",
@@ -47,7 +47,7 @@ def path_directions(specimen):
         return _path_flux(_path_scene(_plate, n), n, 1, seed)
 
     name = "Mitsuba path, batch of distant"
-    return Rival(name, _flux, size="x as many per patch", first=1, random=False)
+    return Baseline(name, _flux, size="x as many per patch", first=1, random=False)
 
 
 def path_samples(shapes, n=1):
@@ -59,13 +59,13 @@ def path_samples(shapes, n=1):
     def _flux(paths, seed):
         return _path_flux(_path_scene(shapes, n), n, paths, seed)
 
-    return Rival("Mitsuba path, batch of distant", _flux, size="paths each", first=1)
+    return Baseline("Mitsuba path, batch of distant", _flux, size="paths each", first=1)
 
 
 @lru_cache(maxsize=1)  # all sensors that exist, of any scene, make a rendering slower
 def _path_scene(shapes, n):
     """One `distant` sensor for each direction, in a `batch`, above the lit specimen."""
-    points = GRID.points(n).reshape(-1, 3)
+    points = PATCHES.points(n).reshape(-1, 3)
     film = {"type": "hdrfilm", "height": 1, "rfilter": {"type": "box"}}
     # sensors in a batch do not learn of the scene's size: rays start on the target
     target = mi.load_dict(
@@ -104,8 +104,8 @@ def _path_scene(shapes, n):
 def _path_flux(scene, n, paths, seed):
     """Flux fraction of each patch, from the radiance towards its points."""
     radiance = mi.render(scene, spp=paths, seed=seed).numpy().ravel()
-    brdf = radiance.reshape(*GRID.shape, n * n).mean(axis=2, dtype=float)
-    return brdf / np.cos(np.radians(THETA_I)) * GRID.projected_solid_angles
+    brdf = radiance.reshape(*PATCHES.shape, n * n).mean(axis=2, dtype=float)
+    return brdf / np.cos(np.radians(THETA_I)) * PATCHES.projected_solid_angles
 
 
 # -------------------------------------------------------------------------- Radiance
@@ -123,7 +123,7 @@ def radiance_genbsdf(geometry, reflectance):
 
     Returns
     -------
-    Rival
+    Baseline
         Its flux has the shape (145 incident, 145 outgoing, 1); the size is the number
         of samples for each incident patch.
 
@@ -151,7 +151,7 @@ def radiance_genbsdf(geometry, reflectance):
         matrix = np.array(result.back.reflectance.split(), dtype=float)
         return matrix.reshape(145, 145).T[..., None]
 
-    return Rival(
+    return Baseline(
         "Radiance genBSDF, Klems",
         _flux,
         KLEMS,

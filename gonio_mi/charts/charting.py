@@ -183,10 +183,10 @@ def _next(spent):
     return spent[-1] + GROWTH * max(spent[-1] - spent[-2], 0)
 
 
-def _independent(grid, reference):
+def _independent(patches, reference):
     """Expected relative error of one counted independent ray."""
-    p = reference.values * grid.projected_solid_angles[..., None]
-    square, _ = rms_expectation(grid, np.moveaxis(p, -1, 0), 1)
+    p = reference.values * patches.projected_solid_angles[..., None]
+    square, _ = rms_expectation(patches, np.moveaxis(p, -1, 0), 1)
     return float(np.sqrt(square) / reference.mean)
 
 

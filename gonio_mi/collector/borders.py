@@ -84,7 +84,7 @@ class Borders(RingsAndSectors):
 
 def adapted(
     brdf: ArrayLike,
-    grid: RingsAndSectors,
+    subdivision: RingsAndSectors,
     n_theta: int,
     n_phi: int,
     uniform: float = 0.25,
@@ -97,9 +97,9 @@ def adapted(
 
     Parameters
     ----------
-    brdf : array_like, shape (grid.n_theta, grid.n_phi)
+    brdf : array_like, shape (subdivision.n_theta, subdivision.n_phi)
         Pilot's BRDF in 1/sr, or anything proportional to it.
-    grid : RingsAndSectors
+    subdivision : RingsAndSectors
         The pilot's patches.
     n_theta, n_phi : int
         Rings and sectors to make.
@@ -120,11 +120,12 @@ def adapted(
     )
     n_theta, n_phi = checked_count("n_theta", n_theta), checked_count("n_phi", n_phi)
     brdf = np.asarray(brdf, dtype=float)
-    if brdf.shape != grid.shape or not brdf.sum() > 0:
+    if brdf.shape != subdivision.shape or not brdf.sum() > 0:
         raise ValueError(
-            f"brdf must have the shape {grid.shape} and carry light, got {brdf.shape}"
+            f"brdf must have the shape {subdivision.shape} and carry light, "
+            f"got {brdf.shape}"
         )
-    flux = brdf * grid.projected_solid_angles
+    flux = brdf * subdivision.projected_solid_angles
 
     def _quantiles(
         marginal: NDArray[np.float64],
@@ -136,9 +137,9 @@ def adapted(
         cumulative = np.append(0, np.cumsum(density))
         return np.interp(np.arange(1, n) / n, cumulative / cumulative[-1], edges)
 
-    sin2 = np.sin(grid.theta_edges) ** 2
+    sin2 = np.sin(subdivision.theta_edges) ** 2
     inner = _quantiles(flux.sum(axis=1), np.diff(sin2), sin2, n_theta)
     theta = np.degrees(np.arcsin(np.sqrt(inner)))
-    share = np.diff(grid.phi_edges) / (2 * np.pi)
-    phi = np.degrees(_quantiles(flux.sum(axis=0), share, grid.phi_edges, n_phi))
+    share = np.diff(subdivision.phi_edges) / (2 * np.pi)
+    phi = np.degrees(_quantiles(flux.sum(axis=0), share, subdivision.phi_edges, n_phi))
     return Borders((0, *theta, 90), (0, *phi, 360))

@@ -222,7 +222,7 @@ def simulated_reliability(
 
 
 def rms_expectation(
-    grid: Subdivision, probabilities: Floats, rays: float
+    patches: Subdivision, probabilities: Floats, rays: float
 ) -> tuple[float, float]:
     """Expected squared RMS error of a BRDF map, and its relative standard deviation.
 
@@ -230,7 +230,7 @@ def rms_expectation(
 
     Parameters
     ----------
-    grid : Subdivision
+    patches : Subdivision
     probabilities : ndarray, shape (n_theta, n_phi)
     rays : int
 
@@ -240,7 +240,7 @@ def rms_expectation(
         The second by the binomial fourth moment, with patches as if independent.
     """
     p = probabilities
-    scale = (rays * grid.projected_solid_angles) ** -2.0
+    scale = (rays * patches.projected_solid_angles) ** -2.0
     variance = rays * p * (1 - p)
     spread = np.sqrt(np.sum((variance + 2 * variance**2) * scale**2))
     mean_square = float(np.mean(variance * scale))
@@ -344,9 +344,9 @@ def plan(
         reflects nothing.
     """
     if pilot is None:
-        grid = subdivision(collector)
-        probabilities = (grid.projected_solid_angles / np.pi).ravel()
-        n_patches, source = grid.n_patches, f"a white Lambertian specimen, {grid}"
+        patches = subdivision(collector)
+        probabilities = (patches.projected_solid_angles / np.pi).ravel()
+        n_patches, source = patches.n_patches, f"a white Lambertian specimen, {patches}"
     else:
         probabilities, n_patches = _pilot_probabilities(pilot, floor)
         source = f"a pilot of {pilot.ledger.emitted:.3g} rays, {pilot.subdivision}"

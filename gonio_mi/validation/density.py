@@ -90,10 +90,10 @@ def _worst_patch(maps):
     # of its group the one that is most off
     off = np.abs(maps.totals.counts[own] - due) / np.sqrt(np.maximum(due, 1))
     k = int(own[off.argmax()])
-    grid = maps.subdivision
-    half, patch = divmod(k, grid.n_patches)
-    i, j = divmod(patch, grid.n_phi)
-    theta, phi = np.degrees(grid.theta[i]), np.degrees(grid.phi[j])
+    patches = maps.subdivision
+    half, patch = divmod(k, patches.n_patches)
+    i, j = divmod(patch, patches.n_phi)
+    theta, phi = np.degrees(patches.theta[i]), np.degrees(patches.phi[j])
     where = "lit side" if half == 0 else "other side"
     return (
         f"{maps.totals.counts[k]:.0f} where {maps.totals.n * maps.pdf[k]:.1f} are due "
@@ -114,15 +114,15 @@ def _is_proportional(maps):
 
 def _turned(maps):
     """How the counted map is turned or mirrored against the density; empty if not."""
-    grid = maps.subdivision
-    shape = (2, *grid.shape)
+    patches = maps.subdivision
+    shape = (2, *patches.shape)
     drawn = (maps.totals.counts / maps.totals.n).reshape(shape)
     due = maps.pdf.reshape(shape)
     misfit = np.abs(drawn - due).sum()
     # where chance explains it, there is nothing to turn
     if misfit < 4 * np.sqrt(drawn.size / maps.totals.n):
         return ""
-    n = grid.n_phi
+    n = patches.n_phi
     columns = np.arange(n)
     changes = {
         "in the wrong hemisphere": due[::-1],

@@ -156,13 +156,13 @@ def _check_samples(evidence, bsdf, condition, plan, key):
 
 def _check_maps(evidence, bsdf, plan, sides, components, seed):
     """Statistics of what is drawn."""
-    grid = plan.patches
+    patches = plan.patches
     conditions = list(plan.maps(sides, components))
     if any(_depends_on_mode(drawn) for drawn in evidence.drawn):
         conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]
     failed = 0
     for i, condition in enumerate(conditions):
-        maps = four_maps(bsdf, condition, grid, plan.samples, (seed, 2, i))
+        maps = four_maps(bsdf, condition, patches, plan.samples, (seed, 2, i))
         if maps is None:
             failed += 1
             continue

@@ -81,9 +81,9 @@ def _cross(axes, maps, scores, half):
 
 def _patches(axes, maps, values, title, low, high, cmap):
     """Fill each patch with the colour of its value."""
-    grid = maps.subdivision
-    phi = np.linspace(0, 2 * np.pi, 4 * grid.n_phi + 1)
-    radius = np.sin(grid.theta_edges)[:, None]
+    patches = maps.subdivision
+    phi = np.linspace(0, 2 * np.pi, 4 * patches.n_phi + 1)
+    radius = np.sin(patches.theta_edges)[:, None]
     mesh = axes.pcolormesh(
         radius * np.cos(phi),
         radius * np.sin(phi),

@@ -15,9 +15,9 @@ from ..quadrature import integrate
 from . import c_loop
 
 __all__ = [
-    "GRID",
+    "PATCHES",
     "THETA_I",
-    "Rival",
+    "Baseline",
     "c_rays",
     "chi2_rays",
     "gonio_rays",
@@ -27,12 +27,12 @@ __all__ = [
     "samples",
 ]
 
-GRID = EqualProjectedSolidAngle(30, 30)
+PATCHES = EqualProjectedSolidAngle(30, 30)
 THETA_I = 45.0  # degrees
 
 
 @dataclass(frozen=True)
-class Rival:
+class Baseline:
     """A way to measure a map.
 
     Attributes
@@ -40,8 +40,8 @@ class Rival:
     name : str
     flux : callable
         ``flux(size, seed)`` gives the flux fraction of each patch, float64, shaped like
-        `grid`.
-    grid : Subdivision
+        `subdivision`.
+    subdivision : Subdivision
     size : str
         What the size counts, in the plural.
     first : int
@@ -54,7 +54,7 @@ class Rival:
 
     name: str
     flux: Callable
-    grid: Subdivision = GRID
+    subdivision: Subdivision = PATCHES
     size: str = "rays"
     first: int = 2**12
     incident: int = 1
@@ -62,7 +62,7 @@ class Rival:
 
 
 def gonio_rays(
-    specimen, estimator, sampler, *, batches=32, grid=GRID, footprint="point"
+    specimen, estimator, sampler, *, batches=32, subdivision=PATCHES, footprint="point"
 ):
     """Our instrument, by rays; by default at one point, as the others do."""
 
@@ -70,7 +70,7 @@ def gonio_rays(
         record = measure(
             specimen,
             THETA_I,
-            collector=grid,
+            collector=subdivision,
             rays=rays,
             batches=batches,
             estimator=estimator,
@@ -78,10 +78,10 @@ def gonio_rays(
             seed=seed,
             footprint=footprint,
         )
-        return record.brdf[..., 0] * grid.projected_solid_angles
+        return record.brdf[..., 0] * subdivision.projected_solid_angles
 
     shown = "1 batch" if batches == 1 else f"{batches} batches"
-    return Rival(f"gonio-mi, {sampler}, {estimator}, {shown}", _flux, grid)
+    return Baseline(f"gonio-mi, {sampler}, {estimator}, {shown}", _flux, subdivision)
 
 
 def samples(specimen, rays):
@@ -112,9 +112,9 @@ def patch_integrals(specimen):
     def _flux(size, seed):
         del seed
         bsdf = mi.load_dict(specimen)
-        return integrate(bsdf, THETA_I, 0, GRID, rel_err=1 / size).flux[0, ..., 0]
+        return integrate(bsdf, THETA_I, 0, PATCHES, rel_err=1 / size).flux[0, ..., 0]
 
-    return Rival(
+    return Baseline(
         "gonio-mi, integral of eval", _flux, size="1 / rel_err", first=1, random=False
     )
 
@@ -128,7 +128,7 @@ def chi2_rays(specimen):
     """
     wi = direction(np.radians(THETA_I), 0.0).tolist()
     sample, pdf = mi.chi2.BSDFAdapter(specimen["type"], specimen, wi=wi)
-    grid = EqualSolidAngle(30, 30)
+    patches = EqualSolidAngle(30, 30)
 
     def _flux(rays, seed):
         test = mi.chi2.ChiSquareTest(
@@ -137,16 +137,16 @@ def chi2_rays(specimen):
             pdf_func=pdf,
             sample_dim=3,
             sample_count=rays,
-            res=2 * grid.n_theta,
+            res=2 * patches.n_theta,
             seed=seed,
         )
         test.tabulate_histogram()
         # rows from the pole down, columns of azimuth from -180 degrees
-        counts = test.histogram.numpy().reshape(2 * grid.n_theta, grid.n_phi)
-        upper = counts[: grid.n_theta].astype(float)
-        return np.roll(upper, -(grid.n_phi // 2), axis=1) / rays
+        counts = test.histogram.numpy().reshape(2 * patches.n_theta, patches.n_phi)
+        upper = counts[: patches.n_theta].astype(float)
+        return np.roll(upper, -(patches.n_phi // 2), axis=1) / rays
 
-    return Rival("mi.chi2 histogram", _flux, grid)
+    return Baseline("mi.chi2 histogram", _flux, patches)
 
 
 def numpy_rays():
@@ -154,17 +154,17 @@ def numpy_rays():
 
     def _flux(rays, seed):
         generator = np.random.default_rng(seed)
-        counts = np.zeros(GRID.n_patches, np.int64)
+        counts = np.zeros(PATCHES.n_patches, np.int64)
         for start in range(0, rays, 2**18):
             n = min(2**18, rays - start)
             sin2, turn = generator.random((2, n), dtype=np.float32)
             r, phi = np.sqrt(sin2), np.float32(2 * np.pi) * turn
             x, y = r * np.cos(phi), r * np.sin(phi)
             v = np.stack([x, y, np.sqrt(1 - sin2)], axis=-1)
-            counts += np.bincount(GRID.patch(v), minlength=GRID.n_patches)
-        return counts.reshape(GRID.shape) / rays
+            counts += np.bincount(PATCHES.patch(v), minlength=PATCHES.n_patches)
+        return counts.reshape(PATCHES.shape) / rays
 
-    return Rival("NumPy", _flux)
+    return Baseline("NumPy", _flux)
 
 
 @cache
@@ -198,10 +198,10 @@ def numba_rays():
     count = _numba_loop()
 
     def _flux(rays, seed):
-        counts = count(rays, seed, *GRID.shape, 16)
-        return counts.reshape(GRID.shape) / rays
+        counts = count(rays, seed, *PATCHES.shape, 16)
+        return counts.reshape(PATCHES.shape) / rays
 
-    return Rival("numba, parallel loop", _flux)
+    return Baseline("numba, parallel loop", _flux)
 
 
 def c_rays():
@@ -209,6 +209,6 @@ def c_rays():
     c_loop.library()
 
     def _flux(rays, seed):
-        return c_loop.count_diffuse(rays, seed, GRID, dr.thread_count()) / rays
+        return c_loop.count_diffuse(rays, seed, PATCHES, dr.thread_count()) / rays
 
-    return Rival("C, vectorised by hand", _flux)
+    return Baseline("C, vectorised by hand", _flux)
