@@ -9,6 +9,6 @@ __all__ = ["FEW_ROUNDINGS", "ROUNDING"]
 # Of one operation: half a unit in the last place.
 ROUNDING = 2.0**-24
 
-# Of a few operations, 16 of one: borders of patches and weights of events are not
+# Of a few operations, 16 of one: edges of patches and weights of events are not
 # known any better.
 FEW_ROUNDINGS = 2.0**-20

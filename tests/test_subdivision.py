@@ -16,7 +16,7 @@ from gonio_mi import (
 )
 from gonio_mi.collector import RingsAndSectors
 from gonio_mi.collector.directions import angles, direction
-from gonio_mi.collector.hemisphere import BORDER
+from gonio_mi.collector.hemisphere import EDGE
 from gonio_mi.transport.collector_sphere import CollectorSphere
 
 
@@ -266,7 +266,7 @@ def test_numpy_and_drjit_agree_on_the_patch(kind, size):
     assert expected.min() >= 0
     assert expected.max() < patches.n_patches
     off = np.flatnonzero(index != expected)
-    # never more than to a neighbour, and only next to a border: twice BORDER, relative
+    # never more than to a neighbour, and only next to a border: twice EDGE, relative
     # in the ring coordinate (from the nearer of pole and horizon), absolute in azimuth
     ring, sector = np.divmod(index[off].astype(int), size[1])
     e_ring, e_sector = np.divmod(expected[off], size[1])
@@ -277,12 +277,12 @@ def test_numpy_and_drjit_agree_on_the_patch(kind, size):
     border = patches.theta_edges[np.maximum(ring, e_ring)]
     near = np.minimum(border, np.pi / 2 - border)
     moved = ring != e_ring
-    assert np.all(np.abs(theta - border)[moved] <= 2 * BORDER * near[moved])
+    assert np.all(np.abs(theta - border)[moved] <= 2 * EDGE * near[moved])
     # the border at phi = 0 lies between the last sector and the first
     last = np.where(step > 1, 0, np.maximum(sector, e_sector))
     gap = np.abs(phi - patches.phi_edges[last])
     gap = np.minimum(gap, 2 * np.pi - gap)
-    assert np.all(gap[step > 0] <= 2 * BORDER)
+    assert np.all(gap[step > 0] <= 2 * EDGE)
 
 
 @all_kinds
@@ -297,7 +297,7 @@ def test_every_direction_has_exactly_one_patch(kind):
     clear = np.ones(len(v), bool)
     for edges, value in ((patches.theta_edges[1:-1], theta), (patches.phi_edges, phi)):
         gap = np.abs(value[:, None] - edges).min(axis=1)
-        clear &= gap > 2 * BORDER * np.pi
+        clear &= gap > 2 * EDGE * np.pi
     assert clear.mean() > 0.5
     np.testing.assert_array_equal(patches.patch(v)[clear], (ring * 16 + sector)[clear])
 

@@ -30,7 +30,7 @@
 #define CHUNK (1u << 20)
 #define TABLES 4 /* neighbouring rays count in different tables: no waiting for memory */
 
-#define BORDER 0x1p-20f
+#define EDGE 0x1p-20f
 #define TWO_PI 6.283185307179586f
 
 typedef float floats __attribute__((vector_size(4 * LANES)));
@@ -138,14 +138,14 @@ static inline ints smaller(ints a, int b) { return (a & (a < b)) | (b & ~(a < b)
 static inline ints patch(floats x, floats y, floats z, int n_theta, int n_phi)
 {
     floats sin2 = x * x + y * y, cos2 = z * z;
-    floats up = cos2 * (n_theta * (1 - BORDER));
+    floats up = cos2 * (n_theta * (1 - EDGE));
     ints whole = truncated(up);
     ints from_horizon = n_theta - whole + (up > to_floats(whole));
-    ints from_pole = truncated(sin2 * (n_theta * (1 + BORDER)));
+    ints from_pole = truncated(sin2 * (n_theta * (1 + EDGE)));
     ints near_pole = sin2 < cos2;
     ints ring = (near_pole & from_pole) | (~near_pole & from_horizon);
 
-    floats turn = (angle(y, x) + BORDER) * (n_phi / TWO_PI);
+    floats turn = (angle(y, x) + EDGE) * (n_phi / TWO_PI);
     ints sector = truncated(blend(turn < 0, turn + (float)n_phi, turn));
     return smaller(ring, n_theta - 1) * n_phi + (sector & (sector < n_phi));
 }

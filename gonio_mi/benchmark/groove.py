@@ -67,8 +67,8 @@ def _exposure(w, edges):
         cosine = np.maximum(x + w[:, 2], 0) / np.sqrt(2)
         # the other crest hides what is below this fraction of the wall
         hidden = np.maximum(x - w[:, 2], 0) / np.maximum(x + w[:, 2], 1e-300)
-        border = np.sqrt(2) * np.where(x > w[:, 2], hidden, 0)[:, None]
-        part = np.clip((edges[1:] - border) / np.diff(edges), 0, 1)
+        edge = np.sqrt(2) * np.where(x > w[:, 2], hidden, 0)[:, None]
+        part = np.clip((edges[1:] - edge) / np.diff(edges), 0, 1)
         exposures.append(cosine[:, None] * part)
     return np.concatenate(exposures, axis=1)
 

@@ -53,9 +53,9 @@ def gonio_paths(resolution, sampler, estimator="weighted", period="none"):
         {"type": "collector", "film": {"type": "patches"}, "sampler": {"type": sampler}}
     )
     incoming = -direction(np.radians(THETA_I), 0.0)
-    lamp = mi.load_dict({"type": "directional", "direction": incoming.tolist()})
+    emitter = mi.load_dict({"type": "directional", "direction": incoming.tolist()})
     scene = mi.load_dict({"type": "scene", "surface": surface(resolution)})
-    bench = integrator.bench(Specimen(scene, period), [lamp], sensor)
+    bench = integrator.bench(Specimen(scene, period), [emitter], sensor)
 
     def _send(rays, seed):
         (tally,) = integrator.tallies(bench, (seed, 0), [rays])
@@ -77,8 +77,8 @@ def bare_paths(resolution):
     """
     specimen = Specimen(mi.load_dict({"type": "scene", "surface": surface(resolution)}))
     towards = direction(np.radians(THETA_I), 0.0)
-    lamp = mi.load_dict({"type": "directional", "direction": (-towards).tolist()})
-    beam = Beam(specimen, lamp, "full", "radiometric")
+    emitter = mi.load_dict({"type": "directional", "direction": (-towards).tolist()})
+    beam = Beam(specimen, emitter, "full", "radiometric")
     offset = specimen.reach * SURFACE_OFFSET
 
     def _send(rays, seed):
@@ -112,7 +112,7 @@ def _bounced(scene, ray, offset):
 def film_paths(resolution, coherent):
     """Mitsuba's `path` along the same directions, from an orthographic film.
 
-    The film is what the specimen's top looks like from the lamp, so that its paths
+    The film is what the specimen's top looks like from the emitter, so that its paths
     begin as our rays do; they end in light of radiance 1 from everywhere. `coherent`:
     one path for each pixel of a square film, in the order of its rows; else all paths
     from random positions on a film of one pixel.

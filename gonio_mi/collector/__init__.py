@@ -8,13 +8,13 @@ from .equal_steps import (
     EqualSine,
     EqualSolidAngle,
 )
-from .hemisphere import BORDER, RingsAndSectors, Subdivision
+from .hemisphere import EDGE, RingsAndSectors, Subdivision
 from .klems import Klems
 from .parsing import subdivision
 
 __all__ = [
     "Apertures",
-    "BORDER",
+    "EDGE",
     "Borders",
     "EqualAngle",
     "EqualProjectedSolidAngle",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import checked_number
 from .directions import direction
-from .hemisphere import BORDER, RingsAndSectors, Subdivision
+from .hemisphere import EDGE, RingsAndSectors, Subdivision
 
 __all__ = ["Apertures", "disjoint_groups"]
 
@@ -56,7 +56,7 @@ class Apertures(Subdivision):
         if not cones:
             raise ValueError("directions must hold at least one direction, got none")
         for theta, phi in cones:
-            whole = theta >= 0 and theta + half_angle <= 90 * (1 + BORDER)
+            whole = theta >= 0 and theta + half_angle <= 90 * (1 + EDGE)
             if not (whole and np.isfinite(phi)):
                 raise ValueError(
                     f"the cone of half-angle {half_angle:g} degrees about (theta, phi) "
@@ -189,7 +189,7 @@ class Apertures(Subdivision):
         from scipy.spatial import cKDTree  # slow to import
 
         distance, nearest = cKDTree(_axes(self.directions)).query(v)
-        return nearest, distance <= BORDER
+        return nearest, distance <= EDGE
 
     @cached_property
     def _search(
@@ -286,7 +286,7 @@ def _nearest(
 
 def _reach(half_angle: float) -> float:
     """Chord between the axes of two cones that touch."""
-    return float(2 * np.sin(np.radians(half_angle)) * (1 - BORDER))
+    return float(2 * np.sin(np.radians(half_angle)) * (1 - EDGE))
 
 
 def _axes(directions: Sequence[tuple[float, float]]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Hemispheres cut at given borders, or at those that suit a pilot measurement."""
+"""Hemispheres cut at given edges, or at those that suit a pilot measurement."""
 
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -8,26 +8,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import checked_count, checked_number
-from .hemisphere import BORDER, RingsAndSectors
+from .hemisphere import EDGE, RingsAndSectors
 
 __all__ = ["Borders", "adapted"]
 
 
 @dataclass(frozen=True)
 class Borders(RingsAndSectors):
-    """Rings and sectors between given borders, in degrees.
+    """Rings and sectors between given edges, in degrees.
 
     Parameters
     ----------
     theta_deg : sequence of float
-        Ring borders, ascending from 0 to 90.
+        Ring edges, ascending from 0 to 90.
     phi_deg : sequence of float
-        Sector borders, ascending from 0 to 360.
+        Sector edges, ascending from 0 to 360.
 
     Raises
     ------
     ValueError
-        If the borders do not ascend, or do not begin and end there.
+        If the edges do not ascend, or do not begin and end there.
     """
 
     theta_deg: tuple[float, ...]
@@ -38,45 +38,45 @@ class Borders(RingsAndSectors):
     name: ClassVar[str] = "borders"
 
     def __post_init__(self) -> None:
-        for edges, n, end in (
+        for angle, n, end in (
             ("theta_deg", "n_theta", 90),
             ("phi_deg", "n_phi", 360),
         ):
-            borders = tuple(float(x) for x in getattr(self, edges))
-            ascends = all(low < high for low, high in pairwise(borders))
-            if len(borders) < 2 or borders[0] != 0 or borders[-1] != end or not ascends:
+            edges = tuple(float(x) for x in getattr(self, angle))
+            ascends = all(low < high for low, high in pairwise(edges))
+            if len(edges) < 2 or edges[0] != 0 or edges[-1] != end or not ascends:
                 raise ValueError(
-                    f"{edges} must ascend from 0 to {end} degrees, got {borders}"
+                    f"{angle} must ascend from 0 to {end} degrees, got {edges}"
                 )
-            object.__setattr__(self, edges, borders)
-            object.__setattr__(self, n, len(borders) - 1)
+            object.__setattr__(self, angle, edges)
+            object.__setattr__(self, n, len(edges) - 1)
 
     def __str__(self) -> str:
         theta, phi = (
-            ",".join(map(repr, borders)) for borders in (self.theta_deg, self.phi_deg)
+            ",".join(map(repr, edges)) for edges in (self.theta_deg, self.phi_deg)
         )
         return f"{self.name}:{theta}x{phi}"
 
     @property
     def theta_edges(self) -> NDArray[np.float64]:
-        """Ring borders in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
+        """Ring edges in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
         return np.radians(self.theta_deg)
 
     @property
     def phi_edges(self) -> NDArray[np.float64]:
-        """Sector borders in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
+        """Sector edges in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
         return np.radians(self.phi_deg)
 
     def _ring(self, xp: Any, sin2: Any, z: Any) -> Any:
-        # inner borders passed, by whichever of sin^2 and cos^2 keeps its precision
-        above = xp.count_below(np.sin(self.theta_edges[1:-1]) ** 2, sin2 * (1 + BORDER))
+        # inner edges passed, by whichever of sin^2 and cos^2 keeps its precision
+        above = xp.count_below(np.sin(self.theta_edges[1:-1]) ** 2, sin2 * (1 + EDGE))
         beyond = xp.count_below(
-            -(np.cos(self.theta_edges[1:-1]) ** 2), -z * z * (1 - BORDER)
+            -(np.cos(self.theta_edges[1:-1]) ** 2), -z * z * (1 - EDGE)
         )
         return xp.where(sin2 < z * z, above, beyond)
 
     def _sector(self, xp: Any, x: Any, y: Any) -> Any:
-        turn = xp.atan2(y, x) + BORDER
+        turn = xp.atan2(y, x) + EDGE
         turn = xp.where(turn < 0, turn + 2 * np.pi, turn)
         sector = xp.count_below(self.phi_edges[1:-1], turn)
         return xp.where(((x == 0) & (y == 0)) | (turn >= 2 * np.pi), 0.0, sector)
@@ -91,7 +91,7 @@ def adapted(
 ) -> Borders:
     """Subdivision whose rings and sectors are narrow where a pilot found the light.
 
-    After the paper's section 4 (and Greenberg et al. 1997): borders are quantiles of
+    After the paper's section 4 (and Greenberg et al. 1997): edges are quantiles of
     the pilot's flux over polar angle and over azimuth, mixed with a share of equal
     projected solid angles so that no direction is left without patches.
 

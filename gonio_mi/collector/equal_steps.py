@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import checked_count
-from .hemisphere import BORDER, RingsAndSectors
+from .hemisphere import EDGE, RingsAndSectors
 
 __all__ = [
     "EqualAngle",
@@ -53,35 +53,35 @@ class _Regular(RingsAndSectors):
 
     @property
     def theta_edges(self) -> NDArray[np.float64]:
-        """Ring borders in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
+        """Ring edges in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
         edges = self._edges(np.arange(self.n_theta + 1) / self.n_theta)
         edges[-1] = np.pi / 2
         return edges
 
     @property
     def phi_edges(self) -> NDArray[np.float64]:
-        """Sector borders in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
+        """Sector edges in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
         return np.linspace(0, 2 * np.pi, self.n_phi + 1)
 
     def _ring(self, xp: Any, sin2: Any, z: Any) -> Any:
         """Ring of a direction, counted from whichever end keeps its precision."""
         from_pole, from_horizon = self._coordinates(xp, sin2, z)
         n = float(self.n_theta)
-        above = xp.floor(from_pole * (n * (1 + BORDER)))
-        below = n - xp.ceil(from_horizon * (n * (1 - BORDER)))
+        above = xp.floor(from_pole * (n * (1 + EDGE)))
+        below = n - xp.ceil(from_horizon * (n * (1 - EDGE)))
         return xp.minimum(xp.where(sin2 < z * z, above, below), n - 1)
 
     def _sector(self, xp: Any, x: Any, y: Any) -> Any:
-        """Sector of a direction; the collector is turned by ``BORDER`` radians."""
+        """Sector of a direction; the collector is turned by ``EDGE`` radians."""
         n = float(self.n_phi)
-        turn = (xp.atan2(y, x) + BORDER) * (n / (2 * np.pi))
+        turn = (xp.atan2(y, x) + EDGE) * (n / (2 * np.pi))
         sector = xp.floor(xp.where(turn < 0, turn + n, turn))
         # the pole, and what rounding lifted to a full turn, are in the first sector
         return xp.where(((x == 0) & (y == 0)) | (sector >= n), 0.0, sector)
 
     @abstractmethod
     def _edges(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Polar angle of a ring border, given its fraction of all rings."""
+        """Polar angle of a ring edge, given its fraction of all rings."""
 
     @abstractmethod
     def _coordinates(self, xp: Any, sin2: Any, z: Any) -> tuple[Any, Any]:

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from ..single_precision import FEW_ROUNDINGS
 from .directions import direction
 
-__all__ = ["BORDER", "RingsAndSectors", "Subdivision"]
+__all__ = ["EDGE", "RingsAndSectors", "Subdivision"]
 
-# A direction this close to a border counts as on it: a few rounding errors.
+# A direction this close to an edge counts as on it: a few rounding errors.
 # Relative in the ring coordinate, so that no ring gains or loses more than this
 # fraction of its size; absolute in azimuth, where it only turns the collector.
-BORDER = FEW_ROUNDINGS
+EDGE = FEW_ROUNDINGS
 
 _NUMPY = SimpleNamespace(
     sqrt=np.sqrt,
@@ -27,7 +27,7 @@ _NUMPY = SimpleNamespace(
     ceil=np.ceil,
     minimum=np.minimum,
     where=np.where,
-    count_below=lambda borders, x: np.searchsorted(borders, x, side="right"),
+    count_below=lambda edges, x: np.searchsorted(edges, x, side="right"),
     take=lambda table, index: table[index.astype(int)],
 )
 
@@ -36,7 +36,7 @@ class Subdivision(ABC):
     """The patches of one collector hemisphere: all that an instrument asks of them.
 
     Each direction of the open hemisphere belongs to exactly one patch, and the
-    horizon, theta = 90 degrees, to none. A direction within ``2**-20`` of a border
+    horizon, theta = 90 degrees, to none. A direction within ``2**-20`` of an edge
     counts as on it, so that single precision cannot decide. The text of a subdivision,
     ``str(patches)``, is the name from which :func:`subdivision` rebuilds it.
 
@@ -93,7 +93,7 @@ class Subdivision(ABC):
     @property
     @abstractmethod
     def cells(self) -> NDArray[np.float64]:
-        """Borders of each patch in radians, shape ``(n_patches, 4)``.
+        """Edges of each patch in radians, shape ``(n_patches, 4)``.
 
         Columns: lower and upper polar angle, lower and upper azimuth, both about the
         patch's own pole in `axes`.
@@ -112,7 +112,7 @@ class Subdivision(ABC):
         ----------
         xp : namespace
             Has ``sqrt``, ``atan2``, ``floor``, ``ceil``, ``minimum``, ``where``,
-            ``count_below(borders, x)``, the number of ascending borders not above x,
+            ``count_below(edges, x)``, the number of ascending edges not above x,
             and ``take(table, index)``, the entries of a float table at whole
             floating-point numbers.
         x, y, z : array
@@ -218,12 +218,12 @@ class RingsAndSectors(Subdivision):
     @property
     @abstractmethod
     def theta_edges(self) -> NDArray[np.float64]:
-        """Ring borders in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
+        """Ring edges in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
 
     @property
     @abstractmethod
     def phi_edges(self) -> NDArray[np.float64]:
-        """Sector borders in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
+        """Sector edges in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
 
     @property
     def theta(self) -> NDArray[np.float64]:
@@ -250,7 +250,7 @@ class RingsAndSectors(Subdivision):
 
     @property
     def cells(self) -> NDArray[np.float64]:
-        """Borders of each patch in radians, shape ``(n_patches, 4)``.
+        """Edges of each patch in radians, shape ``(n_patches, 4)``.
 
         Columns: lower and upper polar angle, lower and upper azimuth.
         """
@@ -280,7 +280,7 @@ class RingsAndSectors(Subdivision):
         Parameters
         ----------
         theta_r : {"theta", "cosine"}
-            The paper's two choices in section 3.1: ``"theta"`` averages the borders'
+            The paper's two choices in section 3.1: ``"theta"`` averages the edges'
             angles, ``"cosine"`` their cosines. The second equals
             :attr:`projected_solid_angles`; the first does not (Figure 2).
 

@@ -1,7 +1,7 @@
 """The Klems full basis: the patches of window metrology and of Radiance's matrices.
 
 Source: J. H. Klems, *A new method for predicting the solar heat gain of complex
-fenestration systems*, ASHRAE Transactions 100, 1994; borders as in Radiance's
+fenestration systems*, ASHRAE Transactions 100, 1994; edges as in Radiance's
 ``LBNL/Klems Full``.
 """
 
@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .borders import Borders
-from .hemisphere import BORDER, RingsAndSectors, Subdivision
+from .hemisphere import EDGE, RingsAndSectors, Subdivision
 
 __all__ = ["Klems"]
 
 THETA_DEG = (0, 5, 15, 25, 35, 45, 55, 65, 75, 90)
 N_PHI = (1, 8, 16, 20, 24, 24, 24, 16, 12)
 
-# Smallest number of sectors whose borders hold those of all rings.
+# Smallest number of sectors whose edges hold those of all rings.
 COMMON = 480
 
 
@@ -43,7 +43,7 @@ class Klems(Subdivision):
 
     @property
     def cells(self) -> NDArray[np.float64]:
-        """Borders of each patch in radians, shape ``(145, 4)``.
+        """Edges of each patch in radians, shape ``(145, 4)``.
 
         Columns: lower and upper polar angle, lower and upper azimuth.
         """
@@ -85,7 +85,7 @@ class Klems(Subdivision):
         sectors = np.array(N_PHI, dtype=np.float32)
         first = np.concatenate([[0], np.cumsum(sectors)[:-1]]).astype(np.float32)
         n = xp.take(sectors, ring)
-        sector = xp.floor((xp.atan2(y, x) + BORDER) * (n / (2 * np.pi)) + 0.5)
+        sector = xp.floor((xp.atan2(y, x) + EDGE) * (n / (2 * np.pi)) + 0.5)
         sector = xp.where(sector < 0, sector + n, sector)
         sector = xp.where(sector >= n, 0.0, sector)
         return xp.take(first, ring) + sector

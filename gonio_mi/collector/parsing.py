@@ -31,7 +31,7 @@ def subdivision(text: str | Subdivision) -> Subdivision:
     ----------
     text : str or Subdivision
         ``angle``, ``solid``, ``projected`` or ``sine``, a colon, rings, ``x``, sectors;
-        or ``borders:`` and the borders in degrees, ``borders:0,30,90x0,180,360``;
+        or ``borders:`` and the edges in degrees, ``borders:0,30,90x0,180,360``;
         or ``apertures:`` and cones, see
         :class:`~gonio_mi.collector.apertures.Apertures`; or ``klems``, see
         :class:`~gonio_mi.collector.klems.Klems`. A subdivision is returned as it is.

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..collector.directions import direction
-from ..collector.hemisphere import BORDER
+from ..collector.hemisphere import EDGE
 from .agreement import PointSet, Readings
 
 __all__ = [
@@ -135,7 +135,7 @@ def pair_with_table(records, table):
 def _check_apertures(patches, table):
     """Raise ValueError if the apertures are not as wide as those of the table."""
     own, said = patches.aperture_half_angle, table.aperture_half_angle
-    if said is not None and not np.isclose(said, own, rtol=BORDER, atol=0):
+    if said is not None and not np.isclose(said, own, rtol=EDGE, atol=0):
         raise ValueError(
             f"the record's apertures must have the half-angle of {table.name}, "
             f"{said:g} degrees, got {own:g}"
@@ -176,7 +176,7 @@ def _check_incident(a, b):
 def _same(a, b):
     """Whether two directions, in degrees, are one but for single precision."""
     first, second = (direction(*np.radians(pair)) for pair in (a, b))
-    return np.linalg.norm(first - second, axis=-1) <= BORDER
+    return np.linalg.norm(first - second, axis=-1) <= EDGE
 
 
 def _check_dark_below(record, other, notes):

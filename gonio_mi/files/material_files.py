@@ -20,7 +20,7 @@ __all__ = ["PatchMeans", "load_material"]
 # Azimuths of incidence at which a Klems matrix is taken: the most that a ring has.
 N_AZIMUTHS = 24
 
-# Half the width in degrees of what stands for an azimuth on a border of patches.
+# Half the width in degrees of what stands for an azimuth on an edge of patches.
 NEARLY = 1e-3
 
 
@@ -102,7 +102,7 @@ def _of_klems(bsdf: RadianceBSDF, side: str) -> PatchMeans:
     means = np.zeros(shape)
     for hemisphere in held:
         for index, (theta, phi) in enumerate(zip(theta_i, phi_i)):
-            # both sides of a border that the azimuth may be on
+            # both sides of an edge that the azimuth may be on
             sides = [
                 bsdf.values(side, hemisphere, theta, phi + turn, wo)
                 for turn in (-NEARLY, NEARLY)

@@ -123,8 +123,8 @@ def read(stream: BinaryIO) -> Record:
         }
     single = [name for name in ("hits", "errors") if name in arrays]
     per_direction: dict[str, Iterable[Numbers]] = {k: arrays.pop(k) for k in single}
-    borders = np.cumsum(n_batches)[:-1]
-    per_direction |= {name: np.split(array, borders) for name, array in arrays.items()}
+    edges = np.cumsum(n_batches)[:-1]
+    per_direction |= {name: np.split(array, edges) for name, array in arrays.items()}
     tallies = zip(*per_direction.values())
     return rebuilt(header, [dict(zip(per_direction, tally)) for tally in tallies])
 

@@ -19,7 +19,7 @@ def directions_of(square: ArrayLike) -> Floats:
     Parameters
     ----------
     square : array_like, shape (..., 2)
-        In [0, 1]; the middle is the pole, the borders are the horizon.
+        In [0, 1]; the middle is the pole, the edges are the horizon.
     """
     a, b = np.moveaxis(2 * np.asarray(square, dtype=float) - 1, -1, 0)
     along_x = np.abs(a) > np.abs(b)

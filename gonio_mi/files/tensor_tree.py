@@ -117,7 +117,7 @@ def coordinates(rank: int, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> 
     ----------
     rank : {3, 4}
     theta_i, phi_i : float or array_like, shape (n,)
-        Incident directions in degrees, towards the lamp, from the lit normal.
+        Incident directions in degrees, towards the emitter, from the lit normal.
     wo : ndarray, shape (n, 3)
         Unit vectors of exit, on either side.
     """
@@ -138,7 +138,7 @@ def coordinates(rank: int, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> 
 def grid_directions(
     rank: int, size: int, n_in: int, n_out: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Points evenly distributed over the cells of a grid.
+    """Regular points, as many in each cell of a grid.
 
     Parameters
     ----------

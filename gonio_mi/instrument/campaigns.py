@@ -20,7 +20,7 @@ from ..transport.digest import specimen_digest
 from ..transport.plugin_digest import file_digest, plugins_digest
 from ..transport.specimen import Specimen
 from .campaign_folder import CampaignFolder
-from .incidence import emitter_scene, incident_angles, lamp_digest
+from .incidence import described_digest, emitter_scene, incident_angles
 from .loading import check_variant, load_plugin_file, load_specimen, specimen_name
 from .measurement import measure_whole
 from .workers import workers
@@ -188,7 +188,7 @@ class _Task:
                 things += emitter_scene(None, emitter, None, "front").emitters()
             return {
                 "digest": specimen_digest(Specimen(scene)),
-                "emitter_digest": lamp_digest(emitter),
+                "emitter_digest": described_digest(emitter),
                 "plugin_digest": plugins_digest(things),
             }
 

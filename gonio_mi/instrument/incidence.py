@@ -8,7 +8,7 @@ from ..errors import SpecimenError, checked_number, shown
 from ..transport.digest import emitter_digest
 from .loading import loaded
 
-__all__ = ["emitter_scene", "incident_angles", "incident_key", "lamp_digest"]
+__all__ = ["emitter_scene", "incident_angles", "incident_key", "described_digest"]
 
 
 def incident_angles(theta_i, phi_i):
@@ -64,7 +64,7 @@ def emitter_scene(scene, emitter, incident, side):
     return loaded("the emitter", mi.load_dict, {"type": "scene", "emitter": emitter})
 
 
-def lamp_digest(emitter):
+def described_digest(emitter):
     """Digest of an emitter given as a dictionary, as it is described; None for None."""
     if emitter is None:
         return None

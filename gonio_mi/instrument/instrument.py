@@ -85,11 +85,11 @@ class Instrument:
         if mi.is_spectral:
             check_covered(bsdfs, self.wavelengths)
 
-    def bench(self, specimen, emitters, incident=None, lamp=None) -> Bench:
+    def bench(self, specimen, emitters, incident=None, described=None) -> Bench:
         """Set up a :class:`Bench` for the one emitter of `emitters`.
 
         `incident` is the pair of angles in degrees that it was made for, if any, and
-        `lamp` the digest of the emitter before it was turned there.
+        `described` the digest of the emitter before it was turned there.
         """
         if len(emitters) != 1:
             raise SpecimenError(
@@ -103,7 +103,7 @@ class Instrument:
                 f"{corner}, got {self.collector.radius}"
             )
         beam = self._beam(specimen, emitters[0])
-        bench = Bench(specimen, beam, self.collector, self.sampler, incident, lamp)
+        bench = Bench(specimen, beam, self.collector, self.sampler, incident, described)
         if self.integrates:
             lanes = wavelength_lanes(passes(self.wavelengths)[0])
             check_integrable(bench, self.settings, lanes)

@@ -20,7 +20,7 @@ from ..settings import MeasurementSettings
 from ..transport.kernels import launches_kernels
 from ..transport.specimen import Specimen
 from .batches import Target, n_batches
-from .incidence import emitter_scene, incident_angles, incident_key, lamp_digest
+from .incidence import described_digest, emitter_scene, incident_angles, incident_key
 from .instrument import Instrument
 from .loading import check_variant, load_specimen, specimen_name
 from .resuming import check_resumable
@@ -61,12 +61,12 @@ def measure_here(
     measured = Specimen(scene, settings.period)
     measured.name = specimen_name(specimen, parameters)
     instrument.check(measured)
-    lamp = lamp_digest(emitter)
+    described = described_digest(emitter)
     scenes = [
         emitter_scene(scene, emitter, incident, settings.side) for incident in incidents
     ]
     benches = [
-        instrument.bench(measured, lit.emitters(), incident, lamp)
+        instrument.bench(measured, lit.emitters(), incident, described)
         for lit, incident in zip(scenes, incidents)
     ]
     plan = batch_sizes(settings.rays, settings.batches)

@@ -256,7 +256,7 @@ class LitFace:
         return _direction(point, phi_i, hemisphere == 0)
 
     def _drawn(self, place, hemisphere, sample2):
-        """Point of a record's lobe, evenly distributed over each patch."""
+        """Point of a record's lobe, uniform over each patch."""
         arrays = self.arrays
         row = place.rows[0] * self.n_hemispheres + hemisphere
         sin2, ring = _quantile(arrays.rings, row, self.n_theta, sample2.x, arrays.sin2)
@@ -273,14 +273,14 @@ class LitFace:
         return [n for n in range(self.n_hemispheres) if enabled[n]]
 
 
-def _quantile(shares, row, n, share, borders):
+def _quantile(shares, row, n, share, edges):
     """Coordinate below which `share` of a row's light is, and its bin."""
     first = row * (n + 1)
     share = mi.Float64(share)
     number = _last(n, lambda i: _read(shares, first + i) <= share)
     low, high = _read(shares, first + number), _read(shares, first + number + 1)
     inside = dr.select(high > low, (share - low) / (high - low), 0.5)
-    begin, end = _read(borders, number), _read(borders, number + 1)
+    begin, end = _read(edges, number), _read(edges, number + 1)
     return begin + inside * (end - begin), number
 
 

@@ -48,7 +48,7 @@ class LobeTable:
     """Lobes at ``P`` azimuths x ``N`` polar angles of incidence, and the ways between.
 
     A *leg* leads from one polar angle to the next; there are ``K = max(N - 1, 1)``, and
-    ``H`` hemispheres. Across a leg, histogram borders of both ends cut the disk into
+    ``H`` hemispheres. Across a leg, histogram edges of both ends cut the disk into
     ``S = 2 N_CELLS - 1`` strips of x, and each strip into ``S`` cells of
     ``y / sqrt(1 - x^2)``; within one, points move together.
 
@@ -57,13 +57,13 @@ class LobeTable:
     theta_i, phi_i : ndarray, shapes (N,), (P,)
         Incident directions in degrees, ascending. A single azimuth means isotropic.
     theta_edges, phi_edges : ndarray
-        Borders of rings and sectors in radians, absolute azimuth.
+        Edges of rings and sectors in radians, absolute azimuth.
     brdf : ndarray, shape (P, N, H, n_theta, n_phi, channels)
         Patch means of BRDF and BTDF in 1/sr.
     flux : ndarray, shape (P, N, H, channels)
         Flux fractions: reflectance and transmittance.
     rings : ndarray, shape (P, N, H, n_theta + 1)
-        Share of the light (mean of the channels) below each border.
+        Share of the light (mean of the channels) below each edge.
     sectors : ndarray, shape (P, N, H, n_theta, n_phi + 1)
         The same for the azimuth within a ring.
     strips, strip_slopes : ndarray, shape (2, P, K, H, S)
@@ -243,7 +243,7 @@ def _leg(first: Floats, second: Floats) -> tuple[Floats, Floats, Floats, Floats]
 
 
 def _cumulative(weight: Floats) -> Floats:
-    """Share of light below each border of the last axis; even where there is none."""
+    """Share of light below each edge of the last axis; even where there is none."""
     total = weight.sum(axis=-1, keepdims=True)
     share = np.where(total > 0, weight, 1.0)
     cumulative = np.cumsum(share, axis=-1)
@@ -257,7 +257,7 @@ def _merged(first: Floats, second: Floats) -> tuple[Floats, Floats, NDArray[np.i
     Parameters
     ----------
     first, second : ndarray, shape (..., n + 1)
-        Share of the light below n + 1 equidistant borders from -1 to 1; strictly
+        Share of the light below n + 1 equidistant edges from -1 to 1; strictly
         ascending.
 
     Returns

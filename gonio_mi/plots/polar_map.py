@@ -18,7 +18,7 @@ __all__ = ["draw_map"]
 WIDE_RANGE = 100
 # What is this much darker than the brightest patch has the darkest colour.
 DEEPEST = 1e-6
-# Degrees of azimuth in which the border of a patch is drawn as a straight line.
+# Degrees of azimuth in which the edge of a patch is drawn as a straight line.
 STRAIGHT = 1
 NO_HIT = "0.8"
 

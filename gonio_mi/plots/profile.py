@@ -33,7 +33,7 @@ class Profile:
     Attributes
     ----------
     edges : ndarray, shape (2 n_theta + 1,)
-        Borders of the patches, theta_o in degrees; negative on the side of the source.
+        Edges of the patches, theta_o in degrees; negative on the side of the source.
     theta : ndarray, shape (2 n_theta,)
         Middles of the patches in degrees.
     value, low, high : ndarray, shape (2 n_theta, channels)

@@ -27,7 +27,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)
 NODES_PER_CELL = ORDER**2
 
 # A rule of other points, for a whole cell, that confirms what its quarters gave: of
-# Gauss and Lobatto (Abramowitz and Stegun 1964, 25.4.32), with points on the borders.
+# Gauss and Lobatto (Abramowitz and Stegun 1964, 25.4.32), with points on the edges.
 LOBATTO_ORDER = 8
 _TOP = np.polynomial.Legendre.basis(LOBATTO_ORDER - 1)
 LOBATTO_NODES = np.concatenate([[-1], _TOP.deriv().roots().real, [1]])
@@ -59,7 +59,7 @@ PROBES = np.array([[-1, -_END], [-_END, 1], [1, _END], [_END, -1], [0, 0]])
 BLIND = 1 + _HALF_NODES[0]
 
 # How far inside its cell a probe is, in radians: single precision leaves a step that
-# lies on a border where it is.
+# lies on an edge where it is.
 INSIDE = 2.0**-21
 
 
@@ -69,8 +69,8 @@ class Cells:
 
     patch: NDArray[np.int64]  # n_patches more for the lower hemisphere
     lower: NDArray[np.bool_]  # whether in the lower hemisphere
-    theta: NDArray[np.float64]  # borders in polar angle, shape (n, 2)
-    phi: NDArray[np.float64]  # borders in azimuth, shape (n, 2)
+    theta: NDArray[np.float64]  # edges in polar angle, shape (n, 2)
+    phi: NDArray[np.float64]  # edges in azimuth, shape (n, 2)
     # part of the patch's polar angles and azimuths, shape (n, 2)
     share: NDArray[np.float64]
 
@@ -101,9 +101,9 @@ class Cells:
         parts = PARTS[way]
 
         def _borders(
-            borders: NDArray[np.float64], part: NDArray[np.float64]
+            edges: NDArray[np.float64], part: NDArray[np.float64]
         ) -> NDArray[np.float64]:
-            low, high = borders[:, 0, None, None], borders[:, 1, None, None]
+            low, high = edges[:, 0, None, None], edges[:, 1, None, None]
             return (low * (1 - part) + high * part).reshape(-1, 2)
 
         share = self.share[:, :, None] * np.diff(parts)[..., 0]
@@ -131,10 +131,10 @@ class Cells:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
         """Polar angle, azimuth and hemisphere of the corners and the middle."""
         angles: list[NDArray[np.float64]] = []
-        for borders, place in zip((self.theta, self.phi), PROBES.T):
-            half = np.diff(borders) / 2
+        for edges, place in zip((self.theta, self.phi), PROBES.T):
+            half = np.diff(edges) / 2
             inside = np.maximum(half - INSIDE, half / 2)
-            middle = borders.mean(axis=1, keepdims=True)
+            middle = edges.mean(axis=1, keepdims=True)
             angles.append((middle + inside * place).ravel())
         theta, phi = angles
         return theta, phi, np.repeat(self.lower, len(PROBES))
@@ -144,7 +144,7 @@ class Cells:
         return self._tensor(NODES, WEIGHTS)
 
     def other_nodes(self) -> list[NDArray[Any]]:
-        """The same of the rule that confirms; what is on a border is just inside."""
+        """The same of the rule that confirms; what is on an edge is just inside."""
         return self._tensor(LOBATTO_NODES, LOBATTO_WEIGHTS, inside=INSIDE)
 
     def _tensor(
@@ -155,11 +155,11 @@ class Cells:
     ) -> list[NDArray[Any]]:
         """Tensor rule in each cell, with points at least so far inside, in radians."""
         angles, halves = [], []
-        for borders in (self.theta, self.phi):
-            half = np.diff(borders) / 2
+        for edges in (self.theta, self.phi):
+            half = np.diff(edges) / 2
             most = np.maximum(half - inside, half / 2)
             offset = np.clip(half * nodes, -most, most)
-            angles.append(borders.mean(axis=1, keepdims=True) + offset)
+            angles.append(edges.mean(axis=1, keepdims=True) + offset)
             halves.append(half)
         weight = (halves[0] * halves[1])[:, :, None] * weights[:, None] * weights
         arrays = np.broadcast_arrays(
@@ -201,8 +201,8 @@ class Guides:
         kept = chosen[self.cell]
         cell, theta, phi = self.cell[kept], self.theta[kept], self.phi[kept]
         fourth = [
-            np.clip(4 * (angle - borders[:, 0]) // np.diff(borders)[:, 0], 0, 3)
-            for angle, borders in ((theta, cells.theta[cell]), (phi, cells.phi[cell]))
+            np.clip(4 * (angle - edges[:, 0]) // np.diff(edges)[:, 0], 0, 3)
+            for angle, edges in ((theta, cells.theta[cell]), (phi, cells.phi[cell]))
         ]
         quarter = 2 * (fourth[0] // 2) + fourth[1] // 2
         part = np.choose(way[cell], [quarter, *fourth]).astype(int)

@@ -146,8 +146,8 @@ def integrate(
     Adaptive tensor Gauss-Legendre rule in polar angle and azimuth: cells whose value
     differs from the sum of their quarters are split, down to the lobe's scale, or to
     where the single precision of ``eval`` shows. Steps of ``eval`` no node sees are
-    looked for next to the borders and in the middle of each cell, and a Gauss-Lobatto
-    rule over the whole cell, of other points and on its borders, has to confirm the
+    looked for next to the edges and in the middle of each cell, and a Gauss-Lobatto
+    rule over the whole cell, of other points and on its edges, has to confirm the
     quarters; cells with a step along one angle are split across it, and count as wrong
     by the step.
 

@@ -13,7 +13,7 @@ __all__ = ["Estimates"]
 
 # Below this many hits the sum of a patch is too skewed for Student's t.
 FEW_HITS = 100
-# The same for rays that are distributed evenly, whose counts scatter less.
+# The same for rays of a low-discrepancy sequence, whose counts scatter less.
 FEW_EVEN_HITS = 30
 # Deposits of one patch below which the few large ones among them may be missing.
 FEW_DEPOSITS = 300
@@ -30,7 +30,7 @@ class Estimates:
     ----------
     tally : Tally
     independent : bool
-        Whether its rays are independent; else they are distributed evenly.
+        Whether its rays are independent; else of a low-discrepancy sequence.
     deposited : bool
         Whether its hits are deposits: several from one ray, or none.
     passes : int

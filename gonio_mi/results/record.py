@@ -19,7 +19,7 @@ from .tally import Ledger, Tally
 
 __all__ = ["DIGESTS", "Record"]
 
-# Settings that tell a specimen and its lamp from others; old records lack them.
+# Settings that tell a specimen and its emitter from others; old records lack them.
 DIGESTS = ("digest", "emitter_digest", "plugin_digest")
 
 
@@ -258,7 +258,7 @@ class Record:
         if not records:
             raise ValueError("records must hold at least one to be stacked, got none")
         for other in records[1:]:
-            # a lamp that was moved, not turned, has another digest
+            # an emitter that was moved, not turned, has another digest
             free = ("created", "batches", "emitter_digest", "task")
             _check_alike(records[0], other, free, "stacked")
         settings = {k: v for k, v in records[0].settings.items() if k != "task"}

@@ -1,4 +1,4 @@
-"""The settings of a measurement, each declared once and parsed at the border."""
+"""The settings of a measurement, each declared once and parsed at the entrance."""
 
 from .declaration import Declaration, Kind, declarations, numpydoc, plugin_table
 from .measurement_settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings

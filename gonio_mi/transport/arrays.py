@@ -8,11 +8,11 @@ import mitsuba as mi
 __all__ = ["DRJIT"]
 
 
-def _count_below(borders, x):
-    """Count the ascending `borders` that are not above `x`."""
-    borders = mi.Float(borders.tolist())
+def _count_below(edges, x):
+    """Count the ascending `edges` that are not above `x`."""
+    edges = mi.Float(edges.tolist())
     count = dr.binary_search(
-        0, dr.width(borders), lambda i: dr.gather(mi.Float, borders, i) <= x
+        0, dr.width(edges), lambda i: dr.gather(mi.Float, edges, i) <= x
     )
     return mi.Float(count)
 

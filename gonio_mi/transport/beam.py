@@ -13,8 +13,8 @@ __all__ = ["Beam"]
 # Points, along each of two sides, from which the mean power of a beam is taken.
 N_GRID = 128
 
-# How much brighter than the footprint's middle the spot under a lamp may be, and at
-# most than the unit of power: far less than what the tally's sums hold of one ray.
+# How much brighter than the footprint's middle the spot under an emitter may be, and
+# at most than the unit of power: far less than what the tally's sums hold of one ray.
 MOST_UNEVEN = 2.0**10
 HIGHEST_SPOT = 2.0**20
 
@@ -183,7 +183,7 @@ class Beam:
         """Power that counts as 1: about the mean over the beam, a power of two.
 
         That of the footprint's middle; but of all the footprint if the middle is dark,
-        or if the spot under a small near lamp is so much brighter that single rays
+        or if the spot under a small near emitter is so much brighter that single rays
         would exceed what the tally holds.
         """
         grid = mi.UInt32(dr.arange(mi.UInt32, N_GRID * N_GRID))
@@ -193,7 +193,7 @@ class Beam:
         unit = powers.mean()
         spot = self._mean_weights(self._nearest(), sample, nm).mean()
         if self.footprint != "point" and (unit == 0 or spot > MOST_UNEVEN * unit):
-            # points all over, as evenly as those of the grid (Roberts 2018)
+            # a low-discrepancy sequence all over it (Roberts 2018)
             places = mi.Point2f(mi.Float(grid) * 0.7548777, mi.Float(grid) * 0.5698403)
             places -= dr.floor(places)
             powers = self._mean_weights(self._spread(places), sample, nm)
@@ -218,9 +218,9 @@ class Beam:
         return np.array(weights)
 
     def _nearest(self):
-        """Point of the footprint, or of the box about it, under a lamp in its middle.
+        """Point of the footprint, or of the box about it, nearest to the emitter.
 
-        The footprint's middle for a lamp that is infinitely far.
+        The footprint's middle for an emitter that is infinitely far.
         """
         if self.direction is None or self.emitter.is_environment():
             return mi.Point3f(self.middle.tolist())

@@ -13,19 +13,21 @@ __all__ = ["Bench"]
 class Bench:
     """One specimen, one beam and one collector, ready to be launched at.
 
-    `lamp` is the digest of the beam's emitter before it was turned, if it was; None
-    remains for a collimated beam, whose direction is all there is.
+    `described` is the digest of the beam's emitter before it was turned, if it was;
+    None remains for a collimated beam, whose direction is all there is.
     """
 
-    def __init__(self, specimen, beam, collector, sampler, incident=None, lamp=None):
+    def __init__(
+        self, specimen, beam, collector, sampler, incident=None, described=None
+    ):
         self.specimen = specimen
         self.beam = beam
         # as asked for, or what single precision leaves of the emitter's direction
         self.theta_i, self.phi_i = incident or (beam.theta_i, beam.phi_i)
         if beam.collimated:
-            self.lamp = None
+            self.emitter_digest = None
         else:
-            self.lamp = lamp or emitter_digest([beam.emitter])
+            self.emitter_digest = described or emitter_digest([beam.emitter])
         self.collector = collector
         self.sampler = sampler
         subdivision = collector.subdivision
@@ -45,7 +47,7 @@ class Bench:
         things = [*self.specimen.scene.shapes(), self.beam.emitter]
         return {
             "digest": specimen_digest(self.specimen),
-            "emitter_digest": self.lamp,
+            "emitter_digest": self.emitter_digest,
             "plugin_digest": plugins_digest(things),
         }
 

@@ -1,4 +1,4 @@
-"""Digests that tell specimens, lamps and their geometry from others."""
+"""Digests that tell specimens, emitters and their geometry from others."""
 
 import hashlib
 import re
@@ -48,7 +48,8 @@ def digest(things, geometry=False):
     ----------
     things : iterable of mi.Object
     geometry : bool
-        Only the shapes' own parameters, in this order, without texts, BSDFs and lamps.
+        Only the shapes' own parameters, in this order, without texts, BSDFs and
+        emitters.
 
     Returns
     -------

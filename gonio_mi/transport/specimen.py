@@ -1,4 +1,4 @@
-"""What is measured: the shapes of a scene without its lamps, and how flat they are."""
+"""What is measured: the shapes of a scene but its emitters, and how flat they are."""
 
 import re
 import warnings
@@ -101,7 +101,7 @@ class Specimen:
     Attributes
     ----------
     scene : mi.Scene
-        Specimen only: lamps do not stand in the way of what they light.
+        Specimen only: emitters do not stand in the way of what they light.
     groups : list of mi.Shape
         The shape groups that its instances repeat.
     surfaces : list of mi.Shape

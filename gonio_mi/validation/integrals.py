@@ -208,7 +208,7 @@ def _points(condition, subdivision, patches, n_points, generator):
     lattice = np.arange(n_points)[:, None] * [1, generator] / n_points
     # always the same, so that an integral does not depend on the seed
     shifts = np.random.default_rng(n_points).random((len(patches), SHIFTS, 1, 2))
-    # folded, so that values need not agree on opposite borders of a patch
+    # folded, so that values need not agree on opposite edges of a patch
     u = np.abs(2 * ((lattice + shifts) % 1) - 1)
     half, patch = np.divmod(patches, subdivision.n_patches)
     ring, sector = np.divmod(patch, subdivision.n_phi)

@@ -51,12 +51,12 @@ class Goniometric(mi.BSDF):
     incidence; between two measured azimuths the two lobes are mixed. Outside of the
     polar angles of the record, the nearest counts.
 
-    In importance mode :math:`\omega_i` looks to the lamp, and the value is what was
+    In importance mode :math:`\omega_i` looks to the emitter, and the value is what was
     measured: flux per incident flux, in which nothing is divided by :math:`\eta^2`.
     Sampling is exact up to float32: each sample has the weight of the reflectance (in
     the record's colours), and ``pdf`` integrates to 1 unless the record is black.
 
-    In radiance mode, that of Mitsuba's path tracers, the lamp is in the direction
+    In radiance mode, that of Mitsuba's path tracers, the emitter is in the direction
     :math:`\omega_o`: the value is what was measured with light from there, on whichever
     face that is. A record is not reciprocal, be it only for its patches and its noise;
     with nothing to assume, a transmitting specimen between two media needs no
@@ -165,8 +165,8 @@ class Goniometric(mi.BSDF):
     def eval_pdf(self, ctx, si, wo, active=True):
         """Both of :meth:`eval` and :meth:`pdf`."""
         if ctx.mode == mi.TransportMode.Importance:
-            return self._from_lamp(ctx, si.wi, wo, si.wavelengths, active)
-        value, _ = self._from_lamp(ctx, wo, si.wi, si.wavelengths, active)
+            return self._from_emitter(ctx, si.wi, wo, si.wavelengths, active)
+        value, _ = self._from_emitter(ctx, wo, si.wi, si.wavelengths, active)
         value *= dr.select(si.wi.z == 0, 0, dr.abs(wo.z / si.wi.z))
         pdf = mi.Float(0)
         for side, guide, hemispheres in self._guides(ctx):
@@ -180,14 +180,14 @@ class Goniometric(mi.BSDF):
             pdf += dr.select(lit, (1 - EVEN) * density + EVEN * even, 0)
         return value, pdf
 
-    def _from_lamp(self, ctx, lamp, detector, wavelengths, active):
-        """Value and density of `detector` for light from the direction `lamp`."""
+    def _from_emitter(self, ctx, to_emitter, detector, wavelengths, active):
+        """Value and density of `detector` for light from the direction `to_emitter`."""
         value, pdf = mi.Spectrum(0), mi.Float(0)
         for face, side in zip(self.faces, SIDES):
             if face is not None:
-                lit = active & (lamp.z * side > 0)
+                lit = active & (to_emitter.z * side > 0)
                 face_value, face_pdf = face.eval_pdf(
-                    _seen(lamp, side),
+                    _seen(to_emitter, side),
                     _seen(detector, side),
                     self._enabled(ctx),
                     lit,
@@ -206,7 +206,7 @@ class Goniometric(mi.BSDF):
                 hemispheres = enabled
                 guide = own
             else:
-                # the lamp is on the own face, or behind the specimen on the other one
+                # light comes to the own face, or from behind to the other one
                 through = other is not None and other.n_hemispheres == 2
                 hemispheres = enabled[0] and own is not None, enabled[1] and through
                 guide = own

@@ -50,7 +50,7 @@ def heightfield(props):
      * - periodic
        - |bool|
        - Close the period: the last row and column of a file or an array are joined to
-         the first, which are repeated at the far borders. (Default: true)
+         the first, which are repeated at the far edges. (Default: true)
 
      * - size
        - |float|
@@ -222,7 +222,7 @@ def _mesh(props, name, heights, spacing, normals):
         has_vertex_texcoords=True,
     )
     to_world = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, float)
-    # opposite borders at opposite numbers, so that both are exact
+    # opposite edges at opposite numbers, so that both are exact
     x = (np.arange(n_x) - (n_x - 1) / 2) * spacing
     y = (np.arange(n_y) - (n_y - 1) / 2) * spacing
     points = np.stack([*np.meshgrid(x, y), heights], axis=-1).reshape(-1, 3)
