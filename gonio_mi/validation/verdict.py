@@ -169,7 +169,7 @@ class Verdict:
             and samples), and ``properties``: a list with ``name``, ``question``,
             ``status``, ``statistic``, ``mistake``, ``function``, ``p_value``,
             ``effect`` and ``places`` of each. The command adds ``others``, the same of
-            other variants, and ``skipped``, by variant why it could not be judged there.
+            other variants, and ``skipped``, by variant why it was not judged there.
         """
         return {
             "name": self.name,
