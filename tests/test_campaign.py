@@ -281,3 +281,17 @@ def test_killed_at_random_moments(tmp_path):
         collector="projected:6x6",
     )
     assert gonio.load(output).tallies == whole.tallies
+
+
+def test_a_campaign_of_a_given_precision_is_the_stack():
+    """Its tasks reach unlike errors, of which the stack tells the largest."""
+    how = {"theta_i": [0, 30], "rel_err": 0.5, "collector": "angle:2x2"}
+    record = gonio.campaign({"matt": {"type": "diffuse"}}, **how)["matt"]
+    stack = gonio.measure({"type": "diffuse"}, **how)
+    assert record.tallies == stack.tallies
+    free = {"created", "specimen"}
+    own, others = (
+        {k: v for k, v in one.settings.items() if k not in free}
+        for one in (record, stack)
+    )
+    assert own == others

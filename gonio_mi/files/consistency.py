@@ -72,6 +72,11 @@ def _check_settings(settings: Mapping[str, Any], patches: Subdivision) -> None:
         and all(isinstance(v, str) for v in versions.values()),
         "its setting versions is not a dictionary of texts",
     )
+    processors = settings.get("processors") or []
+    require(
+        isinstance(processors, list) and all(isinstance(p, str) for p in processors),
+        "its setting processors is not a list of texts",
+    )
     collector = settings.get("collector")
     require(
         collector in (None, str(patches)),

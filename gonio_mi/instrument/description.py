@@ -15,6 +15,7 @@ from ..transport.bench import Bench
 from ..transport.launch import traces
 from ..transport.sampling import sampler_name
 from ..transport.wavelengths import passes
+from .processor import processor
 
 __all__ = ["described"]
 
@@ -61,6 +62,7 @@ def described(
             "numpy": np.__version__,
             "python": platform.python_version(),
         },
+        "processors": [processor()],
         "created": datetime.datetime.now(datetime.timezone.utc).isoformat(
             "T", "seconds"
         ),

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import VariantError
 from ..memory import check_memory
+from ..results.processors import joined_processors
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
@@ -87,6 +88,9 @@ def measure_here(
     ]
     _warn_of_created_light(records)
     record = Record.stack(records) if stacked else records[0]
+    if resume is not None:
+        parts = joined_processors(resume.settings, record.settings)
+        record = record.with_settings(**parts)
     logger.info("measured for %.3g s: %r", time.perf_counter() - started, record)
     if target:
         record = record.with_settings(**target.reached(record))

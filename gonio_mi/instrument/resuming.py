@@ -6,7 +6,7 @@ from ..results.record import DIGESTS, Record
 __all__ = ["check_resumable"]
 
 # Settings that say nothing of the rays.
-FREE = {"created", "versions", "specimen"}
+FREE = {"created", "versions", "processors", "specimen"}
 
 
 def check_resumable(resume, instrument, benches, seed, plan):

@@ -15,12 +15,16 @@ from ..collector import Subdivision
 from ..errors import checked_choice, checked_number, printable, shown
 from . import statistics
 from .estimates import Estimates
+from .processors import joined_processors
 from .tally import Ledger, Tally
 
 __all__ = ["DIGESTS", "Record"]
 
 # Settings that tell a specimen and its emitter from others; old records lack them.
 DIGESTS = ("digest", "emitter_digest", "plugin_digest")
+
+# Settings that tell the largest number of a stack: what `rel_err` has reached.
+OF_THE_WORST = {"reached", "n_lobe"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,9 +263,12 @@ class Record:
             raise ValueError("records must hold at least one to be stacked, got none")
         for other in records[1:]:
             # an emitter that was moved, not turned, has another digest
-            free = ("created", "batches", "emitter_digest", "task")
-            _check_alike(records[0], other, free, "stacked")
+            free = {"created", "processors", "batches", "emitter_digest", "task"}
+            _check_alike(records[0], other, free | OF_THE_WORST, "stacked")
         settings = {k: v for k, v in records[0].settings.items() if k != "task"}
+        settings |= joined_processors(*(record.settings for record in records))
+        for key in OF_THE_WORST & settings.keys():
+            settings[key] = max(record.settings[key] for record in records)
         channels = max((record.channels for record in records), key=len)
         return replace(
             records[0],
@@ -336,7 +343,8 @@ class Record:
             would be counted twice, or hold integrals.
         """
         free = {"rays", "batches", "seed", "created", "versions", "specimen"}
-        _check_alike(self, other, free | {"interrupted", "task"}, "merged")
+        free |= {"interrupted", "task", "processors"}
+        _check_alike(self, other, free, "merged")
         for key in ("theta_i", "phi_i"):
             a, b = getattr(self, key).tolist(), getattr(other, key).tolist()
             if not np.array_equal(a, b, equal_nan=True):
@@ -352,6 +360,7 @@ class Record:
                 f"records must have different seeds to be merged, got {seeds}"
             )
         settings = dict(self.settings, seed=seeds)
+        settings |= joined_processors(self.settings, other.settings)
         settings.pop("task", None)
         for key in ("rays", "batches"):
             settings[key] = self.settings[key] + other.settings[key]

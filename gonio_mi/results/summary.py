@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..single_precision import ROUNDING
+from .processors import processors
 from .ray_density import FLOOR, precision
 from .record import Record
 from .tally import Ledger
@@ -172,7 +173,7 @@ def _worst_patches(look: Record) -> list[dict[str, Any]]:
 
 
 def _warnings(record: Record, directions: list[dict[str, Any]]) -> list[str]:
-    """Sentences on rays that make the result doubtful."""
+    """Sentences on what makes the result doubtful, or its bits hard to repeat."""
     ledger, sentences = record.ledger, []
     called = "sample()"
     if record.settings.get("estimator") == "next_event":
@@ -207,6 +208,13 @@ def _warnings(record: Record, directions: list[dict[str, Any]]) -> list[str]:
                 f"{_share(getattr(ledger, row), ledger)} {sentence}: more than the "
                 "statistical error"
             )
+    several = processors(record.settings)
+    if len(several) > 1:
+        sentences.append(
+            "its parts were measured on unlike processors, or with other vectors or "
+            f"LLVM ({'; '.join(several)}): the statistics hold, but no single one "
+            "of them repeats these bits"
+        )
     return sentences
 
 
@@ -286,7 +294,9 @@ def _settings_text(numbers: dict[str, Any]) -> str:
         (
             "made",
             f"{_shown('created')}, variant {_shown('variant')}, "
-            + ", ".join(f"{k} {v}" for k, v in settings.get("versions", {}).items()),
+            + ", ".join(f"{k} {v}" for k, v in settings.get("versions", {}).items())
+            + ", on "
+            + "; ".join(processors(settings)),
         ),
     ]
     return "\n".join(_filled(f"{name:<10}", text) for name, text in lines)
