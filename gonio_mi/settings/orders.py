@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from ..errors import shown
+
 __all__ = ["ALL_ORDERS", "UNLIMITED", "Order"]
 
 # More events than any `max_depth` admits.
@@ -29,7 +31,7 @@ class Order:
         if not re.fullmatch(r"0|[1-9]\d{0,8}\+?", text):
             raise ValueError(
                 f"{label} must be 'all', a number of surface events such as 2 (0 "
-                f"for direct light), or '3+' for three or more, got {value!r}"
+                f"for direct light), or '3+' for three or more, got {shown(value)}"
             )
         least = int(text.rstrip("+"))
         return cls(least, UNLIMITED if text.endswith("+") else least)
