@@ -28,6 +28,13 @@ RIGHT = {
     "ggx brushed, all normals": GGX
     | {"alpha_u": 0.1, "alpha_v": 0.4, "sample_visible": False},
     "rough glass": {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.2},
+    "rough glass of index 1.02": {
+        "type": "roughdielectric",
+        "distribution": "ggx",
+        "alpha": 0.3,
+        "int_ior": 1.02,
+        "ext_ior": 1.0,
+    },
     "glossymixture": {"type": "glossymixture"},
     "cosinelobe": {"type": "cosinelobe"},
     "anisotropicphong": {"type": "anisotropicphong"},

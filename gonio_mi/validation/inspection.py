@@ -20,6 +20,9 @@ from .verdict import FAILS, Verdict, judge
 
 __all__ = ["validate"]
 
+# Polar angle of incidence, in degrees, below which nothing is grazing.
+STEEP = 60
+
 
 @launches_kernels()
 def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=(), strict=False):
@@ -183,9 +186,15 @@ def _check_maps(evidence, bsdf, plan, sides, components, seed):
 
 
 def _brightest(evidence):
-    """Samples of which most have a density."""
+    """Samples of which most have a density, not at grazing incidence if possible."""
     whole = [one for one in evidence.drawn if one.condition.component is None]
-    return max(whole, key=lambda drawn: np.count_nonzero(drawn.smooth))
+    return max(
+        whole,
+        key=lambda drawn: (
+            drawn.smooth.any() and drawn.condition.theta_i < STEEP,
+            np.count_nonzero(drawn.smooth),
+        ),
+    )
 
 
 def _depends_on_mode(drawn):

@@ -12,13 +12,17 @@ from .probe import PluginFault, Probe, blamed, spectral
 
 __all__ = ["changed", "check_parameters", "coloured", "traversed"]
 
-# Relative steps of central differences: their error falls by 16 from one to the other.
-STEPS = (2.0**-4, 2.0**-6)
+# Relative steps of central differences, whose error falls with their square: where the
+# three do not agree, there is nothing to compare with.
+STEPS = (2.0**-4, 2.0**-6, 2.0**-8)
 
-# How many times the last step's change a gradient may be off, and how many roundings a
-# value has.
+# How many times the changes between steps a gradient may be off, and how many roundings
+# a value has.
 SLACK = 4
 ROUNDINGS = 64
+
+# Relative change of a value that a step may make.
+STEEP = 0.2
 
 # Part of the directions whose values may jump with a parameter.
 JUMPS = 0.1
@@ -96,12 +100,16 @@ def _check_gradient(evidence, bsdf, condition, params, name, wo):
             return spectral(Probe(bsdf, condition).eval(wo), dr.width(wo)).sum(axis=1)
 
     pairs = [(answer(h), answer(-h), 2 * h * size) for h in STEPS]
-    coarse, fine = ((above - below) / width for above, below, width in pairs)
+    coarse, middle, fine = ((above - below) / width for above, below, width in pairs)
     # each value is known to some roundings
     noise = ROUNDINGS * np.finfo(np.float32).eps * (pairs[-1][0] + pairs[-1][1])
-    slack = SLACK * np.abs(fine - coarse) + noise / pairs[-1][2]
+    changes = np.abs(fine - middle) + np.abs(middle - coarse)
+    slack = SLACK * changes + noise / pairs[-1][2]
     gradient = _gradient(bsdf, condition, name, kind(value), wo)
     wrong = ~(np.abs(gradient - fine) <= slack)
+    # where the smallest step changes much, differences know nothing of the slope
+    here = answer(0.0)
+    wrong &= np.all([np.abs(x - here) <= STEEP * here for x in pairs[-1][:2]], axis=0)
     # jumps, of which a gradient knows nothing, are in few directions
     if wrong.mean() > JUMPS:
         own, due = (float(np.median(x[wrong])) for x in (gradient, fine))
