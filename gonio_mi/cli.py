@@ -8,6 +8,7 @@ import os
 import re
 import sys
 import warnings
+from collections.abc import Sequence
 from importlib import metadata
 
 from .commands import (
@@ -58,7 +59,7 @@ precision was not reached, 3 a validation or comparison failed
 MITSUBA = re.compile(r"\[\w+\.(cpp|h):\d+\]")
 
 
-def main(arguments=None):
+def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code.
 
     Parameters
@@ -89,7 +90,7 @@ def main(arguments=None):
             return USER_ERROR
 
 
-def _open_standard_streams():
+def _open_standard_streams() -> None:
     """Put nothing in place of the standard streams that were closed.
 
     Otherwise a file that is opened takes the number of a stream, and what a library
@@ -104,7 +105,7 @@ def _open_standard_streams():
             setattr(sys, name, open(os.devnull, "r+"))  # noqa: SIM115
 
 
-def _parser():
+def _parser() -> Parser:
     parser = Parser(
         prog=PROGRAM,
         description="A virtual goniophotometer for Mitsuba 3.",
@@ -118,11 +119,11 @@ def _parser():
     return parser
 
 
-def _show_warning(message, *_, **__):
+def _show_warning(message: object, *_: object, **__: object) -> None:
     say(f"warning: {' '.join(str(message).split())}")
 
 
-def _is_the_users(error):
+def _is_the_users(error: BaseException) -> bool:
     """Whether an error is the user's to mend, and not a bug to trace.
 
     That is what the instrument itself raises, what files do, and what Mitsuba refuses.
@@ -136,7 +137,7 @@ def _is_the_users(error):
     return isinstance(error, ours) and frames(error)[-1].module.startswith("gonio_mi")
 
 
-def _place(error, plugins):
+def _place(error: BaseException, plugins: Sequence[str]) -> str:
     """Where in the user's own plugin files an error arose; empty if it did not."""
     names = {os.path.abspath(plugin): os.fspath(plugin) for plugin in plugins}
     place = ""

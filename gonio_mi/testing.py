@@ -1,13 +1,23 @@
 """For the test suites of those who write Mitsuba plugins."""
 
+from collections.abc import Sequence
+from typing import Any
+
 from .validation import validate
+from .validation.verdict import Verdict
 
 __all__ = ["assert_bsdf_valid"]
 
 
 def assert_bsdf_valid(
-    specimen, *, effort="normal", seed=0, alpha=1e-3, allow=(), strict=False
-):
+    specimen: Any,
+    *,
+    effort: str = "normal",
+    seed: int = 0,
+    alpha: float = 1e-3,
+    allow: Sequence[str] = (),
+    strict: bool = False,
+) -> Verdict:
     """Raise AssertionError with the verdict if a BSDF plugin is wrong.
 
     Parameters and further errors as of :func:`gonio_mi.validation.validate`.

@@ -1,11 +1,22 @@
 """A chart as one figure: error over CPU seconds and over rays, and what to use."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..array_types import Floats
 from ..files import replacing
 from ..plots.drawable import check_matplotlib, check_picture
+from .curves import Chart, Curve
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["draw_by_time", "plot_chart"]
 
@@ -23,7 +34,9 @@ LEGEND = {"fontsize": "small", "frameon": False}
 LEVEL = 1.96  # of the error bars, 95 %
 
 
-def plot_chart(chart, path=None, *, target=0.01):
+def plot_chart(
+    chart: Chart, path: str | PathLike[str] | None = None, *, target: float = 0.01
+) -> Figure:
     """Draw a chart, and write it if `path` is given.
 
     To the left the error over the CPU seconds of one measurement, with the Pareto front
@@ -77,7 +90,7 @@ def plot_chart(chart, path=None, *, target=0.01):
     return figure
 
 
-def draw_by_time(axes, chart, target=0.01):
+def draw_by_time(axes: Axes, chart: Chart, target: float = 0.01) -> None:
     """Draw the left part of :func:`plot_chart` on axes, without labels and legend."""
     colours = _colours(chart)
     _draw_front(axes, chart)
@@ -86,13 +99,13 @@ def draw_by_time(axes, chart, target=0.01):
     _finish(axes, chart, target)
 
 
-def _colours(chart):
+def _colours(chart: Chart) -> dict[str, str]:
     """Colour of each sampler."""
     others = [c.sampler for c in chart.curves if c.sampler not in COLOURS]
     return COLOURS | dict(zip(dict.fromkeys(others), OTHERS))
 
 
-def _draw_curve(axes, curve, x, colour):
+def _draw_curve(axes: Axes, curve: Curve, x: Floats, colour: str) -> None:
     """Points of one method with their error bars."""
     marker, line, face = STYLES.get(curve.estimator, QUADRATURE)
     bars = LEVEL * np.nan_to_num([point.error_std_err for point in curve.points])
@@ -110,7 +123,7 @@ def _draw_curve(axes, curve, x, colour):
     )
 
 
-def _draw_front(axes, chart):
+def _draw_front(axes: Axes, chart: Chart) -> None:
     """The Pareto front over time."""
     front = [point for _, point in chart.pareto()]
     axes.plot(
@@ -124,9 +137,9 @@ def _draw_front(axes, chart):
     )
 
 
-def _draw_expectation(axes, chart):
+def _draw_expectation(axes: Axes, chart: Chart) -> None:
     """Error of counted independent rays, by multinomial statistics."""
-    rays = np.concatenate([c.rays for c in chart.curves if c.sampler] or [[1.0]])
+    rays = np.concatenate([c.rays for c in chart.curves if c.sampler] or [np.ones(1)])
     ends = np.array([rays.min(), rays.max()])
     axes.plot(
         ends,
@@ -137,7 +150,7 @@ def _draw_expectation(axes, chart):
     )
 
 
-def _finish(axes, chart, target):
+def _finish(axes: Axes, chart: Chart, target: float) -> None:
     """Axes, the target, the reference's error."""
     errors = np.concatenate([curve.error for curve in chart.curves])
     low = min(errors[errors > 0].min(), target) / 2
@@ -150,7 +163,7 @@ def _finish(axes, chart, target):
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _plain_ticks(axes):
+def _plain_ticks(axes: Axes) -> None:
     """Numbers at 1, 2 and 5 of each decade if there are few, else at its beginning."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
@@ -162,7 +175,9 @@ def _plain_ticks(axes):
         axes.xaxis.set_major_formatter("{x:g}")
 
 
-def _draw_table(axes, chart, target, colours):
+def _draw_table(
+    axes: Axes, chart: Chart, target: float, colours: Mapping[str, str]
+) -> None:
     """What each method needs for the target, cheapest first."""
     axes.axis("off")
     head = [
@@ -202,17 +217,17 @@ def _draw_table(axes, chart, target, colours):
             cell.get_text().set_weight("bold")
 
 
-def _order(curve, chart):
+def _order(curve: Curve, chart: Chart) -> str:
     order, std_err = curve.order(chart.n_patches, chart.least)
     return "" if np.isnan(order) else f"{order:.3f} ± {std_err:.3f}"
 
 
-def _claim(curve, chart):
+def _claim(curve: Curve, chart: Chart) -> str:
     claim = curve.claim(chart.least)
     return "" if np.isnan(claim) else f"{claim:.2f}"
 
 
-def _title(chart, target):
+def _title(chart: Chart, target: float) -> str:
     """Specimen and conditions; what to use; what is taken for true."""
     direction = "incident as the emitter"
     if not np.isnan(chart.theta_i):

@@ -2,16 +2,19 @@
 
 import time
 import warnings
+from collections.abc import Sequence
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 from tqdm import tqdm
 
+from ..collector.hemisphere import Subdivision
 from ..errors import SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import load_specimen, specimen_name
 from ..results.ray_density import rms_expectation
 from ..transport.kernels import launches_kernels
-from .curves import Chart, Curve
+from .curves import Chart, Curve, Point, Reference
 from .runs import GROWTH, TOO_FAR, Method, Runs, find_reference
 
 __all__ = ["ESTIMATORS", "SAMPLERS", "chart"]
@@ -24,19 +27,19 @@ SAMPLERS = ("independent", "sobol")
 
 @launches_kernels()
 def chart(
-    specimen,
-    theta_i=None,
-    phi_i=0.0,
+    specimen: Any,
+    theta_i: Any = None,
+    phi_i: Any = 0.0,
     *,
-    estimators=ESTIMATORS,
-    samplers=SAMPLERS,
-    seconds=60,
-    repeats=4,
-    seed=0,
-    parameters=None,
-    progress=False,
-    **settings,
-):
+    estimators: Sequence[str] = ESTIMATORS,
+    samplers: Sequence[str] = SAMPLERS,
+    seconds: float = 60,
+    repeats: int = 4,
+    seed: int = 0,
+    parameters: dict[str, Any] | None = None,
+    progress: bool = False,
+    **settings: Any,
+) -> Chart:
     """Measure a specimen by every method, at rising numbers of rays.
 
     The error is the root mean square over all patches, as in the paper's Table 1, here
@@ -119,7 +122,7 @@ def chart(
 class _Clock(tqdm):
     """Progress bar in seconds, with the time that is left."""
 
-    def __init__(self, seconds, shown):
+    def __init__(self, seconds: float, shown: bool) -> None:
         self.seconds = seconds
         self.started = time.perf_counter()
         super().__init__(
@@ -130,31 +133,35 @@ class _Clock(tqdm):
         )
 
     @property
-    def left(self):
+    def left(self) -> float:
         """Seconds that are left."""
         return self.started + self.seconds - time.perf_counter()
 
-    def show(self, words):
+    def show(self, words: str) -> None:
         """Say what is being done."""
         self.set_description_str(words, refresh=False)
         self.n = min(round(self.seconds - self.left), self.total)
         self.refresh()
 
 
-def _methods(estimators, samplers, integrates):
+def _methods(
+    estimators: Sequence[str], samplers: Sequence[str], integrates: str
+) -> list[Method]:
     """Every pair of an estimator and a sampler that applies."""
     methods = []
     for estimator in dict.fromkeys(estimators):
-        of_all = dict.fromkeys(samplers)
+        of_all = list(dict.fromkeys(samplers))
         if estimator == "quadrature":
             of_all = {"flat": [""], "delta": ["sobol"]}.get(integrates, [])
         methods += [Method(estimator, sampler) for sampler in of_all]
     return methods
 
 
-def _curves(runs, clock, reference, methods):
+def _curves(
+    runs: Runs, clock: _Clock, reference: Reference, methods: Sequence[Method]
+) -> tuple[Curve, ...]:
     """Curve of each method; all of them grow point by point while there is time."""
-    points = [[] for _ in methods]
+    points: list[list[Point]] = [[] for _ in methods]
     spent = [[0.0] for _ in methods]  # seconds of each point
     for method in methods:
         clock.show("compiling")
@@ -178,19 +185,19 @@ def _curves(runs, clock, reference, methods):
     )
 
 
-def _next(spent):
+def _next(spent: Sequence[float]) -> float:
     """Seconds of the next point: a fixed part, and one that grows with the rays."""
     return spent[-1] + GROWTH * max(spent[-1] - spent[-2], 0)
 
 
-def _independent(patches, reference):
+def _independent(patches: Subdivision, reference: Reference) -> float:
     """Expected relative error of one counted independent ray."""
     p = reference.values * patches.projected_solid_angles[..., None]
     square, _ = rms_expectation(patches, np.moveaxis(p, -1, 0), 1)
     return float(np.sqrt(square) / reference.mean)
 
 
-def _warn_of_reference(result):
+def _warn_of_reference(result: Chart) -> None:
     """Say so if the last points are further from the reference than they claim."""
     for curve in result.curves:
         last = curve.points[-1]

@@ -3,9 +3,12 @@
 import csv
 import io
 from dataclasses import dataclass
+from os import PathLike
+from typing import Any
 
 import numpy as np
 
+from ..array_types import Floats
 from ..files import check_output, replacing
 
 __all__ = ["Chart", "Cost", "Curve", "Point", "Reference"]
@@ -76,26 +79,26 @@ class Curve:
     points: tuple[Point, ...]
 
     @property
-    def label(self):
+    def label(self) -> str:
         """Words for the method."""
         return f"{self.estimator}, {self.sampler}" if self.sampler else self.estimator
 
     @property
-    def rays(self):
+    def rays(self) -> Floats:
         """Rays of each point, shape ``(n_points,)``."""
         return np.array([point.rays for point in self.points], dtype=float)
 
     @property
-    def cpu_seconds(self):
+    def cpu_seconds(self) -> Floats:
         """CPU seconds of each point, shape ``(n_points,)``."""
         return np.array([point.cpu_seconds for point in self.points])
 
     @property
-    def error(self):
+    def error(self) -> Floats:
         """Error of each point, shape ``(n_points,)``."""
         return np.array([point.error for point in self.points])
 
-    def order(self, n_patches, least):
+    def order(self, n_patches: int, least: float) -> tuple[float, float]:
         """Order of convergence in the rays: the error falls as ``rays**-order``.
 
         Slope of a straight line through the logarithms of the points that have enough
@@ -114,7 +117,7 @@ class Curve:
         (slope, _), covariance = np.polyfit(x, y, 1, cov=True)
         return -slope, float(np.sqrt(covariance[0, 0]))
 
-    def claim(self, least):
+    def claim(self, least: float) -> float:
         """Median of claimed over true error, of the points above `least`; NaN if none.
 
         It is 1 where error bars hold.
@@ -122,7 +125,7 @@ class Curve:
         claims = [p.claimed / p.error for p in self.points if p.error > least]
         return float(np.median(claims)) if claims else np.nan
 
-    def cost(self, target):
+    def cost(self, target: float) -> Cost:
         """:class:`Cost` of reaching the error `target`, interpolated in logarithms."""
         reached = np.flatnonzero(self.error <= target)
         if not reached.size:
@@ -132,7 +135,7 @@ class Curve:
             return Cost(self.rays[0], self.cpu_seconds[0], True)
         errors = np.log(np.maximum(self.error[[k, k - 1]], 1e-300))
 
-        def _between(values):
+        def _between(values: Floats) -> float:
             if not values.all():
                 return 0.0
             return float(np.exp(np.interp(np.log(target), errors, np.log(values))))
@@ -140,7 +143,7 @@ class Curve:
         rays, seconds = self.rays[[k, k - 1]], self.cpu_seconds[[k, k - 1]]
         return Cost(_between(rays), _between(seconds), True)
 
-    def _extrapolated(self, target):
+    def _extrapolated(self, target: float) -> Cost:
         rays, seconds = self.rays, self.cpu_seconds
         more = rays[-1] * ((self.error[-1] / target) ** 2 - 1)
         if seconds[-1] > seconds[0]:  # a fixed part of the time does not grow
@@ -201,19 +204,19 @@ class Chart:
     curves: tuple[Curve, ...]
     reference: Reference
     independent: float
-    settings: dict
+    settings: dict[str, Any]
 
     @property
-    def n_patches(self):
+    def n_patches(self) -> int:
         """Patches of all hemispheres that were measured."""
         return int(np.prod(self.reference.values.shape[:3]))
 
     @property
-    def least(self):
+    def least(self) -> float:
         """Error below which the reference's own error takes part."""
         return ABOVE_REFERENCE * self.reference.error
 
-    def pareto(self):
+    def pareto(self) -> list[tuple[Curve, Point]]:
         """Points that no other one beats in both error and CPU seconds, dearest last.
 
         Returns
@@ -222,17 +225,17 @@ class Chart:
         """
         points = [(curve, point) for curve in self.curves for point in curve.points]
         points.sort(key=lambda entry: (entry[1].cpu_seconds, entry[1].error))
-        front = []
+        front: list[tuple[Curve, Point]] = []
         for curve, point in points:
             if not front or point.error < front[-1][1].error:
                 front.append((curve, point))
         return front
 
-    def independent_rays(self, error):
+    def independent_rays(self, error: float) -> float:
         """Counted independent rays that reach `error`, by multinomial statistics."""
         return (self.independent / error) ** 2
 
-    def ranking(self, target):
+    def ranking(self, target: float) -> list[tuple[Curve, Cost]]:
         """Curves and their :class:`Cost` to reach `target`, cheapest first.
 
         Those that did not reach it come last.
@@ -241,7 +244,7 @@ class Chart:
         costs.sort(key=lambda entry: (not entry[1].measured, entry[1].cpu_seconds))
         return costs
 
-    def advice(self, target):
+    def advice(self, target: float) -> str:
         """One line: what to use for the error `target`, and what that saves."""
         curve, cost = self.ranking(target)[0]
         text = f"to {target:.2g}: {curve.label}, {cost.cpu_seconds:.2g} CPU s"
@@ -252,7 +255,7 @@ class Chart:
                 text += f", 1/{saved:.3g} of independent ones"
         return text if cost.measured else text + " (extrapolated)"
 
-    def table(self, target):
+    def table(self, target: float) -> str:
         """Lines for people: what each method needs for `target`, and its order."""
         header = f"{'method':26s} {'CPU s':>8s} {'rays':>8s}   order          claimed"
         lines = [f"{header} / true error"]
@@ -267,7 +270,7 @@ class Chart:
             )
         return "\n".join(lines)
 
-    def save_csv(self, path):
+    def save_csv(self, path: str | PathLike[str]) -> None:
         """Write every point as a line of a CSV file; facts of the chart in comments.
 
         Raises
@@ -303,5 +306,5 @@ class Chart:
             stream.write(text.getvalue().encode())
 
 
-def _rays(cost):
+def _rays(cost: Cost) -> str:
     return f"{cost.rays:.2g}" if cost.rays else "-"

@@ -2,11 +2,14 @@
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from ..array_types import Floats
 from ..errors import SpecimenError
 from ..instrument.measurement import measure_whole
+from ..results.record import Record
 from .curves import Point, Reference
 
 __all__ = ["FIRST_RAYS", "GROWTH", "Method", "Runs", "find_reference"]
@@ -47,12 +50,12 @@ class Method:
     sampler: str
 
     @property
-    def settings(self):
+    def settings(self) -> dict[str, str]:
         """Arguments of :func:`gonio_mi.measure`."""
         settings = {"estimator": self.estimator, "sampler": self.sampler}
         return {name: word for name, word in settings.items() if word}
 
-    def effort(self, level):
+    def effort(self, level: int) -> Any:
         """Rays, or tolerance, of the `level`-th point; None after the last."""
         if not self.sampler:
             return {"rel_err": TOLERANCES[level]} if level < len(TOLERANCES) else None
@@ -65,21 +68,21 @@ class Runs:
     """Measurements of one specimen that differ in method, effort and seed."""
 
     scene: object
-    settings: dict
+    settings: dict[str, Any]
     seed: int
     repeats: int
 
-    def measure(self, seed, **settings):
+    def measure(self, seed: int, **settings: Any) -> Record:
         """Record of one measurement; seed 0 is for the reference and first runs."""
         return measure_whole(
             self.scene, seed=self.seed + seed, **{**self.settings, **settings}
         )
 
-    def warm_up(self, method):
+    def warm_up(self, method: Method) -> None:
         """Run a method once, so that its kernels are there."""
         self.measure(0, **method.settings, **method.effort(0))
 
-    def point(self, method, level, reference):
+    def point(self, method: Method, level: int, reference: Reference) -> Point:
         """:class:`.curves.Point` of a method at its `level`-th effort."""
         effort = method.effort(level)
         seconds, squares, claims = [], [], []
@@ -104,7 +107,7 @@ class Runs:
         )
 
 
-def find_reference(runs, seconds):
+def find_reference(runs: Runs, seconds: float) -> tuple[Record, Reference, str]:
     """Return a first record of the specimen, and what is taken for true.
 
     Parameters
@@ -150,7 +153,7 @@ def find_reference(runs, seconds):
     return pilot, _reference(record, words, refused), integrates
 
 
-def _reference(record, source, refused):
+def _reference(record: Record, source: str, refused: str) -> Reference:
     """:class:`gonio_mi.charts.curves.Reference` from a record."""
     values, std_err = arrays(record)
     weights = record.subdivision.projected_solid_angles[..., None]
@@ -161,9 +164,9 @@ def _reference(record, source, refused):
     return Reference(values, float(error), mean, source, refused)
 
 
-def _integral(runs, pilot, rays, seconds):
+def _integral(runs: Runs, pilot: Record, rays: int, seconds: float) -> Record:
     """Record of integrals, or SpecimenError that says why there is none."""
-    record = None
+    record: Any = None
     for rel_err in REFERENCE_ERRS:
         started = time.perf_counter()
         settings = {"estimator": "quadrature", "sampler": "sobol", "rel_err": rel_err}
@@ -182,7 +185,7 @@ def _integral(runs, pilot, rays, seconds):
     return record
 
 
-def _differ(pilot, record):
+def _differ(pilot: Record, record: Record) -> bool:
     """Whether patches or totals of two records are further apart than they may be."""
     values, std_err = arrays(pilot)
     if _rms(values - arrays(record)[0]) > TOO_FAR * _rms(std_err):
@@ -195,19 +198,20 @@ def _differ(pilot, record):
     return False
 
 
-def arrays(record):
+def arrays(record: Record) -> tuple[Floats, Floats]:
     """BSDF and standard error, ``(n_hemispheres, n_theta, n_phi, channels)``.
 
     The standard error is 0 for a patch without a hit, and NaN for a single batch.
     """
-    values, std_err = [record.brdf], [record.brdf_std_err]
+    values: list[Any] = [record.brdf]
+    errors: list[Any] = [record.brdf_std_err]
     if record.has_lower:
         values.append(record.btdf)
-        std_err.append(record.btdf_std_err)
+        errors.append(record.btdf_std_err)
     unknown = record.n_batches == 1 and record.settings["rays"] > 0
-    std_err = np.nan_to_num(np.stack(std_err), nan=np.nan if unknown else 0.0)
+    std_err = np.nan_to_num(np.stack(errors), nan=np.nan if unknown else 0.0)
     return np.stack(values), std_err
 
 
-def _rms(values):
+def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values))))

@@ -4,6 +4,8 @@ import argparse
 import contextlib
 import re
 import sys
+from collections.abc import Sequence
+from typing import Any, NoReturn
 
 import mitsuba as mi
 
@@ -41,7 +43,7 @@ DEFAULT_VARIANT = "llvm_ad_mono"
 class Parser(argparse.ArgumentParser):
     """Parser whose errors are exceptions, for one sentence and one exit code."""
 
-    def __init__(self, **kwargs):
+    def __init__(self, **kwargs: Any) -> None:
         super().__init__(
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
@@ -50,7 +52,7 @@ class Parser(argparse.ArgumentParser):
         # -1e3 is a number too, before Python 3.14
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
-    def error(self, message):
+    def error(self, message: str) -> NoReturn:
         """Raise it."""
         raise UsageError(re.sub(r"^argument (\S+): (?=must )", r"\1 ", message))
 
@@ -59,7 +61,7 @@ class UsageError(ValueError):
     """Arguments that cannot be parsed."""
 
 
-def add_specimen(parser):
+def add_specimen(parser: argparse.ArgumentParser) -> None:
     """Add the argument that :func:`specimen_of` understands."""
     parser.add_argument(
         "specimen",
@@ -69,7 +71,7 @@ def add_specimen(parser):
     )
 
 
-def add_scene_options(group, variants=(DEFAULT_VARIANT,)):
+def add_scene_options(group: Any, variants: Sequence[str] = (DEFAULT_VARIANT,)) -> None:
     """Add the options that say what Mitsuba loads specimens with.
 
     The default of ``--variant`` is None where a command takes several `variants`.
@@ -100,7 +102,7 @@ def add_scene_options(group, variants=(DEFAULT_VARIANT,)):
     )
 
 
-def specimen_of(word, options):
+def specimen_of(word: str, options: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
     """Set the variant, run the plugin files, and read the specimen.
 
     Returns
@@ -119,7 +121,7 @@ def specimen_of(word, options):
     return specimen, dict(options.parameters)
 
 
-def number(text):
+def number(text: str) -> float:
     """Whole number or float; the measurement checks its range."""
     try:
         return int(text)
@@ -133,7 +135,7 @@ def number(text):
         ) from None
 
 
-def number_or_word(text):
+def number_or_word(text: str) -> float | str:
     """Float, or the text as it is."""
     try:
         return float(text)
@@ -141,7 +143,7 @@ def number_or_word(text):
         return text
 
 
-def set_variant(variant):
+def set_variant(variant: str) -> None:
     """Set a Mitsuba variant that the instrument can use."""
     usable = usable_variants()
     if variant not in usable:
@@ -158,7 +160,7 @@ def set_variant(variant):
         ) from error
 
 
-def _pair(text):
+def _pair(text: str) -> tuple[str, str]:
     """Name and value of ``name=value``."""
     name, equals, value = text.partition("=")
     if not (name and equals):
@@ -166,18 +168,18 @@ def _pair(text):
     return name, value
 
 
-def tell(result):
+def tell(result: object) -> None:
     """Print a result; what a file holds cannot command the terminal."""
     print(printable(str(result)), flush=True)
 
 
-def say(text):
+def say(text: str) -> None:
     """Print a line for the user, beside the results, if anyone reads it."""
     with contextlib.suppress(OSError, ValueError):
         print(shortened(f"{PROGRAM}: {text}"), file=sys.stderr)
 
 
-def sentence(error):
+def sentence(error: BaseException) -> str:
     """One line on an error."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"

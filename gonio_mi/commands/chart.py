@@ -1,7 +1,9 @@
 """``gonio-mi chart``: speed against accuracy for a specimen."""
 
 import sys
+from argparse import Namespace
 from pathlib import Path
+from typing import Any
 
 from .. import files
 from .arguments import (
@@ -29,7 +31,7 @@ is that of the process, all threads together, without compilation. SPECIMEN come
 """
 
 
-def add(commands):
+def add(commands: Any) -> None:
     """Add the parser of the command."""
     parser = commands.add_parser(
         "chart",
@@ -72,7 +74,7 @@ def add(commands):
     output.add_argument("-q", "--quiet", action="store_true", help="print nothing")
 
 
-def _add_methods(group):
+def _add_methods(group: Any) -> None:
     """Add the options that say what is compared, and for how long."""
     group.add_argument(
         "--estimator",
@@ -111,7 +113,7 @@ def _add_methods(group):
         add_setting(group, name)
 
 
-def run(options):
+def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     from ..charts import ESTIMATORS, SAMPLERS, chart
     from ..errors import checked_number

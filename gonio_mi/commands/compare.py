@@ -1,7 +1,9 @@
 """``gonio-mi compare``: a record beside another, or beside measured values."""
 
 import json
+from argparse import Namespace
 from pathlib import Path
+from typing import Any
 
 from .. import files
 from .arguments import (
@@ -28,7 +30,7 @@ Exit code 3: they differ by more than chance explains.
 """
 
 
-def add(commands):
+def add(commands: Any) -> None:
     """Add the parser of the command."""
     parser = commands.add_parser(
         "compare",
@@ -93,13 +95,13 @@ def add(commands):
     add_scene_options(specimen)
 
 
-def run(options):
+def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     from ..comparison import compare, measure_like
     from ..files.measured import read_measured
     from ..plots import check_picture
 
-    def is_record(path):
+    def is_record(path: str) -> bool:
         return Path(path).suffix.lower() in files.ENDINGS
 
     if options.output is not None:
@@ -107,7 +109,7 @@ def run(options):
     if is_record(options.other):
         if options.channel is not None:
             raise ValueError(f"--channel goes with a table, got {options.other!r}")
-        other = files.load(options.other)
+        other: Any = files.load(options.other)
     else:
         other = read_measured(options.other, options.channel)
     if is_record(options.record):
@@ -116,7 +118,7 @@ def run(options):
                 "--aperture-half-angle goes with a specimen, which is measured; "
                 f"{options.record} was"
             )
-        record = files.load(options.record)
+        record: Any = files.load(options.record)
     elif is_record(options.other):
         raise ValueError(
             f"RECORD must be an .exr or .npz file if OTHER is one, got {options.record}"

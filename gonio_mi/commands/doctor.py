@@ -1,8 +1,9 @@
 """``gonio-mi doctor``: whether this machine is able to measure."""
 
 import platform
+from collections.abc import Callable
 from importlib import metadata
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -11,6 +12,7 @@ import numpy as np
 from .. import llvm
 from ..errors import LLVMError
 from ..instrument.measurement import measure_whole
+from ..results.record import Record
 from ..transport.variants import usable_variants
 
 __all__ = ["Row", "add", "diagnose", "run"]
@@ -24,7 +26,7 @@ SELF_TEST_RAYS = 10**6
 FALSE_ALARM = 1e-6
 
 
-def add(commands):
+def add(commands: Any) -> None:
     """Add the parser of the command."""
     parser = commands.add_parser(
         "doctor",
@@ -50,7 +52,7 @@ class Row(NamedTuple):
     ok: bool
 
 
-def diagnose():
+def diagnose() -> tuple[list[Row], bool]:
     """Look at everything a measurement needs, and make one.
 
     Sets the variant ``llvm_ad_mono`` if none is set: meant for a process of its own.
@@ -78,7 +80,7 @@ def diagnose():
     return rows, all(row.ok for row in rows)
 
 
-def run(write=print):
+def run(write: Callable[[str], Any] = print) -> int:
     """Write the diagnosis line by line, and return the exit code: 0 able, 1 not.
 
     Parameters
@@ -97,20 +99,20 @@ def run(write=print):
 # ------------------------------------------------------------------------- findings
 
 
-def _package(name):
+def _package(name: str) -> Row:
     try:
         return Row(name, metadata.version(name), True)
     except metadata.PackageNotFoundError:
         return Row(name, f"not installed: run `pip install {name}`", False)
 
 
-def _extra(name, extra):
+def _extra(name: str, extra: str) -> Row:
     row = _package(name)
     line = f"not installed, optional: run `pip install gonio-mi[{extra}]`"
     return row if row.ok else Row(name, line, True)
 
 
-def _self_test():
+def _self_test() -> Row:
     """Row on a white Lambertian plate, whose BRDF is 1 / pi in every patch."""
     try:
         if not (mi.variant() or VARIANT).startswith("cuda"):
@@ -127,7 +129,7 @@ def _self_test():
     return Row("self-test", "; ".join(faults) or passed, not faults)
 
 
-def _measure_white():
+def _measure_white() -> Record:
     """Record of counted independent rays on a white Lambertian plate."""
     return measure_whole(
         {"type": "diffuse", "reflectance": 1.0},
@@ -141,7 +143,7 @@ def _measure_white():
     )
 
 
-def _faults(record, brdf):
+def _faults(record: Record, brdf: float) -> list[str]:
     """Sentences on what contradicts the constant `brdf`; none from a correct record.
 
     Every patch's exact interval has to contain it, at a level that shares `FALSE_ALARM`

@@ -1,6 +1,8 @@
 """``gonio-mi export``: a record in the files of other tools."""
 
+from argparse import Namespace
 from pathlib import Path
+from typing import Any
 
 from .. import files
 from ..files.channels import wavelengths_nm
@@ -9,7 +11,7 @@ from .arguments import DONE, set_variant, tell
 __all__ = ["add", "run"]
 
 
-def add(commands):
+def add(commands: Any) -> None:
     """Add the parser of the command."""
     parser = commands.add_parser(
         "export",
@@ -38,7 +40,7 @@ def add(commands):
     )
 
 
-def run(options):
+def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     record = files.load(options.record)
     from ..exports.exporting import ENDINGS, export  # which needs a renderer

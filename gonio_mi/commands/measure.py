@@ -1,14 +1,20 @@
 """``gonio-mi measure``: a specimen is measured, shown and saved."""
 
+from __future__ import annotations
+
 import signal
 import sys
 import warnings
+from argparse import Namespace
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 from .. import files
 from ..errors import checked_count
 from ..instrument.campaigns import campaign
 from ..instrument.measuring import measure
+from ..results.record import Record
 from ..results.summary import summarize, summary_text
 from .arguments import (
     DONE,
@@ -43,7 +49,7 @@ Options take their defaults from the scene file if that is a complete measuremen
 """
 
 
-def add(commands):
+def add(commands: Any) -> None:
     """Add the parser of the command."""
     parser = commands.add_parser(
         "measure",
@@ -63,7 +69,7 @@ def add(commands):
     _add_output(parser.add_argument_group("output"))
 
 
-def _add_angles(group):
+def _add_angles(group: Any) -> None:
     """Add the options of the incident directions."""
     group.add_argument(
         "--theta-i",
@@ -83,7 +89,7 @@ def _add_angles(group):
     )
 
 
-def _add_output(group):
+def _add_output(group: Any) -> None:
     """Add the options of what becomes of the record."""
     group.add_argument(
         "-o",
@@ -116,7 +122,7 @@ def _add_output(group):
     )
 
 
-def run(options):
+def run(options: Namespace) -> int:
     """Measure; what goes wrong with files does so before."""
     for path in options.output:
         files.check_output(path, files.ENDINGS)
@@ -144,7 +150,7 @@ def run(options):
     return INCOMPLETE if ctrl_c.pressed or _is_imprecise(record) else DONE
 
 
-def _measure(options):
+def _measure(options: Namespace) -> Callable[..., Record]:
     """Function that measures here and at once, or in a campaign."""
     if options.workers is None and options.folder is None:
         resume = None if options.resume is None else files.load(options.resume)
@@ -155,7 +161,9 @@ def _measure(options):
     if workers is not None:
         workers = checked_count("workers", workers)
 
-    def _by_campaign(specimen, theta_i, phi_i, **settings):
+    def _by_campaign(
+        specimen: Any, theta_i: Any, phi_i: Any, **settings: Any
+    ) -> Record:
         try:
             record = campaign(
                 {options.specimen: specimen},
@@ -179,7 +187,7 @@ def _measure(options):
     return _by_campaign
 
 
-def _save(record, paths):
+def _save(record: Record, paths: Sequence[str]) -> list[str]:
     """Write the record to every path that it can be written to; return the others."""
     unsaved = []
     for path in paths:
@@ -191,18 +199,18 @@ def _save(record, paths):
     return unsaved
 
 
-def _is_imprecise(record):
+def _is_imprecise(record: Record) -> bool:
     """Whether a precision was asked for and not reached."""
     asked = record.settings.get("rel_err")
     return asked is not None and record.settings.get("reached", 0) > asked
 
 
-def _one_or_many(values):
+def _one_or_many(values: Any) -> Any:
     """The value of a list of one: it asks for a record, not for a stack."""
     return values[0] if values is not None and len(values) == 1 else values
 
 
-def _remains(options, record):
+def _remains(options: Namespace, record: Record) -> str:
     """What is left of an interrupted measurement."""
     if record.ledger.emitted:
         kept = f"{record.ledger.emitted:,} rays".replace(",", " ")
@@ -228,18 +236,18 @@ class _CtrlC:
         To be set when nothing is to be ended any more.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.pressed = self.ignored = False
 
-    def __enter__(self):
+    def __enter__(self) -> _CtrlC:
         self._previous = signal.signal(signal.SIGINT, self._press)
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         after = signal.SIG_IGN if self.pressed else self._previous
         signal.signal(signal.SIGINT, after)
 
-    def _press(self, *_):
+    def _press(self, *_: object) -> None:
         if not (self.ignored or self.pressed):
             self.pressed = True
             raise KeyboardInterrupt

@@ -1,7 +1,9 @@
 """``gonio-mi plan``: how many rays for which reliability."""
 
 import json
+from argparse import Namespace
 from dataclasses import asdict
+from typing import Any
 
 from .. import files
 from .arguments import DONE, number, tell
@@ -20,7 +22,7 @@ numbers are for independent rays; the sampler sobol needs fewer.
 """
 
 
-def add(commands):
+def add(commands: Any) -> None:
     """Add the parser of the command."""
     parser = commands.add_parser(
         "plan",
@@ -82,7 +84,7 @@ def add(commands):
     parser.add_argument("--json", action="store_true", help="for machines")
 
 
-def run(options):
+def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     from ..results.ray_density import plan  # SciPy's statistics are slow to import
 

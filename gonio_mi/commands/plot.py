@@ -1,12 +1,15 @@
 """``gonio-mi plot``: a picture of a record."""
 
+from argparse import Namespace
+from typing import Any
+
 from .. import files
 from .arguments import DONE, number
 
 __all__ = ["add", "run"]
 
 
-def add(commands):
+def add(commands: Any) -> None:
     """Add the parser of the command."""
     parser = commands.add_parser(
         "plot",
@@ -33,7 +36,7 @@ def add(commands):
     )
 
 
-def run(options):
+def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     record = files.load(options.record)
     from ..plots import plot  # matplotlib is an extra, and slow to import

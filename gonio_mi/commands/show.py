@@ -1,6 +1,8 @@
 """``gonio-mi show``: the numbers of a record."""
 
 import json
+from argparse import Namespace
+from typing import Any
 
 from .. import files
 from ..results.summary import summarize, summary_text
@@ -9,7 +11,7 @@ from .arguments import DONE, tell
 __all__ = ["add", "run"]
 
 
-def add(commands):
+def add(commands: Any) -> None:
     """Add the parser of the command."""
     parser = commands.add_parser(
         "show",
@@ -23,7 +25,7 @@ def add(commands):
     parser.add_argument("--json", action="store_true", help="for machines")
 
 
-def run(options):
+def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     numbers = summarize(files.load(options.record))
     if options.json:

@@ -2,9 +2,12 @@
 
 import argparse
 import json
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from ..errors import SpecimenError
 from ..instrument.loading import load_specimen
+from ..validation.verdict import Verdict
 from .arguments import (
     DONE,
     FAILED,
@@ -32,7 +35,7 @@ Exit code 3: something that --allow does not name biases images or breaks integr
 """
 
 
-def add(commands):
+def add(commands: Any) -> None:
     """Add the parser of the command."""
     parser = commands.add_parser(
         "validate",
@@ -75,7 +78,7 @@ def add(commands):
     add_scene_options(parser.add_argument_group("scene"), VARIANTS)
 
 
-def run(options):
+def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from ..validation import check_report, save_report
 
@@ -97,11 +100,14 @@ def run(options):
     return DONE if verdict.passed else FAILED
 
 
-def _verdicts(options):
+def _verdicts(options: argparse.Namespace) -> tuple[list[Verdict], dict[str, str]]:
     """Verdict in each variant that the plugin knows, and why it knows no others."""
     if options.variant is not None:
         return [_verdict(options, options.variant)], {}
-    verdicts, silent, skipped, first_error = [], [], {}, None
+    verdicts: list[Verdict] = []
+    silent: list[Verdict] = []
+    skipped: dict[str, str] = {}
+    first_error: Any = None
     for variant in VARIANTS:
         try:
             verdict = _verdict(options, variant)
@@ -124,7 +130,7 @@ def _verdicts(options):
     return verdicts, skipped
 
 
-def _verdict(options, variant):
+def _verdict(options: argparse.Namespace, variant: str) -> Verdict:
     from ..validation import validate
 
     options = argparse.Namespace(**(vars(options) | {"variant": variant}))
@@ -141,7 +147,9 @@ def _verdict(options, variant):
     )
 
 
-def _print(verdict, others, skipped):
+def _print(
+    verdict: Verdict, others: Sequence[Verdict], skipped: Mapping[str, str]
+) -> None:
     """One verdict in full, and of the others what differs."""
     for variant, reason in skipped.items():
         print(f"not judged in {variant}: {reason}")
@@ -154,5 +162,5 @@ def _print(verdict, others, skipped):
     print(verdict)
 
 
-def _failed(verdict):
+def _failed(verdict: Verdict) -> set[str]:
     return {one.name for one in verdict.failures}

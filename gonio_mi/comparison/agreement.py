@@ -1,11 +1,17 @@
 """Scores of points that two sides have measured, and tests whether they agree."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import special
 
+from ..array_types import Flags, Floats, Integers
 from ..results.normal_scores import student_score, two_sided_score
+from ..results.record import Record
 from ..results.statistics import ratio
 from ..single_precision import FEW_ROUNDINGS
 
@@ -34,14 +40,21 @@ class Readings:
     dof: float
 
     @classmethod
-    def of(cls, record, index, hemisphere, patch, channel):
+    def of(
+        cls,
+        record: Record,
+        index: int,
+        hemisphere: Integers,
+        patch: Integers,
+        channel: Integers,
+    ) -> Readings:
         """Readings at flat patch indices, of each its hemisphere and channel."""
         one, tally = record[index], record.tallies[index]
         estimates = record.estimates[index]
         row, column = np.divmod(patch, record.subdivision.shape[1])
         where = (hemisphere, row, column, channel)
-        pair = (one.brdf, one.btdf) if record.has_lower else (one.brdf,)
-        errors = (one.brdf_std_err, one.btdf_std_err)[: len(pair)]
+        pair: Any = (one.brdf, one.btdf) if record.has_lower else (one.brdf,)
+        errors: Any = (one.brdf_std_err, one.btdf_std_err)[: len(pair)]
         solid = record.subdivision.projected_solid_angles[row, column]
         hits, rays = estimates.hits[where[:3]], estimates.rays
         value = np.stack(pair)[where]
@@ -67,7 +80,7 @@ class Readings:
         )
 
     @property
-    def error(self):
+    def error(self) -> Floats:
         """Standard error; one hit's worth where there was none.
 
         The sum of a batch is not trusted to more than a rounded hit, 1/12 in square,
@@ -77,14 +90,14 @@ class Readings:
         known = np.isfinite(self.std_err)
         return np.where(known, np.maximum(self.std_err, rounded), 1 / self.exposure)
 
-    def total(self, solid):
+    def total(self, solid: Floats) -> tuple[Any, Any, float]:
         """Sum of values over solid angles, its variance and degrees of freedom."""
         if len(self.residual) < 2:
             return self.value @ solid, self.error**2 @ solid**2, self.dof
         variance = np.sum((self.residual @ solid) ** 2)
         return self.value @ solid, variance, len(self.residual) - 1.0
 
-    def correlation(self, sigma):
+    def correlation(self, sigma: Floats) -> Floats:
         """Share of the points' covariance: its root, over `sigma` of each point."""
         norm = np.sqrt(np.sum(self.residual**2, axis=0))
         share = np.where(norm > 0, self.error / sigma, 0.0)
@@ -95,16 +108,18 @@ class Readings:
 class PointSet:
     """Points of one record and incident direction, and what they are compared with."""
 
-    columns: dict  # directions and channel of the points
+    columns: dict[str, Any]  # directions and channel of the points
     readings: Readings
     other: np.ndarray
     other_error: np.ndarray  # independent between points, without that of the readings
     other_readings: Readings | None
     solid: np.ndarray
-    total_of: list  # to which total each point belongs
+    total_of: list[Any]  # to which total each point belongs
 
 
-def judge(sets, scale):
+def judge(
+    sets: Sequence[PointSet], scale: float
+) -> tuple[Floats, Floats, dict[str, float], dict[str, float]]:
     """Scores of all points, and the tests of :func:`gonio_mi.comparison.compare`.
 
     Parameters
@@ -120,7 +135,8 @@ def judge(sets, scale):
     statistics, p_values : dict of float
     """
     fitted = _fitted_scale(sets, scale)
-    scores, errors, totals, trace2 = [], [], {}, 0.0
+    scores, errors, trace2 = [], [], 0.0
+    totals: dict[object, _Total] = {}
     for one in sets:
         shared = scale * np.abs(one.other)
         z, sigma = _scores(one, 1 + fitted)
@@ -151,13 +167,13 @@ def judge(sets, scale):
     return z, np.concatenate(errors), statistics, p_values
 
 
-def mostly_few(sets):
+def mostly_few(sets: Sequence[PointSet]) -> bool:
     """Whether most points have fewer than `FEW_FOR_TAILS` hits on either side."""
     few = np.concatenate([_errors(one, 1.0)[2] for one in sets])
     return bool(few.mean() > 0.5)
 
 
-def _fitted_scale(sets, scale):
+def _fitted_scale(sets: Sequence[PointSet], scale: float) -> float:
     """Most likely relative error of the common scale, whose standard error is `scale`.
 
     With its own square in units of `scale`, the scores of what is left have the sum of
@@ -185,14 +201,14 @@ class _Total:
     hits: float = 0.0
 
     @property
-    def score(self):
+    def score(self) -> float:
         """Normal score of the difference."""
         variance = self.variance + self.shared**2
         dof = variance**2 / self.welch if self.welch else np.inf
         return float(student_score(self.difference / np.sqrt(variance), dof))
 
 
-def _add_total(total, one, key, shared):
+def _add_total(total: _Total, one: PointSet, key: object, shared: Floats) -> None:
     """Add the points of a set that belong to `key`."""
     solid = one.solid * np.array([own == key for own in one.total_of])
     value, variance, dof = one.readings.total(solid)
@@ -209,7 +225,7 @@ def _add_total(total, one, key, shared):
         total.welch += variance**2 / dof
 
 
-def _errors(one, factor):
+def _errors(one: PointSet, factor: float) -> tuple[Floats, Floats, Flags, Flags]:
     """Variance of each difference, Welch's d.o.f., where hits are few, where none."""
     mine, others = one.readings, one.other_readings
     rounding = FEW_ROUNDINGS * factor * one.other
@@ -224,7 +240,7 @@ def _errors(one, factor):
     return sigma2, dof, few, empty
 
 
-def _scores(one, factor):
+def _scores(one: PointSet, factor: float) -> tuple[Floats, Floats]:
     """Normal score of each point's difference, and its standard error.
 
     What the readings are compared with is multiplied by `factor`.
@@ -242,7 +258,7 @@ def _scores(one, factor):
     return np.where(few & np.isfinite(exact), smaller, z), np.sqrt(sigma2)
 
 
-def _hits_score(mine, other, variance):
+def _hits_score(mine: Readings, other: Floats, variance: Floats) -> Floats:
     """Score of the number of hits, if `other` and its variance tell their mean.
 
     Poisson's law, or the negative binomial where the mean itself follows a gamma
@@ -269,7 +285,7 @@ def _hits_score(mine, other, variance):
     return np.where((other <= 0) & (k == 0), 0.0, score)
 
 
-def _two_hits_score(mine, others):
+def _two_hits_score(mine: Readings, others: Readings) -> Floats:
     """Score of the hits of one record, given the sum of both: a binomial law."""
     a, b = mine.hits, others.hits
     # where there was no hit, the other record tells what one is worth
@@ -282,7 +298,7 @@ def _two_hits_score(mine, others):
     return np.where(a + b == 0, 0.0, two_sided_score(below, above))
 
 
-def _trace_of_square(one, sigma):
+def _trace_of_square(one: PointSet, sigma: Floats) -> float:
     """Trace of R^2 for the correlation R of the differences of a set's points.
 
     R is estimated from few batches: what chance adds to the squares of its entries,
@@ -305,6 +321,6 @@ def _trace_of_square(one, sigma):
     return trace
 
 
-def _largest(z, n):
+def _largest(z: float, n: int) -> float:
     """Probability that the largest of `n` independent normal scores reaches `z`."""
     return float(-np.expm1(n * np.log1p(-min(2 * special.ndtr(-z), 1 - 1e-16))))

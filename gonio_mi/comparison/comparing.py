@@ -1,6 +1,9 @@
 """Comparison of a record with another record or with measured values: the verdict."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from os import PathLike
+from typing import Any
 
 import numpy as np
 
@@ -76,19 +79,19 @@ class Comparison:
     other: np.ndarray
     other_std_err: np.ndarray
     z: np.ndarray
-    statistics: dict
-    p_values: dict
+    statistics: dict[str, float]
+    p_values: dict[str, float]
     alpha: float
     notes: tuple[str, ...] = ()
     labels: tuple[str, str] = ("record", "other")
 
     @property
-    def rms(self):
+    def rms(self) -> float:
         """Root of the mean squared difference in 1/sr, the RMS error of the paper."""
         return float(np.sqrt(np.mean((self.value - self.other) ** 2)))
 
     @property
-    def rms_expected(self):
+    def rms_expected(self) -> float:
         """RMS error in 1/sr that the uncertainties alone would give.
 
         A patch without a hit counts with the uncertainty of the other alone.
@@ -97,28 +100,28 @@ class Comparison:
         return float(np.sqrt(np.mean(square)))
 
     @property
-    def relative_rms(self):
+    def relative_rms(self) -> float:
         """`rms` over the mean of the other's values; NaN if that is not positive."""
         mean = float(np.mean(self.other))
         return self.rms / mean if mean > 0 else float("nan")
 
     @property
-    def p_value(self):
+    def p_value(self) -> float:
         """The least of `p_values`, times their number (Bonferroni), at most 1."""
         return min(1.0, len(self.p_values) * min(self.p_values.values()))
 
     @property
-    def passed(self):
+    def passed(self) -> bool:
         """Whether the two agree: ``p_value >= alpha``."""
         return self.p_value >= self.alpha
 
     @property
-    def worst(self):
+    def worst(self) -> list[dict[str, Any]]:
         """The points of largest ``abs(z)``, worst first: up to five dictionaries."""
         order = np.argsort(-np.abs(self.z), kind="stable")[:N_WORST]
         return [self._point(i) for i in order]
 
-    def to_dict(self):
+    def to_dict(self) -> dict[str, Any]:
         """Everything in JSON's types; what is not known is None."""
         return {
             "passed": self.passed,
@@ -136,7 +139,7 @@ class Comparison:
             "points": [self._point(i) for i in range(len(self.z))],
         }
 
-    def plot(self, path):
+    def plot(self, path: str | PathLike[str]) -> None:
         """Write a picture of both curves with error bars, and of `z` below them.
 
         One panel per incident direction and channel, along the measured half-planes
@@ -158,17 +161,17 @@ class Comparison:
 
         plot_comparison(self, path)
 
-    def _point(self, i):
-        names = ("theta_i", "phi_i", "theta_o", "phi_o")
-        names += ("value", "std_err", "other", "other_std_err", "z")
+    def _point(self, i: int) -> dict[str, Any]:
+        directions = ("theta_i", "phi_i", "theta_o", "phi_o")
+        names = (*directions, "value", "std_err", "other", "other_std_err", "z")
         point = {name: _known(float(getattr(self, name)[i])) for name in names}
         return point | {"channel": str(self.channel[i])}
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         verdict = "agrees" if self.passed else "differs"
         return f"<Comparison of {len(self.z)} points: {verdict}, p {self.p_value:.3g}>"
 
-    def __str__(self):
+    def __str__(self) -> str:
         found, p = self.statistics, self.p_values
         verdict = "agree" if self.passed else "DIFFER"
         lines = [
@@ -205,7 +208,14 @@ class Comparison:
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
 
-def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=ALPHA):
+def compare(
+    record: Record | Sequence[Record],
+    other: Record | MeasuredTable,
+    *,
+    uncertainty: float | None = None,
+    scale_uncertainty: float | None = None,
+    alpha: float = ALPHA,
+) -> Comparison:
     r"""Compare a record with another one, or with measured values.
 
     The difference of each point over its standard error, from both uncertainties, is
@@ -261,7 +271,10 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
         if isinstance(one, Record):
             check_uncertainties(one)
     if isinstance(other, MeasuredTable):
-        given = {"uncertainty": uncertainty, "scale_uncertainty": scale_uncertainty}
+        given: dict[str, Any] = {
+            "uncertainty": uncertainty,
+            "scale_uncertainty": scale_uncertainty,
+        }
         table = replace(other, **{k: v for k, v in given.items() if v is not None})
         sets, notes = pair_with_table(records, table)
         compared = (str(records[0].settings.get("specimen"))[:40], table.name[:40])
@@ -309,14 +322,21 @@ def compare(record, other, *, uncertainty=None, scale_uncertainty=None, alpha=AL
     )
 
 
-def _is_even(record):
+def _is_even(record: Record) -> bool:
     """Whether its rays are quasi-Monte Carlo: more even than independent ones."""
     settings = record.settings
     sampled = settings.get("estimator") != "quadrature"
     return sampled and settings.get("sampler") != "independent"
 
 
-def measure_like(specimen, table, *, aperture_half_angle=None, seed=0, **settings):
+def measure_like(
+    specimen: Any,
+    table: MeasuredTable,
+    *,
+    aperture_half_angle: float | None = None,
+    seed: int = 0,
+    **settings: Any,
+) -> tuple[Record, ...]:
     """Measure at the solid angles of a table's points, under its emitter.
 
     Around each measured direction stands a circular aperture, so that no patch mean
@@ -358,7 +378,7 @@ def measure_like(specimen, table, *, aperture_half_angle=None, seed=0, **setting
         settings.setdefault("emitter", _round_source(table))
     lower = "both" if table.quantity == "btdf" else "upper"
     settings.setdefault("hemispheres", lower)
-    records = []
+    records: list[Record] = []
     for theta_i, phi_i in table.incident:
         here = (table.theta_i == theta_i) & (table.phi_i == phi_i)
         theta_o = pole_angle(table.theta_o[here])
@@ -380,7 +400,7 @@ def measure_like(specimen, table, *, aperture_half_angle=None, seed=0, **setting
     return tuple(records)
 
 
-def _round_source(table):
+def _round_source(table: MeasuredTable) -> dict[str, Any]:
     """Disk of uniform radiance above the specimen, that faces it."""
     import mitsuba as mi
 
@@ -394,11 +414,11 @@ def _round_source(table):
     }
 
 
-def _known(value):
+def _known(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _pair(value, std_err):
+def _pair(value: float, std_err: float) -> str:
     if std_err is None:
         return f"{value:9.4g} +- {'-':<8}"
     return f"{value:9.4g} +- {std_err:<8.2g}"

@@ -1,11 +1,19 @@
 """Picture of a comparison: both curves with error bars, and their scores below."""
 
+from __future__ import annotations
+
+from os import PathLike
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..array_types import Flags, Floats
 from ..files import replacing
 from ..plots import check_picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["plot_comparison"]
 
@@ -16,7 +24,7 @@ MAX_PANELS = 6
 SAME = 1e-3
 
 
-def plot_comparison(comparison, path):
+def plot_comparison(comparison: Any, path: str | PathLike[str]) -> None:
     """Write a figure to `path`, which ends in ``.pdf``, ``.png`` or ``.svg``.
 
     One panel per incident direction and channel, up to six, with the points of the two
@@ -54,13 +62,15 @@ def plot_comparison(comparison, path):
         figure.savefig(stream, format=ending, dpi=150)
 
 
-def _panels(comparison):
+def _panels(comparison: Any) -> list[tuple[float, float, str]]:
     """Distinct incident directions and channels, in order."""
     columns = (comparison.theta_i, comparison.phi_i, comparison.channel)
     return list(dict.fromkeys(zip(*(column.tolist() for column in columns))))
 
 
-def _draw(comparison, panel, above, below):
+def _draw(
+    comparison: Any, panel: tuple[float, float, str], above: Axes, below: Axes
+) -> None:
     """One incident direction and channel."""
     theta_i, phi_i, channel = panel
     own = (comparison.theta_i == theta_i) & (comparison.phi_i == phi_i)
@@ -101,7 +111,7 @@ def _draw(comparison, panel, above, below):
     below.set_xlabel(label)
 
 
-def _profile(theta_o, phi_o, phi_i):
+def _profile(theta_o: Floats, phi_o: Floats, phi_i: float) -> tuple[Floats, Flags, str]:
     """Abscissa of each point, which points lie in the profile, and the axis label."""
     ahead = _turn(phi_o - phi_i - 180)
     back = _turn(phi_o - phi_i)
@@ -130,6 +140,6 @@ def _profile(theta_o, phi_o, phi_i):
     return np.where(backward & ~forward, -theta_o, theta_o), chosen, label
 
 
-def _turn(angle):
+def _turn(angle: Floats) -> Floats:
     """Angle in degrees in [-180, 180)."""
     return (angle + 180) % 360 - 180

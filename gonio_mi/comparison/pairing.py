@@ -1,9 +1,15 @@
 """Which points of a record belong to which of another one, or of a measured table."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
+from ..array_types import Floats
 from ..collector.directions import direction
 from ..collector.hemisphere import EDGE
+from ..files.measured_table import MeasuredTable
+from ..results.record import Record
 from .agreement import PointSet, Readings
 
 __all__ = [
@@ -15,7 +21,9 @@ __all__ = [
 ]
 
 
-def pair_with_record(record, other, relative):
+def pair_with_record(
+    record: Record, other: Record, relative: float
+) -> tuple[list[PointSet], list[str]]:
     """Sets of points of two records, patch by patch."""
     for what, a, b in (
         ("collector", record.subdivision, other.subdivision),
@@ -63,7 +71,9 @@ def pair_with_record(record, other, relative):
     return sets, notes
 
 
-def pair_with_table(records, table):
+def pair_with_table(
+    records: Sequence[Record], table: MeasuredTable
+) -> tuple[list[PointSet], list[str]]:
     """Sets of points of a table, each with the records that hold it."""
     notes = []
     errors = table.bsdf_std_err
@@ -132,7 +142,7 @@ def pair_with_table(records, table):
     return sets, list(dict.fromkeys(notes))
 
 
-def _check_apertures(patches, table):
+def _check_apertures(patches: Any, table: MeasuredTable) -> None:
     """Raise ValueError if the apertures are not as wide as those of the table."""
     own, said = patches.aperture_half_angle, table.aperture_half_angle
     if said is not None and not np.isclose(said, own, rtol=EDGE, atol=0):
@@ -142,7 +152,7 @@ def _check_apertures(patches, table):
         )
 
 
-def _channel(record, table):
+def _channel(record: Record, table: MeasuredTable) -> int:
     """Index of the record's channel that a table's values belong to."""
     names = list(record.channels)
     if table.channel is None and len(names) == 1:
@@ -156,7 +166,7 @@ def _channel(record, table):
     return names.index(table.channel)
 
 
-def check_uncertainties(record):
+def check_uncertainties(record: Record) -> None:
     """Raise ValueError for a record whose scatter is not known."""
     if record.n_batches < 2 and not all(one.binomial for one in record.estimates):
         raise ValueError(
@@ -165,7 +175,7 @@ def check_uncertainties(record):
         )
 
 
-def _check_incident(a, b):
+def _check_incident(a: tuple[float, float], b: tuple[float, float]) -> None:
     if not _same(a, b):
         raise ValueError(
             "the records must have the same incident directions, got (theta_i, phi_i) "
@@ -173,13 +183,13 @@ def _check_incident(a, b):
         )
 
 
-def _same(a, b):
+def _same(a: Any, b: Any) -> Any:
     """Whether two directions, in degrees, are one but for single precision."""
     first, second = (direction(*np.radians(pair)) for pair in (a, b))
     return np.linalg.norm(first - second, axis=-1) <= EDGE
 
 
-def _check_dark_below(record, other, notes):
+def _check_dark_below(record: Record, other: Record, notes: list[str]) -> None:
     """Raise ValueError if light of a hemisphere that one lacks would be left out."""
     which, one = ("first", other) if other.has_lower else ("second", record)
     if not one.has_lower:
@@ -192,17 +202,17 @@ def _check_dark_below(record, other, notes):
     notes.append("only one has a lower hemisphere, to which no light came")
 
 
-def labels(record, other):
+def labels(record: Record, other: Record) -> tuple[str, str]:
     """What tells two records apart, as short texts: a setting that differs."""
     for name in ("specimen", "order", "estimator", "variant", "emitter", "sampler"):
         one, two = (str(r.settings.get(name)) for r in (record, other))
         if one != two:
             prefix = "" if name == "specimen" else f"{name} "
             return f"{prefix}{one:.40}", f"{prefix}{two:.40}"
-    seeds = tuple(f"seed {r.settings.get('seed')}" for r in (record, other))
-    return seeds if seeds[0] != seeds[1] else ("record", "other")
+    one, two = (f"seed {r.settings.get('seed')}" for r in (record, other))
+    return (one, two) if one != two else ("record", "other")
 
 
-def pole_angle(theta_o):
+def pole_angle(theta_o: Floats) -> Floats:
     """Angle from the pole of its own hemisphere, in degrees."""
     return np.where(theta_o > 90, 180 - theta_o, theta_o)

@@ -8,7 +8,6 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from typing import BinaryIO
-from xml.etree.ElementTree import Element
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -188,7 +187,7 @@ def read(stream: BinaryIO) -> dict[tuple[str, str], Floats | TensorTree]:
     return blocks
 
 
-def _root(stream: BinaryIO) -> Element:
+def _root(stream: BinaryIO) -> ElementTree.Element:
     """Root element of an XML file without a DTD, tags without name spaces."""
     size = size_of(stream)
     require(size <= MOST_BYTES, f"it has {size} bytes, more than any such file needs")
@@ -213,7 +212,9 @@ class _WithoutDTD(ElementTree.TreeBuilder):
         raise FileFormatError("it has a DTD")
 
 
-def _data(block: Element, direction: str, structure: str) -> Floats | TensorTree:
+def _data(
+    block: ElementTree.Element, direction: str, structure: str
+) -> Floats | TensorTree:
     """Matrix or tree of one block."""
     text = block.findtext("ScatteringData", "")
     if structure in RANKS:
@@ -237,6 +238,6 @@ def _data(block: Element, direction: str, structure: str) -> Floats | TensorTree
     return values.T if structure == "Rows" else values
 
 
-def _check_basis(block: Element, tag: str, wanted: str) -> None:
+def _check_basis(block: ElementTree.Element, tag: str, wanted: str) -> None:
     name = block.findtext(tag, "").strip()
     require(name == wanted, f"its {tag} must be {wanted}, got {name!r:.40}")
