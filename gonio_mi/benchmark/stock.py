@@ -11,7 +11,6 @@ import numpy as np
 from ..exports.exporting import export
 from ..instrument.measuring import measure
 from ..validation.inspection import validate
-from ..validation.verdict import FAILS
 
 __all__ = ["cases", "coloured", "table"]
 
@@ -181,9 +180,7 @@ def _print(names):
     print("| BSDF | verdict | what was found |\n|---|---|---|")
     for name, verdict in chain(table(cases(), names), _coloured_table(names)):
         found = [
-            f"{one.name}: {one.statistic}"
-            for one in verdict.properties
-            if one.status == FAILS
+            f"{one.effect}: {one.name}, {one.statistic}" for one in verdict.failures
         ]
         word = "passes" if verdict.passed else "fails"
         print(f"| {name} | {word} | {'<br>'.join(found)} |", flush=True)
