@@ -65,12 +65,17 @@ def exact(weights, theta_i, collector):
     tallies = []
     for per_hemisphere in weights:
         sums = np.round(np.asarray(per_hemisphere) * 2**40).astype(np.uint64)
+        hits = (sums > 0).astype(np.uint64)  # a ray in each patch that light reaches
+        fates = np.zeros((1, len(Fate)), np.uint64)
+        for fate, received in zip((Fate.REFLECTED, Fate.TRANSMITTED), hits):
+            fates[0, fate] = received.sum()
+        fates[0, Fate.ABSORBED] = 1  # and one that none of them received
         tallies.append(
             Tally(
-                hits=(sums > 0).astype(np.uint64),
+                hits=hits,
                 sums=sums[None, ..., None],
                 incident=np.array([[2**40]], np.uint64),
-                fates=np.eye(1, len(Fate), dtype=np.uint64),
+                fates=fates,
                 scale=WEIGHT_SCALE,
             )
         )
