@@ -6,6 +6,8 @@ Angles are taken from the chord between the vectors, :math:`|d - a|^2 = 4
 \tan^2(\alpha / 2)`.
 """
 
+from __future__ import annotations
+
 import drjit as dr
 import mitsuba as mi
 
@@ -34,7 +36,7 @@ MAX_EXPONENT = 1e6
 BELOW_ONE = 1 - 2.0**-24
 
 
-def exponent(props, name, default):
+def exponent(props: mi.Properties, name: str, default: float) -> mi.Float:
     """Return the property `name`, an exponent, as a variable that kernels read."""
     condition = f"a number from 0 to {MAX_EXPONENT:.0f}"
     above = MAX_EXPONENT * (1 + 2.0**-52)
@@ -43,12 +45,12 @@ def exponent(props, name, default):
     return value
 
 
-def flags(form):
+def flags(form: str) -> int:
     """Flags of the component that is the lobe."""
     return GLOSSY | mi.BSDFFlags.NonSymmetric if form == "unit" else GLOSSY
 
 
-def cosine_power(n, axis, d):
+def cosine_power(n: mi.Float, axis: mi.Vector3f, d: mi.Vector3f) -> mi.Float:
     """``cos(alpha) ** n`` between unit vectors; 0 for 90 degrees and more."""
     sin2_half = dr.squared_norm(d - axis) * 0.25
     tan2_half = dr.minimum(sin2_half / (1 - sin2_half), BELOW_ONE)
@@ -56,12 +58,12 @@ def cosine_power(n, axis, d):
     return dr.select(sin2_half < 0.5, power, 0)
 
 
-def density(n, axis, d):
+def density(n: mi.Float, axis: mi.Vector3f, d: mi.Vector3f) -> mi.Float:
     r"""Density in 1/sr at `d`: :math:`\frac{n + 1}{2 \pi} \cos^n \alpha`."""
     return (n + 1) * dr.inv_two_pi * cosine_power(n, axis, d)
 
 
-def polar(n, sample):
+def polar(n: mi.Float, sample: mi.Float) -> tuple[mi.Float, mi.Float]:
     """Sine and cosine of an angle with density proportional to ``cos**n * sin``."""
     log_cos = dr.log(1 - sample) / (n + 1)
     cosine = dr.exp(log_cos)
@@ -69,7 +71,7 @@ def polar(n, sample):
     return dr.sqrt(-2 * cosine * dr.sinh(log_cos)), cosine
 
 
-def around(n, axis, sample):
+def around(n: mi.Float, axis: mi.Vector3f, sample: mi.Point2f) -> mi.Vector3f:
     """Unit vector with :func:`density` about `axis`, from a 2D `sample`."""
     sin, cos = polar(n, sample.y)
     sin_phi, cos_phi = dr.sincos(dr.two_pi * sample.x)
@@ -77,7 +79,9 @@ def around(n, axis, sample):
     return dr.normalize(mi.Frame3f(axis).to_world(local))
 
 
-def throughput(form, n, mode, wi, wo):
+def throughput(
+    form: str, n: mi.Float, mode: mi.TransportMode, wi: mi.Vector3f, wo: mi.Vector3f
+) -> mi.Float:
     """BRDF times cosine of `wo`, over :func:`density`; for unit reflectance.
 
     The form ``unit`` is not reciprocal, so that it depends on the transport mode: in

@@ -10,18 +10,20 @@ from functools import lru_cache
 import numpy as np
 from scipy import special
 
+from ..array_types import Floats
+
 __all__ = ["averted_area", "averted_area_table", "mean_cosine"]
 
 # Rows and columns of the table, and of the exact values that a spline refines into it.
 N_NODES, N_EXACT = 257, 65
 
 
-def mean_cosine(e_u, e_v):
+def mean_cosine(e_u: float, e_v: float) -> float:
     """Mean of h.n: the mean surface's area per unit facet area, exact."""
     return np.sqrt((e_u + 1) * (e_v + 1) / ((e_u + 2) * (e_v + 2)))
 
 
-def averted_area(k, e_u, e_v, n_nodes=32):
+def averted_area(k: Floats, e_u: float, e_v: float, n_nodes: int = 32) -> Floats:
     """Projected area towards `k` of the facets that face away from it.
 
     The integral of ``-(h.k) p(h)`` over ``h.k < 0``. Over the polar angle of h it is an
@@ -61,7 +63,7 @@ def averted_area(k, e_u, e_v, n_nodes=32):
 
 
 @lru_cache(maxsize=16)
-def averted_area_table(e_u, e_v):
+def averted_area_table(e_u: float, e_v: float) -> Floats:
     r"""Table of :func:`averted_area` for linear interpolation between its nodes.
 
     Row j and column i hold the area for the vector with

@@ -1,12 +1,19 @@
 """Looking up and sampling the lobes of one face of a specimen, in Dr.Jit."""
 
+from __future__ import annotations
+
 import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import ArrayLike
+
+from ..array_types import Floats
+from .lobes import LobeTable
 
 __all__ = ["LitFace"]
 
@@ -15,19 +22,19 @@ __all__ = ["LitFace"]
 class _Place:
     """Where to look in the table: one measured azimuth, and for each lane a leg."""
 
-    weight: object  # share of this azimuth
-    azimuth: object  # its index
-    leg: object  # index among the legs of all azimuths
-    rows: tuple  # indices of azimuth and polar angle at both ends of the leg
-    t: object  # how far on the leg, from 0 to 1
+    weight: mi.Float64  # share of this azimuth
+    azimuth: mi.UInt32  # its index
+    leg: mi.UInt32  # index among the legs of all azimuths
+    rows: tuple[mi.UInt32, ...]  # of azimuth and polar angle at both ends of the leg
+    t: mi.Float64  # how far on the leg, from 0 to 1
 
 
 @dataclass(frozen=True)
 class _Point:
     """Point of the unit disk, turned so that light comes from +x."""
 
-    x: object
-    v: object  # y / sqrt(1 - x^2)
+    x: mi.Float64
+    v: mi.Float64  # y / sqrt(1 - x^2)
 
 
 class LitFace:
@@ -42,7 +49,7 @@ class LitFace:
         Of the table's channels in nm, for spectral variants.
     """
 
-    def __init__(self, table, wavelengths=None):
+    def __init__(self, table: LobeTable, wavelengths: Floats | None = None) -> None:
         self.wavelengths = wavelengths
         n_azimuths, n_angles, self.n_hemispheres, self.n_theta, self.n_phi, channels = (
             table.brdf.shape
@@ -67,7 +74,14 @@ class LitFace:
 
     # -------------------------------------------------------------- value and density
 
-    def eval_pdf(self, wi, wo, enabled, active, wavelengths):
+    def eval_pdf(
+        self,
+        wi: mi.Vector3f,
+        wo: mi.Vector3f,
+        enabled: tuple[bool, bool],
+        active: mi.Bool,
+        wavelengths: mi.Spectrum,
+    ) -> tuple[mi.Spectrum, mi.Float]:
         """BSDF times cosine at the wavelengths, and density in 1/sr.
 
         `enabled` holds whether reflection and transmission are asked for.
@@ -79,22 +93,31 @@ class LitFace:
         value = self._spectrum([mi.Float(channel) for channel in value], wavelengths)
         return (value * cosine) & wanted, pdf
 
-    def _spectrum(self, values, wavelengths):
+    def _spectrum(
+        self, values: Sequence[mi.Float], wavelengths: mi.Spectrum
+    ) -> mi.Spectrum:
         """Spectrum of the channels, linear in between and constant beyond them."""
         if len(values) == 1:
             return mi.Spectrum(values[0])
         if self.wavelengths is None:
             return mi.Spectrum(values)
-        order = sorted(range(len(values)), key=lambda i: self.wavelengths[i])
+        measured = self.wavelengths
+        order = sorted(range(len(values)), key=lambda i: measured[i])
         spectrum = mi.Spectrum(values[order[0]])
         for low, high in itertools.pairwise(order):
-            begin, end = self.wavelengths[low], self.wavelengths[high]
+            begin, end = measured[low], measured[high]
             if end > begin:
                 share = dr.clip((wavelengths - begin) / (end - begin), 0, 1)
                 spectrum += share * (values[high] - values[low])
         return spectrum
 
-    def values(self, wi, wo, enabled=(True, True), active=True):
+    def values(
+        self,
+        wi: mi.Vector3f,
+        wo: mi.Vector3f,
+        enabled: tuple[bool, bool] = (True, True),
+        active: mi.Bool = True,
+    ) -> tuple[list[mi.Float64], mi.Float64, mi.Bool]:
         """BSDF in 1/sr in each channel; all the light; where the first is not zero."""
         lower = wo.z < 0
         wanted = active & dr.select(lower, enabled[1], enabled[0]) & (wo.z != 0)
@@ -115,7 +138,9 @@ class LitFace:
                 value[channel] += place.weight * own
         return value, total, wanted
 
-    def _brdf(self, place, hemisphere, point, active):
+    def _brdf(
+        self, place: _Place, hemisphere: mi.UInt32, point: _Point, active: mi.Bool
+    ) -> list[mi.Float64]:
         """BRDF of one azimuth: both ends of the leg, moved to where `wi` wants them."""
         values = [mi.Float64(0) for _ in self.arrays.brdf]
         for end, row in enumerate(place.rows):
@@ -130,7 +155,7 @@ class LitFace:
                 values[channel] += share * _read(brdf, index, active)
         return values
 
-    def _patch(self, place, point):
+    def _patch(self, place: _Place, point: _Point) -> tuple[mi.UInt32, mi.UInt32]:
         """Ring and sector in which a point lies."""
         arrays = self.arrays
         across2 = 1 - dr.square(point.x)
@@ -144,7 +169,7 @@ class LitFace:
         sector = _last(self.n_phi, lambda i: _read(arrays.phi, i) <= phi)
         return ring, sector
 
-    def _fluxes(self, place, hemisphere):
+    def _fluxes(self, place: _Place, hemisphere: int) -> tuple[mi.Float64, mi.Float64]:
         """Light that both ends of the leg contribute to a hemisphere."""
         rows = [row * self.n_hemispheres + hemisphere for row in place.rows]
         low, high = (_read(self.arrays.flux, row) for row in rows)
@@ -152,13 +177,13 @@ class LitFace:
 
     # -------------------------------------------------------------- incident direction
 
-    def _azimuth_of_incidence(self, wi):
+    def _azimuth_of_incidence(self, wi: mi.Vector3f) -> mi.Float64:
         """Azimuth of `wi`; along the normal, where all meet, the record's first one."""
         normal = (wi.x == 0) & (wi.y == 0)
         first = _read(self.arrays.phi_i, mi.UInt32(0))
         return dr.select(normal, first, mi.Float64(dr.atan2(wi.y, wi.x)))
 
-    def _places(self, wi, phi):
+    def _places(self, wi: mi.Vector3f, phi: mi.Float64) -> list[_Place]:
         """Return the one or two measured azimuths to mix for `wi`."""
         arrays = self.arrays
         leg, t = mi.UInt32(0), mi.Float64(0)
@@ -186,14 +211,23 @@ class LitFace:
             self._place(share, high, leg, t),
         ]
 
-    def _place(self, weight, azimuth, leg, t):
+    def _place(
+        self, weight: mi.Float64, azimuth: mi.UInt32, leg: mi.UInt32, t: mi.Float64
+    ) -> _Place:
         first = azimuth * self.n_angles
         rows = first + leg, first + dr.minimum(leg + 1, self.n_angles - 1)
         return _Place(weight, azimuth, azimuth * self.n_legs + leg, rows, t)
 
     # ------------------------------------------------------------------- between angles
 
-    def _moved(self, place, hemisphere, point, start, to):
+    def _moved(
+        self,
+        place: _Place,
+        hemisphere: mi.UInt32,
+        point: _Point,
+        start: mi.Float64,
+        to: mi.Float64,
+    ) -> tuple[_Point, mi.Float64]:
         """Where a point at `start` of the leg is at `to`, and the stretch of areas."""
         arrays = self.arrays
         number = place.leg * self.n_hemispheres + hemisphere
@@ -210,12 +244,21 @@ class LitFace:
         )
         return _Point(x, v), stretch_x * stretch_v * across
 
-    def _moved_along(self, pieces, number, coordinate, start, to):
+    def _moved_along(
+        self,
+        pieces: tuple[list[mi.Float64], list[mi.Float64]],
+        number: mi.UInt32,
+        coordinate: mi.Float64,
+        start: mi.Float64,
+        to: mi.Float64,
+    ) -> tuple[mi.Float64, mi.UInt32, mi.Float64]:
         """The same for one coordinate; also the number of the piece."""
         begins, slopes = pieces
         first = number * self.n_strips
 
-        def at(ends, index, t):
+        def at(
+            ends: Sequence[mi.Float64], index: mi.UInt32, t: mi.Float64
+        ) -> mi.Float64:
             low, high = (_read(end, index) for end in ends)
             return (1 - t) * low + t * high
 
@@ -229,7 +272,13 @@ class LitFace:
 
     # ------------------------------------------------------------------------- sampling
 
-    def sample(self, wi, enabled, sample1, sample2):
+    def sample(
+        self,
+        wi: mi.Vector3f,
+        enabled: tuple[bool, bool],
+        sample1: mi.Float,
+        sample2: mi.Point2f,
+    ) -> mi.Vector3f:
         """Direction of light: of a lobe picked by `sample1`, moved to its place."""
         phi_i = self._azimuth_of_incidence(wi)
         choices = [
@@ -241,7 +290,7 @@ class LitFace:
         if not choices:
             return mi.Vector3f(0)
         left = mi.Float64(sample1) * sum(flux for *_, flux in choices)
-        picked = (mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.Float64(0))
+        picked = [mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.Float64(0)]
         for place, end, number, flux in choices:
             # one without light is never picked, however `left` is rounded
             this = (left >= 0) & (flux > 0)
@@ -255,7 +304,9 @@ class LitFace:
             point, _ = self._moved(place, hemisphere, point, end, place.t)
         return _direction(point, phi_i, hemisphere == 0)
 
-    def _drawn(self, place, hemisphere, sample2):
+    def _drawn(
+        self, place: _Place, hemisphere: mi.UInt32, sample2: mi.Point2f
+    ) -> _Point:
         """Point of a record's lobe, uniform over each patch."""
         arrays = self.arrays
         row = place.rows[0] * self.n_hemispheres + hemisphere
@@ -269,11 +320,13 @@ class LitFace:
         across = dr.sqrt(1 - sin2 + y * y)
         return _Point(x, dr.select(across > 0, y / across, 0))
 
-    def _hemispheres(self, enabled):
+    def _hemispheres(self, enabled: tuple[bool, bool]) -> list[int]:
         return [n for n in range(self.n_hemispheres) if enabled[n]]
 
 
-def _quantile(shares, row, n, share, edges):
+def _quantile(
+    shares: mi.Float64, row: mi.UInt32, n: int, share: mi.Float, edges: mi.Float64
+) -> tuple[mi.Float64, mi.UInt32]:
     """Coordinate below which `share` of a row's light is, and its bin."""
     first = row * (n + 1)
     share = mi.Float64(share)
@@ -284,7 +337,7 @@ def _quantile(shares, row, n, share, edges):
     return begin + inside * (end - begin), number
 
 
-def _point(wo, phi_i):
+def _point(wo: mi.Vector3f, phi_i: mi.Float64) -> _Point:
     """Point of the disk below (or above) which a unit vector ends."""
     x, y, z = (mi.Float64(component) for component in (wo.x, wo.y, wo.z))
     norm = dr.rsqrt(x * x + y * y + z * z)
@@ -294,7 +347,7 @@ def _point(wo, phi_i):
     return _Point(dr.clip(x, -1, 1), dr.select(across > 0, y / across, 0))
 
 
-def _direction(point, phi_i, upper):
+def _direction(point: _Point, phi_i: mi.Float64, upper: mi.Bool) -> mi.Vector3f:
     """Unit vector above or below a point of the disk."""
     across = dr.safe_sqrt(1 - dr.square(point.x))
     x, y = point.x, point.v * across
@@ -303,16 +356,16 @@ def _direction(point, phi_i, upper):
     return mi.Vector3f(x * cos - y * sin, x * sin + y * cos, dr.select(upper, z, -z))
 
 
-def _last(n, begins):
+def _last(n: int, begins: Callable[[mi.UInt32], mi.Bool]) -> mi.UInt32:
     """Last of `n` ascending pieces that `begins`; the first always does."""
     if n == 1:
         return mi.UInt32(0)
     return mi.UInt32(dr.binary_search(1, n, begins)) - 1
 
 
-def _read(array, index, active=True):
+def _read(array: mi.Float64, index: mi.UInt32, active: mi.Bool = True) -> mi.Float64:
     return dr.gather(mi.Float64, array, mi.UInt32(index), active)
 
 
-def _doubles(values):
+def _doubles(values: ArrayLike) -> mi.Float64:
     return mi.Float64(np.ascontiguousarray(values, dtype=np.float64).ravel())

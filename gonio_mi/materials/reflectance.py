@@ -1,11 +1,14 @@
 """Reading reflectances: numbers, colours or textures between 0 and 1."""
 
+from __future__ import annotations
+
+import mitsuba as mi
 import numpy as np
 
 __all__ = ["mean", "reflectance"]
 
 
-def reflectance(props, name, default):
+def reflectance(props: mi.Properties, name: str, default: float) -> mi.Texture:
     """Return the texture property `name`, whose mean must lie in [0, 1]."""
     try:
         texture = props.get_texture(name, default)
@@ -22,6 +25,6 @@ def reflectance(props, name, default):
     return texture
 
 
-def mean(texture):
+def mean(texture: mi.Texture) -> float:
     """Mean of a texture over its surface and channels, as a float."""
     return float(np.mean(np.asarray(texture.mean())))

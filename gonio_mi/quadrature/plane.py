@@ -1,14 +1,21 @@
 """The estimator `quadrature`: what it needs of a bench, and what it finds."""
 
+from __future__ import annotations
+
 import mitsuba as mi
 
+from ..array_types import Floats
 from ..errors import SpecimenError
+from ..settings.measurement_settings import MeasurementSettings
 from ..settings.orders import ALL_ORDERS
+from ..transport.bench import Bench
 
 __all__ = ["check_integrable", "integrals"]
 
 
-def check_integrable(bench, settings, wavelengths):
+def check_integrable(
+    bench: Bench, settings: MeasurementSettings, wavelengths: mi.Spectrum
+) -> None:
     """Raise SpecimenError where the estimator `quadrature` does not apply."""
     plane = bench.specimen.plane
     at_point = settings.footprint == "point"
@@ -29,7 +36,9 @@ def check_integrable(bench, settings, wavelengths):
             )
 
 
-def integrals(bench, wavelengths, rel_err, channels=None):
+def integrals(
+    bench: Bench, wavelengths: mi.Spectrum, rel_err: float, channels: int | None = None
+) -> tuple[Floats, Floats]:
     """Flux fractions of all but delta components, and their errors.
 
     Parameters

@@ -1,12 +1,16 @@
 """Converged patch integrals of a flat specimen's BSDF: no rays, no random numbers."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Flags, Floats, Integers, Numbers
 from ..collector import Subdivision
 from ..collector.directions import angles, direction
 from ..errors import SpecimenError
@@ -67,14 +71,14 @@ class Rule:
     """
 
     subdivision: Subdivision
-    patch: np.ndarray
-    theta: np.ndarray
-    phi: np.ndarray
-    lower: np.ndarray
-    weight: np.ndarray
-    beam: object
+    patch: Integers
+    theta: Floats
+    phi: Floats
+    lower: Flags
+    weight: Floats
+    beam: _Beam
 
-    def values(self, bsdf):
+    def values(self, bsdf: mi.BSDF) -> mi.TensorXf:
         """Patch means of BRDF and BTDF that follow the gradients of the BSDF.
 
         Returns
@@ -111,19 +115,19 @@ class PatchIntegrals:
     """
 
     subdivision: Subdivision
-    flux: np.ndarray
-    error: np.ndarray
+    flux: Floats
+    error: Floats
     n_evaluations: int
-    cells: object
-    beam: object
+    cells: Cells
+    beam: _Beam
 
     @property
-    def values(self):
+    def values(self) -> Floats:
         """Patch means of BRDF and BTDF in 1/sr, shaped like `flux`."""
         return self.flux / self.subdivision.projected_solid_angles[..., None]
 
     @cached_property
-    def rule(self):
+    def rule(self) -> Rule:
         """The converged :class:`Rule`."""
         theta, phi, lower, weight = self.cells.nodes()
         patch = np.repeat(self.cells.patch, NODES_PER_CELL)
@@ -131,16 +135,16 @@ class PatchIntegrals:
 
 
 def integrate(
-    bsdf,
-    theta_i,
-    phi_i,
-    subdivision,
+    bsdf: mi.BSDF,
+    theta_i: float,
+    phi_i: float,
+    subdivision: Subdivision,
     *,
-    rel_err=1e-6,
-    side="front",
-    pdf=False,
-    interaction=None,
-):
+    rel_err: float = 1e-6,
+    side: str = "front",
+    pdf: bool = False,
+    interaction: mi.SurfaceInteraction3f | None = None,
+) -> PatchIntegrals:
     """Integrate ``eval`` (or ``pdf``) of a BSDF over every patch of both hemispheres.
 
     Adaptive tensor Gauss-Legendre rule in polar angle and azimuth: cells whose value
@@ -232,7 +236,7 @@ def integrate(
     )
 
 
-def _swing(values_at, cells, chosen):
+def _swing(values_at: Floats, cells: Cells, chosen: Flags) -> Floats:
     """What a step anywhere in the chosen cells, in one of four parts, can change."""
     values = values_at[chosen]
     swing = values.max(axis=1) - values.min(axis=1)
@@ -246,15 +250,17 @@ class _PatchSums:
     cancelled, and the sum of the squares of the cells' errors.
     """
 
-    def __init__(self, n_patches, channels):
+    def __init__(self, n_patches: int, channels: int) -> None:
         self.flux, self.error, self.square = np.zeros((3, n_patches, channels))
 
-    def allowed(self, cells, values, rel_err):
+    def allowed(self, cells: Cells, values: Floats, rel_err: float) -> Floats:
         """Tolerated error of each patch, if the open `cells` have these `values`."""
         estimate = self.flux + self._by_patch(cells, values)
         return rel_err * np.maximum(estimate, NEGLIGIBLE * estimate.mean())
 
-    def add(self, cells, values, difference, counted):
+    def add(
+        self, cells: Cells, values: Floats, difference: Floats, counted: Flags
+    ) -> None:
         """Add the integrals over finished cells, and what they may be wrong by.
 
         Where single precision ends, no convergence is asked: it is not `counted`.
@@ -263,7 +269,7 @@ class _PatchSums:
         self.error += self._by_patch(cells, difference)
         self.square += self._by_patch(cells, counted[:, None] * difference**2)
 
-    def _by_patch(self, cells, values):
+    def _by_patch(self, cells: Cells, values: Numbers) -> Numbers:
         """Sum of the cells' values in each patch."""
         n = len(self.flux)
         columns = [np.bincount(cells.patch, one, minlength=n) for one in values.T]
@@ -274,21 +280,29 @@ class _PatchSums:
 class _Beam:
     """Light from one direction at one point of a surface."""
 
-    interaction: object
+    interaction: mi.SurfaceInteraction3f
     side: int
 
     @classmethod
-    def of(cls, theta_i, phi_i, side, interaction):
+    def of(
+        cls,
+        theta_i: float,
+        phi_i: float,
+        side: str,
+        interaction: mi.SurfaceInteraction3f | None,
+    ) -> _Beam:
         """Beam of an incident direction in degrees, from the normal of the lit face."""
-        side = 1 if side == "front" else -1
-        wi = direction(np.radians(theta_i), np.radians(phi_i)) * [1, 1, side]
-        wi = mi.Vector3f(wi.tolist())
+        sign = 1 if side == "front" else -1
+        towards = direction(np.radians(theta_i), np.radians(phi_i)) * [1, 1, sign]
+        wi = mi.Vector3f(towards.tolist())
         dr.make_opaque(wi)
         si = _square() if interaction is None else mi.SurfaceInteraction3f(interaction)
         si.wi = si.to_local(wi)
-        return cls(si, side)
+        return cls(si, sign)
 
-    def evaluate(self, bsdf, theta, phi, lower, pdf=False):
+    def evaluate(
+        self, bsdf: mi.BSDF, theta: Floats, phi: Floats, lower: Flags, pdf: bool = False
+    ) -> list[mi.Float]:
         """``eval`` of all channels, or ``pdf``, towards `theta` and `phi`."""
         wo = direction(theta, phi)
         wo[:, 2] *= np.where(lower, -self.side, self.side)
@@ -298,7 +312,7 @@ class _Beam:
         return [value] if pdf else list(value)
 
 
-def _square():
+def _square() -> mi.SurfaceInteraction3f:
     """Point in the middle of a square in z = 0, as Mitsuba's `rectangle` gives it."""
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.t = 1.0
@@ -314,13 +328,13 @@ def _square():
 class _Evaluator:
     """Evaluates the BSDF for light from one direction."""
 
-    def __init__(self, bsdf, beam, pdf):
+    def __init__(self, bsdf: mi.BSDF, beam: _Beam, pdf: bool) -> None:
         self.bsdf = bsdf
         self.beam = beam
         self.pdf = pdf
         self.n_evaluations = 0
 
-    def guides(self, cells, subdivision):
+    def guides(self, cells: Cells, subdivision: Subdivision) -> Guides:
         """Sampled directions, without those of delta components."""
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(0, N_GUIDES)
@@ -338,7 +352,7 @@ class _Evaluator:
         phi[(cells.phi[patch, 0] < 0) & (phi > np.pi)] -= 2 * np.pi
         return Guides(patch, np.minimum(theta, np.pi - theta), phi)
 
-    def integrals(self, cells):
+    def integrals(self, cells: Cells) -> tuple[Floats, Integers, Floats]:
         """Integrals over cells, how to split each, and the values that say so.
 
         Returns
@@ -350,13 +364,13 @@ class _Evaluator:
         integrals, values = self._rule(cells, cells.nodes())
         return integrals, way_to_split(values), values
 
-    def unconfirmed(self, cells, integrals):
+    def unconfirmed(self, cells: Cells, integrals: Floats) -> Floats:
         """How far a rule of other points is from the `integrals` over cells."""
         if not len(integrals):
             return integrals
         return np.abs(self._rule(cells, cells.other_nodes())[0] - integrals)
 
-    def _rule(self, cells, nodes):
+    def _rule(self, cells: Cells, nodes: Any) -> tuple[Floats, Floats]:
         """Integrals over cells by a rule of `nodes`, as many in each, and values."""
         theta, phi, lower, weight = nodes
         values = self._values(theta, phi, lower)
@@ -365,7 +379,7 @@ class _Evaluator:
         integrals = (values * weight[:, None]).reshape(shape).sum(axis=1)
         return integrals, values.reshape(shape)
 
-    def hidden(self, cells, values):
+    def hidden(self, cells: Cells, values: Floats) -> Floats:
         """What a step between the nodes of the quarters of each cell can change.
 
         There, BSDF and the polynomial through its `values` differ.
@@ -376,11 +390,11 @@ class _Evaluator:
         off = off_polynomial(found, values) - UNSURE * noise(values)
         return BLIND * np.maximum(off, 0) * cells.area[:, None]
 
-    def _values(self, theta, phi, lower):
+    def _values(self, theta: Floats, phi: Floats, lower: Flags) -> Floats:
         """Values towards directions, shape ``(n, channels)``."""
         self.n_evaluations += len(theta)
-        values = self.beam.evaluate(self.bsdf, theta, phi, lower, self.pdf)
-        columns = [np.broadcast_to(value.numpy(), len(theta)) for value in values]
+        evaluated = self.beam.evaluate(self.bsdf, theta, phi, lower, self.pdf)
+        columns = [np.broadcast_to(value.numpy(), len(theta)) for value in evaluated]
         values = np.stack(columns, axis=-1).astype(float)
         least = -INTEGRAL_ROUNDING * values.max(initial=0)
         if not (values.min(initial=0) >= least and np.isfinite(least)):
@@ -395,7 +409,7 @@ class _Evaluator:
         return values
 
 
-def _worst(error, allowed):
+def _worst(error: Floats, allowed: Floats) -> float:
     """The largest ratio; where nothing is allowed and nothing wrong, none."""
     ratio = np.where(error > 0, np.inf, 0)
     return np.max(np.divide(error, allowed, where=allowed > 0, out=ratio))
