@@ -63,6 +63,7 @@ MISTAKES = {
     "importance_with_eta2": "sample",
     "refraction_not_snells": "sample",
     "discrete_pdf_not_probability": "sample",
+    "cats_eye_gains_light": "sample",
     "eval_the_same_in_both_modes": "eval",
     # no usable answer
     "pdf_raises": "pdf",
@@ -568,6 +569,24 @@ def register():
     class DiscretePdfNotProbability(Glass):
         def probability(self, f):
             return mi.Float(1)
+
+    class CatsEyeGainsLight(Lambert):
+        """Back to where it came from is a model's choice, not so 1 / cos."""
+
+        components = (int(flags.DeltaReflection) | front,)
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs = dr.zeros(mi.BSDFSample3f)
+            bs.wo, bs.pdf, bs.eta = si.wi, 1.0, 1.0
+            bs.sampled_type = mi.UInt32(+flags.DeltaReflection)
+            ok = active & (cosine(si.wi) > 0)
+            return bs, mi.Spectrum(1 / cosine(si.wi)) & ok
+
+        def eval(self, ctx, si, wo, active=True):
+            return mi.Spectrum(0)
+
+        def pdf(self, ctx, si, wo, active=True):
+            return mi.Float(0)
 
     class Frosted(TwoFaces):
         """Scatters evenly to the other side, where the index is 1.5 (below) or 1."""

@@ -196,8 +196,8 @@ def test_causes_come_before_consequences_and_places_are_named():
     assert "phi_i 2" in half.mistake or "phi_i 3" in half.mistake
     constant = validate({"type": "pdf_half_a_percent_off"}, effort="quick")
     assert "everywhere" in constant.mistake
-    both = validate({"type": "weight_without_division"}, effort="quick")
-    assert both.function == "sample"
+    gain = validate({"type": "cats_eye_gains_light"}, effort="quick")
+    assert "gains light" in gain.mistake
 
 
 @pytest.mark.usefixtures("plugins")

@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 
 from .density import explain_density
-from .evidence import EFFECTS, INTERFACE
+from .evidence import EFFECTS, INTERFACE, MODEL
 from .probe import Probe, numbers, spectral
 from .ratios import explain_ratio
 
@@ -54,8 +54,11 @@ def diagnose(evidence, failed, bsdf):
     """
     worst = min(failed.values(), key=EFFECTS.index)
     names = [name for name in ORDER if failed.get(name) == worst]
-    # what few samples do comes after what all do
-    for name in sorted(names, key=lambda name: _is_rare(evidence, name)):
+    # what few samples do comes after what all do, as a law that a model may choose
+    later = [
+        n for n in names if _is_rare(evidence, n) or (n, worst) == ("delta", MODEL)
+    ]
+    for name in [n for n in names if n not in later] + later:
         if name in ("sampling", "sampled_pdf", "sampled_weight", "weights"):
             found = _of_densities(evidence, failed, bsdf)
         elif name == "energy":
