@@ -111,17 +111,25 @@ def test_slab(theta_i, side, estimator):
             np.testing.assert_array_equal(hit, [expected])
 
 
+def slab_times(scale):
+    """The wide slab, so many times as large."""
+    size = [1000 * scale, 1000 * scale, 0.5 * scale]
+    return wide_slab() | {"to_world": mi.ScalarTransform4f().scale(size)}
+
+
 def test_slab_of_any_size():
-    """The same bits for a slab 1e-6 to 1e6 times as large: nothing has a length."""
-    records = []
-    for scale in (2.0**-20, 1.0, 2.0**20):
-        specimen = wide_slab()
-        transform = mi.ScalarTransform4f()
-        size = [1000 * scale, 1000 * scale, 0.5 * scale]
-        specimen["to_world"] = transform.scale(size)
-        records.append(measure(specimen, 45, rays=10**5))
-    small, middle, large = records
-    assert small.tallies == middle.tallies == large.tallies
+    """The same bits for a slab 1e-6 to 2e6 times as large: nothing has a length."""
+    small, *others = (
+        measure(slab_times(scale), 45, rays=10**5)
+        for scale in (2.0**-20, 1.0, 2.0**20, 2.0**21)
+    )
+    assert all(small.tallies == other.tallies for other in others)
+
+
+def test_slab_too_large():
+    """Measured all the same, it does not end within a minute."""
+    with pytest.raises(gonio.SpecimenError, match=r"within 2\.14748e\+09 of the orig"):
+        measure(slab_times(2.0**22), 45, rays=1)
 
 
 def test_russian_roulette_is_unbiased():

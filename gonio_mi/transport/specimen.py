@@ -20,9 +20,11 @@ __all__ = ["Plane", "Specimen"]
 # Points at which a BSDF is compared with itself.
 N_POINTS = 2**12
 
-# Extents in scene units that rays find their way in.
+# Extents in scene units that rays find their way in. A box from -LARGEST to LARGEST is
+# where the product of four lengths, 2^128, exceeds single precision. As measured, a slab
+# of glass 4.2e9 wide has the bits of a small one; in one of 8.4e9 rays find no way out.
 SMALLEST = 1e-9
-LARGEST = 1e9
+LARGEST = 2.0**31
 
 # Relative error of reflectances by rays that start so far off a surface, in units of
 # its coordinates over the specimen's detail (as measured on grooves and spheres), and
