@@ -1,12 +1,15 @@
 """The command line: ``gonio-mi COMMAND ...``, and how it fails.
 
-Exit codes: 0 done, 1 the user's error, 2 the asked precision was not reached or the
+Exit codes: 0 done, 1 an error, 2 the asked precision was not reached or the
 measurement was interrupted, 3 a validation or comparison failed.
 """
 
 import os
-import re
+import platform
+import shlex
 import sys
+import tempfile
+import traceback
 import warnings
 from collections.abc import Sequence
 from importlib import metadata
@@ -27,18 +30,10 @@ from .commands.arguments import (
     PROGRAM,
     USER_ERROR,
     Parser,
-    UsageError,
     say,
     sentence,
 )
-from .errors import (
-    FileFormatError,
-    LLVMError,
-    LostRaysError,
-    SpecimenError,
-    VariantError,
-    frames,
-)
+from .errors import frames, is_the_users
 
 __all__ = ["main"]
 
@@ -51,12 +46,9 @@ examples:
   gonio-mi show run.npz
   gonio-mi plot run.npz -o run.png
 
-exit codes: 0 done, 1 an error of yours (said in one line), 2 interrupted, or the asked
-precision was not reached, 3 a validation or comparison failed
+exit codes: 0 done, 1 an error (said in one line: yours, or a bug to report), 2
+interrupted, or the asked precision was not reached, 3 a validation or comparison failed
 """
-
-# How Mitsuba begins what it says when a plugin gives up.
-MITSUBA = re.compile(r"\[\w+\.(cpp|h):\d+\]")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,6 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         Default: those of the process.
     """
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
     _open_standard_streams()
     with warnings.catch_warnings():
         warnings.simplefilter("always", RuntimeWarning)
@@ -83,10 +76,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 # the reader of our output has left; leave nothing to flush at exit
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
                 return USER_ERROR
+            if "--debug" in arguments:
+                traceback.print_exception(error)
             place = _place(error, getattr(options, "plugin", ()))
-            if not (place or _is_the_users(error)):
-                raise
-            say(place + sentence(error))
+            if place or is_the_users(error):
+                say(place + sentence(error))
+            else:
+                _say_of_bug(error, arguments)
             return USER_ERROR
 
 
@@ -123,18 +119,32 @@ def _show_warning(message: object, *_: object, **__: object) -> None:
     say(f"warning: {' '.join(str(message).split())}")
 
 
-def _is_the_users(error: BaseException) -> bool:
-    """Whether an error is the user's to mend, and not a bug to trace.
-
-    That is what the instrument itself raises, what files do, and what Mitsuba refuses.
-    """
-    own = (FileFormatError, LLVMError, LostRaysError, SpecimenError, VariantError)
-    if isinstance(error, (*own, UsageError, OSError)):
-        return True
-    if isinstance(error, RuntimeError) and MITSUBA.search(str(error)):
-        return True
-    ours = (ImportError, TypeError, ValueError)
-    return isinstance(error, ours) and frames(error)[-1].module.startswith("gonio_mi")
+def _say_of_bug(error: Exception, arguments: Sequence[str]) -> None:
+    """Say that an error is a bug of ours, and keep in a file what a report needs."""
+    packages = (PROGRAM, "mitsuba", "drjit", "numpy")
+    versions = [f"{package} {metadata.version(package)}" for package in packages]
+    python = f"Python {platform.python_version()} on {platform.platform()}"
+    words = shlex.join([PROGRAM, *arguments])
+    trace = "".join(traceback.format_exception(error))
+    report = "\n".join([", ".join([*versions, python]), words, "", trace])
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w",
+            prefix=f"{PROGRAM}-",
+            suffix=".txt",
+            delete=False,
+            encoding="utf-8",
+            errors="backslashreplace",
+        ) as stream:
+            stream.write(report)
+        place = f"the file {stream.name}"
+    except OSError:  # nowhere to write
+        print(report, file=sys.stderr)
+        place = "what is above"
+    say(
+        f"this is a bug of {PROGRAM} and not an error of yours; please report it to "
+        f"its maintainers with {place}: {type(error).__name__}: {sentence(error)}"
+    )
 
 
 def _place(error: BaseException, plugins: Sequence[str]) -> str:

@@ -1,7 +1,10 @@
 """The errors a caller would act on, and the checks that word them alike."""
 
+import builtins
 import math
 import operator
+import os
+import re
 import traceback
 from collections.abc import Iterable
 from typing import Any, NamedTuple, TypeVar
@@ -11,15 +14,20 @@ __all__ = [
     "Frame",
     "LLVMError",
     "LostRaysError",
+    "PackageError",
+    "SettingError",
+    "SettingTypeError",
     "SpecimenError",
     "VariantError",
     "checked_choice",
     "checked_count",
     "checked_number",
     "frames",
+    "is_the_users",
     "printable",
     "shortened",
     "shown",
+    "tells_of_our_bug",
 ]
 
 # Characters of a message, of a word in it, and of a value that it repeats.
@@ -72,19 +80,65 @@ class LostRaysError(RuntimeError):
     """A measurement whose ledger does not hold all rays that were sent."""
 
 
-class _OneLineError(ValueError):
-    """An error whose message may quote what others wrote: see :func:`shortened`."""
+class SettingError(ValueError):
+    """What a user gave is not what it must be; other ValueErrors are bugs of ours.
+
+    Its message may quote what others wrote: see :func:`shortened`.
+    """
 
     def __init__(self, message: object) -> None:
         super().__init__(shortened(str(message)))
 
 
-class SpecimenError(_OneLineError):
+class SettingTypeError(SettingError, TypeError):
+    """What a user gave has the wrong type."""
+
+
+class PackageError(ImportError):
+    """A package is missing that only some of the instrument needs."""
+
+
+class SpecimenError(SettingError):
     """A specimen or scene that cannot be loaded or is not measurable."""
 
 
-class FileFormatError(_OneLineError):
+class FileFormatError(SettingError):
     """A file that is not one of ours, is damaged, or is of an unknown version."""
+
+
+# How Mitsuba begins what it says when a plugin gives up.
+_MITSUBA = re.compile(r"\[\w+\.(cpp|h):\d+\]")
+
+# Lines of a traceback in a text, with the first file, and the class of its error.
+_TRACED = re.compile(r'^  File "(.+)", .*\n(?:  .*\n)*(?:\w+\.)*(\w+)', re.MULTILINE)
+
+_USERS = (
+    *(LLVMError, LostRaysError, PackageError, SettingError, VariantError),
+    *(MemoryError, OSError),
+)
+
+
+def is_the_users(error: BaseException) -> bool:
+    """Whether an error is the user's to mend, and not a bug of ours.
+
+    That is what the checks of the instrument raise, what files and the memory do, and
+    what Mitsuba refuses.
+    """
+    refused = isinstance(error, RuntimeError) and _MITSUBA.search(str(error))
+    return isinstance(error, _USERS) or bool(refused and not tells_of_our_bug(error))
+
+
+def tells_of_our_bug(error: BaseException) -> bool:
+    """Whether the text of an error tells of a bug in one of our plugins.
+
+    Of what a plugin raises while it is loaded, only Mitsuba's text about it survives.
+    The traceback in it shows the plugin's file first, after what loads it.
+    """
+    traced = _TRACED.search(str(error).rpartition(", in loaded\n")[2])
+    if traced is None or os.path.dirname(__file__) not in traced[1]:
+        return False
+    kind = globals().get(traced[2], getattr(builtins, traced[2], Exception))
+    return not issubclass(kind, (*_USERS, RuntimeError))
 
 
 class Frame(NamedTuple):
@@ -93,7 +147,6 @@ class Frame(NamedTuple):
     file: str
     line: int
     function: str
-    module: str
 
 
 def frames(error: BaseException) -> list[Frame]:
@@ -103,8 +156,7 @@ def frames(error: BaseException) -> list[Frame]:
     """
     here = []
     for frame, line in traceback.walk_tb(error.__traceback__):
-        code, module = frame.f_code, frame.f_globals.get("__name__", "")
-        here.append(Frame(code.co_filename, line, code.co_name, module))
+        here.append(Frame(frame.f_code.co_filename, line, frame.f_code.co_name))
     return here + getattr(error, "frames", [])
 
 
@@ -124,11 +176,13 @@ def checked_count(
             else operator.index(value)
         )
     except TypeError:
-        raise TypeError(f"{name} must be a whole number, got {shown(value)}") from None
+        raise SettingTypeError(
+            f"{name} must be a whole number, got {shown(value)}"
+        ) from None
     if number < minimum:
-        raise ValueError(f"{name} must be at least {minimum}, got {shown(value)}")
+        raise SettingError(f"{name} must be at least {minimum}, got {shown(value)}")
     if maximum is not None and number > maximum:
-        raise ValueError(f"{name} must be at most {maximum:.3g}, got {shown(value)}")
+        raise SettingError(f"{name} must be at most {maximum:.3g}, got {shown(value)}")
     return number
 
 
@@ -146,16 +200,18 @@ def checked_number(
     except OverflowError:
         number = math.inf  # a whole number beyond all floats
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must be {condition}, got {shown(value)}") from None
+        raise SettingTypeError(
+            f"{name} must be {condition}, got {shown(value)}"
+        ) from None
     if not math.isfinite(number) or not low <= number < high:
-        raise ValueError(f"{name} must be {condition}, got {shown(value)}")
+        raise SettingError(f"{name} must be {condition}, got {shown(value)}")
     return number
 
 
 def checked_choice(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:
     """Return `value` if it is one of `choices`."""
     if value not in choices:
-        raise ValueError(
+        raise SettingError(
             f"{name} must be one of {', '.join(choices)}, got {shown(value)}"
         )
     return value

@@ -2,6 +2,8 @@
 
 import os
 
+from .errors import SettingError
+
 __all__ = ["check_memory"]
 
 
@@ -16,7 +18,7 @@ def check_memory(what: str, needed: float, remedy: str) -> None:
     except (AttributeError, ValueError, OSError):  # not a POSIX system
         return
     if needed > memory:
-        raise ValueError(
+        raise SettingError(
             f"{what} must fit into the {memory / 2**30:.3g} GiB of memory, "
             f"got {needed / 2**30:.3g} GiB: {remedy}"
         )

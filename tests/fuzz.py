@@ -21,6 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gonio_mi.errors import SettingError
+
 MOST_BYTES, MOST_CHARACTERS = 2**30, 400
 
 # What damage writes where a number stood.
@@ -153,6 +155,8 @@ class Commands:
             return f"{len(long[0])} characters: {long[0]:.200}"
         if "Traceback" in err.getvalue() + out.getvalue():
             return f"a traceback: {err.getvalue()[-300:]}"
+        if "this is a bug of" in err.getvalue():
+            return err.getvalue()[-300:]
         return None
 
     def keep(self, place):
@@ -168,7 +172,7 @@ def bad_sentence(error):
     if len(text) > MOST_CHARACTERS:
         return f"{len(text)} characters: {text:.200}"
     innermost = traceback.extract_tb(error.__traceback__)[-1].filename
-    if "gonio_mi" not in innermost and not isinstance(error, OSError):
+    if not isinstance(error, (OSError, SettingError)):
         return f"{type(error).__name__} of {innermost}: {text:.200}"
     return None
 

@@ -1,9 +1,11 @@
 """The command line: what it prints and writes, and one sentence for each bad input."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -779,13 +781,90 @@ def test_doctor(run):
     assert "able to measure" in out
 
 
-def test_bugs_are_traced(monkeypatch):
-    def measure(*_, **__):
-        return np.zeros(2) + np.zeros(3)
+# Faults whose classes Python gives to a user's errors too.
+FAULTS = ["float('ours')", "len(1)", "np.zeros(2) + np.zeros(3)", "{}['rays']"]
 
-    monkeypatch.setattr("gonio_mi.commands.measure.measure", measure)
-    with pytest.raises(ValueError, match="operands"):
-        cli.main(list(QUICK))
+
+@pytest.fixture
+def report_of_bug(refuse, tmp_path, monkeypatch):
+    """Function that returns what a command keeps of a bug that it meets."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+    def report_of_bug(*arguments):
+        said = refuse(*arguments)
+        assert "this is a bug of gonio-mi and not an error of yours" in said
+        place = Path(re.search(r"with the file (\S+\.txt)", said)[1])
+        assert place.parent == tmp_path
+        return place.read_text()
+
+    return report_of_bug
+
+
+@pytest.fixture(params=FAULTS)
+def measure_with_bug(request, monkeypatch):
+    """A function of ours that has a bug, which is where `measure` was."""
+    scope = {"__name__": "gonio_mi.instrument.measuring", "np": np}
+    exec(f"def measure(*_, **__):\n    return {request.param}", scope)
+    monkeypatch.setattr("gonio_mi.commands.measure.measure", scope["measure"])
+
+
+@pytest.mark.usefixtures("measure_with_bug")
+def test_bugs_of_ours_are_reported(report_of_bug):
+    report = report_of_bug(*QUICK, "-o", "my file.npz")
+    assert f"gonio-mi {metadata.version('gonio-mi')}, mitsuba " in report
+    assert "'my file.npz'" in report
+    assert "Traceback (most recent call last)" in report
+
+
+@pytest.mark.usefixtures("measure_with_bug")
+def test_bugs_are_shown_where_no_file_can_be(run, monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "absent"))
+    code, out, err = run(*QUICK)
+    assert (code, out) == (1, "")
+    assert "Traceback (most recent call last)" in err
+    assert "report it to its maintainers with what is above" in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("fault", [*FAULTS, "np.linalg.inv(np.zeros(2))"])
+def test_bugs_of_ours_in_plugins_are_reported(report_of_bug, monkeypatch, fault):
+    """Although only the text of an error survives the loading of a plugin."""
+    field = {"type": "heightfield", "resolution": 16}
+    gonio.measure(field, 0, rays=10)  # imports the plugin
+    plugin = sys.modules["gonio_mi.plugins.shapes.heightfield"]
+    code = f"def height_statistics(*_):\n    return {fault}"
+    exec(compile(code, plugin.__file__, "exec"), scope := {"np": np})
+    monkeypatch.setattr(plugin, "height_statistics", scope["height_statistics"])
+    report = report_of_bug("measure", "heightfield:resolution=16", *QUICK[2:])
+    assert "in height_statistics" in report
+
+
+def test_bugs_of_users_plugins_are_theirs(refuse, write):
+    """Also where a library raises what they have caused."""
+    code = "import numpy as np\nimport mitsuba as mi\n"
+    code += "class Bad(mi.BSDF):\n"
+    code += "    def __init__(self, props):\n"
+    code += "        np.linalg.inv(np.zeros(2))\n"
+    code += "mi.register_bsdf('test_bad', Bad)\n"
+    plugin = write("bad.py", code)
+    message = refuse("measure", "test_bad", *QUICK[2:], "--plugin", plugin)
+    assert "this is a bug of" not in message
+    assert "LinAlgError" in message
+
+
+def test_debug_shows_where_errors_of_users_arose(run):
+    message = "gonio-mi: rays must be at least 1, got 0\n"
+    code, out, err = run(*DIFFUSE, "--rays", "0", "--debug")
+    assert (code, out) == (1, "")
+    assert err.startswith("Traceback (most recent call last)")
+    assert err.endswith(message)
+    assert run(*DIFFUSE, "--rays", "0") == (1, "", message)
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_every_command_takes_debug(command, capsys):
+    with pytest.raises(SystemExit):
+        cli.main([command.__name__.rpartition(".")[2], "--help"])
+    assert "--debug" in capsys.readouterr().out
 
 
 def test_console_script_is_this_one():

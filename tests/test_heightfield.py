@@ -132,6 +132,8 @@ def test_heights_repeat_and_differ():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
+        ({"heights": np.full((4, 4), 1e20, np.float32)}, "below 1e.18, got 16 of 16"),
+        ({"size": 1e-30}, "heightfield.size must be a positive number from 1e-18"),
         ({"alpha": -0.1}, "heightfield.alpha must be a positive number"),
         ({"resolution": 2}, "heightfield.resolution must be at least 4"),
         ({"resolution": 300_000}, "must fit into the .* lower its resolution"),
@@ -141,7 +143,7 @@ def test_heights_repeat_and_differ():
         ({"filename": "nowhere.exr"}, "must be an existing file"),
         ({"heights": np.zeros((0, 4))}, "at least 2 x 2"),
         ({"heights": np.zeros(16)}, "at least 2 x 2"),
-        ({"heights": np.full((4, 4), np.nan)}, "must be finite, got 16 of 16"),
+        ({"heights": np.full((4, 4), np.nan)}, "must be finite and below"),
         ({"heights": np.zeros((4, 4)), "alpha": 0.2}, "from one source"),
     ],
     ids=lambda x: next(iter(x)) if isinstance(x, dict) else "",

@@ -10,7 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from ..collector.hemisphere import Subdivision
-from ..errors import SpecimenError, checked_count, checked_number, shown
+from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import load_specimen, specimen_name
 from ..results.ray_density import rms_expectation
 from ..transport.kernels import launches_kernels
@@ -85,7 +85,9 @@ def chart(
     repeats = checked_count("repeats", repeats, 2)
     for name, words in (("estimators", estimators), ("samplers", samplers)):
         if isinstance(words, str) or not len(words):
-            raise ValueError(f"{name} must be a sequence of names, got {shown(words)}")
+            raise SettingError(
+                f"{name} must be a sequence of names, got {shown(words)}"
+            )
     scene = load_specimen(specimen, parameters)
     runs = Runs(scene, {"theta_i": theta_i, "phi_i": phi_i, **settings}, seed, repeats)
     with _Clock(seconds, progress) as clock:

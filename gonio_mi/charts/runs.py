@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SpecimenError
+from ..errors import SettingError, SpecimenError
 from ..instrument.measurement import measure_whole
 from ..results.record import Record
 from .curves import Point, Reference
@@ -135,7 +135,7 @@ def find_reference(runs: Runs, seconds: float) -> tuple[Record, Reference, str]:
     pilot = runs.measure(0, rays=PILOT_RAYS, **EVEN)
     rate = PILOT_RAYS / (time.perf_counter() - started)
     if len(pilot) > 1:
-        raise ValueError(
+        raise SettingError(
             f"theta_i and phi_i must be one incident direction, got {len(pilot)}"
         )
     rays = max(PILOT_RAYS, int(rate * seconds * REFERENCE_SHARE))

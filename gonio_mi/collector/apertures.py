@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import checked_number
+from ..errors import SettingError, checked_number
 from .directions import direction
 from .hemisphere import EDGE, RingsAndSectors, Subdivision
 
@@ -54,18 +54,18 @@ class Apertures(Subdivision):
         cones = tuple((float(theta), float(phi)) for theta, phi in self.directions)
         object.__setattr__(self, "directions", cones)
         if not cones:
-            raise ValueError("directions must hold at least one direction, got none")
+            raise SettingError("directions must hold at least one direction, got none")
         for theta, phi in cones:
             whole = theta >= 0 and theta + half_angle <= 90 * (1 + EDGE)
             if not (whole and np.isfinite(phi)):
-                raise ValueError(
+                raise SettingError(
                     f"the cone of half-angle {half_angle:g} degrees about (theta, phi) "
                     f"= ({theta:g}, {phi:g}) must lie above the horizon"
                 )
         pair = _nearest(cones, half_angle)
         if pair is not None:
             first, second = (cones[i] for i in pair)
-            raise ValueError(
+            raise SettingError(
                 f"apertures of half-angle {half_angle:g} degrees must not overlap, got "
                 f"them around (theta, phi) = {first} and {second}"
             )
@@ -103,7 +103,7 @@ class Apertures(Subdivision):
         values: NDArray[Any],  # noqa: ARG002
     ) -> tuple[RingsAndSectors, NDArray[Any]]:
         """Raise ValueError: apertures are not in rings."""
-        raise ValueError(
+        raise SettingError(
             "a collector of apertures has no rings and sectors: use gonio-mi compare"
         )
 

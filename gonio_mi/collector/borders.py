@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import checked_count, checked_number
+from ..errors import SettingError, checked_count, checked_number
 from .hemisphere import EDGE, RingsAndSectors
 
 __all__ = ["Borders", "adapted"]
@@ -45,7 +45,7 @@ class Borders(RingsAndSectors):
             edges = tuple(float(x) for x in getattr(self, angle))
             ascends = all(low < high for low, high in pairwise(edges))
             if len(edges) < 2 or edges[0] != 0 or edges[-1] != end or not ascends:
-                raise ValueError(
+                raise SettingError(
                     f"{angle} must ascend from 0 to {end} degrees, got {edges}"
                 )
             object.__setattr__(self, angle, edges)
@@ -121,7 +121,7 @@ def adapted(
     n_theta, n_phi = checked_count("n_theta", n_theta), checked_count("n_phi", n_phi)
     brdf = np.asarray(brdf, dtype=float)
     if brdf.shape != subdivision.shape or not brdf.sum() > 0:
-        raise ValueError(
+        raise SettingError(
             f"brdf must have the shape {subdivision.shape} and carry light, "
             f"got {brdf.shape}"
         )

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import checked_count
+from ..errors import SettingError, checked_count
 from .hemisphere import EDGE, RingsAndSectors
 
 __all__ = [
@@ -44,7 +44,7 @@ class _Regular(RingsAndSectors):
         for field in ("n_theta", "n_phi"):
             object.__setattr__(self, field, checked_count(field, getattr(self, field)))
         if self.n_patches > MOST_PATCHES:
-            raise ValueError(
+            raise SettingError(
                 f"a collector must have at most {MOST_PATCHES} patches, got {self}"
             )
 

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import SettingError
 from ..single_precision import FEW_ROUNDINGS
 from .directions import direction
 
@@ -190,7 +191,7 @@ class Subdivision(ABC):
     def cells_about_pole(self) -> NDArray[np.float64]:
         """Return `cells`, or raise ValueError if they have poles of their own."""
         if self.axes is not None:
-            raise ValueError(f"the patches must have a common pole, got {self!s:.60}")
+            raise SettingError(f"the patches must have a common pole, got {self!s:.60}")
         return self.cells
 
 
@@ -294,7 +295,7 @@ class RingsAndSectors(Subdivision):
         elif theta_r == "cosine":
             cos_theta_r = (np.cos(low) + np.cos(high)) / 2
         else:
-            raise ValueError(f"theta_r must be 'theta' or 'cosine', got {theta_r!r}")
+            raise SettingError(f"theta_r must be 'theta' or 'cosine', got {theta_r!r}")
         return self.solid_angles * cos_theta_r[:, None]
 
     def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:

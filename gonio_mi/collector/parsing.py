@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from ..errors import shortened, shown
+from ..errors import SettingError, SettingTypeError, shortened, shown
 from .apertures import Apertures
 from .borders import Borders
 from .equal_steps import (
@@ -48,7 +48,7 @@ def subdivision(text: str | Subdivision) -> Subdivision:
         "borders:0,30,90x0,180,360, apertures:5@10/0,45/90, or klems"
     )
     if not isinstance(text, str):
-        raise TypeError(f"{form}, got {shown(text)}")
+        raise SettingTypeError(f"{form}, got {shown(text)}")
     name, _, size = text.partition(":")
     rings, _, sectors = size.partition("x")
     try:
@@ -57,11 +57,11 @@ def subdivision(text: str | Subdivision) -> Subdivision:
         if name == Apertures.name:
             return Apertures.parse(size)
     except ValueError as error:
-        raise ValueError(shortened(f"collector {shown(text)}: {error}")) from None
+        raise SettingError(shortened(f"collector {shown(text)}: {error}")) from None
     if text == Klems.name:
         return Klems()
     if name not in _KINDS or not (_is_integer(rings) and _is_integer(sectors)):
-        raise ValueError(f"{form}, got {shown(text)}")
+        raise SettingError(f"{form}, got {shown(text)}")
     return _KINDS[name](int(rings), int(sectors))
 
 

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import mitsuba as mi
 
 from .. import llvm
-from ..errors import VariantError, printable, shortened
+from ..errors import SettingError, VariantError, printable, shortened
 from ..instrument.loading import load_plugin_file, parse_specimen
 from ..transport.variants import usable_variants
 
@@ -49,6 +49,11 @@ class Parser(argparse.ArgumentParser):
             allow_abbrev=False,
             **kwargs,
         )
+        self.add_argument(
+            "--debug",
+            action="store_true",
+            help="show where in the program an error arose",
+        )
         # -1e3 is a number too, before Python 3.14
         self._negative_number_matcher = re.compile(r"-\.?\d")
 
@@ -57,7 +62,7 @@ class Parser(argparse.ArgumentParser):
         raise UsageError(re.sub(r"^argument (\S+): (?=must )", r"\1 ", message))
 
 
-class UsageError(ValueError):
+class UsageError(SettingError):
     """Arguments that cannot be parsed."""
 
 
@@ -117,7 +122,7 @@ def specimen_of(word: str, options: argparse.Namespace) -> tuple[Any, dict[str, 
         load_plugin_file(path)
     specimen = parse_specimen(word)
     if options.parameters and isinstance(specimen, dict):
-        raise ValueError(f"-D goes with a scene file, got {word!r}")
+        raise SettingError(f"-D goes with a scene file, got {word!r}")
     return specimen, dict(options.parameters)
 
 
@@ -147,7 +152,7 @@ def set_variant(variant: str) -> None:
     """Set a Mitsuba variant that the instrument can use."""
     usable = usable_variants()
     if variant not in usable:
-        raise ValueError(
+        raise SettingError(
             f"--variant must be one of {', '.join(usable)}, got {variant!r}"
         )
     if variant.startswith("llvm"):

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import files
+from ..errors import SettingError
 from .arguments import (
     DONE,
     FAILED,
@@ -108,19 +109,19 @@ def run(options: Namespace) -> int:
         check_picture(options.output)
     if is_record(options.other):
         if options.channel is not None:
-            raise ValueError(f"--channel goes with a table, got {options.other!r}")
+            raise SettingError(f"--channel goes with a table, got {options.other!r}")
         other: Any = files.load(options.other)
     else:
         other = read_measured(options.other, options.channel)
     if is_record(options.record):
         if options.aperture_half_angle is not None:
-            raise ValueError(
+            raise SettingError(
                 "--aperture-half-angle goes with a specimen, which is measured; "
                 f"{options.record} was"
             )
         record: Any = files.load(options.record)
     elif is_record(options.other):
-        raise ValueError(
+        raise SettingError(
             f"RECORD must be an .exr or .npz file if OTHER is one, got {options.record}"
         )
     else:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import files
+from ..errors import SettingError
 from ..files.channels import wavelengths_nm
 from .arguments import DONE, set_variant, tell
 
@@ -49,7 +50,7 @@ def run(options: Namespace) -> int:
         files.check_output(path, ENDINGS)
     endings = {Path(path).suffix.lower() for path in options.output}
     if options.basis and ".xml" not in endings:
-        raise ValueError(
+        raise SettingError(
             f"--basis goes with a file .xml, got {', '.join(options.output)}"
         )
     spectral = wavelengths_nm(record.channels) is not None

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from .. import files
-from ..errors import checked_count
+from ..errors import SettingError, checked_count
 from ..instrument.campaigns import campaign
 from ..instrument.measuring import measure
 from ..results.record import Record
@@ -156,7 +156,7 @@ def _measure(options: Namespace) -> Callable[..., Record]:
         resume = None if options.resume is None else files.load(options.resume)
         return partial(measure, resume=resume)
     if options.resume is not None:
-        raise ValueError("--resume goes without --workers and --folder")
+        raise SettingError("--resume goes without --workers and --folder")
     workers = options.workers
     if workers is not None:
         workers = checked_count("workers", workers)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..collector.apertures import Apertures, disjoint_groups
-from ..errors import checked_number, shown
+from ..errors import SettingError, SettingTypeError, checked_number, shown
 from ..files.measured import MeasuredTable
 from ..files.measured_table import NUMBERS
 from ..instrument.measurement import measure_whole
@@ -266,7 +266,9 @@ def compare(
     alpha = checked_number("alpha", alpha, 1e-100, 1, "a probability between 0 and 1")
     records = [record] if isinstance(record, Record) else list(record)
     if not records or not all(isinstance(r, Record) for r in records):
-        raise TypeError(f"record must be a Record or several, got {shown(record)}")
+        raise SettingTypeError(
+            f"record must be a Record or several, got {shown(record)}"
+        )
     for one in (*records, other):
         if isinstance(one, Record):
             check_uncertainties(one)
@@ -281,7 +283,9 @@ def compare(
         scale = table.scale_uncertainty
     elif isinstance(other, Record):
         if len(records) != 1:
-            raise TypeError("record must be one Record if other is one, got several")
+            raise SettingTypeError(
+                "record must be one Record if other is one, got several"
+            )
         relative, scale = (
             checked_number(name, value or 0, *NUMBERS[name])
             for name, value in (
@@ -292,7 +296,7 @@ def compare(
         sets, notes = pair_with_record(records[0], other, relative)
         compared = labels(records[0], other)
     else:
-        raise TypeError(
+        raise SettingTypeError(
             f"other must be a Record or a MeasuredTable, got {shown(other)}"
         )
     measured = [*records, other] if isinstance(other, Record) else records
@@ -369,11 +373,13 @@ def measure_like(
     """
     half_angle = table.aperture_half_angle or aperture_half_angle
     if half_angle is None:
-        raise ValueError(
+        raise SettingError(
             f"aperture_half_angle must be given: {table.name} does not say it"
         )
     for key in {"theta_i", "phi_i", "collector"} & settings.keys():
-        raise TypeError(f"{key} must come from the table, got {shown(settings[key])}")
+        raise SettingTypeError(
+            f"{key} must come from the table, got {shown(settings[key])}"
+        )
     if table.emitter_half_angle:
         settings.setdefault("emitter", _round_source(table))
     lower = "both" if table.quantity == "btdf" else "upper"

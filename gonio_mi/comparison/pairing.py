@@ -8,6 +8,7 @@ import numpy as np
 from ..array_types import Floats
 from ..collector.directions import direction
 from ..collector.hemisphere import EDGE
+from ..errors import SettingError
 from ..files.measured_table import MeasuredTable
 from ..results.record import Record
 from .agreement import PointSet, Readings
@@ -31,7 +32,7 @@ def pair_with_record(
         ("number of incident directions", len(record), len(other)),
     ):
         if a != b:
-            raise ValueError(
+            raise SettingError(
                 f"the records must have the same {what} to be compared patch by patch, "
                 f"got {a!s:.60} and {b!s:.60}"
             )
@@ -85,7 +86,7 @@ def pair_with_table(
     left = np.ones(len(table), bool)
     for record in records:
         if hemisphere and not record.has_lower:
-            raise ValueError(
+            raise SettingError(
                 f"{table.name} holds btdf, but the record has no lower hemisphere; "
                 "measure it with hemispheres='both'"
             )
@@ -135,7 +136,7 @@ def pair_with_table(
             of = (table.theta_o[row], table.phi_o[row])
         else:
             of = (table.theta_i[row], table.phi_i[row])
-        raise ValueError(
+        raise SettingError(
             f"the record must have each {what} of {table.name}, but lacks "
             f"{of[0]:g}, {of[1]:g} degrees (it has {known})"
         )
@@ -146,7 +147,7 @@ def _check_apertures(patches: Any, table: MeasuredTable) -> None:
     """Raise ValueError if the apertures are not as wide as those of the table."""
     own, said = patches.aperture_half_angle, table.aperture_half_angle
     if said is not None and not np.isclose(said, own, rtol=EDGE, atol=0):
-        raise ValueError(
+        raise SettingError(
             f"the record's apertures must have the half-angle of {table.name}, "
             f"{said:g} degrees, got {own:g}"
         )
@@ -159,7 +160,7 @@ def _channel(record: Record, table: MeasuredTable) -> int:
         return 0
     if table.channel not in names:
         said = "no channel" if table.channel is None else f"channel {table.channel}"
-        raise ValueError(
+        raise SettingError(
             f"the table's header must name a channel of the record "
             f"({', '.join(names)}), but {table.name} names {said}"
         )
@@ -169,7 +170,7 @@ def _channel(record: Record, table: MeasuredTable) -> int:
 def check_uncertainties(record: Record) -> None:
     """Raise ValueError for a record whose scatter is not known."""
     if record.n_batches < 2 and not all(one.binomial for one in record.estimates):
-        raise ValueError(
+        raise SettingError(
             "the record must have at least 2 batches for its uncertainties to be "
             f"known, got {record.n_batches}"
         )
@@ -177,7 +178,7 @@ def check_uncertainties(record: Record) -> None:
 
 def _check_incident(a: tuple[float, float], b: tuple[float, float]) -> None:
     if not _same(a, b):
-        raise ValueError(
+        raise SettingError(
             "the records must have the same incident directions, got (theta_i, phi_i) "
             f"= ({a[0]:.6g}, {a[1]:.6g}) and ({b[0]:.6g}, {b[1]:.6g}) degrees"
         )
@@ -195,7 +196,7 @@ def _check_dark_below(record: Record, other: Record, notes: list[str]) -> None:
     if not one.has_lower:
         return
     if any(tally.sums[:, 1].any() for tally in one.tallies):
-        raise ValueError(
+        raise SettingError(
             "the records must have the same hemispheres if light came to the lower "
             f"one: measure the {which} with hemispheres='both'"
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..collector.hemisphere import Subdivision
-from ..errors import checked_choice
+from ..errors import SettingError, checked_choice
 from ..files import astm, check_output, netcdf, replacing
 from ..files.channels import wavelengths_nm
 from ..files.measured import MeasuredTable, read_measured
@@ -64,7 +64,7 @@ def export(
     """
     check_output(path, ENDINGS)
     if takes_a_stream(path):
-        raise ValueError(
+        raise SettingError(
             f"{path} must be a file, for what is written is read back, got a pipe or "
             "a device"
         )

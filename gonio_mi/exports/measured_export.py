@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats, Numbers
-from ..errors import VariantError
+from ..errors import SettingError, VariantError
 from ..files import replacing, tensor_file
 from ..files.channels import wavelengths_nm
 from ..instrument.measurement import measure_whole
@@ -72,7 +72,7 @@ def _is_spectral(record: Record) -> bool:
             f"{mi.variant()}"
         )
     if not spectral and record.channels not in (("Y",), ("R", "G", "B")):
-        raise ValueError(
+        raise SettingError(
             "a .bsdf file takes records of one channel, of R, G, B or of wavelengths, "
             f"got {', '.join(record.channels)[:80]}"
         )

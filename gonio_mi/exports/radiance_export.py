@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import checked_choice
+from ..errors import SettingError, checked_choice
 from ..files import radiance_bsdf, radiance_xml, replacing
 from ..files.radiance_bsdf import RadianceBSDF
 from ..results.record import Record
@@ -47,7 +47,7 @@ def write_radiance(
     checked_choice("basis", basis, BASES)
     rank = RANKS[basis]
     if len(record.channels) > 1 and record.channels != ("R", "G", "B"):
-        raise ValueError(
+        raise SettingError(
             "Radiance's files take records of one channel or of R, G, B, got "
             f"{', '.join(record.channels)[:80]}"
         )
@@ -75,13 +75,13 @@ def write_radiance(
 def _check_isotropic_grey(material: Material) -> None:
     """Raise ValueError unless the material fits into a tensor tree of rank 3."""
     if len(material.phi_i) > 1:
-        raise ValueError(
+        raise SettingError(
             "the basis tensor3 is for isotropic materials, and the record has "
             f"{len(material.phi_i)} azimuths of incidence: take tensor4"
         )
     # it drops their chromaticity with their diffuse light (seen in version 6.0a)
     if len(material.channels) > 1:
-        raise ValueError(
+        raise SettingError(
             "Radiance loses the colours of tensor trees of rank 3: take tensor4"
         )
 

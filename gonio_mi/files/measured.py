@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FileFormatError, checked_choice, checked_number, shown
+from ..errors import (
+    FileFormatError,
+    SettingError,
+    checked_choice,
+    checked_number,
+    shown,
+)
 from . import astm
 from .measured_table import (
     COLUMNS,
@@ -80,7 +86,7 @@ def read_measured(
     if Path(path).suffix.lower() == ".astm":
         return _read_astm(path, channel)
     if channel is not None:
-        raise ValueError(f"channel goes with a file .astm, got {str(path)!r}")
+        raise SettingError(f"channel goes with a file .astm, got {str(path)!r}")
     if Path(path).suffix.lower() == ".xml":
         raise FileFormatError(
             f"{path} is no table of values: measure it as a material, "
@@ -99,7 +105,7 @@ def _read_astm(path: str | PathLike[str], channel: str | None) -> MeasuredTable:
     if channel is None and len(names) == 1:
         channel = names[0]
     if channel is None or channel not in names:
-        raise ValueError(
+        raise SettingError(
             f"channel must be one of {', '.join(names)[:80]} for {path}, got "
             f"{shown(channel)}"
         )
@@ -185,7 +191,7 @@ def _read_key(
         if key in NUMBERS:
             if not is_decimal(text):
                 condition = NUMBERS[key][2]
-                raise ValueError(f"{key} must be {condition}, got {shown(text)}")
+                raise SettingError(f"{key} must be {condition}, got {shown(text)}")
             settings[key] = checked_number(key, text, *NUMBERS[key])
             return
         if key == "units":

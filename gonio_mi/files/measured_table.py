@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..array_types import Floats
-from ..errors import checked_choice, checked_number
+from ..errors import SettingError, checked_choice, checked_number
 from . import replacing
 
 __all__ = [
@@ -108,7 +108,7 @@ class MeasuredTable:
                 object.__setattr__(self, name, value)
         for name in ("aperture_half_angle", "emitter_distance"):
             if getattr(self, name) == 0:
-                raise ValueError(f"{name} must be positive, got 0")
+                raise SettingError(f"{name} must be positive, got 0")
         for name in (*COLUMNS, "sigma"):
             column = getattr(self, name)
             if column is not None:
@@ -119,14 +119,14 @@ class MeasuredTable:
         values = np.array(column, dtype=float)
         n = np.size(self.theta_i)
         if values.ndim != 1 or values.size != n or n == 0:
-            raise ValueError(
+            raise SettingError(
                 f"{name} must hold one number for each of {n or 'at least one'} rows, "
                 f"got the shape {values.shape}"
             )
         good, condition = fits(name, values, self.quantity)
         if not good.all():
             row = int(np.argmin(good))
-            raise ValueError(
+            raise SettingError(
                 f"{name} must be {condition}, got {values[row]:g} in row {row}"
             )
         values.flags.writeable = False

@@ -5,6 +5,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from ..errors import PackageError
 from ..results.record import Record
 from .channels import wavelengths_nm
 
@@ -40,7 +41,7 @@ def dataset(record: Record) -> Any:
     try:
         import xarray
     except ImportError:
-        raise ImportError(
+        raise PackageError(
             "NetCDF files need xarray, which is not installed: "
             'pip install "gonio-mi[netcdf]"'
         ) from None

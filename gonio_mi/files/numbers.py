@@ -2,7 +2,7 @@
 
 import re
 
-from ..errors import shown
+from ..errors import SettingError, shown
 
 __all__ = ["decimal", "is_decimal"]
 
@@ -32,5 +32,5 @@ def decimal(text: str) -> float:
         If it is no number.
     """
     if not is_decimal(text):
-        raise ValueError(f"must be a number, got {shown(text)}")
+        raise SettingError(f"must be a number, got {shown(text)}")
     return float(text)

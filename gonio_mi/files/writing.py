@@ -11,6 +11,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
+from ..errors import SettingError
+
 try:
     import fcntl
 except ImportError:  # not a POSIX system
@@ -66,7 +68,7 @@ def checked_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> str:
     """Return the ending of `path` in lower case, or raise ValueError."""
     ending = Path(path).suffix.lower()
     if ending not in endings:
-        raise ValueError(
+        raise SettingError(
             f"the file name must end in {' or '.join(endings)}, got {str(path)!r} "
             f"with the ending {ending!r}"
         )

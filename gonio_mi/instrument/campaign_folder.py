@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from .. import files
-from ..errors import FileFormatError
+from ..errors import FileFormatError, SettingError
 from ..files.writing import PREFIX, SUFFIX
 
 __all__ = ["CampaignFolder"]
@@ -156,7 +156,7 @@ def _locked(folder: Path) -> Iterator[None]:
         try:
             _lock(stream.fileno())
         except (BlockingIOError, PermissionError):
-            raise ValueError(
+            raise SettingError(
                 f"folder must be free, but another campaign is at work in {folder}: "
                 "wait until it has ended, or take another folder"
             ) from None
@@ -208,7 +208,7 @@ def _campaign(path, content):
     except ValueError:
         found = None
     if not isinstance(found, dict) or found.get("format") != FORMAT:
-        raise ValueError(
+        raise SettingError(
             f"folder must hold a campaign or nothing, but {path} is something else: "
             "take another folder"
         )
@@ -219,7 +219,7 @@ def _check_same(path, found, own):
     """Raise ValueError unless two descriptions agree."""
     remedy = f"take another folder, or remove {path.parent} to measure all again"
     if not isinstance(found, dict) or found.keys() != own.keys():
-        raise ValueError(
+        raise SettingError(
             "folder must hold this very campaign, but another version of gonio-mi "
             f"wrote {path.name}: {remedy}"
         )
@@ -232,7 +232,7 @@ def _check_same(path, found, own):
             one, other = one.get(what, LEFT_OUT), other.get(what, LEFT_OUT)
         if one != other:
             one, other = _from_difference(str(one), str(other))
-            raise ValueError(
+            raise SettingError(
                 f"folder must hold this very campaign, but {path.name} was measured "
                 f"with {what} {other:.70}, not {one:.70}: {remedy}"
             )

@@ -13,7 +13,14 @@ from threading import Lock
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import SpecimenError, checked_count, frames, shown
+from ..errors import (
+    SettingError,
+    SettingTypeError,
+    SpecimenError,
+    checked_count,
+    frames,
+    shown,
+)
 from ..progress import bar
 from ..results.record import Record
 from ..transport.digest import specimen_digest
@@ -99,13 +106,13 @@ def campaign(
     """
     check_variant()
     if not isinstance(specimens, Mapping) or not specimens:
-        raise TypeError(
+        raise SettingTypeError(
             "specimens must be a dictionary with at least one entry, "
             f"got {shown(specimens)}"
         )
     incidents, _ = incident_angles(theta_i, phi_i)
     if None in incidents:
-        raise ValueError("theta_i must be given for a campaign, got None")
+        raise SettingError("theta_i must be given for a campaign, got None")
     if isinstance(executor, int):
         checked_count("executor", executor)
         threads = threads or max(1, (os.cpu_count() or 1) // executor)
@@ -275,7 +282,7 @@ def _check_specimens(tasks, done, folder):
             for key, own in names[task.name].items():
                 found = done[task.number].settings.get(key)
                 if found != own:
-                    raise ValueError(
+                    raise SettingError(
                         f"folder must hold this very campaign, but in {folder} "
                         f"{things[key]} of {task.name} was another: its digest is "
                         f"{found} instead of {own}; take another folder"
@@ -289,7 +296,7 @@ def _check_picklable(tasks):
             try:
                 pickle.dumps(value)
             except Exception:  # whatever the objects' classes raise
-                raise ValueError(
+                raise SettingError(
                     f"{label} must be plain values or a path to be measured in another "
                     f"process, got {shown(value)}"
                 ) from None

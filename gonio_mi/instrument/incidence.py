@@ -4,7 +4,13 @@ import mitsuba as mi
 import numpy as np
 
 from ..collector.directions import direction
-from ..errors import SpecimenError, checked_number, shown
+from ..errors import (
+    SettingError,
+    SettingTypeError,
+    SpecimenError,
+    checked_number,
+    shown,
+)
 from ..transport.digest import emitter_digest
 from .loading import loaded
 
@@ -38,7 +44,7 @@ def incident_key(incident):
 def _sequence(name, value):
     values = [value] if np.ndim(value) == 0 else list(value)
     if not values:
-        raise ValueError(f"{name} must hold at least one angle, got {shown(value)}")
+        raise SettingError(f"{name} must hold at least one angle, got {shown(value)}")
     return values
 
 
@@ -58,7 +64,7 @@ def emitter_scene(scene, emitter, incident, side):
     if emitter is None:
         emitter = {"type": "directional", "direction": _beam_direction(incident, side)}
     elif not isinstance(emitter, dict):
-        raise TypeError(f"emitter must be a dictionary, got {shown(emitter)}")
+        raise SettingTypeError(f"emitter must be a dictionary, got {shown(emitter)}")
     elif incident is not None:
         emitter = _turned(emitter, incident, side)
     return loaded("the emitter", mi.load_dict, {"type": "scene", "emitter": emitter})

@@ -10,7 +10,13 @@ from pathlib import Path
 import mitsuba as mi
 
 from .. import llvm
-from ..errors import SpecimenError, VariantError, shown
+from ..errors import (
+    SettingError,
+    SpecimenError,
+    VariantError,
+    shown,
+    tells_of_our_bug,
+)
 from ..transport.kernels import launches_kernels
 from ..transport.variants import is_usable
 from .named_files import check_named_files
@@ -116,6 +122,8 @@ def loaded(what, load, *args, **kwargs):
             _check_whole_numbers(argument)
         return load(*args, **kwargs)
     except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
+        if tells_of_our_bug(error):
+            raise  # a bug of ours in a plugin
         raise SpecimenError(f"{what} cannot be loaded: {_one_line(error)}") from error
 
 
@@ -124,7 +132,7 @@ def _check_whole_numbers(node):
     if isinstance(node, dict):
         for key, value in node.items():
             if isinstance(value, int) and not -(2**63) <= value < 2**63:
-                raise ValueError(f"{key} must be below 2^63, got {shown(value)}")
+                raise SettingError(f"{key} must be below 2^63, got {shown(value)}")
             _check_whole_numbers(value)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..errors import VariantError
+from ..errors import SettingError, VariantError
 from ..memory import check_memory
 from ..results.processors import joined_processors
 from ..results.record import Record
@@ -126,12 +126,14 @@ def _check_together(
             f"got {mi.variant()}"
         )
     if theta_i is None and emitter is None and (asked.side != "front" or np.any(phi_i)):
-        raise ValueError(
+        raise SettingError(
             "side and phi_i go with theta_i: without it the scene's emitter decides "
             f"where light comes from, got side {asked.side} and phi_i {phi_i}"
         )
     if "rel_err" not in given and "max_rays" in given:
-        raise ValueError(f"max_rays goes with rel_err, got {asked.max_rays!r} without")
+        raise SettingError(
+            f"max_rays goes with rel_err, got {asked.max_rays!r} without"
+        )
 
 
 def _settled(
@@ -141,12 +143,14 @@ def _settled(
     settings = MeasurementSettings().changed(**own | given)
     if settings.estimator == "quadrature":
         if resume is not None:
-            raise ValueError("resume is for sampled rays, got the estimator quadrature")
+            raise SettingError(
+                "resume is for sampled rays, got the estimator quadrature"
+            )
         return settings
     if "rel_err" in given:
         for name, other in (("rays", given.get("rays")), ("resume", resume)):
             if other is not None:
-                raise ValueError(f"rel_err and {name} exclude each other, got both")
+                raise SettingError(f"rel_err and {name} exclude each other, got both")
     elif "rays" in given:  # instead of a precision that the scene asks for
         settings = replace(settings, rel_err=None)
     return settings

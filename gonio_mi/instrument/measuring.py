@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import SettingError
 from ..results.record import Record
 from ..settings import MeasurementSettings, declarations, numpydoc
 from .campaigns import campaign
@@ -84,7 +85,7 @@ def measure(
             specimen, theta_i, phi_i, resume=resume, **others, **settings
         )
     if resume is not None:
-        raise ValueError("resume and folder exclude each other, got both")
+        raise SettingError("resume and folder exclude each other, got both")
     where = {"executor": executor, "folder": folder}
     done = campaign(
         {"specimen": specimen}, theta_i, phi_i, **where, **others, **settings

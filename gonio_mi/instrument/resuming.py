@@ -1,6 +1,6 @@
 """Whether an interrupted record is the beginning of a measurement."""
 
-from ..errors import shown
+from ..errors import SettingError, SettingTypeError, shown
 from ..results.record import DIGESTS, Record
 
 __all__ = ["check_resumable"]
@@ -23,9 +23,9 @@ def check_resumable(resume, instrument, benches, seed, plan):
         Rays of each batch; the record may hold the first ones only.
     """
     if not isinstance(resume, Record):
-        raise TypeError(f"resume must be a Record, got {shown(resume)}")
+        raise SettingTypeError(f"resume must be a Record, got {shown(resume)}")
     if len(resume) > len(benches):
-        raise ValueError(
+        raise SettingError(
             f"resume must hold at most {len(benches)} incident directions, "
             f"got {len(resume)}"
         )
@@ -45,19 +45,19 @@ def check_resumable(resume, instrument, benches, seed, plan):
         lacking = set(DIGESTS) - others.keys()
         for key in own.keys() - FREE - lacking:
             if own[key] != others.get(key) and own[key] == own[key]:
-                raise ValueError(
+                raise SettingError(
                     f"resume must be a record of this measurement, but its {key} is "
                     f"{shown(others.get(key))} instead of {shown(own[key])}"
                 )
     if resume.ledger.missed and resume.settings.get("period", "none") != "none":
-        raise ValueError(
+        raise SettingError(
             "resume must be a record of this measurement, but it is of an older "
             "gonio-mi, which left out the light that passes openings of the cell"
         )
     for tally in resume.tallies:
         sizes = (tally.fates.sum(axis=1) // instrument.passes).tolist()
         if sizes != plan[: len(sizes)]:
-            raise ValueError(
+            raise SettingError(
                 "resume must be a record of this measurement, but it has "
                 f"{len(sizes)} batches of up to {max(sizes)} rays instead of "
                 f"{len(plan)} of up to {max(plan)}"

@@ -6,7 +6,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from ..errors import shown
+from ..errors import SettingTypeError, shown
 from ..settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings
 from ..transport.sampling import check_sampler
 from .loading import loaded
@@ -46,6 +46,8 @@ def _kind(thing: object) -> str:
 def _sampler(given: object) -> mi.Sampler:
     sampler = mi.load_dict(given) if isinstance(given, dict) else given
     if not isinstance(sampler, mi.Sampler):
-        raise TypeError(f"sampler must be a Mitsuba sampler, got {_kind(sampler)}")
+        raise SettingTypeError(
+            f"sampler must be a Mitsuba sampler, got {_kind(sampler)}"
+        )
     check_sampler("sampler", sampler)
     return sampler

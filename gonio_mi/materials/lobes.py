@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..collector import RingsAndSectors
+from ..errors import SettingError
 from ..results.record import Record
 
 __all__ = ["LobeTable"]
@@ -105,7 +106,7 @@ class LobeTable:
         patches = record.subdivision
         flux = record.flux_fraction if record.stacked else record.flux_fraction[None]
         if not np.isfinite(flux).all():
-            raise ValueError("the record must have incident light in all its stack")
+            raise SettingError("the record must have incident light in all its stack")
         theta_i, phi_i, flux = _grid(record, flux)
         if mixture is not None:
             flux = flux @ np.asarray(mixture, dtype=float)[:, None]
@@ -149,7 +150,7 @@ class LobeTable:
 def _grid(record: Record, flux: Floats) -> tuple[Floats, Floats, Floats]:
     """Sorted angles of incidence in degrees, and flux ``(P, N, H, ..., channels)``."""
     if not np.isfinite([record.theta_i, record.phi_i]).all():
-        raise ValueError("the record must know its incident directions, got NaN")
+        raise SettingError("the record must know its incident directions, got NaN")
     theta_i, of_theta = _levels(record.theta_i)
     # along the normal there is no azimuth: what was measured there is for all of them
     normal = (of_theta == 0) & (theta_i[0] < SAME_ANGLE)
@@ -161,13 +162,13 @@ def _grid(record: Record, flux: Floats) -> tuple[Floats, Floats, Floats]:
         grid[of_phi, of_theta[index]] = index
     tilted = grid[:, int(normal.any()) :]
     if (tilted < 0).any() or tilted.size != len(index):
-        raise ValueError(
+        raise SettingError(
             f"the record's {len(flux)} incident directions must be each of its "
             f"{len(theta_i)} polar angles at each of its {len(phi_i)} azimuths, once"
         )
     gaps = np.diff([*phi_i, phi_i[0] + 360])
     if len(phi_i) > 1 and gaps.max() > WIDEST_GAP:
-        raise ValueError(
+        raise SettingError(
             "the azimuths of incidence of an anisotropic record must go all around, "
             f"with gaps of at most {WIDEST_GAP} degrees, got one of {gaps.max():g}"
         )
@@ -198,7 +199,7 @@ def _check_size(shape: tuple[int, ...]) -> None:
     n_lobes = n_azimuths * n_angles * n_hemispheres
     n_bytes = 8 * n_lobes * (4 * (2 * N_CELLS) ** 2 + np.prod(patches) * n_channels * 3)
     if n_bytes > MOST_BYTES:
-        raise ValueError(
+        raise SettingError(
             f"a table of {n_azimuths} x {n_angles} incident directions and "
             f"{patches[0]} x {patches[1]} patches must need at most {MOST_BYTES:.2g} "
             f"bytes, got {n_bytes:.2g}"

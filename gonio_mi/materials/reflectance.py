@@ -5,6 +5,8 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
+from ..errors import SettingError, SettingTypeError
+
 __all__ = ["mean", "reflectance"]
 
 
@@ -16,12 +18,12 @@ def reflectance(props: mi.Properties, name: str, default: float) -> mi.Texture:
         texture = None
     label = f"{props.plugin_name()}.{name}"
     if texture is None:
-        raise TypeError(
+        raise SettingTypeError(
             f"{label} must be a number, a colour or a texture, got {props.get(name)!r}"
         )
     value = mean(texture)
     if not 0 <= value <= 1:
-        raise ValueError(f"{label} must be a reflectance from 0 to 1, got {value:g}")
+        raise SettingError(f"{label} must be a reflectance from 0 to 1, got {value:g}")
     return texture
 
 

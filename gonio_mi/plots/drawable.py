@@ -2,6 +2,7 @@
 
 from os import PathLike
 
+from ..errors import PackageError
 from ..files import check_output
 
 __all__ = ["FIGURE_ENDINGS", "check_matplotlib", "check_picture"]
@@ -14,7 +15,7 @@ def check_matplotlib() -> None:
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError:
-        raise ImportError(
+        raise PackageError(
             'pictures need matplotlib: run pip install "gonio-mi[plot]"'
         ) from None
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import checked_count
+from ..errors import SettingError, checked_count
 from ..files import check_output, replacing
 from ..results.record import Record
 from .drawable import FIGURE_ENDINGS, check_matplotlib
@@ -70,7 +70,7 @@ def plot(
 
     index = checked_count("index", index, 0)
     if index >= len(record):
-        raise ValueError(
+        raise SettingError(
             f"index must be below {len(record)}, the number of incident directions, "
             f"got {index}"
         )

@@ -15,7 +15,7 @@ from scipy import special
 
 from ..array_types import Flags, Floats
 from ..collector import Subdivision, subdivision
-from ..errors import checked_count, checked_number
+from ..errors import SettingError, SettingTypeError, checked_count, checked_number
 from .record import Record
 
 __all__ = [
@@ -171,7 +171,7 @@ def relative_rays(probabilities: ArrayLike, rel_err: float, level: float = 0.95)
     """
     p = np.asarray(probabilities, dtype=float).ravel()
     if not p.size or not ((p > 0) & (p <= 1)).all():
-        raise ValueError(
+        raise SettingError(
             "probabilities must be at least one number in (0, 1], "
             f"got {p.size} from {p.min() if p.size else np.nan:g}"
         )
@@ -370,17 +370,17 @@ def plan(
 def _pilot_probabilities(pilot: Record, floor: float) -> tuple[Floats, int]:
     """Flux fractions of the patches worth reporting, and the number of all patches."""
     if not isinstance(pilot, Record):
-        raise TypeError(
+        raise SettingTypeError(
             f"pilot must be a Record, got {pilot!r:.80} (collector= takes patches)"
         )
     if len(pilot) != 1:
-        raise ValueError(
+        raise SettingError(
             f"the pilot must be of one incident direction, got a stack of {len(pilot)}"
         )
     record = pilot[0]
     values = _collector(record, "brdf", "btdf")
     if not values.any():
-        raise ValueError("the pilot must have received some light, got none")
+        raise SettingError("the pilot must have received some light, got none")
     projected = record.subdivision.projected_solid_angles
     # the channel with the least light in a patch asks for most rays
     least = values.min(axis=-1)

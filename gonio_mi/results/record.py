@@ -12,7 +12,7 @@ import numpy as np
 
 from ..array_types import Counts, Flags, Floats, Numbers
 from ..collector import Subdivision
-from ..errors import checked_choice, checked_number, printable, shown
+from ..errors import SettingError, checked_choice, checked_number, printable, shown
 from . import statistics
 from .estimates import Estimates
 from .processors import joined_processors
@@ -235,7 +235,7 @@ class Record:
             return self._squeeze(low), self._squeeze(high)
         hemisphere = int(of in ("btdf", "dht"))
         if hemisphere and not self.has_lower:
-            raise ValueError(f"of must be brdf or dhr for a record without {of}")
+            raise SettingError(f"of must be brdf or dhr for a record without {of}")
         of_all = of in ("dhr", "dht")
         interval = Estimates.total_interval if of_all else Estimates.interval
         low, high = np.stack(
@@ -260,7 +260,7 @@ class Record:
         """
         records = list(records)
         if not records:
-            raise ValueError("records must hold at least one to be stacked, got none")
+            raise SettingError("records must hold at least one to be stacked, got none")
         for other in records[1:]:
             # an emitter that was moved, not turned, has another digest
             free = {"created", "processors", "batches", "emitter_digest", "task"}
@@ -288,7 +288,7 @@ class Record:
         """Record of one incident direction of the stack; a stack for a slice."""
         if isinstance(index, slice):
             if not self.tallies[index]:
-                raise ValueError(
+                raise SettingError(
                     f"a stack must hold at least one incident direction, got {index} "
                     f"of {len(self)}"
                 )
@@ -348,15 +348,15 @@ class Record:
         for key in ("theta_i", "phi_i"):
             a, b = getattr(self, key).tolist(), getattr(other, key).tolist()
             if not np.array_equal(a, b, equal_nan=True):
-                raise ValueError(
+                raise SettingError(
                     f"records must agree in {key} to be merged, got {shown(a)} and "
                     f"{shown(b)}"
                 )
         if any(t.errors is not None for t in (*self.tallies, *other.tallies)):
-            raise ValueError("records of the estimator quadrature cannot be merged")
+            raise SettingError("records of the estimator quadrature cannot be merged")
         seeds = [*_seeds(self), *_seeds(other)]
         if len(set(seeds)) < len(seeds):
-            raise ValueError(
+            raise SettingError(
                 f"records must have different seeds to be merged, got {seeds}"
             )
         settings = dict(self.settings, seed=seeds)
@@ -426,7 +426,7 @@ def _check_alike(
 ) -> None:
     """Raise ValueError if any setting that is not `free`, or the collector, differs."""
     if any(a.ledger.missed and b.ledger.direct for a, b in _both_ways(one, other)):
-        raise ValueError(
+        raise SettingError(
             f"records must agree in what is incident to be {purpose}: one, of an older "
             "gonio-mi, leaves out the light that passes the openings of its cell"
         )
@@ -439,7 +439,7 @@ def _check_alike(
         if key in DIGESTS and not (key in a and key in b):
             continue
         if a.get(key) != b.get(key):
-            raise ValueError(
+            raise SettingError(
                 f"records must agree in {key} to be {purpose}, got "
                 f"{shown(a.get(key))} and {shown(b.get(key))}"
             )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..collector import EqualProjectedSolidAngle, Subdivision, subdivision
+from ..errors import SettingTypeError
 from .declaration import Kind, declarations, setting
 from .orders import ALL_ORDERS, Order
 from .parsed import (
@@ -363,5 +364,7 @@ class MeasurementSettings:
         names = declarations(type(self)).keys()
         for name in given.keys() - names:
             known = ", ".join(names)
-            raise TypeError(f"measure has no setting {name!r}: take one of {known}")
+            raise SettingTypeError(
+                f"measure has no setting {name!r}: take one of {known}"
+            )
         return replace(self, **{k: v for k, v in given.items() if v is not None})

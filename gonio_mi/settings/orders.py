@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from ..errors import shown
+from ..errors import SettingError, shown
 
 __all__ = ["ALL_ORDERS", "UNLIMITED", "Order"]
 
@@ -29,7 +29,7 @@ class Order:
         if text == "all":
             return ALL_ORDERS
         if not re.fullmatch(r"0|[1-9]\d{0,8}\+?", text):
-            raise ValueError(
+            raise SettingError(
                 f"{label} must be 'all', a number of surface events such as 2 (0 "
                 f"for direct light), or '3+' for three or more, got {shown(value)}"
             )

@@ -8,7 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import checked_choice, checked_count, checked_number, shown
+from ..errors import (
+    SettingError,
+    SettingTypeError,
+    checked_choice,
+    checked_count,
+    checked_number,
+    shown,
+)
 
 __all__ = [
     "Period",
@@ -53,7 +60,9 @@ def joined(value: Any) -> Any:
 def checked_flag(label: str, value: object) -> bool:
     """Return `value`, which must be a bool; text is refused, ``"false"`` too."""
     if not isinstance(value, (bool, np.bool_)):
-        raise TypeError(f"{label} must be a boolean, true or false, got {shown(value)}")
+        raise SettingTypeError(
+            f"{label} must be a boolean, true or false, got {shown(value)}"
+        )
     return bool(value)
 
 
@@ -64,7 +73,7 @@ def checked_footprint(label: str, value: object) -> str | float:
     condition = "'point', 'full' or a positive radius"
     radius = checked_number(label, value, 0, math.inf, condition)
     if radius == 0:
-        raise ValueError(f"{label} must be {condition}, got {shown(value)}")
+        raise SettingError(f"{label} must be {condition}, got {shown(value)}")
     return radius
 
 
@@ -83,7 +92,7 @@ def checked_period(label: str, value: object) -> Period:
     except (TypeError, ValueError):
         x = y = math.nan
     if not (0 < x < math.inf and 0 < y < math.inf):
-        raise ValueError(
+        raise SettingError(
             f"{label} must be 'none', 'box', or one or two positive numbers, "
             f"got {shown(value)}"
         )
@@ -103,7 +112,7 @@ def checked_wavelengths(label: str, value: object) -> tuple[float, ...]:
     except (TypeError, ValueError):
         nm = ()
     if not nm or not all(low <= x <= high for x in nm):
-        raise ValueError(
+        raise SettingError(
             f"{label} must be numbers of nm from {low:g} to {high:g}, "
             f"got {shown(value)}"
         )

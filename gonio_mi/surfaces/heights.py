@@ -5,11 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import checked_choice, checked_count, checked_number
+from ..errors import (
+    SettingError,
+    SettingTypeError,
+    checked_choice,
+    checked_count,
+    checked_number,
+)
 from ..memory import check_memory
 
 __all__ = [
     "CORRELATIONS",
+    "LARGEST",
     "HeightStatistics",
     "checked_heights",
     "gaussian_heights",
@@ -17,6 +24,9 @@ __all__ = [
 ]
 
 CORRELATIONS = ("gaussian", "exponential")
+
+# Heights and lengths are below it, so that single precision holds their squares.
+LARGEST = 1e18
 
 # Bytes per grid point at the peak of the synthesis, which is in double precision, and
 # of the mesh: vertices and triangles in NumPy, Mitsuba and Embree. Measured: 61, 277.
@@ -111,7 +121,7 @@ def gaussian_heights(
     length_u, length_v = correlation_length * stretch, correlation_length / stretch
     for name, length, n in (("x", length_u, n_x), ("y", length_v, n_y)):
         if not 2 * spacing <= length <= n * spacing / 4:
-            raise ValueError(
+            raise SettingError(
                 f"correlation_length along {name} must be from two grid spacings to a "
                 f"quarter of the period, {2 * spacing:.4g} to {n * spacing / 4:.4g}, "
                 f"got {length:.4g}"
@@ -154,7 +164,7 @@ def _expected_alphas(
     slopes = [2 * np.sin(k * spacing / 2) / spacing for k in (k_x, k_y)]
     variances = [np.sum(power * twice * slope**2) / points for slope in slopes]
     if not min(variances) > 0:
-        raise ValueError(
+        raise SettingError(
             "shortest must leave wavelengths that the period holds, got none"
         )
     return np.sqrt(2 * np.array(variances))
@@ -217,19 +227,21 @@ def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
     if heights.ndim == 3 and heights.shape[2] == 1:
         heights = heights[..., 0]
     if heights.ndim != 2 or min(heights.shape) < 2:
-        raise ValueError(
+        raise SettingError(
             "heights must be a grid of at least 2 x 2 numbers, got an array of shape "
             f"{heights.shape}"
         )
     try:
-        heights = heights.astype(float)
+        with np.errstate(invalid="ignore"):  # signalling NaNs are refused below
+            heights = heights.astype(float)
     except (TypeError, ValueError):
-        raise TypeError(
+        raise SettingTypeError(
             f"heights must be real numbers, got an array of {heights.dtype}"
         ) from None
-    wrong = np.count_nonzero(~np.isfinite(heights))
+    wrong = np.count_nonzero(~(np.abs(heights) < LARGEST))
     if wrong:
-        raise ValueError(
-            f"heights must be finite, got {wrong} of {heights.size} that are not"
+        raise SettingError(
+            f"heights must be finite and below {LARGEST:g}, got {wrong} of "
+            f"{heights.size} that are not"
         )
     return heights

@@ -4,6 +4,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..errors import SettingError
+
 __all__ = [
     "apart",
     "check_sampler",
@@ -46,13 +48,13 @@ def check_sampler(label, sampler):
     """Raise ValueError for a sampler that would measure wrongly."""
     name = sampler_name(sampler)
     if name == "ldsampler":
-        raise ValueError(
+        raise SettingError(
             f"{label} must not be ldsampler: it repeats one pattern for all numbers "
             "that a ray draws, so that they stay correlated, and a BSDF of several "
             "lobes is measured wrongly however many rays are sent; take sobol"
         )
     if name in OF_FIXED_SIZE and "jitter = 0" in str(sampler):
-        raise ValueError(
+        raise SettingError(
             f"{label} {name} must have jitter on: without it all batches draw the same "
             "grid of numbers, whose error no error bar shows"
         )

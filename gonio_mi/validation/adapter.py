@@ -6,6 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..errors import SettingTypeError
+
 __all__ = ["from_numpy"]
 
 
@@ -54,7 +56,9 @@ def from_numpy(
     functions = {"sample": sample, "eval": eval, "pdf": pdf}
     for name, function in functions.items():
         if not callable(function):
-            raise TypeError(f"{name} must be a function, got {type(function).__name__}")
+            raise SettingTypeError(
+                f"{name} must be a function, got {type(function).__name__}"
+            )
     flags = mi.BSDFFlags
     lobes = int(flags.GlossyReflection) | int(flags.FrontSide)
     lobes |= int(flags.GlossyTransmission) if transmits else 0

@@ -6,7 +6,7 @@ from dataclasses import replace
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SpecimenError, checked_count, checked_number, shown
+from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import check_variant, load_specimen, loaded, specimen_name
 from ..transport.kernels import launches_kernels
 from . import balance, declarations, delta, ends, identities, parameters, symmetry
@@ -63,7 +63,7 @@ def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=(), strict=
     allow = (allow,) if isinstance(allow, str) else tuple(allow)
     for name in allow:
         if name not in PROPERTIES:
-            raise ValueError(
+            raise SettingError(
                 f"allow must name some of {', '.join(PROPERTIES)}, got {shown(name)}"
             )
     bsdf, name = _bsdf(specimen)

@@ -4,6 +4,7 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi import properties
+from gonio_mi.errors import SettingError
 from gonio_mi.materials import exponentiated_cosine as lobe
 from gonio_mi.materials import one_sided_glossy
 from gonio_mi.materials.reflectance import mean, reflectance
@@ -86,7 +87,7 @@ class GlossyMixture(mi.BSDF):
         total = mean(self.diffuse) + mean(self.specular)
         # 0.8 + 0.2 in float32 may exceed 1 by a rounding error
         if total > 1 + 2.0**-22:
-            raise ValueError(
+            raise SettingError(
                 "glossymixture: diffuse_reflectance + specular_reflectance must be at "
                 f"most 1, got {total:g}"
             )

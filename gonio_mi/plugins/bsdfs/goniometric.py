@@ -7,6 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from gonio_mi.errors import SettingError
 from gonio_mi.files.channels import wavelengths_nm
 from gonio_mi.files.material_files import load_material
 from gonio_mi.materials.lit_face import LitFace
@@ -86,7 +87,7 @@ class Goniometric(mi.BSDF):
         super().__init__(props)
         self.files = [props.get(name) for name in ("filename", "back_filename")]
         if self.files[0] is None:
-            raise ValueError("goniometric.filename must name a record, got nothing")
+            raise SettingError("goniometric.filename must name a record, got nothing")
         self.faces = [
             None if name is None else _face(f"goniometric.{key}", name, side)
             for key, name, side in zip(
@@ -250,17 +251,17 @@ def _mixture(material):
         return None
     if wavelengths_nm(channels) is not None:
         if not mi.is_spectral:
-            raise ValueError(
+            raise SettingError(
                 f"a record of {said} must be used in a spectral variant, got "
                 f"{mi.variant()}"
             )
         return None
     if channels != ("R", "G", "B"):
-        raise ValueError(
+        raise SettingError(
             f"the record must have one channel, R, G, B or wavelengths, got {said}"
         )
     if mi.is_spectral:
-        raise ValueError(
+        raise SettingError(
             "a record of R, G, B must be used in an rgb or monochrome variant, "
             f"got {mi.variant()}"
         )

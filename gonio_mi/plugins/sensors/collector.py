@@ -2,6 +2,7 @@
 
 import mitsuba as mi
 
+from gonio_mi.errors import SettingError
 from gonio_mi.settings import COLLECTOR, MeasurementSettings, plugin_table
 from gonio_mi.transport.sampling import check_sampler
 
@@ -39,14 +40,14 @@ class Collector(mi.Sensor):
         for name, value in props.objects():
             known = mi.Sampler if name == "sampler" else (mi.Film, mi.Sampler)
             if not isinstance(value, known):
-                raise ValueError(
+                raise SettingError(
                     f"collector.{name} must be a sampler, got {value.class_name()}"
                 )
         if not any(isinstance(value, mi.Sampler) for _, value in props.objects()):
             props["sampler"] = mi.load_dict({"type": "sobol"})
         super().__init__(props)
         if not hasattr(self.film(), "settings"):
-            raise ValueError(
+            raise SettingError(
                 "collector.film must be of type patches, "
                 f"got {self.film().class_name()}"
             )

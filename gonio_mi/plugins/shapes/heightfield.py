@@ -11,13 +11,14 @@ from gonio_mi.errors import SpecimenError
 from gonio_mi.memory import check_memory
 from gonio_mi.surfaces.heights import (
     CORRELATIONS,
+    LARGEST,
     MESH_BYTES,
     checked_heights,
     gaussian_heights,
     height_statistics,
 )
 
-POSITIVE = "a positive number"
+POSITIVE = f"a positive number from {1 / LARGEST:g} to {LARGEST:g}"
 GENERATED = (
     *("resolution", "alpha", "alpha_u", "alpha_v", "correlation"),
     *("correlation_length", "shortest", "seed"),
@@ -140,9 +141,8 @@ def _heights(props, size):
                 f"statistics, got {', '.join(sources + given)}"
             )
         closed = bool(props.get("periodic", True))
-        scale = properties.number(
-            props, "scale", 1.0, -np.inf, np.inf, "a finite number"
-        )
+        condition = f"a number from -{LARGEST:g} to {LARGEST:g}"
+        scale = properties.number(props, "scale", 1.0, -LARGEST, LARGEST, condition)
         if sources == ["filename"]:
             path = Path(str(mi.file_resolver().resolve(props["filename"])))
             return f"heightfield {path.name}", _read(path) * scale, closed
@@ -168,10 +168,7 @@ def _heights(props, size):
 
 
 def _positive(props, name, default):
-    value = properties.number(props, name, default, 0, np.inf, POSITIVE)
-    if value == 0:
-        raise ValueError(f"heightfield.{name} must be {POSITIVE}, got {value:g}")
-    return value
+    return properties.number(props, name, default, 1 / LARGEST, LARGEST, POSITIVE)
 
 
 def _read(path):
