@@ -21,8 +21,8 @@ __all__ = ["Plane", "Specimen"]
 N_POINTS = 2**12
 
 # Extents in scene units that rays find their way in. A box from -LARGEST to LARGEST is
-# where the product of four lengths, 2^128, exceeds single precision. As measured, a slab
-# of glass 4.2e9 wide has the bits of a small one; in one of 8.4e9 rays find no way out.
+# where the product of four lengths, 2^128, exceeds single precision. As measured, glass
+# 4.2e9 wide has the bits of a small slab; from 8.4e9 rays find no way out.
 SMALLEST = 1e-9
 LARGEST = 2.0**31
 
