@@ -13,8 +13,9 @@ import pytest
 import right_bsdfs
 from scipy import stats
 
-from gonio_mi.validation import maps, validate
+from gonio_mi.validation import balance, maps, validate
 from gonio_mi.validation.conditions import Condition, Effort
+from gonio_mi.validation.evidence import Evidence
 from gonio_mi.validation.integrals import integrals
 
 SEEDS = int(os.environ.get("GONIO_SEEDS", "1"))
@@ -92,6 +93,20 @@ def test_tails_too_heavy_to_judge_are_told():
     assert weights.status == "undecided"
     assert weights.effect == "adds noise"
     assert "tails are too heavy" in weights.statistic
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_density_that_underflows_has_no_hole():
+    """At grazing incidence much of the light is where facets have no density left."""
+    right_bsdfs.register()
+    bsdf = mi.load_dict({"type": "heavy", "case": "ggx 0.3 by beckmann 0.4"})
+    grid = Effort.named("quick").patches
+    found = maps.four_maps(bsdf, Condition(89.0, 0.0), grid, 2**15, (0, 1))
+    assert found.due.unreached.values.sum() > 1e-3 * found.smooth_flux[0]
+    evidence = Evidence()
+    balance.check_maps(evidence, found)
+    assert not evidence.breaches
+    assert "tails are too heavy" in evidence.undecided["weights"]
 
 
 # Samplers of growing tails, and seeds of each: p-values of one view in 96 maps.

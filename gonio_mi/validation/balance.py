@@ -9,9 +9,9 @@ from .integrals import SUM_ERROR
 
 __all__ = ["check_energy", "check_maps", "check_pooled"]
 
-# Densities below that are on their way to an underflow: what `eval` has where they are
-# 0 is a matter of tails, and no hole in the support of `pdf`.
-UNDERFLOW = 1e-30
+# No sample ever meets a density below that: where `pdf` falls to it before it is 0 (as
+# Mitsuba's facets do), what `eval` has there is a matter of tails, not of a hole.
+UNDERFLOW = 1e-12
 
 # Share of the light that must be judged for a verdict on weights.
 JUDGED = 0.9
