@@ -12,15 +12,12 @@ import mitsuba as mi
 from ..results.tally import Fate
 from ..single_precision import FEW_ROUNDINGS
 from .ray_offsets import (
-    MAX_CELLS,
     START,
-    departure,
+    encounter,
+    flight_from,
     intersect,
-    into_cell,
-    is_misjudged,
     leaves_by_a_side,
-    resume,
-    through_side,
+    proceed,
 )
 
 __all__ = [
@@ -134,9 +131,9 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
     # from just above the footprint, to which nothing stands in the way; grazing, that
     # may be above the next cell
     start = dr.minimum(distance, specimen.reach * START / dr.abs(wi.z))
-    origin, shift = into_cell(specimen, p + start * wi)
-    ray = mi.Ray3f(origin, -wi)
+    ray = mi.Ray3f(p + start * wi, -wi)
     ray.wavelengths = wavelengths
+    flight = flight_from(specimen, ray)
 
     ctx = flux_context()
     flags = mi.RayFlags.All | mi.RayFlags.dNSdUV
@@ -148,7 +145,6 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
     lit = dr.any(β > 0)
     incident = mi.Spectrum(β)  # Power that met the specimen
     depth = mi.UInt32(0)  # Surface events so far
-    cells = mi.UInt32(0)  # Sides of a periodic cell that were crossed
     # what passes a periodic cell without any event has passed the specimen
     passed = Fate.DIRECT if specimen.periodic else Fate.MISSED
     fate = dr.select(lit, mi.UInt32(passed), mi.UInt32(Fate.UNLIT))
@@ -156,27 +152,15 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
     density = mi.Float(dr.inf)  # Of the direction that it chose
     active = mi.Bool(lit)  # Still in flight?
 
-    n = mi.Normal3f(0)  # Geometric normal where the ray started
-    offset = mi.Float(0)  # How far off its surface
-    again = mi.Bool(False)  # Does it look again at what it met from behind?
-
     while active:
+        ray = flight.ray
         si = intersect(scene, ray, flags, active)
-        hit = active & si.is_valid()
 
         # ------------------- Rays that leave, or have had enough events ---------------
-        entry, step, crosses = through_side(specimen, beam.side, ray.o, ray.d)
-        crosses &= active & ~hit
-        endless = crosses & (cells >= MAX_CELLS)
-        fate[active & ~hit & (depth > 0)] = mi.UInt32(Fate.REFLECTED)
-        fate[endless] = mi.UInt32(Fate.SIDEWAYS)
-        crosses &= ~endless
-
-        own, behind = is_misjudged(specimen, si, ray, n, again)
-        own &= hit
-        behind &= hit
-        again = mi.Bool(behind)
-        active = hit & ~own & ~behind
+        met = encounter(specimen, beam.side, flight, si, active)
+        fate[met.missed & (depth > 0)] = mi.UInt32(Fate.REFLECTED)
+        fate[met.endless] = mi.UInt32(Fate.SIDEWAYS)
+        active = mi.Bool(met.real)
 
         truncated = active & (depth >= max_depth)
         fate[truncated] = mi.UInt32(Fate.TRUNCATED)
@@ -184,7 +168,7 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
 
         bsdf = si.bsdf(ray)
         if deposits is not None:
-            sound = deposits.add(si, bsdf, ray, β, depth, shift, sampler, active)
+            sound = deposits.add(si, bsdf, ray, β, depth, flight.shift, sampler, active)
             fate[active & ~sound] = mi.UInt32(Fate.INVALID)
             active &= sound
 
@@ -200,7 +184,7 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
         active &= event_fate == mi.UInt32(Fate.REFLECTED)
         depth[active] += 1
         if deposits is not None:
-            left[active] = si.p + shift
+            left[active] = si.p + flight.shift
             density[active] = deposits.density(si, bsdf, bs, wo, active)
 
         # ---------------------------- Russian roulette --------------------------------
@@ -213,24 +197,10 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
         active &= survives
 
         # ------------------------------- Next ray -------------------------------------
-        onward = resume(specimen, si, ray.d, behind)
-        origin, off_surface = departure(specimen, si, ray.d, wo)
-        origin = dr.select(active, origin, onward)
-        offset[active] = off_surface
-        offset[own] = 8 * offset
-        n[active] = si.n
-        n[behind | crosses] = mi.Normal3f(0)
-        ray.d[active] = wo
-        active |= own | behind
-        origin += dr.copysign(offset, dr.dot(n, ray.d)) * n
-        origin, moved = into_cell(specimen, origin)
-        ray.o[active] = origin
-        shift[active] = shift + moved
-        ray.o[crosses] = entry
-        shift[crosses] = shift + step
-        cells[crosses] = cells + 1
-        active |= crosses
+        proceed(specimen, flight, si, met, active, wo)
+        active |= met.goes_on
 
+    ray = flight.ray
     incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
     fate = dr.select(
         (fate == mi.UInt32(Fate.REFLECTED)) & leaves_by_a_side(specimen, ray.o, ray.d),
@@ -239,7 +209,7 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
     )
     if deposits is None:
         left = density = None
-    return Exits(ray.o + shift, ray.d, β, fate, incident, depth, left, density)
+    return Exits(ray.o + flight.shift, ray.d, β, fate, incident, depth, left, density)
 
 
 def _emitted(weight, sampler, analog, uniform):

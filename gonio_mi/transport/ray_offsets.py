@@ -1,18 +1,33 @@
-"""Free flight: off a surface, through the sides of a periodic cell, out of reach."""
+r"""Free flight: off a surface, through the sides of a periodic cell, out of reach.
+
+A ray starts a few roundings off its surface. What Mitsuba says it hits may be that very
+plane, or the far wall of a crest which it passes just above, seen from behind::
+
+         ^ n                             --------> ray, within rounding of the crest
+         |  / ray                          /\
+         | /                        near  /  \  far
+    -----o----------- plane         wall /    \ wall
+
+    is_self_hit: stepped over       is_back_face: looked at again, from nearby and above
+"""
+
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 
 __all__ = [
-    "MAX_CELLS",
-    "departure",
+    "Encounter",
+    "Flight",
+    "encounter",
     "escapes",
+    "departure",
+    "flight_from",
     "intersect",
-    "into_cell",
-    "is_misjudged",
+    "is_back_face",
+    "is_self_hit",
     "leaves_by_a_side",
-    "resume",
-    "through_side",
+    "proceed",
 ]
 
 # How far a ray starts off its surface, in units of the local coordinates: 64 ulp. Off a
@@ -74,26 +89,132 @@ def departure(specimen, si, d, wo):
     return si.p - dr.select(reflected, scale * RETREAT, 0.0) * d, offset
 
 
-def is_misjudged(specimen, si, ray, n, again):
-    """Whether what a ray that left a surface of normal `n` hits is not what it meets.
-
-    `again`: whether the ray is one that looks again.
-
-    Returns
-    -------
-    own : mi.Bool
-        A plane cannot be hit from itself: that is rounding, to be stepped over.
-    behind : mi.Bool
-        Of two walls that meet in a crest, rounding may show the far one, from behind:
-        that is looked at again, from nearby and beside.
-    """
+def is_self_hit(specimen, si, ray, n):
+    """Whether a ray that left a plane of normal `n` hits that plane: rounding."""
     beside = dr.abs(dr.dot(si.p - ray.o, si.n)) < specimen.reach * SAME_PLANE
-    own = dr.all(si.n == n) & beside
-    return own, _from_behind(specimen, si, ray) & ~own & ~again
+    return dr.all(si.n == n) & beside
+
+
+def is_back_face(specimen, si, ray):
+    """Whether a surface without transmission is hit on the side of no normal.
+
+    Of two walls that meet in a crest, rounding may show the far one. In a plane there
+    is no crest that could be the reason.
+    """
+    if not specimen.closed_to_light or specimen.low[2] == specimen.high[2]:
+        return mi.Bool(False)
+    return dr.dot(si.n, ray.d) > 0
+
+
+@dataclass
+class Flight:
+    """Rays on their way: variables of a loop, which `proceed` changes in place.
+
+    Attributes
+    ----------
+    ray : mi.Ray3f
+        Inside the cell of a periodic specimen.
+    shift : mi.Vector3f
+        From there to where the ray is among the copies of that cell.
+    n, offset : mi.Normal3f, mi.Float
+        Geometric normal where it started, 0 off a surface, and how far off that.
+    again : mi.Bool
+        Whether it looks again at what it met from behind.
+    cells : mi.UInt32
+        Sides of a periodic cell that it crossed.
+    """
+
+    ray: object
+    shift: object
+    n: object
+    offset: object
+    again: object
+    cells: object
+
+
+def flight_from(specimen, ray, n=0, offset=0):
+    """:class:`Flight` of new rays; those that start on a surface tell where."""
+    ray = mi.Ray3f(ray)
+    ray.o, shift = into_cell(specimen, ray.o)
+    n, offset = mi.Normal3f(n), mi.Float(offset)
+    return Flight(ray, shift, n, offset, mi.Bool(False), mi.UInt32(0))
+
+
+@dataclass
+class Encounter:
+    """What rays meet next; none but `missed` and `crosses` have a surface there.
+
+    Attributes
+    ----------
+    missed, endless : mi.Bool
+        No surface is in the way, and of these: too many cells were crossed.
+    self_hit, back_face, real : mi.Bool
+        Stepped over, looked at again, and met indeed.
+    crosses : mi.Bool
+        Goes through a side of the periodic cell, and on from `entry`.
+    entry, step : mi.Point3f, mi.Vector3f
+        See `through_side`.
+    """
+
+    missed: object
+    endless: object
+    self_hit: object
+    back_face: object
+    real: object
+    crosses: object
+    entry: object
+    step: object
+
+    @property
+    def goes_on(self):
+        """Whether the ray is the same after it."""
+        return self.self_hit | self.back_face | self.crosses
+
+
+def encounter(specimen, side, flight, si, active):
+    """:class:`Encounter` of the rays of a flight with what Mitsuba found."""
+    ray = flight.ray
+    hit = active & si.is_valid()
+    missed = active & ~hit
+    entry, step, crosses = through_side(specimen, side, ray.o, ray.d)
+    crosses &= missed
+    endless = crosses & (flight.cells >= MAX_CELLS)
+    self_hit = is_self_hit(specimen, si, ray, flight.n) & hit
+    back_face = is_back_face(specimen, si, ray) & ~self_hit & ~flight.again & hit
+    real = hit & ~self_hit & ~back_face
+    crosses &= ~endless
+    return Encounter(missed, endless, self_hit, back_face, real, crosses, entry, step)
+
+
+def proceed(specimen, flight, si, met, scattered=None, wo=None):
+    """Start the next rays: of those that go on, and of those that were scattered.
+
+    `wo` is the direction in the world of those that were `scattered`, if any were.
+    """
+    ray = flight.ray
+    moved = met.self_hit | met.back_face
+    origin = resume(specimen, si, ray.d, met.back_face)
+    if scattered is not None:
+        moved |= scattered
+        departed, off_surface = departure(specimen, si, ray.d, wo)
+        origin = dr.select(scattered, departed, origin)
+        flight.offset[scattered] = off_surface
+        flight.n[scattered] = si.n
+        ray.d[scattered] = wo
+    flight.again = mi.Bool(met.back_face)
+    flight.offset[met.self_hit] = 8 * flight.offset
+    flight.n[met.back_face | met.crosses] = mi.Normal3f(0)
+    origin += dr.copysign(flight.offset, dr.dot(flight.n, ray.d)) * flight.n
+    origin, shift = into_cell(specimen, origin)
+    ray.o[moved] = origin
+    flight.shift[moved] = flight.shift + shift
+    ray.o[met.crosses] = met.entry
+    flight.shift[met.crosses] = flight.shift + met.step
+    flight.cells[met.crosses] = flight.cells + 1
 
 
 def resume(specimen, si, d, behind):
-    """Where a ray goes on that `is_misjudged`: on the plane, or just before it.
+    """Where a ray goes on that is misjudged: on the plane, or just before it.
 
     A ray that meets a crest within rounding is moved off its far wall: it passes above,
     or meets the near wall. One that comes from behind a surface that is open, or faces
@@ -124,43 +245,17 @@ def escapes(specimen, side, ray, n, offset, active):
     mi.Bool
         False for those that leave through a side of the specimen's bounding box.
     """
-    ray, n, offset = mi.Ray3f(ray), mi.Normal3f(n), mi.Float(offset)
-    ray.o = into_cell(specimen, ray.o)[0]
+    flight = flight_from(specimen, ray, n, offset)
     free = mi.Bool(False)
     flying = mi.Bool(active)
-    cells = mi.UInt32(0)
-    again = mi.Bool(False)
     scene = specimen.scene
     while flying:
-        si = intersect(scene, ray, mi.RayFlags.Minimal, flying)
-        hit = flying & si.is_valid()
-        entry, _, crosses = through_side(specimen, side, ray.o, ray.d)
-        crosses &= flying & ~hit
-        free |= flying & ~hit & ~crosses
-        crosses &= cells < MAX_CELLS
-        own, behind = is_misjudged(specimen, si, ray, n, again)
-        own &= hit
-        behind &= hit
-        again = mi.Bool(behind)
-        offset[own] = 8 * offset
-        n[behind | crosses] = mi.Normal3f(0)
-        origin = resume(specimen, si, ray.d, behind)
-        origin += dr.copysign(offset, dr.dot(n, ray.d)) * n
-        ray.o[own | behind] = into_cell(specimen, origin)[0]
-        ray.o[crosses] = entry
-        cells[crosses] = cells + 1
-        flying = own | behind | crosses
-    return free & ~leaves_by_a_side(specimen, ray.o, ray.d)
-
-
-def _from_behind(specimen, si, ray):
-    """Whether a surface without transmission is hit on the side of no normal.
-
-    In a plane there is no crest that could be the reason.
-    """
-    if not specimen.closed_to_light or specimen.low[2] == specimen.high[2]:
-        return mi.Bool(False)
-    return dr.dot(si.n, ray.d) > 0
+        si = intersect(scene, flight.ray, mi.RayFlags.Minimal, flying)
+        met = encounter(specimen, side, flight, si, flying)
+        free |= met.missed & ~met.crosses & ~met.endless
+        proceed(specimen, flight, si, met)
+        flying = met.goes_on
+    return free & ~leaves_by_a_side(specimen, flight.ray.o, flight.ray.d)
 
 
 def into_cell(specimen, p):
