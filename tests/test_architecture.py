@@ -68,6 +68,15 @@ UPWARDS = {
     ("results.record", "files"): "Record.save, a record's own method, writes files",
 }
 
+# A screen. A docstring does not count: whoever reads it does not read the code, and
+# ours say shapes, units, boundaries, errors and sources.
+MOST_LINES = 60
+
+# Functions of more lines: the reason for each.
+LONG = {
+    "transport/loop.py trace": "a loop that Dr.Jit has to see whole",
+}
+
 
 def dotted(path):
     """Name of a module or package inside of gonio_mi, "" for gonio_mi itself."""
@@ -181,6 +190,35 @@ def test_imports_point_downwards():
 def test_imports_have_no_circle():
     """Among all modules, packages and late imports included."""
     assert in_a_circle(without_exceptions(graph())) == set()
+
+
+def long_functions(source):
+    """Functions and methods of more than `MOST_LINES` lines without the docstring."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            lines = node.end_lineno - node.lineno + 1
+            if ast.get_docstring(node) is not None:
+                lines -= node.body[0].end_lineno - node.body[0].lineno + 1
+            if lines > MOST_LINES:
+                yield node.name
+
+
+def test_functions_fit_on_a_screen():
+    """Each exception is listed, and none without need."""
+    found = {
+        f"{path.relative_to(PACKAGE).as_posix()} {name}"
+        for path in paths()
+        for name in long_functions(path.read_text())
+    }
+    assert found == set(LONG)
+
+
+@pytest.mark.parametrize("lines", [MOST_LINES - 1, MOST_LINES])
+def test_twin_sees_a_long_function(lines):
+    """One line more is too many, and a docstring is none."""
+    body = ['    """First.', "", '    Last."""', *["    x = 1"] * lines]
+    source = "class A:\n  def f():\n  " + "\n  ".join(body)
+    assert list(long_functions(source)) == ["f"] * (lines == MOST_LINES)
 
 
 def test_twin_sees_what_is_excepted():

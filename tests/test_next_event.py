@@ -12,7 +12,7 @@ from surfaces import MIRROR, as_it_is, grooves, heightfield, specimen_of
 
 from gonio_mi import charts as charting
 from gonio_mi.errors import SpecimenError
-from gonio_mi.transport import ray_offsets
+from gonio_mi.transport import flight
 from gonio_mi.transport.specimen import Specimen
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -207,10 +207,8 @@ def test_light_that_starts_beside_the_cell(mended, monkeypatch):
     )
     ray = mi.Ray3f(mi.Point3f(start), dr.normalize(mi.Vector3f(0.1, -1e-4, -1)))
     if not mended:
-        monkeypatch.setattr(ray_offsets, "into_cell", as_it_is)
-    free = ray_offsets.escapes(
-        specimen, 1, ray, mi.Normal3f(0), mi.Float(0), mi.Bool(True)
-    )
+        monkeypatch.setattr(flight, "into_cell", as_it_is)
+    free = flight.escapes(specimen, 1, ray, mi.Normal3f(0), mi.Float(0), mi.Bool(True))
     assert np.array(free).any() != mended
 
 

@@ -36,7 +36,6 @@ def cases():
     """Name as on the command line, and dictionary, of every case."""
     diffuse = {"type": "diffuse", "reflectance": 0.6}
     ggx = {"type": "roughconductor", "alpha": 0.2} | GGX
-    bump, normal = _bumps()
     yield from (
         ("diffuse", diffuse),
         ("diffuse, checkerboard", {"type": "diffuse", "reflectance": _texture()}),
@@ -72,6 +71,14 @@ def cases():
     yield from (
         ("hair:sigma_a=0.2", {"type": "hair", "sigma_a": 0.2}),
         ("null", {"type": "null"}),
+    )
+    yield from _composed(diffuse, ggx)
+
+
+def _composed(diffuse, ggx):
+    """Cases of BSDFs that hold others."""
+    bump, normal = _bumps()
+    yield from (
         ("mask of diffuse", {"type": "mask", "opacity": 0.4, "nested": diffuse}),
         ("twosided roughconductor", {"type": "twosided", "nested": ggx}),
         ("twosided, two BSDFs", {"type": "twosided", "front": diffuse, "back": ggx}),

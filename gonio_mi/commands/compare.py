@@ -1,7 +1,7 @@
 """``gonio-mi compare``: a record beside another, or beside measured values."""
 
 import json
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any
 
@@ -55,24 +55,7 @@ def add(commands: Any) -> None:
         metavar="OTHER",
         help="an .exr or .npz file, or a table: CSV, or .astm",
     )
-    parser.add_argument(
-        "--channel",
-        metavar="NAME",
-        help="of an .astm table that has several, such as 550nm",
-    )
-    parser.add_argument(
-        "--uncertainty",
-        type=number,
-        metavar="X",
-        help="relative standard uncertainty of each value of OTHER, 0.005 for 0.5 %%, "
-        "independent between points (default: what the table says)",
-    )
-    parser.add_argument(
-        "--scale-uncertainty",
-        type=number,
-        metavar="X",
-        help="the same of a factor common to all values: calibration",
-    )
+    _add_table_options(parser)
     parser.add_argument(
         "--alpha",
         type=number,
@@ -94,6 +77,28 @@ def add(commands: Any) -> None:
         help="of the detector, if the table does not say it",
     )
     add_scene_options(specimen)
+
+
+def _add_table_options(parser: ArgumentParser) -> None:
+    """Add the options on what a table of measured values leaves unsaid."""
+    parser.add_argument(
+        "--channel",
+        metavar="NAME",
+        help="of an .astm table that has several, such as 550nm",
+    )
+    parser.add_argument(
+        "--uncertainty",
+        type=number,
+        metavar="X",
+        help="relative standard uncertainty of each value of OTHER, 0.005 for 0.5 %%, "
+        "independent between points (default: what the table says)",
+    )
+    parser.add_argument(
+        "--scale-uncertainty",
+        type=number,
+        metavar="X",
+        help="the same of a factor common to all values: calibration",
+    )
 
 
 def run(options: Namespace) -> int:

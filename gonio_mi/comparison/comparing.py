@@ -13,7 +13,7 @@ from ..files.measured import MeasuredTable
 from ..files.measured_table import NUMBERS
 from ..instrument.measurement import measure_whole
 from ..results.record import Record
-from .agreement import FEW_FOR_TAILS, judge, mostly_few
+from .agreement import FEW_FOR_TAILS, PointSet, judge, mostly_few
 from .pairing import (
     check_uncertainties,
     labels,
@@ -272,33 +272,9 @@ def compare(
     for one in (*records, other):
         if isinstance(one, Record):
             check_uncertainties(one)
-    if isinstance(other, MeasuredTable):
-        given: dict[str, Any] = {
-            "uncertainty": uncertainty,
-            "scale_uncertainty": scale_uncertainty,
-        }
-        table = replace(other, **{k: v for k, v in given.items() if v is not None})
-        sets, notes = pair_with_table(records, table)
-        compared = (str(records[0].settings.get("specimen"))[:40], table.name[:40])
-        scale = table.scale_uncertainty
-    elif isinstance(other, Record):
-        if len(records) != 1:
-            raise SettingTypeError(
-                "record must be one Record if other is one, got several"
-            )
-        relative, scale = (
-            checked_number(name, value or 0, *NUMBERS[name])
-            for name, value in (
-                ("uncertainty", uncertainty),
-                ("scale_uncertainty", scale_uncertainty),
-            )
-        )
-        sets, notes = pair_with_record(records[0], other, relative)
-        compared = labels(records[0], other)
-    else:
-        raise SettingTypeError(
-            f"other must be a Record or a MeasuredTable, got {shown(other)}"
-        )
+    sets, notes, compared, scale = _paired(
+        records, other, uncertainty, scale_uncertainty
+    )
     measured = [*records, other] if isinstance(other, Record) else records
     if any(_is_even(one) for one in measured) and mostly_few(sets):
         notes.append(
@@ -323,6 +299,41 @@ def compare(
         alpha=alpha,
         notes=tuple(notes),
         labels=compared,
+    )
+
+
+def _paired(
+    records: Sequence[Record],
+    other: Record | MeasuredTable,
+    uncertainty: float | None,
+    scale_uncertainty: float | None,
+) -> tuple[list[PointSet], list[str], tuple[str, str], float]:
+    """Sets of points of both, notes, labels, and the uncertainty of a common factor."""
+    if isinstance(other, MeasuredTable):
+        given: dict[str, Any] = {
+            "uncertainty": uncertainty,
+            "scale_uncertainty": scale_uncertainty,
+        }
+        table = replace(other, **{k: v for k, v in given.items() if v is not None})
+        sets, notes = pair_with_table(records, table)
+        compared = (str(records[0].settings.get("specimen"))[:40], table.name[:40])
+        return sets, notes, compared, table.scale_uncertainty
+    if isinstance(other, Record):
+        if len(records) != 1:
+            raise SettingTypeError(
+                "record must be one Record if other is one, got several"
+            )
+        relative, scale = (
+            checked_number(name, value or 0, *NUMBERS[name])
+            for name, value in (
+                ("uncertainty", uncertainty),
+                ("scale_uncertainty", scale_uncertainty),
+            )
+        )
+        sets, notes = pair_with_record(records[0], other, relative)
+        return sets, notes, labels(records[0], other), scale
+    raise SettingTypeError(
+        f"other must be a Record or a MeasuredTable, got {shown(other)}"
     )
 
 

@@ -120,27 +120,28 @@ def pair_with_table(
                 )
             )
     if left.any():
-        row = int(np.argmax(left))
+        raise SettingError(_lacking(records, table, int(np.argmax(left))))
+    return sets, list(dict.fromkeys(notes))
+
+
+def _lacking(records: Sequence[Record], table: MeasuredTable, row: int) -> str:
+    """Sentence on what no record has of a row of the table."""
+    incident = (table.theta_i[row], table.phi_i[row])
+    own = [one for r in records for one in zip(r.theta_i, r.phi_i)]
+    if any(_same(one, incident) for one in own):
+        what, known = "aperture around theta_o, phi_o", "others"
+        of = (table.theta_o[row], table.phi_o[row])
+    else:
+        what, of = "incident direction", incident
         known = "; ".join(
             f"{theta:.6g}, {phi:.6g}"
             for record in records[:4]
             for theta, phi in zip(record.theta_i[:4], record.phi_i[:4])
         )
-        what = "incident direction"
-        if any(
-            _same(incident, (table.theta_i[row], table.phi_i[row]))
-            for record in records
-            for incident in zip(record.theta_i, record.phi_i)
-        ):
-            what, known = "aperture around theta_o, phi_o", "others"
-            of = (table.theta_o[row], table.phi_o[row])
-        else:
-            of = (table.theta_i[row], table.phi_i[row])
-        raise SettingError(
-            f"the record must have each {what} of {table.name}, but lacks "
-            f"{of[0]:g}, {of[1]:g} degrees (it has {known})"
-        )
-    return sets, list(dict.fromkeys(notes))
+    return (
+        f"the record must have each {what} of {table.name}, but lacks "
+        f"{of[0]:g}, {of[1]:g} degrees (it has {known})"
+    )
 
 
 def _check_apertures(patches: Any, table: MeasuredTable) -> None:

@@ -198,13 +198,10 @@ def integrate(
         allowed = sums.allowed(cells, values, rel_err)
         tolerance = CAUTION * allowed[cells.patch] * cells.tolerated(way)[:, None]
         difference = np.abs(values - coarse)
-        stepped = way != QUARTERS
-        difference[stepped] = _swing(values_at, cells, stepped)
-        difference[~stepped] += evaluator.hidden(cells[~stepped], values_at[~stepped])
-        settled = np.all(difference <= tolerance, axis=1) & ~stepped
-        difference[settled] += evaluator.unconfirmed(cells[settled], values[settled])
-        open_cells = ~np.all(difference <= tolerance, axis=1)
-        open_cells |= full
+        smooth = way == QUARTERS
+        difference[~smooth] = _swing(values_at, cells, ~smooth)
+        _add_unseen(difference, tolerance, evaluator, cells, values, values_at, smooth)
+        open_cells = full | ~np.all(difference <= tolerance, axis=1)
         sharp = cells.narrow(way, NARROWEST)
         open_cells &= ~sharp
         n_next = 4 * NODES_PER_CELL * 4 * np.count_nonzero(open_cells)
@@ -234,6 +231,21 @@ def integrate(
         Cells.join(finished),
         beam,
     )
+
+
+def _add_unseen(
+    difference: Floats,
+    tolerance: Floats,
+    evaluator: _Evaluator,
+    cells: Cells,
+    values: Floats,
+    values_at: Floats,
+    smooth: Flags,
+) -> None:
+    """Add to the differences of smooth cells what their own points cannot see."""
+    difference[smooth] += evaluator.hidden(cells[smooth], values_at[smooth])
+    settled = np.all(difference <= tolerance, axis=1) & smooth
+    difference[settled] += evaluator.unconfirmed(cells[settled], values[settled])
 
 
 def _swing(values_at: Floats, cells: Cells, chosen: Flags) -> Floats:

@@ -11,14 +11,8 @@ import mitsuba as mi
 
 from ..results.tally import Fate
 from ..single_precision import FEW_ROUNDINGS
-from .ray_offsets import (
-    START,
-    encounter,
-    flight_from,
-    intersect,
-    leaves_by_a_side,
-    proceed,
-)
+from .flight import encounter, flight_from, proceed
+from .ray_offsets import START, intersect, leaves_by_a_side
 
 __all__ = [
     "LARGEST_POWER",

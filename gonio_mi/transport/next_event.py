@@ -5,8 +5,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
+from .flight import escapes
 from .loop import LARGEST_POWER, flux_context, is_delta, shading_normal_correction
-from .ray_offsets import departure, escapes
+from .ray_offsets import departure
 
 __all__ = ["Deposits", "check_traced"]
 

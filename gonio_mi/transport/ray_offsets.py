@@ -1,4 +1,4 @@
-r"""Free flight: off a surface, through the sides of a periodic cell, out of reach.
+r"""Where rays start: off a surface, or through the side of a periodic cell.
 
 A ray starts a few roundings off its surface. What Mitsuba says it hits may be that very
 plane, or the far wall of a crest which it passes just above, seen from behind::
@@ -11,23 +11,19 @@ plane, or the far wall of a crest which it passes just above, seen from behind::
     is_self_hit: stepped over       is_back_face: looked at again, from nearby and above
 """
 
-from dataclasses import dataclass
-
 import drjit as dr
 import mitsuba as mi
 
 __all__ = [
-    "Encounter",
-    "Flight",
-    "encounter",
-    "escapes",
+    "START",
     "departure",
-    "flight_from",
     "intersect",
+    "into_cell",
     "is_back_face",
     "is_self_hit",
     "leaves_by_a_side",
-    "proceed",
+    "resume",
+    "through_side",
 ]
 
 # How far a ray starts off its surface, in units of the local coordinates: 64 ulp. Off a
@@ -54,9 +50,6 @@ LIFT = 2.0**-20
 # How far above the footprint rays start, in the same units: further than a ray is moved
 # that looks again, so that it does not pass what faces away.
 START = 2.0**-18
-
-# Cells after which a ray is as good as horizontal.
-MAX_CELLS = 4096
 
 
 def intersect(scene, ray, flags, active):
@@ -106,113 +99,6 @@ def is_back_face(specimen, si, ray):
     return dr.dot(si.n, ray.d) > 0
 
 
-@dataclass
-class Flight:
-    """Rays on their way: variables of a loop, which `proceed` changes in place.
-
-    Attributes
-    ----------
-    ray : mi.Ray3f
-        Inside the cell of a periodic specimen.
-    shift : mi.Vector3f
-        From there to where the ray is among the copies of that cell.
-    n, offset : mi.Normal3f, mi.Float
-        Geometric normal where it started, 0 off a surface, and how far off that.
-    again : mi.Bool
-        Whether it looks again at what it met from behind.
-    cells : mi.UInt32
-        Sides of a periodic cell that it crossed.
-    """
-
-    ray: object
-    shift: object
-    n: object
-    offset: object
-    again: object
-    cells: object
-
-
-def flight_from(specimen, ray, n=0, offset=0):
-    """:class:`Flight` of new rays; those that start on a surface tell where."""
-    ray = mi.Ray3f(ray)
-    ray.o, shift = into_cell(specimen, ray.o)
-    n, offset = mi.Normal3f(n), mi.Float(offset)
-    return Flight(ray, shift, n, offset, mi.Bool(False), mi.UInt32(0))
-
-
-@dataclass
-class Encounter:
-    """What rays meet next; none but `missed` and `crosses` have a surface there.
-
-    Attributes
-    ----------
-    missed, endless : mi.Bool
-        No surface is in the way, and of these: too many cells were crossed.
-    self_hit, back_face, real : mi.Bool
-        Stepped over, looked at again, and met indeed.
-    crosses : mi.Bool
-        Goes through a side of the periodic cell, and on from `entry`.
-    entry, step : mi.Point3f, mi.Vector3f
-        See `through_side`.
-    """
-
-    missed: object
-    endless: object
-    self_hit: object
-    back_face: object
-    real: object
-    crosses: object
-    entry: object
-    step: object
-
-    @property
-    def goes_on(self):
-        """Whether the ray is the same after it."""
-        return self.self_hit | self.back_face | self.crosses
-
-
-def encounter(specimen, side, flight, si, active):
-    """:class:`Encounter` of the rays of a flight with what Mitsuba found."""
-    ray = flight.ray
-    hit = active & si.is_valid()
-    missed = active & ~hit
-    entry, step, crosses = through_side(specimen, side, ray.o, ray.d)
-    crosses &= missed
-    endless = crosses & (flight.cells >= MAX_CELLS)
-    self_hit = is_self_hit(specimen, si, ray, flight.n) & hit
-    back_face = is_back_face(specimen, si, ray) & ~self_hit & ~flight.again & hit
-    real = hit & ~self_hit & ~back_face
-    crosses &= ~endless
-    return Encounter(missed, endless, self_hit, back_face, real, crosses, entry, step)
-
-
-def proceed(specimen, flight, si, met, scattered=None, wo=None):
-    """Start the next rays: of those that go on, and of those that were scattered.
-
-    `wo` is the direction in the world of those that were `scattered`, if any were.
-    """
-    ray = flight.ray
-    moved = met.self_hit | met.back_face
-    origin = resume(specimen, si, ray.d, met.back_face)
-    if scattered is not None:
-        moved |= scattered
-        departed, off_surface = departure(specimen, si, ray.d, wo)
-        origin = dr.select(scattered, departed, origin)
-        flight.offset[scattered] = off_surface
-        flight.n[scattered] = si.n
-        ray.d[scattered] = wo
-    flight.again = mi.Bool(met.back_face)
-    flight.offset[met.self_hit] = 8 * flight.offset
-    flight.n[met.back_face | met.crosses] = mi.Normal3f(0)
-    origin += dr.copysign(flight.offset, dr.dot(flight.n, ray.d)) * flight.n
-    origin, shift = into_cell(specimen, origin)
-    ray.o[moved] = origin
-    flight.shift[moved] = flight.shift + shift
-    ray.o[met.crosses] = met.entry
-    flight.shift[met.crosses] = flight.shift + met.step
-    flight.cells[met.crosses] = flight.cells + 1
-
-
 def resume(specimen, si, d, behind):
     """Where a ray goes on that is misjudged: on the plane, or just before it.
 
@@ -224,38 +110,6 @@ def resume(specimen, si, d, behind):
     beyond = 2 * off / dr.abs(dr.dot(si.n, d))
     back = dr.minimum(si.t / 2, dr.maximum(specimen.reach * NEARBY, beyond))
     return si.p + dr.select(behind, off * si.n - back * d, 0.0)
-
-
-@dr.syntax
-def escapes(specimen, side, ray, n, offset, active):
-    """Whether nothing stands in the way of rays that left a surface.
-
-    Parameters
-    ----------
-    specimen : Specimen
-    side : int
-        Of the emitter: 1 above, -1 below.
-    ray : mi.Ray3f
-    n, offset : mi.Normal3f, mi.Float
-        Geometric normal where they left, and how far off its surface they started.
-    active : mi.Bool
-
-    Returns
-    -------
-    mi.Bool
-        False for those that leave through a side of the specimen's bounding box.
-    """
-    flight = flight_from(specimen, ray, n, offset)
-    free = mi.Bool(False)
-    flying = mi.Bool(active)
-    scene = specimen.scene
-    while flying:
-        si = intersect(scene, flight.ray, mi.RayFlags.Minimal, flying)
-        met = encounter(specimen, side, flight, si, flying)
-        free |= met.missed & ~met.crosses & ~met.endless
-        proceed(specimen, flight, si, met)
-        flying = met.goes_on
-    return free & ~leaves_by_a_side(specimen, flight.ray.o, flight.ray.d)
 
 
 def into_cell(specimen, p):

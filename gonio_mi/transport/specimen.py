@@ -12,8 +12,9 @@ import numpy as np
 from ..errors import SpecimenError
 from ..single_precision import FEW_ROUNDINGS
 from .extents import bounds
+from .flight import escapes
 from .geometry import groups_of, scene_of, surfaces_of
-from .ray_offsets import START, escapes, intersect
+from .ray_offsets import START, intersect
 
 __all__ = ["Plane", "Specimen"]
 
