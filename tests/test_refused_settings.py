@@ -134,6 +134,15 @@ def test_plugin_that_raises(shape, nested):
                 return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
             raise ZeroDivisionError("of what")
 
+        def eval(self, *_):
+            return mi.Spectrum(0)
+
+        def pdf(self, *_):
+            return mi.Float(0)
+
+        def eval_pdf(self, *_):
+            return mi.Spectrum(0), mi.Float(0)
+
         def to_string(self):
             return "Moody[]"
 
