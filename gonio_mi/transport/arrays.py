@@ -1,14 +1,18 @@
 """Dr.Jit's array functions under the names that subdivisions call."""
 
+from __future__ import annotations
+
 from types import SimpleNamespace
 
 import drjit as dr
 import mitsuba as mi
 
+from ..array_types import Floats, Numbers
+
 __all__ = ["DRJIT"]
 
 
-def _count_below(edges, x):
+def _count_below(edges: Floats, x: mi.Float) -> mi.Float:
     """Count the ascending `edges` that are not above `x`."""
     edges = mi.Float(edges.tolist())
     count = dr.binary_search(
@@ -17,7 +21,7 @@ def _count_below(edges, x):
     return mi.Float(count)
 
 
-def _take(table, index):
+def _take(table: Numbers, index: mi.Float) -> mi.Float:
     """Entries of a float32 `table` at whole floating-point numbers."""
     return dr.gather(mi.Float, mi.Float(table), mi.UInt32(index))
 

@@ -1,11 +1,17 @@
 """The light that meets the specimen: points of the footprint, directions, weights."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Floats, Numbers
 from ..collector.directions import angles
 from ..errors import SpecimenError
+from .specimen import Specimen
 from .wavelengths import passes, wavelength_lanes
 
 __all__ = ["Beam"]
@@ -44,7 +50,14 @@ class Beam:
         If the emitter lights nothing of the footprint, or nothing at one of `nm`.
     """
 
-    def __init__(self, specimen, emitter, footprint, emission, nm=None):
+    def __init__(
+        self,
+        specimen: Specimen,
+        emitter: mi.Emitter,
+        footprint: str | float,
+        emission: str,
+        nm: tuple[float, ...] | None = None,
+    ) -> None:
         self.specimen = specimen
         self.emitter = emitter
         self.footprint = footprint
@@ -53,7 +66,7 @@ class Beam:
         self.middle = np.array([*(low + high)[:2] / 2, high[2]])
         self.half = (high - low)[:2] / 2
         self.collimated = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaDirection)
-        self.direction = self._nominal_direction()
+        self.direction: Any = self._nominal_direction()
         self.side = -1 if self.direction is not None and self.direction[2] < 0 else 1
         if self.side < 0:
             self.middle[2] = low[2]
@@ -63,12 +76,12 @@ class Beam:
         self._reference = None if self.uniform else self._unit_power(nm)
 
     @property
-    def uniform(self):
+    def uniform(self) -> bool:
         """Whether all rays carry the same power."""
         return self.collimated
 
     @property
-    def theta_i(self):
+    def theta_i(self) -> float:
         """Angle of the nominal direction from the lit face's normal, in degrees."""
         if self.direction is None:
             return np.nan
@@ -76,13 +89,15 @@ class Beam:
         return float(np.degrees(angles([x, y, self.side * z])[0]))
 
     @property
-    def phi_i(self):
+    def phi_i(self) -> float:
         """Azimuth of the nominal direction, in degrees."""
         if self.direction is None:
             return np.nan
         return float(np.degrees(angles(self.direction)[1]))
 
-    def sample(self, sampler, wavelengths):
+    def sample(
+        self, sampler: mi.Sampler, wavelengths: mi.Spectrum
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float, mi.Spectrum]:
         """Draw one ray per lane.
 
         Returns
@@ -102,7 +117,7 @@ class Beam:
         wi, distance, weight = self._towards(p, sampler.next_2d(), wavelengths)
         return p, wi, distance, weight / self._reference
 
-    def _point(self, sampler):
+    def _point(self, sampler: mi.Sampler) -> mi.Point3f:
         """Points of the footprint."""
         if self.footprint == "point":
             if hasattr(sampler, "skip"):
@@ -111,7 +126,7 @@ class Beam:
             return mi.Point3f(self.middle.tolist())
         return self._spread(sampler.next_2d())
 
-    def _spread(self, sample):
+    def _spread(self, sample: mi.Point2f) -> mi.Point3f:
         """Points all over a footprint that is more than a point."""
         middle = mi.Point3f(self.middle.tolist())
         if self.footprint != "full":
@@ -125,7 +140,9 @@ class Beam:
         half_x, half_y = self.half.tolist()
         return middle + mi.Vector3f(half_x * offset.x, half_y * offset.y, 0)
 
-    def _towards(self, p, sample, wavelengths):
+    def _towards(
+        self, p: mi.Point3f, sample: mi.Point2f, wavelengths: mi.Spectrum
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Spectrum]:
         """Direction, distance and unnormalised weight from `p` to the emitter."""
         it = dr.zeros(mi.SurfaceInteraction3f)
         it.p, it.wavelengths = p, wavelengths
@@ -149,7 +166,7 @@ class Beam:
             weight = weight * cosine
         return wi, distance, dr.select(lit, weight, 0.0)
 
-    def _nominal_direction(self):
+    def _nominal_direction(self) -> Any:
         """Unit vector from the footprint's middle to the emitter's centre, or None."""
         if self.collimated:
             it = dr.zeros(mi.SurfaceInteraction3f)
@@ -174,12 +191,12 @@ class Beam:
             )
         return vector
 
-    def _centre(self):
+    def _centre(self) -> Numbers:
         """Middle of the emitter's bounding box."""
         box = self.emitter.bbox()
         return (np.array(box.min) + np.array(box.max)).ravel() / 2
 
-    def _unit_power(self, nm):
+    def _unit_power(self, nm: tuple[float, ...] | None) -> float:
         """Power that counts as 1: about the mean over the beam, a power of two.
 
         That of the footprint's middle; but of all the footprint if the middle is dark,
@@ -208,7 +225,9 @@ class Beam:
         # a power of two divides exactly
         return 2.0 ** np.round(np.log2(unit))
 
-    def _mean_weights(self, p, sample, nm):
+    def _mean_weights(
+        self, p: mi.Point3f, sample: mi.Point2f, nm: tuple[float, ...] | None
+    ) -> Floats:
         """Mean weight of rays from `p`, of each channel: of each of `nm`, if any."""
         weights = []
         for part in passes(nm):
@@ -217,7 +236,7 @@ class Beam:
             weights += means[: None if part is None else len(part)].tolist()
         return np.array(weights)
 
-    def _nearest(self):
+    def _nearest(self) -> mi.Point3f:
         """Point of the footprint, or of the box about it, nearest to the emitter.
 
         The footprint's middle for an emitter that is infinitely far.

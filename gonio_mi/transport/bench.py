@@ -1,11 +1,17 @@
 """One specimen, one beam and one collector: where exits are to be counted."""
 
+from __future__ import annotations
+
 import drjit as dr
 import mitsuba as mi
 
 from ..results.tally import Fate
+from .beam import Beam
+from .collector_sphere import CollectorSphere
 from .digest import emitter_digest, specimen_digest
+from .loop import Exits
 from .plugin_digest import plugins_digest
+from .specimen import Specimen
 
 __all__ = ["Bench"]
 
@@ -18,8 +24,14 @@ class Bench:
     """
 
     def __init__(
-        self, specimen, beam, collector, sampler, incident=None, described=None
-    ):
+        self,
+        specimen: Specimen,
+        beam: Beam,
+        collector: CollectorSphere,
+        sampler: mi.Sampler,
+        incident: tuple[float, float] | None = None,
+        described: str | None = None,
+    ) -> None:
         self.specimen = specimen
         self.beam = beam
         # as asked for, or what single precision leaves of the emitter's direction
@@ -42,7 +54,7 @@ class Bench:
         self.levels = range(0)
 
     @property
-    def digests(self):
+    def digests(self) -> dict[str, str | None]:
         """What tells the specimen and the emitter from others, for the settings."""
         things = [*self.specimen.scene.shapes(), self.beam.emitter]
         return {
@@ -51,7 +63,7 @@ class Bench:
             "plugin_digest": plugins_digest(things),
         }
 
-    def bins(self, exits):
+    def bins(self, exits: Exits) -> mi.UInt32:
         """Index of the patch that each ray reached, or of its fate's bin behind."""
         d = self.collector.arrival(exits.p, exits.d)
         up = self.beam.side * d.z
@@ -74,7 +86,7 @@ class Bench:
             left &= ~lower
         return dr.select(left, patch, self.n_collected + fate)
 
-    def fate_bins(self, bins, direct):
+    def fate_bins(self, bins: mi.UInt32, direct: mi.Bool) -> mi.UInt32:
         """Bins of the fates of rays whose `bins` may be those of patches."""
         reflected = mi.UInt32(self.n_collected + Fate.REFLECTED)
         transmitted = mi.UInt32(self.n_collected + Fate.TRANSMITTED)

@@ -1,9 +1,13 @@
 """Digests that tell specimens, emitters and their geometry from others."""
 
+from __future__ import annotations
+
 import hashlib
 import re
 import weakref
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -17,10 +21,10 @@ LENGTH = 16
 ADDRESS = re.compile(r"\b0x[0-9a-fA-F]+")
 FILE = re.compile(r'filename ?= ?"?([^",\]\n]+)')
 
-_known: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
+_known: weakref.WeakKeyDictionary[Any, str] = weakref.WeakKeyDictionary()
 
 
-def specimen_digest(specimen):
+def specimen_digest(specimen: Any) -> str:
     """:func:`digest` of the shapes of a :class:`Specimen`, which is taken once."""
     if specimen not in _known:
         shapes = specimen.scene.shapes()
@@ -30,12 +34,12 @@ def specimen_digest(specimen):
     return _known[specimen]
 
 
-def emitter_digest(emitters):
+def emitter_digest(emitters: Iterable[mi.Emitter]) -> str:
     """:func:`digest` of emitters, or of the shapes that are some."""
     return digest(emitter.get_shape() or emitter for emitter in emitters)
 
 
-def digest(things, geometry=False):
+def digest(things: Iterable[Any], geometry: bool = False) -> str:
     """Digest of shapes or other objects of a scene, in any order.
 
     Of their Mitsuba texts, all parameters that ``mi.traverse`` gives (geometry, the
@@ -62,7 +66,7 @@ def digest(things, geometry=False):
     return hashlib.sha256("".join(each).encode()).hexdigest()[:LENGTH]
 
 
-def _digest_of(thing, geometry):
+def _digest_of(thing: Any, geometry: bool) -> str:
     """SHA-256 of one object, hexadecimal."""
     found = hashlib.sha256()
     if not geometry:
@@ -82,11 +86,11 @@ def _digest_of(thing, geometry):
             if array.dtype == object:
                 array = np.array(ADDRESS.sub("", str(value)))[None]
             found.update(f"{key} {array.dtype} {array.shape}".encode())
-            found.update(array.view(np.uint8) if array.size else b"")
+            found.update(array.view(np.uint8).data if array.size else b"")
     return found.hexdigest()
 
 
-def _texts(thing):
+def _texts(thing: Any) -> Iterator[str]:
     """What Mitsuba says of an object, and for a shape of its box and its BSDF."""
     yield _text(thing)
     if isinstance(thing, mi.Shape):
@@ -95,7 +99,7 @@ def _texts(thing):
             yield _text(thing.bsdf())
 
 
-def _text(thing):
+def _text(thing: Any) -> str:
     """Class and Mitsuba's text of an object, if all that it holds has one."""
     name = type(thing).__qualname__
     try:

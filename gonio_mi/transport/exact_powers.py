@@ -6,9 +6,15 @@ launch has rays, stay below 2**63. All others are sorted by eight exponents at a
 into levels, each with a unit of its own.
 """
 
+from __future__ import annotations
+
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+
+from ..array_types import Floats, Integers
 
 __all__ = ["LEVELS", "ONE", "UNIT", "Digits", "Exact", "unit_of"]
 
@@ -34,28 +40,28 @@ class Digits:
         Whether it is a positive number outside of that.
     """
 
-    def __init__(self, power):
+    def __init__(self, power: mi.Float) -> None:
         bits = dr.reinterpret_array(mi.UInt32, power)
         self.exponent = bits >> 23
         self._mantissa = (bits & 0x7FFFFF) | 0x800000
         self.ordinary = self.exponent - LOWEST < N_ORDINARY
         self.rare = (self.exponent - 1 < 254) & ~self.ordinary
 
-    def number(self):
+    def number(self) -> mi.Int64:
         """Whole number of 1 / ONE; 0 unless the power is ordinary."""
         shift = mi.Int64(self.exponent - LOWEST)
         return dr.select(self.ordinary, mi.Int64(self._mantissa) << shift, 0)
 
-    def level(self):
+    def level(self) -> mi.UInt32:
         """Level of a power, below LEVELS if it is a positive number."""
         return self.exponent >> 3
 
-    def number_in_level(self):
+    def number_in_level(self) -> mi.Int64:
         """Whole number, below 2**32, in the unit of the level."""
         return mi.Int64(self._mantissa) << mi.Int64(self.exponent & 7)
 
 
-def unit_of(level):
+def unit_of(level: int) -> int:
     """Exponent of two of the unit of a level."""
     return 8 * level - 150
 
@@ -69,23 +75,23 @@ class Exact:
         Arrays of one shape, by the exponents of two of their units.
     """
 
-    def __init__(self, numbers):
+    def __init__(self, numbers: dict[int, Integers]) -> None:
         # halves of 32 bits leave room for 2**21 of such sums
         self._halves = {
             unit: np.stack([array >> 32, array & 0xFFFFFFFF])
             for unit, array in numbers.items()
         }
 
-    def __add__(self, other):
+    def __add__(self, other: Exact) -> Exact:
         total = Exact({})
         total._halves = dict(self._halves)
         for unit, halves in other._halves.items():
             total._halves[unit] = total._halves.get(unit, 0) + halves
         return total
 
-    def powers(self):
+    def powers(self) -> Floats:
         """Powers in float64, each unit rounded once and added from the smallest on."""
-        total = 0.0
+        total: Any = 0.0
         for unit, (high, low) in sorted(self._halves.items(), key=lambda item: item[0]):
             total = total + (high * 2.0**32 + low) * 2.0**unit
         return total

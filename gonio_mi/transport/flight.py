@@ -1,6 +1,9 @@
 """Free flight: what rays meet, cross and pass until they meet it indeed."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -40,15 +43,15 @@ class Flight:
         Sides of a periodic cell that it crossed.
     """
 
-    ray: object
-    shift: object
-    n: object
-    offset: object
-    again: object
-    cells: object
+    ray: Any
+    shift: Any
+    n: Any
+    offset: Any
+    again: Any
+    cells: Any
 
 
-def flight_from(specimen, ray, n=0, offset=0):
+def flight_from(specimen: Any, ray: mi.Ray3f, n: Any = 0, offset: Any = 0) -> Flight:
     """:class:`Flight` of new rays; those that start on a surface tell where."""
     ray = mi.Ray3f(ray)
     ray.o, shift = into_cell(specimen, ray.o)
@@ -72,22 +75,28 @@ class Encounter:
         See `through_side`.
     """
 
-    missed: object
-    endless: object
-    self_hit: object
-    back_face: object
-    real: object
-    crosses: object
-    entry: object
-    step: object
+    missed: Any
+    endless: Any
+    self_hit: Any
+    back_face: Any
+    real: Any
+    crosses: Any
+    entry: Any
+    step: Any
 
     @property
-    def goes_on(self):
+    def goes_on(self) -> mi.Bool:
         """Whether the ray is the same after it."""
         return self.self_hit | self.back_face | self.crosses
 
 
-def encounter(specimen, side, flight, si, active):
+def encounter(
+    specimen: Any,
+    side: int,
+    flight: Flight,
+    si: mi.SurfaceInteraction3f,
+    active: mi.Bool,
+) -> Encounter:
     """:class:`Encounter` of the rays of a flight with what Mitsuba found."""
     ray = flight.ray
     hit = active & si.is_valid()
@@ -102,7 +111,14 @@ def encounter(specimen, side, flight, si, active):
     return Encounter(missed, endless, self_hit, back_face, real, crosses, entry, step)
 
 
-def proceed(specimen, flight, si, met, scattered=None, wo=None):
+def proceed(
+    specimen: Any,
+    flight: Flight,
+    si: mi.SurfaceInteraction3f,
+    met: Encounter,
+    scattered: mi.Bool | None = None,
+    wo: mi.Vector3f | None = None,
+) -> None:
     """Start the next rays: of those that go on, and of those that were scattered.
 
     `wo` is the direction in the world of those that were `scattered`, if any were.
@@ -130,7 +146,14 @@ def proceed(specimen, flight, si, met, scattered=None, wo=None):
 
 
 @dr.syntax
-def escapes(specimen, side, ray, n, offset, active):
+def escapes(
+    specimen: Any,
+    side: int,
+    ray: mi.Ray3f,
+    n: mi.Normal3f,
+    offset: mi.Float,
+    active: mi.Bool,
+) -> mi.Bool:
     """Whether nothing stands in the way of rays that left a surface.
 
     Parameters

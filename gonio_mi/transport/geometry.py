@@ -1,6 +1,10 @@
 """Shapes with their acceleration structure, which is built once for each geometry."""
 
+from __future__ import annotations
+
 import re
+from collections.abc import Sequence
+from typing import Any
 
 import mitsuba as mi
 
@@ -10,10 +14,10 @@ __all__ = ["groups_of", "scene_of", "surfaces_of"]
 
 # The shapes that were built last, a digest of their geometry, and their scene: what is
 # measured again is found here, and nothing else is kept alive.
-_last: list = []
+_last: list[Any] = []
 
 
-def groups_of(scene):
+def groups_of(scene: mi.Scene) -> list[mi.Shape]:
     """List of the shape groups of `scene`, without which no instance can be built."""
     if not any(map(_is_instance, scene.shapes())):
         return []
@@ -24,7 +28,9 @@ def groups_of(scene):
     ]
 
 
-def surfaces_of(shapes, groups):
+def surfaces_of(
+    shapes: Sequence[mi.Shape], groups: Sequence[mi.Shape]
+) -> list[mi.Shape]:
     """List of the `shapes` that are no instances, and of those in the `groups`."""
     surfaces = [shape for shape in shapes if not _is_instance(shape)]
     for group in groups:
@@ -33,11 +39,11 @@ def surfaces_of(shapes, groups):
     return surfaces
 
 
-def _is_instance(shape):
+def _is_instance(shape: mi.Shape) -> bool:
     return shape.class_name() == "Instance"
 
 
-def scene_of(shapes, groups=()):
+def scene_of(shapes: Sequence[mi.Shape], groups: Sequence[mi.Shape] = ()) -> mi.Scene:
     """Scene of `shapes`, and of the shape `groups` of their instances, to be traced.
 
     That of the call before, if these are the same objects and no parameter of their
@@ -59,7 +65,7 @@ def scene_of(shapes, groups=()):
     return scene
 
 
-def _names(shapes):
+def _names(shapes: Sequence[mi.Shape]) -> list[str]:
     """Names for a scene, which become the shapes' own: those that they have, if any."""
     names = [shape.id() for shape in shapes]
     usable = all(re.fullmatch(r"\w+", name) for name in names) and "type" not in names
@@ -68,6 +74,6 @@ def _names(shapes):
     return [f"shape_{i}" for i in range(len(shapes))]
 
 
-def _same(shapes, others):
+def _same(shapes: Sequence[mi.Shape], others: Sequence[mi.Shape]) -> bool:
     """Whether both hold the same objects, in the same order."""
     return len(shapes) == len(others) and all(a is b for a, b in zip(shapes, others))

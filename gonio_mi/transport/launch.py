@@ -1,16 +1,22 @@
 """One launch: a kernel that sends the rays of some batches, and their totals."""
 
+from __future__ import annotations
+
 import time
+from collections.abc import Sequence
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
+from ..settings.measurement_settings import MeasurementSettings
+from .bench import Bench
 from .kernels import check_all_counted
-from .loop import PathSettings, scatter_plane, trace
+from .loop import Exits, PathSettings, scatter_plane, trace
 from .next_event import Deposits
 from .sampling import apart, continues, in_turns, seeded, turns_of
 from .scattering_order import of_order
-from .sums import Sums
+from .sums import Sums, Totals
 
 __all__ = ["Pace", "launch", "traces"]
 
@@ -18,7 +24,15 @@ __all__ = ["Pace", "launch", "traces"]
 SECONDS = 1.0
 
 
-def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
+def launch(
+    bench: Bench,
+    settings: MeasurementSettings,
+    keys: Sequence[tuple[int, ...]],
+    sizes: Sequence[int],
+    begin: int,
+    wavelengths: mi.Spectrum,
+    capacity: int,
+) -> Totals:
     """Send rays of several batches in one kernel and return the totals.
 
     Parameters
@@ -52,12 +66,20 @@ def launch(bench, settings, keys, sizes, begin, wavelengths, capacity):
     return totals
 
 
-def traces(bench, settings):
+def traces(bench: Bench, settings: MeasurementSettings) -> bool:
     """Whether rays are traced: for geometry, or where that is asked for."""
     return settings.trace or bench.specimen.plane is None
 
 
-def _sums(bench, settings, keys, sizes, begin, wavelengths, capacity):
+def _sums(
+    bench: Bench,
+    settings: MeasurementSettings,
+    keys: Sequence[tuple[int, ...]],
+    sizes: Sequence[int],
+    begin: int,
+    wavelengths: mi.Spectrum,
+    capacity: int,
+) -> Sums:
     """Sums of one launch, with the arguments of :func:`launch`."""
     counted = settings.estimator == "analog"
     deposited = settings.estimator == "next_event"
@@ -90,11 +112,19 @@ class _Rays:
     No closure: the traceback of an error would keep what it closes over alive.
     """
 
-    def __init__(self, bench, settings, wavelengths, sums, batch, size):
+    def __init__(
+        self,
+        bench: Bench,
+        settings: MeasurementSettings,
+        wavelengths: mi.Spectrum,
+        sums: Sums,
+        batch: mi.UInt32,
+        size: mi.UInt32,
+    ) -> None:
         self.bench, self.settings, self.wavelengths = bench, settings, wavelengths
         self.sums, self.batch, self.size = sums, batch, size
 
-    def add(self, sampler, ray):
+    def add(self, sampler: mi.Sampler, ray: mi.UInt32) -> None:
         """Add to the sums what becomes of one ray per lane, number `ray` of a batch."""
         active = ray < self.size
         deposits = None
@@ -121,10 +151,17 @@ class Pace:
         Of the first launch, of whose speed nothing is known.
     """
 
-    def __init__(self, rays):
+    def __init__(self, rays: int) -> None:
         self.rays = rays
 
-    def launch(self, bench, settings, keys, sizes, *others):
+    def launch(
+        self,
+        bench: Bench,
+        settings: MeasurementSettings,
+        keys: Sequence[tuple[int, ...]],
+        sizes: Sequence[int],
+        *others: Any,
+    ) -> Totals:
         """:func:`launch`, and learn from the time it takes."""
         started = time.perf_counter()
         totals = launch(bench, settings, keys, sizes, *others)
@@ -133,14 +170,20 @@ class Pace:
         self.rays = max(int(sum(sizes) * min(max(growth, 0.25), 16)), 1024)
         return totals
 
-    def next_part(self, begin, end):
+    def next_part(self, begin: int, end: int) -> int:
         """Rays to send next of those from `begin` to `end`, about alike in size."""
         # the generator is seeded anew for every 2**32 rays
         left = min(end, (begin // 2**32 + 1) * 2**32) - begin
         return -(-left // -(-left // self.rays))
 
 
-def _exits(bench, settings, sampler, wavelengths, deposits):
+def _exits(
+    bench: Bench,
+    settings: MeasurementSettings,
+    sampler: mi.Sampler,
+    wavelengths: mi.Spectrum,
+    deposits: Deposits | None,
+) -> Exits:
     """Follow the rays by the cheapest transport that is exact for the specimen."""
     analog = settings.estimator == "analog"
     rr_depth = settings.rr_depth

@@ -4,15 +4,20 @@ Flux travels from emitter to collector, so BSDFs are used in importance mode, in
 transmitted weight is not divided by eta^2 (Veach 1997, section 5.2).
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from ..results.tally import Fate
 from ..single_precision import FEW_ROUNDINGS
+from .beam import Beam
 from .flight import encounter, flight_from, proceed
 from .ray_offsets import START, intersect, leaves_by_a_side
+from .specimen import Plane, Specimen
 
 __all__ = [
     "LARGEST_POWER",
@@ -66,22 +71,28 @@ class Exits:
         estimators but `next_event`.
     """
 
-    p: object
-    d: object
-    throughput: object
-    fate: object
-    incident: object
-    depth: object
-    left: object = None
-    density: object = None
+    p: Any
+    d: Any
+    throughput: Any
+    fate: Any
+    incident: Any
+    depth: Any
+    left: Any = None
+    density: Any = None
 
 
-def flux_context():
+def flux_context() -> mi.BSDFContext:
     """Return the BSDF context of light that travels from emitter to collector."""
     return mi.BSDFContext(mi.TransportMode.Importance)
 
 
-def scatter_plane(plane, beam, sampler, wavelengths, settings):
+def scatter_plane(
+    plane: Plane,
+    beam: Beam,
+    sampler: mi.Sampler,
+    wavelengths: mi.Spectrum,
+    settings: PathSettings,
+) -> Exits:
     """Scatter every ray once where it lands on the plane; exact without ray tracing."""
     p, wi, _, weight = beam.sample(sampler, wavelengths)
     throughput = _emitted(weight, sampler, settings.analog, beam.uniform)
@@ -112,7 +123,14 @@ def scatter_plane(plane, beam, sampler, wavelengths, settings):
 
 
 @dr.syntax
-def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
+def trace(
+    specimen: Specimen,
+    beam: Beam,
+    sampler: mi.Sampler,
+    wavelengths: mi.Spectrum,
+    settings: PathSettings,
+    deposits: Any = None,
+) -> Exits:
     """Follow every ray through the geometry until it leaves, ends or is cut off.
 
     `deposits`, a :class:`~.next_event.Deposits`, is told of every event.
@@ -206,14 +224,23 @@ def trace(specimen, beam, sampler, wavelengths, settings, deposits=None):
     return Exits(ray.o + flight.shift, ray.d, β, fate, incident, depth, left, density)
 
 
-def _emitted(weight, sampler, analog, uniform):
+def _emitted(
+    weight: mi.Spectrum, sampler: mi.Sampler, analog: bool, uniform: bool
+) -> mi.Spectrum:
     """Power of a new ray; for the analog estimator a whole number of that mean."""
     if not analog or uniform:
         return mi.Spectrum(weight)
     return _whole(weight, sampler.next_1d())
 
 
-def _after_event(throughput, bsdf_weight, bs, wo, sampler, analog):
+def _after_event(
+    throughput: mi.Spectrum,
+    bsdf_weight: mi.Spectrum,
+    bs: mi.BSDFSample3f,
+    wo: mi.Vector3f,
+    sampler: mi.Sampler,
+    analog: bool,
+) -> tuple[mi.Spectrum, mi.UInt32]:
     """Throughput after a surface event, and its fate: REFLECTED means in flight."""
     largest, smallest = dr.max(bsdf_weight), dr.min(bsdf_weight)
     norm2 = dr.squared_norm(wo)
@@ -230,7 +257,7 @@ def _after_event(throughput, bsdf_weight, bs, wo, sampler, analog):
     return throughput, dr.select(valid, fate, mi.UInt32(Fate.INVALID))
 
 
-def _whole(x, u):
+def _whole(x: mi.Spectrum, u: mi.Float) -> mi.Spectrum:
     """Random whole number with mean `x`, the same `u` in [0, 1) for all channels.
 
     A weight that exceeds a whole number by rounding alone counts as that number.
@@ -242,7 +269,9 @@ def _whole(x, u):
     return mi.Spectrum(floor + dr.select(above, 1.0, 0.0))
 
 
-def shading_normal_correction(si, ray, local_wo, wo):
+def shading_normal_correction(
+    si: mi.SurfaceInteraction3f, ray: mi.Ray3f, local_wo: mi.Vector3f, wo: mi.Vector3f
+) -> mi.Float:
     """Adjoint correction for interpolated normals (Veach 1997, eq. 5.19); 1 for others.
 
     `wo` is given in the frame of shading and in the world. 0 where both normals
@@ -256,7 +285,7 @@ def shading_normal_correction(si, ray, local_wo, wo):
     return dr.select(flat, mi.Float(1.0), corrected)
 
 
-def is_delta(bs):
+def is_delta(bs: mi.BSDFSample3f) -> mi.Bool:
     """Whether a sampled component has no density."""
     delta, line = mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D
     return mi.has_flag(bs.sampled_type, delta) | mi.has_flag(bs.sampled_type, line)

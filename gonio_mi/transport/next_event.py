@@ -1,13 +1,25 @@
 """The estimator `next_event`: at every event `eval` is deposited towards patches."""
 
+from __future__ import annotations
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
+from ..settings.measurement_settings import MeasurementSettings
+from ..settings.orders import Order
+from .bench import Bench
 from .flight import escapes
-from .loop import LARGEST_POWER, flux_context, is_delta, shading_normal_correction
+from .loop import (
+    LARGEST_POWER,
+    Exits,
+    flux_context,
+    is_delta,
+    shading_normal_correction,
+)
 from .ray_offsets import departure
+from .sums import Sums
 
 __all__ = ["Deposits", "check_traced"]
 
@@ -20,7 +32,7 @@ LOWER = 1 / 2
 LOWER_IF_DARK = 1 / 16
 
 
-def check_traced(bench, settings):
+def check_traced(bench: Bench, settings: MeasurementSettings) -> None:
     """Raise SpecimenError for a flat specimen, which needs no points in patches."""
     if bench.specimen.plane is not None and not settings.trace:
         if bench.collector.subdivision.axes is None:
@@ -64,7 +76,15 @@ class Deposits:
         Which lanes carry a ray, and its batch.
     """
 
-    def __init__(self, bench, sums, points, order, lanes, batch):
+    def __init__(
+        self,
+        bench: Bench,
+        sums: Sums,
+        points: int,
+        order: Order,
+        lanes: mi.Bool,
+        batch: mi.UInt32,
+    ) -> None:
         self.bench, self.sums, self.points, self.order = bench, sums, points, order
         self.lanes, self.batch = lanes, batch
         self.scatters = any(
@@ -83,7 +103,17 @@ class Deposits:
         axes = subdivision.axes
         self.axes = None if axes is None else mi.Vector3f(axes.T.tolist())
 
-    def add(self, si, bsdf, ray, β, depth, shift, sampler, active):
+    def add(
+        self,
+        si: mi.SurfaceInteraction3f,
+        bsdf: mi.BSDF,
+        ray: mi.Ray3f,
+        β: mi.Spectrum,
+        depth: mi.UInt32,
+        shift: mi.Vector3f,
+        sampler: mi.Sampler,
+        active: mi.Bool,
+    ) -> mi.Bool:
         """Deposit what one event of each active ray sends, from its throughput `β`.
 
         Parameters
@@ -110,7 +140,17 @@ class Deposits:
         return self._add(si, bsdf, ray, β, depth, shift, sampler, active)
 
     @dr.syntax
-    def _add(self, si, bsdf, ray, β, depth, shift, sampler, active):
+    def _add(
+        self,
+        si: mi.SurfaceInteraction3f,
+        bsdf: mi.BSDF,
+        ray: mi.Ray3f,
+        β: mi.Spectrum,
+        depth: mi.UInt32,
+        shift: mi.Vector3f,
+        sampler: mi.Sampler,
+        active: mi.Bool,
+    ) -> mi.Bool:
         """Deposit, as `add`, on a specimen that has other than delta components."""
         low, high = self.order.least, self.order.most
         wanted = active & self.lanes & (depth + 1 >= low) & (depth + 1 <= high)
@@ -141,7 +181,14 @@ class Deposits:
             i += 1
         return sound
 
-    def density(self, si, bsdf, bs, wo, active):
+    def density(
+        self,
+        si: mi.SurfaceInteraction3f,
+        bsdf: mi.BSDF,
+        bs: mi.BSDFSample3f,
+        wo: mi.Vector3f,
+        active: mi.Bool,
+    ) -> mi.Float:
         """Density with which `sample` draws `wo`, as `pdf` has it, in 1/sr.
 
         Infinite for components towards which there are no points.
@@ -150,7 +197,7 @@ class Deposits:
         counted = is_delta(bs) | ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         return dr.select(counted, dr.inf, _finite(pdf))
 
-    def add_exits(self, bins, exits):
+    def add_exits(self, bins: mi.UInt32, exits: Exits) -> None:
         """Count each ray where it arrives, by the part that points leave to it."""
         bench = self.bench
         active = self.lanes & (bins < bench.n_collected)
@@ -167,7 +214,7 @@ class Deposits:
         active &= part > 0
         self.sums.deposit(bins, exits.throughput * part, active, self.batch)
 
-    def _spread(self, patch, lower, change):
+    def _spread(self, patch: mi.UInt32, lower: mi.Bool, change: mi.Float) -> mi.Float:
         """Inverse of the density of a point in `patch`, in sr.
 
         `change`: solid angle as seen from the event, by that seen from the origin.
@@ -177,7 +224,9 @@ class Deposits:
         chosen = dr.select(lower, 1 - upper, upper) / float(self.bench.n_patches)
         return 2 * span * phi_span * change / chosen
 
-    def _point(self, p, share, sample):
+    def _point(
+        self, p: mi.Point3f, share: mi.Float, sample: mi.Point2f
+    ) -> tuple[mi.UInt32, mi.Vector3f, mi.Float]:
         """Random point of the patch that a number in [0, 1) chooses, seen from `p`.
 
         Returns
@@ -216,6 +265,6 @@ class Deposits:
         return number, seen, dr.select(inside, spread, 0.0)
 
 
-def _finite(pdf):
+def _finite(pdf: mi.Float) -> mi.Float:
     """A density that is one: 0 for what is infinite, NaN or negative."""
     return dr.select((pdf > 0) & (pdf < dr.inf), pdf, 0.0)

@@ -11,6 +11,10 @@ plane, or the far wall of a crest which it passes just above, seen from behind::
     is_self_hit: stepped over       is_back_face: looked at again, from nearby and above
 """
 
+from __future__ import annotations
+
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 
@@ -52,7 +56,9 @@ LIFT = 2.0**-20
 START = 2.0**-18
 
 
-def intersect(scene, ray, flags, active):
+def intersect(
+    scene: mi.Scene, ray: mi.Ray3f, flags: int, active: mi.Bool
+) -> mi.SurfaceInteraction3f:
     """Surface interaction whose geometric normal is on the side of the shading normal.
 
     Mitsuba 3.9.1 turns the former alone over where a rectangle or mesh is mirrored.
@@ -63,7 +69,9 @@ def intersect(scene, ray, flags, active):
     return si
 
 
-def departure(specimen, si, d, wo):
+def departure(
+    specimen: Any, si: mi.SurfaceInteraction3f, d: mi.Vector3f, wo: mi.Vector3f
+) -> tuple[mi.Point3f, mi.Float]:
     """Where light that came along `d` starts along `wo`.
 
     Returns
@@ -82,13 +90,15 @@ def departure(specimen, si, d, wo):
     return si.p - dr.select(reflected, scale * RETREAT, 0.0) * d, offset
 
 
-def is_self_hit(specimen, si, ray, n):
+def is_self_hit(
+    specimen: Any, si: mi.SurfaceInteraction3f, ray: mi.Ray3f, n: mi.Normal3f
+) -> mi.Bool:
     """Whether a ray that left a plane of normal `n` hits that plane: rounding."""
     beside = dr.abs(dr.dot(si.p - ray.o, si.n)) < specimen.reach * SAME_PLANE
     return dr.all(si.n == n) & beside
 
 
-def is_back_face(specimen, si, ray):
+def is_back_face(specimen: Any, si: mi.SurfaceInteraction3f, ray: mi.Ray3f) -> mi.Bool:
     """Whether a surface without transmission is hit on the side of no normal.
 
     Of two walls that meet in a crest, rounding may show the far one. In a plane there
@@ -99,7 +109,9 @@ def is_back_face(specimen, si, ray):
     return dr.dot(si.n, ray.d) > 0
 
 
-def resume(specimen, si, d, behind):
+def resume(
+    specimen: Any, si: mi.SurfaceInteraction3f, d: mi.Vector3f, behind: mi.Bool
+) -> mi.Point3f:
     """Where a ray goes on that is misjudged: on the plane, or just before it.
 
     A ray that meets a crest within rounding is moved off its far wall: it passes above,
@@ -112,7 +124,7 @@ def resume(specimen, si, d, behind):
     return si.p + dr.select(behind, off * si.n - back * d, 0.0)
 
 
-def into_cell(specimen, p):
+def into_cell(specimen: Any, p: mi.Point3f) -> tuple[mi.Point3f, mi.Vector3f]:
     """Points moved into the periodic cell, and by how much.
 
     Beside it there is no geometry: not even what is just a rounding error away.
@@ -127,7 +139,9 @@ def into_cell(specimen, p):
     return p - shift, shift
 
 
-def through_side(specimen, side, o, d):
+def through_side(
+    specimen: Any, side: int, o: mi.Point3f, d: mi.Vector3f
+) -> tuple[mi.Point3f, mi.Vector3f, mi.Bool]:
     """Where rays that leave the periodic cell through a side enter it again.
 
     Returns
@@ -157,7 +171,7 @@ def through_side(specimen, side, o, d):
     return p, step, t < t_z
 
 
-def leaves_by_a_side(specimen, o, d):
+def leaves_by_a_side(specimen: Any, o: mi.Point3f, d: mi.Vector3f) -> mi.Bool:
     """Whether a ray from inside the bounding box crosses one of its four sides.
 
     A periodic specimen has none.
@@ -173,7 +187,7 @@ def leaves_by_a_side(specimen, o, d):
     return ~(dr.minimum(t_x, t_y) >= t_z)
 
 
-def _exit_distance(low, high, o, d):
+def _exit_distance(low: float, high: float, o: mi.Float, d: mi.Float) -> mi.Float:
     """Distance to the face of a slab through which a ray from inside leaves."""
     face = dr.select(d > 0, mi.Float(float(high)), mi.Float(float(low)))
     # -0 and +0 alike: along the face, never through it

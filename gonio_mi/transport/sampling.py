@@ -1,5 +1,9 @@
 """The samplers as the instrument uses them: one sequence of points over many rays."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -31,7 +35,7 @@ NAMES = {
 OF_FIXED_SIZE = ("stratified", "multijitter", "orthogonal")
 
 
-def sampler_name(sampler):
+def sampler_name(sampler: mi.Sampler) -> str:
     """Plugin name of Mitsuba's samplers and ours, class name of others."""
     name = sampler.class_name()
     # a sampler in Python has the class name of its base
@@ -44,7 +48,7 @@ MOST_TURNS = 16
 FEWEST_LANES = 2**16
 
 
-def check_sampler(label, sampler):
+def check_sampler(label: str, sampler: mi.Sampler) -> None:
     """Raise ValueError for a sampler that would measure wrongly."""
     name = sampler_name(sampler)
     if name == "ldsampler":
@@ -60,7 +64,9 @@ def check_sampler(label, sampler):
         )
 
 
-def seeded(sampler, keys, begin, n):
+def seeded(
+    sampler: mi.Sampler, keys: Sequence[tuple[int, ...]], begin: int, n: int
+) -> mi.Sampler:
     """Copy of `sampler` for batches of `n` rays that have sent `begin` rays each.
 
     Parameters
@@ -83,18 +89,24 @@ def seeded(sampler, keys, begin, n):
     return sampler
 
 
-def continues(sampler):
+def continues(sampler: mi.Sampler) -> bool:
     """Whether a lane may draw ray after ray: its generator has no end and no order."""
     return sampler_name(sampler) == "independent"
 
 
-def turns_of(sampler, n):
+def turns_of(sampler: mi.Sampler, n: int) -> int:
     """Rays that a lane sends one after the other, of `n` in all."""
     return max(1, min(MOST_TURNS, n // FEWEST_LANES)) if continues(sampler) else 1
 
 
 @dr.syntax
-def in_turns(add, sampler, ray, lanes, turns):
+def in_turns(
+    add: Callable[[mi.Sampler, mi.UInt32], None],
+    sampler: mi.Sampler,
+    ray: mi.UInt32,
+    lanes: int,
+    turns: int,
+) -> None:
     """Send a ray in each lane, then the next ones: a generator is costly to seed."""
     lanes, turns = dr.opaque(mi.UInt32, lanes), dr.opaque(mi.UInt32, turns)
     turn = mi.UInt32(0)
@@ -103,7 +115,7 @@ def in_turns(add, sampler, ray, lanes, turns):
         turn += 1
 
 
-def apart(lane, n):
+def apart(lane: mi.UInt32, n: int) -> tuple[mi.UInt32, mi.UInt32]:
     """Number of the group of `n` lanes, and of the lane in it; up to 2**24 lanes.
 
     A division in double precision, exact because no quotient is nearer to a whole
@@ -114,7 +126,7 @@ def apart(lane, n):
     return group, lane - group * dr.opaque(mi.UInt32, n)
 
 
-def _set_size(sampler, n):
+def _set_size(sampler: mi.Sampler, n: int) -> None:
     """Make the next `n` lanes one sequence, of `n` points or a few more."""
     level = mi.log_level()
     # Mitsuba warns of rounding up to a size that the sampler can distribute
@@ -126,6 +138,6 @@ def _set_size(sampler, n):
     sampler.set_samples_per_wavefront(sampler.sample_count())
 
 
-def _seed(*key):
+def _seed(*key: int) -> int:
     """32-bit seed from a tuple of whole numbers, well mixed."""
     return int(np.random.SeedSequence(key).generate_state(1)[0])

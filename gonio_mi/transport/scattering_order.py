@@ -6,12 +6,13 @@ import drjit as dr
 import mitsuba as mi
 
 from ..results.tally import Fate
-from ..settings.orders import ALL_ORDERS
+from ..settings.orders import ALL_ORDERS, Order
+from .loop import Exits
 
 __all__ = ["of_order"]
 
 
-def of_order(exits, order):
+def of_order(exits: Exits, order: Order) -> Exits:
     """Exits whose rays of another :class:`Order` have the fate OTHER_ORDER.
 
     Those that were cut off after its most events are among them.

@@ -1,15 +1,20 @@
 """What is measured: the shapes of a scene but its emitters, and how flat they are."""
 
+from __future__ import annotations
+
 import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
+from ..settings.parsed import Period
 from ..single_precision import FEW_ROUNDINGS
 from .extents import bounds
 from .flight import escapes
@@ -41,10 +46,12 @@ class Plane:
     A point is ``centre + (u - 1/2) dp_du + (v - 1/2) dp_dv``.
     """
 
-    bsdf: object
-    interaction: object  # Mitsuba's surface interaction at the centre
+    bsdf: mi.BSDF
+    interaction: mi.SurfaceInteraction3f  # at the centre
 
-    def interactions(self, uv, wi, wavelengths):
+    def interactions(
+        self, uv: mi.Point2f, wi: mi.Vector3f, wavelengths: mi.Spectrum
+    ) -> mi.SurfaceInteraction3f:
         """Surface interactions at `uv`, for light from the world direction `wi`."""
         centre = self.interaction
         si = dr.zeros(mi.SurfaceInteraction3f)
@@ -58,7 +65,7 @@ class Plane:
         si.wi = si.to_local(wi)
         return si
 
-    def is_uniform(self, wavelengths):
+    def is_uniform(self, wavelengths: mi.Spectrum) -> bool:
         """Whether no declared texture varies, nor the BSDF at many random points.
 
         Flags do not tell, and not every plugin declares its textures; but a small
@@ -71,7 +78,7 @@ class Plane:
         sampler.seed(0, N_POINTS)
         wi, wo = (mi.warp.square_to_uniform_sphere(sampler.next_2d()) for _ in "io")
 
-        def values(uv):
+        def values(uv: mi.Point2f) -> mi.Spectrum:
             si = self.interactions(uv, wi, wavelengths)
             return self.bsdf.eval(mi.BSDFContext(), si, si.to_local(wo))
 
@@ -79,7 +86,7 @@ class Plane:
         alike = dr.abs(there - here) <= dr.abs(here) * FEW_ROUNDINGS
         return bool(dr.all(alike, axis=None))
 
-    def uv(self, p):
+    def uv(self, p: mi.Point3f) -> mi.Point2f:
         """Texture coordinates of points of the plane; the specimen ends at 0 and 1."""
         centre = self.interaction
         offset = p - centre.p
@@ -133,7 +140,7 @@ class Specimen:
         that is smaller than the geometry.
     """
 
-    def __init__(self, scene, period="none"):
+    def __init__(self, scene: mi.Scene, period: Period = "none") -> None:
         everything = scene.shapes()
         shapes = [shape for shape in everything if not shape.is_emitter()]
         if not shapes:
@@ -163,7 +170,7 @@ class Specimen:
             mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Transmission)
             for shape in self.surfaces
         )
-        self.plane = None if self.periodic else self._plane(shapes)
+        self.plane: Any = None if self.periodic else self._plane(shapes)
         if self.plane is None:
             self._warn_of_distance()
         self.transmits = self.plane is None or mi.has_flag(
@@ -177,30 +184,30 @@ class Specimen:
         )
 
     @property
-    def size(self):
+    def size(self) -> float:
         """Diagonal of the bounding box."""
         return float(np.linalg.norm(self.high - self.low))
 
     @property
-    def reach(self):
+    def reach(self) -> float:
         """Largest coordinate of the bounding box, the unit of rounding errors."""
         return float(np.abs([self.low, self.high]).max())
 
     @property
-    def detail(self):
+    def detail(self) -> float:
         """Smallest extent of the bounding box that is not 0."""
         extents = self.high - self.low
         return float(extents[extents > 1e-6 * extents.max()].min())
 
     @property
-    def transmission(self):
+    def transmission(self) -> str:
         """How light may pass: as BSDFs ``declared``, through ``gaps``, or ``none``."""
         if not self.closed_to_light:
             return "declared"
         return "none" if self.plane is not None or self.seems_dark else "gaps"
 
     @cached_property
-    def seems_dark(self):
+    def seems_dark(self) -> bool:
         """Whether no surface transmits, and no ray of a few thousand finds a gap.
 
         They come from above, from all directions and all over the box.
@@ -218,7 +225,7 @@ class Specimen:
         free = escapes(self, 1, ray, mi.Normal3f(0), mi.Float(0), active)
         return not dr.any(free)
 
-    def _check_extent(self):
+    def _check_extent(self) -> None:
         """Raise SpecimenError for what light cannot meet, or float32 not tell apart."""
         extent = (self.high - self.low)[:2]
         if extent.min() < SMALLEST or self.reach > LARGEST:
@@ -228,7 +235,7 @@ class Specimen:
                 f"{extent[1]:g} within {self.reach:g}"
             )
 
-    def _warn_of_distance(self):
+    def _warn_of_distance(self) -> None:
         """Warn of what single precision does to geometry far from the origin."""
         error = (self.reach - self.size) * OFF_BY / self.detail
         if error > WORTH_A_WARNING:
@@ -240,22 +247,22 @@ class Specimen:
                 stacklevel=4,
             )
 
-    def _set_cell(self, period):
+    def _set_cell(self, period: Period) -> None:
         """Put the cell's sides into the place of the bounding box's."""
         extent = (self.high - self.low)[:2]
-        period = extent if period == "box" else np.array(period)
-        if np.any(period < extent * (1 - 2.0**-20)):
+        cell: Any = extent if period == "box" else np.array(period)
+        if np.any(cell < extent * (1 - 2.0**-20)):
             raise SpecimenError(
                 "period must hold the geometry, which is "
-                f"{extent[0]:g} x {extent[1]:g}, got {period[0]:g} x {period[1]:g}"
+                f"{extent[0]:g} x {extent[1]:g}, got {cell[0]:g} x {cell[1]:g}"
             )
         # where cell and geometry are equal, to the bit
-        period = np.where(period < extent * (1 + 2.0**-20), extent, period)
-        margin = (period - extent) / 2
+        cell = np.where(cell < extent * (1 + 2.0**-20), extent, cell)
+        margin = (cell - extent) / 2
         self.low[:2] -= margin
         self.high[:2] += margin
 
-    def _plane(self, shapes):
+    def _plane(self, shapes: Sequence[mi.Shape]) -> Plane | None:
         """:class:`Plane` if the specimen is a single rectangle parallel to z = 0."""
         if len(shapes) > 1 or shapes[0].class_name() != "Rectangle":
             return None
@@ -269,12 +276,12 @@ class Specimen:
         return Plane(shapes[0].bsdf(), si)
 
 
-def _cross(a, b):
+def _cross(a: mi.Vector3f, b: mi.Vector3f) -> mi.Float:
     """Signed area of the parallelogram of two horizontal vectors."""
     return a.x * b.y - a.y * b.x
 
 
-def _varies(texture):
+def _varies(texture: mi.Texture) -> bool:
     """Whether a texture says that it varies, and a bitmap's texels are not all one."""
     if not texture.is_spatially_varying():
         return False
@@ -284,7 +291,7 @@ def _varies(texture):
     return bool(np.any(texels != texels[:1, :1]))
 
 
-def _describe(shape):
+def _describe(shape: mi.Shape) -> str:
     """One line on a shape and its BSDF, without large arrays."""
     # of a mesh, its file or what a height field has to say
     name = re.search(r'\bname = "([^"]*)"', _text(shape)) if shape.is_mesh() else None
@@ -292,7 +299,7 @@ def _describe(shape):
     return f"{label} with {_text(shape.bsdf())[:200]}"
 
 
-def _text(thing):
+def _text(thing: Any) -> str:
     """Mitsuba's text of a shape or BSDF on one line, or the name of its class."""
     try:
         return " ".join(str(thing).split())

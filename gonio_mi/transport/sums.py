@@ -1,11 +1,18 @@
 """Exact sums over the patches and fates of a bench, that a kernel adds to."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Integers
 from ..results.tally import WEIGHT_SCALE, Fate, Tally
+from .bench import Bench
 from .exact_powers import LEVELS, ONE, UNIT, Digits, Exact, unit_of
+from .loop import Exits
 
 __all__ = ["Sums", "packet_width"]
 
@@ -34,7 +41,14 @@ class Sums:
     deposits : bool
     """
 
-    def __init__(self, bench, n_batches=1, *, counted=False, deposits=False):
+    def __init__(
+        self,
+        bench: Bench,
+        n_batches: int = 1,
+        *,
+        counted: bool = False,
+        deposits: bool = False,
+    ) -> None:
         self.bench = bench
         self.counted = counted
         self.one = 1 if counted else ONE
@@ -50,7 +64,9 @@ class Sums:
         n_incident = 0 if bench.beam.uniform else self.channels * n_batches
         self.incident = dr.zeros(mi.Int64, LEVELS * n_incident)
 
-    def add(self, bins, exits, active, batch):
+    def add(
+        self, bins: mi.UInt32, exits: Exits, active: mi.Bool, batch: mi.UInt32
+    ) -> None:
         """Scatter one ray per lane, each for its `batch`."""
         direct = exits.fate == mi.UInt32(Fate.DIRECT)
         if self.deposits:
@@ -69,7 +85,9 @@ class Sums:
                 index = place * self.n_batches + batch
                 _scatter_add(self.incident, number, index, shines)
 
-    def deposit(self, bins, power, active, batch):
+    def deposit(
+        self, bins: mi.UInt32, power: mi.Spectrum, active: mi.Bool, batch: mi.UInt32
+    ) -> None:
         """Scatter a power per lane to a patch or to DIRECT, or one lane to its fate."""
         collected = bins < self.bench.n_collected
         collected |= bins == self.bench.n_collected + Fate.DIRECT
@@ -87,7 +105,14 @@ class Sums:
         bins = bins + batch * self.bench.n_bins
         _scatter_add(self.bins, mi.ArrayXi64(packet), bins, active)
 
-    def _add_rare(self, bins, channel, digits, active, batch):
+    def _add_rare(
+        self,
+        bins: mi.UInt32,
+        channel: int,
+        digits: Digits,
+        active: mi.Bool,
+        batch: mi.UInt32,
+    ) -> None:
         """Scatter powers to their levels, or if there is no room, count them."""
         index, number = digits.level(), mi.Int64(1)
         if self.levels:
@@ -99,12 +124,12 @@ class Sums:
             number = dr.select(room, digits.number_in_level(), number)
         _scatter_add(self.rare, number, index, active)
 
-    def evaluate(self):
+    def evaluate(self) -> None:
         """Run the kernel."""
         dr.eval(self.bins, self.incident, self.rare)
 
     @property
-    def lacking(self):
+    def lacking(self) -> range:
         """Range of levels that hold all powers, if `levels` did not; else empty."""
         (found,) = np.nonzero(self.rare.numpy()[:LEVELS])
         if not found.size:
@@ -112,9 +137,9 @@ class Sums:
         needed = [*found.tolist(), *self.levels]
         return range(min(needed), max(needed) + 1)
 
-    def totals(self, n_batches):
+    def totals(self, n_batches: int) -> Totals:
         """Return the :class:`Totals` of the first `n_batches`, once the kernel ran."""
-        shape = self.n_batches, self.bench.n_bins, self.width
+        shape: tuple[int, ...] = (self.n_batches, self.bench.n_bins, self.width)
         bins = self.bins.numpy().reshape(shape)[:n_batches, :, : 1 + self.channels]
         rays = bins[..., 0].astype(np.int64)
         flux = bins[..., 1:].copy()
@@ -150,18 +175,20 @@ class Totals:
         the specimen carried the power 1.
     """
 
-    def __init__(self, sums, rays, flux, incident):
+    def __init__(
+        self, sums: Sums, rays: Integers, flux: Exact, incident: Exact | None
+    ) -> None:
         self._sums, self._rays, self._flux, self._incident = sums, rays, flux, incident
 
-    def __add__(self, other):
-        incident = self._incident
+    def __add__(self, other: Totals) -> Totals:
+        incident: Any = self._incident
         if incident is not None:
             incident = incident + other._incident
         rays, flux = self._rays + other._rays, self._flux + other._flux
         return Totals(self._sums, rays, flux, incident)
 
     @property
-    def emitted(self):
+    def emitted(self) -> int:
         """Rays that were counted: each once, whatever became of it."""
         bench = self._sums.bench
         fates = self._rays[:, bench.n_collected :]
@@ -170,7 +197,7 @@ class Totals:
         twice = fates[:, Fate.DIRECT].sum() if bench.shape[0] == 2 else 0
         return int(self._rays.sum() - twice)
 
-    def tally(self):
+    def tally(self) -> Tally:
         """Return the :class:`Tally` of all batches."""
         sums, bench = self._sums, self._sums.bench
         kind = np.uint64 if sums.counted else float
@@ -195,12 +222,14 @@ class Totals:
         return Tally(hits.sum(axis=0), flux, power, fates, scale, direct=direct)
 
 
-def packet_width():
+def packet_width() -> int:
     """Numbers of a bin, a power of two: hits and all channels."""
     return 1 << len(mi.Spectrum()).bit_length()
 
 
-def _scatter_add(target, value, index, active):
+def _scatter_add(
+    target: mi.Int64, value: mi.Int64, index: mi.UInt32, active: mi.Bool
+) -> None:
     """Add to the sums, in the kernel that is being traced."""
     # the debug mode of Dr.Jit 1.5 takes the copies of other threads for out of bounds
     direct = dr.flag(dr.JitFlag.Debug)
