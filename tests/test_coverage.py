@@ -16,6 +16,7 @@ import gonio_mi as gonio
 from gonio_mi.benchmark import coverage
 from gonio_mi.benchmark.coverage import CASES, LEVEL, Coverage
 from gonio_mi.quadrature import integrate
+from gonio_mi.results.statistics import binomial_interval
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -106,6 +107,28 @@ def test_deposits_of_glossy_facets_cover(order, rays):
     for part, twin in zip(np.transpose(parts), np.transpose(twins)):
         agree(often_enough(part))
         disagree(often_enough(twin))
+
+
+def test_few_hits_of_unlike_weights_cover():
+    """Patches of a dark groove: of few hits, some weigh a hundredth of the others.
+
+    Twin: the limits of their count times their mean weight, which they used to be.
+    """
+    case, rays = CASES["dark"], 1000
+    how = case.settings | {"sampler": "independent"}
+    truth = gonio.measure(case.specimen(), **how, rays=2**21, seed=2**20).brdf
+    parts, twins = [], []
+    for seed in range(SEEDS):
+        record = gonio.measure(case.specimen(), **how, rays=rays, seed=seed)
+        hits = record.counts[0][..., None]
+        few = (hits > 0) & (hits < 100)
+        low, high = record.interval(LEVEL)
+        parts.append(((low <= truth) & (truth <= high))[few].mean())
+        weight = np.where(few, record.brdf / np.maximum(hits, 1), 0) * rays
+        low, high = (limit * weight for limit in binomial_interval(hits, rays, LEVEL))
+        twins.append(((low <= truth) & (truth <= high))[few].mean())
+    agree(often_enough(parts))
+    disagree(often_enough(twins))
 
 
 def test_no_deposit_weighs_more_than_rays():

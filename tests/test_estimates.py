@@ -67,7 +67,10 @@ def test_values_and_standard_errors():
 
 @pytest.mark.parametrize(("independent", "by_student"), [(True, 1), (False, 3)])
 def test_few_hits_have_exact_intervals(independent, by_student):
-    """From how many hits on Student's t is taken: 100, or 30 of even rays."""
+    """From how many hits on Student's t is taken: 100, or 30 of even rays.
+
+    Below, the limits of the count, or of weights unlike each other if these are wider.
+    """
     assert sum(HITS[0]) > FEW_HITS > sum(HITS[1])
     assert sum(HITS[2]) > FEW_EVEN_HITS > sum(HITS[3])
     estimates = Estimates(tally(), independent)
@@ -76,6 +79,11 @@ def test_few_hits_have_exact_intervals(independent, by_student):
         expected = np.ravel(student(estimates, patch))
         exact = statistics.binomial_interval(sum(hits), 2 * RAYS, LEVEL)
         exact = np.multiply(exact, 0.5)
+        value = estimates.fraction(0)[0, patch, 0]
+        std_err = estimates.std_err(0)[0, patch, 0]
+        missed = max(0.5 / (2 * RAYS), std_err**2 / value)
+        unlike = statistics.gamma_interval(value, std_err, missed, LEVEL)
+        exact = min(exact[0], unlike[0]), max(exact[1], unlike[1])
         assert not np.allclose(exact, expected), "twin: the two are told apart"
         close((low[patch], high[patch]), expected if patch < by_student else exact)
     assert low[4] == 0

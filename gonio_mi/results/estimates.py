@@ -105,20 +105,20 @@ class Estimates:
         std_err = self.std_err(hemisphere)
         largest = np.nanmax(weight, initial=1.0)
         low, high = self._student(fraction, std_err, weight, hits, level)
+        unlike = self._unlike_interval(fraction, std_err, weight, largest, level)
         if self.deposited:
             few = (hits < FEW_DEPOSITS) & (hits > 0)
-            limits = statistics.gamma_interval(
-                fraction, std_err, largest / self.rays, level
-            )
-            low = np.where(few, np.minimum(low, limits[0]), low)
-            high = np.where(few, np.maximum(high, limits[1]), high)
         else:
             few = hits < (FEW_HITS if self.independent else FEW_EVEN_HITS)
-            limits = statistics.binomial_interval(hits, self.rays, level)
+            few &= hits > 0
+            alike = statistics.binomial_interval(hits, self.rays, level)
             low, high = (
-                np.where(few & (hits > 0), limit * weight, student)
-                for limit, student in zip(limits, (low, high))
+                np.where(few, limit * weight, student)
+                for limit, student in zip(alike, (low, high))
             )
+            few &= self.tally.scale > 1  # what is counted weighs 1
+        low = np.where(few, np.fmin(low, unlike[0]), low)
+        high = np.where(few, np.fmax(high, unlike[1]), high)
         most = statistics.upper_limit(self.rays, level) * largest
         return np.where(hits == 0, 0.0, low), np.where(hits == 0, most, high)
 
@@ -157,6 +157,27 @@ class Estimates:
             return statistics.binomial_interval(of_each, self.rays, level)
         weight = value * self.rays / hits
         return self._student(value, std_err, weight, hits, level)
+
+    def _unlike_interval(
+        self,
+        fraction: Floats,
+        std_err: Floats,
+        weight: Floats,
+        largest: float,
+        level: float,
+    ) -> tuple[Floats, Floats]:
+        """Interval of a sum of few weights unlike each other; NaN where it is dark.
+
+        One more may have been missed by chance: of deposits, the `largest` of all; of
+        rays, one that weighs the mean of those in the patch, each counted by what it
+        weighs, for the scatter of few hits is the sum of their squared weights.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self.deposited:
+                missed: Floats | float = largest / self.rays
+            else:
+                missed = np.fmax(weight / self.rays, std_err**2 / fraction)
+            return statistics.gamma_interval(fraction, std_err, missed, level)
 
     def _student(
         self,

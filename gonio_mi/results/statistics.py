@@ -79,7 +79,7 @@ def binomial_interval(
 
 
 def gamma_interval(
-    value: Floats, std_err: Floats, largest: float, level: float
+    value: Floats, std_err: Floats, largest: Floats | float, level: float
 ) -> tuple[Floats, Floats]:
     """Interval for a sum of few weights: Poisson counts, of weights unlike each other.
 
@@ -91,7 +91,7 @@ def gamma_interval(
     ----------
     value, std_err : ndarray
         Of the sum, above 0; `std_err` may be 0.
-    largest : float
+    largest : float or ndarray
         Weight of a hit that may have been missed by chance, in the unit of `value`.
     """
     tail, variance = (1 - level) / 2, np.square(std_err)
