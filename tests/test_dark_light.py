@@ -4,7 +4,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import agree, disagree, normal_scores, single, verdict
+from budget import Verdict, agree, disagree, normal_scores, single, verdict
+from scipy.stats import poisson
 from surfaces import diffuse_groove_dhr, diffuse_groove_order, grooves
 
 import gonio_mi as gonio
@@ -12,6 +13,7 @@ from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.tally import WEIGHT_SCALE
 from gonio_mi.transport.exact_powers import LEVELS, ONE, Digits, Exact, unit_of
 from gonio_mi.transport.launch import Pace
+from gonio_mi.transport.loop import RARE, whole_number
 
 EPS32 = float(np.finfo(np.float32).eps)
 
@@ -179,6 +181,43 @@ def test_a_dark_channel_beside_a_bright_one(dark, rgb):  # noqa: ARG001
     np.testing.assert_allclose(
         shares[..., 1], shares[..., 0], rtol=800 * EPS32, atol=2**-50
     )
+
+
+@pytest.mark.parametrize("chance", [1e-9, 1e-5, 0.3 * 2**-12, 0.3])
+def test_small_chances_of_whole_numbers(chance, mono):  # noqa: ARG001
+    """Exact: all pairs of 24-bit numbers, of which each is compared by itself.
+
+    Rounding: a step of the second number, or of the only one, of the chance.
+    """
+    chance = float(np.float32(chance))
+    every = dr.arange(mi.Float, 2**24) * 2**-24
+    rare = chance < RARE
+    by_first = whole_number(mi.Spectrum(chance), every, mi.Float(0))
+    by_second = whole_number(mi.Spectrum(chance), mi.Float(0), every)
+    shares = [dr.count(whole[0] == 1)[0] / 2**24 for whole in (by_first, by_second)]
+    assert shares[1] < 1 if rare else shares[1] == 1
+    step = 2.0**-24 * (RARE if rare else 1)
+    assert chance <= shares[0] * shares[1] < chance + step
+
+
+@pytest.mark.parametrize("sampler", ["sobol", "independent"])
+def test_analog_rays_through_dark_filters(sampler, rgb):  # noqa: ARG001
+    """Binomial, close to Poisson's law: a few rays in 10^5, none of 10^8 in 10^9."""
+    chances = [1e-5, 1e-9, 1e-5]
+    scene = filters(1, {"type": "rgb", "value": chances})
+    settings = {"estimator": "analog", "sampler": sampler, "rays": 2**27}
+    record = gonio.measure(scene, 0, collector="angle:1x1", **settings)
+    hits = record.dht * 2**27
+    some, none, again = np.round(hits)
+    assert np.abs(hits - np.round(hits)).max() < 1e-3  # of a sum of whole numbers
+    assert some == again  # the same random numbers for all channels
+    expected = chances[0] * 2**27
+    agree(single((some - expected) / np.sqrt(expected)))
+    disagree(single((some - 1.2 * expected) / np.sqrt(1.2 * expected)))
+    # chances that are multiples of 2^-24, or of 2^-23, would be at least 8 rays
+    few = chances[1] * 2**27
+    agree(Verdict({"many": poisson.sf(none - 1, few)}))
+    disagree(Verdict({"many": poisson.sf(2**3 - 1, few)}))
 
 
 # ------------------------------------------------------------------ exact properties

@@ -21,6 +21,7 @@ from .specimen import Plane, Specimen
 
 __all__ = [
     "LARGEST_POWER",
+    "RARE",
     "Exits",
     "PathSettings",
     "flux_context",
@@ -28,11 +29,15 @@ __all__ = [
     "scatter_plane",
     "shading_normal_correction",
     "trace",
+    "whole_number",
 ]
 
 # Weights and powers above these are no measurement of anything.
 LARGEST_WEIGHT = 2.0**15
 LARGEST_POWER = 2.0**30
+
+# Two random numbers decide about chances below it, a multiple of their step.
+RARE = 2.0**-12
 
 # What single precision holds in full; below, only some threads of Dr.Jit keep anything.
 SMALLEST_POWER = 2.0**-126
@@ -109,9 +114,8 @@ def scatter_plane(
         flux_context(), si, sampler.next_1d(), sampler.next_2d(), lit & inside
     )
     wo = si.to_world(bs.wo)
-    exit_throughput, fate = _after_event(
-        throughput, bsdf_weight, bs, wo, sampler, settings.analog
-    )
+    numbers = (sampler.next_1d(), sampler.next_1d()) if settings.analog else None
+    exit_throughput, fate = _after_event(throughput, bsdf_weight, bs, wo, numbers)
     if settings.delta_only:
         left = fate == mi.UInt32(Fate.REFLECTED)
         fate = dr.select(left & ~is_delta(bs), mi.UInt32(Fate.INTEGRATED), fate)
@@ -190,7 +194,11 @@ def trace(
         )
         wo = si.to_world(bs.wo)
         bsdf_weight *= shading_normal_correction(si, ray, bs.wo, wo)
-        event_β, event_fate = _after_event(β, bsdf_weight, bs, wo, sampler, analog)
+        # one number serves the roulette or, in its absence, the analog estimator
+        number = sampler.next_1d() if analog else mi.Float(0)
+        another = sampler.next_1d(active)
+        numbers = (number, another) if analog else None
+        event_β, event_fate = _after_event(β, bsdf_weight, bs, wo, numbers)
         β[active] = event_β
         fate[active] = event_fate
         active &= event_fate == mi.UInt32(Fate.REFLECTED)
@@ -203,7 +211,7 @@ def trace(
         # in steps that random numbers of 23 bits hit exactly, and never 0
         survival = dr.ceil(dr.minimum(dr.max(β), 0.95) * 2.0**16) * 2.0**-16
         survival = dr.select(depth > rr_depth, survival, mi.Float(1.0))
-        survives = sampler.next_1d(active) < survival
+        survives = another < survival
         β[active] = dr.select(survives, β / survival, 0.0)
         fate[active & ~survives] = mi.UInt32(Fate.ABSORBED)
         active &= survives
@@ -230,7 +238,7 @@ def _emitted(
     """Power of a new ray; for the analog estimator a whole number of that mean."""
     if not analog or uniform:
         return mi.Spectrum(weight)
-    return _whole(weight, sampler.next_1d())
+    return whole_number(weight, sampler.next_1d(), sampler.next_1d())
 
 
 def _after_event(
@@ -238,10 +246,12 @@ def _after_event(
     bsdf_weight: mi.Spectrum,
     bs: mi.BSDFSample3f,
     wo: mi.Vector3f,
-    sampler: mi.Sampler,
-    analog: bool,
+    numbers: tuple[mi.Float, mi.Float] | None,
 ) -> tuple[mi.Spectrum, mi.UInt32]:
-    """Throughput after a surface event, and its fate: REFLECTED means in flight."""
+    """Throughput after a surface event, and its fate: REFLECTED means in flight.
+
+    The analog estimator gives two random `numbers`, the others None.
+    """
     largest, smallest = dr.max(bsdf_weight), dr.min(bsdf_weight)
     norm2 = dr.squared_norm(wo)
     zero = largest == 0
@@ -250,21 +260,24 @@ def _after_event(
     valid &= zero | (dr.abs(norm2 - 1) < 1e-3)
     product = throughput * dr.select(valid, bsdf_weight, 0.0)
     valid &= dr.max(product) <= LARGEST_POWER
-    throughput = _whole(product, sampler.next_1d()) if analog else product
+    throughput = product if numbers is None else whole_number(product, *numbers)
     left = dr.any(throughput >= SMALLEST_POWER)
     fate = dr.select(left, mi.UInt32(Fate.REFLECTED), mi.UInt32(Fate.ABSORBED))
     fate = dr.select(zero & ~(bs.pdf > 0), mi.UInt32(Fate.REJECTED), fate)
     return throughput, dr.select(valid, fate, mi.UInt32(Fate.INVALID))
 
 
-def _whole(x: mi.Spectrum, u: mi.Float) -> mi.Spectrum:
-    """Random whole number with mean `x`, the same `u` in [0, 1) for all channels.
+def whole_number(x: mi.Spectrum, u: mi.Float, v: mi.Float) -> mi.Spectrum:
+    """Random whole number with mean `x`, from two numbers in [0, 1) for all channels.
 
-    A weight that exceeds a whole number by rounding alone counts as that number.
+    A weight that exceeds a whole number by rounding alone counts as that number. Random
+    numbers are multiples of 2^-23 or 2^-24, too coarse for a small chance: `v` decides
+    about what is left of it where `u` is below `RARE`.
     """
     floor = dr.floor(x)
     rest = x - floor
-    above = (u < rest) & ((x < 1) | (rest > x * FEW_ROUNDINGS))
+    chosen = dr.select(rest < RARE, (u < RARE) & (v < rest / RARE), u < rest)
+    above = chosen & ((x < 1) | (rest > x * FEW_ROUNDINGS))
     # of that type: a loop's variable does not change its own
     return mi.Spectrum(floor + dr.select(above, 1.0, 0.0))
 
