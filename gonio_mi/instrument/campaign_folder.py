@@ -1,5 +1,7 @@
 """What of a campaign is finished, kept in a folder."""
 
+from __future__ import annotations
+
 import contextlib
 import hashlib
 import itertools
@@ -7,11 +9,13 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from numbers import Integral, Real
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -20,6 +24,7 @@ import numpy as np
 from .. import files
 from ..errors import FileFormatError, SettingError
 from ..files.writing import PREFIX, SUFFIX
+from ..results.record import Record
 
 __all__ = ["CampaignFolder"]
 
@@ -54,7 +59,12 @@ class CampaignFolder(contextlib.ExitStack):
         one, or something else.
     """
 
-    def __init__(self, folder, tasks, incidents):
+    def __init__(
+        self,
+        folder: str | PathLike[str],
+        tasks: Sequence[Any],
+        incidents: Sequence[tuple[float, float]],
+    ) -> None:
         super().__init__()
         self.folder = Path(folder)
         self.common = {
@@ -70,7 +80,7 @@ class CampaignFolder(contextlib.ExitStack):
         self.specimens = {task.name: _fingerprint(task.specimen) for task in tasks}
         self.incidents = [list(incident) for incident in incidents]
 
-    def __enter__(self):
+    def __enter__(self) -> CampaignFolder:
         super().__enter__()
         self.folder.mkdir(parents=True, exist_ok=True)
         try:
@@ -82,7 +92,7 @@ class CampaignFolder(contextlib.ExitStack):
             raise
         return self
 
-    def load(self, tasks):
+    def load(self, tasks: Sequence[Any]) -> dict[int, Record]:
         """Records of the tasks that were finished before, by number.
 
         A damaged file is reported and left out.
@@ -106,12 +116,12 @@ class CampaignFolder(contextlib.ExitStack):
                 done[task.number] = replace(record, settings=settings)
         return done
 
-    def save(self, task, record):
+    def save(self, task: Any, record: Record) -> None:
         """Keep the record of a task."""
         settings = record.settings | {"task": self._described(task)}
         replace(record, settings=settings).save(self._path(task))
 
-    def _check(self):
+    def _check(self) -> None:
         """Describe the campaign, or raise ValueError if the folder holds another."""
         path = self.folder / "campaign.json"
         described = {
@@ -132,7 +142,7 @@ class CampaignFolder(contextlib.ExitStack):
         with files.replacing(path) as stream:
             stream.write(json.dumps(described, indent=1).encode())
 
-    def _described(self, task):
+    def _described(self, task: Any) -> dict[str, Any]:
         """All that determines the bits of a task, in JSON's types."""
         return {
             **self.common,
@@ -140,7 +150,7 @@ class CampaignFolder(contextlib.ExitStack):
             "incidents": [list(incident) for incident in task.incidents],
         }
 
-    def _path(self, task):
+    def _path(self, task: Any) -> Path:
         theta_i, phi_i = task.incidents[0]
         name = f"{task.number:06d}_theta_i_{theta_i:g}_phi_i_{phi_i:g}.npz"
         return self.folder / name
@@ -201,7 +211,7 @@ def _written(folder: Path) -> dict[Path, int]:
 # --------------------------------------------------------------------- descriptions
 
 
-def _campaign(path, content):
+def _campaign(path: Path, content: bytes) -> Any:
     """What a file campaign.json holds, or ValueError if it is of something else."""
     try:
         found = json.loads(content)
@@ -215,7 +225,7 @@ def _campaign(path, content):
     return found
 
 
-def _check_same(path, found, own):
+def _check_same(path: Path, found: Any, own: dict[str, Any]) -> None:
     """Raise ValueError unless two descriptions agree."""
     remedy = f"take another folder, or remove {path.parent} to measure all again"
     if not isinstance(found, dict) or found.keys() != own.keys():
@@ -238,14 +248,14 @@ def _check_same(path, found, own):
             )
 
 
-def _from_difference(one, other):
+def _from_difference(one: str, other: str) -> list[str]:
     """Two texts; if they are long, from shortly before the letter where they differ."""
     same = (a == b for a, b in zip(one, other))
     start = sum(itertools.takewhile(bool, same)) - 20
     return [f"...{text[start:]}" if start > 20 else text for text in (one, other)]
 
 
-def _text(value):
+def _text(value: Any) -> str:
     """Text that tells a setting from others, the same for 1e6 and 1000000."""
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{k}: {_text(v)}' for k, v in value.items())}}}"
@@ -266,7 +276,7 @@ def _text(value):
     return repr(value)
 
 
-def _fingerprint(specimen):
+def _fingerprint(specimen: Any) -> str:
     """Text that tells a specimen from others: for a file, of its content too."""
     if isinstance(specimen, (str, os.PathLike)):
         content = Path(specimen).read_bytes()
@@ -274,5 +284,5 @@ def _fingerprint(specimen):
     return _text(specimen)
 
 
-def _sha256(content):
+def _sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()

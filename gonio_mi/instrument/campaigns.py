@@ -1,14 +1,19 @@
 """Campaigns: specimens times directions, in this process or in others, resumable."""
 
+from __future__ import annotations
+
 import logging
 import os
 import pickle
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, as_completed
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -45,18 +50,18 @@ DEFAULT_RAYS = 10**6
 
 
 def campaign(
-    specimens,
-    theta_i,
-    phi_i=0.0,
+    specimens: Mapping[str, Any],
+    theta_i: Any,
+    phi_i: Any = 0.0,
     *,
-    executor=None,
-    folder=None,
-    plugins=(),
-    threads=None,
-    retries=3,
-    progress=False,
-    **settings,
-):
+    executor: Any = None,
+    folder: str | PathLike[str] | None = None,
+    plugins: Sequence[str | PathLike[str]] = (),
+    threads: int | None = None,
+    retries: int = 3,
+    progress: bool = False,
+    **settings: Any,
+) -> dict[str, Record]:
     """Measure specimens at many incident directions, here or elsewhere.
 
     Every direction has the bits that :func:`measure` gives it: whatever the executor,
@@ -119,9 +124,9 @@ def campaign(
     tasks = _tasks(specimens, incidents, plugins, threads, settings)
     if executor is not None:
         _check_picklable(tasks)
-    folder = None if folder is None else CampaignFolder(folder, tasks, incidents)
-    with folder or nullcontext():
-        done = _records(tasks, folder, executor, retries, progress)
+    kept = None if folder is None else CampaignFolder(folder, tasks, incidents)
+    with kept or nullcontext():
+        done = _records(tasks, kept, executor, retries, progress)
     return {
         str(name): Record.stack(
             done[task.number] for task in tasks if task.name == str(name)
@@ -130,18 +135,24 @@ def campaign(
     }
 
 
-def _records(tasks, folder, executor, retries, progress):
+def _records(
+    tasks: Sequence[_Task],
+    folder: CampaignFolder | None,
+    executor: Any,
+    retries: int,
+    progress: bool,
+) -> dict[int, Record]:
     """Records of all tasks by number: those of the folder, and the others measured."""
     done = {} if folder is None else folder.load(tasks)
     todo = [task for task in tasks if task.number not in done]
-    if done:
+    if folder is not None and done:
         _check_specimens(tasks, done, folder.folder)
         logger.info("%d of %d tasks were finished before", len(done), len(tasks))
     n_done = sum(len(record) for record in done.values())
     total = sum(len(task.incidents) for task in tasks)
     with bar(progress, total=total, initial=n_done, unit="direction") as report:
 
-        def keep(task, record):
+        def keep(task: _Task, record: Record) -> None:
             if folder is not None:
                 folder.save(task, record)
             done[task.number] = record
@@ -161,15 +172,15 @@ class _Task:
 
     number: int
     name: str
-    specimen: object
-    incidents: tuple
+    specimen: Any
+    incidents: tuple[tuple[float, float], ...]
     variant: str
-    plugins: tuple  # of paths and digests
+    plugins: tuple[Any, ...]  # of paths and digests
     directory: str  # of relative paths
     threads: int | None
-    settings: dict = field(hash=False)
+    settings: dict[str, Any] = field(hash=False)
 
-    def run(self):
+    def run(self) -> Record:
         """Measure, in any process: records of the directions, stacked."""
         with _here:  # threads of one process share Dr.Jit and the variant
             if mi.variant() != self.variant:
@@ -178,14 +189,14 @@ class _Task:
             with _threads(self.threads):
                 return Record.stack(map(self._measured, self.incidents))
 
-    def _measured(self, incident):
+    def _measured(self, incident: tuple[float, float]) -> Record:
         """Record of one direction: what a campaign keeps is whole ones."""
         record = measure_whole(self._located(), *incident, **self.settings)
         # the same wherever it is measured
         name = specimen_name(self.specimen, self.settings.get("parameters"))
         return record.with_settings(specimen=name)
 
-    def digests(self):
+    def digests(self) -> dict[str, str | None]:
         """Digests of the specimen and the emitter as they are now."""
         with _here:
             self._load_plugins()
@@ -199,7 +210,7 @@ class _Task:
                 "plugin_digest": plugins_digest(things),
             }
 
-    def _load_plugins(self):
+    def _load_plugins(self) -> None:
         """Run the plugin files, if they are still those of the campaign."""
         for path, digest in self.plugins:
             load_plugin_file(path)
@@ -209,7 +220,7 @@ class _Task:
                     "what is finished is of the old one; start again in another folder"
                 )
 
-    def _located(self):
+    def _located(self) -> Any:
         """Return the specimen; if it is a file, its path from anywhere."""
         if isinstance(self.specimen, (str, os.PathLike)):
             return os.path.join(self.directory, self.specimen)
@@ -219,17 +230,18 @@ class _Task:
 _here = Lock()
 
 
-def _run(task):
+def _run(task: _Task) -> Record:
     """Run a task; a function of the module, so that it can be sent."""
     try:
         return task.run()
     except Exception as error:
-        error.frames = frames(error)  # the traceback itself is not sent back
+        failed: Any = error
+        failed.frames = frames(error)  # the traceback itself is not sent back
         raise
 
 
 @contextmanager
-def _threads(n):
+def _threads(n: int | None) -> Iterator[None]:
     """Context with `n` threads of Dr.Jit."""
     before = dr.thread_count()
     if n:
@@ -240,14 +252,20 @@ def _threads(n):
         dr.set_thread_count(before)
 
 
-def _tasks(specimens, incidents, plugins, threads, settings):
+def _tasks(
+    specimens: Mapping[str, Any],
+    incidents: Sequence[tuple[float, float]],
+    plugins: Sequence[str | PathLike[str]],
+    threads: int | None,
+    settings: dict[str, Any],
+) -> list[_Task]:
     """Tasks of a few directions each, in order."""
     rays = settings.get("rays") or DEFAULT_RAYS
     # the same whatever the executor: a folder may be carried on by another
     most = max(1, len(incidents) // TASKS)
     few = 1 if settings.get("rel_err") else max(1, min(int(TASK_RAYS // rays), most))
-    plugins = tuple((os.path.abspath(path), file_digest(path)) for path in plugins)
-    tasks = []
+    digests = tuple((os.path.abspath(path), file_digest(path)) for path in plugins)
+    tasks: list[_Task] = []
     for name, specimen in specimens.items():
         for first in range(0, len(incidents), few):
             some = tuple(incidents[first : first + few])
@@ -258,7 +276,7 @@ def _tasks(specimens, incidents, plugins, threads, settings):
                     specimen,
                     some,
                     mi.variant(),
-                    plugins,
+                    digests,
                     os.getcwd(),
                     threads,
                     settings,
@@ -267,7 +285,9 @@ def _tasks(specimens, incidents, plugins, threads, settings):
     return tasks
 
 
-def _check_specimens(tasks, done, folder):
+def _check_specimens(
+    tasks: Sequence[_Task], done: Mapping[int, Record], folder: Path
+) -> None:
     """Raise ValueError if finished records are of specimens that have changed since."""
     things = {
         "digest": "the specimen",
@@ -289,7 +309,7 @@ def _check_specimens(tasks, done, folder):
                     )
 
 
-def _check_picklable(tasks):
+def _check_picklable(tasks: Sequence[_Task]) -> None:
     """Raise ValueError for a specimen or setting that other processes cannot get."""
     for task in tasks:
         for label, value in {task.name: task.specimen, **task.settings}.items():
@@ -305,7 +325,12 @@ def _check_picklable(tasks):
 # ------------------------------------------------------------------------ executing
 
 
-def _finish(todo, executor, retries, keep):
+def _finish(
+    todo: Sequence[_Task],
+    executor: Any,
+    retries: int,
+    keep: Callable[[_Task, Record], None],
+) -> None:
     """Run tasks and keep their records as they come; those of dead workers again."""
     if executor is None:
         for task in todo:
@@ -324,7 +349,12 @@ def _finish(todo, executor, retries, keep):
         )
 
 
-def _shared_out(todo, pool, keep, replaceable):
+def _shared_out(
+    todo: Sequence[_Task],
+    pool: Any,
+    keep: Callable[[_Task, Record], None],
+    replaceable: bool,
+) -> list[_Task]:
     """Keep what a pool measures; return the tasks of workers that died."""
     missing = {pool.submit(_run, task): task for task in todo}
     lost = []
@@ -347,6 +377,6 @@ def _shared_out(todo, pool, keep, replaceable):
     return lost
 
 
-def _started(executor):
+def _started(executor: Any) -> AbstractContextManager[Any]:
     """Context of the executor; a new one of processes for their number."""
     return workers(executor) if isinstance(executor, int) else nullcontext(executor)

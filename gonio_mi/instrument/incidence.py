@@ -1,5 +1,7 @@
 """Where light comes from: incident directions, and the emitter for each of them."""
 
+from typing import Any
+
 import mitsuba as mi
 import numpy as np
 
@@ -17,7 +19,7 @@ from .loading import loaded
 __all__ = ["emitter_scene", "incident_angles", "incident_key", "described_digest"]
 
 
-def incident_angles(theta_i, phi_i):
+def incident_angles(theta_i: Any, phi_i: Any) -> tuple[list[Any], bool]:
     """List of ``(theta_i, phi_i)`` in degrees, or ``[None]``; whether it is a stack."""
     if theta_i is None:
         return [None], False
@@ -30,7 +32,7 @@ def incident_angles(theta_i, phi_i):
     return [(theta, phi % 360.0) for theta in polar for phi in azimuths], stacked
 
 
-def incident_key(incident):
+def incident_key(incident: tuple[float, float] | None) -> tuple[int, ...]:
     """Whole numbers that tell a direction from others; they seed its random numbers.
 
     A direction has the same bits alone and in any stack.
@@ -41,18 +43,23 @@ def incident_key(incident):
     return tuple((np.array(incident, dtype=float) + 0.0).view(np.uint64).tolist())
 
 
-def _sequence(name, value):
+def _sequence(name: str, value: Any) -> list[Any]:
     values = [value] if np.ndim(value) == 0 else list(value)
     if not values:
         raise SettingError(f"{name} must hold at least one angle, got {shown(value)}")
     return values
 
 
-def _theta(value):
+def _theta(value: Any) -> float | None:
     return checked_number("theta_i", value, 0, 90, "an angle in degrees in [0, 90)")
 
 
-def emitter_scene(scene, emitter, incident, side):
+def emitter_scene(
+    scene: Any,
+    emitter: dict[str, Any] | None,
+    incident: tuple[float, float] | None,
+    side: str,
+) -> Any:
     """Scene that holds the one emitter to use."""
     if emitter is None and incident is None:
         if not scene.emitters():
@@ -70,7 +77,7 @@ def emitter_scene(scene, emitter, incident, side):
     return loaded("the emitter", mi.load_dict, {"type": "scene", "emitter": emitter})
 
 
-def described_digest(emitter):
+def described_digest(emitter: dict[str, Any] | None) -> str | None:
     """Digest of an emitter given as a dictionary, as it is described; None for None."""
     if emitter is None:
         return None
@@ -78,14 +85,16 @@ def described_digest(emitter):
     return emitter_digest(scene.emitters())
 
 
-def _beam_direction(incident, side):
+def _beam_direction(incident: Any, side: str) -> list[float]:
     """Direction of flight of a collimated beam."""
     theta, phi = np.radians(incident)
     x, y, z = direction(theta, phi)
     return [-x, -y, -z if side == "front" else z]
 
 
-def _turned(emitter, incident, side):
+def _turned(
+    emitter: dict[str, Any], incident: tuple[float, float], side: str
+) -> dict[str, Any]:
     """Return `emitter`, described on +z, turned to the incident direction."""
     theta, phi = incident
     transform = mi.ScalarTransform4f

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import mitsuba as mi
@@ -85,7 +86,13 @@ class Instrument:
         if mi.is_spectral:
             check_covered(bsdfs, self.wavelengths)
 
-    def bench(self, specimen, emitters, incident=None, described=None) -> Bench:
+    def bench(
+        self,
+        specimen: Specimen,
+        emitters: Sequence[mi.Emitter],
+        incident: tuple[float, float] | None = None,
+        described: str | None = None,
+    ) -> Bench:
         """Set up a :class:`Bench` for the one emitter of `emitters`.
 
         `incident` is the pair of angles in degrees that it was made for, if any, and
@@ -111,7 +118,7 @@ class Instrument:
             check_traced(bench, self.settings)
         return bench
 
-    def _beam(self, specimen, emitter) -> Beam:
+    def _beam(self, specimen: Specimen, emitter: mi.Emitter) -> Beam:
         """Light of `emitter`, at wavelengths that it has."""
         emission = self.settings.emission
         collimated = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaDirection)
@@ -122,7 +129,15 @@ class Instrument:
         nm = self.wavelengths if mi.is_spectral else None
         return Beam(specimen, emitter, self.settings.footprint, emission, nm)
 
-    def tallies(self, bench, key, sizes, first=0, start=0, progress=None):
+    def tallies(
+        self,
+        bench: Bench,
+        key: tuple[int, ...],
+        sizes: Sequence[int],
+        first: int = 0,
+        start: int = 0,
+        progress: Callable[[float], Any] | None = None,
+    ) -> Iterator[Tally]:
         """Tallies of independent batches, in order: of one batch each, or of several.
 
         Small batches share a launch if the sampler keeps them apart; the bits do not
@@ -195,7 +210,15 @@ class Instrument:
             self._pace = Pace(FIRST_TRACED if traced else FIRST_PLANE)
         return self._pace
 
-    def _part(self, bench, keys, sizes, start, wavelengths, progress) -> Tally:
+    def _part(
+        self,
+        bench: Bench,
+        keys: Sequence[tuple[int, ...]],
+        sizes: Sequence[int],
+        start: int,
+        wavelengths: mi.Spectrum,
+        progress: Callable[[float], Any] | None,
+    ) -> Tally:
         """Tally of the batches of `keys`, by one launch or more for a single one."""
         total: Any = None
         capacity, pace = self._capacity(bench), self._pace_at(bench)

@@ -5,7 +5,10 @@ import linecache
 import os
 import re
 import sys
+from collections.abc import Callable
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 
@@ -43,7 +46,7 @@ FRAMES = re.compile(
 _imported: dict[str, list[str]] = {}
 
 
-def check_variant():
+def check_variant() -> None:
     """Raise :class:`VariantError` if no variant is set that the instrument can use.
 
     And :class:`LLVMError` if Dr.Jit would abort the process at its first kernel.
@@ -63,7 +66,7 @@ def check_variant():
 
 
 @launches_kernels()
-def load_specimen(specimen, parameters=None):
+def load_specimen(specimen: Any, parameters: dict[str, Any] | None = None) -> Any:
     """Load a specimen as a Mitsuba scene.
 
     Parameters
@@ -115,7 +118,7 @@ def load_specimen(specimen, parameters=None):
     return loaded("the specimen", mi.load_dict, {"type": "scene", "shape": specimen})
 
 
-def loaded(what, load, *args, **kwargs):
+def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
     """Return ``load(*args, **kwargs)``; if that fails, say why in one sentence."""
     try:
         for argument in args:
@@ -127,7 +130,7 @@ def loaded(what, load, *args, **kwargs):
         raise SpecimenError(f"{what} cannot be loaded: {_one_line(error)}") from error
 
 
-def _check_whole_numbers(node):
+def _check_whole_numbers(node: Any) -> None:
     """Raise ValueError for what has no type in Mitsuba, which prints lines of it."""
     if isinstance(node, dict):
         for key, value in node.items():
@@ -136,7 +139,7 @@ def _check_whole_numbers(node):
             _check_whole_numbers(value)
 
 
-def _one_line(error):
+def _one_line(error: object) -> str:
     """Mitsuba's message without frames, tracebacks and line breaks."""
     text = str(error)
     if "Traceback (most recent call last)" in text:
@@ -147,7 +150,7 @@ def _one_line(error):
     return " ".join(FRAMES.sub("", text).split())
 
 
-def load_plugin_file(path):
+def load_plugin_file(path: str | PathLike[str]) -> None:
     """Run a user's Python file that registers Mitsuba plugins.
 
     Its folder is where it finds its own modules, as with ``python FILE``. Those are
@@ -190,7 +193,7 @@ def load_plugin_file(path):
         ]
 
 
-def parse_specimen(text):
+def parse_specimen(text: str) -> Any:
     """Specimen from a word of the command line.
 
     Parameters
@@ -220,7 +223,7 @@ def parse_specimen(text):
     return specimen
 
 
-def _value(text):
+def _value(text: str) -> Any:
     """Number, boolean, colour or text."""
     if text in ("true", "false"):
         return text == "true"
@@ -234,7 +237,7 @@ def _value(text):
         return text
 
 
-def specimen_name(specimen, parameters=None):
+def specimen_name(specimen: Any, parameters: dict[str, Any] | None = None) -> str:
     """Short name of a specimen: its file, or its BSDF in one word where that fits.
 
     The inverse of :func:`parse_specimen`, as far as there is one.
@@ -255,11 +258,11 @@ def specimen_name(specimen, parameters=None):
     return f"{name}:{','.join(words)}" if words else name
 
 
-def _is_colour(value):
+def _is_colour(value: Any) -> bool:
     return isinstance(value, dict) and value.get("type") == "rgb"
 
 
-def _word(value):
+def _word(value: Any) -> str:
     if _is_colour(value):
         return "/".join(f"{x:g}" for x in value["value"])
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,6 +18,7 @@ from ..results.processors import joined_processors
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
+from ..transport.bench import Bench
 from ..transport.kernels import launches_kernels
 from ..transport.specimen import Specimen
 from .batches import Target, n_batches
@@ -40,16 +41,16 @@ PATH_ROUNDING = 1000 * float(np.finfo(np.float32).eps)
 
 @launches_kernels()
 def measure_here(
-    specimen,
-    theta_i=None,
-    phi_i=0.0,
+    specimen: Any,
+    theta_i: Any = None,
+    phi_i: Any = 0.0,
     *,
-    emitter=None,
-    parameters=None,
-    resume=None,
-    progress=False,
-    **given,
-):
+    emitter: dict[str, Any] | None = None,
+    parameters: dict[str, Any] | None = None,
+    resume: Record | None = None,
+    progress: bool = False,
+    **given: Any,
+) -> Record:
     """Record of a specimen; see :func:`~gonio_mi.instrument.measuring.measure`."""
     check_variant()
     given = {name: value for name, value in given.items() if value is not None}
@@ -72,7 +73,7 @@ def measure_here(
     ]
     plan = batch_sizes(settings.rays, settings.batches)
     _check_sums_fit(benches, len(plan))
-    finished = [[] for _ in benches]
+    finished: list[list[Tally]] = [[] for _ in benches]
     if resume is not None:
         check_resumable(resume, instrument, benches, settings.seed, plan)
         finished[: len(resume)] = [[tally] for tally in resume.tallies]
@@ -102,7 +103,7 @@ def measure_here(
     return record
 
 
-def measure_whole(specimen, *args, **settings):
+def measure_whole(specimen: Any, *args: Any, **settings: Any) -> Record:
     """Like :func:`measure_here`; after Ctrl-C KeyboardInterrupt instead of a part."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
@@ -156,7 +157,7 @@ def _settled(
     return settings
 
 
-def _check_sums_fit(benches, batches: int) -> None:
+def _check_sums_fit(benches: Sequence[Bench], batches: int) -> None:
     """Raise ValueError if the sums of all benches do not fit into memory."""
     sums = sum(bench.n_collected for bench in benches)
     check_memory(
@@ -166,11 +167,11 @@ def _check_sums_fit(benches, batches: int) -> None:
     )
 
 
-def _warn_of_created_light(records):
+def _warn_of_created_light(records: Sequence[Record]) -> None:
     """Warn if more light left than came, beyond chance and single precision."""
     for record in records:
         total, low = record.dhr, record.interval(SURE, "dhr")[0]
-        if record.has_lower:
+        if record.dht is not None:
             total, low = total + record.dht, low + record.interval(SURE, "dht")[0]
         if np.any(low > 1 + PATH_ROUNDING):
             theta_i, phi_i = record.theta_i[0], record.phi_i[0]
@@ -183,7 +184,7 @@ def _warn_of_created_light(records):
             return
 
 
-def _warn_unless_reached(record, target):
+def _warn_unless_reached(record: Record, target: Target) -> None:
     if not record.settings["reached"] <= target.rel_err:
         warnings.warn(
             f"rel_err of {target.rel_err:g} was not reached with {target.max_rays:g} "
@@ -193,7 +194,12 @@ def _warn_unless_reached(record, target):
         )
 
 
-def _warn_of_interruption(integrator, target, plan, finished):
+def _warn_of_interruption(
+    integrator: Instrument,
+    target: Target | None,
+    plan: Sequence[int],
+    finished: Sequence[Sequence[Tally]],
+) -> None:
     if integrator.integrates or target:
         kept = f"{sum(map(bool, finished))} of {len(finished)} incident directions"
         kept += ", the last one less precise" if target else ""

@@ -79,14 +79,18 @@ def measure(
     LostRaysError
         If the ledger does not hold all rays that were sent.
     """
-    others = {"emitter": emitter, "parameters": parameters, "progress": progress}
+    others: dict[str, Any] = {
+        "emitter": emitter,
+        "parameters": parameters,
+        "progress": progress,
+    }
     if executor is None and folder is None:
         return measure_here(
             specimen, theta_i, phi_i, resume=resume, **others, **settings
         )
     if resume is not None:
         raise SettingError("resume and folder exclude each other, got both")
-    where = {"executor": executor, "folder": folder}
+    where: dict[str, Any] = {"executor": executor, "folder": folder}
     done = campaign(
         {"specimen": specimen}, theta_i, phi_i, **where, **others, **settings
     )

@@ -1,7 +1,11 @@
 """Whether an interrupted record is the beginning of a measurement."""
 
+from collections.abc import Sequence
+
 from ..errors import SettingError, SettingTypeError, shown
 from ..results.record import DIGESTS, Record
+from ..transport.bench import Bench
+from .instrument import Instrument
 
 __all__ = ["check_resumable"]
 
@@ -9,7 +13,13 @@ __all__ = ["check_resumable"]
 FREE = {"created", "versions", "processors", "specimen"}
 
 
-def check_resumable(resume, instrument, benches, seed, plan):
+def check_resumable(
+    resume: Record,
+    instrument: Instrument,
+    benches: Sequence[Bench],
+    seed: int,
+    plan: Sequence[int],
+) -> None:
     """Raise ValueError unless `resume` is the beginning of this measurement.
 
     Parameters

@@ -1,12 +1,25 @@
 """Sending all rays of a measurement, with a progress bar and an ear for Ctrl-C."""
 
+from collections.abc import Sequence
+
 from ..progress import bar
-from .batches import n_batches, send, send_until
+from ..results.tally import Tally
+from ..transport.bench import Bench
+from .batches import Target, n_batches, send, send_until
+from .instrument import Instrument
 
 __all__ = ["send_all"]
 
 
-def send_all(instrument, benches, keys, plan, target, finished, progress=False):
+def send_all(
+    instrument: Instrument,
+    benches: Sequence[Bench],
+    keys: Sequence[tuple[int, ...]],
+    plan: Sequence[int],
+    target: Target | None,
+    finished: list[list[Tally]],
+    progress: bool = False,
+) -> bool:
     """Append to `finished` the tallies of all benches; return whether all are there.
 
     After Ctrl-C they are those of what was finished; it is raised if that is nothing.
@@ -40,7 +53,7 @@ def send_all(instrument, benches, keys, plan, target, finished, progress=False):
     return True
 
 
-def _is_ctrl_c(error):
+def _is_ctrl_c(error: BaseException | None) -> bool:
     """Whether Ctrl-C is at the bottom of it: Dr.Jit wraps what a loop raises."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__

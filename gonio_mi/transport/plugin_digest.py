@@ -8,6 +8,7 @@ import sysconfig
 import weakref
 from collections.abc import Iterable, Iterator
 from importlib.machinery import PathFinder
+from os import PathLike
 from pathlib import Path
 from types import FunctionType
 
@@ -63,7 +64,7 @@ def plugins_digest(things: Iterable[mi.Object]) -> str | None:
     return _digest(texts) if texts else None
 
 
-def file_digest(path: str | Path) -> str:
+def file_digest(path: str | PathLike[str]) -> str:
     """Digest of a Python file and of the local files that it imports."""
     path = Path(path)
     return _digest({path.read_text(), *_imported(path.read_text(), path)})
