@@ -34,6 +34,7 @@ OTHERS = {
     "seed": (7, 7),
     "side": ("back", "back"),
     "footprint": (0.25, 0.25),
+    "divergence": (5, 5.0),
     "emission": ("equal_power", "equal_power"),
     "wavelengths": ([450, 600.5], (450.0, 600.5)),
     "collector": ("angle:5x7", gonio.EqualAngle(5, 7)),

@@ -127,7 +127,8 @@ class Instrument:
         if mi.is_spectral and not collimated and not by_shape:
             check_covered([emitter], self.wavelengths)
         nm = self.wavelengths if mi.is_spectral else None
-        return Beam(specimen, emitter, self.settings.footprint, emission, nm)
+        footprint, divergence = self.settings.footprint, self.settings.divergence
+        return Beam(specimen, emitter, footprint, emission, nm, divergence)
 
     def tallies(
         self,

@@ -190,6 +190,16 @@ class MeasurementSettings:
         metavar="full|point|R",
         plugin=INTEGRATOR,
     )
+    divergence: float = setting(
+        0.0,
+        number(0, 90, "an angle in [0, 90) degrees"),
+        Kind.NUMBER,
+        "Half angle in degrees of the cone that the directions of a collimated beam "
+        "fill, the same power in each solid angle.",
+        group=LIGHT,
+        metavar="DEG",
+        plugin=INTEGRATOR,
+    )
     emission: str = setting(
         "radiometric",
         choice("radiometric", "equal_power"),

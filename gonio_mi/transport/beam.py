@@ -43,11 +43,15 @@ class Beam:
         specimen, each ray carrying the same power.
     nm : sequence of float, optional
         Wavelengths in spectral variants.
+    divergence : float
+        Half angle in degrees of the cone about the direction of a collimated beam that
+        its rays come from, uniformly in solid angle and all of the same power.
 
     Raises
     ------
     SpecimenError
-        If the emitter lights nothing of the footprint, or nothing at one of `nm`.
+        If the emitter lights nothing of the footprint, or nothing at one of `nm`, or if
+        a beam that diverges is not collimated, or reaches the horizon.
     """
 
     def __init__(
@@ -57,6 +61,7 @@ class Beam:
         footprint: str | float,
         emission: str,
         nm: tuple[float, ...] | None = None,
+        divergence: float = 0.0,
     ) -> None:
         self.specimen = specimen
         self.emitter = emitter
@@ -73,6 +78,12 @@ class Beam:
         if self.collimated:
             self._wi = mi.Vector3f(self.direction.tolist())
             dr.make_opaque(self._wi)
+        self.divergence = divergence
+        if divergence:
+            self._check_divergence()
+            # 1 - cos, to the last bit for narrow cones too
+            self._cap = mi.Float(2 * np.sin(np.radians(divergence) / 2) ** 2)
+            dr.make_opaque(self._cap)
         self._reference = None if self.uniform else self._unit_power(nm)
 
     @property
@@ -113,9 +124,31 @@ class Beam:
         """
         p = self._point(sampler)
         if self.collimated:
-            return p, self._wi, mi.Float(dr.inf), mi.Spectrum(1.0)
+            wi = self._diverging(sampler.next_2d()) if self.divergence else self._wi
+            return p, wi, mi.Float(dr.inf), mi.Spectrum(1.0)
         wi, distance, weight = self._towards(p, sampler.next_2d(), wavelengths)
         return p, wi, distance, weight / self._reference
+
+    def _check_divergence(self) -> None:
+        """Raise SpecimenError unless the cone of directions is that of a beam."""
+        if not self.collimated:
+            raise SpecimenError(
+                "divergence must be 0 for light that is not collimated, "
+                f"got {self.divergence:g} degrees"
+            )
+        if self.theta_i + self.divergence >= 90:
+            raise SpecimenError(
+                "theta_i and divergence together must be below 90 degrees, "
+                f"got {self.theta_i:g} and {self.divergence:g}"
+            )
+
+    def _diverging(self, sample: mi.Point2f) -> mi.Vector3f:
+        """Directions that fill the cone about the nominal one, uniformly."""
+        height = sample.x * self._cap  # of the cap of the unit sphere, above them
+        sine = dr.sqrt(height * (2 - height))
+        sin, cos = dr.sincos(2 * dr.pi * sample.y)
+        local = mi.Vector3f(sine * cos, sine * sin, 1 - height)
+        return dr.normalize(mi.Frame3f(self._wi).to_world(local))
 
     def _point(self, sampler: mi.Sampler) -> mi.Point3f:
         """Points of the footprint."""
