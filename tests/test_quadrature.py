@@ -290,12 +290,18 @@ def test_gradients():
             {},
             "the same BSDF all over",
         ),
-        ({"type": "diffuse"}, {"rel_err": 2}, "rel_err must be"),
     ],
 )
 def test_refused(specimen, settings, reason):
     with pytest.raises(gonio.SpecimenError, match=reason):
         integrated(specimen, **settings)
+
+
+@pytest.mark.usefixtures("mono")
+def test_no_such_precision():
+    """No matter of the specimen: refused as a setting, whatever the estimator."""
+    with pytest.raises(ValueError, match="rel_err must be a number in"):
+        integrated({"type": "diffuse"}, rel_err=2)
 
 
 @pytest.mark.usefixtures("mono")

@@ -7,6 +7,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..collector.directions import direction
+from ..instrument.instrument import Instrument
+from ..instrument.scene_settings import sampler_of
+from ..settings import MeasurementSettings
 from ..transport.beam import Beam
 from ..transport.ray_offsets import SURFACE_OFFSET
 from ..transport.specimen import Specimen
@@ -40,25 +43,21 @@ def gonio_paths(resolution, sampler, estimator="weighted", period="none"):
     callable
         ``send(rays, seed)`` gives the share of the rays that were reflected.
     """
-    integrator = mi.load_dict(
-        {
-            "type": "goniophotometer",
-            "batches": 1,
-            "estimator": estimator,
-            "period": period,
-            "max_depth": MAX_DEPTH,
-        }
+    settings = MeasurementSettings().changed(
+        batches=1,
+        estimator=estimator,
+        sampler={"type": sampler},
+        period=period,
+        max_depth=MAX_DEPTH,
     )
-    sensor = mi.load_dict(
-        {"type": "collector", "film": {"type": "patches"}, "sampler": {"type": sampler}}
-    )
+    instrument = Instrument(settings, sampler_of(settings))
     incoming = -direction(np.radians(THETA_I), 0.0)
     emitter = mi.load_dict({"type": "directional", "direction": incoming.tolist()})
     scene = mi.load_dict({"type": "scene", "surface": surface(resolution)})
-    bench = integrator.bench(Specimen(scene, period), [emitter], sensor)
+    bench = instrument.bench(Specimen(scene, period), [emitter])
 
     def _send(rays, seed):
-        (tally,) = integrator.tallies(bench, (seed, 0), [rays])
+        (tally,) = instrument.tallies(bench, (seed, 0), [rays])
         return tally.ledger.reflected / rays
 
     return _send
