@@ -25,7 +25,7 @@ MODULES = (
 )
 
 
-def register():
+def register() -> None:
     """Register every plugin for the current variant.
 
     The plugin modules bind Mitsuba's types when they are run, so that they are run

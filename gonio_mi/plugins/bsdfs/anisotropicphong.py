@@ -1,5 +1,9 @@
 """BSDF `anisotropicphong`: microfacets with an anisotropic Phong distribution."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 
@@ -115,20 +119,20 @@ class AnisotropicPhong(mi.BSDF):
             'f0': 1
     """
 
-    def __init__(self, props):
+    def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.exponent_u = lobe.exponent(props, "exponent_u", 50.0)
         self.exponent_v = lobe.exponent(props, "exponent_v", 1000.0)
         self.f0 = reflectance(props, "f0", 1.0)
         self.parameters_changed([])
 
-    def traverse(self, cb):
+    def traverse(self, cb: mi.TraversalCallback) -> None:
         """Expose exponents and reflectance."""
         cb.put("exponent_u", self.exponent_u, mi.ParamFlags.NonDifferentiable)
         cb.put("exponent_v", self.exponent_v, mi.ParamFlags.NonDifferentiable)
         cb.put("f0", self.f0, mi.ParamFlags.Differentiable)
 
-    def parameters_changed(self, keys):
+    def parameters_changed(self, keys: Any) -> None:
         """Compute what depends on the exponents."""
         if keys and not {"exponent_u", "exponent_v"} & set(keys):
             return
@@ -144,7 +148,14 @@ class AnisotropicPhong(mi.BSDF):
         self.mean_cosine = mi.Float(float(facets.mean_cosine(e_u, e_v)))
         dr.make_opaque(self.mean_cosine)
 
-    def sample(self, ctx, si, sample1, sample2, active=True):
+    def sample(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        sample1: mi.Float,
+        sample2: mi.Point2f,
+        active: Any = True,
+    ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Draw a facet and reflect at it."""
         del sample1  # there is one lobe
         active = active & (mi.Frame3f.cos_theta(si.wi) > 0)
@@ -161,11 +172,23 @@ class AnisotropicPhong(mi.BSDF):
         )
         return one_sided_glossy.glossy_sample(wo, pdf), weight & above
 
-    def eval(self, ctx, si, wo, active=True):
+    def eval(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> mi.Spectrum:
         """BRDF times the cosine of `wo`."""
         return self.eval_pdf(ctx, si, wo, active)[0]
 
-    def pdf(self, ctx, si, wo, active=True):
+    def pdf(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> mi.Float:
         """Density of `wo` in 1/sr; its integral is less than 1."""
         if not one_sided_glossy.glossy_enabled(ctx):
             return mi.Float(0)
@@ -173,7 +196,13 @@ class AnisotropicPhong(mi.BSDF):
         h, cos_d = _half_vector(si.wi, wo)
         return dr.select(active, self._density(h) / (4 * cos_d), 0)
 
-    def eval_pdf(self, ctx, si, wo, active=True):
+    def eval_pdf(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> tuple[mi.Spectrum, mi.Float]:
         """Both of :meth:`eval` and :meth:`pdf`."""
         if not one_sided_glossy.glossy_enabled(ctx):
             return mi.Spectrum(0), mi.Float(0)
@@ -185,7 +214,7 @@ class AnisotropicPhong(mi.BSDF):
         )
         return value & active, dr.select(active, density / (4 * cos_d), 0)
 
-    def _sample_facet(self, sample):
+    def _sample_facet(self, sample: mi.Point2f) -> mi.Vector3f:
         """Facet normal with the density p(h)."""
         sin, cos = dr.sincos(dr.two_pi * sample.x)
         cos *= dr.sqrt(self.exponent_v + 1)
@@ -196,7 +225,7 @@ class AnisotropicPhong(mi.BSDF):
         sin_theta, cos_theta = lobe.polar(exponent, sample.y)
         return mi.Vector3f(sin_theta * cos, sin_theta * sin, cos_theta)
 
-    def _density(self, h):
+    def _density(self, h: mi.Vector3f) -> mi.Float:
         """Density p(h) of facet normals."""
         x2, y2 = dr.square(h.x), dr.square(h.y)
         # at the pole, where any exponent will do, it is 0
@@ -205,11 +234,11 @@ class AnisotropicPhong(mi.BSDF):
         c = dr.sqrt((self.exponent_u + 1) * (self.exponent_v + 1)) * dr.inv_two_pi
         return c * lobe.cosine_power(exponent, mi.Vector3f(0, 0, 1), h)
 
-    def _shadowing(self, wi, wo):
+    def _shadowing(self, wi: mi.Vector3f, wo: mi.Vector3f) -> mi.Float:
         """Mean cosine over 4 g(i) g(o)."""
         return self.mean_cosine / (4 * (self._facing_area(wi) * self._facing_area(wo)))
 
-    def _facing_area(self, k):
+    def _facing_area(self, k: mi.Vector3f) -> mi.Float:
         """Projected area g(k) of the facets that face `k`, for k above the horizon."""
         x = dr.abs(k.x) * dr.rsqrt(self.exponent_u + 1)
         y = dr.abs(k.y) * dr.rsqrt(self.exponent_v + 1)
@@ -222,12 +251,14 @@ class AnisotropicPhong(mi.BSDF):
         # facing minus averted area is that of the flat surface
         return z * self.mean_cosine + (x + y + z) * averted
 
-    def _fresnel(self, si, cos_d, active):
+    def _fresnel(
+        self, si: mi.SurfaceInteraction3f, cos_d: mi.Float, active: Any
+    ) -> mi.Spectrum:
         """Schlick's reflectance of a facet."""
         f0 = self.f0.eval(si, active)
         return f0 + (1 - f0) * dr.maximum(1 - cos_d, 0) ** 5
 
-    def to_string(self):
+    def to_string(self) -> str:
         """Return a readable description."""
         return (
             f"AnisotropicPhong[exponent_u={self.exponent_u[0]:g}, "
@@ -235,7 +266,7 @@ class AnisotropicPhong(mi.BSDF):
         )
 
 
-def _half_vector(wi, wo):
+def _half_vector(wi: mi.Vector3f, wo: mi.Vector3f) -> tuple[mi.Vector3f, mi.Float]:
     """Half vector, and its cosine to either direction, without cancellation."""
     half = wi + wo
     length = dr.norm(half)

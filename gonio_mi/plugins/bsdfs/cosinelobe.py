@@ -1,5 +1,9 @@
 """BSDF `cosinelobe`: an exponentiated cosine around the mirror direction."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 
@@ -104,7 +108,7 @@ class CosineLobe(mi.BSDF):
             'normalisation': 'unit'
     """
 
-    def __init__(self, props):
+    def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.exponent = lobe.exponent(props, "exponent", 16.0)
         self.form = properties.choice(props, "normalisation", "unit", lobe.FORMS)
@@ -112,12 +116,19 @@ class CosineLobe(mi.BSDF):
         self.m_flags = lobe.flags(self.form)
         self.m_components = [self.m_flags]
 
-    def traverse(self, cb):
+    def traverse(self, cb: mi.TraversalCallback) -> None:
         """Expose exponent and reflectance."""
         cb.put("exponent", self.exponent, mi.ParamFlags.Differentiable)
         cb.put("reflectance", self.reflectance, mi.ParamFlags.Differentiable)
 
-    def sample(self, ctx, si, sample1, sample2, active=True):
+    def sample(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        sample1: mi.Float,
+        sample2: mi.Point2f,
+        active: Any = True,
+    ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Draw `wo` from the lobe; what falls below the horizon has no weight."""
         del sample1  # there is one lobe
         active = active & (mi.Frame3f.cos_theta(si.wi) > 0)
@@ -131,11 +142,23 @@ class CosineLobe(mi.BSDF):
         weight = (self.reflectance.eval(si, above) * weight) & above
         return one_sided_glossy.glossy_sample(wo, pdf), weight
 
-    def eval(self, ctx, si, wo, active=True):
+    def eval(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> mi.Spectrum:
         """BRDF times the cosine of `wo`."""
         return self.eval_pdf(ctx, si, wo, active)[0]
 
-    def pdf(self, ctx, si, wo, active=True):
+    def pdf(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> mi.Float:
         """Density of `wo` in 1/sr; its integral is what stays above the horizon."""
         if not one_sided_glossy.glossy_enabled(ctx):
             return mi.Float(0)
@@ -143,7 +166,13 @@ class CosineLobe(mi.BSDF):
         density = lobe.density(self.exponent, mi.reflect(si.wi), wo)
         return dr.select(active, density, 0)
 
-    def eval_pdf(self, ctx, si, wo, active=True):
+    def eval_pdf(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> tuple[mi.Spectrum, mi.Float]:
         """Both of :meth:`eval` and :meth:`pdf`."""
         if not one_sided_glossy.glossy_enabled(ctx):
             return mi.Spectrum(0), mi.Float(0)
@@ -152,7 +181,7 @@ class CosineLobe(mi.BSDF):
         weight = lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
         return (self.reflectance.eval(si, active) * (weight * pdf)) & active, pdf
 
-    def to_string(self):
+    def to_string(self) -> str:
         """Return a readable description."""
         return (
             f"CosineLobe[exponent={self.exponent[0]:g}, normalisation={self.form}, "

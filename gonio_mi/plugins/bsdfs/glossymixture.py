@@ -1,5 +1,9 @@
 """BSDF `glossymixture`: a Lambertian and an exponentiated-cosine lobe."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 
@@ -78,7 +82,7 @@ class GlossyMixture(mi.BSDF):
             'exponent': 16
     """
 
-    def __init__(self, props):
+    def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.diffuse = reflectance(props, "diffuse_reflectance", 0.8)
         self.specular = reflectance(props, "specular_reflectance", 0.2)
@@ -95,13 +99,13 @@ class GlossyMixture(mi.BSDF):
         self.m_flags = DIFFUSE | lobe.flags(self.form)
         self.parameters_changed([])
 
-    def traverse(self, cb):
+    def traverse(self, cb: mi.TraversalCallback) -> None:
         """Expose weights and exponent."""
         cb.put("diffuse_reflectance", self.diffuse, mi.ParamFlags.Differentiable)
         cb.put("specular_reflectance", self.specular, mi.ParamFlags.Differentiable)
         cb.put("exponent", self.exponent, mi.ParamFlags.Differentiable)
 
-    def parameters_changed(self, keys):
+    def parameters_changed(self, keys: Any) -> None:
         """Set the probability of picking the glossy lobe anew."""
         del keys
         diffuse, specular = mean(self.diffuse), mean(self.specular)
@@ -109,7 +113,14 @@ class GlossyMixture(mi.BSDF):
         self.glossy_share = mi.Float(specular / total if total > 0 else 0.5)
         dr.make_opaque(self.glossy_share, self.exponent)
 
-    def sample(self, ctx, si, sample1, sample2, active=True):
+    def sample(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        sample1: mi.Float,
+        sample2: mi.Point2f,
+        active: Any = True,
+    ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Pick a lobe by the first of `sample2` and draw `wo` from what is left of it.
 
         In two dimensions instead of three, low-discrepancy points are worth more.
@@ -143,11 +154,23 @@ class GlossyMixture(mi.BSDF):
         bs.pdf = dr.select(active & lost, drawn, pdf)
         return bs, dr.select(pdf > 0, value / pdf, 0)
 
-    def eval(self, ctx, si, wo, active=True):
+    def eval(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> mi.Spectrum:
         """BRDF times the cosine of `wo`, of the enabled components."""
         return self.eval_pdf(ctx, si, wo, active)[0]
 
-    def pdf(self, ctx, si, wo, active=True):
+    def pdf(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> mi.Float:
         """Density of `wo` in 1/sr; its integral is what stays above the horizon."""
         share = self._enabled_share(ctx)
         if share is None:
@@ -156,7 +179,13 @@ class GlossyMixture(mi.BSDF):
         pdf = (1 - share) * cosine + share * glossy
         return dr.select(active & one_sided_glossy.above(si.wi, wo), pdf, 0)
 
-    def eval_pdf(self, ctx, si, wo, active=True):
+    def eval_pdf(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> tuple[mi.Spectrum, mi.Float]:
         """Both of :meth:`eval` and :meth:`pdf`."""
         active = active & one_sided_glossy.above(si.wi, wo)
         cosine, glossy = self._densities(si, wo)
@@ -168,14 +197,16 @@ class GlossyMixture(mi.BSDF):
             value += self.specular.eval(si, active) * glossy
         return value & active, self.pdf(ctx, si, wo, active)
 
-    def _densities(self, si, wo):
+    def _densities(
+        self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f
+    ) -> tuple[mi.Float, mi.Float]:
         """Densities of the two lobes at `wo`."""
         return (
             mi.Frame3f.cos_theta(wo) * dr.inv_pi,
             lobe.density(self.exponent, mi.reflect(si.wi), wo),
         )
 
-    def _enabled_share(self, ctx):
+    def _enabled_share(self, ctx: mi.BSDFContext) -> Any:
         """Probability of the glossy lobe among the enabled ones; None without any."""
         diffuse = ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0)
         glossy = one_sided_glossy.glossy_enabled(ctx, 1)
@@ -185,7 +216,7 @@ class GlossyMixture(mi.BSDF):
             return mi.Float(float(glossy))
         return None
 
-    def to_string(self):
+    def to_string(self) -> str:
         """Return a readable description."""
         return (
             f"GlossyMixture[diffuse_reflectance={self.diffuse}, "

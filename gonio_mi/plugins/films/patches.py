@@ -1,5 +1,10 @@
 """Film `patches`: the collector's patches, their tally and the record."""
 
+from __future__ import annotations
+
+from os import PathLike
+from typing import Any
+
 import mitsuba as mi
 import numpy as np
 
@@ -31,14 +36,14 @@ class Patches(mi.Film):
             'subdivision': 'projected:30x30'
     """
 
-    def __init__(self, props):
+    def __init__(self, props: mi.Properties) -> None:
         self.settings = MeasurementSettings.from_properties(props, FILM)
         self.subdivision = self.settings.collector
         props["height"], props["width"] = self.subdivision.shape
         super().__init__(props)
         self.record = None
 
-    def develop(self, raw=False):  # noqa: ARG002
+    def develop(self, raw: bool = False) -> mi.TensorXf:  # noqa: ARG002
         """Return the map of the finished measurement as a tensor."""
         record = self._finished()
         rows = record.brdf
@@ -46,20 +51,20 @@ class Patches(mi.Film):
             rows = np.concatenate([rows, record.btdf[::-1]])
         return mi.TensorXf(np.ascontiguousarray(rows, dtype=np.float32))
 
-    def bitmap(self, raw=False):  # noqa: ARG002
+    def bitmap(self, raw: bool = False) -> mi.Bitmap:  # noqa: ARG002
         """Return the map of the finished measurement as a bitmap."""
         return mi.Bitmap(self.develop())
 
-    def write(self, path):
+    def write(self, path: str | PathLike[str]) -> None:
         """Write the record to `path`, ``.exr`` or ``.npz``."""
         self._finished().save(path)
 
-    def _finished(self):
+    def _finished(self) -> Any:
         if self.record is None:
             raise RuntimeError("film patches: nothing has been measured yet")
         return self.record
 
-    def to_string(self):
+    def to_string(self) -> str:
         """Return a readable description."""
         return (
             f"Patches[subdivision={self.subdivision}, "

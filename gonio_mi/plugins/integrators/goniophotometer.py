@@ -1,5 +1,9 @@
 """Integrator `goniophotometer`: a scene file is a complete measurement."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import mitsuba as mi
 
 from gonio_mi.errors import SpecimenError
@@ -39,13 +43,21 @@ class Goniophotometer(mi.SamplingIntegrator):
             'rays': 1000000
     """
 
-    def __init__(self, props):
+    def __init__(self, props: mi.Properties) -> None:
         check_variant()
         self.settings = MeasurementSettings.from_properties(props, INTEGRATOR)
         super().__init__(props)
 
     @launches_kernels()
-    def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
+    def render(
+        self,
+        scene: mi.Scene,
+        sensor: Any = 0,
+        seed: int = 0,
+        spp: int = 0,
+        develop: bool = True,
+        evaluate: bool = True,
+    ) -> mi.TensorXf:
         """Measure; see the class. The film keeps the record."""
         del evaluate
         if isinstance(sensor, int):
@@ -62,7 +74,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         specimen = Specimen(scene, settings.period)
         instrument.check(specimen)
         bench = instrument.bench(specimen, scene.emitters())
-        tallies = []
+        tallies: list[Any] = []
         send_all(
             instrument,
             [bench],
@@ -75,7 +87,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         sensor.film().record = record
         return sensor.film().develop() if develop else None
 
-    def to_string(self):
+    def to_string(self) -> str:
         """Return a readable description."""
         return f"Goniophotometer[{self.settings}]"
 

@@ -1,6 +1,9 @@
 """Sampler `sobol`: Owen-scrambled Sobol' points, distributed in all dimensions."""
 
+from __future__ import annotations
+
 from functools import cache
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -45,7 +48,7 @@ PASCAL = (
 ORDER = (3, 4, 2, 0, 1, *range(5, 16))
 
 
-def direction_numbers(dimension):
+def direction_numbers(dimension: int) -> list[int]:
     """Direction numbers of a Sobol' dimension from 0 (Joe and Kuo 2008, eqs. 2 and 3).
 
     Returns
@@ -75,7 +78,7 @@ BLOCK = len(ORDER)
 
 
 @cache
-def _byte_table():
+def _byte_table() -> mi.UInt32:
     """Contribution of each byte of an index to each draw of a block, flattened."""
     table = np.zeros((BLOCK, 4, 256), np.uint32)
     for bit in range(32):
@@ -86,13 +89,13 @@ def _byte_table():
 
 
 @cache
-def _curve_table():
+def _curve_table() -> mi.UInt32:
     """Tables of :func:`sorting_tables` for the first two draws of a block."""
     pair = [direction_numbers(dimension) for dimension in ORDER[:2]]
     return mi.UInt32(sorting_tables(*pair).ravel())
 
 
-def along_curve(lane, n):
+def along_curve(lane: mi.UInt32, n: Any) -> mi.UInt32:
     """Permutation of the numbers below `n` that follows a Morton curve.
 
     It keeps the longest blocks of a power of two apart that make up `n`, and follows
@@ -107,7 +110,7 @@ def along_curve(lane, n):
     return index
 
 
-def sobol_known(index, draw):
+def sobol_known(index: mi.UInt32, draw: Any) -> mi.UInt32:
     """Mirrored coordinate of a point, for the `draw` of a block known when tracing."""
     if ORDER[draw] == 0:
         return index
@@ -123,7 +126,7 @@ def sobol_known(index, draw):
     return coordinate
 
 
-def sobol_any(index, draw):
+def sobol_any(index: mi.UInt32, draw: Any) -> mi.UInt32:
     """Mirrored coordinate of a point, for any `draw` of a block."""
     coordinate = mi.UInt32(0)
     for byte in range(4):
@@ -132,7 +135,7 @@ def sobol_any(index, draw):
     return coordinate
 
 
-def owen(x, key):
+def owen(x: mi.UInt32, key: mi.UInt32) -> mi.UInt32:
     """Nested uniform (Owen) scrambling of mirrored coordinates.
 
     Each binary digit is flipped or not depending on those before it: here, on lower
@@ -146,12 +149,12 @@ def owen(x, key):
     return x ^ (x * 0x53A22864)
 
 
-def key(seed, number):
+def key(seed: Any, number: Any) -> mi.UInt32:
     """Word to scramble with, unrelated for other seeds and other numbers."""
     return _hash(seed + number * 0x9E3779B9)
 
 
-def _hash(x):
+def _hash(x: mi.UInt32) -> mi.UInt32:
     """Triple32 of Wellons 2018, a bijection of 32 bits without measurable bias."""
     x = x ^ (x >> 17)
     x = x * 0xED5AD4BB
@@ -162,7 +165,7 @@ def _hash(x):
     return x ^ (x >> 14)
 
 
-def sobol_number(index, seed, draw):
+def sobol_number(index: mi.UInt32, seed: Any, draw: Any) -> mi.UInt32:
     """Scrambled coordinate of points, as 32 bits: number `draw` of each.
 
     Draws of the first block are coordinates of one point. Each further block takes the
@@ -179,7 +182,7 @@ def sobol_number(index, seed, draw):
     return dr.brev(owen(coordinate, key(seed, draw)))
 
 
-def fraction(bits):
+def fraction(bits: mi.UInt32) -> mi.Float:
     """Number in [0, 1) from the leading 24 of 32 bits, as many as fit below 1."""
     return mi.Float(bits >> 8) * 2.0**-24
 
@@ -217,7 +220,7 @@ class Sobol(mi.Sampler):
             'type': 'sobol'
     """
 
-    def __init__(self, props):
+    def __init__(self, props: mi.Properties) -> None:
         if not dr.is_jit_v(mi.Float):
             raise VariantError(
                 f"the sampler sobol needs an llvm or cuda variant, got {mi.variant()}"
@@ -233,7 +236,7 @@ class Sobol(mi.Sampler):
         self.draw = mi.UInt32(0)
         _byte_table()
 
-    def seed(self, seed, wavefront_size=0xFFFFFFFF):
+    def seed(self, seed: Any, wavefront_size: int = 0xFFFFFFFF) -> None:
         """Choose the scrambling and go to the point `start`; nothing recompiles.
 
         Several seeds share the wavefront evenly: that many sequences, one after the
@@ -251,7 +254,7 @@ class Sobol(mi.Sampler):
         self.index = lane + dr.opaque(mi.UInt32, self.start)
         self.draw = mi.UInt32(0)
 
-    def follow_curve(self):
+    def follow_curve(self) -> None:
         """Give neighbouring lanes points whose first two numbers are neighbours.
 
         They are the same points: only their order changes, and what is traced from
@@ -261,35 +264,35 @@ class Sobol(mi.Sampler):
         n = dr.opaque(mi.UInt32, self.per_sequence)
         self.index = along_curve(self.index - start, n) + start
 
-    def advance(self):
+    def advance(self) -> None:
         """Go on by one wavefront."""
         self.index = self.index + self.wavefront_size()
         self.draw = mi.UInt32(0)
 
-    def next_1d(self, active=True):
+    def next_1d(self, active: Any = True) -> mi.Float:
         """Next number of each point."""
         del active
         bits = sobol_number(self.index, self.key, self.draw)
         self.draw = self.draw + 1
         return fraction(bits)
 
-    def next_2d(self, active=True):
+    def next_2d(self, active: Any = True) -> mi.Point2f:
         """Next two numbers of each point."""
         x = self.next_1d(active)
         return mi.Point2f(x, self.next_1d(active))
 
-    def skip(self, n):
+    def skip(self, n: Any) -> None:
         """Leave out the next `n` numbers of each point."""
         self.draw = self.draw + n
 
-    def fork(self):
+    def fork(self) -> Sobol:
         """Return a sampler of the same settings, to be seeded."""
         copy = type(self)(mi.Properties("sobol"))
         copy.set_sample_count(self.sample_count())
         copy.base_seed, copy.start = self.base_seed, self.start
         return copy
 
-    def clone(self):
+    def clone(self) -> Sobol:
         """Return a sampler that draws the same numbers."""
         copy = self.fork()
         if self.wavefront_size():
@@ -298,11 +301,11 @@ class Sobol(mi.Sampler):
         copy.per_sequence = self.per_sequence
         return copy
 
-    def schedule_state(self):
+    def schedule_state(self) -> None:
         """Schedule the state for evaluation."""
         dr.schedule(self.index, self.key, self.draw)
 
-    def to_string(self):
+    def to_string(self) -> str:
         """Return a readable description."""
         return f"Sobol[sample_count={self.sample_count()}]"
 

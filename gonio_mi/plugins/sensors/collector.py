@@ -1,5 +1,7 @@
 """Sensor `collector`: the sphere around the specimen that receives the light."""
 
+from __future__ import annotations
+
 import mitsuba as mi
 
 from gonio_mi.errors import SettingError
@@ -35,7 +37,7 @@ class Collector(mi.Sensor):
             'film': {'type': 'patches'}
     """
 
-    def __init__(self, props):
+    def __init__(self, props: mi.Properties) -> None:
         self.settings = MeasurementSettings.from_properties(props, COLLECTOR)
         for name, value in props.objects():
             known = mi.Sampler if name == "sampler" else (mi.Film, mi.Sampler)
@@ -53,7 +55,7 @@ class Collector(mi.Sensor):
             )
         check_sampler("collector.sampler", self.sampler())
 
-    def to_string(self):
+    def to_string(self) -> str:
         """Return a readable description."""
         return (
             f"Collector[radius={self.settings.collector_radius:g}, film={self.film()}]"
