@@ -138,7 +138,8 @@ def tells_of_our_bug(error: BaseException) -> bool:
     if traced is None or os.path.dirname(__file__) not in traced[1]:
         return False
     kind = globals().get(traced[2], getattr(builtins, traced[2], Exception))
-    return not issubclass(kind, (*_USERS, RuntimeError))
+    # the last two are Mitsuba's, the latter of a property that is no text
+    return not issubclass(kind, (*_USERS, RuntimeError, UnicodeDecodeError))
 
 
 class Frame(NamedTuple):

@@ -851,6 +851,14 @@ def test_bugs_of_users_plugins_are_theirs(refuse, write):
     assert "LinAlgError" in message
 
 
+def test_scenes_that_are_no_text_are_the_users(refuse, write):
+    """Mitsuba reads them, and hands their words to our plugins."""
+    word = b'<integrator type="goniophotometer"><string name="estimator" value="\xef"/>'
+    scene = SCENE.encode().replace(b"<shape", word + b"</integrator><shape", 1)
+    message = refuse("measure", write("scene.xml", scene), *QUICK[2:])
+    assert "this is a bug of" not in message
+
+
 def test_debug_shows_where_errors_of_users_arose(run):
     message = "gonio-mi: rays must be at least 1, got 0\n"
     code, out, err = run(*DIFFUSE, "--rays", "0", "--debug")
