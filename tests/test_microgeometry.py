@@ -257,13 +257,15 @@ def test_benchmark_sends_the_same_paths():
     events = ours.depth * (ours.d[:, 2] > 0)
     # evenly distributed points have no larger error than independent ones
     error = events.std() * np.sqrt(2 / RAYS)
-    bare = benchmark.bare_paths(64)(RAYS, 0)
-    agree(single((bare - events.mean()) / error))
-    disagree(single((bare + 0.05 - events.mean()) / error))
+    for rows in (False, True):
+        bare = benchmark.bare_paths(64, rows)(RAYS, 0)
+        agree(single((bare - events.mean()) / error))
+        disagree(single((bare + 0.05 - events.mean()) / error))
     for coherent in (False, True):
         assert benchmark.film_paths(64, coherent)(2**14, 0) == 1
-    reflected = benchmark.gonio_paths(64, "sobol")(2**14, 0)
-    assert 0.8 < reflected < mine / RAYS
+    for batches in (1, 4):
+        reflected = benchmark.gonio_paths(64, "sobol", batches)(2**14, 0)
+        assert 0.8 < reflected < mine / RAYS
 
 
 # ------------------------------------------------------------------------ cavities

@@ -212,6 +212,66 @@ def test_variance_is_that_of_scipys_scrambled_points(sobol):
         disagree(single(normal_scores(difference.statistic, difference.df)))
 
 
+# ------------------------------------------------------------------ the curve
+
+
+def test_scrambling_is_undone(sobol):
+    """Exact, in the lowest 16 bits, of which no place along a curve has more."""
+    x, key = np.random.default_rng(2).integers(2**32, size=(2, 4096), dtype=np.uint32)
+    found = sobol.owen_inverse(mi.UInt32(x), mi.UInt32(key))
+    again = sobol.owen(found, mi.UInt32(key)).numpy()
+    assert np.array_equal(again & 0xFFFF, x & 0xFFFF)
+    assert not np.array_equal(found.numpy() & 0xFFFF, x & 0xFFFF)
+
+
+@pytest.mark.parametrize(
+    ("start", "n"),
+    [
+        (0, 1),
+        (0, 2**14),
+        (0, 1000),
+        (7, 1),
+        (8, 4),
+        (12_345, 54_321),
+        (2**20, 300),
+        (2**24 - 1, 2**15),
+        (2**32 - 5000, 5000),
+    ],
+)
+def test_the_curve_meets_each_point_once(sobol, start, n):
+    """Exact, wherever a wavefront begins and ends in the sequence."""
+    for seed in (1, 99):
+        lanes = dr.arange(mi.UInt32, n)
+        index = sobol.along_curve(lanes, start, n, mi.UInt32(seed))
+        met = np.sort(index.numpy().astype(np.int64))
+        assert np.array_equal(met, np.arange(start, start + n))
+
+
+def test_sequences_walk_along_one_curve():
+    """Exact: neighbouring lanes, of other sequences, share boxes of 2**-8 by 2**-8.
+
+    Twin: points of the same numbers do not.
+    """
+    n, seeds = 2**16, [1, 2, 3]
+    for start in (0, 5 * n):
+        one, other = (
+            loaded(seed=mi.UInt32(seeds), n=len(seeds) * n, start=start)
+            for _ in range(2)
+        )
+        sequence, number = other.follow_curve()
+        apart, together = ((draw_all(x, (2,)) * 2**8).astype(int) for x in (one, other))
+        together = together.reshape(2, n, len(seeds))
+        assert np.all(np.ptp(together, axis=2) == 0)
+        assert np.mean(np.ptp(apart.reshape(2, -1, n), axis=1) == 0) < 0.1
+        # and nearly all steps of the curve lead to the box beside
+        steps = np.abs(np.diff(together[:, :, 0], axis=1)).sum(axis=0)
+        assert np.median(steps) <= 1
+        assert np.array_equal(sequence.numpy(), np.tile(np.arange(3), n))
+        for i in range(len(seeds)):
+            mine = np.sort(number.numpy()[i :: len(seeds)])
+            assert np.array_equal(mine, np.arange(n))
+
+
 # ------------------------------------------------------------------ the sampler
 
 
@@ -410,12 +470,28 @@ def test_the_best_dimensions_go_to_the_scattering_with_any_footprint():
 def test_batches_that_share_a_launch_have_the_bits_of_their_own(monkeypatch, trace):
     """Exact, with batches of unequal size, and several launches of a few batches."""
     integrator = importlib.import_module("gonio_mi.instrument.instrument")
-    settings = {"theta_i": [0, 60], "rays": 10_003, "batches": 7, "trace": trace}
+    settings = {"theta_i": [0, 60], "rays": 10_021, "batches": 7, "trace": trace}
     whole = gonio.measure(PLASTIC, **settings)
     monkeypatch.setattr(integrator, "FUSED_RAYS", 5000)
     assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
     monkeypatch.setattr(integrator, "FUSED_SUMS", 0)
     assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
+
+
+def test_batches_of_geometry_that_share_a_launch_have_the_bits_of_their_own(
+    monkeypatch,
+):
+    """Exact: in packets of rays with other batches, and of a batch alone."""
+    integrator = importlib.import_module("gonio_mi.instrument.instrument")
+    bsdf = {"type": "twosided", "bsdf": {"type": "conductor"}}
+    hills = {"type": "heightfield", "alpha": 0.5, "resolution": 64, "bsdf": bsdf}
+    settings = {"theta_i": 30, "rays": 99_998, "batches": 5}
+    whole = gonio.measure(hills, **settings)
+    monkeypatch.setattr(integrator, "FUSED_RAYS", 50_000)
+    assert gonio.measure(hills, **settings).tallies == whole.tallies
+    monkeypatch.setattr(integrator, "FUSED_SUMS", 0)
+    monkeypatch.setattr(integrator, "FIRST_TRACED", 3000)
+    assert gonio.measure(hills, **settings).tallies == whole.tallies
 
 
 @pytest.mark.parametrize("trace", [False, True])

@@ -9,6 +9,7 @@ import numpy as np
 from ..collector.directions import direction
 from ..instrument.instrument import Instrument
 from ..instrument.scene_settings import sampler_of
+from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
 from ..transport.beam import Beam
 from ..transport.ray_offsets import SURFACE_OFFSET
@@ -35,39 +36,48 @@ def surface(resolution, alpha=0.5):
     }
 
 
-def gonio_paths(resolution, sampler, estimator="weighted", period="none"):
-    """Our instrument, set up: a function that sends rays in one batch.
+def gonio_paths(resolution, sampler, batches, period="none"):
+    """Our instrument: a function that measures as `measure` does with loaded scenes.
 
     Returns
     -------
     callable
-        ``send(rays, seed)`` gives the share of the rays that were reflected.
+        ``send(rays, seed)`` gives the share of the rays that were reflected; the error
+        bars of the record are computed too.
     """
-    settings = MeasurementSettings().changed(
-        batches=1,
-        estimator=estimator,
-        sampler={"type": sampler},
-        period=period,
-        max_depth=MAX_DEPTH,
-    )
-    instrument = Instrument(settings, sampler_of(settings))
+    scene = mi.load_dict({"type": "scene", "surface": surface(resolution)})
     incoming = -direction(np.radians(THETA_I), 0.0)
     emitter = mi.load_dict({"type": "directional", "direction": incoming.tolist()})
-    scene = mi.load_dict({"type": "scene", "surface": surface(resolution)})
-    bench = instrument.bench(Specimen(scene, period), [emitter])
+    given = {"max_depth": MAX_DEPTH, "batches": batches, "period": period}
+    settings = MeasurementSettings().changed(sampler={"type": sampler}, **given)
+    specimen = Specimen(scene, period)
 
     def _send(rays, seed):
-        (tally,) = instrument.tallies(bench, (seed, 0), [rays])
-        return tally.ledger.reflected / rays
+        # anew, for it learns how many rays a launch takes
+        instrument = Instrument(settings, sampler_of(settings))
+        bench = instrument.bench(specimen, [emitter])
+        sizes = batch_sizes(rays, batches)
+        tallies = list(instrument.tallies(bench, (seed, 0), sizes))
+        record = instrument.record(bench, Tally.join(tallies), seed)
+        if batches > 1:
+            record.interval(0.95)
+        return record.tallies[0].ledger.reflected / rays
 
     return _send
 
 
-def bare_paths(resolution):
+def bare_paths(resolution, rows):
     """The same paths with nothing but Embree: hit after hit, no sampling, no sums.
 
-    Origins are those of our ordered rays, and rays are as watertight as ours; a mirror
+    Rays are as watertight as ours, and the first ones are said to be coherent; a mirror
     turns them. What is faster than that traces less.
+
+    Parameters
+    ----------
+    resolution : int
+    rows : bool
+        Rays start on a square grid, row by row, about as many as asked for; else where
+        those of a batch of ours do, in the same order.
 
     Returns
     -------
@@ -81,9 +91,12 @@ def bare_paths(resolution):
     offset = specimen.reach * SURFACE_OFFSET
 
     def _send(rays, seed):
-        sampler = mi.load_dict({"type": "sobol"})
-        sampler.seed(seed, rays)
-        sampler.follow_curve()
+        if rows:
+            sampler = _Grid(round(rays**0.5))
+        else:
+            sampler = mi.load_dict({"type": "sobol"})
+            sampler.seed(seed, rays)
+            sampler.follow_curve()
         p, wi, _, _ = beam.sample(sampler, mi.Color0f())
         ray = mi.Ray3f(p + offset * wi, -wi)
         depth, d = _bounced(specimen.scene, ray, mi.Float(offset))
@@ -93,13 +106,27 @@ def bare_paths(resolution):
     return _send
 
 
+class _Grid:
+    """What a beam draws from, as a sampler: the centres of a square grid, in rows."""
+
+    def __init__(self, side):
+        self.side = side
+
+    def next_2d(self):
+        """Centres of all cells, in the unit square."""
+        number = dr.arange(mi.UInt32, self.side**2)
+        side = dr.opaque(mi.UInt32, self.side)
+        x, y = number % side, number // side
+        return (mi.Point2f(mi.Float(x), mi.Float(y)) + 0.5) / mi.Float(side)
+
+
 @dr.syntax
 def _bounced(scene, ray, offset):
     """Number of reflections of rays, and where they go in the end."""
     active = mi.Bool(True)
     depth = mi.UInt32(0)
     while active:
-        si = scene.ray_intersect(ray, mi.RayFlags.Minimal, False, active)
+        si = scene.ray_intersect(ray, mi.RayFlags.Minimal, depth == 0, active)
         active &= si.is_valid()
         d = ray.d - 2 * dr.dot(ray.d, si.n) * si.n
         ray.d[active] = d
@@ -176,14 +203,20 @@ def print_speeds(rays, repeats, resolutions=(256, 512, 1024)):
 def _print_speeds(rays, repeats, resolution):
     """Print paths per second on one surface."""
     ways = {
-        ("gonio-mi", "random origins (independent)"): gonio_paths(
-            resolution, "independent"
+        ("gonio-mi, 16 batches", "random origins (independent)"): gonio_paths(
+            resolution, "independent", 16
         ),
-        ("gonio-mi", "origins along a curve (sobol)"): gonio_paths(resolution, "sobol"),
-        ("gonio-mi", "the same, one periodic cell"): gonio_paths(
-            resolution, "sobol", period="box"
+        ("gonio-mi, 16 batches", "along a curve (sobol)"): gonio_paths(
+            resolution, "sobol", 16
         ),
-        ("Embree alone", "origins along a curve (sobol)"): bare_paths(resolution),
+        ("gonio-mi, one batch", "along a curve (sobol)"): gonio_paths(
+            resolution, "sobol", 1
+        ),
+        ("gonio-mi, 16 batches", "the same, one periodic cell"): gonio_paths(
+            resolution, "sobol", 16, period="box"
+        ),
+        ("Embree alone", "along a curve (sobol)"): bare_paths(resolution, rows=False),
+        ("Embree alone", "in rows"): bare_paths(resolution, rows=True),
         ("Mitsuba path", "random film positions, one pixel"): film_paths(
             resolution, coherent=False
         ),

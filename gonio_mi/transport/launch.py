@@ -91,9 +91,12 @@ def _sums(
     if traced and len(sizes) * lanes == 1:
         lanes = 2  # in a single one Dr.Jit 1.5 takes a loop's variables for constants
     sampler = seeded(sampler, keys, begin, lanes)
-    # as many lanes as rays, even where none of them draws a number
-    lane = dr.arange(mi.UInt32, len(sizes) * lanes)
-    batch, ray = (mi.UInt32(0), lane) if capacity == 1 else apart(lane, lanes)
+    if traced and hasattr(sampler, "follow_curve"):
+        batch, ray = sampler.follow_curve()
+    else:
+        # as many lanes as rays, even where none of them draws a number
+        lane = dr.arange(mi.UInt32, len(sizes) * lanes)
+        batch, ray = (mi.UInt32(0), lane) if capacity == 1 else apart(lane, lanes)
     # the last batches may be shorter by one ray
     full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
     size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)

@@ -139,8 +139,6 @@ def trace(
 
     `deposits`, a :class:`~.next_event.Deposits`, is told of every event.
     """
-    if hasattr(sampler, "follow_curve"):
-        sampler.follow_curve()
     p, wi, distance, weight = beam.sample(sampler, wavelengths)
     β = _emitted(weight, sampler, settings.analog, beam.uniform)
 
@@ -168,9 +166,11 @@ def trace(
     density = mi.Float(dr.inf)  # Of the direction that it chose
     active = mi.Bool(lit)  # Still in flight?
 
+    # to which of the faces at an edge a ray goes depends on it: all of a point may
+    together = beam.footprint != "point"
     while active:
         ray = flight.ray
-        si = intersect(scene, ray, flags, active)
+        si = intersect(scene, ray, flags, active, (depth == 0) & together)
 
         # ------------------- Rays that leave, or have had enough events ---------------
         met = encounter(specimen, beam.side, flight, si, active)

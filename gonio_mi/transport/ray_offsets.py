@@ -57,14 +57,19 @@ START = 2.0**-18
 
 
 def intersect(
-    scene: mi.Scene, ray: mi.Ray3f, flags: int, active: mi.Bool
+    scene: mi.Scene,
+    ray: mi.Ray3f,
+    flags: int,
+    active: mi.Bool,
+    coherent: mi.Bool | bool = False,
 ) -> mi.SurfaceInteraction3f:
     """Surface interaction whose geometric normal is on the side of the shading normal.
 
     Mitsuba 3.9.1 turns the former alone over where a rectangle or mesh is mirrored.
+    `coherent`: whether the rays of neighbouring lanes are alike; that is for speed.
     """
     flags |= mi.RayFlags.ShadingFrame
-    si = scene.ray_intersect(ray, flags, False, active)
+    si = scene.ray_intersect(ray, flags, coherent, active)
     si.n = dr.select(dr.dot(si.n, si.sh_frame.n) < 0, -si.n, si.n)
     return si
 

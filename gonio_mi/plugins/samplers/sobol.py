@@ -33,14 +33,21 @@ POLYNOMIALS = (
     (0b1100001, (1, 3, 1, 13, 27, 49)),
 )
 
-# Binomial coefficients modulo 2 as shifts.
-PASCAL = (
+# Shifts, and every other group of as many bits.
+GROUPS = (
     (16, 0x0000FFFF),
     (8, 0x00FF00FF),
     (4, 0x0F0F0F0F),
     (2, 0x33333333),
     (1, 0x55555555),
 )
+
+# Binary digits of the number of chunks that the points along a curve are cut into: of
+# many few points are left over, of few a box of the specimen fits into a cache.
+CHUNK_DIGITS = 8
+
+# Factors of the scrambling.
+FACTORS = (0x3D20ADEA, 0x05526C56, 0x53A22864)
 
 # Sobol' dimension of each draw of a block. The first two are the best distributed and
 # the cheapest; they go to the direction of scattering in the usual order of draws:
@@ -95,19 +102,107 @@ def _curve_table() -> mi.UInt32:
     return mi.UInt32(sorting_tables(*pair).ravel())
 
 
-def along_curve(lane: mi.UInt32, n: Any) -> mi.UInt32:
-    """Permutation of the numbers below `n` that follows a Morton curve.
+def along_curve(place: mi.UInt32, start: int, n: int, seed: mi.UInt32) -> mi.UInt32:
+    """Permutation of points, from `start` to `start + n`, that follows a Morton curve.
 
-    It keeps the longest blocks of a power of two apart that make up `n`, and follows
-    the curve in each of them.
+    It sorts by the first two numbers, scrambled with `seed`, so that points of any
+    seeds at one place are neighbours. The points are cut into aligned chunks, each of
+    which has one point in each of as many boxes along the curve. In a box, chunks that
+    make up an aligned block of a power of two follow the curve together. Less than one
+    point in 64 is in no chunk: these come last, as they are.
+
+    Parameters
+    ----------
+    place : mi.UInt32
+        Numbers below `n`.
+    start, n : int
+        Both together at most 2**32.
+    seed : mi.UInt32
+
+    Returns
+    -------
+    mi.UInt32
+        Indices of points.
     """
-    bits = 31 - dr.lzcnt(lane ^ n)
-    place = lane & ((mi.UInt32(1) << bits) - 1)
-    index = lane ^ place
+    level = max(n.bit_length() - CHUNK_DIGITS, 0)  # binary digits of a chunk's size
+    first, last = -(-start >> level), start + n >> level
+    box, chunk = apart(place, last - first)
+    chunk = chunk + dr.opaque(mi.UInt32, first)
+    bits = _bits_of_block(chunk, first, last)
+    in_block = chunk & ((mi.UInt32(1) << bits) - 1)
+    levels = dr.opaque(mi.UInt32, level)
+    base = (chunk ^ in_block) << levels
+    index = _point_at((box << bits) | in_block, base, bits + levels, seed)
+
+    # before and after the chunks
+    whole, before = (last - first) << level, (first << level) - start
+    rest = place - dr.opaque(mi.UInt32, whole)
+    skipped = dr.select(rest < dr.opaque(mi.UInt32, before), rest, place)
+    skipped += dr.opaque(mi.UInt32, start)
+    return dr.select(place < dr.opaque(mi.UInt32, whole), index, skipped)
+
+
+def _bits_of_block(number: mi.UInt32, first: int, last: int) -> mi.UInt32:
+    """Binary digits of the size of the longest aligned block about a `number`.
+
+    Blocks fill the range from `first` to before `last`: they grow up to where both have
+    their highest block in common, and then shrink.
+    """
+    most = (first ^ last).bit_length() - 1
+    growing = (last >> most << most) - first
+    low, end = dr.opaque(mi.UInt32, first), dr.opaque(mi.UInt32, last % 2**32)
+    return dr.select(
+        number - low < dr.opaque(mi.UInt32, growing),
+        dr.minimum(_highest_bit(number ^ (low - 1)), dr.opaque(mi.UInt32, most)),
+        _highest_bit(number ^ end),
+    )
+
+
+def _point_at(
+    place: mi.UInt32, base: mi.UInt32, bits: mi.UInt32, seed: mi.UInt32
+) -> mi.UInt32:
+    """Index of the point at a `place` along the curve, of ``2**bits`` from `base`."""
+    # digits wanted, mirrored, and what is scrambled to them, without the block's own
+    digits = _mirrored(place, bits)
+    x, y = (
+        owen_inverse(_every_other(digits >> draw), key(seed, draw))
+        ^ sobol_any(base, mi.UInt32(draw))
+        for draw in (0, 1)
+    )
+    digits = _spread(x) | (_spread(y) << 1)
+    place = _mirrored(digits & ((mi.UInt32(1) << bits) - 1), bits)
+    index = base
     for byte in range(4):
         entry = (4 * bits + byte) * 256 + ((place >> 8 * byte) & 255)
         index = index ^ dr.gather(mi.UInt32, _curve_table(), entry)
     return index
+
+
+def _highest_bit(x: mi.UInt32) -> mi.UInt32:
+    """Number of the highest bit that is set."""
+    return 31 - dr.lzcnt(x)
+
+
+def _mirrored(x: mi.UInt32, bits: mi.UInt32) -> mi.UInt32:
+    """The lowest `bits` bits in reverse order, at most 31; all others must be 0."""
+    return dr.brev(x) >> (31 - bits) >> 1
+
+
+def _every_other(x: mi.UInt32) -> mi.UInt32:
+    """Every second bit, from the lowest, as 16 bits."""
+    masks = [mask for _, mask in GROUPS]
+    x = x & masks[-1]
+    for (shift, _), mask in zip(GROUPS[:0:-1], masks[-2::-1]):
+        x = (x | (x >> shift)) & mask
+    return x
+
+
+def _spread(x: mi.UInt32) -> mi.UInt32:
+    """The lowest 16 bits, as every second one from the lowest."""
+    x = x & GROUPS[0][1]
+    for shift, mask in GROUPS[1:]:
+        x = (x | (x << shift)) & mask
+    return x
 
 
 def sobol_known(index: mi.UInt32, draw: Any) -> mi.UInt32:
@@ -116,7 +211,7 @@ def sobol_known(index: mi.UInt32, draw: Any) -> mi.UInt32:
         return index
     if ORDER[draw] == 1:
         # binomial coefficients modulo 2, as a product of five matrices (Ahmed 2024)
-        for shift, mask in PASCAL:
+        for shift, mask in GROUPS:
             index = index ^ ((index >> shift) & mask)
         return index
     coordinate = mi.UInt32(0)
@@ -140,13 +235,37 @@ def owen(x: mi.UInt32, key: mi.UInt32) -> mi.UInt32:
 
     Each binary digit is flipped or not depending on those before it: here, on lower
     bits. Sums and products with odd numbers do just that (Laine and Karras 2011); the
-    constants are those of Vegdahl 2021, as in PBRT.
+    factors are those of Vegdahl 2021, as in PBRT.
     """
-    x = x ^ (x * 0x3D20ADEA)
+    x = x ^ (x * FACTORS[0])
     x = x + key
     x = x * (key >> 16 | 1)
-    x = x ^ (x * 0x05526C56)
-    return x ^ (x * 0x53A22864)
+    x = x ^ (x * FACTORS[1])
+    return x ^ (x * FACTORS[2])
+
+
+def owen_inverse(x: mi.UInt32, key: mi.UInt32) -> mi.UInt32:
+    """What :func:`owen` scrambles to `x`, in the lowest 16 bits."""
+    x = _before(_before(x, FACTORS[2]), FACTORS[1])
+    factor = key >> 16 | 1
+    # each step of Newton's method doubles the bits of the inverse, from five
+    inverse = factor * 3 ^ 2
+    for _ in range(2):
+        inverse = inverse * (2 - factor * inverse)
+    return _before(x * inverse - key, FACTORS[0])
+
+
+def _before(y: mi.UInt32, factor: int) -> mi.UInt32:
+    """Solution `x` of ``x ^ (x * factor) == y``, in the lowest 16 bits.
+
+    The product shifts by as many bits as the even `factor` has zeros at its end: that
+    many are right at first, and each step makes as many more so.
+    """
+    zeros = (factor & -factor).bit_length() - 1
+    x = y
+    for _ in range(-(-16 // zeros) - 1):
+        x = y ^ (x * factor)
+    return x
 
 
 def key(seed: Any, number: Any) -> mi.UInt32:
@@ -234,6 +353,8 @@ class Sobol(mi.Sampler):
         self.index = mi.UInt32(0)
         self.key = mi.UInt32(0)
         self.draw = mi.UInt32(0)
+        # Number of sequences, and what each of them is scrambled with
+        self.sequences, self.keys = 1, mi.UInt32(0)
         _byte_table()
 
     def seed(self, seed: Any, wavefront_size: int = 0xFFFFFFFF) -> None:
@@ -243,26 +364,36 @@ class Sobol(mi.Sampler):
         other.
         """
         super().seed(seed, wavefront_size)
-        self.key = mi.UInt32(seed) + self.base_seed
-        dr.make_opaque(self.key)
+        self.keys = self.key = mi.UInt32(seed) + self.base_seed
+        dr.make_opaque(self.keys)
         lane = dr.arange(mi.UInt32, self.wavefront_size())
-        n_keys = dr.width(self.key)
-        self.per_sequence = self.wavefront_size() // n_keys
-        if n_keys > 1:
+        self.sequences = dr.width(self.keys)
+        self.per_sequence = self.wavefront_size() // self.sequences
+        if self.sequences > 1:
             sequence, lane = apart(lane, self.per_sequence)
             self.key = dr.gather(mi.UInt32, self.key, sequence)
         self.index = lane + dr.opaque(mi.UInt32, self.start)
         self.draw = mi.UInt32(0)
 
-    def follow_curve(self) -> None:
+    def follow_curve(self) -> tuple[mi.UInt32, mi.UInt32]:
         """Give neighbouring lanes points whose first two numbers are neighbours.
 
-        They are the same points: only their order changes, and what is traced from
-        them meets the same parts of memory.
+        All sequences walk along one curve together, side by side. They are the same
+        points: only their order changes, and what is traced from them meets the same
+        parts of memory.
+
+        Returns
+        -------
+        sequence, number : mi.UInt32
+            Of each lane, and number of its point in that sequence, from 0.
         """
-        start = dr.opaque(mi.UInt32, self.start)
-        n = dr.opaque(mi.UInt32, self.per_sequence)
-        self.index = along_curve(self.index - start, n) + start
+        lane = dr.arange(mi.UInt32, self.wavefront_size())
+        place, sequence = apart(lane, self.sequences)
+        # at least two keys: what is gathered from a single one is another kernel
+        keys = dr.concat([self.keys, self.keys])
+        self.key = dr.gather(mi.UInt32, keys, sequence)
+        self.index = along_curve(place, self.start, self.per_sequence, self.key)
+        return sequence, self.index - dr.opaque(mi.UInt32, self.start)
 
     def advance(self) -> None:
         """Go on by one wavefront."""
@@ -298,7 +429,8 @@ class Sobol(mi.Sampler):
         if self.wavefront_size():
             mi.Sampler.seed(copy, 0, self.wavefront_size())
         copy.index, copy.key, copy.draw = self.index, self.key, self.draw
-        copy.per_sequence = self.per_sequence
+        copy.sequences, copy.per_sequence = self.sequences, self.per_sequence
+        copy.keys = self.keys
         return copy
 
     def schedule_state(self) -> None:
