@@ -1,5 +1,7 @@
 """Records built by hand from whole numbers, without a renderer."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from gonio_mi.collector import subdivision
@@ -37,6 +39,12 @@ def tally(patches, weights, rays, rng, channels=1, n_batches=4, analog=False):
         fates=fates,
         scale=scale,
     )
+
+
+def writeable(tally):
+    """Copy of a record's tally, to be filled in for another record."""
+    copies = {name: getattr(tally, name).copy() for name in tally.arrays}
+    return replace(tally, **copies)
 
 
 def record(
@@ -91,10 +99,11 @@ def lambertian(reflectance=0.5, theta_i=(0.0, 30.0, 60.0), collector="projected:
     patches = subdivision(collector)
     base = record(collector, theta_i=theta_i, phi_i=(0.0,) * len(theta_i), n_batches=2)
     share = patches.projected_solid_angles * (reflectance / np.pi)
-    for tally in base.tallies:
+    tallies = [writeable(tally) for tally in base.tallies]
+    for tally in tallies:
         one = np.round(share * tally.incident[0, 0]).astype(np.uint64)
         tally.sums[:] = one[None, None, ..., None]
-    return base
+    return replace(base, tallies=tuple(tallies))
 
 
 def huge():

@@ -457,7 +457,7 @@ def test_a_file_that_cannot_be_saved_costs_no_other(run, tmp_path, monkeypatch):
             raise OSError(28, "No space left on device", path)
         save(record, path)
 
-    monkeypatch.setattr(files, "save", save_all_but_one)
+    monkeypatch.setattr(gonio.Record, "writer", save_all_but_one)
     code, out, err = run(*QUICK, "-o", *paths)
     assert (code, err) == (1, f"gonio-mi: {paths[0]}: No space left on device\n")
     assert "dhr" in out
@@ -690,8 +690,7 @@ def synthetic(hits_per_batch=100, batches=4, **fates):
     ],
 )
 def test_warnings(fates, words):
-    record = synthetic(**fates)
-    record.settings["transmission"] = "none"
+    record = synthetic(**fates).with_settings(transmission="none")
     sentences = summarize(record)["warnings"]
     assert len(sentences) == len(words)
     for sentence, word in zip(sentences, words):
@@ -699,8 +698,7 @@ def test_warnings(fates, words):
 
 
 def test_declared_transmission_is_no_leak():
-    record = synthetic(transmitted=600)
-    record.settings["transmission"] = "declared"
+    record = synthetic(transmitted=600).with_settings(transmission="declared")
     assert summarize(record)["warnings"] == []
 
 

@@ -199,12 +199,20 @@ def test_rms_is_that_of_the_paper():
     disagree(Verdict({"rms": float(2 * stats.chi2.sf(square, m - 1))}))
 
 
+def with_hits(record, n):
+    """Record with so many hits of unit weight in the first patch, one per batch."""
+    made = synthetic.writeable(record.tallies[0])
+    made.hits[0, 0, 0] = n
+    made.sums[:, 0, 0, 0] = 0
+    made.sums[:n, 0, 0, 0] = made.scale
+    return replace(record, tallies=(made,))
+
+
 def test_empty_patches_take_part():
     """No hit where 20 were expected has the exact score of Poisson's law."""
     record = gloss()
+    record = with_hits(record, 0)
     (made,) = record.tallies
-    made.sums[:, 0, 0, 0] = 0
-    made.hits[0, 0, 0] = 0
     weight = 1.0  # of a hit of the synthetic record
     rays = made.ledger.emitted
     values = record.brdf[..., 0].ravel().copy()
@@ -224,11 +232,7 @@ def test_empty_patches_take_part():
 def test_empty_patch_of_one_of_two_records():
     """Given the sum of hits, those of one record are binomial: here a fair coin."""
     a, b = gloss(seed=1), gloss(seed=2)
-    for record, n in ((a, 0), (b, 12)):
-        (made,) = record.tallies
-        made.hits[0, 0, 0] = n
-        made.sums[:, 0, 0, 0] = 0
-        made.sums[:n, 0, 0, 0] = made.scale
+    a, b = with_hits(a, 0), with_hits(b, 12)
     comparison = compare(a, b)
     assert comparison.z[0] == pytest.approx(special.ndtri(0.5**12), rel=100 * EPS)
 
@@ -236,9 +240,8 @@ def test_empty_patch_of_one_of_two_records():
 def test_few_hits_and_an_uncertain_mean():
     """The mean of Poisson's law follows a gamma distribution: a negative binomial."""
     record = gloss()
+    record = with_hits(record, 0)
     (made,) = record.tallies
-    made.sums[:, 0, 0, 0] = 0
-    made.hits[0, 0, 0] = 0
     values, sigma = record.brdf[..., 0].ravel().copy(), np.zeros(48)
     # 20 hits were expected, give or take 10: 4 successes of a chance of 1 in 6
     solid = record.subdivision.projected_solid_angles[0, 0]
@@ -254,11 +257,7 @@ def test_empty_patch_of_the_shorter_of_two_records():
     """One has a quarter of all rays: of 12 hits it gets none by (3 / 4)^12."""
     a = synthetic.record(rays=50_000, n_batches=32, seed=1)
     b = synthetic.record(rays=150_000, n_batches=32, seed=2)
-    for record, n in ((a, 0), (b, 12)):
-        (made,) = record.tallies
-        made.hits[0, 0, 0] = n
-        made.sums[:, 0, 0, 0] = 0
-        made.sums[:n, 0, 0, 0] = made.scale
+    a, b = with_hits(a, 0), with_hits(b, 12)
     z = special.ndtri(0.75**12)
     # rounding: of the flux that a hit is worth, twice, and of the inverse of a tail
     assert compare(a, b).z[0] == pytest.approx(z, rel=100 * EPS)
@@ -267,10 +266,8 @@ def test_empty_patch_of_the_shorter_of_two_records():
 
 def test_passes_of_the_same_rays_count_once():
     """Hits, and what one is worth, are those of one pass of the rays."""
-    once = gloss(analog=True)
+    once = with_hits(gloss(analog=True), 0)
     (made,) = once.tallies
-    made.hits[0, 0, 0] = 0
-    made.sums[:, 0, 0, 0] = 0
     doubled = replace(made, hits=made.hits * 2, fates=made.fates * np.uint64(2))
     twice = replace(once, tallies=(doubled,), settings={**once.settings, "passes": 2})
     patch = np.arange(once.subdivision.n_patches)
@@ -284,9 +281,10 @@ def test_passes_of_the_same_rays_count_once():
 def test_batches_that_agree_are_trusted_to_a_rounded_hit():
     """Of each batch 1 / 12 of a hit in square, where all have the same sum."""
     record = gloss()
-    (made,) = record.tallies
+    made = synthetic.writeable(record.tallies[0])
     made.hits[0, 0, 0] = 320
     made.sums[:, 0, 0, 0] = 10 * made.scale
+    record = replace(record, tallies=(made,))
     zero = np.zeros(1, int)
     even = Readings.of(record, 0, zero, zero, zero)
     assert even.std_err == 0

@@ -12,8 +12,10 @@ from gonio_mi.results.estimates import (
     FEW_DEPOSITS,
     FEW_EVEN_HITS,
     FEW_HITS,
-    Estimates,
+    IntegralEstimates,
+    SampledEstimates,
 )
+from gonio_mi.results.integral_sums import Integrals
 from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Tally
 
 EPS = np.finfo(float).eps
@@ -54,7 +56,7 @@ def student(estimates, patch):
 
 
 def test_values_and_standard_errors():
-    estimates = Estimates(tally(), independent=True)
+    estimates = SampledEstimates(tally(), independent=True)
     hits = np.array(HITS)
     close(estimates.fraction(0)[0, :, 0], hits.sum(axis=1) * 0.5 / (2 * RAYS))
     scatter = np.abs(np.diff(hits))[:, 0] / 2 * 0.5 / RAYS  # of two batches
@@ -73,7 +75,7 @@ def test_few_hits_have_exact_intervals(independent, by_student):
     """
     assert sum(HITS[0]) > FEW_HITS > sum(HITS[1])
     assert sum(HITS[2]) > FEW_EVEN_HITS > sum(HITS[3])
-    estimates = Estimates(tally(), independent)
+    estimates = SampledEstimates(tally(), independent)
     low, high = (limit[0, :, 0] for limit in estimates.interval(0, LEVEL))
     for patch, hits in enumerate(HITS[:4]):
         expected = np.ravel(student(estimates, patch))
@@ -93,7 +95,7 @@ def test_few_hits_have_exact_intervals(independent, by_student):
 def test_few_deposits_have_the_limits_of_weighted_counts():
     """At least: where Student's t of the two batches is wider, it stays."""
     hits = (*HITS, (150, 151))
-    estimates = Estimates(tally(hits), independent=False, deposited=True)
+    estimates = SampledEstimates(tally(hits), independent=False, deposited=True)
     assert max(map(sum, HITS)) < FEW_DEPOSITS < sum(hits[5])
     low, high = (limit[0, :, 0] for limit in estimates.interval(0, LEVEL))
     wider = set()
@@ -113,24 +115,24 @@ def test_few_deposits_have_the_limits_of_weighted_counts():
 
 
 def test_an_empty_patch_may_be_of_the_largest_weight():
-    estimates = Estimates(tally(weight=4.0), independent=True)
+    estimates = SampledEstimates(tally(weight=4.0), independent=True)
     _, high = estimates.interval(0, LEVEL)
     close(high[0, 4, 0], 4 * statistics.upper_limit(2 * RAYS, LEVEL))
 
 
 def test_equal_batches_leave_what_no_hit_leaves_open():
     """The second patch got 40 hits of each batch, which is no proof of no error."""
-    even = Estimates(tally(), independent=False)
+    even = SampledEstimates(tally(), independent=False)
     assert even.std_err(0)[0, 1, 0] == 0
     low, high = (limit[0, 1, 0] for limit in even.interval(0, LEVEL))
     limit = statistics.upper_limit(2 * RAYS, LEVEL) * 0.5
     close((low, high), np.array([-limit, limit]) + 40 * 0.5 / RAYS)
-    total = Estimates(tally([(40, 40)]), independent=False)
+    total = SampledEstimates(tally([(40, 40)]), independent=False)
     np.testing.assert_array_equal(np.ravel(total.total_interval(0, LEVEL)), (low, high))
 
 
 def test_nothing_received_has_an_upper_limit():
-    dark = Estimates(tally([(0, 0), (0, 0)]), independent=False)
+    dark = SampledEstimates(tally([(0, 0), (0, 0)]), independent=False)
     limit = statistics.upper_limit(2 * RAYS, LEVEL)
     for low, high in (dark.interval(0, LEVEL), dark.total_interval(0, LEVEL)):
         assert not low.any()
@@ -140,7 +142,7 @@ def test_nothing_received_has_an_upper_limit():
 @pytest.mark.parametrize("weight", [1.0, 0.5, 2.0])
 def test_all_rays_in_one_patch_may_hide_others(weight):
     """Some may be lost, or carry more than these, but no more than came."""
-    one = Estimates(tally([(RAYS, RAYS)], weight=weight), independent=False)
+    one = SampledEstimates(tally([(RAYS, RAYS)], weight=weight), independent=False)
     assert one.std_err(0) == one.total_std_err(0) == 0
     unseen = statistics.upper_limit(2 * RAYS, LEVEL)
     limits = weight - unseen * weight, weight + unseen * max(1 - weight, 0)
@@ -152,9 +154,9 @@ def test_all_rays_in_one_patch_may_hide_others(weight):
 def test_rays_that_missed_are_not_incident(row):
     beside = tally()
     beside.fates[:, row] = 500
-    estimates = Estimates(beside, independent=True)
+    estimates = SampledEstimates(beside, independent=True)
     assert estimates.rays == 2 * RAYS
-    whole = Estimates(tally(), independent=True)
+    whole = SampledEstimates(tally(), independent=True)
     np.testing.assert_array_equal(
         estimates.interval(0, LEVEL), whole.interval(0, LEVEL)
     )
@@ -162,17 +164,17 @@ def test_rays_that_missed_are_not_incident(row):
 
 @pytest.mark.parametrize(
     ("hits", "interval"),
-    [(HITS, Estimates.interval), ([(40, 40)], Estimates.total_interval)],
+    [(HITS, SampledEstimates.interval), ([(40, 40)], SampledEstimates.total_interval)],
 )
 def test_passes_of_the_same_rays_count_once(hits, interval):
     """Twice the hits and rays of two passes tell no more than those of one."""
     once = tally(hits)
     twice = replace(once, hits=once.hits * 2, fates=once.fates * np.uint64(2))
-    one, two = Estimates(once, True), Estimates(twice, True, passes=2)
+    one, two = SampledEstimates(once, True), SampledEstimates(twice, True, passes=2)
     assert two.rays == one.rays
     np.testing.assert_array_equal(two.hits, one.hits)
     np.testing.assert_array_equal(interval(two, 0, LEVEL), interval(one, 0, LEVEL))
-    twin = interval(Estimates(twice, True), 0, LEVEL)
+    twin = interval(SampledEstimates(twice, True), 0, LEVEL)
     assert not np.array_equal(twin, interval(one, 0, LEVEL))
 
 
@@ -196,19 +198,19 @@ def test_counted_rays_are_binomial():
         replace(one, hits=one.hits + np.uint64(1)),
         one.spread(3),
     ):
-        assert not Estimates(other, independent=True).binomial
-    assert not Estimates(one, independent=False).binomial
+        assert not SampledEstimates(other, independent=True).binomial
+    assert not SampledEstimates(one, independent=False).binomial
 
 
 def integrals(sums=(0, 0), error=1e-3):
     """Two patches of flux 0.25, integrated, with `error`; `sums` are sampled."""
     shape = (1, 1, 2, 1)
     sampled = tally([(hits, hits) for hits in sums])
-    return sampled.with_integrals(np.full(shape, 0.25), np.full(shape, error))
+    return Integrals.beside(sampled, np.full(shape, 0.25), np.full(shape, error))
 
 
 def test_integrals_are_wrong_by_their_error():
-    estimates = Estimates(integrals(), independent=False)
+    estimates = IntegralEstimates(integrals())
     # the fixed point is 2**-62 of the flux of all batches, about; errors round up
     step = 2.0**-50
     low, high = estimates.interval(0, LEVEL)
@@ -229,21 +231,21 @@ def test_errors_of_integrals_come_back():
     sampled.incident[1] //= np.uint64(3)
     shape = sampled.hits.shape + (1,)
     errors = np.reshape([1e-3, 2e-4, 3e-5, 5e-4, 7e-6], shape)
-    one = sampled.with_integrals(np.zeros(shape), errors)
+    one = Integrals.beside(sampled, np.zeros(shape), errors)
     largest = int(one.incident.max())
     for n, error in zip(one.errors.ravel().tolist(), errors.ravel().tolist()):
         # rounding: of one product
         exact = Fraction(error) * largest
         assert abs(Fraction(n) - exact) <= Fraction(EPS) * exact
     # and where nothing was sampled, they come back
-    again = Estimates(one, independent=False).std_err(0)[0, 4]
+    again = IntegralEstimates(one).std_err(0)[0, 4]
     np.testing.assert_allclose(again, 7e-6, rtol=2 * EPS)  # rounding: of two operations
 
 
 def test_what_is_sampled_of_integrals_scatters():
     one = integrals(sums=(100, 0))
     one.sums[0, 0, 0, 0, 0] += one.incident[0, 0] // np.uint64(100)  # 0.01 in one batch
-    estimates = Estimates(one, independent=False)
+    estimates = IntegralEstimates(one)
     close(estimates.std_err(0)[0, 0, 0], np.hypot(0.005, 1e-3))
     close(estimates.std_err(0)[0, 1, 0], 1e-3)
     low, high = (limit[0, 0, 0] for limit in estimates.interval(0, LEVEL))
@@ -257,6 +259,6 @@ def test_what_is_sampled_of_integrals_scatters():
 def test_dark_integrals_keep_their_digits(flux):
     """Rounding: of a product, of sums over batches, and of a quotient."""
     sampled = tally(np.zeros((2, 3), int))
-    one = sampled.with_integrals(np.full((1, 1, 2, 1), flux), np.zeros((1, 1, 2, 1)))
-    fraction = Estimates(one, independent=False).fraction(0)
+    one = Integrals.beside(sampled, np.full((1, 1, 2, 1), flux), np.zeros((1, 1, 2, 1)))
+    fraction = IntegralEstimates(one).fraction(0)
     np.testing.assert_allclose(fraction, flux, rtol=8 * EPS)

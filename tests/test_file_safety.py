@@ -28,6 +28,7 @@ from gonio_mi.collector import subdivision
 from gonio_mi.errors import FileFormatError, printable, shortened, shown
 from gonio_mi.files import radiance_xml, seal, tensor_file, writing
 from gonio_mi.instrument.loading import load_specimen
+from gonio_mi.results.integral_sums import Integrals
 from gonio_mi.results.summary import summarize, summary_text
 from gonio_mi.results.tally import Fate
 
@@ -94,7 +95,10 @@ def test_another_subdivision_of_the_same_shape(tmp_path):
 def test_a_flipped_bit_in_the_name_of_a_member(tmp_path):
     """Errors of a quadrature record were dropped in silence."""
     base = synthetic.record()
-    tally = replace(base.tallies[0], errors=np.ones((1, 6, 8, 1), np.uint64))
+    sampled = base.tallies[0]
+    arrays = {name: getattr(sampled, name) for name in sampled.arrays}
+    errors = np.ones((1, 6, 8, 1), np.uint64)
+    tally = Integrals(**arrays, scale=sampled.scale, errors=errors)
     record = replace(base, tallies=(tally,), settings={"estimator": "quadrature"})
     path = tmp_path / "record.npz"
     record.save(path)

@@ -170,7 +170,7 @@ def test_radiance_renders_what_was_written(tmp_path, glossy, basis, side):
         glossy = synthetic.record(
             theta_i=(20, 60), phi_i=(0, 0), power=6, both=True, channels=("R", "G", "B")
         )
-    glossy.settings["side"] = side
+    glossy = glossy.with_settings(side=side)
     exporting.export(glossy, tmp_path / "plate.xml", basis)
     with open(tmp_path / "plate.xml", "rb") as stream:
         own = RadianceBSDF(stream)

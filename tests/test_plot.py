@@ -101,8 +101,10 @@ def test_map_draws_every_patch_in_its_place(collector):
 @pytest.mark.parametrize(("ratio", "norm"), [(99, Normalize), (101, LogNorm)])
 def test_colours_are_logarithmic_for_a_wide_range(ratio, norm):
     record = synthetic.record(power=0)
-    record.tallies[0].sums[:] = 1
-    record.tallies[0].sums[:, 0, 2, 4] = ratio  # in the plane of incidence
+    tally = synthetic.writeable(record.tallies[0])
+    tally.sums[:] = 1
+    tally.sums[:, 0, 2, 4] = ratio  # in the plane of incidence
+    record = replace(record, tallies=(tally,))
     maps, axes = panels(plot(record))
     mesh = maps[0].collections[0]
     assert type(mesh.norm) is norm
@@ -116,9 +118,10 @@ def test_transmission_is_drawn_where_there_is_any():
     maps, axes = panels(plot(record))
     assert [a.get_title() for a in maps] == ["Reflection", "Transmission"]
     assert {"reflection", "transmission"} <= set(labels(axes))
-    record.tallies[0].hits[1] = 0
-    record.tallies[0].sums[:, 1] = 0
-    assert len(panels(plot(record))[0]) == 1
+    tally = synthetic.writeable(record.tallies[0])
+    tally.hits[1] = 0
+    tally.sums[:, 1] = 0
+    assert len(panels(plot(replace(record, tallies=(tally,))))[0]) == 1
 
 
 def test_directions_are_marked():
@@ -162,8 +165,7 @@ def test_error_bars_are_the_intervals():
 
 
 def test_a_single_batch_has_no_error_bars():
-    record = synthetic.record(n_batches=1, power=1)
-    record.settings["sampler"] = "sobol"
+    record = synthetic.record(n_batches=1, power=1).with_settings(sampler="sobol")
     _, axes = panels(plot(record))
     assert "95% interval" not in labels(axes)
 
@@ -205,9 +207,8 @@ def test_title_says_what_was_measured():
 
 
 def test_any_name_of_a_specimen_can_be_drawn(tmp_path):
-    record = synthetic.record()
-    record.settings["specimen"] = "a $b_{ \\frac \udcff\n" + "long " * 99
-    plot(record, tmp_path / "figure.png")
+    name = "a $b_{ \\frac \udcff\n" + "long " * 99
+    plot(synthetic.record().with_settings(specimen=name), tmp_path / "figure.png")
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pytest
 import synthetic
 
 from gonio_mi.collector import subdivision
+from gonio_mi.results.integral_sums import Integrals
 from gonio_mi.results.tally import Fate, Ledger, Tally, batch_sizes
 
 PATCHES = subdivision("angle:2x3")
@@ -87,9 +88,9 @@ def test_channels_keep_their_order():
 def test_errors_of_integrals_follow_their_channels():
     shape = (2, 2, 3, 3)
     errors = np.linspace(1e-4, 1e-3, 36).reshape(shape)
-    whole = tally(1, channels=3).with_integrals(np.zeros(shape), errors)
+    whole = Integrals.beside(tally(1, channels=3), np.zeros(shape), errors)
     np.testing.assert_array_equal(whole.first(2).errors, whole.errors[..., :2])
-    grey = tally(1).with_integrals(np.zeros((2, 2, 3, 1)), errors[..., :1])
+    grey = Integrals.beside(tally(1), np.zeros((2, 2, 3, 1)), errors[..., :1])
     for channel in range(3):
         np.testing.assert_array_equal(
             grey.spread(3).errors[..., channel], grey.errors[..., 0]
@@ -105,6 +106,6 @@ def test_what_cannot_be_joined():
         with pytest.raises(ValueError, match="must share patches and scale"):
             a + one
     shape = (*a.hits.shape, 1)
-    whole = a.with_integrals(np.zeros(shape), np.zeros(shape))
+    whole = Integrals.beside(a, np.zeros(shape), np.zeros(shape))
     with pytest.raises(ValueError, match="that hold integrals cannot be joined"):
         whole + whole

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..collector import Subdivision
 from ..errors import shown
+from ..results.integral_sums import Integrals
 from ..results.record import Record
 from ..results.tally import Tally
 from .header import require
@@ -101,23 +102,20 @@ def _check_tally(tally: Tally, settings: Mapping[str, Any]) -> None:
     Every ray in a patch is one in the ledger and the reverse, and light that was
     received had to come. Sums that 64 bits do not hold would be wrong in silence.
     """
-    estimator = settings.get("estimator")
-    if estimator is not None:
+    estimator, integrated = settings.get("estimator"), isinstance(tally, Integrals)
+    require(
+        estimator is None or (estimator == "quadrature") == integrated,
+        f"its estimator is {estimator} and its errors of integrals are "
+        f"{'there' if integrated else 'missing'}",
+    )
+    for name in tally.arrays:
         require(
-            (estimator == "quadrature") == (tally.errors is not None),
-            f"its estimator is {estimator} and its errors of integrals are "
-            f"{'missing' if tally.errors is None else 'there'}",
-        )
-    for name in ("hits", "sums", "incident", "fates", "direct", "errors"):
-        array = getattr(tally, name)
-        require(
-            array is None or float(array.sum(dtype=float)) < 2.0**64,
+            float(getattr(tally, name).sum(dtype=float)) < 2.0**64,
             f"its {name} add up to more than 64 bits hold",
         )
     ledger = tally.ledger
     require(
-        bool(ledger.direct) or tally.direct is None or not tally.direct.any(),
-        "it has direct light of no ray",
+        bool(ledger.direct) or not tally.direct.any(), "it has direct light of no ray"
     )
     if estimator != "next_event":
         left = (ledger.reflected, ledger.transmitted + ledger.direct)
@@ -127,13 +125,13 @@ def _check_tally(tally: Tally, settings: Mapping[str, Any]) -> None:
                 counted == listed,
                 f"its patches received {counted} rays and its ledger says {listed}",
             )
-        if tally.errors is None:
+        if not integrated:
             empty = tally.sums[:, tally.hits == 0]
             require(not empty.any(), "patches without a hit received light")
     met = ledger.emitted - ledger.missed - ledger.unlit
     incident = tally.incident.sum(axis=0, dtype=float)
     require(
-        not (met or tally.errors is not None) or bool((incident > 0).all()),
+        not (met or integrated) or bool((incident > 0).all()),
         "it received light of an incident power of 0",
     )
     rays, passes = settings.get("rays"), settings.get("passes") or 1

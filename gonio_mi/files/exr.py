@@ -144,8 +144,8 @@ def _description(record: Record) -> dict[str, Any]:
 
 def _arrays(tally: Tally) -> list[Counts]:
     """What the pixels hold of a tally, exactly."""
-    errors = [] if tally.errors is None else [tally.errors]
-    return [tally.hits, tally.sums, *errors]
+    of_pixels = ("hits", "sums", "errors")
+    return [getattr(tally, name) for name in of_pixels if name in tally.arrays]
 
 
 def _part_name(name: str, index: int, n: int) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 import OpenEXR
 
 from ..array_types import Counts, Floats, Numbers
+from ..results.integral_sums import Integrals
 from ..results.record import Record
 from .header import json_of
 
@@ -64,7 +65,7 @@ def layers(single: Record) -> dict[str, dict[str, Numbers]]:
     rows = bits(tally.sums).reshape(-1, single.subdivision.shape[1], len(names))
     for number, name in enumerate(names):
         parts["tally"] |= _halves("sum", f".{name}", rows[..., number])
-    if tally.errors is not None:
+    if isinstance(tally, Integrals):
         rows = bits(tally.errors).reshape(-1, single.subdivision.shape[1], len(names))
         parts["integral"] = {}
         for number, name in enumerate(names):

@@ -11,6 +11,7 @@ import numpy as np
 from ..array_types import Floats, Numbers
 from ..collector import Subdivision, subdivision
 from ..errors import FileFormatError
+from ..results.integral_sums import Integrals
 from ..results.record import Record
 from ..results.tally import Fate, Tally
 
@@ -127,7 +128,7 @@ def rebuilt(header: dict[str, Any], tallies: Sequence[dict[str, Numbers]]) -> Re
         theta_i=theta_i,
         phi_i=phi_i,
         channels=tuple(channels),
-        tallies=tuple(Tally(**arrays, scale=s) for arrays, s in zip(tallies, scales)),
+        tallies=tuple(map(_tally, tallies, scales)),
         settings=settings,
         stacked=stacked,
     )
@@ -154,6 +155,12 @@ def size_of(stream: BinaryIO) -> int:
     size = stream.seek(0, os.SEEK_END)
     stream.seek(position)
     return size
+
+
+def _tally(arrays: dict[str, Numbers], scale: int) -> Tally:
+    """Sums of the kind that the arrays are of."""
+    kind = Integrals if "errors" in arrays else Tally
+    return kind(**arrays, scale=scale)
 
 
 def _without_direct(arrays: dict[str, Numbers]) -> dict[str, Numbers]:

@@ -61,13 +61,12 @@ def write(record: Record, stream: BinaryIO) -> None:
     header["settings"] = json_of(header["settings"])
     arrays = {name: np.array(header[name], HEADER[name][0]) for name in HEADER}
     arrays["n_batches"] = np.array([tally.n_batches for tally in record.tallies])
-    arrays["hits"] = np.stack([tally.hits for tally in record.tallies])
-    if record.tallies[0].errors is not None:
-        errors = [tally.errors for tally in record.tallies if tally.errors is not None]
-        arrays["errors"] = np.stack(errors)
-    for name in ("sums", "incident", "fates", "direct"):
+    for name in record.tallies[0].arrays:
         parts = [getattr(tally, name) for tally in record.tallies]
-        arrays[name] = parts[0] if len(parts) == 1 else np.concatenate(parts)
+        if name in ("hits", "errors"):
+            arrays[name] = np.stack(parts)
+        else:
+            arrays[name] = parts[0] if len(parts) == 1 else np.concatenate(parts)
     content = io.BytesIO()
     # like np.savez_compressed, but level 1: as small for noisy sums, six times faster
     with zipfile.ZipFile(

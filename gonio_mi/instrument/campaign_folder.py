@@ -118,7 +118,7 @@ class CampaignFolder(contextlib.ExitStack):
 
     def save(self, task: Any, record: Record) -> None:
         """Keep the record of a task."""
-        settings = record.settings | {"task": self._described(task)}
+        settings = dict(record.settings) | {"task": self._described(task)}
         replace(record, settings=settings).save(self._path(task))
 
     def _check(self) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import SpecimenError
 from ..quadrature.plane import check_integrable, integrals
+from ..results.integral_sums import Integrals
 from ..results.record import Record
 from ..results.tally import WEIGHT_SCALE, Ledger, Tally
 from ..settings import MeasurementSettings
@@ -182,8 +183,8 @@ class Instrument:
             bench.specimen.plane.bsdf.flags(), mi.BSDFFlags.Delta
         )
 
-    def integrated(self, bench: Bench, tallies: list[Tally]) -> Tally:
-        """Tally of all but the delta components, and of the `tallies` of those."""
+    def integrated(self, bench: Bench, tallies: list[Tally]) -> Integrals:
+        """Integrals of all but the delta components, and of the `tallies` of those."""
         lanes = [(wavelength_lanes(nm), nm) for nm in passes(self.wavelengths)]
         parts = [
             integrals(bench, wavelengths, self.settings.integral_err, nm and len(nm))
@@ -195,7 +196,7 @@ class Instrument:
         else:
             shape = bench.collector.subdivision.shape
             sampled = Tally.empty(bench.shape[0], shape, flux.shape[-1], WEIGHT_SCALE)
-        return sampled.with_integrals(flux, errors)
+        return Integrals.beside(sampled, flux, errors)
 
     def _capacity(self, bench: Bench) -> int:
         """Batches that may share a launch: the same for all launches at a bench."""

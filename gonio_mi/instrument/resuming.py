@@ -46,7 +46,7 @@ def check_resumable(
             "phi_i": bench.phi_i,
             "hemispheres": "both" if bench.shape[0] == 2 else "upper",
         }
-        others = resume.settings | {
+        others = dict(resume.settings) | {
             "collector": str(resume.subdivision),
             "theta_i": float(resume.theta_i[i]),
             "phi_i": float(resume.phi_i[i]),

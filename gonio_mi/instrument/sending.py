@@ -31,22 +31,20 @@ def send_all(
     ) as report:
         try:
             for bench, key, tallies in zip(benches, keys, finished):
+                # without the integrals beside them rays are not enough
+                sent = [] if instrument.integrates else tallies
                 if not instrument.samples(bench):
                     if report is not None:
                         report(sum(plan))
                 elif target:
-                    send_until(target, instrument, bench, key, tallies, report)
+                    send_until(target, instrument, bench, key, sent, report)
                 else:
-                    send(instrument, bench, key, plan, tallies, report)
+                    send(instrument, bench, key, plan, sent, report)
                 if instrument.integrates:
-                    tallies[:] = [instrument.integrated(bench, tallies)]
+                    tallies[:] = [instrument.integrated(bench, sent)]
         except (KeyboardInterrupt, RuntimeError) as error:
             if not _is_ctrl_c(error):
                 raise
-            if instrument.integrates:  # rays alone are not enough
-                for tallies in finished:
-                    if tallies and tallies[0].errors is None:
-                        tallies.clear()
             if not any(finished):
                 raise KeyboardInterrupt from None
             return False

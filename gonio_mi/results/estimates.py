@@ -1,15 +1,16 @@
-"""Estimates from a tally: flux fractions, their standard errors and intervals."""
+"""Estimates of flux fractions, with standard errors and intervals, by their kind."""
 
-from dataclasses import dataclass
-from typing import cast
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..array_types import Counts, Floats, Numbers
+from ..array_types import Counts, Flags, Floats, Numbers
 from . import statistics
+from .integral_sums import Integrals
 from .tally import Tally
 
-__all__ = ["Estimates"]
+__all__ = ["Estimates", "IntegralEstimates", "SampledEstimates"]
 
 # Below this many hits the sum of a patch is too skewed for Student's t.
 FEW_HITS = 100
@@ -20,27 +21,22 @@ FEW_DEPOSITS = 300
 
 
 @dataclass(frozen=True, eq=False)
-class Estimates:
-    """What the tally of one incident direction says of each hemisphere.
+class Estimates(ABC):
+    """What is known of one incident direction, and how well.
 
     Hemisphere 0 is the emitter's side. Values of its patches have the shape ``(n_theta,
-    n_phi, channels)``, those of its total ``(channels,)``.
+    n_phi, channels)``, those of its total ``(channels,)``. Limits are ``(low, high)``,
+    as :meth:`Record.interval` describes them.
 
     Attributes
     ----------
     tally : Tally
-    independent : bool
-        Whether its rays are independent; else of a low-discrepancy sequence.
-    deposited : bool
-        Whether its hits are deposits: several from one ray, or none.
     passes : int
         How often each ray was sent, for more wavelengths than one carries.
     """
 
     tally: Tally
-    independent: bool
-    deposited: bool = False
-    passes: int = 1
+    passes: int = field(default=1, kw_only=True)
 
     @property
     def hits(self) -> Counts:
@@ -53,50 +49,117 @@ class Estimates:
         return self._all_rays // self.passes
 
     @property
+    @abstractmethod
+    def without_hit(self) -> Flags:
+        """Whether a patch is known by an upper limit only, shaped like `hits`."""
+
+    @property
+    @abstractmethod
+    def binomial(self) -> bool:
+        """Whether each patch counted independent rays of one channel, one by one."""
+
+    def fraction(self, hemisphere: int) -> Floats:
+        """Flux fraction of each patch."""
+        return statistics.ratio(self.tally.sums[:, hemisphere], self._incident)
+
+    @abstractmethod
+    def std_err(self, hemisphere: int) -> Floats:
+        """Standard error of :meth:`fraction`; NaN where it is not known."""
+
+    @abstractmethod
+    def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
+        """Limits of :meth:`fraction`."""
+
+    def total(self, hemisphere: int) -> Floats:
+        """Flux fraction of all patches together."""
+        return statistics.ratio(self._sum(hemisphere), self.tally.incident)
+
+    @abstractmethod
+    def total_std_err(self, hemisphere: int) -> Floats:
+        """Standard error of :meth:`total`."""
+
+    @abstractmethod
+    def total_interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
+        """Limits of :meth:`total`."""
+
+    @property
+    def direct(self) -> Floats:
+        """Flux fraction that passed a periodic specimen without any event."""
+        return statistics.ratio(self.tally.direct, self.tally.incident)
+
+    @property
+    @abstractmethod
+    def direct_std_err(self) -> Floats:
+        """Standard error of `direct`."""
+
+    @abstractmethod
+    def direct_interval(self, level: float) -> tuple[Floats, Floats]:
+        """Limits of `direct`."""
+
+    @property
+    def _incident(self) -> Numbers:
+        """Incident flux per batch, broadcastable to the sums of one hemisphere."""
+        return self.tally.incident[:, None, None, :]
+
+    @property
+    def _all_rays(self) -> int:
+        """Rays of all passes that met the specimen."""
+        ledger = self.tally.ledger
+        return ledger.emitted - ledger.missed - ledger.unlit
+
+    def _sum(self, hemisphere: int) -> Numbers:
+        """Sum over the patches of one hemisphere, per batch and channel."""
+        return self.tally.sums[:, hemisphere].sum(axis=(1, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class SampledEstimates(Estimates):
+    """Estimates from rays alone: counts, or weights that scatter between batches.
+
+    Attributes
+    ----------
+    independent : bool
+        Whether the rays are independent; else of a low-discrepancy sequence.
+    deposited : bool
+        Whether hits are deposits: several from one ray, or none.
+    """
+
+    independent: bool
+    deposited: bool = False
+
+    @property
+    def without_hit(self) -> Flags:
+        """Whether no ray came."""
+        return self.tally.hits == 0
+
+    @property
     def binomial(self) -> bool:
         """Whether each patch counted independent rays of one channel, one by one."""
         tally = self.tally
         return (
             self.independent
-            and tally.errors is None
             and tally.scale == 1
             and tally.channels == 1
             and np.array_equal(tally.sums[..., 0].sum(axis=0), tally.hits)
             and tally.incident.sum() == self._all_rays
         )
 
-    def fraction(self, hemisphere: int) -> Floats:
-        """Flux fraction of each patch."""
-        return statistics.ratio(self.tally.sums[:, hemisphere], self._incident)
-
     def std_err(self, hemisphere: int) -> Floats:
         """Standard error of :meth:`fraction`; NaN where there was no hit."""
-        sums = self.tally.sums[:, hemisphere]
-        if self.tally.errors is not None:
-            return np.hypot(self._scatter(sums), self._error(hemisphere))
         hits = self.tally.hits[hemisphere][..., None]
         if self.binomial:
             return statistics.binomial_std_err(hits, self._all_rays)
+        sums = self.tally.sums[:, hemisphere]
         std_err = statistics.batch_std_err(sums, self._incident)
         return np.where(hits > 0, std_err, np.nan)
 
-    def total(self, hemisphere: int) -> Floats:
-        """Flux fraction of all patches together."""
-        return statistics.ratio(self._sum(hemisphere), self.tally.incident)
-
     def total_std_err(self, hemisphere: int) -> Floats:
         """Standard error of :meth:`total`."""
-        sums = self._sum(hemisphere)
-        if self.tally.errors is None:
-            return statistics.batch_std_err(sums, self.tally.incident)
-        return np.hypot(self._scatter(sums), self._error(hemisphere).sum(axis=(0, 1)))
+        return statistics.batch_std_err(self._sum(hemisphere), self.tally.incident)
 
     def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
-        """Limits of :meth:`fraction`, ``(low, high)``; see :meth:`Record.interval`."""
+        """Limits of :meth:`fraction`."""
         fraction = self.fraction(hemisphere)
-        if self.tally.errors is not None:
-            sums, error = self.tally.sums[:, hemisphere], self._error(hemisphere)
-            return self._integral_interval(fraction, sums, error, level)
         hits = self.hits[hemisphere][..., None]
         if self.binomial:
             return statistics.binomial_interval(hits, self.rays, level)
@@ -123,20 +186,12 @@ class Estimates:
         return np.where(hits == 0, 0.0, low), np.where(hits == 0, most, high)
 
     def total_interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
-        """Limits of :meth:`total`, ``(low, high)``; see :meth:`Record.interval`."""
+        """Limits of :meth:`total`."""
         value = self.total(hemisphere)
-        if self.tally.errors is not None:
-            error = self._error(hemisphere).sum(axis=(0, 1))
-            return self._integral_interval(value, self._sum(hemisphere), error, level)
         hits = self.tally.hits[hemisphere].sum() // self.passes
         return self._sampled_interval(
             value, self.total_std_err(hemisphere), hits, level
         )
-
-    @property
-    def direct(self) -> Floats:
-        """Flux fraction that passed a periodic specimen without any event."""
-        return statistics.ratio(self.tally.direct, self.tally.incident)
 
     @property
     def direct_std_err(self) -> Floats:
@@ -144,7 +199,7 @@ class Estimates:
         return statistics.batch_std_err(self.tally.direct, self.tally.incident)
 
     def direct_interval(self, level: float) -> tuple[Floats, Floats]:
-        """Limits of `direct`, ``(low, high)``; see :meth:`Record.interval`."""
+        """Limits of `direct`."""
         hits = self.tally.ledger.direct // self.passes
         return self._sampled_interval(self.direct, self.direct_std_err, hits, level)
 
@@ -206,34 +261,68 @@ class Estimates:
             above=unseen * above,
         )
 
-    def _integral_interval(
+
+@dataclass(frozen=True, eq=False)
+class IntegralEstimates(Estimates):
+    """Estimates from integrals, which may be wrong by their error.
+
+    Delta components were sampled beside them, if there are some: these scatter.
+    """
+
+    tally: Integrals
+
+    @property
+    def without_hit(self) -> Flags:
+        """Nowhere: a patch needs no ray."""
+        return np.zeros(self.tally.hits.shape, bool)
+
+    @property
+    def binomial(self) -> bool:
+        """Never."""
+        return False
+
+    def std_err(self, hemisphere: int) -> Floats:
+        """Error of the integrals with the scatter of what was sampled."""
+        sums = self.tally.sums[:, hemisphere]
+        return np.hypot(self._scatter(sums), self._error(hemisphere))
+
+    def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
+        """Limits of :meth:`fraction`."""
+        sums, error = self.tally.sums[:, hemisphere], self._error(hemisphere)
+        return self._limits(self.fraction(hemisphere), sums, error, level)
+
+    def total_std_err(self, hemisphere: int) -> Floats:
+        """Standard error of :meth:`total`: errors add up as if none cancelled."""
+        scatter = self._scatter(self._sum(hemisphere))
+        return np.hypot(scatter, self._error(hemisphere).sum(axis=(0, 1)))
+
+    def total_interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
+        """Limits of :meth:`total`."""
+        error = self._error(hemisphere).sum(axis=(0, 1))
+        return self._limits(self.total(hemisphere), self._sum(hemisphere), error, level)
+
+    @property
+    def direct_std_err(self) -> Floats:
+        """Standard error of `direct`: 0, since no light passes the plane."""
+        return self._scatter(self.tally.direct)
+
+    def direct_interval(self, level: float) -> tuple[Floats, Floats]:
+        """Limits of `direct`."""
+        none = np.zeros(self.tally.channels)
+        return self._limits(self.direct, self.tally.direct, none, level)
+
+    def _limits(
         self, value: Floats, sums: Numbers, error: Floats, level: float
     ) -> tuple[Floats, Floats]:
-        """Interval of integrals that may be wrong by `error`, and sampled `sums`."""
+        """Limits of integrals that may be wrong by `error`, and sampled `sums`."""
         low, high = statistics.student_interval(
             value, self._scatter(sums), self.tally.n_batches, level
         )
         return low - error, high + error
 
-    @property
-    def _incident(self) -> Numbers:
-        """Incident flux per batch, broadcastable to the sums of one hemisphere."""
-        return self.tally.incident[:, None, None, :]
-
-    @property
-    def _all_rays(self) -> int:
-        """Rays of all passes that met the specimen."""
-        ledger = self.tally.ledger
-        return ledger.emitted - ledger.missed - ledger.unlit
-
-    def _sum(self, hemisphere: int) -> Numbers:
-        """Sum over the patches of one hemisphere, per batch and channel."""
-        return self.tally.sums[:, hemisphere].sum(axis=(1, 2))
-
     def _error(self, hemisphere: int) -> Floats:
         """What the integrals of a hemisphere's flux fractions may be wrong by."""
-        errors = cast(Floats, self.tally.errors)  # asked for of integrals only
-        return errors[hemisphere] / self.tally.incident.max(axis=0)
+        return self.tally.errors[hemisphere] / self.tally.incident.max(axis=0)
 
     def _scatter(self, sums: Numbers) -> Floats:
         """Standard error of the sampled part of `sums`; 0 if nothing was sent."""

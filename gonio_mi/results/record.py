@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from os import PathLike
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,8 +14,10 @@ from ..array_types import Counts, Flags, Floats, Numbers
 from ..collector import Subdivision
 from ..errors import SettingError, checked_choice, checked_number, printable, shown
 from . import statistics
-from .estimates import Estimates
+from .estimates import Estimates, IntegralEstimates, SampledEstimates
+from .integral_sums import Integrals
 from .processors import joined_processors
+from .read_only import read_only
 from .tally import Ledger, Tally
 
 __all__ = ["DIGESTS", "Record"]
@@ -31,8 +33,9 @@ OF_THE_WORST = {"reached", "n_lobe"}
 class Record:
     """What the collector received, at one incident direction or a stack of them.
 
-    Only exact integer sums are stored; everything else is derived. For a stack all
-    arrays have the incident direction as an additional first axis.
+    Only exact sums are stored; everything else is derived. For a stack all arrays have
+    the incident direction as an additional first axis. Nothing of it can be changed:
+    what it is made of becomes read-only, arrays included.
 
     Attributes
     ----------
@@ -45,7 +48,7 @@ class Record:
         ``("Y",)``, ``("R", "G", "B")`` or wavelengths such as ``"550nm"``.
     tallies : tuple of Tally
         One per incident direction.
-    settings : dict
+    settings : mapping, copied
         All that is needed to repeat the measurement, in JSON's types; ``digest`` tells
         the specimen from others, ``emitter_digest`` its emitter, None for a collimated
         beam, and ``plugin_digest`` the text of what is written in Python of both.
@@ -59,15 +62,29 @@ class Record:
     phi_i: Floats
     channels: tuple[str, ...]
     tallies: tuple[Tally, ...]
-    settings: dict[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
     stacked: bool = False
+
+    # what writes a record to a path: the room of files sets it
+    writer: ClassVar[Callable[[Record, str | PathLike[str]], None]]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "settings", read_only(self.settings))
+        _frozen(self.theta_i)
+        _frozen(self.phi_i)
+        for tally in self.tallies:
+            tally.freeze()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What copies are made of: they are read-only too."""
+        return Record, tuple(getattr(self, one.name) for one in fields(self))
 
     # ------------------------------------------------------------------ values
 
     @cached_property
     def brdf(self) -> Floats:
         """Patch mean of the BRDF in 1/sr, shape ``(n_theta, n_phi, channels)``."""
-        return self._per_patch(Estimates.fraction, 0)
+        return self._per_patch(lambda one: one.fraction(0))
 
     @cached_property
     def btdf(self) -> Floats | None:
@@ -75,7 +92,7 @@ class Record:
 
         There is none where the specimen declares that it cannot transmit.
         """
-        return self._per_patch(Estimates.fraction, 1) if self.has_lower else None
+        return self._per_patch(lambda one: one.fraction(1)) if self.has_lower else None
 
     @cached_property
     def brdf_std_err(self) -> Floats:
@@ -83,17 +100,17 @@ class Record:
 
         For integrals their estimated error, with that of the delta components.
         """
-        return self._per_patch(Estimates.std_err, 0)
+        return self._per_patch(lambda one: one.std_err(0))
 
     @cached_property
     def btdf_std_err(self) -> Floats | None:
         """Standard error of `btdf`, as of `brdf`."""
-        return self._per_patch(Estimates.std_err, 1) if self.has_lower else None
+        return self._per_patch(lambda one: one.std_err(1)) if self.has_lower else None
 
     @cached_property
     def dhr(self) -> Floats:
         """Directional-hemispherical reflectance, shape ``(channels,)``."""
-        return self._of_hemisphere(Estimates.total, 0)
+        return self._of_each(lambda one: one.total(0))
 
     @cached_property
     def dht(self) -> Floats | None:
@@ -101,7 +118,7 @@ class Record:
 
         Of a periodic specimen it includes the light that passes openings, `direct`.
         """
-        return self._of_hemisphere(Estimates.total, 1) if self.has_lower else None
+        return self._of_each(lambda one: one.total(1)) if self.has_lower else None
 
     @cached_property
     def direct(self) -> Floats:
@@ -121,14 +138,14 @@ class Record:
     @cached_property
     def dhr_std_err(self) -> Floats:
         """Standard error of `dhr` from the batches; NaN for a single batch."""
-        return self._of_hemisphere(Estimates.total_std_err, 0)
+        return self._of_each(lambda one: one.total_std_err(0))
 
     @cached_property
     def dht_std_err(self) -> Floats | None:
         """Standard error of `dht` from the batches; NaN for a single batch."""
         if not self.has_lower:
             return None
-        return self._of_hemisphere(Estimates.total_std_err, 1)
+        return self._of_each(lambda one: one.total_std_err(1))
 
     @property
     def flux_fraction(self) -> Floats:
@@ -153,9 +170,7 @@ class Record:
     @property
     def without_hit(self) -> Flags:
         """Whether a patch is known by an upper limit only, shaped like `counts`."""
-        sampled = np.array([tally.errors is None for tally in self.tallies])
-        without = np.stack([tally.hits == 0 for tally in self.tallies])
-        return self._squeeze(without & sampled[:, None, None, None])
+        return self._squeeze(np.stack([one.without_hit for one in self.estimates]))
 
     @property
     def ledger(self) -> Ledger:
@@ -180,15 +195,7 @@ class Record:
     @cached_property
     def estimates(self) -> tuple[Estimates, ...]:
         """:class:`gonio_mi.results.estimates.Estimates` of each incident direction."""
-        return tuple(
-            Estimates(
-                tally,
-                independent=self.settings.get("sampler") == "independent",
-                deposited=self.settings.get("estimator") == "next_event",
-                passes=self.settings.get("passes", 1),
-            )
-            for tally in self.tallies
-        )
+        return tuple(map(self._estimates, self.tallies))
 
     def interval(self, level: float = 0.95, of: str = "brdf") -> tuple[Floats, Floats]:
         """Interval that covers the true patch mean with probability `level`.
@@ -230,17 +237,18 @@ class Record:
         level = checked_number("level", level, 1e-12, 1, "between 0 and 1")
         checked_choice("of", of, ("brdf", "btdf", "dhr", "dht", "direct"))
         if of == "direct":
-            limits = [one.direct_interval(level) for one in self.estimates]
-            low, high = np.stack(limits, axis=1)
+            both = [one.direct_interval(level) for one in self.estimates]
+            low, high = np.stack(both, axis=1)
             return self._squeeze(low), self._squeeze(high)
         hemisphere = int(of in ("btdf", "dht"))
         if hemisphere and not self.has_lower:
             raise SettingError(f"of must be brdf or dhr for a record without {of}")
         of_all = of in ("dhr", "dht")
-        interval = Estimates.total_interval if of_all else Estimates.interval
-        low, high = np.stack(
-            [interval(one, hemisphere, level) for one in self.estimates], axis=1
-        )
+        limits = [
+            (one.total_interval if of_all else one.interval)(hemisphere, level)
+            for one in self.estimates
+        ]
+        low, high = np.stack(limits, axis=1)
         solid = 1.0 if of_all else self._projected
         return self._squeeze(low / solid), self._squeeze(high / solid)
 
@@ -352,7 +360,7 @@ class Record:
                     f"records must agree in {key} to be merged, got {shown(a)} and "
                     f"{shown(b)}"
                 )
-        if any(t.errors is not None for t in (*self.tallies, *other.tallies)):
+        if any(isinstance(t, Integrals) for t in (*self.tallies, *other.tallies)):
             raise SettingError("records of the estimator quadrature cannot be merged")
         seeds = [*_seeds(self), *_seeds(other)]
         if len(set(seeds)) < len(seeds):
@@ -382,9 +390,7 @@ class Record:
         OSError
             If it cannot be written.
         """
-        from .. import files
-
-        files.save(self, path)
+        Record.writer(self, path)
 
     # ------------------------------------------------------------------ internals
 
@@ -392,24 +398,35 @@ class Record:
     def _projected(self) -> Floats:
         return self.subdivision.projected_solid_angles[..., None]
 
-    def _per_patch(
-        self, quantity: Callable[[Estimates, int], Floats], hemisphere: int
-    ) -> Floats:
-        """Estimates of one hemisphere over solid angles."""
-        return self._of_hemisphere(quantity, hemisphere) / self._projected
+    def _estimates(self, tally: Tally) -> Estimates:
+        """Estimates of one incident direction, by the kind of its tally."""
+        passes = self.settings.get("passes", 1)
+        if isinstance(tally, Integrals):
+            return IntegralEstimates(tally, passes=passes)
+        return SampledEstimates(
+            tally,
+            independent=self.settings.get("sampler") == "independent",
+            deposited=self.settings.get("estimator") == "next_event",
+            passes=passes,
+        )
 
-    def _of_hemisphere(
-        self, quantity: Callable[[Estimates, int], Floats], hemisphere: int
-    ) -> Floats:
-        """Estimates of one hemisphere."""
-        return self._of_each(lambda one: quantity(one, hemisphere))
+    def _per_patch(self, quantity: Callable[[Estimates], Floats]) -> Floats:
+        """A quantity of the estimates over solid angles, read-only."""
+        return _frozen(self._of_each(quantity) / self._projected)
 
     def _of_each(self, quantity: Callable[[Estimates], Floats]) -> Floats:
-        """A quantity of the estimates of each incident direction."""
-        return self._squeeze(np.stack([quantity(one) for one in self.estimates]))
+        """A quantity of the estimates of each incident direction, read-only."""
+        each = np.stack([quantity(one) for one in self.estimates])
+        return _frozen(self._squeeze(each))
 
     def _squeeze(self, array: Numbers) -> Numbers:
         return array if self.stacked else array[0]
+
+
+def _frozen(array: Numbers) -> Numbers:
+    """The array, into which nobody can write from now on."""
+    array.flags.writeable = False
+    return array
 
 
 def _both_ways(a: Record, b: Record) -> tuple[tuple[Record, Record], ...]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import SupportsInt
+from typing import Any, ClassVar, SupportsInt
 
 import numpy as np
 
-from ..array_types import Counts, Floats, Numbers
+from ..array_types import Counts, Numbers
 
 __all__ = ["Fate", "Ledger", "Tally", "WEIGHT_SCALE", "batch_sizes"]
 
@@ -109,7 +109,7 @@ class Ledger:
         return Ledger(*(a + b for a, b in zip(self.rows.values(), other.rows.values())))
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Tally:
     """Sums of one measurement, batch by batch.
 
@@ -127,25 +127,32 @@ class Tally:
         Rays by their fate.
     scale : int
         1 when rays are counted, `WEIGHT_SCALE` when weights are summed.
-    errors : ndarray, shape (n_hemispheres, n_theta, n_phi, channels), or None
-        What the integrals in the sums of each batch may be wrong by, float64, in the
-        same unit. None if all was sampled.
     direct : ndarray, shape (n_batches, channels)
         Flux that passed a periodic specimen without any event, like `incident`: part
         of the sums, where there is a lower hemisphere. None is given for nothing.
     """
+
+    arrays: ClassVar[tuple[str, ...]] = ("hits", "sums", "incident", "fates", "direct")
+    # those whose last axis are the channels
+    of_channels: ClassVar[tuple[str, ...]] = ("sums", "incident", "direct")
+    # whether its batches can be put beside others of the same measurement
+    joinable: ClassVar[bool] = True
 
     hits: Counts
     sums: Numbers
     incident: Numbers
     fates: Counts
     scale: int
-    errors: Floats | None = None
-    direct: Numbers = None  # type: ignore[assignment]  # an array ever after
+    direct: Numbers = field(default=None, kw_only=True)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         if self.direct is None:
-            self.direct = np.zeros_like(self.incident)
+            object.__setattr__(self, "direct", np.zeros_like(self.incident))
+
+    def freeze(self) -> None:
+        """Let nobody write into the arrays from now on."""
+        for name in self.arrays:
+            getattr(self, name).flags.writeable = False
 
     @classmethod
     def empty(
@@ -183,32 +190,6 @@ class Tally:
         """:class:`Ledger` over all batches."""
         return Ledger.from_counts(self.fates.sum(axis=0))
 
-    def with_integrals(self, flux: Floats, errors: Floats) -> Tally:
-        """Tally of what was sampled and what was integrated, together.
-
-        Parameters
-        ----------
-        flux, errors : ndarray of float64, shaped like `errors` of the tally
-            Flux fractions to add to each batch, and what they may be wrong by.
-        """
-        tally = self if self.n_batches else self._of_one_ray()
-        per_batch = tally.incident[:, None, None, None, :]
-        return replace(
-            tally,
-            sums=tally.sums + flux * per_batch,
-            errors=errors * per_batch.max(axis=0),
-        )
-
-    def _of_one_ray(self) -> Tally:
-        """One batch that received nothing, of the flux of a ray that was not sent."""
-        return replace(
-            self,
-            sums=np.zeros((1, *self.sums.shape[1:])),
-            incident=np.full((1, self.channels), float(self.scale)),
-            direct=np.zeros((1, self.channels)),
-            fates=np.zeros((1, len(Fate)), np.uint64),
-        )
-
     def __add__(self, other: Tally) -> Tally:
         """Tally of the batches of both, exactly; see :meth:`join`."""
         return Tally.join([self, other])
@@ -217,7 +198,8 @@ class Tally:
     def join(cls, tallies: Sequence[Tally]) -> Tally:
         """Tally of all batches of `tallies`, exactly.
 
-        A tally of one channel is spread over the channels of the others.
+        A tally of one channel is spread over the channels of the others. A single
+        one is what it is.
 
         Raises
         ------
@@ -225,8 +207,10 @@ class Tally:
             If they do not share their patches and their scale.
         """
         first = tallies[0]
+        if len(tallies) == 1:
+            return first
         for other in tallies:
-            if len(tallies) > 1 and other.errors is not None:
+            if not other.joinable:
                 raise ValueError("tallies that hold integrals cannot be joined")
             if first.hits.shape != other.hits.shape or first.scale != other.scale:
                 raise ValueError(
@@ -242,7 +226,6 @@ class Tally:
             incident=np.concatenate([tally.incident for tally in tallies]),
             fates=np.concatenate([tally.fates for tally in tallies]),
             scale=first.scale,
-            errors=first.errors,
             direct=np.concatenate([tally.direct for tally in tallies]),
         )
 
@@ -273,23 +256,7 @@ class Tally:
 
     def first(self, channels: int) -> Tally:
         """Tally of the first `channels` channels."""
-        return replace(
-            self,
-            sums=self.sums[..., :channels],
-            incident=self.incident[..., :channels],
-            direct=self.direct[..., :channels],
-            errors=None if self.errors is None else self.errors[..., :channels],
-        )
-
-    def __eq__(self, other: object) -> bool:
-        return (
-            isinstance(other, Tally)
-            and self.scale == other.scale
-            and all(
-                np.array_equal(getattr(self, name), getattr(other, name))
-                for name in ("hits", "sums", "incident", "fates", "errors", "direct")
-            )
-        )
+        return self._of_each_channel(lambda array: array[..., :channels])
 
     def spread(self, channels: int) -> Tally:
         """Tally with the one channel of an achromatic specimen repeated."""
@@ -299,11 +266,21 @@ class Tally:
             raise ValueError(
                 f"a tally of {self.channels} channels cannot become one of {channels}"
             )
-        errors = self.errors
-        return replace(
-            self,
-            sums=np.repeat(self.sums, channels, axis=-1),
-            incident=np.repeat(self.incident, channels, axis=-1),
-            direct=np.repeat(self.direct, channels, axis=-1),
-            errors=None if errors is None else np.repeat(errors, channels, axis=-1),
+        return self._of_each_channel(lambda one: np.repeat(one, channels, axis=-1))
+
+    def _of_each_channel(self, change: Callable[[Numbers], Numbers]) -> Tally:
+        """Tally with other channels."""
+        changed: dict[str, Any]
+        changed = {name: change(getattr(self, name)) for name in self.of_channels}
+        return replace(self, **changed)
+
+    def __eq__(self, other: object) -> bool:
+        return (
+            isinstance(other, Tally)
+            and self.arrays == other.arrays
+            and self.scale == other.scale
+            and all(
+                np.array_equal(getattr(self, name), getattr(other, name))
+                for name in self.arrays
+            )
         )

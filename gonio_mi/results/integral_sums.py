@@ -1,0 +1,64 @@
+"""Integrals of a specimen's flux fractions, and what was sampled beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from ..array_types import Floats
+from .tally import Fate, Tally
+
+__all__ = ["Integrals"]
+
+
+@dataclass(frozen=True, eq=False)
+class Integrals(Tally):
+    """Integrals in the unit of a tally: their part is the same in each of its batches.
+
+    Rays are for delta components only. Where there are none, there is one batch
+    without a ray, whose incident flux is `scale`: the unit that the integrals are in.
+
+    Attributes
+    ----------
+    errors : ndarray of float64, shape (n_hemispheres, n_theta, n_phi, channels)
+        What the integrals in the sums of each batch may be wrong by, in their unit.
+    """
+
+    arrays: ClassVar[tuple[str, ...]] = (*Tally.arrays, "errors")
+    of_channels: ClassVar[tuple[str, ...]] = (*Tally.of_channels, "errors")
+    joinable: ClassVar[bool] = False
+
+    errors: Floats = field(kw_only=True)
+
+    @classmethod
+    def beside(cls, sampled: Tally, flux: Floats, errors: Floats) -> Integrals:
+        """Integrals, with what was sampled of delta components.
+
+        Parameters
+        ----------
+        sampled : Tally
+            Without batches if nothing was.
+        flux, errors : ndarray, shape (n_hemispheres, n_theta, n_phi, channels)
+            Flux fractions, and what they may be wrong by.
+        """
+        if not sampled.n_batches:
+            return cls(
+                hits=sampled.hits,
+                sums=flux[None] * sampled.scale,
+                incident=np.full((1, sampled.channels), float(sampled.scale)),
+                fates=np.zeros((1, len(Fate)), np.uint64),
+                scale=sampled.scale,
+                errors=errors * sampled.scale,
+            )
+        per_batch = sampled.incident[:, None, None, None, :]
+        return cls(
+            hits=sampled.hits,
+            sums=sampled.sums + flux * per_batch,
+            incident=sampled.incident,
+            fates=sampled.fates,
+            scale=sampled.scale,
+            direct=sampled.direct,
+            errors=errors * per_batch.max(axis=0),
+        )
