@@ -56,7 +56,7 @@ class Aimed:
 
     p: np.ndarray
     wi: np.ndarray
-    side, uniform = 1, True
+    side, uniform, footprint = 1, True, "full"
 
     def sample(self, sampler, wavelengths):  # noqa: ARG002
         p, wi = mi.Point3f(self.p.T), mi.Vector3f(self.wi.tolist())
