@@ -1,6 +1,7 @@
 """Command line of the benchmark."""
 
 import argparse
+from collections.abc import Sequence
 
 import mitsuba as mi
 
@@ -14,7 +15,7 @@ from .micro_geometry import print_speeds
 __all__ = ["main"]
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> None:
     """Compare with others, or run one part of the benchmark, and print tables."""
     parser = argparse.ArgumentParser(
         prog="python -m gonio_mi.benchmark",

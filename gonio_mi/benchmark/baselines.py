@@ -3,11 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Floats, Integers
 from ..collector import EqualProjectedSolidAngle, EqualSolidAngle, Subdivision
 from ..collector.directions import direction
 from ..instrument.measuring import measure
@@ -53,7 +55,7 @@ class Baseline:
     """
 
     name: str
-    flux: Callable
+    flux: Callable[[int, int], Floats]
     subdivision: Subdivision = PATCHES
     size: str = "rays"
     first: int = 2**12
@@ -62,11 +64,17 @@ class Baseline:
 
 
 def gonio_rays(
-    specimen, estimator, sampler, *, batches=32, subdivision=PATCHES, footprint="point"
-):
+    specimen: dict[str, Any],
+    estimator: str,
+    sampler: str,
+    *,
+    batches: int = 32,
+    subdivision: Subdivision = PATCHES,
+    footprint: str = "point",
+) -> Baseline:
     """Our instrument, by rays; by default at one point, as the others do."""
 
-    def _flux(rays, seed):
+    def _flux(rays: int, seed: int) -> Floats:
         record = measure(
             specimen,
             THETA_I,
@@ -84,7 +92,7 @@ def gonio_rays(
     return Baseline(f"gonio-mi, {sampler}, {estimator}, {shown}", _flux, subdivision)
 
 
-def samples(specimen, rays):
+def samples(specimen: dict[str, Any], rays: int) -> Callable[[], None]:
     """Run of independent random numbers and Mitsuba's ``sample`` alone.
 
     Less than that is not to be had, whatever is done with the directions.
@@ -94,7 +102,7 @@ def samples(specimen, rays):
     si.wi = mi.Vector3f(direction(np.radians(THETA_I), 0.0).tolist())
     dr.make_opaque(si.wi)
 
-    def _run():
+    def _run() -> None:
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(0, rays)
         bs, weight = bsdf.sample(
@@ -106,10 +114,10 @@ def samples(specimen, rays):
     return _run
 
 
-def patch_integrals(specimen):
+def patch_integrals(specimen: dict[str, Any]) -> Baseline:
     """Our adaptive integral of ``eval``; its size is one over the tolerated error."""
 
-    def _flux(size, seed):
+    def _flux(size: int, seed: int) -> Floats:
         del seed
         bsdf = mi.load_dict(specimen)
         return integrate(bsdf, THETA_I, 0, PATCHES, rel_err=1 / size).flux[0, ..., 0]
@@ -119,7 +127,7 @@ def patch_integrals(specimen):
     )
 
 
-def chi2_rays(specimen):
+def chi2_rays(specimen: dict[str, Any]) -> Baseline:
     """The histogram that Mitsuba's chi-square test fills.
 
     It counts directions whatever their weight, which is the reflectance of nothing but
@@ -130,7 +138,7 @@ def chi2_rays(specimen):
     sample, pdf = mi.chi2.BSDFAdapter(specimen["type"], specimen, wi=wi)
     patches = EqualSolidAngle(30, 30)
 
-    def _flux(rays, seed):
+    def _flux(rays: int, seed: int) -> Floats:
         test = mi.chi2.ChiSquareTest(
             domain=mi.chi2.SphericalDomain(),
             sample_func=sample,
@@ -149,10 +157,10 @@ def chi2_rays(specimen):
     return Baseline("mi.chi2 histogram", _flux, patches)
 
 
-def numpy_rays():
+def numpy_rays() -> Baseline:
     """A white Lambertian surface, in blocks of NumPy."""
 
-    def _flux(rays, seed):
+    def _flux(rays: int, seed: int) -> Floats:
         generator = np.random.default_rng(seed)
         counts = np.zeros(PATCHES.n_patches, np.int64)
         for start in range(0, rays, 2**18):
@@ -168,12 +176,14 @@ def numpy_rays():
 
 
 @cache
-def _numba_loop():
+def _numba_loop() -> Callable[[int, int, int, int, int], Integers]:
     """Compiled parallel loop, or ImportError without numba."""
     import numba
 
     @numba.njit(parallel=True, fastmath=True)
-    def _count(rays, seed, n_theta, n_phi, n_parts):
+    def _count(
+        rays: int, seed: int, n_theta: int, n_phi: int, n_parts: int
+    ) -> Integers:
         counts = np.zeros((n_parts, n_theta * n_phi), np.int64)
         for part in numba.prange(n_parts):
             # numba knows the legacy generator only, one in each thread
@@ -193,22 +203,22 @@ def _numba_loop():
     return _count
 
 
-def numba_rays():
+def numba_rays() -> Baseline:
     """A white Lambertian surface, in a parallel loop; ImportError without numba."""
     count = _numba_loop()
 
-    def _flux(rays, seed):
+    def _flux(rays: int, seed: int) -> Floats:
         counts = count(rays, seed, *PATCHES.shape, 16)
         return counts.reshape(PATCHES.shape) / rays
 
     return Baseline("numba, parallel loop", _flux)
 
 
-def c_rays():
+def c_rays() -> Baseline:
     """A white Lambertian surface, in vectorised C; CompilerError without a compiler."""
     c_loop.library()
 
-    def _flux(rays, seed):
+    def _flux(rays: int, seed: int) -> Floats:
         return c_loop.count_diffuse(rays, seed, PATCHES, dr.thread_count()) / rays
 
     return Baseline("C, vectorised by hand", _flux)

@@ -1,11 +1,14 @@
 """How many Sobol' rays, and how much time, give the error of many independent rays."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Floats
 from ..instrument.measuring import measure
 from ..quadrature import integrate
 from .baselines import PATCHES
@@ -22,7 +25,7 @@ __all__ = [
 ]
 
 # The paper's materials and its angles, then stock BSDFs of Mitsuba.
-MATERIALS = {
+MATERIALS: dict[str, tuple[dict[str, Any], float]] = {
     "diffuse": ({"type": "diffuse", "reflectance": 1.0}, 45),
     "specular (cosinelobe)": ({"type": "cosinelobe", "exponent": 16.0}, 30),
     "glossy (glossymixture)": ({"type": "glossymixture"}, 30),
@@ -40,10 +43,12 @@ BATCHES = (32, 16, 8, 1)
 PILOT_RAYS = 2**21
 
 
-def measured(material, sampler, batches, rays, seed=0):
+def measured(
+    material: str, sampler: str, batches: int, rays: float, *, seed: int = 0
+) -> Floats:
     """BRDF and BTDF of one of the `MATERIALS`, shape (2, 30, 30, 1)."""
     specimen, theta_i = MATERIALS[material]
-    record = measure(
+    record: Any = measure(
         specimen,
         theta_i,
         collector=PATCHES,
@@ -57,7 +62,7 @@ def measured(material, sampler, batches, rays, seed=0):
     return np.stack([record.brdf, record.btdf])
 
 
-def mean_squares(exact, seeds, *method):
+def mean_squares(exact: Floats, seeds: int, *method: Any) -> Floats:
     """Mean squared errors over all patches, one for each seed, of :func:`measured`."""
     maps = (measured(*method, seed=seed) for seed in range(seeds))
     return np.array([np.mean((values - exact) ** 2) for values in maps])
@@ -78,7 +83,7 @@ class Crossing:
     std_err: float
 
 
-def crossing(goal, squares):
+def crossing(goal: Floats, squares: Callable[[int], Floats]) -> Crossing:
     """Find where errors fall to that of `goal`.
 
     Parameters
@@ -108,7 +113,7 @@ def crossing(goal, squares):
     return Crossing(found, found * np.hypot(spread, relative[2]) / slope)
 
 
-def print_ratios(rays, seeds, repeats):
+def print_ratios(rays: int, seeds: int, repeats: int) -> None:
     """Print the share of rays and of CPU time that `sobol` needs, by batch design."""
     print(
         f"\nWhat sobol needs for the RMS error of {rays:g} independent rays on\n"
@@ -123,7 +128,9 @@ def print_ratios(rays, seeds, repeats):
             b: crossing(goal, partial(mean_squares, exact, seeds, name, "sobol", b))
             for b in BATCHES
         }
-        runs = {b: partial(measured, name, "sobol", b, found[b].rays) for b in BATCHES}
+        runs: dict[Any, Callable[[], Floats]] = {
+            b: partial(measured, name, "sobol", b, found[b].rays) for b in BATCHES
+        }
         runs["independent"] = partial(measured, name, "independent", 32, rays)
         times = in_turns(runs, repeats)
         print_table(

@@ -12,6 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..array_types import Counts
+from ..collector import EqualProjectedSolidAngle
+
 __all__ = ["CompilerError", "count_diffuse", "library"]
 
 SOURCE = Path(__file__).with_name("count_diffuse.c")
@@ -25,7 +28,7 @@ class CompilerError(OSError):
 
 
 @cache
-def library():
+def library() -> ctypes.CDLL:
     """Build and load the loop, once in each process.
 
     Raises
@@ -56,7 +59,9 @@ def library():
     return loaded
 
 
-def count_diffuse(rays, seed, subdivision, threads):
+def count_diffuse(
+    rays: int, seed: int, subdivision: EqualProjectedSolidAngle, threads: int
+) -> Counts:
     """Count cosine-distributed directions in patches of equal projected solid angle.
 
     Parameters

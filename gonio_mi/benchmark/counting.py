@@ -1,19 +1,31 @@
 """Raw speed: all count the same rays into 900 patches."""
 
-from .baselines import c_rays, chi2_rays, gonio_rays, numba_rays, numpy_rays, samples
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from .baselines import (
+    Baseline,
+    c_rays,
+    chi2_rays,
+    gonio_rays,
+    numba_rays,
+    numpy_rays,
+    samples,
+)
 from .c_loop import CompilerError
 from .table import print_table
 from .timing import in_turns, speeds
 
 __all__ = ["SPECIMENS", "print_rates", "baselines"]
 
-SPECIMENS = {
+SPECIMENS: dict[str, dict[str, Any]] = {
     "diffuse": {"type": "diffuse", "reflectance": 1.0},
     "rough conductor": {"type": "roughconductor", "alpha": 0.2, "distribution": "ggx"},
 }
 
 
-def baselines():
+def baselines() -> tuple[dict[tuple[str, str], Baseline], list[str]]:
     """All that can run here, as ``{(specimen, name): Baseline}``, ours first.
 
     Returns
@@ -43,12 +55,11 @@ def baselines():
     return found, absent
 
 
-def print_rates(rays, repeats):
+def print_rates(rays: int, repeats: int) -> None:
     """Print speeds, relative to counting independent rays off the diffuse specimen."""
     found, absent = baselines()
-    runs = {
-        key: lambda baseline=baseline: baseline.flux(rays, 0)
-        for key, baseline in found.items()
+    runs: dict[tuple[str, str], Callable[[], Any]] = {
+        key: partial(baseline.flux, rays, 0) for key, baseline in found.items()
     }
     for name, specimen in SPECIMENS.items():
         runs[name, "Mitsuba's sample, nothing counted"] = samples(specimen, rays)

@@ -40,8 +40,8 @@ TRACED = (*SAMPLED, ("next_event", "sobol"), ("next_event", "independent"))
 class Case:
     """A specimen, how it is measured, by which estimators, and in which orders."""
 
-    specimen: Callable[[], dict]
-    settings: dict
+    specimen: Callable[[], dict[str, Any]]
+    settings: dict[str, Any]
     estimators: Sequence[tuple[str, str]] = TRACED
     orders: Sequence[str] = ("all", "2")
 
@@ -90,11 +90,11 @@ class Coverage:
         return float(covered.mean()), float(scatter or 1 / (n + 2))
 
 
-def _two_sided(bsdf: dict) -> dict:
+def _two_sided(bsdf: dict[str, Any]) -> dict[str, Any]:
     return {"type": "twosided", "bsdf": bsdf}
 
 
-def _groove(bsdf: dict) -> dict:
+def _groove(bsdf: dict[str, Any]) -> dict[str, Any]:
     """V-groove of a half angle of 30 degrees, one cell of endless ones."""
     heights = np.tile(np.array([0, -(0.75**0.5)], np.float32), (4, 1))
     return {
@@ -104,7 +104,7 @@ def _groove(bsdf: dict) -> dict:
     }
 
 
-def _screen() -> dict:
+def _screen() -> dict[str, Any]:
     """Bars of grey with openings between them, of which a third is open."""
     return {
         "type": "scene",

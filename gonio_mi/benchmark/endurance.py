@@ -10,7 +10,7 @@ __all__ = ["print_growth"]
 SPECIMEN = {"type": "diffuse", "reflectance": 1.0}
 
 
-def print_growth(most):
+def print_growth(most: int) -> None:
     """Print peak memory and time per ray from 1e7 rays to `most`, by factors of ten."""
     rows = []
     for sampler in ("sobol", "independent"):
@@ -35,5 +35,5 @@ def print_growth(most):
     )
 
 
-def _measure(sampler, rays):
+def _measure(sampler: str, rays: int) -> None:
     measure(SPECIMEN, THETA_I, collector=PATCHES, rays=rays, sampler=sampler)

@@ -2,17 +2,20 @@
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from ..collector import EqualProjectedSolidAngle
+from ..array_types import Floats
+from ..collector import EqualProjectedSolidAngle, Subdivision
 from ..collector.directions import direction
 from ..quadrature import integrate
 from . import groove
 from .baselines import (
     PATCHES,
     THETA_I,
+    Baseline,
     c_rays,
     chi2_rays,
     gonio_rays,
@@ -34,6 +37,8 @@ from .timing import cpu_seconds, in_turns
 
 __all__ = ["Found", "contests", "error", "print_costs", "search"]
 
+Contests = dict[str, list[tuple[Baseline, Floats]]]
+
 WHITE = {"type": "diffuse", "reflectance": 1.0}
 CONDUCTOR = {"type": "roughconductor", "alpha": 0.2, "distribution": "ggx"}
 COARSE = EqualProjectedSolidAngle(12, 12)
@@ -45,7 +50,7 @@ SEEDS = 2
 # -------------------------------------------------------------------------- contests
 
 
-def contests():
+def contests() -> tuple[Contests, list[str]]:
     """All comparisons that can run here, of :class:`Baseline` with their exact flux.
 
     Returns
@@ -62,7 +67,7 @@ def contests():
     conductor = integrate(mi.load_dict(CONDUCTOR), THETA_I, 0, PATCHES).flux[0, ..., 0]
     fine, coarse = (_groove_flux(lit, g).reshape(g.shape) for g in (PATCHES, COARSE))
     histogram = chi2_rays(WHITE)
-    found = {
+    found: Contests = {
         "white plate, 900 patches": [
             *((baseline, lambert) for baseline in _ours(WHITE)),
             (patch_integrals(WHITE), lambert),
@@ -94,7 +99,7 @@ def contests():
     return found, _add_optional(found, lambert)
 
 
-def _add_optional(found, lambert):
+def _add_optional(found: Contests, lambert: Floats) -> list[str]:
     """Add what other packages and a compiler offer; sentences on what is left out."""
     absent = []
     for build in (numba_rays, c_rays):
@@ -116,7 +121,7 @@ def _add_optional(found, lambert):
     return absent
 
 
-def _ours(specimen, **settings):
+def _ours(specimen: dict[str, Any], **settings: Any) -> list[Baseline]:
     """Our samplers, the default first; one batch has no error bars, as the others."""
     designs = (("sobol", 32), ("sobol", 8), ("sobol", 1), ("independent", 32))
     return [
@@ -125,14 +130,14 @@ def _ours(specimen, **settings):
     ]
 
 
-def _groove_flux(wi, patches):
+def _groove_flux(wi: Floats, patches: Subdivision) -> Floats:
     """Exact flux fractions of the V-groove, shape (len(wi), patches)."""
     points = patches.points(4)
     flux = groove.patch_means(wi, points)
     return flux * np.ravel(patches.projected_solid_angles)
 
 
-def klems_groove_flux():
+def klems_groove_flux() -> Floats:
     """Exact flux fractions from each Klems patch into each, shape (145, 145, 1).
 
     Means over incident patches too; Radiance numbers them by the way light takes.
@@ -145,7 +150,7 @@ def klems_groove_flux():
 # ------------------------------------------------------------------- error and cost
 
 
-def error(baseline, exact, size, seeds=SEEDS):
+def error(baseline: Baseline, exact: Floats, size: int, seeds: int = SEEDS) -> float:
     """RMS error of the BRDF over the patches (and seeds), over its mean."""
     omega = baseline.subdivision.projected_solid_angles
     squares = [
@@ -174,13 +179,15 @@ class Found:
     scale: float = 1.0
 
 
-def search(baseline, exact, target, limit):
+def search(baseline: Baseline, exact: Floats, target: float, limit: float) -> Found:
     """Find the size of a baseline whose error is at most `target`.
 
     By factors of four, then by three bisections. If one run takes more than `limit` CPU
     seconds before, the size is extrapolated by the power law of all errors so far.
     """
-    sizes, errors, spent = [], [], 0.0
+    sizes: list[int] = []
+    errors: list[float] = []
+    spent = 0.0
     while not errors or errors[-1] > target:
         if spent > limit:
             order = 0.5  # of independent samples
@@ -205,7 +212,7 @@ def search(baseline, exact, target, limit):
     return Found(high, reached)
 
 
-def print_costs(target, repeats, limit):
+def print_costs(target: float, repeats: int, limit: float) -> None:
     """Print what a map of the relative RMS error `target` costs by each method."""
     found, absent = contests()
     print(
@@ -237,7 +244,9 @@ def print_costs(target, repeats, limit):
         print(sentence)
 
 
-def _row(baseline, found, cost, ratio):
+def _row(
+    baseline: Baseline, found: Found, cost: float, ratio: float
+) -> tuple[str, ...]:
     mark = "~" if found.scale > 1 else ""
     return (
         baseline.name,

@@ -6,8 +6,13 @@ strips that share an edge, a wall point at the distance s from it sees the part 
 a and b of the other wall under the form factor s/2 (1/sqrt(s^2+a^2) - 1/sqrt(s^2+b^2)).
 """
 
+from typing import Any
+
 import mitsuba as mi
 import numpy as np
+from numpy.typing import ArrayLike
+
+from ..array_types import Floats
 
 __all__ = ["REFLECTANCE", "brdf", "patch_means", "walls"]
 
@@ -17,7 +22,7 @@ REFLECTANCE = 0.8
 N_PANELS = 100
 
 
-def walls():
+def walls() -> dict[str, Any]:
     """Both walls as Mitsuba's shape dictionaries: 2 wide, and practically endless."""
     shapes = {}
     for name, x, slope in (("left", -0.5, 45.0), ("right", 0.5, -45.0)):
@@ -31,7 +36,7 @@ def walls():
     return shapes
 
 
-def brdf(wi, wo):
+def brdf(wi: ArrayLike, wo: ArrayLike) -> Floats:
     """BRDF in 1/sr for every pair of directions.
 
     Parameters
@@ -60,7 +65,7 @@ def brdf(wi, wo):
     return power.T / (2 * wi[:, 2:] * wo[:, 2])
 
 
-def _exposure(w, edges):
+def _exposure(w: Floats, edges: Floats) -> Floats:
     """Cosine to both walls times each panel's exposed part, shape (n, 2 panels)."""
     exposures = []
     for x in (w[:, 0], -w[:, 0]):  # left wall, whose normal has +x; right wall
@@ -73,7 +78,7 @@ def _exposure(w, edges):
     return np.concatenate(exposures, axis=1)
 
 
-def patch_means(wi, points):
+def patch_means(wi: Floats, points: Floats) -> Floats:
     """Mean BRDF of patches over ``points``, shape (len(wi), patches)."""
     patches, n, _ = points.shape
     return brdf(wi, points.reshape(-1, 3)).reshape(len(wi), patches, n).mean(axis=2)

@@ -1,6 +1,10 @@
 """Speed on geometry: a random rough mirror, every bounce, beside Mitsuba's `path`."""
 
-from functools import lru_cache
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -25,7 +29,7 @@ THETA_I = 30.0  # degrees
 MAX_DEPTH = 1000
 
 
-def surface(resolution, alpha=0.5):
+def surface(resolution: int, alpha: float = 0.5) -> dict[str, Any]:
     """Height field of ``resolution x resolution`` cells as a Mitsuba dictionary."""
     mirror = {"type": "twosided", "bsdf": {"type": "conductor"}}
     return {
@@ -36,7 +40,9 @@ def surface(resolution, alpha=0.5):
     }
 
 
-def gonio_paths(resolution, sampler, batches, period="none"):
+def gonio_paths(
+    resolution: int, sampler: str, batches: int, period: str = "none"
+) -> Callable[[int, int], float]:
     """Our instrument: a function that measures as `measure` does with loaded scenes.
 
     Returns
@@ -52,7 +58,7 @@ def gonio_paths(resolution, sampler, batches, period="none"):
     settings = MeasurementSettings().changed(sampler={"type": sampler}, **given)
     specimen = Specimen(scene, period)
 
-    def _send(rays, seed):
+    def _send(rays: int, seed: int) -> float:
         # anew, for it learns how many rays a launch takes
         instrument = Instrument(settings, sampler_of(settings))
         bench = instrument.bench(specimen, [emitter])
@@ -66,7 +72,7 @@ def gonio_paths(resolution, sampler, batches, period="none"):
     return _send
 
 
-def bare_paths(resolution, rows):
+def bare_paths(resolution: int, rows: bool) -> Callable[[int, int], float]:
     """The same paths with nothing but Embree: hit after hit, no sampling, no sums.
 
     Rays are as watertight as ours, and the first ones are said to be coherent; a mirror
@@ -90,7 +96,7 @@ def bare_paths(resolution, rows):
     beam = Beam(specimen, emitter, "full", "radiometric")
     offset = specimen.reach * SURFACE_OFFSET
 
-    def _send(rays, seed):
+    def _send(rays: int, seed: int) -> float:
         if rows:
             sampler = _Grid(round(rays**0.5))
         else:
@@ -109,10 +115,10 @@ def bare_paths(resolution, rows):
 class _Grid:
     """What a beam draws from, as a sampler: the centres of a square grid, in rows."""
 
-    def __init__(self, side):
+    def __init__(self, side: int) -> None:
         self.side = side
 
-    def next_2d(self):
+    def next_2d(self) -> mi.Point2f:
         """Centres of all cells, in the unit square."""
         number = dr.arange(mi.UInt32, self.side**2)
         side = dr.opaque(mi.UInt32, self.side)
@@ -121,7 +127,9 @@ class _Grid:
 
 
 @dr.syntax
-def _bounced(scene, ray, offset):
+def _bounced(
+    scene: mi.Scene, ray: mi.Ray3f, offset: mi.Float
+) -> tuple[mi.UInt32, mi.Vector3f]:
     """Number of reflections of rays, and where they go in the end."""
     active = mi.Bool(True)
     depth = mi.UInt32(0)
@@ -135,7 +143,7 @@ def _bounced(scene, ray, offset):
     return depth, ray.d
 
 
-def film_paths(resolution, coherent):
+def film_paths(resolution: int, coherent: bool) -> Callable[[int, int], float]:
     """Mitsuba's `path` along the same directions, from an orthographic film.
 
     The film is what the specimen's top looks like from the emitter, so that its paths
@@ -161,7 +169,7 @@ def film_paths(resolution, coherent):
         }
     )
 
-    def _send(paths, seed):
+    def _send(paths: int, seed: int) -> float:
         side = round(paths**0.5) if coherent else 1
         image = mi.render(
             scene, sensor=_film(scene, side), spp=paths // side**2, seed=seed
@@ -172,7 +180,7 @@ def film_paths(resolution, coherent):
 
 
 @lru_cache(maxsize=2)
-def _film(scene, side):
+def _film(scene: mi.Scene, side: int) -> mi.Sensor:
     """Orthographic sensor of ``side x side`` pixels that shows the specimen's top."""
     top = np.array([0, 0, scene.shapes()[0].bbox().max.z])
     towards = direction(np.radians(THETA_I), 0.0)
@@ -194,13 +202,15 @@ def _film(scene, side):
     )
 
 
-def print_speeds(rays, repeats, resolutions=(256, 512, 1024)):
+def print_speeds(
+    rays: int, repeats: int, resolutions: Sequence[int] = (256, 512, 1024)
+) -> None:
     """Print paths per second, relative to random starts of our own."""
     for resolution in resolutions:
         _print_speeds(rays, repeats, resolution)
 
 
-def _print_speeds(rays, repeats, resolution):
+def _print_speeds(rays: int, repeats: int, resolution: int) -> None:
     """Print paths per second on one surface."""
     ways = {
         ("gonio-mi, 16 batches", "random origins (independent)"): gonio_paths(
@@ -225,7 +235,7 @@ def _print_speeds(rays, repeats, resolution):
         ),
     }
     times = in_turns(
-        {key: lambda send=send: send(rays, 0) for key, send in ways.items()}, repeats
+        {key: partial(send, rays, 0) for key, send in ways.items()}, repeats
     )
     print_table(
         f"Mirror height field of {resolution}^2 cells, alpha 0.5, at {THETA_I:g} "

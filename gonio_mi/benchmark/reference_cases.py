@@ -5,6 +5,8 @@ converged integral, and prints the probability of so large a deviation by chance
 """
 
 import argparse
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -15,15 +17,19 @@ from ..instrument.measuring import measure
 from ..quadrature import integrate
 from ..results.normal_scores import student_score
 from ..results.ray_density import rms_expectation
+from ..results.record import Record
 
 __all__ = ["main"]
+
+# Its name, reference, measured value, standard error, and p-value.
+Row = tuple[str, float, float, float, float]
 
 VARIANT = "llvm_ad_mono"
 GLASS = 1.5046
 BK7 = {"int_ior": GLASS, "ext_ior": 1.0}
 
 
-def fresnel(theta_i, eta=GLASS):
+def fresnel(theta_i: float, eta: float = GLASS) -> float:
     """Unpolarised reflectance of a smooth interface for `theta_i` in degrees."""
     cos_i = np.cos(np.radians(theta_i))
     cos_t = np.sqrt(1 - (1 - cos_i**2) / eta**2)
@@ -32,7 +38,7 @@ def fresnel(theta_i, eta=GLASS):
     return (s**2 + p**2) / 2
 
 
-def cases(rays, seed):
+def cases(rays: int, seed: int) -> Iterator[Row]:
     """Yield ``(case, reference, measured, std_err, p_value)``."""
     settings = {"seed": seed, "sampler": "independent"}
     yield from _counting_cases(rays, settings)
@@ -40,7 +46,7 @@ def cases(rays, seed):
     yield from _rough_cases(rays, settings)
 
 
-def _counting_cases(rays, settings):
+def _counting_cases(rays: int, settings: dict[str, Any]) -> Iterator[Row]:
     """RMS error of a counted Lambertian, which multinomial statistics know."""
     white = {"type": "diffuse", "reflectance": 1.0}
     for name in ("angle:30x30", "solid:30x30", "projected:30x30"):
@@ -57,7 +63,7 @@ def _counting_cases(rays, settings):
         yield f"Lambertian, {name}: RMS error", expected**0.5, rms, rms * spread / 2, p
 
 
-def _glass_cases(rays, settings):
+def _glass_cases(rays: int, settings: dict[str, Any]) -> Iterator[Row]:
     """Fresnel's reflectance of glass, and of a slab with all inner reflections."""
     settings = settings | {"estimator": "analog"}
     glass = {"type": "dielectric", **BK7}
@@ -73,7 +79,7 @@ def _glass_cases(rays, settings):
         yield _total(label, 2 * once / (1 + once), record)
 
 
-def _rough_cases(rays, settings):
+def _rough_cases(rays: int, settings: dict[str, Any]) -> Iterator[Row]:
     """Rough surfaces against the integral of ``eval``: their totals and patches."""
     for name, specimen, theta_i in (
         ("rough conductor 0.2", {"type": "roughconductor", "alpha": 0.2}, 60),
@@ -82,7 +88,7 @@ def _rough_cases(rays, settings):
     ):
         patches = subdivision("projected:10x10")
         exact = integrate(mi.load_dict(specimen), theta_i, 0, patches)
-        record = measure(
+        record: Any = measure(
             specimen,
             theta_i,
             rays=rays,
@@ -101,17 +107,17 @@ def _rough_cases(rays, settings):
         yield f"{label}: chi-square of {z2.size} patches", z2.size, z2.sum(), np.nan, p
 
 
-def _total(case, expected, record):
+def _total(case: str, expected: float, record: Record) -> Row:
     value, std_err = float(record.dhr[0]), float(record.dhr_std_err[0])
     t = (value - expected) / std_err
     return case, expected, value, std_err, 2 * stats.t.sf(abs(t), record.n_batches - 1)
 
 
-def _two_sided(z):
+def _two_sided(z: float | np.floating[Any]) -> float:
     return 2 * stats.norm.sf(abs(z))
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> None:
     """Print the table in Markdown."""
     parser = argparse.ArgumentParser(
         prog="python -m gonio_mi.benchmark.reference_cases",

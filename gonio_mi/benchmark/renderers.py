@@ -1,13 +1,18 @@
 """Renderers that a user would set up for a map: Mitsuba and Radiance."""
 
+from __future__ import annotations
+
 import contextlib
 import io
 import os
+from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Floats
 from ..collector.directions import direction
 from ..collector.klems import Klems
 from .baselines import PATCHES, THETA_I, Baseline
@@ -33,37 +38,37 @@ RADIANCE_GROOVE = (
 # --------------------------------------------------------------------------- Mitsuba
 
 
-def path_directions(specimen):
+def path_directions(specimen: dict[str, Any]) -> Baseline:
     """Stock Mitsuba towards ``n x n`` points of every patch of a flat specimen.
 
     Each ray gives the exact value for its direction; the error is that of taking these
     for the mean. The size is n.
     """
 
-    def _plate():
+    def _plate() -> dict[str, Any]:
         return {"plate": {"type": "rectangle", "bsdf": specimen}}
 
-    def _flux(n, seed):
+    def _flux(n: int, seed: int) -> Floats:
         return _path_flux(_path_scene(_plate, n), n, 1, seed)
 
     name = "Mitsuba path, batch of distant"
     return Baseline(name, _flux, size="x as many per patch", first=1, random=False)
 
 
-def path_samples(shapes, n=1):
+def path_samples(shapes: Callable[[], dict[str, Any]], n: int = 1) -> Baseline:
     """Stock Mitsuba towards ``n x n`` points of every patch, by so many paths each.
 
     `shapes` is a function that gives Mitsuba's dictionaries of them.
     """
 
-    def _flux(paths, seed):
+    def _flux(paths: int, seed: int) -> Floats:
         return _path_flux(_path_scene(shapes, n), n, paths, seed)
 
     return Baseline("Mitsuba path, batch of distant", _flux, size="paths each", first=1)
 
 
 @lru_cache(maxsize=1)  # all sensors that exist, of any scene, make a rendering slower
-def _path_scene(shapes, n):
+def _path_scene(shapes: Callable[[], dict[str, Any]], n: int) -> mi.Scene:
     """One `distant` sensor for each direction, in a `batch`, above the lit specimen."""
     points = PATCHES.points(n).reshape(-1, 3)
     film = {"type": "hdrfilm", "height": 1, "rfilter": {"type": "box"}}
@@ -74,7 +79,7 @@ def _path_scene(shapes, n):
             "to_world": mi.ScalarTransform4f().translate([0, 0, 1e-3]),
         }
     )
-    batch = {"type": "batch", "film": film | {"width": len(points)}}
+    batch: dict[str, Any] = {"type": "batch", "film": film | {"width": len(points)}}
     for number, wo in enumerate(points):
         batch[f"towards_{number:07d}"] = {
             "type": "distant",
@@ -101,7 +106,7 @@ def _path_scene(shapes, n):
         mi.set_log_level(level)
 
 
-def _path_flux(scene, n, paths, seed):
+def _path_flux(scene: mi.Scene, n: int, paths: int, seed: int) -> Floats:
     """Flux fraction of each patch, from the radiance towards its points."""
     radiance = mi.render(scene, spp=paths, seed=seed).numpy().ravel()
     brdf = radiance.reshape(*PATCHES.shape, n * n).mean(axis=2, dtype=float)
@@ -111,7 +116,7 @@ def _path_flux(scene, n, paths, seed):
 # -------------------------------------------------------------------------- Radiance
 
 
-def radiance_genbsdf(geometry, reflectance):
+def radiance_genbsdf(geometry: str, reflectance: float) -> Baseline:
     """Radiance's genBSDF: light from all 145 Klems patches into all of them at once.
 
     Parameters
@@ -134,11 +139,11 @@ def radiance_genbsdf(geometry, reflectance):
     """
     import pyradiance
 
-    scene = f"void plastic m 0 0 5 {reflectance} {reflectance} {reflectance} 0 0\n"
-    scene = (scene + geometry).encode()
+    material = f"void plastic m 0 0 5 {reflectance} {reflectance} {reflectance} 0 0\n"
+    scene = (material + geometry).encode()
     processes = len(os.sched_getaffinity(0))
 
-    def _flux(samples, seed):
+    def _flux(samples: int, seed: int) -> Floats:
         del seed  # it has none
         with contextlib.redirect_stdout(io.StringIO()):  # remarks on the bounding box
             result = pyradiance.generate_bsdf(

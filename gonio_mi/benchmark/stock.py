@@ -2,8 +2,10 @@
 
 import sys
 import tempfile
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -11,13 +13,17 @@ import numpy as np
 from ..exports.exporting import export
 from ..instrument.measuring import measure
 from ..validation.inspection import validate
+from ..validation.verdict import Verdict
 
 __all__ = ["cases", "coloured", "table"]
+
+# Its name and dictionary.
+Case = tuple[str, dict[str, Any]]
 
 GGX = {"distribution": "ggx"}
 
 
-def _bumps():
+def _bumps() -> Iterator[dict[str, Any]]:
     """Height and normal maps with a slope, of raw values."""
     heights = np.linspace(0, 0.3, 16, dtype=np.float32).reshape(4, 4, 1)
     normals = np.tile(np.array([0.55, 0.5, 0.99], np.float32), (2, 2, 1))
@@ -27,12 +33,12 @@ def _bumps():
     )
 
 
-def _texture():
+def _texture() -> dict[str, Any]:
     """Checkerboard."""
     return {"type": "checkerboard", "color0": 0.2, "color1": 0.7}
 
 
-def cases():
+def cases() -> Iterator[Case]:
     """Name as on the command line, and dictionary, of every case."""
     diffuse = {"type": "diffuse", "reflectance": 0.6}
     ggx = {"type": "roughconductor", "alpha": 0.2} | GGX
@@ -75,7 +81,7 @@ def cases():
     yield from _composed(diffuse, ggx)
 
 
-def _composed(diffuse, ggx):
+def _composed(diffuse: dict[str, Any], ggx: dict[str, Any]) -> Iterator[Case]:
     """Cases of BSDFs that hold others."""
     bump, normal = _bumps()
     yield from (
@@ -106,7 +112,7 @@ def _composed(diffuse, ggx):
     )
 
 
-def _principled():
+def _principled() -> Iterator[Case]:
     """Cases of both principled BSDFs."""
     yield from (
         ("principled", {"type": "principled"}),
@@ -140,7 +146,7 @@ def _principled():
     )
 
 
-def coloured():
+def coloured() -> Iterator[Case]:
     """The same for cases that need a variant of rgb, which must be set.
 
     The file of `measured` is a record of a metal that was measured here.
@@ -156,7 +162,9 @@ def coloured():
         yield "measured", {"type": "measured", "filename": str(path)}
 
 
-def table(cases, names=(), effort="normal"):
+def table(
+    cases: Iterable[Case], names: Sequence[str] = (), effort: str = "normal"
+) -> Iterator[tuple[str, Verdict]]:
     """Rows of the table, one for each case whose name begins with one of `names`.
 
     Parameters
@@ -177,12 +185,12 @@ def table(cases, names=(), effort="normal"):
             yield name, validate(specimen, effort=effort)
 
 
-def _coloured_table(names):
+def _coloured_table(names: Sequence[str]) -> Iterator[tuple[str, Verdict]]:
     mi.set_variant("llvm_ad_rgb")
     yield from table(coloured(), names)
 
 
-def _print(names):
+def _print(names: Sequence[str]) -> None:
     """Print the table in Markdown."""
     print("| BSDF | verdict | what was found |\n|---|---|---|")
     for name, verdict in chain(table(cases(), names), _coloured_table(names)):

@@ -1,9 +1,13 @@
 """Tables in plain text, which are Markdown too."""
 
+from collections.abc import Iterable, Sequence
+
 __all__ = ["print_table"]
 
 
-def print_table(title, header, rows):
+def print_table(
+    title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
+) -> None:
     """Print a title and a table; all columns but the first two are right-aligned.
 
     Parameters
@@ -14,7 +18,7 @@ def print_table(title, header, rows):
     """
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
 
-    def _line(row):
+    def _line(row: Iterable[str]) -> str:
         cells = [
             text.ljust(width) if i < 2 else text.rjust(width)
             for i, (text, width) in enumerate(zip(row, widths))

@@ -2,13 +2,15 @@
 
 import resource
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from statistics import median
+from typing import Any
 
 __all__ = ["Times", "cpu_seconds", "in_turns", "peak_memory", "speeds"]
 
 
-def cpu_seconds():
+def cpu_seconds() -> float:
     """CPU seconds spent so far by all threads and by finished child processes."""
     own, children = (
         resource.getrusage(who)
@@ -17,7 +19,7 @@ def cpu_seconds():
     return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
 
 
-def peak_memory():
+def peak_memory() -> int:
     """Largest resident set of this process so far, in bytes (Linux)."""
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
@@ -30,7 +32,7 @@ class Times:
     wall: float
 
 
-def in_turns(runs, repeats):
+def in_turns(runs: Mapping[Any, Callable[[], Any]], repeats: int) -> dict[Any, Times]:
     """Median times of every run; all are warmed up, then repeated one after another.
 
     Parameters
@@ -45,7 +47,7 @@ def in_turns(runs, repeats):
     """
     for run in runs.values():
         run()
-    spent = {name: [] for name in runs}
+    spent: dict[Any, list[tuple[float, float]]] = {name: [] for name in runs}
     for _ in range(repeats):
         for name, run in runs.items():
             cpu, wall = cpu_seconds(), time.perf_counter()
@@ -57,7 +59,7 @@ def in_turns(runs, repeats):
     }
 
 
-def speeds(times, n):
+def speeds(times: Mapping[tuple[str, ...], Times], n: int) -> list[tuple[str, ...]]:
     """Rows of a table of speeds, relative to the first.
 
     Parameters

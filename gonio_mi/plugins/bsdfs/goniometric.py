@@ -1,7 +1,11 @@
 """BSDF `goniometric`: a measured record as a material."""
 
+from __future__ import annotations
+
 import functools
 import operator
+from collections.abc import Iterator
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -9,9 +13,10 @@ import numpy as np
 
 from gonio_mi.errors import SettingError
 from gonio_mi.files.channels import wavelengths_nm
-from gonio_mi.files.material_files import load_material
+from gonio_mi.files.material_files import PatchMeans, load_material
 from gonio_mi.materials.lit_face import LitFace
 from gonio_mi.materials.lobes import LobeTable
+from gonio_mi.results.record import Record
 
 LUMINANCE = (0.212671, 0.715160, 0.072169)
 
@@ -83,7 +88,7 @@ class Goniometric(mi.BSDF):
             'filename': 'measured.npz'
     """
 
-    def __init__(self, props):
+    def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.files = [props.get(name) for name in ("filename", "back_filename")]
         if self.files[0] is None:
@@ -96,17 +101,17 @@ class Goniometric(mi.BSDF):
         ]
         self._declare()
 
-    def wavelength_range(self):
+    def wavelength_range(self) -> tuple[float, float]:
         """Shortest and longest wavelength in nm of what the records hold.
 
         Without an end for records of one channel, which hold for all.
         """
-        held = [face.wavelengths for face in self.faces if face is not None]
+        held: list[Any] = [face.wavelengths for face in self.faces if face is not None]
         held = [nm for nm in held if nm is not None and len(nm) > 1]
         low, high = max(map(min, held), default=0), min(map(max, held), default=np.inf)
         return float(low), float(high)
 
-    def _declare(self):
+    def _declare(self) -> None:
         """Set the flags of both components."""
         kinds = (mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.GlossyTransmission)
         sides = (mi.BSDFFlags.FrontSide, mi.BSDFFlags.BackSide)
@@ -129,7 +134,14 @@ class Goniometric(mi.BSDF):
         self.m_components = components
         self.m_flags = functools.reduce(operator.or_, components)
 
-    def sample(self, ctx, si, sample1, sample2, active=True):
+    def sample(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        sample1: mi.Float,
+        sample2: mi.Point2f,
+        active: Any = True,
+    ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Pick a hemisphere by `sample1` and draw `wo` by `sample2`."""
         bs = dr.zeros(mi.BSDFSample3f)
         for side, guide, hemispheres in self._guides(ctx):
@@ -155,15 +167,33 @@ class Goniometric(mi.BSDF):
         bs.sampled_component = dr.select(below, mi.UInt32(1), mi.UInt32(0))
         return bs, dr.select(bs.pdf > 0, value / bs.pdf, 0)
 
-    def eval(self, ctx, si, wo, active=True):
+    def eval(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> mi.Spectrum:
         """BRDF or BTDF times the cosine of `wo`, of the enabled components."""
         return self.eval_pdf(ctx, si, wo, active)[0]
 
-    def pdf(self, ctx, si, wo, active=True):
+    def pdf(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> mi.Float:
         """Density of `wo` in 1/sr."""
         return self.eval_pdf(ctx, si, wo, active)[1]
 
-    def eval_pdf(self, ctx, si, wo, active=True):
+    def eval_pdf(
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> tuple[mi.Spectrum, mi.Float]:
         """Both of :meth:`eval` and :meth:`pdf`."""
         if ctx.mode == mi.TransportMode.Importance:
             return self._from_emitter(ctx, si.wi, wo, si.wavelengths, active)
@@ -181,7 +211,14 @@ class Goniometric(mi.BSDF):
             pdf += dr.select(lit, (1 - EVEN) * density + EVEN * even, 0)
         return value, pdf
 
-    def _from_emitter(self, ctx, to_emitter, detector, wavelengths, active):
+    def _from_emitter(
+        self,
+        ctx: mi.BSDFContext,
+        to_emitter: mi.Vector3f,
+        detector: mi.Vector3f,
+        wavelengths: mi.Spectrum,
+        active: Any,
+    ) -> tuple[mi.Spectrum, mi.Float]:
         """Value and density of `detector` for light from the direction `to_emitter`."""
         value, pdf = mi.Spectrum(0), mi.Float(0)
         for face, side in zip(self.faces, SIDES):
@@ -198,7 +235,9 @@ class Goniometric(mi.BSDF):
                 pdf += dr.select(lit, face_pdf, 0)
         return value, pdf
 
-    def _guides(self, ctx):
+    def _guides(
+        self, ctx: mi.BSDFContext
+    ) -> Iterator[tuple[int, LitFace, tuple[bool, bool]]]:
         """Sides of `wi`, the face to sample there, and hemispheres that hold `wo`."""
         enabled = self._enabled(ctx)
         for number, side in enumerate(SIDES):
@@ -216,34 +255,34 @@ class Goniometric(mi.BSDF):
             if guide is not None and any(hemispheres):
                 yield side, guide, hemispheres
 
-    def _enabled(self, ctx):
+    def _enabled(self, ctx: mi.BSDFContext) -> tuple[bool, bool]:
         """Which hemispheres the context asks for."""
         return (
             ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0),
             ctx.is_enabled(mi.BSDFFlags.GlossyTransmission, 1),
         )
 
-    def to_string(self):
+    def to_string(self) -> str:
         """Return a readable description."""
         return f"Goniometric[filename={self.files[0]}, back_filename={self.files[1]}]"
 
 
-def _seen(v, side):
+def _seen(v: mi.Vector3f, side: int) -> mi.Vector3f:
     """Return `v` seen from the face on that side."""
     return mi.Vector3f(v.x, v.y, v.z * side)
 
 
-def _face(label, name, side):
+def _face(label: str, name: str, side: str) -> LitFace:
     """Face of the material in a file, in the variant's channels."""
     try:
-        material = load_material(str(mi.file_resolver().resolve(name)), side)
+        material: Any = load_material(str(mi.file_resolver().resolve(name)), side)
         wavelengths = wavelengths_nm(material.channels)
         return LitFace(LobeTable.of(material, _mixture(material)), wavelengths)
     except (ValueError, OSError) as error:
         raise type(error)(f"{label}: {error}") from None
 
 
-def _mixture(material):
+def _mixture(material: Record | PatchMeans) -> tuple[float, ...] | None:
     """Weights that make one channel of three where the variant has one, or None."""
     channels = material.channels
     said = ", ".join(channels)[:80]

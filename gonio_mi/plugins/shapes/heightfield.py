@@ -1,12 +1,17 @@
 """Shape `heightfield`: a mesh of heights, from a file, an array or statistics."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from gonio_mi import properties
+from gonio_mi.array_types import Floats
 from gonio_mi.errors import SpecimenError
 from gonio_mi.memory import check_memory
 from gonio_mi.surfaces.heights import (
@@ -25,7 +30,7 @@ GENERATED = (
 )
 
 
-def heightfield(props):
+def heightfield(props: mi.Properties) -> mi.Mesh:
     r"""Height field (:monosp:`heightfield`).
 
     A triangle mesh over a rectangle about the origin, `size` long in x and as long in y
@@ -122,7 +127,7 @@ def heightfield(props):
     what = f"the mesh of a height field of {n_x} x {n_y} points"
     check_memory(what, heights.size * MESH_BYTES, "lower its resolution")
     name += f"; has {height_statistics(heights, spacing, closed)}"
-    normals = _normals(heights, spacing, closed) if smooth else None
+    normals: Any = _normals(heights, spacing, closed) if smooth else None
     if closed:
         heights = np.pad(heights, ((0, 1), (0, 1)), mode="wrap")
         if smooth:
@@ -130,7 +135,7 @@ def heightfield(props):
     return _mesh(props, name, heights, spacing, normals)
 
 
-def _heights(props, size):
+def _heights(props: mi.Properties, size: float) -> tuple[str, Floats, bool]:
     """Name, heights, and whether the last row is next to the first."""
     sources = [source for source in ("filename", "heights") if source in props]
     if sources:
@@ -150,7 +155,7 @@ def _heights(props, size):
     resolution = properties.count(props, "resolution", 256, minimum=4)
     alpha = _positive(props, "alpha", 0.2)
     length = size * max(1 / 32, 4 / resolution)
-    asked = {
+    asked: dict[str, Any] = {
         "alpha_u": _positive(props, "alpha_u", alpha),
         "alpha_v": _positive(props, "alpha_v", alpha),
         "correlation_length": _positive(props, "correlation_length", length),
@@ -167,11 +172,11 @@ def _heights(props, size):
     return f"heightfield of {resolution} x {resolution}, asked {words}", heights, True
 
 
-def _positive(props, name, default):
+def _positive(props: mi.Properties, name: str, default: float) -> float:
     return properties.number(props, name, default, 1 / LARGEST, LARGEST, POSITIVE)
 
 
-def _read(path):
+def _read(path: Path) -> Floats:
     """Heights from an image or a NumPy file."""
     if not path.is_file():
         raise SpecimenError(
@@ -189,24 +194,31 @@ def _read(path):
     return _array(array)
 
 
-def _array(array):
+def _array(array: ArrayLike) -> Floats:
     array = np.array(array)
     # of an image, the first channel
     return checked_heights(array[..., 0] if array.ndim == 3 else array)
 
 
-def _normals(heights, spacing, closed):
+def _normals(heights: Floats, spacing: float, closed: bool) -> Floats:
     """Unit normals at the grid points, from central differences."""
     if closed:
         padded = np.pad(heights, 1, mode="wrap")
-        slope_v, slope_u = (s[1:-1, 1:-1] for s in np.gradient(padded, spacing))
+        slopes: Any = np.gradient(padded, spacing)
+        slope_v, slope_u = (s[1:-1, 1:-1] for s in slopes)
     else:
         slope_v, slope_u = np.gradient(heights, spacing)
     normals = np.stack([-slope_u, -slope_v, np.ones_like(heights)], axis=-1)
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
-def _mesh(props, name, heights, spacing, normals):
+def _mesh(
+    props: mi.Properties,
+    name: str,
+    heights: Floats,
+    spacing: float,
+    normals: Floats | None,
+) -> mi.Mesh:
     """Mesh of two triangles for each cell of the grid."""
     n_y, n_x = heights.shape
     faces = _faces(n_x, n_y)
@@ -239,7 +251,7 @@ def _mesh(props, name, heights, spacing, normals):
     return mesh
 
 
-def _faces(n_x, n_y):
+def _faces(n_x: int, n_y: int) -> NDArray[np.uint32]:
     """Vertex indices of the triangles, counter-clockwise seen from +z."""
     index = np.arange(n_x * n_y, dtype=np.uint32).reshape(n_y, n_x)
     a, b = index[:-1, :-1], index[:-1, 1:]
