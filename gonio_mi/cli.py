@@ -30,6 +30,7 @@ from .commands.arguments import (
     PROGRAM,
     USER_ERROR,
     Parser,
+    add_command,
     say,
     sentence,
 )
@@ -111,7 +112,7 @@ def _parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {version}")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for command in COMMANDS:
-        command.add(commands)
+        add_command(commands, command)
     return parser
 
 

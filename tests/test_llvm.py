@@ -63,7 +63,7 @@ gonio_mi.llvm.check()
 DOCTOR = """
 import sys
 from gonio_mi.commands import doctor
-sys.exit(doctor.run())
+sys.exit(doctor.report())
 """
 
 
@@ -315,7 +315,7 @@ def test_path_that_does_not_exist(tmp_path):
 def test_doctor_finds_this_machine_able():
     mi.set_variant("llvm_ad_mono")
     lines = []
-    assert doctor.run(lines.append) == 0, "\n".join(lines)
+    assert doctor.report(lines.append) == 0, "\n".join(lines)
     assert len(lines) == len(doctor.diagnose()[0]) + 1
     assert lines[-1] == "this machine is able to measure"
 

@@ -2,9 +2,11 @@
 
 import argparse
 import contextlib
+import inspect
 import re
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 from typing import Any, NoReturn
 
 import mitsuba as mi
@@ -23,6 +25,8 @@ __all__ = [
     "USER_ERROR",
     "Parser",
     "UsageError",
+    "add_command",
+    "add_record",
     "add_scene_options",
     "add_specimen",
     "number",
@@ -64,6 +68,29 @@ class Parser(argparse.ArgumentParser):
 
 class UsageError(SettingError):
     """Arguments that cannot be parsed."""
+
+
+def add_command(commands: Any, module: ModuleType) -> None:
+    """Add the parser of the command that a module of this package is.
+
+    Its docstring is the help: after the command's name what it does in a line, and then
+    the description. ``USAGE`` and ``EXAMPLES`` are the module's own, if it has them.
+    """
+    heading, _, description = inspect.cleandoc(module.__doc__ or "").partition("\n")
+    parser = commands.add_parser(
+        module.__name__.rpartition(".")[2],
+        help=heading.rpartition("``: ")[2].rstrip("."),
+        usage=getattr(module, "USAGE", None),
+        description=description.strip(),
+        epilog=getattr(module, "EXAMPLES", None),
+    )
+    parser.set_defaults(run=module.run)
+    module.add_options(parser)
+
+
+def add_record(parser: argparse.ArgumentParser) -> None:
+    """Add the argument that is a file of a record."""
+    parser.add_argument("record", metavar="RECORD", help="an .exr or .npz file")
 
 
 def add_specimen(parser: argparse.ArgumentParser) -> None:

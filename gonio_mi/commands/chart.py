@@ -1,7 +1,11 @@
-"""``gonio-mi chart``: speed against accuracy for a specimen."""
+"""``gonio-mi chart``: speed against accuracy for a specimen: what to use.
+
+Measure a specimen by every method with more and more rays, and chart the error over
+rays and over CPU seconds.
+"""
 
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +21,9 @@ from .arguments import (
 )
 from .setting_options import add_setting
 
-__all__ = ["add", "run"]
+__all__ = ["add_options", "run"]
+
+USAGE = "%(prog)s SPECIMEN [--theta-i DEG] [options]"
 
 EXAMPLES = """\
 examples:
@@ -31,17 +37,8 @@ is that of the process, all threads together, without compilation. SPECIMEN come
 """
 
 
-def add(commands: Any) -> None:
-    """Add the parser of the command."""
-    parser = commands.add_parser(
-        "chart",
-        help="speed against accuracy for a specimen: what to use",
-        usage="%(prog)s SPECIMEN [--theta-i DEG] [options]",
-        description="Measure a specimen by every method with more and more rays, and\n"
-        "chart the error over rays and over CPU seconds.",
-        epilog=EXAMPLES,
-    )
-    parser.set_defaults(run=run)
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
     add_specimen(parser)
     parser.add_argument(
         "--theta-i",

@@ -1,4 +1,10 @@
-"""``gonio-mi compare``: a record beside another, or beside measured values."""
+"""``gonio-mi compare``: compare with another record or with measured values.
+
+Compare a record with another record of the same collector, patch by patch, or with a
+CSV table of measured values, whose columns are theta_i, phi_i, theta_o, phi_o, value
+and, optional, sigma. A specimen in place of the record is measured at the solid angles
+of the table and under its emitter.
+"""
 
 import json
 from argparse import ArgumentParser, Namespace
@@ -17,7 +23,9 @@ from .arguments import (
 )
 from .setting_options import add_setting
 
-__all__ = ["add", "run"]
+__all__ = ["add_options", "run"]
+
+USAGE = "%(prog)s RECORD OTHER [options]"
 
 EXAMPLES = """\
 examples:
@@ -31,20 +39,8 @@ Exit code 3: they differ by more than chance explains.
 """
 
 
-def add(commands: Any) -> None:
-    """Add the parser of the command."""
-    parser = commands.add_parser(
-        "compare",
-        help="compare with another record or with measured values",
-        usage="%(prog)s RECORD OTHER [options]",
-        description="Compare a record with another record of the same collector, patch "
-        "by patch, or with a\nCSV table of measured values, whose columns are theta_i, "
-        "phi_i, theta_o, phi_o, value\nand, optional, sigma. A specimen in place of "
-        "the record is measured at the solid\nangles of the table and under its "
-        "emitter.",
-        epilog=EXAMPLES,
-    )
-    parser.set_defaults(run=run)
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
     parser.add_argument(
         "record",
         metavar="RECORD",

@@ -1,6 +1,11 @@
-"""``gonio-mi doctor``: whether this machine is able to measure."""
+"""``gonio-mi doctor``: say whether this machine is able to measure.
+
+Find out whether this machine is able to measure; if it is not, say the line that fixes
+it.
+"""
 
 import platform
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from importlib import metadata
 from typing import Any, NamedTuple
@@ -15,7 +20,7 @@ from ..instrument.measurement import measure_whole
 from ..results.record import Record
 from ..transport.variants import usable_variants
 
-__all__ = ["Row", "add", "diagnose", "run"]
+__all__ = ["Row", "add_options", "diagnose", "report", "run"]
 
 VARIANT = "llvm_ad_mono"
 REQUIRED = ("gonio-mi", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
@@ -26,15 +31,14 @@ SELF_TEST_RAYS = 10**6
 FALSE_ALARM = 1e-6
 
 
-def add(commands: Any) -> None:
-    """Add the parser of the command."""
-    parser = commands.add_parser(
-        "doctor",
-        help="is this machine able to measure?",
-        description="Find out whether this machine is able to measure; if it is not, "
-        "say the line that fixes it.",
-    )
-    parser.set_defaults(run=lambda _options: run())
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command: it has none of its own."""
+
+
+def run(options: Namespace) -> int:
+    """Run the command and return the exit code."""
+    del options
+    return report()
 
 
 class Row(NamedTuple):
@@ -80,7 +84,7 @@ def diagnose() -> tuple[list[Row], bool]:
     return rows, all(row.ok for row in rows)
 
 
-def run(write: Callable[[str], Any] = print) -> int:
+def report(write: Callable[[str], Any] = print) -> int:
     """Write the diagnosis line by line, and return the exit code: 0 able, 1 not.
 
     Parameters

@@ -1,30 +1,30 @@
-"""``gonio-mi export``: a record in the files of other tools."""
+"""``gonio-mi export``: write a record for other tools.
 
-from argparse import Namespace
+Write a record for other tools: a table .csv or .astm (after ASTM E1392), a Radiance
+.xml, a .bsdf for Mitsuba's plugin measured, or NetCDF .nc. What was written is read
+back, and what was lost is said.
+"""
+
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import Any
 
 from .. import files
 from ..errors import SettingError
 from ..files.channels import wavelengths_nm
-from .arguments import DONE, set_variant, tell
+from .arguments import DONE, add_record, set_variant, tell
 
-__all__ = ["add", "run"]
+__all__ = ["add_options", "run"]
+
+EXAMPLES = """\
+examples:
+  gonio-mi export run.npz -o run.xml run.bsdf
+  gonio-mi export run.npz -o run.xml --basis tensor3
+"""
 
 
-def add(commands: Any) -> None:
-    """Add the parser of the command."""
-    parser = commands.add_parser(
-        "export",
-        help="write a record for other tools",
-        description="Write a record for other tools: a table .csv or .astm (after\n"
-        "ASTM E1392), a Radiance .xml, a .bsdf for Mitsuba's plugin measured, or\n"
-        "NetCDF .nc. What was written is read back, and what was lost is said.",
-        epilog="examples:\n  gonio-mi export run.npz -o run.xml run.bsdf\n"
-        "  gonio-mi export run.npz -o run.xml --basis tensor3",
-    )
-    parser.set_defaults(run=run)
-    parser.add_argument("record", metavar="RECORD", help="an .exr or .npz file")
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
+    add_record(parser)
     parser.add_argument(
         "-o",
         "--output",

@@ -1,11 +1,14 @@
-"""``gonio-mi measure``: a specimen is measured, shown and saved."""
+"""``gonio-mi measure``: measure how a specimen scatters light.
+
+Measure how a specimen scatters light, and show the numbers.
+"""
 
 from __future__ import annotations
 
 import signal
 import sys
 import warnings
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -30,7 +33,9 @@ from .arguments import (
 )
 from .setting_options import add_group, given_settings
 
-__all__ = ["add", "run"]
+__all__ = ["add_options", "run"]
+
+USAGE = "%(prog)s SPECIMEN [--theta-i DEG ...] [options]"
 
 EXAMPLES = """\
 examples:
@@ -49,16 +54,8 @@ Options take their defaults from the scene file if that is a complete measuremen
 """
 
 
-def add(commands: Any) -> None:
-    """Add the parser of the command."""
-    parser = commands.add_parser(
-        "measure",
-        help="measure how a specimen scatters light",
-        usage="%(prog)s SPECIMEN [--theta-i DEG ...] [options]",
-        description="Measure how a specimen scatters light, and show the numbers.",
-        epilog=EXAMPLES,
-    )
-    parser.set_defaults(run=run)
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
     add_specimen(parser)
 
     beam = "a collimated beam, or the scene's own emitter if no angle is given"

@@ -1,14 +1,17 @@
-"""``gonio-mi plan``: how many rays for which reliability."""
+"""``gonio-mi plan``: how many rays for which reliability.
+
+Say how many rays a measurement needs: by the bounds of Krishnaswamy and others (2004)
+on the absolute error of the flux, and for a relative error of all patches at once.
+"""
 
 import json
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from dataclasses import asdict
-from typing import Any
 
 from .. import files
 from .arguments import DONE, number, tell
 
-__all__ = ["add", "run"]
+__all__ = ["add_options", "run"]
 
 EXAMPLES = """\
 examples:
@@ -22,17 +25,8 @@ numbers are for independent rays; the sampler sobol needs fewer.
 """
 
 
-def add(commands: Any) -> None:
-    """Add the parser of the command."""
-    parser = commands.add_parser(
-        "plan",
-        help="how many rays for which reliability",
-        description="Say how many rays a measurement needs: by the bounds of\n"
-        "Krishnaswamy and others (2004) on the absolute error of the flux, and for a\n"
-        "relative error of all patches at once.",
-        epilog=EXAMPLES,
-    )
-    parser.set_defaults(run=run)
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
     parser.add_argument(
         "pilot",
         nargs="?",

@@ -1,25 +1,24 @@
-"""``gonio-mi plot``: a picture of a record."""
+"""``gonio-mi plot``: draw a record.
 
-from argparse import Namespace
-from typing import Any
+Draw a record: polar map, and profile in the plane of incidence with error bars.
+"""
+
+from argparse import ArgumentParser, Namespace
 
 from .. import files
-from .arguments import DONE, number
+from .arguments import DONE, add_record, number
 
-__all__ = ["add", "run"]
+__all__ = ["add_options", "run"]
+
+EXAMPLES = """\
+example:
+  gonio-mi plot run.npz -o run.png
+"""
 
 
-def add(commands: Any) -> None:
-    """Add the parser of the command."""
-    parser = commands.add_parser(
-        "plot",
-        help="draw a record",
-        description="Draw a record: polar map, and profile in the plane of incidence "
-        "with error bars.",
-        epilog="example:\n  gonio-mi plot run.npz -o run.png",
-    )
-    parser.set_defaults(run=run)
-    parser.add_argument("record", metavar="RECORD", help="an .exr or .npz file")
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
+    add_record(parser)
     parser.add_argument(
         "-o",
         "--output",

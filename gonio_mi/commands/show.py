@@ -1,27 +1,27 @@
-"""``gonio-mi show``: the numbers of a record."""
+"""``gonio-mi show``: show the numbers of a record.
+
+Show the numbers of a record: reflectance and transmittance with their intervals, where
+every ray went, and the worst patches.
+"""
 
 import json
-from argparse import Namespace
-from typing import Any
+from argparse import ArgumentParser, Namespace
 
 from .. import files
 from ..results.summary import summarize, summary_text
-from .arguments import DONE, tell
+from .arguments import DONE, add_record, tell
 
-__all__ = ["add", "run"]
+__all__ = ["add_options", "run"]
+
+EXAMPLES = """\
+example:
+  gonio-mi show run.npz --json | jq .directions[0].dhr
+"""
 
 
-def add(commands: Any) -> None:
-    """Add the parser of the command."""
-    parser = commands.add_parser(
-        "show",
-        help="show the numbers of a record",
-        description="Show the numbers of a record: reflectance and transmittance with "
-        "their intervals, where every ray went, and the worst patches.",
-        epilog="example:\n  gonio-mi show run.npz --json | jq .directions[0].dhr",
-    )
-    parser.set_defaults(run=run)
-    parser.add_argument("record", metavar="RECORD", help="an .exr or .npz file")
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
+    add_record(parser)
     parser.add_argument("--json", action="store_true", help="for machines")
 
 

@@ -1,4 +1,8 @@
-"""``gonio-mi validate``: whether a BSDF plugin is right, and who is wrong."""
+"""``gonio-mi validate``: examine a BSDF plugin, and say which function is wrong.
+
+Examine a BSDF plugin: what `sample`, `pdf` and `eval` say of the same directions,
+energy, reciprocity, transport modes, flags, masks, and the ends of its domain.
+"""
 
 import argparse
 import json
@@ -18,7 +22,9 @@ from .arguments import (
     specimen_of,
 )
 
-__all__ = ["add", "run"]
+__all__ = ["add_options", "run"]
+
+USAGE = "%(prog)s SPECIMEN [options]"
 
 # Where a plugin is judged: with colours, and with one channel.
 VARIANTS = ("llvm_ad_rgb", "llvm_ad_mono")
@@ -35,18 +41,8 @@ Exit code 3: something that --allow does not name biases images or breaks integr
 """
 
 
-def add(commands: Any) -> None:
-    """Add the parser of the command."""
-    parser = commands.add_parser(
-        "validate",
-        help="examine a BSDF plugin: is it right, which function is wrong?",
-        usage="%(prog)s SPECIMEN [options]",
-        description="Examine a BSDF plugin: what `sample`, `pdf` and `eval` say of the "
-        "same directions, energy,\nreciprocity, transport modes, flags, masks, and the "
-        "ends of its domain.",
-        epilog=EXAMPLES,
-    )
-    parser.set_defaults(run=run)
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
     add_specimen(parser)
     parser.add_argument(
         "--effort",
