@@ -4,18 +4,15 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from gonio_mi import (
-    Borders,
+from gonio_mi import Borders, Subdivision, adapted, subdivision
+from gonio_mi.collector import RingsAndSectors
+from gonio_mi.collector.directions import angles, direction
+from gonio_mi.collector.equal_steps import (
     EqualAngle,
     EqualProjectedSolidAngle,
     EqualSine,
     EqualSolidAngle,
-    Subdivision,
-    adapted,
-    subdivision,
 )
-from gonio_mi.collector import RingsAndSectors
-from gonio_mi.collector.directions import angles, direction
 from gonio_mi.collector.hemisphere import EDGE
 from gonio_mi.transport.collector_sphere import CollectorSphere
 

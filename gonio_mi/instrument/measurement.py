@@ -45,10 +45,10 @@ def measure_here(
     theta_i: Any = None,
     phi_i: Any = 0.0,
     *,
-    emitter: dict[str, Any] | None = None,
-    parameters: dict[str, Any] | None = None,
-    resume: Record | None = None,
     progress: bool = False,
+    resume: Record | None = None,
+    parameters: dict[str, Any] | None = None,
+    emitter: dict[str, Any] | None = None,
     **given: Any,
 ) -> Record:
     """Record of a specimen; see :func:`~gonio_mi.instrument.measuring.measure`."""

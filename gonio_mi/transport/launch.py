@@ -55,8 +55,31 @@ def launch(
     Totals
         Of as many batches as `keys`.
     """
+    counted = settings.estimator == "analog"
+    deposited = settings.estimator == "next_event"
+    traced = traces(bench, settings)
+    turns = 1 if traced else turns_of(bench.sampler, sizes[0])
+    lanes = -(-sizes[0] // turns)
+    if traced and len(sizes) * lanes == 1:
+        lanes = 2  # in a single one Dr.Jit 1.5 takes a loop's variables for constants
     while True:
-        sums = _sums(bench, settings, keys, sizes, begin, wavelengths, capacity)
+        sums = Sums(bench, capacity, counted=counted, deposits=deposited)
+        sampler = seeded(bench.sampler, keys, begin, lanes)
+        if traced and hasattr(sampler, "follow_curve"):
+            batch, ray = sampler.follow_curve()
+        else:
+            # as many lanes as rays, even where none of them draws a number
+            lane = dr.arange(mi.UInt32, len(sizes) * lanes)
+            batch, ray = (mi.UInt32(0), lane) if capacity == 1 else apart(lane, lanes)
+        # the last batches may be shorter by one ray
+        full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
+        size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
+        rays = _Rays(bench, settings, wavelengths, sums, batch, size)
+        if continues(sampler) and not traced:
+            in_turns(rays.add, sampler, ray, lanes, turns)
+        else:
+            rays.add(sampler, ray)
+        sums.evaluate()
         if not sums.lacking:
             break
         # fainter or brighter light than there was room for: once more, with room for it
@@ -69,44 +92,6 @@ def launch(
 def traces(bench: Bench, settings: MeasurementSettings) -> bool:
     """Whether rays are traced: for geometry, or where that is asked for."""
     return settings.trace or bench.specimen.plane is None
-
-
-def _sums(
-    bench: Bench,
-    settings: MeasurementSettings,
-    keys: Sequence[tuple[int, ...]],
-    sizes: Sequence[int],
-    begin: int,
-    wavelengths: mi.Spectrum,
-    capacity: int,
-) -> Sums:
-    """Sums of one launch, with the arguments of :func:`launch`."""
-    counted = settings.estimator == "analog"
-    deposited = settings.estimator == "next_event"
-    traced = traces(bench, settings)
-    sums = Sums(bench, capacity, counted=counted, deposits=deposited)
-    sampler = bench.sampler
-    turns = 1 if traced else turns_of(sampler, sizes[0])
-    lanes = -(-sizes[0] // turns)
-    if traced and len(sizes) * lanes == 1:
-        lanes = 2  # in a single one Dr.Jit 1.5 takes a loop's variables for constants
-    sampler = seeded(sampler, keys, begin, lanes)
-    if traced and hasattr(sampler, "follow_curve"):
-        batch, ray = sampler.follow_curve()
-    else:
-        # as many lanes as rays, even where none of them draws a number
-        lane = dr.arange(mi.UInt32, len(sizes) * lanes)
-        batch, ray = (mi.UInt32(0), lane) if capacity == 1 else apart(lane, lanes)
-    # the last batches may be shorter by one ray
-    full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
-    size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
-    rays = _Rays(bench, settings, wavelengths, sums, batch, size)
-    if continues(sampler) and not traced:
-        in_turns(rays.add, sampler, ray, lanes, turns)
-    else:
-        rays.add(sampler, ray)
-    sums.evaluate()
-    return sums
 
 
 class _Rays:

@@ -183,7 +183,7 @@ def trace(
         active &= ~truncated
 
         bsdf = si.bsdf(ray)
-        if deposits is not None:
+        if deposits is not None and deposits.scatters:
             sound = deposits.add(si, bsdf, ray, β, depth, flight.shift, sampler, active)
             fate[active & ~sound] = mi.UInt32(Fate.INVALID)
             active &= sound

@@ -103,6 +103,7 @@ class Deposits:
         axes = subdivision.axes
         self.axes = None if axes is None else mi.Vector3f(axes.T.tolist())
 
+    @dr.syntax
     def add(
         self,
         si: mi.SurfaceInteraction3f,
@@ -115,6 +116,8 @@ class Deposits:
         active: mi.Bool,
     ) -> mi.Bool:
         """Deposit what one event of each active ray sends, from its throughput `β`.
+
+        Only where a BSDF `scatters`, with other than delta components.
 
         Parameters
         ----------
@@ -135,23 +138,6 @@ class Deposits:
         mi.Bool
             False where `eval` returned what is no flux.
         """
-        if not self.scatters:
-            return mi.Bool(True)
-        return self._add(si, bsdf, ray, β, depth, shift, sampler, active)
-
-    @dr.syntax
-    def _add(
-        self,
-        si: mi.SurfaceInteraction3f,
-        bsdf: mi.BSDF,
-        ray: mi.Ray3f,
-        β: mi.Spectrum,
-        depth: mi.UInt32,
-        shift: mi.Vector3f,
-        sampler: mi.Sampler,
-        active: mi.Bool,
-    ) -> mi.Bool:
-        """Deposit, as `add`, on a specimen that has other than delta components."""
         low, high = self.order.least, self.order.most
         wanted = active & self.lanes & (depth + 1 >= low) & (depth + 1 <= high)
         wanted &= mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
