@@ -695,6 +695,22 @@ def test_a_good_material_is_measured(material, form):
 
 
 @pytest.mark.parametrize("form", [as_dict, as_scene, as_included])
+def test_a_material_ends_with_its_wavelengths(material, form):
+    """Mitsuba goes on with the last ones: 900 nm were measured as 650."""
+    grey = FIELDS["rgb"][:, :, :1]
+    nm = np.array([450, 650], np.float32)
+    name = material(rgb=None, wavelengths=nm, spectra=np.repeat(grey, 2, axis=2))
+    settings = {"theta_i": 30, "rays": 1000, "collector": "projected:3x3"}
+    mi.set_variant("llvm_ad_spectral")
+    inside = gonio.measure(form(name), wavelengths=[450, 550, 650], **settings)
+    assert inside.channels == ("450nm", "550nm", "650nm")
+    said = r"m\.bsdf covers the wavelengths from 450 to 650 nm, got 900 nm"
+    with pytest.raises(gonio.SpecimenError, match=said):
+        gonio.measure(form(name), wavelengths=[550, 900], **settings)
+    mi.set_variant("llvm_ad_rgb")
+
+
+@pytest.mark.parametrize("form", [as_dict, as_scene, as_included])
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [

@@ -40,8 +40,13 @@ ASCENDING = ("theta_i", "phi_i", "wavelengths")
 DENSITIES = ("vndf", "luminance")
 
 
-def check_measured(path: str | os.PathLike[str]) -> None:
+def check_measured(path: str | os.PathLike[str]) -> tuple[float, float] | None:
     """Raise one clear sentence unless `measured` can take the file.
+
+    Returns
+    -------
+    tuple of float, or None
+        Least and largest wavelength of its data in nm; None if they are colours.
 
     Raises
     ------
@@ -58,6 +63,10 @@ def check_measured(path: str | os.PathLike[str]) -> None:
             _check_values(fields)
         except FileFormatError as error:
             raise FileFormatError(f"cannot load {path}: {error}") from None
+    if "wavelengths" not in fields:
+        return None
+    nm = fields["wavelengths"]
+    return float(nm.min()), float(nm.max())
 
 
 def _check_shapes(fields: dict[str, NDArray[np.generic]]) -> None:

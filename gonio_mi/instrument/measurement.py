@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from os import PathLike
 from typing import Any
 
 import mitsuba as mi
@@ -25,6 +26,7 @@ from .batches import Target, n_batches
 from .incidence import described_digest, emitter_scene, incident_angles, incident_key
 from .instrument import Instrument
 from .loading import check_variant, load_specimen, specimen_name
+from .named_files import check_named_files
 from .resuming import check_resumable
 from .scene_settings import own_settings, sampler_of
 from .sending import send_all
@@ -59,6 +61,8 @@ def measure_here(
     incidents, stacked = incident_angles(theta_i, phi_i)
     scene = load_specimen(specimen, parameters)
     settings = _settled(own_settings(scene), given, resume)
+    if mi.is_spectral and isinstance(specimen, (str, PathLike, dict)):
+        check_named_files(specimen, parameters, settings.wavelengths)
     instrument = Instrument(settings, sampler_of(settings))
     measured = Specimen(scene, settings.period)
     measured.name = specimen_name(specimen, parameters)

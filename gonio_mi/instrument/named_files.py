@@ -2,12 +2,14 @@
 
 import os
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
+import numpy as np
 
+from ..errors import SpecimenError
 from ..files.measured_file import check_measured
 
 __all__ = ["check_named_files"]
@@ -19,8 +21,12 @@ DEEPEST = 15
 def check_named_files(
     specimen: Mapping[str, Any] | str | os.PathLike[str],
     parameters: Mapping[str, str] | None = None,
+    wavelengths: Sequence[float] = (),
 ) -> None:
     """Raise one clear sentence if a file of the plugin `measured` would be its end.
+
+    Or if it has no data at one of the `wavelengths`, beyond which it goes on with its
+    last ones.
 
     Names that are not found are left to Mitsuba, and so are scene files that are not
     XML.
@@ -31,11 +37,15 @@ def check_named_files(
         Dictionary or scene file, as Mitsuba loads it.
     parameters : dict, optional
         Values of the ``$name`` parameters of a scene file.
+    wavelengths : sequence of float
+        In nm, of a measurement in a spectral variant.
 
     Raises
     ------
     FileFormatError
         If a file is damaged.
+    SpecimenError
+        If its data do not cover the wavelengths.
     """
     if isinstance(specimen, Mapping):
         names = _of_dictionary(specimen)
@@ -44,7 +54,19 @@ def check_named_files(
     for name in names:
         path = Path(str(mi.file_resolver().resolve(str(name))))
         if path.is_file():
-            check_measured(path)
+            covered = check_measured(path) or (0.0, np.inf)
+            beyond = [nm for nm in wavelengths if not _holds(covered, nm)]
+            if beyond:
+                low, high = covered
+                raise SpecimenError(
+                    f"{path.name} covers the wavelengths from {low:g} to {high:g} nm, "
+                    f"got {beyond[0]:g} nm"
+                )
+
+
+def _holds(covered: tuple[float, float], nm: float) -> bool:
+    """Whether a wavelength, in the single precision of Mitsuba's, is in a range."""
+    return covered[0] <= float(np.float32(nm)) <= covered[1]
 
 
 def _of_dictionary(node: Mapping[str, Any]) -> Iterator[str | Path]:
