@@ -59,10 +59,7 @@ def measure_here(
     asked = MeasurementSettings().changed(**given)  # refused before anything is loaded
     _check_together(given, asked, theta_i, phi_i, emitter)
     incidents, stacked = incident_angles(theta_i, phi_i)
-    scene = load_specimen(specimen, parameters)
-    settings = _settled(own_settings(scene), given, resume)
-    if mi.is_spectral and isinstance(specimen, (str, PathLike, dict)):
-        check_named_files(specimen, parameters, settings.wavelengths)
+    scene, settings = _prepared(specimen, parameters, given, resume)
     instrument = Instrument(settings, sampler_of(settings))
     measured = Specimen(scene, settings.period)
     measured.name = specimen_name(specimen, parameters)
@@ -139,6 +136,20 @@ def _check_together(
         raise SettingError(
             f"max_rays goes with rel_err, got {asked.max_rays!r} without"
         )
+
+
+def _prepared(
+    specimen: Any,
+    parameters: dict[str, Any] | None,
+    given: dict[str, Any],
+    resume: object,
+) -> tuple[mi.Scene, MeasurementSettings]:
+    """Scene of a specimen, and the settings with which it is measured."""
+    scene = load_specimen(specimen, parameters)
+    settings = _settled(own_settings(scene), given, resume)
+    if mi.is_spectral and isinstance(specimen, (str, PathLike, dict)):
+        check_named_files(specimen, parameters, settings.wavelengths)
+    return scene, settings
 
 
 def _settled(

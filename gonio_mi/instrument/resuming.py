@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from ..errors import SettingError, SettingTypeError, shown
 from ..results.record import DIGESTS, Record
+from ..settings import MeasurementSettings, declarations
 from ..transport.bench import Bench
 from .instrument import Instrument
 
@@ -46,12 +47,17 @@ def check_resumable(
             "phi_i": bench.phi_i,
             "hemispheres": "both" if bench.shape[0] == 2 else "upper",
         }
-        others = dict(resume.settings) | {
-            "collector": str(resume.subdivision),
-            "theta_i": float(resume.theta_i[i]),
-            "phi_i": float(resume.phi_i[i]),
-            "hemispheres": "both" if resume.has_lower else "upper",
-        }
+        # a setting that is younger than the record was as its default is
+        others = (
+            _defaults()
+            | dict(resume.settings)
+            | {
+                "collector": str(resume.subdivision),
+                "theta_i": float(resume.theta_i[i]),
+                "phi_i": float(resume.phi_i[i]),
+                "hemispheres": "both" if resume.has_lower else "upper",
+            }
+        )
         lacking = set(DIGESTS) - others.keys()
         for key in own.keys() - FREE - lacking:
             if own[key] != others.get(key) and own[key] == own[key]:
@@ -72,3 +78,9 @@ def check_resumable(
                 f"{len(sizes)} batches of up to {max(sizes)} rays instead of "
                 f"{len(plan)} of up to {max(plan)}"
             )
+
+
+def _defaults() -> dict[str, object]:
+    """Settings as records tell them, where nothing was asked for."""
+    declared = declarations(MeasurementSettings)
+    return {name: each.text(each.default) for name, each in declared.items()}
