@@ -1,24 +1,29 @@
 """BSDFs that are not Mitsuba's: three functions on NumPy arrays, as a Mitsuba BSDF."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import ArrayLike
 
+from ..array_types import Floats, Numbers
 from ..errors import SettingTypeError
 
 __all__ = ["from_numpy"]
 
 
 def from_numpy(
-    sample: Callable,
-    eval: Callable,  # noqa: A002 (as the function of Mitsuba is called)
-    pdf: Callable,
+    sample: Callable[..., Any],
+    eval: Callable[..., Any],  # noqa: A002 (as the function of Mitsuba is called)
+    pdf: Callable[..., Any],
     *,
     transmits: bool = False,
     two_sided: bool = False,
-) -> "mi.BSDF":
+) -> mi.BSDF:
     """Mitsuba BSDF of three functions on arrays of directions.
 
     What another engine, a shader or a port computes is judged by
@@ -67,11 +72,13 @@ def from_numpy(
     class Adapter(mi.BSDF):
         """Calls the functions with arrays, and returns what Mitsuba expects."""
 
-        def __init__(self, props):
+        def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             self.m_flags, self.m_components = lobes, [lobes]
 
-        def sample(self, ctx, si, sample1, sample2, active=True):
+        def sample(
+            self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True
+        ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
             n = dr.width(si.wi, sample1, sample2, active)
             wi = _rows(si.wi, n)
             u = np.column_stack([_flat(sample1, n), _rows(sample2, n)])
@@ -85,39 +92,39 @@ def from_numpy(
             enabled = ctx.is_enabled(flags.GlossyReflection, 0)
             return bs, _spectrum(weight, n) & (active & enabled)
 
-        def eval(self, ctx, si, wo, active=True):
+        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Spectrum:
             n = dr.width(si.wi, wo, active)
             value = functions["eval"](_rows(si.wi, n), _rows(wo, n))
             enabled = ctx.is_enabled(flags.GlossyReflection, 0)
             return _spectrum(value, n) & (active & enabled)
 
-        def pdf(self, ctx, si, wo, active=True):
+        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Float:
             n = dr.width(si.wi, wo, active)
             value = functions["pdf"](_rows(si.wi, n), _rows(wo, n))
             enabled = ctx.is_enabled(flags.GlossyReflection, 0)
             return dr.select(active & enabled, _number(value, n), 0)
 
-        def to_string(self):
+        def to_string(self) -> str:
             return "Adapter[]"
 
     return Adapter(mi.Properties("adapter"))
 
 
-def _rows(vector, n):
+def _rows(vector: Any, n: int) -> Floats:
     """Array of shape ``(n, k)``, in float64, of a Dr.Jit vector."""
     array = np.array(vector, dtype=float)
     return np.broadcast_to(array.reshape(len(array), -1).T, (n, len(array)))
 
 
-def _flat(value, n):
+def _flat(value: Any, n: int) -> Numbers:
     return np.broadcast_to(np.ravel(np.array(value)), n)
 
 
-def _number(values, n):
+def _number(values: ArrayLike, n: int) -> mi.Float:
     return mi.Float(np.ascontiguousarray(np.broadcast_to(values, n), np.float32))
 
 
-def _spectrum(values, n):
+def _spectrum(values: ArrayLike, n: int) -> mi.Spectrum:
     values = np.asarray(values, dtype=np.float32)
     values = values[:, None] if values.ndim == 1 else values
     channels = dr.size_v(mi.Spectrum)

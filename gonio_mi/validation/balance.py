@@ -1,11 +1,14 @@
 """Drawn against due: counts, weights and energy, by patch and in total."""
 
+from __future__ import annotations
+
 import numpy as np
 from scipy import special
 
-from .evidence import INTERFACE
-from .identities import BSDF_ROUNDING
+from .equality import BSDF_ROUNDING
+from .evidence import INTERFACE, Evidence
 from .integrals import SUM_ERROR
+from .maps import FourMaps
 
 __all__ = ["check_energy", "check_maps", "check_pooled"]
 
@@ -17,7 +20,7 @@ UNDERFLOW = 1e-12
 JUDGED = 0.9
 
 
-def check_maps(evidence, maps):
+def check_maps(evidence: Evidence, maps: FourMaps) -> None:
     """Counted directions against ``pdf``, weights against ``eval``, in four views."""
     for name, scores in (
         ("sampling", maps.count_scores),
@@ -30,7 +33,7 @@ def check_maps(evidence, maps):
     _check_reach(evidence, maps)
 
 
-def _check_excess(evidence, maps):
+def _check_excess(evidence: Evidence, maps: FourMaps) -> None:
     """``pdf`` integrates to no more than 1; where ``eval`` is black, nobody minds."""
     used, unused = maps.pdf.sum(), maps.due.unused.values.sum()
     slack = max(maps.pdf_sum_bound, SUM_ERROR) + maps.due.unused.sum_bound
@@ -49,7 +52,7 @@ def _check_excess(evidence, maps):
         )
 
 
-def _check_reach(evidence, maps):
+def _check_reach(evidence: Evidence, maps: FourMaps) -> None:
     """All light of ``eval`` is where samples go; and too rarely, if at all, is told."""
     due, flux = maps.due, maps.smooth_flux.mean()
     lost = due.unreached.values.sum()
@@ -71,7 +74,7 @@ def _check_reach(evidence, maps):
         )
 
 
-def check_pooled(evidence):
+def check_pooled(evidence: Evidence) -> None:
     """Sums of all patches over all conditions: a small error that is everywhere."""
     for name in ("sampling", "weights"):
         scores = [
@@ -86,7 +89,7 @@ def check_pooled(evidence):
             evidence.test(name, p, f"z of all sums together {z:+.1f}")
 
 
-def check_energy(evidence, maps):
+def check_energy(evidence: Evidence, maps: FourMaps) -> None:
     """Reflectance plus transmittance is at most 1, in importance mode.
 
     The smooth part is integrated, the discrete one is sampled; and all that was sampled

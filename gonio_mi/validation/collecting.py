@@ -1,13 +1,19 @@
 """Samples of a BSDF one by one, what all functions say of them, and how they round."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Flags, Floats, Integers, Numbers
+from .conditions import Condition
 from .drawing import seed_of, uniform
-from .identities import SLACK
+from .equality import SLACK
 from .probe import Probe, numbers, spectral
 
 __all__ = ["Drawn", "collect", "rounding"]
@@ -46,52 +52,52 @@ class Drawn:
         ``eval`` with incident and outgoing directions exchanged.
     """
 
-    condition: object
-    wo: np.ndarray
-    weight: np.ndarray
-    sampled_pdf: np.ndarray
-    type: np.ndarray
-    component: np.ndarray
-    eta: np.ndarray
-    sample1: np.ndarray
-    sample2: np.ndarray
-    eval: np.ndarray
-    pdf: np.ndarray
-    eval_slack: np.ndarray
-    pdf_slack: np.ndarray
-    joint: dict
-    other_mode: np.ndarray
-    reverse: np.ndarray
-    reverse_slack: np.ndarray
-    reverse_other_mode: np.ndarray
+    condition: Condition
+    wo: Floats
+    weight: Floats
+    sampled_pdf: Floats
+    type: Integers
+    component: Integers
+    eta: Floats
+    sample1: Floats
+    sample2: Floats
+    eval: Floats
+    pdf: Floats
+    eval_slack: Floats
+    pdf_slack: Floats
+    joint: dict[str, Any]
+    other_mode: Floats
+    reverse: Floats
+    reverse_slack: Floats
+    reverse_other_mode: Floats
 
     @property
-    def n(self):
+    def n(self) -> int:
         """Number of samples."""
         return len(self.pdf)
 
     @property
-    def delta(self):
+    def delta(self) -> Flags:
         """Which samples have a discrete direction."""
         return (self.type & int(mi.BSDFFlags.Delta)) != 0
 
     @property
-    def given(self):
+    def given(self) -> Flags:
         """Which samples did not fail."""
         return (self.weight != 0).any(axis=1)
 
     @property
-    def smooth(self):
+    def smooth(self) -> Flags:
         """Which samples did not fail and have a density."""
         return self.given & ~self.delta & np.isfinite(self.wo).all(axis=1)
 
     @property
-    def reflected(self):
+    def reflected(self) -> Flags:
         """Which directions are on the lit side."""
         return self.wo[:, 2] * self.condition.wi[2] > 0
 
 
-def collect(bsdf, condition, n, key):
+def collect(bsdf: mi.BSDF, condition: Condition, n: int, key: tuple[int, ...]) -> Drawn:
     """Draw `n` samples and ask all functions about each direction.
 
     Parameters as of :func:`~gonio_mi.validation.drawing.count`.
@@ -139,7 +145,9 @@ def collect(bsdf, condition, n, key):
     )
 
 
-def _joint(probe, wo, sample1, sample2):
+def _joint(
+    probe: Probe, wo: mi.Vector3f, sample1: mi.Float, sample2: mi.Point2f
+) -> dict[str, Any]:
     """Answers of ``eval_pdf`` and ``eval_pdf_sample``, and what the latter drew."""
     n = dr.width(wo)
     value, pdf = probe.eval_pdf(wo)
@@ -157,7 +165,7 @@ def _joint(probe, wo, sample1, sample2):
     }
 
 
-def rounding(probe, key):
+def rounding(probe: Probe, key: tuple[int, ...]) -> list[float]:
     """Relative error that single precision may leave in integrals.
 
     A value in single precision is the true one at directions that are displaced by a
@@ -191,12 +199,15 @@ def rounding(probe, key):
     return relative
 
 
-def _mean(value, n):
+def _mean(value: Any, n: int) -> Numbers:
     """Number for each sample: the mean over channels."""
     return numbers(value, n) if dr.depth_v(value) == 1 else spectral(value, n).mean(1)
 
 
-def _changes(displaced, *functions):
+def _changes(
+    displaced: Iterable[tuple[mi.Vector3f, mi.Vector3f, float]],
+    *functions: tuple[Callable[[mi.Vector3f, mi.Vector3f], Any], Any],
+) -> list[Any]:
     """Largest changes of functions (with their values), times the weight of each."""
     largest = [0 * value for _, value in functions]
     for moved_wi, moved_wo, weight in displaced:
@@ -209,13 +220,15 @@ def _changes(displaced, *functions):
     return largest
 
 
-def _displaced(wi, wo, key):
+def _displaced(
+    wi: mi.Vector3f, wo: mi.Vector3f, key: tuple[int, ...]
+) -> Iterator[tuple[mi.Vector3f, mi.Vector3f, float]]:
     """Both directions, displaced by rounding errors into six random directions."""
     n = dr.width(wo)
     signs = mi.load_dict({"type": "independent"})
     signs.seed(seed_of((*key, 1)), n)
 
-    def _move(v):
+    def _move(v: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f]:
         step = mi.Vector3f(*(2 * signs.next_1d() - 1 for _ in range(3)))
         # of a unit vector only to within rounding, as all are in single precision
         return v + ULPS * step, v - ULPS * step
@@ -224,7 +237,9 @@ def _displaced(wi, wo, key):
         yield from ((*moved, 1.0) for moved in zip(_move(wi), _move(wo)))
 
 
-def _tilted(wi, wo):
+def _tilted(
+    wi: mi.Vector3f, wo: mi.Vector3f
+) -> Iterator[tuple[mi.Vector3f, mi.Vector3f, float]]:
     """Outgoing directions whose half vector has another cosine by rounding.
 
     A plugin that draws the cosine of a facet finds its sine from that: near the normal,

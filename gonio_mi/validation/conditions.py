@@ -1,10 +1,14 @@
 """Under which circumstances a BSDF is examined, and how hard."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Floats
 from ..collector import Borders
 from ..collector.directions import direction
 from ..errors import checked_choice
@@ -32,19 +36,19 @@ class Condition:
     theta_i: float
     phi_i: float = 0.0
     side: str = "front"
-    uv: tuple = (0.5, 0.5)
+    uv: tuple[float, float] = (0.5, 0.5)
     mode: str = "importance"
     component: int | None = None
 
     @property
-    def wi(self):
+    def wi(self) -> Floats:
         """Unit vector to the source, shape (3,), in local coordinates."""
         face = 1 if self.side == "front" else -1
         wi = direction(np.radians(self.theta_i), np.radians(self.phi_i))
         return wi * [1, 1, face]
 
     @property
-    def context(self):
+    def context(self) -> mi.BSDFContext:
         """Mitsuba's BSDF context."""
         mode = getattr(mi.TransportMode, self.mode.capitalize())
         ctx = mi.BSDFContext(mode)
@@ -52,7 +56,7 @@ class Condition:
             ctx.component = self.component
         return ctx
 
-    def __str__(self):
+    def __str__(self) -> str:
         words = [f"theta_i {self.theta_i:g}, phi_i {self.phi_i:g}"]
         if self.side != "front":
             words.append(self.side)
@@ -92,12 +96,12 @@ class Effort:
     checked: int
     rings: int
     sectors: int
-    angles: tuple
-    map_angles: tuple
-    few_angles: tuple
+    angles: tuple[float, ...]
+    map_angles: tuple[float, ...]
+    few_angles: tuple[float, ...]
 
     @property
-    def patches(self):
+    def patches(self) -> Borders:
         """Rings of equal projected solid angle, and thin ones at pole and horizon."""
         sines = np.sqrt(np.arange(self.rings + 1) / self.rings)
         theta = np.degrees(np.arcsin(sines))
@@ -105,22 +109,26 @@ class Effort:
         theta = np.sort(np.concatenate([theta, thin, 90 - thin]))
         # no slivers
         kept = np.concatenate([[True], np.diff(theta) > 0.2])
-        theta = [*theta[kept][:-1], 90.0] if kept[-1] else [*theta[kept], 90.0]
-        return Borders(theta, np.linspace(0, 360, self.sectors + 1))
+        edges = [*theta[kept][:-1], 90.0] if kept[-1] else [*theta[kept], 90.0]
+        return Borders(tuple(edges), tuple(np.linspace(0, 360, self.sectors + 1)))
 
     @staticmethod
-    def named(name):
+    def named(name: str) -> Effort:
         """Effort of a name; ValueError for any other."""
         return EFFORTS[checked_choice("effort", name, tuple(EFFORTS))]
 
-    def checks(self, sides, components):
+    def checks(
+        self, sides: Sequence[str], components: Sequence[int]
+    ) -> Iterator[Condition]:
         """Conditions of the checked samples."""
         yield from self._spread(self.angles, sides)
         for component in components:
             few = self._spread(self.few_angles, sides)
             yield from (replace(one, component=component) for one in few)
 
-    def maps(self, sides, components):
+    def maps(
+        self, sides: Sequence[str], components: Sequence[int]
+    ) -> Iterator[Condition]:
         """Conditions of the maps, in importance mode."""
         yield from self._spread(self.map_angles, sides[:1])
         yield from self._spread(self.few_angles, sides[1:])
@@ -128,12 +136,12 @@ class Effort:
             few = self._spread(self.few_angles[:1], sides[:1])
             yield from (replace(one, component=component) for one in few)
 
-    def radiance(self, sides):
+    def radiance(self, sides: Sequence[str]) -> Iterator[Condition]:
         """Conditions to be examined in radiance mode."""
         return self._spread(self.few_angles[:1], sides)
 
     @staticmethod
-    def _spread(angles, sides):
+    def _spread(angles: Sequence[float], sides: Sequence[str]) -> Iterator[Condition]:
         """Angles on both sides, each with an azimuth and a place of its own."""
         for side in sides:
             for i, theta_i in enumerate(angles):

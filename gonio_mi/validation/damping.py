@@ -8,9 +8,14 @@ min(``eval``, c ``pdf``), a bounded function. As c we take the largest for which
 sum is as good as normal.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+
+from ..array_types import Floats, Integers, Numbers
 
 __all__ = ["SMALL", "Damping"]
 
@@ -22,6 +27,13 @@ SMALL = 0.01
 
 # Hits that a group of patches must have: four times as many as equal weights need.
 ENOUGH_HITS = 4 / SMALL
+
+
+class Ratios(Protocol):
+    """What of samples damps them: their patches, and ``eval`` over ``pdf``."""
+
+    index: Integers
+    ratio: Floats
 
 
 @dataclass(frozen=True)
@@ -36,11 +48,11 @@ class Damping:
         Of each patch; the last is that of samples in no patch, infinite.
     """
 
-    first: np.ndarray
-    limits: np.ndarray
+    first: Integers
+    limits: Floats
 
     @staticmethod
-    def of(pilot, n_patches, n):
+    def of(pilot: Ratios, n_patches: int, n: int) -> Damping:
         """Damping of `n` samples, from a pilot :class:`Samples` of fewer."""
         n_pilot = len(pilot.index)
         inside = pilot.index < n_patches
@@ -52,14 +64,14 @@ class Damping:
         limits = _limits(ratio, group[index], len(starts), SMALL * n / n_pilot)
         return Damping(first, np.append(limits[group], np.inf))
 
-    def factors(self, drawn):
+    def factors(self, drawn: Ratios) -> Floats:
         """Factor of each weight of :class:`Samples`."""
         limit = self.limits[drawn.index]
         heavy = drawn.ratio > limit
         return np.divide(limit, drawn.ratio, out=np.ones(len(limit)), where=heavy)
 
 
-def _limits(ratio, group, n_groups, share):
+def _limits(ratio: Floats, group: Integers, n_groups: int, share: float) -> Floats:
     """Limit c of each group: ``share * sum(min(ratio / c, 1)^2) = 1``."""
     usable = np.isfinite(ratio) & (ratio > 0)
     low, high = np.full(n_groups, np.inf), np.zeros(n_groups)
@@ -76,7 +88,7 @@ def _limits(ratio, group, n_groups, share):
     return np.where(lit, low, 0.0)
 
 
-def groups(hits, enough):
+def groups(hits: Numbers, enough: float) -> Integers:
     """First patch of each group of consecutive patches with enough hits."""
     starts, total = [], enough
     for i, own in enumerate(hits.tolist()):

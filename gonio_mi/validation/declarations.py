@@ -1,14 +1,19 @@
 """What a plugin declares about itself, against what it does; and its masks."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from .collecting import collect
+from ..array_types import Floats
+from .collecting import Drawn, collect
 from .conditions import Condition
-from .evidence import BIAS
-from .identities import is_many, unequal
+from .equality import is_many, unequal
+from .evidence import BIAS, Evidence
 from .probe import Probe, numbers, spectral
 
 __all__ = ["check_components", "check_flags", "check_masks", "check_sides"]
@@ -25,7 +30,7 @@ LOBES = (
 )
 
 
-def check_flags(evidence, bsdf):
+def check_flags(evidence: Evidence, bsdf: mi.BSDF) -> None:
     """Sampled types and components are declared; what is declared may be unused."""
     flags, n = int(bsdf.flags()), bsdf.component_count()
     union = 0
@@ -53,7 +58,7 @@ def check_flags(evidence, bsdf):
         evidence.remark("flags", f"{_names(missing)} declared and never sampled")
 
 
-def _undeclared(bsdf, drawn):
+def _undeclared(bsdf: mi.BSDF, drawn: Drawn) -> tuple[int, tuple[Any, ...] | None]:
     """Types of all samples, and the breach of those that are not declared, or None."""
     flags, n = int(bsdf.flags()), bsdf.component_count()
     types, components = drawn.type[drawn.given], drawn.component[drawn.given]
@@ -87,7 +92,7 @@ def _undeclared(bsdf, drawn):
     return kinds, None
 
 
-def check_sides(evidence, bsdf, seed):
+def check_sides(evidence: Evidence, bsdf: mi.BSDF, seed: int) -> None:
     """Both sides, rotation, differentials and places as declared.
 
     SpatiallyVarying is a remark: none of Mitsuba's BSDFs declares it.
@@ -129,7 +134,9 @@ def check_sides(evidence, bsdf, seed):
         evidence.remark("flags", text)
 
 
-def _changed(bsdf, drawn, change):
+def _changed(
+    bsdf: mi.BSDF, drawn: Drawn, change: Callable[[Probe, Floats], Floats]
+) -> float:
     """Share of samples for which `change` changes ``eval``; 0 for a few."""
     probe = Probe(bsdf, drawn.condition)
     wo = change(probe, drawn.wo)
@@ -138,39 +145,39 @@ def _changed(bsdf, drawn, change):
     return float(differs.mean()) if is_many(differs, drawn.n) else 0.0
 
 
-def _turn(probe, wo):
+def _turn(probe: Probe, wo: Floats) -> Floats:
     """Both directions, turned about the normal."""
     turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
     probe.wi = mi.Vector3f((turn @ probe.condition.wi).tolist())
     return wo @ turn.T
 
 
-def _move(probe, wo):
+def _move(probe: Probe, wo: Floats) -> Floats:
     """Another place of the texture."""
     probe.uv = mi.Point2f(0.15, 0.7)
     return wo
 
 
-def _differentiate(probe, wo):
+def _differentiate(probe: Probe, wo: Floats) -> Floats:
     """Rays with differentials."""
     plain = probe.interaction
 
-    def _interaction(wi=None):
+    def _interaction(wi: mi.Vector3f | None = None) -> mi.SurfaceInteraction3f:
         si = plain(wi)
         si.duv_dx, si.duv_dy = mi.Vector2f(0.3, 0.1), mi.Vector2f(-0.1, 0.2)
         return si
 
-    probe.interaction = _interaction
+    probe.interaction = _interaction  # type: ignore[method-assign]
     return wo
 
 
-def check_components(evidence, bsdf, drawn):
+def check_components(evidence: Evidence, bsdf: mi.BSDF, drawn: Drawn) -> None:
     """Values of the components add up to the whole; an undeclared one is dark."""
     n = bsdf.component_count()
     if drawn.condition.component is not None or not n:
         return
     wo = mi.Vector3f(drawn.wo.T)
-    total = 0.0
+    total: Any = 0.0
     for i in range(n):
         probe = Probe(bsdf, replace(drawn.condition, component=i))
         total = total + spectral(probe.eval(wo), drawn.n)
@@ -189,7 +196,7 @@ def check_components(evidence, bsdf, drawn):
         )
 
 
-def check_masks(evidence, bsdf, seed):
+def check_masks(evidence: Evidence, bsdf: mi.BSDF, seed: int) -> None:
     """Every other ray is inactive: it gets no light, the others what they got.
 
     The density of an inactive ray is of no use to anyone, and a remark only.
@@ -235,14 +242,20 @@ def check_masks(evidence, bsdf, seed):
                 )
 
 
-def _has_light(evidence):
+def _has_light(evidence: Evidence) -> bool:
     return any(drawn.given.any() for drawn in evidence.drawn)
 
 
-def _names(flags):
+def _names(flags: int) -> str:
     names = [name for name in LOBES if flags & int(getattr(mi.BSDFFlags, name))]
     return " and ".join(names) or f"flag {flags:#x}"
 
 
-def _breach(evidence, function, statistic, mistake, effect=None):
+def _breach(
+    evidence: Evidence,
+    function: str,
+    statistic: str,
+    mistake: str,
+    effect: str | None = None,
+) -> None:
     evidence.breach("flags", function, statistic, mistake, effect=effect)

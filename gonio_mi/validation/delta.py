@@ -1,14 +1,19 @@
 """Discrete lobes: one direction each, one weight, and the probability that they say."""
 
+from __future__ import annotations
+
 from dataclasses import replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 from scipy import special
 
-from .collecting import collect
-from .evidence import BIAS, BREAKS, MODEL
-from .identities import BSDF_ROUNDING, is_many, unequal
+from ..array_types import Flags, Floats
+from .collecting import Drawn, collect
+from .conditions import Condition
+from .equality import BSDF_ROUNDING, is_many, unequal
+from .evidence import BIAS, BREAKS, MODEL, Evidence
 from .probe import Probe, numbers, spectral
 
 __all__ = ["check_delta", "check_null"]
@@ -25,7 +30,9 @@ SQUARE = 2.0**-22
 STEP = 2.0**-22
 
 
-def check_delta(evidence, drawn, bsdf, key):
+def check_delta(
+    evidence: Evidence, drawn: Drawn, bsdf: mi.BSDF, key: tuple[int, ...]
+) -> None:
     """Direction, weight, probability and reversal of each discrete lobe."""
     lobes = drawn.given & drawn.delta & np.isfinite(drawn.wo).all(axis=1)
     if not lobes.any():
@@ -36,7 +43,14 @@ def check_delta(evidence, drawn, bsdf, key):
             _check_lobe(evidence, drawn, own, int(kind), bsdf, key)
 
 
-def _check_lobe(evidence, drawn, own, kind, bsdf, key):
+def _check_lobe(
+    evidence: Evidence,
+    drawn: Drawn,
+    own: Flags,
+    kind: int,
+    bsdf: mi.BSDF,
+    key: tuple[int, ...],
+) -> None:
     wo, weight = drawn.wo[own], drawn.weight[own]
     where = f"at {drawn.condition}"
     middle = np.median(wo, axis=0)
@@ -66,7 +80,9 @@ def _check_lobe(evidence, drawn, own, kind, bsdf, key):
     _check_modes(evidence, drawn, own, bsdf, key, returns)
 
 
-def _check_direction(evidence, drawn, own, wo, kind):
+def _check_direction(
+    evidence: Evidence, drawn: Drawn, own: Flags, wo: Floats, kind: int
+) -> None:
     """Mirrored, refracted by eta or straight, about one normal of the surface."""
     wi, flags = drawn.condition.wi, mi.BSDFFlags
     if kind & int(flags.Null):
@@ -90,7 +106,7 @@ def _check_direction(evidence, drawn, own, wo, kind):
         )
 
 
-def _check_probability(evidence, drawn, own):
+def _check_probability(evidence: Evidence, drawn: Drawn, own: Flags) -> None:
     """The pdf of a discrete sample is the probability of its lobe."""
     p = float(np.median(drawn.sampled_pdf[own]))
     k, n = int(own.sum()), drawn.n
@@ -110,12 +126,20 @@ def _check_probability(evidence, drawn, own):
     )
 
 
-def _check_reversal(evidence, drawn, own, wo, bsdf, key):
+def _check_reversal(
+    evidence: Evidence,
+    drawn: Drawn,
+    own: Flags,
+    wo: Floats,
+    bsdf: mi.BSDF,
+    key: tuple[int, ...],
+) -> None:
     """Light sent back along a discrete lobe returns with the same share."""
     wi = drawn.condition.wi
     if drawn.condition.mode != "importance" or abs(wo[2]) < 1e-3:
         return
-    back = collect(bsdf, _Reversed(drawn.condition, wo), drawn.n, (*key, 7))
+    reverse: Any = _Reversed(drawn.condition, wo)
+    back = collect(bsdf, reverse, drawn.n, (*key, 7))
     returned = back.given & (back.type == drawn.type[own][0])
     returned &= np.abs(back.wo - wi).max(axis=1) < SAME
     shares = [
@@ -137,7 +161,9 @@ def _check_reversal(evidence, drawn, own, wo, bsdf, key):
         )
 
 
-def _sensitivity(condition, own, drawn, wo, bsdf):
+def _sensitivity(
+    condition: Condition, own: Flags, drawn: Drawn, wo: Floats, bsdf: mi.BSDF
+) -> float:
     """Change of the share of the way back where rounding tilts its direction."""
     cosine = abs(wo[2])
     tilt = min(SQUARE / (2 * cosine), np.sqrt(SQUARE))
@@ -146,7 +172,8 @@ def _sensitivity(condition, own, drawn, wo, bsdf):
     shares = []
     for change in (-2 * tilt, -tilt, 0.0, tilt, 2 * tilt):
         z = max(cosine + change, tilt / 2) * np.sign(wo[2])
-        probe = Probe(bsdf, _Reversed(condition, np.array([wo[0], wo[1], z])))
+        reverse: Any = _Reversed(condition, np.array([wo[0], wo[1], z]))
+        probe = Probe(bsdf, reverse)
         one = probe.sample(*random)
         share = spectral(one.weight, n) * numbers(one.bs.pdf, n)[:, None]
         same = numbers(one.bs.sampled_type, n) == kind
@@ -154,7 +181,14 @@ def _sensitivity(condition, own, drawn, wo, bsdf):
     return np.max(np.abs(np.array(shares) - shares[2]))
 
 
-def _check_modes(evidence, drawn, own, bsdf, key, returns):
+def _check_modes(
+    evidence: Evidence,
+    drawn: Drawn,
+    own: Flags,
+    bsdf: mi.BSDF,
+    key: tuple[int, ...],
+    returns: bool,
+) -> None:
     """Radiance that crosses an interface is divided by eta^2.
 
     If light `returns` as it went in importance mode, it is radiance mode that is wrong.
@@ -183,14 +217,14 @@ def _check_modes(evidence, drawn, own, bsdf, key, returns):
 class _Reversed:
     """A condition lit from an arbitrary direction."""
 
-    def __init__(self, condition, wi):
+    def __init__(self, condition: Condition, wi: Floats) -> None:
         self.wi, self._condition = wi / np.linalg.norm(wi), condition
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> Any:
         return getattr(self._condition, name)
 
 
-def check_null(evidence, drawn, probe):
+def check_null(evidence: Evidence, drawn: Drawn, probe: Probe) -> None:
     """``eval_null_transmission`` is what passes undeviated."""
     if drawn.condition.component is not None:
         return

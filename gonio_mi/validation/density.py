@@ -1,8 +1,15 @@
 """Directions that are not drawn with the density of ``pdf``, and who is wrong."""
 
+from __future__ import annotations
+
+from collections.abc import Collection
+
 import numpy as np
 
+from ..array_types import Floats
 from ..collector import EqualSolidAngle
+from .evidence import Evidence
+from .maps import FourMaps
 from .ratios import FACTORS, factor
 
 __all__ = ["explain_density"]
@@ -24,7 +31,7 @@ SMALLEST = 1e-30
 DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four")
 
 
-def explain_density(evidence, failed):
+def explain_density(evidence: Evidence, failed: Collection[str]) -> tuple[str, str]:
     """Return function and mistake, where counted directions contradict ``pdf``."""
     whole = [m for m in evidence.maps if m.condition.component is None]
     # one component says less, unless it is all that is wrong
@@ -73,13 +80,13 @@ def explain_density(evidence, failed):
     )
 
 
-def _misfit(maps):
+def _misfit(maps: FourMaps) -> float:
     """Distance of counted and due, weighed by what chance explains."""
     scores = maps.count_scores
     return float(np.sum(scores.z**2)) / max(len(scores.z), 1) + scores.total**2
 
 
-def _worst_patch(maps):
+def _worst_patch(maps: FourMaps) -> str:
     scores = maps.count_scores
     if not scores.z.size:
         return f"z of the sum {scores.total:+.1f}"
@@ -101,7 +108,7 @@ def _worst_patch(maps):
     )
 
 
-def _is_proportional(maps):
+def _is_proportional(maps: FourMaps) -> bool:
     """Whether a constant factor explains the difference."""
     if abs(maps.count_scores.total) < 5:
         return False
@@ -112,7 +119,7 @@ def _is_proportional(maps):
     return bool(enough.any() and np.mean(z**2) < 1.5 and abs(z).max() < 6)
 
 
-def _turned(maps):
+def _turned(maps: FourMaps) -> str:
     """How the counted map is turned or mirrored against the density; empty if not."""
     patches = maps.subdivision
     shape = (2, *patches.shape)
@@ -143,13 +150,13 @@ def _turned(maps):
     return best if np.abs(drawn - changes[best]).sum() < 0.4 * misfit else ""
 
 
-def _distortion(evidence):
+def _distortion(evidence: Evidence) -> str:
     """Factor by which the density of ``pdf`` is distorted; empty if none fits.
 
     The mean of 1 / density over samples in a patch is the patch's solid angle.
     """
-    found = {name: [] for name in ("", *DISTORTIONS)}
-    best = {}
+    found: dict[str, list[Floats]] = {name: [] for name in ("", *DISTORTIONS)}
+    best: dict[tuple[str, int], list[Floats]] = {}
     for drawn in evidence.drawn:
         ok = drawn.smooth & (drawn.pdf > 0) & np.isfinite(drawn.pdf)
         if drawn.condition.component is not None or not ok.any():

@@ -1,14 +1,20 @@
 """From failed properties to the one function that explains them, and its mistake."""
 
+from __future__ import annotations
+
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Flags, Floats
+from .collecting import Drawn
 from .density import explain_density
-from .evidence import EFFECTS, INTERFACE, MODEL
+from .evidence import EFFECTS, INTERFACE, MODEL, Evidence
 from .probe import Probe, numbers, spectral
-from .ratios import explain_ratio
+from .ratios import Cases, explain_ratio
 
 __all__ = ["diagnose"]
 
@@ -37,7 +43,9 @@ ORDER = (
 )
 
 
-def diagnose(evidence, failed, bsdf):
+def diagnose(
+    evidence: Evidence, failed: Mapping[str, str], bsdf: mi.BSDF
+) -> tuple[str, str]:
     """Likely guilty function and mistake.
 
     Parameters
@@ -70,13 +78,13 @@ def diagnose(evidence, failed, bsdf):
     return "sample", "`sample` or `eval` is wrong"
 
 
-def _is_rare(evidence, name):
+def _is_rare(evidence: Evidence, name: str) -> bool:
     """Whether only some single samples are wrong."""
     own = [b for b in evidence.breaches if b.property == name]
     return name in ("answers", "directions") and max(b.size for b in own) < RARE
 
 
-def _worst(evidence, name):
+def _worst(evidence: Evidence, name: str) -> tuple[str, str] | None:
     """What the worst breach of a property says."""
     own = [b for b in evidence.breaches if b.property == name]
     if not own:
@@ -94,7 +102,7 @@ def _worst(evidence, name):
     return worst.function, worst.mistake
 
 
-def _of_energy(evidence):
+def _of_energy(evidence: Evidence) -> tuple[str, str]:
     """Which of ``eval`` and the weights gain light; both are the model's."""
     totals = [m.smooth_flux.max() + m.totals.delta_mean.max() for m in evidence.maps]
     discrete = any(m.totals.delta_mean.max() > 1 + 1e-4 for m in evidence.maps)
@@ -103,7 +111,9 @@ def _of_energy(evidence):
     return function, f"`{function}` gains light: {most:.4g} of it leaves"
 
 
-def _of_densities(evidence, failed, bsdf):
+def _of_densities(
+    evidence: Evidence, failed: Mapping[str, str], bsdf: mi.BSDF
+) -> tuple[str, str] | None:
     """Which of ``sample``, ``pdf`` and ``eval`` contradicts the two others."""
     whole = _worst(evidence, "weights")
     if whole and "weights" in failed:
@@ -123,12 +133,14 @@ def _of_densities(evidence, failed, bsdf):
     return explain_density(evidence, failed)
 
 
-def _of_sampled_pdf(evidence):
+def _of_sampled_pdf(evidence: Evidence) -> tuple[str, str]:
     text = explain_ratio(_all(evidence, "sampled_pdf"), "sample", "pdf, over `pdf`,")
     return "sample", text.replace("`sample`", "the pdf that `sample` returns", 1)
 
 
-def _of_weights(evidence, failed, bsdf):
+def _of_weights(
+    evidence: Evidence, failed: Mapping[str, str], bsdf: mi.BSDF
+) -> tuple[str, str] | None:
     """``sample`` or ``eval``: whichever lacks a property on its own."""
     cases = _all(evidence, "sampled_weight")
     whole = [b for b in evidence.breaches if b.property == "sampled_weight"]
@@ -147,7 +159,8 @@ def _of_weights(evidence, failed, bsdf):
     if gains or ("reciprocity" in failed and _weights_are_reciprocal(evidence)):
         guilty = "eval"
     elif "answers" in failed:
-        guilty = _worst(evidence, "answers")[0]
+        found: Any = _worst(evidence, "answers")
+        guilty = found[0]
     elif _is_constant(cases) and not mean > 1.001 and flux > 0:
         # a weight that lacks a probability gains light, or differs between lobes
         guilty = "eval"
@@ -169,7 +182,7 @@ def _of_weights(evidence, failed, bsdf):
     return "sample", text.replace("`sample`", "`sample` or `eval`", int(both))
 
 
-def _is_of_lobe_alone(evidence, bsdf):
+def _is_of_lobe_alone(evidence: Evidence, bsdf: mi.BSDF) -> bool:
     """Whether weights are those of a single component, as if there were no other."""
     n = bsdf.component_count()
     drawn = evidence.drawn[0]
@@ -191,7 +204,7 @@ def _is_of_lobe_alone(evidence, bsdf):
     return low > 0.998 and high < 1.002
 
 
-def _weights_are_reciprocal(evidence):
+def _weights_are_reciprocal(evidence: Evidence) -> bool:
     """Whether the ratio of `eval` to the weights has what `eval` lacks of reciprocity.
 
     A model that is not reciprocal fails in weights and ``eval`` alike.
@@ -200,13 +213,13 @@ def _weights_are_reciprocal(evidence):
     return any(b.function == "eval" for b in own)
 
 
-def _is_constant(cases):
+def _is_constant(cases: Cases) -> bool:
     ratios = np.concatenate([ratio for ratio, _, _ in cases])
     low, high = np.quantile(ratios, [0.02, 0.98])
     return high - low < 1e-3 * abs(high)
 
 
-def _all(evidence, what):
+def _all(evidence: Evidence, what: str) -> list[tuple[Floats, Drawn, Flags]]:
     """Ratios that should be 1, of each set of samples, with the samples they are of."""
     cases = []
     for drawn in evidence.drawn:

@@ -1,13 +1,20 @@
 """Samples of a BSDF, counted and summed by patch."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Flags, Floats, Integers
+from ..collector.hemisphere import RingsAndSectors
 from ..transport.arrays import DRJIT
-from .identities import FEW, unequal
+from .conditions import Condition
+from .damping import Damping
+from .equality import FEW, unequal
 from .probe import Probe, numbers, spectral
 
 __all__ = ["Samples", "Totals", "count", "draw", "patch_of", "seed_of", "uniform"]
@@ -43,26 +50,33 @@ class Totals:
     """
 
     n: int
-    counts: np.ndarray
-    sums: np.ndarray
-    squares: np.ndarray
-    cubes: np.ndarray
-    largest: np.ndarray
-    mean: np.ndarray
-    variance: np.ndarray
-    delta_mean: np.ndarray
-    peaks: np.ndarray
+    counts: Floats
+    sums: Floats
+    squares: Floats
+    cubes: Floats
+    largest: Floats
+    mean: Floats
+    variance: Floats
+    delta_mean: Floats
+    peaks: Floats
     is_ratio: bool
 
 
-def count(bsdf, condition, subdivision, n, key, damping=None):
+def count(
+    bsdf: mi.BSDF,
+    condition: Condition,
+    subdivision: RingsAndSectors,
+    n: int,
+    key: tuple[int, ...],
+    damping: Damping | None = None,
+) -> Totals:
     """Draw `n` independent samples and add them up by patch.
 
     Parameters
     ----------
     bsdf : mi.BSDF
     condition : Condition
-    subdivision : Subdivision
+    subdivision : RingsAndSectors
     n : int
     key : tuple of int
         What tells these random numbers from all others.
@@ -91,10 +105,10 @@ def count(bsdf, condition, subdivision, n, key, damping=None):
         second = second + (drawn.weight**2).sum(axis=0)
         delta_first = delta_first + drawn.weight[drawn.delta].sum(axis=0)
         other = unequal(drawn.weight.mean(axis=1), drawn.ratio, 0.0)
-        n_other += np.count_nonzero(other & (index < m))
+        n_other += int(np.count_nonzero(other & (index < m)))
     variance = np.maximum(second / n - (first / n) ** 2, 0)
-    by_patch = (x[:-1] for x in (counts, sums, squares, cubes, largest))
-    moments = (first / n, variance, delta_first / n)
+    by_patch = counts[:-1], sums[:-1], squares[:-1], cubes[:-1], largest[:-1]
+    moments: tuple[Any, Any, Any] = (first / n, variance, delta_first / n)
     return Totals(n, *by_patch, *moments, peaks[:-1], n_other <= max(2, FEW * n))
 
 
@@ -111,14 +125,20 @@ class Samples:
         ``eval`` over ``pdf`` at the direction, a mean over channels.
     """
 
-    index: np.ndarray
-    weight: np.ndarray
-    sampled_pdf: np.ndarray
-    delta: np.ndarray
-    ratio: np.ndarray
+    index: Integers
+    weight: Floats
+    sampled_pdf: Floats
+    delta: Flags
+    ratio: Floats
 
 
-def draw(bsdf, condition, subdivision, n, key):
+def draw(
+    bsdf: mi.BSDF,
+    condition: Condition,
+    subdivision: RingsAndSectors,
+    n: int,
+    key: tuple[int, ...],
+) -> Samples:
     """Draw `n` samples and return :class:`Samples`; values that are infinite are 0."""
     probe = Probe(bsdf, condition)
     m = subdivision.n_patches
@@ -141,7 +161,9 @@ def draw(bsdf, condition, subdivision, n, key):
     )
 
 
-def patch_of(subdivision, condition, wo):
+def patch_of(
+    subdivision: RingsAndSectors, condition: Condition, wo: mi.Vector3f
+) -> mi.UInt32:
     """Index of the patch of each direction, as of :class:`Totals`."""
     m = subdivision.n_patches
     face = 1.0 if condition.side == "front" else -1.0
@@ -150,14 +172,14 @@ def patch_of(subdivision, condition, wo):
     return mi.UInt32(index)
 
 
-def uniform(n, key):
+def uniform(n: int, key: tuple[int, ...]) -> tuple[mi.Float, mi.Point2f]:
     """Independent uniform numbers for ``sample``."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed_of(key), n)
     return sampler.next_1d(), sampler.next_2d()
 
 
-def seed_of(key):
+def seed_of(key: tuple[int, ...]) -> mi.UInt32:
     """32-bit seed from a tuple of whole numbers, well mixed, no literal of a kernel."""
     seed = int(np.random.SeedSequence(key).generate_state(1)[0])
     return dr.opaque(mi.UInt32, seed)

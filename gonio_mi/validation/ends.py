@@ -1,14 +1,18 @@
 """Where formulas break: horizon and normal, first and last random numbers, limits."""
 
+from __future__ import annotations
+
 from itertools import product
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Flags, Floats, Numbers
 from ..collector.directions import direction
 from .conditions import Condition
-from .evidence import INTERFACE
-from .identities import BSDF_ROUNDING
+from .equality import BSDF_ROUNDING
+from .evidence import INTERFACE, Evidence
 from .parameters import changed, traversed
 from .probe import PluginFault, Probe, numbers, spectral
 
@@ -24,7 +28,7 @@ ROUGHNESSES = ("alpha", "alpha_u", "alpha_v", "roughness")
 LIMITS = (1e-3, 1.0)
 
 
-def check_ends(evidence, bsdf, where=""):
+def check_ends(evidence: Evidence, bsdf: mi.BSDF, where: str = "") -> None:
     """All functions are finite and at least 0 at the ends.
 
     Directions: sampled ones, and some at the normal, the horizon, the mirror direction
@@ -63,7 +67,7 @@ def check_ends(evidence, bsdf, where=""):
             _finite(evidence, function, "value", value, vectors, place, "wo", black)
 
 
-def check_roughness(evidence, bsdf):
+def check_roughness(evidence: Evidence, bsdf: mi.BSDF) -> None:
     """The ends again at the limits of roughness, if the plugin has such parameters."""
     try:
         params = traversed(bsdf)
@@ -80,11 +84,20 @@ def check_roughness(evidence, bsdf):
             check_ends(evidence, bsdf, f", roughness {limit:g}")
 
 
-def _finite(evidence, function, what, value, inputs, place, name="sample", black=None):
+def _finite(
+    evidence: Evidence,
+    function: str,
+    what: str,
+    value: Numbers,
+    inputs: Numbers,
+    place: str,
+    name: str = "sample",
+    black: Flags | None = None,
+) -> None:
     """Where `black`, a negative density does no harm."""
     if not value.size:
         return
-    wrong = ~np.isfinite(value) | (value < 0)
+    wrong: Any = ~np.isfinite(value) | (value < 0)
     wrong = wrong if wrong.ndim == 1 else wrong.any(axis=1)
     if wrong.any():
         example = np.ravel(value[wrong][0])
@@ -102,7 +115,9 @@ def _finite(evidence, function, what, value, inputs, place, name="sample", black
         )
 
 
-def _unit(evidence, wo, given, corners, place):
+def _unit(
+    evidence: Evidence, wo: Floats, given: Flags, corners: Numbers, place: str
+) -> None:
     length = np.linalg.norm(wo, axis=1)
     wrong = given & ~(np.abs(length - 1) < BSDF_ROUNDING)
     if wrong.any():
@@ -115,5 +130,5 @@ def _unit(evidence, wo, given, corners, place):
         )
 
 
-def _text(values):
+def _text(values: Floats) -> str:
     return "(" + ", ".join(f"{x:.8g}" for x in values) + ")"

@@ -1,6 +1,13 @@
 """What the checks find: certain breaches, and tests that chance takes part in."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
+from typing import Any
+
+from .collecting import Drawn
+from .conditions import Condition
+from .maps import FourMaps
 
 __all__ = [
     "BIAS",
@@ -115,7 +122,7 @@ class Breach:
     effect: str | None = None
 
 
-def harm(breach):
+def harm(breach: Breach) -> str:
     """What a breach does to an image."""
     return breach.effect or HARM[breach.property]
 
@@ -137,7 +144,7 @@ class Test:
     property: str
     p: float
     statistic: str
-    condition: object = None
+    condition: Condition | None = None
 
     __test__ = False  # no test of pytest's
 
@@ -161,24 +168,24 @@ class Evidence:
     drawn : list of Drawn
     """
 
-    breaches: list = field(default_factory=list)
-    tests: list = field(default_factory=list)
-    undecided: dict = field(default_factory=dict)
-    noisy: set = field(default_factory=set)
-    remarks: dict = field(default_factory=dict)
-    declared: dict = field(default_factory=dict)
-    maps: list = field(default_factory=list)
-    drawn: list = field(default_factory=list)
+    breaches: list[Breach] = field(default_factory=list)
+    tests: list[Test] = field(default_factory=list)
+    undecided: dict[str, str] = field(default_factory=dict)
+    noisy: set[str] = field(default_factory=set)
+    remarks: dict[str, str] = field(default_factory=dict)
+    declared: dict[str, str] = field(default_factory=dict)
+    maps: list[FourMaps] = field(default_factory=list)
+    drawn: list[Drawn] = field(default_factory=list)
 
-    def breach(self, *args, **kwargs):
+    def breach(self, *args: Any, **kwargs: Any) -> None:
         """Add a :class:`Breach`."""
         self.breaches.append(Breach(*args, **kwargs))
 
-    def remark(self, name, text):
+    def remark(self, name: str, text: str) -> None:
         """Note what says nothing against a property."""
         known = self.remarks.get(name)
         self.remarks[name] = f"{known}; {text}" if known else text
 
-    def test(self, *args, **kwargs):
+    def test(self, *args: Any, **kwargs: Any) -> None:
         """Add a :class:`Test`."""
         self.tests.append(Test(*args, **kwargs))

@@ -1,30 +1,26 @@
 """What must be equal for every sample, for a BSDF has several functions to ask."""
 
+from __future__ import annotations
+
+from typing import Any
+
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Flags, Floats
 from ..collector.directions import direction
-from .evidence import INTERFACE, NOISE
-from .probe import numbers, spectral
+from .collecting import Drawn
+from .equality import BSDF_ROUNDING, is_many, unequal
+from .evidence import INTERFACE, NOISE, Evidence
+from .probe import Probe, numbers, spectral
 
 __all__ = [
-    "FEW",
-    "BSDF_ROUNDING",
     "check_answers",
     "check_directions",
     "check_everywhere",
     "check_identities",
     "check_memory",
-    "is_many",
-    "unequal",
 ]
-
-# Relative difference that single precision may leave: twice what right BSDFs, Mitsuba's
-# too, were seen to need (facets of `sample_visible=false` 1e-5 to 3e-5; all others less
-# than 1e-6). And, where they are badly conditioned, how many times the change under a
-# displacement of both directions by 4 ulp.
-BSDF_ROUNDING = 2.0**-14
-SLACK = 16
 
 # Standard errors beyond which a mean is not that of another.
 BIASED = 5
@@ -35,27 +31,12 @@ INFINITE = 1e20
 # Directions at which answers are looked at beside those of samples.
 EVERYWHERE = 2**12
 
-# Share of samples that may differ by more, for rounding is not bounded by its sample.
-FEW = 5e-5
 
-
-def unequal(a, b, slack):
-    """Mask of samples whose values differ by more than rounding, shape ``(n,)``."""
-    tolerance = BSDF_ROUNDING * np.maximum(np.abs(a), np.abs(b)) + SLACK * slack
-    differs = np.abs(a - b) > tolerance
-    return differs if differs.ndim == 1 else differs.any(axis=1)
-
-
-def is_many(mask, n):
-    """Whether more samples than rounding may spoil."""
-    return mask.sum() > max(2, FEW * n)
-
-
-def check_answers(evidence, drawn):
+def check_answers(evidence: Evidence, drawn: Drawn) -> None:
     """All values are finite and at least 0."""
     given = drawn.given
     smooth = given & ~drawn.delta
-    values = {
+    values: dict[str, list[tuple[str, Floats, Flags | None]]] = {
         "sample": [
             ("weight", drawn.weight, None),
             ("pdf", drawn.sampled_pdf, given),
@@ -70,7 +51,7 @@ def check_answers(evidence, drawn):
     }
     for function, answers in values.items():
         for what, value, where in answers:
-            wrong = ~np.isfinite(value)
+            wrong: Any = ~np.isfinite(value)
             if what != "direction":
                 wrong |= value < 0
             wrong = wrong if wrong.ndim == 1 else wrong.any(axis=1)
@@ -88,7 +69,7 @@ def check_answers(evidence, drawn):
                 )
 
 
-def check_everywhere(evidence, probe):
+def check_everywhere(evidence: Evidence, probe: Probe) -> None:
     """The same for directions that no sample may have: a lattice on the sphere."""
     z = (np.arange(EVERYWHERE) + 0.5) / EVERYWHERE * 2 - 1
     phi = np.arange(EVERYWHERE) * np.pi * (5**0.5 - 1)
@@ -116,7 +97,7 @@ def check_everywhere(evidence, probe):
             )
 
 
-def check_directions(evidence, drawn):
+def check_directions(evidence: Evidence, drawn: Drawn) -> None:
     """Unit vectors, on the side and of the type that the record says."""
     given = drawn.given & np.isfinite(drawn.wo).all(axis=1)
     if not given.any():
@@ -165,7 +146,7 @@ def check_directions(evidence, drawn):
             )
 
 
-def check_memory(evidence, first, again):
+def check_memory(evidence: Evidence, first: Drawn, again: Drawn) -> None:
     """The same samples after all other calls: no answer depends on those before."""
     for function, before, after in (
         ("sample", first.weight, again.weight),
@@ -173,7 +154,7 @@ def check_memory(evidence, first, again):
         ("eval", first.eval, again.eval),
         ("pdf", first.pdf, again.pdf),
     ):
-        usable = np.isfinite(before) & np.isfinite(after)
+        usable: Any = np.isfinite(before) & np.isfinite(after)
         usable = usable if usable.ndim == 1 else usable.all(axis=1)
         wrong = unequal(before, after, 0.0) & usable
         if is_many(wrong, first.n):
@@ -188,7 +169,7 @@ def check_memory(evidence, first, again):
             return
 
 
-def check_identities(evidence, drawn):
+def check_identities(evidence: Evidence, drawn: Drawn) -> None:
     """Densities and values of all functions agree, sample by sample."""
     smooth = drawn.smooth & np.isfinite(drawn.eval).all(axis=1)
     smooth &= np.isfinite(drawn.pdf) & np.isfinite(drawn.sampled_pdf)
@@ -197,7 +178,7 @@ def check_identities(evidence, drawn):
     _check_joint(evidence, drawn)
 
 
-def _check_dark(evidence, drawn, smooth):
+def _check_dark(evidence: Evidence, drawn: Drawn, smooth: Flags) -> None:
     """``eval`` and ``pdf`` are not 0 where ``sample`` scatters light."""
     dark = smooth & (drawn.eval == 0).all(axis=1)
     if not is_many(dark, drawn.n):
@@ -214,7 +195,7 @@ def _check_dark(evidence, drawn, smooth):
     )
 
 
-def _check_sampled(evidence, drawn, smooth):
+def _check_sampled(evidence: Evidence, drawn: Drawn, smooth: Flags) -> None:
     _check_dark(evidence, drawn, smooth)
     smooth = smooth & (drawn.eval != 0).any(axis=1)
     slack = drawn.pdf_slack
@@ -253,7 +234,7 @@ def _check_sampled(evidence, drawn, smooth):
         )
 
 
-def _is_biased(drawn, smooth):
+def _is_biased(drawn: Drawn, smooth: Flags) -> bool:
     """Whether weights have another mean than ``eval`` over ``pdf``, beyond chance."""
     usable = smooth & (drawn.pdf > 0)
     ratio = drawn.eval[usable].mean(axis=1) / drawn.pdf[usable]
@@ -263,7 +244,7 @@ def _is_biased(drawn, smooth):
     return abs(off.mean()) > BIASED * off.std() / np.sqrt(len(off))
 
 
-def _check_joint(evidence, drawn):
+def _check_joint(evidence: Evidence, drawn: Drawn) -> None:
     """``eval_pdf`` and ``eval_pdf_sample`` against the separate calls."""
     usable = np.isfinite(drawn.wo).all(axis=1) & ~drawn.delta
     usable &= np.abs(np.linalg.norm(drawn.wo, axis=1) - 1) < BSDF_ROUNDING
@@ -310,8 +291,16 @@ def _check_joint(evidence, drawn):
 
 
 def _unequal(
-    evidence, name, function, drawn, wrong, ratio, what, mistake=None, effect=None
-):
+    evidence: Evidence,
+    name: str,
+    function: str,
+    drawn: Drawn,
+    wrong: Flags,
+    ratio: Floats,
+    what: str,
+    mistake: str | None = None,
+    effect: str | None = None,
+) -> None:
     """Add a breach that tells by how much values differ."""
     mistake = mistake or f"`{function}`: {what} should be 1"
     usable = wrong & (np.abs(ratio) < INFINITE)

@@ -1,7 +1,11 @@
 """The examination of one BSDF: all checks in turn, ending in a verdict."""
 
+from __future__ import annotations
+
 import os
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -10,9 +14,10 @@ from ..errors import SettingError, SpecimenError, checked_count, checked_number,
 from ..instrument.loading import check_variant, load_specimen, loaded, specimen_name
 from ..transport.kernels import launches_kernels
 from . import balance, declarations, delta, ends, identities, parameters, symmetry
-from .collecting import collect
-from .conditions import Effort
+from .collecting import Drawn, collect
+from .conditions import Condition, Effort
 from .diagnosis import diagnose
+from .equality import unequal
 from .evidence import INTERFACE, PROPERTIES, Evidence
 from .maps import four_maps
 from .probe import PluginFault, Probe
@@ -25,7 +30,15 @@ STEEP = 60
 
 
 @launches_kernels()
-def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=(), strict=False):
+def validate(
+    specimen: Any,
+    *,
+    effort: str = "normal",
+    seed: int = 0,
+    alpha: float = 1e-3,
+    allow: str | Iterable[str] = (),
+    strict: bool = False,
+) -> Verdict:
     """Whether a BSDF is right, and if not, which of its functions is wrong.
 
     In a variant of rgb, grey parameters of a dictionary get a colour.
@@ -73,7 +86,7 @@ def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=(), strict=
     except PluginFault as fault:
         _stop(evidence, fault)
     properties = judge(evidence, alpha, allow)
-    failed = {p.name: p.effect for p in properties if p.status == FAILS}
+    failed = {p.name: str(p.effect) for p in properties if p.status == FAILS}
     function, mistake = diagnose(evidence, failed, bsdf) if failed else (None, None)
     settings = {
         "effort": effort,
@@ -91,9 +104,10 @@ def validate(specimen, *, effort="normal", seed=0, alpha=1e-3, allow=(), strict=
     )
 
 
-def _bsdf(specimen):
+def _bsdf(specimen: Any) -> tuple[mi.BSDF, str]:
     """BSDF of a specimen, and its name."""
     check_variant()
+    name: str | None
     if isinstance(specimen, dict):
         name, grey = specimen_name(specimen), specimen
         specimen = loaded("the specimen", mi.load_dict, specimen)
@@ -113,7 +127,7 @@ def _bsdf(specimen):
     return specimen, name or specimen.class_name()
 
 
-def _examine(evidence, bsdf, plan, seed):
+def _examine(evidence: Evidence, bsdf: mi.BSDF, plan: Effort, seed: int) -> None:
     """All checks, from those that explain most."""
     flags = int(bsdf.flags())
     n = bsdf.component_count()
@@ -139,7 +153,13 @@ def _examine(evidence, bsdf, plan, seed):
     _check_maps(evidence, bsdf, plan, sides, components, seed)
 
 
-def _check_samples(evidence, bsdf, condition, plan, key):
+def _check_samples(
+    evidence: Evidence,
+    bsdf: mi.BSDF,
+    condition: Condition,
+    plan: Effort,
+    key: tuple[int, ...],
+) -> None:
     drawn = collect(bsdf, condition, plan.checked, key)
     evidence.drawn.append(drawn)
     known = len(evidence.breaches)
@@ -157,7 +177,14 @@ def _check_samples(evidence, bsdf, condition, plan, key):
         ]
 
 
-def _check_maps(evidence, bsdf, plan, sides, components, seed):
+def _check_maps(
+    evidence: Evidence,
+    bsdf: mi.BSDF,
+    plan: Effort,
+    sides: Sequence[str],
+    components: Sequence[int],
+    seed: int,
+) -> None:
     """Statistics of what is drawn."""
     patches = plan.patches
     conditions = list(plan.maps(sides, components))
@@ -185,7 +212,7 @@ def _check_maps(evidence, bsdf, plan, sides, components, seed):
                 evidence.remark(name, text)
 
 
-def _brightest(evidence):
+def _brightest(evidence: Evidence) -> Drawn:
     """Samples of which most have a density, not at grazing incidence if possible."""
     whole = [one for one in evidence.drawn if one.condition.component is None]
     return max(
@@ -197,13 +224,11 @@ def _brightest(evidence):
     )
 
 
-def _depends_on_mode(drawn):
-    return bool(
-        (identities.unequal(drawn.eval, drawn.other_mode, 0) & drawn.smooth).any()
-    )
+def _depends_on_mode(drawn: Drawn) -> bool:
+    return bool((unequal(drawn.eval, drawn.other_mode, 0) & drawn.smooth).any())
 
 
-def _stop(evidence, fault):
+def _stop(evidence: Evidence, fault: PluginFault) -> None:
     """A fault is the last thing that is known."""
     evidence.breach(
         "answers", fault.function, str(fault), f"`{fault.function}` {fault.what}", 10.0

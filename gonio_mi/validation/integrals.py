@@ -5,16 +5,23 @@ and kinks do no harm. Lobes that are too sharp for it are integrated adaptively,
 a number of evaluations.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Flags, Floats, Integers
 from ..collector.directions import direction
+from ..collector.hemisphere import RingsAndSectors
 from ..errors import SpecimenError
 from ..quadrature import integrate
-from .drawing import patch_of
+from .conditions import Condition
+from .drawing import Totals, patch_of
+from .probe import Probe
 
 __all__ = ["SUM_ERROR", "Due", "Integrals", "integrals"]
 
@@ -40,9 +47,6 @@ MISSED = 3.0
 # Weights that are larger have no limit.
 HUGE = 1e15
 
-# Integrals of :class:`Due` before those of channels.
-N_MEANS = 6
-
 # Of adaptive integrals: relative error of a patch, how many times its estimate kinks
 # may hide (see there), and evaluations for each sample.
 REL_ERR = 1e-3
@@ -66,9 +70,9 @@ class Integrals:
         Within which the sum of `values` is right.
     """
 
-    values: np.ndarray
-    bound: np.ndarray
-    std_err: np.ndarray
+    values: Floats
+    bound: Floats
+    std_err: Floats
     sum_bound: float
 
 
@@ -98,22 +102,28 @@ class Due:
     cubes: Integrals
     unreached: Integrals
     unused: Integrals
-    channels: list
+    channels: list[Integrals]
     least: float
 
     @staticmethod
-    def of(found, least):
+    def of(found: list[Integrals], least: float) -> Due:
         """What the integrals of :func:`_finite_values` are."""
-        return Due(*found[:N_MEANS], found[N_MEANS:], least)
+        used, damped, squares, cubes, unreached, unused, *channels = found
+        return Due(used, damped, squares, cubes, unreached, unused, channels, least)
 
 
-def integrals(probe, subdivision, totals, limits=None):
+def integrals(
+    probe: Probe,
+    subdivision: RingsAndSectors,
+    totals: Totals,
+    limits: Floats | None = None,
+) -> Due:
     """Integrals of ``pdf``, damped weights, and of each channel of ``eval``.
 
     Parameters
     ----------
     probe : Probe
-    subdivision : Subdivision
+    subdivision : RingsAndSectors
     totals : Totals
         Samples that are to be compared with them.
     limits : ndarray, optional
@@ -139,10 +149,13 @@ def integrals(probe, subdivision, totals, limits=None):
 # --------------------------------------------------------------------------- lattices
 
 
-def _lattice(probe, subdivision, totals, limits):
+def _lattice(
+    probe: Probe, subdivision: RingsAndSectors, totals: Totals, limits: Floats
+) -> Due | None:
     """Integrals by shifted lattices; None where that takes too many points."""
     m = 2 * subdivision.n_patches
-    means, largest, least = None, np.zeros(m), np.inf
+    means: Any = None
+    largest, least = np.zeros(m), np.inf
     refined, rough = np.arange(m), np.ones(m, bool)
     left = _most_evaluations(totals) // 2
     for n_points, generator in LATTICES:
@@ -168,7 +181,7 @@ def _lattice(probe, subdivision, totals, limits):
     return None if rough.any() else Due.of(_of_means(means), least)
 
 
-def _rough(means, totals, limits):
+def _rough(means: Floats, totals: Totals, limits: Floats) -> Flags:
     """Patches that must be known better for the samples to judge."""
     values, n = means.mean(axis=1), totals.n
     std_err = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
@@ -180,7 +193,7 @@ def _rough(means, totals, limits):
     return rough | (std_err[:, 1] > SHARE * weight_noise)
 
 
-def _rough_in_sum(means):
+def _rough_in_sum(means: Floats) -> Flags:
     """Patches that have more than their part of the variance of a rough sum."""
     means = np.delete(means, [1, 2, 3], axis=2)  # powers need no such precision
     values = means.mean(axis=1)
@@ -190,7 +203,7 @@ def _rough_in_sum(means):
     return np.any((std_err * np.sqrt(len(means)) * WIDE > allowed) & off, axis=1)
 
 
-def _of_means(means):
+def _of_means(means: Floats) -> list[Integrals]:
     """Integrals from those of each shift, shape (2 n_patches, SHIFTS, functions)."""
     errors = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
     sum_errors = means.sum(axis=0).std(axis=0, ddof=1) / np.sqrt(SHIFTS)
@@ -203,7 +216,13 @@ def _of_means(means):
     ]
 
 
-def _points(condition, subdivision, patches, n_points, generator):
+def _points(
+    condition: Condition,
+    subdivision: RingsAndSectors,
+    patches: Integers,
+    n_points: int,
+    generator: int,
+) -> Floats:
     """Directions, shape (n, 3): lattices on some patches, uniform over solid angle."""
     lattice = np.arange(n_points)[:, None] * [1, generator] / n_points
     # always the same, so that an integral does not depend on the seed
@@ -222,7 +241,7 @@ def _points(condition, subdivision, patches, n_points, generator):
     return wo.reshape(-1, 3)
 
 
-def _values(probe, wo, limit):
+def _values(probe: Probe, wo: Floats, limit: Floats) -> list[Floats]:
     """Arrays of :func:`_finite_values` towards `wo`."""
     n = len(wo)
     wo = mi.Vector3f(np.ascontiguousarray(wo.T))
@@ -230,7 +249,7 @@ def _values(probe, wo, limit):
     return [np.broadcast_to(value.numpy(), n).astype(float) for value in values]
 
 
-def _finite_values(probe, wo, limit):
+def _finite_values(probe: Probe, wo: mi.Vector3f, limit: mi.Float) -> list[mi.Float]:
     """Values as of :class:`Due`; what is not finite, or negative, is another's."""
     pdf, value = probe.pdf(wo), probe.eval(wo)
     pdf, *channels = (
@@ -248,7 +267,9 @@ def _finite_values(probe, wo, limit):
 # --------------------------------------------------------------------------- adaptive
 
 
-def _adaptive(probe, subdivision, totals, limits):
+def _adaptive(
+    probe: Probe, subdivision: RingsAndSectors, totals: Totals, limits: Floats
+) -> Due:
     """Integrals by cells that are split where that changes something."""
     condition = probe.condition
     found = integrate(
@@ -269,7 +290,7 @@ def _adaptive(probe, subdivision, totals, limits):
     return Due.of(several, np.inf)
 
 
-def _most_evaluations(totals):
+def _most_evaluations(totals: Totals) -> int:
     """After which we give up."""
     return max(EVALUATIONS * totals.n, LEAST_EVALUATIONS)
 
@@ -277,21 +298,31 @@ def _most_evaluations(totals):
 class _Integrand:
     """A BSDF to :func:`integrate`, whose channels are those of :class:`Due`."""
 
-    def __init__(self, probe, most, subdivision, limits):
+    def __init__(
+        self, probe: Probe, most: int, subdivision: RingsAndSectors, limits: Floats
+    ) -> None:
         self.probe, self.left = probe, most
         self.subdivision, self.limits = subdivision, mi.Float(limits)
 
-    def class_name(self):
+    def class_name(self) -> str:
         """Return the name of the BSDF."""
         return self.probe.bsdf.class_name()
 
-    def sample(self, _, si, sample1, sample2):
+    def sample(
+        self,
+        _: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        sample1: mi.Float,
+        sample2: mi.Point2f,
+    ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Return record and weight."""
         del si
         one = self.probe.sample(sample1, sample2)
         return one.bs, one.weight
 
-    def eval(self, _, si, wo):
+    def eval(
+        self, _: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f
+    ) -> list[mi.Float]:
         """Return all channels, as long as there are evaluations left."""
         del si
         self.left -= dr.width(wo)

@@ -4,19 +4,25 @@ Counted directions and summed weights come from ``sample``, the other two are in
 of ``pdf`` and ``eval``.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
+import mitsuba as mi
 import numpy as np
 from scipy import special
 
-from ..collector import Subdivision
+from ..array_types import Floats, Integers
+from ..collector import RingsAndSectors
 from ..errors import SpecimenError
 from ..results.normal_scores import two_sided_score
 from .collecting import rounding
+from .conditions import Condition
 from .damping import SMALL, Damping, groups
 from .drawing import Totals, count, draw
-from .integrals import Due, integrals
+from .integrals import Due, Integrals, integrals
 from .probe import Probe
 
 __all__ = ["FourMaps", "Scores", "four_maps"]
@@ -59,13 +65,13 @@ class Scores:
         group is not in another.
     """
 
-    z: np.ndarray
-    first: np.ndarray
+    z: Floats
+    first: Integers
     total: float
     mean_variance: float = 1.0
 
     @property
-    def p_values(self):
+    def p_values(self) -> dict[str, float]:
         """Probability of such scores by chance: of mean, spread, worst and total."""
         z = self.z[np.isfinite(self.z)]
         n = len(z)
@@ -80,7 +86,7 @@ class Scores:
         return {view: float(p) for view, p in views.items()}
 
     @property
-    def statistics(self):
+    def statistics(self) -> dict[str, str]:
         """What each view is judged by, as text."""
         z = self.z[np.isfinite(self.z)]
         n = len(z)
@@ -93,7 +99,7 @@ class Scores:
         return texts
 
 
-def _score(z):
+def _score(z: Any) -> str:
     """Score as text; beyond a hundred, only its sign matters."""
     return f"{z:+.3g}" if abs(z) < 100 else f"beyond {np.sign(z) * 100:+.0f}"
 
@@ -105,7 +111,7 @@ class FourMaps:
     Attributes
     ----------
     condition : Condition
-    subdivision : Subdivision
+    subdivision : RingsAndSectors
     totals : Totals
         Drawn; see there for the order of patches.
     due : Due
@@ -116,8 +122,8 @@ class FourMaps:
         Relative error that single precision may leave in them.
     """
 
-    condition: object
-    subdivision: Subdivision
+    condition: Condition
+    subdivision: RingsAndSectors
     totals: Totals
     due: Due
     damping: Damping
@@ -125,38 +131,38 @@ class FourMaps:
     eval_rounding: float
 
     @property
-    def pdf(self):
+    def pdf(self) -> Floats:
         """Integral of ``pdf`` where ``eval`` is not black, by patch, (2 n_patches,)."""
         return self.due.counts.values
 
     @property
-    def weights(self):
+    def weights(self) -> Floats:
         """Mean of the damped weight by patch, shape (2 n_patches,)."""
         return self.due.weights.values
 
     @property
-    def smooth_flux(self):
+    def smooth_flux(self) -> Floats:
         """Integral of ``eval``, shape (channels,)."""
         return np.array([one.values.sum() for one in self.due.channels])
 
     @property
-    def smooth_bound(self):
+    def smooth_bound(self) -> Floats:
         """Within which that is right."""
         return np.array([one.sum_bound for one in self.due.channels])
 
     @property
-    def pdf_sum_bound(self):
+    def pdf_sum_bound(self) -> float:
         """Within which the sum of `pdf` is right."""
         return self.due.counts.sum_bound + self.pdf_rounding * self.pdf.sum() + GRAIN
 
     @property
-    def judged(self):
+    def judged(self) -> float:
         """Share of the light of ``eval`` whose weights are light enough to judge."""
         flux = self.smooth_flux.mean()
         return min(1.0, self.weights.sum() / flux) if flux > 0 else 1.0
 
     @cached_property
-    def count_scores(self):
+    def count_scores(self) -> Scores:
         """Counted directions against the integral of ``pdf``."""
         drawn, n = self.totals, self.totals.n
         due, bound, variance = _uncertain(self.due.counts, self.pdf_rounding)
@@ -168,7 +174,7 @@ class FourMaps:
         return Scores(z, first, float(total), _mean_variance(share))
 
     @cached_property
-    def weight_scores(self):
+    def weight_scores(self) -> Scores:
         """Summed weights, damped, against their mean."""
         drawn, n, first = self.totals, self.totals.n, self.damping.first
         if drawn.sums.sum() <= 0 and self.weights.sum() <= 0:
@@ -195,7 +201,13 @@ class FourMaps:
         return Scores(z, first, float(total), _mean_variance(share[kept]))
 
 
-def four_maps(bsdf, condition, subdivision, n, key):
+def four_maps(
+    bsdf: mi.BSDF,
+    condition: Condition,
+    subdivision: RingsAndSectors,
+    n: int,
+    key: tuple[int, ...],
+) -> FourMaps | None:
     """Draw, integrate and return :class:`FourMaps`, or None if it does not converge."""
     pilot = draw(bsdf, condition, subdivision, n // PILOT, (*key, 3))
     damping = Damping.of(pilot, 2 * subdivision.n_patches, n)
@@ -208,17 +220,17 @@ def four_maps(bsdf, condition, subdivision, n, key):
     return FourMaps(condition, subdivision, totals, due, damping, *rounding(probe, key))
 
 
-def _uncertain(due, relative):
+def _uncertain(due: Integrals, relative: float) -> tuple[Floats, Floats, Floats]:
     """Values of integrals, bounds of their errors with those of rounding, variances."""
     return due.values, due.bound + relative * np.abs(due.values), due.std_err**2
 
 
-def _widened(variance, by_chance):
+def _widened(variance: Floats, by_chance: Floats) -> Floats:
     """Standard deviation of a score that has a second random error."""
     return np.sqrt(1 + variance / np.maximum(by_chance, variance + 1e-300))
 
 
-def _mean_variance(share):
+def _mean_variance(share: Floats) -> float:
     """Variance of the sum of scores, over their number.
 
     Sums over two groups have the covariance -n m m', with the means m of a sample in
@@ -228,11 +240,13 @@ def _mean_variance(share):
     return float(1 + (np.sum(share**2) - np.sum(share) ** 2) / n)
 
 
-def _merged(values, first):
+def _merged(values: Floats, first: Integers) -> Floats:
     return np.add.reduceat(values, first) if first.size else np.zeros(0)
 
 
-def _binomial_score(k, n, q, error):
+def _binomial_score(
+    k: Floats | float, n: int, q: Floats | float, error: Floats | float
+) -> Floats:
     """Normal score of the exact binomial tail; `q` is known within `error`."""
     k = np.asarray(k, dtype=float)
     # the probability within the error that suits best
@@ -247,7 +261,15 @@ def _binomial_score(k, n, q, error):
     return np.where(k == n * p, 0.0, np.where(far, np.clip(rough, -1e6, 1e6), exact))
 
 
-def _sum_score(n, w, due, squares, cubes, error, variance):
+def _sum_score(
+    n: int,
+    w: Floats,
+    due: Floats,
+    squares: Floats,
+    cubes: Floats,
+    error: Floats,
+    variance: Floats,
+) -> Floats:
     """Normal score of sums of weights; `due` is known within `error`.
 
     As a gamma variable, shifted, of the same mean, variance and skewness as the sum of
@@ -267,7 +289,7 @@ def _sum_score(n, w, due, squares, cubes, error, variance):
     return np.where(w == n * mean, 0.0, _skew_score(rough, skewness))
 
 
-def _skew_score(z, skewness):
+def _skew_score(z: Floats, skewness: Floats) -> Floats:
     """Normal score of the same tail as a shifted gamma variable has beyond `z`."""
     turned = np.sign(skewness) * z
     shape = 4 / np.maximum(np.abs(skewness), 1e-9) ** 2

@@ -1,13 +1,20 @@
 """Parameters of a BSDF, as ``mi.traverse`` finds them, and gradients by them."""
 
+from __future__ import annotations
+
 import contextlib
 import re
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .evidence import INTERFACE
+from ..array_types import Floats
+from .collecting import Drawn
+from .conditions import Condition
+from .evidence import INTERFACE, Evidence
 from .probe import PluginFault, Probe, blamed, spectral
 
 __all__ = ["changed", "check_parameters", "coloured", "traversed"]
@@ -34,14 +41,14 @@ TINT = (1.0, 0.8, 0.6)
 COLOURS = re.compile("reflectance|transmittance|colou?r|albedo|tint")
 
 
-def traversed(bsdf):
+def traversed(bsdf: mi.BSDF) -> Any:
     """Parameters of a BSDF; raises PluginFault if the plugin does."""
     with blamed("traverse"):
         return mi.traverse(bsdf)
 
 
 @contextlib.contextmanager
-def changed(bsdf, values):
+def changed(bsdf: mi.BSDF, values: Mapping[str, Any]) -> Iterator[None]:
     """Give parameters other values, by name, until the end of the block."""
     params = traversed(bsdf) if values else {}
     before = {name: type(params[name])(params[name]) for name in values}
@@ -52,7 +59,7 @@ def changed(bsdf, values):
         _assign(params, before)
 
 
-def _assign(params, values):
+def _assign(params: Any, values: Mapping[str, Any]) -> None:
     for name, value in values.items():
         params[name] = value
     if values:
@@ -60,7 +67,7 @@ def _assign(params, values):
             params.update()
 
 
-def check_parameters(evidence, bsdf, drawn):
+def check_parameters(evidence: Evidence, bsdf: mi.BSDF, drawn: Drawn) -> None:
     """``traverse`` answers, and gradients of ``eval`` agree with its differences."""
     try:
         params = traversed(bsdf)
@@ -76,7 +83,7 @@ def check_parameters(evidence, bsdf, drawn):
         evidence.breach("parameters", fault.function, text, text, effect=effect)
 
 
-def _differentiable(params):
+def _differentiable(params: Any) -> Iterator[str]:
     """Names of numbers and colours that may be differentiated, within their range.
 
     At 0 and 1, most ranges end, where a lobe may be left out.
@@ -90,12 +97,19 @@ def _differentiable(params):
             yield name
 
 
-def _check_gradient(evidence, bsdf, condition, params, name, wo):
+def _check_gradient(
+    evidence: Evidence,
+    bsdf: mi.BSDF,
+    condition: Condition,
+    params: Any,
+    name: str,
+    wo: mi.Vector3f,
+) -> None:
     """Gradients of ``eval``, one for each direction, against central differences."""
     kind, value = type(params[name]), type(params[name])(params[name])
     size = float(np.max(np.abs(np.array(value))))
 
-    def answer(step):
+    def answer(step: float) -> Floats:
         with changed(bsdf, {name: kind(value + step * size)}):
             return spectral(Probe(bsdf, condition).eval(wo), dr.width(wo)).sum(axis=1)
 
@@ -123,7 +137,9 @@ def _check_gradient(evidence, bsdf, condition, params, name, wo):
         )
 
 
-def _gradient(bsdf, condition, name, variable, wo):
+def _gradient(
+    bsdf: mi.BSDF, condition: Condition, name: str, variable: Any, wo: mi.Vector3f
+) -> Floats:
     """Derivatives of ``eval`` by a parameter, summed over channels, shape ``(n,)``."""
     dr.enable_grad(variable)
     with changed(bsdf, {name: variable}):
@@ -134,7 +150,7 @@ def _gradient(bsdf, condition, name, variable, wo):
         return spectral(dr.grad(answer), dr.width(wo)).sum(axis=1)
 
 
-def coloured(bsdf, specimen):
+def coloured(bsdf: mi.BSDF, specimen: dict[str, Any]) -> mi.BSDF:
     """BSDF of the dictionary `specimen`, with its grey parameters tinted, in rgb.
 
     `bsdf` is the same as it is; it is returned where there is nothing to tint.
@@ -148,7 +164,7 @@ def coloured(bsdf, specimen):
         return bsdf  # what such a parameter may be is up to the plugin
 
 
-def _tints(bsdf):
+def _tints(bsdf: mi.BSDF) -> dict[str, Any]:
     """Tinted colours by name, as in a dictionary; none without ``traverse``."""
     try:
         params = mi.traverse(bsdf)

@@ -1,6 +1,17 @@
 """Four maps and their scores as pictures."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 import numpy as np
+
+from ..array_types import Floats
+from .maps import FourMaps, Scores
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["draw"]
 
@@ -8,7 +19,7 @@ __all__ = ["draw"]
 LARGE = 6
 
 
-def draw(maps):
+def draw(maps: FourMaps) -> Figure:
     """Figure of one :class:`FourMaps`: what is drawn, what is due, and the scores.
 
     One row for each hemisphere into which anything goes, in 1/sr and in orthographic
@@ -43,15 +54,15 @@ def draw(maps):
     return figure
 
 
-def _columns(maps):
+def _columns(maps: FourMaps) -> list[tuple[str, Floats]]:
     """Title and values, shape (2, n_theta, n_phi), of each picture."""
     shape = (2, *maps.subdivision.shape)
     solid = maps.subdivision.solid_angles
 
-    def _density(values):
+    def _density(values: Floats) -> Floats:
         return values.reshape(shape) / solid
 
-    def _scores(found):
+    def _scores(found: Scores) -> Floats:
         z = np.zeros(int(np.prod(shape)))
         ends = np.append(found.first[1:], z.size)
         for value, begin, end in zip(np.nan_to_num(found.z), found.first, ends):
@@ -69,7 +80,7 @@ def _columns(maps):
     ]
 
 
-def _cross(axes, maps, scores, half):
+def _cross(axes: Axes, maps: FourMaps, scores: Floats, half: int) -> None:
     """Mark the patch whose score is the worst, if it is in this hemisphere."""
     worst = np.unravel_index(np.abs(scores).argmax(), scores.shape)
     if worst[0] != half or not scores[worst]:
@@ -79,7 +90,15 @@ def _cross(axes, maps, scores, half):
     axes.plot(x, y, "x", color="black", ms=6)
 
 
-def _patches(axes, maps, values, title, low, high, cmap):
+def _patches(
+    axes: Axes,
+    maps: FourMaps,
+    values: Floats,
+    title: str,
+    low: float,
+    high: float,
+    cmap: str,
+) -> None:
     """Fill each patch with the colour of its value."""
     patches = maps.subdivision
     phi = np.linspace(0, 2 * np.pi, 4 * patches.n_phi + 1)

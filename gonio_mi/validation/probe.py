@@ -3,12 +3,19 @@
 Whatever a plugin does wrong there ends in a :class:`PluginFault`.
 """
 
+from __future__ import annotations
+
 import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+
+from ..array_types import Floats, Numbers
+from .conditions import Condition
 
 __all__ = ["PluginFault", "Probe", "Sampled", "blamed", "numbers", "spectral"]
 
@@ -27,7 +34,7 @@ class PluginFault(Exception):  # noqa: N818
         What it did, as the rest of a sentence.
     """
 
-    def __init__(self, function, what):
+    def __init__(self, function: str, what: str) -> None:
         super().__init__(f"`{function}` {what}")
         self.function, self.what = function, what
 
@@ -36,11 +43,11 @@ class PluginFault(Exception):  # noqa: N818
 class Sampled:
     """Answer of ``sample``: Mitsuba's record and the weight."""
 
-    bs: object
-    weight: object
+    bs: mi.BSDFSample3f
+    weight: mi.Spectrum
 
     @property
-    def delta(self):
+    def delta(self) -> mi.Bool:
         """Whether in a discrete set of directions."""
         return mi.has_flag(self.bs.sampled_type, mi.BSDFFlags.Delta)
 
@@ -54,7 +61,7 @@ class Probe:
     condition : Condition
     """
 
-    def __init__(self, bsdf, condition):
+    def __init__(self, bsdf: mi.BSDF, condition: Condition) -> None:
         self.bsdf, self.condition = bsdf, condition
         self.ctx = condition.context
         self.wi = mi.Vector3f(condition.wi.tolist())
@@ -62,7 +69,7 @@ class Probe:
         # what varies between conditions is no literal of the kernel
         dr.make_opaque(self.wi, self.uv)
 
-    def interaction(self, wi=None):
+    def interaction(self, wi: mi.Vector3f | None = None) -> mi.SurfaceInteraction3f:
         """Point of a flat surface in z = 0, of 2 x 2 scene units, lit from `wi`."""
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.t = 1.0
@@ -77,7 +84,13 @@ class Probe:
         si.wi = self.wi if wi is None else wi
         return si
 
-    def sample(self, sample1, sample2, active=True, wi=None):
+    def sample(
+        self,
+        sample1: mi.Float,
+        sample2: mi.Point2f,
+        active: mi.Bool = True,
+        wi: mi.Vector3f | None = None,
+    ) -> Sampled:
         """Answer of ``sample``."""
         answer = self._call(
             "sample", self.interaction(wi), sample1, sample2, active=active
@@ -86,24 +99,40 @@ class Probe:
             "sample", answer, self._width(wi, sample1, sample2, active)
         )
 
-    def eval(self, wo, active=True, wi=None, ctx=None):
+    def eval(
+        self,
+        wo: mi.Vector3f,
+        active: mi.Bool = True,
+        wi: mi.Vector3f | None = None,
+        ctx: mi.BSDFContext | None = None,
+    ) -> mi.Spectrum:
         """Answer of ``eval``."""
         answer = self._call("eval", self.interaction(wi), wo, active=active, ctx=ctx)
         return self._spectrum("eval", answer, self._width(wi, wo, active))
 
-    def pdf(self, wo, active=True, wi=None):
+    def pdf(
+        self, wo: mi.Vector3f, active: mi.Bool = True, wi: mi.Vector3f | None = None
+    ) -> mi.Float:
         """Answer of ``pdf``."""
         answer = self._call("pdf", self.interaction(wi), wo, active=active)
         return self._float("pdf", answer, self._width(wi, wo, active))
 
-    def eval_pdf(self, wo, active=True):
+    def eval_pdf(
+        self, wo: mi.Vector3f, active: mi.Bool = True
+    ) -> tuple[mi.Spectrum, mi.Float]:
         """Both answers of ``eval_pdf``."""
         answer = self._call("eval_pdf", self.interaction(), wo, active=active)
         value, pdf = self._parts("eval_pdf", answer, 2)
         n = dr.width(wo, active)
         return self._spectrum("eval_pdf", value, n), self._float("eval_pdf", pdf, n)
 
-    def eval_pdf_sample(self, wo, sample1, sample2, active=True):
+    def eval_pdf_sample(
+        self,
+        wo: mi.Vector3f,
+        sample1: mi.Float,
+        sample2: mi.Point2f,
+        active: mi.Bool = True,
+    ) -> tuple[mi.Spectrum, mi.Float, Sampled]:
         """Value, density and :class:`Sampled` of ``eval_pdf_sample``."""
         name = "eval_pdf_sample"
         answer = self._call(
@@ -114,22 +143,28 @@ class Probe:
         sampled = self._sampled(name, (bs, weight), n)
         return self._spectrum(name, value, n), self._float(name, pdf, n), sampled
 
-    def null_transmission(self):
+    def null_transmission(self) -> mi.Spectrum:
         """Answer of ``eval_null_transmission``."""
         with blamed("eval_null_transmission"):
             answer = self.bsdf.eval_null_transmission(self.interaction())
         return self._spectrum("eval_null_transmission", answer, 1)
 
-    def _width(self, wi, *arguments):
+    def _width(self, wi: mi.Vector3f | None, *arguments: Any) -> int:
         """Number of rays of a call."""
         return dr.width(self.wi if wi is None else wi, self.uv, *arguments)
 
-    def _call(self, function, *arguments, active, ctx=None):
+    def _call(
+        self,
+        function: str,
+        *arguments: Any,
+        active: mi.Bool,
+        ctx: mi.BSDFContext | None = None,
+    ) -> Any:
         method = getattr(self.bsdf, function)
         with blamed(function):
             return method(ctx or self.ctx, *arguments, active)
 
-    def _sampled(self, function, answer, n):
+    def _sampled(self, function: str, answer: Any, n: int) -> Sampled:
         bs, weight = self._parts(function, answer, 2)
         if not isinstance(bs, mi.BSDFSample3f):
             raise PluginFault(function, f"must return a BSDFSample3f, got {_kind(bs)}")
@@ -137,20 +172,20 @@ class Probe:
         self._check_width(function, bs, n)
         return Sampled(bs, weight)
 
-    def _parts(self, function, answer, n):
+    def _parts(self, function: str, answer: Any, n: int) -> tuple[Any, ...]:
         if not isinstance(answer, tuple) or len(answer) != n:
             raise PluginFault(
                 function, f"must return a tuple of {n} values, got {_kind(answer)}"
             )
         return answer
 
-    def _spectrum(self, function, value, n):
+    def _spectrum(self, function: str, value: Any, n: int) -> mi.Spectrum:
         return self._of_type(function, value, n, mi.Spectrum)
 
-    def _float(self, function, value, n):
+    def _float(self, function: str, value: Any, n: int) -> mi.Float:
         return self._of_type(function, value, n, mi.Float)
 
-    def _of_type(self, function, value, n, kind):
+    def _of_type(self, function: str, value: Any, n: int, kind: Any) -> Any:
         simple = isinstance(value, (int, float)) or dr.is_array_v(value)
         depth = dr.depth_v(value) if dr.is_array_v(value) else 0
         try:
@@ -164,7 +199,7 @@ class Probe:
         self._check_width(function, value, n)
         return value
 
-    def _check_width(self, function, value, n):
+    def _check_width(self, function: str, value: Any, n: int) -> None:
         width = dr.width(value)
         if width not in (1, n):
             raise PluginFault(
@@ -173,7 +208,7 @@ class Probe:
 
 
 @contextlib.contextmanager
-def blamed(function):
+def blamed(function: str) -> Iterator[None]:
     """Whatever goes wrong within is the fault of the plugin's function of that name."""
     try:
         yield
@@ -187,18 +222,18 @@ def blamed(function):
         ) from error
 
 
-def _kind(value):
+def _kind(value: Any) -> str:
     if isinstance(value, tuple):
         return f"a tuple of {len(value)}"
     return type(value).__name__
 
 
-def numbers(value, n):
+def numbers(value: Any, n: int) -> Numbers:
     """NumPy array of a scalar quantity, shape ``(n,)``."""
     return np.broadcast_to(np.ravel(np.array(value)), n)
 
 
-def spectral(value, n):
+def spectral(value: Any, n: int) -> Floats:
     """NumPy array of a vector or spectrum in float64, shape ``(n, channels)``."""
     array = np.array(value, dtype=float)
     return np.broadcast_to(array.reshape(len(array), -1).T, (n, len(array)))

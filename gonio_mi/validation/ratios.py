@@ -1,6 +1,14 @@
 """What a ratio that should be 1 looks like: a cosine, a Jacobian, a probability."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TypeAlias
+
 import numpy as np
+
+from ..array_types import Flags, Floats
+from .collecting import Drawn
 
 __all__ = ["FACTORS", "explain_ratio", "factor"]
 
@@ -23,8 +31,11 @@ FACTORS = {
 # How near to 1 a ratio must be, for nine samples in ten, to be explained.
 NEAR = 2e-3
 
+# Ratios, the samples, and which of them the ratios are of.
+Cases: TypeAlias = "Sequence[tuple[Floats, Drawn, Flags]]"
 
-def factor(name, drawn, mask):
+
+def factor(name: str, drawn: Drawn, mask: Flags) -> Floats:
     """Values of a factor for some samples."""
     wi, wo = drawn.condition.wi, drawn.wo[mask]
     half = wi + wo
@@ -51,7 +62,7 @@ def factor(name, drawn, mask):
     return np.full(len(wo), {"pi": np.pi, "four": 4.0, "two": 2.0}[name])
 
 
-def explain_ratio(cases, function, what):
+def explain_ratio(cases: Cases, function: str, what: str) -> str:
     """Sentence on a ratio of two answers that should be 1.
 
     Parameters
@@ -87,7 +98,7 @@ def explain_ratio(cases, function, what):
     return f"{text}, {place}" if place else text
 
 
-def _where(cases, n):
+def _where(cases: Cases, n: int) -> str:
     """Incident directions of which ratios are wrong; empty if of all."""
     if len(cases) == n:
         return ""
@@ -96,7 +107,7 @@ def _where(cases, n):
     return f" at {first.condition}{more}"
 
 
-def _place(cases, n):
+def _place(cases: Cases, n: int) -> str:
     """Where ratios are wrong; empty if everywhere."""
     ratio, drawn, mask = max(cases, key=lambda case: np.abs(case[0] - 1).mean())
     wo, reflected = drawn.wo[mask], drawn.reflected[mask]
@@ -119,7 +130,7 @@ def _place(cases, n):
     return ", ".join(words)
 
 
-def _candidates():
+def _candidates() -> Iterator[tuple[str, int, bool]]:
     """Factors once too often or once too few, alone, then beside a constant."""
     for constant in (False, True):
         for name in FACTORS:
@@ -128,7 +139,9 @@ def _candidates():
                 yield name, -1, constant
 
 
-def _is_constantly(value, name, rests, cases, near=NEAR):
+def _is_constantly(
+    value: float, name: str, rests: Sequence[Floats], cases: Cases, near: float = NEAR
+) -> bool:
     """Whether a ratio is one value once a factor is taken out, which is not trivial."""
     values = [factor(name, drawn, mask) for _, drawn, mask in cases]
     if name not in ("pi", "four", "two", "eta2") and all(
@@ -140,7 +153,7 @@ def _is_constantly(value, name, rests, cases, near=NEAR):
     return all(_is_near(rest / value, near) for rest in rests)
 
 
-def _worded(function, name, power):
+def _worded(function: str, name: str, power: int) -> str:
     text = FACTORS[name]
     if function == "sample" and name in ("component", "pdf"):
         # weight times pdf has a factor too much: it was never divided by it
@@ -151,6 +164,6 @@ def _worded(function, name, power):
     return f"`{function}` has {text} too much"
 
 
-def _is_near(ratio, near=NEAR):
+def _is_near(ratio: Floats, near: float = NEAR) -> bool:
     low, high = np.quantile(ratio, [0.05, 0.95])
     return low > 1 - near and high < 1 + near

@@ -1,13 +1,17 @@
 """The report on a BSDF: one self-contained HTML file, with the four maps in it."""
 
+from __future__ import annotations
+
 import base64
 import html
 import io
+from os import PathLike
 
 from ..files import check_output, replacing
 from ..plots.drawable import check_matplotlib
+from .maps import FourMaps
 from .pictures import draw
-from .verdict import FAILS
+from .verdict import FAILS, Property, Verdict
 
 __all__ = ["check_report", "save_report"]
 
@@ -28,7 +32,7 @@ LEGEND = (
 )
 
 
-def check_report(path):
+def check_report(path: str | PathLike[str]) -> None:
     """Raise one clear sentence unless a report can be made and written to `path`.
 
     Raises
@@ -42,7 +46,7 @@ def check_report(path):
     check_output(path, (".html",))
 
 
-def save_report(verdict, path):
+def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
     """Write verdict, properties and the maps of every incident direction to `path`.
 
     Raises as :func:`check_report`.
@@ -71,10 +75,10 @@ def save_report(verdict, path):
         stream.write("\n".join(parts).encode())
 
 
-def _row(one):
+def _row(one: Property) -> str:
     details = [html.escape(one.statistic)] if one.statistic else []
     if one.status == FAILS:
-        details.insert(0, html.escape(one.consequence))
+        details.insert(0, html.escape(str(one.consequence)))
     if one.mistake:
         details.append(f"<b>{_code(one.mistake)}</b>")
     if len(one.places) > 1:
@@ -87,7 +91,7 @@ def _row(one):
     )
 
 
-def _code(text):
+def _code(text: str) -> str:
     """Escaped text, with what stands between backquotes as code."""
     pieces = html.escape(text).split("`")
     return "".join(
@@ -95,7 +99,7 @@ def _code(text):
     )
 
 
-def _image(maps):
+def _image(maps: FourMaps) -> str:
     stream = io.BytesIO()
     draw(maps).savefig(stream, format="png", dpi=90)
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()

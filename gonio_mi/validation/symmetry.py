@@ -1,14 +1,19 @@
 """Reciprocity, and the adjoint relation between the transport modes."""
 
+from __future__ import annotations
+
 import mitsuba as mi
 import numpy as np
 
-from .identities import BSDF_ROUNDING, is_many, unequal
+from ..array_types import Flags, Floats
+from .collecting import Drawn
+from .equality import BSDF_ROUNDING, is_many, unequal
+from .evidence import Evidence
 
 __all__ = ["check_symmetry"]
 
 
-def check_symmetry(evidence, drawn, bsdf):
+def check_symmetry(evidence: Evidence, drawn: Drawn, bsdf: mi.BSDF) -> None:
     """Compare ``eval`` with source and detector exchanged.
 
     With ``f = eval / |cos theta_o|`` in importance mode, it is that ``f(wi, wo)`` is
@@ -56,7 +61,7 @@ def check_symmetry(evidence, drawn, bsdf):
         )
 
 
-def _declared(drawn, bsdf, eta2):
+def _declared(drawn: Drawn, bsdf: mi.BSDF, eta2: Floats) -> Flags:
     """Samples for whose side a component is NonSymmetric, not just for its eta^2."""
     flags, n = mi.BSDFFlags, bsdf.component_count()
     wanted = range(n) if (only := drawn.condition.component) is None else [only]
@@ -69,7 +74,7 @@ def _declared(drawn, bsdf, eta2):
     return np.where(drawn.reflected, reflects, transmits & straight)
 
 
-def _ratio(a, b, wrong, drawn):
+def _ratio(a: Floats, b: Floats, wrong: Flags, drawn: Drawn) -> str:
     a, b = a[wrong].sum(axis=1), b[wrong].sum(axis=1)
     one_way = np.mean((a > 0) != (b > 0))
     if one_way > 0.5:
@@ -84,7 +89,9 @@ def _ratio(a, b, wrong, drawn):
     )
 
 
-def _not_reciprocal(forward, backward, drawn, wrong):
+def _not_reciprocal(
+    forward: Floats, backward: Floats, drawn: Drawn, wrong: Flags
+) -> str:
     """Likely mistake in ``eval``, by the ratio of both directions."""
     ratio = forward[wrong].sum(axis=1) / np.maximum(backward[wrong].sum(axis=1), 1e-30)
     cosines = np.abs(drawn.wo[wrong, 2]) / abs(drawn.condition.wi[2])
@@ -102,7 +109,7 @@ def _not_reciprocal(forward, backward, drawn, wrong):
     return "`eval` is not symmetric in wi and wo, but for eta^2, in transmission"
 
 
-def _not_adjoint(forward, adjoint, drawn, wrong):
+def _not_adjoint(forward: Floats, adjoint: Floats, drawn: Drawn, wrong: Flags) -> str:
     """Likely mistake between the modes."""
     transmitted = ~drawn.reflected[wrong]
     if transmitted.all():
@@ -123,6 +130,6 @@ def _not_adjoint(forward, adjoint, drawn, wrong):
     )
 
 
-def _is_constant(ratio):
+def _is_constant(ratio: Floats) -> bool:
     low, high = np.quantile(ratio, [0.02, 0.98])
     return high - low < 0.01 * abs(high)

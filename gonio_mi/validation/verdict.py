@@ -1,6 +1,10 @@
 """The verdict on a BSDF: one line for each property, and the likely mistake."""
 
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from .evidence import (
     BIAS,
@@ -11,8 +15,11 @@ from .evidence import (
     NOISE,
     PROPERTIES,
     WHERE,
+    Evidence,
+    Test,
     harm,
 )
+from .maps import FourMaps
 
 __all__ = ["FAILS", "HOLDS", "LACKS", "UNDECIDED", "Property", "Verdict", "judge"]
 
@@ -53,23 +60,23 @@ class Property:
     function: str | None = None
     p_value: float | None = None
     effect: str | None = None
-    places: tuple = ()
+    places: tuple[str, ...] = ()
 
     @property
-    def question(self):
+    def question(self) -> str:
         """What the property is."""
         return PROPERTIES[self.name]
 
     @property
-    def consequence(self):
+    def consequence(self) -> str | None:
         """The effect, with the integrators that it reaches."""
         if self.effect in (BIAS, BREAKS) and self.name in WHERE:
             return f"{self.effect} ({WHERE[self.name]})"
         return self.effect
 
-    def __str__(self):
+    def __str__(self) -> str:
         line = f"{self.status:<10}{self.name:<16} {self.question}"
-        details = [self.statistic] if self.statistic else []
+        details: list[str | None] = [self.statistic] if self.statistic else []
         if self.status == FAILS:
             details.insert(0, self.consequence)
         if self.mistake and self.status == FAILS:
@@ -97,14 +104,14 @@ class Verdict:
     """
 
     name: str
-    properties: tuple
+    properties: tuple[Property, ...]
     function: str | None
     mistake: str | None
-    settings: dict
-    maps: tuple = field(default=(), repr=False)
+    settings: dict[str, Any]
+    maps: tuple[FourMaps, ...] = field(default=(), repr=False)
 
     @property
-    def passed(self):
+    def passed(self) -> bool:
         """Whether nothing fails that biases images or breaks integrators.
 
         If the verdict is strict, whether nothing fails at all.
@@ -114,19 +121,19 @@ class Verdict:
         return not any(strict or one.effect in grave for one in self.failures)
 
     @property
-    def answered(self):
+    def answered(self) -> bool:
         """Whether all functions gave answers of the right form."""
         others = (p for p in self.properties if p.name != "answers")
         return any(p.status != UNDECIDED for p in others)
 
     @property
-    def failures(self):
+    def failures(self) -> tuple[Property, ...]:
         """Properties that fail, the worst effect first."""
         failed = [p for p in self.properties if p.status == FAILS]
         return tuple(sorted(failed, key=lambda one: EFFECTS.index(one.effect)))
 
     @property
-    def headline(self):
+    def headline(self) -> str:
         """The verdict in one sentence."""
         failed = self.failures
         if not failed:
@@ -137,13 +144,13 @@ class Verdict:
         guess = f"{failed[0].consequence}. Most likely: {self.mistake}"
         return f"{self.name}: {word}: {guess}"
 
-    def __getitem__(self, name):
+    def __getitem__(self, name: str) -> Property:
         for one in self.properties:
             if one.name == name:
                 return one
         raise KeyError(name)
 
-    def __str__(self):
+    def __str__(self) -> str:
         failed = self.failures
         rest = [one for one in self.properties if one not in failed]
         lines = [str(one) for one in (*failed, *rest)]
@@ -157,7 +164,7 @@ class Verdict:
         lines.append(self.headline)
         return "\n".join(lines)
 
-    def to_dict(self):
+    def to_dict(self) -> dict[str, Any]:
         """Everything but the maps, for JSON.
 
         Returns
@@ -195,7 +202,9 @@ class Verdict:
         }
 
 
-def judge(evidence, alpha, allow=()):
+def judge(
+    evidence: Evidence, alpha: float, allow: Collection[str] = ()
+) -> list[Property]:
     """Properties from evidence.
 
     Parameters
@@ -217,7 +226,7 @@ def judge(evidence, alpha, allow=()):
     return list(found.values())
 
 
-def _property(evidence, name, level, allowed):
+def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Property:
     breaches = [b for b in evidence.breaches if b.property == name]
     tests = [t for t in evidence.tests if t.property == name]
     smallest = min((t.p for t in tests), default=None)
@@ -231,7 +240,7 @@ def _property(evidence, name, level, allowed):
         breaches = [b for b in breaches if harm(b) == effect] or breaches
         worst = max(breaches, key=lambda b: b.size, default=None)
         mistake, function = (worst.mistake, worst.function) if worst else (None, None)
-        text = _of_tests(beyond) if beyond else worst.statistic
+        text = worst.statistic if worst and not beyond else _of_tests(beyond)
         if not beyond and len(breaches) > 1:
             text += f"; {len(breaches) - 1} more like it"
         places = [b.statistic for b in sorted(breaches, key=lambda b: -b.size)]
@@ -248,9 +257,9 @@ def _property(evidence, name, level, allowed):
     if name in evidence.declared:
         return Property(name, LACKS, evidence.declared[name], p_value=p_value)
     if name in evidence.undecided:
-        effect = NOISE if name in evidence.noisy else None
+        noise = NOISE if name in evidence.noisy else None
         text = evidence.undecided[name]
-        return Property(name, UNDECIDED, text, p_value=p_value, effect=effect)
+        return Property(name, UNDECIDED, text, p_value=p_value, effect=noise)
     text = evidence.remarks.get(name, "")
     if tests:
         least = f"smallest p of {len(tests)} tests {smallest:.2g}"
@@ -258,7 +267,7 @@ def _property(evidence, name, level, allowed):
     return Property(name, HOLDS, text, p_value=p_value)
 
 
-def _harm_of(test):
+def _harm_of(test: Test) -> str:
     """What a failed test does; a single component is never asked for by itself."""
     condition = test.condition
     if condition is not None and condition.component is not None:
@@ -266,7 +275,7 @@ def _harm_of(test):
     return HARM[test.property]
 
 
-def _of_tests(beyond):
+def _of_tests(beyond: Sequence[Test]) -> str:
     """Statistic of the tests of a property that chance would not explain."""
     # the whole before its components
     worst = min(beyond, key=lambda t: (EFFECTS.index(_harm_of(t)), t.p))
