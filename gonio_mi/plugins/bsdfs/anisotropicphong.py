@@ -7,8 +7,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from gonio_mi.materials import bsdf_functions, facets, one_sided_glossy
 from gonio_mi.materials import exponentiated_cosine as lobe
-from gonio_mi.materials import facets, one_sided_glossy
 from gonio_mi.materials.reflectance import reflectance
 
 
@@ -119,6 +119,9 @@ class AnisotropicPhong(mi.BSDF):
             'f0': 1
     """
 
+    sample, eval_pdf = one_sided_glossy.sample, one_sided_glossy.eval_pdf
+    eval, pdf = bsdf_functions.evaluate, bsdf_functions.density
+
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.exponent_u = lobe.exponent(props, "exponent_u", 50.0)
@@ -148,71 +151,35 @@ class AnisotropicPhong(mi.BSDF):
         self.mean_cosine = mi.Float(float(facets.mean_cosine(e_u, e_v)))
         dr.make_opaque(self.mean_cosine)
 
-    def sample(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        sample1: mi.Float,
-        sample2: mi.Point2f,
-        active: Any = True,
+    def draw(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, u: mi.Point2f, on: Any
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Draw a facet and reflect at it."""
-        del sample1  # there is one lobe
-        active = active & (mi.Frame3f.cos_theta(si.wi) > 0)
         if not one_sided_glossy.glossy_enabled(ctx):
             return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
-        h = self._sample_facet(sample2)
+        h = self._sample_facet(u)
         facing = dr.dot(h, si.wi) > 0
         wo = dr.normalize(mi.reflect(si.wi, h))
         h, cos_d = _half_vector(si.wi, wo)
-        pdf = dr.select(active & facing, self._density(h) / (4 * cos_d), 0)
-        above = active & (pdf > 0) & (mi.Frame3f.cos_theta(wo) > 0)
+        pdf = dr.select(on & facing, self._density(h) / (4 * cos_d), 0)
+        above = on & (pdf > 0) & (mi.Frame3f.cos_theta(wo) > 0)
         weight = self._fresnel(si, cos_d, above) * (
             self._shadowing(si.wi, wo) * 4 * cos_d * mi.Frame3f.cos_theta(wo)
         )
         return one_sided_glossy.glossy_sample(wo, pdf), weight & above
 
-    def eval(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        active: Any = True,
-    ) -> mi.Spectrum:
-        """BRDF times the cosine of `wo`."""
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        active: Any = True,
-    ) -> mi.Float:
-        """Density of `wo` in 1/sr; its integral is less than 1."""
-        if not one_sided_glossy.glossy_enabled(ctx):
-            return mi.Float(0)
-        active = active & one_sided_glossy.above(si.wi, wo)
-        h, cos_d = _half_vector(si.wi, wo)
-        return dr.select(active, self._density(h) / (4 * cos_d), 0)
-
-    def eval_pdf(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        active: Any = True,
+    def scattered(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, on: Any
     ) -> tuple[mi.Spectrum, mi.Float]:
-        """Both of :meth:`eval` and :meth:`pdf`."""
+        """Reflect at the facets along the half vector; the density misses some."""
         if not one_sided_glossy.glossy_enabled(ctx):
             return mi.Spectrum(0), mi.Float(0)
-        active = active & one_sided_glossy.above(si.wi, wo)
         h, cos_d = _half_vector(si.wi, wo)
         density = self._density(h)
-        value = self._fresnel(si, cos_d, active) * (
+        value = self._fresnel(si, cos_d, on) * (
             density * self._shadowing(si.wi, wo) * mi.Frame3f.cos_theta(wo)
         )
-        return value & active, dr.select(active, density / (4 * cos_d), 0)
+        return value, density / (4 * cos_d)
 
     def _sample_facet(self, sample: mi.Point2f) -> mi.Vector3f:
         """Facet normal with the density p(h)."""

@@ -8,8 +8,8 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi import properties
+from gonio_mi.materials import bsdf_functions, one_sided_glossy
 from gonio_mi.materials import exponentiated_cosine as lobe
-from gonio_mi.materials import one_sided_glossy
 from gonio_mi.materials.reflectance import reflectance
 
 
@@ -108,6 +108,9 @@ class CosineLobe(mi.BSDF):
             'normalisation': 'unit'
     """
 
+    sample, eval_pdf = one_sided_glossy.sample, one_sided_glossy.eval_pdf
+    eval, pdf = bsdf_functions.evaluate, bsdf_functions.density
+
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.exponent = lobe.exponent(props, "exponent", 16.0)
@@ -121,65 +124,29 @@ class CosineLobe(mi.BSDF):
         cb.put("exponent", self.exponent, mi.ParamFlags.Differentiable)
         cb.put("reflectance", self.reflectance, mi.ParamFlags.Differentiable)
 
-    def sample(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        sample1: mi.Float,
-        sample2: mi.Point2f,
-        active: Any = True,
+    def draw(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, u: mi.Point2f, on: Any
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
-        """Draw `wo` from the lobe; what falls below the horizon has no weight."""
-        del sample1  # there is one lobe
-        active = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+        """Draw from the whole lobe; what falls below the horizon has no weight."""
         if not one_sided_glossy.glossy_enabled(ctx):
             return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
         mirror = mi.reflect(si.wi)
-        wo = lobe.around(self.exponent, mirror, sample2)
-        pdf = dr.select(active, lobe.density(self.exponent, mirror, wo), 0)
-        above = active & (mi.Frame3f.cos_theta(wo) > 0)
+        wo = lobe.around(self.exponent, mirror, u)
+        pdf = dr.select(on, lobe.density(self.exponent, mirror, wo), 0)
+        above = on & (mi.Frame3f.cos_theta(wo) > 0)
         weight = lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
         weight = (self.reflectance.eval(si, above) * weight) & above
         return one_sided_glossy.glossy_sample(wo, pdf), weight
 
-    def eval(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        active: Any = True,
-    ) -> mi.Spectrum:
-        """BRDF times the cosine of `wo`."""
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        active: Any = True,
-    ) -> mi.Float:
-        """Density of `wo` in 1/sr; its integral is what stays above the horizon."""
-        if not one_sided_glossy.glossy_enabled(ctx):
-            return mi.Float(0)
-        active = active & one_sided_glossy.above(si.wi, wo)
-        density = lobe.density(self.exponent, mi.reflect(si.wi), wo)
-        return dr.select(active, density, 0)
-
-    def eval_pdf(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        active: Any = True,
+    def scattered(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, on: Any
     ) -> tuple[mi.Spectrum, mi.Float]:
-        """Both of :meth:`eval` and :meth:`pdf`."""
+        """Lobe and its density."""
         if not one_sided_glossy.glossy_enabled(ctx):
             return mi.Spectrum(0), mi.Float(0)
-        active = active & one_sided_glossy.above(si.wi, wo)
-        pdf = self.pdf(ctx, si, wo, active)
+        pdf = lobe.density(self.exponent, mi.reflect(si.wi), wo)
         weight = lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
-        return (self.reflectance.eval(si, active) * (weight * pdf)) & active, pdf
+        return self.reflectance.eval(si, on) * (weight * pdf), pdf
 
     def to_string(self) -> str:
         """Return a readable description."""

@@ -9,8 +9,8 @@ import mitsuba as mi
 
 from gonio_mi import properties
 from gonio_mi.errors import SettingError
+from gonio_mi.materials import bsdf_functions, one_sided_glossy
 from gonio_mi.materials import exponentiated_cosine as lobe
-from gonio_mi.materials import one_sided_glossy
 from gonio_mi.materials.reflectance import mean, reflectance
 
 DIFFUSE = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
@@ -82,6 +82,9 @@ class GlossyMixture(mi.BSDF):
             'exponent': 16
     """
 
+    sample, eval_pdf = one_sided_glossy.sample, one_sided_glossy.eval_pdf
+    eval, pdf = bsdf_functions.evaluate, bsdf_functions.density
+
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.diffuse = reflectance(props, "diffuse_reflectance", 0.8)
@@ -113,89 +116,48 @@ class GlossyMixture(mi.BSDF):
         self.glossy_share = mi.Float(specular / total if total > 0 else 0.5)
         dr.make_opaque(self.glossy_share, self.exponent)
 
-    def sample(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        sample1: mi.Float,
-        sample2: mi.Point2f,
-        active: Any = True,
+    def draw(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, u: mi.Point2f, on: Any
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
-        """Pick a lobe by the first of `sample2` and draw `wo` from what is left of it.
-
-        In two dimensions instead of three, low-discrepancy points are worth more.
-        """
-        del sample1
-        active = active & (mi.Frame3f.cos_theta(si.wi) > 0)
+        """Pick a lobe by the first of `u` and draw `wo` from what is left of it."""
         bs = dr.zeros(mi.BSDFSample3f)
         share = self._enabled_share(ctx)
         if share is None:
             return bs, mi.Spectrum(0)
-        glossy = sample2.x < share
-        rest = dr.select(glossy, sample2.x / share, (sample2.x - share) / (1 - share))
-        sample2 = mi.Point2f(rest, sample2.y)
+        glossy = u.x < share
+        rest = dr.select(glossy, u.x / share, (u.x - share) / (1 - share))
+        u = mi.Point2f(rest, u.y)
         mirror = mi.reflect(si.wi)
         bs.wo = dr.select(
             glossy,
-            lobe.around(self.exponent, mirror, sample2),
-            mi.warp.square_to_cosine_hemisphere(sample2),
+            lobe.around(self.exponent, mirror, u),
+            mi.warp.square_to_cosine_hemisphere(u),
         )
-        bs.eta = 1.0
-        bs.sampled_type = dr.select(
-            glossy,
-            mi.UInt32(+mi.BSDFFlags.GlossyReflection),
-            mi.UInt32(+mi.BSDFFlags.DiffuseReflection),
-        )
-        bs.sampled_component = dr.select(glossy, mi.UInt32(1), mi.UInt32(0))
-        value, pdf = self.eval_pdf(ctx, si, bs.wo, active)
+        kinds = mi.BSDFFlags.DiffuseReflection, mi.BSDFFlags.GlossyReflection
+        bsdf_functions.name_component(bs, glossy, *kinds)
+        value, pdf = self.eval_pdf(ctx, si, bs.wo, on)
         # lost below the horizon: drawn, with a density, but without weight
         lost = glossy & (mi.Frame3f.cos_theta(bs.wo) <= 0)
         drawn = share * lobe.density(self.exponent, mirror, bs.wo)
-        bs.pdf = dr.select(active & lost, drawn, pdf)
+        bs.pdf = dr.select(on & lost, drawn, pdf)
         return bs, dr.select(pdf > 0, value / pdf, 0)
 
-    def eval(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        active: Any = True,
-    ) -> mi.Spectrum:
-        """BRDF times the cosine of `wo`, of the enabled components."""
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        active: Any = True,
-    ) -> mi.Float:
-        """Density of `wo` in 1/sr; its integral is what stays above the horizon."""
+    def scattered(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, on: Any
+    ) -> tuple[mi.Spectrum, mi.Float]:
+        """Sum of the enabled lobes, and the density with which one is picked."""
         share = self._enabled_share(ctx)
         if share is None:
-            return mi.Float(0)
+            return mi.Spectrum(0), mi.Float(0)
         cosine, glossy = self._densities(si, wo)
         pdf = (1 - share) * cosine + share * glossy
-        return dr.select(active & one_sided_glossy.above(si.wi, wo), pdf, 0)
-
-    def eval_pdf(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        active: Any = True,
-    ) -> tuple[mi.Spectrum, mi.Float]:
-        """Both of :meth:`eval` and :meth:`pdf`."""
-        active = active & one_sided_glossy.above(si.wi, wo)
-        cosine, glossy = self._densities(si, wo)
         value = mi.Spectrum(0)
         if ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0):
-            value += self.diffuse.eval(si, active) * cosine
+            value += self.diffuse.eval(si, on) * cosine
         if one_sided_glossy.glossy_enabled(ctx, 1):
             glossy *= lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
-            value += self.specular.eval(si, active) * glossy
-        return value & active, self.pdf(ctx, si, wo, active)
+            value += self.specular.eval(si, on) * glossy
+        return value, pdf
 
     def _densities(
         self, si: mi.SurfaceInteraction3f, wo: mi.Vector3f

@@ -14,6 +14,7 @@ import numpy as np
 from gonio_mi.errors import SettingError
 from gonio_mi.files.channels import wavelengths_nm
 from gonio_mi.files.material_files import PatchMeans, load_material
+from gonio_mi.materials import bsdf_functions
 from gonio_mi.materials.lit_face import LitFace
 from gonio_mi.materials.lobes import LobeTable
 from gonio_mi.results.record import Record
@@ -88,6 +89,8 @@ class Goniometric(mi.BSDF):
             'filename': 'measured.npz'
     """
 
+    eval, pdf = bsdf_functions.evaluate, bsdf_functions.density
+
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.files = [props.get(name) for name in ("filename", "back_filename")]
@@ -158,34 +161,9 @@ class Goniometric(mi.BSDF):
             bs.wo[lit] = _seen(wo, side)
         value, bs.pdf = self.eval_pdf(ctx, si, bs.wo, active)
         below = bs.wo.z * si.wi.z < 0
-        bs.eta = 1.0
-        bs.sampled_type = dr.select(
-            below,
-            mi.UInt32(+mi.BSDFFlags.GlossyTransmission),
-            mi.UInt32(+mi.BSDFFlags.GlossyReflection),
-        )
-        bs.sampled_component = dr.select(below, mi.UInt32(1), mi.UInt32(0))
+        kinds = mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.GlossyTransmission
+        bsdf_functions.name_component(bs, below, *kinds)
         return bs, dr.select(bs.pdf > 0, value / bs.pdf, 0)
-
-    def eval(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        active: Any = True,
-    ) -> mi.Spectrum:
-        """BRDF or BTDF times the cosine of `wo`, of the enabled components."""
-        return self.eval_pdf(ctx, si, wo, active)[0]
-
-    def pdf(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        active: Any = True,
-    ) -> mi.Float:
-        """Density of `wo` in 1/sr."""
-        return self.eval_pdf(ctx, si, wo, active)[1]
 
     def eval_pdf(
         self,
