@@ -53,7 +53,7 @@ SHAPES = {
     "ball": {"type": "sphere", "bsdf": {"type": "plastic"}},
     "bubble": {"type": "sphere", "bsdf": GLASS},
 }
-LAMP = {
+EMITTER = {
     "type": "rectangle",
     "to_world": [[0.5, 0, 0, 0], [0, -0.5, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]],
     "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [1.0, 0.5, 0.2]}},
@@ -70,9 +70,9 @@ COLLECTORS = (
 )
 
 
-def _lamp():
-    matrix = LAMP["to_world"]
-    return LAMP | {"to_world": mi.ScalarTransform4f(matrix)}
+def _emitter():
+    matrix = EMITTER["to_world"]
+    return EMITTER | {"to_world": mi.ScalarTransform4f(matrix)}
 
 
 def _plain(specimen, theta_i=(30,), **settings):
@@ -155,10 +155,10 @@ def _in_any_variant():
                 f"{name}, {estimator}",
                 lambda n=name, s=settings: _plain(SHAPES[n], (20, 60), **s),
             )
-    yield "lamp", lambda: _plain(COLOURED, (30,), emitter=_lamp())
+    yield "lamp", lambda: _plain(COLOURED, (30,), emitter=_emitter())
     yield (
         "lamp, equal power",
-        lambda: _plain(SHINY, (30,), emitter=_lamp(), emission="equal_power"),
+        lambda: _plain(SHINY, (30,), emitter=_emitter(), emission="equal_power"),
     )
     yield "back", lambda: _plain(GLASS, (35,), side="back", phi_i=20)
     yield "traced plane", lambda: _plain(PLASTIC, (45,), trace=True)

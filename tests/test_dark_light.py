@@ -149,13 +149,13 @@ def test_the_series_of_orders_is_the_radiosity():
 
 
 @pytest.mark.parametrize("power", [1e-7, 1e-25])
-def test_coloured_lamp(power, rgb):  # noqa: ARG001
-    """A lamp with little power in one channel: each channel's own reflectance.
+def test_coloured_emitter(power, rgb):  # noqa: ARG001
+    """An emitter with little power in one channel: each channel's own reflectance.
 
     All rays that reach the diffuse plate leave it with a constant share. Rounding: of
     the products of a few events, in single precision.
     """
-    lamp = {
+    emitter = {
         "type": "rectangle",
         "to_world": mi.ScalarTransform4f().translate([0, 0, 3]).rotate([1, 0, 0], 180),
         "emitter": {
@@ -165,7 +165,7 @@ def test_coloured_lamp(power, rgb):  # noqa: ARG001
     }
     reflectance = [0.214, 0.5, 0.8]
     plate = matte({"type": "rgb", "value": reflectance})
-    record = gonio.measure(plate, 20, emitter=lamp, rays=5000, batches=4)
+    record = gonio.measure(plate, 20, emitter=emitter, rays=5000, batches=4)
     np.testing.assert_allclose(record.dhr, reflectance, rtol=8 * EPS32)
 
 

@@ -41,7 +41,7 @@ def block(height):
     return {"type": "cube", "to_world": stretch, "bsdf": {"type": "diffuse"}}
 
 
-def lamp(radiance, half=0.3):
+def emitter(radiance, half=0.3):
     turned = mi.ScalarTransform4f().translate([0, 0, 2]).rotate([1, 0, 0], 180)
     light = {"type": "area", "radiance": radiance}
     return {"type": "rectangle", "to_world": turned.scale(half), "emitter": light}
@@ -51,7 +51,7 @@ def textured(value):
     pixels = np.ones((2, 2, 1), np.float32)
     pixels[0, 0] = value
     bitmap = mi.Bitmap(pixels)
-    return lamp({"type": "bitmap", "bitmap": bitmap, "raw": True})
+    return emitter({"type": "bitmap", "bitmap": bitmap, "raw": True})
 
 
 def sky(value):
@@ -61,8 +61,8 @@ def sky(value):
 
 
 SPECIMENS = (checkered, blended, block)
-LAMPS = {
-    "size": lambda x: lamp(1.0, half=x),
+EMITTERS = {
+    "size": lambda x: emitter(1.0, half=x),
     "texture": textured,
     "sky": sky,
 }
@@ -108,7 +108,7 @@ def test_different_specimens_cannot_be_mixed(make):
 
 
 @pytest.mark.usefixtures("mono")
-@pytest.mark.parametrize("make", LAMPS.values(), ids=LAMPS)
+@pytest.mark.parametrize("make", EMITTERS.values(), ids=EMITTERS)
 def test_different_emitters_cannot_be_mixed(make):
     matt = {"type": "diffuse"}
     one, same, other = (
@@ -122,8 +122,8 @@ def test_different_emitters_cannot_be_mixed(make):
 
 
 @pytest.mark.usefixtures("mono")
-def test_a_turned_lamp_is_the_same_lamp():
-    matt, settings = {"type": "diffuse"}, SETTINGS | {"emitter": lamp(1.0)}
+def test_a_turned_emitter_is_the_same_emitter():
+    matt, settings = {"type": "diffuse"}, SETTINGS | {"emitter": emitter(1.0)}
     stack = gonio.measure(matt, [0, 30, 60], **settings)
     alone = gonio.measure(matt, 60, **settings)
     for key in ("digest", "emitter_digest"):
@@ -149,7 +149,7 @@ sys.path.insert(0, sys.argv[1])
 import test_digest
 for make in test_digest.SPECIMENS:
     print(test_digest.measured(make(0.2)).settings["digest"])
-for make in test_digest.LAMPS.values():
+for make in test_digest.EMITTERS.values():
     record = test_digest.measured({"type": "principled"}, emitter=make(0.2))
     print(record.settings["digest"], record.settings["emitter_digest"])
 """
@@ -158,7 +158,7 @@ for make in test_digest.LAMPS.values():
 @pytest.mark.usefixtures("mono")
 def test_another_process_has_the_same_digests():
     here = [measured(make(0.2)).settings["digest"] for make in SPECIMENS]
-    for make in LAMPS.values():
+    for make in EMITTERS.values():
         settings = measured({"type": "principled"}, emitter=make(0.2)).settings
         here += [settings["digest"], settings["emitter_digest"]]
     there = subprocess.run(
@@ -169,12 +169,12 @@ def test_another_process_has_the_same_digests():
         env=os.environ | {"PYTHONHASHSEED": "7"},
     )
     assert there.stdout.split() == here
-    assert len(set(here)) == len(SPECIMENS) + 1 + len(LAMPS)
+    assert len(set(here)) == len(SPECIMENS) + 1 + len(EMITTERS)
 
 
 @pytest.mark.usefixtures("mono")
 def test_a_specimen_that_is_measured_again_has_its_digest():
-    scene = mi.load_dict({"type": "scene", "block": block(0.2), "e": lamp(1.0)})
+    scene = mi.load_dict({"type": "scene", "block": block(0.2), "e": emitter(1.0)})
     assert len({measured(scene).settings["digest"] for _ in range(3)}) == 1
     before = measured(scene).settings["digest"]
     parameters = mi.traverse(scene)

@@ -132,16 +132,16 @@ def rtrace(folder, filename, wi, wo):
     filename : str
         In the folder.
     wi : ndarray, shape (3,)
-        To the lamp.
+        To the emitter.
     wo : ndarray, shape (n, 3)
         To the eye.
     """
     programs = Path(pytest.importorskip("pyradiance").__file__).parent / "bin"
     size, radiance = 0.02, 1e6
-    lamp = " ".join(f"{x:.9g}" for x in [*wi, size])
+    to_emitter = " ".join(f"{x:.9g}" for x in [*wi, size])
     scene = f"""
 void light glow 0 0 3 {radiance} {radiance} {radiance}
-glow source lamp 0 0 4 {lamp}
+glow source emitter 0 0 4 {to_emitter}
 void BSDF material 6 0 ./{filename} 0 1 0 . 0 0
 material polygon plate 0 0 12 -1 -1 0 1 -1 0 1 1 0 -1 1 0
 """
@@ -165,7 +165,10 @@ material polygon plate 0 0 12 -1 -1 0 1 -1 0 1 1 0 -1 1 0
 @pytest.mark.parametrize("basis", BASES)
 @pytest.mark.usefixtures("rgb", "coarse")
 def test_radiance_renders_what_was_written(tmp_path, glossy, basis, side):
-    """100 eyes around a lit plate; for reflection Radiance takes the eye for a lamp."""
+    """100 eyes around a lit plate.
+
+    For reflection Radiance takes the eye for an emitter.
+    """
     if basis == "tensor4":
         glossy = synthetic.record(
             theta_i=(20, 60), phi_i=(0, 0), power=6, both=True, channels=("R", "G", "B")
@@ -200,7 +203,7 @@ def test_radiance_renders_what_was_written(tmp_path, glossy, basis, side):
 
 
 @pytest.mark.usefixtures("mono", "coarse")
-def test_twin_radiance_would_notice_a_turned_lamp(tmp_path, glossy):
+def test_twin_radiance_would_notice_a_turned_emitter(tmp_path, glossy):
     exporting.export(glossy, tmp_path / "plate.xml", "tensor3")
     with open(tmp_path / "plate.xml", "rb") as stream:
         own = RadianceBSDF(stream)

@@ -126,14 +126,14 @@ def test_arrays_that_their_texts_do_not_tell_apart(tmp_path, refused):
     assert "plate" in words
 
 
-def test_a_lamp_that_was_turned_a_little(tmp_path, refused):
-    def lamp(angle):
+def test_an_emitter_that_was_turned_a_little(tmp_path, refused):
+    def emitter(angle):
         to_world = mi.ScalarTransform4f().rotate([0, 1, 0], angle).translate([0, 0, 9])
         turned = to_world.rotate([1, 0, 0], 180)
         return {"type": "rectangle", "to_world": turned, "l": {"type": "area"}}
 
-    measure(tmp_path / "lamp", emitter=lamp(0))
-    assert "emitter" in refused(folder=tmp_path / "lamp", emitter=lamp(1e-5))
+    measure(tmp_path / "emitter", emitter=emitter(0))
+    assert "emitter" in refused(folder=tmp_path / "emitter", emitter=emitter(1e-5))
 
 
 def test_a_folder_at_work(folder, refused):

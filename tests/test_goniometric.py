@@ -337,9 +337,9 @@ def test_radiance_mode_is_adjoint(plugin, tmp_path, side):
     for theta_o, phi_o in ((25.0, 200.0), (155.0, 200.0)):
         wo = direction(np.radians(theta_o), np.radians(phi_o))
         radiance = values(bsdf, wo[None], 40, 70, side, RADIANCE)[0, 0]
-        lamp = 1 if wo[2] > 0 else -1
+        lit = 1 if wo[2] > 0 else -1
         angle = min(theta_o, 180 - theta_o)
-        flux = values(bsdf, wi[None], angle, phi_o, lamp)[0, 0]
+        flux = values(bsdf, wi[None], angle, phi_o, lit)[0, 0]
         assert flux > 0
         assert abs(radiance - flux) <= ROUNDING * flux
 

@@ -32,7 +32,7 @@ def test_threads_validate_and_render_too(mono):  # noqa: ARG001
         {
             "type": "scene",
             "plate": {"type": "rectangle", "bsdf": PLATE},
-            "lamp": {"type": "directional", "direction": [0, 0, -1]},
+            "emitter": {"type": "directional", "direction": [0, 0, -1]},
             "sensor": {"type": "collector", "film": {"type": "patches"}},
             "integrator": {"type": "goniophotometer", "rays": 2000},
         }

@@ -18,6 +18,7 @@ from scipy import special, stats
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.materials import facets
+from gonio_mi.validation.declarations import LOBES
 
 EPS = 2.0**-24  # largest relative rounding error of a float32 operation
 RAYS = 10**6
@@ -235,19 +236,7 @@ def test_creation_flags_and_values(name):
     np.testing.assert_allclose(value, model_flux(name, wi, wo), rtol=bound)
 
 
-FLAGS = (
-    "DiffuseReflection",
-    "DiffuseTransmission",
-    "GlossyReflection",
-    "GlossyTransmission",
-    "DeltaReflection",
-    "DeltaTransmission",
-    "Null",
-    "Anisotropic",
-    "NonSymmetric",
-    "FrontSide",
-    "BackSide",
-)
+FLAGS = (*LOBES, "Anisotropic", "NonSymmetric", "FrontSide", "BackSide")
 
 
 def model_flux(name, wi, wo):

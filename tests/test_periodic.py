@@ -126,7 +126,7 @@ def test_render_and_measure_are_the_same():
         "type": "scene",
         "integrator": {"type": "goniophotometer", "rays": 10_000, "period": "box"},
         "sensor": {"type": "collector", "film": {"type": "patches"}},
-        "lamp": {"type": "directional", "direction": [0.5, 0, -0.8]},
+        "emitter": {"type": "directional", "direction": [0.5, 0, -0.8]},
         "shape": heightfield(**FIELD),
     }
     loaded = mi.load_dict(scene)

@@ -195,9 +195,9 @@ def test_upper_hemisphere_alone():
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
-def test_coloured_lamp_of_finite_area(estimator, rgb):  # noqa: ARG001
+def test_coloured_emitter_of_finite_area(estimator, rgb):  # noqa: ARG001
     """Exact: through black slats all that arrives is direct, channel by channel."""
-    lamp = {
+    emitter = {
         "type": "disk",
         "to_world": mi.ScalarTransform4f().translate([0, 0, 6]).rotate([1, 0, 0], 180),
         "emitter": {
@@ -205,7 +205,7 @@ def test_coloured_lamp_of_finite_area(estimator, rgb):  # noqa: ARG001
             "radiance": {"type": "rgb", "value": [3.0, 1.0, 0.5]},
         },
     }
-    record = measured(BLACK, 0.0, 30, 10, emitter=lamp, estimator=estimator)
+    record = measured(BLACK, 0.0, 30, 10, emitter=emitter, estimator=estimator)
     (tally,) = record.tallies
     assert np.array_equal(tally.sums[:, 1].sum(axis=(1, 2)), tally.direct)
     assert np.all(tally.direct.sum(axis=0) > 0)

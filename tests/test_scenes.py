@@ -138,7 +138,7 @@ def test_anisotropic_lobe_follows_phi_i():
 
 @pytest.mark.usefixtures("mono")
 def test_area_emitter_far_away_is_collimated():
-    """Convergence: the mean distance of the maps falls with the lamp's angular size."""
+    """Convergence: the maps come nearer as the emitter's angular size falls."""
     collimated = gonio.measure(
         {"type": "roughconductor", "alpha": 0.1}, 45, rays=10**6, footprint=0.5
     )

@@ -359,7 +359,7 @@ def brightness(sampler, seeds=16):
             },
             "room": {"type": "cube", "flip_normals": True, "bsdf": white},
             "ball": {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}},
-            "lamp": {
+            "emitter": {
                 "type": "sphere",
                 "center": [0.5, 0.2, 0.6],
                 "radius": 0.2,

@@ -237,15 +237,15 @@ def test_reflectance_up_to_the_ends(theta_i):
 
 
 def area(radiance):
-    """Lamp above the specimen."""
+    """Emitter above the specimen."""
     turn = mi.ScalarTransform4f().translate([0, 0, 5]).rotate([1, 0, 0], 180)
     emitter = {"type": "area", "radiance": radiance}
     return {"type": "rectangle", "to_world": turn, "emitter": emitter}
 
 
 @pytest.mark.usefixtures("spectral")
-def test_lamp_that_is_dark_elsewhere():
-    """A lamp that has no light at 550 nm lights at 450 nm."""
+def test_emitter_that_is_dark_elsewhere():
+    """An emitter that has no light at 550 nm lights at 450 nm."""
     blue = {"type": "spectrum", "value": [(400, 0.5), (450, 1.0), (500, 0.5)]}
     for radiance in (blue, blue | {"value": [(400, 1), (500, 1), (501, 0), (900, 0)]}):
         record = gonio.measure(
@@ -259,18 +259,18 @@ def test_lamp_that_is_dark_elsewhere():
 
 
 @pytest.mark.usefixtures("spectral")
-def test_lamp_that_is_dark_there():
-    """A lamp without light at one of the wavelengths is refused, where that matters."""
+def test_emitter_that_is_dark_there():
+    """An emitter dark at one of the wavelengths is refused, where that matters."""
     dark = {"type": "spectrum", "value": [(400, 1), (500, 1), (501, 0), (900, 0)]}
     with pytest.raises(gonio.SpecimenError, match="light the specimen at 550 nm"):
         gonio.measure(
             diffuse(0.5), emitter=area(dark), rays=100, wavelengths=[450, 550]
         )
-    for lamp in (area({"type": "d65"}), {"type": "point", "position": [0, 0, 3]}):
+    for emitter in (area({"type": "d65"}), {"type": "point", "position": [0, 0, 3]}):
         with pytest.raises(
             gonio.SpecimenError, match=r"covers .* 360 to 830 nm, got 9"
         ):
-            gonio.measure(diffuse(0.5), emitter=lamp, rays=100, wavelengths=[900])
+            gonio.measure(diffuse(0.5), emitter=emitter, rays=100, wavelengths=[900])
     flat = area({"type": "uniform", "value": 2.0})
     even = {"emission": "equal_power", "emitter": area({"type": "d65"})}
     for settings in ({"emitter": flat}, even, {"theta_i": 10}):

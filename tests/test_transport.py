@@ -1,4 +1,4 @@
-"""The cheap path and the full path agree; lamps and collectors of finite size."""
+"""The cheap path and the full path agree; emitters and collectors of finite size."""
 
 import functools
 from dataclasses import replace
@@ -35,7 +35,7 @@ def transform():
     return mi.ScalarTransform4f()
 
 
-def lamp(radius=2.0, distance=5.0):
+def emitter(radius=2.0, distance=5.0):
     """Disk above the specimen that faces it."""
     look = transform().look_at(origin=[0, 0, distance], target=[0, 0, 0], up=[0, 1, 0])
     return {
@@ -100,8 +100,8 @@ def test_transmitting(side, footprint):
 @pytest.mark.parametrize(
     "specimen", [REFLECTING, TRANSMITTING], ids=lambda s: s["type"]
 )
-def test_lamp(specimen, emission):
-    check(*both(specimen, 30, emitter=lamp(), emission=emission))
+def test_emitter(specimen, emission):
+    check(*both(specimen, 30, emitter=emitter(), emission=emission))
 
 
 def test_rotated_rectangle():
@@ -149,14 +149,14 @@ def test_textured_rectangle():
         disagree(single(z + 0.02 * np.sqrt(n)))
 
 
-# ------------------------------------------------------------------------ lamps
+# ------------------------------------------------------------------------ emitters
 
 
 @functools.cache
-def mirrored_lamp(theta_i, emission, runs, radius=2.0, distance=5.0, n=100_000):
+def mirrored_emitter(theta_i, emission, runs, radius=2.0, distance=5.0, n=100_000):
     """Flux fractions of a mirror's patches by NumPy alone, in independent runs.
 
-    Uniform points on lamp and plate; the radiometric weight is the product of both
+    Uniform points on emitter and plate; the radiometric weight is the product of both
     cosines over the square of the distance.
     """
     patches = gonio.subdivision("projected:8x12")
@@ -180,12 +180,12 @@ def mirrored_lamp(theta_i, emission, runs, radius=2.0, distance=5.0, n=100_000):
 
 @pytest.mark.parametrize("emission", ["radiometric", "equal_power"])
 @pytest.mark.parametrize("trace", [False, True])
-def test_mirror_shows_the_lamp(emission, trace):
+def test_mirror_shows_the_emitter(emission, trace):
     """The map of a mirror is the irradiance by direction, turned over the normal."""
     record = gonio.measure(
         {"type": "conductor"},
         30,
-        emitter=lamp(),
+        emitter=emitter(),
         emission=emission,
         rays=RAYS,
         collector="projected:8x12",
@@ -193,9 +193,9 @@ def test_mirror_shows_the_lamp(emission, trace):
         trace=trace,
         batches=32,
     )
-    agree(verdict(against_runs(record, mirrored_lamp(30, emission, 32))))
+    agree(verdict(against_runs(record, mirrored_emitter(30, emission, 32))))
     other = {"radiometric": "equal_power", "equal_power": "radiometric"}[emission]
-    disagree(verdict(against_runs(record, mirrored_lamp(30, other, 32))))
+    disagree(verdict(against_runs(record, mirrored_emitter(30, other, 32))))
 
 
 def against_runs(record, runs):
@@ -212,11 +212,11 @@ def against_runs(record, runs):
 
 
 @pytest.mark.parametrize("emission", ["radiometric", "equal_power"])
-def test_lambertian_does_not_care_for_the_lamp(emission):
+def test_lambertian_does_not_care_for_the_emitter(emission):
     record = gonio.measure(
         {"type": "diffuse", "reflectance": 0.5},
         30,
-        emitter=lamp(),
+        emitter=emitter(),
         emission=emission,
         rays=RAYS,
         collector=COLLECTOR,
@@ -230,14 +230,14 @@ def test_lambertian_does_not_care_for_the_lamp(emission):
     disagree(verdict(scores(record, 0.51 * share)))
 
 
-def test_small_far_lamp_is_collimated():
+def test_small_far_emitter_is_collimated():
     settings = {"rays": RAYS, "collector": COLLECTOR, "sampler": "independent"}
     far = gonio.measure(
-        REFLECTING, 50, emitter=lamp(10.0, 10_000.0), seed=1, **settings
+        REFLECTING, 50, emitter=emitter(10.0, 10_000.0), seed=1, **settings
     )
     collimated = gonio.measure(REFLECTING, 50, **settings)
     agree(verdict(difference_scores(far, collimated)))
-    near = gonio.measure(REFLECTING, 50, emitter=lamp(), seed=1, **settings)
+    near = gonio.measure(REFLECTING, 50, emitter=emitter(), seed=1, **settings)
     disagree(verdict(difference_scores(near, collimated)))
 
 

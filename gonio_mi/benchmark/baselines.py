@@ -27,6 +27,7 @@ __all__ = [
     "numpy_rays",
     "patch_integrals",
     "samples",
+    "without_renderer",
 ]
 
 PATCHES = EqualProjectedSolidAngle(30, 30)
@@ -222,3 +223,23 @@ def c_rays() -> Baseline:
         return c_loop.count_diffuse(rays, seed, PATCHES, dr.thread_count()) / rays
 
     return Baseline("C, vectorised by hand", _flux)
+
+
+def without_renderer() -> tuple[list[Baseline], list[str]]:
+    """What counts a white Lambertian surface without Mitsuba, as far as it is there.
+
+    Returns
+    -------
+    found : list of Baseline
+    absent : list of str
+        One sentence for each that is left out.
+    """
+    found, absent = [], []
+    for build in (numpy_rays, numba_rays, c_rays):
+        try:
+            found.append(build())
+        except ImportError:
+            absent.append("numba is left out: pip install 'gonio-mi[benchmark]'")
+        except c_loop.CompilerError as error:
+            absent.append(f"the C loop is left out: {error}")
+    return found, absent

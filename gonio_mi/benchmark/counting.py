@@ -4,16 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from .baselines import (
-    Baseline,
-    c_rays,
-    chi2_rays,
-    gonio_rays,
-    numba_rays,
-    numpy_rays,
-    samples,
-)
-from .c_loop import CompilerError
+from .baselines import Baseline, chi2_rays, gonio_rays, samples, without_renderer
 from .table import print_table
 from .timing import in_turns, speeds
 
@@ -34,7 +25,7 @@ def baselines() -> tuple[dict[tuple[str, str], Baseline], list[str]]:
     absent : list of str
         One sentence for each that is left out.
     """
-    found, absent = {}, []
+    found: dict[tuple[str, str], Baseline] = {}
     for name, specimen in SPECIMENS.items():
         ways = [
             gonio_rays(specimen, estimator, sampler, batches=1)
@@ -43,15 +34,8 @@ def baselines() -> tuple[dict[tuple[str, str], Baseline], list[str]]:
         ]
         for way in [*ways, chi2_rays(specimen)]:
             found[name, way.name.removesuffix(", 1 batch")] = way
-    for build in (numpy_rays, numba_rays, c_rays):
-        try:
-            way = build()
-        except ImportError:
-            absent.append("numba is left out: pip install 'gonio-mi[benchmark]'")
-        except CompilerError as error:
-            absent.append(f"the C loop is left out: {error}")
-        else:
-            found["diffuse", way.name] = way
+    others, absent = without_renderer()
+    found |= {("diffuse", way.name): way for way in others}
     return found, absent
 
 

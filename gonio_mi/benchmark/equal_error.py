@@ -16,14 +16,11 @@ from .baselines import (
     PATCHES,
     THETA_I,
     Baseline,
-    c_rays,
     chi2_rays,
     gonio_rays,
-    numba_rays,
-    numpy_rays,
     patch_integrals,
+    without_renderer,
 )
-from .c_loop import CompilerError
 from .renderers import (
     KLEMS,
     RADIANCE_GROOVE,
@@ -67,13 +64,14 @@ def contests() -> tuple[Contests, list[str]]:
     conductor = integrate(mi.load_dict(CONDUCTOR), THETA_I, 0, PATCHES).flux[0, ..., 0]
     fine, coarse = (_groove_flux(lit, g).reshape(g.shape) for g in (PATCHES, COARSE))
     histogram = chi2_rays(WHITE)
+    others, absent = without_renderer()
     found: Contests = {
         "white plate, 900 patches": [
             *((baseline, lambert) for baseline in _ours(WHITE)),
             (patch_integrals(WHITE), lambert),
             (path_directions(WHITE), lambert),
             (histogram, histogram.subdivision.projected_solid_angles / np.pi),
-            (numpy_rays(), lambert),
+            *((baseline, lambert) for baseline in others),
         ],
         "rough conductor, 900 patches": [
             *((baseline, conductor) for baseline in _ours(CONDUCTOR)),
@@ -96,29 +94,20 @@ def contests() -> tuple[Contests, list[str]]:
             for baseline in _ours(walls, subdivision=COARSE, footprint="full")
         ],
     }
-    return found, _add_optional(found, lambert)
+    return found, absent + _add_radiance(found)
 
 
-def _add_optional(found: Contests, lambert: Floats) -> list[str]:
-    """Add what other packages and a compiler offer; sentences on what is left out."""
-    absent = []
-    for build in (numba_rays, c_rays):
-        try:
-            found["white plate, 900 patches"].append((build(), lambert))
-        except ImportError:
-            absent.append("numba is left out: pip install 'gonio-mi[benchmark]'")
-        except CompilerError as problem:
-            absent.append(f"the C loop is left out: {problem}")
+def _add_radiance(found: Contests) -> list[str]:
+    """Add what Radiance offers; a sentence if it is left out."""
     try:
         plate = radiance_genbsdf(RADIANCE_PLATE, groove.REFLECTANCE)
         grooves = radiance_genbsdf(RADIANCE_GROOVE, groove.REFLECTANCE)
     except ImportError:
-        absent.append("Radiance is left out: pip install 'gonio-mi[benchmark]'")
-    else:
-        every = np.broadcast_to(KLEMS.projected_solid_angles / np.pi, (145, 145, 1))
-        found["white plate, 145 patches"].append((plate, groove.REFLECTANCE * every))
-        found["diffuse V-groove, 145 patches"].append((grooves, klems_groove_flux()))
-    return absent
+        return ["Radiance is left out: pip install 'gonio-mi[benchmark]'"]
+    every = np.broadcast_to(KLEMS.projected_solid_angles / np.pi, (145, 145, 1))
+    found["white plate, 145 patches"].append((plate, groove.REFLECTANCE * every))
+    found["diffuse V-groove, 145 patches"].append((grooves, klems_groove_flux()))
+    return []
 
 
 def _ours(specimen: dict[str, Any], **settings: Any) -> list[Baseline]:

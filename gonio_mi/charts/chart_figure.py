@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..array_types import Floats
-from ..files import replacing
-from ..plots.drawable import check_matplotlib, check_picture
+from ..plots.drawable import check_matplotlib, check_picture, save_picture
 from .curves import Chart, Curve
 
 if TYPE_CHECKING:
@@ -85,8 +83,7 @@ def plot_chart(
     _draw_table(below.subplots(), chart, target, colours)
     figure.suptitle(_title(chart, target), size="medium", parse_math=False)
     if path is not None:
-        with replacing(path) as stream:
-            figure.savefig(stream, format=Path(path).suffix[1:].lower(), dpi=150)
+        save_picture(figure, path)
     return figure
 
 

@@ -26,6 +26,9 @@ __all__ = [
     "Parser",
     "UsageError",
     "add_command",
+    "add_files",
+    "add_number",
+    "add_output",
     "add_record",
     "add_scene_options",
     "add_specimen",
@@ -103,6 +106,28 @@ def add_specimen(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_number(
+    group: Any, option: str, metavar: str, text: str, default: float | None = None
+) -> None:
+    """Add an option that is a number; its help ends with the default, if it has one."""
+    if default is not None:
+        text += f" (default: {default:g})"
+    group.add_argument(option, type=number, default=default, metavar=metavar, help=text)
+
+
+def add_files(group: Any, *options: str, text: str, metavar: str = "FILE") -> None:
+    """Add an option that takes any number of files, and may be given again."""
+    group.add_argument(
+        *options, nargs="+", action="extend", default=[], metavar=metavar, help=text
+    )
+
+
+def add_output(group: Any, text: str, quiet: str = "print nothing") -> None:
+    """Add the options of what becomes of a result: files, and silence."""
+    add_files(group, "-o", "--output", text=text)
+    group.add_argument("-q", "--quiet", action="store_true", help=quiet)
+
+
 def add_scene_options(group: Any, variants: Sequence[str] = (DEFAULT_VARIANT,)) -> None:
     """Add the options that say what Mitsuba loads specimens with.
 
@@ -114,14 +139,8 @@ def add_scene_options(group: Any, variants: Sequence[str] = (DEFAULT_VARIANT,)) 
         metavar="V",
         help=f"Mitsuba variant (default: {' and '.join(variants)})",
     )
-    group.add_argument(
-        "--plugin",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="FILE",
-        help="Python files that register your own Mitsuba plugins; run first",
-    )
+    plugins = "Python files that register your own Mitsuba plugins; run first"
+    add_files(group, "--plugin", text=plugins)
     group.add_argument(
         "-D",
         nargs="+",

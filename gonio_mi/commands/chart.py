@@ -12,9 +12,10 @@ from typing import Any
 from .. import files
 from .arguments import (
     DONE,
+    add_number,
+    add_output,
     add_scene_options,
     add_specimen,
-    number,
     say,
     specimen_of,
     tell,
@@ -40,35 +41,20 @@ is that of the process, all threads together, without compilation. SPECIMEN come
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     add_specimen(parser)
-    parser.add_argument(
+    add_number(
+        parser,
         "--theta-i",
-        type=number,
-        metavar="DEG",
-        help="angle of incidence in degrees in [0, 90); the scene's own emitter if it "
-        "is not given",
+        "DEG",
+        "angle of incidence in degrees in [0, 90); the scene's own emitter if it is "
+        "not given",
     )
-    parser.add_argument(
-        "--phi-i",
-        type=number,
-        default=0,
-        metavar="DEG",
-        help="azimuth of incidence in degrees (default: 0)",
-    )
+    add_number(parser, "--phi-i", "DEG", "azimuth of incidence in degrees", 0)
     for name in ("side", "collector"):
         add_setting(parser, name)
     _add_methods(parser.add_argument_group("methods"))
     add_scene_options(parser.add_argument_group("scene"))
     output = parser.add_argument_group("output")
-    output.add_argument(
-        "-o",
-        "--output",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="FILE",
-        help="write the chart to these .png, .pdf, .svg or .csv files",
-    )
-    output.add_argument("-q", "--quiet", action="store_true", help="print nothing")
+    add_output(output, "write the chart to these .png, .pdf, .svg or .csv files")
 
 
 def _add_methods(group: Any) -> None:
@@ -85,26 +71,12 @@ def _add_methods(group: Any) -> None:
         metavar="S",
         help="samplers to compare (default: independent sobol)",
     )
-    group.add_argument(
-        "--seconds",
-        type=number,
-        default=60,
-        metavar="T",
-        help="about how long all of it may take (default: 60)",
+    add_number(group, "--seconds", "T", "about how long all of it may take", 60)
+    add_number(
+        group, "--target", "X", "relative error for which costs are compared", 0.01
     )
-    group.add_argument(
-        "--target",
-        type=number,
-        default=0.01,
-        metavar="X",
-        help="relative error for which costs are compared (default: 0.01)",
-    )
-    group.add_argument(
-        "--repeats",
-        type=number,
-        default=4,
-        metavar="N",
-        help="measurements of different seeds for each point (default: 4)",
+    add_number(
+        group, "--repeats", "N", "measurements of different seeds for each point", 4
     )
     for name in ("batches", "seed"):
         add_setting(group, name)

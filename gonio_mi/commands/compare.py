@@ -16,8 +16,8 @@ from ..errors import SettingError
 from .arguments import (
     DONE,
     FAILED,
+    add_number,
     add_scene_options,
-    number,
     specimen_of,
     tell,
 )
@@ -52,12 +52,8 @@ def add_options(parser: ArgumentParser) -> None:
         help="an .exr or .npz file, or a table: CSV, or .astm",
     )
     _add_table_options(parser)
-    parser.add_argument(
-        "--alpha",
-        type=number,
-        default=1e-3,
-        metavar="P",
-        help="probability with which a right model fails (default: 1e-3)",
+    add_number(
+        parser, "--alpha", "P", "probability with which a right model fails", 1e-3
     )
     parser.add_argument("--json", action="store_true", help="for machines")
     parser.add_argument(
@@ -66,11 +62,11 @@ def add_options(parser: ArgumentParser) -> None:
     specimen = parser.add_argument_group("for a specimen")
     for name in ("rays", "seed"):
         add_setting(specimen, name)
-    specimen.add_argument(
+    add_number(
+        specimen,
         "--aperture-half-angle",
-        type=number,
-        metavar="DEG",
-        help="of the detector, if the table does not say it",
+        "DEG",
+        "of the detector, if the table does not say it",
     )
     add_scene_options(specimen)
 
@@ -82,18 +78,18 @@ def _add_table_options(parser: ArgumentParser) -> None:
         metavar="NAME",
         help="of an .astm table that has several, such as 550nm",
     )
-    parser.add_argument(
+    add_number(
+        parser,
         "--uncertainty",
-        type=number,
-        metavar="X",
-        help="relative standard uncertainty of each value of OTHER, 0.005 for 0.5 %%, "
+        "X",
+        "relative standard uncertainty of each value of OTHER, 0.005 for 0.5 %%, "
         "independent between points (default: what the table says)",
     )
-    parser.add_argument(
+    add_number(
+        parser,
         "--scale-uncertainty",
-        type=number,
-        metavar="X",
-        help="the same of a factor common to all values: calibration",
+        "X",
+        "the same of a factor common to all values: calibration",
     )
 
 

@@ -23,6 +23,8 @@ from .arguments import (
     DONE,
     INCOMPLETE,
     USER_ERROR,
+    add_number,
+    add_output,
     add_scene_options,
     add_specimen,
     number,
@@ -88,34 +90,27 @@ def _add_angles(group: Any) -> None:
 
 def _add_output(group: Any) -> None:
     """Add the options of what becomes of the record."""
-    group.add_argument(
-        "-o",
-        "--output",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="FILE",
-        help="write the record to these .exr or .npz files; both keep everything",
+    add_output(
+        group,
+        "write the record to these .exr or .npz files; both keep everything",
+        "no numbers and no progress bar",
     )
     group.add_argument(
         "--resume",
         metavar="RECORD",
         help="carry on this interrupted record of the very same measurement",
     )
-    group.add_argument(
+    add_number(
+        group,
         "--workers",
-        type=number,
-        metavar="N",
-        help="measure the incident directions in that many processes",
+        "N",
+        "measure the incident directions in that many processes",
     )
     group.add_argument(
         "--folder",
         metavar="DIR",
         help="keep finished incident directions there: the same command carries on, "
         "also after a crash",
-    )
-    group.add_argument(
-        "-q", "--quiet", action="store_true", help="no numbers and no progress bar"
     )
 
 

@@ -9,7 +9,7 @@ from argparse import ArgumentParser, Namespace
 from dataclasses import asdict
 
 from .. import files
-from .arguments import DONE, number, tell
+from .arguments import DONE, add_number, tell
 
 __all__ = ["add_options", "run"]
 
@@ -39,41 +39,24 @@ def add_options(parser: ArgumentParser) -> None:
         metavar="KIND:NTxNP",
         help="patches, without a pilot (default: projected:30x30)",
     )
-    parser.add_argument(
+    add_number(
+        parser,
         "--epsilon",
-        type=number,
-        default=0.005,
-        metavar="E",
-        help="absolute error of a flux fraction, for the bounds (default: 0.005)",
+        "E",
+        "absolute error of a flux fraction, for the bounds",
+        0.005,
     )
-    parser.add_argument(
-        "--delta",
-        type=number,
-        default=0.01,
-        metavar="D",
-        help="probability of exceeding it (default: 0.01)",
+    add_number(parser, "--delta", "D", "probability of exceeding it", 0.01)
+    add_number(
+        parser, "--rel-err", "X", "relative error of every patch worth reporting", 0.01
     )
-    parser.add_argument(
-        "--rel-err",
-        type=number,
-        default=0.01,
-        metavar="X",
-        help="relative error of every patch worth reporting (default: 0.01)",
-    )
-    parser.add_argument(
-        "--level",
-        type=number,
-        default=0.95,
-        metavar="P",
-        help="probability that no patch exceeds it (default: 0.95)",
-    )
-    parser.add_argument(
+    add_number(parser, "--level", "P", "probability that no patch exceeds it", 0.95)
+    add_number(
+        parser,
         "--floor",
-        type=number,
-        default=0.1,
-        metavar="F",
-        help="patches below this fraction of the mean are not worth reporting "
-        "(default: 0.1)",
+        "F",
+        "patches below this fraction of the mean are not worth reporting",
+        0.1,
     )
     parser.add_argument("--json", action="store_true", help="for machines")
 
@@ -82,14 +65,8 @@ def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     from ..results.ray_density import plan  # SciPy's statistics are slow to import
 
-    planned = plan(
-        None if options.pilot is None else files.load(options.pilot),
-        collector=options.collector,
-        epsilon=options.epsilon,
-        delta=options.delta,
-        rel_err=options.rel_err,
-        level=options.level,
-        floor=options.floor,
-    )
+    pilot = None if options.pilot is None else files.load(options.pilot)
+    names = ("collector", "epsilon", "delta", "rel_err", "level", "floor")
+    planned = plan(pilot, **{name: getattr(options, name) for name in names})
     tell(json.dumps(asdict(planned), indent=2) if options.json else planned)
     return DONE

@@ -15,6 +15,7 @@ from ..validation.verdict import Verdict
 from .arguments import (
     DONE,
     FAILED,
+    add_number,
     add_scene_options,
     add_specimen,
     number,
@@ -60,12 +61,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--strict", action="store_true", help="exit code 3 for whatever fails"
     )
     parser.add_argument("--seed", type=number, default=0, metavar="S")
-    parser.add_argument(
-        "--alpha",
-        type=number,
-        default=1e-3,
-        metavar="P",
-        help="probability with which a right plugin fails (default: 1e-3)",
+    add_number(
+        parser, "--alpha", "P", "probability with which a right plugin fails", 1e-3
     )
     parser.add_argument(
         "--report", metavar="HTML", help="write one file with verdict and maps"

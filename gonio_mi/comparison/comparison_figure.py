@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..array_types import Flags, Floats
-from ..files import replacing
-from ..plots import check_picture
+from ..plots.drawable import check_picture, save_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,9 +55,7 @@ def plot_comparison(comparison: Any, path: str | PathLike[str]) -> None:
     if len(panels) > len(shown):
         title += f"; {len(shown)} of {len(panels)} panels"
     figure.suptitle(title, fontsize="medium")
-    with replacing(path) as stream:
-        ending = Path(path).suffix[1:].lower()
-        figure.savefig(stream, format=ending, dpi=150)
+    save_picture(figure, path)
 
 
 def _panels(comparison: Any) -> list[tuple[float, float, str]]:

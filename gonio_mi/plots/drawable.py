@@ -1,11 +1,18 @@
 """Whether a picture can be drawn and written: matplotlib is the extra ``plot``."""
 
+from __future__ import annotations
+
 from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..errors import PackageError
-from ..files import check_output
+from ..files import check_output, replacing
 
-__all__ = ["FIGURE_ENDINGS", "check_matplotlib", "check_picture"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["FIGURE_ENDINGS", "check_matplotlib", "check_picture", "save_picture"]
 
 FIGURE_ENDINGS = (".pdf", ".png", ".svg")
 
@@ -32,3 +39,9 @@ def check_picture(path: str | PathLike[str]) -> None:
     """
     check_matplotlib()
     check_output(path, FIGURE_ENDINGS)
+
+
+def save_picture(figure: Figure, path: str | PathLike[str]) -> None:
+    """Write a figure to a path that :func:`check_picture` found right."""
+    with replacing(path) as stream:
+        figure.savefig(stream, format=Path(path).suffix[1:].lower(), dpi=150)

@@ -5,16 +5,15 @@ matplotlib is the optional extra ``plot``; it is imported when a figure is drawn
 
 import math
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SettingError, checked_count
-from ..files import check_output, replacing
+from ..files import check_output
 from ..results.record import Record
-from .drawable import FIGURE_ENDINGS, check_matplotlib
+from .drawable import FIGURE_ENDINGS, check_matplotlib, save_picture
 from .profile import draw_profiles
 
 if TYPE_CHECKING:
@@ -89,8 +88,7 @@ def plot(
     draw_profiles(below.subplots(), record, index, shown)
     figure.suptitle(_title(record, index), size="medium", parse_math=False)
     if path is not None:
-        with replacing(path) as stream:
-            figure.savefig(stream, format=Path(path).suffix[1:].lower(), dpi=150)
+        save_picture(figure, path)
     return figure
 
 

@@ -13,7 +13,16 @@ import numpy as np
 from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import check_variant, load_specimen, loaded, specimen_name
 from ..transport.kernels import launches_kernels
-from . import balance, declarations, delta, ends, identities, parameters, symmetry
+from . import (
+    answers,
+    balance,
+    declarations,
+    delta,
+    ends,
+    identities,
+    parameters,
+    symmetry,
+)
 from .collecting import Drawn, collect
 from .conditions import Condition, Effort
 from .diagnosis import diagnose
@@ -141,7 +150,7 @@ def _examine(evidence: Evidence, bsdf: mi.BSDF, plan: Effort, seed: int) -> None
     for i, condition in enumerate([*conditions, *radiance]):
         _check_samples(evidence, bsdf, condition, plan, (seed, 1, i))
     again = collect(bsdf, conditions[0], plan.checked, (seed, 1, 0))
-    identities.check_memory(evidence, evidence.drawn[0], again)
+    answers.check_memory(evidence, evidence.drawn[0], again)
     declarations.check_flags(evidence, bsdf)
     declarations.check_sides(evidence, bsdf, seed)
     for drawn in evidence.drawn[:: max(1, len(plan.angles) // 3)]:
@@ -163,9 +172,9 @@ def _check_samples(
     drawn = collect(bsdf, condition, plan.checked, key)
     evidence.drawn.append(drawn)
     known = len(evidence.breaches)
-    identities.check_answers(evidence, drawn)
-    identities.check_everywhere(evidence, Probe(bsdf, condition))
-    identities.check_directions(evidence, drawn)
+    answers.check_answers(evidence, drawn)
+    answers.check_everywhere(evidence, Probe(bsdf, condition))
+    answers.check_directions(evidence, drawn)
     identities.check_identities(evidence, drawn)
     symmetry.check_symmetry(evidence, drawn, bsdf)
     delta.check_delta(evidence, drawn, bsdf, key)

@@ -1,4 +1,4 @@
-"""Small lamps near to a large specimen, and far off its middle."""
+"""Small emitters near to a large specimen, and far off its middle."""
 
 import gonio_mi as gonio
 
@@ -21,7 +21,7 @@ def specimen(**bsdf):
 
 
 def disk(x, y, height, radius):
-    """Lambertian lamp that looks at the specimen, from below if that is negative."""
+    """Lambertian emitter that looks at the specimen, from below if that is negative."""
     turn = mi.ScalarTransform4f().translate([x, y, height])
     if height > 0:
         turn = turn.rotate([1, 0, 0], 180)
@@ -33,8 +33,8 @@ def disk(x, y, height, radius):
 
 
 def sphere(x, y, height, radius):
-    lamp = disk(x, y, height, radius) | {"type": "sphere", "radius": radius}
-    return lamp | {"to_world": mi.ScalarTransform4f().translate([x, y, height])}
+    emitter = disk(x, y, height, radius) | {"type": "sphere", "radius": radius}
+    return emitter | {"to_world": mi.ScalarTransform4f().translate([x, y, height])}
 
 
 def bulb(x, y, height):
@@ -46,7 +46,7 @@ def bulb(x, y, height):
 
 
 @pytest.mark.parametrize(
-    ("lamp", "settings"),
+    ("emitter", "settings"),
     [
         ((disk, 40, 0, 0.1, 0.05), {}),
         ((disk, -30, 20, 0.06, 0.03), {"trace": True}),
@@ -57,13 +57,13 @@ def bulb(x, y, height):
     ids=["disk", "traced disk", "sphere at a corner", "point", "in a round footprint"],
 )
 @pytest.mark.usefixtures("mono")
-def test_reflectance_under_a_near_lamp(lamp, settings):
+def test_reflectance_under_a_near_emitter(emitter, settings):
     """A grey diffuse plate reflects the same however it is lit.
 
-    Single rays near the lamp carry more than 2^30 of what the middle gets. Exact but
+    Single rays near the emitter carry more than 2^30 of what the middle gets. Exact but
     for the rounding of each power to single precision.
     """
-    kind, *place = lamp
+    kind, *place = emitter
     record = gonio.measure(
         specimen(reflectance=0.625), emitter=kind(*place), rays=2**20, **settings
     )
@@ -97,7 +97,7 @@ def lit_between(low, high, place):
 @pytest.mark.parametrize("place", [(40, 0, 6), (5, -40, 5), (-30, -30, 7)])
 @pytest.mark.usefixtures("mono")
 def test_share_of_two_halves(place):
-    """A plate of two reflectances under a small lamp; twin: 3 % off."""
+    """A plate of two reflectances under a small emitter; twin: 3 % off."""
     texels = np.array([[[0.25], [0.75]]], dtype=np.float32)
     texture = {
         "type": "bitmap",
@@ -133,9 +133,9 @@ def test_spotlight_beside_the_middle():
 
 
 @pytest.mark.usefixtures("mono")
-def test_lamp_that_lights_nothing():
-    """A lamp that looks away is refused."""
-    lamp = disk(0, 0, 1, 0.1)
-    lamp["to_world"] = mi.ScalarTransform4f().translate([0, 0, 1])
+def test_emitter_that_lights_nothing():
+    """An emitter that looks away is refused."""
+    emitter = disk(0, 0, 1, 0.1)
+    emitter["to_world"] = mi.ScalarTransform4f().translate([0, 0, 1])
     with pytest.raises(ValueError, match="must light the specimen, got no light"):
-        gonio.measure(specimen(), emitter=lamp, rays=100)
+        gonio.measure(specimen(), emitter=emitter, rays=100)
