@@ -36,6 +36,7 @@ from .files.measured import MeasuredTable, read_measured  # noqa: E402
 from .instrument.campaigns import campaign  # noqa: E402
 from .instrument.measuring import measure  # noqa: E402
 from .plots import plot  # noqa: E402
+from .reports import report  # noqa: E402
 from .results.ray_density import Plan, plan  # noqa: E402
 from .results.record import Record  # noqa: E402
 from .results.tally import Ledger  # noqa: E402
@@ -73,6 +74,7 @@ __all__ = [
     "plan",
     "plot",
     "read_measured",
+    "report",
     "subdivision",
     "validate",
 ]

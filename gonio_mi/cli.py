@@ -22,6 +22,7 @@ from .commands import (
     measure,
     plan,
     plot,
+    report,
     show,
     validate,
 )
@@ -38,7 +39,9 @@ from .errors import frames, is_the_users
 
 __all__ = ["main"]
 
-COMMANDS = (measure, show, plot, validate, compare, export, plan, chart, doctor)
+COMMANDS = (
+    *(measure, show, plot, report, validate, compare, export, plan, chart, doctor),
+)
 
 EXAMPLES = """\
 examples:

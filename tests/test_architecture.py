@@ -32,6 +32,7 @@ ROOMS = (
     "plugins",
     "exports",
     "plots",
+    "reports",
     "comparison",
     "charts",
     "validation",

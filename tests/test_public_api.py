@@ -11,9 +11,9 @@ import pytest
 import gonio_mi as gonio
 
 # What a first look at the package must find, whatever else there is.
-VERBS = {"chart", "compare", "export", "measure", "plan", "plot", "validate"}
+VERBS = {"chart", "compare", "export", "measure", "plan", "plot", "report", "validate"}
 # Optional packages, of which some take a second to load.
-OPTIONAL = ("distributed", "matplotlib", "numba", "pyradiance", "xarray")
+OPTIONAL = ("distributed", "matplotlib", "numba", "plotly", "pyradiance", "xarray")
 
 
 def modules(package):

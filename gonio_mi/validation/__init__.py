@@ -8,8 +8,8 @@ from .adapter import from_numpy
 from .evidence import PROPERTIES
 from .inspection import validate
 from .pictures import draw
-from .report import check_report, save_report
 from .verdict import Property, Verdict
+from .verdict_page import check_report, save_report
 
 __all__ = [
     "PROPERTIES",

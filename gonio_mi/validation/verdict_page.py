@@ -9,6 +9,7 @@ from os import PathLike
 
 from ..files import check_output, replacing
 from ..plots.drawable import check_matplotlib
+from ..reports import html_page
 from .maps import FourMaps
 from .pictures import draw
 from .verdict import FAILS, Property, Verdict
@@ -16,13 +17,9 @@ from .verdict import FAILS, Property, Verdict
 __all__ = ["check_report", "save_report"]
 
 STYLE = """
-body { font: 15px/1.5 sans-serif; max-width: 70em; margin: 2em auto; padding: 0 1em; }
-table { border-collapse: collapse; } td { padding: .3em .8em; vertical-align: top; }
-tr { border-top: 1px solid #ddd; } img { max-width: 100%; }
 .fails td:first-child { background: #c33; color: white; }
 .holds td:first-child { background: #cec; }
 .lacks td:first-child, .undecided td:first-child { background: #fd8; }
-small { color: #555; }
 """
 
 LEGEND = (
@@ -55,9 +52,6 @@ def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
     name = html.escape(verdict.name)
     head = _code(verdict.headline)
     parts = [
-        "<!doctype html>",
-        f'<html lang="en"><meta charset="utf-8"><title>{name}</title>',
-        f"<style>{STYLE}</style>",
         f"<h1>{name}</h1>",
         f"<p><b>{head}</b></p>",
         "<table>",
@@ -72,7 +66,7 @@ def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
         parts.append(f"<h2>{html.escape(str(maps.condition))}</h2>")
         parts.append(f'<img alt="four maps" src="{_image(maps)}">')
     with replacing(path) as stream:
-        stream.write("\n".join(parts).encode())
+        stream.write(html_page(verdict.name, parts, STYLE).encode())
 
 
 def _row(one: Property) -> str:

@@ -1,0 +1,37 @@
+"""``gonio-mi report``: make a page to look at records with.
+
+Make one HTML page that opens from disk, without a network: maps with the value under
+the pointer, sliders over incident directions, cuts, lobes, totals and ledger; two
+records beside each other, with their difference in standard errors.
+"""
+
+from argparse import ArgumentParser, Namespace
+
+from .. import files
+from .arguments import DONE
+
+__all__ = ["add_options", "run"]
+
+EXAMPLES = """\
+examples:
+  gonio-mi report run.npz -o run.html
+  gonio-mi report before.npz after.npz -o both.html
+"""
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
+    parser.add_argument(
+        "records", nargs="+", metavar="RECORD", help=".exr or .npz files"
+    )
+    parser.add_argument(
+        "-o", "--output", required=True, metavar="PAGE", help="an .html file"
+    )
+
+
+def run(options: Namespace) -> int:
+    """Run the command and return the exit code."""
+    from ..reports import report  # plotly is an extra, and large
+
+    report([files.load(one) for one in options.records], options.output)
+    return DONE

@@ -1,0 +1,223 @@
+"""The page of records shows the record's numbers, in a real browser too."""
+
+import base64
+import csv
+import json
+import re
+import shutil
+import sys
+import zlib
+
+import numpy as np
+import pytest
+import synthetic
+
+import gonio_mi as gonio
+from gonio_mi.cli import main
+from gonio_mi.collector.directions import direction
+from gonio_mi.errors import SettingError, SettingTypeError
+from gonio_mi.reports import packing, report
+from gonio_mi.reports.packing import packed_record
+
+pytest.importorskip("plotly")
+
+BROWSER = next(
+    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))),
+    None,
+)
+
+
+def values(packed, index):
+    """The four float arrays and the hits of one incident direction."""
+    raw = zlib.decompress(base64.b64decode(packed["values"][index]))
+    n = packed["hemispheres"] * packed["patches"] * len(packed["channels"])
+    floats = np.frombuffer(raw[: 16 * n], "<f4").reshape(4, -1)
+    return floats, np.frombuffer(raw[16 * n :], "<u4")
+
+
+# ------------------------------------------------------------------------ the data
+
+
+@pytest.mark.parametrize("collector", ["projected:6x8", "klems"])
+def test_page_holds_the_record(collector):
+    record = synthetic.record(
+        collector, theta_i=(0, 30), phi_i=(0, 90), both=True, channels=("R", "G")
+    )
+    packed = packed_record(record)
+    (mean, error, below, above), hits = values(packed, 1)
+    single = record[1]
+    pair = np.stack([single.brdf, single.btdf])
+    np.testing.assert_array_equal(mean, pair.ravel().astype("f4"))
+    np.testing.assert_array_equal(hits, single.counts.ravel())
+    low, high = single.interval(of="btdf")
+    half = mean.size // 2
+    # 12 bits of a mantissa in [1/2, 1): half a unit of 2^-12, at most 2^-12 of it
+    rounding = {"rtol": 2.0**-12, "atol": 0, "equal_nan": True}
+    np.testing.assert_allclose(below[half:], (single.btdf - low).ravel(), **rounding)
+    np.testing.assert_allclose(above[half:], (high - single.btdf).ravel(), **rounding)
+    np.testing.assert_allclose(error[:half], single.brdf_std_err.ravel(), **rounding)
+    assert not np.allclose(error[:half], 1.001 * single.brdf_std_err.ravel())
+
+
+@pytest.mark.parametrize("collector", ["angle:5x4", "klems", "apertures:2@45/180,30/0"])
+def test_raster_knows_the_patch_of_a_direction(collector):
+    patches = gonio.subdivision(collector)
+    known = packing.raster(patches)
+    steps = packing.RASTER
+    rows, columns = np.random.default_rng(1).integers(0, steps, (50, 2)).T
+    theta, phi = (rows + 0.5) * 90 / steps[0], (columns + 0.5) * 360 / steps[1]
+    expected = patches.patch(direction(np.radians(theta), np.radians(phi)))
+    np.testing.assert_array_equal(known[rows, columns], expected)
+
+
+def test_large_records_are_thinned_and_say_so(monkeypatch):
+    record = synthetic.record(theta_i=(0, 10, 20, 30, 40), phi_i=(0,) * 5)
+    assert packed_record(record)["left_out"] == ""
+    monkeypatch.setattr(packing, "MOST_VALUES", 3 * 48)
+    packed = packed_record(record)
+    assert [d["theta_i"] for d in packed["directions"]] == [0, 20, 40]
+    assert "3 of the record's 5 incident directions" in packed["left_out"]
+
+
+# ------------------------------------------------------------------------ bad input
+
+
+def test_wrong_records_are_named(tmp_path):
+    with pytest.raises(SettingError, match="at least one record, got none"):
+        report([], tmp_path / "a.html")
+    with pytest.raises(SettingTypeError, match="records of gonio_mi, got str"):
+        report(["run.npz"], tmp_path / "a.html")
+    with pytest.raises(SettingError, match=r"must end in \.html"):
+        report(synthetic.record(), tmp_path / "a.png")
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_plotly_one_sentence(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    with pytest.raises(ImportError, match=re.escape('pip install "gonio-mi[report]"')):
+        report(synthetic.record(), tmp_path / "a.html")
+
+
+def test_command_writes_the_page(tmp_path):
+    record = synthetic.record()
+    record = record.with_settings(specimen="</script><b>")
+    record.save(tmp_path / "a.npz")
+    page = tmp_path / "a.html"
+    assert main(["report", str(tmp_path / "a.npz"), "-o", str(page)]) == 0
+    text = page.read_text()
+    start = text.index('id="data">') + len('id="data">')
+    data = json.loads(text[start : text.index("</script>", start)])
+    assert data["records"][0]["name"] == "</script><b>"
+
+
+# ------------------------------------------------------------------------ a browser
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Headless Chromium of this machine."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    if BROWSER is None:
+        pytest.skip("there is no Chromium on this machine")
+    with playwright.sync_playwright() as driver:
+        flags = ["--no-sandbox", "--enable-unsafe-swiftshader"]
+        chromium = driver.chromium.launch(executable_path=BROWSER, args=flags)
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def opened(browser, tmp_path):
+    """Function that opens the page of records; at the end nothing went wrong in it."""
+    wrong = []
+
+    def log(message):
+        if message.type == "error":
+            wrong.append(message.text)
+
+    def ask(request):
+        if not request.url.startswith(("file:", "data:", "blob:")):
+            wrong.append(request.url)
+
+    def open_page(*records):
+        path = tmp_path / "page.html"
+        report(records, path)
+        page = browser.new_page()
+        page.on("console", log)
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.on("request", ask)
+        page.goto(path.as_uri())
+        page.wait_for_function("document.body.dataset.drawn", timeout=60_000)
+        return page
+
+    yield open_page
+    assert wrong == []
+
+
+def pointed(page, panel, theta, phi):
+    """What the page tells of the patch in that direction, pointer on the map."""
+    page.mouse.move(0, 0)
+    spot = page.evaluate(
+        """([panel, x, y]) => {
+            const plot = document.querySelector(`#${panel} .plot`);
+            const box = plot.getBoundingClientRect(), { xaxis, yaxis, _size: size } =
+                plot._fullLayout;
+            return [box.x + size.l + xaxis.d2p(x), box.y + size.t + yaxis.d2p(y)];
+        }""",
+        [
+            panel,
+            float(np.sin(theta) * np.cos(phi)),
+            float(np.sin(theta) * np.sin(phi)),
+        ],
+    )
+    page.mouse.move(spot[0] - 3, spot[1])
+    page.mouse.move(*spot)
+    page.wait_for_function(f"document.querySelector('#{panel} output').value.trim()")
+    return page.locator(f"#{panel} output").text_content()
+
+
+def significant(x):
+    """A number as the page writes it: five digits."""
+    return float(f"{np.float32(x):.5g}")
+
+
+def test_slider_and_pointer_show_the_record(opened):
+    record = synthetic.record(theta_i=(0, 30, 60), phi_i=(20,) * 3, both=True)
+    page = opened(record)
+    theta, phi = record.subdivision.middles
+    for index in (0, 2):
+        page.locator("#theta").fill(str(index))
+        page.wait_for_function(f"document.body.dataset.drawn === '0/{index}/0'")
+        text = pointed(page, "map-0-1", theta[3, 2], phi[3, 2])
+        number = float(re.search(r": (\S+) ±", text)[1])
+        assert number == significant(record.btdf[index, 3, 2, 0])
+        assert number != significant(record.btdf[1, 3, 2, 0])
+        assert f"{record.counts[index, 1, 3, 2]} rays" in text
+
+
+def test_two_records_and_their_difference(opened):
+    one, other = synthetic.record(), synthetic.record(power=28)
+    page = opened(one, other)
+    theta, phi = one.subdivision.middles
+    text = pointed(page, "map-z-0", theta[2, 4], phi[2, 4])
+    apart = float(re.search(r"(\S+) standard errors", text)[1])
+    both = np.hypot(one.brdf_std_err, other.brdf_std_err)[2, 4, 0]
+    expected = (one.brdf - other.brdf)[2, 4, 0] / both
+    # errors of 12 bits each, values of 24 bits that nearly cancel, five digits
+    few = 2.0**-12 + 2.0**-23 * one.brdf[2, 4, 0] / (abs(expected) * both) + 1e-4
+    assert apart == pytest.approx(expected, rel=few)
+    assert apart != pytest.approx(1.01 * expected, rel=few)
+
+
+def test_csv_has_every_patch(opened, tmp_path):
+    record = synthetic.record()
+    page = opened(record)
+    with page.expect_download() as download:
+        page.locator("#csv").click()
+    path = tmp_path / "direction.csv"
+    download.value.save_as(path)
+    rows = list(csv.DictReader(path.read_text().splitlines()))
+    assert len(rows) == 48
+    found = np.array([float(row["value"]) for row in rows], "f4")
+    np.testing.assert_array_equal(found, record.brdf.ravel().astype("f4"))
+    assert [int(row["rays"]) for row in rows] == record.counts.ravel().tolist()
