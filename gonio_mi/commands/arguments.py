@@ -34,6 +34,7 @@ __all__ = [
     "add_specimen",
     "number",
     "number_or_word",
+    "pair",
     "say",
     "sentence",
     "set_variant",
@@ -146,7 +147,7 @@ def add_scene_options(group: Any, variants: Sequence[str] = (DEFAULT_VARIANT,)) 
         nargs="+",
         action="extend",
         default=[],
-        type=_pair,
+        type=pair,
         dest="parameters",
         metavar="KEY=VALUE",
         help="values of the $KEY parameters of the scene file",
@@ -211,7 +212,7 @@ def set_variant(variant: str) -> None:
         ) from error
 
 
-def _pair(text: str) -> tuple[str, str]:
+def pair(text: str) -> tuple[str, str]:
     """Name and value of ``name=value``."""
     name, equals, value = text.partition("=")
     if not (name and equals):

@@ -18,6 +18,7 @@ from .arguments import (
     FAILED,
     add_number,
     add_scene_options,
+    pair,
     specimen_of,
     tell,
 )
@@ -37,6 +38,9 @@ The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005
 `# aperture_half_angle: 0.75` and `# emitter_half_angle: 0.25`; angles are in degrees.
 Exit code 3: they differ by more than chance explains.
 """
+
+# Options on how a table is read.
+TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth")
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -76,7 +80,29 @@ def _add_table_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--channel",
         metavar="NAME",
-        help="of an .astm table that has several, such as 550nm",
+        help="of a table that has several, such as 550nm",
+    )
+    parser.add_argument(
+        "--quantity",
+        metavar="Q",
+        help="what the values of the table are, if it does not say it: brdf, brdf_cos, "
+        "btdf or reflectance_factor",
+    )
+    parser.add_argument(
+        "--columns",
+        nargs="+",
+        action="extend",
+        type=pair,
+        metavar="ROLE=NAME",
+        help="which column of the table is theta_i, phi_i, theta_o, phi_o, delta_phi, "
+        "value, sigma or wavelength; ROLE=NAME:rad if an angle is in radians, and "
+        "ROLE=0 for a number in its place",
+    )
+    parser.add_argument(
+        "--azimuth",
+        metavar="FROM",
+        help="where azimuths of exit in the table are 0, if relative to incidence: on "
+        "the side of the source or of the mirror direction (source, mirror)",
     )
     add_number(
         parser,
@@ -104,12 +130,15 @@ def run(options: Namespace) -> int:
 
     if options.output is not None:
         check_picture(options.output)
+    told = {name: getattr(options, name) for name in TABLE_OPTIONS}
     if is_record(options.other):
-        if options.channel is not None:
-            raise SettingError(f"--channel goes with a table, got {options.other!r}")
+        for name, value in told.items():
+            if value is not None:
+                raise SettingError(f"--{name} goes with a table, got {options.other!r}")
         other: Any = files.load(options.other)
     else:
-        other = read_measured(options.other, options.channel)
+        told["columns"] = dict(told["columns"]) if told["columns"] else None
+        other = read_measured(options.other, **told)
     if is_record(options.record):
         if options.aperture_half_angle is not None:
             raise SettingError(

@@ -76,7 +76,7 @@ def pair_with_table(
     records: Sequence[Record], table: MeasuredTable
 ) -> tuple[list[PointSet], list[str]]:
     """Sets of points of a table, each with the records that hold it."""
-    notes = []
+    notes = list(table.notes)
     errors = table.bsdf_std_err
     if not (errors.any() or table.scale_uncertainty):
         notes.append(f"{table.name} states no uncertainty: its values count as exact")
@@ -90,7 +90,7 @@ def pair_with_table(
                 f"{table.name} holds btdf, but the record has no lower hemisphere; "
                 "measure it with hemispheres='both'"
             )
-        channel = _channel(record, table)
+        channel = _channel(record, table, notes)
         patches = record.subdivision
         patch, held = patches.detectors(v)
         if patches.aperture_half_angle is not None:
@@ -154,18 +154,24 @@ def _check_apertures(patches: Any, table: MeasuredTable) -> None:
         )
 
 
-def _channel(record: Record, table: MeasuredTable) -> int:
+def _channel(record: Record, table: MeasuredTable, notes: list[str]) -> int:
     """Index of the record's channel that a table's values belong to."""
     names = list(record.channels)
+    if table.channel in names:
+        return names.index(table.channel)
+    if names == ["Y"]:
+        if table.channel is not None:
+            notes.append(
+                f"the record is monochrome: it stands for {table.channel} of the table"
+            )
+        return 0
     if table.channel is None and len(names) == 1:
         return 0
-    if table.channel not in names:
-        said = "no channel" if table.channel is None else f"channel {table.channel}"
-        raise SettingError(
-            f"the table's header must name a channel of the record "
-            f"({', '.join(names)}), but {table.name} names {said}"
-        )
-    return names.index(table.channel)
+    said = "no channel" if table.channel is None else f"channel {table.channel}"
+    raise SettingError(
+        f"the table's header must name a channel of the record "
+        f"({', '.join(names)}), but {table.name} names {said}"
+    )
 
 
 def check_uncertainties(record: Record) -> None:

@@ -132,6 +132,7 @@ def _astm(record: Record, path: str | PathLike[str]) -> list[Loss]:
             names,
             stream,
             source="gonio-mi",
+            angle_units="radians",
             specimen=str(record.settings.get("specimen", "a record")),
             collector=str(record.subdivision),
         )
@@ -177,6 +178,8 @@ def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
         phi_o=np.tile(phi[known], len(record)),
         quantity=quantity,
         channel=record.channels[number] if len(record.channels) > 1 else None,
+        aperture_half_angle=record.subdivision.aperture_half_angle,
+        emitter_half_angle=record.settings.get("divergence") or 0.0,
         header={"collector": str(record.subdivision)},
         **columns,
     )

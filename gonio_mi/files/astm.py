@@ -5,13 +5,11 @@ format comes from two programs that read that archive, KimuraRyo/libbsdf (`AstmR
 and ALTA (`data_astm`), and agree: lines of a KEY in capitals and its value, of which
 ``NUM_POINTS`` counts the rows and ``VARS``, the last, names the columns; then rows of
 numbers separated by commas. The first four are the polar angle and the azimuth of
-incidence and of scattering in radians, ``theta_i,phi_i,theta_s,phi_s``; the others
-are BRDF, named ``R``, ``G``, ``B`` or by a wavelength such as ``550nm``, or one of any
-other name for grey. That values are in 1/sr without cosine, and that light mirrored
-from collections.abc import Sequence
-from typing import BinaryIO
-from ..array_types import Floats
-from the azimuth 0 goes to pi, is inferred from how those programs use them.
+incidence and of scattering in radians, ``theta_i,phi_i,theta_s,phi_s``; where one is
+above 2 pi they are taken for degrees. The others are BRDF, named ``R``, ``G``, ``B`` or
+by a wavelength such as ``550nm``, or one of any other name for grey. That values are in
+1/sr without cosine, and that light mirrored from the azimuth 0 goes to pi, is inferred
+from how those programs use them.
 """
 
 from collections.abc import Sequence

@@ -1,48 +1,31 @@
 """Tables of measured values from files: plain CSV, and text after ASTM E1392."""
 
-import csv
-import difflib
-import io
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ..errors import (
-    FileFormatError,
-    SettingError,
-    checked_choice,
-    checked_number,
-    shown,
-)
+from ..errors import FileFormatError, SettingError, shown
 from . import astm
-from .measured_table import (
-    COLUMNS,
-    NUMBERS,
-    QUANTITIES,
-    TEXTS,
-    UNITS,
-    MeasuredTable,
-    fits,
-)
-from .numbers import decimal, is_decimal
+from .measured_table import MeasuredTable
+from .measured_text import read_text
 
 __all__ = ["MeasuredTable", "read_measured"]
 
-# Characters of a line; no table has more, and an image in text has.
-LONGEST_LINE = 10_000
-
 
 def read_measured(
-    path: str | PathLike[str], channel: str | None = None
+    path: str | PathLike[str],
+    channel: str | None = None,
+    *,
+    quantity: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    azimuth: str | None = None,
 ) -> MeasuredTable:
-    """Read measured values from a plain CSV file, or from text after ASTM E1392.
+    """Read measured values from text with columns, or from a file of another program.
 
-    A CSV file has comment lines ``# key: value``, one line with the names of the
-    columns, and one line for each value, separated by commas::
+    What we write ourselves has comment lines ``# key: value``, one line with the names
+    of the columns, and one line for each value, separated by commas::
 
         # units: 1/sr
         # quantity: brdf
@@ -54,20 +37,34 @@ def read_measured(
 
     The columns, in any order, and their ranges are those of :class:`MeasuredTable`;
     `sigma` may be left out. The keys, all optional, are its settings, with ``units``,
-    which must be ``1/sr``, and ``aperture_solid_angle`` in sr instead of
-    ``aperture_half_angle``. Further keys are kept as text in `header`, comment lines
-    without a colon are skipped, and so are empty lines. A key that looks like a
-    misspelt one is refused.
+    which must be ``1/sr`` (or 1, for a reflectance factor), and
+    ``aperture_solid_angle`` in sr instead of ``aperture_half_angle``. Further keys are
+    kept as text in `header`, comment lines without a colon are skipped, and so are
+    empty lines. A key that looks like a misspelt one is refused.
 
-    For the other format, of which a table is one channel, see
-    :mod:`gonio_mi.files.astm`.
+    Of others' texts the columns are known by names such as ``theta_i/deg``,
+    ``Viewing Zenith [deg]``, ``src_a``, ``BRDF (1/sr)`` or ``550nm``; cells are
+    separated by tabs, semicolons, commas or blanks, numbers may have decimal commas,
+    and lines of a title may come first. What was inferred is in `notes`; what is
+    ambiguous is asked for.
 
     Parameters
     ----------
     path : str or path
-        Ends in ``.astm`` for that format; any other ending is CSV.
+        Ends in ``.astm`` for text after ASTM E1392, see :mod:`gonio_mi.files.astm`; any
+        other ending is text with columns.
     channel : str, optional
-        Of a file ``.astm`` that has several, such as ``"550nm"``.
+        Of several, such as ``"550nm"``.
+    quantity : {"brdf", "brdf_cos", "btdf", "reflectance_factor"}, optional
+        What the values are, if the file does not say it.
+    columns : mapping of str, optional
+        Name of the column, or a number, for ``theta_i``, ``phi_i``, ``theta_o``,
+        ``phi_o``, ``delta_phi``, ``value``, ``sigma`` or ``wavelength``; ``:rad`` or
+        ``:deg`` after the name of an angle says its unit.
+    azimuth : {"specimen", "source", "mirror"}, optional
+        What azimuths of exit are counted from, counter-clockwise: from +x as those of
+        incidence are, from the side of the source, or from that of the mirror
+        direction, where signed polar angles are positive too.
 
     Returns
     -------
@@ -78,21 +75,24 @@ def read_measured(
     OSError
         If the file cannot be opened.
     ValueError
-        If the channel must be given, or is not there.
+        If something must be said that the file leaves open, or is not there.
     FileFormatError
         If it is not such a table: one sentence with the file, the line, the column and
         the value.
     """
-    if Path(path).suffix.lower() == ".astm":
-        return _read_astm(path, channel)
-    if channel is not None:
-        raise SettingError(f"channel goes with a file .astm, got {str(path)!r}")
-    if Path(path).suffix.lower() == ".xml":
+    ending = Path(path).suffix.lower()
+    if ending == ".xml":
         raise FileFormatError(
             f"{path} is no table of values: measure it as a material, "
             f"goniometric:filename={path}, and compare the records"
         )
-    return _read_csv(path)
+    if ending == ".astm":
+        if columns is not None or azimuth is not None:
+            raise SettingError(
+                f"columns and azimuth go with a text of columns, got {path}"
+            )
+        return _read_astm(path, channel)
+    return read_text(path, channel, quantity, columns, azimuth)
 
 
 def _read_astm(path: str | PathLike[str], channel: str | None) -> MeasuredTable:
@@ -110,7 +110,9 @@ def _read_astm(path: str | PathLike[str], channel: str | None) -> MeasuredTable:
             f"{shown(channel)}"
         )
     try:
-        theta_i, phi_i, theta_o, phi_o = np.degrees(angles.T)
+        in_degrees = np.abs(angles).max(initial=0) > 2 * np.pi
+        angles = angles if in_degrees else np.degrees(angles)
+        theta_i, phi_i, theta_o, phi_o = angles.T
         return MeasuredTable(
             theta_i,
             phi_i,
@@ -120,137 +122,7 @@ def _read_astm(path: str | PathLike[str], channel: str | None) -> MeasuredTable:
             channel=channel if len(names) > 1 or channel.endswith("nm") else None,
             header=header,
             name=str(path),
+            notes=(f"angles are in {'degrees' if in_degrees else 'radians'}",),
         )
     except ValueError as error:
         raise FileFormatError(f"{path}: {error}") from None
-
-
-def _read_csv(path: str | PathLike[str]) -> MeasuredTable:
-    """Table of a CSV file."""
-    try:
-        text = Path(path).read_bytes().decode("utf-8-sig")
-        if "\0" in text:
-            raise ValueError
-    except ValueError:
-        raise FileFormatError(f"{path} is not a CSV file: it is not text") from None
-    settings: dict[str, Any] = {}
-    header: dict[str, str] = {}
-    rows: list[tuple[int, str]] = []
-    for number, line in enumerate(io.StringIO(text, newline=None), 1):
-        line = line.strip()
-        if len(line) > LONGEST_LINE:
-            raise FileFormatError(
-                f"{path}, line {number}: must have at most {LONGEST_LINE} characters, "
-                f"got {len(line)}"
-            )
-        if line.startswith("#"):
-            _read_key(f"{path}, line {number}", line.lstrip("# "), settings, header)
-        elif line:
-            rows.append((number, line))
-    if not rows:
-        raise FileFormatError(f"{path} is empty: it has no line of column names")
-    quantity = settings.get("quantity", "brdf")
-    columns: dict[str, Any] = _read_columns(path, rows, quantity)
-    solid_angle = settings.pop("aperture_solid_angle", None)
-    if solid_angle is not None:
-        if "aperture_half_angle" in settings:
-            raise FileFormatError(
-                f"{path} must have either aperture_half_angle or aperture_solid_angle"
-            )
-        # solid angle of a cone: 4 pi sin^2(a / 2)
-        half = 2 * math.asin(math.sqrt(solid_angle / (4 * math.pi)))
-        settings["aperture_half_angle"] = math.degrees(half)
-    settings.pop("units", None)
-    try:
-        return MeasuredTable(**columns, **settings, header=header, name=str(path))
-    except ValueError as error:
-        raise FileFormatError(f"{path}: {error}") from None
-
-
-def _read_key(
-    place: str, comment: str, settings: dict[str, Any], header: dict[str, str]
-) -> None:
-    """Take ``key: value`` from a comment line into `settings` or `header`."""
-    key, colon, text = (part.strip() for part in comment.partition(":"))
-    if not colon:
-        return
-    known = (*NUMBERS, *TEXTS)
-    if key in settings or key in header:
-        raise FileFormatError(f"{place}: the key {key} must occur once, got it again")
-    if key not in known:
-        similar = difflib.get_close_matches(
-            key.lower().replace(" ", "_"), known, 1, 0.8
-        )
-        if similar:
-            raise FileFormatError(
-                f"{place}: unknown key {shown(key)}; {similar[0]} is one"
-            )
-        header[key] = text
-        return
-    try:
-        if key in NUMBERS:
-            if not is_decimal(text):
-                condition = NUMBERS[key][2]
-                raise SettingError(f"{key} must be {condition}, got {shown(text)}")
-            settings[key] = checked_number(key, text, *NUMBERS[key])
-            return
-        if key == "units":
-            checked_choice(key, text, UNITS)
-        elif key == "quantity":
-            checked_choice(key, text, QUANTITIES)
-    except (TypeError, ValueError) as error:
-        raise FileFormatError(f"{place}: {error}") from None
-    settings[key] = text
-
-
-def _read_columns(
-    path: str | PathLike[str], rows: Sequence[tuple[int, str]], quantity: str
-) -> dict[str, list[float]]:
-    """Columns as lists, from numbered lines of which the first names them."""
-    number, line = rows[0]
-    names = [cell.strip() for cell in line.split(",")]
-    place = f"{path}, line {number}"
-    allowed = (*COLUMNS, "sigma")
-    known = [name for name in names if name in allowed]
-    if not known:
-        raise FileFormatError(
-            f"{place}: must name the columns {', '.join(COLUMNS)}, got {shown(line)}"
-        )
-    for name in names:
-        if name not in allowed:
-            raise FileFormatError(
-                f"{place}: a column must be one of {', '.join(allowed)}, "
-                f"got {shown(name)}"
-            )
-        if names.count(name) > 1:
-            raise FileFormatError(f"{place}: the column {name} must occur once")
-    for name in COLUMNS:
-        if name not in names:
-            raise FileFormatError(f"{place}: the column {name} is missing")
-    if len(rows) == 1:
-        raise FileFormatError(f"{path} has no values: nothing follows line {number}")
-    columns: dict[str, list[float]] = {name: [] for name in names}
-    for number, line in rows[1:]:
-        cells = next(csv.reader([line], skipinitialspace=True))
-        if len(cells) != len(names):
-            raise FileFormatError(
-                f"{path}, line {number}: must have {len(names)} values separated by "
-                f"commas, got {len(cells)}"
-            )
-        for name, cell in zip(names, cells):
-            columns[name].append(
-                _cell(f"{path}, line {number}, column {name}", name, cell, quantity)
-            )
-    return columns
-
-
-def _cell(place: str, name: str, text: str, quantity: str) -> float:
-    """One number, or a sentence that says where it is and what it should be."""
-    try:
-        value = decimal(text)
-    except ValueError as error:
-        raise FileFormatError(f"{place}: {error}") from None
-    good, condition = fits(name, value, quantity)
-    if not good:
-        raise FileFormatError(f"{place}: must be {condition}, got {text.strip()}")
-    return value

@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "value")
-QUANTITIES = ("brdf", "brdf_cos", "btdf")
+QUANTITIES = ("brdf", "brdf_cos", "btdf", "reflectance_factor")
 UNITS = ("1/sr", "sr^-1")
 
 # Nothing that was measured is as large in 1/sr, nor a relative uncertainty; squares of
@@ -55,9 +55,11 @@ class MeasuredTable:
     value : array_like of float, shape (n,)
         `quantity` in 1/sr; noise may leave it negative.
     sigma : array_like of float, shape (n,), optional
-        Standard uncertainty of `value` in 1/sr, 0 or more, independent between points.
-    quantity : {"brdf", "brdf_cos", "btdf"}
-        ``brdf_cos`` is the BRDF times cos(theta_o).
+        Standard uncertainty of `value`, in its unit, 0 or more, independent between
+        points.
+    quantity : {"brdf", "brdf_cos", "btdf", "reflectance_factor"}
+        ``brdf_cos`` is the BRDF times cos(theta_o). A reflectance factor is pi sr times
+        the BRDF: 1 for a white Lambertian; its values and `sigma` have no unit.
     uncertainty : float
         Relative standard uncertainty of each value, independent between points; it adds
         to `sigma` in quadrature. 0.005 is 0.5 %.
@@ -75,6 +77,8 @@ class MeasuredTable:
         Other keys of the file's header, as text.
     name : str
         Where the table came from, for messages.
+    notes : tuple of str
+        What its reader inferred, in sentences.
 
     Raises
     ------
@@ -98,6 +102,7 @@ class MeasuredTable:
     channel: str | None = None
     header: dict[str, Any] = field(default_factory=dict)
     name: str = "the table"
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         checked_choice("quantity", self.quantity, QUANTITIES)
@@ -149,7 +154,7 @@ class MeasuredTable:
     @property
     def bsdf(self) -> Floats:
         """BRDF or BTDF in 1/sr without cosine, shape (n,)."""
-        return self.value / self._cosine
+        return self.value / self._factor
 
     @property
     def bsdf_std_err(self) -> Floats:
@@ -158,10 +163,13 @@ class MeasuredTable:
         `sigma` and `uncertainty` in quadrature, in 1/sr, shape (n,).
         """
         sigma = 0.0 if self.sigma is None else self.sigma
-        return np.hypot(sigma, self.uncertainty * np.abs(self.value)) / self._cosine
+        return np.hypot(sigma, self.uncertainty * np.abs(self.value)) / self._factor
 
     @property
-    def _cosine(self) -> Floats | float:
+    def _factor(self) -> Floats | float:
+        """What the BRDF or BTDF in 1/sr is multiplied by in `value`."""
+        if self.quantity == "reflectance_factor":
+            return np.pi
         if self.quantity != "brdf_cos":
             return 1.0
         return np.cos(np.radians(self.theta_o))
@@ -169,6 +177,8 @@ class MeasuredTable:
     def save(self, path: str | PathLike[str]) -> None:
         """Write the table as a CSV file that `read_measured` reads back."""
         lines = [f"# units: {UNITS[0]}", f"# quantity: {self.quantity}"]
+        if self.quantity == "reflectance_factor":
+            lines[0] = "# units: 1"
         for key in (*NUMBERS, "channel"):
             value = getattr(self, key, None)
             if value:

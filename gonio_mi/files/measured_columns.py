@@ -1,0 +1,271 @@
+"""Which columns of a text are which angles and values, and what they hold."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ..array_types import Floats
+from ..errors import FileFormatError, SettingError, shown
+from .column_names import ANGLES, ROLES, Column, recognised
+from .measured_table import COLUMNS, fits
+from .numbers import decimal, is_decimal
+from .text_table import TextTable
+
+__all__ = ["Columns", "parsed_columns"]
+
+OWN = (*COLUMNS, "sigma")
+DEGREES = {"deg": 1.0, "": 1.0, "rad": float(np.degrees(1.0))}
+NM = {"nm": 1.0, "um": 1e3, "m": 1e9, "": 1.0}
+
+# A wavelength that is a column's is at most this far in nm from the one asked for.
+SAME_WAVELENGTH = 1e-6
+
+
+@dataclass
+class Columns:
+    """What the columns of a text hold.
+
+    Attributes
+    ----------
+    own : bool
+        Whether they have the names that we write.
+    arrays : dict of ndarray
+        By role: angles in degrees, values and uncertainties as they are written.
+    value, sigma : Column
+        That of the values, and of the uncertainties if there is one.
+    channel : str or None
+    notes : list of str
+    """
+
+    own: bool
+    arrays: dict[str, Floats]
+    value: Column
+    sigma: Column | None
+    channel: str | None
+    notes: list[str] = field(default_factory=list)
+
+
+def parsed_columns(
+    text: TextTable,
+    quantity: str | None,
+    channel: str | None,
+    columns: Mapping[str, str] | None,
+) -> Columns:
+    """Columns of a text.
+
+    Parameters
+    ----------
+    text : TextTable
+    quantity : str or None
+        If it is known; of the own names its ranges are checked at once.
+    channel : str or None
+        Which of several values.
+    columns : mapping, optional
+        Name of the column for a role, with ``:deg`` or ``:rad`` if its name does not
+        say it, or a number in its place.
+
+    Raises
+    ------
+    ValueError
+        If something is missing or ambiguous.
+    FileFormatError
+        If a cell is no number, or of the own names out of range.
+    """
+    constants, known = _assigned(text, columns or {})
+    own = set(text.names) >= set(COLUMNS) and not columns
+    place = f"{text.place}, line {text.number}"
+    if own:
+        _check_own(place, text.names)
+    picked, channels = _picked(text, known, constants, channel)
+    for role in ("theta_i", "theta_o", "value"):
+        if role not in picked and role not in constants:
+            raise FileFormatError(
+                f"{place}: the column {role} is missing; if another name stands for "
+                f"it, say --columns {role}=NAME"
+            )
+    if "phi_i" in picked and "phi_o" not in picked and "delta_phi" not in picked:
+        raise FileFormatError(f"{place}: the column phi_o is missing")
+    cells = _numbers(text, picked, (quantity or "brdf") if own else None)
+    arrays = {role: np.array(values) for role, values in cells.items()}
+    n = len(arrays["value"])
+    arrays |= {role: np.full(n, value) for role, value in constants.items()}
+    if "wavelength" in picked:
+        arrays, channels = _one_wavelength(text.place, arrays, picked, channel)
+    notes = [] if own else _notes(text, picked, constants)
+    _check_angle_units(text.place, arrays, picked, own)
+    for role in ANGLES:
+        if role in picked:
+            arrays[role] = arrays[role] * DEGREES[picked[role].unit]
+    chosen = channels[0] if channels else None
+    return Columns(own, arrays, picked["value"], picked.get("sigma"), chosen, notes)
+
+
+def _assigned(
+    text: TextTable, columns: Mapping[str, str]
+) -> tuple[dict[str, float], list[Column | None]]:
+    """Constants, and what each column holds, by its name or as `columns` says."""
+    known = [recognised(name) for name in text.names]
+    constants = {}
+    for role, said in columns.items():
+        if role not in ROLES:
+            raise SettingError(
+                f"columns must name {', '.join(ROLES)}, got {shown(role)}"
+            )
+        name, _, unit = str(said).partition(":")
+        if unit not in ("", "deg", "rad"):
+            raise SettingError(
+                f"columns must give angles in deg or rad, got {shown(said)}"
+            )
+        known = [None if c and c.role == role else c for c in known]
+        names = [own.lower() for own in text.names]
+        if name.strip().lower() in names:
+            index = names.index(name.strip().lower())
+            before = recognised(text.names[index]) or Column(text.names[index], role)
+            known[index] = replace(before, role=role, unit=unit or before.unit)
+        elif is_decimal(name):
+            constants[role] = decimal(name) * DEGREES[unit]
+        else:
+            raise SettingError(
+                f"columns must name columns of {text.place} "
+                f"({', '.join(text.names)[:120]}), got {shown(name)}"
+            )
+    return constants, known
+
+
+def _check_own(place: str, names: Sequence[str]) -> None:
+    """Raise FileFormatError if names beside ours may be misspelt ones."""
+    for name in names:
+        if name not in OWN:
+            raise FileFormatError(
+                f"{place}: a column must be one of {', '.join(OWN)}, got {shown(name)}"
+            )
+        if names.count(name) > 1:
+            raise FileFormatError(f"{place}: the column {name} must occur once")
+
+
+def _picked(
+    text: TextTable,
+    known: Sequence[Column | None],
+    constants: Mapping[str, float],
+    channel: str | None,
+) -> tuple[dict[str, Column], list[str]]:
+    """The one column of each role, and the channel of the values."""
+    by_role: dict[str, list[Column]] = {}
+    for column in known:
+        if column is not None and column.role not in constants:
+            by_role.setdefault(column.role, []).append(column)
+    values = by_role.get("value", [])
+    names = [column.channel for column in values if column.channel]
+    if len(names) > 1 or (names and channel is not None):
+        wanted = channel or ""
+        if wanted not in names:
+            wanted = f"{wanted}nm"
+        if wanted not in names:
+            raise SettingError(
+                f"channel must be one of {', '.join(names)[:120]} for {text.place}, "
+                f"got {shown(channel)}"
+            )
+        by_role["value"] = [c for c in values if c.channel == wanted]
+        names = [wanted]
+    elif channel is not None and "wavelength" not in by_role:
+        raise SettingError(
+            f"channel goes with a table of several, got {channel!r} for {text.place}"
+        )
+    if names:
+        same = [c for c in by_role.get("sigma", []) if c.channel in ("", names[0])]
+        by_role["sigma"] = same
+    for role, columns in by_role.items():
+        if len(columns) > 1:
+            several = ", ".join(repr(column.name) for column in columns)
+            raise FileFormatError(
+                f"{text.place}, line {text.number}: several columns may be {role} "
+                f"({several:.150}); say --columns {role}=NAME"
+            )
+    return {role: columns[0] for role, columns in by_role.items() if columns}, names
+
+
+def _numbers(
+    text: TextTable, picked: Mapping[str, Column], quantity: str | None
+) -> dict[str, list[float]]:
+    """Numbers of the picked columns; of our own names ranges are checked at once."""
+    places = {role: text.names.index(column.name) for role, column in picked.items()}
+    numbers: dict[str, list[float]] = {role: [] for role in places}
+    for number, cells in text.cells():
+        for role, index in places.items():
+            place = f"{text.place}, line {number}, column {text.names[index]}"
+            try:
+                value = decimal(cells[index])
+            except ValueError as error:
+                raise FileFormatError(f"{place}: {error}") from None
+            if quantity:
+                good, condition = fits(role, value, quantity)
+            else:
+                good, condition = np.isfinite(value), "a finite number"
+            if not good:
+                raise FileFormatError(
+                    f"{place}: must be {condition}, got {cells[index].strip()}"
+                )
+            numbers[role].append(value)
+    return numbers
+
+
+def _one_wavelength(
+    place: str,
+    arrays: dict[str, Floats],
+    picked: Mapping[str, Column],
+    channel: str | None,
+) -> tuple[dict[str, Floats], list[str]]:
+    """Rows of one wavelength of a table that has it in a column."""
+    nm = arrays.pop("wavelength") * NM.get(picked["wavelength"].unit, 1.0)
+    names = {f"{one:.10g}nm": one for one in np.unique(nm)}
+    if channel is None and len(names) == 1:
+        channel = next(iter(names))
+    if channel not in names and f"{channel}nm" in names:
+        channel = f"{channel}nm"
+    if channel is None or channel not in names:
+        raise SettingError(
+            f"channel must be one of {', '.join(names)[:120]} for {place}, got "
+            f"{shown(channel)}"
+        )
+    here = np.abs(nm - names[channel]) <= SAME_WAVELENGTH
+    return {role: array[here] for role, array in arrays.items()}, [channel]
+
+
+def _notes(
+    text: TextTable, picked: Mapping[str, Column], constants: Mapping[str, float]
+) -> list[str]:
+    """Sentences on what was inferred from the names."""
+    said = [
+        f"{role} is {column.name.strip()!r}"
+        + (f" in {column.unit or 'deg'}" if role in ANGLES else "")
+        for role, column in picked.items()
+    ]
+    said += [f"{role} is {value:g}" for role, value in constants.items()]
+    used = {column.name for column in picked.values()}
+    unused = [n for n in text.names if n not in used and recognised(n) is None]
+    notes = [f"columns: {', '.join(said)}"]
+    if unused:
+        notes.append(f"not used: {', '.join(map(repr, unused))[:200]}")
+    if text.decimal_comma:
+        notes.append("numbers have decimal commas")
+    return notes
+
+
+def _check_angle_units(
+    place: str, arrays: Mapping[str, Any], picked: Mapping[str, Column], own: bool
+) -> None:
+    """Raise FileFormatError for angles that could be degrees or radians."""
+    silent = [r for r in ANGLES if r in picked and not picked[r].unit]
+    if own or not silent:
+        return
+    largest = max(np.abs(arrays[role]).max() for role in silent)
+    whole = all((arrays[role] == np.round(arrays[role])).all() for role in silent)
+    if 0 < largest <= 2 * np.pi and not whole:
+        role = silent[0]
+        raise FileFormatError(
+            f"{place}: its angles are at most {largest:.4g} and may be degrees or "
+            f"radians; say --columns {role}='{picked[role].name.strip()}:rad' (or "
+            f":deg), and so of each"
+        )
