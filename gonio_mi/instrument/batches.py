@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,16 +16,48 @@ from ..settings.measurement_settings import PILOT_RAYS, MeasurementSettings
 from ..transport.bench import Bench
 from .instrument import Instrument
 
-__all__ = ["Target", "n_batches", "send", "send_until"]
+__all__ = ["Target", "rays_sent", "rounds", "send", "send_until"]
 
 
 # The paper's error tolerance and confidence (section 5.2).
 PAPER_EPSILON, PAPER_DELTA = 0.005, 0.01
 
 
-def n_batches(tallies: Sequence[Tally]) -> int:
-    """Batches of all `tallies`."""
-    return sum(tally.n_batches for tally in tallies)
+def rays_sent(tallies: Sequence[Tally], passes: int) -> list[int]:
+    """Rays of each batch of `tallies`, which sent them `passes` times."""
+    counts = [tally.fates.sum(axis=1) // passes for tally in tallies]
+    return [int(rays) for some in counts for rays in some]
+
+
+def rounds(plan: Sequence[int], step: int, start: int = 0) -> list[list[int]]:
+    """Rays that each batch has sent after each round; `plan` after the last.
+
+    What whole rounds have sent is what Ctrl-C keeps. A round adds `step` rays to each
+    batch, or up to an eighth of what was sent before it, and ends at a multiple of a
+    power of two, where points of low discrepancy are even. The sums are rounded after
+    each, so that rounds depend on numbers of rays and on nothing else.
+
+    Parameters
+    ----------
+    plan : sequence of int
+        Rays of each batch, in descending order and alike within one ray.
+    step : int
+        A power of two.
+    start : int
+        Rays of each batch that were sent before.
+    """
+    ends = []
+    each = _next_end(start, step)
+    while each + step // 2 < plan[-1]:  # else the last one would be much shorter
+        ends.append([each] * len(plan))
+        each = _next_end(each, step)
+    return [*ends, list(plan)]
+
+
+def _next_end(each: int, step: int) -> int:
+    """Rays that each batch has sent after one more round."""
+    step = max(step, 1 << each.bit_length() >> 4)
+    return (each // step + 1) * step
 
 
 def send(
@@ -35,10 +68,46 @@ def send(
     tallies: list[Tally],
     report: Callable[[float], Any] | None,
 ) -> None:
-    """Append the tallies of the batches of `plan` that are still missing."""
-    first = n_batches(tallies)
-    for tally in instrument.tallies(bench, key, plan[first:], first, progress=report):
-        tallies.append(tally)
+    """Let all batches grow by rounds to `plan`, from what `tallies` hold of them.
+
+    Whenever it is interrupted, `tallies` hold all batches after a whole round; or in
+    the first round those that have finished it.
+    """
+    sent, step = rays_sent(tallies, instrument.passes), instrument.round_rays(bench)
+    start = sent[-1] if sent else 0
+    more = partial(instrument.tallies, bench, key, progress=report)
+    if 0 < len(sent) < len(plan):
+        level = [min(size, sent[0]) for size in plan]
+        ends, start = rounds(level, step), level[-1]
+        others = [] if len(ends) > 1 else tallies
+        _grow(more, ends, 0, len(sent), others)
+        if others is not tallies:
+            tallies.extend(others)
+    if start < plan[-1]:
+        _grow(more, rounds(plan, step, start), start, 0, tallies)
+
+
+def _grow(
+    more: Callable[..., Iterable[Tally]],
+    ends: Sequence[Sequence[int]],
+    start: int,
+    first: int,
+    tallies: list[Tally],
+) -> None:
+    """Let the batches from number `first` on grow from `start` rays to each of `ends`.
+
+    Those of the first rays are appended to `tallies` one by one; what is sent after
+    that is added to them in whole rounds.
+    """
+    for end in ends:
+        grown = more([size - start for size in end[first:]], first, start)
+        if start == 0:
+            for tally in grown:
+                tallies.append(tally)
+        else:
+            whole = Tally.join(list(grown))
+            tallies[:] = [Tally.join(tallies).accumulate(whole)]
+        start = end[-1]
 
 
 def send_until(
@@ -49,19 +118,17 @@ def send_until(
     tallies: list[Tally],
     report: Callable[[float], Any] | None,
 ) -> None:
-    """Let all batches grow by rounds until `target` is met; one tally in the end.
+    """Let all batches grow until `target` is met; one tally in the end.
 
     The number of batches is fixed, so that what decides about stopping has the same
-    degrees of freedom at every look; rounds grow to what the last look predicts, so
-    that there are few looks.
+    degrees of freedom at every look; they grow to what the last look predicts, so that
+    there are few looks.
     """
     batches = instrument.settings.batches
     each, goal = 0, PILOT_RAYS // batches  # rays of every batch
     while each < goal:
-        sizes = [goal - each] * batches
-        sent = instrument.tallies(bench, key, sizes, start=each, progress=report)
-        grown = Tally.join(list(sent))
-        tallies[:] = [tallies[0].accumulate(grown) if tallies else grown]
+        send(instrument, bench, key, [goal] * batches, tallies, report)
+        tallies[:] = [Tally.join(tallies)]
         each = goal
         record = instrument.record(bench, tallies[0], key[0])
         goal = target.next_goal(record, each * batches) // batches

@@ -43,6 +43,11 @@ FUSED_SUMS = 2**19
 FIRST_TRACED, FIRST_PLANE = 2**18, 2**20
 
 
+# Rays of each batch in a round: traced and on a plane. Of samplers whose numbers
+# depend on the launch, rounds are whole launches.
+ROUND_TRACED, ROUND_PLANE = 2**17, 2**22
+
+
 class Instrument:
     """What measures: it sets up a bench, sends rays batch by batch, makes the record.
 
@@ -177,6 +182,12 @@ class Instrument:
             yield groups[0] if len(groups) == 1 else Tally.join_channels(groups)
             first, sizes = first + several, sizes[several:]
 
+    def round_rays(self, bench: Bench) -> int:
+        """Rays of each batch after which all of them are even for the first time."""
+        if not self._divisible:
+            return LAUNCH
+        return ROUND_TRACED if traces(bench, self.settings) else ROUND_PLANE
+
     def samples(self, bench: Bench) -> bool:
         """Whether rays are needed: always, but for integrals without delta lobes."""
         return not self.integrates or mi.has_flag(
@@ -198,9 +209,14 @@ class Instrument:
             sampled = Tally.empty(bench.shape[0], shape, flux.shape[-1], WEIGHT_SCALE)
         return Integrals.beside(sampled, flux, errors)
 
+    @property
+    def _divisible(self) -> bool:
+        """Whether the sampler's numbers are the same however launches share them."""
+        return hasattr(self.sampler, "start")
+
     def _capacity(self, bench: Bench) -> int:
         """Batches that may share a launch: the same for all launches at a bench."""
-        if not hasattr(self.sampler, "start"):
+        if not self._divisible:
             return 1
         fitting = FUSED_SUMS // (bench.n_bins * packet_width())
         return max(1, min(fitting, self.settings.batches))
@@ -224,11 +240,10 @@ class Instrument:
         """Tally of the batches of `keys`, by one launch or more for a single one."""
         total: Any = None
         capacity, pace = self._capacity(bench), self._pace_at(bench)
-        divisible = hasattr(self.sampler, "start")
         begin, end = start, start + sizes[0]
         while begin < end:
             n = min(LAUNCH, end - begin)
-            if divisible:
+            if self._divisible:
                 n = min(n, pace.next_part(begin, end))
             parts = [min(n, start + size - begin) for size in sizes]
             totals = pace.launch(

@@ -22,7 +22,7 @@ from ..settings import MeasurementSettings
 from ..transport.bench import Bench
 from ..transport.kernels import launches_kernels
 from ..transport.specimen import Specimen
-from .batches import Target, n_batches
+from .batches import Target, rounds
 from .incidence import described_digest, emitter_scene, incident_angles, incident_key
 from .instrument import Instrument
 from .loading import check_variant, load_specimen, specimen_name
@@ -73,7 +73,7 @@ def measure_here(
         for lit, incident in zip(scenes, incidents)
     ]
     plan = batch_sizes(settings.rays, settings.batches)
-    _check_sums_fit(benches, len(plan))
+    _check_sums_fit(instrument, benches, plan)
     finished: list[list[Tally]] = [[] for _ in benches]
     if resume is not None:
         check_resumable(resume, instrument, benches, settings.seed, plan)
@@ -100,7 +100,7 @@ def measure_here(
             _warn_unless_reached(record, target)
     if not complete:
         record = record.with_settings(interrupted=True)
-        _warn_of_interruption(instrument, target, plan, finished)
+        _warn_of_interruption(instrument, record, len(benches))
     return record
 
 
@@ -172,12 +172,17 @@ def _settled(
     return settings
 
 
-def _check_sums_fit(benches: Sequence[Bench], batches: int) -> None:
+def _check_sums_fit(
+    instrument: Instrument, benches: Sequence[Bench], plan: Sequence[int]
+) -> None:
     """Raise ValueError if the sums of all benches do not fit into memory."""
     sums = sum(bench.n_collected for bench in benches)
+    # while they are joined; and beside those of the rounds before
+    n_rounds = len(rounds(plan, min(map(instrument.round_rays, benches))))
+    copies = 2 * min(n_rounds, 2)
     check_memory(
-        f"{sums} patches in {batches} batches",
-        2 * 8 * sums * batches * len(mi.Spectrum()),  # while they are joined
+        f"{sums} patches in {len(plan)} batches",
+        copies * 8 * sums * len(plan) * len(mi.Spectrum()),
         "take fewer patches, incident directions or batches",
     )
 
@@ -210,16 +215,14 @@ def _warn_unless_reached(record: Record, target: Target) -> None:
 
 
 def _warn_of_interruption(
-    integrator: Instrument,
-    target: Target | None,
-    plan: Sequence[int],
-    finished: Sequence[Sequence[Tally]],
+    instrument: Instrument, record: Record, n_incident: int
 ) -> None:
-    if integrator.integrates or target:
-        kept = f"{sum(map(bool, finished))} of {len(finished)} incident directions"
-        kept += ", the last one less precise" if target else ""
+    """Warn of what is left of so many incident directions."""
+    settings = instrument.settings
+    if instrument.integrates or Target.of(settings):
+        kept = f"{len(record)} of {n_incident} incident directions"
+        kept += "" if instrument.integrates else ", the last one less precise"
     else:
-        batches = sum(map(n_batches, finished))
-        kept = f"{batches} of {len(plan) * len(finished)} batches; resume= carries "
-        kept += "it on"
+        asked = settings.rays * n_incident * instrument.passes
+        kept = f"{record.ledger.emitted} of {asked} rays; resume= carries it on"
     warnings.warn(f"interrupted: the record holds {kept}", RuntimeWarning, stacklevel=3)

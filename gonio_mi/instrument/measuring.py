@@ -63,7 +63,8 @@ def measure(
     Returns
     -------
     Record
-        After Ctrl-C, of the batches that were finished, with a warning and the setting
+        After Ctrl-C, of the rays that all batches had sent alike: all but the last
+        eighth at most once a measurement is long; with a warning and the setting
         ``interrupted``. A BSDF that creates light, as a reflectance above 1 does, gives
         a warning.
 

@@ -6,6 +6,7 @@ from ..errors import SettingError, SettingTypeError, shown
 from ..results.record import DIGESTS, Record
 from ..settings import MeasurementSettings, declarations
 from ..transport.bench import Bench
+from .batches import rays_sent, rounds
 from .instrument import Instrument
 
 __all__ = ["check_resumable"]
@@ -31,7 +32,8 @@ def check_resumable(
         For each incident direction; the record may hold the first ones only.
     seed : int
     plan : sequence of int
-        Rays of each batch; the record may hold the first ones only.
+        Rays of each batch; the record may hold the first ones only, or those of whole
+        rounds (:func:`~.batches.rounds`).
     """
     if not isinstance(resume, Record):
         raise SettingTypeError(f"resume must be a Record, got {shown(resume)}")
@@ -70,12 +72,13 @@ def check_resumable(
             "resume must be a record of this measurement, but it is of an older "
             "gonio-mi, which left out the light that passes openings of the cell"
         )
-    for tally in resume.tallies:
-        sizes = (tally.fates.sum(axis=1) // instrument.passes).tolist()
-        if sizes != plan[: len(sizes)]:
+    for bench, tally in zip(benches, resume.tallies):
+        sent = rays_sent([tally], instrument.passes)
+        ends = rounds(plan, instrument.round_rays(bench))
+        if sent not in [end[: len(sent)] for end in ends]:
             raise SettingError(
                 "resume must be a record of this measurement, but it has "
-                f"{len(sizes)} batches of up to {max(sizes)} rays instead of "
+                f"{len(sent)} batches of up to {max(sent)} rays instead of "
                 f"{len(plan)} of up to {max(plan)}"
             )
 

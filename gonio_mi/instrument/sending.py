@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from ..progress import bar
 from ..results.tally import Tally
 from ..transport.bench import Bench
-from .batches import Target, n_batches, send, send_until
+from .batches import Target, rays_sent, send, send_until
 from .instrument import Instrument
 
 __all__ = ["send_all"]
@@ -20,11 +20,12 @@ def send_all(
     finished: list[list[Tally]],
     progress: bool = False,
 ) -> bool:
-    """Append to `finished` the tallies of all benches; return whether all are there.
+    """Complete the tallies of all benches in `finished`; return whether they are.
 
     After Ctrl-C they are those of what was finished; it is raised if that is nothing.
     """
-    left = sum(sum(plan[n_batches(tallies) :]) for tallies in finished)
+    sent_before = [sum(rays_sent(some, instrument.passes)) for some in finished]
+    left = len(benches) * sum(plan) - sum(sent_before)
     rays = None if target else left * instrument.passes
     with bar(
         progress, total=rays, unit="ray", unit_scale=True, delay=1, mininterval=0.2

@@ -58,7 +58,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         develop: bool = True,
         evaluate: bool = True,
     ) -> mi.TensorXf:
-        """Measure; see the class. The film keeps the record."""
+        """Measure; see the class. The film keeps the record, after Ctrl-C too."""
         del evaluate
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
@@ -75,7 +75,7 @@ class Goniophotometer(mi.SamplingIntegrator):
         instrument.check(specimen)
         bench = instrument.bench(specimen, scene.emitters())
         tallies: list[Any] = []
-        send_all(
+        complete = send_all(
             instrument,
             [bench],
             [(settings.seed, 0)],
@@ -84,7 +84,11 @@ class Goniophotometer(mi.SamplingIntegrator):
             [tallies],
         )
         record = instrument.record(bench, Tally.join(tallies), settings.seed)
-        sensor.film().record = record
+        sensor.film().record = record.with_settings(
+            **{} if complete else {"interrupted": True}
+        )
+        if not complete:
+            raise KeyboardInterrupt
         return sensor.film().develop() if develop else None
 
     def to_string(self) -> str:

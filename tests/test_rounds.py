@@ -1,0 +1,225 @@
+"""Ctrl-C amid long batches: what whole rounds have sent is kept, and carried on.
+
+Everything here is exact: rays, ledgers and bits.
+"""
+
+import importlib
+import signal
+import warnings
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import gonio_mi as gonio
+from gonio_mi import cli
+from gonio_mi.instrument.batches import rounds
+from gonio_mi.transport import launch
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+PLASTIC = {"type": "roughplastic", "alpha": 0.2}
+LONG = {"theta_i": 40, "rays": 40_003, "batches": 4, "collector": "projected:6x8"}
+
+
+@pytest.fixture(autouse=True)
+def short_rounds(monkeypatch):
+    """Rounds of 1024 rays of each batch, on machines where launches hold as many."""
+    instrument = importlib.import_module("gonio_mi.instrument.instrument")
+    for name in ("ROUND_TRACED", "ROUND_PLANE"):
+        monkeypatch.setattr(instrument, name, 2**10)
+    for name in ("FIRST_TRACED", "FIRST_PLANE"):
+        monkeypatch.setattr(instrument, name, 2**11)
+    monkeypatch.setattr(launch, "SECONDS", 1e-9)
+    return instrument
+
+
+@pytest.fixture
+def ctrl_c(monkeypatch):
+    """Function that lets Ctrl-C come at a launch, by its number from 1.
+
+    As Python takes it, even if a shell in the background ignores it.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    send = launch.launch
+
+    def press(at):
+        number = iter(range(1, 10**9))
+
+        def pressed(*arguments):
+            if next(number) == at:
+                signal.raise_signal(signal.SIGINT)
+            return send(*arguments)
+
+        monkeypatch.setattr(launch, "launch", pressed)
+
+    yield press
+    signal.signal(signal.SIGINT, before)
+
+
+def interrupted(*args, **settings):
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
+        record = gonio.measure(*args, **settings)
+    assert record.settings["interrupted"]
+    return record
+
+
+def rays_of(record):
+    """Rays of each batch."""
+    return record.tallies[0].fates.sum(axis=1).tolist()
+
+
+# ----------------------------------------------------------------------- rounds
+
+
+@pytest.mark.parametrize("plan", [[1], [7, 6], [1024] * 3, [10**9] * 16])
+def test_rounds_lead_to_the_plan(plan):
+    ends = rounds(plan, 1024)
+    assert ends[-1] == plan
+    each = [0, *(end[0] for end in ends)]
+    lengths = np.diff(each)
+    assert (lengths > 0).all()
+    # what may be lost: an eighth, but for the first ones and a last one put to it
+    before = np.array(each[:-1])
+    assert (lengths[:-1] <= np.maximum(1024, before[:-1] / 8)).all()
+    assert lengths[-1] <= 1.5 * max(1024, before[-1] / 8)
+    for end, length in zip(each[1:-1], lengths):
+        assert end % length == length & (length - 1) == 0
+        # the same ones from there on
+        following = ends[each.index(end) :]
+        assert rounds(plan, 1024, start=end) == following
+
+
+# ------------------------------------------------------------------ interruption
+
+
+@pytest.mark.parametrize("trace", [False, True])
+def test_ctrl_c_amid_long_batches(ctrl_c, trace):
+    """The record is that of a measurement of fewer rays, and goes on to all of them.
+
+    In the first round it holds the batches that have finished it.
+    """
+    settings = LONG | {"trace": trace}
+    whole = gonio.measure(PLASTIC, **settings)
+    for at, batches, each in ((2, 2, 1024), (7, 4, 1024), (30, 4, 7168)):
+        ctrl_c(at)
+        part = interrupted(PLASTIC, **settings)
+        assert rays_of(part) == [each] * batches
+        assert part.ledger.emitted == each * batches
+        ctrl_c(0)
+        if batches == 4:
+            fewer = gonio.measure(PLASTIC, **settings | {"rays": 4 * each})
+            assert part.tallies == fewer.tallies
+        assert gonio.measure(PLASTIC, **settings, resume=part).tallies == whole.tallies
+
+
+def test_late_ctrl_c_loses_an_eighth(ctrl_c, monkeypatch):
+    """Of the rays that were sent, or the launches of the first rounds."""
+    sent = []
+    count = launch.launch
+
+    def counted(bench, settings, keys, sizes, *others):
+        sent.append(sum(sizes))
+        return count(bench, settings, keys, sizes, *others)
+
+    monkeypatch.setattr(launch, "launch", counted)
+    gonio.measure(PLASTIC, **LONG)
+    for at in (len(sent) // 2, len(sent)):
+        monkeypatch.setattr(launch, "launch", count)
+        ctrl_c(at)
+        part = interrupted(PLASTIC, **LONG)
+        lost = sum(sent[: at - 1]) - part.ledger.emitted
+        assert 0 <= lost <= max(4 * 1024, part.ledger.emitted / 8)
+
+
+def test_bits_hold_where_sums_are_rounded(ctrl_c, short_rounds, monkeypatch):
+    """Beyond 53 bits; the twin rounds elsewhere."""
+    metal = {"type": "roughconductor", "alpha": 0.3}
+    settings = {"theta_i": 60, "collector": "projected:1x1", "batches": 2}
+    settings["rays"] = 2**21 + 2**19
+    monkeypatch.setattr(launch, "SECONDS", 1.0)
+    monkeypatch.setattr(short_rounds, "ROUND_PLANE", 2**16)
+    whole = gonio.measure(metal, **settings)
+    ctrl_c(10)
+    part = interrupted(metal, **settings)
+    ctrl_c(0)
+    assert gonio.measure(metal, **settings, resume=part).tallies == whole.tallies
+    monkeypatch.setattr(short_rounds, "ROUND_PLANE", 2**22)
+    other = gonio.measure(metal, **settings)
+    assert other.tallies != whole.tallies
+    np.testing.assert_allclose(other.dhr, whole.dhr, rtol=1e-14)
+
+
+def test_ctrl_c_in_a_stack_of_passes(ctrl_c, spectral):
+    """Five wavelengths, which the rays of two passes carry."""
+    del spectral
+    settings = LONG | {"theta_i": [0, 50], "wavelengths": [450, 500, 550, 600, 650]}
+    whole = gonio.measure({"type": "diffuse"}, **settings)
+    ctrl_c(110)
+    part = interrupted({"type": "diffuse"}, **settings)
+    ctrl_c(0)
+    assert [t.n_batches for t in part.tallies] == [4, 4]
+    resumed = gonio.measure({"type": "diffuse"}, **settings, resume=part)
+    assert resumed.tallies == whole.tallies
+
+
+def test_ctrl_c_before_the_precision_asked_for(ctrl_c):
+    settings = {"theta_i": 40, "rel_err": 1e-3, "max_rays": 10**7}
+    ctrl_c(25)
+    part = interrupted(PLASTIC, **settings)
+    assert len(set(rays_of(part))) == 1
+    assert part.settings["reached"] > 1e-3
+
+
+def test_ctrl_c_while_rendering(ctrl_c):
+    """It ends the script, and the film keeps what was measured."""
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "goniophotometer", "rays": 40_003, "batches": 4},
+            "sensor": {"type": "collector", "film": {"type": "patches"}},
+            "emitter": {"type": "directional", "direction": [0, 0, -1]},
+            "specimen": {"type": "rectangle"},
+        }
+    )
+    ctrl_c(20)
+    with pytest.raises(RuntimeError) as caught:
+        mi.render(scene)
+    assert isinstance(caught.value.__cause__, KeyboardInterrupt)  # Dr.Jit wraps it
+    record = scene.sensors()[0].film().record
+    assert record.settings["interrupted"]
+    assert set(rays_of(record)) == {5120}
+
+
+def test_older_records_of_some_whole_batches():
+    """They were sent one after the other; the others come up to them."""
+    whole = gonio.measure(PLASTIC, **LONG)
+    shorter = gonio.measure(PLASTIC, **LONG | {"rays": 3 * 10_001, "batches": 3})
+    old = replace(whole, tallies=shorter.tallies)
+    assert gonio.measure(PLASTIC, **LONG, resume=old).tallies == whole.tallies
+
+
+def test_other_numbers_of_rays_are_refused():
+    whole = gonio.measure(PLASTIC, **LONG)
+    fewer = gonio.measure(PLASTIC, **LONG | {"rays": 4 * 2000})
+    other = replace(whole, tallies=fewer.tallies)
+    with pytest.raises(ValueError, match="4 batches of up to 2000 rays instead of 4"):
+        gonio.measure(PLASTIC, **LONG, resume=other)
+
+
+def test_command_keeps_whole_rounds(ctrl_c, tmp_path, capsys):
+    command = ["measure", "roughplastic:alpha=0.2", "--theta-i", "40", "-q"]
+    command += ["--rays", str(LONG["rays"]), "--collector", LONG["collector"]]
+    command += ["--batches", "4"]
+    part, rest = (str(tmp_path / f"{name}.npz") for name in ("part", "rest"))
+    ctrl_c(25)
+    assert cli.main([*command, "-o", part]) == 2
+    emitted = gonio.load(part).ledger.emitted
+    assert emitted % (4 * 1024) == 0
+    said = capsys.readouterr().err
+    assert f"{emitted:,} rays; --resume".replace(",", " ") in said
+    ctrl_c(0)
+    assert cli.main([*command, "--resume", part, "-o", rest]) == 0
+    assert gonio.load(rest).tallies == gonio.measure(PLASTIC, **LONG).tallies
