@@ -1,18 +1,24 @@
 """``gonio-mi plot``: draw a record.
 
-Draw a record: polar map, and profile in the plane of incidence with error bars.
+Draw a record: polar map, and profile in the plane of incidence with error bars. A stack
+is drawn as a sheet of the maps of its incident directions, on one colour scale, or as
+an animation; --index chooses one of them.
 """
 
+import sys
 from argparse import ArgumentParser, Namespace
+from pathlib import Path
 
 from .. import files
+from ..errors import SettingError
 from .arguments import DONE, add_record, number
 
 __all__ = ["add_options", "run"]
 
 EXAMPLES = """\
-example:
+examples:
   gonio-mi plot run.npz -o run.png
+  gonio-mi plot stack.npz -o lobe.gif
 """
 
 
@@ -24,21 +30,27 @@ def add_options(parser: ArgumentParser) -> None:
         "--output",
         required=True,
         metavar="FIG",
-        help="a .png, .pdf or .svg file",
+        help="a .png, .pdf or .svg file, or a .gif: an animation of a stack",
     )
     parser.add_argument(
         "--index",
         type=number,
-        default=0,
         metavar="J",
-        help="number of the incident direction of a stack (default: 0, the first)",
+        help="number of the incident direction of a stack, from 0 (default: all)",
     )
 
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     record = files.load(options.record)
-    from ..plots import plot  # matplotlib is an extra, and slow to import
+    from ..plots import ANIMATION_ENDINGS, animation, plot, sheet  # slow to import
 
-    plot(record, options.output, index=options.index)
+    if Path(options.output).suffix.lower() in ANIMATION_ENDINGS:
+        if options.index is not None:
+            raise SettingError("--index must not be given for an animation of them all")
+        animation(record, options.output, progress=sys.stderr.isatty())
+    elif options.index is None and len(record) > 1:
+        sheet(record, options.output)
+    else:
+        plot(record, options.output, index=options.index or 0)
     return DONE

@@ -5,6 +5,7 @@ the pointer, sliders over incident directions, cuts, lobes, totals and ledger; t
 records beside each other, with their difference in standard errors.
 """
 
+import sys
 from argparse import ArgumentParser, Namespace
 
 from .. import files
@@ -33,5 +34,6 @@ def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     from ..reports import report  # plotly is an extra, and large
 
-    report([files.load(one) for one in options.records], options.output)
+    records = [files.load(one) for one in options.records]
+    report(records, options.output, progress=sys.stderr.isatty())
     return DONE

@@ -1,5 +1,6 @@
 """Comparison of a record with another record or with measured values: the verdict."""
 
+import html
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
@@ -8,12 +9,15 @@ from typing import Any
 import numpy as np
 
 from ..collector.apertures import Apertures, disjoint_groups
-from ..errors import SettingError, SettingTypeError, checked_number, shown
+from ..errors import PackageError, SettingError, SettingTypeError, checked_number, shown
 from ..files.measured import MeasuredTable
 from ..files.measured_table import NUMBERS
 from ..instrument.measurement import measure_whole
+from ..plots import check_picture, html_of_figure
+from ..plots.drawable import save_picture
 from ..results.record import Record
 from .agreement import FEW_FOR_TAILS, PointSet, judge, mostly_few
+from .comparison_figure import comparison_figure
 from .pairing import (
     check_uncertainties,
     labels,
@@ -157,15 +161,22 @@ class Comparison:
         ValueError, OSError
             For another ending, or if the file cannot be written.
         """
-        from .comparison_figure import plot_comparison  # Matplotlib is optional
-
-        plot_comparison(self, path)
+        check_picture(path)
+        save_picture(comparison_figure(self), path)
 
     def _point(self, i: int) -> dict[str, Any]:
         directions = ("theta_i", "phi_i", "theta_o", "phi_o")
         names = (*directions, "value", "std_err", "other", "other_std_err", "z")
         point = {name: _known(float(getattr(self, name)[i])) for name in names}
         return point | {"channel": str(self.channel[i])}
+
+    def _repr_html_(self) -> str:
+        """Picture and numbers, for notebooks; numbers alone without Matplotlib."""
+        try:
+            picture = html_of_figure(comparison_figure(self))
+        except PackageError:
+            picture = ""
+        return f"{picture}<pre>{html.escape(str(self))}</pre>"
 
     def __repr__(self) -> str:
         verdict = "agrees" if self.passed else "differs"

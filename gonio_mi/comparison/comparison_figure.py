@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..array_types import Flags, Floats
-from ..plots.drawable import check_picture, save_picture
+from ..plots.drawable import check_matplotlib
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-__all__ = ["plot_comparison"]
+__all__ = ["comparison_figure"]
 
 
 MAX_PANELS = 6
@@ -22,16 +22,16 @@ MAX_PANELS = 6
 SAME = 1e-3
 
 
-def plot_comparison(comparison: Any, path: str | PathLike[str]) -> None:
-    """Write a figure to `path`, which ends in ``.pdf``, ``.png`` or ``.svg``.
+def comparison_figure(comparison: Any) -> Figure:
+    """Draw both curves of a comparison with error bars, and their scores below.
 
     One panel per incident direction and channel, up to six, with the points of the two
     half-planes next to the plane of incidence over the signed polar angle: positive on
     the mirror direction's side. Points that do not line up are drawn over theta_o.
 
-    Raises as :func:`gonio_mi.plots.check_picture`.
+    Raises ImportError without Matplotlib.
     """
-    check_picture(path)
+    check_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -55,7 +55,7 @@ def plot_comparison(comparison: Any, path: str | PathLike[str]) -> None:
     if len(panels) > len(shown):
         title += f"; {len(shown)} of {len(panels)} panels"
     figure.suptitle(title, fontsize="medium")
-    save_picture(figure, path)
+    return figure
 
 
 def _panels(comparison: Any) -> list[tuple[float, float, str]]:

@@ -42,7 +42,7 @@ def dataset(record: Record) -> Any:
         import xarray
     except ImportError:
         raise PackageError(
-            "NetCDF files need xarray, which is not installed: "
+            "labelled arrays and NetCDF files need xarray, which is not installed: "
             'pip install "gonio-mi[netcdf]"'
         ) from None
     stack = [record[index] for index in range(len(record))]

@@ -1,6 +1,20 @@
 """Figures of records. matplotlib, the extra ``plot``, is imported when one is drawn."""
 
-from .drawable import FIGURE_ENDINGS, check_picture
+from ..results.record import Record
+from .drawable import ANIMATION_ENDINGS, FIGURE_ENDINGS, check_picture
+from .notebook_view import html_of_figure, notebook_view
 from .record_figure import plot
+from .stack_figure import animation, sheet
 
-__all__ = ["FIGURE_ENDINGS", "check_picture", "plot"]
+# a record's own methods draw it, and import nothing of what is above it
+Record.plotter, Record.viewer = plot, notebook_view
+
+__all__ = [
+    "ANIMATION_ENDINGS",
+    "FIGURE_ENDINGS",
+    "animation",
+    "check_picture",
+    "html_of_figure",
+    "plot",
+    "sheet",
+]

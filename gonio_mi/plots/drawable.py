@@ -12,9 +12,16 @@ from ..files import check_output, replacing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["FIGURE_ENDINGS", "check_matplotlib", "check_picture", "save_picture"]
+__all__ = [
+    "ANIMATION_ENDINGS",
+    "FIGURE_ENDINGS",
+    "check_matplotlib",
+    "check_picture",
+    "save_picture",
+]
 
 FIGURE_ENDINGS = (".pdf", ".png", ".svg")
+ANIMATION_ENDINGS = (".gif",)
 
 
 def check_matplotlib() -> None:

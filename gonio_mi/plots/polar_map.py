@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 from matplotlib import colors
 from matplotlib.axes import Axes
+from matplotlib.collections import QuadMesh
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from ..collector import RingsAndSectors
 from ..results.record import Record
 
-__all__ = ["draw_map"]
+__all__ = ["add_bar", "draw_map", "draw_patches", "scale_of", "shown_values"]
 
 # More than this between largest and smallest value, and the scale is logarithmic.
 WIDE_RANGE = 100
@@ -21,6 +22,8 @@ DEEPEST = 1e-6
 # Degrees of azimuth in which the edge of a patch is drawn as a straight line.
 STRAIGHT = 1
 NO_HIT = "0.8"
+# Polar angles in degrees that are drawn as circles.
+CIRCLES = (30, 60, 90)
 
 
 def draw_map(axes: Axes, single: Record, of: str) -> None:
@@ -33,14 +36,11 @@ def draw_map(axes: Axes, single: Record, of: str) -> None:
         Of one incident direction.
     of : {"brdf", "btdf"}
     """
-    patches, values = single.subdivision.in_rings(getattr(single, of))
-    lower = int(of == "btdf")
-    _, empty = single.subdivision.in_rings(single.without_hit[lower, ..., None])
-    mean = np.ma.masked_array(values.mean(axis=-1), mask=empty[..., 0])
-    _draw_patches(axes, patches, mean, _label(single, of))
-    _draw_grid(axes)
-    _mark_directions(axes, single, of)
-    if empty.any():
+    _, mean = shown_values(single, of)
+    mesh = draw_patches(axes, single, of, scale_of(mean.compressed()))
+    add_bar(axes.figure, mesh, axes.inset_axes((1.16, 0.1, 0.045, 0.8)), single, of)
+    _label_grid(axes)
+    if mean.mask.any():
         axes.plot([], [], "s", color=NO_HIT, label="no hit")
     if axes.get_legend_handles_labels()[0]:
         axes.legend(
@@ -53,42 +53,19 @@ def draw_map(axes: Axes, single: Record, of: str) -> None:
             columnspacing=1.5,
         )
     axes.set_title({"brdf": "Reflection", "btdf": "Transmission"}[of])
-    axes.set_aspect("equal")
-    axes.set_axis_off()
 
 
-def _label(single: Record, of: str) -> str:
-    name = of.upper()
-    if len(single.channels) > 1:
-        name += f", mean of {len(single.channels)} channels"
-    return f"{name} (1/sr)"
+def shown_values(
+    single: Record, of: str
+) -> tuple[RingsAndSectors, np.ma.MaskedArray[Any, Any]]:
+    """Rings and sectors, and the mean over channels in them, masked without a hit."""
+    patches, values = single.subdivision.in_rings(getattr(single, of))
+    lower = int(of == "btdf")
+    _, empty = single.subdivision.in_rings(single.without_hit[lower, ..., None])
+    return patches, np.ma.masked_array(values.mean(axis=-1), mask=empty[..., 0])
 
 
-def _draw_patches(
-    axes: Axes,
-    patches: RingsAndSectors,
-    values: np.ma.MaskedArray[Any, Any],
-    label: str,
-) -> None:
-    """Fill each patch with the colour of its value."""
-    pieces = math.ceil(360 / patches.n_phi / STRAIGHT)
-    phi = np.linspace(0, 2 * np.pi, patches.n_phi * pieces + 1)
-    radius = np.sin(patches.theta_edges)[:, None]
-    mesh = axes.pcolormesh(
-        radius * np.cos(phi),
-        radius * np.sin(phi),
-        np.ma.repeat(values, pieces, axis=1),
-        norm=_norm(values.compressed()),
-        cmap="viridis",
-        rasterized=True,
-    )
-    mesh.set_cmap(mesh.get_cmap().with_extremes(bad=NO_HIT))
-    bar = axes.figure.colorbar(mesh, cax=axes.inset_axes((1.16, 0.1, 0.045, 0.8)))
-    bar.set_label(label)
-    bar.outline.set_linewidth(0.5)
-
-
-def _norm(values: NDArray[np.float64]) -> colors.Normalize:
+def scale_of(values: NDArray[np.float64]) -> colors.Normalize:
     """Colour scale from zero to the largest value, or logarithmic."""
     positive = values[values > 0]
     if positive.size == 0:
@@ -99,24 +76,58 @@ def _norm(values: NDArray[np.float64]) -> colors.Normalize:
     return colors.Normalize(0, high)
 
 
-def _draw_grid(axes: Axes) -> None:
-    """Draw circles of theta_o and ticks of phi_o."""
+def draw_patches(
+    axes: Axes, single: Record, of: str, scale: colors.Normalize
+) -> QuadMesh:
+    """Fill each patch with the colour of its value, and draw circles and directions."""
+    patches, values = shown_values(single, of)
+    pieces = math.ceil(360 / patches.n_phi / STRAIGHT)
+    phi = np.linspace(0, 2 * np.pi, patches.n_phi * pieces + 1)
+    radius = np.sin(patches.theta_edges)[:, None]
+    mesh = axes.pcolormesh(
+        radius * np.cos(phi),
+        radius * np.sin(phi),
+        np.ma.repeat(values, pieces, axis=1),
+        norm=scale,
+        cmap="viridis",
+        rasterized=True,
+    )
+    mesh.set_cmap(mesh.get_cmap().with_extremes(bad=NO_HIT))
     circle = np.radians(np.arange(361))
-    for theta in (30, 60, 90):
-        radius = math.sin(math.radians(theta))
+    for theta in CIRCLES:
+        size = math.sin(math.radians(theta))
         style = {"c": "0.2", "lw": 0.8} if theta == 90 else {"c": "w", "lw": 0.4}
-        axes.plot(radius * np.cos(circle), radius * np.sin(circle), **style)
+        axes.plot(size * np.cos(circle), size * np.sin(circle), **style)
+    _mark_directions(axes, single, of)
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    return mesh
+
+
+def add_bar(figure: Any, mesh: QuadMesh, place: Axes, single: Record, of: str) -> None:
+    """Draw the colour bar of a map into axes of its own."""
+    bar = figure.colorbar(mesh, cax=place)
+    label = of.upper()
+    if len(single.channels) > 1:
+        label += f", mean of {len(single.channels)} channels"
+    bar.set_label(f"{label} (1/sr)")
+    bar.outline.set_linewidth(0.5)
+
+
+def _label_grid(axes: Axes) -> None:
+    """Write the angles of the circles, and draw ticks of phi_o."""
+    for theta in CIRCLES[:-1]:
+        radius = math.sin(math.radians(theta))
         at = radius * math.cos(math.radians(75)), radius * math.sin(math.radians(75))
-        if theta < 90:
-            axes.annotate(
-                f"{theta}°",
-                at,
-                color="w",
-                size="x-small",
-                ha="center",
-                va="center",
-                path_effects=_outlined(1.5),
-            )
+        axes.annotate(
+            f"{theta}°",
+            at,
+            color="w",
+            size="x-small",
+            ha="center",
+            va="center",
+            path_effects=_outlined(1.5),
+        )
     for phi in range(0, 360, 30):
         x, y = math.cos(math.radians(phi)), math.sin(math.radians(phi))
         axes.plot([x, 1.025 * x], [y, 1.025 * y], c="0.2", lw=0.8)

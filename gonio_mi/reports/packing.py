@@ -2,6 +2,7 @@
 
 import base64
 import zlib
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,9 @@ RASTER = 720, 720
 UNCERTAIN_BITS = 12
 
 
-def packed_record(record: Record) -> dict[str, Any]:
+def packed_record(
+    record: Record, report: Callable[[float], Any] | None = None
+) -> dict[str, Any]:
     """Return what the page shows of a record, in JSON's types.
 
     Arrays are little-endian, deflated and in base 64. ``raster`` is the patch of
@@ -36,12 +39,17 @@ def packed_record(record: Record) -> dict[str, Any]:
     upper end of the 95 % interval, each float32 of the shape ``(hemispheres, patches,
     channels)``, and the rays per patch, uint32 of ``(hemispheres, patches)``. Of more
     than `MOST_VALUES` values evenly chosen directions are kept, and ``left_out`` says
-    so.
+    so. `report` is told of each direction that is packed.
     """
     patches = record.subdivision
     n_all = len(record)
     kept = _kept(record)
     numbers = summarize(record)
+    blocks = []
+    for number in kept:
+        blocks.append(_block(record[number]))
+        if report is not None:
+            report(1)
     middles = [np.degrees(np.ravel(angle)) for angle in patches.middles]
     return {
         "name": str(record.settings.get("specimen", "specimen")),
@@ -56,7 +64,7 @@ def packed_record(record: Record) -> dict[str, Any]:
         "raster": _packed(raster(patches)),
         "raster_shape": RASTER,
         "directions": [numbers["directions"][i] for i in kept],
-        "values": [_block(record[i]) for i in kept],
+        "values": blocks,
         "left_out": "" if len(kept) == n_all else _left_out(len(kept), n_all),
         "warnings": numbers["warnings"],
         "text": summary_text(numbers),

@@ -7,6 +7,7 @@ from os import PathLike
 
 from ..errors import PackageError, SettingError, SettingTypeError
 from ..files import check_output, replacing
+from ..progress import bar
 from ..results.record import Record
 from .packing import packed_record
 from .page import html_page
@@ -14,7 +15,12 @@ from .page import html_page
 __all__ = ["check_report", "report"]
 
 
-def report(records: Record | Sequence[Record], path: str | PathLike[str]) -> None:
+def report(
+    records: Record | Sequence[Record],
+    path: str | PathLike[str],
+    *,
+    progress: bool = False,
+) -> None:
     """Write one HTML page on which records can be looked at, without a network.
 
     It has the maps of reflection and transmission, where the pointer shows each patch's
@@ -35,6 +41,8 @@ def report(records: Record | Sequence[Record], path: str | PathLike[str]) -> Non
     records : Record or sequence of Record
     path : str or path
         Ends in ``.html``.
+    progress : bool
+        Show a progress bar on standard error.
 
     Raises
     ------
@@ -57,7 +65,10 @@ def report(records: Record | Sequence[Record], path: str | PathLike[str]) -> Non
     from plotly.offline import get_plotlyjs
 
     ours = resources.files(__package__)
-    data = json.dumps({"records": [packed_record(one) for one in records]})
+    total = sum(map(len, records))
+    with bar(progress, total=total, desc="report", unit="direction") as done:
+        packed = [packed_record(one, done) for one in records]
+    data = json.dumps({"records": packed})
     data = data.replace("<", "\\u003c")  # no text of a record ends the script
     body = [
         (ours / "record_page.html").read_text(),

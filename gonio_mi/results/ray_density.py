@@ -6,6 +6,7 @@ all of them at once; that needs the patches' probabilities, from a pilot measure
 a Lambertian specimen.
 """
 
+import html
 import math
 from dataclasses import dataclass
 
@@ -278,6 +279,9 @@ class Plan:
     rel_err: float
     level: float
     source: str
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
 
     def __str__(self) -> str:
         absolute = (

@@ -65,8 +65,11 @@ class Record:
     settings: Mapping[str, Any] = field(default_factory=dict)
     stacked: bool = False
 
-    # what writes a record to a path: the room of files sets it
+    # what rooms above this one do with a record: files and plots set it
     writer: ClassVar[Callable[[Record, str | PathLike[str]], None]]
+    labeller: ClassVar[Callable[[Record], Any]]
+    plotter: ClassVar[Callable[..., Any]]
+    viewer: ClassVar[Callable[[Record], str]]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "settings", read_only(self.settings))
@@ -391,6 +394,18 @@ class Record:
             If it cannot be written.
         """
         Record.writer(self, path)
+
+    def plot(self, path: str | PathLike[str] | None = None, *, index: int = 0) -> Any:
+        """Figure of one incident direction; see :func:`gonio_mi.plot`."""
+        return Record.plotter(self, path, index=index)
+
+    def to_xarray(self) -> Any:
+        """Labelled arrays; see :func:`gonio_mi.files.netcdf.dataset`."""
+        return Record.labeller(self)
+
+    def _repr_html_(self) -> str:
+        """Picture, numbers and warnings, for notebooks."""
+        return Record.viewer(self)
 
     # ------------------------------------------------------------------ internals
 

@@ -9,7 +9,9 @@ from .evidence import PROPERTIES
 from .inspection import validate
 from .pictures import draw
 from .verdict import Property, Verdict
-from .verdict_page import check_report, save_report
+from .verdict_page import check_report, save_report, verdict_view
+
+Verdict.viewer = verdict_view
 
 __all__ = [
     "PROPERTIES",

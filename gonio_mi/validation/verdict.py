@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from .evidence import (
     BIAS,
@@ -103,6 +103,9 @@ class Verdict:
         By incident direction.
     """
 
+    # how a verdict shows itself in a notebook: its page sets it
+    viewer: ClassVar[Callable[[Verdict], str]]
+
     name: str
     properties: tuple[Property, ...]
     function: str | None
@@ -143,6 +146,10 @@ class Verdict:
         word = "passes, with a remark" if self.passed else "FAILS"
         guess = f"{failed[0].consequence}. Most likely: {self.mistake}"
         return f"{self.name}: {word}: {guess}"
+
+    def _repr_html_(self) -> str:
+        """Headline and properties, for notebooks."""
+        return Verdict.viewer(self)
 
     def __getitem__(self, name: str) -> Property:
         for one in self.properties:

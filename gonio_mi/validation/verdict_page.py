@@ -14,7 +14,7 @@ from .maps import FourMaps
 from .pictures import draw
 from .verdict import FAILS, Property, Verdict
 
-__all__ = ["check_report", "save_report"]
+__all__ = ["check_report", "save_report", "verdict_view"]
 
 STYLE = """
 .fails td:first-child { background: #c33; color: white; }
@@ -49,17 +49,7 @@ def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
     Raises as :func:`check_report`.
     """
     check_report(path)
-    name = html.escape(verdict.name)
-    head = _code(verdict.headline)
-    parts = [
-        f"<h1>{name}</h1>",
-        f"<p><b>{head}</b></p>",
-        "<table>",
-        *(_row(one) for one in verdict.failures),
-        *(_row(one) for one in verdict.properties if one not in verdict.failures),
-        "</table>",
-        f"<p><small>{html.escape(str(verdict).splitlines()[-2])}</small></p>",
-    ]
+    parts = [f"<h1>{html.escape(verdict.name)}</h1>", *_table(verdict)]
     if verdict.maps:
         parts.append(f"<p>{LEGEND}</p>")
     for maps in verdict.maps:
@@ -67,6 +57,23 @@ def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
         parts.append(f'<img alt="four maps" src="{_image(maps)}">')
     with replacing(path) as stream:
         stream.write(html_page(verdict.name, parts, STYLE).encode())
+
+
+def verdict_view(verdict: Verdict) -> str:
+    """Return a verdict as HTML for notebooks."""
+    return f"<style>{STYLE}</style>" + "".join(_table(verdict))
+
+
+def _table(verdict: Verdict) -> list[str]:
+    """Headline, and one row for each property, as pieces of HTML."""
+    return [
+        f"<p><b>{_code(verdict.headline)}</b></p>",
+        "<table>",
+        *(_row(one) for one in verdict.failures),
+        *(_row(one) for one in verdict.properties if one not in verdict.failures),
+        "</table>",
+        f"<p><small>{html.escape(str(verdict).splitlines()[-2])}</small></p>",
+    ]
 
 
 def _row(one: Property) -> str:
