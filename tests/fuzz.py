@@ -20,6 +20,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from surface_files import write_sur, write_tiff, write_x3p
 
 from gonio_mi.errors import SettingError
 
@@ -386,7 +387,10 @@ def kinds():
         "tensor file": Files("f.bsdf", _write_bsdf, _read_tensor_file),
         "bsdf": Files("f.bsdf", _write_bsdf, _load("measured")),
         "npy": Files("f.npy", _write_npy, _load("heightfield")),
-        "png": Files("f.png", _write_image, _load("heightfield")),
+        "png": Files("f.png", _write_image, _load("heightfield", range=0.1)),
+        "sur": Files("f.sur", write_sur, _read_heights),
+        "x3p": Files("f.x3p", write_x3p, _read_heights),
+        "tiff": Files("f.tif", write_tiff, _read_heights),
         "image": Files("f.exr", _write_image, _load("heightfield")),
         "goniometric": Files("f.npz", _write_stack, _load("goniometric")),
         "scene": Files("f.xml", lambda path: path.write_text(SCENE), _load_scene),
@@ -496,7 +500,15 @@ def _write_stack(path):
     synthetic.record("projected:3x4", theta_i=(0, 40), phi_i=(0, 0)).save(path)
 
 
-def _load(plugin):
+def _read_heights(path):
+    """Heights of an instrument's file, read in this process of limited memory."""
+    from gonio_mi.surfaces import foreign_reader, height_maps
+
+    height_maps.read_apart = foreign_reader.read
+    return height_maps.read_height_map(path, None).heights
+
+
+def _load(plugin, **settings):
     """Reader that makes a specimen of a file, and measures a few rays if that works."""
 
     def load(path):
@@ -506,7 +518,8 @@ def _load(plugin):
 
         mi.set_variant("llvm_ad_rgb")
         mi.set_log_level(mi.LogLevel.Error)  # libpng warns of a damaged comment
-        scene = load_specimen({"type": plugin, "filename": str(path)})
+        warnings.filterwarnings("ignore", "the facets of", RuntimeWarning)
+        scene = load_specimen({"type": plugin, "filename": str(path)} | settings)
         if plugin == "measured":
             _evaluate(mi, scene.shapes()[0].bsdf())
         return plugin

@@ -54,7 +54,8 @@ NUMPY_LAYER = (
     "results",
     "single_precision",
     "settings",
-    "surfaces",
+    "surfaces.foreign_reader",
+    "surfaces.topography",
     "transport.morton",
 )
 PLUGIN_CLASSES = ("films", "integrators", "samplers", "sensors", "bsdfs", "shapes")

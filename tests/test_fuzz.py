@@ -21,11 +21,14 @@ pytestmark = pytest.mark.skipif(
     [
         ["npz", "exr", "csv", "astm", "klems", "tensor", "tensor file"],
         ["bsdf", "npy", "png", "image", "goniometric", "scene"],
+        ["sur", "x3p", "tiff"],
         ["command"],
     ],
-    ids=["our readers", "specimens", "command line"],
+    ids=["our readers", "specimens", "surfaces", "command line"],
 )
 def test_trials(tmp_path, names):
+    if "x3p" in names:
+        pytest.importorskip("SurfaceTopography")
     assert fuzz.trials(names, TRIALS, tmp_path) == []
 
 

@@ -34,6 +34,7 @@ from .arguments import (
     tell,
 )
 from .setting_options import add_group, given_settings
+from .surface_options import add_surface_options, prepared_surface
 
 __all__ = ["add_options", "run"]
 
@@ -49,6 +50,7 @@ examples:
       --variant llvm_ad_rgb
   gonio-mi measure mybsdf:roughness=0.3 --plugin mybsdf.py --theta-i 45
   gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz
+  gonio-mi measure scan.x3p --form plane --fill nearest --theta-i 30 -o scan.npz
   gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz --resume run.npz
 
 Options take their defaults from the scene file if that is a complete measurement
@@ -64,6 +66,7 @@ def add_options(parser: ArgumentParser) -> None:
     _add_angles(add_group(parser, "light", beam))
     for title in ("collector", "method", "events on the surface"):
         add_group(parser, title)
+    add_surface_options(parser)
     add_scene_options(parser.add_argument_group("scene"))
     _add_output(parser.add_argument_group("output"))
 
@@ -119,6 +122,7 @@ def run(options: Namespace) -> int:
     for path in options.output:
         files.check_output(path, files.ENDINGS)
     specimen, parameters = specimen_of(options.specimen, options)
+    specimen = prepared_surface(specimen, options)
 
     with _CtrlC() as ctrl_c:
         # said below, with the files' names

@@ -20,9 +20,12 @@ from ..errors import (
     shown,
     tells_of_our_bug,
 )
+from ..surfaces.height_maps import is_height_map
+from ..transport.geometry import scene_of
 from ..transport.kernels import launches_kernels
 from ..transport.variants import is_usable
 from .named_files import check_named_files
+from .surface_specimens import surface_specimen
 
 __all__ = [
     "load_plugin_file",
@@ -72,8 +75,9 @@ def load_specimen(specimen: Any, parameters: dict[str, Any] | None = None) -> An
     Parameters
     ----------
     specimen : dict, mi.BSDF, mi.Scene, str or path
-        A dictionary of a BSDF, a shape or a scene; an object; or an XML file. A BSDF is
-        put on a square of 2 x 2 scene units in z = 0.
+        A dictionary of a BSDF, a shape or a scene; an object; an XML file; or a file of
+        heights, which is measured as a mirror. A BSDF is put on a square of 2 x 2 scene
+        units in z = 0.
     parameters : dict, optional
         Values for the ``$name`` parameters of an XML file.
 
@@ -93,6 +97,9 @@ def load_specimen(specimen: Any, parameters: dict[str, Any] | None = None) -> An
         path = Path(specimen)
         if not path.is_file():
             raise SpecimenError(f"specimen must be an existing file, got {str(path)!r}")
+        if is_height_map(path):
+            specimen = surface_specimen(path)
+    if isinstance(specimen, (str, os.PathLike)):
         parameters = {k: str(v) for k, v in (parameters or {}).items()}
         check_named_files(path, parameters)
         # Mitsuba's optimisation would merge shapes into meshes without a bounding box
@@ -104,7 +111,7 @@ def load_specimen(specimen: Any, parameters: dict[str, Any] | None = None) -> An
     if isinstance(specimen, mi.Scene):
         return specimen
     if isinstance(specimen, mi.BSDF):
-        specimen = {"type": "rectangle", "bsdf": specimen}
+        specimen = mi.load_dict({"type": "rectangle", "bsdf": specimen})
     elif not isinstance(specimen, mi.Shape):
         raise SpecimenError(
             "specimen must be a BSDF, a shape or a scene of the variant "
@@ -115,7 +122,8 @@ def load_specimen(specimen: Any, parameters: dict[str, Any] | None = None) -> An
         raise SpecimenError(
             "an instance must be measured in a scene that holds its shapegroup"
         )
-    return loaded("the specimen", mi.load_dict, {"type": "scene", "shape": specimen})
+    # built as the specimen will be, so that it is not built twice
+    return loaded("the specimen", scene_of, [specimen])
 
 
 def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:

@@ -29,8 +29,8 @@ CORRELATIONS = ("gaussian", "exponential")
 LARGEST = 1e18
 
 # Bytes per grid point at the peak of the synthesis, which is in double precision, and
-# of the mesh: vertices and triangles in NumPy, Mitsuba and Embree. Measured: 61, 277.
-SYNTHESIS_BYTES, MESH_BYTES = 64, 300
+# of the mesh: vertices and triangles in NumPy, Mitsuba and Embree. Measured: 61, 245.
+SYNTHESIS_BYTES, MESH_BYTES = 64, 260
 
 
 @dataclass(frozen=True)
@@ -171,30 +171,33 @@ def _expected_alphas(
 
 
 def height_statistics(
-    heights: ArrayLike, spacing: float, periodic: bool = True
+    heights: ArrayLike,
+    spacing: float | tuple[float, float],
+    periodic: bool = True,
 ) -> HeightStatistics:
     """:class:`HeightStatistics` of a grid of heights.
 
     Parameters
     ----------
     heights : array_like, shape (n_y, n_x)
-    spacing : float
-        Distance between grid points.
+    spacing : float or (float, float)
+        Distance between grid points, along x and y.
     periodic : bool
         Whether the last row and column are next to the first.
     """
     heights = checked_heights(heights)
+    dx, dy = np.broadcast_to(spacing, 2).tolist()
     # one more row and column of a periodic field, those that follow its last
     more = int(periodic)
-    slope_u = np.diff(heights, axis=1, append=heights[:, :more]) / spacing
-    slope_v = np.diff(heights, axis=0, append=heights[:more]) / spacing
+    slope_u = np.diff(heights, axis=1, append=heights[:, :more]) / dx
+    slope_v = np.diff(heights, axis=0, append=heights[:more]) / dy
     centred = heights - heights.mean()
     return HeightStatistics(
         rms_height=float(centred.std()),
         alpha_u=float(np.sqrt(2 * np.mean(slope_u**2))),
         alpha_v=float(np.sqrt(2 * np.mean(slope_v**2))),
-        correlation_length_u=spacing * _correlation_length(centred, periodic),
-        correlation_length_v=spacing * _correlation_length(centred.T, periodic),
+        correlation_length_u=dx * _correlation_length(centred, periodic),
+        correlation_length_v=dy * _correlation_length(centred.T, periodic),
     )
 
 
@@ -221,8 +224,11 @@ def _correlation_length(heights: NDArray[np.float64], periodic: bool) -> float:
     return float(i - 1 + (left - np.exp(-1)) / (left - right))
 
 
-def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
-    """Return `heights` as a float64 array, or say what is wrong with it."""
+def checked_heights(heights: ArrayLike, missing: bool = False) -> NDArray[np.float64]:
+    """Return `heights` as a float64 array, or say what is wrong with it.
+
+    With `missing`, NaN is allowed, for what was not measured.
+    """
     heights = np.asarray(heights)
     if heights.ndim == 3 and heights.shape[2] == 1:
         heights = heights[..., 0]
@@ -238,7 +244,10 @@ def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
         raise SettingTypeError(
             f"heights must be real numbers, got an array of {heights.dtype}"
         ) from None
-    wrong = np.count_nonzero(~(np.abs(heights) < LARGEST))
+    allowed = np.abs(heights) < LARGEST
+    if missing:
+        allowed |= np.isnan(heights)
+    wrong = np.count_nonzero(~allowed)
     if wrong:
         raise SettingError(
             f"heights must be finite and below {LARGEST:g}, got {wrong} of "

@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from gonio_mi import properties
 from gonio_mi.array_types import Floats
 from gonio_mi.errors import SpecimenError
 from gonio_mi.memory import check_memory
+from gonio_mi.surfaces.height_maps import HeightMap, read_height_map
 from gonio_mi.surfaces.heights import (
     CORRELATIONS,
     LARGEST,
     MESH_BYTES,
-    checked_heights,
     gaussian_heights,
-    height_statistics,
 )
+from gonio_mi.surfaces.images import image_heights
+from gonio_mi.surfaces.preparation import FILLS, FORMS
+from gonio_mi.surfaces.topography import Topography, topography
 
 POSITIVE = f"a positive number from {1 / LARGEST:g} to {LARGEST:g}"
 GENERATED = (
@@ -29,21 +32,31 @@ GENERATED = (
     *("correlation_length", "shortest", "seed"),
 )
 
+# Rows of a mesh that are made at once.
+ROWS = 64
+
 
 def heightfield(props: mi.Properties) -> mi.Mesh:
     r"""Height field (:monosp:`heightfield`).
 
     A triangle mesh over a rectangle about the origin, `size` long in x and as long in y
-    as its square cells make it. The heights are those of an array, of a file, or of a
-    Gaussian random surface, whose facets then are distributed as Beckmann has it. The
-    shape's name tells the statistics that were asked for and those that it has.
+    as its cells make it, which are square unless a file says otherwise. The heights are
+    those of an array, of a file, or of a Gaussian random surface, whose facets then are
+    distributed as Beckmann has it. The shape's name tells the statistics that were
+    asked for and those that it has.
+
+    Files of profilometers and AFMs (x3p, sur, plu, MetroPro, Wyko OPD, gwy, ...) are
+    read by the library SurfaceTopography (``pip install "gonio-mi[surfaces]"``); their
+    own unit is that of the scene. What makes a measurement doubtful is warned of:
+    absurdly steep facets, and, where the unit is known, heights and facets that are
+    small against visible light.
 
     .. pluginparameters::
 
      * - filename
        - |string|
-       - Image (its first channel) or ``.npy`` file with the heights; its first row is
-         the smallest y.
+       - File of an instrument, image (its first channel) or ``.npy`` file with the
+         heights; its first row is the smallest y.
 
      * - heights
        - |tensor| or |bitmap|
@@ -51,16 +64,44 @@ def heightfield(props: mi.Properties) -> mi.Mesh:
 
      * - scale
        - |float|
-       - Factor on heights from file or array. (Default: 1)
+       - Factor on heights from file or array; of an image of whole numbers, the height
+         of a step of 1. (Default: 1; for such images none)
+
+     * - range
+       - |float|
+       - Of an image of whole numbers, instead: the height from black to white, which is
+         65535 for 16 bits. (Default: none)
+
+     * - unit
+       - |string|
+       - Unit of size and heights where the file does not state it: ``m``, ``mm``,
+         ``um``, ``nm``, ... It scales nothing. (Default: not known)
+
+     * - form
+       - |string|
+       - What is taken from heights of a file or an array: ``keep`` for nothing,
+         ``mean``, ``plane`` (the tilt), ``quadratic`` or ``cubic``, polynomials of
+         least squares. (Default: ``keep``)
+
+     * - fill
+       - |string|
+       - What stands for points that were not measured: ``none`` refuses them,
+         ``nearest`` takes the nearest measured one, ``linear`` planes through three of
+         those around. (Default: ``none``)
 
      * - periodic
        - |bool|
        - Close the period: the last row and column of a file or an array are joined to
-         the first, which are repeated at the far edges. (Default: true)
+         the first, which are repeated at the far edges. (Default: what the file of an
+         instrument says, for others true)
 
      * - size
        - |float|
-       - Extent in x. (Default: 2)
+       - Extent in x. (Default: what the file of an instrument says, for others 2)
+
+     * - size_y
+       - |float|
+       - Extent in y. (Default: what the cells make it)
 
      * - resolution
        - |int|
@@ -117,41 +158,63 @@ def heightfield(props: mi.Properties) -> mi.Mesh:
             'alpha': 0.3,
             'bsdf': {'type': 'twosided', 'bsdf': {'type': 'conductor'}}
     """
-    size = _positive(props, "size", 2.0)
-    name, heights, closed = _heights(props, size)
+    name, ready = _topography(props)
+    for concern in ready.concerns():
+        warnings.warn(concern, RuntimeWarning, stacklevel=2)
     if "face_normals" not in props:
         props["face_normals"] = True
     smooth = not props["face_normals"]
+    heights, closed = ready.heights, ready.periodic
     n_y, n_x = heights.shape
-    spacing = size / (n_x if closed else n_x - 1)
     what = f"the mesh of a height field of {n_x} x {n_y} points"
     check_memory(what, heights.size * MESH_BYTES, "lower its resolution")
-    name += f"; has {height_statistics(heights, spacing, closed)}"
-    normals: Any = _normals(heights, spacing, closed) if smooth else None
+    unit = "" if ready.unit is None else f" in {ready.unit}"
+    name += f"; has {ready.statistics}{unit}"
+    normals: Any = _normals(heights, ready.spacing, closed) if smooth else None
     if closed:
         heights = np.pad(heights, ((0, 1), (0, 1)), mode="wrap")
         if smooth:
             normals = np.pad(normals, ((0, 1), (0, 1), (0, 0)), mode="wrap")
-    return _mesh(props, name, heights, spacing, normals)
+    return _mesh(props, name, heights, ready.spacing, normals)
 
 
-def _heights(props: mi.Properties, size: float) -> tuple[str, Floats, bool]:
-    """Name, heights, and whether the last row is next to the first."""
+def _topography(props: mi.Properties) -> tuple[str, Topography]:
+    """Name and heights of the surface that the properties ask for."""
     sources = [source for source in ("filename", "heights") if source in props]
-    if sources:
-        given = [key for key in GENERATED if key in props]
-        if len(sources) + len(given) > 1:
-            raise SpecimenError(
-                "heightfield must have heights from one source, filename, heights or "
-                f"statistics, got {', '.join(sources + given)}"
-            )
-        closed = bool(props.get("periodic", True))
-        condition = f"a number from -{LARGEST:g} to {LARGEST:g}"
-        scale = properties.number(props, "scale", 1.0, -LARGEST, LARGEST, condition)
-        if sources == ["filename"]:
-            path = Path(str(mi.file_resolver().resolve(props["filename"])))
-            return f"heightfield {path.name}", _read(path) * scale, closed
-        return "heightfield", _array(props["heights"]) * scale, closed
+    if not sources:
+        return _random(props)
+    given = [key for key in GENERATED if key in props]
+    if len(sources) + len(given) > 1:
+        raise SpecimenError(
+            "heightfield must have heights from one source, filename, heights or "
+            f"statistics, got {', '.join(sources + given)}"
+        )
+    if sources == ["filename"]:
+        path = Path(str(mi.file_resolver().resolve(props["filename"])))
+        source = read_height_map(path, image_heights)
+    else:
+        array = np.array(props["heights"])
+        source = HeightMap(array[..., 0] if array.ndim == 3 else array, "heights")
+    signed = f"a number from -{LARGEST:g} to {LARGEST:g}"
+    ready = topography(
+        source,
+        size=_positive(props, "size") if "size" in props else None,
+        size_y=_positive(props, "size_y") if "size_y" in props else None,
+        scale=properties.number(props, "scale", 1.0, -LARGEST, LARGEST, signed)
+        if "scale" in props
+        else None,
+        height_range=_positive(props, "range") if "range" in props else None,
+        unit=props.get("unit", None),
+        periodic=bool(props["periodic"]) if "periodic" in props else None,
+        form=properties.choice(props, "form", "keep", FORMS),
+        fill=properties.choice(props, "fill", "none", FILLS),
+    )
+    return f"heightfield {ready.source}", ready
+
+
+def _random(props: mi.Properties) -> tuple[str, Topography]:
+    """Gaussian random surface, and the name that tells what was asked for."""
+    size = _positive(props, "size", 2.0)
     resolution = properties.count(props, "resolution", 256, minimum=4)
     alpha = _positive(props, "alpha", 0.2)
     length = size * max(1 / 32, 4 / resolution)
@@ -167,47 +230,26 @@ def _heights(props: mi.Properties, size: float) -> tuple[str, Floats, bool]:
         ),
         "seed": properties.count(props, "seed", 0, minimum=0),
     }
-    heights = gaussian_heights((resolution, resolution), size / resolution, **asked)
+    spacing = size / resolution
+    heights = gaussian_heights((resolution, resolution), spacing, **asked)
     words = ", ".join(f"{key} {value}" for key, value in asked.items())
-    return f"heightfield of {resolution} x {resolution}, asked {words}", heights, True
+    name = f"heightfield of {resolution} x {resolution}, asked {words}"
+    return name, Topography(heights, (spacing, spacing), True, name)
 
 
-def _positive(props: mi.Properties, name: str, default: float) -> float:
+def _positive(props: mi.Properties, name: str, default: float = 1.0) -> float:
     return properties.number(props, name, default, 1 / LARGEST, LARGEST, POSITIVE)
 
 
-def _read(path: Path) -> Floats:
-    """Heights from an image or a NumPy file."""
-    if not path.is_file():
-        raise SpecimenError(
-            f"heightfield.filename must be an existing file, got {path}"
-        )
-    try:
-        if path.suffix == ".npy":
-            array = np.load(path, mmap_mode="r", allow_pickle=False)
-        else:
-            array = np.array(mi.Bitmap(str(path)))
-    except (RuntimeError, ValueError, EOFError) as error:
-        raise SpecimenError(
-            f"heightfield.filename must be an image or a .npy file, got {path}: {error}"
-        ) from None
-    return _array(array)
-
-
-def _array(array: ArrayLike) -> Floats:
-    array = np.array(array)
-    # of an image, the first channel
-    return checked_heights(array[..., 0] if array.ndim == 3 else array)
-
-
-def _normals(heights: Floats, spacing: float, closed: bool) -> Floats:
+def _normals(heights: Floats, spacing: tuple[float, float], closed: bool) -> Floats:
     """Unit normals at the grid points, from central differences."""
+    dx, dy = spacing
     if closed:
         padded = np.pad(heights, 1, mode="wrap")
-        slopes: Any = np.gradient(padded, spacing)
+        slopes: Any = np.gradient(padded, dy, dx)
         slope_v, slope_u = (s[1:-1, 1:-1] for s in slopes)
     else:
-        slope_v, slope_u = np.gradient(heights, spacing)
+        slope_v, slope_u = np.gradient(heights, dy, dx)
     normals = np.stack([-slope_u, -slope_v, np.ones_like(heights)], axis=-1)
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
@@ -216,7 +258,7 @@ def _mesh(
     props: mi.Properties,
     name: str,
     heights: Floats,
-    spacing: float,
+    spacing: tuple[float, float],
     normals: Floats | None,
 ) -> mi.Mesh:
     """Mesh of two triangles for each cell of the grid."""
@@ -232,16 +274,18 @@ def _mesh(
     )
     to_world = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, float)
     # opposite edges at opposite numbers, so that both are exact
-    x = (np.arange(n_x) - (n_x - 1) / 2) * spacing
-    y = (np.arange(n_y) - (n_y - 1) / 2) * spacing
-    points = np.stack([*np.meshgrid(x, y), heights], axis=-1).reshape(-1, 3)
-    points = points @ to_world[:3, :3].T + to_world[:3, 3]
-    u, v = np.linspace(0, 1, n_x), np.linspace(0, 1, n_y)
+    x = (np.arange(n_x) - (n_x - 1) / 2) * spacing[0]
+    y = (np.arange(n_y) - (n_y - 1) / 2) * spacing[1]
+    points = np.empty((n_y, n_x, 3), np.float32)
+    for rows in np.array_split(np.arange(n_y), n_y // ROWS + 1):
+        block = np.stack([*np.meshgrid(x, y[rows]), heights[rows]], axis=-1)
+        points[rows] = block @ to_world[:3, :3].T + to_world[:3, 3]
+    u, v = (np.linspace(0, 1, n).astype(np.float32) for n in (n_x, n_y))
     texcoords = np.stack(np.meshgrid(u, v), axis=-1)
     parameters = mi.traverse(mesh)
     parameters["faces"] = mi.UInt32(faces.ravel())
-    parameters["vertex_positions"] = mi.Float(points.astype(np.float32).ravel())
-    parameters["vertex_texcoords"] = mi.Float(texcoords.astype(np.float32).ravel())
+    parameters["vertex_positions"] = mi.Float(points.ravel())
+    parameters["vertex_texcoords"] = mi.Float(texcoords.ravel())
     if normals is not None:
         turned = normals.reshape(-1, 3) @ np.linalg.inv(to_world[:3, :3])
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)

@@ -1,0 +1,99 @@
+"""Options of the command line that say what a file of heights is."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from typing import Any
+
+from ..errors import SettingError
+from ..instrument.loading import parse_specimen
+from ..instrument.surface_specimens import surface_specimen
+from ..surfaces.height_maps import is_height_map
+from ..surfaces.length_units import UNITS
+from ..surfaces.preparation import FILLS, FORMS
+from .arguments import number
+
+__all__ = ["add_surface_options", "given_surface", "prepared_surface"]
+
+# Properties of the plugin `heightfield`, with their options' metavar and sentence.
+NUMBERS = {
+    "size": ("X", "Extent in x. Default: what the file says, else 2."),
+    "size_y": ("Y", "Extent in y. Default: what the file says, else by square cells."),
+    "scale": (
+        "Z",
+        "Factor on the heights; of an image of whole numbers, the height of a step of "
+        "1. Default: 1; such images have none.",
+    ),
+    "range": (
+        "Z",
+        "Of an image of whole numbers, instead of --scale: the height from black to "
+        "white.",
+    ),
+}
+WORDS = {
+    "unit": (
+        tuple(UNITS),
+        "Unit of all these where the file does not state it; it scales nothing, but "
+        "wavelengths can be compared with it.",
+    ),
+    "form": (
+        tuple(FORMS),
+        "What to take away: the mean height, the plane (tilt), or a quadratic or cubic "
+        "polynomial. Default: keep it all.",
+    ),
+    "fill": (
+        FILLS,
+        "What stands for points that were not measured: the nearest measured one, or "
+        "planes through three around. Default: none, which refuses them.",
+    ),
+}
+
+
+def add_surface_options(parser: Any) -> None:
+    """Add the options to a parser, in a group of their own."""
+    group = parser.add_argument_group(
+        "surface",
+        "where SPECIMEN is a file of heights: x3p, sur, plu, opd, png, npy...",
+    )
+    for name, (metavar, sentence) in NUMBERS.items():
+        group.add_argument(
+            f"--{name.replace('_', '-')}", type=number, metavar=metavar, help=sentence
+        )
+    for name, (choices, sentence) in WORDS.items():
+        group.add_argument(f"--{name}", choices=choices, help=sentence)
+    group.add_argument(
+        "--bsdf",
+        metavar="BSDF",
+        help="What it is made of, in one word such as conductor:material=Al. Default: "
+        "a mirror that reflects all light.",
+    )
+
+
+def given_surface(options: Namespace) -> dict[str, Any]:
+    """Properties of the plugin `heightfield` that the command line gives."""
+    values = {name: getattr(options, name) for name in (*NUMBERS, *WORDS)}
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def prepared_surface(specimen: Any, options: Namespace) -> Any:
+    """The specimen, or the height field of a file of heights with what is given of it.
+
+    With a period its last row and column are joined to the first.
+
+    Raises
+    ------
+    ValueError
+        If something is given, and it is no such file.
+    """
+    given = given_surface(options)
+    if isinstance(specimen, str) and is_height_map(specimen):
+        bsdf = None if options.bsdf is None else parse_specimen(options.bsdf)
+        if isinstance(bsdf, str):
+            raise SettingError(f"--bsdf must be a BSDF in one word, got {bsdf!r}")
+        if getattr(options, "period", None) not in (None, "none"):
+            given["periodic"] = True  # a cell has no step at its border
+        return surface_specimen(specimen, bsdf, **given)
+    if given or options.bsdf is not None:
+        names = [f"--{name.replace('_', '-')}" for name in given] or ["--bsdf"]
+        raise SettingError(f"{names[0]} goes with a file of heights, got {specimen!r}")
+    return specimen

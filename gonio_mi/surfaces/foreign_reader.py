@@ -1,0 +1,129 @@
+"""Reads a file of a profilometer or an AFM; a program of its own, and a module.
+
+``python foreign_reader.py FILE FORMATS OUT`` tries the FORMATS (``metropro,asc``),
+writes the heights to OUT as ``.npy``, and a line of JSON that says the rest. The
+library that reads them brings many others, and what a damaged file makes of all these
+stays in a process of its own: a crash, or the memory that a wrong size in a header
+would take.
+"""
+
+import contextlib
+import json
+import logging
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+__all__ = ["read"]
+
+# Bytes of address space for the libraries alone, and for each byte of the file, of
+# which text and compressed numbers grow.
+ROOM, ROOM_PER_BYTE = 2**32, 2**8
+
+# Points that a byte of a file can stand for: no compression in use does better.
+POINTS_PER_BYTE = 1032
+
+
+def read(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Any]:
+    """Return what a file says of itself, and its heights, NaN for missing points.
+
+    Row 0 of the heights is the first of the file. Whatever is wrong raises ValueError.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return _first_of(path, formats)
+    except MemoryError:
+        raise ValueError("it asks for more memory than such a file can fill") from None
+    except Exception as error:  # the library's readers raise anything
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise ValueError(said) from error
+
+
+def _first_of(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Any]:
+    """What the first of the formats that takes the file makes of it."""
+    said: Exception | None = None
+    for name in formats:
+        try:
+            return _tiff(path) if name == "tiff" else _map(path, name)
+        except Exception as error:
+            said = said or error
+            if isinstance(error, MemoryError):
+                break
+    raise said or ValueError("no format was asked for")
+
+
+def _map(path: str, name: str) -> tuple[dict[str, Any], Any]:
+    """Map of a format that the library reads."""
+    from SurfaceTopography import open_topography
+
+    with contextlib.closing(open_topography(path, format=name)) as reader:
+        channel = reader.default_channel
+        if channel.dim != 2:
+            raise ValueError("it holds a line profile and not an area")
+        n_x, n_y = channel.nb_grid_pts
+        if not 0 < n_x * n_y <= POINTS_PER_BYTE * os.path.getsize(path):
+            raise ValueError(f"it cannot hold the {n_x} x {n_y} points of its header")
+        sizes = channel.physical_sizes
+        found = channel.topography(**({} if sizes else {"physical_sizes": (1, 1)}))
+        if not found.is_uniform:
+            raise ValueError("its points are on no regular grid")
+        heights = np.ma.filled(found.heights().astype(float), np.nan)
+        shape = heights.shape
+        return {
+            "format": reader.name(),
+            "channel": channel.name,
+            "spacing": [float(s) / n for s, n in zip(sizes, shape)] if sizes else None,
+            "unit": found.unit,
+            "periodic": bool(found.is_periodic),
+        }, np.ascontiguousarray(heights.T)
+
+
+def _tiff(path: str) -> tuple[dict[str, Any], Any]:
+    """First page and channel of an image, in numbers of its own."""
+    import tifffile
+
+    # it logs what is wrong with a file, line by line, and then raises it
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)
+    with tifffile.TiffFile(path) as file:
+        page = file.pages[0]
+        n_pixels = int(np.prod(page.shape))
+        if not 0 < n_pixels <= POINTS_PER_BYTE * os.path.getsize(path):
+            raise ValueError(f"it cannot hold the {n_pixels} pixels of its header")
+        pixels = page.asarray()
+    pixels = pixels[..., 0] if pixels.ndim == 3 else pixels
+    if pixels.ndim != 2 or pixels.dtype.kind not in "uif":
+        raise ValueError(f"its pixels are {pixels.dtype} of shape {pixels.shape}")
+    whole = pixels.dtype.kind in "ui"
+    return {
+        "format": "TIFF",
+        "channel": "first channel",
+        "spacing": None,
+        "unit": None,
+        "periodic": None,
+        "codes": int(np.iinfo(pixels.dtype).max) if whole else None,
+    }, pixels.astype(float)
+
+
+def _main(path: str, formats: str, out: str) -> int:
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        room = ROOM + ROOM_PER_BYTE * os.path.getsize(path)
+        resource.setrlimit(resource.RLIMIT_AS, (room, room))
+    try:
+        facts, heights = read(path, formats.split(","))
+    except ValueError as error:
+        print(json.dumps({"error": str(error)}))
+        return 1
+    np.save(out, heights)
+    print(json.dumps(facts))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(_main(*sys.argv[1:]))

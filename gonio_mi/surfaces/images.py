@@ -1,0 +1,23 @@
+"""Heights in the pixels of an image."""
+
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SpecimenError
+
+__all__ = ["image_heights"]
+
+
+def image_heights(path: Path) -> NDArray[np.generic]:
+    """First channel of an image, in its own type: whole numbers are its codes."""
+    try:
+        array = np.array(mi.Bitmap(str(path)))
+    except (RuntimeError, ValueError) as error:
+        raise SpecimenError(
+            f"heightfield.filename must be an image, a .npy file or a file of a "
+            f"profilometer, got {path}: {error}"
+        ) from None
+    return array[..., 0] if array.ndim == 3 else array

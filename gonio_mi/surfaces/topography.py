@@ -1,0 +1,229 @@
+"""A surface that is ready to be lit: heights without gaps, in the scene's units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..array_types import Floats
+from ..errors import SettingError
+from .height_maps import HeightMap
+from .heights import LARGEST, HeightStatistics, checked_heights, height_statistics
+from .length_units import UNITS, metres
+from .preparation import filled, without_form
+
+__all__ = ["VISIBLE", "Topography", "topography"]
+
+# Metres: the middle of what is seen, for surfaces whose unit is known.
+VISIBLE = 550e-9
+
+# Beckmann's alpha beyond which units are more likely wrong than facets steep: an rms
+# slope of 70 degrees. Grooves and fibres have less.
+ABSURD = 4.0
+
+# Share of light that stays in a mirror's direction, from where it is told.
+COHERENT = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Topography:
+    """Heights without gaps, and all that a mesh of them needs.
+
+    Attributes
+    ----------
+    heights : ndarray of float64, shape (n_y, n_x)
+        In scene units, which are those of the file where it states one.
+    spacing : (float, float)
+        Distance of grid points along x and y.
+    periodic : bool
+        Whether the last row and column are next to the first.
+    source : str
+        What they come from, and what was done to them.
+    unit : str, optional
+        The scene unit, if it is known.
+    """
+
+    heights: Floats
+    spacing: tuple[float, float]
+    periodic: bool
+    source: str
+    unit: str | None = None
+
+    @cached_property
+    def statistics(self) -> HeightStatistics:
+        """:class:`HeightStatistics` in scene units."""
+        return height_statistics(self.heights, self.spacing, self.periodic)
+
+    @property
+    def extent(self) -> tuple[float, float]:
+        """Size along x and y, the joints of a period included."""
+        n_y, n_x = (n - (not self.periodic) for n in self.heights.shape)
+        return n_x * self.spacing[0], n_y * self.spacing[1]
+
+    def concerns(self, wavelength: float = VISIBLE) -> list[str]:
+        """Sentences on what makes a measurement of it doubtful.
+
+        Parameters
+        ----------
+        wavelength : float
+            In metres.
+        """
+        s = self.statistics
+        found = []
+        steepest = max(s.alpha_u, s.alpha_v)
+        if steepest > ABSURD:
+            degrees = math.degrees(math.atan(steepest / math.sqrt(2)))
+            found.append(
+                f"the facets of {self.source} are absurdly steep, alpha "
+                f"{s.alpha_u:.3g} x {s.alpha_v:.3g}, an rms slope of {degrees:.4g} "
+                "degrees: heights and size must be in one unit; see scale, range, size"
+            )
+        if self.unit in UNITS:
+            found += self._waves(s, wavelength / UNITS[self.unit])
+        return found
+
+    def _waves(self, s: HeightStatistics, wavelength: float) -> list[str]:
+        """What geometric optics leaves out at a wavelength in scene units."""
+        found = []
+        shown = f"{wavelength:.3g} {self.unit}"
+        least = min(self.spacing)
+        if least < wavelength:
+            u, v = self._alphas_over(wavelength)
+            found.append(
+                f"the facets of {self.source} are smaller than light, {least:.3g} "
+                f"{self.unit} at a wavelength of {shown}: this is geometric optics, "
+                f"which sees alpha {s.alpha_u:.3g} x {s.alpha_v:.3g}; over one "
+                f"wavelength it is {u:.3g} x {v:.3g}"
+            )
+        coherent = math.exp(-((4 * math.pi * s.rms_height / wavelength) ** 2))
+        if coherent > COHERENT:
+            found.append(
+                f"the rms height of {self.source} is small against light: at normal "
+                f"incidence and a wavelength of {shown} waves would reflect "
+                f"{100 * coherent:.2g} % as a mirror does, which geometric optics "
+                "leaves out"
+            )
+        return found
+
+    def _alphas_over(self, length: float) -> tuple[float, float]:
+        """Alpha along x and y of differences of points that are so far apart."""
+        alphas = []
+        for axis, step in ((1, self.spacing[0]), (0, self.spacing[1])):
+            n = self.heights.shape[axis]
+            lag = min(max(1, round(length / step)), n - 1)
+            ahead, behind = np.arange(lag, n), np.arange(n - lag)
+            rise = self.heights.take(ahead, axis) - self.heights.take(behind, axis)
+            alphas.append(math.sqrt(2 * np.mean(rise**2)) / (lag * step))
+        return alphas[0], alphas[1]
+
+
+def topography(
+    given: HeightMap,
+    *,
+    size: float | None = None,
+    size_y: float | None = None,
+    scale: float | None = None,
+    height_range: float | None = None,
+    unit: str | None = None,
+    periodic: bool | None = None,
+    form: str = "keep",
+    fill: str = "none",
+) -> Topography:
+    """:class:`Topography` of a map of heights.
+
+    Parameters
+    ----------
+    given : HeightMap
+    size, size_y : float, optional
+        Extent in x and y. Default: what the file says, else 2 with square cells.
+    scale : float, optional
+        Factor on the heights. Default: 1, but codes of an image have none.
+    height_range : float, optional
+        Height from black to white, in place of `scale`, for codes of an image.
+    unit : str, optional
+        The unit of all these, where the file does not say it.
+    periodic : bool, optional
+        Whether to join the last row and column to the first. Default: what the file
+        says, else yes.
+    form : {"keep", "mean", "plane", "quadratic", "cubic"}
+        See :func:`~gonio_mi.surfaces.preparation.without_form`.
+    fill : {"none", "nearest", "linear"}
+        See :func:`~gonio_mi.surfaces.preparation.filled`.
+
+    Raises
+    ------
+    ValueError
+        If something is missing, or given twice.
+    """
+    heights = checked_heights(given.heights, missing=True)
+    heights = heights * _factor(given, heights, scale, height_range)
+    done = [given.source]
+    if form != "keep":
+        done.append(f"{form} removed")
+    if missing := np.count_nonzero(np.isnan(heights)):
+        done.append(f"{missing} missing points filled ({fill})")
+    heights = filled(without_form(heights, form), fill)
+    joined = given.periodic if periodic is None else periodic
+    joined = True if joined is None else joined
+    n_y, n_x = (n - (not joined) for n in heights.shape)
+    return Topography(
+        heights,
+        _spacing(given, (n_x, n_y), size, size_y),
+        joined,
+        ", ".join(done),
+        _unit(given, unit),
+    )
+
+
+def _factor(
+    given: HeightMap, heights: Floats, scale: float | None, height_range: float | None
+) -> float:
+    """Height of one unit of the numbers of a map."""
+    if given.codes is None:
+        if height_range is not None:
+            raise SettingError(
+                "range goes with images of whole numbers; for the heights of "
+                f"{given.source} take scale"
+            )
+        return 1.0 if scale is None else scale
+    if (scale is None) == (height_range is None):
+        low, high = np.nanmin(heights), np.nanmax(heights)
+        raise SettingError(
+            f"the pixels of {given.source} are whole numbers from {low:.0f} to "
+            f"{high:.0f}, and one of two must be given to make them heights: scale, "
+            f"the height of a step of 1, or range, that of all {given.codes}"
+        )
+    return scale if height_range is None else height_range / given.codes  # type: ignore[return-value]
+
+
+def _spacing(
+    given: HeightMap, cells: tuple[int, int], size: float | None, size_y: float | None
+) -> tuple[float, float]:
+    """Distance of grid points along x and y."""
+    dx, dy = given.spacing or (2.0 / cells[0],) * 2
+    if not (1 / LARGEST < dx < LARGEST and 1 / LARGEST < dy < LARGEST):
+        raise SettingError(
+            f"the spacing of grid points must be positive, {given.source} has {dx:g} "
+            f"x {dy:g}: give size"
+        )
+    if size is not None:
+        dx, dy = size / cells[0], size / cells[0] * (dy / dx)
+    if size_y is not None:
+        dy = size_y / cells[1]
+    return dx, dy
+
+
+def _unit(given: HeightMap, unit: str | None) -> str | None:
+    """The unit of length of a map: what its file says, or what its user does."""
+    if unit is None:
+        return given.unit
+    metres(unit)
+    if given.unit is not None:
+        raise SettingError(
+            f"unit goes with files that do not state theirs; {given.source} is in "
+            f"{given.unit}, got {unit}"
+        )
+    return unit

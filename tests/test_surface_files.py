@@ -1,0 +1,304 @@
+"""Files of profilometers, images of heights, and what is done to them, are right."""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import surface_files
+
+import gonio_mi as gonio
+from gonio_mi.cli import main
+from gonio_mi.errors import FileFormatError, SpecimenError
+from gonio_mi.surfaces import foreign_reader, height_maps
+from gonio_mi.surfaces.height_maps import HeightMap
+from gonio_mi.surfaces.preparation import filled, without_form
+from gonio_mi.surfaces.topography import topography
+
+# isort: split
+import mitsuba as mi
+
+REAL = Path(__file__).parents[2] / "shared" / "data"
+EPS32, EPS = np.finfo(np.float32).eps, np.finfo(float).eps
+
+
+@pytest.fixture(autouse=True)
+def _here(monkeypatch):
+    """Files are read in this process: the libraries take seconds to be imported."""
+    monkeypatch.setattr(height_maps, "read_apart", foreign_reader.read)
+
+
+def read(path):
+    pytest.importorskip("SurfaceTopography")
+    return height_maps.read_height_map(Path(path), None)
+
+
+def grid(degree, n_y=30, n_x=20):
+    """A polynomial of that total degree at the points of a grid, without tilt."""
+    y, x = np.meshgrid(np.linspace(-1, 1, n_y), np.linspace(-1, 1, n_x), indexing="ij")
+    return 3 * x**degree + 2 * x * y ** (degree - 1) - 0.5
+
+
+# ------------------------------------------------------------------------------ files
+
+
+def test_sur_is_read(tmp_path):
+    """Rounding: the file's step and spacing are in single precision."""
+    surface_files.write_sur(tmp_path / "a.sur", missing=[(1, 2)])
+    found = read(tmp_path / "a.sur")
+    expected = surface_files.codes() * surface_files.STEP
+    expected[1, 2] = np.nan
+    assert np.allclose(found.heights, expected, rtol=EPS32, atol=0, equal_nan=True)
+    assert np.allclose(found.spacing, surface_files.SPACING, rtol=EPS32, atol=0)
+    assert (found.unit, found.periodic, found.codes) == ("mm", False, None)
+    assert "Digital Surf" in found.source
+
+
+def test_x3p_is_read(tmp_path):
+    """Rounding: metres in double precision."""
+    surface_files.write_x3p(tmp_path / "a.x3p")
+    found = read(tmp_path / "a.x3p")
+    expected = surface_files.codes() * surface_files.STEP / 1000
+    assert np.array_equal(found.heights, expected)
+    spacing = np.array(surface_files.SPACING) / 1000
+    assert np.allclose(found.spacing, spacing, rtol=4 * EPS, atol=0)
+    assert found.unit == "m"
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the instruments' files are not here")
+def test_files_of_instruments():
+    """Against their bytes, which NumPy reads by itself; rounding of the scale."""
+    found = read(REAL / "sur-2.sur")
+    raw = np.frombuffer((REAL / "sur-2.sur").read_bytes()[512:], "<i4")
+    raw = raw.reshape(484, 563)
+    measured = np.isfinite(found.heights)
+    assert np.count_nonzero(~measured) == 117
+    low, high = raw[measured].min(), raw[measured].max()
+    assert np.all(raw[~measured] == low - 2)
+    assert (low, high) == (89120, 103880)
+    assert np.allclose(found.heights[measured], raw[measured] * 1e-7, rtol=EPS32)
+    found = read(REAL / "x3p-2.x3p")
+    with zipfile.ZipFile(REAL / "x3p-2.x3p") as file:
+        raw = np.frombuffer(file.read("bindata/data.bin"), "<f8").reshape(650, 650)
+    assert np.array_equal(found.heights, raw)
+    assert np.allclose(found.spacing, [1.27656509837346e-07, 3.14582113527746e-07])
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.sur", b"", "a.sur cannot be read: "),
+        ("a.x3p", b"PK", "a.x3p cannot be read: "),
+        ("a.plu", b"x" * 2000, "a.plu cannot be read: "),
+        ("a.tif", b"II*\0", "a.tif cannot be read: "),
+    ],
+)
+def test_damaged_file_is_one_sentence(tmp_path, name, content, message):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(FileFormatError, match=message) as caught:
+        read(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+def test_size_in_a_header_takes_no_memory(tmp_path):
+    """A file of 1 kB that claims 2^31 points."""
+    surface_files.write_sur(tmp_path / "a.sur")
+    data = bytearray((tmp_path / "a.sur").read_bytes())
+    data[108:120] = np.array([2**16, 2**15, 2**31], "<u4").tobytes()
+    (tmp_path / "a.sur").write_bytes(data)
+    with pytest.raises(FileFormatError, match="cannot hold the 65536 x 32768 points"):
+        read(tmp_path / "a.sur")
+
+
+def test_a_process_of_its_own_reads(tmp_path, monkeypatch):
+    """Exact: the same heights; and if it dies, or says what is wrong, one sentence."""
+    surface_files.write_sur(tmp_path / "a.sur")
+    here = read(tmp_path / "a.sur")
+    monkeypatch.undo()
+    apart = read(tmp_path / "a.sur")
+    assert np.array_equal(apart.heights, here.heights)
+    assert (apart.spacing, apart.source) == (here.spacing, here.source)
+    dying = tmp_path / "foreign_reader.py"
+    dying.write_text("import os; os.abort()")
+    monkeypatch.setattr("gonio_mi.surfaces.height_maps.__file__", str(dying))
+    with pytest.raises(FileFormatError, match="its reader broke down"):
+        read(tmp_path / "a.sur")
+
+
+# ----------------------------------------------------------------------------- images
+
+
+@pytest.fixture
+def png(tmp_path):
+    """16-bit image whose codes are those of a random surface, and these."""
+    codes = (surface_files.codes() + 30000).astype(np.uint16)
+    mi.Bitmap(codes[..., None]).write(str(tmp_path / "a.png"))
+    return tmp_path / "a.png", codes
+
+
+def measured(**properties):
+    specimen = {"type": "heightfield", **properties}
+    return gonio.measure(specimen, 30, rays=10_000).tallies
+
+
+@pytest.mark.usefixtures("mono")
+def test_codes_of_an_image_need_a_scale(png):
+    """Exact: with a scale, or the range of all 16 bits, they are those heights."""
+    path, codes = png
+    with pytest.raises(SpecimenError, match=r"whole numbers from \d+ to .* be given"):
+        measured(filename=str(path))
+    with pytest.raises(SpecimenError, match="one of two must be given"):
+        measured(filename=str(path), scale=1.0, range=2.0)
+    expected = measured(heights=mi.TensorXf(codes * 2.0**-20))
+    assert measured(filename=str(path), scale=2.0**-20) == expected
+    assert measured(filename=str(path), range=65535 * 2.0**-20) == expected
+    assert measured(filename=str(path), range=65535 * 2.0**-19) != expected
+    with pytest.raises(SpecimenError, match="range goes with images of whole numbers"):
+        measured(heights=mi.TensorXf(codes * 1.0), range=1.0)
+
+
+@pytest.mark.usefixtures("mono")
+def test_tiff_is_the_image(png, tmp_path):
+    """Exact: the same codes in another format."""
+    pytest.importorskip("SurfaceTopography")
+    path, codes = png
+    surface_files.write_tiff(tmp_path / "a.tif", codes)
+    settings = {"range": 0.02, "size": 3.0}
+    expected = measured(filename=str(path), **settings)
+    assert measured(filename=str(tmp_path / "a.tif"), **settings) == expected
+
+
+@pytest.mark.usefixtures("mono")
+def test_absurd_slopes_are_warned_of(png):
+    """An image of whole numbers, taken for heights; not one of sensible range."""
+    specimen = {"type": "heightfield", "filename": str(png[0])}
+    with pytest.warns(RuntimeWarning, match="absurdly steep, alpha .* in one unit"):
+        mi.load_dict(specimen | {"scale": 1.0})
+    mi.load_dict(specimen | {"range": 0.02})
+
+
+# ------------------------------------------------------------------------ preparation
+
+
+@pytest.mark.parametrize(("form", "degree"), [("plane", 1), ("quadratic", 2)])
+def test_form_is_removed(form, degree):
+    """Rounding: a polynomial of its degree vanishes, and one above does not.
+
+    Gaps change nothing. The sums have 600 terms of at most 5.5.
+    """
+    rounding = 600 * EPS * 5.5
+    z = grid(degree)
+    assert np.abs(without_form(z, form)).max() < rounding
+    z[3:9, 4:8] = np.nan
+    left = without_form(z, form)
+    assert np.array_equal(np.isnan(left), np.isnan(z))
+    assert np.nanmax(np.abs(left)) < rounding
+    assert np.abs(without_form(grid(degree + 1), form)).max() > 0.1
+
+
+def test_mean_and_nothing():
+    z = grid(2)
+    assert np.allclose(without_form(z, "mean"), z - z.mean(), rtol=0, atol=600 * EPS)
+    assert without_form(z, "keep") is z
+
+
+def test_gaps_are_filled():
+    """Rounding: linear pieces follow a plane; the nearest point is one next to it."""
+    z = grid(1)
+    holes = z.copy()
+    holes[5:9, 7:12] = holes[20, 3] = np.nan
+    assert np.allclose(filled(holes, "linear"), z, rtol=0, atol=100 * EPS)
+    nearest = filled(holes, "nearest")
+    assert nearest[20, 3] in (z[19, 3], z[21, 3], z[20, 2], z[20, 4])
+    assert np.array_equal(nearest[np.isfinite(holes)], z[np.isfinite(holes)])
+    # a gap at the border lies beyond all triangles
+    holes[:3] = np.nan
+    assert np.array_equal(filled(holes, "linear")[0, :4], z[3, :4])
+    with pytest.raises(ValueError, match=r"but 81 of 600 points were not .* fill="):
+        filled(holes, "none")
+
+
+def test_size_and_units():
+    """Exact: the file's spacing, a size in its place, and what must not be both."""
+    given = HeightMap(np.zeros((5, 9)), "a.x", (0.5, 0.25), "mm", False)
+    assert topography(given).extent == (4, 1)
+    assert topography(given, size=8.0).extent == (8, 2)
+    assert topography(given, size=8.0, size_y=1.0).extent == (8, 1)
+    assert topography(given, periodic=True).extent == (4.5, 1.25)
+    assert topography(given, size_y=3.0).extent == (4, 3)
+    with pytest.raises(ValueError, match=r"a.x is in mm, got nm"):
+        topography(given, unit="nm")
+    assert topography(HeightMap(np.zeros((5, 9)), "a"), unit="um").unit == "um"
+
+
+def test_waves_are_warned_of():
+    """Facets and heights below visible light; none where they are not, or unknown."""
+    x = np.arange(64)
+    rough = np.tile(np.sin(2 * np.pi * x / 8), (64, 1))
+    at_light = HeightMap(rough * 0.2, "a", (0.1, 0.1), "um", True)
+    said = topography(at_light).concerns()
+    assert any("smaller than light, 0.1 um" in one for one in said)
+    # waves leave exp(-(4 pi sigma / wavelength)^2) in the mirror's direction
+    faint = HeightMap(rough * 0.02, "a", (1, 1), "um", True)
+    share = 100 * np.exp(-((4 * np.pi * 0.02 / np.sqrt(2) / 0.55) ** 2))
+    (one,) = topography(faint).concerns()
+    assert f"waves would reflect {share:.2g} %" in one
+    coarse = HeightMap(rough, "a", (10, 10), "um", True)
+    assert topography(coarse).concerns() == []
+    assert topography(HeightMap(rough * 0.01, "a", (0.1, 0.1))).concerns() == []
+
+
+@pytest.mark.usefixtures("mono")
+def test_cells_need_not_be_square(tmp_path):
+    """Exact: the mesh of a file has its extents, its unit and its heights."""
+    pytest.importorskip("SurfaceTopography")
+    surface_files.write_x3p(tmp_path / "a.x3p")
+    z = surface_files.codes() * surface_files.STEP / 1000
+    with pytest.warns(RuntimeWarning, match="absurdly steep"):
+        shape = mi.load_dict(
+            {"type": "heightfield", "filename": str(tmp_path / "a.x3p")}
+        )
+    x, y, height = np.array(mi.traverse(shape)["vertex_positions"]).reshape(-1, 3).T
+    extents = np.array([15, 11]) * surface_files.SPACING / 1000
+    assert np.allclose([np.ptp(x), np.ptp(y)], extents, rtol=EPS32, atol=0)
+    assert np.array_equal(height, z.astype(np.float32).ravel())
+
+
+def test_one_command(tmp_path, capfd):
+    """From a scan with tilt and gaps to a BRDF with error bars."""
+    pytest.importorskip("SurfaceTopography")
+    codes = surface_files.codes(40, 30) // 100 + 50 * np.arange(30)
+    surface_files.write_sur(tmp_path / "scan.sur", codes, missing=[(4, 4), (7, 0)])
+    command = [
+        "measure",
+        str(tmp_path / "scan.sur"),
+        "--theta-i",
+        "30",
+        "--rays",
+        "1e5",
+    ]
+    assert main(command) == 1
+    assert "2 of 1200 points were not measured" in capfd.readouterr().err
+    command += ["--form", "plane", "--fill", "linear", "--period", "box"]
+    assert main([*command, "-o", str(tmp_path / "scan.npz")]) == 0
+    said = capfd.readouterr()
+    assert "plane removed, 2 missing points filled (linear)" in " ".join(
+        said.out.split()
+    )
+    assert "in mm" in said.out
+    record = gonio.load(tmp_path / "scan.npz")
+    # a mirror that is joined at its borders reflects every ray
+    assert record.ledger.reflected == record.ledger.emitted
+    assert np.isfinite(record.brdf_std_err[record.counts[0] > 0]).all()
+
+
+def test_options_go_with_a_file_of_heights(capfd):
+    assert main(["measure", "diffuse", "--theta-i", "0", "--form", "plane"]) == 1
+    assert "--form goes with a file of heights, got" in capfd.readouterr().err
+
+
+def test_reader_says_what_is_wrong():
+    """In its own process too, where the library's words are all there is."""
+    pytest.importorskip("SurfaceTopography")
+    with pytest.raises(ValueError, match="no format"):
+        foreign_reader.read("absent", [])
