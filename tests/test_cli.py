@@ -829,11 +829,11 @@ def test_bugs_of_ours_in_plugins_are_reported(report_of_bug, monkeypatch, fault)
     field = {"type": "heightfield", "resolution": 16}
     gonio.measure(field, 0, rays=10)  # imports the plugin
     plugin = sys.modules["gonio_mi.plugins.shapes.heightfield"]
-    code = f"def height_statistics(*_):\n    return {fault}"
+    code = f"def gaussian_heights(*_, **__):\n    return {fault}"
     exec(compile(code, plugin.__file__, "exec"), scope := {"np": np})
-    monkeypatch.setattr(plugin, "height_statistics", scope["height_statistics"])
+    monkeypatch.setattr(plugin, "gaussian_heights", scope["gaussian_heights"])
     report = report_of_bug("measure", "heightfield:resolution=16", *QUICK[2:])
-    assert "in height_statistics" in report
+    assert "in gaussian_heights" in report
 
 
 def test_bugs_of_users_plugins_are_theirs(refuse, write):

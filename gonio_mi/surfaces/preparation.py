@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import interpolate, ndimage, spatial
 
 from ..array_types import Flags, Floats, Integers
 from ..errors import SettingError, checked_choice
@@ -62,6 +61,8 @@ def filled(heights: Floats, method: str) -> Floats:
 
 def _nearest(missing: Flags) -> Integers:
     """Row and column of the measured point next to each missing one."""
+    from scipy import ndimage  # slow to import, and rarely needed
+
     where = np.empty((2, *missing.shape), np.int32)
     ndimage.distance_transform_edt(
         missing, return_distances=False, return_indices=True, indices=where
@@ -71,6 +72,8 @@ def _nearest(missing: Flags) -> Integers:
 
 def _linear(heights: Floats, missing: Flags) -> Floats:
     """Values at the missing points between those around them; NaN beyond these."""
+    from scipy import interpolate, ndimage, spatial
+
     # of the measured points, those at an edge of a gap are all that counts
     edge = ndimage.binary_dilation(missing, np.ones((3, 3))) & ~missing
     try:
