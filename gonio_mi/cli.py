@@ -37,7 +37,7 @@ from .commands.arguments import (
 )
 from .errors import frames, is_the_users
 
-__all__ = ["main"]
+__all__ = ["COMMANDS", "main", "parser"]
 
 COMMANDS = (
     *(measure, show, plot, report, validate, compare, export, plan, chart, doctor),
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = _show_warning
         options = None
         try:
-            options = _parser().parse_args(arguments)
+            options = parser().parse_args(arguments)
             return options.run(options)
         except KeyboardInterrupt:
             say("interrupted: there is nothing to keep")
@@ -105,18 +105,19 @@ def _open_standard_streams() -> None:
             setattr(sys, name, open(os.devnull, "r+"))  # noqa: SIM115
 
 
-def _parser() -> Parser:
-    parser = Parser(
+def parser() -> Parser:
+    """Parser of the whole command line."""
+    whole = Parser(
         prog=PROGRAM,
         description="A virtual goniophotometer for Mitsuba 3.",
         epilog=EXAMPLES,
     )
     version = metadata.version("gonio-mi")
-    parser.add_argument("--version", action="version", version=f"{PROGRAM} {version}")
-    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    whole.add_argument("--version", action="version", version=f"{PROGRAM} {version}")
+    commands = whole.add_subparsers(metavar="COMMAND", required=True)
     for command in COMMANDS:
         add_command(commands, command)
-    return parser
+    return whole
 
 
 def _show_warning(message: object, *_: object, **__: object) -> None:

@@ -128,7 +128,7 @@ class Subdivision(ABC):
 
         Parameters
         ----------
-        values : ndarray, shape (..., *shape, channels)
+        values : ndarray, shape ``(..., rows, columns, channels)``
             Any mean over patches.
 
         Raises

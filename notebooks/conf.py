@@ -1,0 +1,39 @@
+"""The handbook: ``python -m sphinx -W notebooks build/handbook`` makes it.
+
+Notebooks are executed with few rays (``GONIO_RAYS``) unless the variable is set;
+``GONIO_HANDBOOK=pages`` leaves them unexecuted.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+sys.path += [str(HERE / "_extension"), str(HERE.parent)]
+os.environ.setdefault("GONIO_RAYS", "1e5")
+
+project = "gonio-mi"
+author = "the gonio-mi maintainers"
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "reference_pages",
+]
+exclude_patterns = ["_extension", "build", "**.ipynb_checkpoints"]
+html_theme = "sphinx_book_theme"
+html_title = "gonio-mi"
+html_show_sourcelink = False
+html_theme_options = {"show_toc_level": 2, "use_download_button": False}
+suppress_warnings = ["mystnb.unknown_mime_type"]
+
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 3
+
+nb_execution_mode = "off" if os.environ.get("GONIO_HANDBOOK") == "pages" else "force"
+nb_execution_timeout = 600
+nb_execution_raise_on_error = True
+
+autodoc_typehints = "none"
+napoleon_use_rtype = False
