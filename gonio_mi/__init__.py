@@ -30,7 +30,7 @@ from .errors import (  # noqa: E402
     SpecimenError,
     VariantError,
 )
-from .exports import Loss, export  # noqa: E402
+from .exports import Loss, Product, bsdf, export  # noqa: E402
 from .files import load  # noqa: E402
 from .files.measured import MeasuredTable, read_measured  # noqa: E402
 from .instrument.campaigns import campaign  # noqa: E402
@@ -58,12 +58,14 @@ __all__ = [
     "LostRaysError",
     "MeasuredTable",
     "Plan",
+    "Product",
     "Record",
     "SpecimenError",
     "Subdivision",
     "VariantError",
     "Verdict",
     "adapted",
+    "bsdf",
     "campaign",
     "chart",
     "compare",

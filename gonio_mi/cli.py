@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from importlib import metadata
 
 from .commands import (
+    bsdf,
     chart,
     compare,
     doctor,
@@ -40,7 +41,8 @@ from .errors import frames, is_the_users
 __all__ = ["COMMANDS", "main", "parser"]
 
 COMMANDS = (
-    *(measure, show, plot, report, validate, compare, export, plan, chart, doctor),
+    *(measure, show, plot, report, validate, compare, bsdf, export, plan, chart),
+    doctor,
 )
 
 EXAMPLES = """\

@@ -10,12 +10,12 @@ import synthetic
 
 from gonio_mi.collector.directions import direction
 from gonio_mi.collector.klems import Klems
+from gonio_mi.collector.shirley_chiu import directions_of, square_of
 from gonio_mi.errors import FileFormatError
 from gonio_mi.exports import exporting, radiance_export, resampling
 from gonio_mi.exports.radiance_export import BASES
 from gonio_mi.files import radiance_xml, tensor_tree
 from gonio_mi.files.radiance_bsdf import XYZ, RadianceBSDF, matrices, trees
-from gonio_mi.files.shirley_chiu import directions_of, square_of
 from gonio_mi.files.tensor_tree import TensorTree
 
 EPS = float(np.finfo(np.float32).eps)
@@ -265,11 +265,11 @@ def test_radiance_matrices_come_back():
     rng = np.random.default_rng(4)
     blocks = {
         (wavelength, direction): rng.random((145, 145))
-        for wavelength in radiance_xml.WAVELENGTHS
+        for wavelength in radiance_xml.DETECTORS
         for direction in radiance_xml.DIRECTIONS.values()
     }
     stream = io.BytesIO()
-    radiance_xml.write(blocks, stream, name="<a & b>")
+    radiance_xml.write(blocks, stream, radiance_xml.Product("<a & b>"))
     again = radiance_xml.read(io.BytesIO(stream.getvalue()))
     assert again.keys() == blocks.keys()
     for key, matrix in blocks.items():

@@ -23,6 +23,8 @@ EDGE = FEW_ROUNDINGS
 
 _NUMPY = SimpleNamespace(
     sqrt=np.sqrt,
+    sin=np.sin,
+    cos=np.cos,
     atan2=np.arctan2,
     floor=np.floor,
     ceil=np.ceil,
@@ -112,9 +114,9 @@ class Subdivision(ABC):
         Parameters
         ----------
         xp : namespace
-            Has ``sqrt``, ``atan2``, ``floor``, ``ceil``, ``minimum``, ``where``,
-            ``count_below(edges, x)``, the number of ascending edges not above x,
-            and ``take(table, index)``, the entries of a float table at whole
+            Has ``sqrt``, ``sin``, ``cos``, ``atan2``, ``floor``, ``ceil``, ``minimum``,
+            ``where``, ``count_below(edges, x)``, the number of ascending edges not
+            above x, and ``take(table, index)``, the entries of a float table at whole
             floating-point numbers.
         x, y, z : array
             Components of unit vectors, z > 0.
@@ -187,6 +189,35 @@ class Subdivision(ABC):
         begin, end = np.sin(low) ** 2, np.sin(high) ** 2
         sin2 = begin + along * (end - begin)
         return direction(np.arcsin(np.sqrt(sin2)), left + around * (right - left))
+
+    def frame_of(self, number: int) -> tuple[float, ...]:
+        """Numbers that tell where a patch is, for :meth:`drawn`."""
+        low, high, left, right = self.cells_about_pole()[number]
+        span = np.sin(high - low) * np.sin(high + low)
+        return np.sin(low) ** 2, np.cos(high) ** 2, span, left, right - left
+
+    def drawn(self, xp: Any, frame: Any, u: Any, v: Any) -> tuple[Any, Any, Any]:
+        """Directions that fill a patch, uniformly in projected solid angle.
+
+        Parameters
+        ----------
+        xp : namespace
+            See `patch_index`.
+        frame : sequence of float or array
+            Of `frame_of`.
+        u, v : array
+            In (0, 1).
+
+        Returns
+        -------
+        x, y, z : array
+            Components of unit vectors, z > 0.
+        """
+        sin2, cos2, span, left, turn = frame
+        # sine and cosine each by what keeps its precision
+        sine, cosine = xp.sqrt(sin2 + u * span), xp.sqrt(cos2 + (1 - u) * span)
+        phi = left + v * turn
+        return sine * xp.cos(phi), sine * xp.sin(phi), cosine
 
     def cells_about_pole(self) -> NDArray[np.float64]:
         """Return `cells`, or raise ValueError if they have poles of their own."""

@@ -1,8 +1,8 @@
-"""The Klems full basis: the patches of window metrology and of Radiance's matrices.
+"""The Klems bases: the patches of window metrology and of Radiance's matrices.
 
 Source: J. H. Klems, *A new method for predicting the solar heat gain of complex
 fenestration systems*, ASHRAE Transactions 100, 1994; edges as in Radiance's
-``LBNL/Klems Full``.
+``LBNL/Klems Full``, ``Half`` and ``Quarter``.
 """
 
 from dataclasses import dataclass
@@ -11,44 +11,73 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import checked_choice
 from .borders import Borders
 from .hemisphere import EDGE, RingsAndSectors, Subdivision
 
 __all__ = ["Klems"]
 
-THETA_DEG = (0, 5, 15, 25, 35, 45, 55, 65, 75, 90)
-N_PHI = (1, 8, 16, 20, 24, 24, 24, 16, 12)
+# Edges of the rings in degrees, and sectors of each.
+RINGS = {
+    "full": (
+        (0, 5, 15, 25, 35, 45, 55, 65, 75, 90),
+        (1, 8, 16, 20, 24, 24, 24, 16, 12),
+    ),
+    "half": ((0, 6.5, 19.5, 32.5, 45.5, 58.5, 71.5, 90), (1, 8, 12, 16, 20, 12, 8)),
+    "quarter": ((0, 9, 27, 45, 63, 90), (1, 8, 12, 12, 8)),
+}
 
-# Smallest number of sectors whose edges hold those of all rings.
-COMMON = 480
+# Smallest number of sectors whose edges hold those of all rings of a basis.
+COMMON = {"full": 480, "half": 480, "quarter": 48}
 
 
 @dataclass(frozen=True)
 class Klems(Subdivision):
-    """Nine rings of 1, 8, 16, 20, 24, 24, 24, 16 and 12 sectors: 145 patches.
+    """Rings of as many sectors as make patches alike: 145, 77 or 41 of them.
 
     The first sector of each ring is centred on the azimuth 0. As a map it has as many
     rows as patches and one column. The pole is in patch 0, and the horizon in none.
+
+    Attributes
+    ----------
+    size : {"full", "half", "quarter"}
+        Nine rings of 1, 8, 16, 20, 24, 24, 24, 16 and 12 sectors; seven of 1, 8, 12,
+        16, 20, 12 and 8; or five of 1, 8, 12, 12 and 8.
     """
+
+    size: str = "full"
 
     name: ClassVar[str] = "klems"
 
+    def __post_init__(self) -> None:
+        checked_choice("size", self.size, tuple(RINGS))
+
     def __str__(self) -> str:
-        return self.name
+        return self.name if self.size == "full" else f"{self.name}-{self.size}"
+
+    @property
+    def theta_deg(self) -> tuple[float, ...]:
+        """Edges of the rings in degrees."""
+        return RINGS[self.size][0]
+
+    @property
+    def n_phi(self) -> tuple[int, ...]:
+        """Sectors of each ring."""
+        return RINGS[self.size][1]
 
     @property
     def shape(self) -> tuple[int, int]:
-        """``(145, 1)``."""
-        return sum(N_PHI), 1
+        """Number of patches, and 1."""
+        return sum(self.n_phi), 1
 
     @property
     def cells(self) -> NDArray[np.float64]:
-        """Edges of each patch in radians, shape ``(145, 4)``.
+        """Edges of each patch in radians, shape ``(n_patches, 4)``.
 
         Columns: lower and upper polar angle, lower and upper azimuth.
         """
         rows = []
-        for low, high, n in zip(THETA_DEG, THETA_DEG[1:], N_PHI):
+        for low, high, n in zip(self.theta_deg, self.theta_deg[1:], self.n_phi):
             half = 180 / n
             rows += [
                 (low, high, k * 2 * half - half, k * 2 * half + half) for k in range(n)
@@ -59,8 +88,8 @@ class Klems(Subdivision):
     def middles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Polar angles and azimuths of the patches' middles in radians.
 
-        Two arrays of shape ``(145, 1)``; the basis takes the mean of the polar angles,
-        and the pole for the first patch.
+        Two arrays of shape ``(n_patches, 1)``; the basis takes the mean of the polar
+        angles, and the pole for the first patch.
         """
         low, high, left, right = self.cells.T
         theta = np.where(low == 0, 0.0, (low + high) / 2)
@@ -68,13 +97,13 @@ class Klems(Subdivision):
 
     @property
     def solid_angles(self) -> NDArray[np.float64]:
-        """Exact solid angle of each patch in sr, shape ``(145, 1)``; sum 2 pi."""
+        """Exact solid angle of each patch in sr, ``(n_patches, 1)``; sum 2 pi."""
         low, high, left, right = self.cells.T
         return ((np.cos(low) - np.cos(high)) * (right - left))[:, None]
 
     @property
     def projected_solid_angles(self) -> NDArray[np.float64]:
-        """Exact integral of cos(theta) over each patch, ``(145, 1)``; sum pi."""
+        """Exact integral of cos(theta) over each patch, ``(n_patches, 1)``; sum pi."""
         low, high, left, right = self.cells.T
         ring = np.sin(high - low) * np.sin(high + low) / 2
         return (ring * (right - left))[:, None]
@@ -82,7 +111,7 @@ class Klems(Subdivision):
     def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:
         """Index of the patch of each direction; see `Subdivision.patch_index`."""
         ring = self._rings._ring(xp, x * x + y * y, z)
-        sectors = np.array(N_PHI, dtype=np.float32)
+        sectors = np.array(self.n_phi, dtype=np.float32)
         first = np.concatenate([[0], np.cumsum(sectors)[:-1]]).astype(np.float32)
         n = xp.take(sectors, ring)
         sector = xp.floor((xp.atan2(y, x) + EDGE) * (n / (2 * np.pi)) + 0.5)
@@ -92,23 +121,24 @@ class Klems(Subdivision):
 
     @property
     def _rings(self) -> Borders:
-        return Borders(THETA_DEG, (0, 360))
+        return Borders(self.theta_deg, (0, 360))
 
     def in_rings(self, values: NDArray[Any]) -> tuple[RingsAndSectors, NDArray[Any]]:
         """Rings of sectors that are common to all, and `values` in them.
 
         Parameters
         ----------
-        values : ndarray, shape (..., 145, 1, channels)
+        values : ndarray, shape (..., n_patches, 1, channels)
             Any mean over patches.
 
         Returns
         -------
         patches : Borders
-            Nine rings of 480 sectors.
-        values : ndarray, shape (..., 9, 480, channels)
+            As many rings, of 480 or 48 sectors.
+        values : ndarray, shape (..., n_rings, n_sectors, channels)
         """
-        patches = Borders(THETA_DEG, tuple(np.arange(COMMON + 1) * (360 / COMMON)))
+        n = COMMON[self.size]
+        patches = Borders(self.theta_deg, tuple(np.arange(n + 1) * (360 / n)))
         theta, phi = np.meshgrid(patches.theta, patches.phi, indexing="ij")
         sine = np.sin(theta)
         middles = np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], -1)

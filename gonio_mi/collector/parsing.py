@@ -13,6 +13,7 @@ from .equal_steps import (
 )
 from .hemisphere import Subdivision
 from .klems import Klems
+from .shirley_chiu import ShirleyChiu
 
 __all__ = [
     "subdivision",
@@ -22,6 +23,8 @@ _KINDS: dict[str, Callable[[int, int], Subdivision]] = {
     kind.name: kind
     for kind in (EqualAngle, EqualSolidAngle, EqualProjectedSolidAngle, EqualSine)
 }
+
+_KLEMS = {str(basis): basis for basis in map(Klems, ("full", "half", "quarter"))}
 
 
 def subdivision(text: str | Subdivision) -> Subdivision:
@@ -33,8 +36,10 @@ def subdivision(text: str | Subdivision) -> Subdivision:
         ``angle``, ``solid``, ``projected`` or ``sine``, a colon, rings, ``x``, sectors;
         or ``borders:`` and the edges in degrees, ``borders:0,30,90x0,180,360``;
         or ``apertures:`` and cones, see
-        :class:`~gonio_mi.collector.apertures.Apertures`; or ``klems``, see
-        :class:`~gonio_mi.collector.klems.Klems`. A subdivision is returned as it is.
+        :class:`~gonio_mi.collector.apertures.Apertures`; or ``klems``, ``klems-half``
+        or ``klems-quarter``, see :class:`~gonio_mi.collector.klems.Klems`. A
+        subdivision is returned as it is. ``shirley-chiu:16`` are the cells of tensor
+        trees, see :class:`~gonio_mi.collector.shirley_chiu.ShirleyChiu`.
 
     Raises
     ------
@@ -58,8 +63,10 @@ def subdivision(text: str | Subdivision) -> Subdivision:
             return Apertures.parse(size)
     except ValueError as error:
         raise SettingError(shortened(f"collector {shown(text)}: {error}")) from None
-    if text == Klems.name:
-        return Klems()
+    if text in _KLEMS:
+        return _KLEMS[text]
+    if name == ShirleyChiu.name and _is_integer(size):
+        return ShirleyChiu(int(size))
     if name not in _KINDS or not (_is_integer(rings) and _is_integer(sectors)):
         raise SettingError(f"{form}, got {shown(text)}")
     return _KINDS[name](int(rings), int(sectors))

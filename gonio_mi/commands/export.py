@@ -11,7 +11,7 @@ from pathlib import Path
 from .. import files
 from ..errors import SettingError
 from ..files.channels import wavelengths_nm
-from .arguments import DONE, add_record, set_variant, tell
+from .arguments import DONE, set_variant, tell
 
 __all__ = ["add_options", "run"]
 
@@ -19,12 +19,18 @@ EXAMPLES = """\
 examples:
   gonio-mi export run.npz -o run.xml run.bsdf
   gonio-mi export run.npz -o run.xml --basis tensor3
+  gonio-mi export front.npz back.npz -o both.xml
 """
 
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    add_record(parser)
+    parser.add_argument(
+        "record",
+        nargs="+",
+        metavar="RECORD",
+        help=".exr or .npz files; two of them, of the front and of the back, for .xml",
+    )
     parser.add_argument(
         "-o",
         "--output",
@@ -35,16 +41,23 @@ def add_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument(
         "--basis",
-        choices=("klems", "tensor3", "tensor4"),
-        help="of .xml: the Klems full basis (default), or a tensor tree for isotropic "
-        "(3) or any (4) materials",
+        choices=("klems", "klems-half", "klems-quarter", "tensor3", "tensor4"),
+        help="of .xml: a Klems basis (default: the full one), or a tensor tree for "
+        "isotropic (3) or any (4) materials",
+    )
+    parser.add_argument(
+        "--every",
+        action="store_true",
+        help="say what was lost of every incident direction",
     )
 
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    record = files.load(options.record)
-    from ..exports.exporting import ENDINGS, export  # which needs a renderer
+    records = [files.load(path) for path in options.record]
+    # which need a renderer
+    from ..exports.exporting import ENDINGS, export
+    from ..exports.loss import in_words
 
     for path in options.output:
         files.check_output(path, ENDINGS)
@@ -53,10 +66,11 @@ def run(options: Namespace) -> int:
         raise SettingError(
             f"--basis goes with a file .xml, got {', '.join(options.output)}"
         )
-    spectral = wavelengths_nm(record.channels) is not None
+    spectral = wavelengths_nm(records[0].channels) is not None
     set_variant("llvm_ad_spectral" if spectral else "llvm_ad_rgb")
     for path in options.output:
         tell(path)
-        for loss in export(record, path, options.basis or "klems"):
-            tell(f"  {loss}")
+        losses = export(records, path, options.basis or "klems")
+        for line in losses if options.every else in_words(losses):
+            tell(f"  {line}")
     return DONE

@@ -1,6 +1,8 @@
 """Records as files of other programs, some of which need new measurements."""
 
+from ..files.radiance_xml import Product
+from .bsdf_file import bsdf
 from .exporting import ENDINGS, export
 from .loss import Loss
 
-__all__ = ["ENDINGS", "Loss", "export"]
+__all__ = ["ENDINGS", "Loss", "Product", "bsdf", "export"]

@@ -1,6 +1,7 @@
 """Records in the files of other tools, each with what it has lost."""
 
 import warnings
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from ..errors import SettingError, checked_choice
 from ..files import astm, check_output, netcdf, replacing
 from ..files.channels import wavelengths_nm
 from ..files.measured import MeasuredTable, read_measured
+from ..files.radiance_xml import Product
 from ..files.writing import takes_a_stream
 from ..results.record import Record
 from ..results.summary import exceeds_error, summarize
@@ -26,17 +28,23 @@ ENDINGS = (".csv", ".astm", ".xml", ".bsdf", ".nc")
 
 
 def export(
-    record: Record, path: str | PathLike[str], basis: str = "klems"
+    record: Record | Sequence[Record],
+    path: str | PathLike[str],
+    basis: str = "klems",
+    *,
+    product: Product | None = None,
+    solar: Sequence[Record] = (),
 ) -> list[Loss]:
     """Write a record to a file of another tool, and say what was lost.
 
     What was written is read back, for Mitsuba's `measured` measured anew, and compared.
     A warning tells of a specimen that was missed by a relevant part of the rays, and of
-    direct light, a delta, in a format that has none.
+    light that a file .xml has no words for: a side, or angles of incidence.
 
     Parameters
     ----------
-    record : Record
+    record : Record or sequence of Record
+        Several for ``.xml``: of the front and of the back of a specimen.
     path : str or path
         ``.csv``: values at the middles of patches, read by `read_measured`; for several
         quantities or channels their names are put before the ending. ``.astm``: text
@@ -44,9 +52,13 @@ def export(
         Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only; needs a
         variant of rgb, or a spectral one for channels that are wavelengths. ``.nc``:
         NetCDF, by xarray.
-    basis : {"klems", "tensor3", "tensor4"}
-        Of Radiance: the Klems full basis, or a tensor tree for isotropic (3) or any
-        (4) materials.
+    basis : {"klems", "klems-half", "klems-quarter", "tensor3", "tensor4"}
+        Of Radiance: a Klems basis, or a tensor tree for isotropic (3) or any (4)
+        materials.
+    product : Product, optional
+        Of ``.xml``: name, manufacturer and sizes that the file states.
+    solar : sequence of Record
+        Of ``.xml``: records like the others, for all sunlight.
 
     Returns
     -------
@@ -70,13 +82,38 @@ def export(
         )
     checked_choice("basis", basis, BASES)
     ending = Path(path).suffix.lower()
-    _warn_of_openings(record, ending)
+    records = [record] if isinstance(record, Record) else list(record)
+    if not records:
+        raise SettingError("record must be one record or more, got none")
+    for one in records:
+        _warn_of_openings(one)
     if ending == ".xml":
-        return write_radiance(record, path, basis)
-    return _FORMATS[ending](record, path)
+        _warn_of_missing_side(records)
+        return write_radiance(records, path, basis, product, solar)
+    if len(records) > 1 or product is not None or solar:
+        raise SettingError(
+            "several records, a product and solar light go to a file .xml, got "
+            f"{Path(path).name}"
+        )
+    return _FORMATS[ending](records[0], path)
 
 
-def _warn_of_openings(record: Record, ending: str) -> None:
+def _warn_of_missing_side(records: Sequence[Record]) -> None:
+    """Warn if the file knows light from one side only."""
+    sides = {str(record.settings.get("side", "front")) for record in records}
+    if len(sides) == 1:
+        side = sides.pop()
+        other = "back" if side == "front" else "front"
+        warnings.warn(
+            f"the file describes light from the {side} only, and the {other} reflects "
+            f"nothing in it: measure with the side {other} too, and export both "
+            "records to one file",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+
+def _warn_of_openings(record: Record) -> None:
     """Warn if the file cannot say what passed beside the specimen or through it."""
     directions = summarize(record)["directions"]
     ledger = record.ledger
@@ -85,14 +122,6 @@ def _warn_of_openings(record: Record, ending: str) -> None:
             f"{ledger.missed / ledger.emitted:.2%} of the rays missed the specimen, "
             "and the file describes it as if it had neither openings nor edges: "
             "measure one cell of it with a period, or take a smaller footprint",
-            RuntimeWarning,
-            stacklevel=3,
-        )
-    direct = any(exceeds_error(direction, "direct") for direction in directions)
-    if direct and ending == ".xml":
-        warnings.warn(
-            f"{np.max(record.direct):.2%} of the light passes openings straight on: "
-            "the file spreads it over the directions of the record's patch",
             RuntimeWarning,
             stacklevel=3,
         )

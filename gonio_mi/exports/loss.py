@@ -1,5 +1,6 @@
 """What a file of another tool has lost of a record."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +9,9 @@ import numpy as np
 from ..array_types import Floats
 from ..results.record import Record
 
-__all__ = ["Loss", "fractions_of", "losses"]
+__all__ = ["Loss", "fractions_of", "in_words", "losses"]
+
+WORDS = {"dhr": "reflected", "dht": "transmitted"}
 
 
 @dataclass(frozen=True)
@@ -24,9 +27,11 @@ class Loss:
         Reflectance or transmittance (mean of the channels) of the record, its standard
         error, and that of the file.
     misplaced : float
-        Part of the light that is in another patch than in the record.
+        Part of the light that is in another patch than in the record, in [0, 1].
     noise : float
         Part that the record's own standard errors would misplace on average.
+    side : {"front", "back"}
+        The lit face.
     """
 
     theta_i: float
@@ -37,11 +42,12 @@ class Loss:
     written: float
     misplaced: float
     noise: float
+    side: str = "front"
 
     def __str__(self) -> str:
         return (
-            f"theta_i {self.theta_i:.4g}, phi_i {self.phi_i:.4g}: {self.quantity} "
-            f"{self.recorded:.5f} +- {self.std_err:.1g}, in the file "
+            f"theta_i {self.theta_i:.4g}, phi_i {self.phi_i:.4g}, {self.side}: "
+            f"{self.quantity} {self.recorded:.5f} +- {self.std_err:.1g}, in the file "
             f"{self.written:.5f}; {self.misplaced:.2%} of the light is in other "
             f"patches (the record's own noise: {self.noise:.2%})"
         )
@@ -52,28 +58,33 @@ def fractions_of(record: Record) -> Floats:
     return record.flux_fraction if record.stacked else record.flux_fraction[None]
 
 
-def losses(record: Record, written: Floats) -> list[Loss]:
+def losses(
+    record: Record, written: Floats, recorded: Floats | None = None
+) -> list[Loss]:
     """Compare flux fractions of the file with those of the record.
 
     Parameters
     ----------
     record : Record
-    written : ndarray, shape (n_incident, n_hemispheres, n_theta, n_phi, channels)
-        Of the hemispheres that the file holds.
+    written : ndarray, shape (n_incident, n_hemispheres, ..., channels)
+        Of the hemispheres that the file holds, in any patches.
+    recorded : ndarray, optional
+        What the record says of the same patches; its own if they are those.
 
     Returns
     -------
     list of Loss
     """
-    recorded = fractions_of(record)
+    recorded = fractions_of(record) if recorded is None else recorded
     projected = record.subdivision.projected_solid_angles[..., None]
     every = []
     for index, hemisphere in np.ndindex(written.shape[:2]):
         one = record[index]
         name = ("dhr", "dht")[hemisphere]
         errors: Any = (one.brdf_std_err, one.btdf_std_err)[hemisphere]
-        total = recorded[index, hemisphere].sum()
-        difference = np.abs(written[index, hemisphere] - recorded[index, hemisphere])
+        ours, theirs = recorded[index, hemisphere], written[index, hemisphere]
+        total = ours.sum()
+        most = max(total, theirs.sum())
         # mean of the absolute value of a normal deviate
         noise = np.sqrt(2 / np.pi) * np.nansum(errors * projected)
         n = len(record.channels)
@@ -84,9 +95,29 @@ def losses(record: Record, written: Floats) -> list[Loss]:
                 name,
                 float(total / n),
                 float(np.mean(getattr(one, f"{name}_std_err"))),
-                float(written[index, hemisphere].sum() / n),
-                float(difference.sum() / 2 / total) if total else 0.0,
+                float(theirs.sum() / n),
+                float(np.abs(theirs - ours).sum() / 2 / most) if most else 0.0,
                 float(noise / 2 / total) if total else 0.0,
+                str(record.settings.get("side", "front")),
             )
         )
     return every
+
+
+def in_words(every: Sequence[Loss]) -> list[str]:
+    """One line for each lit face and hemisphere: what was lost, and where most."""
+    lines = []
+    for side, quantity in dict.fromkeys((one.side, one.quantity) for one in every):
+        some = [one for one in every if (one.side, one.quantity) == (side, quantity)]
+        worst = max(some, key=lambda one: one.misplaced)
+        off = max(some, key=lambda one: abs(one.written - one.recorded))
+        mean = sum(one.misplaced for one in some) / len(some)
+        where = f"theta_i {worst.theta_i:.3g}, phi_i {worst.phi_i:.3g}"
+        worst_words = "" if len(some) == 1 else f", at worst {worst.misplaced:.1%} for"
+        worst_words = worst_words + " incidence at" if worst_words else ", incidence at"
+        lines.append(
+            f"{side}, {WORDS[quantity]}: {mean:.1%} of the light ended up in a "
+            f"neighbouring patch{worst_words} {where}; total off by at most "
+            f"{abs(off.written - off.recorded):.1g}"
+        )
+    return lines

@@ -1,104 +1,309 @@
-"""Records as Radiance's BSDF files, and those files at the record's patches."""
+"""Records as Radiance's BSDF files, and those files at the record's directions."""
 
+import warnings
+from collections.abc import Sequence
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
 from ..array_types import Floats
+from ..collector.borders import Borders
+from ..collector.hemisphere import Subdivision
+from ..collector.klems import Klems
+from ..collector.shirley_chiu import ShirleyChiu
 from ..errors import SettingError, checked_choice
 from ..files import radiance_bsdf, radiance_xml, replacing
 from ..files.radiance_bsdf import RadianceBSDF
+from ..files.radiance_xml import Product
+from ..files.tensor_tree import grid_directions
 from ..results.record import Record
-from .loss import Loss, losses
-from .resampling import Material, klems_matrix, tensor_grid
+from .loss import Loss, fractions_of, losses
+from .resampling import Material, resampled
 
-__all__ = ["BASES", "write_radiance"]
+__all__ = ["BASES", "KLEMS", "incidence", "write_radiance"]
 
 # Cells per axis of tensor trees; those of rank 3 are cheap enough to be finer.
 TREE_SIZES = {3: 64, 4: 32}
 
-RANKS = {"klems": None, "tensor3": 3, "tensor4": 4}
-BASES = tuple(RANKS)
+RANKS = {"tensor3": 3, "tensor4": 4}
+KLEMS = {str(basis): basis for basis in map(Klems, ("full", "half", "quarter"))}
+BASES = (*KLEMS, *RANKS)
 
-# Points per side of a patch of the record at which the file is read back.
-POINTS = 8
+# Points per side of a Klems patch of incidence and of exit that is averaged over, and
+# of the cells of tensor trees, of which there are more.
+POINTS_IN, POINTS_OUT = 3, 8
+CELL_POINTS = 2
+
+# Half the width in degrees of the azimuths of incidence that tensor trees of rank 3
+# average over.
+HALF_WEDGE = 0.05
+
+# Incident directions that are less apart have no lobes between them, in degrees.
+WIDE_GAP = 20
 
 
 def write_radiance(
-    record: Record, path: str | PathLike[str], basis: str = "klems"
+    records: Sequence[Record],
+    path: str | PathLike[str],
+    basis: str = "klems",
+    product: Product | None = None,
+    solar: Sequence[Record] = (),
 ) -> list[Loss]:
-    """Write a record to an XML file of Radiance, and return its losses.
+    """Write a specimen to an XML file of Radiance, and return its losses.
 
     Parameters
     ----------
-    record : Record
-        Of one channel or of R, G, B.
+    records : sequence of Record
+        Of one channel or of R, G, B; one for each lit face.
     path : str or path
-    basis : {"klems", "tensor3", "tensor4"}
-        Klems full basis, or a tensor tree for isotropic (3) or any (4) materials.
+    basis : {"klems", "klems-half", "klems-quarter", "tensor3", "tensor4"}
+        A Klems basis, or a tensor tree for isotropic (3) or any (4) materials.
+    product : Product, optional
+        What else the file says of the specimen.
+    solar : sequence of Record
+        The same of one channel, for all sunlight instead of what is visible.
 
     Raises
     ------
     ValueError
-        For another basis or other channels, for `tensor3` if the record has several
-        azimuths of incidence or colours, or if its incident directions are no grid.
+        For another basis or other channels, for two records of one side or of unlike
+        specimens, for `tensor3` if the record has several azimuths of incidence or
+        colours, or if its incident directions are no grid.
     """
     checked_choice("basis", basis, BASES)
-    rank = RANKS[basis]
-    if len(record.channels) > 1 and record.channels != ("R", "G", "B"):
-        raise SettingError(
-            "Radiance's files take records of one channel or of R, G, B, got "
-            f"{', '.join(record.channels)[:80]}"
-        )
-    material = Material(record)
-    if rank == 3:
-        _check_isotropic_grey(material)
-    side = record.settings.get("side", "front")
+    _check_sides(records)
+    _check_sides(solar)
     blocks: dict[tuple[str, str], Any] = {}
-    for hemisphere in range(1 + record.has_lower):
-        direction = radiance_xml.DIRECTIONS[side, hemisphere]
-        if rank is None:
-            matrix = klems_matrix(material, hemisphere)
-            blocks |= radiance_bsdf.matrices(matrix, direction)
-        else:
-            grid = tensor_grid(material, hemisphere, rank, TREE_SIZES[rank])
-            blocks |= radiance_bsdf.trees(grid, direction)
-    name = record.settings.get("specimen", "a record")
+    sides = [_Side(record, basis) for record in records]
+    for side in sides:
+        blocks |= side.blocks()
+    for record in solar:
+        only = _Side(record, basis).blocks()
+        blocks |= {("Solar", key): only["Visible", key] for _, key in only}
+    if product is None:
+        name = records[0].settings.get("specimen", "a record")
+        product = Product(" ".join(str(name).split()))
     with replacing(path) as stream:
-        radiance_xml.write(blocks, stream, name)
+        radiance_xml.write(blocks, stream, product)
     with open(path, "rb") as stream:
         written = RadianceBSDF(stream)
-    return losses(record, _fractions(written, record, side))
+    return [loss for side in sides for loss in side.losses(written)]
 
 
-def _check_isotropic_grey(material: Material) -> None:
-    """Raise ValueError unless the material fits into a tensor tree of rank 3."""
-    if len(material.phi_i) > 1:
+def _check_sides(records: Sequence[Record]) -> None:
+    """Raise ValueError unless the records are of different sides of one specimen."""
+    for record in records:
+        if len(record.channels) > 1 and record.channels != ("R", "G", "B"):
+            raise SettingError(
+                "Radiance's files take records of one channel or of R, G, B, got "
+                f"{', '.join(record.channels)[:80]}"
+            )
+    sides = [record.settings.get("side", "front") for record in records]
+    if len(set(sides)) < len(sides):
+        raise SettingError(
+            "a file takes one record of each side, front and back, got "
+            f"{' and '.join(sides)}"
+        )
+    digests = {record.settings.get("digest") for record in records}
+    channels = {record.channels for record in records}
+    if len(digests) > 1 or len(channels) > 1:
+        raise SettingError(
+            "the records of a file must be of one specimen and have the same channels, "
+            "got " + " and ".join(str(r.settings.get("specimen"))[:60] for r in records)
+        )
+
+
+class _Side:
+    """What a record of one lit face becomes in a file."""
+
+    def __init__(self, record: Record, basis: str) -> None:
+        self.record = record
+        self.rank = RANKS.get(basis)
+        self.face = str(record.settings.get("side", "front"))
+        self.hemispheres = range(1 + record.has_lower)
+        #: patches of exit of the file
+        self.patches = _patches_of(record, basis)
+        self.measured = _is_measured(record, basis, self.patches)
+        if not self.measured:
+            _check_resampled(record, self.rank)
+            self.material = Material(record, apart=True)
+
+    def blocks(self) -> dict[tuple[str, str], Any]:
+        """Matrices or trees by wavelength and direction."""
+        blocks: dict[tuple[str, str], Any] = {}
+        projected = self.patches.projected_solid_angles.reshape(-1, 1)
+        for hemisphere in self.hemispheres:
+            name = radiance_xml.DIRECTIONS[self.face, hemisphere]
+            if self.rank is None:
+                values = self._columns(hemisphere) / projected
+                blocks |= radiance_bsdf.matrices(np.swapaxes(values, 0, 1), name)
+            else:
+                grid = self._grid(hemisphere, self.rank) / projected[0, 0]
+                blocks |= radiance_bsdf.trees(grid, name)
+        return blocks
+
+    def _columns(self, hemisphere: int) -> Floats:
+        """Flux fractions of a Klems matrix, incident times exit patches."""
+        if self.measured:
+            return self._in_order(hemisphere)
+        x, y, z = np.moveaxis(self.patches.points(POINTS_IN), -1, 0)
+        theta_i = np.degrees(np.arctan2(np.hypot(x, y), z))
+        phi_i = np.degrees(np.arctan2(-y, -x))
+        return resampled(
+            self.material, hemisphere, theta_i, phi_i, self.patches, POINTS_OUT
+        )
+
+    def _grid(self, hemisphere: int, rank: int) -> Floats:
+        """Flux fractions of the cells of a tensor tree, ``(size, ..., channels)``.
+
+        The half that rank 3 does not use holds the mean of the other.
+        """
+        size = self.patches.shape[0]
+        if self.measured:
+            flux = self._in_order(hemisphere)
+        else:
+            theta_i, phi_i, _ = grid_directions(rank, size, CELL_POINTS, 1)
+            flux = resampled(
+                self.material, hemisphere, theta_i, phi_i, self.patches, CELL_POINTS
+            )
+        grid = flux.reshape(-1, *[size] * (rank - 1), flux.shape[-1])
+        if rank == 4:
+            return grid
+        unused = np.broadcast_to(grid.mean(axis=(0, 1, 2)), grid.shape)
+        return np.concatenate([grid, unused])
+
+    def _in_order(self, hemisphere: int) -> Floats:
+        """Flux fractions as measured, ``(n_in, n_patches, channels)``."""
+        record = self.record
+        if self.rank == 3:
+            order = np.argsort(-record.theta_i)
+        else:
+            order = np.argsort(_flight_patches(record, self.patches))
+        flux = fractions_of(record)[order, hemisphere]
+        return flux.reshape(len(flux), -1, flux.shape[-1])
+
+    def losses(self, written: RadianceBSDF) -> list[Loss]:
+        """What the file has lost at the record's own incident directions."""
+        record, patches = self.record, self.patches
+        theta, phi = record.theta_i, record.phi_i
+        if self.rank == 3:
+            phi = np.full_like(phi, 180.0)  # of light that flies to +x
+        x, y, z = np.moveaxis(patches.points(1)[:, 0], -1, 0)
+        middles = np.stack([x, y, z], axis=-1)
+        projected = patches.projected_solid_angles.reshape(-1, 1)
+        theirs = [
+            [
+                written.values(self.face, hemisphere, one_theta, one_phi, middles)
+                * projected
+                for hemisphere in self.hemispheres
+            ]
+            for one_theta, one_phi in zip(theta, phi)
+        ]
+        if self.measured:
+            return losses(record, np.array(theirs)[..., None, :])
+        ours = [
+            resampled(
+                self.material,
+                hemisphere,
+                theta[:, None],
+                phi[:, None],
+                patches,
+                POINTS_OUT,
+            )
+            for hemisphere in self.hemispheres
+        ]
+        return losses(record, np.array(theirs), np.stack(ours, axis=1))
+
+
+def incidence(basis: str, cells: int) -> tuple[Subdivision, Subdivision]:
+    """Patches of incidence and of exit that a file needs.
+
+    Parameters
+    ----------
+    basis : str
+        One of `BASES`.
+    cells : int
+        Per axis of tensor trees, a power of two.
+    """
+    if basis in KLEMS:
+        return KLEMS[basis], KLEMS[basis]
+    patches = ShirleyChiu(cells)
+    if basis == "tensor4":
+        return patches, patches
+    # equal steps of the sine, in the plane of flight to +x
+    sines = np.arange(1, cells // 2) * (2 / cells)
+    theta = (0, *np.degrees(np.arcsin(sines)), 90)
+    wedge = (0, 180 - HALF_WEDGE, 180 + HALF_WEDGE, 360)
+    return Borders(theta, wedge), patches
+
+
+def _patches_of(record: Record, basis: str) -> Subdivision:
+    """Patches of exit of a file."""
+    if basis in KLEMS:
+        return KLEMS[basis]
+    if isinstance(record.subdivision, ShirleyChiu):
+        return record.subdivision
+    return ShirleyChiu(TREE_SIZES[RANKS[basis]])
+
+
+def _is_measured(record: Record, basis: str, patches: Subdivision) -> bool:
+    """Whether a record was measured in the patches of the file, on both ends.
+
+    Raises
+    ------
+    ValueError
+        If it was on one end only, or not in all of them.
+    """
+    filled = record.settings.get("incident", "none")
+    if filled == "none":
+        return False
+    wanted, _ = incidence(basis, patches.shape[0])
+    if filled != str(wanted) or record.subdivision != patches:
+        raise SettingError(
+            f"a record whose light fills patches of incidence goes to a file of the "
+            f"same patches, got the incident {filled!s:.40}, the collector "
+            f"{record.subdivision!s:.40} and the basis {basis}"
+        )
+    middles = np.degrees(wanted.middles[1]).ravel()
+    if basis == "tensor3":
+        n, held = len(middles) // 3, np.unique(np.round(record.theta_i, 9))
+    else:
+        n, held = len(middles), np.unique(_flight_patches(record, wanted))
+    if not len(held) == len(record) == n:
+        raise SettingError(
+            f"the record must hold each of the {n} incident patches of {basis} once, "
+            f"got {len(held)} of them in {len(record)} directions: measure with "
+            f"incident {wanted!s:.40} and without theta_i"
+        )
+    return True
+
+
+def _flight_patches(record: Record, patches: Subdivision) -> Any:
+    """Patches of the directions in which a record's incident light flies."""
+    return radiance_xml.incident_patch(record.theta_i, record.phi_i, patches)
+
+
+def _check_resampled(record: Record, rank: int | None) -> None:
+    """Raise ValueError for a tree that cannot hold the record; warn of few angles."""
+    azimuths = len(np.unique(np.round(record.phi_i, 3)))
+    if rank == 3 and azimuths > 1:
         raise SettingError(
             "the basis tensor3 is for isotropic materials, and the record has "
-            f"{len(material.phi_i)} azimuths of incidence: take tensor4"
+            f"{azimuths} azimuths of incidence: take tensor4"
         )
     # it drops their chromaticity with their diffuse light (seen in version 6.0a)
-    if len(material.channels) > 1:
+    if rank == 3 and len(record.channels) > 1:
         raise SettingError(
             "Radiance loses the colours of tensor trees of rank 3: take tensor4"
         )
-
-
-def _fractions(bsdf: RadianceBSDF, record: Record, side: str) -> Floats:
-    """Flux fractions of a file in the patches and incident directions of a record."""
-    patches = record.subdivision
-    points = patches.points(POINTS)
-    shape = *patches.shape, -1
-    fractions = [
-        [
-            bsdf.values(side, hemisphere, theta, phi, points.reshape(-1, 3))
-            .reshape(*points.shape[:2], -1)
-            .mean(axis=1)
-            .reshape(shape)
-            for hemisphere in range(1 + record.has_lower)
-        ]
-        for theta, phi in zip(record.theta_i, record.phi_i)
-    ]
-    return np.array(fractions) * patches.projected_solid_angles[..., None]
+    angles = np.unique(np.round(record.theta_i, 3))
+    edges = np.diff([0.0, *angles, 90.0])
+    if edges.max() > WIDE_GAP:
+        known = ", ".join(f"{angle:g}" for angle in angles[:6])
+        warnings.warn(
+            f"the record has light from theta_i {known} only: what the file says "
+            f"between and beyond, up to {edges.max():g} degrees away, is made of these",
+            RuntimeWarning,
+            stacklevel=4,
+        )

@@ -1,4 +1,11 @@
-"""Values of a record in any direction, as other formats want them."""
+"""Light of a record in the patches of another format, without gain or loss.
+
+Between its incident directions a record is what the BSDF plugin `goniometric` makes of
+it. Values at points of the new patches find all the light of smooth lobes; what is
+narrow they may miss or count twice. There the light of every patch of the record is
+carried to where it belongs instead. A peak at the mirror direction, or straight on,
+that is no wider than its patch stays at that direction, and so lands in one patch.
+"""
 
 from typing import Any
 
@@ -9,27 +16,26 @@ from numpy.typing import ArrayLike
 
 from ..array_types import Floats
 from ..collector.directions import direction
-from ..collector.klems import Klems
-from ..files.tensor_tree import grid_directions
+from ..collector.hemisphere import Subdivision
+from ..files.material_files import PatchMeans
 from ..materials.lit_face import LitFace
-from ..materials.lobes import LobeTable
+from ..materials.lobes import LobeTable, incident_grid
 from ..results.record import Record
+from .loss import fractions_of
 
-__all__ = [
-    "Material",
-    "half_vector_grid",
-    "klems_matrix",
-    "tensor_grid",
-]
+__all__ = ["Material", "half_vector_grid", "resampled"]
 
-# Points per side of a patch of exit or of incidence that is averaged over.
-POINTS_OUT, POINTS_IN = 8, 3
-
-# The same of the cells of tensor trees, of which there are more.
-CELL_POINTS = 2
+# Part of the light that values at points may miss before it is carried.
+MISSED = 0.01
 
 # Values that are asked for at once, at most or for one incident patch.
 MOST_VALUES = 2**20
+
+# Points to which the light of a record's patches is divided, at least.
+POINTS_CARRIED = 2**13
+
+# How far beyond the edges of a patch its neighbours are looked for, in radians.
+BEYOND = 1e-4
 
 
 class Material:
@@ -40,6 +46,8 @@ class Material:
     Parameters
     ----------
     record : Record
+    apart : bool
+        Whether the peaks at the mirror direction, and straight on, are taken out.
 
     Attributes
     ----------
@@ -47,6 +55,9 @@ class Material:
         The record's incident directions in degrees, ascending.
     channels : tuple of str
     has_lower : bool
+    table : LobeTable
+    peaks : ndarray, shape (P, N, H, channels)
+        What was taken out: flux fractions.
 
     Raises
     ------
@@ -54,15 +65,25 @@ class Material:
         If the incident directions are unknown or no grid; see `LobeTable.of`.
     """
 
-    def __init__(self, record: Record) -> None:
+    def __init__(self, record: Record, apart: bool = False) -> None:
         self.channels = record.channels
         self.has_lower = record.has_lower
-        table = LobeTable.of(record)
+        flux, peaks = fractions_of(record), specular_peaks(record)
+        if apart:
+            flux = flux.copy()
+            rows, columns = np.unravel_index(_specular_patch(record), flux.shape[2:4])
+            index = np.arange(len(flux))
+            flux[index, :, rows, columns] -= peaks
+        rest: Any = PatchMeans(
+            record.subdivision, record.theta_i, record.phi_i, record.channels, flux
+        )
+        self.table = table = LobeTable.of(rest)
+        self.peaks = incident_grid(record, peaks)[2] * apart
         self.theta_i, self.phi_i = table.theta_i, table.phi_i
         self._face = LitFace(table)
 
     def values(self, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> Floats:
-        """BRDF or BTDF in 1/sr, shape ``(n, channels)``.
+        """BRDF or BTDF in 1/sr, shape ``(n, channels)``, without the `peaks`.
 
         Parameters
         ----------
@@ -78,73 +99,179 @@ class Material:
         inside = np.broadcast_to(wanted.numpy(), dr.width(wo))
         return np.stack([np.where(inside, v.numpy(), 0) for v in values], axis=-1)
 
+    def totals(
+        self, hemisphere: int, theta_i: Floats, phi_i: Floats
+    ) -> tuple[Floats, Floats]:
+        """Flux fractions without the peaks, and of these, ``(n, channels)`` each."""
+        wi = _vectors(direction(np.radians(theta_i), np.radians(phi_i)))
+        flux, peaks = (
+            a.reshape(-1, *a.shape[2:])[:, hemisphere]
+            for a in (self.table.flux, self.peaks)
+        )
+        sums = np.zeros((2, len(theta_i), len(self.channels)))
+        for row, share, _ in self._face.carried(wi, mi.Point2f(0), hemisphere):
+            number = np.broadcast_to(row.numpy(), len(theta_i))
+            part = np.broadcast_to(share.numpy(), len(theta_i))[:, None]
+            sums += part * [flux[number], peaks[number]]
+        return sums[0], sums[1]
+
+    def carried(
+        self, hemisphere: int, theta_i: float, phi_i: float, patches: Subdivision
+    ) -> Floats:
+        """Light of all patches of the record in others, ``(n_patches, channels)``.
+
+        Flux fractions of one incident direction in degrees, without the peaks.
+        """
+        points, flux = self._points(hemisphere)
+        wi = _vectors(direction(np.radians(theta_i), np.radians(phi_i))[None])
+        light = np.zeros((patches.n_patches, len(self.channels)))
+        xy = mi.Point2f(np.ascontiguousarray(points.T, dtype=np.float32))
+        for row, share, wo in self._face.carried(wi, xy, hemisphere):
+            dr.eval(row, share, wo)
+            number = int(np.ravel(row.numpy())[0])
+            part = float(np.ravel(share.numpy())[0])
+            if part:
+                index = patches.patch(wo.numpy().T)
+                for channel, weights in enumerate(flux[number].T):
+                    light[:, channel] += part * np.bincount(
+                        index, weights, patches.n_patches
+                    )
+        return light
+
+    def _points(self, hemisphere: int) -> tuple[Floats, Floats]:
+        """Points of the disk in the record's patches, and the light that each has.
+
+        Shapes ``(n, 2)`` and ``(rows, n, channels)``.
+        """
+        table = self.table
+        sin2, phi = np.sin(table.theta_edges) ** 2, table.phi_edges
+        areas = np.diff(sin2)[:, None] * np.diff(phi) / 2
+        flux = table.brdf[:, :, hemisphere] * areas[..., None]
+        flux = flux.reshape(-1, areas.size, flux.shape[-1])
+        lit = np.flatnonzero(flux.any(axis=(0, 2)))
+        n = int(np.ceil(np.sqrt(POINTS_CARRIED / max(lit.size, 1))))
+        ring, sector = np.unravel_index(lit, areas.shape)
+        step = (np.arange(n) + 0.5) / n
+        r = np.sqrt(sin2[ring, None] + step * np.diff(sin2)[ring, None])[..., None]
+        turn = (phi[sector, None] + step * np.diff(phi)[sector, None])[:, None]
+        points = np.stack([r * np.cos(turn), r * np.sin(turn)], axis=-1)
+        return points.reshape(-1, 2), np.repeat(flux[:, lit] / n**2, n**2, axis=1)
+
 
 def _vectors(v: Floats) -> Any:
     return mi.Vector3f(np.ascontiguousarray(v.T, dtype=np.float32))
 
 
-def klems_matrix(material: Material, hemisphere: int) -> Floats:
-    """Means over pairs of Klems patches in 1/sr, ``(145, 145, channels)``.
+# ----------------------------------------------------------------------------- peaks
 
-    Exit patches times incident ones, of Radiance's order: the incident patch is that of
-    the direction of flight.
+
+def specular_peaks(record: Record) -> Floats:
+    """Light that is no wider than a patch at the mirror direction, or straight on.
+
+    By how much that patch is brighter than the brightest of its neighbours, but at
+    least the direct light of a periodic cell: flux fractions, shape
+    ``(n_incident, n_hemispheres, channels)``.
+    """
+    flux, patches = fractions_of(record), record.subdivision
+    projected = patches.projected_solid_angles.ravel()
+    values = flux.reshape(*flux.shape[:2], -1, flux.shape[-1]) / projected[:, None]
+    direct = record.direct if record.stacked else record.direct[None]
+    peaks = np.zeros((*flux.shape[:2], flux.shape[-1]))
+    for index, patch in enumerate(_specular_patch(record)):
+        around = _neighbours(patches, int(patch))
+        above = values[index][:, patch] - values[index][:, around].max(axis=1)
+        peaks[index] = np.maximum(above, 0) * projected[patch]
+        if record.has_lower:
+            most = values[index, 1, patch] * projected[patch]
+            peaks[index, 1] = np.clip(direct[index], peaks[index, 1], most)
+    return peaks
+
+
+def _specular_patch(record: Record) -> Any:
+    """Patches of the mirror directions, which are also those straight on."""
+    opposite = direction(np.radians(record.theta_i), np.radians(record.phi_i) + np.pi)
+    return record.subdivision.patch(opposite)
+
+
+def _neighbours(patches: Subdivision, patch: int) -> Any:
+    """Numbers of the patches beyond the edges of one."""
+    low, high, left, right = patches.cells_about_pole()[patch]
+    middle = (low + high) / 2
+    sides = [(middle, left - BEYOND), (middle, right + BEYOND)]
+    ends = [
+        (theta, phi)
+        for theta in (low - BEYOND, high + BEYOND)
+        for phi in np.linspace(left, right, 9)
+        if 0 < theta < np.pi / 2
+    ]
+    around = patches.patch(direction(*np.transpose(sides + ends)))
+    return np.setdiff1d(around, [patch])
+
+
+# ------------------------------------------------------------------------ new patches
+
+
+def resampled(
+    material: Material,
+    hemisphere: int,
+    theta_i: Floats,
+    phi_i: Floats,
+    patches: Subdivision,
+    points: int,
+) -> Floats:
+    """Flux fractions in other patches, ``(n_in, n_patches, channels)``.
+
+    They add up to those of the record, linear in the sine of the polar angle between
+    its incident directions.
 
     Parameters
     ----------
     material : Material
+        Whose peaks are apart.
     hemisphere : {0, 1}
         Reflection or transmission.
+    theta_i, phi_i : ndarray, shape (n_in, points)
+        Incident directions in degrees, over which is averaged.
+    patches : Subdivision
+    points : int
+        Points per side of a patch at which values are asked for.
     """
-    patches = Klems()
-    x, y, z = np.moveaxis(patches.points(POINTS_IN), -1, 0)
-    theta_i = np.degrees(np.arctan2(np.hypot(x, y), z))
-    phi_i = np.degrees(np.arctan2(-y, -x))
-    means = _means(material, hemisphere, theta_i, phi_i, patches.points(POINTS_OUT))
-    return np.swapaxes(means, 0, 1)
+    n_in = theta_i.shape[1]
+    projected = patches.projected_solid_angles.reshape(-1, 1)
+    wo = patches.points(points)
+    fluxes = []
+    n_chunks = -(-theta_i.size * wo[..., 0].size // MOST_VALUES)
+    for chunk in zip(*(np.array_split(a, n_chunks) for a in (theta_i, phi_i))):
+        theta, phi = (angles.ravel() for angles in chunk)
+        flux = projected * _evaluated(material, hemisphere, theta, phi, wo)
+        total, peak = material.totals(hemisphere, theta, phi)
+        found = flux.sum(axis=1)
+        missed = np.any(np.abs(found - total) > MISSED * total, axis=-1)
+        # of all points of an incident patch, or of none
+        missed = np.repeat(missed.reshape(-1, n_in).any(axis=1), n_in)
+        for i in np.flatnonzero(missed):
+            flux[i] = material.carried(hemisphere, theta[i], phi[i], patches)
+        scale = np.where(found > 0, total / np.where(found > 0, found, 1), 0)
+        flux[~missed] *= scale[~missed, None]
+        straight = patches.patch(direction(np.radians(theta), np.radians(phi) + np.pi))
+        flux[np.arange(len(theta)), straight] += peak
+        fluxes.append(flux.reshape(-1, n_in, *flux.shape[1:]).mean(axis=1))
+    return np.concatenate(fluxes)
 
 
-def tensor_grid(material: Material, hemisphere: int, rank: int, size: int) -> Floats:
-    """Means over the cells of a tensor tree's grid in 1/sr, ``(size, ..., channels)``.
-
-    See `tensor_tree`: the half that rank 3 does not use holds the mean of the other.
-
-    Parameters
-    ----------
-    material : Material
-    hemisphere : {0, 1}
-        Reflection or transmission.
-    rank : {3, 4}
-    size : int
-        Cells per axis.
-    """
-    directions = grid_directions(rank, size, CELL_POINTS, CELL_POINTS)
-    means = _means(material, hemisphere, *directions)
-    grid = means.reshape(-1, *[size] * (rank - 1), means.shape[-1])
-    if rank == 4:
-        return grid
-    unused = np.broadcast_to(grid.mean(axis=(0, 1, 2)), grid.shape)
-    return np.concatenate([grid, unused])
-
-
-def _means(
+def _evaluated(
     material: Material, hemisphere: int, theta_i: Floats, phi_i: Floats, wo: Floats
 ) -> Floats:
-    """Means over points of incidence and of exit, ``(n_in, n_out, channels)``.
+    """Means over points of exit in 1/sr, ``(n_in, n_out, channels)``.
 
-    `theta_i` and `phi_i` have the shape ``(n_in, points)``, `wo` ``(n_out, points, 3)``
-    with z > 0.
+    `theta_i` and `phi_i` have the shape ``(n_in,)``, `wo` ``(n_out, points, 3)`` with
+    z > 0.
     """
     n_out, n_points, _ = wo.shape
-    n_in = theta_i.shape[1]
     wo = wo.reshape(-1, 3) * [1, 1, -1 if hemisphere else 1]
-    means = []
-    n_chunks = -(-theta_i.size * len(wo) // MOST_VALUES)
-    for chunk in zip(*(np.array_split(a, n_chunks) for a in (theta_i, phi_i))):
-        theta, phi = (np.repeat(angles, len(wo)) for angles in chunk)
-        values = material.values(theta, phi, np.tile(wo, (chunk[0].size, 1)))
-        values = values.reshape(-1, n_in, n_out, n_points, values.shape[-1])
-        means.append(values.mean(axis=(1, 3)))
-    return np.concatenate(means)
+    theta, phi = (np.repeat(angles, len(wo)) for angles in (theta_i, phi_i))
+    values = material.values(theta, phi, np.tile(wo, (len(theta_i), 1)))
+    return values.reshape(-1, n_out, n_points, values.shape[-1]).mean(axis=2)
 
 
 def half_vector_grid(

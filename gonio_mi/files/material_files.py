@@ -9,16 +9,12 @@ import numpy as np
 from .. import files
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
-from ..collector.klems import THETA_DEG, Klems
 from ..errors import FileFormatError
 from ..results.record import Record
 from .header import require
 from .radiance_bsdf import RadianceBSDF
 
 __all__ = ["PatchMeans", "load_material"]
-
-# Azimuths of incidence at which a Klems matrix is taken: the most that a ring has.
-N_AZIMUTHS = 24
 
 # Half the width in degrees of what stands for an azimuth on an edge of patches.
 NEARLY = 1e-3
@@ -56,7 +52,7 @@ def load_material(
     ----------
     path : str or path
         Ends in ``.npz`` or ``.exr`` for a record; in ``.xml`` for a Radiance BSDF in
-        the Klems full basis.
+        a Klems basis.
     side : {"front", "back"}
         The lit face, where the file holds both.
 
@@ -90,12 +86,15 @@ def _of_klems(bsdf: RadianceBSDF, side: str) -> PatchMeans:
         "matrix of it",
     )
     # the first ring is one patch around the pole
-    middles = np.array([0, *(np.add(THETA_DEG[1:-1], THETA_DEG[2:]) / 2)])
-    azimuths = np.arange(N_AZIMUTHS) * (360 / N_AZIMUTHS)
+    patches = bsdf.basis
+    edges = patches.theta_deg
+    middles = np.array([0, *(np.add(edges[1:-1], edges[2:]) / 2)])
+    # as many as the ring that has most
+    n = max(patches.n_phi)
+    azimuths = np.arange(n) * (360 / n)
     theta_i, phi_i = (a.ravel() for a in np.meshgrid(middles, azimuths, indexing="ij"))
     held = [h for h in (0, 1) if bsdf.holds(side, h)]
     require(bool(held), f"it holds no light that meets its {side}")
-    patches = Klems()
     theta_o, phi_o = patches.middles
     wo = direction(theta_o[:, 0], phi_o[:, 0])
     shape = len(theta_i), max(held) + 1, *patches.shape, len(bsdf.channels)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..array_types import Floats
-from ..collector.klems import Klems
 from . import radiance_xml, tensor_tree
 from .header import require
 from .tensor_tree import TensorTree
@@ -33,7 +32,7 @@ WHITE = (4 / 19, 9 / 19)
 
 
 def matrices(values: Floats, direction: str) -> dict[tuple[str, str], Floats]:
-    """Blocks of a Klems matrix ``(145, 145, channels)`` in one direction."""
+    """Blocks of a Klems matrix ``(n, n, channels)`` in one direction."""
     if values.shape[-1] == 1:
         return {("Visible", direction): values[..., 0]}
     xyz = values @ XYZ.T
@@ -71,6 +70,8 @@ class RadianceBSDF:
         ``("Y",)`` or ``("R", "G", "B")``.
     rank : {None, 3, 4}
         Of tensor trees; None for Klems matrices.
+    basis : Klems
+        Of the matrices; None for tensor trees.
 
     Raises
     ------
@@ -80,15 +81,22 @@ class RadianceBSDF:
 
     def __init__(self, stream: BinaryIO) -> None:
         self.blocks: dict[tuple[str, str], Any] = radiance_xml.read(stream)
-        first = next(iter(self.blocks.values()))
-        self.rank = first.rank if isinstance(first, TensorTree) else None
+        first: Any = next(iter(self.blocks.values()))
+        tree = isinstance(first, TensorTree)
+        self.rank = first.rank if tree else None
+        self.basis: Any = None if tree else radiance_xml.basis_of(first)
         self._names: tuple[str, ...] = MATRIX_NAMES if self.rank is None else TREE_NAMES
         held = {name for name, _ in self.blocks}
         coloured = held >= set(self._names)
         if not coloured:
             self._names = ("Visible",)
         self.channels = ("R", "G", "B") if coloured else ("Y",)
-        for _, direction in self.blocks:
+        if self.rank is None:
+            sizes = {len(block) for block in self.blocks.values()}
+            require(len(sizes) == 1, "its matrices are of several bases")
+        for wavelength, direction in self.blocks:
+            if wavelength == "Solar":
+                continue
             missing = [n for n in self._names if (n, direction) not in self.blocks]
             require(not missing, f"its {direction} lacks {', '.join(missing)}")
 
@@ -120,8 +128,8 @@ class RadianceBSDF:
         direction = radiance_xml.DIRECTIONS[side, hemisphere]
         blocks = [self.blocks[name, direction] for name in self._names]
         if self.rank is None:
-            rows = Klems().patch(wo * [1, 1, 0] + np.abs(wo) * [0, 0, 1])
-            columns = radiance_xml.incident_patch(theta_i, phi_i)
+            rows = self.basis.patch(wo * [1, 1, 0] + np.abs(wo) * [0, 0, 1])
+            columns = radiance_xml.incident_patch(theta_i, phi_i, self.basis)
             parts = np.stack([block[rows, columns] for block in blocks], axis=-1)
         else:
             points = tensor_tree.coordinates(self.rank, theta_i, phi_i, wo)

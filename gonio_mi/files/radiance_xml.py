@@ -7,6 +7,7 @@ patch by the azimuth of flight; matrices are rows of exit and columns of inciden
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import BinaryIO
 from xml.sax.saxutils import escape
 
@@ -14,14 +15,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..array_types import Floats, Integers
-from ..collector.klems import N_PHI, THETA_DEG, Klems
+from ..collector.hemisphere import Subdivision
+from ..collector.klems import Klems
 from ..errors import FileFormatError
 from .header import require, size_of
 from .numbers import decimal
 from .tensor_tree import TensorTree
 
-__all__ = ["DIRECTIONS", "incident_patch", "read", "write"]
+__all__ = ["DIRECTIONS", "Product", "basis_of", "incident_patch", "read", "write"]
 
+BASES = {
+    f"LBNL/Klems {size.capitalize()}": Klems(size)
+    for size in ("full", "half", "quarter")
+}
 KLEMS = "LBNL/Klems Full"
 SHIRLEY_CHIU = "LBNL/Shirley-Chiu"
 
@@ -37,19 +43,75 @@ DIRECTIONS = {
 }
 
 # CIE component of each block, and the detector that WINDOW names: colour-matching
-# functions for matrices, u' and v' of CIE 1976 for trees.
-WAVELENGTHS = {"Visible": "Y", "CIE-X": "X", "CIE-Z": "Z", "CIE-u": "u", "CIE-v": "v"}
+# functions for matrices, u' and v' of CIE 1976 for trees; and the whole of sunlight,
+# which Radiance passes over.
+DETECTORS = {
+    "Visible": "ASTM E308 1931 Y.dsp",
+    "CIE-X": "ASTM E308 1931 X.dsp",
+    "CIE-Z": "ASTM E308 1931 Z.dsp",
+    "CIE-u": "ASTM E308 1931 u.dsp",
+    "CIE-v": "ASTM E308 1931 v.dsp",
+    "Solar": "None",
+}
 
 # Longest file read: a hundred times what 12 matrices need.
 MOST_BYTES = 2**29
 
 
-def incident_patch(theta_i: ArrayLike, phi_i: ArrayLike) -> Integers:
-    """Columns of incident directions in degrees, `theta_i` from the lit normal."""
+@dataclass(frozen=True)
+class Product:
+    """What the file says of the product, beside its light.
+
+    Attributes
+    ----------
+    name, manufacturer : str
+    thickness, width, height : float, optional
+        In metres.
+    """
+
+    name: str = "gonio-mi"
+    manufacturer: str = "gonio-mi"
+    thickness: float | None = None
+    width: float | None = None
+    height: float | None = None
+
+    def text(self) -> str:
+        """Elements of the file."""
+        sizes = {
+            "Thickness": self.thickness,
+            "Width": self.width,
+            "Height": self.height,
+        }
+        lines = [
+            f"<Name>{escape(self.name)}</Name>",
+            f"<Manufacturer>{escape(self.manufacturer)}</Manufacturer>",
+            *(
+                f'<{key} unit="meter">{value:.7g}</{key}>'
+                for key, value in sizes.items()
+                if value is not None
+            ),
+            "<DeviceType>Other</DeviceType>",
+        ]
+        return "\n".join(lines)
+
+
+def basis_of(matrix: Floats) -> Klems:
+    """Klems basis of a matrix ``(n, n)``, by its size."""
+    return next(basis for basis in BASES.values() if basis.n_patches == len(matrix))
+
+
+def incident_patch(
+    theta_i: ArrayLike, phi_i: ArrayLike, basis: Subdivision | None = None
+) -> Integers:
+    """Columns of incident directions in degrees, `theta_i` from the lit normal.
+
+    Of the Klems full basis unless other patches are given.
+    """
     theta, phi = np.radians(theta_i), np.radians(phi_i) + math.pi
     sine = np.sin(theta)
     flight = [sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)]
-    return Klems().patch(np.stack(np.broadcast_arrays(*flight), axis=-1))
+    basis = Klems() if basis is None else basis
+    return basis.patch(np.stack(np.broadcast_arrays(*flight), axis=-1))
 
 
 # ----------------------------------------------------------------------------- writing
@@ -58,25 +120,25 @@ def incident_patch(theta_i: ArrayLike, phi_i: ArrayLike) -> Integers:
 def write(
     blocks: Mapping[tuple[str, str], Floats | TensorTree],
     stream: BinaryIO,
-    name: str = "gonio-mi",
+    product: Product | None = None,
 ) -> None:
     """Write a BSDF as Radiance reads it.
 
     Parameters
     ----------
     blocks : dict
-        By ``(wavelength, direction)``, of :data:`WAVELENGTHS` and the values of
-        :data:`DIRECTIONS`: arrays ``(145, 145)`` of BRDF or BTDF in 1/sr, exit patches
-        times incident ones, or trees of one rank.
+        By ``(wavelength, direction)``, of :data:`DETECTORS` and the values of
+        :data:`DIRECTIONS`: arrays ``(n, n)`` of BRDF or BTDF in 1/sr, exit patches
+        times incident ones of a Klems basis, or trees of one rank.
     stream : binary stream
-    name : str
-        Of the material.
+    product : Product, optional
     """
     first = next(iter(blocks.values()))
     if isinstance(first, TensorTree):
         definition = _structure(f"TensorTree{first.rank}")
     else:
-        definition = _structure("Columns") + _klems_basis()
+        definition = _structure("Columns") + _klems_basis(basis_of(first))
+    product = product or Product()
     stream.write(
         f"""<?xml version="1.0" encoding="UTF-8"?>
 <WindowElement xmlns="http://windows.lbl.gov"
@@ -87,9 +149,7 @@ def write(
 <Optical>
 <Layer>
 <Material>
-<Name>{escape(name)}</Name>
-<Manufacturer>gonio-mi</Manufacturer>
-<DeviceType>Other</DeviceType>
+{product.text()}
 </Material>
 <DataDefinition>
 {definition}</DataDefinition>
@@ -104,14 +164,19 @@ def _structure(name: str) -> str:
     return f"<IncidentDataStructure>{name}</IncidentDataStructure>\n"
 
 
-def _klems_basis() -> str:
+def _name_of(basis: Klems) -> str:
+    return next(name for name, one in BASES.items() if one == basis)
+
+
+def _klems_basis(basis: Klems) -> str:
+    edges = basis.theta_deg
     rings = "".join(
         f"<AngleBasisBlock><Theta>{(low + high) / 2 if low else 0:g}</Theta>"
         f"<nPhis>{n}</nPhis><ThetaBounds><LowerTheta>{low}</LowerTheta>"
         f"<UpperTheta>{high}</UpperTheta></ThetaBounds></AngleBasisBlock>\n"
-        for low, high, n in zip(THETA_DEG, THETA_DEG[1:], N_PHI)
+        for low, high, n in zip(edges, edges[1:], basis.n_phi)
     )
-    name = f"<AngleBasisName>{KLEMS}</AngleBasisName>"
+    name = f"<AngleBasisName>{_name_of(basis)}</AngleBasisName>"
     return f"<AngleBasis>\n{name}\n{rings}</AngleBasis>\n"
 
 
@@ -120,9 +185,10 @@ def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
         basis = f"<AngleBasis>{SHIRLEY_CHIU}</AngleBasis>"
         text = block.text()
     else:
+        name = _name_of(basis_of(block))
         basis = (
-            f"<ColumnAngleBasis>{KLEMS}</ColumnAngleBasis>\n"
-            f"<RowAngleBasis>{KLEMS}</RowAngleBasis>"
+            f"<ColumnAngleBasis>{name}</ColumnAngleBasis>\n"
+            f"<RowAngleBasis>{name}</RowAngleBasis>"
         )
         text = "\n".join(" ".join(f"{v:.7g}" for v in row) for row in block) + "\n"
     kind = "BRDF" if "Reflection" in direction else "BTDF"
@@ -130,7 +196,7 @@ def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
 <LayerNumber>System</LayerNumber>
 <Wavelength unit="Integral">{wavelength}</Wavelength>
 <SourceSpectrum>CIE Illuminant D65 1nm.ssp</SourceSpectrum>
-<DetectorSpectrum>ASTM E308 1931 {WAVELENGTHS[wavelength]}.dsp</DetectorSpectrum>
+<DetectorSpectrum>{DETECTORS[wavelength]}</DetectorSpectrum>
 <WavelengthDataBlock>
 <WavelengthDataDirection>{direction}</WavelengthDataDirection>
 {basis}
@@ -146,7 +212,7 @@ def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
 
 
 def read(stream: BinaryIO) -> dict[tuple[str, str], Floats | TensorTree]:
-    """Read a Radiance file in the Klems full basis, or of tensor trees.
+    """Read a Radiance file in a Klems basis, or of tensor trees.
 
     Returns
     -------
@@ -168,7 +234,7 @@ def read(stream: BinaryIO) -> dict[tuple[str, str], Floats | TensorTree]:
     blocks = {}
     for data in root.iter("WavelengthData"):
         wavelength = data.findtext("Wavelength", "").strip()
-        if wavelength in WAVELENGTHS:
+        if wavelength in DETECTORS:
             for block in data.iter("WavelengthDataBlock"):
                 direction = block.findtext("WavelengthDataDirection", "").strip()
                 require(
@@ -220,9 +286,15 @@ def _data(
     if structure in RANKS:
         _check_basis(block, "AngleBasis", SHIRLEY_CHIU)
         return TensorTree.parsed(text, RANKS[structure])
-    for basis in ("ColumnAngleBasis", "RowAngleBasis"):
-        _check_basis(block, basis, KLEMS)
-    n = sum(N_PHI)
+    known = ", ".join(BASES)
+    tags = "ColumnAngleBasis", "RowAngleBasis"
+    names = {block.findtext(tag, "").strip() for tag in tags}
+    require(
+        len(names) == 1 and names <= BASES.keys(),
+        f"its ColumnAngleBasis and RowAngleBasis must be one of {known}, got "
+        f"{' and '.join(sorted(names))!r:.80}",
+    )
+    n = BASES[names.pop()].n_patches
     words = text.replace(",", " ").split()
     require(
         len(words) == n * n, f"{direction} must hold {n * n} values, got {len(words)}"

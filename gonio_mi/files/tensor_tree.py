@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..array_types import Floats
+from ..collector.shirley_chiu import directions_of, square_of
 from ..errors import FileFormatError
 from .header import require
 from .numbers import decimal
-from .shirley_chiu import directions_of, square_of
 
 __all__ = ["TensorTree", "coordinates", "grid_directions"]
 

@@ -28,6 +28,7 @@ from ..errors import (
 )
 from ..progress import bar
 from ..results.record import Record
+from ..settings.parsed import checked_incident
 from ..transport.digest import specimen_digest
 from ..transport.plugin_digest import file_digest, plugins_digest
 from ..transport.specimen import Specimen
@@ -73,6 +74,7 @@ def campaign(
         By name, what :func:`measure` takes; for other processes a dictionary or a path.
     theta_i, phi_i : float or sequence of float
         In degrees: all azimuths for the first angle, then for the second, and so on.
+        None for all patches of the setting `incident`.
     executor : concurrent.futures.Executor or int, optional
         Where to measure: that many processes on this machine (scripts need the usual
         ``if __name__ == "__main__":``), or any executor such as Dask's
@@ -115,7 +117,8 @@ def campaign(
             "specimens must be a dictionary with at least one entry, "
             f"got {shown(specimens)}"
         )
-    incidents, _ = incident_angles(theta_i, phi_i)
+    patches = checked_incident("incident", settings.get("incident"))
+    incidents, _ = incident_angles(theta_i, phi_i, patches)
     if None in incidents:
         raise SettingError("theta_i must be given for a campaign, got None")
     if isinstance(executor, int):

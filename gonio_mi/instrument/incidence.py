@@ -19,8 +19,18 @@ from .loading import loaded
 __all__ = ["emitter_scene", "incident_angles", "incident_key", "described_digest"]
 
 
-def incident_angles(theta_i: Any, phi_i: Any) -> tuple[list[Any], bool]:
-    """List of ``(theta_i, phi_i)`` in degrees, or ``[None]``; whether it is a stack."""
+def incident_angles(
+    theta_i: Any, phi_i: Any, patches: Any = None
+) -> tuple[list[Any], bool]:
+    """List of ``(theta_i, phi_i)`` in degrees, or ``[None]``; whether it is a stack.
+
+    Without `theta_i` they are the middles of `patches`, a Subdivision, if there are.
+    """
+    if theta_i is None and patches is not None:
+        if np.any(phi_i):
+            raise SettingError(f"phi_i goes with theta_i, got {shown(phi_i)} without")
+        middles = np.degrees([angle.ravel() for angle in patches.middles])
+        return [(theta, phi % 360.0) for theta, phi in middles.T.tolist()], True
     if theta_i is None:
         return [None], False
     stacked = np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0

@@ -134,7 +134,8 @@ class Instrument:
             check_covered([emitter], self.wavelengths)
         nm = self.wavelengths if mi.is_spectral else None
         footprint, divergence = self.settings.footprint, self.settings.divergence
-        return Beam(specimen, emitter, footprint, emission, nm, divergence)
+        incident = self.settings.incident
+        return Beam(specimen, emitter, footprint, emission, nm, divergence, incident)
 
     def tallies(
         self,

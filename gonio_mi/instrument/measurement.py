@@ -58,7 +58,7 @@ def measure_here(
     given = {name: value for name, value in given.items() if value is not None}
     asked = MeasurementSettings().changed(**given)  # refused before anything is loaded
     _check_together(given, asked, theta_i, phi_i, emitter)
-    incidents, stacked = incident_angles(theta_i, phi_i)
+    incidents, stacked = incident_angles(theta_i, phi_i, asked.incident)
     scene, settings = _prepared(specimen, parameters, given, resume)
     instrument = Instrument(settings, sampler_of(settings))
     measured = Specimen(scene, settings.period)
@@ -127,7 +127,15 @@ def _check_together(
             "wavelengths need a spectral variant, such as llvm_ad_spectral, "
             f"got {mi.variant()}"
         )
-    if theta_i is None and emitter is None and (asked.side != "front" or np.any(phi_i)):
+    patches = asked.incident
+    if patches is not None and (emitter is not None or asked.divergence):
+        other = "divergence" if asked.divergence else "emitter"
+        raise SettingError(
+            f"incident goes without {other}: it says which directions a beam has, "
+            f"got {patches!s:.40}"
+        )
+    nothing = theta_i is None and emitter is None and patches is None
+    if nothing and (asked.side != "front" or np.any(phi_i)):
         raise SettingError(
             "side and phi_i go with theta_i: without it the scene's emitter decides "
             f"where light comes from, got side {asked.side} and phi_i {phi_i}"

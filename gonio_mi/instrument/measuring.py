@@ -95,7 +95,7 @@ def measure(
     done = campaign(
         {"specimen": specimen}, theta_i, phi_i, **where, **others, **settings
     )
-    stacked = np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0
+    stacked = theta_i is None or np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0
     return done["specimen"] if stacked else done["specimen"][0]
 
 

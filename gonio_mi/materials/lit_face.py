@@ -270,6 +270,42 @@ class LitFace:
         share = (coordinate - at(begins, index, start)) / slope
         return at(begins, index, to) + share * new_slope, index, new_slope / slope
 
+    def carried(
+        self, wi: mi.Vector3f, point: mi.Point2f, hemisphere: int
+    ) -> list[tuple[mi.UInt32, mi.Float64, mi.Vector3f]]:
+        """Where points of the records' lobes are for other incident directions.
+
+        Parameters
+        ----------
+        wi : mi.Vector3f
+            Incident direction of each lane.
+        point : mi.Point2f
+            Point of the unit disk, as seen from +z, at which a record has light.
+        hemisphere : {0, 1}
+
+        Returns
+        -------
+        list of (row, share, wo)
+            For each of the records that make the lobe at `wi`: its number among those
+            of all azimuths and polar angles; its share, which add up to 1; and where
+            the point is moved.
+        """
+        phi_i = self._azimuth_of_incidence(wi)
+        number, up = mi.UInt32(hemisphere), mi.Bool(hemisphere == 0)
+        parts = []
+        for place in self._places(wi, phi_i):
+            own = _read(self.arrays.phi_i, place.azimuth)
+            height = dr.safe_sqrt(1 - dr.squared_norm(point))
+            start = _point(mi.Vector3f(point.x, point.y, height), own)
+            for end, row in enumerate(place.rows):
+                moved = start
+                if self.n_angles > 1:
+                    at = mi.Float64(end)
+                    moved, _ = self._moved(place, number, start, at, place.t)
+                share = place.weight * (place.t if end else 1 - place.t)
+                parts.append((row, share, _direction(moved, phi_i, up)))
+        return parts
+
     # ------------------------------------------------------------------------- sampling
 
     def sample(

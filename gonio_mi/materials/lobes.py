@@ -22,7 +22,7 @@ from ..collector import RingsAndSectors
 from ..errors import SettingError
 from ..results.record import Record
 
-__all__ = ["LobeTable"]
+__all__ = ["LobeTable", "incident_grid"]
 
 Floats = NDArray[np.float64]
 
@@ -107,7 +107,7 @@ class LobeTable:
         flux = record.flux_fraction if record.stacked else record.flux_fraction[None]
         if not np.isfinite(flux).all():
             raise SettingError("the record must have incident light in all its stack")
-        theta_i, phi_i, flux = _grid(record, flux)
+        theta_i, phi_i, flux = incident_grid(record, flux)
         if mixture is not None:
             flux = flux @ np.asarray(mixture, dtype=float)[:, None]
         n_azimuths, n_angles, n_hemispheres = flux.shape[:3]
@@ -147,8 +147,14 @@ class LobeTable:
         )
 
 
-def _grid(record: Record, flux: Floats) -> tuple[Floats, Floats, Floats]:
-    """Sorted angles of incidence in degrees, and flux ``(P, N, H, ..., channels)``."""
+def incident_grid(record: Record, flux: Floats) -> tuple[Floats, Floats, Floats]:
+    """Sorted angles of incidence in degrees, and `flux` ``(P, N, ...)`` at them.
+
+    Raises
+    ------
+    ValueError
+        If the incident directions are unknown, no grid, or too far apart in azimuth.
+    """
     if not np.isfinite([record.theta_i, record.phi_i]).all():
         raise SettingError("the record must know its incident directions, got NaN")
     theta_i, of_theta = _levels(record.theta_i)

@@ -21,7 +21,8 @@ def check_integrable(
     at_point = settings.footprint == "point"
     needs = {
         "a single flat rectangle": plane is not None and not settings.trace,
-        "a collimated beam": bench.beam.collimated and not settings.divergence,
+        "a collimated beam": bench.beam.collimated
+        and not (settings.divergence or settings.incident),
         "a collector in the far field": not bench.collector.radius,
         "a collector of rings and sectors": bench.collector.subdivision.axes is None,
         "the order all": settings.order == ALL_ORDERS,

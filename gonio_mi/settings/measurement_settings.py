@@ -13,6 +13,7 @@ from .parsed import (
     Period,
     checked_flag,
     checked_footprint,
+    checked_incident,
     checked_period,
     checked_wavelengths,
     choice,
@@ -199,6 +200,21 @@ class MeasurementSettings:
         group=LIGHT,
         metavar="DEG",
         plugin=INTEGRATOR,
+    )
+    incident: Subdivision | None = setting(
+        None,
+        checked_incident,
+        Kind.WORD,
+        "Patches of incidence, named as those of the collector: the directions of a "
+        "collimated beam fill the patch that holds its own, the same power in each "
+        "projected solid angle. Without `theta_i` every patch is measured, in its "
+        "order.",
+        group=LIGHT,
+        metavar="klems|KIND:NTxNP",
+        form="str or Subdivision",
+        plugin=INTEGRATOR,
+        text=lambda value: "none" if value is None else str(value),
+        shown_default="none",
     )
     emission: str = setting(
         "radiometric",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..collector import Subdivision, subdivision
 from ..errors import (
     SettingError,
     SettingTypeError,
@@ -22,6 +23,7 @@ __all__ = [
     "WORST_WAVELENGTHS",
     "checked_flag",
     "checked_footprint",
+    "checked_incident",
     "checked_period",
     "checked_wavelengths",
     "choice",
@@ -75,6 +77,22 @@ def checked_footprint(label: str, value: object) -> str | float:
     if radius == 0:
         raise SettingError(f"{label} must be {condition}, got {shown(value)}")
     return radius
+
+
+def checked_incident(label: str, value: object) -> Subdivision | None:
+    """Patches of incidence from their name; None for ``"none"``."""
+    if value is None or value == "none":
+        return None
+    try:
+        patches = subdivision(value)  # type: ignore[arg-type]
+    except (SettingError, SettingTypeError) as error:
+        raise type(error)(str(error).replace("collector", label, 1)) from None
+    if patches.axes is not None:
+        raise SettingError(
+            f"{label} must be patches about one pole, such as klems, got "
+            f"{shown(str(patches))}"
+        )
+    return patches
 
 
 def checked_period(label: str, value: object) -> Period:

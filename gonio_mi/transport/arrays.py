@@ -29,6 +29,8 @@ def _take(table: Numbers, index: mi.Float) -> mi.Float:
 # See gonio_mi.collector.Subdivision.patch_index.
 DRJIT = SimpleNamespace(
     sqrt=dr.sqrt,
+    sin=dr.sin,
+    cos=dr.cos,
     atan2=dr.atan2,
     floor=dr.floor,
     ceil=dr.ceil,

@@ -9,8 +9,10 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats, Numbers
+from ..collector import Subdivision
 from ..collector.directions import angles
 from ..errors import SpecimenError
+from .arrays import DRJIT
 from .specimen import Specimen
 from .wavelengths import passes, wavelength_lanes
 
@@ -18,6 +20,10 @@ __all__ = ["Beam"]
 
 # Points, along each of two sides, from which the mean power of a beam is taken.
 N_GRID = 128
+
+# Part of a patch of incidence at its borders that is left out: more than what counts as
+# on them, so that light that goes straight on stays in one patch.
+OFF_BORDERS = 2.0**-14
 
 # How much brighter than the footprint's middle the spot under an emitter may be, and
 # at most than the unit of power: far less than what the tally's sums hold of one ray.
@@ -46,6 +52,10 @@ class Beam:
     divergence : float
         Half angle in degrees of the cone about the direction of a collimated beam that
         its rays come from, uniformly in solid angle and all of the same power.
+    incident : Subdivision, optional
+        Patches of incidence, about the normal of the lit face: the directions of a
+        collimated beam fill the one that holds its own, uniformly in projected solid
+        angle and all of the same power.
 
     Raises
     ------
@@ -62,6 +72,7 @@ class Beam:
         emission: str,
         nm: tuple[float, ...] | None = None,
         divergence: float = 0.0,
+        incident: Subdivision | None = None,
     ) -> None:
         self.specimen = specimen
         self.emitter = emitter
@@ -84,6 +95,8 @@ class Beam:
             # 1 - cos, to the last bit for narrow cones too
             self._cap = mi.Float(2 * np.sin(np.radians(divergence) / 2) ** 2)
             dr.make_opaque(self._cap)
+        self.incident: Any = incident
+        self._frame = None if incident is None else self._frame_of(incident)
         self._reference = None if self.uniform else self._unit_power(nm)
 
     @property
@@ -124,7 +137,11 @@ class Beam:
         """
         p = self._point(sampler)
         if self.collimated:
-            wi = self._diverging(sampler.next_2d()) if self.divergence else self._wi
+            wi = self._wi
+            if self.divergence:
+                wi = self._diverging(sampler.next_2d())
+            elif self._frame is not None:
+                wi = self._filling(sampler.next_2d())
             return p, wi, mi.Float(dr.inf), mi.Spectrum(1.0)
         wi, distance, weight = self._towards(p, sampler.next_2d(), wavelengths)
         return p, wi, distance, weight / self._reference
@@ -149,6 +166,24 @@ class Beam:
         sin, cos = dr.sincos(2 * dr.pi * sample.y)
         local = mi.Vector3f(sine * cos, sine * sin, 1 - height)
         return dr.normalize(mi.Frame3f(self._wi).to_world(local))
+
+    def _frame_of(self, patches: Subdivision) -> list[mi.Float]:
+        """Patch that holds the nominal direction, for :meth:`_filling`."""
+        if not self.collimated:
+            raise SpecimenError(
+                "incident must be none for light that is not collimated, got "
+                f"{patches!s:.40}"
+            )
+        frame = patches.frame_of(int(patches.patch(self.direction)))
+        numbers = [mi.Float(x) for x in frame]
+        dr.make_opaque(*numbers)
+        return numbers
+
+    def _filling(self, sample: mi.Point2f) -> mi.Vector3f:
+        """Directions that fill a patch, uniformly in projected solid angle."""
+        sample = OFF_BORDERS + (1 - 2 * OFF_BORDERS) * sample
+        x, y, z = self.incident.drawn(DRJIT, self._frame, sample.x, sample.y)
+        return mi.Vector3f(x, y, self.side * z)
 
     def _point(self, sampler: mi.Sampler) -> mi.Point3f:
         """Points of the footprint."""

@@ -1,0 +1,143 @@
+"""``gonio-mi bsdf``: write the BSDF file of a window layer, blind or film.
+
+Measure all that a Radiance BSDF file says of a specimen, and write it: reflection and
+transmission of both sides, each incident patch averaged over the patch, in the file's
+own patches. The specimen's face to +z looks outdoors, and its +y is up.
+"""
+
+import sys
+import time
+from argparse import ArgumentParser, Namespace
+
+from ..errors import SettingError
+from ..files import check_output
+from ..files.radiance_xml import Product
+from ..results.record import Record
+from .arguments import (
+    DONE,
+    INCOMPLETE,
+    add_scene_options,
+    add_specimen,
+    number,
+    specimen_of,
+    tell,
+)
+from .setting_options import add_setting, given_settings
+
+__all__ = ["add_options", "run"]
+
+USAGE = "%(prog)s SPECIMEN -o FILE.xml [options]"
+
+EXAMPLES = """\
+examples:
+  gonio-mi bsdf blind.xml --period box --rel-err 0.01 -o blind_klems.xml
+  gonio-mi bsdf slat.obj --unit mm --up y --period 25,25 \\
+      --bsdf diffuse:reflectance=0.7 -o blind.xml
+  gonio-mi bsdf roughdielectric:alpha=0.1 --basis tensor3 -o film.xml
+  gonio-mi bsdf diffuse:reflectance=0.7 --solar diffuse:reflectance=0.6 -o both.xml
+"""
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
+    add_specimen(parser)
+    group = parser.add_argument_group("file")
+    group.add_argument(
+        "-o", "--output", required=True, metavar="FILE", help="ends in .xml"
+    )
+    group.add_argument(
+        "--basis",
+        default="klems",
+        choices=("klems", "klems-half", "klems-quarter", "tensor3", "tensor4"),
+        help="145, 77 or 41 patches of Klems in each hemisphere, or a tensor tree, of "
+        "rank 3 for isotropic specimens (default: klems)",
+    )
+    group.add_argument(
+        "--cells",
+        type=number,
+        metavar="N",
+        help="cells per axis of a tensor tree, a power of two (default: 32 or 16)",
+    )
+    group.add_argument(
+        "--solar",
+        metavar="SPECIMEN",
+        help="the specimen with what it does to all sunlight, for the block Solar",
+    )
+    _add_product(parser.add_argument_group("product", "what else the file states"))
+    method = parser.add_argument_group("method")
+    for name in ("rays", "rel_err", "max_rays", "batches", "sampler", "seed"):
+        add_setting(method, name)
+    add_setting(method, "estimator")
+    light = parser.add_argument_group("light and events on the surface")
+    for name in ("footprint", "wavelengths", "max_depth", "rr_depth", "period"):
+        add_setting(light, name)
+    add_scene_options(parser.add_argument_group("scene"))
+    parser.add_argument(
+        "-q", "--quiet", action="store_true", help="no numbers and no progress bar"
+    )
+
+
+def _add_product(group: object) -> None:
+    """Add the options of the product."""
+    add = group.add_argument  # type: ignore[attr-defined]
+    add("--name", help="of the product (default: the specimen's)")
+    add("--manufacturer", default="gonio-mi", help="default: gonio-mi")
+    for name in ("thickness", "width", "height"):
+        add(f"--{name}", type=number, metavar="M", help="in metres")
+
+
+def run(options: Namespace) -> int:
+    """Measure, write, and return the exit code."""
+    check_output(options.output, (".xml",))
+    sizes = {name: _size(options, name) for name in ("thickness", "width", "height")}
+    specimen, parameters = specimen_of(options.specimen, options)
+    solar = None
+    if options.solar is not None:
+        solar, _ = specimen_of(options.solar, options)
+    from ..exports.bsdf_file import bsdf, hemispherical
+
+    product = Product(options.name or options.specimen, options.manufacturer, **sizes)
+    started = time.perf_counter()
+    records = bsdf(
+        specimen,
+        options.output,
+        options.basis,
+        solar=solar,
+        product=product,
+        cells=options.cells,
+        parameters=parameters,
+        progress=not options.quiet and sys.stderr.isatty(),
+        **given_settings(options),
+    )
+    seconds = time.perf_counter() - started
+    if not options.quiet:
+        for name, record in records.items():
+            tell(_line(name, record, hemispherical(record)))
+        rays = sum(record.ledger.emitted for record in records.values())
+        tell(f"{options.output}: {options.basis}, {rays:.3g} rays, {seconds:.0f} s")
+    return INCOMPLETE if any(map(_is_imprecise, records.values())) else DONE
+
+
+def _size(options: Namespace, name: str) -> float | None:
+    """Size of the product in metres."""
+    value = getattr(options, name)
+    if value is not None and not 0 < value < 1e6:
+        raise SettingError(f"--{name} must be a positive number of metres, got {value}")
+    return None if value is None else float(value)
+
+
+def _line(name: str, record: Record, means: tuple[float, float]) -> str:
+    """What a side does to light along the normal and to diffuse light."""
+    normal = int(record.theta_i.argmin())
+    dht = 0.0 if record.dht is None else record.dht[normal].mean()
+    words = f"{name}: along the normal reflected {record.dhr[normal].mean():.4f}, "
+    words += f"transmitted {dht:.4f}"
+    if record.ledger.direct:
+        words += f" ({record.direct[normal].mean():.4f} directly)"
+    return f"{words}; of diffuse light {means[0]:.4f} and {means[1]:.4f}"
+
+
+def _is_imprecise(record: Record) -> bool:
+    """Whether a precision was asked for and not reached."""
+    asked = record.settings.get("rel_err")
+    return asked is not None and record.settings.get("reached", 0) > asked
