@@ -12,11 +12,14 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.collector.klems import Klems
 from gonio_mi.collector.shirley_chiu import directions_of, square_of
 from gonio_mi.errors import FileFormatError
-from gonio_mi.exports import exporting, radiance_export, resampling
+from gonio_mi.exports import exporting, radiance_export
 from gonio_mi.exports.radiance_export import BASES
 from gonio_mi.files import radiance_xml, tensor_tree
 from gonio_mi.files.radiance_bsdf import XYZ, RadianceBSDF, matrices, trees
 from gonio_mi.files.tensor_tree import TensorTree
+
+# Most records here are of one side, and their files say so.
+pytestmark = pytest.mark.filterwarnings("ignore:the file describes light from")
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -33,8 +36,8 @@ DIGITS = 5e-6
 @pytest.fixture
 def coarse(monkeypatch):
     """Small files: average over fewer points of each Klems patch, in larger cells."""
-    monkeypatch.setattr(resampling, "POINTS_OUT", 2)
-    monkeypatch.setattr(resampling, "POINTS_IN", 1)
+    monkeypatch.setattr(radiance_export, "POINTS_OUT", 2)
+    monkeypatch.setattr(radiance_export, "POINTS_IN", 1)
     monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 16, 4: 8})
 
 
@@ -51,12 +54,13 @@ def glossy():
 @pytest.mark.usefixtures("mono", "coarse")
 def test_a_lambertian_is_one_value():
     """Of Klems patches, and of the cells of trees, which become one."""
-    material = resampling.Material(synthetic.lambertian())
-    matrix = resampling.klems_matrix(material, 0)
-    assert (np.abs(matrix - 0.5 / np.pi) <= 64 * EPS).all()
-    for rank in (3, 4):
-        grid = resampling.tensor_grid(material, 0, rank, 8)
-        tree = trees(grid, "Reflection Back")["Visible", "Reflection Back"]
+    for basis, rank in (("klems", None), ("klems-quarter", None), ("tensor3", 3)):
+        side = radiance_export.Side(synthetic.lambertian(), basis)
+        block = side.blocks()["Visible", "Reflection Back"]
+        if rank is None:
+            assert (np.abs(block - 0.5 / np.pi) <= 64 * EPS).all()
+            continue
+        tree = block
         assert tree.root.shape == (1,) * rank
         assert abs(tree.root.item() - 0.5 / np.pi) <= 64 * EPS
 
@@ -284,7 +288,8 @@ def test_radiance_matrices_come_back():
         (b"<WindowElement ", b'<!DOCTYPE x [<!ENTITY a "b">]><WindowElement ', "DTD"),
         (b"WindowElement", b"Elsewhere", "no WindowElement"),
         (b"Columns", b"TensorTree2", "must be Columns, Rows, TensorTree3, TensorTree4"),
-        (b"LBNL/Klems Full<", b"LBNL/Klems Half<", "must be LBNL/Klems Full"),
+        (b"LBNL/Klems Full<", b"LBNL/Klems Half<", "must hold 5929 values"),
+        (b"<RowAngleBasis>LBNL/Klems Full<", b"<RowAngleBasis>x<", "must be one of"),
         (b"0.25 ", b"", "must hold 21025 values, got"),
         (b"0.25 ", b"nan ", "not finite"),
         (b"0.25 ", b"x ", "must be a number, got"),

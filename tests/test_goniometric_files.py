@@ -9,12 +9,15 @@ from test_goniometric import EPS, IMPORTANCE, ROUNDING, interaction, isotropic, 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.collector.klems import Klems
-from gonio_mi.exports import exporting, measured_export, radiance_export, resampling
+from gonio_mi.exports import exporting, measured_export, radiance_export
 from gonio_mi.files import radiance_xml
 from gonio_mi.files.material_files import load_material
 
 # Not in their order.
 CHANNELS = ("500nm", "400nm", "650nm")
+
+# Most records here are of one side, and their files say so.
+pytestmark = pytest.mark.filterwarnings("ignore:the file describes light from")
 
 
 def material(path, **parameters):
@@ -24,8 +27,8 @@ def material(path, **parameters):
 @pytest.fixture
 def coarse(monkeypatch):
     """Average over fewer points of each Klems patch."""
-    monkeypatch.setattr(resampling, "POINTS_OUT", 2)
-    monkeypatch.setattr(resampling, "POINTS_IN", 1)
+    monkeypatch.setattr(radiance_export, "POINTS_OUT", 2)
+    monkeypatch.setattr(radiance_export, "POINTS_IN", 1)
 
 
 # ----------------------------------------------------------------------- wavelengths

@@ -424,6 +424,10 @@ def test_exports_are_not_silent(tmp_path):
     missed = gonio.measure(screen, [0, 40], **settings, footprint=0.9)
     with pytest.warns(RuntimeWarning, match="missed the specimen, and the file"):
         export(missed, tmp_path / "screen.csv")
-    porous = gonio.measure(screen, [0, 40], **settings, period="box")
-    with pytest.warns(RuntimeWarning, match="25.0.% of the light passes openings"):
+    porous = gonio.measure(screen, [0, 50], **settings, period="box")
+    with pytest.warns(RuntimeWarning) as told:
         export(porous, tmp_path / "screen.xml")
+    messages = [str(one.message) for one in told]
+    assert len(messages) == 2
+    assert "describes light from the front only, and the back reflects" in messages[0]
+    assert "has light from theta_i 0, 50 only" in messages[1]

@@ -9,6 +9,7 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi import cli
+from gonio_mi.collector import subdivision
 from gonio_mi.settings import (
     COLLECTOR,
     FILM,
@@ -35,6 +36,7 @@ OTHERS = {
     "side": ("back", "back"),
     "footprint": (0.25, 0.25),
     "divergence": (5, 5.0),
+    "incident": ("klems", subdivision("klems")),
     "emission": ("equal_power", "equal_power"),
     "wavelengths": ([450, 600.5], (450.0, 600.5)),
     "collector": ("angle:5x7", gonio.EqualAngle(5, 7)),

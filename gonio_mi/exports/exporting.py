@@ -88,7 +88,6 @@ def export(
     for one in records:
         _warn_of_openings(one)
     if ending == ".xml":
-        _warn_of_missing_side(records)
         return write_radiance(records, path, basis, product, solar)
     if len(records) > 1 or product is not None or solar:
         raise SettingError(
@@ -96,21 +95,6 @@ def export(
             f"{Path(path).name}"
         )
     return _FORMATS[ending](records[0], path)
-
-
-def _warn_of_missing_side(records: Sequence[Record]) -> None:
-    """Warn if the file knows light from one side only."""
-    sides = {str(record.settings.get("side", "front")) for record in records}
-    if len(sides) == 1:
-        side = sides.pop()
-        other = "back" if side == "front" else "front"
-        warnings.warn(
-            f"the file describes light from the {side} only, and the {other} reflects "
-            f"nothing in it: measure with the side {other} too, and export both "
-            "records to one file",
-            RuntimeWarning,
-            stacklevel=3,
-        )
 
 
 def _warn_of_openings(record: Record) -> None:

@@ -40,7 +40,7 @@ CELL_POINTS = 2
 HALF_WEDGE = 0.05
 
 # Incident directions that are less apart have no lobes between them, in degrees.
-WIDE_GAP = 20
+WIDE_GAP = 45
 
 
 def write_radiance(
@@ -74,12 +74,13 @@ def write_radiance(
     checked_choice("basis", basis, BASES)
     _check_sides(records)
     _check_sides(solar)
+    _warn_of_missing_side(records)
     blocks: dict[tuple[str, str], Any] = {}
-    sides = [_Side(record, basis) for record in records]
+    sides = [Side(record, basis) for record in records]
     for side in sides:
         blocks |= side.blocks()
     for record in solar:
-        only = _Side(record, basis).blocks()
+        only = Side(record, basis).blocks()
         blocks |= {("Solar", key): only["Visible", key] for _, key in only}
     if product is None:
         name = records[0].settings.get("specimen", "a record")
@@ -114,7 +115,22 @@ def _check_sides(records: Sequence[Record]) -> None:
         )
 
 
-class _Side:
+def _warn_of_missing_side(records: Sequence[Record]) -> None:
+    """Warn if the file knows light from one side only."""
+    sides = {str(record.settings.get("side", "front")) for record in records}
+    if len(sides) == 1:
+        side = sides.pop()
+        other = "back" if side == "front" else "front"
+        warnings.warn(
+            f"the file describes light from the {side} only, and the {other} reflects "
+            f"nothing in it: measure with the side {other} too, and export both "
+            "records to one file",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+
+
+class Side:
     """What a record of one lit face becomes in a file."""
 
     def __init__(self, record: Record, basis: str) -> None:

@@ -92,7 +92,8 @@ class RadianceBSDF:
             self._names = ("Visible",)
         self.channels = ("R", "G", "B") if coloured else ("Y",)
         if self.rank is None:
-            sizes = {len(block) for block in self.blocks.values()}
+            blocks: Any = self.blocks.values()
+            sizes = {len(block) for block in blocks}
             require(len(sizes) == 1, "its matrices are of several bases")
         for wavelength, direction in self.blocks:
             if wavelength == "Solar":
