@@ -1,0 +1,171 @@
+"""Every command and Python block of README and handbook runs, word for word.
+
+Where one takes more than seconds it has fewer rays, or less effort, than it says.
+"""
+
+import importlib.util
+import os
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import mitsuba as mi
+import pytest
+
+from gonio_mi.cli import main
+
+tomllib = pytest.importorskip("tomllib")
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "notebooks").glob("*.md"))]
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+    "optional-dependencies"
+]
+
+# At most so many rays, and what else makes a command take seconds.
+RAYS = 1e5
+FAST = {"chart": ["--seconds", "2"], "validate": ["--effort", "quick"]}
+# Commands that may find that something is not as it should be.
+VERDICTS = {"compare": (0, 3), "validate": (0, 3)}
+
+# What a page says that its reader has.
+PLUGIN = """
+import mitsuba as mi
+
+
+class MyBSDF(mi.BSDF):
+    def __init__(self, props):
+        mi.BSDF.__init__(self, props)
+        self.inner = mi.load_dict(
+            {"type": "roughconductor", "alpha": props.get("roughness", 0.3)}
+        )
+        self.m_components = [self.inner.flags(i) for i in range(1)]
+        self.m_flags = self.inner.flags()
+
+    def sample(self, *arguments):
+        return self.inner.sample(*arguments)
+
+    def eval(self, *arguments):
+        return self.inner.eval(*arguments)
+
+    def pdf(self, *arguments):
+        return self.inner.pdf(*arguments)
+
+    def eval_pdf(self, *arguments):
+        return self.inner.eval_pdf(*arguments)
+
+    def to_string(self):
+        return "MyBSDF[]"
+
+
+mi.register_bsdf("my_bsdf", MyBSDF)
+"""
+TABLE = "theta_i,phi_i,theta_o,phi_o,value,sigma\n" + "".join(
+    f"45,0,{theta},180,0.15,0.01\n" for theta in range(0, 80, 10)
+)
+
+
+def measured(path, *options):
+    command = ["measure", "roughplastic:alpha=0.2", "--theta-i", "45", "--rays", "1e5"]
+    assert main([*command, "-o", str(path), *options]) == 0
+
+
+GIVEN = {
+    "my_bsdf.py": lambda path: path.write_text(PLUGIN),
+    "measured.csv": lambda path: path.write_text(TABLE),
+    "pilot.npz": measured,
+    "a.npz": measured,
+    "b.npz": lambda path: measured(path, "--seed", "2"),
+}
+
+
+def blocks(page):
+    """Language and text of the blocks of a page, in their order."""
+    return re.findall(r"^```(\w+)\n(.*?)^```", page.read_text(), re.M | re.S)
+
+
+def lines(text):
+    """Commands of a block of them, comments left out, as lists of words."""
+    for line in text.replace("\\\n", " ").splitlines():
+        words = shlex.split(line, comments=True)
+        if words:
+            yield words
+
+
+def fast(words):
+    """Arguments of ``gonio-mi`` with few rays."""
+    command, *rest = words
+    if "--rays" in rest:
+        at = rest.index("--rays") + 1
+        rest[at] = f"{min(float(rest[at]), RAYS):g}"
+    elif command == "measure" and not {"--rel-err", "quadrature"} & set(rest):
+        rest += ["--rays", f"{RAYS:g}"]
+    return [command, *rest, *FAST.get(command, [])]
+
+
+def run_command(words, folder):
+    """Run one command of a page; what is not ours is looked at only."""
+    if words[0] == "gonio-mi":
+        for name in GIVEN.keys() & set(words):
+            if not (folder / name).exists():
+                GIVEN[name](folder / name)
+        assert main(fast(words[1:])) in VERDICTS.get(words[1], (0,)), words
+    elif words[:2] == ["pip", "install"]:
+        extras = re.findall(r"\[(.*)\]", words[2])
+        assert set(",".join(extras).split(",")) <= EXTRAS.keys(), words
+    elif words[:2] == ["python", "-m"]:
+        assert importlib.util.find_spec(words[2]), words
+    elif words[0] == "python":
+        assert (ROOT / words[1]).exists(), words
+    else:
+        assert words[0] in ("pytest", "jupyter", "cd", "git"), words
+
+
+def run_python(text, folder):
+    """Run one block; workers of a campaign are started from a file of its own."""
+    path = folder / "block.py"
+    path.write_text(text)
+    if "__main__" not in text:
+        runpy.run_path(str(path))
+        return
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, str(path)], check=True, env=environment)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_page_runs_word_for_word(page, tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("plotly")
+    (tmp_path / "scenes").symlink_to(ROOT / "scenes")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "my_bsdf", raising=False)
+    variant = mi.variant()
+    try:
+        for language, text in blocks(page):
+            if language in ("bash", "sh"):
+                for words in lines(text):
+                    run_command(words, tmp_path)
+            elif language == "python":
+                for name in GIVEN:
+                    said = name in text or f"import {Path(name).stem}" in text
+                    if said and not (tmp_path / name).exists():
+                        GIVEN[name](tmp_path / name)
+                run_python(text, tmp_path)
+    finally:
+        if variant is not None:
+            mi.set_variant(variant)
+
+
+def test_twin_a_wrong_command_is_found(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(AssertionError):
+        run_command(["gonio-mi", "measure", "difuse"], tmp_path)
+    with pytest.raises(AssertionError):
+        run_command(["pip", "install", ".[reports]"], tmp_path)
+    with pytest.raises(NameError):
+        run_python("record.dhr", tmp_path)
