@@ -1,7 +1,8 @@
 """What `validate` finds in Mitsuba's own BSDFs, confirmed by plain calls of Mitsuba.
 
 Nothing of gonio_mi takes part here, but for the file that `measured` reads: if a later
-Mitsuba mends one of these, its test fails, and the table in notebooks/stock_plugins.md has a row too many.
+Mitsuba mends one of these, its test fails, and the table of notebooks/stock_plugins.md
+has a row too many.
 """
 
 import drjit as dr
