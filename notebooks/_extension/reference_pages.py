@@ -1,18 +1,20 @@
 """Directives that turn what the code says of itself into pages of reference.
 
-``gonio-plugin`` renders the manual page of a Mitsuba plugin, written as Mitsuba's own
-are; ``gonio-command`` the help of a command.
+``gonio-plugins`` renders the manual pages of the Mitsuba plugins, written as Mitsuba's
+own are; ``gonio-commands`` the help of all commands.
 """
 
 import importlib
 import inspect
 import re
+from pathlib import Path
 from typing import Any
 
 from docutils import nodes
 from docutils.parsers.rst import Directive, roles
 from docutils.statemachine import StringList
 
+FAMILIES = ("integrators", "sensors", "films", "samplers", "shapes", "bsdfs")
 VARIANT = "llvm_ad_mono"  # plugins are classes of one; their texts are the same in all
 
 
@@ -64,10 +66,8 @@ class CodeTab(Directive):
         return [nodes.literal_block(text, text, language=self.arguments[0])]
 
 
-class GonioPlugin(Directive):
-    """Manual page of a plugin: the docstring of the class in ``family.name``."""
-
-    required_arguments = 1
+class GonioPlugins(Directive):
+    """Manual pages of all plugins: the docstrings of their classes."""
 
     def run(self) -> list[nodes.Node]:
         import mitsuba as mi
@@ -75,21 +75,27 @@ class GonioPlugin(Directive):
         import gonio_mi
 
         mi.set_variant(VARIANT)
-        name = f"{gonio_mi.plugins.__name__}.{self.arguments[0]}"
+        folder = Path(gonio_mi.__file__).parent / "plugins"
+        found = sorted(
+            folder.glob("*/*.py"), key=lambda path: FAMILIES.index(path.parent.name)
+        )
+        return [self.page(path) for path in found if path.stem != "__init__"]
+
+    def page(self, path: Path) -> nodes.section:
+        """Section of the plugin in one file."""
+        name = f"gonio_mi.plugins.{path.parent.name}.{path.stem}"
         module = importlib.import_module(name)
-        page = next(
+        text = next(
             inspect.getdoc(thing)
             for thing in vars(module).values()
             if getattr(thing, "__module__", "") == name
             and ".. pluginparameters::" in (thing.__doc__ or "")
         )
-        return parsed(self, (page or "").splitlines())
+        return section(path.stem, parsed(self, (text or "").splitlines()))
 
 
-class GonioCommand(Directive):
-    """Help of a command, as ``gonio-mi COMMAND --help`` prints it."""
-
-    required_arguments = 1
+class GonioCommands(Directive):
+    """Help of all commands, as ``gonio-mi COMMAND --help`` prints it."""
 
     def run(self) -> list[nodes.Node]:
         import argparse
@@ -101,8 +107,19 @@ class GonioCommand(Directive):
             for action in parser()._actions
             if isinstance(action, argparse._SubParsersAction)
         )
-        text = choices[self.arguments[0]].format_help()
-        return [nodes.literal_block(text, text, language="none")]
+        pages = []
+        for name, command in choices.items():
+            text = command.format_help()
+            block = nodes.literal_block(text, text, language="none")
+            pages.append(section(f"gonio-mi {name}", [block]))
+        return pages
+
+
+def section(title: str, content: list[nodes.Node]) -> nodes.section:
+    """A section with its title, which tables of contents name."""
+    made = nodes.section(ids=[nodes.make_id(title)], names=[title])
+    made += [nodes.title(title, title), *content]
+    return made
 
 
 def setup(app: Any) -> dict[str, bool]:
@@ -116,8 +133,8 @@ def setup(app: Any) -> dict[str, bool]:
         "pluginparameters": PluginParameters,
         "tabs": Tabs,
         "code-tab": CodeTab,
-        "gonio-plugin": GonioPlugin,
-        "gonio-command": GonioCommand,
+        "gonio-plugins": GonioPlugins,
+        "gonio-commands": GonioCommands,
     }.items():
         app.add_directive(name, directive)
     return {"parallel_read_safe": True}
