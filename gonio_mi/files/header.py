@@ -30,11 +30,10 @@ __all__ = [
 ]
 
 FORMAT = "gonio-mi record"
-VERSION = 3
+VERSION = 4
 
-# Before version 3 there was no direct light, and so one row of the ledger less.
-READABLE = (2, 3)
-FATES_BEFORE_3 = len(Fate) - 1
+# Rows of the ledger in each version: direct light came with 3, and media with 4.
+ROWS = {2: 11, 3: 12, VERSION: len(Fate)}
 
 # Deflate expands by at most 1032 (zlib's technical details). A file that announces more
 # than this many times its own size does not hold what it says.
@@ -80,11 +79,11 @@ def check_format(header: Any) -> None:
         "it was not written by gonio-mi",
     )
     version = header.get("version")
-    if version not in READABLE:
+    if version not in ROWS:
         newer = isinstance(version, int) and version > VERSION
         raise FileFormatError(
             f"it has format version {version!r} and this gonio-mi reads "
-            f"{' and '.join(map(str, READABLE))}"
+            f"{', '.join(map(str, ROWS))}"
             + (": install a newer gonio-mi" if newer else "")
         )
 
@@ -118,8 +117,8 @@ def rebuilt(header: dict[str, Any], tallies: Sequence[dict[str, Numbers]]) -> Re
     require(stacked or n == 1, f"it holds {n} incident directions but is not a stack")
     require(len(scales) == n, f"it has {len(scales)} scales for {n} directions")
     patches = parsed_subdivision(header)
-    if header["version"] < VERSION:
-        tallies = [_without_direct(arrays) for arrays in tallies]
+    rows = ROWS[header["version"]]
+    tallies = [_with_all_rows(arrays, rows) for arrays in tallies]
     for arrays, scale in zip(tallies, scales):
         require(0 < scale < 2**63, f"its scale {scale} is out of range")
         _check_shapes(arrays, patches.shape, len(channels))
@@ -163,12 +162,12 @@ def _tally(arrays: dict[str, Numbers], scale: int) -> Tally:
     return kind(**arrays, scale=scale)
 
 
-def _without_direct(arrays: dict[str, Numbers]) -> dict[str, Numbers]:
-    """Arrays of a tally of an older version, with nothing for direct light."""
+def _with_all_rows(arrays: dict[str, Numbers], rows: int) -> dict[str, Numbers]:
+    """Arrays of a tally, with nothing for the rows that its version does not have."""
     fates, incident = arrays["fates"], arrays["incident"]
-    if fates.ndim == 2 and fates.shape[1] == FATES_BEFORE_3:
-        fates = np.pad(fates, ((0, 0), (0, 1)))
-    return arrays | {"fates": fates, "direct": np.zeros_like(incident)}
+    if fates.ndim == 2 and fates.shape[1] == rows:
+        fates = np.pad(fates, ((0, 0), (0, len(Fate) - rows)))
+    return {"direct": np.zeros_like(incident)} | arrays | {"fates": fates}
 
 
 def _check_shapes(

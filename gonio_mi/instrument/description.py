@@ -12,7 +12,7 @@ import numpy as np
 
 from ..settings import INTEGRATOR, MeasurementSettings, declarations
 from ..transport.bench import Bench
-from ..transport.launch import traces
+from ..transport.launch import transport_of
 from ..transport.sampling import sampler_name
 from ..transport.wavelengths import passes
 from .processor import processor
@@ -29,7 +29,7 @@ def described(
     """Settings of a measurement and what it found, in JSON's types.
 
     Every property of the integrator is among them, `points` and `rel_err` where the
-    estimator has a use for them.
+    estimator has a use for them, `max_scatterings` where there are media.
     """
     own = {
         name: declared.text(getattr(settings, name))
@@ -38,6 +38,8 @@ def described(
     }
     if settings.estimator != "next_event":
         del own["points"]
+    if not bench.specimen.media:
+        del own["max_scatterings"]
     if settings.estimator == "quadrature":
         own["rel_err"] = settings.integral_err
     del own["trace"]  # told by the transport that was taken
@@ -48,7 +50,7 @@ def described(
         "transmission": bench.specimen.transmission,
         "emitter": bench.beam.emitter.class_name(),
         "side": "front" if bench.beam.side > 0 else "back",
-        "transport": "traced" if traces(bench, settings) else "plane",
+        "transport": transport_of(bench, settings),
         "sampler": sampler_name(bench.sampler),
         "seed": seed,
         "rays": settings.rays if samples else 0,

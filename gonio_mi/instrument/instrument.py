@@ -19,6 +19,7 @@ from ..transport.beam import Beam
 from ..transport.bench import Bench
 from ..transport.collector_sphere import CollectorSphere
 from ..transport.launch import Pace, traces
+from ..transport.media import check_media
 from ..transport.next_event import check_traced
 from ..transport.specimen import Specimen
 from ..transport.spectral_coverage import check_covered
@@ -86,11 +87,13 @@ class Instrument:
 
         Once for each specimen, before its benches.
         """
-        lanes = wavelength_lanes(passes(self.wavelengths)[0])
+        lanes = [wavelength_lanes(nm) for nm in passes(self.wavelengths)]
         bsdfs = [surface.bsdf() for surface in specimen.surfaces]
-        check_works(bsdfs, lanes, self.settings.estimator)
+        check_works(bsdfs, lanes[0], self.settings.estimator)
         if mi.is_spectral:
-            check_covered(bsdfs, self.wavelengths)
+            check_covered([*bsdfs, *specimen.media], self.wavelengths)
+        if specimen.media:
+            check_media(specimen, lanes, self.settings.estimator)
 
     def bench(
         self,

@@ -39,6 +39,8 @@ class Fate(IntEnum):
     INTEGRATED = 9
     OTHER_ORDER = 10
     DIRECT = 11
+    ABSORBED_INSIDE = 12
+    ASTRAY = 13
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,11 @@ class Ledger:
         Left after another number of surface events than the `order` that is collected.
     direct : int
         Passed a periodic specimen without any event, straight on: transmitted.
+    absorbed_inside : int
+        Ended inside of a medium: absorbed by it, or by Russian roulette.
+    astray : int
+        Left the scene inside of a medium, or met a surface from another medium than
+        the one it says: the shape is open, or overlaps another.
     """
 
     reflected: int = 0
@@ -88,6 +95,8 @@ class Ledger:
     integrated: int = 0
     other_order: int = 0
     direct: int = 0
+    absorbed_inside: int = 0
+    astray: int = 0
 
     @classmethod
     def from_counts(cls, counts: Iterable[SupportsInt]) -> Ledger:

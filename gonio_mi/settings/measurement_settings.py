@@ -294,12 +294,22 @@ class MeasurementSettings:
         group=EVENTS,
         plugin=INTEGRATOR,
     )
+    max_scatterings: int = setting(
+        10**7,
+        count(1, 2**31),
+        Kind.COUNT,
+        "Scatterings inside of media after which a ray is truncated.",
+        group=EVENTS,
+        plugin=INTEGRATOR,
+        shown_default="1e7",
+    )
     rr_depth: int = setting(
         -1,
         count(-1),
         Kind.COUNT,
-        "Surface events after which Russian roulette sets in, for the weighted "
-        "estimator; -1 for never.",
+        "Events after which Russian roulette sets in, for the weighted estimator; -1 "
+        "for never. Inside of media, -1 lets one of four rays go on, with four times "
+        "the weight, whenever that is below 1/16.",
         group=EVENTS,
         plugin=INTEGRATOR,
     )
@@ -324,8 +334,9 @@ class MeasurementSettings:
         Kind.WORD,
         "Surface events of the rays that are collected: ``2`` for two, ``3+`` for "
         "three or more, ``0`` for the direct light that passes a periodic specimen; "
-        "the others are in the ledger. With one seed, orders 0, 1, 2 and ``3+`` add up "
-        "to ``all``, to the bit.",
+        "the others are in the ledger. Of a specimen with media the scatterings inside "
+        "of these are counted instead, and no surface: ``1`` is single scattering. "
+        "With one seed, orders 0, 1, 2 and ``3+`` add up to ``all``, to the bit.",
         group=EVENTS,
         metavar="N|N+",
         form="int or str",

@@ -9,6 +9,7 @@ from ..results.tally import Fate
 from .beam import Beam
 from .collector_sphere import CollectorSphere
 from .digest import emitter_digest, specimen_digest
+from .layers import layers_of
 from .loop import Exits
 from .plugin_digest import plugins_digest
 from .specimen import Specimen
@@ -40,6 +41,8 @@ class Bench:
     ) -> None:
         self.specimen = specimen
         self.beam = beam
+        # set if all that rays meet are infinite layers
+        self.layers = layers_of(specimen, beam.side)
         # as asked for, or what single precision leaves of the emitter's direction
         self.theta_i, self.phi_i = incident or (beam.theta_i, beam.phi_i)
         if beam.collimated:

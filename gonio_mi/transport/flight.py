@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -88,6 +88,12 @@ class Encounter:
     def goes_on(self) -> mi.Bool:
         """Whether the ray is the same after it."""
         return self.self_hit | self.back_face | self.crosses
+
+    def unless(self, earlier: mi.Bool) -> Encounter:
+        """The same without the rays to which something happens `earlier`."""
+        masks = ("missed", "endless", "self_hit", "back_face", "real", "crosses")
+        left = {name: getattr(self, name) & ~earlier for name in masks}
+        return replace(self, **left)
 
 
 def encounter(

@@ -11,6 +11,7 @@ import mitsuba as mi
 
 from ..settings.measurement_settings import MeasurementSettings
 from .bench import Bench
+from .inside import Geometry, trace_inside
 from .kernels import check_all_counted
 from .loop import Exits, PathSettings, scatter_plane, trace
 from .next_event import Deposits
@@ -18,7 +19,7 @@ from .sampling import apart, continues, in_turns, seeded, turns_of
 from .scattering_order import of_order
 from .sums import Sums, Totals
 
-__all__ = ["Pace", "launch", "traces"]
+__all__ = ["Pace", "launch", "traces", "transport_of"]
 
 # What a launch is to take, so that Ctrl-C is heard within seconds.
 SECONDS = 1.0
@@ -92,6 +93,13 @@ def launch(
 def traces(bench: Bench, settings: MeasurementSettings) -> bool:
     """Whether rays are traced: for geometry, or where that is asked for."""
     return settings.trace or bench.specimen.plane is None
+
+
+def transport_of(bench: Bench, settings: MeasurementSettings) -> str:
+    """How rays are followed: on a ``plane``, through ``layers``, or ``traced``."""
+    if not traces(bench, settings):
+        return "plane"
+    return "traced" if settings.trace or bench.layers is None else "layers"
 
 
 class _Rays:
@@ -177,15 +185,23 @@ def _exits(
     rr_depth = settings.rr_depth
     # counted rays live or die at each event as it is, and stay whole
     roulette = rr_depth >= 0 and not analog
+    media, most = bool(bench.specimen.media), settings.order.most
     how = PathSettings(
         analog=analog,
         # nothing that comes later is collected
-        max_depth=min(settings.max_depth, settings.order.most),
+        max_depth=settings.max_depth if media else min(settings.max_depth, most),
         rr_depth=rr_depth if roulette else 2**32 - 1,
         delta_only=settings.estimator == "quadrature",
+        max_scatterings=min(settings.max_scatterings, most),
+        roulette=roulette,
     )
     specimen, beam = bench.specimen, bench.beam
-    if traces(bench, settings):
+    if media:
+        path: Any = bench.layers
+        if transport_of(bench, settings) == "traced":
+            path = Geometry(specimen, beam.side)
+        exits = trace_inside(specimen, path, beam, sampler, wavelengths, how)
+    elif traces(bench, settings):
         exits = trace(specimen, beam, sampler, wavelengths, how, deposits)
     else:
         exits = scatter_plane(specimen.plane, beam, sampler, wavelengths, how)

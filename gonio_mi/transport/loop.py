@@ -16,18 +16,22 @@ from ..results.tally import Fate
 from ..single_precision import FEW_ROUNDINGS
 from .beam import Beam
 from .flight import encounter, flight_from, proceed
+from .plane import Plane
 from .ray_offsets import START, intersect, leaves_by_a_side
-from .specimen import Plane, Specimen
+from .specimen import Specimen
 
 __all__ = [
     "LARGEST_POWER",
     "RARE",
     "Exits",
     "PathSettings",
+    "after_event",
+    "emitted",
     "flux_context",
     "is_delta",
     "scatter_plane",
     "shading_normal_correction",
+    "survival_chance",
     "trace",
     "whole_number",
 ]
@@ -51,6 +55,8 @@ class PathSettings:
     max_depth: int
     rr_depth: int
     delta_only: bool = False  # on a plane: all else is integrated
+    max_scatterings: int = 0  # inside of media
+    roulette: bool = False  # inside of media: as `rr_depth` says, not by default
 
 
 @dataclass
@@ -100,7 +106,7 @@ def scatter_plane(
 ) -> Exits:
     """Scatter every ray once where it lands on the plane; exact without ray tracing."""
     p, wi, _, weight = beam.sample(sampler, wavelengths)
-    throughput = _emitted(weight, sampler, settings.analog, beam.uniform)
+    throughput = emitted(weight, sampler, settings.analog, beam.uniform)
     lit = dr.any(throughput > 0)
     if beam.footprint == "point":
         uv, inside = mi.Point2f(0.5), mi.Bool(True)
@@ -115,7 +121,7 @@ def scatter_plane(
     )
     wo = si.to_world(bs.wo)
     numbers = (sampler.next_1d(), sampler.next_1d()) if settings.analog else None
-    exit_throughput, fate = _after_event(throughput, bsdf_weight, bs, wo, numbers)
+    exit_throughput, fate = after_event(throughput, bsdf_weight, bs, wo, numbers)
     if settings.delta_only:
         left = fate == mi.UInt32(Fate.REFLECTED)
         fate = dr.select(left & ~is_delta(bs), mi.UInt32(Fate.INTEGRATED), fate)
@@ -140,7 +146,7 @@ def trace(
     `deposits`, a :class:`~.next_event.Deposits`, is told of every event.
     """
     p, wi, distance, weight = beam.sample(sampler, wavelengths)
-    β = _emitted(weight, sampler, settings.analog, beam.uniform)
+    β = emitted(weight, sampler, settings.analog, beam.uniform)
 
     # from just above the footprint, to which nothing stands in the way; grazing, that
     # may be above the next cell
@@ -198,7 +204,7 @@ def trace(
         number = sampler.next_1d() if analog else mi.Float(0)
         another = sampler.next_1d(active)
         numbers = (number, another) if analog else None
-        event_β, event_fate = _after_event(β, bsdf_weight, bs, wo, numbers)
+        event_β, event_fate = after_event(β, bsdf_weight, bs, wo, numbers)
         β[active] = event_β
         fate[active] = event_fate
         active &= event_fate == mi.UInt32(Fate.REFLECTED)
@@ -208,9 +214,7 @@ def trace(
             density[active] = deposits.density(si, bsdf, bs, wo, active)
 
         # ---------------------------- Russian roulette --------------------------------
-        # in steps that random numbers of 23 bits hit exactly, and never 0
-        survival = dr.ceil(dr.minimum(dr.max(β), 0.95) * 2.0**16) * 2.0**-16
-        survival = dr.select(depth > rr_depth, survival, mi.Float(1.0))
+        survival = survival_chance(β, depth > rr_depth)
         survives = another < survival
         β[active] = dr.select(survives, β / survival, 0.0)
         fate[active & ~survives] = mi.UInt32(Fate.ABSORBED)
@@ -232,7 +236,7 @@ def trace(
     return Exits(ray.o + flight.shift, ray.d, β, fate, incident, depth, left, density)
 
 
-def _emitted(
+def emitted(
     weight: mi.Spectrum, sampler: mi.Sampler, analog: bool, uniform: bool
 ) -> mi.Spectrum:
     """Power of a new ray; for the analog estimator a whole number of that mean."""
@@ -241,7 +245,7 @@ def _emitted(
     return whole_number(weight, sampler.next_1d(), sampler.next_1d())
 
 
-def _after_event(
+def after_event(
     throughput: mi.Spectrum,
     bsdf_weight: mi.Spectrum,
     bs: mi.BSDFSample3f,
@@ -265,6 +269,15 @@ def _after_event(
     fate = dr.select(left, mi.UInt32(Fate.REFLECTED), mi.UInt32(Fate.ABSORBED))
     fate = dr.select(zero & ~(bs.pdf > 0), mi.UInt32(Fate.REJECTED), fate)
     return throughput, dr.select(valid, fate, mi.UInt32(Fate.INVALID))
+
+
+def survival_chance(β: mi.Spectrum, due: mi.Bool) -> mi.Float:
+    """Chance to survive Russian roulette, where it is `due`; 1 elsewhere.
+
+    In steps that random numbers of 23 bits hit exactly, and never 0.
+    """
+    chance = dr.ceil(dr.minimum(dr.max(β), 0.95) * 2.0**16) * 2.0**-16
+    return dr.select(due, chance, mi.Float(1.0))
 
 
 def whole_number(x: mi.Spectrum, u: mi.Float, v: mi.Float) -> mi.Spectrum:

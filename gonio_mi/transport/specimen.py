@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -15,15 +14,16 @@ import numpy as np
 
 from ..errors import SpecimenError
 from ..settings.parsed import Period
-from ..single_precision import FEW_ROUNDINGS
 from .extents import bounds
 from .flight import escapes
 from .geometry import groups_of, scene_of, surfaces_of
+from .media import media_of
+from .plane import Plane
 from .ray_offsets import START, intersect
 
-__all__ = ["Plane", "Specimen"]
+__all__ = ["Specimen"]
 
-# Points at which a BSDF is compared with itself.
+# Rays that look for a gap.
 N_POINTS = 2**12
 
 # Extents in scene units that rays find their way in. A box from -LARGEST to LARGEST is
@@ -37,63 +37,6 @@ LARGEST = 2.0**31
 # from where it is worth a warning.
 OFF_BY = 2.0**-19
 WORTH_A_WARNING = 1e-4
-
-
-@dataclass(frozen=True)
-class Plane:
-    """A single flat rectangle in z = const, the specimen that needs no ray tracing.
-
-    A point is ``centre + (u - 1/2) dp_du + (v - 1/2) dp_dv``.
-    """
-
-    bsdf: mi.BSDF
-    interaction: mi.SurfaceInteraction3f  # at the centre
-
-    def interactions(
-        self, uv: mi.Point2f, wi: mi.Vector3f, wavelengths: mi.Spectrum
-    ) -> mi.SurfaceInteraction3f:
-        """Surface interactions at `uv`, for light from the world direction `wi`."""
-        centre = self.interaction
-        si = dr.zeros(mi.SurfaceInteraction3f)
-        si.t = 1.0
-        si.p = centre.p + (uv.x - 0.5) * centre.dp_du + (uv.y - 0.5) * centre.dp_dv
-        si.uv = uv
-        si.n = centre.n
-        si.sh_frame = mi.Frame3f(centre.sh_frame)
-        si.dp_du, si.dp_dv = centre.dp_du, centre.dp_dv
-        si.wavelengths = wavelengths
-        si.wi = si.to_local(wi)
-        return si
-
-    def is_uniform(self, wavelengths: mi.Spectrum) -> bool:
-        """Whether no declared texture varies, nor the BSDF at many random points.
-
-        Flags do not tell, and not every plugin declares its textures; but a small
-        detail of one is seen there only.
-        """
-        parts = mi.traverse(self.bsdf).hierarchy
-        if any(isinstance(part, mi.Texture) and _varies(part) for part in parts):
-            return False
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(0, N_POINTS)
-        wi, wo = (mi.warp.square_to_uniform_sphere(sampler.next_2d()) for _ in "io")
-
-        def values(uv: mi.Point2f) -> mi.Spectrum:
-            si = self.interactions(uv, wi, wavelengths)
-            return self.bsdf.eval(mi.BSDFContext(), si, si.to_local(wo))
-
-        here, there = values(mi.Point2f(0.5)), values(sampler.next_2d())
-        alike = dr.abs(there - here) <= dr.abs(here) * FEW_ROUNDINGS
-        return bool(dr.all(alike, axis=None))
-
-    def uv(self, p: mi.Point3f) -> mi.Point2f:
-        """Texture coordinates of points of the plane; the specimen ends at 0 and 1."""
-        centre = self.interaction
-        offset = p - centre.p
-        # of a sheared rectangle, both are not perpendicular (Cramer's rule)
-        du, dv = centre.dp_du, centre.dp_dv
-        area = _cross(du, dv)
-        return mi.Point2f(_cross(offset, dv), _cross(du, offset)) / area + 0.5
 
 
 class Specimen:
@@ -116,13 +59,15 @@ class Specimen:
         The shape groups that its instances repeat.
     surfaces : list of mi.Shape
         What light meets: shapes that are no instances, and what is in the groups.
+    media : list of mi.Medium
+        On either side of these.
     low, high : ndarray, shape (3,)
         Corners of the bounding box of the surfaces, in scene units; in x and y those of
         the cell, if there is one.
     periodic : bool
         Whether there is one.
     plane : Plane or None
-        Set if the specimen is one flat rectangle, and not periodic.
+        Set if the specimen is one flat rectangle, not periodic and without a medium.
     name : str
         What its user calls it.
     description : str
@@ -148,14 +93,10 @@ class Specimen:
         self.groups = groups_of(scene)
         self.surfaces = surfaces_of(shapes, self.groups)
         for shape in self.surfaces:
-            if shape.is_medium_transition():
-                raise SpecimenError(
-                    "participating media are not modelled: take the medium of the "
-                    f"{shape.class_name()} {shape.id()!r} out of the scene"
-                )
             if isinstance(shape, mi.Mesh) and not shape.bbox().valid():
                 # merged from others by Mitsuba 3.9.1, which forgets to
                 shape.recompute_bbox()
+        self.media = media_of(self.surfaces)
         self.scene = scene = scene_of(shapes, self.groups)
         self.low, self.high = bounds(shapes)
         if not (np.isfinite(self.low).all() and np.isfinite(self.high).all()):
@@ -170,7 +111,8 @@ class Specimen:
             mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Transmission)
             for shape in self.surfaces
         )
-        self.plane: Any = None if self.periodic else self._plane(shapes)
+        traced = self.periodic or self.media
+        self.plane: Any = None if traced else self._plane(shapes)
         if self.plane is None:
             self._warn_of_distance()
         self.transmits = self.plane is None or mi.has_flag(
@@ -274,21 +216,6 @@ class Specimen:
         si = intersect(self.scene, ray, mi.RayFlags.All, True)
         dr.make_opaque(si)
         return Plane(shapes[0].bsdf(), si)
-
-
-def _cross(a: mi.Vector3f, b: mi.Vector3f) -> mi.Float:
-    """Signed area of the parallelogram of two horizontal vectors."""
-    return a.x * b.y - a.y * b.x
-
-
-def _varies(texture: mi.Texture) -> bool:
-    """Whether a texture says that it varies, and a bitmap's texels are not all one."""
-    if not texture.is_spatially_varying():
-        return False
-    if not texture.class_name().startswith("BitmapTexture"):
-        return True
-    texels = np.array(mi.traverse(texture)["data"])
-    return bool(np.any(texels != texels[:1, :1]))
 
 
 def _describe(shape: mi.Shape) -> str:

@@ -64,4 +64,4 @@ def _in_python(error: BaseException) -> bool:
 def class_of(plugin: Any) -> str:
     """Class of a BSDF or texture; one in Python has the class name of its base."""
     name = plugin.class_name()
-    return type(plugin).__name__ if name in ("BSDF", "Texture") else name
+    return type(plugin).__name__ if name in ("BSDF", "Texture", "Medium") else name

@@ -1,0 +1,269 @@
+"""The loop through media: light that scatters inside of shapes, and at their surfaces.
+
+A specimen without a medium never gets here. The loop is the same for geometry, which is
+traced, and for infinite layers, which need no intersection.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ..results.tally import Fate
+from .beam import Beam
+from .flight import Encounter, Flight, encounter, flight_from, proceed
+from .free_flight import Step, free_flight
+from .layers import Layers
+from .loop import (
+    Exits,
+    PathSettings,
+    after_event,
+    emitted,
+    flux_context,
+    shading_normal_correction,
+    survival_chance,
+    whole_number,
+)
+from .media import differ_by_channel
+from .ray_offsets import START, intersect, leaves_by_a_side
+from .specimen import Specimen
+
+__all__ = ["Geometry", "trace_inside"]
+
+# How far from a surface light scatters at least, in units of the local coordinates: 16
+# ulp, so that no rounding finds it on the other side.
+DEPTH = 2.0**-20
+
+# Power below which one of four rays goes on, with four times as much: by default a
+# path inside of a medium ends.
+FAINT, FEW = 2.0**-4, 2.0**-2
+
+
+class Geometry:
+    """Shapes that are traced: where rays start, what they meet, how they go on.
+
+    Parameters
+    ----------
+    specimen : Specimen
+    side : int
+        Of the emitter: 1 above, -1 below.
+    """
+
+    def __init__(self, specimen: Specimen, side: int) -> None:
+        self.specimen, self.side = specimen, side
+
+    def start(self, ray: mi.Ray3f) -> Flight:
+        """Flight of new rays."""
+        return flight_from(self.specimen, ray)
+
+    def meet(
+        self, flight: Flight, active: mi.Bool, together: mi.Bool
+    ) -> tuple[mi.SurfaceInteraction3f, Encounter, mi.Float]:
+        """What rays meet next, and at what distance; nothing is infinitely far.
+
+        `together`: whether neighbouring rays are alike.
+        """
+        flags = mi.RayFlags.All | mi.RayFlags.dNSdUV
+        si = intersect(self.specimen.scene, flight.ray, flags, active, together)
+        met = encounter(self.specimen, self.side, flight, si, active)
+        to_side = dr.dot(met.entry + met.step - flight.ray.o, flight.ray.d)
+        distance = dr.select(met.missed, dr.inf, si.t)
+        distance = dr.select(met.crosses, dr.maximum(to_side, 0), distance)
+        return si, met, distance
+
+    def proceed(
+        self,
+        flight: Flight,
+        si: mi.SurfaceInteraction3f,
+        met: Encounter,
+        scattered: mi.Bool,
+        wo: mi.Vector3f,
+    ) -> None:
+        """Start the next rays, of those that a surface scattered and that go on."""
+        proceed(self.specimen, flight, si, met, scattered, wo)
+
+    def place(
+        self,
+        flight: Flight,
+        si: mi.SurfaceInteraction3f,
+        t: mi.Float,
+        distance: mi.Float,
+        active: mi.Bool,
+        wo: mi.Vector3f,
+    ) -> None:
+        """Start the next rays of those that go on from inside of a medium, after `t`.
+
+        `distance`: to the surface ahead, which they have not reached.
+        """
+        ray, detail = flight.ray, self.specimen.detail
+        near = DEPTH * (detail + dr.dot(dr.abs(flight.n), dr.abs(ray.o)))
+        near = near / dr.abs(dr.dot(flight.n, ray.d))
+        far = DEPTH * (detail + dr.dot(dr.abs(si.n), dr.abs(si.p)))
+        far = distance - far / dr.abs(dr.dot(si.n, ray.d))
+        left = dr.any(flight.n != 0)  # a surface, just before
+        t = dr.select(left, dr.maximum(t, near), t)
+        t = dr.select(si.is_valid(), dr.minimum(t, far), t)
+        t = dr.select((t > 0) & (t < distance), t, distance / 2)
+        ray.o[active] = ray(dr.select(active, t, 0.0))
+        ray.d[active] = wo
+        flight.n[active] = mi.Normal3f(0)
+        flight.offset[active] = 0.0
+        flight.again[active] = mi.Bool(False)
+        flight.cells[active] = mi.UInt32(0)
+
+    def by_a_side(self, flight: Flight) -> mi.Bool:
+        """Whether rays left by a side of the bounding box."""
+        return leaves_by_a_side(self.specimen, flight.ray.o, flight.ray.d)
+
+
+@dr.syntax
+def trace_inside(
+    specimen: Specimen,
+    path: Geometry | Layers,
+    beam: Beam,
+    sampler: mi.Sampler,
+    wavelengths: mi.Spectrum,
+    settings: PathSettings,
+) -> Exits:
+    """Follow every ray through surfaces and media until it leaves, ends or is cut off.
+
+    The `depth` of the exits counts scatterings inside of media.
+    """
+    p, wi, distance, weight = beam.sample(sampler, wavelengths)
+    β = emitted(weight, sampler, settings.analog, beam.uniform)
+    apart = differ_by_channel(specimen.media, wavelengths)
+    homogeneous = all(medium.is_homogeneous() for medium in specimen.media)
+    # whole numbers of rays, unless channels share them: then in the end
+    analog, roulette = settings.analog and not apart, settings.roulette
+    n = len(mi.Spectrum())
+    hero = mi.UInt32(sampler.next_1d() * n) if apart else mi.UInt32(0)
+
+    start = dr.minimum(distance, specimen.reach * START / dr.abs(wi.z))
+    ray = mi.Ray3f(p + start * wi, -wi)
+    ray.wavelengths = wavelengths
+    flight = path.start(ray)
+    together = beam.footprint != "point"
+
+    ctx = flux_context()
+    phase_ctx = mi.PhaseFunctionContext(None, mi.TransportMode.Importance)
+    max_depth = dr.opaque(mi.UInt32, settings.max_depth)
+    max_scatterings = dr.opaque(mi.UInt32, settings.max_scatterings)
+    rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
+
+    lit = dr.any(β > 0)
+    incident = mi.Spectrum(β)  # Power that met the specimen
+    chance = mi.Spectrum(1)  # Probability of the path by channel, over the hero's
+    depth = mi.UInt32(0)  # Surface events so far
+    scatterings = mi.UInt32(0)  # Events inside of media so far
+    touched = mi.Bool(False)  # Any of them but the passing of a null boundary?
+    medium = dr.zeros(mi.MediumPtr)  # Around the ray; none is air
+    passed = Fate.DIRECT if specimen.periodic else Fate.MISSED
+    fate = dr.select(lit, mi.UInt32(passed), mi.UInt32(Fate.UNLIT))
+    active = mi.Bool(lit)  # Still in flight?
+
+    while active:
+        ray = flight.ray
+        first = (depth == 0) & (scatterings == 0)
+        si, met, free = path.meet(flight, active, first & together)
+
+        # ---------------- Rays that leave, or are where no medium should be -----------
+        gone = met.missed & ~met.crosses
+        inside = active & (medium != None)  # noqa: E711 (each lane)
+        changes = met.real & si.is_medium_transition()
+        astray = (gone & inside & ~met.endless) | (
+            changes & (si.target_medium(-ray.d) != medium)
+        )
+        known = touched if specimen.periodic else depth > 0
+        fate[gone & known] = mi.UInt32(Fate.REFLECTED)
+        fate[met.endless] = mi.UInt32(Fate.SIDEWAYS)
+        fate[astray] = mi.UInt32(Fate.ASTRAY)
+        active &= ~gone & ~astray
+
+        # ------------------------------ Free flight -----------------------------------
+        inside &= active
+        u = sampler.next_1d(inside)
+        v = mi.Float(0) if homogeneous else sampler.next_1d(inside)
+        step = free_flight(
+            medium, ray, free, hero, u, v, homogeneous, apart, inside
+        )
+        met = met.unless(step.scatters | step.waits | astray)
+        at_surface = met.real
+        truncated = at_surface & (depth >= max_depth)
+        truncated |= step.scatters & (scatterings >= max_scatterings)
+        fate[truncated] = mi.UInt32(Fate.TRUNCATED)
+        at_surface &= ~truncated
+        in_medium = step.scatters & ~truncated
+        event = at_surface | in_medium
+        if apart:
+            β[inside] = β * step.power
+            chance[inside] = chance * step.chance
+
+        # ------------------------------- Scattering -----------------------------------
+        u1, u2 = sampler.next_1d(event), sampler.next_2d(event)
+        bs, event_weight = si.bsdf(ray).sample(ctx, si, u1, u2, at_surface)
+        wo = si.to_world(bs.wo)
+        event_weight *= shading_normal_correction(si, ray, bs.wo, wo)
+        phase = medium.phase_function()
+        phase_wo, phase_weight, phase_pdf = phase.sample(
+            phase_ctx, step.at, u1, u2, in_medium
+        )
+        wo = dr.select(in_medium, phase_wo, wo)
+        if not apart:
+            phase_weight *= step.power
+        event_weight = dr.select(in_medium, phase_weight, event_weight)
+        bs.pdf = dr.select(in_medium, phase_pdf, bs.pdf)
+        number = sampler.next_1d() if analog else mi.Float(0)
+        another = sampler.next_1d(event)
+        numbers = (number, another) if analog else None
+        event_β, event_fate = after_event(β, event_weight, bs, wo, numbers)
+        β[event] = event_β
+        ended = event_fate == mi.UInt32(Fate.ABSORBED)
+        event_fate[ended & in_medium] = mi.UInt32(Fate.ABSORBED_INSIDE)
+        survived = event_fate == mi.UInt32(Fate.REFLECTED)
+        fate[event & ~survived] = event_fate
+        at_surface &= survived
+        in_medium &= survived
+        depth[at_surface] += 1
+        scatterings[in_medium] += 1
+        through = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
+        touched |= in_medium | (at_surface & ~through)
+        medium[at_surface & changes] = si.target_medium(wo)
+
+        # ---------------------------- Russian roulette --------------------------------
+        power = β / dr.mean(chance) if apart else β
+        if roulette:
+            survival = survival_chance(power, depth + scatterings > rr_depth)
+        else:
+            faint = mi.Bool(not analog) & (dr.max(power) < FAINT)
+            survival = dr.select(faint, mi.Float(FEW), mi.Float(1))
+        event = at_surface | in_medium
+        survives = another < survival
+        β[event] = dr.select(survives, β / survival, 0.0)
+        killed = event & ~survives
+        fate[killed & at_surface] = mi.UInt32(Fate.ABSORBED)
+        fate[killed & in_medium] = mi.UInt32(Fate.ABSORBED_INSIDE)
+        at_surface &= survives
+        in_medium &= survives
+
+        # ------------------------------- Next ray -------------------------------------
+        goes_on = met.goes_on
+        onward = dr.select(step.waits, ray.d, wo)
+        stays = step.waits | in_medium
+        path.place(flight, si, step.at.t, free, stays, onward)
+        path.proceed(flight, si, met, at_surface, wo)
+        active = at_surface | stays | goes_on
+
+    ray = flight.ray
+    if apart:
+        β = β / dr.mean(chance)
+    if apart and settings.analog:
+        β = whole_number(β, sampler.next_1d(), sampler.next_1d())
+        none = (fate == mi.UInt32(Fate.REFLECTED)) & ~dr.any(β > 0)
+        fate = dr.select(none, mi.UInt32(Fate.ABSORBED_INSIDE), fate)
+    incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
+    sideways = (fate == mi.UInt32(Fate.REFLECTED)) & path.by_a_side(flight)
+    fate = dr.select(sideways, mi.UInt32(Fate.SIDEWAYS), fate)
+    return Exits(ray.o + flight.shift, ray.d, β, fate, incident, scatterings)
