@@ -21,6 +21,7 @@ import gonio_mi as gonio
 import mitsuba as mi
 import numpy as np
 
+FIRST_ROWS = 12
 SCENES = Path(__file__).parents[1] / "scenes"
 MIRROR = {"type": "twosided", "bsdf": {"type": "conductor"}}
 SHINY = {"type": "roughconductor", "alpha": 0.2, "distribution": "ggx"}
@@ -84,9 +85,14 @@ def _plain(specimen, theta_i=(30,), **settings):
 def _of_record(record):
     arrays = []
     for tally in record.tallies:
-        arrays += [tally.hits, tally.sums, tally.incident, tally.fates]
+        arrays += [tally.hits, tally.sums, tally.incident, _rows(tally.fates)]
     arrays += [record.brdf, record.brdf_std_err, *record.interval(0.95), record.dhr]
     return _digest(arrays)
+
+
+def _rows(fates):
+    """Rows of the ledger: those that came later only if there is a ray in one."""
+    return fates if fates[:, FIRST_ROWS:].any() else fates[:, :FIRST_ROWS]
 
 
 def _digest(arrays):

@@ -71,6 +71,7 @@ MOST_LINES = 60
 
 # Functions of more lines: the reason for each.
 LONG = {
+    "transport/inside.py trace_inside": "a loop that Dr.Jit has to see whole",
     "transport/loop.py trace": "a loop that Dr.Jit has to see whole",
 }
 

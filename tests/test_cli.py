@@ -344,9 +344,9 @@ def test_bad_arguments(refuse, arguments, words):
         ("<scene version='3.0.0'><bsdf type='diffuse'/></scene>", "shape to measure"),
         ("<scene version='3.0.0'><shape type='rectangel'/></scene>", "rectangel"),
         (
-            "<scene version='3.0.0'><shape type='cube'><bsdf type='null'/>"
+            "<scene version='3.0.0'><shape type='cube'>"
             "<medium type='homogeneous' name='interior'/></shape></scene>",
-            "participating media are not modelled",
+            "must be behind a BSDF that transmits",
         ),
         (SCENE.replace("$alpha", "$beta"), "$beta"),
     ],

@@ -103,5 +103,5 @@ def test_instance_without_a_scene():
 def test_medium_in_a_group():
     """What a group holds is checked like any shape."""
     filled = {"ball": {"type": "sphere", "interior": {"type": "homogeneous"}}}
-    with pytest.raises(gonio.SpecimenError, match="participating media"):
+    with pytest.raises(gonio.SpecimenError, match="a BSDF that transmits"):
         gonio.measure(instances(filled, [mi.ScalarTransform4f()]), theta_i=30, rays=100)

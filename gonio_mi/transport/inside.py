@@ -6,16 +6,13 @@ traced, and for infinite layers, which need no intersection.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 
 from ..results.tally import Fate
 from .beam import Beam
 from .flight import Encounter, Flight, encounter, flight_from, proceed
-from .free_flight import Step, free_flight
+from .free_flight import free_flight
 from .layers import Layers
 from .loop import (
     Exits,
@@ -186,9 +183,7 @@ def trace_inside(
         inside &= active
         u = sampler.next_1d(inside)
         v = mi.Float(0) if homogeneous else sampler.next_1d(inside)
-        step = free_flight(
-            medium, ray, free, hero, u, v, homogeneous, apart, inside
-        )
+        step = free_flight(medium, ray, free, hero, u, v, homogeneous, apart, inside)
         met = met.unless(step.scatters | step.waits | astray)
         at_surface = met.real
         truncated = at_surface & (depth >= max_depth)

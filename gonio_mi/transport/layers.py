@@ -8,22 +8,23 @@ intersection; :class:`~.inside.Geometry` traces.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SpecimenError
 from .flight import Encounter
 from .plane import Plane
-from .ray_offsets import intersect
 
 __all__ = ["Layers", "layers_of"]
 
 # How much of the cell a rectangle that covers it may seem to lack, by rounding.
 GAP = 2.0**-18
+
+# Cosine instead of 0, for a ray that is level.
+LEVEL = 2.0**-60
 
 # Wavelengths at which it is looked at whether a BSDF is the same all over.
 NM = 400.0, 500.0, 600.0, 700.0
@@ -65,7 +66,9 @@ class Layers:
         self.n = len(sis)
         self.first = 0 if side > 0 else self.n
         shapes = scene.shapes()
-        numbers = [next(i for i, s in enumerate(shapes) if s is si.shape[0]) for si in sis]
+        numbers = [
+            next(i for i, s in enumerate(shapes) if s is si.shape[0]) for si in sis
+        ]
         self.z = mi.Float([float(si.p.z[0]) for si in sis])
         self.shapes = dr.gather(mi.ShapePtr, scene.shapes_dr(), mi.UInt32(numbers))
         frames = [si.sh_frame for si in sis]
@@ -124,7 +127,7 @@ class Layers:
         number = flight.layer - dr.select(ray.d.z < 0, mi.UInt32(0), 1)
         flight.layer[scattered] = number + dr.select(wo.z > 0, mi.UInt32(0), 1)
         ray.o[scattered] = si.p
-        ray.d[scattered] = wo
+        ray.d[scattered] = _not_level(wo)
 
     def place(
         self,
@@ -145,7 +148,7 @@ class Layers:
         high, low = (dr.gather(mi.Float, self.z, mi.UInt32(i)) for i in (above, below))
         p.z = dr.clip(p.z, low, high)
         ray.o[active] = p
-        ray.d[active] = wo
+        ray.d[active] = _not_level(wo)
 
     def by_a_side(self, flight: LayerFlight) -> mi.Bool:
         """Whether rays left by a side: there is none."""
@@ -182,6 +185,11 @@ def layers_of(specimen: Any, side: int) -> Layers | None:
             return None
         sis.append(si)
     return Layers(specimen.scene, sis, side)
+
+
+def _not_level(d: mi.Vector3f) -> mi.Vector3f:
+    """Directions that get to an interface, however far away."""
+    return mi.Vector3f(d.x, d.y, dr.select(d.z == 0, LEVEL, d.z))
 
 
 def _interaction(shape: mi.Shape) -> mi.SurfaceInteraction3f:

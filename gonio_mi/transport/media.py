@@ -63,12 +63,16 @@ def check_media(
             raise SpecimenError(f"{name} must have a phase function, got none")
         _check_data(name, medium)
         for lanes in wavelengths:
-            _check_coefficients(name, medium, specimen.low, specimen.high, lanes)
+            try:
+                _check_coefficients(name, medium, specimen.low, specimen.high, lanes)
+            except RuntimeError as error:
+                said = " ".join(str(error).split())[:200]
+                raise SpecimenError(
+                    f"{name} fails in the variant {mi.variant()}: {said}"
+                ) from error
 
 
-def differ_by_channel(
-    media: Sequence[mi.Medium], wavelengths: mi.Spectrum
-) -> bool:
+def differ_by_channel(media: Sequence[mi.Medium], wavelengths: mi.Spectrum) -> bool:
     """Whether the free paths of light depend on its channel, in any of the `media`.
 
     Only of homogeneous media one point tells that they do not.
@@ -149,7 +153,7 @@ def _check_coefficients(
 
 def _check_range(name: str, quantity: str, low: float, high: float) -> None:
     """Raise SpecimenError for what is negative, not finite, or an albedo above 1."""
-    if not (0 <= low and high < np.inf):
+    if not (low >= 0 and high < np.inf):
         worst = low if not low >= 0 else high
         raise SpecimenError(
             f"{name} must have a {quantity} that is finite and not negative, "
