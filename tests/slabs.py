@@ -1,6 +1,7 @@
 """Specimens of plane-parallel media, and what exact theory says of them."""
 
 import warnings
+from itertools import pairwise
 
 import mitsuba as mi
 import numpy as np
@@ -38,7 +39,7 @@ def stack(*media, thickness=1.0, bsdf=NULL, base=None, size=1.0):
     around = [None, *media, None]
     shapes = {
         f"interface_{i}": rectangle(-i * thickness, above, below, bsdf, size)
-        for i, (above, below) in enumerate(zip(around, around[1:]))
+        for i, (above, below) in enumerate(pairwise(around))
     }
     if base is not None:
         bottom = rectangle(-len(media) * thickness, bsdf=base, size=size)
@@ -123,15 +124,11 @@ def chandrasekhar(mu, albedo, nodes=200):
     x, weights = np.polynomial.legendre.leggauss(nodes)
     x, weights = (x + 1) / 2, weights / 2
     h = np.ones(nodes)
-    at = lambda m: (
-        1
-        / (  # noqa: E731
-            np.sqrt(1 - albedo)
-            + albedo
-            / 2
-            * np.sum(weights * x * h / (np.asarray(m)[..., None] + x), axis=-1)
-        )
-    )
+
+    def at(m):
+        ratios = weights * x * h / (np.asarray(m)[..., None] + x)
+        return 1 / (np.sqrt(1 - albedo) + albedo / 2 * ratios.sum(axis=-1))
+
     for _ in range(200):
         h = at(x)
     return at(mu)

@@ -43,6 +43,7 @@ OTHERS = {
     "collector_radius": (9, 9.0),
     "hemispheres": ("both", "both"),
     "max_depth": (3, 3),
+    "max_scatterings": (5, 5),
     "rr_depth": (2, 2),
     "period": ((2, 3.5), (2.0, 3.5)),
     "order": ("3+", Order(3)),

@@ -127,7 +127,7 @@ def test_layers_over_a_base():
     scene = stack(medium(0.5, 0.7, 0.8), medium(1.5, 0.98, 0.3), base=base)
     record = measured(scene, 30.0)
     layers = [(0.5, 0.7, henyey_greenstein(0.8)), (1.5, 0.98, henyey_greenstein(0.3))]
-    patches, totals, _ = theory(layers, 30.0, PATCHES, base=0.6)
+    patches, *_ = theory(layers, 30.0, PATCHES, base=0.6)
     agree(verdict(scores(record, patches[0])))
     assert record.ledger.absorbed > 0
     assert record.ledger.absorbed_inside > 0

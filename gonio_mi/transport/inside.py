@@ -6,6 +6,8 @@ traced, and for infinite layers, which need no intersection.
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 
@@ -141,7 +143,7 @@ def trace_inside(
     start = dr.minimum(distance, specimen.reach * START / dr.abs(wi.z))
     ray = mi.Ray3f(p + start * wi, -wi)
     ray.wavelengths = wavelengths
-    flight = path.start(ray)
+    flight: Any = path.start(ray)
     together = beam.footprint != "point"
 
     ctx = flux_context()

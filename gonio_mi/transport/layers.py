@@ -15,8 +15,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from .flat_rectangle import Plane
 from .flight import Encounter
-from .plane import Plane
 
 __all__ = ["Layers", "layers_of"]
 

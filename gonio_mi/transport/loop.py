@@ -15,8 +15,8 @@ import mitsuba as mi
 from ..results.tally import Fate
 from ..single_precision import FEW_ROUNDINGS
 from .beam import Beam
+from .flat_rectangle import Plane
 from .flight import encounter, flight_from, proceed
-from .plane import Plane
 from .ray_offsets import START, intersect, leaves_by_a_side
 from .specimen import Specimen
 

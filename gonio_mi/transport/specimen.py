@@ -15,10 +15,10 @@ import numpy as np
 from ..errors import SpecimenError
 from ..settings.parsed import Period
 from .extents import bounds
+from .flat_rectangle import Plane
 from .flight import escapes
 from .geometry import groups_of, scene_of, surfaces_of
 from .media import media_of
-from .plane import Plane
 from .ray_offsets import START, intersect
 
 __all__ = ["Specimen"]
