@@ -109,6 +109,17 @@ def verdict(z):
     )
 
 
+def often_enough(covered, level=0.95):
+    """Verdict on a coverage of at least `level`; `covered` is that of each seed."""
+    covered = np.asarray(covered, dtype=float)
+    if set(covered) <= {0, 1}:
+        p = stats.binom.cdf(covered.sum(), len(covered), level)
+    else:
+        z = (covered.mean() - level) / (covered.std(ddof=1) / len(covered) ** 0.5)
+        p = stats.norm.cdf(normal_scores(z, len(covered) - 1))
+    return Verdict({"coverage": float(p)})
+
+
 def merge_small(hits, least):
     """Group consecutive patches until each group has at least `least` hits.
 

@@ -9,8 +9,8 @@ from functools import cache
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import Verdict, agree, disagree, normal_scores
-from scipy import special, stats
+from budget import agree, disagree, often_enough
+from scipy import special
 
 import gonio_mi as gonio
 from gonio_mi.benchmark import coverage
@@ -21,17 +21,6 @@ from gonio_mi.results.statistics import binomial_interval
 pytestmark = pytest.mark.usefixtures("mono")
 
 SEEDS = 40
-
-
-def often_enough(covered):
-    """Verdict on a coverage of at least LEVEL; `covered` is that of each seed."""
-    covered = np.asarray(covered, dtype=float)
-    if set(covered) <= {0, 1}:
-        p = stats.binom.cdf(covered.sum(), len(covered), LEVEL)
-    else:
-        z = (covered.mean() - LEVEL) / (covered.std(ddof=1) / len(covered) ** 0.5)
-        p = stats.norm.cdf(normal_scores(z, len(covered) - 1))
-    return Verdict({"coverage": float(p)})
 
 
 # Lobes of which a part is drawn below the horizon: one ray in 9000, 700 and 50.

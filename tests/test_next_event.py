@@ -1,5 +1,7 @@
 """Estimator `next_event`: `eval` is deposited from geometry towards patches."""
 
+from functools import cache
+
 import gonio_mi as gonio
 
 # isort: split
@@ -7,11 +9,24 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import agree, difference_scores, disagree, scores, verdict
+from budget import (
+    Verdict,
+    agree,
+    difference_scores,
+    disagree,
+    normal_scores,
+    often_enough,
+    scores,
+    verdict,
+)
+from scipy import stats
 from surfaces import MIRROR, as_it_is, grooves, heightfield, specimen_of
 
 from gonio_mi import charts as charting
+from gonio_mi.benchmark import groove
+from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SpecimenError
+from gonio_mi.settings.measurement_settings import PILOT_RAYS
 from gonio_mi.transport import flight
 from gonio_mi.transport.specimen import Specimen
 
@@ -333,3 +348,78 @@ def test_a_chart_compares_it_on_geometry_only():
     assert [curve.estimator for curve in chart.curves] == names
     flat = charting.chart({"type": "diffuse"}, 30, collector=GRID, **settings)
     assert [curve.estimator for curve in flat.curves] == ["weighted"]
+
+
+# ----------------------------------------------------------- many points for each event
+
+
+@cache
+def diffuse_grooves():
+    """Cell of endless grooves of 90 degrees, whose BRDF is known, and its patches'."""
+    wall = both_sided({"type": "diffuse", "reflectance": groove.REFLECTANCE})
+    patches = gonio.EqualProjectedSolidAngle(8, 12)
+    fine, coarse = (
+        groove.patch_means(direction(np.radians([45.0]), np.zeros(1)), points)
+        for points in (patches.points(24), patches.points(16))
+    )
+    # far below what the tests can see
+    assert np.abs(fine - coarse).max() < 1e-3 * fine.mean()
+    return grooves(45, 1, bsdf=wall), fine.reshape(patches.shape)
+
+
+def many_points(rays, points, **settings):
+    specimen, truth = diffuse_grooves()
+    record = gonio.measure(
+        specimen,
+        45,
+        period="box",
+        collector=GRID,
+        estimator="next_event",
+        rays=rays,
+        points=points,
+        **settings,
+    )
+    return record, truth
+
+
+def together(record, truth):
+    """Verdict on patches that share their rays: their sum, and the worst of them."""
+    omega = record.subdivision.projected_solid_angles
+    degrees = record.n_batches - 1
+    total = (record.dhr[0] - (truth * omega).sum()) / record.dhr_std_err[0]
+    z = (record.brdf - truth[..., None]) / record.brdf_std_err
+    total, z = normal_scores(total, degrees), normal_scores(z, degrees)
+    # of any patches, however alike, one is so bad at most as often as all together
+    worst = z.size * 2 * stats.norm.sf(np.abs(z).max())
+    p = {"total": float(2 * stats.norm.sf(abs(total))), "worst": min(1.0, worst)}
+    return Verdict(p, z.size)
+
+
+@pytest.mark.parametrize(
+    ("points", "sampler"),
+    [(7, "sobol"), (96, "sobol"), (200, "sobol"), (96, "independent")],
+)
+def test_many_points_against_radiosity(points, sampler):
+    """A few rays that light many patches each; twin: 5 % off."""
+    record, truth = many_points(2**20 // points, points, sampler=sampler)
+    agree(together(record, truth))
+    disagree(together(record, 1.05 * truth))
+
+
+def test_many_points_cover():
+    """The intervals of few rays, each of which lights all patches."""
+    parts, twins = [], []
+    for seed in range(40):
+        record, truth = many_points(2**10, 96, seed=seed)
+        low, high = (limit[..., 0] for limit in record.interval(0.95))
+        parts.append(((low <= truth) & (truth <= high)).mean())
+        near = np.abs((low + high) / 2 - truth) <= (high - low) / 4
+        twins.append(near.mean())
+    agree(often_enough(parts))
+    disagree(often_enough(twins))
+
+
+def test_many_points_begin_with_few_rays():
+    """Exact: the first look at the precision is at as many points as rays otherwise."""
+    record, _ = many_points(None, 96, rel_err=0.9)
+    assert record.ledger.emitted == 16 * (PILOT_RAYS // (16 * 96))

@@ -72,8 +72,12 @@ def gonio_rays(
     batches: int = 32,
     subdivision: Subdivision = PATCHES,
     footprint: str = "point",
+    points: int = 1,
 ) -> Baseline:
-    """Our instrument, by rays; by default at one point, as the others do."""
+    """Our instrument, by rays; by default at one point, as the others do.
+
+    `points` are those of the estimator `next_event`.
+    """
 
     def _flux(rays: int, seed: int) -> Floats:
         record = measure(
@@ -86,11 +90,14 @@ def gonio_rays(
             sampler=sampler,
             seed=seed,
             footprint=footprint,
+            points=points,
         )
         return record.brdf[..., 0] * subdivision.projected_solid_angles
 
     shown = "1 batch" if batches == 1 else f"{batches} batches"
-    return Baseline(f"gonio-mi, {sampler}, {estimator}, {shown}", _flux, subdivision)
+    name = f"gonio-mi, {sampler}, {estimator}, {shown}"
+    first = max(2**12 // points, batches)
+    return Baseline(name, _flux, subdivision, first=first)
 
 
 def samples(specimen: dict[str, Any], rays: int) -> Callable[[], None]:

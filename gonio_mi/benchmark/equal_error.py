@@ -82,6 +82,8 @@ def contests() -> tuple[Contests, list[str]]:
             (baseline, fine)
             for baseline in (
                 *_ours(walls, footprint="full"),
+                *_deposits(walls, PATCHES),
+                path_samples(groove.walls, 1),
                 path_samples(groove.walls, 2),
             )
         ],
@@ -91,7 +93,10 @@ def contests() -> tuple[Contests, list[str]]:
         ],
         "diffuse V-groove, 145 patches": [
             (baseline, coarse)
-            for baseline in _ours(walls, subdivision=COARSE, footprint="full")
+            for baseline in (
+                *_ours(walls, subdivision=COARSE, footprint="full"),
+                *_deposits(walls, COARSE),
+            )
         ],
     }
     return found, absent + _add_radiance(found)
@@ -116,6 +121,22 @@ def _ours(specimen: dict[str, Any], **settings: Any) -> list[Baseline]:
     return [
         gonio_rays(specimen, "weighted", sampler, batches=batches, **settings)
         for sampler, batches in designs
+    ]
+
+
+def _deposits(specimen: dict[str, Any], patches: Subdivision) -> list[Baseline]:
+    """Light sent to as many points as there are patches, at every event of few rays."""
+    return [
+        gonio_rays(
+            specimen,
+            "next_event",
+            "sobol",
+            batches=batches,
+            subdivision=patches,
+            footprint="full",
+            points=patches.n_patches,
+        )
+        for batches in (32, 16, 8)
     ]
 
 

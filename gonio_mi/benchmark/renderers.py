@@ -64,7 +64,8 @@ def path_samples(shapes: Callable[[], dict[str, Any]], n: int = 1) -> Baseline:
     def _flux(paths: int, seed: int) -> Floats:
         return _path_flux(_path_scene(shapes, n), n, paths, seed)
 
-    return Baseline("Mitsuba path, batch of distant", _flux, size="paths each", first=1)
+    name = f"Mitsuba path, {n * n} distant sensor{'s' if n > 1 else ''} a patch"
+    return Baseline(name, _flux, size="paths each", first=1)
 
 
 @lru_cache(maxsize=1)  # all sensors that exist, of any scene, make a rendering slower

@@ -125,7 +125,8 @@ def send_until(
     there are few looks.
     """
     batches = instrument.settings.batches
-    each, goal = 0, PILOT_RAYS // batches  # rays of every batch
+    # rays of every batch, at first two or more
+    each, goal = 0, max(PILOT_RAYS // (batches * instrument.points), 2)
     while each < goal:
         send(instrument, bench, key, [goal] * batches, tallies, report)
         tallies[:] = [Tally.join(tallies)]

@@ -40,8 +40,9 @@ LAUNCH = 2**24
 FUSED_RAYS = 2**22
 FUSED_SUMS = 2**19
 
-# Rays of the first launch, traced and on a plane; then as many as take a second.
-FIRST_TRACED, FIRST_PLANE = 2**18, 2**20
+# Rays of the first launch, traced and on a plane, and points that traced ones send
+# light to; then as many as take a second.
+FIRST_TRACED, FIRST_PLANE, FIRST_POINTS = 2**18, 2**20, 2**22
 
 
 # Rays of each batch in a round: traced and on a plane. Of samplers whose numbers
@@ -76,6 +77,11 @@ class Instrument:
     def deposits(self) -> bool:
         """Whether ``eval`` is deposited at every event."""
         return self.settings.estimator == "next_event"
+
+    @property
+    def points(self) -> int:
+        """Directions that a ray looks into at each event: 1 but for `deposits`."""
+        return self.settings.points if self.deposits else 1
 
     @property
     def passes(self) -> int:
@@ -228,8 +234,8 @@ class Instrument:
     def _pace_at(self, bench: Bench) -> Pace:
         """How many rays a launch takes, learnt from one launch to the next."""
         if self._pace is None:
-            traced = traces(bench, self.settings)
-            self._pace = Pace(FIRST_TRACED if traced else FIRST_PLANE)
+            traced = min(FIRST_TRACED, FIRST_POINTS // self.points)
+            self._pace = Pace(traced if traces(bench, self.settings) else FIRST_PLANE)
         return self._pace
 
     def _part(

@@ -142,7 +142,9 @@ class MeasurementSettings:
         1,
         count(1, MOST_POINTS),
         Kind.COUNT,
-        "Points for each event, of the estimator ``next_event``.",
+        "Points for each event, of the estimator ``next_event``: they are spread over "
+        "all patches, and one costs a fraction of a ray. For maps of diffuse facets "
+        "take as many as there are patches, and few rays.",
         group=METHOD,
         plugin=INTEGRATOR,
     )

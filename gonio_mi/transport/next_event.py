@@ -23,13 +23,13 @@ from .sums import Sums
 
 __all__ = ["Deposits", "check_traced"]
 
-# More would only repeat what a further ray tells better.
-MOST_POINTS = 1024
-
 # Part of the points that goes to the lower hemisphere, if there is one; and where all
 # surfaces are opaque and no gap was seen. It changes what is learned, never the result.
 LOWER = 1 / 2
 LOWER_IF_DARK = 1 / 16
+
+# Steps of the sequence R2 in x and y, as fractions of 2**32.
+R2 = (0xC13FA9A9, 0x91E10DA6)
 
 
 def check_traced(bench: Bench, settings: MeasurementSettings) -> None:
@@ -68,8 +68,10 @@ class Deposits:
     sums : Sums
         Where deposits are added up.
     points : int
-        Points for each event; their patches are chosen from equal shares of the
-        collector.
+        Points for each event. Their patches are chosen from equal shares of the
+        collector, and all of them by three random numbers, which a low-discrepancy
+        sequence distributes well: one point per patch leaves nothing to chance but
+        where in the patch it lies.
     order : Order
         Surface events of what is collected.
     lanes, batch : mi.Bool, mi.UInt32
@@ -146,9 +148,10 @@ class Deposits:
         n_points = dr.opaque(mi.UInt32, self.points)
         specimen = self.bench.specimen
         part = dr.rcp(mi.Float(n_points))  # of the collector, for each point
+        first, place = sampler.next_1d(active), sampler.next_2d()
         while i < n_points:
-            share = (mi.Float(i) + sampler.next_1d(active)) * part
-            number, wo, spread = self._point(si.p + shift, share, sampler.next_2d())
+            share = (mi.Float(i) + first) * part
+            number, wo, spread = self._point(si.p + shift, share, _after(place, i))
             local_wo = si.to_local(wo)
             value, pdf = bsdf.eval_pdf(flux_context(), si, local_wo, wanted)
             value *= shading_normal_correction(si, ray, local_wo, wo)
@@ -249,6 +252,18 @@ class Deposits:
         seen, change = bench.collector.seen(p, point)
         spread = self._spread(patch, lower, change)
         return number, seen, dr.select(inside, spread, 0.0)
+
+
+def _after(place: mi.Point2f, i: mi.UInt32) -> mi.Point2f:
+    """Point `i` of the unit square after `place`, evenly spread with those between.
+
+    The low-discrepancy sequence R2 (Roberts 2018), shifted: each point is as random as
+    the first one, and costs no further numbers of the sampler, which are distributed
+    well jointly as long as they are few.
+    """
+    steps = (i * factor for factor in R2)
+    moved = place + mi.Point2f(*(mi.Float(step >> 8) * 2.0**-24 for step in steps))
+    return moved - dr.select(moved < 1, 0.0, 1.0)
 
 
 def _finite(pdf: mi.Float) -> mi.Float:
