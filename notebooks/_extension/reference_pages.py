@@ -126,7 +126,7 @@ def setup(app: Any) -> dict[str, bool]:
     """Register the directives with Sphinx."""
     import os
 
-    os.environ["COLUMNS"] = "88"  # help as wide as the code
+    os.environ["COLUMNS"] = "78"  # help as wide as a page
     roles.register_generic_role("monosp", nodes.literal)
     roles.register_generic_role("paramtype", nodes.literal)
     for name, directive in {
