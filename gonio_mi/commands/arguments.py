@@ -15,6 +15,7 @@ from .. import llvm
 from ..errors import SettingError, VariantError, printable, shortened
 from ..instrument.loading import load_plugin_file, parse_specimen
 from ..transport.variants import usable_variants
+from .positionals import with_positionals_first
 
 __all__ = [
     "DEFAULT_VARIANT",
@@ -64,6 +65,13 @@ class Parser(argparse.ArgumentParser):
         )
         # -1e3 is a number too, before Python 3.14
         self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> tuple[Any, list[str]]:
+        """Parse, whatever stands before or after the options."""
+        words = sys.argv[1:] if args is None else args
+        return super().parse_known_args(with_positionals_first(self, words), namespace)
 
     def error(self, message: str) -> NoReturn:
         """Raise it."""
