@@ -275,7 +275,19 @@ FILES = [
 ]
 OUTPUTS = ["o.npz", "o.exr", "absent/o.npz", "o.txt", "."]
 PICTURES = ["o.png", "o.svg", "o.txt", "absent/o.png", "."]
-EXPORTS = ["o.csv", "o.astm", "o.nc", "o.xml", "o.bsdf", "o.x", "absent/o.csv"]
+EXPORTS = [
+    "o.zemax.bsdf",
+    "o.brdf",
+    "o.anisotropicbsdf",
+    "o.json",
+    "o.csv",
+    "o.astm",
+    "o.nc",
+    "o.xml",
+    "o.bsdf",
+    "o.x",
+    "absent/o.csv",
+]
 
 # Values of each option, or None if it takes none.
 OPTIONS = {
@@ -312,6 +324,9 @@ OPTIONS = {
     "compare": {
         "-o": PICTURES,
         "--channel": ["Y", "x"],
+        "--quantity": ["brdf", "x"],
+        "--columns": ["theta_i=a", "value=x", "x", "theta_i=1"],
+        "--azimuth": ["source", "mirror", "x"],
         "--uncertainty": NUMBERS,
         "--scale-uncertainty": NUMBERS,
         "--alpha": NUMBERS,
@@ -372,6 +387,7 @@ def _one_of(values, rng):
 def kinds():
     """What can be tried, by name."""
     import synthetic
+    from scatter_trials import scatter_kinds
 
     import gonio_mi as gonio
     from gonio_mi.files.measured import read_measured
@@ -395,6 +411,7 @@ def kinds():
         "goniometric": Files("f.npz", _write_stack, _load("goniometric")),
         "scene": Files("f.xml", lambda path: path.write_text(SCENE), _load_scene),
         "command": Commands(),
+        **scatter_kinds(Files),
         **BROKEN,
     }
 

@@ -8,6 +8,7 @@ import os
 
 import fuzz
 import pytest
+from scatter_trials import SCATTER
 
 TRIALS = int(os.environ.get("GONIO_FUZZ", "15"))
 
@@ -23,8 +24,9 @@ pytestmark = pytest.mark.skipif(
         ["bsdf", "npy", "png", "image", "goniometric", "scene"],
         ["sur", "x3p", "tiff"],
         ["command"],
+        [*SCATTER],
     ],
-    ids=["our readers", "specimens", "surfaces", "command line"],
+    ids=["our readers", "specimens", "surfaces", "command line", "scatter files"],
 )
 def test_trials(tmp_path, names):
     if "x3p" in names:

@@ -167,15 +167,12 @@ def test_on_a_border_both_patches_count(tmp_path):
 
 
 @pytest.mark.usefixtures("rgb", "coarse")
-def test_files_that_are_no_material_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 8, 4: 4})
+def test_files_that_are_no_material_are_refused(tmp_path):
     record = isotropic()
-    for name, basis in (("tree.xml", "tensor4"), ("front.xml", "klems")):
-        exporting.export(record, tmp_path / name, basis)
+    exporting.export(record, tmp_path / "front.xml", "klems")
     (tmp_path / "foreign.xml").write_text("<a/>")
     front = {"back_filename": str(tmp_path / "front.xml")}
     for name, parameters, message in (
-        ("tree.xml", {}, "filename: cannot load .* it is a tensor tree"),
         ("foreign.xml", {}, "filename: cannot load .* no WindowElement"),
         ("front.xml", front, "back_filename: .* no light that meets its back"),
     ):

@@ -21,10 +21,21 @@ from ..results.summary import exceeds_error, summarize
 from .loss import Loss, fractions_of, losses
 from .measured_export import write_measured
 from .radiance_export import BASES, write_radiance
+from .scatter_export import (
+    write_anisotropic,
+    write_merl,
+    write_open_material,
+    write_spectral,
+    write_zemax,
+)
 
 __all__ = ["BASES", "ENDINGS", "export"]
 
-ENDINGS = (".csv", ".astm", ".xml", ".bsdf", ".nc")
+ENDINGS = (
+    *(".csv", ".astm", ".xml", ".bsdf", ".nc"),
+    *(".brdf", ".anisotropicbsdf", ".json", ".xompt", ".binary"),
+)
+ZEMAX = ".zemax.bsdf"
 
 
 def export(
@@ -51,7 +62,9 @@ def export(
         after ASTM E1392, of reflection; see :mod:`gonio_mi.files.astm`. ``.xml``: a
         Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only; needs a
         variant of rgb, or a spectral one for channels that are wavelengths. ``.nc``:
-        NetCDF, by xarray.
+        NetCDF, by xarray. ``.zemax.bsdf``: for Zemax. ``.brdf`` and
+        ``.anisotropicbsdf``: for Speos. ``.json`` or ``.xompt``: OpenMATERIAL.
+        ``.binary``: as the MERL database.
     basis : {"klems", "klems-half", "klems-quarter", "tensor3", "tensor4"}
         Of Radiance: a Klems basis, or a tensor tree for isotropic (3) or any (4)
         materials.
@@ -94,6 +107,8 @@ def export(
             "several records, a product and solar light go to a file .xml, got "
             f"{Path(path).name}"
         )
+    if Path(path).name.lower().endswith(ZEMAX):
+        return write_zemax(records[0], path)
     return _FORMATS[ending](records[0], path)
 
 
@@ -210,4 +225,14 @@ def _netcdf(record: Record, path: str | PathLike[str]) -> list[Loss]:
     return losses(record, values * projected)
 
 
-_FORMATS = {".csv": _csv, ".astm": _astm, ".bsdf": write_measured, ".nc": _netcdf}
+_FORMATS = {
+    ".csv": _csv,
+    ".astm": _astm,
+    ".bsdf": write_measured,
+    ".nc": _netcdf,
+    ".brdf": write_spectral,
+    ".anisotropicbsdf": write_anisotropic,
+    ".json": write_open_material,
+    ".xompt": write_open_material,
+    ".binary": write_merl,
+}

@@ -1,4 +1,4 @@
-"""Materials in files: our records, and Radiance's Klems matrices."""
+"""Materials in files: our records, Radiance's BSDFs, other programs' scatter data."""
 
 from dataclasses import dataclass
 from os import PathLike
@@ -7,14 +7,29 @@ from pathlib import Path
 import numpy as np
 
 from .. import files
+from ..collector import EqualAngle, EqualProjectedSolidAngle
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
 from ..errors import FileFormatError
 from ..results.record import Record
+from . import scatter_files
 from .header import require
 from .radiance_bsdf import RadianceBSDF
+from .scatter import Scatter, patch_means
 
-__all__ = ["PatchMeans", "load_material"]
+__all__ = ["PatchMeans", "load_material", "scatter_means"]
+
+# Azimuths of incidence at which tensor trees for any materials are taken.
+N_AZIMUTHS = 24
+
+# Rings and sectors of other programs' scatter data.
+PATCHES = 60, 72
+
+# Angles of incidence at which tensor trees are taken, rings and sectors of patches by
+# the rank of a tree, and points per side of a patch.
+TREE_INCIDENCES = np.array([0, 10, 20, 30, 40, 50, 60, 70, 80.0])
+TREE_PATCHES = {3: (45, 90), 4: (32, 64)}
+TREE_POINTS = 3
 
 # Half the width in degrees of what stands for an azimuth on an edge of patches.
 NEARLY = 1e-3
@@ -51,8 +66,9 @@ def load_material(
     Parameters
     ----------
     path : str or path
-        Ends in ``.npz`` or ``.exr`` for a record; in ``.xml`` for a Radiance BSDF in
-        a Klems basis.
+        Ends in ``.npz`` or ``.exr`` for a record; in ``.xml`` for a Radiance BSDF; in
+        ``.bsdf``, ``.brdf``, ``.anisotropicbsdf``, ``.json``, ``.xompt`` or
+        ``.binary`` for the scatter data of another program.
     side : {"front", "back"}
         The lit face, where the file holds both.
 
@@ -69,22 +85,22 @@ def load_material(
     FileFormatError
         If it is damaged, something else, or lacks reflection from that side.
     """
-    if Path(path).suffix.lower() != ".xml":
+    ending = Path(path).suffix.lower()
+    if ending in scatter_files.ENDINGS:
+        return _of_scatter(path)
+    if ending != ".xml":
         return files.load(path)
     with open(path, "rb") as stream:
         try:
-            return _of_klems(RadianceBSDF(stream), side)
+            bsdf = RadianceBSDF(stream)
+            made = _of_klems if bsdf.rank is None else _of_trees
+            return made(bsdf, side)
         except FileFormatError as error:
             raise FileFormatError(f"cannot load {path}: {error}") from None
 
 
 def _of_klems(bsdf: RadianceBSDF, side: str) -> PatchMeans:
     """Klems matrices at the middles of their rings, and at common azimuths."""
-    require(
-        bsdf.rank is None,
-        "it is a tensor tree, which has no patches: Radiance's bsdf2klems makes a "
-        "matrix of it",
-    )
     # the first ring is one patch around the pole
     patches = bsdf.basis
     edges = patches.theta_deg
@@ -112,5 +128,80 @@ def _of_klems(bsdf: RadianceBSDF, side: str) -> PatchMeans:
         theta_i=theta_i,
         phi_i=phi_i,
         channels=bsdf.channels,
+        flux_fraction=means * patches.projected_solid_angles[..., None],
+    )
+
+
+def _of_trees(bsdf: RadianceBSDF, side: str) -> PatchMeans:
+    """Means of tensor trees over patches, at some incident directions.
+
+    Of trees for isotropic materials at one azimuth.
+    """
+    n = N_AZIMUTHS if bsdf.rank == 4 else 1
+    azimuths = np.arange(n) * (360 / n)
+    theta_i, phi_i = (
+        a.ravel() for a in np.meshgrid(TREE_INCIDENCES, azimuths, indexing="ij")
+    )
+    held = [h for h in (0, 1) if bsdf.holds(side, h)]
+    require(bool(held), f"it holds no light that meets its {side}")
+    patches = EqualProjectedSolidAngle(*TREE_PATCHES[bsdf.rank or 4])
+    wo = patches.points(TREE_POINTS)
+    shape = len(theta_i), max(held) + 1, *patches.shape, len(bsdf.channels)
+    means = np.zeros(shape)
+    for hemisphere in held:
+        for index, (theta, phi) in enumerate(zip(theta_i, phi_i)):
+            values = bsdf.values(side, hemisphere, theta, phi, wo.reshape(-1, 3))
+            values = values.reshape(*wo.shape[:2], -1).mean(axis=1)
+            means[index, hemisphere] = values.reshape(shape[2:])
+    return PatchMeans(
+        subdivision=patches,
+        theta_i=theta_i,
+        phi_i=phi_i,
+        channels=bsdf.channels,
+        flux_fraction=means * patches.projected_solid_angles[..., None],
+    )
+
+
+def _of_scatter(path: str | PathLike[str]) -> PatchMeans:
+    """Scatter data in patches as fine as they are told for."""
+    scatter = scatter_files.read_scatter(path)
+    try:
+        return scatter_means(scatter)
+    except FileFormatError as error:
+        raise FileFormatError(f"cannot load {path}: {error}") from None
+
+
+def scatter_means(scatter: Scatter, patches: Subdivision | None = None) -> PatchMeans:
+    """Scatter data as means over patches, by default a few degrees wide.
+
+    Parameters
+    ----------
+    scatter : Scatter
+        Transmission for the incident directions of reflection, if it has both.
+    patches : Subdivision, optional
+
+    Raises
+    ------
+    FileFormatError
+        If both are told for other incident directions.
+    """
+    patches = patches or EqualAngle(*PATCHES)
+    held = [h for h in (0, 1) if scatter.of(h)]
+    by_angles = {(b.hemisphere, b.theta_i, b.phi_i): b for b in scatter.blocks}
+    incident = sorted({key[1:] for key in by_angles}, key=lambda pair: pair[::-1])
+    require(
+        len(by_angles) == len(held) * len(incident),
+        "it tells reflection and transmission for different incident directions",
+    )
+    shape = len(incident), max(held) + 1, *patches.shape, len(scatter.channels)
+    means = np.zeros(shape)
+    for (hemisphere, *angles), block in by_angles.items():
+        here = incident.index((angles[0], angles[1])), hemisphere
+        means[here] = patch_means(block, patches)
+    return PatchMeans(
+        subdivision=patches,
+        theta_i=np.array([theta for theta, _ in incident]),
+        phi_i=np.array([phi for _, phi in incident]),
+        channels=scatter.channels,
         flux_fraction=means * patches.projected_solid_angles[..., None],
     )

@@ -10,6 +10,7 @@ from ..errors import FileFormatError, SettingError, shown
 from . import astm
 from .measured_table import MeasuredTable
 from .measured_text import read_text
+from .scatter_files import is_scatter, scatter_table
 
 __all__ = ["MeasuredTable", "read_measured"]
 
@@ -51,8 +52,10 @@ def read_measured(
     Parameters
     ----------
     path : str or path
-        Ends in ``.astm`` for text after ASTM E1392, see :mod:`gonio_mi.files.astm`; any
-        other ending is text with columns.
+        Ends in ``.astm`` for text after ASTM E1392, see :mod:`gonio_mi.files.astm`; in
+        ``.json`` or ``.xompt`` for OpenMATERIAL, in ``.binary`` for MERL. Files of
+        Zemax, Speos and FRED are known by what they hold; any other is text with
+        columns.
     channel : str, optional
         Of several, such as ``"550nm"``.
     quantity : {"brdf", "brdf_cos", "btdf", "reflectance_factor"}, optional
@@ -86,12 +89,13 @@ def read_measured(
             f"{path} is no table of values: measure it as a material, "
             f"goniometric:filename={path}, and compare the records"
         )
+    others = ending == ".astm" or is_scatter(path)
+    if others and (columns is not None or azimuth is not None):
+        raise SettingError(f"columns and azimuth go with a text of columns, got {path}")
     if ending == ".astm":
-        if columns is not None or azimuth is not None:
-            raise SettingError(
-                f"columns and azimuth go with a text of columns, got {path}"
-            )
         return _read_astm(path, channel)
+    if others:
+        return scatter_table(path, channel, quantity)
     return read_text(path, channel, quantity, columns, azimuth)
 
 

@@ -37,8 +37,9 @@ class Goniometric(mi.BSDF):
        - |string|
        - Record of the front face, ``.npz`` or ``.exr``: a stack over polar angles of
          incidence at one azimuth (isotropic), or at each of several azimuths that go
-         all around (anisotropic). Or a Radiance ``.xml`` in the Klems full basis, lit
-         from +z.
+         all around (anisotropic). Or a Radiance ``.xml``, lit from +z, or the scatter
+         data of another program: ``.bsdf`` of Zemax, ``.brdf`` or ``.anisotropicbsdf``
+         of Speos, ``.json`` of OpenMATERIAL, ``.binary`` of the MERL database.
 
      * - back_filename
        - |string|

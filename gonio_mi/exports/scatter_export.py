@@ -1,0 +1,266 @@
+"""Records in the scatter files of other programs: Zemax, Speos, OpenMATERIAL, MERL."""
+
+from collections.abc import Callable, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from ..array_types import Floats
+from ..collector.directions import direction
+from ..errors import SettingError
+from ..files import merl, open_material, replacing, speos_writing, zemax
+from ..files.channels import wavelengths_nm
+from ..files.material_files import PatchMeans, scatter_means
+from ..files.scatter import Block, Scatter, total_of
+from ..files.scatter_files import read_scatter
+from ..results.record import Record
+from .loss import Loss, fractions_of, losses
+from .resampling import Material
+
+__all__ = [
+    "write_anisotropic",
+    "write_merl",
+    "write_open_material",
+    "write_spectral",
+    "write_zemax",
+]
+
+# Polar angles and azimuths about the specular direction, where lobes are narrow.
+RADIAL, AROUND = merl.RADIAL, np.arange(0.0, 361.0, 10.0)
+
+# Points per side of what a value of a grid stands for.
+POINTS = 3
+
+# A direction below the horizon stands for the one at this angle above, in degrees.
+ABOVE = 0.1
+
+
+def write_zemax(record: Record, path: str | PathLike[str]) -> list[Loss]:
+    """Write a record for Zemax, a file for each quantity and channel.
+
+    Their names are put before the ending ``.zemax.bsdf`` if there are several.
+    """
+    scatter = _scatter(record, specular=True)
+    written = np.zeros_like(fractions_of(record))
+    several = record.has_lower or len(record.channels) > 1
+    for hemisphere in range(1 + record.has_lower):
+        for number, channel in enumerate(record.channels):
+            name = Path(path)
+            if several:
+                quantity = ("brdf", "btdf")[hemisphere]
+                said = channel if len(record.channels) > 1 else ""
+                stem = name.name[: -len(".zemax.bsdf")]
+                name = name.with_name(f"{stem}.{quantity}{said}.zemax.bsdf")
+            part = _part(scatter, hemisphere, number)
+            comment = f"gonio-mi: {_said(record)}, {channel}"
+            with replacing(name) as stream:
+                zemax.write(part, stream, comment)
+            again = scatter_means(read_scatter(name), record.subdivision)
+            written[:, hemisphere, ..., number] = _in_order(record, again)[
+                :, hemisphere, ..., 0
+            ]
+    return losses(record, written)
+
+
+def write_spectral(record: Record, path: str | PathLike[str]) -> list[Loss]:
+    """Write an isotropic record for Speos, a distribution for each wavelength."""
+    _check_channels(record, ".brdf")
+    _check_isotropic(record, ".brdf")
+    if len(record) < 2:
+        raise SettingError("a .brdf file needs at least 2 angles of incidence, got 1")
+    return _written(record, path, speos_writing.write_spectral)
+
+
+def write_anisotropic(record: Record, path: str | PathLike[str]) -> list[Loss]:
+    """Write a record for Speos: one distribution for all wavelengths."""
+    _check_channels(record, ".anisotropicbsdf")
+    return _written(record, path, speos_writing.write_anisotropic)
+
+
+def write_open_material(record: Record, path: str | PathLike[str]) -> list[Loss]:
+    """Write the reflection of an isotropic record as an OpenMATERIAL look-up table."""
+    _check_channels(record, "OpenMATERIAL")
+    _check_isotropic(record, "OpenMATERIAL")
+    return _written(record, path, open_material.write, hemispheres=(0,))
+
+
+def write_merl(record: Record, path: str | PathLike[str]) -> list[Loss]:
+    """Write the reflection of an isotropic record in the format of the MERL database.
+
+    Between its angles of incidence it is what the BSDF `goniometric` makes of it.
+    """
+    _check_isotropic(record, ".binary")
+    if record.channels != ("R", "G", "B") and len(record.channels) > 1:
+        raise SettingError(
+            "a .binary file takes records of one channel or of R, G, B, got "
+            f"{', '.join(record.channels)[:80]}"
+        )
+    material = Material(record)
+    turn = np.radians(record.phi_i[0])
+    cosine, sine = np.cos(turn), np.sin(turn)
+    rotation = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
+
+    def value(theta_i: Floats, wo: Floats) -> Floats:
+        values = material.values(theta_i, record.phi_i[0], wo @ rotation)
+        return np.broadcast_to(values, (len(values), 3))
+
+    with replacing(path) as stream:
+        merl.write(value, stream)
+    with open(path, "rb") as written:
+        again = merl.read(written, tuple(record.theta_i.tolist()))
+    turned = [_turned(block, float(record.phi_i[0])) for block in again.blocks]
+    means = scatter_means(Scatter(turned, again.channels), record.subdivision)
+    fractions = _in_order(record, means)[..., : len(record.channels)]
+    return losses(record, fractions)
+
+
+def _turned(block: Block, phi_i: float) -> Block:
+    """Block at another azimuth of incidence."""
+    return Block(
+        block.theta_i,
+        phi_i,
+        block.hemisphere,
+        block.polar,
+        block.azimuth,
+        block.values,
+        block.specular,
+    )
+
+
+def _written(
+    record: Record,
+    path: str | PathLike[str],
+    write: Callable[[Scatter, BinaryIO, str], None],
+    hemispheres: Sequence[int] = (0, 1),
+) -> list[Loss]:
+    """Write blocks about the normal, read them back, and compare."""
+    scatter = _scatter(record, specular=False)
+    with replacing(path) as stream:
+        write(scatter, stream, _said(record))
+    again = read_scatter(path)
+    isotropic = len(set(record.phi_i.tolist())) == 1
+    if isotropic:  # files of these kinds do not tell one azimuth
+        turned = [_turned(block, float(record.phi_i[0])) for block in again.blocks]
+        again = Scatter(turned, again.channels)
+    fractions = _in_order(record, scatter_means(again, record.subdivision))
+    held = [h for h in hemispheres if h <= record.has_lower]
+    fractions = fractions[:, held]
+    order = _channel_order(record)
+    shape = (*fractions.shape[:-1], len(order))
+    return losses(record, np.broadcast_to(fractions, shape)[..., order])
+
+
+def _channel_order(record: Record) -> list[int]:
+    """Where each channel of the record is among ascending wavelengths."""
+    nm = wavelengths_nm(record.channels)
+    if nm is None:
+        return [0]
+    return np.argsort(np.argsort(nm)).tolist()
+
+
+def _in_order(record: Record, means: PatchMeans) -> Floats:
+    """Flux fractions of the record's incident directions, in its order."""
+    wanted = direction(np.radians(record.theta_i), np.radians(record.phi_i))
+    held = direction(np.radians(means.theta_i), np.radians(means.phi_i))
+    nearest = np.argmax(wanted @ held.T, axis=1)
+    # at normal incidence azimuths are told apart by nothing but themselves
+    turn = np.mod(means.phi_i[None] - record.phi_i[:, None] + 180, 360) - 180
+    normal = np.abs(record.theta_i) < ABOVE
+    distance = np.where(means.theta_i[None] < ABOVE, np.abs(turn), np.inf)
+    return means.flux_fraction[np.where(normal, distance.argmin(axis=1), nearest)]
+
+
+def _scatter(record: Record, specular: bool) -> Scatter:
+    """Means of a record around the points of grids, with the light of its maps."""
+    if record.subdivision.axes is not None:
+        raise SettingError(
+            "a collector of apertures measures some directions only: the file needs "
+            "a whole hemisphere, or write a .csv"
+        )
+    blocks = []
+    fractions = fractions_of(record)
+    projected = record.subdivision.projected_solid_angles[..., None]
+    n_patches = record.subdivision.n_patches
+    for index, hemisphere in np.ndindex(fractions.shape[:2]):
+        fraction = fractions[index, hemisphere]
+        polar, azimuth = (RADIAL, AROUND) if specular else _grid(record)
+        empty = np.zeros((len(polar), len(azimuth), 1))
+        theta_i = float(np.clip(record.theta_i[index], 0, None))
+        angles = theta_i, float(record.phi_i[index]) % 360, hemisphere
+        frame = Block(*angles, polar, azimuth, empty, specular)
+        means = (fraction / projected).reshape(n_patches, -1)
+        values = _around_nodes(record, frame, means)
+        block = Block(*angles, polar, azimuth, values, specular)
+        total, wanted = total_of(block), fraction.sum(axis=(0, 1))
+        factor = np.where(total > 0, wanted / np.where(total > 0, total, 1), 1.0)
+        blocks.append(Block(*angles, polar, azimuth, values * factor, specular, wanted))
+    return Scatter(blocks, record.channels)
+
+
+def _grid(record: Record) -> tuple[Floats, Floats]:
+    """Polar angles and azimuths about the normal, at least two for each patch."""
+    n_theta, n_phi = record.subdivision.shape
+    step = 90 / np.clip(2 * n_theta, 18, 90).astype(int)
+    turn = 360 / np.clip(2 * n_phi, 36, 120).astype(int)
+    return np.arange(0, 90 + step / 2, step), np.arange(0, 360 + turn / 2, turn)
+
+
+def _around_nodes(record: Record, frame: Block, means: Floats) -> Floats:
+    """Means of patch means around the points of a grid, ``(n, m, channels)``."""
+    low, high = _cells(frame.polar), _cells(frame.azimuth, 360.0)
+    steps = (np.arange(POINTS) + 0.5) / POINTS
+    sums = np.zeros((len(frame.polar), len(frame.azimuth), means.shape[-1]))
+    for along, around in np.ndindex(POINTS, POINTS):
+        polar = low[0] + (low[1] - low[0]) * steps[along]
+        azimuth = high[0] + (high[1] - high[0]) * steps[around]
+        wo = frame.directions(polar, azimuth)
+        wo[..., 2] = np.maximum(wo[..., 2], np.sin(np.radians(ABOVE)))
+        wo /= np.linalg.norm(wo, axis=-1, keepdims=True)
+        sums += means[record.subdivision.patch(wo)]
+    return sums / POINTS**2
+
+
+def _cells(angles: Floats, period: float | None = None) -> tuple[Floats, Floats]:
+    """Where what an angle stands for begins and ends: half-way to its neighbours."""
+    middles = (angles[1:] + angles[:-1]) / 2
+    if period is None:
+        low, high = angles[0], angles[-1]
+    else:
+        low = angles[0] - (angles[1] - angles[0]) / 2
+        high = angles[-1] + (angles[-1] - angles[-2]) / 2
+    return np.append(low, middles), np.append(middles, high)
+
+
+def _part(scatter: Scatter, hemisphere: int, number: int) -> Scatter:
+    """One hemisphere and channel."""
+    one = slice(number, number + 1)
+    blocks = [
+        Block(b.theta_i, b.phi_i, b.hemisphere, b.polar, b.azimuth, b.values[..., one],
+              b.specular, None if b.total is None else b.total[one])
+        for b in scatter.of(hemisphere)
+    ]  # fmt: skip
+    return Scatter(blocks, ("Y",))
+
+
+def _said(record: Record) -> str:
+    return str(record.settings.get("specimen", "a record"))[:200]
+
+
+def _check_channels(record: Record, what: str) -> None:
+    """Raise ValueError for colours, which these formats have no place for."""
+    if len(record.channels) > 1 and wavelengths_nm(record.channels) is None:
+        raise SettingError(
+            f"{what} takes records of one channel or of wavelengths, got "
+            f"{', '.join(record.channels)[:80]}"
+        )
+
+
+def _check_isotropic(record: Record, what: str) -> None:
+    """Raise ValueError for several azimuths of incidence."""
+    if len(set(record.phi_i.tolist())) > 1:
+        raise SettingError(
+            f"{what} holds one azimuth of incidence, as of isotropic materials, got "
+            f"{len(set(record.phi_i.tolist()))}"
+        )

@@ -1,0 +1,185 @@
+"""Scatter files of Zemax OpticStudio, ``.bsdf``, also called BSDF data interchange.
+
+The format is that of Radiant's Imaging Sphere (R. Rykowski, "BSDF Data Interchange File
+Format Specification", Zemax knowledge base, 2008): lines of a keyword, then of angles,
+and for each sample rotation and angle of incidence the line ``TIS`` with the total
+integrated scatter and one line of values for each azimuth. Angles are in degrees;
+values are BRDF or BTDF in 1/sr. ``ScatterRadial`` counts from the specular direction,
+``ScatterAzimuth`` about it from the side of the normal; of ``PlaneSymmetrical`` files
+the azimuths 0 to 180 stand for both sides. Where the radial angles end before the
+horizon, the last value is taken to go on. For transmission the axis is the direction
+straight on, and ``AngleOfIncidence`` is its angle, as if nothing were refracted.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import BinaryIO
+
+import numpy as np
+
+from ..array_types import Floats
+from ..errors import FileFormatError
+from .header import require
+from .numbers import decimal
+from .scatter import Block, Scatter, check_size, total_of
+
+__all__ = ["is_zemax", "read", "write"]
+
+AXES = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
+WORDS = ("Source", "Symmetry", "SpectralContent", "ScatterType")
+SPECTRA = {
+    "Monochrome": ("Monochrome",),
+    "XYZ": ("TristimulusX", "TristimulusY", "TristimulusZ"),
+}
+
+# Longest line, which is one of values.
+LONGEST = 10**6
+
+
+def is_zemax(content: bytes) -> bool:
+    """Whether a file begins as such files do."""
+    return re.search(rb"^ScatterType\s", content, re.MULTILINE) is not None
+
+
+def read(stream: BinaryIO) -> Scatter:
+    """Read a file.
+
+    Raises
+    ------
+    FileFormatError
+        If it is something else, damaged, or announces more than it holds.
+    """
+    content = stream.read()
+    require(b"\0" not in content, "it is not text")
+    comments, lines = _lines(content.decode("latin-1"))
+    words, axes = _header(lines)
+    kind = words["ScatterType"].upper()
+    require(kind in ("BRDF", "BTDF"), f"its ScatterType is {kind:.20}")
+    spectrum = words["SpectralContent"]
+    require(spectrum in SPECTRA, f"its SpectralContent is {spectrum:.20}")
+    symmetric = words["Symmetry"].lower() == "planesymmetrical"
+    n = [len(axes[name]) for name in AXES]
+    check_size(*n, len(SPECTRA[spectrum]))
+    values = np.empty((len(SPECTRA[spectrum]), n[0], n[1], n[3], n[2]))
+    totals = np.empty((len(SPECTRA[spectrum]), n[0], n[1]))
+    for index, name in enumerate(SPECTRA[spectrum]):
+        for expected in (name, "DataBegin"):
+            number, text = next(lines, (0, "nothing"))
+            require(text == expected, f"line {number} must be {expected}")
+        for rotation, incidence in np.ndindex(n[0], n[1]):
+            number, text = next(lines, (0, "nothing"))
+            head, _, total = text.partition(" ")
+            require(head == "TIS", f"line {number} must begin with TIS")
+            totals[index, rotation, incidence] = _numbers(number, total, 1)[0]
+            for azimuth in range(n[2]):
+                row = _numbers(*next(lines, (0, "")), n[3])
+                values[index, rotation, incidence, :, azimuth] = row
+        number, text = next(lines, (0, "nothing"))
+        require(text == "DataEnd", f"line {number} must be DataEnd")
+    azimuths = axes["ScatterAzimuth"]
+    if symmetric:
+        require(azimuths[-1] <= 180, "it is PlaneSymmetrical with azimuths beyond 180")
+    blocks = [
+        Block(
+            theta_i=float(axes["AngleOfIncidence"][incidence]),
+            phi_i=float(axes["SampleRotation"][rotation]),
+            hemisphere=int(kind == "BTDF"),
+            polar=axes["ScatterRadial"],
+            azimuth=azimuths,
+            values=np.moveaxis(values[:, rotation, incidence], 0, -1),
+            specular=True,
+            total=totals[:, rotation, incidence],
+        )
+        for rotation, incidence in np.ndindex(n[0], n[1])
+    ]
+    channels = ("Y",) if spectrum == "Monochrome" else ("X", "Y", "Z")
+    said = "; ".join(comment for comment in comments if comment)[:2000]
+    notes = ("angles of exit count from the specular direction",)
+    return Scatter(blocks, channels, {"comment": said} if said else {}, notes)
+
+
+def write(scatter: Scatter, stream: BinaryIO, comment: str) -> None:
+    """Write blocks about the specular direction, all on one grid, of one channel.
+
+    Parameters
+    ----------
+    scatter : Scatter
+        Of reflection or of transmission.
+    stream : binary stream
+    comment : str
+        A line of it.
+    """
+    first = scatter.blocks[0]
+    rotations = sorted({block.phi_i for block in scatter.blocks})
+    incidences = sorted({block.theta_i for block in scatter.blocks})
+    by_angles = {(block.phi_i, block.theta_i): block for block in scatter.blocks}
+    symmetry = "Asymmetrical" if len(rotations) == 1 else "Asymmetrical4D"
+    lines = [
+        f"# {' '.join(comment.split())}",
+        "Source  Measured",
+        f"Symmetry  {'PlaneSymmetrical' if first.mirrored else symmetry}",
+        "SpectralContent  Monochrome",
+        f"ScatterType  {('BRDF', 'BTDF')[first.hemisphere]}",
+    ]
+    grid: list[Sequence[float]] = [rotations, incidences]
+    grid += [first.azimuth.tolist(), first.polar.tolist()]
+    for name, angles in zip(AXES, grid):
+        lines += [f"{name}  {len(angles)}", "\t".join(f"{a:.9g}" for a in angles)]
+    lines += ["", "Monochrome", "DataBegin"]
+    for rotation in rotations:
+        for incidence in incidences:
+            block = by_angles[rotation, incidence]
+            total = total_of(block) if block.total is None else block.total
+            lines.append(f"TIS  {total[0]:.6f}")
+            lines += [
+                "\t".join(f"{value:.5e}" for value in row)
+                for row in block.values[..., 0].T
+            ]
+    lines.append("DataEnd")
+    stream.write(("\n".join(lines) + "\n").encode("ascii", "replace"))
+
+
+def _lines(text: str) -> tuple[list[str], Iterator[tuple[int, str]]]:
+    """Comments, and numbered lines that hold something, blanks between their words."""
+    every = text.splitlines()
+    require(max(map(len, every), default=0) <= LONGEST, "it has an endless line")
+    comments = [line.strip("# \t") for line in every if line.startswith("#")]
+    lines = (
+        (number, " ".join(line.split()))
+        for number, line in enumerate(every, 1)
+        if line.strip() and not line.startswith("#")
+    )
+    return comments, lines
+
+
+def _header(
+    lines: Iterator[tuple[int, str]],
+) -> tuple[dict[str, str], dict[str, Floats]]:
+    """Words and angles of the header."""
+    words: dict[str, str] = {}
+    axes: dict[str, Floats] = {}
+    for number, text in lines:
+        key, _, said = text.partition(" ")
+        if key in WORDS:
+            words[key] = said
+        else:
+            require(key in AXES, f"line {number} has the unknown keyword {key:.30}")
+            count = _numbers(number, said, 1)[0]
+            whole = np.isfinite(count) and count == np.round(count)
+            require(whole, f"line {number} must have a whole number")
+            check_size(int(count))
+            axes[key] = _numbers(*next(lines, (0, "")), int(count))
+        if len(words) == len(WORDS) and len(axes) == len(AXES):
+            return words, axes
+    missing = [name for name in (*WORDS, *AXES) if name not in words | dict(axes)]
+    raise FileFormatError(f"it has no line {' or '.join(missing)}")
+
+
+def _numbers(number: int, text: str, n: int) -> Floats:
+    """Numbers of a line, `n` of them."""
+    cells = text.split()
+    require(len(cells) == n, f"line {number} must have {n} numbers, got {len(cells)}")
+    try:
+        return np.array([decimal(cell) for cell in cells])
+    except ValueError as error:
+        raise FileFormatError(f"line {number}: {error}") from None

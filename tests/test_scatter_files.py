@@ -1,0 +1,494 @@
+"""Scatter files of Zemax, Speos, FRED, OpenMATERIAL and MERL: tables and materials.
+
+Real ones, where they are present, against each other and against what they state; own
+ones against closed forms, and through the BSDF `goniometric`.
+"""
+
+import io
+import json
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import synthetic
+from test_tables_in import real
+
+import gonio_mi as gonio
+from gonio_mi.cli import main
+from gonio_mi.collector.directions import direction
+from gonio_mi.errors import FileFormatError
+from gonio_mi.exports import exporting
+from gonio_mi.files import fred, merl, open_material, zemax
+from gonio_mi.files import speos_writing as speos
+from gonio_mi.files.scatter import Block, Scatter, total_of
+from gonio_mi.files.scatter_files import read_scatter
+
+EPS = np.finfo(float).eps
+POLAR, AZIMUTH = np.arange(0, 91, 5.0), np.arange(0, 361, 15.0)
+
+
+def phong(theta_i, wo, power=8):
+    """BRDF in 1/sr of a lobe about the mirror direction of an incidence from +x."""
+    mirror = direction(np.radians(theta_i), np.pi)
+    return 0.1 + 0.5 * np.maximum(np.asarray(wo) @ mirror, 0) ** power
+
+
+def lobes(specular=False, hemisphere=0, channels=("Y",), theta_i=(0, 30, 60)):
+    blocks = []
+    for theta in theta_i:
+        empty = np.zeros((len(POLAR), len(AZIMUTH), 1))
+        place = float(theta), 0.0, hemisphere, POLAR, AZIMUTH
+        wo = Block(*place, empty, specular).directions()
+        tints = np.linspace(1, 0.5, len(channels))
+        values = phong(theta, wo)[..., None] * tints
+        blocks.append(Block(*place, values, specular))
+    return Scatter(blocks, channels)
+
+
+def again(scatter, write, path):
+    with open(path, "wb") as stream:
+        write(scatter, stream, "made for a test")
+    return read_scatter(path)
+
+
+# ------------------------------------------------------------------ angles and values
+
+
+@pytest.mark.parametrize("specular", [False, True])
+def test_blocks_know_where_their_directions_are(specular):
+    """At the nodes, exact but for rounding; between them to second order."""
+    for block in lobes(specular).blocks:
+        theta, phi, values = block.nodes()
+        wo = direction(np.radians(theta), np.radians(phi))
+        assert (np.abs(phong(block.theta_i, wo) - values[:, 0]) <= 64 * EPS).all()
+        # curvature of the lobe, 4 per square radian, over steps of 5 and 15 degrees
+        inside = direction(*np.radians(np.meshgrid([12.0, 33.0], [7.0, 100.0])))
+        error = np.abs(block.at(inside)[..., 0] - phong(block.theta_i, inside))
+        assert error.max() <= 4 / 8 * np.radians([5, 15]) @ np.radians([5, 15])
+
+
+def test_azimuths_of_zemax_count_from_the_side_of_the_normal():
+    """10 degrees off the specular direction of 30, azimuth 0: 20 from the normal."""
+    polar, values = np.array([0.0, 10.0]), np.arange(8.0).reshape(2, 4, 1)
+    block = Block(30.0, 0.0, 0, polar, np.arange(4) * 90.0, values, specular=True)
+    theta, phi, at = block.nodes()
+    assert theta[[0, 1, 3]] == pytest.approx([30, 20, 40], abs=1e-9)
+    assert phi[[0, 1, 3]] == pytest.approx([180, 180, 180])
+    assert at[:, 0].tolist() == [0, 4, 5, 6, 7]
+    # counter-clockwise, seen against the axis: who looks from -x has +y on the left
+    assert phi[2] < 180 < phi[4]
+
+
+def test_the_total_of_a_lambertian_is_its_albedo():
+    values = np.full((len(POLAR), len(AZIMUTH), 1), 0.5 / np.pi)
+    for specular in (False, True):
+        block = Block(30.0, 0.0, 0, POLAR, AZIMUTH, values, specular)
+        assert total_of(block)[0] == pytest.approx(0.5, rel=1e3 * EPS)
+
+
+# ------------------------------------------------------------------------- round trips
+
+
+@pytest.mark.parametrize("hemisphere", [0, 1])
+@pytest.mark.parametrize(
+    ("write", "ending", "specular", "digits"),
+    [
+        (zemax.write, ".bsdf", True, 5e-6),
+        (speos.write_spectral, ".brdf", False, 1e-5),
+        (speos.write_anisotropic, ".anisotropicbsdf", False, 1e-5),
+    ],
+)
+def test_what_is_written_is_read(tmp_path, hemisphere, write, ending, specular, digits):
+    """To the digits that the file has, and of those of the totals."""
+    scatter = lobes(specular, hemisphere)
+    read = again(scatter, write, tmp_path / f"a{ending}")
+    assert read.channels == ("Y",)
+    for one, two in zip(scatter.blocks, read.blocks):
+        assert (one.theta_i, one.hemisphere) == (two.theta_i, two.hemisphere)
+        assert two.values == pytest.approx(one.values, rel=2 * digits)
+    table = gonio.read_measured(tmp_path / f"a{ending}")
+    assert table.quantity == ("brdf", "btdf")[hemisphere]
+    assert ((table.theta_o > 90) == bool(hemisphere)).all()
+    lit = np.where(table.theta_o > 90, 180 - table.theta_o, table.theta_o)
+    for theta in (0, 30, 60):
+        here = table.theta_i == theta
+        wo = direction(np.radians(lit[here]), np.radians(table.phi_o[here]))
+        expected = phong(theta, wo)
+        # six decimals of a degree displace the lobe by as much
+        assert table.value[here] == pytest.approx(expected, rel=1e-4)
+
+
+def test_wavelengths_of_speos_each_have_a_total(tmp_path):
+    names = ("450nm", "650nm")
+    scatter = lobes(channels=names)
+    read = again(scatter, speos.write_spectral, tmp_path / "a.brdf")
+    assert read.channels == names
+    assert read.blocks[1].values == pytest.approx(scatter.blocks[1].values, rel=2e-5)
+    # one distribution: its mean, with the spectrum of the first incidence
+    read = again(scatter, speos.write_anisotropic, tmp_path / "a.anisotropicbsdf")
+    assert read.blocks[2].values == pytest.approx(scatter.blocks[2].values, rel=2e-5)
+    with pytest.raises(ValueError, match="channel must be one of 450nm, 650nm"):
+        gonio.read_measured(tmp_path / "a.brdf")
+    assert gonio.read_measured(tmp_path / "a.brdf", "650").channel == "650nm"
+
+
+def test_intensities_of_speos_are_divided_by_the_cosine(tmp_path):
+    """A Lambertian of 40 % at 0 degrees, as intensity on any scale."""
+    cosine = np.cos(np.radians(POLAR))
+    rows = [[angle, *([7 * c] * 3)] for angle, c in zip(POLAR, cosine)]
+    text = ["OPTIS - Anisotropic BSDF surface file v8.0", "0", "", "0", "", "0 1 0"]
+    text += ["1 0", "0", "1", "0", "2", "0 45", "0 0", "", "2", "400 40", "700 20"]
+    for _ in range(2):
+        text += [f"{len(POLAR)} 3", "0 180 360"]
+        text += ["\t".join(map(repr, map(float, row))) for row in rows]
+    path = tmp_path / "a.anisotropicbsdf"
+    path.write_text("\n".join([*text, "End of file"]))
+    read = read_scatter(path)
+    assert read.channels == ("400nm", "700nm")
+    expected = np.broadcast_to([0.4 / np.pi, 0.2 / np.pi], (len(POLAR), 3, 2))
+    assert read.blocks[1].values == pytest.approx(expected, rel=1e3 * EPS)
+
+
+def test_merl_is_a_table_of_half_and_difference_angles():
+    """Its reader's own formula for the cell, at some pairs of directions."""
+
+    def value(theta_i, wo):
+        mirror = direction(np.radians(theta_i), np.pi)
+        lobe = np.maximum(np.sum(mirror * wo, axis=1), 0) ** 8
+        return (0.1 + 0.5 * lobe)[:, None] * [1, 0.5, 0.25]
+
+    stream = io.BytesIO()
+    merl.write(value, stream)
+    content = stream.getvalue()
+    assert np.frombuffer(content[:12], "<i4").tolist() == [90, 90, 180]
+    cells = np.frombuffer(content[12:], "<f8").reshape(3, 90, 90, 180)
+    # half angle 22.5, difference angle 30.5 degrees in the plane of incidence
+    row = int(np.sqrt(22.5 / 90) * 90)
+    seen = cells[:, row, 30, 0] * [1 / 1500, 1.15 / 1500, 1.66 / 1500]
+    centre = ((row + 0.5) / 90) ** 2 * 90
+    expected = 0.1 + 0.5 * np.cos(np.radians(2 * centre)) ** 8
+    assert seen == pytest.approx(expected * np.array([1, 0.5, 0.25]), rel=1e-4)
+    stream.seek(0)
+    read = merl.read(stream, (0, 50))
+    wo = direction(*np.radians(np.meshgrid([10.0, 40.0, 70.0], [0.0, 130.0, 180.0])))
+    for block in read.blocks:
+        # cells are a degree wide, and the lobe changes by 2 per radian at most
+        error = np.abs(block.at(wo)[..., 0] - phong(block.theta_i, wo))
+        assert error.max() <= 2 * np.radians(1)
+    assert read.channels == ("R", "G", "B")
+
+
+def test_open_material_is_as_its_schema_asks(tmp_path):
+    jsonschema = pytest.importorskip("jsonschema", reason="checks the schema")
+    scatter = lobes(channels=("550nm", "450nm"))
+    read = again(scatter, open_material.write, tmp_path / "a.json")
+    assert read.channels == ("450nm", "550nm")
+    for one, two in zip(scatter.blocks, read.blocks):
+        # angles have six digits in radians
+        wo = two.directions()
+        assert two.values[..., 1] == pytest.approx(phong(one.theta_i, wo), abs=1e-4)
+    content = json.loads((tmp_path / "a.json").read_text())
+    rows = content["brdf"]["lookupTable"]
+    assert rows == sorted(rows)
+    schema = real("openmaterial_brdf_schema.json")
+    jsonschema.validate(content, json.loads(schema.read_text()))
+
+
+def test_rows_of_open_material_in_the_plane_are_a_table_only(tmp_path):
+    metadata = dict.fromkeys(open_material.REQUIRED, "1.0.0")
+    metadata["uuid"] = "42e8da0f-ba1d-4cc8-b07a-178819c894c0"
+    table = [[9.05e-7, 0.5, 0.1, 0.0, 0.2], [9.05e-7, 0.5, 0.1, 3.141592, 0.3]]
+    brdf = {"wavelengths": [9.05e-7], "lookupTable": table}
+    path = tmp_path / "a.xompt"
+    path.write_text(json.dumps({"metadata": metadata, "brdf": brdf}))
+    read = gonio.read_measured(path)
+    assert read.channel == "905nm"
+    assert read.phi_o == pytest.approx([0, 180], abs=1e-3)
+    with pytest.raises(FileFormatError, match="no grid over the hemisphere"):
+        read_scatter(path)
+    for key, value, message in (
+        ("lookupTable", [[1, 2]], "row 0 of its lookupTable must have 5 numbers"),
+        ("lookupTable", [[9e-7, 2.0, 0, 0, 1]], "row 0 .* incident zenith 2"),
+        ("wavelengths", [5e-7], "are not those of its lookupTable"),
+    ):
+        path.write_text(json.dumps({"metadata": metadata, "brdf": brdf | {key: value}}))
+        with pytest.raises(FileFormatError, match=message):
+            gonio.read_measured(path)
+    del metadata["license"]
+    path.write_text(json.dumps({"metadata": metadata, "brdf": brdf}))
+    with pytest.raises(FileFormatError, match="its metadata lack license"):
+        gonio.read_measured(path)
+
+
+# --------------------------------------------------------------- records there and back
+
+RAYS = 2**17
+ENDINGS = (".zemax.bsdf", ".brdf", ".anisotropicbsdf", ".json", ".binary")
+
+
+@pytest.fixture(scope="module")
+def record():
+    return synthetic.record(
+        "projected:12x24", theta_i=(0, 30, 60), phi_i=(20, 20, 20), power=6,
+        rays=4_000_000,
+    )  # fmt: skip
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_a_record_goes_there_and_comes_back_as_a_material(
+    tmp_path, record, ending, monkeypatch
+):
+    """The loss that is told, and through `goniometric` no more than twice of it."""
+    monkeypatch.setattr(merl, "CELLS", (45, 45, 30))
+    path = tmp_path / f"run{ending}"
+    losses = exporting.export(record, path)
+    assert [loss.theta_i for loss in losses] == [0, 30, 60]
+    for loss in losses:
+        # of MERL's file values between incidences are made up, and so is some light
+        within = 0.2 if ending == ".binary" else 0.01
+        assert abs(loss.written / loss.recorded - 1) < within
+        assert loss.misplaced < (0.2 if ending == ".binary" else 0.06)
+    material = {"type": "goniometric", "filename": str(path)}
+    # files of one azimuth of incidence are isotropic
+    one = gonio.measure(
+        material, 30, 20, collector=record.subdivision, rays=RAYS, seed=1
+    )
+    assert one.dhr[0] == pytest.approx(losses[1].written, rel=0.05)
+    recorded = record.flux_fraction[1]
+    misplaced = np.abs(one.flux_fraction - recorded).sum() / 2 / recorded.sum()
+    # the material has patches of its own, and the rays have noise
+    assert misplaced < 2 * losses[1].misplaced + 0.03
+
+
+@pytest.mark.usefixtures("mono")
+def test_each_quantity_and_channel_has_a_file_of_zemax(tmp_path):
+    record = synthetic.record(
+        "projected:4x8", theta_i=(0, 30), phi_i=(0, 0), both=True,
+        channels=("450nm", "550nm"),
+    )  # fmt: skip
+    losses = exporting.export(record, tmp_path / "run.zemax.bsdf")
+    assert len(losses) == 4
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [
+        f"run.{quantity}{nm}nm.zemax.bsdf"
+        for quantity in ("brdf", "btdf")
+        for nm in (450, 550)
+    ]
+    assert read_scatter(tmp_path / names[2]).of(1)
+
+
+@pytest.mark.usefixtures("mono")
+def test_records_that_a_format_cannot_hold(tmp_path):
+    coloured = synthetic.record("projected:4x8", channels=("R", "G", "B"))
+    for name, message in (
+        ("a.brdf", "takes records of one channel or of wavelengths, got R, G, B"),
+        ("a.anisotropicbsdf", "takes records of one channel or of wavelengths"),
+        ("a.json", "takes records of one channel or of wavelengths"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            exporting.export(coloured, tmp_path / name)
+    grey = synthetic.record("projected:4x8")
+    with pytest.raises(ValueError, match="at least 2 angles of incidence, got 1"):
+        exporting.export(grey, tmp_path / "a.brdf")
+    turned = synthetic.record("projected:4x8", theta_i=(30, 30), phi_i=(0, 180))
+    with pytest.raises(ValueError, match=r"holds one azimuth of incidence, .* got 2"):
+        exporting.export(turned, tmp_path / "a.json")
+    cones = gonio.measure(
+        {"type": "diffuse"}, 0, collector="apertures:5.0@0.0/0.0,45.0/180.0", rays=10**5
+    )
+    with pytest.raises(ValueError, match=r"or write a \.csv"):
+        exporting.export(cones, tmp_path / "a.zemax.bsdf")
+    exporting.export(cones, tmp_path / "a.csv")
+    table = gonio.read_measured(tmp_path / "a.csv")
+    assert table.aperture_half_angle == 5
+    assert gonio.compare(cones, table).passed
+
+
+@pytest.mark.usefixtures("rgb")
+def test_tensor_trees_are_materials(tmp_path, monkeypatch):
+    from gonio_mi.exports import radiance_export
+    from gonio_mi.files import material_files
+
+    monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 32, 4: 16})
+    monkeypatch.setattr(radiance_export, "CELL_POINTS", 1)
+    monkeypatch.setattr(material_files, "TREE_PATCHES", {3: (16, 32), 4: (12, 24)})
+    monkeypatch.setattr(material_files, "N_AZIMUTHS", 6)
+    record = synthetic.record(
+        "projected:12x24", theta_i=(0, 20, 40, 60, 80), phi_i=(0,) * 5, power=3,
+        rays=1_000_000,
+    )  # fmt: skip
+    for basis in ("tensor3", "tensor4"):
+        path = tmp_path / f"{basis}.xml"
+        losses = exporting.export(record, path, basis)
+        material = {"type": "goniometric", "filename": str(path)}
+        one = gonio.measure(material, 40, collector=record.subdivision, rays=RAYS)
+        assert one.dhr[0] == pytest.approx(losses[2].written, rel=0.02)
+        recorded = record.flux_fraction[2]
+        misplaced = np.abs(one.flux_fraction - recorded).sum() / 2 / recorded.sum()
+        # cells of the tree are as wide as the record's patches
+        assert misplaced < losses[2].misplaced + 0.05
+
+
+@pytest.mark.usefixtures("mono")
+def test_commands_export_and_measure(tmp_path, capsys):
+    synthetic.record("projected:4x8", theta_i=(0, 40), phi_i=(0, 0)).save(
+        tmp_path / "run.npz"
+    )
+    out = str(tmp_path / "run.zemax.bsdf")
+    assert main(["export", str(tmp_path / "run.npz"), "-o", out]) == 0
+    assert "% of the light is in other patches" in capsys.readouterr().out
+    word = f"goniometric:filename={out}"
+    assert main(["measure", word, "--theta-i", "40", "--rays", "1e4"]) == 0
+    mi.set_variant("llvm_ad_mono")
+
+
+# --------------------------------------------------------------------------- real files
+
+
+def test_one_measurement_in_files_of_zemax_and_speos():
+    """One shape in both; the totals that Zemax's states are those of Speos's values.
+
+    The file of Speos was made from the other, with each incidence scaled to its stated
+    total. What the middle of 90 percent of the directions within 60 degrees of the
+    specular one differ by is the interpolation on another grid.
+    """
+    one = read_scatter(real("planesymmetric.zemax.bsdf"))
+    two = read_scatter(real("planesymmetric.speos.anisotropicbsdf"))
+    assert [b.theta_i for b in one.blocks] == [b.theta_i for b in two.blocks]
+    for first, second in zip(one.blocks, two.blocks):
+        assert total_of(second)[0] == pytest.approx(first.total[0], rel=0.014)
+        frame = Block(
+            first.theta_i, 0.0, 0, np.zeros(1), np.zeros(1), np.zeros((1, 1, 1)), True
+        )
+        wo = frame.directions(np.arange(2.5, 60, 5), np.arange(0, 360, 15.0))
+        # far from the horizon, where the converter put zeros
+        wo = wo[wo[..., 2] > 0.2]
+        ratio = second.at(wo)[:, 0] / first.at(wo)[:, 0]
+        low, middle, high = np.quantile(ratio, [0.05, 0.5, 0.95])
+        # lobes become narrow towards grazing: there the two grids differ more
+        steep = first.theta_i > 45
+        assert np.median(np.abs(ratio / middle - 1)) < (0.05 if steep else 0.0035)
+        assert high / low - 1 < (0.5 if steep else 0.04)
+        mirrored = second.at(wo * [-1, 1, 1])[:, 0] / middle / first.at(wo)[:, 0]
+        if first.theta_i > 30:  # the twin: azimuths counted from the other side
+            assert np.median(np.abs(mirrored - 1)) > 0.2
+        assert 1 < middle < 1.25
+
+
+def test_stated_totals_are_those_of_the_values():
+    """Of an Imaging Sphere, within what lies beyond the angles that it measured."""
+    scatter = read_scatter(real("planesymmetric.zemax.bsdf"))
+    for block in scatter.blocks:
+        ratio = total_of(block)[0] / block.total[0]
+        assert 1 < ratio < (1.04 if block.theta_i <= 50 else 1.08)
+    notes = gonio.read_measured(real("planesymmetric.zemax.bsdf")).notes
+    assert any("1.01 to 1.073 of the stated totals" in note for note in notes)
+
+
+def test_a_total_that_leaves_out_the_cosine_is_told():
+    """bsdf-tools states half the integral of the BRDF alone: its own sum is found."""
+    path = real("AnoBlackEC1onAlum.zemax.bsdf")
+    scatter = read_scatter(path)
+    for block in scatter.blocks:
+        radial, azimuth = np.radians(block.polar), np.radians(block.azimuth)
+        v = block.values[..., 0]
+        means = (v[1:, 1:] + v[1:, :-1] + v[:-1, 1:] + v[:-1, :-1]) / 4
+        sine = (np.sin(radial[1:]) + np.sin(radial[:-1])) / 2
+        sum_of = means * (sine * np.diff(radial))[:, None] * np.diff(azimuth)
+        assert sum_of.sum() == pytest.approx(block.total[0], rel=1e-3)
+    notes = gonio.read_measured(path).notes
+    assert any("0.8282 to 1.312 of the stated totals" in note for note in notes)
+
+
+def test_one_measurement_in_files_of_zemax_and_fred():
+    """Points of FRED's table against the grid of Zemax's: interpolated, and shifted.
+
+    The maker averaged and moved the data for Zemax alone, by up to some degrees.
+    """
+    scatter = read_scatter(real("AnoBlackEC1onAlum.zemax.bsdf"))
+    table = gonio.read_measured(real("AnoBlackEC1onAlum.fred.txt"))
+    assert len(table) == 1144
+    assert [theta for theta, _ in table.incident] == [10, 30, 50, 70]
+    for block in scatter.blocks:
+        here = (table.theta_i == block.theta_i) & (table.theta_o <= 60)
+        wo = direction(np.radians(table.theta_o[here]), np.radians(table.phi_o[here]))
+        within = np.zeros(len(wo), bool)
+        within[:] = wo @ direction(np.radians(block.theta_i), np.pi) > np.cos(1.2)
+        seen, said = block.at(wo[within])[:, 0], table.value[here][within]
+        assert np.median(np.abs(seen / said - 1)) < 0.06
+        if block.theta_i > 10:  # the twin: light on the other side
+            turned = block.at(wo[within] * [-1, 1, 1])[:, 0]
+            assert np.median(np.abs(turned / said - 1)) > 0.15
+    # the specular direction is a point of both
+    mirror = (table.theta_i == 10) & (table.theta_o == 10) & (table.phi_o == 180)
+    assert table.value[mirror][0] == scatter.blocks[0].values[0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("rt300s_speos.rtd", "version 1.0: save it anew"),
+        ("rt300s_lighttools.txt", "must name the columns"),
+    ],
+)
+def test_raw_exports_of_an_instrument_are_refused(name, message):
+    with pytest.raises(FileFormatError, match=message):
+        gonio.read_measured(real(name))
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_real_material_is_measured():
+    path = real("planesymmetric.speos.anisotropicbsdf")
+    material = {"type": "goniometric", "filename": str(path)}
+    record = gonio.measure(material, [15, 45], rays=2**16)
+    # stated at 15 degrees; at 45 it is what Zemax's file states
+    assert record.dhr[:, 0] == pytest.approx([0.134506, 0.1536868], rel=2e-3)
+
+
+# ------------------------------------------------------------------------ damaged files
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("BRDF", "XRDF", "ScatterType is XRDF"),
+        ("Monochrome", "Chrome", "SpectralContent is Chrome"),
+        ("ScatterRadial  19", "ScatterRadial  9999999999", "more values than any file"),
+        ("ScatterRadial  19", "ScatterRadial  18", "must have 18 numbers, got 19"),
+        ("TIS", "SIT", "must begin with TIS"),
+        ("DataEnd", "", "must be DataEnd"),
+        ("Symmetry", "Cemetery", "unknown keyword Cemetery"),
+    ],
+)
+def test_damaged_files_of_zemax(tmp_path, old, new, message):
+    stream = io.BytesIO()
+    zemax.write(lobes(specular=True), stream, "a")
+    path = tmp_path / "a.bsdf"
+    path.write_text(stream.getvalue().decode().replace(old, new))
+    with pytest.raises(FileFormatError, match=message) as error:
+        read_scatter(path)
+    assert str(path) in str(error.value)
+
+
+def test_files_of_others_by_these_names(tmp_path):
+    for name, content, message in (
+        ("a.bsdf", b"tensor_file\0", "plugin measured: use measured:filename="),
+        ("a.binary", b"\0" * 12, "12 bytes instead of 34992012"),
+        ("a.brdf", b"OPTIS - brdf surface file v9.0\n1\0", "binary: save it as text"),
+        ("a.brdf", b"OPTIS - a lamp v9.0\n0\n\n0\n\n", "it is a OPTIS - a lamp"),
+        ("a.json", b"[1, 2]", "no object of JSON"),
+        ("a.json", b"[" * 100_000, "no JSON"),
+        ("a.bsdf", b"type bsdf_data\nformat\n", "no material"),
+    ):
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(FileFormatError, match=message):
+            read_scatter(path)
+    for text, message in (
+        ("type bsdf_data\nformat angles=cos\n", "angles are cos"),
+        ("type bsdf_data\nformat angles=deg\n1 2 3\n", "before an incidence"),
+        ("type bsdf_data\nformat angles=deg\n1 2\n1 2 x\n", "line 4: must be a number"),
+    ):
+        with pytest.raises(FileFormatError, match=message):
+            fred.read(io.BytesIO(text.encode()))
