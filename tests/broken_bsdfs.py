@@ -43,6 +43,8 @@ MISTAKES = {
     "eval_half_below_a_line": "eval",
     "support_with_a_hole": "pdf",
     "hemisphere_mixed_up": "sample",
+    "black_before_the_horizon": "eval",
+    "eval_other_at_normal": "eval",
     # of a mixture with a microfacet lobe
     "weight_without_lobe_probability": "sample",
     "lobes_picked_the_wrong_way": "sample",
@@ -50,6 +52,9 @@ MISTAKES = {
     "sampled_pdf_of_one_lobe": "sample",
     "phi_with_wrong_sign": "sample",
     "density_without_jacobian": "pdf",
+    "pdf_of_one_lobe": "pdf",
+    "pdf_without_lobe_probabilities": "pdf",
+    "pdf_of_lobes_too_small": "pdf",
     "pdf_without_jacobian": "pdf",
     "fresnel_not_reciprocal": "eval",
     "eval_ignores_component": "eval",
@@ -309,6 +314,19 @@ def register():
             value = super().eval(ctx, si, wo, active)
             return value * dr.select(si.wi.y < 0, 0.5, mi.Float(1))
 
+    class BlackBeforeTheHorizon(Lambert):
+        """A guard against small cosines that is too wide."""
+
+        def above(self, si, wo):
+            return (cosine(si.wi) > 0.01) & (cosine(wo) > 0)
+
+    class EvalOtherAtNormal(Lambert):
+        """Its azimuth is unknown there."""
+
+        def value(self, si, wo):
+            normal = dr.square(si.wi.x) + dr.square(si.wi.y) < 1e-12
+            return super().value(si, wo) * dr.select(normal, 0.5, mi.Float(1))
+
     class TwoFaces(Lambert):
         components = (diffuse | front | back,)
 
@@ -470,6 +488,27 @@ def register():
             pdf = (1 - share) * dr.inv_pi * cosine(wo)
             pdf += share * self.facets().pdf(si.wi, h)
             return dr.select(active & self.above(si, wo), pdf, 0)
+
+    class PdfOfOneLobe(Mixture):
+        def pdf(self, ctx, si, wo, active=True):
+            share = self.glossy_share(ctx)
+            first, second = self.densities(si, wo)
+            pdf = second if share == 1 else first
+            return dr.select(active & self.above(si, wo), pdf, 0)
+
+    class PdfWithoutLobeProbabilities(Mixture):
+        def pdf(self, ctx, si, wo, active=True):
+            first, second = self.densities(si, wo)
+            share = self.glossy_share(ctx)
+            pdf = {0.0: first, 1.0: second}.get(share, first + second)
+            return dr.select(active & self.above(si, wo), pdf, 0)
+
+    class PdfOfLobesTooSmall(Mixture):
+        """Of components alone; nobody but their author asks for them."""
+
+        def density(self, ctx, si, wo):
+            alone = ctx.component != mi.BSDFContext().component
+            return super().density(ctx, si, wo) * (0.1 if alone else 1.0)
 
     class FresnelNotReciprocal(Mixture):
         def fresnel(self, si, wo, h):

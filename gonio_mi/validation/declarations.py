@@ -16,7 +16,7 @@ from .equality import is_many, unequal
 from .evidence import BIAS, Evidence
 from .probe import Probe, numbers, spectral
 
-__all__ = ["check_components", "check_flags", "check_masks", "check_sides"]
+__all__ = ["LOBES", "check_flags", "check_masks", "check_sides"]
 
 # What a lobe can be: names as in mi.BSDFFlags.
 LOBES = (
@@ -169,31 +169,6 @@ def _differentiate(probe: Probe, wo: Floats) -> Floats:
 
     probe.interaction = _interaction  # type: ignore[method-assign]
     return wo
-
-
-def check_components(evidence: Evidence, bsdf: mi.BSDF, drawn: Drawn) -> None:
-    """Values of the components add up to the whole; an undeclared one is dark."""
-    n = bsdf.component_count()
-    if drawn.condition.component is not None or not n:
-        return
-    wo = mi.Vector3f(drawn.wo.T)
-    total: Any = 0.0
-    for i in range(n):
-        probe = Probe(bsdf, replace(drawn.condition, component=i))
-        total = total + spectral(probe.eval(wo), drawn.n)
-    usable = drawn.smooth & np.isfinite(total).all(axis=1)
-    wrong = unequal(total, drawn.eval, drawn.eval_slack) & usable
-    if is_many(wrong, drawn.n):
-        ratio = total[wrong].sum(axis=1) / np.maximum(
-            drawn.eval[wrong].sum(axis=1), 1e-30
-        )
-        evidence.breach(
-            "components",
-            "eval",
-            f"their sum is {np.median(ratio):.4g} times the whole for "
-            f"{wrong.mean():.3g} of the samples at {drawn.condition}",
-            "`eval` does not heed ctx.component, or the components are not a sum",
-        )
 
 
 def check_masks(evidence: Evidence, bsdf: mi.BSDF, seed: int) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from .collecting import Drawn
+from .components import explain_lobes
 from .density import explain_density
 from .evidence import EFFECTS, INTERFACE, MODEL, Evidence
 from .probe import Probe, numbers, spectral
@@ -33,6 +34,7 @@ ORDER = (
     "eval_pdf",
     "eval_pdf_sample",
     "energy",
+    "continuity",
     "reciprocity",
     "adjoint",
     "flags",
@@ -126,11 +128,15 @@ def _of_densities(
         if "sampled_pdf" in failed:
             return _of_sampled_pdf(evidence)
         return _of_weights(evidence, failed, bsdf)
+    whole_only = [d for d in evidence.drawn if d.condition.component is None]
+    lobes = explain_lobes(whole_only[0], bsdf)
     beyond = [b for b in evidence.breaches if b.property == "sampled_pdf"]
     if beyond and "sampled_weight" not in failed and "weights" not in failed:
+        if lobes:
+            return "pdf", f"`pdf` {lobes}"
         text = explain_ratio(_all(evidence, "pdf"), "pdf", "the density of `sample`")
         return "pdf", text
-    return explain_density(evidence, failed)
+    return ("pdf", f"`pdf` {lobes}") if lobes else explain_density(evidence, failed)
 
 
 def _of_sampled_pdf(evidence: Evidence) -> tuple[str, str]:

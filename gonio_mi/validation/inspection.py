@@ -16,10 +16,12 @@ from ..transport.kernels import launches_kernels
 from . import (
     answers,
     balance,
+    components,
     declarations,
     delta,
     ends,
     identities,
+    jumps,
     parameters,
     symmetry,
 )
@@ -140,12 +142,12 @@ def _examine(evidence: Evidence, bsdf: mi.BSDF, plan: Effort, seed: int) -> None
     """All checks, from those that explain most."""
     flags = int(bsdf.flags())
     n = bsdf.component_count()
-    components = range(n) if n > 1 else ()
+    lobes = range(n) if n > 1 else ()
     lower = int(mi.BSDFFlags.BackSide) | int(mi.BSDFFlags.Transmission)
     sides = ("front", "back") if flags & lower else ("front",)
     if not flags & (int(mi.BSDFFlags.FrontSide) | int(mi.BSDFFlags.Transmission)):
         sides = ("back",) if sides != ("front",) else sides
-    conditions = list(plan.checks(sides, components))
+    conditions = list(plan.checks(sides, lobes))
     radiance = [replace(one, mode="radiance") for one in plan.radiance(sides)]
     for i, condition in enumerate([*conditions, *radiance]):
         _check_samples(evidence, bsdf, condition, plan, (seed, 1, i))
@@ -154,12 +156,17 @@ def _examine(evidence: Evidence, bsdf: mi.BSDF, plan: Effort, seed: int) -> None
     declarations.check_flags(evidence, bsdf)
     declarations.check_sides(evidence, bsdf, seed)
     for drawn in evidence.drawn[:: max(1, len(plan.angles) // 3)]:
-        declarations.check_components(evidence, bsdf, drawn)
+        components.check_components(evidence, bsdf, drawn)
     declarations.check_masks(evidence, bsdf, seed)
+    for drawn in evidence.drawn:
+        if drawn.condition.component is None and drawn.condition.mode == "importance":
+            jumps.check_normal(evidence, bsdf, drawn)
+    for side in sides:
+        jumps.check_cutoffs(evidence, bsdf, Condition(45.0, 25.0, side), (seed, 51))
     parameters.check_parameters(evidence, bsdf, _brightest(evidence))
     ends.check_ends(evidence, bsdf)
     ends.check_roughness(evidence, bsdf)
-    _check_maps(evidence, bsdf, plan, sides, components, seed)
+    _check_maps(evidence, bsdf, plan, sides, lobes, seed)
 
 
 def _check_samples(
@@ -191,12 +198,12 @@ def _check_maps(
     bsdf: mi.BSDF,
     plan: Effort,
     sides: Sequence[str],
-    components: Sequence[int],
+    lobes: Sequence[int],
     seed: int,
 ) -> None:
     """Statistics of what is drawn."""
     patches = plan.patches
-    conditions = list(plan.maps(sides, components))
+    conditions = list(plan.maps(sides, lobes))
     if any(_depends_on_mode(drawn) for drawn in evidence.drawn):
         conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]
     failed = 0
