@@ -18,6 +18,7 @@ from .commands import (
     bsdf,
     chart,
     compare,
+    diff,
     doctor,
     export,
     measure,
@@ -41,7 +42,19 @@ from .errors import frames, is_the_users
 __all__ = ["COMMANDS", "main", "parser"]
 
 COMMANDS = (
+<<<<<<< HEAD
     *(measure, show, plot, report, validate, compare, bsdf, export, plan, chart),
+=======
+    measure,
+    show,
+    plot,
+    validate,
+    diff,
+    compare,
+    export,
+    plan,
+    chart,
+>>>>>>> d60a01c (gonio-mi diff: what another Mitsuba version says of the same BSDF, function by function)
     doctor,
 )
 

@@ -36,6 +36,7 @@ ROOMS = (
     "comparison",
     "charts",
     "validation",
+    "versions",
     "benchmark",
     "testing",
     "commands",

@@ -1,0 +1,196 @@
+"""Asking the Mitsuba of another environment about a BSDF, in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Floats
+from ..collector.directions import direction
+from ..errors import SettingError, SpecimenError, shown
+from ..validation.equality import ULPS
+
+__all__ = ["Answers", "Question", "ask", "interpreter"]
+
+WORKER = Path(__file__).with_name("worker.py")
+
+# Of each incident direction: samples, and directions of the lattice on the sphere.
+SAMPLES = 2**16
+LATTICE = 2**12
+
+# Displacements that tell how values answer to rounding.
+STEPS = 3
+
+
+@dataclass(frozen=True)
+class Question:
+    """A BSDF, and where it is to be asked.
+
+    Attributes
+    ----------
+    specimen : dict or str
+        Of :func:`gonio_mi.measure`: a dictionary, or a scene file with one shape.
+    parameters : dict
+        Values for the ``$name`` parameters of the scene file.
+    variant : str
+    plugins : tuple of str
+        Python files that register plugins.
+    conditions : tuple of (float, str, str)
+        Polar angle of incidence in degrees, ``front`` or ``back``, transport mode.
+    seed : int
+    """
+
+    specimen: Any
+    parameters: Mapping[str, Any]
+    variant: str
+    plugins: tuple[str, ...]
+    conditions: tuple[tuple[float, str, str], ...]
+    seed: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """What the worker reads, but for arrays."""
+        file = None if isinstance(self.specimen, dict) else str(self.specimen)
+        return {
+            "file": file,
+            "specimen": _plain(self.specimen) if file is None else None,
+            "parameters": {key: str(x) for key, x in self.parameters.items()},
+            "variant": self.variant,
+            "plugins": [str(Path(path).resolve()) for path in self.plugins],
+            "conditions": [{"mode": mode} for _, _, mode in self.conditions],
+        }
+
+    def arrays(self) -> dict[str, Floats]:
+        """Directions, displacements and random numbers, the same for all versions."""
+        rng = np.random.default_rng(self.seed)
+        z = (np.arange(LATTICE) + 0.5) / LATTICE * 2 - 1
+        phi = np.arange(LATTICE) * np.pi * (5**0.5 - 1)
+        wi = [
+            direction(np.radians(theta), np.radians(25.0))
+            * [1, 1, 1 if side == "front" else -1]
+            for theta, side, _ in self.conditions
+        ]
+        return {
+            "wi": np.array(wi),
+            "lattice": direction(np.arccos(z), phi),
+            "steps": ULPS * rng.uniform(-1, 1, (STEPS, 3)),
+            "u": rng.random((SAMPLES, 3), dtype=np.float32),
+        }
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What one version says.
+
+    Attributes
+    ----------
+    facts : dict
+        Versions of Mitsuba and Dr.Jit, flags, components and parameters.
+    arrays : dict of ndarray
+        By name and number of the condition, such as ``eval.0``.
+    """
+
+    facts: dict[str, Any]
+    arrays: dict[str, Any]
+
+
+def interpreter(venv: str | PathLike[str]) -> str:
+    """Python of a virtual environment; `venv` may be that Python itself.
+
+    Raises
+    ------
+    SettingError
+        If there is none.
+    """
+    path = Path(venv)
+    for found in (path, path / "bin/python", path / "Scripts/python.exe"):
+        if found.is_file() and os.access(found, os.X_OK):
+            return str(found.absolute())
+    raise SettingError(
+        "against must be a virtual environment, or its Python, got "
+        f"{shown(str(venv))}, which has no bin/python"
+    )
+
+
+def ask(
+    python: str, question: Question, wo: Mapping[str, Any] | None = None
+) -> Answers:
+    """Answers of the Mitsuba that a Python finds.
+
+    Parameters
+    ----------
+    python : str
+    question : Question
+    wo : dict of ndarray, optional
+        Directions ``wo.0``, ``wo.1``, ... at which functions are asked, those of the
+        :class:`Answers` of another version; its own samples by default.
+
+    Raises
+    ------
+    SettingError
+        If that Python cannot run, or has no Mitsuba.
+    SpecimenError
+        If its Mitsuba cannot load the BSDF, or ends the process.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        here = Path(folder)
+        (here / "question.json").write_text(json.dumps(question.to_json()))
+        np.savez(here / "question.npz", **question.arrays(), **(wo or {}))
+        ended = _run([python, "-I", str(WORKER), folder])
+        try:
+            facts = json.loads((here / "answer.json").read_text())
+            with np.load(here / "answer.npz") as content:
+                arrays = dict(content)
+        except (OSError, ValueError):
+            facts = {"error": _last(ended)}
+    missing = re.search(r"No module named '(mitsuba|drjit|numpy)", str(facts))
+    if missing and "error" in facts:
+        raise SettingError(
+            f"{python} has no {missing[1]}: run {python} -m pip install mitsuba numpy"
+        )
+    if "error" in facts:
+        raise SpecimenError(f"{python} gave no answer: {facts['error']}")
+    return Answers(facts, arrays)
+
+
+def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    """Run it; another environment must not see the modules of this one."""
+    hidden = ("PYTHONPATH", "PYTHONHOME")
+    environment = {k: v for k, v in os.environ.items() if k not in hidden}
+    try:
+        return subprocess.run(
+            command, capture_output=True, text=True, env=environment, check=False
+        )
+    except OSError as error:
+        raise SettingError(f"{command[0]} cannot be run: {error.strerror}") from None
+
+
+def _last(ended: subprocess.CompletedProcess[str]) -> str:
+    """Last line that a process said, or the number with which it ended."""
+    lines = (ended.stderr + ended.stdout).split("\n")
+    said = [line.strip() for line in lines if line.strip()]
+    return said[-1] if said else f"it ended with {ended.returncode}"
+
+
+def _plain(node: Any) -> Any:
+    """Dictionary for JSON, in which bitmaps are arrays of their pixels."""
+    if isinstance(node, dict):
+        return {key: _plain(value) for key, value in node.items()}
+    if isinstance(node, mi.Bitmap):
+        return {"pixels": np.array(node).tolist()}
+    if node is None or isinstance(node, (bool, int, float, str, list)):
+        return node
+    raise SpecimenError(
+        "a BSDF for another version must be a dictionary of numbers, texts, bitmaps "
+        f"and dictionaries, got {type(node).__name__} in it"
+    )

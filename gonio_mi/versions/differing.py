@@ -1,0 +1,365 @@
+"""Two versions of Mitsuba compared: what differs, by how many errors, what it means."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from scipy import special
+
+from ..array_types import Flags, Floats
+from ..errors import checked_count, checked_number
+from ..instrument.loading import check_variant, specimen_name
+from ..validation.equality import BSDF_ROUNDING, SLACK, is_many
+from .asking import Answers, Question, ask, interpreter
+
+__all__ = ["Difference", "Differences", "diff"]
+
+# Polar angles of incidence in degrees and transport modes, on either side.
+VIEWS = ((0.0, "Importance"), (40.0, "Importance"), (80.0, "Importance"))
+VIEWS += ((40.0, "Radiance"),)
+
+# Directions nearer than that are the same sample, for rounding may tilt a facet.
+SAME = 2.0**-10
+
+MEANING = {
+    "eval": "images change where this light is seen",
+    "pdf": "weights of combined sampling change; images do not, if `sample` fits it",
+    "sample": "noise changes; images do not, if the light is the same",
+    "weights": "images change, unless `pdf` changed with them",
+    "albedo": "images change: more or less light is scattered",
+    "flags": "integrators treat it otherwise",
+    "parameters": "scenes and scripts that name them, or rely on defaults",
+}
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One function, as two versions have it.
+
+    Attributes
+    ----------
+    function : str
+        Key of the table of meanings: ``eval``, ``pdf``, ``sample``, ``weights``,
+        ``albedo``, ``flags`` or ``parameters``.
+    differs : bool
+        By more than errors explain.
+    size : float
+        In units of the error: for ``eval``, ``pdf`` and ``weights`` the most that
+        rounding may leave, for ``albedo`` standard errors; 0 without a number.
+    text : str
+        By how much, and where.
+    """
+
+    function: str
+    differs: bool
+    size: float
+    text: str
+
+    def __str__(self) -> str:
+        word = "differs" if self.differs else "same"
+        line = f"{word:<9}{self.function:<11} {self.text}"
+        if self.differs:
+            line += f"\n{'':<21}{MEANING[self.function]}"
+        return line
+
+
+@dataclass(frozen=True)
+class Differences:
+    """What two versions of Mitsuba say of one BSDF.
+
+    Attributes
+    ----------
+    name : str
+        Of the BSDF.
+    versions : tuple of str
+        Of Mitsuba: here, and there.
+    parts : tuple of Difference
+    """
+
+    name: str
+    versions: tuple[str, str]
+    parts: tuple[Difference, ...]
+
+    @property
+    def same(self) -> bool:
+        """Whether nothing differs."""
+        return not any(part.differs for part in self.parts)
+
+    def __getitem__(self, function: str) -> Difference:
+        return {part.function: part for part in self.parts}[function]
+
+    def __str__(self) -> str:
+        found = [part.function for part in self.parts if part.differs]
+        said = f"differs in {', '.join(found)}" if found else "the same"
+        title = (
+            f"{self.name}: Mitsuba {self.versions[0]} and {self.versions[1]}: {said}"
+        )
+        return "\n".join(
+            [title, *(f"  {part}".replace("\n", "\n  ") for part in self.parts)]
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: name, versions, ``same``, and the parts with their attributes."""
+        return {
+            "name": self.name,
+            "versions": list(self.versions),
+            "same": self.same,
+            "parts": [
+                {
+                    "function": part.function,
+                    "differs": part.differs,
+                    "size": part.size,
+                    "text": part.text,
+                    "meaning": MEANING[part.function] if part.differs else None,
+                }
+                for part in self.parts
+            ],
+        }
+
+
+def diff(
+    specimen: Any,
+    against: str | PathLike[str],
+    *,
+    parameters: Mapping[str, Any] | None = None,
+    plugins: Sequence[str] = (),
+    seed: int = 0,
+    alpha: float = 1e-3,
+) -> Differences:
+    """Compare what two installed versions of Mitsuba say of a BSDF.
+
+    Both are asked, each in a process of its own, about the same directions and with the
+    same random numbers, in the variant that is set here. Own plugins are loaded by both
+    from their files; those of this package are not known there.
+
+    Parameters
+    ----------
+    specimen : dict, str or path
+        A dictionary of a BSDF, or a scene file with one shape, whose BSDF is meant.
+    against : str or path
+        The other virtual environment, or its Python. It needs Mitsuba and NumPy.
+    parameters : dict, optional
+        Values for the ``$name`` parameters of the scene file.
+    plugins : sequence of str
+        Python files that register plugins.
+    seed : int
+        Of the random numbers.
+    alpha : float
+        Probability that equal albedos are said to differ.
+
+    Returns
+    -------
+    Differences
+
+    Raises
+    ------
+    SettingError
+        If `against` is no environment that can run, or has no Mitsuba.
+    SpecimenError
+        If one of the two cannot load the BSDF.
+    """
+    check_variant()
+    seed = checked_count("seed", seed, 0)
+    alpha = checked_number("alpha", alpha, 1e-12, 1, "a probability in [1e-12, 1)")
+    conditions = tuple(
+        (theta, side, mode) for side in ("front", "back") for theta, mode in VIEWS
+    )
+    question = Question(
+        specimen, parameters or {}, mi.variant(), tuple(plugins), conditions, seed
+    )
+    there = interpreter(against)
+    own = ask(sys.executable, question)
+    wo = {name: x for name, x in own.arrays.items() if name.startswith("wo.")}
+    other = ask(there, question, wo)
+    name = specimen_name(specimen, dict(question.parameters))
+    versions = own.facts["mitsuba"], other.facts["mitsuba"]
+    parts = tuple(_parts(conditions, own, other, alpha))
+    return Differences(name, versions, parts)
+
+
+def _parts(
+    conditions: Sequence[tuple[float, str, str]],
+    own: Answers,
+    other: Answers,
+    alpha: float,
+) -> Iterator[Difference]:
+    places = [
+        f"theta_i {theta:g}, {side}, {mode.lower()} mode"
+        for theta, side, mode in conditions
+    ]
+    pairs = [
+        (
+            {k: own.arrays[f"{k}.{i}"] for k in _names(own)},
+            {k: other.arrays[f"{k}.{i}"] for k in _names(own)},
+        )
+        for i in range(len(conditions))
+    ]
+    for function in ("eval", "pdf"):
+        yield _values(function, places, pairs)
+    yield _sample(places, pairs)
+    yield _weights(places, pairs)
+    yield _albedo(places, pairs, alpha)
+    yield _flags(own.facts, other.facts)
+    yield _parameters(own.facts, other.facts)
+
+
+def _names(answers: Answers) -> set[str]:
+    return {name.rpartition(".")[0] for name in answers.arrays}
+
+
+def _sizes(a: Floats, b: Floats, slack: Floats | float) -> Floats:
+    """Differences in units of what rounding may leave; 0 where both are no number."""
+    unit = BSDF_ROUNDING * np.fmax(np.abs(a), np.abs(b)) + SLACK * slack
+    off = np.abs(a - b)
+    size = np.where(off > 0, off / np.maximum(unit, 1e-30), 0.0)
+    size = np.where(np.isfinite(a) & np.isfinite(b), size, np.inf)
+    size = np.where(np.isnan(a) & np.isnan(b), 0.0, size)
+    return size if size.ndim == 1 else size.max(axis=1)
+
+
+def _worst(
+    function: str,
+    places: Sequence[str],
+    sizes: Sequence[Floats],
+    examples: Sequence[tuple[Floats, Floats]],
+    what: str,
+) -> Difference:
+    """The place where values differ most, unless few do by more than rounding."""
+    shares = [float((size > 1).mean()) if len(size) else 0.0 for size in sizes]
+    many = [is_many(size > 1, len(size)) for size in sizes]
+    if not any(many):
+        most = max((float(np.quantile(s, 0.999)) for s in sizes if len(s)), default=0.0)
+        return Difference(
+            function, False, most, f"to rounding: up to {most:.2g} of what it may leave"
+        )
+    i = int(np.argmax(shares))
+    k = int(np.argmax(np.where(np.isfinite(sizes[i]), sizes[i], -1)))
+    a, b = (np.ravel(x[k]).mean() for x in examples[i])
+    size = float(sizes[i][k])
+    return Difference(
+        function,
+        True,
+        size,
+        f"{what}{a:.5g} and {b:.5g}, {size:.3g} times what rounding leaves; "
+        f"{shares[i]:.2g} of all at {places[i]}, and at {sum(many) - 1} more views",
+    )
+
+
+def _values(
+    function: str, places: Sequence[str], pairs: Sequence[tuple[Any, Any]]
+) -> Difference:
+    """``eval`` or ``pdf`` at the same directions."""
+    sizes, examples = [], []
+    for a, b in pairs:
+        slack = np.fmax(a[f"{function}_slack"], b[f"{function}_slack"])
+        sizes.append(_sizes(a[function], b[function], np.nan_to_num(slack)))
+        examples.append((a[function], b[function]))
+    return _worst(function, places, sizes, examples, "up to ")
+
+
+def _given(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Flags, Flags]:
+    """Which samples did not fail, here and there."""
+    first, second = ((x["weight"] != 0).any(axis=1) for x in (a, b))
+    return first, second
+
+
+def _moved(a: Mapping[str, Any], b: Mapping[str, Any]) -> Flags:
+    """Which samples have another direction or type, or fail in one version only."""
+    first, second = _given(a, b)
+    off = np.abs(a["direction"] - b["direction"]).max(axis=1) > SAME
+    return (first != second) | (first & second & (off | (a["type"] != b["type"])))
+
+
+def _sample(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Difference:
+    """Directions for the same random numbers."""
+    moved = [_moved(a, b) for a, b in pairs]
+    shares = [float(one.mean()) for one in moved]
+    i = int(np.argmax(shares))
+    if not any(is_many(one, len(one)) for one in moved):
+        return Difference(
+            "sample", False, 0.0, "the same directions for the same numbers"
+        )
+    share = f"{shares[i]:.2g} of the same random numbers"
+    text = f"other directions for {share} at {places[i]}"
+    return Difference("sample", True, 0.0, text)
+
+
+def _weights(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Difference:
+    """Weights and densities of samples that have the same direction."""
+    sizes, examples = [], []
+    for a, b in pairs:
+        both = np.logical_and(*_given(a, b)) & ~_moved(a, b)
+        weight = _sizes(a["weight"][both], b["weight"][both], 0.0)
+        density = _sizes(a["sampled_pdf"][both], b["sampled_pdf"][both], 0.0)
+        # a direction that rounding tilts has another density, and so has its weight
+        tilt = np.abs(a["direction"] - b["direction"])[both].max(axis=1)
+        same = tilt <= BSDF_ROUNDING
+        sizes.append(np.where(same, np.fmax(weight, density), 0.0))
+        by_weight = (weight >= density).mean() >= 0.5 if both.any() else True
+        name = "weight" if by_weight else "sampled_pdf"
+        examples.append((a[name][both], b[name][both]))
+    return _worst("weights", places, sizes, examples, "of the same sample up to ")
+
+
+def _albedo(
+    places: Sequence[str], pairs: Sequence[tuple[Any, Any]], alpha: float
+) -> Difference:
+    """Means of weights, whose difference has the error of its own scatter."""
+    scores, texts = [], []
+    for a, b in pairs:
+        x, y = (np.nan_to_num(one["weight"].mean(axis=1)) for one in (a, b))
+        n, off = len(x), x - y
+        rounding = BSDF_ROUNDING * max(x.mean(), y.mean())
+        error = np.hypot(off.std() / np.sqrt(n), rounding)
+        scores.append(off.mean() / error if error > 0 else 0.0)
+        errors = [one.std() / np.sqrt(n) for one in (x, y)]
+        texts.append(
+            f"{x.mean():.5g} +- {errors[0]:.1g} and {y.mean():.5g} +- {errors[1]:.1g}"
+        )
+    i = int(np.argmax(np.abs(scores)))
+    level = alpha / len(scores)
+    differs = bool(2 * special.ndtr(-abs(scores[i])) < level)
+    text = f"{texts[i]} at {places[i]}: {scores[i]:+.2g} standard errors"
+    return Difference("albedo", differs, float(abs(scores[i])), text)
+
+
+def _flags(a: Mapping[str, Any], b: Mapping[str, Any]) -> Difference:
+    """Flags of the whole, and of each component."""
+    said = [f"{one['flags']:#x}, {len(one['components'])} components" for one in (a, b)]
+    keys = ("flags", "components")
+    if all(a[key] == b[key] for key in keys):
+        return Difference("flags", False, 0.0, said[0])
+    return Difference("flags", True, 0.0, f"{said[0]} and {said[1]}")
+
+
+def _parameters(a: Mapping[str, Any], b: Mapping[str, Any]) -> Difference:
+    """Names that ``traverse`` shows, and their values."""
+    first, second = a["parameters"], b["parameters"]
+    words = []
+    for names, version in (
+        (sorted(first.keys() - second.keys()), a["mitsuba"]),
+        (sorted(second.keys() - first.keys()), b["mitsuba"]),
+    ):
+        if names:
+            words.append(f"{', '.join(names)} in {version} only")
+    changed = [
+        name
+        for name in first.keys() & second.keys()
+        if not _equal(first[name], second[name])
+    ]
+    if changed:
+        words.append(f"other values of {', '.join(sorted(changed))}")
+    text = "; ".join(words) or f"{len(first)} of the same names and values"
+    return Difference("parameters", bool(words), 0.0, text)
+
+
+def _equal(x: Sequence[float] | None, y: Sequence[float] | None) -> bool:
+    if x is None or y is None:
+        return x is y
+    return len(x) == len(y) and bool(np.allclose(x, y, rtol=BSDF_ROUNDING, atol=0))
