@@ -42,19 +42,7 @@ from .errors import frames, is_the_users
 __all__ = ["COMMANDS", "main", "parser"]
 
 COMMANDS = (
-<<<<<<< HEAD
-    *(measure, show, plot, report, validate, compare, bsdf, export, plan, chart),
-=======
-    measure,
-    show,
-    plot,
-    validate,
-    diff,
-    compare,
-    export,
-    plan,
-    chart,
->>>>>>> d60a01c (gonio-mi diff: what another Mitsuba version says of the same BSDF, function by function)
+    *(measure, show, plot, report, validate, diff, compare, bsdf, export, plan, chart),
     doctor,
 )
 

@@ -33,6 +33,7 @@ __all__ = [
     "add_record",
     "add_scene_options",
     "add_specimen",
+    "add_text",
     "number",
     "number_or_word",
     "pair",
@@ -122,6 +123,11 @@ def add_number(
     if default is not None:
         text += f" (default: {default:g})"
     group.add_argument(option, type=number, default=default, metavar=metavar, help=text)
+
+
+def add_text(group: Any, option: str, metavar: str, text: str, **how: Any) -> None:
+    """Add an option or an argument that is a word, or several if `how` says so."""
+    group.add_argument(option, metavar=metavar, help=text, **how)
 
 
 def add_files(group: Any, *options: str, text: str, metavar: str = "FILE") -> None:

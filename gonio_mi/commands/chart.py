@@ -16,6 +16,7 @@ from .arguments import (
     add_output,
     add_scene_options,
     add_specimen,
+    add_text,
     say,
     specimen_of,
     tell,
@@ -59,17 +60,19 @@ def add_options(parser: ArgumentParser) -> None:
 
 def _add_methods(group: Any) -> None:
     """Add the options that say what is compared, and for how long."""
-    group.add_argument(
+    add_text(
+        group,
         "--estimator",
+        "E",
+        "estimators to compare (default: all that apply)",
         nargs="+",
-        metavar="E",
-        help="estimators to compare (default: all that apply)",
     )
-    group.add_argument(
+    add_text(
+        group,
         "--sampler",
+        "S",
+        "samplers to compare (default: independent sobol)",
         nargs="+",
-        metavar="S",
-        help="samplers to compare (default: independent sobol)",
     )
     add_number(group, "--seconds", "T", "about how long all of it may take", 60)
     add_number(

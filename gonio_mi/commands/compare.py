@@ -18,6 +18,7 @@ from .arguments import (
     FAILED,
     add_number,
     add_scene_options,
+    add_text,
     pair,
     specimen_of,
     tell,
@@ -45,15 +46,17 @@ TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth")
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    parser.add_argument(
+    add_text(
+        parser,
         "record",
-        metavar="RECORD",
-        help="an .exr or .npz file; with a table also a specimen as of `measure`",
+        "RECORD",
+        "an .exr or .npz file; with a table also a specimen as of `measure`",
     )
-    parser.add_argument(
+    add_text(
+        parser,
         "other",
-        metavar="OTHER",
-        help="an .exr or .npz file, or a table: CSV, or .astm",
+        "OTHER",
+        "an .exr or .npz file, or a table: CSV, or .astm",
     )
     _add_table_options(parser)
     add_number(
@@ -77,15 +80,17 @@ def add_options(parser: ArgumentParser) -> None:
 
 def _add_table_options(parser: ArgumentParser) -> None:
     """Add the options on what a table of measured values leaves unsaid."""
-    parser.add_argument(
+    add_text(
+        parser,
         "--channel",
-        metavar="NAME",
-        help="of a table that has several, such as 550nm",
+        "NAME",
+        "of a table that has several, such as 550nm",
     )
-    parser.add_argument(
+    add_text(
+        parser,
         "--quantity",
-        metavar="Q",
-        help="what the values of the table are, if it does not say it: brdf, brdf_cos, "
+        "Q",
+        "what the values of the table are, if it does not say it: brdf, brdf_cos, "
         "btdf or reflectance_factor",
     )
     parser.add_argument(
@@ -98,10 +103,11 @@ def _add_table_options(parser: ArgumentParser) -> None:
         "value, sigma or wavelength; ROLE=NAME:rad if an angle is in radians, and "
         "ROLE=0 for a number in its place",
     )
-    parser.add_argument(
+    add_text(
+        parser,
         "--azimuth",
-        metavar="FROM",
-        help="where azimuths of exit in the table are 0, if relative to incidence: on "
+        "FROM",
+        "where azimuths of exit in the table are 0, if relative to incidence: on "
         "the side of the source or of the mirror direction (source, mirror)",
     )
     add_number(

@@ -17,6 +17,7 @@ from .arguments import (
     FAILED,
     add_number,
     add_scene_options,
+    add_text,
     sentence,
     set_variant,
     specimen_of,
@@ -44,17 +45,19 @@ Exit code 3: something differs by more than errors explain.
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    parser.add_argument(
+    add_text(
+        parser,
         "specimens",
+        "BSDF",
+        "BSDFs in one word, or scene files with one shape; none for Mitsuba's own",
         nargs="*",
-        metavar="BSDF",
-        help="BSDFs in one word, or scene files with one shape; none for Mitsuba's own",
     )
-    parser.add_argument(
+    add_text(
+        parser,
         "--against",
+        "VENV",
+        "the other virtual environment, or its Python",
         required=True,
-        metavar="VENV",
-        help="the other virtual environment, or its Python",
     )
     add_number(parser, "--seed", "S", "of the random numbers", 0)
     add_number(
@@ -74,7 +77,7 @@ def run(options: Namespace) -> int:
     from ..versions.asking import interpreter
 
     interpreter(options.against)  # before anything else takes time
-    answers = []
+    answers: list[dict[str, Any]] = []
     for name, specimen, parameters in _specimens(options):
         try:
             found = diff(

@@ -27,6 +27,7 @@ from .arguments import (
     add_output,
     add_scene_options,
     add_specimen,
+    add_text,
     number,
     say,
     sentence,
@@ -98,10 +99,11 @@ def _add_output(group: Any) -> None:
         "write the record to these .exr or .npz files; both keep everything",
         "no numbers and no progress bar",
     )
-    group.add_argument(
+    add_text(
+        group,
         "--resume",
-        metavar="RECORD",
-        help="carry on this interrupted record of the very same measurement",
+        "RECORD",
+        "carry on this interrupted record of the very same measurement",
     )
     add_number(
         group,
@@ -109,11 +111,12 @@ def _add_output(group: Any) -> None:
         "N",
         "measure the incident directions in that many processes",
     )
-    group.add_argument(
+    add_text(
+        group,
         "--folder",
-        metavar="DIR",
-        help="keep finished incident directions there: the same command carries on, "
-        "also after a crash",
+        "DIR",
+        "keep finished incident directions there: the same command carries on, also"
+        " after a crash",
     )
 
 

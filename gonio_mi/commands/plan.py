@@ -9,7 +9,7 @@ from argparse import ArgumentParser, Namespace
 from dataclasses import asdict
 
 from .. import files
-from .arguments import DONE, add_number, tell
+from .arguments import DONE, add_number, add_text, tell
 
 __all__ = ["add_options", "run"]
 
@@ -27,17 +27,19 @@ numbers are for independent rays; the sampler sobol needs fewer.
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    parser.add_argument(
+    add_text(
+        parser,
         "pilot",
+        "PILOT",
+        "a first record of the specimen at one incident direction",
         nargs="?",
-        metavar="PILOT",
-        help="a first record of the specimen at one incident direction",
     )
-    parser.add_argument(
+    add_text(
+        parser,
         "--collector",
+        "KIND:NTxNP",
+        "patches, without a pilot (default: projected:30x30)",
         default="projected:30x30",
-        metavar="KIND:NTxNP",
-        help="patches, without a pilot (default: projected:30x30)",
     )
     add_number(
         parser,

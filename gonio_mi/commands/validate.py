@@ -18,6 +18,7 @@ from .arguments import (
     add_number,
     add_scene_options,
     add_specimen,
+    add_text,
     number,
     sentence,
     specimen_of,
@@ -45,17 +46,19 @@ Exit code 3: something that --allow does not name biases images or breaks integr
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     add_specimen(parser)
-    parser.add_argument(
+    add_text(
+        parser,
         "--effort",
+        "E",
+        "quick (seconds), normal (default), thorough (minutes)",
         default="normal",
-        metavar="E",
-        help="quick (seconds), normal (default), thorough (minutes)",
     )
-    parser.add_argument(
+    add_text(
+        parser,
         "--allow",
+        "NAMES",
+        "properties that the model knowingly lacks: energy,reciprocity",
         default="",
-        metavar="NAMES",
-        help="properties that the model knowingly lacks: energy,reciprocity",
     )
     parser.add_argument(
         "--strict", action="store_true", help="exit code 3 for whatever fails"
@@ -64,8 +67,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_number(
         parser, "--alpha", "P", "probability with which a right plugin fails", 1e-3
     )
-    parser.add_argument(
-        "--report", metavar="HTML", help="write one file with verdict and maps"
+    add_text(
+        parser,
+        "--report",
+        "HTML",
+        "write one file with verdict and maps",
     )
     parser.add_argument("--json", action="store_true", help="for machines")
     add_scene_options(parser.add_argument_group("scene"), VARIANTS)

@@ -13,16 +13,13 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Numbers
 from .conditions import Condition
 from .drawing import seed_of, uniform
-from .equality import SLACK
+from .equality import SLACK, ULPS
 from .probe import Probe, numbers, spectral
 
 __all__ = ["Drawn", "collect", "rounding"]
 
 # Samples that tell how well integrals can be known.
 ROUNDED = 2**12
-
-# Size of the displacement that tells how a function answers to rounding: 4 ulp of 1.
-ULPS = 2.0**-21
 
 # Rounding of a cosine that is found by four operations.
 COSINE = 2.0**-22

@@ -10,9 +10,10 @@ import numpy as np
 
 from ..array_types import Floats
 from ..collector.directions import direction
-from .collecting import ULPS, Drawn
+from .collecting import Drawn
 from .conditions import PHI, Condition
 from .drawing import uniform
+from .equality import ULPS
 from .evidence import Evidence
 from .probe import Probe, numbers, spectral
 

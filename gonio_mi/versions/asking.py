@@ -16,7 +16,6 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats
 from ..collector.directions import direction
 from ..errors import SettingError, SpecimenError, shown
 from ..validation.equality import ULPS
@@ -70,7 +69,7 @@ class Question:
             "conditions": [{"mode": mode} for _, _, mode in self.conditions],
         }
 
-    def arrays(self) -> dict[str, Floats]:
+    def arrays(self) -> dict[str, Any]:
         """Directions, displacements and random numbers, the same for all versions."""
         rng = np.random.default_rng(self.seed)
         z = (np.arange(LATTICE) + 0.5) / LATTICE * 2 - 1

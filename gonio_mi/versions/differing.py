@@ -21,8 +21,10 @@ from .asking import Answers, Question, ask, interpreter
 __all__ = ["Difference", "Differences", "diff"]
 
 # Polar angles of incidence in degrees and transport modes, on either side.
-VIEWS = ((0.0, "Importance"), (40.0, "Importance"), (80.0, "Importance"))
-VIEWS += ((40.0, "Radiance"),)
+VIEWS = (
+    *((theta, "Importance") for theta in (0.0, 40.0, 80.0)),
+    (40.0, "Radiance"),
+)
 
 # Directions nearer than that are the same sample, for rounding may tilt a facet.
 SAME = 2.0**-10

@@ -86,7 +86,7 @@ def built(mi: Any, node: Any) -> Any:
 
 def parameters(mi: Any, bsdf: Any) -> dict[str, Any]:
     """First numbers of each parameter that ``traverse`` shows, by name."""
-    found = {}
+    found: dict[str, Any] = {}
     params = mi.traverse(bsdf)
     for name in params.keys():  # noqa: SIM118 (Mitsuba's own type)
         try:
