@@ -113,6 +113,10 @@ class Instrument:
         `incident` is the pair of angles in degrees that it was made for, if any, and
         `described` the digest of the emitter before it was turned there.
         """
+        if any(emitter.get_medium() is not None for emitter in emitters):
+            raise SpecimenError(
+                "the emitter must stand in air, got one inside of a medium"
+            )
         if len(emitters) != 1:
             raise SpecimenError(
                 "the scene must have one emitter, or an incident angle be given, "
@@ -274,6 +278,7 @@ class Instrument:
             )
         functions = "sample() or eval()" if self.deposits else "sample()"
         _warn_of_invalid(tally.ledger, functions, bench.beam.collimated)
+        _warn_of_astray(tally.ledger)
         if not mi.is_spectral and tally.achromatic:
             tally = tally.first(1)
         return Record(
@@ -297,6 +302,18 @@ def _warn_of_invalid(ledger: Ledger, functions: str, collimated: bool) -> None:
             f"the BSDF's {functions} returned a negative, infinite or NaN weight, or "
             f"no unit direction,{near} for {ledger.invalid} of {ledger.emitted} "
             "rays; they are in the ledger's row invalid and in no patch",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+
+def _warn_of_astray(ledger: Ledger) -> None:
+    if ledger.astray:
+        warnings.warn(
+            "a shape with a medium must be closed, and overlap no other, but "
+            f"{ledger.astray} of {ledger.emitted} rays left the scene inside of a "
+            "medium or met a surface that is said to lie in another one; they are in "
+            "the ledger's row astray and in no patch",
             RuntimeWarning,
             stacklevel=3,
         )

@@ -89,7 +89,7 @@ def free_flight(
     at.time, at.wavelengths, at.medium = ray.time, ray.wavelengths, medium
     begin, end, flies = mi.Float(0), distance, active
     if not homogeneous:
-        meets, near, far = medium.intersect_aabb(ray, active)
+        meets, near, far = medium.intersect_aabb(ray)
         # a homogeneous medium has no box
         begin = dr.select(meets, dr.clip(near, 0, distance), distance)
         end = dr.select(meets, dr.clip(far, begin, distance), distance)

@@ -59,16 +59,21 @@ class Geometry:
         return flight_from(self.specimen, ray)
 
     def meet(
-        self, flight: Flight, active: mi.Bool, together: mi.Bool
+        self, flight: Flight, active: mi.Bool, inside: mi.Bool, together: mi.Bool
     ) -> tuple[mi.SurfaceInteraction3f, Encounter, mi.Float]:
         """What rays meet next, and at what distance; nothing is infinitely far.
 
-        `together`: whether neighbouring rays are alike.
+        `inside`: whether they are in a medium. `together`: whether neighbouring rays
+        are alike.
         """
-        flags = mi.RayFlags.All | mi.RayFlags.dNSdUV
-        si = intersect(self.specimen.scene, flight.ray, flags, active, together)
+        flags, ray = mi.RayFlags.All | mi.RayFlags.dNSdUV, flight.ray
+        si = intersect(self.specimen.scene, ray, flags, active, together)
         met = encounter(self.specimen, self.side, flight, si, active)
-        to_side = dr.dot(met.entry + met.step - flight.ray.o, flight.ray.d)
+        across = mi.Vector2f(ray.d.x, ray.d.y)
+        path = met.entry + met.step - ray.o
+        to_side = dr.dot(mi.Vector2f(path.x, path.y), across) / dr.squared_norm(across)
+        # not lifted as in air: the end of the medium may be as near as that
+        met.entry.z[inside] = ray.o.z + to_side * ray.d.z
         distance = dr.select(met.missed, dr.inf, si.t)
         distance = dr.select(met.crosses, dr.maximum(to_side, 0), distance)
         return si, met, distance
@@ -166,11 +171,11 @@ def trace_inside(
     while active:
         ray = flight.ray
         first = (depth == 0) & (scatterings == 0)
-        si, met, free = path.meet(flight, active, first & together)
+        inside = active & (medium != None)  # noqa: E711 (each lane)
+        si, met, free = path.meet(flight, active, inside, first & together)
 
         # ---------------- Rays that leave, or are where no medium should be -----------
         gone = met.missed & ~met.crosses
-        inside = active & (medium != None)  # noqa: E711 (each lane)
         changes = met.real & si.is_medium_transition()
         astray = (gone & inside & ~met.endless) | (
             changes & (si.target_medium(-ray.d) != medium)
@@ -232,7 +237,8 @@ def trace_inside(
         # ---------------------------- Russian roulette --------------------------------
         power = β / dr.mean(chance) if apart else β
         if roulette:
-            survival = survival_chance(power, depth + scatterings > rr_depth)
+            # of thousands of events none may end a ray that has lost nothing
+            survival = survival_chance(power, depth + scatterings > rr_depth, 1.0)
         else:
             faint = mi.Bool(not analog) & (dr.max(power) < FAINT)
             survival = dr.select(faint, mi.Float(FEW), mi.Float(1))

@@ -271,12 +271,12 @@ def after_event(
     return throughput, dr.select(valid, fate, mi.UInt32(Fate.INVALID))
 
 
-def survival_chance(β: mi.Spectrum, due: mi.Bool) -> mi.Float:
+def survival_chance(β: mi.Spectrum, due: mi.Bool, most: float = 0.95) -> mi.Float:
     """Chance to survive Russian roulette, where it is `due`; 1 elsewhere.
 
     In steps that random numbers of 23 bits hit exactly, and never 0.
     """
-    chance = dr.ceil(dr.minimum(dr.max(β), 0.95) * 2.0**16) * 2.0**-16
+    chance = dr.ceil(dr.minimum(dr.max(β), most) * 2.0**16) * 2.0**-16
     return dr.select(due, chance, mi.Float(1.0))
 
 

@@ -1,0 +1,239 @@
+"""Media in closed shapes: grids, channels, nested and adjacent ones, and bad ones."""
+
+import gonio_mi as gonio
+
+# isort: split
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import (
+    agree,
+    difference_scores,
+    disagree,
+    normal_scores,
+    scores,
+    single,
+    verdict,
+)
+from slabs import NULL, henyey_greenstein, medium, rectangle, stack, theory
+
+PATCHES = "projected:5x6"
+RAYS = 50_000
+GLASS = {"type": "dielectric", "int_ior": 1.5}
+
+
+def measured(scene, theta_i=30.0, **settings):
+    settings = {"rays": RAYS, "sampler": "independent"} | settings
+    return gonio.measure(scene, theta_i=theta_i, **{"collector": PATCHES} | settings)
+
+
+def ball(one, bsdf=NULL, radius=1.0, **more):
+    return {"type": "sphere", "radius": radius, "bsdf": bsdf, "interior": one, **more}
+
+
+def cube(one, half=1.0, height=0.5, bsdf=NULL):
+    to_world = (
+        mi.ScalarTransform4f().translate([0, 0, -height]).scale([half] * 2 + [height])
+    )
+    return {"type": "cube", "to_world": to_world, "bsdf": bsdf, "interior": one}
+
+
+def both(a, b):
+    """Scores of both hemispheres of two records."""
+    return np.concatenate(
+        [difference_scores(a, b, hemisphere) for hemisphere in (0, 1)]
+    )
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("bsdf", [NULL, GLASS])
+def test_wide_plate_is_a_layer(bsdf):
+    """A cube so wide that no light leaves by a side, lit at a point."""
+    one = medium(2.0, 0.95, 0.5)
+    plate = measured(cube(one, half=500.0, bsdf=bsdf), footprint="point")
+    if bsdf is NULL:
+        scene = stack(one)
+    else:
+        inner = {"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.5}
+        shapes = stack(one, bsdf=GLASS)
+        shapes["interface_1"]["bsdf"] = inner
+        scene = shapes
+    layer = measured(scene, period="box", seed=1)
+    assert (plate.settings["transport"], layer.settings["transport"]) == (
+        "traced",
+        "layers",
+    )
+    agree(verdict(both(plate, layer)))
+    narrow = measured(cube(one, half=1.0, bsdf=bsdf), footprint="point")
+    disagree(verdict(both(narrow, layer)))
+    assert narrow.ledger.sideways > 0 == plate.ledger.sideways
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("estimator", ["weighted", "analog"])
+def test_nested_and_adjacent_media(estimator):
+    """A ball of the same medium in a medium is none, and its ledger adds up."""
+    inner, outer = medium(2.0, 0.9, 0.4), medium(2.0, 0.9, 0.4)
+    whole = measured(ball(outer), estimator=estimator)
+    core = ball(inner, radius=0.6, exterior=outer)
+    nested = {"type": "scene", "outer": ball(outer), "core": core}
+    record = measured(nested, estimator=estimator, seed=1)
+    assert record.ledger.astray == 0
+    assert record.ledger.emitted == RAYS
+    agree(verdict(both(record, whole)))
+    core = ball(medium(9.0, 0.2), radius=0.6, exterior=outer)
+    other = measured({**nested, "core": core}, estimator=estimator)
+    disagree(verdict(both(other, whole)))
+
+
+def grid(values):
+    """Heterogeneous medium in the slab from z = -2 to 0, one value for each layer."""
+    values = np.float32(values)[::-1].reshape(-1, 1, 1, 1)
+    to_world = mi.ScalarTransform4f().translate([-1, -1, -2]).scale(2)
+    volume = {"type": "gridvolume", "grid": mi.VolumeGrid(values), "raw": True}
+    volume |= {"filter_type": "nearest", "to_world": to_world}
+    coefficients = {"sigma_t": volume, "albedo": 0.9}
+    phase = {"type": "hg", "g": 0.5}
+    return mi.load_dict({"type": "heterogeneous", **coefficients, "phase": phase})
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("estimator", ["weighted", "analog"])
+def test_grid(estimator):
+    """Delta tracking through a grid of two layers, one of which is thin."""
+    one = grid([0.3, 3.0])
+    scene = {"type": "scene", "top": rectangle(0, None, one), "end": rectangle(-2, one)}
+    record = measured(scene, period="box", estimator=estimator)
+    assert record.settings["transport"] == "traced"
+    assert record.ledger.astray == 0
+    layers = [(tau, 0.9, henyey_greenstein(0.5)) for tau in (0.3, 3.0)]
+    patches, _, _ = theory(layers, 30.0, PATCHES)
+    agree(verdict(scores(record, patches[0])))
+    patches, _, direct = theory(layers[::-1], 30.0, PATCHES)
+    disagree(verdict(scores(record, patches[0])))
+    low, high = record.interval(1 - 1e-6, "direct")
+    assert low < direct < high
+
+
+def coloured(sigma_t, albedo, **more):
+    """Homogeneous medium of three channels."""
+    values = {"sigma_t": sigma_t, "albedo": albedo}
+    volumes = {
+        key: {"type": "constvolume", "value": {"type": "rgb", "value": value}}
+        for key, value in values.items()
+    }
+    phase = {"type": "hg", "g": 0.5}
+    return mi.load_dict({"type": "homogeneous", **volumes, "phase": phase, **more})
+
+
+@pytest.mark.usefixtures("rgb")
+@pytest.mark.parametrize("estimator", ["weighted", "analog"])
+def test_channels_that_differ(estimator):
+    """Each is what exact theory says of it, though they share their paths."""
+    taus, albedos = np.array([0.2, 1.0, 4.0]), [0.6, 0.9, 0.99]
+    one = coloured((taus / 5).tolist(), albedos, scale=5.0)
+    record = measured(stack(one), period="box", rays=100_000, estimator=estimator)
+    for channel, (tau, albedo) in enumerate(zip(taus, albedos)):
+        layer = (tau, albedo, henyey_greenstein(0.5))
+        patches, totals, _ = theory([layer], 30.0, PATCHES)
+        agree(verdict(scores(record, patches[0], 0, channel)))
+        disagree(verdict(scores(record, 1.25 * patches[0], 0, channel)))
+        agree(of_total(record, totals[0], channel))
+
+
+@pytest.mark.usefixtures("spectral")
+def test_wavelengths_that_differ():
+    """As channels of colour: the extinction falls over the spectrum."""
+    nm = (400.0, 500.0, 600.0, 700.0, 750.0)
+    spectrum = {"type": "irregular", "wavelengths": "400, 750", "values": "3, 0.5"}
+    sigma_t = {"type": "constvolume", "value": spectrum}
+    one = mi.load_dict({"type": "homogeneous", "sigma_t": sigma_t, "albedo": 0.9})
+    record = measured(stack(one), period="box", wavelengths=nm)
+    for channel, x in enumerate(nm):
+        tau = 3 - 2.5 * (x - 400) / 350
+        patches, *_ = theory([(tau, 0.9, henyey_greenstein(0.0))], 30.0, PATCHES)
+        agree(verdict(scores(record, patches[0], 0, channel)))
+        other, *_ = theory([(tau / 4, 0.9, henyey_greenstein(0.0))], 30.0, PATCHES)
+        disagree(verdict(scores(record, other[0], 0, channel)))
+    with pytest.raises(gonio.SpecimenError, match="covers the wavelengths from 400"):
+        measured(stack(one), period="box", wavelengths=800)
+
+
+@pytest.mark.usefixtures("mono")
+def test_almost_white_media_end():
+    """The roulette is unbiased; `rr_depth` and none of it give the same."""
+    scene = stack(medium(50.0, 0.999))
+    usual = measured(scene, period="box", rays=20_000)
+    early = measured(scene, period="box", rays=20_000, rr_depth=3, seed=1)
+    total = theory([(50.0, 0.999, henyey_greenstein(0.0))], 30.0, PATCHES)[1][0]
+    for record in (usual, early):
+        agree(of_total(record, total))
+    disagree(of_total(usual, total - 0.05))
+
+
+def of_total(record, dhr, channel=0):
+    """Verdict on the reflectance of a record."""
+    t = (record.dhr[channel] - dhr) / record.dhr_std_err[channel]
+    return single(normal_scores(t, record.n_batches - 1))
+
+
+@pytest.mark.usefixtures("mono")
+def test_scatterings_may_be_limited():
+    """What is cut off is in the ledger."""
+    record = measured(stack(medium(5.0, 1.0)), period="box", max_scatterings=3)
+    assert record.ledger.truncated > 0
+    assert record.settings["max_scatterings"] == 3
+    assert "max_scatterings" not in measured({"type": "diffuse"}, rays=100).settings
+
+
+BAD = {
+    "an albedo of at most 1, got 1.2": {"albedo": 1.2},
+    "a albedo that is finite and not negative, got -0.1": {"albedo": -0.1},
+    "sigma_t that is finite and not negative, got -1": {"sigma_t": -1.0},
+    "sigma_t that is finite and not negative, got nan": {"sigma_t": float("nan")},
+    "sigma_t that is finite and not negative, got inf": {"sigma_t": float("inf")},
+    "a sigma_t above 0 somewhere": {"sigma_t": 0.0},
+}
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("words", BAD)
+def test_no_medium(words):
+    one = mi.load_dict({"type": "homogeneous", **BAD[words]})
+    with pytest.raises(gonio.SpecimenError, match=words):
+        measured(ball(one))
+
+
+@pytest.mark.usefixtures("mono")
+def test_no_grid():
+    for value in (-0.5, np.nan):
+        with pytest.raises(gonio.SpecimenError, match="sigma_t that is finite"):
+            measured(ball(grid([1.0, value])))
+
+
+@pytest.mark.usefixtures("mono")
+def test_what_media_do_not_have():
+    """Estimators that look at surfaces, and emitters inside."""
+    for estimator in ("next_event", "quadrature"):
+        with pytest.raises(gonio.SpecimenError, match="weighted or analog"):
+            measured(ball(medium()), estimator=estimator)
+    opaque = ball(medium(), bsdf={"type": "diffuse"})
+    with pytest.raises(gonio.SpecimenError, match="a BSDF that transmits, such as"):
+        measured(opaque)
+    emitter = {"type": "point", "position": [0, 0, 5.0], "medium": medium()}
+    with pytest.raises(gonio.SpecimenError, match="emitter must stand in air"):
+        measured(ball(medium()), emitter=emitter, theta_i=None)
+
+
+@pytest.mark.usefixtures("mono")
+def test_rays_astray_are_told():
+    """An open shape, and two that overlap: counted, and said."""
+    one = medium(1.0, 1.0)
+    shifted = ball(medium(2.0), radius=0.8, center=[0.7, 0, 0])
+    overlapping = {"type": "scene", "a": ball(one), "b": shifted}
+    without_sides = stack(one)
+    for scene in (without_sides, overlapping):
+        with pytest.warns(RuntimeWarning, match="a shape with a medium must be closed"):
+            record = measured(scene)
+        ledger = record.ledger
+        assert 0 < ledger.astray < ledger.emitted == RAYS
