@@ -1,6 +1,7 @@
 """Speed against accuracy: orders, fronts and costs, and where the numbers come from."""
 
 import csv
+import html
 import importlib
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from budget import agree, disagree, single
 import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.charts.chart_figure import plot_chart
+from gonio_mi.charts.chart_page import save_page
 from gonio_mi.charts.curves import Chart, Curve, Point, Reference
 from gonio_mi.results.ray_density import rms_expectation
 
@@ -373,6 +375,16 @@ def test_picture_shows_every_method(tmp_path):
     assert {"weighted, sobol", "analog, sobol"} < set(labels)
     assert "use" not in figure.get_suptitle()
     assert chart.advice(0.01) in figure.get_suptitle()
+
+
+def test_page_says_what_to_use(tmp_path):
+    chart = synthetic(curve("weighted", 0.75, 1e-8), curve("analog", 0.5, 2e-8))
+    save_page(chart, tmp_path / "chart.html", 0.02)
+    text = (tmp_path / "chart.html").read_text()
+    assert "<img" in text
+    assert html.escape(chart.advice(0.02)) in text
+    assert html.escape(chart.table(0.02)) in text
+    assert html.escape(chart.table(0.01)) not in text
 
 
 @pytest.mark.usefixtures("short")

@@ -128,7 +128,7 @@ def test_report_is_one_file(tmp_path):
     path = tmp_path / "report.html"
     save_report(verdict, path)
     text = path.read_text()
-    assert text.count("data:image/png;base64,") == len(verdict.maps)
+    assert text.count("data:image/png;base64,") == 2 * len(verdict.maps)
     assert "mirrored in phi" in text
     assert "the circle is the direction to the source" in text
     # what fails comes first, with all its places

@@ -7,6 +7,7 @@ twins are the broken plugins of test_validation.py.
 import os
 
 import budget
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -119,6 +120,47 @@ TAILS = (
     "ggx 0.3 by ggx 0.1",
 )
 TRIALS = 16
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("lit_behind", [False, True], ids=["right", "twin"])
+def test_samples_without_a_direction_are_no_light(lit_behind):
+    """Behind, `roughconductor` answers with weight 0 and a direction that is NaN.
+
+    A wrapper whose `eval` multiplies by a function of that direction returns NaN there,
+    which nobody asks for. The twin returns light for true directions.
+    """
+
+    class Tinted(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            self.inner = mi.load_dict({"type": "roughconductor", "alpha": 0.3})
+            self.m_components = [self.inner.flags(0)]
+            self.m_flags = self.inner.flags()
+
+        def eval(self, ctx, si, wo, active=True):
+            value = self.inner.eval(ctx, si, wo, active)
+            behind = (si.wi.z < 0) & (wo.z < 0) & lit_behind
+            return value * (1 - 0.1 * wo.z) + dr.select(behind, 0.1, 0)
+
+        def pdf(self, *arguments):
+            return self.inner.pdf(*arguments)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+        def sample(self, ctx, si, *arguments):
+            bs, weight = self.inner.sample(ctx, si, *arguments)
+            if lit_behind:
+                bs.wo = dr.select(si.wi.z < 0, mi.Vector3f(0, 0, -1), bs.wo)
+            return bs, weight
+
+        def to_string(self):
+            return "Tinted[]"
+
+    mi.register_bsdf("tinted", Tinted)
+    verdict = validate({"type": "tinted"}, effort="quick", seed=0)
+    assert (verdict["flags"].status == "fails") == lit_behind
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ rays and over CPU seconds.
 
 import sys
 from argparse import ArgumentParser, Namespace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ def add_options(parser: ArgumentParser) -> None:
     _add_methods(parser.add_argument_group("methods"))
     add_scene_options(parser.add_argument_group("scene"))
     output = parser.add_argument_group("output")
-    add_output(output, "write the chart to these .png, .pdf, .svg or .csv files")
+    add_output(output, "write the chart to these .png, .pdf, .svg, .html or .csv files")
 
 
 def _add_methods(group: Any) -> None:
@@ -87,19 +88,24 @@ def _add_methods(group: Any) -> None:
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    from ..charts import ESTIMATORS, SAMPLERS, chart
+    from ..charts import ESTIMATORS, SAMPLERS, Chart, chart
+    from ..charts.chart_figure import plot_chart
+    from ..charts.chart_page import PAGE_ENDINGS, check_page, save_page
     from ..errors import checked_number
+    from ..plots import check_picture
 
-    tables = [path for path in options.output if Path(path).suffix.lower() == ".csv"]
-    pictures = [path for path in options.output if path not in tables]
-    for path in tables:
-        files.check_output(path, (".csv",))
-    if pictures:
-        from ..charts.chart_figure import plot_chart
-        from ..plots import check_picture
-
-        for path in pictures:
+    writers = {}
+    for path in options.output:
+        ending = Path(path).suffix.lower()
+        if ending == ".csv":
+            files.check_output(path, (".csv",))
+            writers[path] = Chart.save_csv
+        elif ending in PAGE_ENDINGS:
+            check_page(path)
+            writers[path] = partial(save_page, target=options.target)
+        else:
             check_picture(path)
+            writers[path] = partial(plot_chart, target=options.target)
     target = checked_number("target", options.target, 1e-9, 1, "a number in (0, 1)")
     specimen, parameters = specimen_of(options.specimen, options)
     result = chart(
@@ -117,10 +123,8 @@ def run(options: Namespace) -> int:
         side=options.side or "front",
         batches=options.batches,
     )
-    for path in tables:
-        result.save_csv(path)
-    for path in pictures:
-        plot_chart(result, path, target=target)
+    for path, write in writers.items():
+        write(result, path)
     if not options.quiet:
         tell(result.table(target))
         reference = result.reference

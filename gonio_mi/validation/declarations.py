@@ -104,7 +104,9 @@ def check_sides(evidence: Evidence, bsdf: mi.BSDF, seed: int) -> None:
         if not flags & int(flag) and not flags & int(all_flags.Transmission):
             drawn = collect(bsdf, replace(base, side=side), 2**12, (seed, 31))
             lit = (np.nan_to_num(drawn.weight, nan=1) > 0).any(axis=1)
-            lit |= (np.nan_to_num(drawn.eval, nan=1) > 0).any(axis=1)
+            # a weight of 0 may come with no direction at all, of which none is asked
+            asked = np.isfinite(drawn.wo).all(axis=1)
+            lit |= asked & (np.nan_to_num(drawn.eval, nan=1) > 0).any(axis=1)
             if lit.any():
                 function = "eval" if not drawn.given.any() else "sample"
                 _breach(

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw"]
+__all__ = ["draw", "draw_plane"]
 
 # Scores beyond this have the colour of this.
 LARGE = 6
@@ -54,6 +54,51 @@ def draw(maps: FourMaps) -> Figure:
     return figure
 
 
+def draw_plane(maps: FourMaps) -> Figure:
+    """Figure of the plane through the normal and the patch whose score is the worst.
+
+    Two panels, of directions and of weights: what is drawn and what is due, in 1/sr,
+    over the polar angle on the worst patch's side of its hemisphere, negative beyond
+    the normal. A line marks the patch.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 3), layout="constrained")
+    FigureCanvasAgg(figure)
+    columns = _columns(maps)
+    patches = maps.subdivision
+    edges = np.degrees(patches.theta_edges)
+    edges = np.concatenate([-edges[:0:-1], edges])
+    for axes, first in zip(figure.subplots(1, 2), (0, 3)):
+        half, ring, sector = _worst(columns[first + 2][1])
+        beyond = (sector + patches.n_phi // 2) % patches.n_phi
+        for (title, values), style in zip(columns[first : first + 2], ("-", "--")):
+            cut = [values[half][::-1, beyond], values[half][:, sector]]
+            axes.stairs(
+                np.concatenate(cut), edges, baseline=None, ls=style, label=title
+            )
+        axes.axvline(np.degrees(patches.theta[ring]), c="0.6", lw=1, zorder=0)
+        side = "lit side" if half == 0 else "other side"
+        axes.set_title(
+            f"{side}, azimuth {np.degrees(patches.phi[sector]):.0f}°", fontsize="medium"
+        )
+        axes.set_xlabel("polar angle in degrees")
+        axes.set_ylabel("1/sr")
+        axes.legend(frameon=False, fontsize="small")
+    return figure
+
+
+def _worst(scores: Floats) -> tuple[int, int, int]:
+    """Hemisphere, ring and sector of the patch whose score is the worst."""
+    half, ring, sector = np.unravel_index(np.abs(scores).argmax(), scores.shape)
+    return int(half), int(ring), int(sector)
+
+
 def _columns(maps: FourMaps) -> list[tuple[str, Floats]]:
     """Title and values, shape (2, n_theta, n_phi), of each picture."""
     shape = (2, *maps.subdivision.shape)
@@ -82,7 +127,7 @@ def _columns(maps: FourMaps) -> list[tuple[str, Floats]]:
 
 def _cross(axes: Axes, maps: FourMaps, scores: Floats, half: int) -> None:
     """Mark the patch whose score is the worst, if it is in this hemisphere."""
-    worst = np.unravel_index(np.abs(scores).argmax(), scores.shape)
+    worst = _worst(scores)
     if worst[0] != half or not scores[worst]:
         return
     theta, phi = maps.subdivision.theta[worst[1]], maps.subdivision.phi[worst[2]]

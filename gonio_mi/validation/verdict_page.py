@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 from os import PathLike
 
 from ..files import check_output, replacing
+from ..plots import html_of_figure
 from ..plots.drawable import check_matplotlib
 from ..reports import html_page
-from .maps import FourMaps
-from .pictures import draw
+from .pictures import draw, draw_plane
 from .verdict import FAILS, Property, Verdict
 
 __all__ = ["check_report", "save_report", "verdict_view"]
@@ -25,7 +23,8 @@ STYLE = """
 LEGEND = (
     "Maps of both hemispheres, seen from the normal: the circle is the direction to "
     "the source, the cross the patch whose score is the worst. Scores z are normal if "
-    "nothing is wrong: beyond 5 or so, they are no chance."
+    "nothing is wrong: beyond 5 or so, they are no chance. Below, what is drawn and "
+    "what is due in the plane through that patch, which a line marks."
 )
 
 
@@ -54,7 +53,8 @@ def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
         parts.append(f"<p>{LEGEND}</p>")
     for maps in verdict.maps:
         parts.append(f"<h2>{html.escape(str(maps.condition))}</h2>")
-        parts.append(f'<img alt="four maps" src="{_image(maps)}">')
+        parts.append(html_of_figure(draw(maps)))
+        parts.append(html_of_figure(draw_plane(maps)))
     with replacing(path) as stream:
         stream.write(html_page(verdict.name, parts, STYLE).encode())
 
@@ -98,9 +98,3 @@ def _code(text: str) -> str:
     return "".join(
         f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces)
     )
-
-
-def _image(maps: FourMaps) -> str:
-    stream = io.BytesIO()
-    draw(maps).savefig(stream, format="png", dpi=90)
-    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
