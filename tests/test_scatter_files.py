@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import synthetic
-from test_tables_in import real
+from test_tables_in import DATA, real
 
 import gonio_mi as gonio
 from gonio_mi.cli import main
@@ -179,7 +179,7 @@ def test_merl_is_a_table_of_half_and_difference_angles():
 
 
 def test_open_material_is_as_its_schema_asks(tmp_path):
-    jsonschema = pytest.importorskip("jsonschema", reason="checks the schema")
+    """Which its reader checks; the schema itself says so too where it is present."""
     scatter = lobes(channels=("550nm", "450nm"))
     read = again(scatter, open_material.write, tmp_path / "a.json")
     assert read.channels == ("450nm", "550nm")
@@ -190,8 +190,10 @@ def test_open_material_is_as_its_schema_asks(tmp_path):
     content = json.loads((tmp_path / "a.json").read_text())
     rows = content["brdf"]["lookupTable"]
     assert rows == sorted(rows)
-    schema = real("openmaterial_brdf_schema.json")
-    jsonschema.validate(content, json.loads(schema.read_text()))
+    schema = DATA / "material_brdf_schema.json"
+    if schema.exists():
+        jsonschema = pytest.importorskip("jsonschema")
+        jsonschema.validate(content, json.loads(schema.read_text()))
 
 
 def test_rows_of_open_material_in_the_plane_are_a_table_only(tmp_path):
