@@ -327,6 +327,8 @@ OPTIONS = {
         "--quantity": ["brdf", "x"],
         "--columns": ["theta_i=a", "value=x", "x", "theta_i=1"],
         "--azimuth": ["source", "mirror", "x"],
+        "--divergence": NUMBERS,
+        "--budget": ["o.csv", "o.txt", "."],
         "--uncertainty": NUMBERS,
         "--scale-uncertainty": NUMBERS,
         "--alpha": NUMBERS,

@@ -1,12 +1,14 @@
 """``gonio-mi compare``: compare with another record or with measured values.
 
 Compare a record with another record of the same collector, patch by patch, or with a
-CSV table of measured values, whose columns are theta_i, phi_i, theta_o, phi_o, value
-and, optional, sigma. A specimen in place of the record is measured at the solid angles
-of the table and under its emitter.
+table of measured values: text with columns, or a file of Zemax, Speos, FRED,
+OpenMATERIAL or MERL. A specimen in place of the record is measured at the solid angles
+of the table and under its emitter; a specimen in place of the other is measured as the
+record was.
 """
 
 import json
+import re
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ from typing import Any
 from .. import files
 from ..errors import SettingError
 from .arguments import (
+    DEFAULT_VARIANT,
     DONE,
     FAILED,
     add_number,
@@ -33,7 +36,10 @@ EXAMPLES = """\
 examples:
   gonio-mi compare run.npz another.npz
   gonio-mi compare run.npz measured.csv --uncertainty 0.005 -o compared.png
-  gonio-mi compare roughconductor:alpha=0.2 measured.csv --rays 1e8 --json
+  gonio-mi compare roughconductor:alpha=0.2 measured.csv --budget budget.csv
+  gonio-mi compare diffuse panel.txt --channel 550nm --quantity reflectance_factor \\
+      --columns theta_i=src_z theta_o=view_z --azimuth mirror --aperture-half-angle 1
+  gonio-mi compare run.npz roughconductor:alpha=0.21
 
 The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005`,
 `# aperture_half_angle: 0.75` and `# emitter_half_angle: 0.25`; angles are in degrees.
@@ -43,6 +49,10 @@ Exit code 3: they differ by more than chance explains.
 # Options on how a table is read.
 TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth")
 
+# What names a specimen, and no table.
+SCENES = (".xml", ".obj", ".ply", ".stl")
+SPECIMEN = re.compile(r"[A-Za-z_]\w*(:.*)?")
+
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
@@ -50,13 +60,13 @@ def add_options(parser: ArgumentParser) -> None:
         parser,
         "record",
         "RECORD",
-        "an .exr or .npz file; with a table also a specimen as of `measure`",
+        "an .exr or .npz file, or a specimen as of `measure`, if OTHER is a table",
     )
     add_text(
         parser,
         "other",
         "OTHER",
-        "an .exr or .npz file, or a table: CSV, or .astm",
+        "an .exr or .npz file, a table, or a specimen, if RECORD is a file",
     )
     _add_table_options(parser)
     add_number(
@@ -66,8 +76,14 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", metavar="FIG", help="picture of both curves, such as a.png"
     )
+    parser.add_argument(
+        "--budget",
+        metavar="CSV",
+        help="write what each point is uncertain by: rays, single precision, "
+        "instrument, calibration and, of a specimen with a table, aperture",
+    )
     specimen = parser.add_argument_group("for a specimen")
-    for name in ("rays", "seed"):
+    for name in ("rays", "rel_err", "divergence", "seed"):
         add_setting(specimen, name)
     add_number(
         specimen,
@@ -127,45 +143,19 @@ def _add_table_options(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    from ..comparison import compare, measure_like
-    from ..files.measured import read_measured
+    from ..comparison import compare
     from ..plots import check_picture
-
-    def is_record(path: str) -> bool:
-        return Path(path).suffix.lower() in files.ENDINGS
 
     if options.output is not None:
         check_picture(options.output)
-    told = {name: getattr(options, name) for name in TABLE_OPTIONS}
-    if is_record(options.other):
-        for name, value in told.items():
-            if value is not None:
-                raise SettingError(f"--{name} goes with a table, got {options.other!r}")
-        other: Any = files.load(options.other)
-    else:
-        told["columns"] = dict(told["columns"]) if told["columns"] else None
-        other = read_measured(options.other, **told)
-    if is_record(options.record):
-        if options.aperture_half_angle is not None:
-            raise SettingError(
-                "--aperture-half-angle goes with a specimen, which is measured; "
-                f"{options.record} was"
-            )
-        record: Any = files.load(options.record)
-    elif is_record(options.other):
-        raise SettingError(
-            f"RECORD must be an .exr or .npz file if OTHER is one, got {options.record}"
-        )
-    else:
-        specimen, parameters = specimen_of(options.record, options)
-        record = measure_like(
-            specimen,
-            other,
-            parameters=parameters,
-            aperture_half_angle=options.aperture_half_angle,
-            rays=options.rays,
-            seed=options.seed or 0,
-        )
+    if options.budget is not None:
+        files.check_output(options.budget, (".csv",))
+    other = _other(options)
+    record, specimen = _record(options, other)
+    if specimen is not None and other is None:
+        other, record = record, _measured(specimen, record, options)
+    elif specimen is not None:
+        record = _measured(specimen, other, options)
     comparison = compare(
         record,
         other,
@@ -179,4 +169,98 @@ def run(options: Namespace) -> int:
         print(json.dumps(comparison.to_dict(), indent=2, allow_nan=False))
     else:
         tell(comparison)
+    if options.budget is not None:
+        _tell_budget(comparison, specimen, other, options)
     return DONE if comparison.passed else FAILED
+
+
+def _is_record(path: str) -> bool:
+    return Path(path).suffix.lower() in files.ENDINGS
+
+
+def _other(options: Namespace) -> Any:
+    """Record or table that OTHER is; None if it is a specimen."""
+    from ..files.measured import read_measured
+
+    told = {name: getattr(options, name) for name in TABLE_OPTIONS}
+    word = options.other
+    names_specimen = Path(word).suffix.lower() in SCENES or (
+        SPECIMEN.fullmatch(word) and not Path(word).exists()
+    )
+    if _is_record(word) or (names_specimen and _is_record(options.record)):
+        for name, value in told.items():
+            if value is not None:
+                raise SettingError(f"--{name} goes with a table, got {word!r}")
+        return files.load(word) if _is_record(word) else None
+    told["columns"] = dict(told["columns"]) if told["columns"] else None
+    return read_measured(word, **told)
+
+
+def _record(options: Namespace, other: Any) -> tuple[Any, Any]:
+    """Record that RECORD is, and the specimen that is to be measured, or None."""
+    word = options.record
+    if not _is_record(word):
+        if _is_record(options.other):
+            raise SettingError(
+                f"RECORD must be an .exr or .npz file if OTHER is one, got {word}"
+            )
+        return None, specimen_of(word, options)
+    if other is None:
+        record = files.load(word)
+        if options.variant == DEFAULT_VARIANT:
+            options.variant = record.settings.get("variant", DEFAULT_VARIANT)
+        return record, specimen_of(options.other, options)
+    for name in ("aperture_half_angle", "divergence", "rel_err"):
+        if getattr(options, name) is not None:
+            raise SettingError(
+                f"--{name.replace('_', '-')} goes with a specimen, which is measured; "
+                f"{word} was"
+            )
+    return files.load(word), None
+
+
+def _measured(specimen: tuple[Any, Any], like: Any, options: Namespace) -> Any:
+    """Records of a specimen, measured like a table or a record."""
+    from ..comparison import measure_like
+
+    return measure_like(
+        specimen[0],
+        like,
+        parameters=specimen[1],
+        aperture_half_angle=options.aperture_half_angle,
+        seed=options.seed,
+        **_precision(options),
+    )
+
+
+def _precision(options: Namespace) -> dict[str, Any]:
+    """Settings of a measurement that are given."""
+    names = ("rays", "rel_err", "divergence")
+    given = {name: getattr(options, name) for name in names}
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def _tell_budget(
+    comparison: Any, specimen: Any, other: Any, options: Namespace
+) -> None:
+    """Write the uncertainty budget, and print its sum."""
+    from ..comparison import aperture_effect, uncertainty_budget
+    from ..files.measured import MeasuredTable
+
+    aperture, scale = None, options.scale_uncertainty
+    if isinstance(other, MeasuredTable):
+        scale = other.scale_uncertainty if scale is None else scale
+        if specimen is not None:
+            aperture = aperture_effect(
+                specimen[0],
+                other,
+                comparison,
+                parameters=specimen[1],
+                aperture_half_angle=options.aperture_half_angle,
+                seed=options.seed,
+                **_precision(options),
+            )
+    budget = uncertainty_budget(comparison, scale or 0.0, aperture)
+    budget.save(options.budget)
+    if not options.json:
+        tell(budget)

@@ -1,5 +1,15 @@
 """Comparison of a record with another record or with measured values."""
 
-from .comparing import ALPHA, Comparison, compare, measure_like
+from .budget import Budget, aperture_effect, uncertainty_budget
+from .comparing import ALPHA, Comparison, compare
+from .measuring_like import measure_like
 
-__all__ = ["ALPHA", "Comparison", "compare", "measure_like"]
+__all__ = [
+    "ALPHA",
+    "Budget",
+    "Comparison",
+    "aperture_effect",
+    "compare",
+    "measure_like",
+    "uncertainty_budget",
+]

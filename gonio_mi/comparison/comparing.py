@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..collector.apertures import Apertures, disjoint_groups
-from ..errors import PackageError, SettingError, SettingTypeError, checked_number, shown
+from ..errors import PackageError, SettingTypeError, checked_number, shown
 from ..files.measured import MeasuredTable
 from ..files.measured_table import NUMBERS
-from ..instrument.measurement import measure_whole
 from ..plots import check_picture, html_of_figure
 from ..plots.drawable import save_picture
 from ..results.record import Record
@@ -23,18 +21,14 @@ from .pairing import (
     labels,
     pair_with_record,
     pair_with_table,
-    pole_angle,
 )
 
-__all__ = ["ALPHA", "Comparison", "compare", "measure_like"]
+__all__ = ["ALPHA", "Comparison", "compare"]
 
 # Probability with which a right model is rejected.
 ALPHA = 1e-3
 
 N_WORST = 5
-
-# Distance in scene units that stands for a source far away.
-FAR = 1000.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -250,7 +244,7 @@ def compare(
     Parameters
     ----------
     record : Record or sequence of Record
-        Several, if `other` is a table: what :func:`measure_like` returns.
+        Several, if `other` is a table: what `measure_like` returns.
     other : Record or MeasuredTable
         A record must have the same collector, channels and incident directions: there
         is no honest way from one set of patch means to another. Where only one has a
@@ -353,93 +347,6 @@ def _is_even(record: Record) -> bool:
     settings = record.settings
     sampled = settings.get("estimator") != "quadrature"
     return sampled and settings.get("sampler") != "independent"
-
-
-def measure_like(
-    specimen: Any,
-    table: MeasuredTable,
-    *,
-    aperture_half_angle: float | None = None,
-    seed: int = 0,
-    **settings: Any,
-) -> tuple[Record, ...]:
-    """Measure at the solid angles of a table's points, under its emitter.
-
-    Around each measured direction stands a circular aperture, so that no patch mean
-    stands for a point. Apertures that overlap are measured one group after the other,
-    each with its own rays.
-
-    Parameters
-    ----------
-    specimen : dict, mi.BSDF, mi.Scene, str or path
-        See :func:`measure`.
-    table : MeasuredTable
-        Its `emitter_half_angle` makes a round source of uniform radiance at
-        `emitter_distance`, by default far away; without it the beam is collimated.
-    aperture_half_angle : float, optional
-        In degrees, if the table does not say it.
-    seed : int
-    **settings
-        Of :func:`measure`; `rays` are those of each record.
-
-    Returns
-    -------
-    tuple of Record
-        One or more for each incident direction of the table, for :func:`compare`.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If there is no aperture's half-angle, or an aperture reaches below the horizon;
-        and as :func:`measure`.
-    """
-    half_angle = table.aperture_half_angle or aperture_half_angle
-    if half_angle is None:
-        raise SettingError(
-            f"aperture_half_angle must be given: {table.name} does not say it"
-        )
-    for key in {"theta_i", "phi_i", "collector"} & settings.keys():
-        raise SettingTypeError(
-            f"{key} must come from the table, got {shown(settings[key])}"
-        )
-    if table.emitter_half_angle:
-        settings.setdefault("emitter", _round_source(table))
-    lower = "both" if table.quantity == "btdf" else "upper"
-    settings.setdefault("hemispheres", lower)
-    records: list[Record] = []
-    for theta_i, phi_i in table.incident:
-        here = (table.theta_i == theta_i) & (table.phi_i == phi_i)
-        theta_o = pole_angle(table.theta_o[here])
-        # the same direction once, whatever the turn of its azimuth
-        cones = dict.fromkeys(zip(theta_o.tolist(), (table.phi_o[here] % 360).tolist()))
-        for group in disjoint_groups(list(cones), half_angle):
-            n = len(records)
-            own = np.random.SeedSequence((seed, n)).generate_state(1)[0] if n else seed
-            records.append(
-                measure_whole(
-                    specimen,
-                    theta_i,
-                    phi_i,
-                    collector=Apertures(half_angle, tuple(group)),
-                    seed=int(own),
-                    **settings,
-                )
-            )
-    return tuple(records)
-
-
-def _round_source(table: MeasuredTable) -> dict[str, Any]:
-    """Disk of uniform radiance above the specimen, that faces it."""
-    import mitsuba as mi
-
-    distance = table.emitter_distance or FAR
-    radius = float(distance * np.tan(np.radians(table.emitter_half_angle)))
-    above = mi.ScalarTransform4f().translate([0, 0, distance])
-    return {
-        "type": "disk",
-        "to_world": above.rotate([1, 0, 0], 180).scale([radius, radius, 1]),
-        "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}},
-    }
 
 
 def _known(value: float) -> float | None:

@@ -1,0 +1,205 @@
+"""A specimen, measured the way that a table or a record was."""
+
+import contextlib
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ..collector.apertures import Apertures, disjoint_groups
+from ..errors import SettingError, SettingTypeError, SpecimenError, shown
+from ..files.channels import wavelengths_nm
+from ..files.measured import MeasuredTable
+from ..instrument.measurement import measure_whole
+from ..results.record import Record
+from .pairing import pole_angle
+
+__all__ = ["measure_like"]
+
+# Distance in scene units that stands for a source far away.
+FAR = 1000.0
+
+# Relative standard error of each aperture, by itself: a quarter of the table's own, in
+# between these, or the lower where the table has none; and rays at most.
+SHARE, FINEST, COARSEST = 0.25, 1e-3, 1e-2
+MOST_RAYS = 10**8
+
+# Settings of a record with which it can be measured again.
+AGAIN = (
+    *("estimator", "footprint", "divergence", "emission", "max_depth", "rr_depth"),
+    *("period", "order", "side", "collector_radius"),
+)
+SAMPLED = ("rays", "sampler", "batches")
+
+PRECISION = {"rays", "rel_err", "estimator", "trace"}
+
+
+def measure_like(
+    specimen: Any,
+    like: MeasuredTable | Record,
+    *,
+    aperture_half_angle: float | None = None,
+    seed: int | None = None,
+    **settings: Any,
+) -> tuple[Record, ...]:
+    """Measure at the solid angles of a table's points, or as a record was measured.
+
+    Around each direction of a table stands a circular aperture, so that no patch mean
+    stands for a point. Apertures that overlap are measured one group after the other,
+    each with its own rays. Unless `rays`, `rel_err`, `estimator` or `trace` is given,
+    light is deposited from every event towards every aperture (``next_event``, traced),
+    until its error is small beside the table's.
+
+    Parameters
+    ----------
+    specimen : dict, mi.BSDF, mi.Scene, str or path
+        See :func:`measure`.
+    like : MeasuredTable or Record
+        The `emitter_half_angle` of a table makes a round source of uniform radiance at
+        `emitter_distance`, by default far away; without it the beam is collimated, or
+        has the `divergence` that is given. Of a record the collector, the incident
+        directions, the wavelengths and what else it knows of its measurement are taken;
+        it must have been lit by a collimated beam.
+    aperture_half_angle : float, optional
+        In degrees, if the table does not say it.
+    seed : int, optional
+        By default 0; for a record the next one to its own, so that rays are others.
+    **settings
+        Of :func:`measure`; `rays` are those of each record.
+
+    Returns
+    -------
+    tuple of Record
+        One or more for each incident direction of the table, for :func:`compare`; or
+        one that is like the record.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If there is no aperture's half-angle, or an aperture reaches below the horizon;
+        and as :func:`measure`.
+    """
+    for key in {"theta_i", "phi_i", "collector"} & settings.keys():
+        what = "record" if isinstance(like, Record) else "table"
+        raise SettingTypeError(
+            f"{key} must come from the {what}, got {shown(settings[key])}"
+        )
+    if isinstance(like, Record):
+        if aperture_half_angle is not None:
+            raise SettingError(
+                "aperture_half_angle goes with a table; a record has its collector, "
+                f"got {shown(aperture_half_angle)}"
+            )
+        return (_like_record(specimen, like, seed, settings),)
+    half_angle = like.aperture_half_angle or aperture_half_angle
+    if half_angle is None:
+        raise SettingError(
+            f"aperture_half_angle must be given: {like.name} does not say it"
+        )
+    return _like_table(specimen, like, half_angle, seed or 0, settings)
+
+
+def _like_table(
+    specimen: Any,
+    table: MeasuredTable,
+    half_angle: float,
+    seed: int,
+    settings: dict[str, Any],
+) -> tuple[Record, ...]:
+    """Records with apertures around the points of a table."""
+    if table.emitter_half_angle:
+        if settings.get("divergence"):
+            raise SettingError(
+                f"divergence goes with a collimated beam, but {table.name} has an "
+                f"emitter_half_angle of {table.emitter_half_angle:g} degrees"
+            )
+        settings.setdefault("emitter", _round_source(table))
+    lower = "both" if table.quantity == "btdf" else "upper"
+    settings.setdefault("hemispheres", lower)
+    automatic = not {k for k in PRECISION & settings.keys() if settings[k] is not None}
+    if automatic:
+        settings |= {"estimator": "next_event", "trace": True, "rays": None}
+        settings |= {"rel_err": _wanted(table), "max_rays": MOST_RAYS}
+    records: list[Record] = []
+    for theta_i, phi_i in table.incident:
+        here = (table.theta_i == theta_i) & (table.phi_i == phi_i)
+        theta_o = pole_angle(table.theta_o[here])
+        # the same direction once, whatever the turn of its azimuth
+        cones = dict.fromkeys(zip(theta_o.tolist(), (table.phi_o[here] % 360).tolist()))
+        for group in disjoint_groups(list(cones), half_angle):
+            n = len(records)
+            own = np.random.SeedSequence((seed, n)).generate_state(1)[0] if n else seed
+            given = {"collector": Apertures(half_angle, tuple(group)), "seed": int(own)}
+            with _errors_speak(automatic):
+                try:
+                    record = measure_whole(
+                        specimen, theta_i, phi_i, **given, **settings
+                    )
+                except SpecimenError:
+                    if settings.get("estimator") != "next_event" or not automatic:
+                        raise
+                    settings |= {"estimator": "weighted", "trace": None}
+                    record = measure_whole(
+                        specimen, theta_i, phi_i, **given, **settings
+                    )
+            records.append(record)
+    return tuple(records)
+
+
+def _wanted(table: MeasuredTable) -> float:
+    """Relative standard error to measure a table's apertures to."""
+    known = table.bsdf_std_err[table.bsdf > 0] / table.bsdf[table.bsdf > 0]
+    typical = float(np.median(known)) if known.size else 0.0
+    return float(np.clip(SHARE * typical, FINEST, COARSEST))
+
+
+@contextlib.contextmanager
+def _errors_speak(automatic: bool) -> Iterator[None]:
+    """No warning of a precision that nobody asked for: the comparison knows it."""
+    with warnings.catch_warnings():
+        if automatic:
+            warnings.filterwarnings("ignore", "rel_err of .* was not reached")
+        yield
+
+
+def _like_record(
+    specimen: Any, record: Record, seed: int | None, settings: dict[str, Any]
+) -> Record:
+    """Record of another specimen, measured as one was."""
+    known = record.settings
+    lit_by = str(known.get("emitter"))
+    if known.get("emitter_digest") or not lit_by.startswith("DirectionalEmitter"):
+        raise SettingError(
+            f"the record was lit by {lit_by:.60}, which it does not hold: measure the "
+            "specimen under that emitter too, and compare the two records"
+        )
+    names = AGAIN if known.get("estimator") == "quadrature" else (*AGAIN, *SAMPLED)
+    again = {name: known[name] for name in names if known.get(name) is not None}
+    if {"rel_err", "rays"} & {k for k, value in settings.items() if value is not None}:
+        again.pop("rays", None)
+    nm = wavelengths_nm(record.channels)
+    if nm is not None:
+        again["wavelengths"] = nm.tolist()
+    again["hemispheres"] = "both" if record.has_lower else "upper"
+    again |= {name: value for name, value in settings.items() if value is not None}
+    again["seed"] = int(known.get("seed") or 0) + 1 if seed is None else seed
+    records = [
+        measure_whole(specimen, theta, phi, collector=record.subdivision, **again)
+        for theta, phi in zip(record.theta_i.tolist(), record.phi_i.tolist())
+    ]
+    return Record.stack(records) if record.stacked else records[0]
+
+
+def _round_source(table: MeasuredTable) -> dict[str, Any]:
+    """Disk of uniform radiance above the specimen, that faces it."""
+    import mitsuba as mi
+
+    distance = table.emitter_distance or FAR
+    radius = float(distance * np.tan(np.radians(table.emitter_half_angle)))
+    above = mi.ScalarTransform4f().translate([0, 0, distance])
+    return {
+        "type": "disk",
+        "to_world": above.rotate([1, 0, 0], 180).scale([radius, radius, 1]),
+        "emitter": {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}},
+    }
