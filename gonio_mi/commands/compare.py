@@ -76,10 +76,11 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", metavar="FIG", help="picture of both curves, such as a.png"
     )
-    parser.add_argument(
+    add_text(
+        parser,
         "--budget",
-        metavar="CSV",
-        help="write what each point is uncertain by: rays, single precision, "
+        "CSV",
+        "write what each point is uncertain by: rays, single precision, "
         "instrument, calibration and, of a specimen with a table, aperture",
     )
     specimen = parser.add_argument_group("for a specimen")
