@@ -316,12 +316,16 @@ class _Beam:
         self, bsdf: mi.BSDF, theta: Floats, phi: Floats, lower: Flags, pdf: bool = False
     ) -> list[mi.Float]:
         """``eval`` of all channels, or ``pdf``, towards `theta` and `phi`."""
-        wo = direction(theta, phi)
-        wo[:, 2] *= np.where(lower, -self.side, self.side)
-        wo = self.interaction.to_local(mi.Vector3f(np.ascontiguousarray(wo.T)))
+        wo = self.towards(theta, phi, lower)
         function = bsdf.pdf if pdf else bsdf.eval
         value = function(flux_context(), self.interaction, wo)
         return [value] if pdf else list(value)
+
+    def towards(self, theta: Floats, phi: Floats, lower: Flags) -> mi.Vector3f:
+        """Directions `theta` and `phi` in the frame of the surface."""
+        wo = direction(theta, phi)
+        wo[:, 2] *= np.where(lower, -self.side, self.side)
+        return self.interaction.to_local(mi.Vector3f(np.ascontiguousarray(wo.T)))
 
 
 def _square() -> mi.SurfaceInteraction3f:

@@ -1,0 +1,115 @@
+"""``gonio-mi fit``: find the parameters of a BSDF from a record.
+
+Find the parameters with which a BSDF is closest to a record, their uncertainties from
+the record's own noise, and what the model cannot follow. A rough model without its
+distribution is tried with both, Beckmann and GGX, the closer one first.
+"""
+
+import json
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
+
+from .. import files
+from ..errors import SettingError
+from .arguments import DEFAULT_VARIANT, DONE, add_record, set_variant, tell
+
+__all__ = ["add_options", "run"]
+
+USAGE = "%(prog)s RECORD MODEL ... [options]"
+
+EXAMPLES = """\
+examples:
+  gonio-mi fit run.npz roughconductor
+  gonio-mi fit run.npz roughconductor:distribution=ggx principled -o fits.png
+  gonio-mi fit run.npz roughconductor:material=Al --free alpha_u alpha_v
+  gonio-mi fit run.npz mybsdf:tint=0.5 --free weight=0:1 --plugin mybsdf.py
+"""
+
+# Models that have a distribution of micro-normals to choose.
+ROUGH = ("roughconductor", "roughdielectric", "roughplastic")
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
+    add_record(parser)
+    parser.add_argument(
+        "models",
+        metavar="MODEL",
+        nargs="+",
+        help="a BSDF in one word with what is known of it, such as roughconductor, "
+        "roughdielectric:int_ior=1.5, roughplastic, diffuse or principled",
+    )
+    parser.add_argument(
+        "--free",
+        nargs="+",
+        metavar="NAME",
+        help="parameters to be found, or NAME=LOW:HIGH (default: the usual ones of "
+        "the model)",
+    )
+    parser.add_argument(
+        "--plugin",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="FILE",
+        help="Python files that register your own Mitsuba plugins; run first",
+    )
+    parser.add_argument("--json", action="store_true", help="for machines")
+    parser.add_argument(
+        "-o",
+        "--output",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="FILE",
+        help="a picture of record and models (.png, .pdf, .svg); a record of what the "
+        "best model predicts (.npz, .exr)",
+    )
+
+
+def run(options: Namespace) -> int:
+    """Run the command and return the exit code."""
+    from ..fitting import fit
+    from ..fitting.fit_figure import fit_figure
+    from ..instrument.loading import load_plugin_file
+    from ..plots.drawable import FIGURE_ENDINGS, check_picture
+
+    pictures = [path for path in options.output if path.endswith(FIGURE_ENDINGS)]
+    records = [path for path in options.output if path not in pictures]
+    for path in pictures:
+        check_picture(path)
+    for path in records:
+        files.check_output(path, files.ENDINGS)
+    record = files.load(options.record)
+    set_variant(record.settings.get("variant", DEFAULT_VARIANT))
+    for path in options.plugin:
+        load_plugin_file(path)
+    fits = [
+        fit(record, model, options.free)
+        for given in options.models
+        for model in _distributions(given)
+    ]
+    fits.sort(key=lambda one: one.chi2)
+    if options.json:
+        found = [one.to_dict() for one in fits]
+        print(json.dumps(found, indent=2, allow_nan=False))
+    else:
+        for one in fits:
+            tell(one)
+    for path in pictures:
+        fit_figure(fits, path)
+    for path in records:
+        fits[0].prediction.save(path)
+    return DONE
+
+
+def _distributions(model: str) -> Iterator[str]:
+    """A model with each distribution of micro-normals, if it says none."""
+    name, colon, rest = model.partition(":")
+    if not name:
+        raise SettingError(f"MODEL must be a BSDF in one word, got {model!r}")
+    if name not in ROUGH or "distribution=" in rest:
+        yield model
+        return
+    for distribution in ("beckmann", "ggx"):
+        yield f"{name}:{rest}{',' * bool(rest)}distribution={distribution}"

@@ -1,0 +1,365 @@
+"""The function `fit`, and what it finds: parameters, covariance, residual."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from os import PathLike
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Floats
+from ..errors import SettingError, SpecimenError
+from ..instrument.loading import loaded, parse_specimen, specimen_name
+from ..instrument.measurement import measure_here
+from ..results.record import Record
+from ..transport.kernels import launches_kernels
+from .fitted_models import FittedModel
+from .patch_predictions import PatchPredictions
+from .pooled_variances import pooled
+
+__all__ = ["Fit", "fit"]
+
+# Rounds of refined nodes and weights; a round that moves no parameter by more than this
+# part of its uncertainty is the last.
+MOST_ROUNDS, SETTLED = 8, 0.02
+
+# Differences for derivatives, relative to a value or to a hundredth of its range.
+STEP = 1e-3
+
+# Relative error of the integrals of a model, in no error bar of a record of integrals.
+RELATIVE_FLOOR = 1e-4
+
+# Chi-square per degree of freedom beyond which noise does not explain what is left.
+MISFIT = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A BSDF that was fitted to a record.
+
+    Attributes
+    ----------
+    record : Record
+    bsdf : dict
+        Mitsuba dictionary of the model with what was found.
+    names : tuple of str
+        Of the parameters that were free; those of a colour end in its channel.
+    values, std_errs : ndarray, shape (n_parameters,)
+        `std_errs` are what the noise of the record makes uncertain, and no more: what
+        the model cannot do is in `chi2` and `misplaced`.
+    covariance : ndarray, shape (n_parameters, n_parameters)
+    chi2 : float
+        Sum of the squared residuals over the variances of the patches.
+    dof : int
+        Its degrees of freedom: patches less parameters.
+    misplaced : float
+        Part of the light that the model sends into other patches than the record.
+    """
+
+    record: Record
+    bsdf: dict[str, Any]
+    names: tuple[str, ...]
+    values: Floats
+    covariance: Floats
+    chi2: float
+    dof: int
+    misplaced: float
+    at_limit: tuple[str, ...]
+
+    @property
+    def std_errs(self) -> Floats:
+        """Standard errors of `values`."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def reduced_chi2(self) -> float:
+        """Chi-square per degree of freedom: 1 where noise explains all."""
+        return self.chi2 / self.dof
+
+    @cached_property
+    def prediction(self) -> Record:
+        """Record of the model under the incident directions of the record."""
+        singles = [
+            measure_here(
+                self.bsdf,
+                float(theta_i),
+                float(phi_i),
+                collector=self.record.subdivision,
+                estimator="quadrature",
+                side=self.record.settings.get("side", "front"),
+                hemispheres="both" if self.record.has_lower else "upper",
+                wavelengths=_wavelengths(self.record),
+            )
+            for theta_i, phi_i in zip(self.record.theta_i, self.record.phi_i)
+        ]
+        return Record.stack(singles) if self.record.stacked else singles[0]
+
+    def plot(self, path: str | PathLike[str] | None = None) -> Any:
+        """Figure of record and prediction in the plane of incidence."""
+        from .fit_figure import fit_figure
+
+        return fit_figure(self, path)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything but the record, in JSON's types."""
+        parameters = zip(self.names, self.values.tolist(), self.std_errs.tolist())
+        return {
+            "bsdf": self.bsdf,
+            "parameters": {
+                name: {"value": value, "std_err": std_err}
+                for name, value, std_err in parameters
+            },
+            "covariance": self.covariance.tolist(),
+            "chi2": self.chi2,
+            "dof": self.dof,
+            "misplaced": self.misplaced,
+            "at_limit": list(self.at_limit),
+        }
+
+    def __str__(self) -> str:
+        width = max(map(len, self.names))
+        lines = [specimen_name(self.bsdf)]
+        errors = self.std_errs
+        correlation = self.covariance / np.outer(errors, errors)
+        for i, name in enumerate(self.names):
+            line = f"  {name:<{width}}  {self.values[i]:.6g} +- {errors[i]:.2g}"
+            others = [
+                f"{correlation[i, j]:+.2f} with {self.names[j]}"
+                for j in range(len(self.names))
+                if j != i and abs(correlation[i, j]) > 0.9
+            ]
+            line += f"  (correlation {', '.join(others)})" if others else ""
+            line += "  (at its limit)" if name in self.at_limit else ""
+            lines.append(line)
+        lines.append(
+            f"  chi-square per degree of freedom {self.reduced_chi2:.3g} "
+            f"({self.dof} degrees), {100 * self.misplaced:.3g} % of the light in other "
+            "patches"
+        )
+        if self.reduced_chi2 > MISFIT:
+            lines.append(
+                "  the model does not follow the record within its noise, which is all "
+                "that +- stands for"
+            )
+        return "\n".join(lines)
+
+
+@launches_kernels()
+def fit(
+    record: Record,
+    model: str | Mapping[str, Any],
+    free: Sequence[str] | None = None,
+) -> Fit:
+    """Find the parameters with which a BSDF is closest to a record.
+
+    Minimised is chi-square, the sum over the patches of all incident directions of the
+    squared differences of record and model over their variances; the model's patches
+    are integrals of its ``eval``. Variances are pooled over patches that the model
+    makes alike. The covariance is that of the estimate over the record's own batches,
+    so that it knows how patches depend on each other.
+
+    Parameters
+    ----------
+    record : Record
+        Of a collimated beam into rings and sectors, with error bars.
+    model : str or dict
+        BSDF plugin with what is known of it: ``"roughconductor:distribution=ggx"``.
+    free : sequence of str, optional
+        Parameters to be found; with limits, ``"weight=0:1"``, of any name. Default for
+        ``diffuse``: reflectance; ``roughconductor``: alpha and specular_reflectance, of
+        a metal that reflects all light unless it is said; ``roughdielectric``: alpha,
+        int_ior; ``roughplastic``: alpha, int_ior, diffuse_reflectance; ``principled``:
+        base_color, roughness, metallic, specular.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    ValueError
+        If the record cannot be fitted, or does not determine the parameters.
+    """
+    bsdf = parse_specimen(model) if isinstance(model, str) else dict(model)
+    if not isinstance(bsdf, dict):
+        raise SettingError(f"model must be a BSDF in one word, got {model!r}")
+    _check(record)
+    fitted = FittedModel(bsdf, free, record.channels)
+    search = _Search(record, fitted)
+    values = search.begin()
+    for _ in range(MOST_ROUNDS):
+        search.adapt(values)
+        before, values = values, search.minimum(values)
+        covariance = search.covariance(values)
+        moved = np.abs(values - before)
+        if np.all(moved <= SETTLED * np.sqrt(np.diag(covariance))):
+            break
+    predicted = search.adapt(values)
+    low, high = fitted.limits
+    near = 1e-6 * (high - low)
+    at_limit = (values < low + near) | (values > high - near)
+    names = tuple(parameter.name for parameter in fitted.parameters)
+    return Fit(
+        record,
+        fitted.bsdf(values),
+        names,
+        values,
+        covariance,
+        chi2=float(np.sum(search.residuals(predicted) ** 2)),
+        dof=predicted.size - len(values),
+        misplaced=float(np.abs(predicted - search.flux).sum() / search.flux.sum() / 2),
+        at_limit=tuple(name for name, at in zip(names, at_limit) if at),
+    )
+
+
+def _wavelengths(record: Record) -> list[float] | None:
+    nm = [float(c.removesuffix("nm")) for c in record.channels if c.endswith("nm")]
+    return nm or None
+
+
+def _check(record: Record) -> None:
+    """Raise ValueError for a record that no BSDF can be fitted to."""
+    if len(record.channels) > 1 and len(record.channels) != len(mi.Spectrum()):
+        raise SettingError(
+            f"the variant must be the record's, {record.settings.get('variant')}, got "
+            f"{mi.variant()}"
+        )
+    needs = {
+        "a collector of rings and sectors": record.subdivision.axes is None,
+        "a collimated beam": np.isfinite(record.theta_i).all()
+        and not record.settings.get("divergence"),
+        "light in its patches": record.flux_fraction.any(),
+    }
+    for need, holds in needs.items():
+        if not holds:
+            raise SettingError(f"a fit needs a record of {need}")
+    if np.isnan(record.brdf_std_err[record.brdf > 0]).any():
+        raise SettingError("a fit needs a record with error bars, of several batches")
+
+
+class _Search:
+    """The sum of squares to be minimised, and how uncertain its minimum is."""
+
+    def __init__(self, record: Record, model: FittedModel) -> None:
+        self.model = model
+        self.singles = [record[i] for i in range(len(record))]
+        self.predictions = [PatchPredictions(single) for single in self.singles]
+        self.fluxes = [single.flux_fraction.ravel() for single in self.singles]
+        self.flux = np.concatenate(self.fluxes)
+        self.scales = np.ones_like(self.flux)
+
+    def begin(self) -> Floats:
+        """The best of the model's starts."""
+        tried = []
+        for start in self.model.starts():
+            predicted = self.adapt(start)
+            tried.append((float(np.sum(self.residuals(predicted) ** 2)), start))
+        return min(tried, key=lambda one: one[0])[1]
+
+    def adapt(self, values: Floats) -> Floats:
+        """Refine the nodes for these values, and share variances; the prediction."""
+        bsdf = self._bsdf(values)
+        predicted = [one.adapt(bsdf) for one in self.predictions]
+        variances = map(_variances, self.singles, self.fluxes, predicted)
+        self.scales = np.sqrt(np.concatenate(list(variances)))
+        return np.concatenate(predicted)
+
+    def residuals(self, predicted: Floats) -> Floats:
+        """Differences of prediction and record over their standard errors."""
+        return (predicted - self.flux) / self.scales
+
+    def minimum(self, values: Floats) -> Floats:
+        """Values of least squares, with nodes and variances as they are."""
+        from scipy.optimize import least_squares
+
+        low, high = self.model.limits
+        inside = np.clip(values, low + 1e-9 * (high - low), high - 1e-9 * (high - low))
+        found = least_squares(
+            lambda x: self.residuals(self._predicted(x)),
+            inside,
+            lambda x: self._jacobian(x) / self.scales[:, None],
+            (low, high),
+            x_scale="jac",
+            xtol=1e-7,
+            ftol=1e-9,
+        )
+        return found.x
+
+    def covariance(self, values: Floats) -> Floats:
+        """Covariance of the minimum, from the scatter of the batches about it."""
+        jacobian = self._jacobian(values) / self.scales[:, None]
+        size = np.linalg.norm(jacobian, axis=0)
+        if not size.all() or np.linalg.cond(jacobian / size) > 1e4:
+            names = ", ".join(parameter.name for parameter in self.model.parameters)
+            raise SpecimenError(
+                f"the record does not determine {names} together: give some of them, "
+                "as in roughconductor:alpha=0.2"
+            )
+        estimate = np.linalg.pinv(jacobian) / self.scales
+        total = np.zeros((len(values), len(values)))
+        ends = np.cumsum([flux.size for flux in self.fluxes])
+        for single, part in zip(self.singles, np.split(estimate, ends[:-1], axis=1)):
+            total += _propagated(single, part)
+        return total
+
+    def _predicted(self, values: Floats) -> Floats:
+        bsdf = self._bsdf(values)
+        return np.concatenate([one.of(bsdf) for one in self.predictions])
+
+    def _jacobian(self, values: Floats) -> Floats:
+        """Derivatives of the prediction, by differences within the limits."""
+        columns = []
+        for i, (value, low, high) in enumerate(zip(values, *self.model.limits)):
+            step = STEP * max(abs(value), (high - low) / 100)
+            ends = []
+            for sign in (-1, 1):
+                moved = values.copy()
+                moved[i] = np.clip(value + sign * step, low, high)
+                ends.append((moved[i], self._predicted(moved)))
+            (x0, y0), (x1, y1) = ends
+            columns.append((y1 - y0) / (x1 - x0))
+        return np.stack(columns, axis=-1)
+
+    def _bsdf(self, values: Floats) -> mi.BSDF:
+        return loaded("the model", mi.load_dict, self.model.bsdf(values))
+
+
+def _batches(single: Record) -> Floats | None:
+    """Flux fractions batch by batch, shape (n_batches, n); None for integrals."""
+    (tally,) = single.tallies
+    if single.settings.get("estimator") == "quadrature" or tally.n_batches < 2:
+        return None
+    incident = tally.incident.astype(float)[:, None, None, None]
+    return (tally.sums / incident).reshape(tally.n_batches, -1)
+
+
+def _std_errs(single: Record) -> Floats:
+    """Standard errors of the flux fractions; 0 where nothing is known of one."""
+    solid = single.subdivision.projected_solid_angles[..., None]
+    both = [single.brdf_std_err, single.btdf_std_err]
+    errors = np.stack([one * solid for one in both if one is not None])
+    return np.nan_to_num(errors).ravel()
+
+
+def _variances(single: Record, flux: Floats, predicted: Floats) -> Floats:
+    """Variance of each patch, of which a fit makes its weights."""
+    found = _std_errs(single) ** 2
+    if _batches(single) is None:
+        return found + (RELATIVE_FLOOR * (flux + flux.mean())) ** 2
+    (tally,) = single.tallies
+    hits = np.repeat(tally.hits.ravel(), len(single.channels)).astype(np.int64)
+    one_ray = 1.0 / max(single.ledger.emitted, 1)
+    return np.maximum(pooled(found, hits, predicted), one_ray**2)
+
+
+def _propagated(single: Record, estimate: Floats) -> Floats:
+    """Covariance of a linear estimate from the patches of one incident direction."""
+    batches = _batches(single)
+    if batches is None:
+        return (estimate * _std_errs(single) ** 2) @ estimate.T
+    each = batches @ estimate.T
+    return np.atleast_2d(np.cov(each, rowvar=False)) / len(batches)

@@ -1,0 +1,166 @@
+"""BSDFs with parameters that are to be found: which, from where, within what."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..array_types import Floats
+from ..errors import SettingError, shown
+
+__all__ = ["FittedModel", "Parameter"]
+
+# What is free unless it is said, and what else a model is then made of.
+FREE: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "diffuse": (("reflectance",), {}),
+    "roughconductor": (("alpha", "specular_reflectance"), {"material": "none"}),
+    "roughdielectric": (("alpha", "int_ior"), {"ext_ior": 1.0}),
+    "roughplastic": (("alpha", "int_ior", "diffuse_reflectance"), {"ext_ior": 1.0}),
+    "principled": (("base_color", "roughness", "metallic", "specular"), {}),
+}
+
+# Where the search for a parameter begins, and its limits. Roughness decides where the
+# light is: it is begun with from several places.
+ROUGHNESS = ((0.05, 0.15, 0.4), 1e-3, 1.0)
+FRACTION = ((0.5,), 0.0, 1.0)
+INDEX = ((1.5,), 1.01, 4.0)
+KNOWN: dict[str, tuple[tuple[float, ...], float, float]] = {
+    **dict.fromkeys(("alpha", "alpha_u", "alpha_v"), ROUGHNESS),
+    "roughness": ((0.2, 0.4, 0.7), 0.05, 1.0),
+    **dict.fromkeys(("int_ior", "ext_ior"), INDEX),
+    "eta": ((1.5,), 0.01, 10.0),
+    "k": ((3.0,), 0.0, 20.0),
+    # a fit may have to pass 1, which no surface does, to be unbiased
+    **dict.fromkeys(("specular_reflectance", "reflectance"), ((0.8,), 0.0, 1.5)),
+    **dict.fromkeys(("diffuse_reflectance", "specular_transmittance"), FRACTION),
+    **dict.fromkeys(("base_color", "metallic", "specular", "anisotropic"), FRACTION),
+    **dict.fromkeys(("spec_tint", "sheen", "sheen_tint", "clearcoat"), FRACTION),
+    **dict.fromkeys(("clearcoat_gloss", "flatness", "spec_trans"), FRACTION),
+}
+COLOURS = ("reflectance", "base_color", "transmittance")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number to be found.
+
+    Attributes
+    ----------
+    name : str
+        As the BSDF has it; of a colour, with a channel behind a dot.
+    starts : tuple of float
+        Values from which the search begins.
+    low, high : float
+        Its limits.
+    """
+
+    name: str
+    starts: tuple[float, ...]
+    low: float
+    high: float
+
+    @classmethod
+    def parse(cls, text: str) -> Parameter:
+        """Parameter of a known name, or of ``name=low:high``."""
+        name, equals, limits = text.partition("=")
+        if not equals:
+            if name not in KNOWN:
+                raise SettingError(
+                    f"free must name parameters such as {', '.join(list(KNOWN)[:6])}, "
+                    f"or any with its limits as in weight=0:1, got {shown(text)}"
+                )
+            return cls(name, *KNOWN[name])
+        try:
+            low, high = map(float, limits.split(":"))
+        except ValueError:
+            low = high = np.nan
+        if not (np.isfinite(low) and np.isfinite(high) and low < high):
+            raise SettingError(
+                f"free must give limits as in {name}=0:1, got {shown(text)}"
+            )
+        return cls(name, ((low + high) / 2,), low, high)
+
+
+class FittedModel:
+    """A BSDF in which some parameters are free.
+
+    Parameters
+    ----------
+    bsdf : dict
+        Mitsuba dictionary of what is fixed.
+    free : sequence of str, optional
+        Names of parameters, or ``name=low:high``. Default: see :data:`FREE`.
+    channels : sequence of str
+        Those of the record; a colour has a parameter in each of three.
+    """
+
+    def __init__(
+        self,
+        bsdf: Mapping[str, Any],
+        free: Sequence[str] | None,
+        channels: Sequence[str],
+    ) -> None:
+        names, base = FREE.get(bsdf["type"], ((), {}))
+        if "eta" in bsdf or "k" in bsdf:
+            base = {}
+        if free is None:
+            free = [name for name in names if name not in bsdf]
+        found = [Parameter.parse(text) for text in free]
+        twice = [one.name for one in found if one.name in bsdf]
+        if twice or not found:
+            raise SettingError(
+                f"free must name what is to be found of {bsdf['type']} and not what "
+                f"is given, got {', '.join(twice) or 'nothing'}"
+            )
+        if any(one.name.startswith("alpha_") for one in found):
+            found = [one for one in found if one.name != "alpha"]
+        self.fixed = {k: v for k, v in base.items() if k not in bsdf} | dict(bsdf)
+        self.fixed = {k: v for k, v in self.fixed.items() if k not in free}
+        self.channels = tuple(channels)
+        self.parameters = tuple(
+            Parameter(name, one.starts, one.low, one.high)
+            for one in found
+            for name in self._names(one.name)
+        )
+
+    def _names(self, name: str) -> list[str]:
+        if len(self.channels) == 3 and name.endswith(COLOURS):
+            return [f"{name}.{channel}" for channel in self.channels]
+        return [name]
+
+    def bsdf(self, values: Floats) -> dict[str, Any]:
+        """Mitsuba dictionary with these values of the parameters."""
+        numbers = {p.name: float(v) for p, v in zip(self.parameters, values)}
+        single = {name: v for name, v in numbers.items() if "." not in name}
+        several = dict.fromkeys(name.split(".")[0] for name in numbers if "." in name)
+        colours = {
+            name: {
+                "type": "rgb",
+                "value": [numbers[f"{name}.{channel}"] for channel in self.channels],
+            }
+            for name in several
+        }
+        return self.fixed | single | colours
+
+    @property
+    def limits(self) -> tuple[Floats, Floats]:
+        """The lower and the upper limits of the parameters."""
+        low, high = np.array([(p.low, p.high) for p in self.parameters]).T
+        return low, high
+
+    def starts(self) -> list[Floats]:
+        """Values from which to begin: all of a roughness, the first of others."""
+        first = np.array([p.starts[0] for p in self.parameters])
+        most = max(len(p.starts) for p in self.parameters)
+        found = []
+        for i in range(most):
+            start = first.copy()
+            for j, p in enumerate(self.parameters):
+                if re.match("alpha|roughness", p.name):
+                    start[j] = p.starts[i]
+            found.append(start)
+        return found
