@@ -33,8 +33,10 @@ from .errors import (  # noqa: E402
 from .exports import Loss, Product, bsdf, export  # noqa: E402
 from .files import load  # noqa: E402
 from .files.measured import MeasuredTable, read_measured  # noqa: E402
+from .fitting import Fit, fit  # noqa: E402
 from .instrument.campaigns import campaign  # noqa: E402
 from .instrument.measuring import measure  # noqa: E402
+from .microsurfaces import MicroNormals, micro_normals  # noqa: E402
 from .plots import plot  # noqa: E402
 from .reports import report  # noqa: E402
 from .results.ray_density import Plan, plan  # noqa: E402
@@ -52,11 +54,13 @@ __all__ = [
     "EqualSine",
     "EqualSolidAngle",
     "FileFormatError",
+    "Fit",
     "LLVMError",
     "Ledger",
     "Loss",
     "LostRaysError",
     "MeasuredTable",
+    "MicroNormals",
     "Plan",
     "Product",
     "Record",
@@ -70,9 +74,11 @@ __all__ = [
     "chart",
     "compare",
     "export",
+    "fit",
     "load",
     "measure",
     "measure_like",
+    "micro_normals",
     "plan",
     "plot",
     "read_measured",

@@ -21,11 +21,13 @@ from .commands import (
     diff,
     doctor,
     export,
+    fit,
     measure,
     plan,
     plot,
     report,
     show,
+    surface,
     validate,
 )
 from .commands.arguments import (
@@ -42,8 +44,8 @@ from .errors import frames, is_the_users
 __all__ = ["COMMANDS", "main", "parser"]
 
 COMMANDS = (
-    *(measure, show, plot, report, validate, diff, compare, bsdf, export, plan, chart),
-    doctor,
+    *(measure, show, plot, report, validate, diff, compare, fit, surface, bsdf),
+    *(export, plan, chart, doctor),
 )
 
 EXAMPLES = """\

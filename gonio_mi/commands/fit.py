@@ -11,7 +11,14 @@ from collections.abc import Iterator
 
 from .. import files
 from ..errors import SettingError
-from .arguments import DEFAULT_VARIANT, DONE, add_record, set_variant, tell
+from .arguments import (
+    DEFAULT_VARIANT,
+    DONE,
+    add_files,
+    add_record,
+    set_variant,
+    tell,
+)
 
 __all__ = ["add_options", "run"]
 
@@ -46,25 +53,10 @@ def add_options(parser: ArgumentParser) -> None:
         help="parameters to be found, or NAME=LOW:HIGH (default: the usual ones of "
         "the model)",
     )
-    parser.add_argument(
-        "--plugin",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="FILE",
-        help="Python files that register your own Mitsuba plugins; run first",
-    )
+    add_files(parser, "--plugin", text="Python files that register your own plugins")
     parser.add_argument("--json", action="store_true", help="for machines")
-    parser.add_argument(
-        "-o",
-        "--output",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="FILE",
-        help="a picture of record and models (.png, .pdf, .svg); a record of what the "
-        "best model predicts (.npz, .exr)",
-    )
+    text = "a picture of record and models (.png, .pdf, .svg); a record of what the "
+    add_files(parser, "-o", "--output", text=text + "closest model predicts (.npz)")
 
 
 def run(options: Namespace) -> int:
@@ -105,7 +97,7 @@ def run(options: Namespace) -> int:
 
 def _distributions(model: str) -> Iterator[str]:
     """A model with each distribution of micro-normals, if it says none."""
-    name, colon, rest = model.partition(":")
+    name, _, rest = model.partition(":")
     if not name:
         raise SettingError(f"MODEL must be a BSDF in one word, got {model!r}")
     if name not in ROUGH or "distribution=" in rest:

@@ -63,6 +63,43 @@ class Topography:
         n_y, n_x = (n - (not self.periodic) for n in self.heights.shape)
         return n_x * self.spacing[0], n_y * self.spacing[1]
 
+    def summary(self) -> str:
+        """Lines on extents, heights, slopes and autocorrelation."""
+        s, heights = self.statistics, self.heights
+        unit = "scene units" if self.unit is None else self.unit
+        centred = heights - heights.mean()
+        skewness, kurtosis = (
+            float(np.mean(centred**n)) / s.rms_height**n if s.rms_height else math.nan
+            for n in (3, 4)
+        )
+        degrees = [
+            math.degrees(math.atan(alpha / math.sqrt(2)))
+            for alpha in (s.alpha_u, s.alpha_v)
+        ]
+        (n_y, n_x), (x, y), (dx, dy) = heights.shape, self.extent, self.spacing
+        joined = "joined at its borders" if self.periodic else "not joined"
+        lines = [
+            ("surface", self.source),
+            ("points", f"{n_x} x {n_y}, {dx:.4g} x {dy:.4g} {unit} apart"),
+            ("extent", f"{x:.4g} x {y:.4g} {unit}, {joined}"),
+            (
+                "heights",
+                f"{heights.min():.4g} to {heights.max():.4g} {unit}, rms "
+                f"{s.rms_height:.4g}, skewness {skewness:.3g}, kurtosis {kurtosis:.3g}",
+            ),
+            (
+                "slopes",
+                f"rms {degrees[0]:.3g} x {degrees[1]:.3g} degrees, alpha "
+                f"{s.alpha_u:.4g} x {s.alpha_v:.4g}",
+            ),
+            (
+                "lengths",
+                f"autocorrelation 1/e after {s.correlation_length_u:.4g} x "
+                f"{s.correlation_length_v:.4g} {unit}",
+            ),
+        ]
+        return "\n".join(f"{name:<10}{text}" for name, text in lines)
+
     def concerns(self, wavelength: float = VISIBLE) -> list[str]:
         """Sentences on what makes a measurement of it doubtful.
 

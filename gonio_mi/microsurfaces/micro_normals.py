@@ -1,0 +1,370 @@
+"""The function `micro_normals`: how facets lie, and which of them are seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Floats, Integers
+from ..collector.directions import direction
+from ..errors import SpecimenError, checked_count, checked_number
+from ..instrument.loading import load_specimen
+from ..settings.parsed import checked_period
+from ..transport.flight import escapes
+from ..transport.kernels import launches_kernels
+from ..transport.ray_offsets import departure, intersect
+from ..transport.specimen import Specimen
+from .smith import DISTRIBUTIONS, density, fitted_alphas, masking, smith_lambda
+
+__all__ = ["MicroNormals", "micro_normals"]
+
+# Rings of the hemisphere in which micro-normals are counted, to 90 degrees.
+N_RINGS = 45
+THETA = (15.0, 30.0, 45.0, 60.0, 70.0, 80.0)
+PHI = (0.0, 90.0)
+
+# How far above its surface a point is looked for, relative to its coordinates.
+APPROACH = 2.0**-16
+
+
+@dataclass(frozen=True, eq=False)
+class MicroNormals:
+    """Micro-normals, masking and shadowing of a surface, beside two models of them.
+
+    Standard errors are those of a mean over blocks of the surface: how well it stands
+    for a larger one like it.
+
+    Attributes
+    ----------
+    theta_edges : ndarray, shape (n + 1,)
+        Rings of micro-normals, in degrees from +z.
+    density, density_std_err : ndarray, shape (n,)
+        Area of facets over area of the mean plane and solid angle, in 1/sr.
+    alphas, alpha_std_errs : dict of ndarray, shape (2,)
+        For ``"beckmann"`` and ``"ggx"``: alpha along x and y of largest likelihood.
+    elsewhere : dict of float
+        Part of the projected area of the facets that the model has in other rings.
+    theta, phi : ndarray, shape (m,)
+        Directions in degrees to which masking and shadowing belong.
+    masking, masking_std_err : ndarray, shape (m,)
+        Visible part of the facets that look there, each by its projected area.
+    shadowing, shadowing_std_err : ndarray, shape (m,)
+        Part that is visible from there and from the mirror direction at once, of the
+        facets that look at both, each by the product of both cosines.
+    """
+
+    theta_edges: Floats
+    density: Floats
+    density_std_err: Floats
+    alphas: dict[str, Floats]
+    alpha_std_errs: dict[str, Floats]
+    elsewhere: dict[str, float]
+    theta: Floats
+    phi: Floats
+    masking: Floats
+    masking_std_err: Floats
+    shadowing: Floats
+    shadowing_std_err: Floats
+
+    def model_density(self, distribution: str) -> Floats:
+        """Density that the fitted model has in the rings."""
+        return _ring_means(distribution, self.theta_edges, self.alphas[distribution])
+
+    def model_masking(self, distribution: str) -> Floats:
+        """Smith's masking of the fitted model."""
+        angles = np.radians(self.theta), np.radians(self.phi)
+        return masking(distribution, *angles, *self.alphas[distribution])
+
+    def model_shadowing(self, distribution: str) -> Floats:
+        """Smith's masking and shadowing, correlated by height, in mirror directions."""
+        angles = np.radians(self.theta), np.radians(self.phi)
+        one_side = smith_lambda(distribution, *angles, *self.alphas[distribution])
+        return 1 / (1 + 2 * one_side)
+
+    def plot(self, path: str | PathLike[str] | None = None) -> Any:
+        """Figure of densities and masking, with the models' curves."""
+        from .micro_normals_figure import micro_normals_figure
+
+        return micro_normals_figure(self, path)
+
+    def __str__(self) -> str:
+        lines = ["facets          alpha along x         alpha along y      elsewhere"]
+        for name in DISTRIBUTIONS:
+            u, v = (
+                f"{_pair(alpha, error):<21}"
+                for alpha, error in zip(self.alphas[name], self.alpha_std_errs[name])
+            )
+            lines.append(f"as {name:<11}  {u} {v}{100 * self.elsewhere[name]:.2f} %")
+        header = "G1 +- std_err       Beckmann  GGX       "
+        lines += ["", f"theta  phi    {header}{header.replace('G1', 'G2')}".rstrip()]
+        of_models = [self.model_masking(name) for name in DISTRIBUTIONS]
+        of_models += [self.model_shadowing(name) for name in DISTRIBUTIONS]
+        for i, (theta, phi) in enumerate(zip(self.theta, self.phi)):
+            beckmann, ggx, beckmann_2, ggx_2 = (f"{one[i]:<8.4f}" for one in of_models)
+            one = _pair(self.masking[i], self.masking_std_err[i])
+            both = _pair(self.shadowing[i], self.shadowing_std_err[i])
+            lines.append(
+                f"{theta:<5.4g}  {phi:<5.4g}  {one:<17}  {beckmann}  {ggx}  "
+                f"{both:<17}  {beckmann_2}  {ggx_2}".rstrip()
+            )
+        lines.append(
+            "G1: visible part of the facets that look there; G2: also from the mirror "
+            "direction"
+        )
+        return "\n".join(lines)
+
+
+def _pair(value: float, error: float) -> str:
+    return f"{value:.4g} +- {error:.2g}"
+
+
+@dataclass(frozen=True, eq=False)
+class _Facets:
+    """Random points of the surfaces, each of the area that it stands for."""
+
+    si: mi.SurfaceInteraction3f
+    n: Floats
+    area: Floats
+    block: Integers
+
+
+@launches_kernels()
+def micro_normals(
+    specimen: Any,
+    *,
+    parameters: dict[str, Any] | None = None,
+    period: Any = "box",
+    points: int = 2**18,
+    blocks: int = 4,
+    theta: Sequence[float] = THETA,
+    phi: Sequence[float] = PHI,
+    seed: int = 0,
+) -> MicroNormals:
+    """Measure the micro-normals of a surface, and how it hides itself.
+
+    Random points all over its shapes have normals; straight rays from them tell whether
+    a direction sees them. No light is scattered, and what the surface is made of does
+    not matter.
+
+    Parameters
+    ----------
+    specimen : dict, mi.Shape, mi.Scene, str or path
+        As :func:`measure` takes it, but no BSDF; without instances.
+    parameters : dict, optional
+        Values for the ``$name`` parameters of an XML file.
+    period : {"box", "none"} or (float, float)
+        As of :func:`measure`: of a surface that is not repeated, facets near its edges
+        are seen too well.
+    points : int
+        Random points of the surface.
+    blocks : int
+        Rows and columns of blocks over which errors are estimated. Each must be large
+        against the surface's structure; of a single groove, the errors mean nothing.
+    theta, phi : sequence of float
+        Directions of masking and shadowing, in degrees: all pairs.
+    seed : int
+
+    Returns
+    -------
+    MicroNormals
+
+    Raises
+    ------
+    SpecimenError
+        If the specimen has no points to be found, as instances do not.
+    """
+    points = checked_count("points", points, 1000, 2**26)
+    blocks = checked_count("blocks", blocks, 2, 64)
+    angles = [
+        (checked_number("theta", t, 0, 90, "an angle in degrees in [0, 90)"), float(p))
+        for t in theta
+        for p in phi
+    ]
+    scene = load_specimen(specimen, parameters)
+    measured = Specimen(scene, checked_period("period", period))
+    facets = _facets(measured, points, blocks, seed)
+    extent = (measured.high - measured.low)[:2]
+    plane = float(extent[0] * extent[1]) / blocks**2
+    edges = np.linspace(0, 90, N_RINGS + 1)
+    found, error = _density(facets, edges, plane, blocks**2)
+    upper = facets.n[:, 2] > 0
+    slope_u, slope_v = -facets.n[upper, :2].T / facets.n[upper, 2]
+    projected = (facets.area * facets.n[:, 2])[upper]
+    alphas, alpha_errors = {}, {}
+    for name in DISTRIBUTIONS:
+        alphas[name], alpha_errors[name] = _jackknife(
+            name, slope_u, slope_v, projected, facets.block[upper], blocks**2
+        )
+    seen = [_visible(measured, facets, *angle, blocks**2) for angle in angles]
+    columns = np.array(seen).reshape(len(angles), 4).T
+    ring = np.diff(np.sin(np.radians(edges)) ** 2) * np.pi
+    return MicroNormals(
+        edges,
+        found,
+        error,
+        alphas,
+        alpha_errors,
+        {
+            name: float(
+                np.abs(found - _ring_means(name, edges, alphas[name])) @ ring / 2
+            )
+            for name in DISTRIBUTIONS
+        },
+        *np.array(angles, dtype=float).reshape(-1, 2).T,
+        *columns,
+    )
+
+
+def _facets(specimen: Specimen, points: int, blocks: int, seed: int) -> _Facets:
+    """Points of all surfaces, in proportion to their areas."""
+    if specimen.groups:
+        raise SpecimenError("micro_normals needs a specimen without instances")
+    generator = np.random.default_rng(seed)
+    areas = np.array([float(dr.sum(s.surface_area())[0]) for s in specimen.surfaces])
+    numbers = np.maximum(1, np.round(points * areas / areas.sum()).astype(int))
+    parts = [
+        (_mesh_points if shape.is_mesh() else _shape_points)(shape, n, generator)
+        for shape, n in zip(specimen.surfaces, numbers.tolist())
+    ]
+    p, normal = (np.concatenate(columns) for columns in zip(*parts))
+    si = _found(specimen, p, normal)
+    there = si.is_valid().numpy()
+    if np.count_nonzero(there) < 0.99 * len(there):
+        raise SpecimenError(
+            "micro_normals needs surfaces that rays find where they are, but "
+            f"{np.count_nonzero(~there)} of {len(there)} points were not found"
+        )
+    area = np.repeat(areas / numbers, numbers) * there
+    low, extent = specimen.low[:2], (specimen.high - specimen.low)[:2]
+    cell = np.clip((p[:, :2] - low) / extent * blocks, 0, blocks - 1).astype(int)
+    n = np.array(si.n, dtype=float).T
+    return _Facets(si, n, area, cell[:, 0] * blocks + cell[:, 1])
+
+
+def _mesh_points(
+    mesh: mi.Mesh, n: int, generator: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Uniform points of a mesh and their normals, in double precision.
+
+    What Mitsuba draws of a mesh of many triangles lies beside them: one number in
+    single precision chooses the triangle and the place in it.
+    """
+    parameters = mi.traverse(mesh)
+    vertices = np.array(parameters["vertex_positions"]).reshape(-1, 3)
+    faces = np.array(parameters["faces"]).reshape(-1, 3)
+    a, b, c = (vertices[faces[:, i]].astype(float) for i in range(3))
+    normal = np.cross(b - a, c - a)
+    size = np.cumsum(np.linalg.norm(normal, axis=1))
+    chosen = np.searchsorted(size, generator.random(n) * size[-1], side="right")
+    chosen = np.minimum(chosen, len(faces) - 1)
+    u, v = generator.random((2, n))
+    root = np.sqrt(u)
+    shares = np.stack([1 - root, root * (1 - v), root * v])[..., None]
+    a, b, c, normal = (one[chosen] for one in (a, b, c, normal))
+    unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    return shares[0] * a + shares[1] * b + shares[2] * c, unit
+
+
+def _shape_points(
+    shape: mi.Shape, n: int, generator: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Uniform points of a shape and their normals."""
+    found = shape.sample_position(0.0, mi.Point2f(generator.random((2, n))))
+    p, normal = (np.array(v, dtype=float).T for v in (found.p, found.n))
+    return p, normal
+
+
+def _found(specimen: Specimen, p: Floats, n: Floats) -> mi.SurfaceInteraction3f:
+    """Points as rays find them that fall on them from just above.
+
+    Only so are they known to the bit by what tells a surface from itself.
+    """
+    above = np.abs(p).max(axis=1, keepdims=True) + specimen.detail
+    origin = mi.Point3f((p + n * above * APPROACH).astype(np.float32).T)
+    ray = mi.Ray3f(origin, -mi.Vector3f(n.T))
+    si = intersect(specimen.scene, ray, mi.RayFlags.All, mi.Bool(True))
+    dr.eval(si)
+    return si
+
+
+def _density(
+    facets: _Facets, edges: Floats, plane: float, n_blocks: int
+) -> tuple[Floats, Floats]:
+    """Density of micro-normals in rings, and its standard error over the blocks."""
+    cosine = np.clip(facets.n[:, 2], -1, 1)
+    ring = np.searchsorted(edges, np.degrees(np.arccos(cosine)), side="right") - 1
+    upper = ring < len(edges) - 1
+    index = facets.block[upper] * (len(edges) - 1) + ring[upper]
+    size = n_blocks * (len(edges) - 1)
+    area = np.bincount(index, facets.area[upper], minlength=size)
+    solid = -2 * np.pi * np.diff(np.cos(np.radians(edges)))
+    each = area.reshape(n_blocks, -1) / solid / plane
+    return each.mean(axis=0), each.std(axis=0, ddof=1) / np.sqrt(n_blocks)
+
+
+def _ring_means(distribution: str, edges: Floats, alphas: Floats) -> Floats:
+    """Mean of a model's density over rings, by Gauss's rule in each."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    low, high = np.radians(edges[:-1, None]), np.radians(edges[1:, None])
+    theta = (low + high) / 2 + nodes * (high - low) / 2
+    weight = weights * np.sin(theta)
+    values = density(distribution, theta, *alphas) * weight
+    return values.sum(axis=1) / weight.sum(axis=1)
+
+
+def _jackknife(
+    name: str, u: Floats, v: Floats, weight: Floats, block: Integers, n_blocks: int
+) -> tuple[Floats, Floats]:
+    """Alphas, and their standard errors from leaving out one block after another."""
+    whole = fitted_alphas(name, u, v, weight)
+    each = []
+    for left_out in range(n_blocks):
+        kept = block != left_out
+        each.append(fitted_alphas(name, u[kept], v[kept], weight[kept]))
+    scatter = np.var(each, axis=0) * (n_blocks - 1)
+    return whole, np.sqrt(scatter)
+
+
+def _visible(
+    specimen: Specimen, facets: _Facets, theta: float, phi: float, n_blocks: int
+) -> tuple[float, float, float, float]:
+    """Masking and its error, shadowing with the mirror direction and its error."""
+    towards = direction(np.radians(theta), np.radians(phi))
+    mirror = towards * [-1, -1, 1]
+    one, other = (
+        np.maximum(facets.n @ d, 0) * (facets.area) for d in (towards, mirror)
+    )
+    free = _escape(specimen, facets, towards)
+    both = free & _escape(specimen, facets, mirror)
+    product = one * other
+    return (
+        *_ratio(one * free, one, facets.block, n_blocks),
+        *_ratio(product * both, product, facets.block, n_blocks),
+    )
+
+
+def _escape(specimen: Specimen, facets: _Facets, towards: Floats) -> Any:
+    """Whether each point sees a direction."""
+    si, d = facets.si, mi.Vector3f(towards.tolist())
+    active = dr.dot(si.n, d) > 0
+    origin, offset = departure(specimen, si, -si.n, d)
+    ray = mi.Ray3f(origin + offset * si.n, d)
+    return escapes(specimen, 1, ray, si.n, offset, active).numpy()
+
+
+def _ratio(
+    above: Floats, below: Floats, block: Integers, n_blocks: int
+) -> tuple[float, float]:
+    """Ratio of two sums, and its standard error over the blocks."""
+    a, b = (np.bincount(block, x, minlength=n_blocks) for x in (above, below))
+    if not b.sum() > 0:
+        return np.nan, np.nan
+    ratio = a.sum() / b.sum()
+    left = (a - ratio * b) / b.mean()
+    return float(ratio), float(left.std(ddof=1) / np.sqrt(n_blocks))

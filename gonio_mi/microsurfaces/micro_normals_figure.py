@@ -1,0 +1,68 @@
+"""Picture of micro-normals and masking, with the curves of both models."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..plots.drawable import check_matplotlib, check_picture, save_picture
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["micro_normals_figure"]
+
+MODELS = {"beckmann": "-", "ggx": "--"}
+
+
+def micro_normals_figure(found: Any, path: str | PathLike[str] | None = None) -> Figure:
+    """Draw what :func:`micro_normals` found, and write it if `path` is given.
+
+    Left, the density over the polar angle, mean over azimuth; right, the visible part
+    of the facets over the direction that looks at them, for each azimuth. Bars are
+    standard errors, lines the models of largest likelihood.
+    """
+    check_matplotlib()
+    from ..plots.figure import NotebookFigure
+
+    if path is not None:
+        check_picture(path)
+    figure = NotebookFigure(figsize=(11, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    edges = found.theta_edges
+    middles = (edges[:-1] + edges[1:]) / 2
+    left.errorbar(
+        middles, found.density, found.density_std_err, fmt="ok", ms=3, label="facets"
+    )
+    for number, (name, style) in enumerate(MODELS.items()):
+        u, v = found.alphas[name]
+        label = f"{name}, alpha {u:.3g} x {v:.3g}"
+        curve = found.model_density(name)
+        left.plot(middles, curve, style, c=f"C{number}", label=label)
+    positive = found.density[found.density > 0]
+    left.set(xlabel="polar angle of the facet's normal (degrees)", ylabel="D (1/sr)")
+    if positive.size:
+        left.set_yscale("log")
+        left.set_ylim(positive.min() / 3, positive.max() * 3)
+    left.legend(frameon=False)
+    for number, phi in enumerate(np.unique(found.phi)):
+        own = found.phi == phi
+        colour = f"C{number}"
+        right.errorbar(
+            found.theta[own],
+            found.masking[own],
+            found.masking_std_err[own],
+            fmt="o",
+            c=colour,
+            label=f"phi {phi:g}°",
+        )
+        for name, style in MODELS.items():
+            curve = found.model_masking(name)[own]
+            right.plot(found.theta[own], curve, style, c=colour, lw=1)
+    right.set(xlabel="theta (degrees)", ylabel="visible part G1, Smith: lines")
+    right.legend(frameon=False)
+    if path is not None:
+        save_picture(figure, path)
+    return figure

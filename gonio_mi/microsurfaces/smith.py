@@ -1,0 +1,75 @@
+"""Beckmann's and GGX's micro-normals, and Smith's masking, in closed form.
+
+After Walter et al. 2007 (doi:10.2312/EGWR/EGSR07/195-206) and Heitz 2014 (JCGT 3(2)).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import special
+
+from ..array_types import Floats
+
+__all__ = ["DISTRIBUTIONS", "density", "fitted_alphas", "masking", "smith_lambda"]
+
+DISTRIBUTIONS = ("beckmann", "ggx")
+
+# Points of azimuth over which the density is averaged: exact to rounding unless one
+# alpha is many times the other.
+N_AZIMUTHS = 256
+
+# Alpha of a direction without slopes, of which the models have none.
+FLATTEST = 1e-6
+
+# Rounds of a fixed point that gains a digit in three.
+ROUNDS = 60
+
+
+def density(distribution: str, theta: Floats, alpha_u: float, alpha_v: float) -> Floats:
+    """Density of micro-normals in 1/sr at polar angles in radians, mean over azimuth.
+
+    Its integral over the hemisphere is 1 with the cosine.
+    """
+    phi = 2 * np.pi * np.arange(N_AZIMUTHS) / N_AZIMUTHS
+    stretch = (np.cos(phi) / alpha_u) ** 2 + (np.sin(phi) / alpha_v) ** 2
+    square = np.tan(theta)[..., None] ** 2 * stretch
+    factor = np.exp(-square) if distribution == "beckmann" else (1 + square) ** -2
+    return factor.mean(axis=-1) / (np.pi * alpha_u * alpha_v * np.cos(theta) ** 4)
+
+
+def smith_lambda(
+    distribution: str, theta: Floats, phi: Floats, alpha_u: float, alpha_v: float
+) -> Floats:
+    """Smith's auxiliary function of a direction, by angles in radians."""
+    alpha = np.hypot(np.cos(phi) * alpha_u, np.sin(phi) * alpha_v)
+    with np.errstate(divide="ignore"):
+        a = 1 / (alpha * np.tan(theta))
+    if distribution == "ggx":
+        return (np.sqrt(1 + a**-2.0) - 1) / 2
+    return special.erfc(a) / -2 + np.exp(-(a**2)) / (2 * np.sqrt(np.pi) * a)
+
+
+def masking(
+    distribution: str, theta: Floats, phi: Floats, alpha_u: float, alpha_v: float
+) -> Floats:
+    """Smith's visible part of the facets that look towards a direction."""
+    return 1 / (1 + smith_lambda(distribution, theta, phi, alpha_u, alpha_v))
+
+
+def fitted_alphas(
+    distribution: str, slope_u: Floats, slope_v: Floats, weight: Floats
+) -> Floats:
+    """Both alphas of largest likelihood for the slopes of facets.
+
+    `weight` is projected area. For Beckmann they are sqrt(2) times the rms slopes; for
+    GGX, whose slopes have no variance, those in which a steep facet counts less.
+    """
+    weight = weight / weight.sum()
+    squares = np.stack([slope_u, slope_v]) ** 2
+    alphas = np.maximum(np.sqrt(2 * squares @ weight), FLATTEST)
+    if distribution == "beckmann":
+        return alphas
+    for _ in range(ROUNDS):
+        steepness = alphas**-2.0 @ squares
+        alphas = np.maximum(np.sqrt(4 * squares @ (weight / (1 + steepness))), FLATTEST)
+    return alphas

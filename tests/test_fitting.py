@@ -1,0 +1,209 @@
+"""Parameters are found with honest uncertainties, and a wrong model is told."""
+
+import json
+
+import numpy as np
+import pytest
+import synthetic
+from budget import agree, disagree, normal_scores, single, verdict
+
+import gonio_mi as gonio
+from gonio_mi.cli import main
+from gonio_mi.errors import SettingError, SpecimenError
+from gonio_mi.fitting.fitted_models import FittedModel
+from gonio_mi.fitting.pooled_variances import pooled
+from gonio_mi.instrument.loading import parse_specimen
+
+# isort: split
+import mitsuba as mi
+
+METAL = {
+    "type": "roughconductor",
+    "material": "none",
+    "distribution": "ggx",
+    "alpha": 0.3,
+    "specular_reflectance": 0.8,
+}
+N_FITS = 8
+
+
+def measured(bsdf, theta_i=40, phi_i=0, **settings):
+    settings = {"collector": "projected:4x8", "rays": 20_000} | settings
+    return gonio.measure(bsdf, theta_i, phi_i, **settings)
+
+
+@pytest.fixture(scope="module")
+def fits():
+    """Fits of records of independent rays, counted one by one."""
+    mi.set_variant("llvm_ad_mono")
+    settings = {"sampler": "independent", "estimator": "analog"}
+    records = [measured(METAL, seed=seed, **settings) for seed in range(N_FITS)]
+    return [gonio.fit(one, "roughconductor:distribution=ggx") for one in records]
+
+
+def pulls(fits, truth):
+    """Normal scores of what was found, of which the error has 15 degrees of freedom."""
+    each = [(one.values - truth) / one.std_errs for one in fits]
+    return normal_scores(np.array(each), 15)
+
+
+@pytest.mark.usefixtures("mono")
+def test_uncertainties_are_honest(fits):
+    """What is found scatters about the truth as its error bars say; twin: 5 % off."""
+    truth = np.array([METAL[name] for name in fits[0].names])
+    for right, wrong in zip(pulls(fits, truth).T, pulls(fits, 1.05 * truth).T):
+        agree(verdict(right))
+        disagree(verdict(wrong))
+
+
+@pytest.mark.usefixtures("mono")
+def test_residual_is_noise_for_the_right_model_only(fits):
+    """Chi-square of all fits; twin: the same records with the other distribution."""
+
+    def score(fits):
+        dof = sum(one.dof for one in fits)
+        return (sum(one.chi2 for one in fits) - dof) / np.sqrt(2 * dof)
+
+    agree(single(score(fits)))
+    other = gonio.fit(fits[0].record, "roughconductor:distribution=beckmann")
+    disagree(single(score([other])))
+    assert "does not follow the record within its noise" in str(other)
+    assert "does not follow" not in str(fits[0])
+    assert other.misplaced > 2 * fits[0].misplaced
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("known", "truth"),
+    [
+        ("diffuse", {"reflectance": 0.4}),
+        (
+            "roughconductor:specular_reflectance=0.8,distribution=ggx",
+            {"alpha_u": 0.4, "alpha_v": 0.2},
+        ),
+        ("roughdielectric:ext_ior=1.0", {"alpha": 0.35, "int_ior": 1.6}),
+        (
+            "roughplastic:ext_ior=1.0",
+            {"alpha": 0.25, "int_ior": 1.5, "diffuse_reflectance": 0.4},
+        ),
+        (
+            "principled",
+            {"base_color": 0.6, "roughness": 0.5, "metallic": 0.3, "specular": 0.4},
+        ),
+    ],
+    ids=lambda x: x.partition(":")[0] if isinstance(x, str) else "",
+)
+def test_every_model_is_found_from_integrals(known, truth):
+    """Convergence: from a record without noise, to the error of its integrals."""
+    fixed = parse_specimen(known)
+    if "alpha_u" in truth:
+        fixed["material"] = "none"
+    phi_i = [0, 90] if "alpha_u" in truth else 0
+    record = measured(fixed | truth, 50, phi_i, estimator="quadrature")
+    found = gonio.fit(record, fixed, list(truth))
+    assert found.names == tuple(truth)
+    expected = list(truth.values())
+    assert np.allclose(found.values, expected, rtol=1e-3, atol=0), str(found)
+
+
+def test_colours_have_a_value_in_each_channel(rgb):  # noqa: ARG001
+    """Convergence, as above; and the dictionary is one that Mitsuba loads."""
+    colour = {"type": "rgb", "value": [0.2, 0.5, 0.7]}
+    record = measured(
+        {"type": "roughconductor", "material": "none", "alpha": 0.3}
+        | {"specular_reflectance": colour},
+        collector="projected:3x4",
+        estimator="quadrature",
+    )
+    found = gonio.fit(record, "roughconductor")
+    assert found.names[1:] == tuple(f"specular_reflectance.{c}" for c in "RGB")
+    assert np.allclose(found.values, [0.3, 0.2, 0.5, 0.7], rtol=1e-3, atol=0)
+    assert found.prediction.channels == ("R", "G", "B")
+    assert np.allclose(found.prediction.dhr, record.dhr, rtol=1e-3, atol=0)
+
+
+def test_variances_are_pooled():
+    """Exact: the mean over patches of like brightness, enough of them and of hits."""
+    brightness = np.repeat([3.0, 1.0, 2.0], 16)
+    variances = np.arange(48.0)
+    found = pooled(variances, np.full(48, 10), brightness)
+    assert np.array_equal(np.unique(found), [7.5, 23.5, 39.5])
+    assert np.all(found[:16] == 7.5)
+    # too few hits for more than one group
+    assert np.all(pooled(variances, np.zeros(48, int), brightness) == 23.5)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("make", "model", "free", "message"),
+    [
+        ({"batches": 1}, "diffuse", None, "error bars"),
+        ({"collector": "apertures:5@0/0"}, "diffuse", None, "rings and sectors"),
+        ({"divergence": 5}, "diffuse", None, "collimated"),
+        ({}, "diffuse", ["colour"], "free must name parameters such as"),
+        ({}, "diffuse", ["x=1:0"], "limits as in x=0:1"),
+        ({}, "diffuse:reflectance=0.5", None, "got nothing"),
+        ({}, "diffuse:reflectance=0.5", ["reflectance"], "got reflectance"),
+        ({}, "absent", ["weight=0:1"], "the model cannot be loaded"),
+        (
+            {},
+            "diffuse",
+            ["reflectance", "y=0:1"],
+            "the model cannot be loaded|determine",
+        ),
+    ],
+)
+def test_bad_input_is_one_sentence(make, model, free, message):
+    record = measured({"type": "diffuse"}, **make)
+    with pytest.raises(SettingError, match=message) as caught:
+        gonio.fit(record, model, free)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.usefixtures("mono")
+def test_what_a_record_does_not_determine_is_told():
+    """A white furnace of one angle says nothing of a coat that is not there."""
+    record = measured({"type": "diffuse"}, estimator="quadrature")
+    with pytest.raises(SpecimenError, match="does not determine"):
+        gonio.fit(
+            record,
+            {"type": "principled", "roughness": 0.5, "clearcoat": 0.0},
+            ["base_color", "clearcoat_gloss"],
+        )
+
+
+def test_record_of_another_variant(mono):  # noqa: ARG001
+    with pytest.raises(SettingError, match="variant must be the record's"):
+        gonio.fit(synthetic.record(channels=("R", "G", "B")), "diffuse")
+
+
+def test_known_values_are_kept():
+    """Exact: what is given is not free, and roughness has two axes if asked for."""
+    model = FittedModel({"type": "roughconductor", "alpha": 0.2}, None, ("Y",))
+    assert [one.name for one in model.parameters] == ["specular_reflectance"]
+    model = FittedModel({"type": "roughconductor", "eta": 1.2, "k": 7}, None, ("Y",))
+    assert "material" not in model.fixed
+    model = FittedModel({"type": "x"}, ["tint=0:3"], ("Y",))
+    assert model.bsdf(np.array([2.0])) == {"type": "x", "tint": 2.0}
+
+
+def test_command(tmp_path, capfd, mono):  # noqa: ARG001
+    """Both distributions, the right one first; a picture, a record, numbers."""
+    measured(METAL, [30]).save(tmp_path / "a.npz")
+    outputs = [str(tmp_path / name) for name in ("a.png", "fit.npz")]
+    command = ["fit", str(tmp_path / "a.npz"), "roughconductor"]
+    assert main([*command, "-o", *outputs]) == 0
+    said = capfd.readouterr().out
+    assert said.index("distribution=ggx") < said.index("distribution=beckmann")
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+    prediction = gonio.load(tmp_path / "fit.npz")
+    assert prediction.theta_i.tolist() == [30]
+    command[2] += ":specular_reflectance=0.8,distribution=ggx"
+    assert main([*command, "--json"]) == 0
+    (found,) = json.loads(capfd.readouterr().out)
+    alpha = found["parameters"]["alpha"]
+    score = (alpha["value"] - 0.3) / alpha["std_err"]
+    agree(single(normal_scores(score, 15)))
+    assert found["dof"] == 32 - 1
+    assert main(["fit", str(tmp_path / "a.npz"), "scenes/lambertian.xml"]) == 1
+    assert "must be a BSDF in one word" in capfd.readouterr().err
