@@ -36,6 +36,7 @@ from .files.measured import MeasuredTable, read_measured  # noqa: E402
 from .fitting import Fit, fit  # noqa: E402
 from .instrument.campaigns import campaign  # noqa: E402
 from .instrument.measuring import measure  # noqa: E402
+from .instrument.mesh_specimens import mesh  # noqa: E402
 from .microsurfaces import MicroNormals, micro_normals  # noqa: E402
 from .plots import plot  # noqa: E402
 from .reports import report  # noqa: E402
@@ -78,6 +79,7 @@ __all__ = [
     "load",
     "measure",
     "measure_like",
+    "mesh",
     "micro_normals",
     "plan",
     "plot",

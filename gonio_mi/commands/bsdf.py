@@ -2,7 +2,8 @@
 
 Measure all that a Radiance BSDF file says of a specimen, and write it: reflection and
 transmission of both sides, each incident patch averaged over the patch, in the file's
-own patches. The specimen's face to +z looks outdoors, and its +y is up.
+own patches. The specimen's face to +z, the front, looks into the
+room, and its +y is up.
 """
 
 import sys
@@ -12,7 +13,10 @@ from argparse import ArgumentParser, Namespace
 from ..errors import SettingError
 from ..files import check_output
 from ..files.radiance_xml import Product
+from ..instrument.loading import load_specimen, parse_specimen
 from ..results.record import Record
+from ..surfaces.length_units import metres
+from ..transport.extents import bounds
 from .arguments import (
     DONE,
     INCOMPLETE,
@@ -23,6 +27,7 @@ from .arguments import (
     tell,
 )
 from .setting_options import add_setting, given_settings
+from .surface_options import add_surface_options, prepared_surface
 
 __all__ = ["add_options", "run"]
 
@@ -71,6 +76,7 @@ def add_options(parser: ArgumentParser) -> None:
     light = parser.add_argument_group("light and events on the surface")
     for name in ("footprint", "wavelengths", "max_depth", "rr_depth", "period"):
         add_setting(light, name)
+    add_surface_options(parser)
     add_scene_options(parser.add_argument_group("scene"))
     parser.add_argument(
         "-q", "--quiet", action="store_true", help="no numbers and no progress bar"
@@ -91,9 +97,11 @@ def run(options: Namespace) -> int:
     check_output(options.output, (".xml",))
     sizes = {name: _size(options, name) for name in ("thickness", "width", "height")}
     specimen, parameters = specimen_of(options.specimen, options)
-    solar = None
-    if options.solar is not None:
-        solar, _ = specimen_of(options.solar, options)
+    specimen = prepared_surface(specimen, options)
+    solar = None if options.solar is None else parse_specimen(options.solar)
+    if sizes["thickness"] is None and options.unit is not None:
+        low, high = bounds(load_specimen(specimen, parameters).shapes())
+        sizes["thickness"] = float(high[2] - low[2]) * metres(options.unit)
     from ..exports.bsdf_file import bsdf, hemispherical
 
     product = Product(options.name or options.specimen, options.manufacturer, **sizes)
@@ -127,10 +135,10 @@ def _size(options: Namespace, name: str) -> float | None:
 
 
 def _line(name: str, record: Record, means: tuple[float, float]) -> str:
-    """What a side does to light along the normal and to diffuse light."""
+    """What a side does to light from about the normal and to diffuse light."""
     normal = int(record.theta_i.argmin())
     dht = 0.0 if record.dht is None else record.dht[normal].mean()
-    words = f"{name}: along the normal reflected {record.dhr[normal].mean():.4f}, "
+    words = f"{name}: from about the normal reflected {record.dhr[normal].mean():.4f}, "
     words += f"transmitted {dht:.4f}"
     if record.ledger.direct:
         words += f" ({record.direct[normal].mean():.4f} directly)"

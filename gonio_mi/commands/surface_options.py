@@ -1,4 +1,4 @@
-"""Options of the command line that say what a file of heights is."""
+"""Options of the command line that say what a file of heights, or a mesh, is."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 from ..errors import SettingError
 from ..instrument.loading import parse_specimen
+from ..instrument.mesh_specimens import UPS, is_mesh, mesh
 from ..instrument.surface_specimens import surface_specimen
 from ..surfaces.height_maps import is_height_map
 from ..surfaces.length_units import UNITS
@@ -53,7 +54,8 @@ def add_surface_options(parser: Any) -> None:
     """Add the options to a parser, in a group of their own."""
     group = parser.add_argument_group(
         "surface",
-        "where SPECIMEN is a file of heights: x3p, sur, plu, opd, png, npy...",
+        "where SPECIMEN is a file of heights: x3p, sur, plu, opd, png, npy...; or a "
+        "mesh: obj, ply, stl, which takes --unit, --bsdf, --up and --mean-plane",
     )
     for name, (metavar, sentence) in NUMBERS.items():
         group.add_argument(
@@ -65,7 +67,20 @@ def add_surface_options(parser: Any) -> None:
         "--bsdf",
         metavar="BSDF",
         help="What it is made of, in one word such as conductor:material=Al. Default: "
-        "a mirror that reflects all light.",
+        "a mirror that reflects all light; for a mesh there is none.",
+    )
+    group.add_argument(
+        "--up",
+        choices=tuple(UPS),
+        help="Of a mesh: the axis of the file that is the specimen's normal, +z. "
+        "Default: z.",
+    )
+    group.add_argument(
+        "--mean-plane",
+        type=number,
+        metavar="Z",
+        help="Of a mesh: where on that axis the mean surface is. Default: in the "
+        "middle.",
     )
 
 
@@ -76,7 +91,7 @@ def given_surface(options: Namespace) -> dict[str, Any]:
 
 
 def prepared_surface(specimen: Any, options: Namespace) -> Any:
-    """The specimen, or the height field of a file of heights with what is given of it.
+    """The specimen, or the shape of a file of heights or a mesh with what is given.
 
     With a period its last row and column are joined to the first.
 
@@ -86,10 +101,18 @@ def prepared_surface(specimen: Any, options: Namespace) -> Any:
         If something is given, and it is no such file.
     """
     given = given_surface(options)
+    bsdf = None if options.bsdf is None else parse_specimen(options.bsdf)
+    if isinstance(bsdf, str):
+        raise SettingError(f"--bsdf must be a BSDF in one word, got {bsdf!r}")
+    lying = {"up": options.up, "mean_plane": options.mean_plane}
+    lying = {name: value for name, value in lying.items() if value is not None}
+    if is_mesh(specimen):
+        _check_of_mesh(given)
+        return mesh(specimen, bsdf, **lying)
+    if lying:
+        name = next(iter(lying)).replace("_", "-")
+        raise SettingError(f"--{name} goes with a mesh, got {specimen!r}")
     if isinstance(specimen, str) and is_height_map(specimen):
-        bsdf = None if options.bsdf is None else parse_specimen(options.bsdf)
-        if isinstance(bsdf, str):
-            raise SettingError(f"--bsdf must be a BSDF in one word, got {bsdf!r}")
         if getattr(options, "period", None) not in (None, "none"):
             given["periodic"] = True  # a cell has no step at its border
         return surface_specimen(specimen, bsdf, **given)
@@ -97,3 +120,10 @@ def prepared_surface(specimen: Any, options: Namespace) -> Any:
         names = [f"--{name.replace('_', '-')}" for name in given] or ["--bsdf"]
         raise SettingError(f"{names[0]} goes with a file of heights, got {specimen!r}")
     return specimen
+
+
+def _check_of_mesh(given: dict[str, Any]) -> None:
+    """Raise ValueError for what goes with heights only."""
+    for name in given.keys() - {"unit"}:
+        option = f"--{name.replace('_', '-')}"
+        raise SettingError(f"{option} goes with a file of heights, got a mesh")

@@ -47,8 +47,8 @@ def bsdf(
     Parameters
     ----------
     specimen : dict, mi.BSDF, mi.Scene, str or path
-        What :func:`gonio_mi.measure` takes. Its face to +z looks outdoors, its +y is
-        up.
+        What :func:`gonio_mi.measure` takes. Its face to +z, the front, looks into the
+        room, its +y is up.
     path : str or path
         Ends in ``.xml``.
     basis : {"klems", "klems-half", "klems-quarter", "tensor3", "tensor4"}

@@ -74,9 +74,9 @@ def write_radiance(
     checked_choice("basis", basis, BASES)
     _check_sides(records)
     _check_sides(solar)
-    _warn_of_missing_side(records)
     blocks: dict[tuple[str, str], Any] = {}
     sides = [Side(record, basis) for record in records]
+    _warn_of_missing_side(records)
     for side in sides:
         blocks |= side.blocks()
     for record in solar:
@@ -217,7 +217,7 @@ class Side:
             for one_theta, one_phi in zip(theta, phi)
         ]
         if self.measured:
-            return losses(record, np.array(theirs)[..., None, :])
+            return losses(record, np.reshape(theirs, fractions_of(record).shape))
         ours = [
             resampled(
                 self.material,

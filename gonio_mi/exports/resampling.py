@@ -28,6 +28,12 @@ __all__ = ["Material", "half_vector_grid", "resampled"]
 # Part of the light that values at points may miss before it is carried.
 MISSED = 0.01
 
+# What is less than this part of the incident light is rounding.
+LEAST = 1e-12
+
+# Incident directions for which light is carried at once.
+AT_ONCE = 64
+
 # Values that are asked for at once, at most or for one incident patch.
 MOST_VALUES = 2**20
 
@@ -74,6 +80,7 @@ class Material:
             rows, columns = np.unravel_index(_specular_patch(record), flux.shape[2:4])
             index = np.arange(len(flux))
             flux[index, :, rows, columns] -= peaks
+            flux = np.maximum(flux, 0)  # up to rounding
         rest: Any = PatchMeans(
             record.subdivision, record.theta_i, record.phi_i, record.channels, flux
         )
@@ -116,26 +123,29 @@ class Material:
         return sums[0], sums[1]
 
     def carried(
-        self, hemisphere: int, theta_i: float, phi_i: float, patches: Subdivision
+        self, hemisphere: int, theta_i: Floats, phi_i: Floats, patches: Subdivision
     ) -> Floats:
-        """Light of all patches of the record in others, ``(n_patches, channels)``.
+        """Light of all patches of the record in others, ``(n, n_patches, channels)``.
 
-        Flux fractions of one incident direction in degrees, without the peaks.
+        Flux fractions for incident directions ``(n,)`` in degrees, without the peaks.
         """
         points, flux = self._points(hemisphere)
-        wi = _vectors(direction(np.radians(theta_i), np.radians(phi_i))[None])
-        light = np.zeros((patches.n_patches, len(self.channels)))
-        xy = mi.Point2f(np.ascontiguousarray(points.T, dtype=np.float32))
-        for row, share, wo in self._face.carried(wi, xy, hemisphere):
+        n, each = len(theta_i), len(points)
+        wi: Any = direction(np.radians(theta_i), np.radians(phi_i))
+        xy = mi.Point2f(np.ascontiguousarray(np.tile(points, (n, 1)).T, np.float32))
+        bins, size = np.repeat(np.arange(n), each), n * patches.n_patches
+        light = np.zeros((n, patches.n_patches, len(self.channels)))
+        parts = self._face.carried(
+            _vectors(np.repeat(wi, each, axis=0)), xy, hemisphere
+        )
+        for row, share, wo in parts:
             dr.eval(row, share, wo)
-            number = int(np.ravel(row.numpy())[0])
-            part = float(np.ravel(share.numpy())[0])
-            if part:
-                index = patches.patch(wo.numpy().T)
-                for channel, weights in enumerate(flux[number].T):
-                    light[:, channel] += part * np.bincount(
-                        index, weights, patches.n_patches
-                    )
+            row, share = (np.broadcast_to(a.numpy(), n * each) for a in (row, share))
+            index = bins * patches.n_patches + patches.patch(wo.numpy().T)
+            weights = share[:, None] * flux[row, np.tile(np.arange(each), n)]
+            for channel, weight in enumerate(weights.T):
+                counts = np.bincount(index, weight, size)
+                light[..., channel] += counts.reshape(n, -1)
         return light
 
     def _points(self, hemisphere: int) -> tuple[Floats, Floats]:
@@ -246,11 +256,13 @@ def resampled(
         flux = projected * _evaluated(material, hemisphere, theta, phi, wo)
         total, peak = material.totals(hemisphere, theta, phi)
         found = flux.sum(axis=1)
-        missed = np.any(np.abs(found - total) > MISSED * total, axis=-1)
+        missed = np.any(np.abs(found - total) > MISSED * total + LEAST, axis=-1)
         # of all points of an incident patch, or of none
         missed = np.repeat(missed.reshape(-1, n_in).any(axis=1), n_in)
-        for i in np.flatnonzero(missed):
-            flux[i] = material.carried(hemisphere, theta[i], phi[i], patches)
+        for some in np.array_split(np.flatnonzero(missed), missed.sum() // AT_ONCE + 1):
+            if some.size:
+                args = hemisphere, theta[some], phi[some], patches
+                flux[some] = material.carried(*args)
         scale = np.where(found > 0, total / np.where(found > 0, found, 1), 0)
         flux[~missed] *= scale[~missed, None]
         straight = patches.patch(direction(np.radians(theta), np.radians(phi) + np.pi))

@@ -24,6 +24,7 @@ from ..surfaces.height_maps import is_height_map
 from ..transport.geometry import scene_of
 from ..transport.kernels import launches_kernels
 from ..transport.variants import is_usable
+from .mesh_specimens import is_mesh, mesh
 from .named_files import check_named_files
 from .surface_specimens import surface_specimen
 
@@ -99,6 +100,8 @@ def load_specimen(specimen: Any, parameters: dict[str, Any] | None = None) -> An
             raise SpecimenError(f"specimen must be an existing file, got {str(path)!r}")
         if is_height_map(path):
             specimen = surface_specimen(path)
+        elif is_mesh(path):
+            specimen = mesh(path, None)
     if isinstance(specimen, (str, os.PathLike)):
         parameters = {k: str(v) for k, v in (parameters or {}).items()}
         check_named_files(path, parameters)

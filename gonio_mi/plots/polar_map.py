@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..collector import RingsAndSectors
 from ..results.record import Record
+from .drawn_patches import drawn_in_rings
 
 __all__ = ["add_bar", "draw_map", "draw_patches", "scale_of", "shown_values"]
 
@@ -41,7 +42,7 @@ def draw_map(axes: Axes, single: Record, of: str) -> None:
     add_bar(axes.figure, mesh, axes.inset_axes((1.16, 0.1, 0.045, 0.8)), single, of)
     _label_grid(axes)
     if mean.mask.any():
-        axes.plot([], [], "s", color=NO_HIT, label="no hit")
+        axes.plot([], [], "s", color=NO_HIT, label=_unlit(single))
     if axes.get_legend_handles_labels()[0]:
         axes.legend(
             loc="upper center",
@@ -55,13 +56,19 @@ def draw_map(axes: Axes, single: Record, of: str) -> None:
     axes.set_title({"brdf": "Reflection", "btdf": "Transmission"}[of])
 
 
+def _unlit(single: Record) -> str:
+    """What grey stands for."""
+    cones = single.subdivision.aperture_half_angle is not None
+    return "no aperture, or no hit" if cones else "no hit"
+
+
 def shown_values(
     single: Record, of: str
 ) -> tuple[RingsAndSectors, np.ma.MaskedArray[Any, Any]]:
     """Rings and sectors, and the mean over channels in them, masked without a hit."""
-    patches, values = single.subdivision.in_rings(getattr(single, of))
-    lower = int(of == "btdf")
-    _, empty = single.subdivision.in_rings(single.without_hit[lower, ..., None])
+    patches, values = drawn_in_rings(single.subdivision, getattr(single, of))
+    hits = single.without_hit[int(of == "btdf"), ..., None]
+    _, empty = drawn_in_rings(single.subdivision, hits)
     return patches, np.ma.masked_array(values.mean(axis=-1), mask=empty[..., 0])
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..results.record import Record
+from .drawn_patches import drawn_in_rings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,8 +66,9 @@ def profile(single: Record, of: str = "brdf", level: float = LEVEL) -> Profile:
     of_lower = int(of == "btdf")
     low, high = single.interval(level, of=of)
     means = np.stack([getattr(single, of), low, high])
-    patches, means = single.subdivision.in_rings(means)
-    _, empty = single.subdivision.in_rings(single.without_hit[of_lower, ..., None])
+    patches, means = drawn_in_rings(single.subdivision, means)
+    hits = single.without_hit[of_lower, ..., None]
+    _, empty = drawn_in_rings(single.subdivision, hits)
     phi_i = np.radians(np.nan_to_num(single.phi_i[0]))
     towards, beyond = (
         int(patches.patch([math.cos(phi), math.sin(phi), 1])) % patches.n_phi

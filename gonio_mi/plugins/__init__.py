@@ -15,6 +15,7 @@ __all__ = ["MODULES", "register"]
 MODULES = (
     "samplers.sobol",
     "shapes.heightfield",
+    "shapes.stl",
     "bsdfs.cosinelobe",
     "bsdfs.glossymixture",
     "bsdfs.anisotropicphong",

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import SpecimenError
 from ..settings.parsed import Period
+from .cell_walls import walls_of_glass
 from .extents import bounds
 from .flat_rectangle import Plane
 from .flight import escapes
@@ -106,6 +107,7 @@ class Specimen:
         self.periodic = period != "none"
         if self.periodic:
             self._set_cell(period)
+            self._warn_of_walls()
         self._check_extent()
         self.closed_to_light = not any(
             mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Transmission)
@@ -185,6 +187,18 @@ class Specimen:
                 f"the specimen lies up to {self.reach:g} scene units from the origin, "
                 f"where rounding changes results by up to {error:.1g} of their value: "
                 "move it to the origin",
+                RuntimeWarning,
+                stacklevel=4,
+            )
+
+    def _warn_of_walls(self) -> None:
+        """Warn of glass that ends at the cell's sides, as no endless piece does."""
+        walls = walls_of_glass(self.surfaces, self.low, self.high)
+        if walls:
+            warnings.warn(
+                f"{walls[0]} refracts light at walls in the sides of the periodic "
+                "cell: if the specimen is one piece, such as a film, leave out these "
+                "walls, for they send light astray and back",
                 RuntimeWarning,
                 stacklevel=4,
             )

@@ -1,0 +1,120 @@
+"""Meshes of other programs as specimens: what they are made of, and how they lie."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Floats
+from ..errors import SettingError, SpecimenError, checked_choice, checked_number, shown
+
+__all__ = ["UPS", "is_mesh", "mesh"]
+
+# Plugins by the ending of the file.
+PLUGINS = {".obj": "obj", ".ply": "ply", ".stl": "stl"}
+
+# Rotations that turn an axis of the file to +z.
+UPS = {
+    "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
+    "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
+}
+
+
+def is_mesh(path: object) -> bool:
+    """Whether a path ends as a mesh does: in .obj, .ply or .stl."""
+    named = isinstance(path, (str, os.PathLike))
+    return named and Path(str(path)).suffix.lower() in PLUGINS
+
+
+def mesh(
+    path: str | os.PathLike[str],
+    bsdf: Mapping[str, Any] | None,
+    *,
+    up: str = "z",
+    mean_plane: float | None = None,
+) -> dict[str, Any]:
+    """Specimen from a mesh of another program, for :func:`gonio_mi.measure`.
+
+    Lengths stay those of the file. Facets are flat, and a BSDF that knows one side only
+    covers both. The middle of the mesh is put above the origin.
+
+    Parameters
+    ----------
+    path : str or path
+        Ends in ``.obj``, ``.ply`` or ``.stl``.
+    bsdf : dict
+        What it is made of, as Mitsuba loads it.
+    up : {"z", "-z", "y", "-y", "x", "-x"}
+        Axis of the file that becomes +z, the specimen's normal.
+    mean_plane : float, optional
+        Where on that axis the mean surface is, which is put at z = 0. Default: the
+        middle of the mesh.
+
+    Returns
+    -------
+    dict
+        A Mitsuba scene.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is none of these.
+    SpecimenError
+        If the file or the BSDF cannot be loaded.
+    """
+    from .loading import check_variant, loaded  # which loads specimens by this
+
+    check_variant()
+    path = Path(path)
+    checked_choice("up", up, tuple(UPS))
+    if not is_mesh(path):
+        raise SettingError(
+            f"path must end in {', '.join(PLUGINS)}, got {shown(str(path))}"
+        )
+    if not path.is_file():
+        raise SpecimenError(f"specimen must be an existing file, got {str(path)!r}")
+    if not isinstance(bsdf, Mapping):
+        raise SettingError(
+            f"bsdf must say what the mesh {path.name} is made of, such as "
+            f"diffuse:reflectance=0.7, got {shown(bsdf)}"
+        )
+    material = loaded("the BSDF of the mesh", mi.load_dict, dict(bsdf))
+    if not isinstance(material, mi.BSDF):
+        raise SettingError(f"bsdf must be a BSDF, got {bsdf.get('type')!r:.60}")
+    flags = material.flags()
+    one_sided = not mi.has_flag(flags, mi.BSDFFlags.BackSide)
+    if one_sided and not mi.has_flag(flags, mi.BSDFFlags.Transmission):
+        bsdf = {"type": "twosided", "bsdf": dict(bsdf)}
+    shape = {
+        "type": PLUGINS[path.suffix.lower()],
+        "filename": str(path),
+        "face_normals": True,
+    }
+    if shape["type"] == "stl":
+        del shape["face_normals"]
+    lying = loaded(f"the mesh {path}", mi.load_dict, dict(shape))
+    shape["to_world"] = _lying(lying, np.array(UPS[up], dtype=float), mean_plane)
+    return {"type": "scene", "mesh": shape | {"bsdf": dict(bsdf)}}
+
+
+def _lying(shape: Any, rotation: Floats, mean_plane: float | None) -> Any:
+    """Transform of the file's coordinates to the specimen's."""
+    corners = np.array([shape.bbox().min, shape.bbox().max], dtype=float).reshape(2, 3)
+    if not np.isfinite(corners).all():
+        raise SpecimenError("the mesh must have triangles and finite vertices")
+    middle = rotation @ corners.mean(axis=0)
+    if mean_plane is not None:
+        condition = "a finite number"
+        middle[2] = checked_number("mean_plane", mean_plane, -np.inf, np.inf, condition)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, -middle
+    return mi.ScalarTransform4f(matrix)

@@ -1,0 +1,61 @@
+"""Shape `stl`: a mesh from an STL file, which Mitsuba does not read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from gonio_mi.files.stl_triangles import read_stl
+
+
+def stl(props: mi.Properties) -> mi.Mesh:
+    r"""Triangles of an STL file (:monosp:`stl`).
+
+    Binary or text; their own flat facets, in the order of the file.
+
+    .. pluginparameters::
+
+     * - filename
+       - |string|
+       - The file.
+
+     * - to_world
+       - |transform|
+       - Object to world. (Default: none)
+
+     * - (Nested plugin)
+       - :paramtype:`bsdf`
+       - What the triangles are made of.
+
+    .. tabs::
+        .. code-tab:: xml
+
+            <shape type="stl">
+                <string name="filename" value="slat.stl"/>
+                <bsdf type="twosided"><bsdf type="diffuse"/></bsdf>
+            </shape>
+
+        .. code-tab:: python
+
+            'type': 'stl',
+            'filename': 'slat.stl',
+            'bsdf': {'type': 'twosided', 'bsdf': {'type': 'diffuse'}}
+    """
+    path = Path(str(mi.file_resolver().resolve(props["filename"])))
+    triangles = read_stl(path)
+    to_world = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, float)
+    points = triangles.reshape(-1, 3) @ to_world[:3, :3].T + to_world[:3, 3]
+    props["face_normals"] = True
+    mesh = mi.Mesh(f"stl {path.name}", len(points), len(triangles), props=props)
+    parameters = mi.traverse(mesh)
+    parameters["faces"] = mi.UInt32(np.arange(len(points), dtype=np.uint32))
+    parameters["vertex_positions"] = mi.Float(points.astype(np.float32).ravel())
+    parameters.update()
+    dr.eval()
+    return mesh
+
+
+mi.register_shape("stl", stl)

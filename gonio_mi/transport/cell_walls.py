@@ -1,0 +1,66 @@
+"""Walls of glass in the sides of a periodic cell, which hardly any specimen has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Floats
+
+__all__ = ["walls_of_glass"]
+
+# How near to the side of the cell a wall is in it, in units of the cell.
+NEAR = 1e-5
+
+
+def walls_of_glass(shapes: Sequence[mi.Shape], low: Floats, high: Floats) -> list[str]:
+    """Names of refracting shapes with faces in the sides of the cell.
+
+    Parameters
+    ----------
+    shapes : sequence of mi.Shape
+    low, high : ndarray, shape (3,)
+        Corners of the cell.
+    """
+    glass = filter(_refracts, shapes)
+    return [_name(shape) for shape in glass if _walls(shape, low, high)]
+
+
+def _refracts(shape: mi.Shape) -> bool:
+    """Whether light that passes is bent: no mask, and no thin sheet."""
+    flags = shape.bsdf().flags()
+    bent = mi.BSDFFlags.DeltaTransmission, mi.BSDFFlags.GlossyTransmission
+    refracts = any(mi.has_flag(flags, flag) for flag in bent)
+    return refracts and not mi.has_flag(flags, mi.BSDFFlags.Null)
+
+
+def _walls(shape: mi.Shape, low: Floats, high: Floats) -> bool:
+    """Whether a face of the shape is in a side of the cell."""
+    near = NEAR * (high - low)[:2]
+    for triangle in _faces(shape):
+        for axis in (0, 1):
+            along = triangle[..., axis]
+            for side in (low[axis], high[axis]):
+                if (np.abs(along - side) <= near[axis]).all(axis=-1).any():
+                    return True
+    return False
+
+
+def _faces(shape: mi.Shape) -> list[Floats]:
+    """Triangles of a mesh ``(n, 3, 3)``, or the box of what is flat."""
+    if isinstance(shape, mi.Mesh):
+        parameters: Any = mi.traverse(shape)
+        points = np.array(parameters["vertex_positions"], dtype=float).reshape(-1, 3)
+        faces = np.array(parameters["faces"], dtype=int).reshape(-1, 3)
+        return [points[faces]]
+    if shape.class_name() in ("Rectangle", "Disk"):
+        box = shape.bbox()
+        return [np.array([[box.min, box.max]], dtype=float).reshape(1, 2, 3)]
+    return []
+
+
+def _name(shape: mi.Shape) -> str:
+    return f"{shape.class_name()} {shape.id()!r}"

@@ -1,0 +1,352 @@
+"""``gonio-mi bsdf``: what a file says of a specimen is what the specimen does."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import blinds
+import mitsuba as mi
+import numpy as np
+import pytest
+import synthetic
+from budget import Verdict, agree, disagree, normal_scores
+from scipy import stats
+
+import gonio_mi as gonio
+from gonio_mi import cli
+from gonio_mi.collector.klems import Klems
+from gonio_mi.exports import exporting, radiance_export, resampling
+from gonio_mi.exports.loss import in_words
+from gonio_mi.files import radiance_xml
+from gonio_mi.files.radiance_bsdf import RadianceBSDF
+
+KLEMS = Klems()
+OMEGA = KLEMS.projected_solid_angles
+
+# Seven digits in the file.
+DIGITS = 1e-6
+
+# One slat of a venetian blind for each period, and the same seen from below.
+BLIND = [blinds.Slat(0, 0.0, 0.0, 0.9, 40.0)]
+UPSIDE_DOWN = [blinds.Slat(0, 0.0, 0.0, 0.9, -40.0)]
+RHO = 0.6
+
+one_sided = pytest.mark.filterwarnings("ignore:the file describes light from")
+
+
+def columns(path):
+    """Light of each incident patch in each exit patch, by block of a file."""
+    with open(path, "rb") as stream:
+        blocks = radiance_xml.read(stream)
+    return {name: block * OMEGA for (_, name), block in blocks.items()}
+
+
+# ---------------------------------------------------------------------- light is kept
+
+
+def narrow(share, theta_i=(0, 20, 40, 60, 80), collector="projected:30x30"):
+    """Record of a pane: `share` of the light goes on in the patch straight on."""
+    patches = gonio.subdivision(collector)
+    base = synthetic.record(collector, theta_i, (0,) * len(theta_i), both=True, rays=2)
+    tallies = [synthetic.writeable(tally) for tally in base.tallies]
+    for tally, theta in zip(tallies, theta_i):
+        x, z = np.sin(np.radians(theta)), np.cos(np.radians(theta))
+        number = int(patches.patch([-x, 0, z]))
+        tally.sums[:] = 0
+        there = np.unravel_index(number, patches.shape)
+        light = np.round(share(theta) * tally.incident).astype(np.uint64)
+        tally.sums[(slice(None), 1, *there)] = light
+    return gonio.Record(
+        base.subdivision,
+        base.theta_i,
+        base.phi_i,
+        base.channels,
+        tuple(tallies),
+        base.settings,
+        stacked=True,
+    )
+
+
+def linear(theta, theta_i, values):
+    return np.interp(np.sin(theta), np.sin(np.radians(theta_i)), values)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("collector", ["projected:30x30", "projected:90x180", "klems"])
+@one_sided
+def test_a_delta_lands_whole(tmp_path, monkeypatch, collector):
+    """In the opposite patch, and nothing is lost or made: exact up to rounding."""
+    monkeypatch.setattr(radiance_export, "POINTS_OUT", 2)
+    theta_i = (0, 20, 40, 60, 80)
+    share = {0: 0.92, 20: 0.92, 40: 0.91, 60: 0.84, 80: 0.44}
+    record = narrow(share.get, theta_i, collector)
+    exporting.export(record, tmp_path / "pane.xml")
+    light = columns(tmp_path / "pane.xml")["Transmission Back"]
+    assert np.array_equal(light.argmax(axis=0), np.arange(145))  # by the way of flight
+    assert np.allclose(light.max(axis=0), light.sum(axis=0), rtol=DIGITS)
+    theta = np.arccos(KLEMS.points(radiance_export.POINTS_IN)[..., 2])
+    expected = linear(theta, theta_i, list(share.values())).mean(axis=1)
+    # single precision of the angles near the horizon
+    assert np.allclose(light.sum(axis=0), expected, rtol=1e-4)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("basis", ["klems", "klems-half", "tensor3", "tensor4"])
+@one_sided
+def test_every_basis_keeps_the_light_of_narrow_lobes(tmp_path, monkeypatch, basis):
+    """Of a sharp mirror: its lobe is narrower than the points of the patches."""
+    monkeypatch.setattr(radiance_export, "POINTS_IN", 2)
+    monkeypatch.setattr(radiance_export, "POINTS_OUT", 2)
+    monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 16, 4: 8})
+    metal = {"type": "roughconductor", "alpha": 0.02}
+    record = gonio.measure(metal, [0, 30, 60, 80], collector="solid:40x20", rays=2**14)
+    losses = exporting.export(record, tmp_path / "metal.xml", basis)
+    for loss in losses[::2]:
+        assert 0 <= loss.misplaced <= 1
+        # of metal that reflects all but what falls below the horizon
+        assert abs(loss.written - loss.recorded) <= 0.02
+    assert max(abs(loss.written - 1) for loss in losses[:3]) <= 0.01
+    lines = in_words(losses)
+    assert lines[0].startswith("front, reflected: ")
+    assert "ended up in a neighbouring patch, at worst" in lines[0]
+
+
+@pytest.mark.usefixtures("mono")
+@one_sided
+def test_twin_points_alone_lose_the_delta(tmp_path, monkeypatch):
+    """Without the peaks apart and light carried, a sliver of a patch is missed."""
+    record = narrow(lambda _: 0.9, collector="projected:90x180")
+    monkeypatch.setattr(resampling, "MISSED", 1e9)
+    monkeypatch.setattr(
+        resampling,
+        "specular_peaks",
+        lambda record: np.zeros((len(record), 2, 1)),
+    )
+    monkeypatch.setattr(radiance_export, "POINTS_OUT", 4)
+    exporting.export(record, tmp_path / "pane.xml")
+    light = columns(tmp_path / "pane.xml")["Transmission Back"]
+    assert not np.allclose(light.sum(axis=0), 0.9, rtol=0.05)
+
+
+# -------------------------------------------------------------- the blind, both sides
+
+
+@pytest.fixture(scope="module")
+def blind(tmp_path_factory):
+    """File and records of the blind."""
+    before = mi.variant()
+    mi.set_variant("llvm_ad_mono")
+    path = tmp_path_factory.mktemp("blind") / "blind.xml"
+    scene = mi.load_dict(blinds.shapes(BLIND, RHO))
+    records = gonio.bsdf(scene, path, period=1, rays=2**11)
+    yield path, records
+    if before:
+        mi.set_variant(before)
+
+
+def traced(parts, number, rays):
+    """Light in exit patches of the upper and lower hemisphere, and its errors.
+
+    By the tracer of NumPy, from `rays` directions that fill an incident patch.
+    """
+    points = KLEMS.points(6)[number]
+    light = []
+    for k, (x, y, z) in enumerate(points):
+        theta, phi = np.degrees([np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)])
+        fates = blinds.follow(parts, 1, RHO, theta, phi, rays // 36, 36 * number + k)
+        down = ~fates.up
+        patch = KLEMS.patch(fates.d) + 145 * down
+        light.append(np.bincount(patch, fates.weight, 290) / len(patch))
+    light = np.array(light)
+    # between points, which stand for strata, there is more spread than within
+    return light.mean(axis=0), light.std(axis=0, ddof=1) / np.sqrt(len(light))
+
+
+GROUPS = [range(61), range(61, 145), range(145, 206), range(206, 290)]
+
+
+@pytest.mark.parametrize(
+    ("side", "parts"), [("front", BLIND), ("back", UPSIDE_DOWN)], ids=["front", "back"]
+)
+def test_columns_of_the_blind_are_those_of_another_tracer(blind, side, parts):
+    """Totals of four parts of both hemispheres, for four incident patches."""
+    _, records = blind
+    record = records[side]
+    scores, wrong = [], []
+    for number in (3, 22, 70, 115):
+        mean, error = traced(parts, number, 36 * 400)
+        for of, into in ((number, scores), ((number + 2) % 145, wrong)):
+            tally = record.tallies[of]
+            batches = tally.sums.reshape(len(tally.sums), 290) / tally.incident
+            for group in GROUPS:
+                theirs, squares = mean[group].sum(), (error[group] ** 2).sum()
+                own = batches[:, group].sum(axis=1)
+                square = own.var(ddof=1) / len(own)
+                into.append((own.mean() - theirs) / np.sqrt(square + squares))
+    # of fewer degrees of freedom than both have
+    for t, judge in ((scores, agree), (wrong, disagree)):
+        z = np.abs(normal_scores(t, len(batches) - 1)).max()
+        judge(Verdict({"worst": min(1.0, len(t) * 2 * stats.norm.sf(z))}))
+
+
+def test_the_file_holds_what_was_measured(blind):
+    """To seven digits, at the column of the direction of flight."""
+    path, records = blind
+    light = columns(path)
+    assert light.keys() == set(radiance_xml.DIRECTIONS.values())
+    for (side, hemisphere), name in radiance_xml.DIRECTIONS.items():
+        record = records[side]
+        column = radiance_xml.incident_patch(record.theta_i, record.phi_i)
+        flux = record.flux_fraction[:, hemisphere, :, 0, 0]
+        assert np.allclose(light[name][:, column].T, flux, rtol=DIGITS, atol=1e-9)
+
+
+def test_no_column_of_the_file_has_more_light_than_came(blind):
+    """And each is within the interval of its record."""
+    path, records = blind
+    light = columns(path)
+    for side, record in records.items():
+        column = radiance_xml.incident_patch(record.theta_i, record.phi_i)
+        for hemisphere, of in enumerate(("dhr", "dht")):
+            low, high = record.interval(0.95, of)
+            name = radiance_xml.DIRECTIONS[side, hemisphere]
+            total = light[name].sum(axis=0)[column]
+            assert (total >= low[:, 0] - DIGITS).all()
+            assert (total <= high[:, 0] + DIGITS).all()
+        both = sum(light[radiance_xml.DIRECTIONS[side, h]].sum(axis=0) for h in (0, 1))
+        assert (both <= 1 + DIGITS).all()
+
+
+def test_direct_light_is_in_one_patch(blind):
+    """Of each incident patch, and as much as the closed form says."""
+    _, records = blind
+    record = records["front"]
+    points = KLEMS.points(16)
+    theta = np.degrees(np.arccos(points[..., 2]))
+    phi = np.degrees(np.arctan2(points[..., 1], points[..., 0]))
+    for number in (0, 20, 60, 110):
+        share = np.mean(
+            [blinds.direct_share(BLIND, *a) for a in zip(theta[number], phi[number])]
+        )
+        # 2048 points of a scrambled sequence, and 256 of a grid
+        assert abs(record.direct[number, 0] - share) <= 0.01
+        there = radiance_xml.incident_patch(record.theta_i, record.phi_i)[number]
+        flux = record.flux_fraction[number, 1, there, 0, 0]
+        assert flux >= record.direct[number, 0]
+        assert flux - record.direct[number, 0] <= 0.02
+
+
+def test_radiance_reads_the_blind(blind):
+    """`checkBSDF` finds both sides, and the totals of the file."""
+    pyradiance = pytest.importorskip("pyradiance")
+    program = Path(pyradiance.__file__).parent / "bin" / "checkBSDF"
+    command = [program, blind[0]]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    # component, Lambertian part, and the largest total of a direction
+    above = ran.stdout.partition("Reciprocity")[0]
+    rows = [re.split("\t+", line) for line in above.splitlines()]
+    most = {row[0]: float(row[2].rstrip("%")) for row in rows[-5:] if len(row) == 4}
+    light = columns(blind[0])
+    names = {
+        "Interior Refl": "Reflection Back",
+        "Exterior Refl": "Reflection Front",
+        "Int->Ext Trans": "Transmission Back",
+    }
+    for theirs, ours in names.items():
+        total = 100 * light[ours].sum(axis=0).max()
+        assert abs(most[theirs] - total) <= 0.06  # one decimal
+
+
+# ------------------------------------------------------------------- other ways to ask
+
+
+@pytest.mark.usefixtures("mono")
+def test_two_records_make_one_file(blind, tmp_path):
+    path, records = blind
+    files = []
+    for side, record in records.items():
+        files.append(str(tmp_path / f"{side}.npz"))
+        record.save(files[-1])
+    target = tmp_path / "both.xml"
+    assert cli.main(["export", *files, "-o", str(target)]) == 0
+    ours, theirs = columns(target), columns(path)
+    assert all(np.array_equal(ours[name], theirs[name]) for name in theirs)
+    front = records["front"]
+    with pytest.raises(ValueError, match="one record of each side, front and back"):
+        exporting.export([front, front], target)
+    other = records["back"].with_settings(digest="of another")
+    with pytest.raises(ValueError, match="must be of one specimen"):
+        exporting.export([front, other], target)
+    with pytest.raises(ValueError, match="several records, a product and solar light"):
+        exporting.export([front, front], tmp_path / "both.csv")
+    with pytest.raises(ValueError, match="goes to a file of the same patches"):
+        exporting.export(front, target, "klems-half")
+    with pytest.raises(ValueError, match="each of the 145 incident patches of klems"):
+        exporting.export(gonio.Record.stack([front[0], front[1]]), target)
+
+
+@pytest.mark.usefixtures("mono")
+def test_trees_of_a_sheet_say_what_matrices_say(tmp_path):
+    """A Lambertian sheet: what is measured in cells is one value, of both sides."""
+    matt = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.5}}
+    for basis, cells in (("tensor3", 8), ("tensor4", 4), ("klems-quarter", None)):
+        path = tmp_path / f"{basis}.xml"
+        settings = {"cells": cells, "rays": 2**10}
+        records = gonio.bsdf(matt, path, basis, **settings)
+        with open(path, "rb") as stream:
+            file = RadianceBSDF(stream)
+        for side, record in records.items():
+            assert (record.dhr == record.dhr.flat[0]).all()
+            wo = KLEMS.points(1)[:, 0]
+            values = file.values(side, 0, 40.0, 80.0, wo)
+            errors = np.nanmax(record.brdf_std_err)
+            assert abs(values.mean() - 0.5 / np.pi) <= 0.01 / np.pi
+            assert np.abs(values - 0.5 / np.pi).max() <= 8 * errors + DIGITS
+
+
+@pytest.mark.usefixtures("mono")
+def test_command_writes_the_product_and_solar_light(tmp_path, capsys):
+    path = tmp_path / "sheet.xml"
+    words = ["bsdf", "diffuse:reflectance=0.5", "--solar", "diffuse:reflectance=0.25"]
+    words += ["--basis", "klems-quarter", "--rays", "256", "-o", str(path)]
+    words += ["--name", "a & b", "--manufacturer", "us", "--thickness", "1e-3"]
+    assert cli.main([*words, "--width", "2"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(
+        "front: from about the normal reflected 0.5000, transmitted 0"
+    )
+    assert "solar front: from about the normal reflected 0.2500" in out
+    text = path.read_text()
+    assert "<Name>a &amp; b</Name>" in text
+    assert '<Thickness unit="meter">0.001</Thickness>' in text
+    assert '<Width unit="meter">2</Width>' in text
+    assert "<Height" not in text
+    with open(path, "rb") as stream:
+        blocks = radiance_xml.read(stream)
+    name = "Reflection Back"
+    half = blocks["Visible", name] / 2
+    assert np.allclose(blocks["Solar", name], half, atol=2 * DIGITS)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["-o", "x.npz"], "must end in .xml"),
+        (["-o", "x.xml", "--cells", "8"], "cells goes with the basis tensor3"),
+        (["-o", "x.xml", "--basis", "tensor4", "--cells", "6"], "a power of two"),
+        (["-o", "x.xml", "--width", "0"], "--width must be a positive number"),
+        (["-o", "x.xml", "--up", "y"], "--up goes with a mesh"),
+    ],
+)
+@pytest.mark.usefixtures("mono")
+def test_command_refuses(tmp_path, monkeypatch, capsys, words, message):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["bsdf", "diffuse", *words]) == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_what_the_file_decides_is_not_asked_for(tmp_path):
+    with pytest.raises(ValueError, match="theta_i is decided by the file, got 3"):
+        gonio.bsdf({"type": "diffuse"}, tmp_path / "x.xml", theta_i=3)
