@@ -124,16 +124,15 @@ def thin_glass(theta, n=1.5046):
 
 @pytest.mark.usefixtures("mono")
 def test_glass_sends_a_patch_to_one_patch():
-    """All 145 at once: the light of each is in the opposite one, as Fresnel has it."""
-    klems = Klems()
+    """All of them: the light of each is in the opposite one, as Fresnel has it."""
+    klems = Klems("quarter")
     record = gonio.measure(
         {"type": "thindielectric", "int_ior": 1.5046, "ext_ior": 1.0},
-        incident="klems",
-        collector="klems",
+        incident="klems-quarter",
+        collector="klems-quarter",
         rays=2**12,
         sampler="independent",
     )
-    assert len(record) == 145
     there = direction(np.radians(record.theta_i), np.radians(record.phi_i + 180))
     lit = record.flux_fraction[:, 1, :, 0, 0] > 0
     assert (lit.sum(axis=1) == 1).all()
@@ -143,7 +142,7 @@ def test_glass_sends_a_patch_to_one_patch():
     z = (record.dht[:, 0] - mean) / np.sqrt(mean * (1 - mean) / 2**12)
     agree(verdict(z))
     centre = thin_glass(np.radians(record.theta_i))
-    outer = record.theta_i > 80
+    outer = record.theta_i > 70
     disagree(verdict((record.dht[:, 0] - centre)[outer] * 2**6 / 0.5))
 
 
@@ -179,5 +178,6 @@ def test_a_campaign_measures_all_patches(tmp_path):
     here = gonio.measure({"type": "diffuse"}, **settings)
     kept = gonio.measure({"type": "diffuse"}, **settings, folder=tmp_path / "kept")
     assert len(here) == 41
-    assert here == kept
+    assert np.array_equal(here.flux_fraction, kept.flux_fraction)
+    assert np.array_equal([here.theta_i, here.phi_i], [kept.theta_i, kept.phi_i])
     assert here.settings["incident"] == "klems-quarter"

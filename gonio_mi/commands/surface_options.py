@@ -6,8 +6,9 @@ from argparse import Namespace
 from typing import Any
 
 from ..errors import SettingError
+from ..files.mesh_files import is_mesh
 from ..instrument.loading import parse_specimen
-from ..instrument.mesh_specimens import UPS, is_mesh, mesh
+from ..instrument.mesh_specimens import UPS, mesh
 from ..instrument.surface_specimens import surface_specimen
 from ..surfaces.height_maps import is_height_map
 from ..surfaces.length_units import UNITS
@@ -108,6 +109,8 @@ def prepared_surface(specimen: Any, options: Namespace) -> Any:
     lying = {name: value for name, value in lying.items() if value is not None}
     if is_mesh(specimen):
         _check_of_mesh(given)
+        if bsdf is None:
+            return specimen  # which is refused in the words of all commands
         return mesh(specimen, bsdf, **lying)
     if lying:
         name = next(iter(lying)).replace("_", "-")

@@ -20,11 +20,11 @@ from ..errors import (
     shown,
     tells_of_our_bug,
 )
+from ..files.mesh_files import is_mesh
 from ..surfaces.height_maps import is_height_map
 from ..transport.geometry import scene_of
 from ..transport.kernels import launches_kernels
 from ..transport.variants import is_usable
-from .mesh_specimens import is_mesh, mesh
 from .named_files import check_named_files
 from .surface_specimens import surface_specimen
 
@@ -101,7 +101,10 @@ def load_specimen(specimen: Any, parameters: dict[str, Any] | None = None) -> An
         if is_height_map(path):
             specimen = surface_specimen(path)
         elif is_mesh(path):
-            specimen = mesh(path, None)
+            raise SpecimenError(
+                f"the mesh {path.name} must come with what it is made of, such as "
+                "--bsdf diffuse:reflectance=0.7 or gonio.mesh(path, bsdf)"
+            )
     if isinstance(specimen, (str, os.PathLike)):
         parameters = {k: str(v) for k, v in (parameters or {}).items()}
         check_named_files(path, parameters)

@@ -12,11 +12,10 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import SettingError, SpecimenError, checked_choice, checked_number, shown
+from ..files.mesh_files import MESHES, is_mesh
+from .loading import check_variant, loaded
 
-__all__ = ["UPS", "is_mesh", "mesh"]
-
-# Plugins by the ending of the file.
-PLUGINS = {".obj": "obj", ".ply": "ply", ".stl": "stl"}
+__all__ = ["UPS", "mesh"]
 
 # Rotations that turn an axis of the file to +z.
 UPS = {
@@ -27,12 +26,6 @@ UPS = {
     "x": [[0, 0, -1], [0, 1, 0], [1, 0, 0]],
     "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
 }
-
-
-def is_mesh(path: object) -> bool:
-    """Whether a path ends as a mesh does: in .obj, .ply or .stl."""
-    named = isinstance(path, (str, os.PathLike))
-    return named and Path(str(path)).suffix.lower() in PLUGINS
 
 
 def mesh(
@@ -71,14 +64,12 @@ def mesh(
     SpecimenError
         If the file or the BSDF cannot be loaded.
     """
-    from .loading import check_variant, loaded  # which loads specimens by this
-
     check_variant()
     path = Path(path)
     checked_choice("up", up, tuple(UPS))
     if not is_mesh(path):
         raise SettingError(
-            f"path must end in {', '.join(PLUGINS)}, got {shown(str(path))}"
+            f"path must end in {', '.join(MESHES)}, got {shown(str(path))}"
         )
     if not path.is_file():
         raise SpecimenError(f"specimen must be an existing file, got {str(path)!r}")
@@ -95,7 +86,7 @@ def mesh(
     if one_sided and not mi.has_flag(flags, mi.BSDFFlags.Transmission):
         bsdf = {"type": "twosided", "bsdf": dict(bsdf)}
     shape = {
-        "type": PLUGINS[path.suffix.lower()],
+        "type": MESHES[path.suffix.lower()],
         "filename": str(path),
         "face_normals": True,
     }

@@ -29,7 +29,7 @@ def drawn_in_rings(
     """
     if not isinstance(patches, (Apertures, ShirleyChiu)):
         return patches.in_rings(values)
-    theta, phi = (tuple(np.arange(0, end + FINE, FINE)) for end in (90, 360))
+    theta, phi = (tuple(map(float, range(0, end + FINE, FINE))) for end in (90, 360))
     fine = Borders(theta, phi)
     index = patches.patch(direction(*fine.middles))
     flat = values.reshape(*values.shape[:-3], -1, values.shape[-1])[..., index, :]

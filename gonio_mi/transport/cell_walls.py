@@ -51,15 +51,15 @@ def _walls(shape: mi.Shape, low: Floats, high: Floats) -> bool:
 
 def _faces(shape: mi.Shape) -> list[Floats]:
     """Triangles of a mesh ``(n, 3, 3)``, or the box of what is flat."""
-    if isinstance(shape, mi.Mesh):
-        parameters: Any = mi.traverse(shape)
-        points = np.array(parameters["vertex_positions"], dtype=float).reshape(-1, 3)
-        faces = np.array(parameters["faces"], dtype=int).reshape(-1, 3)
-        return [points[faces]]
     if shape.class_name() in ("Rectangle", "Disk"):
         box = shape.bbox()
         return [np.array([[box.min, box.max]], dtype=float).reshape(1, 2, 3)]
-    return []
+    parameters: Any = mi.traverse(shape)
+    if "vertex_positions" not in parameters:
+        return []
+    points = np.array(parameters["vertex_positions"], dtype=float).reshape(-1, 3)
+    faces = np.array(parameters["faces"], dtype=int).reshape(-1, 3)
+    return [points[faces]]
 
 
 def _name(shape: mi.Shape) -> str:

@@ -1,0 +1,204 @@
+"""Meshes of other programs: read, turned, made of something, and warned of."""
+
+import re
+import struct
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import gonio_mi as gonio
+from gonio_mi import cli
+from gonio_mi.errors import FileFormatError
+from gonio_mi.files.stl_triangles import read_stl
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+MATT = {"type": "diffuse", "reflectance": 0.6}
+
+# A slat that is tilted by 40 degrees, in mm, for a pitch of 25.
+HALF = 11.25 * np.array([np.sin(np.radians(40)), np.cos(np.radians(40))])
+CORNERS = np.array(
+    [
+        [-12.5, -HALF[0], -HALF[1]],
+        [12.5, -HALF[0], -HALF[1]],
+        [12.5, HALF[0], HALF[1]],
+        [-12.5, HALF[0], HALF[1]],
+    ]
+)
+TRIANGLES = CORNERS[[[0, 1, 2], [0, 2, 3]]]
+
+
+def obj(points):
+    lines = ["v {} {} {}".format(*point) for point in points.tolist()]
+    return "\n".join([*lines, "f 1 2 3", "f 1 3 4", ""]).encode()
+
+
+def ply(points):
+    head = "ply\nformat ascii 1.0\nelement vertex 4\n"
+    head += "".join(f"property float {axis}\n" for axis in "xyz")
+    head += "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    rows = ["{} {} {}".format(*point) for point in points.tolist()]
+    return "\n".join([head + rows[0], *rows[1:], "3 0 1 2", "3 0 2 3", ""]).encode()
+
+
+def stl(triangles=TRIANGLES, text=False):
+    if text:
+        facets = ""
+        for triangle in triangles.tolist():
+            vertices = "".join("vertex {} {} {}\n".format(*v) for v in triangle)
+            facets += f"facet normal 0 0 1\nouter loop\n{vertices}endloop\nendfacet\n"
+        return f"solid slat\n{facets}endsolid\n".encode()
+    data = b"solid, though binary".ljust(80) + struct.pack("<I", len(triangles))
+    for triangle in triangles:
+        data += struct.pack("<12fH", 0, 0, 1, *triangle.ravel(), 0)
+    return data
+
+
+def measured(path, **options):
+    specimen = gonio.mesh(path, MATT, **options)
+    return gonio.measure(specimen, 30, 80, period=25, rays=2**12, collector="angle:6x8")
+
+
+@pytest.fixture
+def reference(tmp_path):
+    (tmp_path / "slat.obj").write_bytes(obj(CORNERS))
+    return measured(tmp_path / "slat.obj")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("slat.ply", ply(CORNERS)),
+        ("SLAT.STL", stl()),
+        ("text.stl", stl(text=True)),
+    ],
+)
+def test_formats_are_one_specimen(tmp_path, reference, name, content):
+    """To the rounding of vertices: a ray in a thousand may go another way."""
+    (tmp_path / name).write_bytes(content)
+    record = measured(tmp_path / name)
+    difference = np.abs(record.flux_fraction - reference.flux_fraction)
+    assert difference.sum() <= 4e-3
+    assert reference.dht[0] > 0.2
+
+
+@pytest.mark.parametrize("up", ["z", "-z", "y", "-y", "x", "-x"])
+def test_the_axis_that_is_up_becomes_the_normal(tmp_path, reference, up):
+    """Whatever way the mesh was turned before; and shifts are undone."""
+    axis = "xyz".index(up[-1])
+    sign = -1 if up[0] == "-" else 1
+    path = tmp_path / "turned.obj"
+    matrix = np.array(gonio.instrument.mesh_specimens.UPS[up], dtype=float)
+    assert np.linalg.det(matrix) == 1
+    assert (matrix[2] == sign * np.eye(3)[axis]).all()
+    path.write_bytes(obj(CORNERS @ matrix + [5, -3, 2]))
+    record = measured(path, up=up)
+    difference = np.abs(record.flux_fraction - reference.flux_fraction)
+    assert difference.sum() <= 4e-3
+    plane = gonio.mesh(path, MATT, up=up, mean_plane=1.0)
+    low, high = gonio.transport.extents.bounds(mi.load_dict(plane).shapes())
+    middle = sign * [5, -3, 2][axis]
+    assert np.isclose((low + high)[2] / 2, middle - 1, atol=1e-5)
+
+
+def test_the_command_line_measures_a_mesh(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "slat.obj").write_bytes(obj(CORNERS))
+    words = ["slat.obj", "--unit", "mm", "--period", "25,25", "--rays", "64"]
+    words += ["--bsdf", "diffuse:reflectance=0.6", "-o", "slat.xml"]
+    assert cli.main(["bsdf", *words, "--basis", "klems-quarter"]) == 0
+    text = (tmp_path / "slat.xml").read_text()
+    (thickness,) = re.findall('<Thickness unit="meter">(.*)</Thickness>', text)
+    assert abs(float(thickness) - 2 * HALF[1] / 1000) <= 1e-8
+    capsys.readouterr()
+    for words, message in (
+        (["slat.obj"], "must come with what it is made of, such as --bsdf"),
+        (["slat.obj", "--bsdf", "slat.obj"], "--bsdf must be a BSDF in one word"),
+        (["slat.obj", "--bsdf", "rectangle"], "bsdf must be a BSDF, got 'rectangle'"),
+        (["slat.obj", "--bsdf", "diffuse", "--form", "plane"], "--form goes with a"),
+        (["diffuse", "--up", "x"], "--up goes with a mesh"),
+    ):
+        assert cli.main(["measure", *words, "--theta-i", "30"]) == 1
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"up": "w"}, "up must be one of"),
+        ({"mean_plane": np.nan}, "mean_plane must be a finite number"),
+        ({"bsdf": None}, "bsdf must say what the mesh slat.obj is made of"),
+    ],
+)
+def test_bad_arguments_are_refused(tmp_path, options, message):
+    (tmp_path / "slat.obj").write_bytes(obj(CORNERS))
+    with pytest.raises(ValueError, match=message):
+        gonio.mesh(tmp_path / "slat.obj", **({"bsdf": MATT} | options))
+    with pytest.raises(ValueError, match="existing file"):
+        gonio.mesh(tmp_path / "none.obj", MATT)
+    with pytest.raises(ValueError, match="path must end in"):
+        gonio.mesh(tmp_path / "slat.dae", MATT)
+
+
+def sentence_or(read):
+    """What an error says, or what was read."""
+    try:
+        return None, read()
+    except FileFormatError as error:
+        return str(error), None
+
+
+@pytest.mark.parametrize("text", [False, True], ids=["binary", "text"])
+def test_damaged_files_are_the_same_triangles_or_a_sentence(tmp_path, text):
+    """200 of them, cut or with bytes changed; sizes in headers exhaust nothing."""
+    data, rng = stl(text=text), np.random.default_rng(1)
+    path = tmp_path / "slat.stl"
+    for number in range(200):
+        damaged = bytearray(data[: rng.integers(len(data)) if number % 2 else None])
+        for _ in range(number % 4):
+            damaged[rng.integers(len(damaged) or 1) : 1] = bytes([rng.integers(256)])
+        path.write_bytes(damaged)
+        told, vertices = sentence_or(lambda: read_stl(path))
+        if told is None:
+            assert vertices.shape[1:] == (3, 3)
+            assert len(vertices) <= 2
+        else:
+            assert told.startswith(f"cannot load {path}: ")
+            assert "\n" not in told
+    path.write_bytes(data[:80] + struct.pack("<I", 2**32 - 1) + data[84:])
+    with pytest.raises(FileFormatError):
+        read_stl(path)
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "period", "told"),
+    [
+        ("dielectric", "box", True),
+        ("dielectric", (2.5, 2.5), False),
+        ("diffuse", "box", False),
+        ("thindielectric", "box", False),
+    ],
+)
+def test_walls_of_glass_in_the_sides_of_a_cell_are_told(recwarn, bsdf, period, told):
+    block = {"type": "scene", "block": {"type": "cube", "bsdf": {"type": bsdf}}}
+    gonio.measure(block, 30, period=period, rays=64)
+    messages = [str(one.message) for one in recwarn]
+    assert any("walls in the sides of the periodic cell" in m for m in messages) == told
+
+
+def test_a_film_without_walls_is_not_told_of(recwarn):
+    """Two faces of glass, and nothing at the sides."""
+    turned = mi.ScalarTransform4f().translate([0, 0, -1]).rotate([1, 0, 0], 180)
+    faces = {
+        "top": {"type": "rectangle", "bsdf": {"type": "dielectric"}},
+        "bottom": {
+            "type": "rectangle",
+            "to_world": turned,
+            "bsdf": {"type": "dielectric"},
+        },
+    }
+    gonio.measure({"type": "scene"} | faces, 30, period="box", rays=64)
+    assert not recwarn.list
