@@ -7,10 +7,19 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import agree, count_verdict, disagree, normal_scores, scores, verdict
+from budget import (
+    Verdict,
+    agree,
+    count_verdict,
+    disagree,
+    normal_scores,
+    scores,
+    verdict,
+)
+from scipy import stats
 
 import gonio_mi as gonio
-from gonio_mi.benchmark import c_loop, groove, renderers
+from gonio_mi.benchmark import c_loop, diffuse_facets, groove, renderers
 from gonio_mi.benchmark.baselines import (
     PATCHES,
     THETA_I,
@@ -244,6 +253,54 @@ def test_path_samples_of_the_groove():
 
     agree(compared(exact))
     disagree(compared(1.02 * exact))
+
+
+@pytest.mark.usefixtures("mono")
+def test_path_samples_of_facets():
+    """Copies of a cell about one of them are as good as a period; twin: 4 % more."""
+    shapes = {"facets": diffuse_facets.facets(diffuse_facets.COPIES)}
+    baseline = renderers.path_samples(lambda: shapes, 2)
+    flux = np.stack([baseline.flux(16, seed) for seed in range(16)])
+    record = gonio.measure(
+        {"type": "scene", "facets": diffuse_facets.facets()},
+        THETA_I,
+        period="box",
+        estimator="next_event",
+        points=PATCHES.n_patches,
+        rays=2**12,
+    )
+    (tally,) = record.tallies
+    ours = tally.sums[:, 0, ..., 0] / tally.incident[:, None]
+
+    def compared(factor):
+        # groups of 50 patches, so that means are normal and hold few errors in common
+        a, b = (x.reshape(16, -1, 50).sum(axis=2) for x in (factor * flux, ours))
+        std_err = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 16)
+        z = normal_scores((a - b).mean(axis=0) / std_err, 30)
+        worst = z.size * 2 * stats.norm.sf(np.abs(z).max())
+        return Verdict({"worst": min(1.0, worst)}, z.size)
+
+    agree(compared(1))
+    disagree(compared(1.04))
+
+
+@pytest.mark.usefixtures("mono")
+def test_radiance_of_facets():
+    """More samples come nearer to our reflectance; twin: not to that of a plate."""
+    baseline = built(diffuse_facets.facets_of_radiance)
+    few, many = (baseline.flux(samples, 0).sum() for samples in (4, 16))
+    record = gonio.measure(
+        {"type": "scene", "facets": diffuse_facets.facets()},
+        0,
+        period="box",
+        divergence=diffuse_facets.FIRST_KLEMS,
+        collector=renderers.KLEMS,
+        rays=2**18,
+    )
+    ours, plate = record.dhr[0], diffuse_facets.REFLECTANCE
+    assert record.dhr_std_err[0] < 1e-2 * (plate - ours)
+    assert abs(many - ours) < abs(few - ours) / 2
+    assert abs(many - plate) > abs(few - plate) / 2
 
 
 def radiance(geometry):

@@ -8,8 +8,9 @@ import mitsuba as mi
 from .batch_designs import print_ratios
 from .counting import print_rates
 from .coverage import print_coverage
+from .diffuse_facets import facet_contests
 from .endurance import print_growth
-from .equal_error import print_costs
+from .equal_error import print_contests, print_costs
 from .micro_geometry import print_speeds
 
 __all__ = ["main"]
@@ -26,7 +27,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     part.add_argument("--counting", action="store_true", help="raw speed only")
     part.add_argument("--equal-error", action="store_true", help="equal error only")
     part.add_argument(
-        "--geometry", action="store_true", help="paths on a rough mirror, instead"
+        "--geometry",
+        action="store_true",
+        help="paths on a rough mirror, and equal error on diffuse facets, instead",
     )
     part.add_argument(
         "--error", action="store_true", help="sobol against independent rays, instead"
@@ -67,6 +70,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         print_ratios(int(options.rays or 1e8), options.seeds, options.repeats)
     elif options.geometry:
         print_speeds(int(options.rays or 2**22), options.repeats)
+        cost = options.target, options.repeats, options.limit
+        print_contests(*facet_contests(), *cost)
     elif options.coverage:
         print_coverage(int(options.rays or 1e6))
     elif options.long:

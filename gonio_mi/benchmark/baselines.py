@@ -65,36 +65,37 @@ class Baseline:
 
 
 def gonio_rays(
-    specimen: dict[str, Any],
+    specimen: Any,
     estimator: str,
     sampler: str,
     *,
     batches: int = 32,
     subdivision: Subdivision = PATCHES,
-    footprint: str = "point",
-    points: int = 1,
+    **settings: Any,
 ) -> Baseline:
     """Our instrument, by rays; by default at one point, as the others do.
 
-    `points` are those of the estimator `next_event`.
+    `settings` are those of :func:`measure`.
     """
+    settings = {"theta_i": THETA_I, "footprint": "point"} | settings
 
     def _flux(rays: int, seed: int) -> Floats:
         record = measure(
             specimen,
-            THETA_I,
             collector=subdivision,
             rays=rays,
             batches=batches,
             estimator=estimator,
             sampler=sampler,
             seed=seed,
-            footprint=footprint,
-            points=points,
+            **settings,
         )
         return record.brdf[..., 0] * subdivision.projected_solid_angles
 
     shown = "1 batch" if batches == 1 else f"{batches} batches"
+    points = settings.get("points", 1)
+    if points > 1:
+        shown = f"{points} points, {shown}"
     name = f"gonio-mi, {sampler}, {estimator}, {shown}"
     first = max(2**12 // points, batches)
     return Baseline(name, _flux, subdivision, first=first)

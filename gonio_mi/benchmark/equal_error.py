@@ -1,5 +1,6 @@
 """What a map of a given error costs: CPU seconds for each incident direction."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -32,7 +33,15 @@ from .renderers import (
 from .table import print_table
 from .timing import cpu_seconds, in_turns
 
-__all__ = ["Found", "contests", "error", "print_costs", "search"]
+__all__ = [
+    "Contests",
+    "Found",
+    "contests",
+    "error",
+    "print_contests",
+    "print_costs",
+    "search",
+]
 
 Contests = dict[str, list[tuple[Baseline, Floats]]]
 
@@ -85,6 +94,7 @@ def contests() -> tuple[Contests, list[str]]:
                 *_deposits(walls, PATCHES),
                 path_samples(groove.walls, 1),
                 path_samples(groove.walls, 2),
+                path_samples(groove.walls, 1, "multijitter"),
             )
         ],
         "white plate, 145 patches": [
@@ -224,7 +234,13 @@ def search(baseline: Baseline, exact: Floats, target: float, limit: float) -> Fo
 
 def print_costs(target: float, repeats: int, limit: float) -> None:
     """Print what a map of the relative RMS error `target` costs by each method."""
-    found, absent = contests()
+    print_contests(*contests(), target, repeats, limit)
+
+
+def print_contests(
+    found: Contests, absent: Sequence[str], target: float, repeats: int, limit: float
+) -> None:
+    """Print a table for each of some contests, and what is absent from them."""
     print(
         f"\nEqual error: {target:.2%} RMS over the patches, relative to the mean BRDF. "
         "CPU time for one\nincident direction, medians of "

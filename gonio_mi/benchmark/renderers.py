@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -55,21 +55,26 @@ def path_directions(specimen: dict[str, Any]) -> Baseline:
     return Baseline(name, _flux, size="x as many per patch", first=1, random=False)
 
 
-def path_samples(shapes: Callable[[], dict[str, Any]], n: int = 1) -> Baseline:
+def path_samples(
+    shapes: Callable[[], dict[str, Any]], n: int = 1, sampler: str = "independent"
+) -> Baseline:
     """Stock Mitsuba towards ``n x n`` points of every patch, by so many paths each.
 
     `shapes` is a function that gives Mitsuba's dictionaries of them.
     """
 
     def _flux(paths: int, seed: int) -> Floats:
-        return _path_flux(_path_scene(shapes, n), n, paths, seed)
+        return _path_flux(_path_scene(shapes, n, sampler), n, paths, seed)
 
-    name = f"Mitsuba path, {n * n} distant sensor{'s' if n > 1 else ''} a patch"
+    sensors = "1 distant sensor" if n == 1 else f"{n * n} distant sensors"
+    name = f"Mitsuba path, {sampler}, {sensors} a patch"
     return Baseline(name, _flux, size="paths each", first=1)
 
 
 @lru_cache(maxsize=1)  # all sensors that exist, of any scene, make a rendering slower
-def _path_scene(shapes: Callable[[], dict[str, Any]], n: int) -> mi.Scene:
+def _path_scene(
+    shapes: Callable[[], dict[str, Any]], n: int, sampler: str = "independent"
+) -> mi.Scene:
     """One `distant` sensor for each direction, in a `batch`, above the lit specimen."""
     points = PATCHES.points(n).reshape(-1, 3)
     film = {"type": "hdrfilm", "height": 1, "rfilter": {"type": "box"}}
@@ -80,7 +85,11 @@ def _path_scene(shapes: Callable[[], dict[str, Any]], n: int) -> mi.Scene:
             "to_world": mi.ScalarTransform4f().translate([0, 0, 1e-3]),
         }
     )
-    batch: dict[str, Any] = {"type": "batch", "film": film | {"width": len(points)}}
+    batch: dict[str, Any] = {
+        "type": "batch",
+        "film": film | {"width": len(points)},
+        "sampler": {"type": sampler},
+    }
     for number, wo in enumerate(points):
         batch[f"towards_{number:07d}"] = {
             "type": "distant",
@@ -88,9 +97,7 @@ def _path_scene(shapes: Callable[[], dict[str, Any]], n: int) -> mi.Scene:
             "target": target,
             "film": film | {"width": 1},
         }
-    level = mi.log_level()
-    mi.set_log_level(mi.LogLevel.Error)  # every film warns of the variant
-    try:
+    with _errors_only():  # every film warns of the variant
         return mi.load_dict(
             {
                 "type": "scene",
@@ -103,13 +110,23 @@ def _path_scene(shapes: Callable[[], dict[str, Any]], n: int) -> mi.Scene:
                 **shapes(),
             }
         )
+
+
+@contextlib.contextmanager
+def _errors_only() -> Iterator[None]:
+    """Mitsuba without its warnings."""
+    level = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        yield
     finally:
         mi.set_log_level(level)
 
 
 def _path_flux(scene: mi.Scene, n: int, paths: int, seed: int) -> Floats:
     """Flux fraction of each patch, from the radiance towards its points."""
-    radiance = mi.render(scene, spp=paths, seed=seed).numpy().ravel()
+    with _errors_only():  # samplers warn of rounding a number of paths up
+        radiance = mi.render(scene, spp=paths, seed=seed).numpy().ravel()
     brdf = radiance.reshape(*PATCHES.shape, n * n).mean(axis=2, dtype=float)
     return brdf / np.cos(np.radians(THETA_I)) * PATCHES.projected_solid_angles
 
@@ -117,7 +134,9 @@ def _path_flux(scene: mi.Scene, n: int, paths: int, seed: int) -> Floats:
 # -------------------------------------------------------------------------- Radiance
 
 
-def radiance_genbsdf(geometry: str, reflectance: float) -> Baseline:
+def radiance_genbsdf(
+    geometry: str, reflectance: float, box: Sequence[float] | None = None
+) -> Baseline:
     """Radiance's genBSDF: light from all 145 Klems patches into all of them at once.
 
     Parameters
@@ -126,6 +145,8 @@ def radiance_genbsdf(geometry: str, reflectance: float) -> Baseline:
         Polygons of the material ``m``, whose top is just below z = 0.
     reflectance : float
         Of that Lambertian material.
+    box : sequence of 6 float, optional
+        Extents in x, y and z that light falls on; all of the geometry if None.
 
     Returns
     -------
@@ -153,6 +174,7 @@ def radiance_genbsdf(geometry: str, reflectance: float) -> Baseline:
                 nsamp=samples - 1,
                 nproc=processes,
                 front=False,
+                dim=box and pyradiance.genbsdf.SamplingBox(*box),
             )
         matrix = np.array(result.back.reflectance.split(), dtype=float)
         return matrix.reshape(145, 145).T[..., None]
