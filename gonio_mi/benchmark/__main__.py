@@ -65,12 +65,16 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--variant", default="llvm_ad_mono")
     options = parser.parse_args(argv)
     mi.set_variant(options.variant)
+    _run(options)
 
+
+def _run(options: argparse.Namespace) -> None:
+    """Print what was asked for."""
+    cost = options.target, options.repeats, options.limit
     if options.error:
         print_ratios(int(options.rays or 1e8), options.seeds, options.repeats)
     elif options.geometry:
         print_speeds(int(options.rays or 2**22), options.repeats)
-        cost = options.target, options.repeats, options.limit
         print_contests(*facet_contests(), *cost)
     elif options.coverage:
         print_coverage(int(options.rays or 1e6))
@@ -80,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         if not options.equal_error:
             print_rates(int(options.rays or 2**24), options.repeats)
         if not options.counting:
-            print_costs(options.target, options.repeats, options.limit)
+            print_costs(*cost)
 
 
 if __name__ == "__main__":

@@ -77,10 +77,10 @@ def gonio_rays(
 
     `settings` are those of :func:`measure`.
     """
-    settings = {"theta_i": THETA_I, "footprint": "point"} | settings
+    given: dict[str, Any] = {"theta_i": THETA_I, "footprint": "point"} | settings
 
     def _flux(rays: int, seed: int) -> Floats:
-        record = measure(
+        record: Any = measure(
             specimen,
             collector=subdivision,
             rays=rays,
@@ -88,12 +88,12 @@ def gonio_rays(
             estimator=estimator,
             sampler=sampler,
             seed=seed,
-            **settings,
+            **given,
         )
         return record.brdf[..., 0] * subdivision.projected_solid_angles
 
     shown = "1 batch" if batches == 1 else f"{batches} batches"
-    points = settings.get("points", 1)
+    points = given.get("points", 1)
     if points > 1:
         shown = f"{points} points, {shown}"
     name = f"gonio-mi, {sampler}, {estimator}, {shown}"

@@ -93,8 +93,8 @@ def _ours(patches: Subdivision, **settings: Any) -> list[tuple[Baseline, Floats]
     """Our instrument with 16 batches, and a long measurement as the truth."""
     scene = mi.load_dict({"type": "scene", "facets": facets()})
     settings = {"period": "box", "footprint": "full"} | settings
-    many = {"points": patches.n_patches}
-    truth = measure(
+    many: dict[str, Any] = {"points": patches.n_patches}
+    truth: Any = measure(
         scene,
         collector=patches,
         estimator="next_event",
