@@ -200,10 +200,10 @@ def _scatter(record: Record, specular: bool) -> Scatter:
 
 
 def _grid(record: Record) -> tuple[Floats, Floats]:
-    """Polar angles and azimuths about the normal, at least two for each patch."""
+    """Polar angles and azimuths about the normal, some for each patch."""
     n_theta, n_phi = record.subdivision.shape
-    step = 90 / np.clip(2 * n_theta, 18, 90).astype(int)
-    turn = 360 / np.clip(2 * n_phi, 36, 120).astype(int)
+    step = 90 / np.clip(3 * n_theta, 18, 90).astype(int)
+    turn = 360 / np.clip(4 * n_phi, 36, 180).astype(int)
     return np.arange(0, 90 + step / 2, step), np.arange(0, 360 + turn / 2, turn)
 
 

@@ -19,7 +19,7 @@ from .measured_table import MeasuredTable
 __all__ = ["Block", "Scatter", "check_size", "patch_means", "total_of"]
 
 # Points per side of a patch that is averaged over.
-POINTS = 4
+POINTS = 6
 
 # Polar angles below the horizon by no more than this, in degrees, are on it.
 ABOVE = 1e-6
