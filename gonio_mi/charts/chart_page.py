@@ -16,7 +16,11 @@ PAGE_ENDINGS = (".html",)
 
 
 def check_page(path: str | PathLike[str]) -> None:
-    """Raise one clear sentence unless a page can be drawn and written to `path`."""
+    """Raise one clear sentence unless a page can be drawn and written to `path`.
+
+    ImportError without Matplotlib; ValueError or OSError unless the ending is
+    ``.html`` and the file can be written.
+    """
     check_matplotlib()
     check_output(path, PAGE_ENDINGS)
 
@@ -24,12 +28,7 @@ def check_page(path: str | PathLike[str]) -> None:
 def save_page(chart: Chart, path: str | PathLike[str], target: float = 0.01) -> None:
     """Write the figure of a chart, its costs for `target`, and what to use.
 
-    Raises
-    ------
-    ImportError
-        Without Matplotlib.
-    ValueError, OSError
-        If the ending is not ``.html``, or the file cannot be written.
+    Raises as :func:`check_page`.
     """
     check_page(path)
     reference = chart.reference

@@ -36,16 +36,7 @@ def sheet(record: Record, path: str | PathLike[str] | None = None) -> Figure:
     path : str or path, optional
         Ends in ``.pdf``, ``.png`` or ``.svg``.
 
-    Returns
-    -------
-    matplotlib.figure.Figure
-
-    Raises
-    ------
-    ImportError
-        If matplotlib is not installed.
-    ValueError, OSError
-        For another file ending, or if the file cannot be written.
+    Returns the matplotlib figure, and raises as :func:`gonio_mi.plot`.
     """
     check_matplotlib()
     from .figure import NotebookFigure
@@ -92,12 +83,7 @@ def animation(
     progress : bool
         Show a progress bar on standard error.
 
-    Raises
-    ------
-    ImportError
-        If matplotlib is not installed.
-    ValueError, OSError
-        For another file ending, or if the file cannot be written.
+    Raises as :func:`gonio_mi.plot`.
     """
     check_matplotlib()
     check_output(path, ANIMATION_ENDINGS)
