@@ -32,6 +32,7 @@ myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 
 nb_execution_mode = "off" if os.environ.get("GONIO_HANDBOOK") == "pages" else "force"
+nb_execution_in_temp = True  # what notebooks write is not a part of the project
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 
