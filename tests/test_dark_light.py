@@ -12,8 +12,8 @@ import gonio_mi as gonio
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.tally import WEIGHT_SCALE
 from gonio_mi.transport.exact_powers import LEVELS, ONE, Digits, Exact, unit_of
-from gonio_mi.transport.launch import Pace
 from gonio_mi.transport.loop import RARE, whole_number
+from gonio_mi.transport.pace import Pace
 
 EPS32 = float(np.finfo(np.float32).eps)
 
@@ -304,5 +304,7 @@ def test_launches_do_not_matter(mono, monkeypatch):  # noqa: ARG001
 
     whole = record()
     for size in (7001, 20_011):
-        monkeypatch.setattr(Pace, "next_part", lambda _, a, b, n=size: min(n, b - a))
+        monkeypatch.setattr(
+            Pace, "next_part", lambda *ab, n=size: min(n, ab[2] - ab[1])
+        )
         assert record().tallies == whole.tallies

@@ -3,7 +3,6 @@
 Everything here is exact: rays, ledgers and bits.
 """
 
-import importlib
 import signal
 import warnings
 from dataclasses import replace
@@ -14,8 +13,9 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi import cli
+from gonio_mi.instrument import launches
 from gonio_mi.instrument.batches import rounds
-from gonio_mi.transport import launch
+from gonio_mi.transport import pace
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -26,13 +26,12 @@ LONG = {"theta_i": 40, "rays": 40_003, "batches": 4, "collector": "projected:6x8
 @pytest.fixture(autouse=True)
 def short_rounds(monkeypatch):
     """Rounds of 1024 rays of each batch, on machines where launches hold as many."""
-    instrument = importlib.import_module("gonio_mi.instrument.instrument")
     for name in ("ROUND_TRACED", "ROUND_PLANE"):
-        monkeypatch.setattr(instrument, name, 2**10)
-    for name in ("FIRST_TRACED", "FIRST_PLANE"):
-        monkeypatch.setattr(instrument, name, 2**11)
-    monkeypatch.setattr(launch, "SECONDS", 1e-9)
-    return instrument
+        monkeypatch.setattr(launches, name, 2**10)
+    for name in ("FIRST_OF_CURVE", "FIRST_TRACED", "FIRST_PLANE"):
+        monkeypatch.setattr(launches, name, 2**11)
+    monkeypatch.setattr(launches, "GROUP_SECONDS", 1)
+    monkeypatch.setattr(pace, "SECONDS", 1e-9)
 
 
 @pytest.fixture
@@ -42,7 +41,7 @@ def ctrl_c(monkeypatch):
     As Python takes it, even if a shell in the background ignores it.
     """
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    send = launch.launch
+    send = pace.launch
 
     def press(at):
         number = iter(range(1, 10**9))
@@ -52,7 +51,7 @@ def ctrl_c(monkeypatch):
                 signal.raise_signal(signal.SIGINT)
             return send(*arguments)
 
-        monkeypatch.setattr(launch, "launch", pressed)
+        monkeypatch.setattr(pace, "launch", pressed)
 
     yield press
     signal.signal(signal.SIGINT, before)
@@ -95,15 +94,22 @@ def test_rounds_lead_to_the_plan(plan):
 # ------------------------------------------------------------------ interruption
 
 
-@pytest.mark.parametrize("trace", [False, True])
-def test_ctrl_c_amid_long_batches(ctrl_c, trace):
+@pytest.mark.parametrize(
+    ("trace", "cuts"),
+    [
+        (False, ((2, 2, 1024), (7, 4, 1024), (30, 4, 7168))),
+        # the first launch is only for its speed
+        (True, ((4, 2, 1024), (8, 4, 1024), (31, 4, 7168))),
+    ],
+)
+def test_ctrl_c_amid_long_batches(ctrl_c, trace, cuts):
     """The record is that of a measurement of fewer rays, and goes on to all of them.
 
     In the first round it holds the batches that have finished it.
     """
     settings = LONG | {"trace": trace}
     whole = gonio.measure(PLASTIC, **settings)
-    for at, batches, each in ((2, 2, 1024), (7, 4, 1024), (30, 4, 7168)):
+    for at, batches, each in cuts:
         ctrl_c(at)
         part = interrupted(PLASTIC, **settings)
         assert rays_of(part) == [each] * batches
@@ -118,35 +124,35 @@ def test_ctrl_c_amid_long_batches(ctrl_c, trace):
 def test_late_ctrl_c_loses_an_eighth(ctrl_c, monkeypatch):
     """Of the rays that were sent, or the launches of the first rounds."""
     sent = []
-    count = launch.launch
+    count = pace.launch
 
     def counted(bench, settings, keys, sizes, *others):
         sent.append(sum(sizes))
         return count(bench, settings, keys, sizes, *others)
 
-    monkeypatch.setattr(launch, "launch", counted)
+    monkeypatch.setattr(pace, "launch", counted)
     gonio.measure(PLASTIC, **LONG)
     for at in (len(sent) // 2, len(sent)):
-        monkeypatch.setattr(launch, "launch", count)
+        monkeypatch.setattr(pace, "launch", count)
         ctrl_c(at)
         part = interrupted(PLASTIC, **LONG)
         lost = sum(sent[: at - 1]) - part.ledger.emitted
         assert 0 <= lost <= max(4 * 1024, part.ledger.emitted / 8)
 
 
-def test_bits_hold_where_sums_are_rounded(ctrl_c, short_rounds, monkeypatch):
+def test_bits_hold_where_sums_are_rounded(ctrl_c, monkeypatch):
     """Beyond 53 bits; the twin rounds elsewhere."""
     metal = {"type": "roughconductor", "alpha": 0.3}
     settings = {"theta_i": 60, "collector": "projected:1x1", "batches": 2}
     settings["rays"] = 2**21 + 2**19
-    monkeypatch.setattr(launch, "SECONDS", 1.0)
-    monkeypatch.setattr(short_rounds, "ROUND_PLANE", 2**16)
+    monkeypatch.setattr(pace, "SECONDS", 1.0)
+    monkeypatch.setattr(launches, "ROUND_PLANE", 2**16)
     whole = gonio.measure(metal, **settings)
     ctrl_c(10)
     part = interrupted(metal, **settings)
     ctrl_c(0)
     assert gonio.measure(metal, **settings, resume=part).tallies == whole.tallies
-    monkeypatch.setattr(short_rounds, "ROUND_PLANE", 2**22)
+    monkeypatch.setattr(launches, "ROUND_PLANE", 2**22)
     other = gonio.measure(metal, **settings)
     assert other.tallies != whole.tallies
     np.testing.assert_allclose(other.dhr, whole.dhr, rtol=1e-14)

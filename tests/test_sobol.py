@@ -7,7 +7,8 @@ chi-square is tested on the upper side alone.
 
 import importlib
 from functools import cache
-from itertools import combinations
+from itertools import combinations, pairwise
+from types import SimpleNamespace
 
 import drjit as dr
 import mitsuba as mi
@@ -28,7 +29,10 @@ from scipy import stats
 from scipy.stats import qmc
 
 import gonio_mi as gonio
-from gonio_mi.transport import launch, sampling
+from gonio_mi.instrument import launches
+from gonio_mi.transport import pace, sampling
+from gonio_mi.transport.morton import block_bits
+from gonio_mi.transport.pace import segments
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -225,26 +229,49 @@ def test_scrambling_is_undone(sobol):
 
 
 @pytest.mark.parametrize(
-    ("start", "n"),
-    [
-        (0, 1),
-        (0, 2**14),
-        (0, 1000),
-        (7, 1),
-        (8, 4),
-        (12_345, 54_321),
-        (2**20, 300),
-        (2**24 - 1, 2**15),
-        (2**32 - 5000, 5000),
-    ],
+    ("base", "bits"),
+    [(0, 0), (0, 14), (7, 0), (8, 2), (2**20, 9), (2**32 - 2**12, 12)],
 )
-def test_the_curve_meets_each_point_once(sobol, start, n):
-    """Exact, wherever a wavefront begins and ends in the sequence."""
+def test_the_curve_meets_each_point_once(sobol, base, bits):
+    """Exact, of any aligned block."""
     for seed in (1, 99):
-        lanes = dr.arange(mi.UInt32, n)
-        index = sobol.along_curve(lanes, start, n, mi.UInt32(seed))
+        place = dr.arange(mi.UInt32, 2**bits)
+        index = sobol.along_curve(place, base, bits, mi.UInt32(seed))
         met = np.sort(index.numpy().astype(np.int64))
-        assert np.array_equal(met, np.arange(start, start + n))
+        assert np.array_equal(met, np.arange(base, base + 2**bits))
+
+
+@pytest.mark.parametrize(
+    ("start", "n"),
+    [(0, 1), (0, 2**10), (0, 1000), (7, 1), (12_345, 3210), (2**20 - 100, 300)],
+)
+def test_stretches_of_the_curve_meet_each_point_once(start, n):
+    """Exact, wherever a wavefront begins and ends in the sequences."""
+    length = 3 << block_bits(start, n)
+    bounds = [*range(0, length, length // 3), length]
+    met = []
+    for first, last in pairwise(bounds):
+        sampler = loaded(seed=mi.UInt32([5, 6, 7]), n=3 * n, start=start)
+        sequence, number = (
+            x.numpy().astype(int) for x in sampler.follow_curve(first, last)
+        )
+        wanted = (number >= 0) & (number < n)
+        met += list(zip(sequence[wanted].tolist(), number[wanted].tolist()))
+    assert len(met) == 3 * n
+    assert set(met) == {(i, j) for i in range(3) for j in range(n)}
+
+
+@pytest.mark.parametrize(
+    ("begin", "end"), [(0, 1), (0, 2**20), (5, 6), (4096, 125_000), (2**32 - 9, 2**33)]
+)
+def test_segments_are_worth_a_block_about_them(begin, end):
+    """Exact; blocks about what straddles their borders would be mostly empty."""
+    found = list(segments(begin, end, 2**27))
+    assert [a for a, _ in found] == [begin, *(b for _, b in found[:-1])]
+    assert found[-1][1] == end
+    for a, b in found:
+        assert 1 << block_bits(a, b - a) < 2 * (b - a)
+        assert b - a <= 2**27
 
 
 def test_sequences_walk_along_one_curve():
@@ -446,12 +473,11 @@ def test_samplers_that_measure_wrongly_are_refused(sampler, reason):
 
 
 def test_launches_of_a_batch_are_one_sequence(monkeypatch):
-    integrator = importlib.import_module("gonio_mi.instrument.instrument")
     settings = {"theta_i": 30, "rays": 40_000, "batches": 3}
     whole = gonio.measure(PLASTIC, **settings)
     random = gonio.measure(PLASTIC, **settings, sampler="independent")
     assert whole.settings["sampler"] == "sobol"
-    monkeypatch.setattr(integrator, "LAUNCH", 1000)
+    monkeypatch.setattr(launches, "LAUNCH", 1000)
     assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
     other = gonio.measure(PLASTIC, **settings, sampler="independent")
     assert other.tallies != random.tallies
@@ -469,12 +495,11 @@ def test_the_best_dimensions_go_to_the_scattering_with_any_footprint():
 @pytest.mark.parametrize("trace", [False, True])
 def test_batches_that_share_a_launch_have_the_bits_of_their_own(monkeypatch, trace):
     """Exact, with batches of unequal size, and several launches of a few batches."""
-    integrator = importlib.import_module("gonio_mi.instrument.instrument")
     settings = {"theta_i": [0, 60], "rays": 10_021, "batches": 7, "trace": trace}
     whole = gonio.measure(PLASTIC, **settings)
-    monkeypatch.setattr(integrator, "FUSED_RAYS", 5000)
+    monkeypatch.setattr(launches, "FUSED_RAYS", 5000)
     assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
-    monkeypatch.setattr(integrator, "FUSED_SUMS", 0)
+    monkeypatch.setattr(launches, "FUSED_SUMS", 0)
     assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
 
 
@@ -482,39 +507,40 @@ def test_batches_of_geometry_that_share_a_launch_have_the_bits_of_their_own(
     monkeypatch,
 ):
     """Exact: in packets of rays with other batches, and of a batch alone."""
-    integrator = importlib.import_module("gonio_mi.instrument.instrument")
     bsdf = {"type": "twosided", "bsdf": {"type": "conductor"}}
     hills = {"type": "heightfield", "alpha": 0.5, "resolution": 64, "bsdf": bsdf}
     settings = {"theta_i": 30, "rays": 99_998, "batches": 5}
     whole = gonio.measure(hills, **settings)
-    monkeypatch.setattr(integrator, "FUSED_RAYS", 50_000)
+    monkeypatch.setattr(launches, "FUSED_RAYS", 50_000)
     assert gonio.measure(hills, **settings).tallies == whole.tallies
-    monkeypatch.setattr(integrator, "FUSED_SUMS", 0)
-    monkeypatch.setattr(integrator, "FIRST_TRACED", 3000)
+    monkeypatch.setattr(launches, "FUSED_SUMS", 0)
+    monkeypatch.setattr(launches, "FIRST_TRACED", 3000)
     assert gonio.measure(hills, **settings).tallies == whole.tallies
 
 
 @pytest.mark.parametrize("trace", [False, True])
 def test_launches_as_short_as_can_be_have_the_bits_of_long_ones(monkeypatch, trace):
     """Exact; the slowest machine there is, on which a launch is of 1024 rays."""
-    integrator = importlib.import_module("gonio_mi.instrument.instrument")
     settings = {"theta_i": 60, "rays": 20_003, "batches": 2, "trace": trace}
     sent = []
-    tallies = integrator.Instrument.tallies
+    send = pace.launch
 
-    def heard(*args, **kwargs):
-        kwargs["progress"] = sent.append
-        return tallies(*args, **kwargs)
+    def heard(*arguments):
+        totals = send(*arguments)
+        sent.append(totals.emitted)
+        return totals
 
-    monkeypatch.setattr(integrator.Instrument, "tallies", heard)
+    monkeypatch.setattr(pace, "launch", heard)
     whole = gonio.measure(PLASTIC, **settings)
     assert sent == [20_003]
-    monkeypatch.setattr(integrator, "FIRST_TRACED", 2000)
-    monkeypatch.setattr(integrator, "FIRST_PLANE", 2000)
-    monkeypatch.setattr(launch, "SECONDS", 1e-9)
+    monkeypatch.setattr(launches, "FIRST_OF_CURVE", 2000)
+    monkeypatch.setattr(launches, "FIRST_TRACED", 2000)
+    monkeypatch.setattr(launches, "FIRST_PLANE", 2000)
+    monkeypatch.setattr(pace, "SECONDS", 1e-9)
     sent.clear()
     assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
-    assert sum(sent) == 20_003
+    # traced, the batches are too slow to share what was sent of both
+    assert sum(sent) == 20_003 + (sent[0] if trace else 0)
     assert sent[0] <= 2000
     assert max(sent[1:]) <= 1024
 
@@ -524,18 +550,21 @@ def test_ctrl_c_is_heard_after_a_second(monkeypatch, rate):
     """By a clock of our own, at `rate` rays a second; but for the first launches."""
     clock = [0.0]
 
-    def launch_rays(_bench, _settings, _keys, sizes):
+    def launch_rays(sizes):
+        clock[0] += 60  # it is compiled
+        started = clock[0]
         clock[0] += 1e-6 + sum(sizes) / rate
+        return SimpleNamespace(started=started)
 
-    monkeypatch.setattr(launch, "launch", launch_rays)
-    monkeypatch.setattr(launch.time, "perf_counter", lambda: clock[0])
-    pace, begin, end = launch.Pace(2**18), 2**32 - 10**6, 2**32 + int(20 * rate)
+    monkeypatch.setattr(pace, "launch", launch_rays)
+    monkeypatch.setattr(pace.time, "perf_counter", lambda: clock[0])
+    ours, begin, end = pace.Pace(2**18), 2**32 - 10**6, 2**32 + int(20 * rate)
     parts, ends = [], []
     while begin < end:
-        parts.append(pace.next_part(begin, end))
+        parts.append(ours.next_part(begin, end, 2**40))
         before, begin = clock[0], begin + parts[-1]
-        pace.launch(None, {}, None, [parts[-1]])
-        ends.append(clock[0] - before)
+        ours.launch(parts[-1], [parts[-1]])
+        ends.append(clock[0] - before - 60)
     assert sum(parts) == end - (2**32 - 10**6)
     assert 2**32 in np.cumsum(parts) + 2**32 - 10**6
     assert max(ends[6:]) <= max(1.001, 1024 / rate + 1e-6)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import platform
+from functools import cache
 from importlib.metadata import version
 
 import drjit as dr
@@ -21,6 +22,12 @@ __all__ = ["described"]
 
 # Settings that a record knows better: its batches, its channels, its precision.
 KNOWN_OTHERWISE = {"batches", "wavelengths", "rel_err"}
+
+
+@cache
+def _own_version() -> str:
+    """Version of the installed package, which is looked up in its files."""
+    return version("gonio-mi")
 
 
 def described(
@@ -58,7 +65,7 @@ def described(
         "collector_radius": bench.collector.radius,
         "variant": mi.variant(),
         "versions": {
-            "gonio_mi": version("gonio-mi"),
+            "gonio_mi": _own_version(),
             "mitsuba": mi.__version__,
             "drjit": dr.__version__,
             "numpy": np.__version__,

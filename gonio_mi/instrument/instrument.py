@@ -18,36 +18,17 @@ from ..settings import MeasurementSettings
 from ..transport.beam import Beam
 from ..transport.bench import Bench
 from ..transport.collector_sphere import CollectorSphere
-from ..transport.launch import Pace, traces
 from ..transport.media import check_media
 from ..transport.next_event import check_traced
+from ..transport.pace import Pace
 from ..transport.specimen import Specimen
 from ..transport.spectral_coverage import check_covered
-from ..transport.sums import packet_width
 from ..transport.trial import check_works
 from ..transport.wavelengths import channel_names, passes, wavelength_lanes
 from .description import described
+from .launches import Launches
 
 __all__ = ["Instrument"]
-
-# Rays per kernel launch, at most. For samplers other than `sobol` it takes part in the
-# seeding: a change of it changes the random numbers.
-LAUNCH = 2**24
-
-# Rays of the batches that share a launch: many for its overhead, few for the progress
-# bar and Ctrl-C; and the numbers that they add up to, kept apart for each thread and
-# in its cache.
-FUSED_RAYS = 2**22
-FUSED_SUMS = 2**19
-
-# Rays of the first launch, traced and on a plane, and points that traced ones send
-# light to; then as many as take a second.
-FIRST_TRACED, FIRST_PLANE, FIRST_POINTS = 2**18, 2**20, 2**22
-
-
-# Rays of each batch in a round: traced and on a plane. Of samplers whose numbers
-# depend on the launch, rounds are whole launches.
-ROUND_TRACED, ROUND_PLANE = 2**17, 2**22
 
 
 class Instrument:
@@ -183,24 +164,24 @@ class Instrument:
         ------
         Tally
         """
-        capacity, pace = self._capacity(bench), self._pace_at(bench)
+        launches = self._launches(bench)
+        sent = [(nm, wavelength_lanes(nm)) for nm in passes(self.wavelengths)]
         while sizes:
-            most = min(FUSED_RAYS, pace.rays)
-            several = max(1, min(len(sizes), capacity, most // sizes[0]))
+            keys = [(*key, first + i) for i in range(len(sizes))]
+            several = launches.several(
+                [(*one, 0) for one in keys], sizes, start, sent[0][1]
+            )
             groups = []
-            for number, nm in enumerate(passes(self.wavelengths)):
-                keys = [(*key, first + i, number) for i in range(several)]
-                lanes = wavelength_lanes(nm)
-                tally = self._part(bench, keys, sizes[:several], start, lanes, progress)
+            for number, (nm, lanes) in enumerate(sent):
+                own = [(*one, number) for one in keys[:several]]
+                tally = launches.tally(own, sizes[:several], start, lanes, progress)
                 groups.append(tally if nm is None else tally.first(len(nm)))
             yield groups[0] if len(groups) == 1 else Tally.join_channels(groups)
             first, sizes = first + several, sizes[several:]
 
     def round_rays(self, bench: Bench) -> int:
         """Rays of each batch after which all of them are even for the first time."""
-        if not self._divisible:
-            return LAUNCH
-        return ROUND_TRACED if traces(bench, self.settings) else ROUND_PLANE
+        return self._launches(bench).round_rays
 
     def samples(self, bench: Bench) -> bool:
         """Whether rays are needed: always, but for integrals without delta lobes."""
@@ -223,51 +204,11 @@ class Instrument:
             sampled = Tally.empty(bench.shape[0], shape, flux.shape[-1], WEIGHT_SCALE)
         return Integrals.beside(sampled, flux, errors)
 
-    @property
-    def _divisible(self) -> bool:
-        """Whether the sampler's numbers are the same however launches share them."""
-        return hasattr(self.sampler, "start")
-
-    def _capacity(self, bench: Bench) -> int:
-        """Batches that may share a launch: the same for all launches at a bench."""
-        if not self._divisible:
-            return 1
-        fitting = FUSED_SUMS // (bench.n_bins * packet_width())
-        return max(1, min(fitting, self.settings.batches))
-
-    def _pace_at(self, bench: Bench) -> Pace:
-        """How many rays a launch takes, learnt from one launch to the next."""
-        if self._pace is None:
-            traced = min(FIRST_TRACED, FIRST_POINTS // self.points)
-            self._pace = Pace(traced if traces(bench, self.settings) else FIRST_PLANE)
-        return self._pace
-
-    def _part(
-        self,
-        bench: Bench,
-        keys: Sequence[tuple[int, ...]],
-        sizes: Sequence[int],
-        start: int,
-        wavelengths: mi.Spectrum,
-        progress: Callable[[float], Any] | None,
-    ) -> Tally:
-        """Tally of the batches of `keys`, by one launch or more for a single one."""
-        total: Any = None
-        capacity, pace = self._capacity(bench), self._pace_at(bench)
-        begin, end = start, start + sizes[0]
-        while begin < end:
-            n = min(LAUNCH, end - begin)
-            if self._divisible:
-                n = min(n, pace.next_part(begin, end))
-            parts = [min(n, start + size - begin) for size in sizes]
-            totals = pace.launch(
-                bench, self.settings, keys, parts, begin, wavelengths, capacity
-            )
-            total = totals if total is None else total + totals
-            if progress is not None:
-                progress(sum(parts))
-            begin += n
-        return total.tally()
+    def _launches(self, bench: Bench) -> Launches:
+        """Launches at a bench, which know how long those before took."""
+        launches = Launches(bench, self.settings, self.points, self._pace)
+        self._pace = launches.pace
+        return launches
 
     def record(self, bench: Bench, tally: Tally, seed: int) -> Record:
         """Record of a finished `tally`, with all that is needed to repeat it."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,17 +11,13 @@ import mitsuba as mi
 from ..settings.measurement_settings import MeasurementSettings
 from .bench import Bench
 from .inside import Geometry, trace_inside
-from .kernels import check_all_counted
 from .loop import Exits, PathSettings, scatter_plane, trace
 from .next_event import Deposits
 from .sampling import apart, continues, in_turns, seeded, turns_of
 from .scattering_order import of_order
 from .sums import Sums, Totals
 
-__all__ = ["Pace", "launch", "traces", "transport_of"]
-
-# What a launch is to take, so that Ctrl-C is heard within seconds.
-SECONDS = 1.0
+__all__ = ["launch", "traces", "transport_of"]
 
 
 def launch(
@@ -33,6 +28,7 @@ def launch(
     begin: int,
     wavelengths: mi.Spectrum,
     capacity: int,
+    stretch: tuple[int, int] | None = None,
 ) -> Totals:
     """Send rays of several batches in one kernel and return the totals.
 
@@ -50,6 +46,8 @@ def launch(
         Of the rays.
     capacity : int
         Batches that there is room for: the same for all launches at a bench.
+    stretch : (int, int), optional
+        Along the curve that all batches walk together: only rays from there.
 
     Returns
     -------
@@ -66,8 +64,8 @@ def launch(
     while True:
         sums = Sums(bench, capacity, counted=counted, deposits=deposited)
         sampler = seeded(bench.sampler, keys, begin, lanes)
-        if traced and hasattr(sampler, "follow_curve"):
-            batch, ray = sampler.follow_curve()
+        if stretch is not None:
+            batch, ray = sampler.follow_curve(*stretch)
         else:
             # as many lanes as rays, even where none of them draws a number
             lane = dr.arange(mi.UInt32, len(sizes) * lanes)
@@ -85,9 +83,7 @@ def launch(
             break
         # fainter or brighter light than there was room for: once more, with room for it
         bench.levels = sums.lacking
-    totals = sums.totals(len(sizes))
-    check_all_counted(sum(sizes), totals.emitted)
-    return totals
+    return sums.totals(len(sizes))
 
 
 def traces(bench: Bench, settings: MeasurementSettings) -> bool:
@@ -134,43 +130,6 @@ class _Rays:
         self.sums.add(bins, exits, active, self.batch)
         if deposits is not None:
             deposits.add_exits(bins, exits)
-
-
-class Pace:
-    """Rays of the next launch: many for its overhead, few for Ctrl-C.
-
-    Only for samplers whose bits do not depend on how rays are shared among launches.
-
-    Parameters
-    ----------
-    rays : int
-        Of the first launch, of whose speed nothing is known.
-    """
-
-    def __init__(self, rays: int) -> None:
-        self.rays = rays
-
-    def launch(
-        self,
-        bench: Bench,
-        settings: MeasurementSettings,
-        keys: Sequence[tuple[int, ...]],
-        sizes: Sequence[int],
-        *others: Any,
-    ) -> Totals:
-        """:func:`launch`, and learn from the time it takes."""
-        started = time.perf_counter()
-        totals = launch(bench, settings, keys, sizes, *others)
-        growth = SECONDS / (time.perf_counter() - started)
-        # the first one may have compiled its kernel
-        self.rays = max(int(sum(sizes) * min(max(growth, 0.25), 16)), 1024)
-        return totals
-
-    def next_part(self, begin: int, end: int) -> int:
-        """Rays to send next of those from `begin` to `end`, about alike in size."""
-        # the generator is seeded anew for every 2**32 rays
-        left = min(end, (begin // 2**32 + 1) * 2**32) - begin
-        return -(-left // -(-left // self.rays))
 
 
 def _exits(

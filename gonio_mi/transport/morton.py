@@ -11,7 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["sorting_tables"]
+__all__ = ["block_bits", "sorting_tables"]
+
+
+def block_bits(start: int, n: int) -> int:
+    """Binary digits of the size of the smallest aligned block about `n` points."""
+    return (start ^ (start + n - 1)).bit_length()
 
 
 def sorting_tables(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import drjit as dr
@@ -125,8 +126,9 @@ class Sums:
         _scatter_add(self.rare, number, index, active)
 
     def evaluate(self) -> None:
-        """Run the kernel."""
+        """Compile the kernel and let it run."""
         dr.eval(self.bins, self.incident, self.rare)
+        self.started = time.perf_counter()
 
     @property
     def lacking(self) -> range:
@@ -173,12 +175,18 @@ class Totals:
     incident : Exact, shape (n_batches, channels), or None
         None for a beam of uniform power, which needs no sum of it: every ray that met
         the specimen carried the power 1.
+
+    Attributes
+    ----------
+    started : float
+        When the kernel of that launch began to run, by ``time.perf_counter``.
     """
 
     def __init__(
         self, sums: Sums, rays: Integers, flux: Exact, incident: Exact | None
     ) -> None:
         self._sums, self._rays, self._flux, self._incident = sums, rays, flux, incident
+        self.started = sums.started
 
     def __add__(self, other: Totals) -> Totals:
         incident: Any = self._incident

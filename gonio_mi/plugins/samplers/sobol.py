@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.errors import VariantError
-from gonio_mi.transport.morton import sorting_tables
+from gonio_mi.transport.morton import block_bits, sorting_tables
 from gonio_mi.transport.sampling import apart
 
 # Primitive polynomial (its coefficients as bits) and initial direction numbers of each
@@ -41,10 +41,6 @@ GROUPS = (
     (2, 0x33333333),
     (1, 0x55555555),
 )
-
-# Binary digits of the number of chunks that the points along a curve are cut into: of
-# many few points are left over, of few a box of the specimen fits into a cache.
-CHUNK_DIGITS = 8
 
 # Factors of the scrambling.
 FACTORS = (0x3D20ADEA, 0x05526C56, 0x53A22864)
@@ -102,21 +98,18 @@ def _curve_table() -> mi.UInt32:
     return mi.UInt32(sorting_tables(*pair).ravel())
 
 
-def along_curve(place: mi.UInt32, start: int, n: int, seed: mi.UInt32) -> mi.UInt32:
-    """Permutation of points, from `start` to `start + n`, that follows a Morton curve.
+def along_curve(place: mi.UInt32, base: int, bits: int, seed: mi.UInt32) -> mi.UInt32:
+    """Permutation of ``2**bits`` points from `base` on, that follows a Morton curve.
 
     It sorts by the first two numbers, scrambled with `seed`, so that points of any
-    seeds at one place are neighbours. The points are cut into aligned chunks, each of
-    which has one point in each of as many boxes along the curve. In a box, chunks that
-    make up an aligned block of a power of two follow the curve together. Less than one
-    point in 64 is in no chunk: these come last, as they are.
+    seeds at one place are neighbours.
 
     Parameters
     ----------
     place : mi.UInt32
-        Numbers below `n`.
-    start, n : int
-        Both together at most 2**32.
+        Numbers below ``2**bits``.
+    base, bits : int
+        The former a multiple of ``2**bits``, and that at most ``2**31``.
     seed : mi.UInt32
 
     Returns
@@ -124,63 +117,21 @@ def along_curve(place: mi.UInt32, start: int, n: int, seed: mi.UInt32) -> mi.UIn
     mi.UInt32
         Indices of points.
     """
-    level = max(n.bit_length() - CHUNK_DIGITS, 0)  # binary digits of a chunk's size
-    first, last = -(-start >> level), start + n >> level
-    box, chunk = apart(place, last - first)
-    chunk = chunk + dr.opaque(mi.UInt32, first)
-    bits = _bits_of_block(chunk, first, last)
-    in_block = chunk & ((mi.UInt32(1) << bits) - 1)
-    levels = dr.opaque(mi.UInt32, level)
-    base = (chunk ^ in_block) << levels
-    index = _point_at((box << bits) | in_block, base, bits + levels, seed)
-
-    # before and after the chunks
-    whole, before = (last - first) << level, (first << level) - start
-    rest = place - dr.opaque(mi.UInt32, whole)
-    skipped = dr.select(rest < dr.opaque(mi.UInt32, before), rest, place)
-    skipped += dr.opaque(mi.UInt32, start)
-    return dr.select(place < dr.opaque(mi.UInt32, whole), index, skipped)
-
-
-def _bits_of_block(number: mi.UInt32, first: int, last: int) -> mi.UInt32:
-    """Binary digits of the size of the longest aligned block about a `number`.
-
-    Blocks fill the range from `first` to before `last`: they grow up to where both have
-    their highest block in common, and then shrink.
-    """
-    most = (first ^ last).bit_length() - 1
-    growing = (last >> most << most) - first
-    low, end = dr.opaque(mi.UInt32, first), dr.opaque(mi.UInt32, last % 2**32)
-    return dr.select(
-        number - low < dr.opaque(mi.UInt32, growing),
-        dr.minimum(_highest_bit(number ^ (low - 1)), dr.opaque(mi.UInt32, most)),
-        _highest_bit(number ^ end),
-    )
-
-
-def _point_at(
-    place: mi.UInt32, base: mi.UInt32, bits: mi.UInt32, seed: mi.UInt32
-) -> mi.UInt32:
-    """Index of the point at a `place` along the curve, of ``2**bits`` from `base`."""
-    # digits wanted, mirrored, and what is scrambled to them, without the block's own
-    digits = _mirrored(place, bits)
+    whole = dr.opaque(mi.UInt32, bits)
+    # digits wanted, mirrored, and what is scrambled to them, without those of the base
+    digits = _mirrored(place, whole)
     x, y = (
         owen_inverse(_every_other(digits >> draw), key(seed, draw))
-        ^ sobol_any(base, mi.UInt32(draw))
+        ^ sobol_any(dr.opaque(mi.UInt32, base), mi.UInt32(draw))
         for draw in (0, 1)
     )
     digits = _spread(x) | (_spread(y) << 1)
-    place = _mirrored(digits & ((mi.UInt32(1) << bits) - 1), bits)
-    index = base
+    place = _mirrored(digits & ((mi.UInt32(1) << whole) - 1), whole)
+    index = dr.opaque(mi.UInt32, base)
     for byte in range(4):
-        entry = (4 * bits + byte) * 256 + ((place >> 8 * byte) & 255)
+        entry = (4 * whole + byte) * 256 + ((place >> 8 * byte) & 255)
         index = index ^ dr.gather(mi.UInt32, _curve_table(), entry)
     return index
-
-
-def _highest_bit(x: mi.UInt32) -> mi.UInt32:
-    """Number of the highest bit that is set."""
-    return 31 - dr.lzcnt(x)
 
 
 def _mirrored(x: mi.UInt32, bits: mi.UInt32) -> mi.UInt32:
@@ -375,25 +326,48 @@ class Sobol(mi.Sampler):
         self.index = lane + dr.opaque(mi.UInt32, self.start)
         self.draw = mi.UInt32(0)
 
-    def follow_curve(self) -> tuple[mi.UInt32, mi.UInt32]:
+    def follow_curve(
+        self, first: int = 0, last: int | None = None
+    ) -> tuple[mi.UInt32, mi.UInt32]:
         """Give neighbouring lanes points whose first two numbers are neighbours.
 
-        All sequences walk along one curve together, side by side. They are the same
-        points: only their order changes, and what is traced from them meets the same
-        parts of memory.
+        All sequences walk along one curve together, side by side, through the smallest
+        aligned block of points about theirs. They are the same points: only their order
+        changes, and what is traced from them meets the same parts of memory.
+
+        Parameters
+        ----------
+        first, last : int
+            The stretch of the curve to walk along, counted from the middle of the unit
+            square on and around. Points before `start` or after the last one are left
+            out, unless nearly nothing remains.
 
         Returns
         -------
         sequence, number : mi.UInt32
             Of each lane, and number of its point in that sequence, from 0.
         """
-        lane = dr.arange(mi.UInt32, self.wavefront_size())
+        bits = block_bits(self.start, self.per_sequence)
+        last = self.sequences << bits if last is None else last
+        lane = dr.arange(mi.UInt32, last - first) + dr.opaque(mi.UInt32, first)
         place, sequence = apart(lane, self.sequences)
+        size = dr.opaque(mi.UInt32, 1 << bits)
+        place = (place + dr.opaque(mi.UInt32, 3 << bits >> 2)) & (size - 1)
         # at least two keys: what is gathered from a single one is another kernel
         keys = dr.concat([self.keys, self.keys])
-        self.key = dr.gather(mi.UInt32, keys, sequence)
-        self.index = along_curve(place, self.start, self.per_sequence, self.key)
-        return sequence, self.index - dr.opaque(mi.UInt32, self.start)
+        base = self.start >> bits << bits
+        index = along_curve(place, base, bits, dr.gather(mi.UInt32, keys, sequence))
+        start = dr.opaque(mi.UInt32, self.start)
+        wanted = index - start < dr.opaque(mi.UInt32, self.per_sequence)
+        dr.eval(index, sequence, wanted)
+        if self.per_sequence < 1 << bits:
+            kept = dr.compress(wanted)
+            if len(kept) > 1:  # a single lane would be another kernel
+                index = dr.gather(mi.UInt32, index, kept)
+                sequence = dr.gather(mi.UInt32, sequence, kept)
+                dr.eval(index, sequence)
+        self.index, self.key = index, dr.gather(mi.UInt32, keys, sequence)
+        return sequence, index - start
 
     def advance(self) -> None:
         """Go on by one wavefront."""
