@@ -452,24 +452,24 @@ def test_a_real_material_is_measured():
 # ------------------------------------------------------------------------ damaged files
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("BRDF", "XRDF", "ScatterType is XRDF"),
-        ("Monochrome", "Chrome", "SpectralContent is Chrome"),
-        ("ScatterRadial  19", "ScatterRadial  9999999999", "more values than any file"),
-        ("ScatterRadial  19", "ScatterRadial  18", "must have 18 numbers, got 19"),
-        ("TIS", "SIT", "must begin with TIS"),
-        ("DataEnd", "", "must be DataEnd"),
-        ("Symmetry", "Cemetery", "unknown keyword Cemetery"),
-    ],
-)
-def test_damaged_files_of_zemax(tmp_path, old, new, message):
+DAMAGE = {
+    "BRDF>XRDF": "ScatterType is XRDF",
+    "Monochrome>Chrome": "SpectralContent is Chrome",
+    "ScatterRadial  19>ScatterRadial  9999999999": "more values than any file",
+    "ScatterRadial  19>ScatterRadial  18": "must have 18 numbers, got 19",
+    "TIS>SIT": "must begin with TIS",
+    "DataEnd>": "must be DataEnd",
+    "Symmetry>Cemetery": "unknown keyword Cemetery",
+}
+
+
+@pytest.mark.parametrize("change", DAMAGE)
+def test_damaged_files_of_zemax(tmp_path, change):
     stream = io.BytesIO()
     zemax.write(lobes(specular=True), stream, "a")
     path = tmp_path / "a.bsdf"
-    path.write_text(stream.getvalue().decode().replace(old, new))
-    with pytest.raises(FileFormatError, match=message) as error:
+    path.write_text(stream.getvalue().decode().replace(*change.split(">")))
+    with pytest.raises(FileFormatError, match=DAMAGE[change]) as error:
         read_scatter(path)
     assert str(path) in str(error.value)
 

@@ -57,6 +57,18 @@ class PatchMeans:
     flux_fraction: np.ndarray
     stacked: bool = True
 
+    @classmethod
+    def of(
+        cls,
+        means: np.ndarray,
+        patches: Subdivision,
+        incident: tuple[np.ndarray, np.ndarray],
+        channels: tuple[str, ...],
+    ) -> "PatchMeans":
+        """Means of the BSDF in 1/sr, of the shape of `flux_fraction`."""
+        fractions = means * patches.projected_solid_angles[..., None]
+        return cls(patches, *incident, channels, fractions)
+
 
 def load_material(
     path: str | PathLike[str], side: str = "front"
@@ -123,13 +135,7 @@ def _of_klems(bsdf: RadianceBSDF, side: str) -> PatchMeans:
                 for turn in (-NEARLY, NEARLY)
             ]
             means[index, hemisphere, :, 0] = np.mean(sides, axis=0)
-    return PatchMeans(
-        subdivision=patches,
-        theta_i=theta_i,
-        phi_i=phi_i,
-        channels=bsdf.channels,
-        flux_fraction=means * patches.projected_solid_angles[..., None],
-    )
+    return PatchMeans.of(means, patches, (theta_i, phi_i), bsdf.channels)
 
 
 def _of_trees(bsdf: RadianceBSDF, side: str) -> PatchMeans:
@@ -153,13 +159,7 @@ def _of_trees(bsdf: RadianceBSDF, side: str) -> PatchMeans:
             values = bsdf.values(side, hemisphere, theta, phi, wo.reshape(-1, 3))
             values = values.reshape(*wo.shape[:2], -1).mean(axis=1)
             means[index, hemisphere] = values.reshape(shape[2:])
-    return PatchMeans(
-        subdivision=patches,
-        theta_i=theta_i,
-        phi_i=phi_i,
-        channels=bsdf.channels,
-        flux_fraction=means * patches.projected_solid_angles[..., None],
-    )
+    return PatchMeans.of(means, patches, (theta_i, phi_i), bsdf.channels)
 
 
 def _of_scatter(path: str | PathLike[str]) -> PatchMeans:
@@ -198,10 +198,5 @@ def scatter_means(scatter: Scatter, patches: Subdivision | None = None) -> Patch
     for (hemisphere, *angles), block in by_angles.items():
         here = incident.index((angles[0], angles[1])), hemisphere
         means[here] = patch_means(block, patches)
-    return PatchMeans(
-        subdivision=patches,
-        theta_i=np.array([theta for theta, _ in incident]),
-        phi_i=np.array([phi for _, phi in incident]),
-        channels=scatter.channels,
-        flux_fraction=means * patches.projected_solid_angles[..., None],
-    )
+    theta_i, phi_i = np.array(incident).T
+    return PatchMeans.of(means, patches, (theta_i, phi_i), scatter.channels)

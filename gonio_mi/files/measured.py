@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import FileFormatError, SettingError, shown
 from . import astm
 from .measured_table import MeasuredTable
-from .measured_text import read_text
+from .measured_text import Said, read_text
 from .scatter_files import is_scatter, scatter_table
 
 __all__ = ["MeasuredTable", "read_measured"]
@@ -96,7 +96,7 @@ def read_measured(
         return _read_astm(path, channel)
     if others:
         return scatter_table(path, channel, quantity)
-    return read_text(path, channel, quantity, columns, azimuth)
+    return read_text(path, Said(channel, quantity, columns, azimuth))
 
 
 def _read_astm(path: str | PathLike[str], channel: str | None) -> MeasuredTable:

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping
 from os import PathLike
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from .measured_header import parsed_keys
 from .measured_table import COLUMNS, QUANTITIES, MeasuredTable
 from .text_table import TextTable, split_text
 
-__all__ = ["AZIMUTHS", "read_text"]
+__all__ = ["AZIMUTHS", "Said", "read_text"]
 
 # What azimuths of exit count from.
 AZIMUTHS = ("specimen", "source", "mirror")
@@ -29,14 +29,18 @@ HINTS = (
 )
 
 
-def read_text(
-    path: str | PathLike[str],
-    channel: str | None = None,
-    quantity: str | None = None,
-    columns: Mapping[str, str] | None = None,
-    azimuth: str | None = None,
-) -> MeasuredTable:
-    """Table of a text; see :func:`gonio_mi.files.measured.read_measured`."""
+class Said(NamedTuple):
+    """What the user says of a text; see :func:`.measured.read_measured`."""
+
+    channel: str | None
+    quantity: str | None
+    columns: Mapping[str, str] | None
+    azimuth: str | None
+
+
+def read_text(path: str | PathLike[str], said: Said) -> MeasuredTable:
+    """Table of a text."""
+    channel, quantity, columns, azimuth = said
 
     def known(name: str) -> bool:
         wanted = {said.partition(":")[0].lower() for said in (columns or {}).values()}
