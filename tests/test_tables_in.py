@@ -133,7 +133,7 @@ def test_uncertainties_of_each_kind(tmp_path):
         table = gonio.read_measured(path)
         assert table.sigma[0] == pytest.approx(sigma, rel=4 * EPS)
         kind = "absolute" if sigma == 0.01 else "relative"
-        assert any(f"a {kind} uncertainty" in note for note in table.notes)
+        assert any(f": {kind} uncertainty" in note for note in table.notes)
     both = "# uncertainty: 0.02\n" + path.read_text()
     table = gonio.read_measured(written(tmp_path, both))
     assert table.bsdf_std_err[0] == pytest.approx(np.hypot(0.01, 0.008), rel=4 * EPS)
@@ -185,6 +185,17 @@ def test_wavelengths_in_columns_and_in_rows(tmp_path):
     with pytest.raises(ValueError, match="channel must be one of 450nm, 550nm"):
         gonio.read_measured(path)
     assert gonio.read_measured(written(tmp_path, rows.format(0.45))).channel == "450nm"
+
+
+def test_units_below_the_names_colours_and_gaps(tmp_path):
+    text = "theta_i,phi_i,theta_t,phi_t,R,G,B\nrad,deg,deg,deg,1/sr,1/sr,1/sr\n"
+    path = written(tmp_path, text + "0.5,0,150,180,1,2,3\n0.5,0,160,180,1,nan,3\n")
+    table = gonio.read_measured(path, "G", quantity="btdf")
+    assert table.theta_i.tolist() == [np.degrees(0.5)]
+    assert (table.value.tolist(), table.channel) == ([2], "G")
+    assert "1 rows without a value are left out" in table.notes
+    with pytest.raises(ValueError, match="channel must be one of R, G, B"):
+        gonio.read_measured(path, quantity="btdf")
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["ANGLES", "ROLES", "Column", "recognised"]
+__all__ = ["ANGLES", "COLOURS", "ROLES", "Column", "is_unit", "recognised"]
 
 ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o", "delta_phi")
 ROLES = (*ANGLES, "value", "sigma", "wavelength")
@@ -35,6 +35,7 @@ OUTGOING = {
     *("measure", "measured", "measurement", "detector", "receiver", "scatter"),
     *("scattered", "scattering", "reflected", "observation", "observer", "sensor"),
     *("emergent", "output", "receive", "detection"),
+    *("t", "transmitted", "transmission"),
 }
 RELATIVE = {"relative", "rel", "delta", "d", "difference", "diff"}
 FILLING = {"angle", "angles", "of", "the", "direction", "deg", "degrees"}
@@ -60,6 +61,9 @@ QUANTITY_OF = {
     "hcrf": "reflectance_factor",
 }
 VALUES = {"value", "values", "bsdf", *QUANTITY_OF}
+
+# Channels that columns of values may have for their whole name.
+COLOURS = ("R", "G", "B")
 
 # Wavelengths in nm that a column may be named by without a unit.
 SHORTEST, LONGEST = 150, 20_000
@@ -118,6 +122,11 @@ def recognised(name: str) -> Column | None:
     if quantity or set(words) & VALUES or (channel and not words):
         return Column(name, "value", unit if not channel else "", quantity, channel)
     return None
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit, in brackets or not."""
+    return text.strip().strip("[]()").strip().lower() in UNIT_OF
 
 
 def _without_unit(name: str) -> tuple[str, str]:

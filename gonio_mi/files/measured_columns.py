@@ -8,7 +8,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import FileFormatError, SettingError, shown
-from .column_names import ANGLES, ROLES, Column, recognised
+from .column_names import ANGLES, COLOURS, ROLES, Column, recognised
 from .measured_table import COLUMNS, fits
 from .numbers import decimal, is_decimal
 from .text_table import TextTable
@@ -18,6 +18,9 @@ __all__ = ["Columns", "parsed_columns"]
 OWN = (*COLUMNS, "sigma")
 DEGREES = {"deg": 1.0, "": 1.0, "rad": float(np.degrees(1.0))}
 NM = {"nm": 1.0, "um": 1e3, "m": 1e9, "": 1.0}
+
+# What stands for no value.
+MISSING = ("", "nan", "-", "--", "n/a", "na", "null")
 
 # A wavelength that is a column's is at most this far in nm from the one asked for.
 SAME_WAVELENGTH = 1e-6
@@ -74,6 +77,12 @@ def parsed_columns(
         If a cell is no number, or of the own names out of range.
     """
     constants, known = _assigned(text, columns or {})
+    bare = [name.partition(" [")[0] for name in text.names]
+    if set(bare) >= set(COLOURS):
+        known = [
+            Column(name, "value", channel=colour) if colour in COLOURS else column
+            for name, colour, column in zip(text.names, bare, known)
+        ]
     own = set(text.names) >= set(COLUMNS) and not columns
     place = f"{text.place}, line {text.number}"
     if own:
@@ -87,13 +96,19 @@ def parsed_columns(
             )
     if "phi_i" in picked and "phi_o" not in picked and "delta_phi" not in picked:
         raise FileFormatError(f"{place}: the column phi_o is missing")
-    cells = _numbers(text, picked, (quantity or "brdf") if own else None)
+    if "value" in constants:
+        raise SettingError(f"columns must name a column of values of {text.place}")
+    cells, n_missing = _numbers(text, picked, (quantity or "brdf") if own else None)
+    if not cells["value"]:
+        raise FileFormatError(f"{text.place} has no row with a value")
     arrays = {role: np.array(values) for role, values in cells.items()}
     n = len(arrays["value"])
     arrays |= {role: np.full(n, value) for role, value in constants.items()}
     if "wavelength" in picked:
         arrays, channels = _one_wavelength(text.place, arrays, picked, channel)
     notes = [] if own else _notes(text, picked, constants)
+    if n_missing:
+        notes.append(f"{n_missing} rows without a value are left out")
     _check_angle_units(text.place, arrays, picked, own)
     for role in ANGLES:
         if role in picked:
@@ -160,8 +175,7 @@ def _picked(
     names = [column.channel for column in values if column.channel]
     if len(names) > 1 or (names and channel is not None):
         wanted = channel or ""
-        if wanted not in names:
-            wanted = f"{wanted}nm"
+        wanted = wanted if wanted in names else f"{wanted}nm"
         if wanted not in names:
             raise SettingError(
                 f"channel must be one of {', '.join(names)[:120]} for {text.place}, "
@@ -188,27 +202,36 @@ def _picked(
 
 def _numbers(
     text: TextTable, picked: Mapping[str, Column], quantity: str | None
-) -> dict[str, list[float]]:
-    """Numbers of the picked columns; of our own names ranges are checked at once."""
+) -> tuple[dict[str, list[float]], int]:
+    """Numbers of the picked columns, and how many rows lack a value.
+
+    Of our own names, where `quantity` is given, ranges are checked at once.
+    """
     places = {role: text.names.index(column.name) for role, column in picked.items()}
     numbers: dict[str, list[float]] = {role: [] for role in places}
+    n_missing = 0
     for number, cells in text.cells():
+        if not quantity and cells[places["value"]].strip().lower() in MISSING:
+            n_missing += 1
+            continue
         for role, index in places.items():
             place = f"{text.place}, line {number}, column {text.names[index]}"
-            try:
-                value = decimal(cells[index])
-            except ValueError as error:
-                raise FileFormatError(f"{place}: {error}") from None
-            if quantity:
-                good, condition = fits(role, value, quantity)
-            else:
-                good, condition = np.isfinite(value), "a finite number"
-            if not good:
-                raise FileFormatError(
-                    f"{place}: must be {condition}, got {cells[index].strip()}"
-                )
-            numbers[role].append(value)
-    return numbers
+            numbers[role].append(_number(place, role, cells[index], quantity))
+    return numbers, n_missing
+
+
+def _number(place: str, role: str, cell: str, quantity: str | None) -> float:
+    """One number, or a sentence that says where it is and what it should be."""
+    try:
+        value = decimal(cell)
+    except ValueError as error:
+        raise FileFormatError(f"{place}: {error}") from None
+    good, condition = bool(np.isfinite(value)), "a finite number"
+    if quantity:
+        good, condition = fits(role, value, quantity)
+    if not good:
+        raise FileFormatError(f"{place}: must be {condition}, got {cell.strip()}")
+    return value
 
 
 def _one_wavelength(
@@ -244,7 +267,7 @@ def _notes(
     ]
     said += [f"{role} is {value:g}" for role, value in constants.items()]
     used = {column.name for column in picked.values()}
-    unused = [n for n in text.names if n not in used and recognised(n) is None]
+    unused = [n for n in text.names if n and n not in used and recognised(n) is None]
     notes = [f"columns: {', '.join(said)}"]
     if unused:
         notes.append(f"not used: {', '.join(map(repr, unused))[:200]}")

@@ -125,7 +125,7 @@ def _values(
     if not parsed.own:
         kind = "relative" if column.relative else "absolute"
         k = f", divided by k = {column.coverage:g}" if column.coverage > 1 else ""
-        notes.append(f"{column.name.strip()!r} is a {kind} uncertainty{k}")
+        notes.append(f"{column.name.strip()!r}: {kind} uncertainty{k}")
     if settings.get("uncertainty"):
         notes.append(
             f"the header's uncertainty of {settings['uncertainty']:.3g} of each value "

@@ -13,6 +13,7 @@ from os import PathLike
 from pathlib import Path
 
 from ..errors import FileFormatError, shown
+from .column_names import is_unit
 from .numbers import is_decimal
 
 __all__ = ["Line", "TextTable", "split_text"]
@@ -132,11 +133,16 @@ def split_text(
     rows = [line for line in lines if line[0] > number]
     if not rows:
         raise FileFormatError(f"{path} has no values: nothing follows line {number}")
+    names = [cell.strip() for cell in cut(text, delimiter)]
+    units = [cell.strip().strip("[]()") for cell in cut(rows[0][1], delimiter)]
+    if len(rows) > 1 and len(units) == len(names) and all(map(is_unit, units)):
+        names = [f"{name} [{unit}]" for name, unit in zip(names, units)]
+        rows = rows[1:]
     return TextTable(
         str(path),
         delimiter,
         number,
-        [cell.strip() for cell in cut(text, delimiter)],
+        names,
         rows,
         [line for line in comments if line[0] != number],
         [line for line in lines if line[0] < number],
