@@ -189,20 +189,28 @@ class Instrument:
             bench.specimen.plane.bsdf.flags(), mi.BSDFFlags.Delta
         )
 
-    def integrated(self, bench: Bench, tallies: list[Tally]) -> Integrals:
-        """Integrals of all but the delta components, and of the `tallies` of those."""
-        lanes = [(wavelength_lanes(nm), nm) for nm in passes(self.wavelengths)]
-        parts = [
-            integrals(bench, wavelengths, self.settings.integral_err, nm and len(nm))
-            for wavelengths, nm in lanes
-        ]
-        flux, errors = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts))
-        if tallies:
-            sampled = Tally.join(tallies).spread(flux.shape[-1])
-        else:
-            shape = bench.collector.subdivision.shape
-            sampled = Tally.empty(bench.shape[0], shape, flux.shape[-1], WEIGHT_SCALE)
-        return Integrals.beside(sampled, flux, errors)
+    def integrated(
+        self, benches: Sequence[Bench], sampled: Sequence[list[Tally]]
+    ) -> list[Integrals]:
+        """Integrals of all but the delta components, beside the tallies of those.
+
+        At each of the `benches`, which share kernels, what was `sampled` there.
+        """
+        groups = []
+        for nm in passes(self.wavelengths):
+            lanes, kept = wavelength_lanes(nm), nm and len(nm)
+            groups.append(integrals(benches, lanes, self.settings.integral_err, kept))
+        found = []
+        for bench, tallies, parts in zip(benches, sampled, zip(*groups)):
+            flux, errors = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts))
+            if tallies:
+                beside = Tally.join(tallies).spread(flux.shape[-1])
+            else:
+                shape = bench.collector.subdivision.shape
+                n_channels = flux.shape[-1]
+                beside = Tally.empty(bench.shape[0], shape, n_channels, WEIGHT_SCALE)
+            found.append(Integrals.beside(beside, flux, errors))
+        return found
 
     def _launches(self, bench: Bench) -> Launches:
         """Launches at a bench, which know how long those before took."""

@@ -10,6 +10,9 @@ from .instrument import Instrument
 
 __all__ = ["send_all"]
 
+# Incident directions whose integrals are found together: what Ctrl-C may cost.
+TOGETHER = 64
+
 
 def send_all(
     instrument: Instrument,
@@ -27,6 +30,7 @@ def send_all(
     sent_before = [sum(rays_sent(some, instrument.passes)) for some in finished]
     left = len(benches) * sum(plan) - sum(sent_before)
     rays = None if target else left * instrument.passes
+    waiting: list[tuple[Bench, list[Tally], list[Tally]]] = []
     with bar(
         progress, total=rays, unit="ray", unit_scale=True, delay=1, mininterval=0.2
     ) as report:
@@ -42,7 +46,10 @@ def send_all(
                 else:
                     send(instrument, bench, key, plan, sent, report)
                 if instrument.integrates:
-                    tallies[:] = [instrument.integrated(bench, sent)]
+                    waiting.append((bench, sent, tallies))
+                if len(waiting) == TOGETHER:
+                    _integrate(instrument, waiting)
+            _integrate(instrument, waiting)
         except (KeyboardInterrupt, RuntimeError) as error:
             if not _is_ctrl_c(error):
                 raise
@@ -50,6 +57,17 @@ def send_all(
                 raise KeyboardInterrupt from None
             return False
     return True
+
+
+def _integrate(
+    instrument: Instrument, waiting: list[tuple[Bench, list[Tally], list[Tally]]]
+) -> None:
+    """Finish the directions that wait for their integrals, which they share."""
+    if waiting:
+        benches, sent, tallies = zip(*waiting)
+        for kept, integrals in zip(tallies, instrument.integrated(benches, sent)):
+            kept[:] = [integrals]
+        waiting.clear()
 
 
 def _is_ctrl_c(error: BaseException | None) -> bool:

@@ -1,7 +1,7 @@
 """Rectangles of polar angle and azimuth that are quartered, and a rule for each."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,14 @@ from ..collector import Subdivision
 
 __all__ = [
     "BLIND",
+    "CONFIRMING",
+    "GAUSS",
     "NODES_PER_CELL",
+    "PROBING",
     "QUARTERS",
     "Cells",
     "Guides",
+    "Points",
     "noise",
     "off_polynomial",
     "way_to_split",
@@ -67,27 +71,35 @@ INSIDE = 2.0**-21
 class Cells:
     """Rectangles in ``(theta, phi)``, each a part of one patch."""
 
-    patch: NDArray[np.int64]  # n_patches more for the lower hemisphere
+    # n_patches more for the lower hemisphere; all that more for each direction before
+    patch: NDArray[np.int64]
     lower: NDArray[np.bool_]  # whether in the lower hemisphere
+    direction: NDArray[np.int64]  # number of the incident direction
     theta: NDArray[np.float64]  # edges in polar angle, shape (n, 2)
     phi: NDArray[np.float64]  # edges in azimuth, shape (n, 2)
     # part of the patch's polar angles and azimuths, shape (n, 2)
     share: NDArray[np.float64]
 
     @classmethod
-    def of(cls, subdivision: Subdivision) -> "Cells":
-        """One cell per patch of both hemispheres.
+    def of(
+        cls, subdivision: Subdivision, n_hemispheres: int = 2, n_directions: int = 1
+    ) -> "Cells":
+        """One cell per patch of the hemispheres, for each incident direction.
 
         Raises ValueError for patches that have poles of their own.
         """
-        cells = np.tile(subdivision.cells_about_pole(), (2, 1))
         n = subdivision.n_patches
+        each = n_hemispheres * n
+        cells = subdivision.cells_about_pole()
+        cells = np.tile(cells, (n_hemispheres * n_directions, 1))
+        patch = np.arange(n_directions * each)
         return cls(
-            np.arange(2 * n),
-            np.arange(2 * n) >= n,
+            patch,
+            patch % each >= n,
+            patch // each,
             cells[:, :2],
             cells[:, 2:],
-            np.ones((2 * n, 2)),
+            np.ones((len(patch), 2)),
         )
 
     @property
@@ -110,6 +122,7 @@ class Cells:
         return Cells(
             np.repeat(self.patch, 4),
             np.repeat(self.lower, 4),
+            np.repeat(self.direction, 4),
             _borders(self.theta, parts[:, 0]),
             _borders(self.phi, parts[:, 1]),
             np.swapaxes(share, 1, 2).reshape(-1, 2),
@@ -126,49 +139,39 @@ class Cells:
         across = widths[np.arange(len(way)), np.maximum(way, 1) - 1]
         return (way != QUARTERS) & (across < least)
 
-    def probes(
-        self,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-        """Polar angle, azimuth and hemisphere of the corners and the middle."""
-        angles: list[NDArray[np.float64]] = []
-        for edges, place in zip((self.theta, self.phi), PROBES.T):
-            half = np.diff(edges) / 2
-            inside = np.maximum(half - INSIDE, half / 2)
-            middle = edges.mean(axis=1, keepdims=True)
-            angles.append((middle + inside * place).ravel())
-        theta, phi = angles
-        return theta, phi, np.repeat(self.lower, len(PROBES))
-
     def nodes(self) -> list[NDArray[Any]]:
         """Polar angle, azimuth, hemisphere and weight of the points of the rule."""
-        return self._tensor(NODES, WEIGHTS)
-
-    def other_nodes(self) -> list[NDArray[Any]]:
-        """The same of the rule that confirms; what is on an edge is just inside."""
-        return self._tensor(LOBATTO_NODES, LOBATTO_WEIGHTS, inside=INSIDE)
-
-    def _tensor(
-        self,
-        nodes: NDArray[np.float64],
-        weights: NDArray[np.float64],
-        inside: float = 0.0,
-    ) -> list[NDArray[Any]]:
-        """Tensor rule in each cell, with points at least so far inside, in radians."""
-        angles, halves = [], []
-        for edges in (self.theta, self.phi):
-            half = np.diff(edges) / 2
-            most = np.maximum(half - inside, half / 2)
-            offset = np.clip(half * nodes, -most, most)
-            angles.append(edges.mean(axis=1, keepdims=True) + offset)
-            halves.append(half)
-        weight = (halves[0] * halves[1])[:, :, None] * weights[:, None] * weights
+        theta, phi = (
+            edges.mean(axis=1, keepdims=True) + np.diff(edges) / 2 * NODES
+            for edges in (self.theta, self.phi)
+        )
         arrays = np.broadcast_arrays(
-            angles[0][:, :, None],
-            angles[1][:, None, :],
-            self.lower[:, None, None],
-            weight,
+            theta[:, :, None], phi[:, None, :], self.lower[:, None, None], self._areas()
         )
         return [array.ravel() for array in arrays]
+
+    def weights(self) -> NDArray[np.float64]:
+        """Solid angles that the points of the rule stand for, shape (n, n_points)."""
+        theta = self.theta.mean(axis=1, keepdims=True) + np.diff(self.theta) / 2 * NODES
+        weights = self._areas() * np.sin(theta)[:, :, None]
+        return weights.reshape(len(theta), -1)
+
+    def _areas(self) -> NDArray[np.float64]:
+        """Areas in polar angle and azimuth that the points of the rule stand for."""
+        area = np.diff(self.theta) / 2 * (np.diff(self.phi) / 2)
+        return area[:, :, None] * WEIGHTS[:, None] * WEIGHTS
+
+    def of_direction(self, number: int, n_patches: int) -> "Cells":
+        """Cells of one incident direction, as if there were no other.
+
+        `n_patches` are those of all its hemispheres.
+        """
+        own = self[self.direction == number]
+        return replace(
+            own,
+            patch=own.patch - number * n_patches,
+            direction=np.zeros_like(own.direction),
+        )
 
     @classmethod
     def join(cls, several: Iterable["Cells"]) -> "Cells":
@@ -176,10 +179,62 @@ class Cells:
         return cls(*map(np.concatenate, zip(*map(Cells._columns, several))))
 
     def _columns(self) -> tuple[NDArray[Any], ...]:
-        return self.patch, self.lower, self.theta, self.phi, self.share
+        return (
+            *(self.patch, self.lower, self.direction),
+            *(self.theta, self.phi, self.share),
+        )
 
     def __getitem__(self, chosen: Any) -> "Cells":
         return Cells(*(column[chosen] for column in self._columns()))
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points of a rule in a cell, whose sides are [-1, 1].
+
+    Attributes
+    ----------
+    theta, phi : ndarray, shape (n_points,)
+        Where they are along both sides.
+    inside : float
+        How far inside its cell a point is at least, in radians.
+    areas : ndarray, shape (n_points,)
+        What they stand for of the area, which is 4; nothing where it is no rule.
+    """
+
+    theta: NDArray[np.float64]
+    phi: NDArray[np.float64]
+    inside: float
+    areas: NDArray[np.float64]
+
+    @classmethod
+    def tensor(
+        cls,
+        nodes: NDArray[np.float64],
+        weights: NDArray[np.float64],
+        inside: float = 0.0,
+    ) -> "Points":
+        """Points of a tensor rule, the azimuth running fastest."""
+        n = len(nodes)
+        areas = np.outer(weights, weights).ravel()
+        return cls(np.repeat(nodes, n), np.tile(nodes, n), inside, areas)
+
+    def __len__(self) -> int:
+        return len(self.theta)
+
+    def placed(self, cells: Cells) -> list[tuple[NDArray[np.float64], ...]]:
+        """Middle, half and largest offset of each cell, and the points: per angle."""
+        found = []
+        for edges, at in ((cells.theta, self.theta), (cells.phi, self.phi)):
+            half = (edges[:, 1] - edges[:, 0]) / 2
+            most = np.maximum(half - self.inside, half / 2)
+            found.append(((edges[:, 0] + edges[:, 1]) / 2, half, most, at))
+        return found
+
+
+GAUSS = Points.tensor(NODES, WEIGHTS)
+CONFIRMING = Points.tensor(LOBATTO_NODES, LOBATTO_WEIGHTS, INSIDE)
+PROBING = Points(*PROBES.T, INSIDE, np.empty(0))
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mitsuba as mi
 
 from ..array_types import Floats
@@ -38,13 +40,17 @@ def check_integrable(
 
 
 def integrals(
-    bench: Bench, wavelengths: mi.Spectrum, rel_err: float, channels: int | None = None
-) -> tuple[Floats, Floats]:
-    """Flux fractions of all but delta components, and their errors.
+    benches: Sequence[Bench],
+    wavelengths: mi.Spectrum,
+    rel_err: float,
+    channels: int | None = None,
+) -> list[tuple[Floats, Floats]]:
+    """Flux fractions of all but delta components, and their errors, at each bench.
 
     Parameters
     ----------
-    bench : Bench
+    benches : sequence of Bench
+        Of one specimen, and alike but for the incident direction.
     wavelengths : mi.Color0f or mi.Spectrum
         As the surface interaction wants them.
     rel_err : float
@@ -53,20 +59,22 @@ def integrals(
 
     Returns
     -------
-    flux, error : ndarray, shape (n_hemispheres, n_theta, n_phi, channels)
+    list of (flux, error)
+        Arrays of shape ``(n_hemispheres, n_theta, n_phi, channels)``.
     """
-    from . import integrate  # which stands on these helpers
+    from . import integrate_each  # which stands on these helpers
 
+    bench = benches[0]
     si = mi.SurfaceInteraction3f(bench.specimen.plane.interaction)
     si.wavelengths = wavelengths
-    found = integrate(
+    found = integrate_each(
         bench.specimen.plane.bsdf,
-        bench.theta_i,
-        bench.phi_i,
+        [(one.theta_i, one.phi_i) for one in benches],
         bench.collector.subdivision,
         rel_err=rel_err,
         side="front" if bench.beam.side > 0 else "back",
         interaction=si,
+        n_hemispheres=bench.shape[0],
     )
-    kept = slice(0, bench.shape[0]), ..., slice(0, channels)
-    return found.flux[kept], found.error[kept]
+    kept = ..., slice(0, channels)
+    return [(one.flux[kept], one.error[kept]) for one in found]

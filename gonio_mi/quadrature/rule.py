@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,25 +12,14 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers, Numbers
 from ..collector import Subdivision
-from ..collector.directions import angles, direction
 from ..errors import SpecimenError
-from ..transport.loop import flux_context
-from .cells import (
-    BLIND,
-    NODES_PER_CELL,
-    QUARTERS,
-    Cells,
-    Guides,
-    noise,
-    off_polynomial,
-    way_to_split,
-)
+from .cells import NODES_PER_CELL, QUARTERS, Cells
+from .evaluator import INTEGRAL_ROUNDING, Evaluator
+from .incident_light import IncidentLight
 
-__all__ = ["PatchIntegrals", "Rule", "integrate"]
+__all__ = ["PatchIntegrals", "Rule", "integrate", "integrate_each"]
 
-# Sampled directions that show where narrow lobes are, and how many of them a cell may
-# hold before it is split unseen.
-N_GUIDES = 2**14
+# Guides that a cell may hold before it is split unseen.
 MOST_GUIDES = 8
 
 # Part of the tolerated error that the cells of a patch share, since later levels may
@@ -44,13 +33,13 @@ MAX_LEVELS = 24
 # Patches below this fraction of the mean need no relative precision.
 NEGLIGIBLE = 1e-6
 
-# What single precision leaves of an integral's digits, at best; and of a direction, in
-# radians: a step is not looked for in narrower cells.
-INTEGRAL_ROUNDING = 2.0**-22
+# What single precision leaves of a direction, in radians: a step is not looked for in
+# narrower cells.
 NARROWEST = 2.0**-21
 
-# Times the noise of the values, by which they may be off the polynomial through them.
-UNSURE = 256
+# Points of the first rule of all directions that share kernels: more of them would
+# save no time any more, and need memory.
+SHARED = 2**20
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +56,8 @@ class Rule:
     lower : ndarray of bool, shape (n,)
     weight : ndarray, shape (n,)
         Area of the direction in ``(theta, phi)``.
-    beam : _Beam
+    light : IncidentLight
+        Of the one direction.
     """
 
     subdivision: Subdivision
@@ -76,7 +66,7 @@ class Rule:
     phi: Floats
     lower: Flags
     weight: Floats
-    beam: _Beam
+    light: IncidentLight
 
     def values(self, bsdf: mi.BSDF) -> mi.TensorXf:
         """Patch means of BRDF and BTDF that follow the gradients of the BSDF.
@@ -86,7 +76,7 @@ class Rule:
         mi.TensorXf, shape (2, n_theta, n_phi, channels)
             In 1/sr, in single precision.
         """
-        values = self.beam.evaluate(bsdf, self.theta, self.phi, self.lower)
+        values = self.light.evaluate(bsdf, self.theta, self.phi, self.lower)
         n = 2 * self.subdivision.n_patches
         solid = np.tile(self.subdivision.projected_solid_angles.ravel(), 2)
         weight = mi.Float(self.weight * np.sin(self.theta) / solid[self.patch])
@@ -119,7 +109,7 @@ class PatchIntegrals:
     error: Floats
     n_evaluations: int
     cells: Cells
-    beam: _Beam
+    light: IncidentLight
 
     @property
     def values(self) -> Floats:
@@ -131,7 +121,7 @@ class PatchIntegrals:
         """The converged :class:`Rule`."""
         theta, phi, lower, weight = self.cells.nodes()
         patch = np.repeat(self.cells.patch, NODES_PER_CELL)
-        return Rule(self.subdivision, patch, theta, phi, lower, weight, self.beam)
+        return Rule(self.subdivision, patch, theta, phi, lower, weight, self.light)
 
 
 def integrate(
@@ -182,12 +172,71 @@ def integrate(
     SpecimenError
         If it does not converge, or a value is negative or not finite.
     """
-    beam = _Beam.of(theta_i, phi_i, side, interaction)
-    evaluator = _Evaluator(bsdf, beam, pdf)
-    cells = Cells.of(subdivision)
+    (found,) = integrate_each(
+        bsdf,
+        [(theta_i, phi_i)],
+        subdivision,
+        rel_err=rel_err,
+        side=side,
+        pdf=pdf,
+        interaction=interaction,
+    )
+    return found
+
+
+def integrate_each(
+    bsdf: mi.BSDF,
+    incidents: Sequence[tuple[float, float]],
+    subdivision: Subdivision,
+    *,
+    rel_err: float = 1e-6,
+    side: str = "front",
+    pdf: bool = False,
+    interaction: mi.SurfaceInteraction3f | None = None,
+    n_hemispheres: int = 2,
+) -> list[PatchIntegrals]:
+    """Integrate like :func:`integrate` for each of several incident directions.
+
+    Their cells share kernels, in which each has the bits that it has alone.
+
+    Parameters
+    ----------
+    incidents : sequence of (float, float)
+        ``(theta_i, phi_i)`` in degrees.
+    n_hemispheres : int
+        1 for the hemisphere of the light only.
+    **others
+        As of :func:`integrate`.
+
+    Returns
+    -------
+    list of PatchIntegrals
+    """
+    each = NODES_PER_CELL * 4 * n_hemispheres * subdivision.n_patches
+    several = max(1, SHARED // each)
+    found: list[PatchIntegrals] = []
+    for first in range(0, len(incidents), several):
+        some = incidents[first : first + several]
+        lights = [IncidentLight.of([one], side, interaction) for one in some]
+        together = IncidentLight.of(some, side, interaction)
+        evaluator = Evaluator(bsdf, together, pdf)
+        cells = Cells.of(subdivision, n_hemispheres, len(some))
+        found += _integrated(evaluator, cells, subdivision, rel_err, lights)
+    return found
+
+
+def _integrated(
+    evaluator: Evaluator,
+    cells: Cells,
+    subdivision: Subdivision,
+    rel_err: float,
+    lights: Sequence[IncidentLight],
+) -> list[PatchIntegrals]:
+    """Integrals over the patches that begin as `cells`, for each of the lights."""
+    n_patches = len(cells.patch)
     guides = evaluator.guides(cells, subdivision)
     coarse, way, _ = evaluator.integrals(cells)
-    sums, finished = _PatchSums(2 * subdivision.n_patches, coarse.shape[-1]), []
+    sums, finished = _PatchSums(cells, len(lights), coarse.shape[-1]), []
     for level in range(MAX_LEVELS):
         full = guides.held(len(cells.patch)) > MOST_GUIDES
         way[full] = QUARTERS
@@ -204,9 +253,9 @@ def integrate(
         open_cells = full | ~np.all(difference <= tolerance, axis=1)
         sharp = cells.narrow(way, NARROWEST)
         open_cells &= ~sharp
-        n_next = 4 * NODES_PER_CELL * 4 * np.count_nonzero(open_cells)
-        if level == MAX_LEVELS - 1 or n_next > MAX_EVALUATIONS:
-            open_cells[:] = False
+        n_next = np.bincount(cells.direction[open_cells], minlength=len(lights))
+        too_many = 4 * NODES_PER_CELL * 4 * n_next > MAX_EVALUATIONS
+        open_cells &= ~(too_many | (level == MAX_LEVELS - 1))[cells.direction]
         children = np.repeat(open_cells, 4)
         for chosen in (sharp, ~sharp & ~open_cells):
             sums.add(cells[chosen], values[chosen], difference[chosen], ~sharp[chosen])
@@ -215,28 +264,43 @@ def integrate(
             break
         guides = guides.descend(cells, open_cells, way)
         cells, coarse, way = parts[children], fine[children], ways[children]
-    error = np.sqrt(sums.square)
-    if not np.all(error <= allowed):
-        raise SpecimenError(
-            f"the integral of {bsdf.class_name()} over the patches must converge to "
-            f"{rel_err:g}, but {evaluator.n_evaluations:.3g} evaluations gave "
-            f"{_worst(error, allowed) * rel_err:.2g} for the worst patch"
+    _check_converged(evaluator, np.sqrt(sums.square), allowed, rel_err)
+    shape = (len(lights), -1, *subdivision.shape, coarse.shape[-1])
+    flux = sums.flux.reshape(shape)
+    error = np.hypot(sums.error, INTEGRAL_ROUNDING * sums.flux).reshape(shape)
+    whole = Cells.join(finished)
+    return [
+        PatchIntegrals(
+            subdivision,
+            flux[number],
+            error[number],
+            int(evaluator.n_evaluations[number]),
+            whole.of_direction(number, n_patches // len(lights)),
+            light,
         )
-    shape = (2, *subdivision.shape, -1)
-    return PatchIntegrals(
-        subdivision,
-        sums.flux.reshape(shape),
-        np.hypot(sums.error, INTEGRAL_ROUNDING * sums.flux).reshape(shape),
-        evaluator.n_evaluations,
-        Cells.join(finished),
-        beam,
-    )
+        for number, light in enumerate(lights)
+    ]
+
+
+def _check_converged(
+    evaluator: Evaluator, error: Floats, allowed: Floats, rel_err: float
+) -> None:
+    """Raise SpecimenError for the first direction of which a patch is too wrong."""
+    n = len(evaluator.n_evaluations)
+    each = zip(error.reshape(n, -1), allowed.reshape(n, -1), evaluator.n_evaluations)
+    for wrong, right, n_evaluations in each:
+        if not np.all(wrong <= right):
+            raise SpecimenError(
+                f"the integral of {evaluator.bsdf.class_name()} over the patches must "
+                f"converge to {rel_err:g}, but {n_evaluations:.3g} evaluations gave "
+                f"{_worst(wrong, right) * rel_err:.2g} for the worst patch"
+            )
 
 
 def _add_unseen(
     difference: Floats,
     tolerance: Floats,
-    evaluator: _Evaluator,
+    evaluator: Evaluator,
     cells: Cells,
     values: Floats,
     values_at: Floats,
@@ -258,17 +322,25 @@ def _swing(values_at: Floats, cells: Cells, chosen: Flags) -> Floats:
 class _PatchSums:
     """Sums over the finished cells of each patch.
 
+    Of all incident directions, one after the other.
+
     Arrays of shape ``(n_patches, channels)``: the integral, its error as if nothing
     cancelled, and the sum of the squares of the cells' errors.
     """
 
-    def __init__(self, n_patches: int, channels: int) -> None:
-        self.flux, self.error, self.square = np.zeros((3, n_patches, channels))
+    def __init__(self, cells: Cells, n_directions: int, channels: int) -> None:
+        self.flux, self.error, self.square = np.zeros((3, len(cells.patch), channels))
+        self.n_directions = n_directions
+        self.lit = 1.0 if cells.lower.any() else 0.5  # part of both hemispheres
 
     def allowed(self, cells: Cells, values: Floats, rel_err: float) -> Floats:
         """Tolerated error of each patch, if the open `cells` have these `values`."""
         estimate = self.flux + self._by_patch(cells, values)
-        return rel_err * np.maximum(estimate, NEGLIGIBLE * estimate.mean())
+        of_each = estimate.reshape(self.n_directions, -1, estimate.shape[-1])
+        # over both hemispheres, also where one is known to be dark
+        mean = of_each.mean(axis=(1, 2), keepdims=True) * self.lit
+        least = NEGLIGIBLE * mean
+        return rel_err * np.maximum(of_each, least).reshape(estimate.shape)
 
     def add(
         self, cells: Cells, values: Floats, difference: Floats, counted: Flags
@@ -286,143 +358,6 @@ class _PatchSums:
         n = len(self.flux)
         columns = [np.bincount(cells.patch, one, minlength=n) for one in values.T]
         return np.stack(columns, axis=-1)
-
-
-@dataclass(frozen=True)
-class _Beam:
-    """Light from one direction at one point of a surface."""
-
-    interaction: mi.SurfaceInteraction3f
-    side: int
-
-    @classmethod
-    def of(
-        cls,
-        theta_i: float,
-        phi_i: float,
-        side: str,
-        interaction: mi.SurfaceInteraction3f | None,
-    ) -> _Beam:
-        """Beam of an incident direction in degrees, from the normal of the lit face."""
-        sign = 1 if side == "front" else -1
-        towards = direction(np.radians(theta_i), np.radians(phi_i)) * [1, 1, sign]
-        wi = mi.Vector3f(towards.tolist())
-        dr.make_opaque(wi)
-        si = _square() if interaction is None else mi.SurfaceInteraction3f(interaction)
-        si.wi = si.to_local(wi)
-        return cls(si, sign)
-
-    def evaluate(
-        self, bsdf: mi.BSDF, theta: Floats, phi: Floats, lower: Flags, pdf: bool = False
-    ) -> list[mi.Float]:
-        """``eval`` of all channels, or ``pdf``, towards `theta` and `phi`."""
-        wo = self.towards(theta, phi, lower)
-        function = bsdf.pdf if pdf else bsdf.eval
-        value = function(flux_context(), self.interaction, wo)
-        return [value] if pdf else list(value)
-
-    def towards(self, theta: Floats, phi: Floats, lower: Flags) -> mi.Vector3f:
-        """Directions `theta` and `phi` in the frame of the surface."""
-        wo = direction(theta, phi)
-        wo[:, 2] *= np.where(lower, -self.side, self.side)
-        return self.interaction.to_local(mi.Vector3f(np.ascontiguousarray(wo.T)))
-
-
-def _square() -> mi.SurfaceInteraction3f:
-    """Point in the middle of a square in z = 0, as Mitsuba's `rectangle` gives it."""
-    si = dr.zeros(mi.SurfaceInteraction3f)
-    si.t = 1.0
-    si.uv = mi.Point2f(0.5)
-    si.n = mi.Normal3f(0, 0, 1)
-    si.sh_frame = mi.Frame3f(
-        mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1)
-    )
-    si.dp_du, si.dp_dv = mi.Vector3f(2, 0, 0), mi.Vector3f(0, 2, 0)
-    return si
-
-
-class _Evaluator:
-    """Evaluates the BSDF for light from one direction."""
-
-    def __init__(self, bsdf: mi.BSDF, beam: _Beam, pdf: bool) -> None:
-        self.bsdf = bsdf
-        self.beam = beam
-        self.pdf = pdf
-        self.n_evaluations = 0
-
-    def guides(self, cells: Cells, subdivision: Subdivision) -> Guides:
-        """Sampled directions, without those of delta components."""
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(0, N_GUIDES)
-        si = self.beam.interaction
-        bs, weight = self.bsdf.sample(
-            flux_context(), si, sampler.next_1d(), sampler.next_2d()
-        )
-        delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
-        wanted = np.broadcast_to((~delta & dr.any(weight > 0)).numpy(), N_GUIDES)
-        wo = np.broadcast_to(si.to_world(bs.wo).numpy(), (3, N_GUIDES)).T[wanted]
-        wo = wo * [1, 1, self.beam.side]
-        patch = subdivision.patch(wo) + subdivision.n_patches * (wo[:, 2] < 0)
-        theta, phi = angles(wo)
-        # a cell may begin below the azimuth 0
-        phi[(cells.phi[patch, 0] < 0) & (phi > np.pi)] -= 2 * np.pi
-        return Guides(patch, np.minimum(theta, np.pi - theta), phi)
-
-    def integrals(self, cells: Cells) -> tuple[Floats, Integers, Floats]:
-        """Integrals over cells, how to split each, and the values that say so.
-
-        Returns
-        -------
-        integrals : ndarray, shape (n, channels)
-        way : ndarray of int, shape (n,)
-        values : ndarray, shape (n, NODES_PER_CELL, channels)
-        """
-        integrals, values = self._rule(cells, cells.nodes())
-        return integrals, way_to_split(values), values
-
-    def unconfirmed(self, cells: Cells, integrals: Floats) -> Floats:
-        """How far a rule of other points is from the `integrals` over cells."""
-        if not len(integrals):
-            return integrals
-        return np.abs(self._rule(cells, cells.other_nodes())[0] - integrals)
-
-    def _rule(self, cells: Cells, nodes: Any) -> tuple[Floats, Floats]:
-        """Integrals over cells by a rule of `nodes`, as many in each, and values."""
-        theta, phi, lower, weight = nodes
-        values = self._values(theta, phi, lower)
-        weight = weight * np.sin(theta)
-        shape = len(cells.patch), -1, values.shape[-1]
-        integrals = (values * weight[:, None]).reshape(shape).sum(axis=1)
-        return integrals, values.reshape(shape)
-
-    def hidden(self, cells: Cells, values: Floats) -> Floats:
-        """What a step between the nodes of the quarters of each cell can change.
-
-        There, BSDF and the polynomial through its `values` differ.
-        """
-        if not len(values):
-            return values[:, 0]
-        found = self._values(*cells.probes()).reshape(len(values), -1, values.shape[-1])
-        off = off_polynomial(found, values) - UNSURE * noise(values)
-        return BLIND * np.maximum(off, 0) * cells.area[:, None]
-
-    def _values(self, theta: Floats, phi: Floats, lower: Flags) -> Floats:
-        """Values towards directions, shape ``(n, channels)``."""
-        self.n_evaluations += len(theta)
-        evaluated = self.beam.evaluate(self.bsdf, theta, phi, lower, self.pdf)
-        columns = [np.broadcast_to(value.numpy(), len(theta)) for value in evaluated]
-        values = np.stack(columns, axis=-1).astype(float)
-        least = -INTEGRAL_ROUNDING * values.max(initial=0)
-        if not (values.min(initial=0) >= least and np.isfinite(least)):
-            wrong = ~np.all((values >= least) & np.isfinite(values), axis=1)
-            first = np.argmax(wrong)
-            raise SpecimenError(
-                f"{'pdf' if self.pdf else 'eval'} of {self.bsdf.class_name()} must be "
-                f"finite and not negative, got {values[first].min():.3g} towards theta "
-                f"{np.degrees(theta[first]):.3f}, phi {np.degrees(phi[first]):.3f} "
-                f"degrees{' in transmission' if lower[first] else ''}"
-            )
-        return values
 
 
 def _worst(error: Floats, allowed: Floats) -> float:

@@ -1,0 +1,191 @@
+"""Values of ``eval`` or ``pdf`` at the points of rules over cells, and their sums."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Floats, Integers
+from ..collector import Subdivision
+from ..collector.directions import angles
+from ..errors import SpecimenError
+from ..transport.loop import flux_context
+from .cells import (
+    BLIND,
+    CONFIRMING,
+    GAUSS,
+    PROBING,
+    Cells,
+    Guides,
+    Points,
+    noise,
+    off_polynomial,
+    way_to_split,
+)
+from .incident_light import IncidentLight
+
+__all__ = ["INTEGRAL_ROUNDING", "Evaluator"]
+
+# Sampled directions that show where narrow lobes are, of each incident direction.
+N_GUIDES = 2**14
+
+# What single precision leaves of an integral's digits, at best.
+INTEGRAL_ROUNDING = 2.0**-22
+
+# Times the noise of the values, by which they may be off the polynomial through them.
+UNSURE = 256
+
+
+class Evaluator:
+    """Evaluates a BSDF for light from several directions, all in one kernel.
+
+    Attributes
+    ----------
+    n_evaluations : ndarray of int, shape (n_directions,)
+        What was asked for so far.
+    """
+
+    def __init__(self, bsdf: mi.BSDF, light: IncidentLight, pdf: bool) -> None:
+        self.bsdf, self.light, self.pdf = bsdf, light, pdf
+        self.n_evaluations = np.zeros(dr.width(light.wi), dtype=np.int64)
+
+    def guides(self, cells: Cells, subdivision: Subdivision) -> Guides:
+        """Sampled directions, without those of delta components."""
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(0, N_GUIDES)
+        samples = sampler.next_1d(), sampler.next_2d()
+        dr.eval(samples)
+        n = len(self.n_evaluations)
+        lane = dr.arange(mi.UInt32, n * N_GUIDES)
+        number = lane // N_GUIDES
+        si = self.light.from_number(number)
+        same = lane - number * N_GUIDES
+        one, two = (dr.gather(type(sample), sample, same) for sample in samples)
+        bs, weight = self.bsdf.sample(flux_context(), si, one, two)
+        delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+        lane_wise = np.broadcast_to((~delta & dr.any(weight > 0)).numpy(), len(lane))
+        wo = np.broadcast_to(si.to_world(bs.wo).numpy(), (3, len(lane))).T
+        wo = wo * [1, 1, self.light.side]
+        of = np.repeat(np.arange(n), N_GUIDES)
+        lower = wo[:, 2] < 0
+        n_hemispheres = len(cells.patch) // (n * subdivision.n_patches)
+        wanted = lane_wise & (lower < n_hemispheres)
+        wo, of, lower = wo[wanted], of[wanted], lower[wanted]
+        patch = subdivision.patch(wo) + subdivision.n_patches * (
+            lower + n_hemispheres * of
+        )
+        theta, phi = angles(wo)
+        # a cell may begin below the azimuth 0
+        phi[(cells.phi[patch, 0] < 0) & (phi > np.pi)] -= 2 * np.pi
+        return Guides(patch, np.minimum(theta, np.pi - theta), phi)
+
+    def integrals(self, cells: Cells) -> tuple[Floats, Integers, Floats]:
+        """Integrals over cells, how to split each, and the values that say so.
+
+        Returns
+        -------
+        integrals : ndarray, shape (n, channels)
+        way : ndarray of int, shape (n,)
+        values : ndarray, shape (n, NODES_PER_CELL, channels)
+        """
+        values = self._values(cells, GAUSS)
+        weights = cells.weights()[:, :, None]
+        return (values * weights).sum(axis=1), way_to_split(values), values
+
+    def unconfirmed(self, cells: Cells, integrals: Floats) -> Floats:
+        """How far a rule of other points is from the `integrals` over cells.
+
+        Its points are many, and only their sums leave the kernel.
+        """
+        if not len(integrals):
+            return integrals
+        values, theta = self._evaluated(cells, CONFIRMING)
+        lane = dr.arange(mi.UInt32, len(cells.patch) * len(CONFIRMING))
+        number = lane // len(CONFIRMING)
+        weights = mi.Float64(CONFIRMING.areas)
+        weight = dr.gather(mi.Float64, weights, lane - number * len(CONFIRMING))
+        area = np.diff(cells.theta)[:, 0] * np.diff(cells.phi)[:, 0] / 4
+        weight *= dr.gather(mi.Float64, mi.Float64(area), number) * dr.sin(theta)
+        sums = [dr.block_sum(value * weight, len(CONFIRMING)) for value in values]
+        least = [dr.min(value) for value in values]
+        dr.eval(sums, least)
+        found = np.stack([one.numpy() for one in sums], axis=-1)
+        if not (np.isfinite(found).all() and all(one[0] >= 0 for one in least)):
+            self._values(cells, CONFIRMING)  # which says what is wrong
+        return np.abs(found - integrals)
+
+    def hidden(self, cells: Cells, values: Floats) -> Floats:
+        """What a step between the nodes of the quarters of each cell can change.
+
+        There, BSDF and the polynomial through its `values` differ.
+        """
+        if not len(values):
+            return values[:, 0]
+        found = self._values(cells, PROBING)
+        off = off_polynomial(found, values) - UNSURE * noise(values)
+        return BLIND * np.maximum(off, 0) * cells.area[:, None]
+
+    def _values(self, cells: Cells, points: Points) -> Floats:
+        """Values at the `points` of each cell, shape ``(n, n_points, channels)``."""
+        shape = len(cells.patch), len(points)
+        several, _ = self._evaluated(cells, points)
+        dr.eval(several)
+        columns = [np.broadcast_to(one.numpy(), np.prod(shape)) for one in several]
+        values = np.stack(columns, axis=-1).reshape(*shape, -1)
+        self._check(values, cells, points)
+        return values.astype(float)
+
+    def _evaluated(
+        self, cells: Cells, points: Points
+    ) -> tuple[list[mi.Float], mi.Float64]:
+        """Values at the `points` of each cell, by channel, and their polar angles.
+
+        Angles and their sines are of double precision, and rounded once.
+        """
+        n, each = len(cells.patch), len(points)
+        self.n_evaluations += each * np.bincount(
+            cells.direction, minlength=len(self.n_evaluations)
+        )
+        lane = dr.arange(mi.UInt32, n * each)
+        number = lane // each
+        place = lane - number * each
+        angle = []
+        for middle, half, inside, at in points.placed(cells):
+            node = dr.gather(mi.Float64, mi.Float64(at), place)
+            limit, halves, middles = (
+                dr.gather(mi.Float64, mi.Float64(array), number)
+                for array in (inside, half, middle)
+            )
+            angle.append(middles + dr.clip(halves * node, -limit, limit))
+        sin, cos = dr.sincos(angle[0])
+        lower = dr.gather(mi.Bool, mi.Bool(cells.lower), number)
+        wo = self.light.towards(sin, cos, angle[1], lower)
+        direction = mi.UInt32(cells.direction.astype(np.uint32))
+        si = self.light.from_number(dr.gather(mi.UInt32, direction, number))
+        function = self.bsdf.pdf if self.pdf else self.bsdf.eval
+        value = function(flux_context(), si, wo)
+        return [value] if self.pdf else list(value), angle[0]
+
+    def _check(self, values: Floats, cells: Cells, points: Points) -> None:
+        """Raise SpecimenError for a value that is negative or not finite."""
+        top = values.max(initial=0)
+        if values.min(initial=0) >= 0 and np.isfinite(top):
+            return
+        tops = np.zeros(len(self.n_evaluations))
+        np.maximum.at(tops, cells.direction, values.max(axis=(1, 2)))
+        least = -INTEGRAL_ROUNDING * tops[cells.direction][:, None, None]
+        wrong = ~np.all((values >= least) & np.isfinite(values), axis=2)
+        if not wrong.any():
+            return
+        cell, place = np.argwhere(wrong)[0]
+        theta, phi = (
+            middle[cell] + np.clip(half[cell] * at[place], -inside[cell], inside[cell])
+            for middle, half, inside, at in points.placed(cells)
+        )
+        raise SpecimenError(
+            f"{'pdf' if self.pdf else 'eval'} of {self.bsdf.class_name()} must be "
+            f"finite and not negative, got {values[cell, place].min():.3g} towards "
+            f"theta {np.degrees(theta):.3f}, phi {np.degrees(phi):.3f} degrees"
+            f"{' in transmission' if cells.lower[cell] else ''}"
+        )
