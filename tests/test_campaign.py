@@ -69,7 +69,8 @@ def executor(request):
 @pytest.mark.usefixtures("mono")
 def test_same_bits_wherever(executor, reference, monkeypatch):
     """One direction a task, so that they end in another order than they began."""
-    monkeypatch.setattr(sys.modules["gonio_mi.instrument.campaigns"], "TASK_RAYS", 1)
+    module = sys.modules["gonio_mi.instrument.campaign_tasks"]
+    monkeypatch.setattr(module, "TASK_RAYS", 1)
     records = gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, executor=executor)
     assert same(records, reference)
     assert list(records["matt"].phi_i) == [0, 90, 200] * 2
@@ -106,7 +107,7 @@ def test_measure_takes_an_executor_and_a_folder(reference, tmp_path):
 
 @pytest.mark.usefixtures("mono")
 def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch):
-    module = sys.modules["gonio_mi.instrument.campaigns"]
+    module = sys.modules["gonio_mi.instrument.campaign_tasks"]
     monkeypatch.setattr(module, "TASK_RAYS", 1)
     gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, folder=tmp_path)
     files = sorted(tmp_path.glob("*.npz"))
@@ -115,11 +116,13 @@ def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch
     files[7].write_bytes(files[7].read_bytes()[:100])
     measured = []
 
-    def measure(specimen, *incident, **settings):
-        measured.append(incident)
-        return gonio.measure(specimen, *incident, **settings)
+    measure_each = module.measure_each
 
-    monkeypatch.setattr(module, "measure_whole", measure)
+    def measure(specimen, incidents, **settings):
+        measured.extend(incidents)
+        return measure_each(specimen, incidents, **settings)
+
+    monkeypatch.setattr(module, "measure_each", measure)
     records = gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, folder=tmp_path)
     assert measured == [(40, 0), (0, 90)]
     assert same(records, reference)
@@ -153,7 +156,8 @@ def interrupted():
 
 @pytest.mark.usefixtures("mono")
 def test_ctrl_c_keeps_whole_directions_only(interrupted, tmp_path, monkeypatch):
-    monkeypatch.setattr(sys.modules["gonio_mi.instrument.campaigns"], "TASK_RAYS", 1)
+    module = sys.modules["gonio_mi.instrument.campaign_tasks"]
+    monkeypatch.setattr(module, "TASK_RAYS", 1)
     specimen = {"type": "test_interrupted_once"}
     settings = ANGLES | SETTINGS | {"sampler": "independent"}
     with pytest.warns(RuntimeWarning, match="interrupted: the record holds"):

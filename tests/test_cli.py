@@ -914,4 +914,5 @@ def test_what_the_scenes_emitter_decides_is_refused(run, option):
     scene = Path(__file__).parent.parent / "scenes" / "lambertian.xml"
     code, _, err = run("measure", scene, *option)
     assert code == 1
-    assert err.startswith("gonio-mi: side and phi_i go with theta_i: ")
+    name = option[0].removeprefix("--").replace("-", "_")
+    assert err.startswith(f"gonio-mi: {name} goes with theta_i: ")

@@ -52,7 +52,8 @@ def folder(tmp_path):
 
 @pytest.fixture(autouse=True)
 def one_direction_a_task(monkeypatch):
-    monkeypatch.setattr(sys.modules["gonio_mi.instrument.campaigns"], "TASK_RAYS", 1)
+    module = sys.modules["gonio_mi.instrument.campaign_tasks"]
+    monkeypatch.setattr(module, "TASK_RAYS", 1)
 
 
 def measure(folder, theta_i=(0, 30, 60), specimens=PLATE, **settings):
@@ -137,13 +138,15 @@ def test_an_emitter_that_was_turned_a_little(tmp_path, refused):
 
 
 def test_a_folder_at_work(folder, refused):
-    def at_work(specimen, *incident, **settings):
-        assert "another campaign is at work" in refused(folder=folder.parent / "busy")
-        return gonio.measure(specimen, *incident, **settings)
+    module = sys.modules["gonio_mi.instrument.campaign_tasks"]
+    measure_each = module.measure_each
 
-    module = sys.modules["gonio_mi.instrument.campaigns"]
+    def at_work(specimen, incidents, **settings):
+        assert "another campaign is at work" in refused(folder=folder.parent / "busy")
+        return measure_each(specimen, incidents, **settings)
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "measure_whole", at_work)
+        patch.setattr(module, "measure_each", at_work)
         measure(folder.parent / "busy", theta_i=0)
     measure(folder.parent / "busy", theta_i=0)
 
@@ -233,13 +236,15 @@ def test_an_edited_plugin(plugin, tmp_path, capsys, change):
 def test_a_plugin_edited_while_it_is_measured(plugin, tmp_path):
     specimens, path = {"plain": {"type": "test_plain"}}, plugin()
 
-    def edited(specimen, *incident, **settings):
-        plugin(0.9)
-        return gonio.measure(specimen, *incident, **settings)
+    module = sys.modules["gonio_mi.instrument.campaign_tasks"]
+    measure_each = module.measure_each
 
-    module = sys.modules["gonio_mi.instrument.campaigns"]
+    def edited(specimen, incidents, **settings):
+        plugin(0.9)
+        return measure_each(specimen, incidents, **settings)
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "measure_whole", edited)
+        patch.setattr(module, "measure_each", edited)
         with pytest.raises(ValueError, match=r"p\.py was edited"):
             measure(tmp_path / "kept", specimens=specimens, plugins=[path])
 

@@ -32,7 +32,7 @@ KINDS = {
     **dict.fromkeys(("created", "collector", "transmission"), WORDS),
     **dict.fromkeys(("digest", "emitter_digest"), WORDS),
     **dict.fromkeys(("footprint", "period", "order"), NUMBER_OR_WORDS),
-    **dict.fromkeys(("rel_err", "reached", "collector_radius"), NUMBER),
+    **dict.fromkeys(("rel_err", "noise", "reached", "collector_radius"), NUMBER),
     **dict.fromkeys(("rays", "batches", "passes", "max_depth", "points"), (int,)),
     "rr_depth": (int,),
     "seed": (int, list),
@@ -135,7 +135,8 @@ def _check_tally(tally: Tally, settings: Mapping[str, Any]) -> None:
         "it received light of an incident power of 0",
     )
     rays, passes = settings.get("rays"), settings.get("passes") or 1
-    if settings.get("rel_err") is None and isinstance(rays, int):
+    goal = settings.get("rel_err") or settings.get("noise")
+    if goal is None and isinstance(rays, int):
         require(
             ledger.emitted <= rays * passes,
             f"its ledger holds {ledger.emitted} rays of {rays} x {passes} asked for",

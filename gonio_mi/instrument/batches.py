@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..results.misplacement import noise_of
 from ..results.ray_density import paper_rays, precision
 from ..results.record import Record
 from ..results.tally import Tally
@@ -137,36 +138,60 @@ def send_until(
 
 @dataclass(frozen=True)
 class Target:
-    """Precision at which to stop."""
+    """Precision at which to stop.
 
-    rel_err: float
+    Attributes
+    ----------
+    goal : float
+    of_noise : bool
+        Whether it is one of `noise`; else of `rel_err`.
+    max_rays : int
+    floor : float
+    """
+
+    goal: float
+    of_noise: bool
     max_rays: int
     floor: float
 
     @classmethod
     def of(cls, settings: MeasurementSettings) -> Target | None:
         """Target of the settings; None where a number of rays, or an integral, is."""
-        if settings.rel_err is None or settings.estimator == "quadrature":
+        goal = settings.noise or settings.rel_err
+        if goal is None or settings.estimator == "quadrature":
             return None
-        return cls(settings.rel_err, settings.max_rays, settings.floor)
+        of_noise = settings.noise is not None
+        return cls(goal, of_noise, settings.max_rays, settings.floor)
+
+    @property
+    def name(self) -> str:
+        """Setting that it comes from."""
+        return "noise" if self.of_noise else "rel_err"
+
+    def found(self, record: Record) -> float:
+        """How precise a record of one incident direction is."""
+        return noise_of(record) if self.of_noise else precision(record, self.floor)[0]
 
     def next_goal(self, record: Record, sent: int) -> int:
         """Rays in all that the record predicts; `sent` if it is good enough."""
-        worst, _ = precision(record, self.floor)
-        if worst <= self.rel_err:
+        worst = self.found(record)
+        if worst <= self.goal:
             return sent
         # the error of the worst patch falls as 1 / sqrt(rays), or faster; a tenth more
         # keeps the looks few. What is not known yet asks for as many rays again.
-        growth = 1.1 * (worst / self.rel_err) ** 2 if np.isfinite(worst) else 2.0
+        growth = 1.1 * (worst / self.goal) ** 2 if np.isfinite(worst) else 2.0
         return min(int(sent * min(max(growth, 1.25), 16.0)), self.max_rays)
 
     def reached(self, record: Record) -> dict[str, Any]:
         """What the record's settings say of the target, for the worst direction."""
+        if self.of_noise:
+            reached = max(noise_of(record[i]) for i in range(len(record)))
+            return {"noise": self.goal, "reached": reached}
         looks = [precision(record[i], self.floor) for i in range(len(record))]
         n_lobe = max(n for _, n in looks)
         n_patches = record.subdivision.n_patches * (1 + record.has_lower)
         return {
-            "rel_err": self.rel_err,
+            "rel_err": self.goal,
             "reached": max(worst for worst, _ in looks),
             "floor": self.floor,
             "n_lobe": n_lobe,

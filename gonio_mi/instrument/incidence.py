@@ -32,6 +32,11 @@ def incident_angles(
         middles = np.degrees([angle.ravel() for angle in patches.middles])
         return [(theta, phi % 360.0) for theta, phi in middles.T.tolist()], True
     if theta_i is None:
+        if np.any(phi_i):
+            raise SettingError(
+                "phi_i goes with theta_i: without it the scene's emitter decides where "
+                f"light comes from, got phi_i {shown(phi_i)}"
+            )
         return [None], False
     stacked = np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0
     polar = [_theta(value) for value in _sequence("theta_i", theta_i)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from typing import Any
@@ -19,6 +19,7 @@ from ..results.processors import joined_processors
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
+from ..settings.parsed import checked_incident
 from ..transport.bench import Bench
 from ..transport.kernels import launches_kernels
 from ..transport.specimen import Specimen
@@ -31,7 +32,7 @@ from .resuming import check_resumable
 from .scene_settings import own_settings, sampler_of
 from .sending import send_all
 
-__all__ = ["measure_here", "measure_whole"]
+__all__ = ["measure_each", "measure_here", "measure_whole", "whole"]
 
 logger = logging.getLogger(__name__)
 
@@ -41,11 +42,21 @@ SURE = 1 - 1e-9
 PATH_ROUNDING = 1000 * float(np.finfo(np.float32).eps)
 
 
-@launches_kernels()
 def measure_here(
+    specimen: Any, theta_i: Any = None, phi_i: Any = 0.0, **settings: Any
+) -> Record:
+    """Record of a specimen; see :func:`~gonio_mi.instrument.measuring.measure`."""
+    check_variant()
+    patches = checked_incident("incident", settings.get("incident"))
+    incidents, stacked = incident_angles(theta_i, phi_i, patches)
+    record = measure_each(specimen, incidents, **settings)
+    return record if stacked else record[0]
+
+
+@launches_kernels()
+def measure_each(
     specimen: Any,
-    theta_i: Any = None,
-    phi_i: Any = 0.0,
+    incidents: Sequence[tuple[float, float] | None],
     *,
     progress: bool = False,
     resume: Record | None = None,
@@ -53,12 +64,14 @@ def measure_here(
     emitter: dict[str, Any] | None = None,
     **given: Any,
 ) -> Record:
-    """Record of a specimen; see :func:`~gonio_mi.instrument.measuring.measure`."""
+    """Stack of the incident directions, each ``(theta_i, phi_i)`` in degrees or None.
+
+    All else as of :func:`~gonio_mi.instrument.measuring.measure`.
+    """
     check_variant()
     given = {name: value for name, value in given.items() if value is not None}
     asked = MeasurementSettings().changed(**given)  # refused before anything is loaded
-    _check_together(given, asked, theta_i, phi_i, emitter)
-    incidents, stacked = incident_angles(theta_i, phi_i, asked.incident)
+    _check_together(given, asked, incidents, emitter)
     scene, settings = _prepared(specimen, parameters, given, resume)
     instrument = Instrument(settings, sampler_of(settings))
     measured = Specimen(scene, settings.period)
@@ -89,7 +102,7 @@ def measure_here(
         if tallies
     ]
     _warn_of_created_light(records)
-    record = Record.stack(records) if stacked else records[0]
+    record = Record.stack(records)
     if resume is not None:
         parts = joined_processors(resume.settings, record.settings)
         record = record.with_settings(**parts)
@@ -106,9 +119,14 @@ def measure_here(
 
 def measure_whole(specimen: Any, *args: Any, **settings: Any) -> Record:
     """Like :func:`measure_here`; after Ctrl-C KeyboardInterrupt instead of a part."""
+    return whole(measure_here, specimen, *args, **settings)
+
+
+def whole(measure: Callable[..., Record], *args: Any, **settings: Any) -> Record:
+    """Return what is measured, or raise KeyboardInterrupt if it is a part."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
-        record = measure_here(specimen, *args, **settings)
+        record = measure(*args, **settings)
     if record.settings.get("interrupted"):
         raise KeyboardInterrupt
     return record
@@ -117,8 +135,7 @@ def measure_whole(specimen: Any, *args: Any, **settings: Any) -> Record:
 def _check_together(
     given: Mapping[str, Any],
     asked: MeasurementSettings,
-    theta_i: Any,
-    phi_i: Any,
+    incidents: Sequence[tuple[float, float] | None],
     emitter: object,
 ) -> None:
     """Raise ValueError for settings that exclude each other, or have nothing to say."""
@@ -134,13 +151,12 @@ def _check_together(
             f"incident goes without {other}: it says which directions a beam has, "
             f"got {patches!s:.40}"
         )
-    nothing = theta_i is None and emitter is None and patches is None
-    if nothing and (asked.side != "front" or np.any(phi_i)):
+    if None in incidents and emitter is None and asked.side != "front":
         raise SettingError(
-            "side and phi_i go with theta_i: without it the scene's emitter decides "
-            f"where light comes from, got side {asked.side} and phi_i {phi_i}"
+            "side goes with theta_i: without it the scene's emitter decides where "
+            f"light comes from, got side {asked.side}"
         )
-    if "rel_err" not in given and "max_rays" in given:
+    if not given.keys() & {"rel_err", "noise"} and "max_rays" in given:
         raise SettingError(
             f"max_rays goes with rel_err, got {asked.max_rays!r} without"
         )
@@ -171,11 +187,12 @@ def _settled(
                 "resume is for sampled rays, got the estimator quadrature"
             )
         return settings
-    if "rel_err" in given:
-        for name, other in (("rays", given.get("rays")), ("resume", resume)):
-            if other is not None:
-                raise SettingError(f"rel_err and {name} exclude each other, got both")
-    elif "rays" in given:  # instead of a precision that the scene asks for
+    others = {"rays": given.get("rays"), "resume": resume}
+    for goal, also in (("noise", {"rel_err": given.get("rel_err")}), ("rel_err", {})):
+        for name, other in (others | also).items():
+            if goal in given and other is not None:
+                raise SettingError(f"{goal} and {name} exclude each other, got both")
+    if given.keys() & {"rays", "noise"}:  # instead of what the scene asks for
         settings = replace(settings, rel_err=None)
     return settings
 
@@ -213,10 +230,12 @@ def _warn_of_created_light(records: Sequence[Record]) -> None:
 
 
 def _warn_unless_reached(record: Record, target: Target) -> None:
-    if not record.settings["reached"] <= target.rel_err:
+    reached = record.settings["reached"]
+    if not reached <= target.goal:
+        where = "" if target.of_noise else " in the worst patch"
         warnings.warn(
-            f"rel_err of {target.rel_err:g} was not reached with {target.max_rays:g} "
-            f"rays: it is {record.settings['reached']:.3g} in the worst patch",
+            f"{target.name} of {target.goal:g} was not reached with "
+            f"{target.max_rays:g} rays: it is {reached:.3g}{where}",
             RuntimeWarning,
             stacklevel=3,
         )

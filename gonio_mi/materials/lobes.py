@@ -167,21 +167,73 @@ def incident_grid(record: Record, flux: Floats) -> tuple[Floats, Floats, Floats]
     if len(index):
         grid[of_phi, of_theta[index]] = index
     tilted = grid[:, int(normal.any()) :]
-    if (tilted < 0).any() or tilted.size != len(index):
+    if np.count_nonzero(tilted >= 0) != len(index) or not _is_filled(
+        tilted, phi_i, record.subdivision
+    ):
         raise SettingError(
             f"the record's {len(flux)} incident directions must be each of its "
-            f"{len(theta_i)} polar angles at each of its {len(phi_i)} azimuths, once"
+            f"{len(theta_i)} polar angles at each of its {len(phi_i)} azimuths, once; "
+            "or azimuths that are whole sectors apart"
         )
-    gaps = np.diff([*phi_i, phi_i[0] + 360])
-    if len(phi_i) > 1 and gaps.max() > WIDEST_GAP:
+    gaps = [_widest(phi_i[of_angle >= 0]) for of_angle in tilted.T]
+    if len(phi_i) > 1 and max(gaps, default=0) > WIDEST_GAP:
         raise SettingError(
             "the azimuths of incidence of an anisotropic record must go all around, "
-            f"with gaps of at most {WIDEST_GAP} degrees, got one of {gaps.max():g}"
+            f"with gaps of at most {WIDEST_GAP} degrees, got one of {max(gaps):g}"
         )
     lobes = flux[grid]
+    for angle in np.flatnonzero((grid < 0).any(axis=0)):
+        _fill(lobes[:, angle], grid[:, angle] >= 0, phi_i)
     if normal.any():
         lobes[:, 0] = flux[normal].mean(axis=0)
     return theta_i, phi_i, lobes
+
+
+def _is_filled(
+    grid: NDArray[np.int64], phi_i: Floats, patches: RingsAndSectors
+) -> bool:
+    """Whether each angle has all azimuths, or can get them by turns of whole sectors.
+
+    `grid` holds the record of each azimuth and angle, -1 for none.
+    """
+    if (grid >= 0).all():
+        return True
+    edges = np.degrees(getattr(patches, "phi_edges", np.zeros(1)))
+    if not np.allclose(np.diff(edges), 360 / max(len(edges) - 1, 1), atol=SAME_ANGLE):
+        return False
+    sectors = (phi_i - phi_i[0]) * (len(edges) - 1) / 360
+    whole = np.abs(sectors - np.round(sectors)) * 360 < SAME_ANGLE * (len(edges) - 1)
+    return bool(whole.all() and (grid >= 0).any(axis=0).all())
+
+
+def _widest(phi_i: Floats) -> float:
+    """Widest gap between ascending azimuths, all around, in degrees."""
+    return float(np.diff([*phi_i, phi_i[0] + 360]).max())
+
+
+def _fill(lobes: Floats, measured: NDArray[np.bool_], phi_i: Floats) -> None:
+    """Fill in what was not measured at one polar angle, as it would be looked up.
+
+    That is the two neighbours, turned with incidence by whole sectors, and mixed.
+
+    Parameters
+    ----------
+    lobes : ndarray, shape (P, H, n_theta, n_phi, channels)
+    measured : ndarray of bool, shape (P,)
+    phi_i : ndarray, shape (P,)
+        In degrees, ascending.
+    """
+    known, n_phi = np.flatnonzero(measured), lobes.shape[-2]
+    for azimuth in np.flatnonzero(~measured):
+        last = np.searchsorted(known, azimuth) - 1
+        ends = known[last], known[(last + 1) % len(known)]
+        past, left = (
+            (phi_i[azimuth] - phi_i[ends[0]]) % 360,
+            (phi_i[ends[1]] - phi_i[azimuth]) % 360,
+        )
+        turns = [round(angle * n_phi / 360) for angle in (past, -left)]
+        low, high = (np.roll(lobes[e], n, axis=-2) for e, n in zip(ends, turns))
+        lobes[azimuth] = (left * low + past * high) / (past + left)
 
 
 def _levels(

@@ -224,7 +224,7 @@ class Points:
 
     def placed(self, cells: Cells) -> list[tuple[NDArray[np.float64], ...]]:
         """Middle, half and largest offset of each cell, and the points: per angle."""
-        found = []
+        found: list[tuple[NDArray[np.float64], ...]] = []
         for edges, at in ((cells.theta, self.theta), (cells.phi, self.phi)):
             half = (edges[:, 1] - edges[:, 0]) / 2
             most = np.maximum(half - self.inside, half / 2)
@@ -234,7 +234,7 @@ class Points:
 
 GAUSS = Points.tensor(NODES, WEIGHTS)
 CONFIRMING = Points.tensor(LOBATTO_NODES, LOBATTO_WEIGHTS, INSIDE)
-PROBING = Points(*PROBES.T, INSIDE, np.empty(0))
+PROBING = Points(PROBES[:, 0], PROBES[:, 1], INSIDE, np.empty(0))
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,7 @@ class Evaluator:
         shape = len(cells.patch), len(points)
         several, _ = self._evaluated(cells, points)
         dr.eval(several)
-        columns = [np.broadcast_to(one.numpy(), np.prod(shape)) for one in several]
+        columns = [np.broadcast_to(one.numpy(), shape[0] * shape[1]) for one in several]
         values = np.stack(columns, axis=-1).reshape(*shape, -1)
         self._check(values, cells, points)
         return values.astype(float)

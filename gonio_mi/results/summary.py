@@ -257,7 +257,8 @@ def _settings_text(numbers: dict[str, Any]) -> str:
 
     n_directions = len(numbers["directions"])
     emitted = numbers["ledger"]["emitted"]
-    goal = settings.get("rel_err")
+    named = "rel_err" if settings.get("rel_err") is not None else "noise"
+    goal = settings.get(named)
     rays = settings.get("rays", 0) if goal is None else 0
     asked = n_directions * rays * settings.get("passes", 1)
     radius = settings.get("collector_radius")
@@ -280,7 +281,7 @@ def _settings_text(numbers: dict[str, Any]) -> str:
             + (f" of {_grouped(asked)} asked for" if emitted < asked else "")
             + (f" over {n_directions} incident directions" if n_directions > 1 else "")
             + f", batches {_shown('batches')}, seed {_shown('seed')}"
-            + (f", rel_err {goal:g} asked for" if goal is not None else ""),
+            + (f", {named} {goal:g} asked for" if goal is not None else ""),
         ),
         (
             "method",

@@ -95,11 +95,20 @@ class MeasurementSettings:
         plugin=INTEGRATOR,
         shown_default="none; 1e-4 for quadrature",
     )
+    noise: float | None = setting(
+        None,
+        number(1e-6, 1, "a number from 1e-6 to below 1"),
+        Kind.NUMBER,
+        "Instead of `rays`: go on until the standard errors of all patches together "
+        "misplace at most this part of the light, for each incident direction: half "
+        "the sum of their expected absolute errors over ``dhr + dht``.",
+        shown_default="none",
+    )
     max_rays: int = setting(
         10**9,
         count(PILOT_RAYS, MOST_RAYS),
         Kind.COUNT,
-        "Rays at which `rel_err` stops at the latest, with a warning.",
+        "Rays at which `rel_err` and `noise` stop at the latest, with a warning.",
         group=METHOD,
         shown_default="1e9",
     )

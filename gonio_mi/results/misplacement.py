@@ -1,0 +1,130 @@
+"""Light in the wrong place: how far a prediction is from what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..array_types import Floats
+from .integral_sums import Integrals
+from .record import Record
+from .tally import Tally
+
+__all__ = ["Misplacement", "misplaced", "noise_of"]
+
+
+@dataclass(frozen=True)
+class Misplacement:
+    """What a prediction gets wrong at one incident direction.
+
+    All are parts of the light that leaves there, of all channels together.
+
+    Attributes
+    ----------
+    theta_i, phi_i : float
+        In degrees.
+    light : float
+        Light that is in another patch than predicted: half the sum of the absolute
+        differences of the flux fractions.
+    std_err : float
+        Of `light`, by what the measurement is wrong.
+    dhr, dht : float
+        Predicted less measured reflectance, and transmittance.
+    """
+
+    theta_i: float
+    phi_i: float
+    light: float
+    std_err: float
+    dhr: float
+    dht: float
+
+    @property
+    def error(self) -> float:
+        """The largest of all three, without sign."""
+        return max(self.light, abs(self.dhr), abs(self.dht))
+
+    def exceeds(self, tolerance: float) -> bool:
+        """Whether the error is above the tolerance, beyond two standard errors."""
+        return self.error - 2 * self.std_err > tolerance
+
+
+def misplaced(record: Record, predicted: Floats) -> Misplacement:
+    r"""How far a prediction is from a record of one incident direction.
+
+    The sum of absolute differences from a noisy record is too large: noise adds to it
+    wherever the difference is small. Therefore the sign of each patch's difference is
+    taken from all batches but one, and its size from that one, in turn (cross-fitting;
+    Chernozhukov et al. 2018, doi:10.1111/ectj.12097): the expected value of
+
+    .. math::
+
+        \frac{1}{2 \Phi} \sum_p s_p(\text{others}) (m_p(\text{one}) - \hat m_p)
+
+    is never above the truth, 0 where there is no difference, and below the truth by no
+    more than half of what noise would add. Its scatter is the standard error. Integrals
+    have no noise; what they may be wrong by is the standard error.
+
+    Parameters
+    ----------
+    record : Record
+    predicted : ndarray, shape (n_hemispheres, n_theta, n_phi, channels)
+        Flux fractions.
+    """
+    (tally,) = record.tallies
+    flux = record.flux_fraction[0] if record.stacked else record.flux_fraction
+    # one channel may stand for several
+    shape = np.broadcast_shapes(flux.shape, predicted.shape)
+    predicted = np.broadcast_to(predicted, shape)
+    flux = np.broadcast_to(flux, predicted.shape)
+    total = flux.sum()
+    difference = predicted - flux
+    if not total > 0:
+        light, std_err, total = float(np.abs(difference).sum() / 2 > 0), 0.0, 1.0
+    elif isinstance(tally, Integrals) or tally.n_batches < 2:
+        light = np.abs(difference).sum() / 2 / total
+        std_err = _stated(record) / total
+    else:
+        each = _cross_fitted(tally, predicted) / total
+        light, std_err = each.mean(), each.std(ddof=1) / np.sqrt(len(each))
+    totals = difference.sum(axis=(1, 2, 3)) / total
+    dhr, dht = (*totals, 0.0)[:2]
+    return Misplacement(
+        float(record.theta_i[0]),
+        float(record.phi_i[0]),
+        float(light),
+        float(std_err),
+        float(dhr),
+        float(dht),
+    )
+
+
+def noise_of(record: Record) -> float:
+    """Part of its light that a record's standard errors misplace on average.
+
+    Of one incident direction; the errors of patches are taken as normal. Infinite
+    where no light or no error is known.
+    """
+    total = record.flux_fraction.sum()
+    stated = np.sqrt(2 / np.pi) * _stated(record)
+    return float(stated / total) if total > 0 and stated > 0 else np.inf
+
+
+def _stated(record: Record) -> float:
+    """Half the sum of what flux fractions are stated to be wrong by."""
+    errors = [record.brdf_std_err, record.btdf_std_err][: 1 + record.has_lower]
+    solid = record.subdivision.projected_solid_angles[..., None]
+    return float(sum(np.nansum(one * solid) for one in errors if one is not None) / 2)
+
+
+def _cross_fitted(tally: Tally, predicted: Floats) -> Floats:
+    """Half the sum of differences, batch by batch, with the signs of the others."""
+    incident = tally.incident[:, None, None, None, :].astype(float)
+    sums, all_sums = tally.sums.astype(float), tally.sums.sum(axis=0, dtype=float)
+    found = []
+    for own, power in zip(sums, incident):
+        others = (all_sums - own) / (incident.sum(axis=0) - power)
+        signs = np.sign(predicted - others)
+        found.append((signs * (predicted - own / power)).sum() / 2)
+    return np.array(found)
