@@ -4,7 +4,15 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from budget import agree, disagree, scores, single
-from test_goniometric import EPS, IMPORTANCE, ROUNDING, interaction, isotropic, values
+from test_goniometric import (
+    EPS,
+    IMPORTANCE,
+    ROUNDING,
+    interaction,
+    isotropic,
+    patch_middles,
+    values,
+)
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
@@ -39,7 +47,7 @@ def test_spectra_are_linear_between_wavelengths(tmp_path):
     record = isotropic(channels=CHANNELS)
     record.save(tmp_path / "run.npz")
     bsdf = material(tmp_path / "run.npz")
-    wo = direction(np.radians([[30.0, 10.0]]), np.radians([[180.0, 20.0]]))[0]
+    wo = patch_middles(record)
     si = interaction(30)
     si.wavelengths = mi.Spectrum(380, 430, 500, 700)
     vectors = mi.Vector3f(np.ascontiguousarray(wo.T, dtype=np.float32))
@@ -91,7 +99,7 @@ def test_several_wavelengths_need_a_spectral_variant(tmp_path):
 def test_one_wavelength_fits_any_variant(tmp_path):
     record = isotropic(channels=("550nm",))
     record.save(tmp_path / "run.npz")
-    wo = direction(np.radians([[30.0, 10.0]]), np.radians([[180.0, 20.0]]))[0]
+    wo = patch_middles(record)
     seen = values(material(tmp_path / "run.npz"), wo, 30)
     brdf = record[1].brdf.reshape(-1, 1)[record.subdivision.patch(wo)]
     assert (np.abs(seen - brdf) <= ROUNDING * brdf).all()

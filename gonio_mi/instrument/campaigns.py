@@ -7,21 +7,26 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any
 
+import numpy as np
+
 from ..errors import SettingError, SettingTypeError, checked_count, shown
 from ..results.record import Record
 from ..settings.parsed import checked_incident
 from .campaign_tasks import Surroundings, records_of
 from .incidence import incident_angles
 from .loading import check_variant
+from .whole_bsdf import WholeBsdf, checked_theta_max, checked_tolerance
 
 __all__ = ["campaign"]
 
 
 def campaign(
     specimens: Mapping[str, Any],
-    theta_i: Any,
+    theta_i: Any = None,
     phi_i: Any = 0.0,
     *,
+    tolerance: float | None = None,
+    theta_max: float = 85.0,
     executor: Any = None,
     folder: str | PathLike[str] | None = None,
     plugins: Sequence[str | PathLike[str]] = (),
@@ -41,7 +46,22 @@ def campaign(
         By name, what :func:`measure` takes; for other processes a dictionary or a path.
     theta_i, phi_i : float or sequence of float
         In degrees: all azimuths for the first angle, then for the second, and so on.
-        None for all patches of the setting `incident`.
+        None for all patches of the setting `incident`, or with `tolerance`.
+    tolerance : float, optional
+        The campaign chooses its own directions: as few as make the material
+        `goniometric` right everywhere, up to `theta_max`. From few directions it
+        predicts others, measures them, and goes on where the difference is above the
+        tolerance and beyond the error bars, until new directions hold. The error is
+        that of :class:`~gonio_mi.results.misplacement.Misplacement`: light in another
+        patch than predicted, or of reflectance or transmittance, as a part of all that
+        leaves. Isotropic specimens are recognised; others get azimuths, in whole
+        sectors, where each polar angle needs them. Integrals are measured where the
+        specimen allows it, unless there is an `estimator`; else as many rays as noise
+        of a quarter of the tolerance needs. The record's setting ``campaign`` holds
+        the errors at directions that were never used.
+    theta_max : float
+        Largest angle of incidence of such a campaign in degrees; beyond, the material
+        is what it is there.
     executor : concurrent.futures.Executor or int, optional
         Where to measure: that many processes on this machine (scripts need the usual
         ``if __name__ == "__main__":``), or any executor such as Dask's
@@ -84,12 +104,26 @@ def campaign(
             "specimens must be a dictionary with at least one entry, "
             f"got {shown(specimens)}"
         )
-    patches = checked_incident("incident", settings.get("incident"))
-    incidents, _ = incident_angles(theta_i, phi_i, patches)
-    if None in incidents:
-        raise SettingError("theta_i must be given for a campaign, got None")
     if isinstance(executor, int):
         checked_count("executor", executor)
         threads = threads or max(1, (os.cpu_count() or 1) // executor)
     where = Surroundings(executor, folder, plugins, threads, retries, progress)
-    return records_of(specimens, incidents, where, settings)
+    if tolerance is None:
+        patches = checked_incident("incident", settings.get("incident"))
+        incidents, _ = incident_angles(theta_i, phi_i, patches)
+        if None in incidents:
+            raise SettingError(
+                "theta_i must be given for a campaign without tolerance, got None"
+            )
+        return records_of(specimens, incidents, where, settings)
+    tolerance, theta_max = checked_tolerance(tolerance), checked_theta_max(theta_max)
+    others = {"theta_i": theta_i, "incident": settings.get("incident")}
+    for other, value in others.items():
+        if value is not None or np.any(phi_i):
+            raise SettingError(f"tolerance and {other} exclude each other, got both")
+    return {
+        str(name): WholeBsdf(
+            str(name), specimen, tolerance, theta_max, where, settings
+        ).measured()
+        for name, specimen in specimens.items()
+    }

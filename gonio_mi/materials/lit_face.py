@@ -64,6 +64,14 @@ class LitFace:
             phi=_doubles(table.phi_edges),
             flux=_doubles(table.flux.mean(axis=-1)),
             brdf=[_doubles(table.brdf[..., channel]) for channel in range(channels)],
+            gradients=[
+                [_doubles(along[..., channel]) for channel in range(channels)]
+                for along in table.gradients
+            ],
+            means=_doubles(table.brdf.mean(axis=-1)),
+            mean_gradients=[_doubles(along.mean(-1)) for along in table.gradients],
+            tilts=_doubles(table.tilts),
+            sector_tilts=_doubles(table.sector_tilts),
             rings=_doubles(table.rings),
             sectors=_doubles(table.sectors),
             strips=[_doubles(end) for end in table.strips],
@@ -147,16 +155,21 @@ class LitFace:
             source, stretch = point, 1.0
             if self.n_angles > 1:
                 source, stretch = self._moved(place, hemisphere, point, place.t, end)
-            ring, sector = self._patch(place, source)
+            ring, sector, off = self._patch(place, source)
             row = row * self.n_hemispheres + hemisphere
             index = (row * self.n_theta + ring) * self.n_phi + sector
             share = stretch * (place.t if end else 1 - place.t)
             for channel, brdf in enumerate(self.arrays.brdf):
-                values[channel] += share * _read(brdf, index, active)
+                value = _read(brdf, index, active)
+                for gradient, coordinate in zip(self.arrays.gradients, off):
+                    value += coordinate * _read(gradient[channel], index, active)
+                values[channel] += share * value
         return values
 
-    def _patch(self, place: _Place, point: _Point) -> tuple[mi.UInt32, mi.UInt32]:
-        """Ring and sector in which a point lies."""
+    def _patch(
+        self, place: _Place, point: _Point
+    ) -> tuple[mi.UInt32, mi.UInt32, list[mi.Float64]]:
+        """Ring and sector in which a point lies, and where, from -1/2 to 1/2."""
         arrays = self.arrays
         across2 = 1 - dr.square(point.x)
         y = point.v * dr.safe_sqrt(across2)
@@ -167,7 +180,14 @@ class LitFace:
         phi = dr.atan2(y, point.x) + _read(arrays.phi_i, place.azimuth)
         phi -= 2 * dr.pi * dr.floor(phi * (0.5 / dr.pi))
         sector = _last(self.n_phi, lambda i: _read(arrays.phi, i) <= phi)
-        return ring, sector
+        off = []
+        for edges, number, coordinate in (
+            (arrays.sin2, ring, sin2),
+            (arrays.phi, sector, phi),
+        ):
+            low, high = _read(edges, number), _read(edges, number + 1)
+            off.append(dr.clip((coordinate - low) / (high - low), 0, 1) - 0.5)
+        return ring, sector, off
 
     def _fluxes(self, place: _Place, hemisphere: int) -> tuple[mi.Float64, mi.Float64]:
         """Light that both ends of the leg contribute to a hemisphere."""
@@ -343,12 +363,32 @@ class LitFace:
     def _drawn(
         self, place: _Place, hemisphere: mi.UInt32, sample2: mi.Point2f
     ) -> _Point:
-        """Point of a record's lobe, uniform over each patch."""
+        """Point of a record's lobe."""
         arrays = self.arrays
         row = place.rows[0] * self.n_hemispheres + hemisphere
-        sin2, ring = _quantile(arrays.rings, row, self.n_theta, sample2.x, arrays.sin2)
-        ring += row * self.n_theta
-        phi, _ = _quantile(arrays.sectors, ring, self.n_phi, sample2.y, arrays.phi)
+        ring, share = _quantile(
+            lambda i: _read(arrays.rings, row * (self.n_theta + 1) + i),
+            self.n_theta,
+            mi.Float64(sample2.x),
+        )
+        own = row * self.n_theta + ring
+        tilt = _read(arrays.tilts, own)
+        off = _tilted(share, tilt) - 0.5
+        first = own * (self.n_phi + 1)
+        sector, share = _quantile(
+            lambda i: (
+                _read(arrays.sectors, first + i)
+                + off * _read(arrays.sector_tilts, first + i)
+            ),
+            self.n_phi,
+            mi.Float64(sample2.y) * (1 + off * tilt),
+        )
+        patch = own * self.n_phi + sector
+        along, around = (_read(array, patch) for array in arrays.mean_gradients)
+        mean = _read(arrays.means, patch) + off * along
+        past = _tilted(share, dr.select(mean > 0, around / mean, 0))
+        sin2 = _between(arrays.sin2, ring, off + 0.5)
+        phi = _between(arrays.phi, sector, past)
         phi -= _read(arrays.phi_i, place.azimuth)
         sin, cos = dr.sincos(phi)
         sine = dr.sqrt(sin2)
@@ -361,16 +401,33 @@ class LitFace:
 
 
 def _quantile(
-    shares: mi.Float64, row: mi.UInt32, n: int, share: mi.Float, edges: mi.Float64
-) -> tuple[mi.Float64, mi.UInt32]:
-    """Coordinate below which `share` of a row's light is, and its bin."""
-    first = row * (n + 1)
-    share = mi.Float64(share)
-    number = _last(n, lambda i: _read(shares, first + i) <= share)
-    low, high = _read(shares, first + number), _read(shares, first + number + 1)
+    shares: Callable[[mi.UInt32], mi.Float64], n: int, share: mi.Float64
+) -> tuple[mi.UInt32, mi.Float64]:
+    """Bin up to which `share` of the light is, and the part of it in the bin.
+
+    `shares` gives what is below each of the ``n + 1`` edges.
+    """
+    number = _last(n, lambda i: shares(i) <= share)
+    low, high = shares(number), shares(number + 1)
     inside = dr.select(high > low, (share - low) / (high - low), 0.5)
-    begin, end = _read(edges, number), _read(edges, number + 1)
-    return begin + inside * (end - begin), number
+    return number, dr.clip(inside, 0, 1)
+
+
+def _tilted(share: mi.Float64, tilt: mi.Float64) -> mi.Float64:
+    """Coordinate below which `share` of a density is that is linear from 0 to 1.
+
+    It changes by `tilt`, within 2, and is 1 in the middle.
+    """
+    tilt = dr.clip(tilt, -2, 2)
+    start = 1 - tilt / 2
+    root = start + dr.safe_sqrt(start * start + 2 * tilt * share)
+    return dr.select(root > 0, dr.clip(2 * share / root, 0, 1), share)
+
+
+def _between(edges: mi.Float64, number: mi.UInt32, part: mi.Float64) -> mi.Float64:
+    """Coordinate of the part of a bin."""
+    low, high = _read(edges, number), _read(edges, number + 1)
+    return low + part * (high - low)
 
 
 def _point(wo: mi.Vector3f, phi_i: mi.Float64) -> _Point:

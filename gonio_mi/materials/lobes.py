@@ -18,9 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..collector import RingsAndSectors
+from ..collector import RingsAndSectors, Subdivision
 from ..errors import SettingError
 from ..results.record import Record
+from .gradients import gradients
 
 __all__ = ["LobeTable", "incident_grid"]
 
@@ -61,12 +62,18 @@ class LobeTable:
         Edges of rings and sectors in radians, absolute azimuth.
     brdf : ndarray, shape (P, N, H, n_theta, n_phi, channels)
         Patch means of BRDF and BTDF in 1/sr.
+    gradients : ndarray, shape (2, P, N, H, n_theta, n_phi, channels)
+        Their change across each patch; see :func:`.gradients.gradients`.
     flux : ndarray, shape (P, N, H, channels)
         Flux fractions: reflectance and transmittance.
     rings : ndarray, shape (P, N, H, n_theta + 1)
         Share of the light (mean of the channels) below each edge.
     sectors : ndarray, shape (P, N, H, n_theta, n_phi + 1)
         The same for the azimuth within a ring.
+    tilts : ndarray, shape (P, N, H, n_theta)
+        Change of the light across each ring, as part of its light.
+    sector_tilts : ndarray, shape (P, N, H, n_theta, n_phi + 1)
+        The same of all sectors below each edge of azimuth.
     strips, strip_slopes : ndarray, shape (2, P, K, H, S)
         Where a strip begins, and its width per share of the light, on both ends of the
         leg.
@@ -79,9 +86,12 @@ class LobeTable:
     theta_edges: Floats
     phi_edges: Floats
     brdf: Floats
+    gradients: Floats
     flux: Floats
     rings: Floats
     sectors: Floats
+    tilts: Floats
+    sector_tilts: Floats
     strips: Floats
     strip_slopes: Floats
     cells: Floats
@@ -131,15 +141,24 @@ class LobeTable:
                     *ends
                 )
         weight = flux.mean(axis=-1)
+        changes = np.zeros((2, *brdf.shape))
+        if rings == record.subdivision:  # else what is below them has no rings
+            changes = gradients(brdf, patches.theta_edges, patches.phi_edges)
+        areas = patches.projected_solid_angles
+        tilt = changes[0].mean(axis=-1) * areas / _positive(weight.sum(-1)[..., None])
+        tilts = np.cumsum(tilt, axis=-1)
         return cls(
             theta_i=theta_i,
             phi_i=phi_i,
             theta_edges=patches.theta_edges,
             phi_edges=patches.phi_edges,
             brdf=brdf,
+            gradients=changes,
             flux=flux.sum(axis=(3, 4)),
             rings=_cumulative(weight.sum(axis=-1)),
             sectors=_cumulative(weight),
+            tilts=tilts[..., -1],
+            sector_tilts=np.concatenate([0 * tilts[..., :1], tilts], axis=-1),
             strips=strips,
             strip_slopes=strip_slopes,
             cells=cells,
@@ -182,16 +201,14 @@ def incident_grid(record: Record, flux: Floats) -> tuple[Floats, Floats, Floats]
             f"with gaps of at most {WIDEST_GAP} degrees, got one of {max(gaps):g}"
         )
     lobes = flux[grid]
-    for angle in np.flatnonzero((grid < 0).any(axis=0)):
+    for angle in range(int(normal.any()), len(theta_i)):
         _fill(lobes[:, angle], grid[:, angle] >= 0, phi_i)
     if normal.any():
         lobes[:, 0] = flux[normal].mean(axis=0)
     return theta_i, phi_i, lobes
 
 
-def _is_filled(
-    grid: NDArray[np.int64], phi_i: Floats, patches: RingsAndSectors
-) -> bool:
+def _is_filled(grid: NDArray[np.int64], phi_i: Floats, patches: Subdivision) -> bool:
     """Whether each angle has all azimuths, or can get them by turns of whole sectors.
 
     `grid` holds the record of each azimuth and angle, -1 for none.
@@ -255,7 +272,9 @@ def _check_size(shape: tuple[int, ...]) -> None:
     """Raise ValueError unless the table of a record of this shape fits into memory."""
     n_azimuths, n_angles, n_hemispheres, *patches, n_channels = shape
     n_lobes = n_azimuths * n_angles * n_hemispheres
-    n_bytes = 8 * n_lobes * (4 * (2 * N_CELLS) ** 2 + np.prod(patches) * n_channels * 3)
+    n_bytes = (
+        8 * n_lobes * (4 * (2 * N_CELLS) ** 2 + np.prod(patches) * (3 * n_channels + 3))
+    )
     if n_bytes > MOST_BYTES:
         raise SettingError(
             f"a table of {n_azimuths} x {n_angles} incident directions and "
@@ -299,6 +318,11 @@ def _leg(first: Floats, second: Floats) -> tuple[Floats, Floats, Floats, Floats]
     ]
     cells, cell_slopes, _ = _merged(*across)
     return strips, strip_slopes, cells, cell_slopes
+
+
+def _positive(light: Floats) -> Floats:
+    """Light, or 1 where there is none."""
+    return np.where(light > 0, light, 1.0)
 
 
 def _cumulative(weight: Floats) -> Floats:

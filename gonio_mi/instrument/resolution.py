@@ -1,0 +1,126 @@
+"""Whether patches resolve the lobes of a specimen, and which would."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..collector import RingsAndSectors, Subdivision, subdivision
+from ..errors import SettingError, SpecimenError
+from ..results.misplacement import misplaced
+from ..results.record import Record
+from .prediction import Prediction
+
+__all__ = ["check_equal_sectors", "check_resolved"]
+
+# By which power of their width finer patches are better, where they nearly resolve a
+# lobe, and up to which part of the light in the wrong place they do.
+ORDER, NEARLY = 1.7, 0.05
+
+# Part of the tolerance that patches may take of it.
+SHARE = 1 / 2
+
+# Patches of a collector that is tried to find the one that would do.
+MOST_PATCHES = 10**5
+
+Records = Callable[[Sequence[tuple[float, float]], Subdivision | None], Record]
+
+
+def check_equal_sectors(patches: Subdivision) -> None:
+    """Raise ValueError unless patches are of rings of equal sectors, at least eight."""
+    edges = patches.phi_edges if isinstance(patches, RingsAndSectors) else np.zeros(2)
+    if len(edges) < 9 or not np.allclose(np.diff(edges), edges[-1] / (len(edges) - 1)):
+        raise SettingError(
+            "tolerance needs a collector of rings with at least 8 equal sectors, such "
+            f"as projected:30x90, got {patches!s:.60}"
+        )
+
+
+def check_resolved(
+    tolerance: float, n_points: int, theta_i: float, records: Records
+) -> None:
+    """Raise SpecimenError if patches are too coarse to say what is between directions.
+
+    It names a collector that would do, from what finer ones would measure.
+
+    Parameters
+    ----------
+    tolerance : float
+    n_points : int
+        Points per side of a patch.
+    theta_i : float
+        In degrees.
+    records : callable
+        Stack of incident directions in degrees, with another collector if one is given.
+    """
+    asked = patches = records([(theta_i, 0.0)], None).subdivision
+    lost = at_first = _lost(n_points, theta_i, partial(_at, records, None))
+    if max(lost) <= tolerance:
+        return
+    while max(lost) > NEARLY:
+        sizes = [n * (1 + (one > NEARLY)) for n, one in zip(patches.shape, lost)]
+        if math.prod(sizes) > MOST_PATCHES:
+            break
+        patches = _with_sizes(asked, sizes)
+        lost = _lost(n_points, theta_i, partial(_at, records, patches))
+    said = (
+        f"the lobes of {records([(theta_i, 0.0)], None).settings['specimen']!s:.60} "
+        f"are too narrow for {asked!s:.40}: moved by half a patch, "
+        f"{max(at_first):.2g} of the light would be in the wrong place at theta_i "
+        f"{theta_i:.3g}"
+    )
+    if max(lost) > NEARLY:
+        raise SpecimenError(f"{said}, and much with {patches!s:.40} too")
+    factors = [max(1.0, (one / (SHARE * tolerance)) ** (1 / ORDER)) for one in lost]
+    sizes = [math.ceil(n * f / 4) * 4 for n, f in zip(patches.shape, factors)]
+    raise SpecimenError(
+        f"{said}; take a collector such as {_with_sizes(asked, sizes)!s:.40}"
+    )
+
+
+def _with_sizes(patches: Subdivision, sizes: Sequence[int]) -> Subdivision:
+    """Patches of the same kind, but of so many rings and sectors."""
+    kind = str(patches).partition(":")[0]
+    return subdivision(f"{kind}:{sizes[0]}x{sizes[1]}")
+
+
+def _at(
+    records: Records,
+    patches: Subdivision | None,
+    incidents: Sequence[tuple[float, float]],
+) -> Record:
+    """Records of incident directions, with the patches first."""
+    return records(incidents, patches)
+
+
+def _lost(
+    n_points: int,
+    theta_i: float,
+    records: Callable[[Sequence[tuple[float, float]]], Record],
+) -> tuple[float, ...]:
+    """Light in the wrong place where only the patches are in the way.
+
+    Lobes are moved by half a ring, and by half a sector, from directions next to them.
+    """
+    start = records([(theta_i, 0.0)])
+    patches: Any = start.subdivision
+    edges = np.degrees(patches.theta_edges)
+    ring = int(np.searchsorted(edges, theta_i).clip(1, len(edges) - 1))
+    width = float(edges[ring] - edges[ring - 1])
+    legs = records([(theta_i - width, 0.0), (theta_i, 0.0)])
+    sector = 360 / patches.shape[1]
+    beside = [start, records([(theta_i, sector)])]
+    lost = []
+    for one, around in (
+        ((theta_i - width / 2, 0.0), [legs]),
+        ((theta_i, sector / 2), beside),
+    ):
+        measured = records([one])[0]
+        predicted = [Prediction(some, n_points).flux(*one) for some in around]
+        error = misplaced(measured, np.mean(predicted, axis=0))
+        lost.append(max(error.light - 2 * error.std_err, 0.0))
+    return tuple(lost)

@@ -1,0 +1,396 @@
+"""A campaign that chooses its incident directions, until their material is right."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import warnings
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..collector import Subdivision
+from ..errors import SettingError, SpecimenError, checked_number
+from ..results.misplacement import Misplacement, misplaced
+from ..results.record import Record
+from .campaign_tasks import Surroundings, records_of
+from .prediction import Prediction
+from .refinement import Axis, Interval, refined
+from .resolution import check_equal_sectors, check_resolved
+
+__all__ = ["WholeBsdf", "checked_theta_max", "checked_tolerance"]
+
+logger = logging.getLogger(__name__)
+
+# What single precision and the points of a prediction leave of a tolerance.
+LEAST_TOLERANCE = 1e-4
+
+# Directions to begin with, and azimuths of an anisotropic specimen.
+FIRST_ANGLES, FIRST_AZIMUTHS = 4, 8
+
+# Legs are not split into parts below so many degrees.
+NARROWEST_LEG = 0.25
+
+# Directions never used that confirm the material, how many of them may miss the
+# tolerance, and how often it is refined where they did.
+UNSEEN, MISSES, ROUNDS = 40, 2, 10
+
+# Parts of the tolerance: what noise may misplace, and what an integral may be off by.
+NOISE, INTEGRAL = 1 / 4, 1 / 10
+
+
+def checked_tolerance(value: Any) -> float:
+    """Tolerance of a whole BSDF, or a ValueError that says what it must be."""
+    condition = (
+        f"a number from {LEAST_TOLERANCE:g}, below which single precision shows, "
+        "to below 0.5"
+    )
+    return checked_number("tolerance", value, LEAST_TOLERANCE, 0.5, condition)
+
+
+def checked_theta_max(value: Any) -> float:
+    """Largest angle of incidence, or a ValueError that says what it must be."""
+    return checked_number("theta_max", value, 10, 89.5, "degrees from 10 to below 89.5")
+
+
+class WholeBsdf:
+    """All incident directions that the material of one specimen needs.
+
+    The directions depend on what was measured, and that on the seed: they are the same
+    wherever it is measured, and what a folder holds is not measured again.
+
+    Parameters
+    ----------
+    name : str
+    specimen : object
+        What :func:`~gonio_mi.instrument.measuring.measure` takes.
+    tolerance : float
+        Part of the light; see :class:`~gonio_mi.results.misplacement.Misplacement`.
+    theta_max : float
+        In degrees, up to where the material shall be right.
+    where : Surroundings
+    settings : dict
+        All other settings of a measurement.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        specimen: Any,
+        tolerance: float,
+        theta_max: float,
+        where: Surroundings,
+        settings: dict[str, Any],
+    ) -> None:
+        for other in ("rays", "rel_err", "noise"):
+            if settings.get(other) is not None:
+                raise SettingError(
+                    f"tolerance and {other} exclude each other, got both"
+                )
+        self.name, self.specimen = name, specimen
+        self.tolerance, self.theta_max = tolerance, theta_max
+        self.where, self.settings = where, settings
+        self.estimators = [settings.get("estimator") or "quadrature"]
+        if settings.get("estimator") is None:
+            self.estimators.append("weighted")
+        # on a side of each patch; the error of the mean over them is below a tenth of
+        # the tolerance where the collector resolves the lobes
+        self.n_points = 8 if tolerance >= 0.005 else 16 if tolerance >= 0.001 else 32
+        self.known: dict[tuple[float, float], Record] = {}
+        self.n_rounds = 0
+
+    def measured(self) -> Record:
+        """Stack of the directions that the material needs, with its errors.
+
+        Integrals where the specimen allows it, else rays.
+
+        Raises
+        ------
+        SpecimenError
+            If lobes are narrower than patches.
+        """
+        while True:
+            try:
+                return self._measured()
+            except SpecimenError as error:
+                if len(self.estimators) == 1 or self.known:
+                    raise
+                logger.info("%s: rays instead of integrals: %s", self.name, error)
+                del self.estimators[0]
+                self.n_rounds = 0
+
+    def _measured(self) -> Record:
+        """Refine polar angles, then azimuths, then wherever it is still wrong."""
+        angles = np.linspace(0, self.theta_max, FIRST_ANGLES).tolist()
+        self._measure([(theta, 0.0) for theta in angles], "first directions")
+        patches = self.known[0.0, 0.0].subdivision
+        check_equal_sectors(patches)
+        self.n_sectors = patches.shape[1]
+        check_resolved(self.tolerance, self.n_points, angles[2], self._records)
+        self.isotropic = self._is_isotropic(angles)
+        self.legs = Axis(_middle_angle, dict.fromkeys(_intervals(angles)))
+        self.gaps = Axis(_middle_sector)
+        # errors along both axes add up
+        limit = self.tolerance if self.isotropic else self.tolerance / 2
+        refined(self.legs, limit, self._errors_of_legs)
+        if not self.isotropic:
+            for theta in self.legs.levels()[1:]:
+                self.gaps.errors |= dict.fromkeys(
+                    _intervals([*self._first_sectors(), self.n_sectors], theta)
+                )
+            refined(self.gaps, limit, self._errors_of_gaps)
+        return self._described(self._confirmed())
+
+    # --------------------------------------------------------------------- measuring
+
+    def _measure(self, incidents: Iterable[tuple[float, float]], said: str) -> None:
+        """Measure the directions that are not known yet."""
+        new = sorted(set(incidents) - self.known.keys())
+        if not new:
+            return
+        where, estimator = self.where, self.estimators[0]
+        if where.folder is not None:
+            part = f"{estimator}_{self.n_rounds:03d}"
+            where = replace(where, folder=Path(where.folder) / self.name / part)
+        said = f"{self.name}, {len(self.known)} directions, {said}"
+        logger.info("%s: %d more", said, len(new))
+        settings = self.settings | self._goals()
+        record = records_of({self.name: self.specimen}, new, where, settings, said)
+        self.known |= zip(new, (one for one in _parts(record[self.name])))
+        self.n_rounds += 1
+
+    def _records(
+        self, incidents: Sequence[tuple[float, float]], patches: Subdivision | None
+    ) -> Record:
+        """Stack of directions, which are measured if they are not known.
+
+        With other `patches` they are measured here, and not kept.
+        """
+        said = "whether patches resolve the lobes"
+        if patches is None:
+            self._measure(incidents, said)
+            return Record.stack(self.known[one] for one in incidents)
+        where = replace(self.where, folder=None)
+        settings = self.settings | self._goals() | {"collector": patches}
+        specimens = {self.name: self.specimen}
+        return records_of(specimens, incidents, where, settings, said)[self.name]
+
+    def _goals(self) -> dict[str, Any]:
+        """Estimator, and how precise each direction is to be."""
+        if self.estimators[0] == "quadrature":
+            rel_err = min(INTEGRAL * self.tolerance, 1e-3)
+            return {"estimator": "quadrature", "rel_err": rel_err}
+        return {"estimator": self.estimators[0], "noise": NOISE * self.tolerance}
+
+    def _azimuth(self, sector: float) -> float:
+        """Azimuth of a sector's edge in degrees."""
+        return (sector * 360 / self.n_sectors) % 360
+
+    def _first_sectors(self) -> list[float]:
+        """Azimuths to begin with, in sectors; one for an isotropic specimen."""
+        if self.isotropic:
+            return [0.0]
+        steps = np.arange(FIRST_AZIMUTHS) * (self.n_sectors / FIRST_AZIMUTHS)
+        return sorted({float(sector) for sector in np.round(steps)})
+
+    # ------------------------------------------------------------------- predicting
+
+    def _is_isotropic(self, angles: Sequence[float]) -> bool:
+        """Whether turned by whole sectors the specimen is the same."""
+        sectors = {round(self.n_sectors * turn) for turn in (0.125, 0.25, 0.625)} - {0}
+        turned = [
+            (theta, self._azimuth(sector))
+            for theta in angles[1:3]
+            for sector in sectors
+        ]
+        self._measure(turned, "whether it is isotropic")
+        prediction = self._prediction((theta, 0.0) for theta in angles)
+        errors = [self._missed(prediction, *incident) for incident in turned]
+        isotropic = not any(one.exceeds(self.tolerance / 2) for one in errors)
+        found = "isotropic" if isotropic else "anisotropic"
+        logger.info(
+            "%s is %s: turned by %d azimuths, %.2g of its light is elsewhere",
+            *(self.name, found, len(sectors), max(one.light for one in errors)),
+        )
+        return isotropic
+
+    def _prediction(self, incidents: Iterable[tuple[float, float]]) -> Prediction:
+        return Prediction(
+            Record.stack(self.known[one] for one in incidents), self.n_points
+        )
+
+    def _missed(self, prediction: Prediction, theta: float, phi: float) -> Misplacement:
+        """Error of a prediction of a known direction."""
+        return misplaced(self.known[theta, phi], prediction.flux(theta, phi))
+
+    def _errors_of_legs(
+        self, legs: Sequence[Interval], middles: Iterable[float]
+    ) -> list[float]:
+        """Errors in the middles of legs: the largest of all first azimuths."""
+        middles = list(middles)
+        lines = [self._azimuth(sector) for sector in self._first_sectors()]
+        levels = self.legs.levels()
+        said = f"{len(legs)} of {len(levels) - 1} legs open"
+        needed = [(theta, phi) for theta in [*levels, *middles] for phi in lines]
+        self._measure(((t, phi) if t else (0.0, 0.0) for t, phi in needed), said)
+        worst = np.zeros(len(legs))
+        for phi in lines:
+            ends = [(theta, phi) if theta else (0.0, 0.0) for theta in levels]
+            prediction = self._prediction(ends[int(phi > 0) :])
+            for number, middle in enumerate(middles):
+                if phi > 0 and legs[number].low == 0:
+                    continue  # the record along the normal has another azimuth
+                error = self._missed(prediction, middle, phi)
+                worst[number] = max(worst[number], _beyond(error))
+        return worst.tolist()
+
+    def _errors_of_gaps(
+        self, gaps: Sequence[Interval], middles: Iterable[float]
+    ) -> list[float]:
+        """Errors in the middles of gaps between azimuths of rings."""
+        middles = [self._azimuth(sector) for sector in middles]
+        said = f"{len(gaps)} of {len(self.gaps.errors)} gaps of azimuth open"
+        new = [(gap.on, phi) for gap, phi in zip(gaps, middles)]
+        self._measure([*self._directions(), *new], said)
+        of_ring = defaultdict(list)
+        for number, gap in enumerate(gaps):
+            of_ring[gap.on].append(number)
+        errors = [0.0] * len(gaps)
+        for theta, numbers in of_ring.items():
+            prediction = self._prediction(self._ring(theta))
+            for number in numbers:
+                error = self._missed(prediction, theta, middles[number])
+                errors[number] = _beyond(error)
+        return errors
+
+    # ------------------------------------------------------------------- confirming
+
+    def _ring(self, theta: float) -> list[tuple[float, float]]:
+        """Directions of one polar angle that the material is made of."""
+        sectors = self.gaps.levels(theta)[:-1] or [0.0]
+        return [(theta, self._azimuth(sector)) for sector in sectors]
+
+    def _directions(self) -> list[tuple[float, float]]:
+        """All directions that the material is made of."""
+        return [one for theta in self.legs.levels() for one in self._ring(theta)]
+
+    def _confirmed(self) -> list[Misplacement]:
+        """Errors at directions never used, few of which miss the tolerance.
+
+        Where they do, the material is refined, as long as it can be.
+        """
+        seed = self.settings.get("seed") or 0
+        for number in range(ROUNDS):
+            generator = np.random.default_rng([int(seed), number])
+            cosines = 1 - generator.random(UNSEEN) * (
+                1 - np.cos(np.radians(self.theta_max))
+            )
+            theta = np.degrees(np.arccos(cosines))
+            unseen = list(
+                zip(theta.tolist(), (360 * generator.random(UNSEEN)).tolist())
+            )
+            self._measure([*self._directions(), *unseen], "at directions never used")
+            prediction = self._prediction(self._directions())
+            errors = [self._missed(prediction, *incident) for incident in unseen]
+            missed = [one for one in errors if one.exceeds(self.tolerance)]
+            logger.info("%s: %d of %d missed", self.name, len(missed), UNSEEN)
+            if len(missed) <= MISSES or number == ROUNDS - 1:
+                break
+            if not self._split_at(missed):
+                break
+        return errors
+
+    def _split_at(self, missed: Iterable[Misplacement]) -> bool:
+        """Split what holds the directions that were missed; whether anything was."""
+        before = len(self.legs.errors), len(self.gaps.errors)
+        done: set[Interval] = set()
+        for one in missed:
+            leg = self.legs.around(one.theta_i)
+            sector = one.phi_i * self.n_sectors / 360
+            rings = [theta for theta in (leg.low, leg.high) if self.gaps.levels(theta)]
+            gaps = [self.gaps.around(sector, theta) for theta in rings]
+            if done & {leg, *gaps}:
+                continue
+            done |= {leg, *gaps}
+            of_gaps = max((self.gaps.errors[gap] or 0.0 for gap in gaps), default=0.0)
+            by_angle = (self.legs.errors[leg] or 0.0) >= of_gaps
+            for split_leg in (by_angle, not by_angle):
+                middles: list[float | None]
+                if split_leg:
+                    middles = [self._split_leg(leg, one.error)]
+                else:
+                    middles = [self.gaps.split(gap, one.error) for gap in gaps]
+                if any(middle is not None for middle in middles):
+                    break
+        return before != (len(self.legs.errors), len(self.gaps.errors))
+
+    def _split_leg(self, leg: Interval, error: float) -> float | None:
+        """Split a leg; its new ring has the azimuths of both its neighbours."""
+        middle = self.legs.split(leg, error)
+        levels = {s for end in (leg.low, leg.high) for s in self.gaps.levels(end)}
+        if middle is not None and levels:
+            for gap in _intervals(sorted(levels), middle):
+                self.gaps.errors[gap] = max(
+                    self.gaps.errors[self.gaps.around((gap.low + gap.high) / 2, end)]
+                    or 0.0
+                    for end in (leg.low, leg.high)
+                    if self.gaps.levels(end)
+                )
+        return middle
+
+    def _described(self, errors: Sequence[Misplacement]) -> Record:
+        """The material's record, with what is known of its errors."""
+        record = Record.stack(self.known[one] for one in self._directions())
+        within = np.mean([not one.exceeds(self.tolerance) for one in errors])
+        found = {
+            "tolerance": self.tolerance,
+            "theta_max": self.theta_max,
+            "isotropic": self.isotropic,
+            "measured": len(self.known),
+            "rays": sum(one.ledger.emitted for one in self.known.values()),
+            "within": float(within),
+            "unseen": [
+                [one.theta_i, one.phi_i, one.light, one.std_err, one.dhr, one.dht]
+                for one in errors
+            ],
+        }
+        if sum(one.exceeds(self.tolerance) for one in errors) > MISSES:
+            warnings.warn(
+                f"tolerance of {self.tolerance:g} was not reached for {self.name}: of "
+                f"directions that were never used {within:.0%} are within it, and no "
+                "further ones help: take a collector of more patches",
+                RuntimeWarning,
+                stacklevel=4,
+            )
+        return record.with_settings(campaign=found)
+
+
+def _parts(record: Record) -> Iterable[Record]:
+    """Records of each incident direction."""
+    return (record[number] for number in range(len(record)))
+
+
+def _beyond(error: Misplacement) -> float:
+    """What is certain of an error, beyond two standard errors."""
+    return max(error.error - 2 * error.std_err, 0.0)
+
+
+def _intervals(levels: Sequence[float], on: float = 0.0) -> list[Interval]:
+    """Intervals between ascending levels."""
+    return [Interval(low, high, on) for low, high in itertools.pairwise(levels)]
+
+
+def _middle_angle(leg: Interval) -> float | None:
+    """Middle of a leg in degrees; None for one that is narrow enough."""
+    if leg.high - leg.low < 2 * NARROWEST_LEG:
+        return None
+    return (leg.low + leg.high) / 2
+
+
+def _middle_sector(gap: Interval) -> float | None:
+    """Sector in the middle of a gap; None if there is none."""
+    return float((gap.low + gap.high) // 2) if gap.high - gap.low >= 2 else None
