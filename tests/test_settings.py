@@ -26,6 +26,7 @@ KINDS = {INTEGRATOR: "integrator", COLLECTOR: "sensor", FILM: "film"}
 OTHERS = {
     "rays": (1e4, 10_000),
     "rel_err": (0.01, 0.01),
+    "noise": (0.02, 0.02),
     "max_rays": (1e6, 10**6),
     "floor": (0.2, 0.2),
     "batches": (8, 8),

@@ -134,8 +134,8 @@ class WholeBsdf:
         self.isotropic = self._is_isotropic(angles)
         self.legs = Axis(_middle_angle, dict.fromkeys(_intervals(angles)))
         self.gaps = Axis(_middle_sector)
-        # errors along both axes add up
-        limit = self.tolerance if self.isotropic else self.tolerance / 2
+        # errors along both axes add up by their squares, about
+        limit = self.tolerance * (1.0 if self.isotropic else 0.5**0.5)
         refined(self.legs, limit, self._errors_of_legs)
         if not self.isotropic:
             for theta in self.legs.levels()[1:]:
@@ -297,7 +297,8 @@ class WholeBsdf:
             prediction = self._prediction(self._directions())
             errors = [self._missed(prediction, *incident) for incident in unseen]
             missed = [one for one in errors if one.exceeds(self.tolerance)]
-            logger.info("%s: %d of %d missed", self.name, len(missed), UNSEEN)
+            worst = [f"{one.error:.2g} at {one.theta_i:.1f}" for one in missed]
+            logger.info("%s: %d of %d missed: %s", self.name, len(missed), UNSEEN, worst)
             if len(missed) <= MISSES or number == ROUNDS - 1:
                 break
             if not self._split_at(missed):
