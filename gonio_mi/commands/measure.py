@@ -41,6 +41,9 @@ __all__ = ["add_options", "run"]
 
 USAGE = "%(prog)s SPECIMEN [--theta-i DEG ...] [options]"
 
+# Part of the directions never used that must be within a tolerance.
+ENOUGH = 0.95
+
 EXAMPLES = """\
 examples:
   gonio-mi measure diffuse --theta-i 45
@@ -50,6 +53,7 @@ examples:
   gonio-mi measure plastic:diffuse_reflectance=0.2/0.5/0.1 --theta-i 45 \\
       --variant llvm_ad_rgb
   gonio-mi measure mybsdf:roughness=0.3 --plugin mybsdf.py --theta-i 45
+  gonio-mi measure roughconductor:alpha=0.3 --tolerance 0.01 -o material.npz
   gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz
   gonio-mi measure scan.x3p --form plane --fill nearest --theta-i 30 -o scan.npz
   gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz --resume run.npz
@@ -89,6 +93,19 @@ def _add_angles(group: Any) -> None:
         metavar="DEG",
         help="azimuths of incidence in degrees, from +x counter-clockwise; each is "
         "combined with each --theta-i (default: 0)",
+    )
+    add_number(
+        group,
+        "--tolerance",
+        "X",
+        "instead of angles: choose incident directions until no more than this part of "
+        "the light is elsewhere than the material goniometric of the record predicts",
+    )
+    add_number(
+        group,
+        "--theta-max",
+        "DEG",
+        "largest angle of incidence for --tolerance (default: 85)",
     )
 
 
@@ -151,11 +168,15 @@ def run(options: Namespace) -> int:
 
 def _measure(options: Namespace) -> Callable[..., Record]:
     """Function that measures here and at once, or in a campaign."""
-    if options.workers is None and options.folder is None:
+    chosen = {"tolerance": options.tolerance, "theta_max": options.theta_max}
+    chosen = {name: value for name, value in chosen.items() if value is not None}
+    if "theta_max" in chosen and "tolerance" not in chosen:
+        raise SettingError("--theta-max goes with --tolerance")
+    if options.workers is None and options.folder is None and not chosen:
         resume = None if options.resume is None else files.load(options.resume)
         return partial(measure, resume=resume)
     if options.resume is not None:
-        raise SettingError("--resume goes without --workers and --folder")
+        raise SettingError("--resume goes without --workers, --folder and --tolerance")
     workers = options.workers
     if workers is not None:
         workers = checked_count("workers", workers)
@@ -171,6 +192,7 @@ def _measure(options: Namespace) -> Callable[..., Record]:
                 executor=workers,
                 folder=options.folder,
                 plugins=options.plugin,
+                **chosen,
                 **settings,
             )[options.specimen]
         except KeyboardInterrupt:
@@ -200,8 +222,11 @@ def _save(record: Record, paths: Sequence[str]) -> list[str]:
 
 def _is_imprecise(record: Record) -> bool:
     """Whether a precision was asked for and not reached."""
-    asked = record.settings.get("rel_err")
-    return asked is not None and record.settings.get("reached", 0) > asked
+    settings = record.settings
+    asked = settings.get("rel_err")
+    if settings.get("campaign"):
+        return not settings["campaign"]["within"] >= ENOUGH
+    return asked is not None and settings.get("reached", 0) > asked
 
 
 def _one_or_many(values: Any) -> Any:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..collector import Subdivision
 from ..errors import shown
+from ..results.campaign_text import campaign_is_sound
 from ..results.integral_sums import Integrals
 from ..results.record import Record
 from ..results.tally import Tally
@@ -77,6 +78,11 @@ def _check_settings(settings: Mapping[str, Any], patches: Subdivision) -> None:
     require(
         isinstance(processors, list) and all(isinstance(p, str) for p in processors),
         "its setting processors is not a list of texts",
+    )
+    campaign = settings.get("campaign")
+    require(
+        campaign is None or campaign_is_sound(campaign),
+        f"its setting campaign is {shown(campaign)}",
     )
     collector = settings.get("collector")
     require(

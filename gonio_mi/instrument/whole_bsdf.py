@@ -298,7 +298,9 @@ class WholeBsdf:
             errors = [self._missed(prediction, *incident) for incident in unseen]
             missed = [one for one in errors if one.exceeds(self.tolerance)]
             worst = [f"{one.error:.2g} at {one.theta_i:.1f}" for one in missed]
-            logger.info("%s: %d of %d missed: %s", self.name, len(missed), UNSEEN, worst)
+            logger.info(
+                "%s: %d of %d missed: %s", self.name, len(missed), UNSEEN, worst
+            )
             if len(missed) <= MISSES or number == ROUNDS - 1:
                 break
             if not self._split_at(missed):

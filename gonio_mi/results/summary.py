@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..single_precision import ROUNDING
+from .campaign_text import campaign_text
 from .processors import processors
 from .ray_density import FLOOR, precision
 from .record import Record
@@ -90,6 +91,8 @@ def summary_text(numbers: dict[str, Any]) -> str:
         _ledger_text(numbers["ledger"]),
         _patches_text(numbers),
     ]
+    if numbers["settings"].get("campaign"):
+        blocks.insert(1, campaign_text(numbers["settings"]["campaign"], WIDTH))
     warnings = [_filled("warning   ", text) for text in numbers["warnings"]]
     if warnings:
         blocks.append("\n".join(warnings))

@@ -52,16 +52,17 @@ class Goniometric(mi.BSDF):
     With a lower hemisphere in the record, component 0 is reflection and component 1
     transmission. At an incident direction of the record, the BSDF is the record: its
     means over patches are those measured, and within a patch it is linear, as the
-    patches around suggest (constant in a Klems file). Between two polar angles lobes *move*: both
-    are shifted over the disk onto which the hemisphere projects, towards the place that
-    lies between them by :math:`\sin\theta_i` (of quantiles of their light, along the
-    plane of incidence and then across it), and mixed. A mirror lobe stays at the mirror
-    angle, a diffuse lobe where it is, and reflectance and transmittance are linear in
-    :math:`\sin\theta_i`, never above the greater of the two. Azimuths turn with that of
-    incidence; between two measured azimuths the two lobes are mixed. Outside of the
-    polar angles of the record, the nearest counts. How wrong all this is between the
-    directions, a record of a campaign with a ``tolerance`` tells: its setting
-    ``campaign`` holds the errors at directions that were never used.
+    patches around suggest (constant in a Klems file). Between two polar angles lobes
+    *move*: both are shifted over the disk onto which the hemisphere projects, towards
+    the place that lies between them by :math:`\sin\theta_i` (of quantiles of their
+    light, along the plane of incidence and then across it), and mixed. A mirror lobe
+    stays at the mirror angle, a diffuse lobe where it is, and reflectance and
+    transmittance are linear in :math:`\sin\theta_i`, never above the greater of the
+    two. Azimuths turn with that of incidence; between two measured azimuths the two
+    lobes are mixed. Outside of the polar angles of the record, the nearest counts. How
+    wrong all this is between the directions, a record of a campaign with a
+    ``tolerance`` tells: its setting ``campaign`` holds the errors at directions that
+    were never used.
 
     In importance mode :math:`\omega_i` looks to the emitter, and the value is what was
     measured: flux per incident flux, in which nothing is divided by :math:`\eta^2`.

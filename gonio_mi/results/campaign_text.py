@@ -1,0 +1,51 @@
+"""What a record says of the campaign that chose its incident directions."""
+
+import textwrap
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+__all__ = ["campaign_is_sound", "campaign_text"]
+
+NUMBERS = ("tolerance", "theta_max", "within", "measured", "rays")
+
+# Of each unseen direction: both angles, light, its standard error, dhr and dht.
+COLUMNS = 6
+
+
+def campaign_is_sound(found: Any) -> bool:
+    """Whether a record's setting ``campaign`` can be what a campaign writes."""
+    if not isinstance(found, Mapping) or not isinstance(found.get("isotropic"), bool):
+        return False
+    numbers = [found.get(name) for name in NUMBERS]
+    unseen = found.get("unseen")
+    rows = unseen if isinstance(unseen, (list, tuple)) else [None]
+    for row in rows:
+        numbers += (
+            row if isinstance(row, (list, tuple)) and len(row) == COLUMNS else [""]
+        )
+    plain = all(type(x) in (int, float) and -1e15 < x < 1e15 for x in numbers)
+    return plain and len(rows) > 0
+
+
+def campaign_text(found: Mapping[str, Any], width: int) -> str:
+    """Tolerance, and the errors at directions that were never used."""
+    unseen = np.array(found["unseen"], dtype=float)
+    light, reflected = unseen[:, 2], np.abs(unseen[:, 4:]).max(axis=1)
+    worst = int(np.argmax(np.maximum(light, reflected)))
+    theta, phi = unseen[worst, :2]
+    kind = "isotropic" if found["isotropic"] else "anisotropic"
+    text = (
+        f"tolerance {found['tolerance']:.3g} up to theta_i {found['theta_max']:g}, "
+        f"{kind} by measurement; {found['measured']} directions were measured. At "
+        f"{len(unseen)} that the material does not use, {found['within']:.1%} are "
+        f"within the tolerance: of the light, {np.mean(light):.2g} is elsewhere than "
+        f"predicted on average and {light[worst]:.2g} +- {unseen[worst, 3]:.1g} at the "
+        f"worst, theta_i {theta:.1f}, phi_i {phi:.1f}; dhr and dht are off by up to "
+        f"{reflected.max():.2g}."
+    )
+    indent = " " * 10
+    return textwrap.fill(
+        text, width, initial_indent="material".ljust(10), subsequent_indent=indent
+    )

@@ -1,0 +1,294 @@
+"""A campaign that chooses its own directions: what it decides by, and what it makes.
+
+Errors are compared with what another route says of them: closed forms, multinomial
+counts, and the plugin `goniometric` itself, sampled.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import synthetic
+from budget import agree, disagree, single
+
+import gonio_mi as gonio
+from gonio_mi.instrument import campaign_tasks
+from gonio_mi.instrument.refinement import Axis, Interval, refined
+from gonio_mi.materials.gradients import gradients
+from gonio_mi.materials.lobes import LobeTable
+from gonio_mi.results.misplacement import misplaced, noise_of
+from gonio_mi.results.tally import Fate, Tally
+
+CONDUCTOR = {"type": "roughconductor", "alpha": 0.5}
+SETTINGS = {"tolerance": 0.03, "theta_max": 70, "collector": "projected:12x24"}
+
+# Rounding of sums of some hundred numbers of double precision.
+DOUBLE = 1e-13
+
+
+# ------------------------------------------------------------------- where it looks
+
+
+def halves(interval):
+    """Middle of an interval, down to a 64th."""
+    wide = interval.high - interval.low >= 1 / 32
+    return (interval.low + interval.high) / 2 if wide else None
+
+
+@pytest.mark.parametrize("limit", [0.01, 0.001])
+def test_intervals_are_split_where_a_chord_is_wrong(limit):
+    """Of the square root: small intervals next to 0, and a wide one before 1."""
+    axis = Axis(halves, {Interval(0, 1): None})
+    looked = []
+
+    def errors_at(intervals, middles):
+        looked.extend(middles)
+        ends = [np.sqrt([i.low, i.high]).mean() for i in intervals]
+        return np.sqrt(list(middles)) - ends
+
+    refined(axis, limit, errors_at)
+    levels = np.array(axis.levels())
+    chords = (np.sqrt(levels[:-1]) + np.sqrt(levels[1:])) / 2
+    errors = np.sqrt((levels[:-1] + levels[1:]) / 2) - chords
+    # the first interval is as narrow as may be; smooth ones are 4 times better in half
+    settled = np.diff(levels) >= 1 / 32
+    assert np.all(errors[settled] <= 1.5 * limit)
+    assert np.diff(levels)[0] < np.diff(levels)[-1]
+    assert len(looked) == len(set(looked)), "no middle twice"
+
+
+# -------------------------------------------------------------- light in wrong places
+
+
+def counted(shares, rays, batches=16, seed=0):
+    """Record of independent rays, of which each patch gets its share."""
+    patches = gonio.subdivision("projected:10x12")
+    shares = np.asarray(shares).reshape(1, *patches.shape)
+    generator = np.random.default_rng(seed)
+    rest = 1 - shares.sum()
+    drawn = generator.multinomial(rays, [*shares.ravel(), rest], size=batches)
+    hits = drawn[:, :-1].reshape(batches, *shares.shape).astype(np.uint64)
+    fates = np.zeros((batches, len(Fate)), np.uint64)
+    fates[:, Fate.REFLECTED] = hits.sum(axis=(1, 2, 3))
+    fates[:, Fate.ABSORBED] = rays - fates[:, Fate.REFLECTED]
+    tally = Tally(
+        hits=hits.sum(axis=0),
+        sums=hits[..., None],
+        incident=np.full((batches, 1), rays, np.uint64),
+        fates=fates,
+        scale=1,
+    )
+    return gonio.Record(
+        subdivision=patches,
+        theta_i=np.array([30.0]),
+        phi_i=np.array([0.0]),
+        channels=("Y",),
+        tallies=(tally,),
+        settings={"estimator": "analog", "sampler": "independent"},
+    )
+
+
+def lobe(peak):
+    """Flux fractions of a lobe on 120 patches, half of the light in all."""
+    weight = np.exp(-(((np.arange(120) - peak) / 15) ** 2))
+    return 0.5 * weight / weight.sum()
+
+
+def test_noise_is_no_misplaced_light():
+    """Where nothing is wrong; twin: the plain sum of differences is all noise."""
+    shares = lobe(60)
+    record = counted(shares, 2000)
+    right = shares.reshape(record.flux_fraction.shape)
+    error = misplaced(record, right)
+    agree(single(error.light / error.std_err))
+    plain = np.abs(record.flux_fraction - right).sum() / 2 / 0.5
+    disagree(single(plain / error.std_err))
+    # what was predicted of the noise is what there is: means of absolute values of
+    # 120 normal deviates scatter by sqrt(pi/2 - 1) / sqrt(120) of it
+    scatter = np.sqrt((np.pi / 2 - 1) / 120)
+    agree(single((plain / noise_of(record) - 1) / scatter))
+
+
+def test_a_lobe_in_another_place_is_misplaced_light():
+    """By as much as both differ; twin: by half of it."""
+    record = counted(lobe(60), 20000)
+    wrong = lobe(70).reshape(record.flux_fraction.shape)
+    truth = np.abs(lobe(70) - lobe(60)).sum() / 2 / 0.5
+    error = misplaced(record, wrong)
+    agree(single((error.light - truth) / error.std_err))
+    disagree(single((error.light - truth / 2) / error.std_err))
+    assert error.exceeds(truth / 2)
+    assert not error.exceeds(2 * truth)
+
+
+def test_light_that_is_missing_is_an_error_of_the_reflectance():
+    record = counted(lobe(60), 20000)
+    error = misplaced(record, 0.9 * record.flux_fraction)
+    assert abs(error.dhr + 0.1) <= DOUBLE
+    assert error.dht == 0
+    assert error.error >= 0.1 - DOUBLE
+
+
+# ------------------------------------------------------------------ the material itself
+
+
+def test_gradients_keep_means_and_find_slopes():
+    """A function linear in both coordinates is found; nothing becomes negative."""
+    patches = gonio.subdivision("projected:8x16")
+    rings = np.arange(8)[:, None, None]
+    even = np.broadcast_to(3.0 + rings, (8, 16, 1))
+    along, around = gradients(even, patches.theta_edges, patches.phi_edges)
+    assert np.allclose(along, 1, rtol=DOUBLE, atol=0)
+    assert np.all(around == 0)
+    lit = np.zeros((8, 16, 1))
+    lit[3, 5] = 1
+    assert np.all(gradients(lit, patches.theta_edges, patches.phi_edges) == 0)
+    rough = np.random.default_rng(1).random((8, 16, 1)) ** 4
+    changes = np.abs(gradients(rough, patches.theta_edges, patches.phi_edges))
+    assert np.all(changes.sum(axis=0) / 2 <= rough * (1 + DOUBLE))
+
+
+def turned(azimuths):
+    """Record of a lobe that turns with incidence, at azimuths of two polar angles."""
+    collector = gonio.subdivision("projected:6x16")
+    pairs = [(t, phi) for t, some in zip((20, 60), azimuths) for phi in some]
+    thetas, phis = np.array(pairs, float).T
+    whole = synthetic.record(theta_i=(20, 60), phi_i=(0, 0), collector=str(collector))
+    flux = dict(zip((20, 60), whole.tallies))
+    tallies = []
+    for theta, phi in pairs:
+        tally, sectors = flux[theta], round(phi / 22.5)
+        arrays = {
+            "hits": np.roll(tally.hits, sectors, axis=-1),
+            "sums": np.roll(tally.sums, sectors, axis=-2),
+        }
+        others = {name: getattr(tally, name) for name in ("incident", "fates", "scale")}
+        tallies.append(Tally(**arrays, **others))
+    return gonio.Record(
+        whole.subdivision, thetas, phis, whole.channels, tuple(tallies), {}, True
+    )
+
+
+def test_azimuths_that_were_not_measured_are_turned():
+    """Of a lobe that turns with incidence nothing is lost; twin: of one that stays."""
+    every = np.arange(0, 360, 22.5)
+    full = LobeTable.of(turned((every, every)))
+    some = LobeTable.of(turned((every[::4], every)))
+    assert np.allclose(some.brdf, full.brdf, rtol=DOUBLE, atol=0)
+    assert not np.allclose(np.roll(some.brdf, 1, axis=0), full.brdf, rtol=0.01, atol=0)
+
+
+# ----------------------------------------------------------------------- the campaign
+
+
+@pytest.fixture(scope="module")
+def material():
+    mi.set_variant("llvm_ad_mono")
+    return gonio.campaign({"metal": CONDUCTOR}, **SETTINGS)["metal"]
+
+
+@pytest.mark.usefixtures("mono")
+def test_it_is_what_it_says(material, tmp_path):
+    """Sampled from the plugin at other directions; twin: from half its angles."""
+    found = material.settings["campaign"]
+    assert found["isotropic"]
+    assert set(material.phi_i) == {0}
+    assert material.theta_i.max() == SETTINGS["theta_max"]
+    assert found["within"] >= 0.95
+    material.save(tmp_path / "m.npz")
+    assert gonio.load(tmp_path / "m.npz") == material
+    few = gonio.Record.stack([material[0], material[-1]])
+    few.save(tmp_path / "few.npz")
+    how = {"collector": SETTINGS["collector"], "rays": 2**18}
+    errors = []
+    for name in ("m.npz", "few.npz"):
+        plugin = {"type": "goniometric", "filename": str(tmp_path / name)}
+        seen = gonio.measure(plugin, 33, 77, **how)
+        truth = gonio.measure(CONDUCTOR, 33, 77, **how)
+        errors.append(misplaced(seen, truth.flux_fraction))
+    assert not errors[0].exceeds(SETTINGS["tolerance"])
+    assert errors[1].exceeds(SETTINGS["tolerance"])
+    text = gonio.results.summary.summary_text(gonio.results.summary.summarize(material))
+    assert "material  tolerance 0.03 up to theta_i 70, isotropic by meas" in text
+
+
+@pytest.mark.usefixtures("mono")
+def test_same_bits_elsewhere_and_again(material, tmp_path, monkeypatch):
+    with ThreadPoolExecutor(2) as pool:
+        where = {"executor": pool, "folder": tmp_path}
+        again = gonio.campaign({"metal": CONDUCTOR}, **SETTINGS, **where)["metal"]
+    assert again.tallies == material.tallies
+    assert again.settings["campaign"] == material.settings["campaign"]
+
+    def measured_again(*_, **__):
+        raise AssertionError("it was finished")
+
+    monkeypatch.setattr(campaign_tasks, "measure_each", measured_again)
+    kept = gonio.campaign({"metal": CONDUCTOR}, **SETTINGS, folder=tmp_path)["metal"]
+    assert kept.tallies == material.tallies
+
+
+@pytest.mark.usefixtures("mono")
+def test_an_anisotropic_specimen_is_recognised():
+    """From rays, as few as the tolerance asks for."""
+    brushed = {"type": "roughconductor", "alpha_u": 0.3, "alpha_v": 0.7}
+    how = {"tolerance": 0.2, "collector": "projected:6x16", "estimator": "weighted"}
+    record = gonio.campaign({"brushed": brushed}, **how, theta_max=60)["brushed"]
+    assert not record.settings["campaign"]["isotropic"]
+    assert len(set(record.phi_i[record.theta_i > 0])) >= 8
+    noise = [noise_of(record[number]) for number in range(len(record))]
+    assert max(noise) <= how["tolerance"] / 4
+    assert record.settings["noise"] == how["tolerance"] / 4
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ({"tolerance": 0}, "tolerance must be a number from 0.0001, below which"),
+        ({"tolerance": float("nan")}, "tolerance must be"),
+        ({"tolerance": -0.1}, "tolerance must be"),
+        ({"tolerance": 1e-7}, "single precision"),
+        ({"theta_max": 90}, "theta_max must be degrees from 10 to below 89.5, got 90"),
+        ({"theta_i": 30}, "tolerance and theta_i exclude each other"),
+        ({"rays": 100}, "tolerance and rays exclude each other"),
+        ({"collector": "klems"}, "rings with at least 8 equal sectors"),
+    ],
+)
+def test_bad_input(arguments, reason):
+    with pytest.raises(ValueError, match=reason):
+        gonio.campaign({"metal": CONDUCTOR}, **SETTINGS | arguments)
+
+
+@pytest.mark.usefixtures("mono")
+def test_patches_that_are_too_coarse_are_told_at_once():
+    """And the collector that is named for it is fine enough to begin with."""
+    narrow = {"type": "roughconductor", "alpha": 0.2}
+    how = SETTINGS | {"tolerance": 0.02, "collector": "projected:6x8"}
+    with pytest.raises(
+        gonio.SpecimenError, match=r"too narrow for projected:6x8: .* take a collector "
+    ) as error:
+        gonio.campaign({"narrow": narrow}, **how)
+    named = str(error.value).split()[-1]
+    with pytest.raises(RuntimeError, match="enough of it"):
+        gonio.campaign({"narrow": narrow}, **how | {"collector": named}, folder=Stop())
+
+
+class Stop:
+    """A folder that ends a campaign once it is known whether it is isotropic."""
+
+    def __fspath__(self):
+        raise RuntimeError("enough of it")
+
+
+@pytest.mark.usefixtures("mono")
+def test_integrals_of_a_stack_have_the_bits_of_each():
+    how = {"estimator": "quadrature", "collector": "projected:10x12"}
+    plastic = {"type": "roughplastic", "alpha": 0.2}
+    stack = gonio.measure(plastic, (0, 50), (0, 70), **how)
+    for number, one in enumerate(stack):
+        alone = gonio.measure(
+            plastic, stack.theta_i[number], stack.phi_i[number], **how
+        )
+        assert one.tallies == alone.tallies
