@@ -267,7 +267,7 @@ def test_patches_that_are_too_coarse_are_told_at_once():
     narrow = {"type": "roughconductor", "alpha": 0.2}
     how = SETTINGS | {"tolerance": 0.02, "collector": "projected:6x8"}
     with pytest.raises(
-        gonio.SpecimenError, match=r"too narrow for projected:6x8: .* take a collector "
+        gonio.SpecimenError, match=r"too narrow for projected:6x8: .* or a collector "
     ) as error:
         gonio.campaign({"narrow": narrow}, **how)
     named = str(error.value).split()[-1]

@@ -105,7 +105,7 @@ def _add_angles(group: Any) -> None:
         group,
         "--theta-max",
         "DEG",
-        "largest angle of incidence for --tolerance (default: 85)",
+        "largest angle of incidence for --tolerance (default: 80)",
     )
 
 

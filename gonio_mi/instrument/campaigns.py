@@ -26,7 +26,7 @@ def campaign(
     phi_i: Any = 0.0,
     *,
     tolerance: float | None = None,
-    theta_max: float = 85.0,
+    theta_max: float = 80.0,
     executor: Any = None,
     folder: str | PathLike[str] | None = None,
     plugins: Sequence[str | PathLike[str]] = (),

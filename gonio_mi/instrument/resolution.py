@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..collector import RingsAndSectors, Subdivision, subdivision
+from ..collector import EqualAngle, RingsAndSectors, Subdivision
 from ..errors import SettingError, SpecimenError
 from ..results.misplacement import misplaced
 from ..results.record import Record
@@ -41,51 +41,46 @@ def check_equal_sectors(patches: Subdivision) -> None:
 
 
 def check_resolved(
-    tolerance: float, n_points: int, theta_i: float, records: Records
+    tolerance: float, n_points: int, angles: Sequence[float], records: Records
 ) -> None:
     """Raise SpecimenError if patches are too coarse to say what is between directions.
 
-    It names a collector that would do, from what finer ones would measure.
+    It names a collector that would do, from what finer ones would measure: of equal
+    steps of angle, which resolve lobes at grazing incidence with the fewest patches.
 
     Parameters
     ----------
     tolerance : float
     n_points : int
         Points per side of a patch.
-    theta_i : float
-        In degrees.
+    angles : sequence of float
+        Of incidence in degrees, where it is looked at.
     records : callable
         Stack of incident directions in degrees, with another collector if one is given.
     """
-    asked = patches = records([(theta_i, 0.0)], None).subdivision
-    lost = at_first = _lost(n_points, theta_i, partial(_at, records, None))
+    first = records([(theta_i, 0.0) for theta_i in angles], None)
+    asked = patches = first.subdivision
+    lost = at_first = _lost(n_points, angles, partial(_at, records, None))
     if max(lost) <= tolerance:
         return
     while max(lost) > NEARLY:
         sizes = [n * (1 + (one > NEARLY)) for n, one in zip(patches.shape, lost)]
         if math.prod(sizes) > MOST_PATCHES:
             break
-        patches = _with_sizes(asked, sizes)
-        lost = _lost(n_points, theta_i, partial(_at, records, patches))
+        patches = EqualAngle(*sizes)
+        lost = _lost(n_points, angles, partial(_at, records, patches))
     said = (
-        f"the lobes of {records([(theta_i, 0.0)], None).settings['specimen']!s:.60} "
-        f"are too narrow for {asked!s:.40}: moved by half a patch, "
-        f"{max(at_first):.2g} of the light would be in the wrong place at theta_i "
-        f"{theta_i:.3g}"
+        f"the lobes of {first.settings['specimen']!s:.60} are too narrow for "
+        f"{asked!s:.40}: moved by half a patch, {max(at_first):.2g} of the light would "
+        f"be in the wrong place at an angle up to {max(angles):.3g}"
     )
     if max(lost) > NEARLY:
-        raise SpecimenError(f"{said}, and much with {patches!s:.40} too")
+        raise SpecimenError(f"{said}, and {max(lost):.2g} with {patches!s:.40}")
     factors = [max(1.0, (one / (SHARE * tolerance)) ** (1 / ORDER)) for one in lost]
     sizes = [math.ceil(n * f / 4) * 4 for n, f in zip(patches.shape, factors)]
     raise SpecimenError(
-        f"{said}; take a collector such as {_with_sizes(asked, sizes)!s:.40}"
+        f"{said}; take a smaller theta_max or a collector such as {EqualAngle(*sizes)}"
     )
-
-
-def _with_sizes(patches: Subdivision, sizes: Sequence[int]) -> Subdivision:
-    """Patches of the same kind, but of so many rings and sectors."""
-    kind = str(patches).partition(":")[0]
-    return subdivision(f"{kind}:{sizes[0]}x{sizes[1]}")
 
 
 def _at(
@@ -99,10 +94,20 @@ def _at(
 
 def _lost(
     n_points: int,
+    angles: Sequence[float],
+    records: Callable[[Sequence[tuple[float, float]]], Record],
+) -> tuple[float, ...]:
+    """Light in the wrong place where only the patches are in the way: at the worst."""
+    each = [_lost_at(n_points, theta_i, records) for theta_i in angles]
+    return tuple(map(max, zip(*each)))
+
+
+def _lost_at(
+    n_points: int,
     theta_i: float,
     records: Callable[[Sequence[tuple[float, float]]], Record],
 ) -> tuple[float, ...]:
-    """Light in the wrong place where only the patches are in the way.
+    """The same at one angle of incidence, by rings and by sectors.
 
     Lobes are moved by half a ring, and by half a sector, from directions next to them.
     """
@@ -110,7 +115,7 @@ def _lost(
     patches: Any = start.subdivision
     edges = np.degrees(patches.theta_edges)
     ring = int(np.searchsorted(edges, theta_i).clip(1, len(edges) - 1))
-    width = float(edges[ring] - edges[ring - 1])
+    width = min(float(edges[ring] - edges[ring - 1]), theta_i)
     legs = records([(theta_i - width, 0.0), (theta_i, 0.0)])
     sector = 360 / patches.shape[1]
     beside = [start, records([(theta_i, sector)])]

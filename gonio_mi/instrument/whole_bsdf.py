@@ -130,7 +130,7 @@ class WholeBsdf:
         patches = self.known[0.0, 0.0].subdivision
         check_equal_sectors(patches)
         self.n_sectors = patches.shape[1]
-        check_resolved(self.tolerance, self.n_points, angles[2], self._records)
+        check_resolved(self.tolerance, self.n_points, angles[2:], self._records)
         self.isotropic = self._is_isotropic(angles)
         self.legs = Axis(_middle_angle, dict.fromkeys(_intervals(angles)))
         self.gaps = Axis(_middle_sector)

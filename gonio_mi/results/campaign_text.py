@@ -18,7 +18,7 @@ def campaign_is_sound(found: Any) -> bool:
     """Whether a record's setting ``campaign`` can be what a campaign writes."""
     if not isinstance(found, Mapping) or not isinstance(found.get("isotropic"), bool):
         return False
-    numbers = [found.get(name) for name in NUMBERS]
+    numbers: list[Any] = [found.get(name) for name in NUMBERS]
     unseen = found.get("unseen")
     rows = unseen if isinstance(unseen, (list, tuple)) else [None]
     for row in rows:
