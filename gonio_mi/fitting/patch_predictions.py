@@ -90,8 +90,8 @@ class _Nodes:
         self.n_patches = n_patches
         self.patch = rule.patch[kept]
         self.weight = (rule.weight * np.sin(rule.theta))[kept]
-        self.si = rule.beam.interaction
-        self.wo = rule.beam.towards(rule.theta[kept], rule.phi[kept], rule.lower[kept])
+        self.si = rule.light.first
+        self.wo = rule.light.towards(rule.theta[kept], rule.phi[kept], rule.lower[kept])
         dr.eval(self.wo)
 
     def sums(self, bsdf: mi.BSDF) -> Floats:

@@ -158,9 +158,8 @@ class Evaluator:
                 for array in (inside, half, middle)
             )
             angle.append(middles + dr.clip(halves * node, -limit, limit))
-        sin, cos = dr.sincos(angle[0])
         lower = dr.gather(mi.Bool, mi.Bool(cells.lower), number)
-        wo = self.light.towards(sin, cos, angle[1], lower)
+        wo = self.light.towards(angle[0], angle[1], lower)
         direction = mi.UInt32(cells.direction.astype(np.uint32))
         si = self.light.from_number(dr.gather(mi.UInt32, direction, number))
         function = self.bsdf.pdf if self.pdf else self.bsdf.eval

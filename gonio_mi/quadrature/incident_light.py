@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -59,23 +60,26 @@ class IncidentLight:
         si.wi = dr.gather(mi.Vector3f, self.wi, number)
         return si
 
+    @property
+    def first(self) -> mi.SurfaceInteraction3f:
+        """Interaction with the first of the lights."""
+        si = mi.SurfaceInteraction3f(self.interaction)
+        si.wi = dr.gather(mi.Vector3f, self.wi, mi.UInt32(0))
+        return si
+
     def towards(
-        self,
-        sin_theta: mi.Float64,
-        cos_theta: mi.Float64,
-        phi: mi.Float64,
-        lower: mi.Bool,
+        self, theta: Floats | mi.Float64, phi: Floats | mi.Float64, lower: Any
     ) -> mi.Vector3f:
         """Directions in the frame of the surface, from angles seen from the lit face.
 
         They are rounded to single precision once.
         """
-        sin_phi, cos_phi = dr.sincos(phi)
-        up = dr.select(lower, -self.side, self.side)
+        sin_theta, cos_theta = dr.sincos(mi.Float64(theta))
+        sin_phi, cos_phi = dr.sincos(mi.Float64(phi))
         world = mi.Vector3f(
             mi.Float(sin_theta * cos_phi),
             mi.Float(sin_theta * sin_phi),
-            mi.Float(cos_theta) * up,
+            mi.Float(cos_theta) * dr.select(mi.Bool(lower), -self.side, self.side),
         )
         return self.interaction.to_local(world)
 
@@ -83,9 +87,8 @@ class IncidentLight:
         self, bsdf: mi.BSDF, theta: Floats, phi: Floats, lower: Flags
     ) -> list[mi.Float]:
         """``eval`` of all channels for the first of the lights."""
-        sin, cos = dr.sincos(mi.Float64(theta))
-        wo = self.towards(sin, cos, mi.Float64(phi), mi.Bool(lower))
         first = dr.zeros(mi.UInt32, len(theta))
+        wo = self.towards(theta, phi, lower)
         return list(bsdf.eval(flux_context(), self.from_number(first), wo))
 
 
