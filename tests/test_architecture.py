@@ -42,6 +42,7 @@ ROOMS = (
     "benchmark",
     "testing",
     "commands",
+    "pytest_entry",
     "cli",
 )
 

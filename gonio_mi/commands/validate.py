@@ -15,6 +15,7 @@ from ..validation.verdict import Verdict
 from .arguments import (
     DONE,
     FAILED,
+    Parser,
     add_number,
     add_scene_options,
     add_specimen,
@@ -24,7 +25,7 @@ from .arguments import (
     specimen_of,
 )
 
-__all__ = ["add_options", "run"]
+__all__ = ["add_options", "examined", "run"]
 
 USAGE = "%(prog)s SPECIMEN [options]"
 
@@ -97,6 +98,13 @@ def run(options: argparse.Namespace) -> int:
     else:
         _print(verdict, others, skipped)
     return DONE if verdict.passed else FAILED
+
+
+def examined(words: Sequence[str]) -> list[Verdict]:
+    """Verdicts in each variant, for the words of a command line after the command."""
+    parser = Parser(prog="gonio-mi validate")
+    add_options(parser)
+    return _verdicts(parser.parse_args(list(words)))[0]
 
 
 def _verdicts(options: argparse.Namespace) -> tuple[list[Verdict], dict[str, str]]:
