@@ -15,7 +15,7 @@ from scipy import special
 from ..array_types import Flags, Floats
 from ..errors import checked_count, checked_number
 from ..instrument.loading import check_variant, specimen_name
-from ..validation.equality import BSDF_ROUNDING, SLACK, is_many
+from ..validation.equality import BSDF_ROUNDING, SLACK, ULPS, is_many
 from .asking import Answers, Question, ask, interpreter
 
 __all__ = ["Difference", "Differences", "diff"]
@@ -28,6 +28,9 @@ VIEWS = (
 
 # Directions nearer than that are the same sample, for rounding may tilt a facet.
 SAME = 2.0**-10
+
+# A value below that has no use as a denominator.
+SMALLEST = 1e-30
 
 MEANING = {
     "eval": "images change where this light is seen",
@@ -196,9 +199,9 @@ def _parts(
         for theta, side, mode in conditions
     ]
     pairs = [
-        (
-            {k: own.arrays[f"{k}.{i}"] for k in _names(own)},
-            {k: other.arrays[f"{k}.{i}"] for k in _names(own)},
+        tuple(
+            {name: one.arrays[f"{name}.{i}"] for name in _names(one)}
+            for one in (own, other)
         )
         for i in range(len(conditions))
     ]
@@ -219,7 +222,7 @@ def _sizes(a: Floats, b: Floats, slack: Floats | float) -> Floats:
     """Differences in units of what rounding may leave; 0 where both are no number."""
     unit = BSDF_ROUNDING * np.fmax(np.abs(a), np.abs(b)) + SLACK * slack
     off = np.abs(a - b)
-    size = np.where(off > 0, off / np.maximum(unit, 1e-30), 0.0)
+    size = np.where(off > 0, off / np.maximum(unit, SMALLEST), 0.0)
     size = np.where(np.isfinite(a) & np.isfinite(b), size, np.inf)
     size = np.where(np.isnan(a) & np.isnan(b), 0.0, size)
     return size if size.ndim == 1 else size.max(axis=1)
@@ -293,19 +296,34 @@ def _sample(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Differen
 
 
 def _weights(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Difference:
-    """Weights and densities of samples that have the same direction."""
+    """Weights and densities of samples that have the same direction.
+
+    Only of those whose directions all functions were asked about: it is known how these
+    answer to rounding.
+    """
     sizes, examples = [], []
     for a, b in pairs:
+        index = a["index"].astype(int)
+        start = len(a["wo"]) - len(index)  # after the lattice
+        slacks = [a[f"{name}_slack"][start:] for name in ("pdf", "eval")]
+        values = [np.abs(a[name][start:]) for name in ("pdf", "eval")]
+        tilt = np.abs(a["direction"] - b["direction"])[index].max(axis=1, initial=0)
         both = np.logical_and(*_given(a, b)) & ~_moved(a, b)
-        weight = _sizes(a["weight"][both], b["weight"][both], 0.0)
-        density = _sizes(a["sampled_pdf"][both], b["sampled_pdf"][both], 0.0)
-        # a direction that rounding tilts has another density, and so has its weight
-        tilt = np.abs(a["direction"] - b["direction"])[both].max(axis=1)
-        same = tilt <= BSDF_ROUNDING
-        sizes.append(np.where(same, np.fmax(weight, density), 0.0))
-        by_weight = (weight >= density).mean() >= 0.5 if both.any() else True
-        name = "weight" if by_weight else "sampled_pdf"
-        examples.append((a[name][both], b[name][both]))
+        both = both[index] & (tilt <= SLACK * ULPS)
+        own, other = (
+            {name: x[name][index][both] for name in ("weight", "sampled_pdf")}
+            for x in (a, b)
+        )
+        # a weight is badly conditioned where a density or a value is
+        relative = (slacks[0] / np.fmax(values[0], SMALLEST))[:, None]
+        relative = relative + slacks[1] / np.fmax(values[1], SMALLEST)
+        weight = _sizes(
+            own["weight"], other["weight"], relative[both] * np.abs(own["weight"])
+        )
+        density = _sizes(own["sampled_pdf"], other["sampled_pdf"], slacks[0][both])
+        name = "weight" if weight.sum() >= density.sum() else "sampled_pdf"
+        sizes.append(np.fmax(weight, density))
+        examples.append((own[name], other[name]))
     return _worst("weights", places, sizes, examples, "of the same sample up to ")
 
 

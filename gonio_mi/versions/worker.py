@@ -114,6 +114,7 @@ class Asked:
             few = answers["direction"][: len(arrays["lattice"])]
             usable = np.isfinite(few).all(axis=1) & (np.abs(few).sum(axis=1) > 0.5)
             wo = np.concatenate([arrays["lattice"], few[usable]]).astype(np.float32)
+            answers["index"] = np.flatnonzero(usable)
         answers["wo"] = wo
         wi = np.broadcast_to(self.wi, wo.shape)
         value, pdf = self.eval_pdf(wi, wo)
