@@ -102,6 +102,11 @@ class Answers:
     facts: dict[str, Any]
     arrays: dict[str, Any]
 
+    def at(self, condition: int) -> dict[str, Any]:
+        """Arrays of the condition of that number, by name alone."""
+        parts = [(*name.split("."), array) for name, array in self.arrays.items()]
+        return {name: array for name, i, array in parts if int(i) == condition}
+
 
 def interpreter(venv: str | PathLike[str]) -> str:
     """Python of a virtual environment; `venv` may be that Python itself.

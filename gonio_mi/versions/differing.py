@@ -198,13 +198,7 @@ def _parts(
         f"theta_i {theta:g}, {side}, {mode.lower()} mode"
         for theta, side, mode in conditions
     ]
-    pairs = [
-        tuple(
-            {name: one.arrays[f"{name}.{i}"] for name in _names(one)}
-            for one in (own, other)
-        )
-        for i in range(len(conditions))
-    ]
+    pairs = [(own.at(i), other.at(i)) for i in range(len(conditions))]
     for function in ("eval", "pdf"):
         yield _values(function, places, pairs)
     yield _sample(places, pairs)
@@ -212,10 +206,6 @@ def _parts(
     yield _albedo(places, pairs, alpha)
     yield _flags(own.facts, other.facts)
     yield _parameters(own.facts, other.facts)
-
-
-def _names(answers: Answers) -> set[str]:
-    return {name.rpartition(".")[0] for name in answers.arrays}
 
 
 def _sizes(a: Floats, b: Floats, slack: Floats | float) -> Floats:
