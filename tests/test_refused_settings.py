@@ -259,7 +259,7 @@ def test_specimen_near_the_origin(place):
         ),
         (
             {"estimator": "quadrature", "collector": "apertures:2@0/0"},
-            "needs a collector of rings and sectors: take weighted instead",
+            "needs a collector of rings and sectors: take next_event, traced",
         ),
         (
             {"estimator": "next_event", "collector": "apertures:2@0/0"},

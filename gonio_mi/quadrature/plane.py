@@ -34,9 +34,10 @@ def check_integrable(
     }
     for need, holds in needs.items():
         if not holds:
-            raise SpecimenError(
-                f"the estimator quadrature needs {need}: take weighted instead"
-            )
+            remedy = "take weighted instead"
+            if bench.collector.subdivision.axes is not None:
+                remedy = "take next_event, traced (trace=True, or --trace)"
+            raise SpecimenError(f"the estimator quadrature needs {need}: {remedy}")
 
 
 def integrals(
