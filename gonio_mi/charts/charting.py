@@ -94,7 +94,7 @@ def chart(
         clock.show("reference")
         pilot, reference, integrates = find_reference(runs, seconds)
         flat = pilot.settings["transport"] == "plane"
-        if flat:
+        if flat or "media" in pilot.settings:
             estimators = [name for name in estimators if name != "next_event"]
         methods = _methods(estimators, samplers, integrates)
         if not methods:

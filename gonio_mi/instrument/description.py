@@ -15,6 +15,7 @@ from ..settings import INTEGRATOR, MeasurementSettings, declarations
 from ..transport.bench import Bench
 from ..transport.launch import transport_of
 from ..transport.sampling import sampler_name
+from ..transport.trial import class_of
 from ..transport.wavelengths import passes
 from .processor import processor
 
@@ -45,7 +46,9 @@ def described(
     }
     if settings.estimator != "next_event":
         del own["points"]
-    if not bench.specimen.media:
+    if bench.specimen.media:
+        own["media"] = [class_of(medium) for medium in bench.specimen.media]
+    else:
         del own["max_scatterings"]
     if settings.estimator == "quadrature":
         own["rel_err"] = settings.integral_err

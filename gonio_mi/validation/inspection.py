@@ -129,6 +129,11 @@ def _bsdf(specimen: Any) -> tuple[mi.BSDF, str]:
     if not isinstance(specimen, mi.BSDF):
         scene = load_specimen(specimen)
         shapes = [s for s in scene.shapes() if not s.is_emitter()]
+        if any(shape.is_medium_transition() for shape in shapes):
+            raise SpecimenError(
+                "validate judges BSDFs, got a shape with a medium: measure it, or "
+                "validate the BSDF of its boundary alone"
+            )
         if len(shapes) != 1:
             raise SpecimenError(
                 "a scene to validate must have one shape, whose BSDF is meant, "
