@@ -35,6 +35,7 @@ from .files import load  # noqa: E402
 from .files.measured import MeasuredTable, read_measured  # noqa: E402
 from .fitting import Fit, fit  # noqa: E402
 from .instrument.campaigns import campaign  # noqa: E402
+from .instrument.exit_profile import ExitProfile, exit_profile  # noqa: E402
 from .instrument.measuring import measure  # noqa: E402
 from .instrument.mesh_specimens import mesh  # noqa: E402
 from .microsurfaces import MicroNormals, micro_normals  # noqa: E402
@@ -54,6 +55,7 @@ __all__ = [
     "EqualProjectedSolidAngle",
     "EqualSine",
     "EqualSolidAngle",
+    "ExitProfile",
     "FileFormatError",
     "Fit",
     "LLVMError",
@@ -74,6 +76,7 @@ __all__ = [
     "campaign",
     "chart",
     "compare",
+    "exit_profile",
     "export",
     "fit",
     "load",

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 
+from ..array_types import Floats
 from ..results.tally import Fate
 from .beam import Beam
 from .collector_sphere import CollectorSphere
@@ -59,8 +62,30 @@ class Bench:
         self.n_patches = subdivision.n_patches
         self.n_collected = self.shape[0] * self.n_patches
         self.n_bins = self.n_collected + len(Fate)
+        self._radii: Any = None
         # of powers beyond the ordinary that sums have room for: what was met so far
         self.levels = USUAL_LEVELS if self.n_bins <= FEW_BINS else range(0)
+
+    def collect_by_distance(self, radii: Floats) -> None:
+        """Let ring `i` collect what leaves between ``radii[i - 1]`` and ``radii[i]``.
+
+        From the middle of the footprint, whatever the direction; the first ring what is
+        nearer than the first of `radii`, the last one what is beyond the last.
+        """
+        self._radii = mi.Float(radii.tolist())
+        dr.make_opaque(self._radii)
+
+    def _patch(self, exits: Exits, d: mi.Vector3f) -> mi.UInt32:
+        """Number of the patch of light that arrives in the direction `d`."""
+        if self._radii is None:
+            return self.collector.patch_index(d)
+        x, y, _ = self.beam.middle.tolist()
+        distance = dr.norm(mi.Vector2f(exits.p.x - x, exits.p.y - y))
+        return dr.binary_search(
+            0,
+            self.n_patches - 1,
+            lambda i: dr.gather(mi.Float, self._radii, i) <= distance,
+        )
 
     @property
     def digests(self) -> dict[str, str | None]:
@@ -81,7 +106,7 @@ class Bench:
         left = (exits.fate == mi.UInt32(Fate.REFLECTED)) & (dr.abs(up) > 0)
         lower = up < 0
         left |= direct & lower
-        patch = dr.minimum(self.collector.patch_index(d), self.n_patches - 1)
+        patch = dr.minimum(self._patch(exits, d), self.n_patches - 1)
         fate = dr.select(
             (exits.fate == mi.UInt32(Fate.REFLECTED)) | (direct & ~lower),
             mi.UInt32(Fate.SIDEWAYS),

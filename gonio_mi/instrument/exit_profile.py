@@ -1,0 +1,159 @@
+"""How far from where it entered light leaves a specimen that scatters inside."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..array_types import Floats
+from ..errors import SettingError, checked_number, shown
+from ..results.record import Record
+from ..results.tally import Ledger, Tally, batch_sizes
+from ..settings import MeasurementSettings
+from ..transport.kernels import launches_kernels
+from ..transport.specimen import Specimen
+from .incidence import emitter_scene, incident_angles, incident_key
+from .instrument import Instrument
+from .loading import check_variant, load_specimen
+from .scene_settings import own_settings, sampler_of
+from .sending import send_all
+
+__all__ = ["ExitProfile", "exit_profile"]
+
+MOST_RINGS = 10_000
+
+
+@dataclass(frozen=True)
+class ExitProfile:
+    """Light that leaves, per area, over the distance from where it entered.
+
+    Attributes
+    ----------
+    radii : ndarray, shape (n + 1,)
+        Edges of the rings, in scene units.
+    reflectance, transmittance : ndarray, shape (n, channels)
+        Mean of a ring, of the incident flux per square of a scene unit; None for the
+        second one if there is no lower hemisphere. Direct light is in it.
+    reflectance_std_err, transmittance_std_err : ndarray, shape (n, channels)
+        From the batches; NaN for a single batch and where no ray left.
+    beyond : ndarray, shape (n_hemispheres, channels)
+        Part of the incident flux that left further away than the last radius.
+    dhr, dht : ndarray, shape (channels,)
+        All that left, rings and `beyond`.
+    ledger : Ledger
+    settings : dict
+        As of a record.
+    """
+
+    radii: Floats
+    reflectance: Floats
+    reflectance_std_err: Floats
+    transmittance: Floats | None
+    transmittance_std_err: Floats | None
+    beyond: Floats
+    dhr: Floats
+    dht: Floats | None
+    ledger: Ledger
+    settings: dict[str, Any]
+
+
+@launches_kernels()
+def exit_profile(
+    specimen: Any,
+    radii: Sequence[float],
+    theta_i: float = 0.0,
+    phi_i: float = 0.0,
+    *,
+    parameters: dict[str, Any] | None = None,
+    **settings: Any,
+) -> ExitProfile:
+    """Light per area that leaves at a distance from the point where it entered.
+
+    What a fibre probe sees, and programs such as MCML (Wang, Jacques and Zheng 1995)
+    give. All directions of a hemisphere are collected.
+
+    Parameters
+    ----------
+    specimen, parameters
+        As of :func:`gonio_mi.measure`.
+    radii : sequence of float
+        Edges of the rings in scene units, ascending and not negative; a disk if the
+        first one is 0. At most 10 000 rings.
+    theta_i, phi_i : float
+        Degrees.
+    **settings
+        Those of :func:`gonio_mi.measure`, but for `footprint`, which is a point, the
+        collector's, and `rel_err`.
+
+    Returns
+    -------
+    ExitProfile
+
+    Raises
+    ------
+    TypeError, ValueError, SpecimenError
+        As of :func:`gonio_mi.measure`.
+    """
+    check_variant()
+    edges = _checked(radii)
+    own = {"footprint", "collector", "collector_radius", "rel_err", "max_rays"}
+    for name in sorted(own & settings.keys()):
+        raise SettingError(f"{name} is no setting of exit_profile, got it")
+    given = {name: value for name, value in settings.items() if value is not None}
+    MeasurementSettings().changed(**given)  # refused before anything is loaded
+    incidents, _ = incident_angles(float(theta_i), float(phi_i))
+    scene = load_specimen(specimen, parameters)
+    # one ring of light inside of the first radius, and one beyond the last
+    fixed = {"footprint": "point", "collector": f"angle:{edges.size + 1}x1"}
+    found = {k: v for k, v in own_settings(scene).items() if k not in own}
+    chosen = MeasurementSettings().changed(**found | given | fixed)
+    instrument = Instrument(chosen, sampler_of(chosen))
+    measured = Specimen(scene, chosen.period)
+    instrument.check(measured)
+    lit = emitter_scene(scene, None, incidents[0], chosen.side)
+    bench = instrument.bench(measured, lit.emitters(), incidents[0])
+    bench.collect_by_distance(edges)
+    tallies: list[Tally] = []
+    keys = [(chosen.seed, *incident_key(incidents[0]))]
+    plan = batch_sizes(chosen.rays, chosen.batches)
+    if not send_all(instrument, [bench], keys, plan, None, [tallies]):
+        raise KeyboardInterrupt
+    record = instrument.record(bench, Tally.join(tallies), chosen.seed)
+    return _profile(record, edges)
+
+
+def _checked(radii: Sequence[float]) -> Floats:
+    """Edges of rings as an array; raise SettingError for what is none."""
+    edges = np.array([checked_number("radii", x, 0, 1e15, "numbers") for x in radii])
+    if not 2 <= edges.size <= MOST_RINGS + 1 or not np.all(np.diff(edges) > 0):
+        raise SettingError(
+            f"radii must be 2 to {MOST_RINGS + 1} ascending numbers, got {shown(radii)}"
+        )
+    return edges
+
+
+def _profile(record: Record, edges: Floats) -> ExitProfile:
+    """Profile of a record whose rings are distances."""
+    areas = np.pi * np.diff(edges**2)[:, None]
+    flux = record.flux_fraction[:, :, 0]  # hemispheres, rings, channels
+    solid = record.subdivision.projected_solid_angles
+    per_area = [one[1:-1] / areas for one in flux]
+    errors = [
+        (np.asarray(one)[:, 0] * solid)[1:-1] / areas
+        for one in (record.brdf_std_err, record.btdf_std_err)[: len(flux)]
+    ]
+    return ExitProfile(
+        radii=edges,
+        reflectance=per_area[0],
+        reflectance_std_err=errors[0],
+        transmittance=per_area[1] if record.has_lower else None,
+        transmittance_std_err=errors[1] if record.has_lower else None,
+        beyond=flux[:, -1],
+        dhr=record.dhr,
+        dht=record.dht,
+        ledger=record.ledger,
+        settings=dict(record.settings),
+    )
