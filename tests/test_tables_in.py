@@ -234,6 +234,18 @@ def test_commands_take_what_the_table_leaves_open(tmp_path, capsys):
     assert main([*command, *columns, *rest, "--uncertainty", "0.01"]) == 3
 
 
+@pytest.mark.usefixtures("spectral")
+def test_the_channel_of_a_table_is_the_wavelength(tmp_path):
+    names = "theta_i,phi_i,theta_r,phi_r,451.5nm"
+    path = written(tmp_path, f"{names}\n45,0,30,180,0.16\n")
+    table = gonio.read_measured(path, quantity="brdf")
+    (record,) = gonio.measure_like(
+        {"type": "diffuse"}, table, aperture_half_angle=5, rays=20_000
+    )
+    assert record.channels == ("451.5nm",)
+    assert set(gonio.compare(record, table).channel.tolist()) == {"451.5nm"}
+
+
 # --------------------------------------------------------------------------- real files
 
 

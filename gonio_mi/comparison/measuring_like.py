@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Iterator
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 
 from ..collector.apertures import Apertures, disjoint_groups
@@ -58,7 +59,8 @@ def measure_like(
     like : MeasuredTable or Record
         The `emitter_half_angle` of a table makes a round source of uniform radiance at
         `emitter_distance`, by default far away; without it the beam is collimated, or
-        has the `divergence` that is given. Of a record the collector, the incident
+        has the `divergence` that is given; in a spectral variant its channel, such as
+        ``"550nm"``, is the wavelength. Of a record the collector, the incident
         directions, the wavelengths and what else it knows of its measurement are taken;
         it must have been lit by a collimated beam.
     aperture_half_angle : float, optional
@@ -115,6 +117,9 @@ def _like_table(
                 f"emitter_half_angle of {table.emitter_half_angle:g} degrees"
             )
         settings.setdefault("emitter", _round_source(table))
+    nm = wavelengths_nm([table.channel or ""])
+    if nm is not None and mi.is_spectral:
+        settings.setdefault("wavelengths", nm.tolist())
     lower = "both" if table.quantity == "btdf" else "upper"
     settings.setdefault("hemispheres", lower)
     automatic = not {k for k in PRECISION & settings.keys() if settings[k] is not None}
@@ -193,8 +198,6 @@ def _like_record(
 
 def _round_source(table: MeasuredTable) -> dict[str, Any]:
     """Disk of uniform radiance above the specimen, that faces it."""
-    import mitsuba as mi
-
     distance = table.emitter_distance or FAR
     radius = float(distance * np.tan(np.radians(table.emitter_half_angle)))
     above = mi.ScalarTransform4f().translate([0, 0, distance])

@@ -59,7 +59,9 @@ def read(stream: BinaryIO) -> Scatter:
     require(spectrum in SPECTRA, f"its SpectralContent is {spectrum:.20}")
     symmetric = words["Symmetry"].lower() == "planesymmetrical"
     n = [len(axes[name]) for name in AXES]
-    check_size(*n, len(SPECTRA[spectrum]))
+    n_values = check_size(*n, len(SPECTRA[spectrum]))
+    # a number takes two bytes at least
+    require(2 * n_values <= len(content), "it announces more values than it holds")
     values = np.empty((len(SPECTRA[spectrum]), n[0], n[1], n[3], n[2]))
     totals = np.empty((len(SPECTRA[spectrum]), n[0], n[1]))
     for index, name in enumerate(SPECTRA[spectrum]):
