@@ -70,9 +70,15 @@ def glossy(order):
     return gonio.measure(case.specimen(), **case.settings, **how)
 
 
-@pytest.mark.parametrize("rays", [1000, 10_000])
-@pytest.mark.parametrize("order", ["all", "2"])
-def test_deposits_of_glossy_facets_cover(order, rays):
+@pytest.mark.parametrize(
+    ("order", "rays", "points"),
+    [
+        *(("all", rays, 1) for rays in (1000, 10_000)),
+        *(("2", rays, 1) for rays in (1000, 10_000)),
+        ("all", 4000, 96),
+    ],
+)
+def test_deposits_of_glossy_facets_cover(order, rays, points):
     """All patches, and those off the lobes; twin: intervals of half their width."""
     truth = glossy(order).brdf
     lit = truth > 0
@@ -87,6 +93,7 @@ def test_deposits_of_glossy_facets_cover(order, rays):
             rays=rays,
             seed=seed,
             estimator="next_event",
+            points=points,
         )
         low, high = record.interval(LEVEL)
         held = (low <= truth) & (truth <= high)
