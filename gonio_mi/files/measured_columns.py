@@ -1,5 +1,6 @@
 """Which columns of a text are which angles and values, and what they hold."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -215,22 +216,27 @@ def _numbers(
             n_missing += 1
             continue
         for role, index in places.items():
-            place = f"{text.place}, line {number}, column {text.names[index]}"
+            place = text.place, number, text.names[index]
             numbers[role].append(_number(place, role, cells[index], quantity))
     return numbers, n_missing
 
 
-def _number(place: str, role: str, cell: str, quantity: str | None) -> float:
+def _number(
+    place: tuple[str, int, str], role: str, cell: str, quantity: str | None
+) -> float:
     """One number, or a sentence that says where it is and what it should be."""
+    where = "{}, line {}, column {}"
     try:
         value = decimal(cell)
     except ValueError as error:
-        raise FileFormatError(f"{place}: {error}") from None
-    good, condition = bool(np.isfinite(value)), "a finite number"
+        raise FileFormatError(f"{where.format(*place)}: {error}") from None
+    good, condition = math.isfinite(value), "a finite number"
     if quantity:
         good, condition = fits(role, value, quantity)
     if not good:
-        raise FileFormatError(f"{place}: must be {condition}, got {cell.strip()}")
+        raise FileFormatError(
+            f"{where.format(*place)}: must be {condition}, got {cell.strip()}"
+        )
     return value
 
 

@@ -188,7 +188,7 @@ def is_row(line: str) -> bool:
 
 def has_decimal_commas(rows: Sequence[Line], delimiter: str) -> bool:
     """Whether numbers are written with commas, and none with a point."""
-    if delimiter == ",":
+    if delimiter == "," or not any("," in line for _, line in rows):
         return False
     cells = [cell.strip() for _, line in rows for cell in cut(line, delimiter)]
     written = [c for c in cells if "," in c and is_decimal(c.replace(",", ".", 1))]
