@@ -27,7 +27,11 @@ EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
 
 # At most so many rays, and what else makes a command take seconds.
 RAYS = 1e5
-FAST = {"bsdf": ["--rays", "64"], "chart": ["--seconds", "2"], "validate": ["--effort", "quick"]}
+FAST = {
+    "bsdf": ["--rays", "64"],
+    "chart": ["--seconds", "2"],
+    "validate": ["--effort", "quick"],
+}
 # Commands that may find that something is not as it should be.
 VERDICTS = {"compare": (0, 3), "validate": (0, 3)}
 

@@ -12,7 +12,7 @@ import contextlib
 import io
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,7 @@ def screen(depth: float = 0.1) -> list[Floats]:
     return [np.hstack([wide, lower]), np.hstack([wide[:, ::-1], upper])]
 
 
-SPECIMENS = {"blind": slats, "screen": screen}
+SPECIMENS: dict[str, Callable[[], list[Floats]]] = {"blind": slats, "screen": screen}
 
 
 def mesh_of(quads: Sequence[Floats]) -> dict[str, Any]:
