@@ -83,8 +83,8 @@ def test_residual_is_noise_for_the_right_model_only(fits):
         ),
         ("roughdielectric:ext_ior=1.0", {"alpha": 0.35, "int_ior": 1.6}),
         (
-            "roughplastic:ext_ior=1.0",
-            {"alpha": 0.25, "int_ior": 1.5, "diffuse_reflectance": 0.4},
+            "roughplastic:int_ior=1.5,ext_ior=1.0",
+            {"alpha": 0.25, "diffuse_reflectance": 0.4},
         ),
         (
             "principled",
@@ -162,14 +162,27 @@ def test_bad_input_is_one_sentence(make, model, free, message):
 
 @pytest.mark.usefixtures("mono")
 def test_what_a_record_does_not_determine_is_told():
-    """A white furnace of one angle says nothing of a coat that is not there."""
+    """A coat that is not there has any gloss; of two indices only the ratio counts."""
     record = measured({"type": "diffuse"}, estimator="quadrature")
-    with pytest.raises(SpecimenError, match="does not determine"):
-        gonio.fit(
-            record,
-            {"type": "principled", "roughness": 0.5, "clearcoat": 0.0},
-            ["base_color", "clearcoat_gloss"],
-        )
+    coated = {"type": "principled", "roughness": 0.5, "clearcoat": 0.0}
+    found = gonio.fit(record, coated, ["base_color", "clearcoat_gloss"])
+    assert np.isnan(found.std_errs).tolist() == [False, True]
+    assert "(any value would do)" in str(found)
+    assert json.dumps(found.to_dict(), allow_nan=False)
+    glass = {"type": "roughdielectric", "alpha": 0.3}
+    record = measured(glass, estimator="quadrature")
+    with pytest.raises(SpecimenError, match="does not determine int_ior, ext_ior"):
+        gonio.fit(record, glass, ["int_ior=1.2:3", "ext_ior=0.5:2"])
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_limit_is_told():
+    """A lobe that is narrower than the model may be."""
+    record = measured(METAL, estimator="quadrature")
+    known = {name: value for name, value in METAL.items() if name != "alpha"}
+    found = gonio.fit(record, known, ["alpha=0.4:0.6"])
+    assert found.at_limit == ("alpha",)
+    assert "(at its limit)" in str(found)
 
 
 def test_record_of_another_variant(mono):  # noqa: ARG001

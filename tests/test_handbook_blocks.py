@@ -13,9 +13,12 @@ import sys
 from pathlib import Path
 
 import mitsuba as mi
+import numpy as np
 import pytest
+import surface_files
 
 from gonio_mi.cli import main
+from gonio_mi.surfaces.heights import gaussian_heights
 
 tomllib = pytest.importorskip("tomllib")
 
@@ -30,6 +33,7 @@ RAYS = 1e5
 FAST = {
     "bsdf": ["--rays", "64"],
     "chart": ["--seconds", "2"],
+    "surface": ["--points", "1e4"],
     "validate": ["--effort", "quick"],
 }
 # Commands that may find that something is not as it should be.
@@ -77,7 +81,22 @@ def measured(path, *options):
     assert main([*command, "-o", str(path), *options]) == 0
 
 
+def scanned(path):
+    """A rough surface of half a millimetre, as a profilometer has it."""
+    heights = gaussian_heights((64, 64), 2e-6, 0.3, 0.3, 1.6e-5)
+    surface_files.write_x3p(path, heights)
+
+
+def imaged(path):
+    """The same as a 16-bit image."""
+    heights = gaussian_heights((64, 64), 1.5, 0.3, 0.3, 12.0)
+    codes = np.interp(heights, [heights.min(), heights.max()], [0, 65535])
+    mi.Bitmap(codes.astype(np.uint16)[..., None]).write(str(path))
+
+
 GIVEN = {
+    "scan.x3p": scanned,
+    "heights.png": imaged,
     "my_bsdf.py": lambda path: path.write_text(PLUGIN),
     "measured.csv": lambda path: path.write_text(TABLE),
     "pilot.npz": measured,

@@ -61,26 +61,26 @@ def run(options: Namespace) -> int:
 
     if options.output is not None:
         check_picture(options.output)
-    if options.period is None:
-        options.period = "box"
     specimen, parameters = specimen_of(options.specimen, options)
     name = specimen
     specimen = prepared_surface(specimen, options)
+    joined = True
     if isinstance(name, str) and is_height_map(name):
         given = given_surface(options)
         given["height_range"] = given.pop("range", None)
         source = read_height_map(Path(name), image_heights)
-        periodic = True if options.period != "none" else None
-        found = topography(source, periodic=periodic, **given)
+        found = topography(source, periodic=specimen.get("periodic"), **given)
+        joined = found.periodic
         tell(found.summary() + "\n")
         for concern in found.concerns():
             say(f"warning: {concern}")
+    period = options.period or ("box" if joined else "none")
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "the (facets|rms height) of", RuntimeWarning)
         normals = micro_normals(
             specimen,
             parameters=parameters,
-            period=options.period,
+            period=period,
             points=options.points,
             blocks=options.blocks,
         )

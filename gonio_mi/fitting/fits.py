@@ -11,7 +11,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats
+from ..array_types import Flags, Floats
 from ..errors import SettingError, SpecimenError
 from ..instrument.loading import loaded, parse_specimen, specimen_name
 from ..instrument.measurement import measure_here
@@ -23,9 +23,9 @@ from .pooled_variances import pooled
 
 __all__ = ["Fit", "fit"]
 
-# Rounds of refined nodes and weights; a round that moves no parameter by more than this
-# part of its uncertainty is the last.
-MOST_ROUNDS, SETTLED = 8, 0.02
+# Rounds of refined nodes and weights; a round is the last that moves no parameter by
+# more than a part of its uncertainty, or of itself, which no node would notice.
+MOST_ROUNDS, SETTLED, NEAR = 8, 0.02, 1e-3
 
 # Differences for derivatives, relative to a value or to a hundredth of its range: wide
 # against single precision, narrow against the curvature.
@@ -33,6 +33,10 @@ STEP = 3e-4
 
 # Relative error of the integrals of a model, in no error bar of a record of integrals.
 RELATIVE_FLOOR = 1e-4
+
+# Standard errors by which a parameter changes the record all over its range, at least;
+# and the condition beyond which parameters do the same to it.
+LEAST_EFFECT, MOST_ALIKE = 1.0, 1e4
 
 # Chi-square per degree of freedom beyond which noise does not explain what is left.
 MISFIT = 1.5
@@ -51,7 +55,8 @@ class Fit:
         Of the parameters that were free; those of a colour end in its channel.
     values, std_errs : ndarray, shape (n_parameters,)
         `std_errs` are what the noise of the record makes uncertain, and no more: what
-        the model cannot do is in `chi2` and `misplaced`.
+        the model cannot do is in `chi2` and `misplaced`. NaN where a value is at its
+        limit, or any would do.
     covariance : ndarray, shape (n_parameters, n_parameters)
     chi2 : float
         Sum of the squared residuals over the variances of the patches.
@@ -60,7 +65,7 @@ class Fit:
     misplaced : float
         Part of the light that the model sends into other patches than the record.
     at_limit : tuple of str
-        Parameters that would go beyond what they may be; their `std_errs` say little.
+        Parameters that would go beyond what they may be.
     """
 
     record: Record
@@ -120,10 +125,10 @@ class Fit:
         return {
             "bsdf": self.bsdf,
             "parameters": {
-                name: {"value": value, "std_err": std_err}
+                name: {"value": value, "std_err": _known(std_err)}
                 for name, value, std_err in parameters
             },
-            "covariance": self.covariance.tolist(),
+            "covariance": [list(map(_known, row)) for row in self.covariance.tolist()],
             "chi2": self.chi2,
             "dof": self.dof,
             "misplaced": self.misplaced,
@@ -136,7 +141,11 @@ class Fit:
         errors = self.std_errs
         correlation = self.covariance / np.outer(errors, errors)
         for i, name in enumerate(self.names):
-            line = f"  {name:<{width}}  {self.values[i]:.6g} +- {errors[i]:.2g}"
+            line = f"  {name:<{width}}  {self.values[i]:.6g}"
+            if np.isfinite(errors[i]):
+                line += f" +- {errors[i]:.2g}"
+            elif name not in self.at_limit:
+                line += "  (any value would do)"
             others = [
                 f"{correlation[i, j]:+.2f} with {self.names[j]}"
                 for j in range(len(self.names))
@@ -156,6 +165,10 @@ class Fit:
                 "that +- stands for"
             )
         return "\n".join(lines)
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 @launches_kernels()
@@ -206,12 +219,11 @@ def fit(
         before, values = values, search.minimum(values)
         covariance = search.covariance(values)
         moved = np.abs(values - before)
-        if np.all(moved <= SETTLED * np.sqrt(np.diag(covariance))):
+        noise = np.nan_to_num(np.sqrt(np.diag(covariance)))
+        if np.all(moved <= np.maximum(SETTLED * noise, NEAR * np.abs(values))):
             break
     predicted = search.predicted(values)
-    low, high = fitted.limits
-    near = 1e-6 * (high - low)
-    at_limit = (values < low + near) | (values > high - near)
+    at_limit = search.at_limit(values)
     names = tuple(parameter.name for parameter in fitted.parameters)
     return Fit(
         record,
@@ -263,22 +275,28 @@ class _Search:
         self.scales = np.ones_like(self.flux)
 
     def begin(self) -> Floats:
-        """The best of the model's starts, for the first incident direction."""
-        if len(self.singles) > 1:
-            return _Search(self.singles[0], self.model).begin()
+        """Values of a first search, on a few nodes, from the best of all starts."""
+        for one in self.predictions:
+            one.begin()
         tried = []
         for start in self.model.starts():
-            predicted = self.adapt(start)
+            predicted = self.predicted(start)
+            self._weigh(predicted)
             tried.append((float(np.sum(self.residuals(predicted) ** 2)), start))
-        return min(tried, key=lambda one: one[0])[1]
+        best = min(tried, key=lambda one: one[0])[1]
+        self._weigh(self.predicted(best))
+        return self.minimum(best)
 
-    def adapt(self, values: Floats) -> Floats:
-        """Refine the nodes for these values, and share variances; the prediction."""
+    def adapt(self, values: Floats) -> None:
+        """Refine the nodes for these values, and share variances."""
         bsdf = self._bsdf(values)
-        predicted = [one.adapt(bsdf) for one in self.predictions]
-        variances = map(_variances, self.singles, self.fluxes, predicted)
-        self.scales = np.sqrt(np.concatenate(list(variances)))
-        return np.concatenate(predicted)
+        self._weigh(np.concatenate([one.adapt(bsdf) for one in self.predictions]))
+
+    def _weigh(self, predicted: Floats) -> None:
+        """Share variances among patches that are predicted to be alike."""
+        ends = np.cumsum([flux.size for flux in self.fluxes])[:-1]
+        each = map(_variances, self.singles, self.fluxes, np.split(predicted, ends))
+        self.scales = np.sqrt(np.concatenate(list(each)))
 
     def residuals(self, predicted: Floats) -> Floats:
         """Differences of prediction and record over their standard errors."""
@@ -302,21 +320,34 @@ class _Search:
         return found.x
 
     def covariance(self, values: Floats) -> Floats:
-        """Covariance of the minimum, from the scatter of the batches about it."""
+        """Covariance of the minimum, from the scatter of the batches about it.
+
+        NaN for parameters at a limit, and for those of which any value would do.
+        """
+        low, high = self.model.limits
         jacobian = self._jacobian(values) / self.scales[:, None]
         size = np.linalg.norm(jacobian, axis=0)
-        if not size.all() or np.linalg.cond(jacobian / size) > 1e4:
+        free = ~self.at_limit(values) & (size * (high - low) > LEAST_EFFECT)
+        jacobian = jacobian[:, free]
+        if free.any() and np.linalg.cond(jacobian / size[free]) > MOST_ALIKE:
             names = ", ".join(parameter.name for parameter in self.model.parameters)
             raise SpecimenError(
                 f"the record does not determine {names} together: give some of them, "
                 "as in roughconductor:alpha=0.2"
             )
         estimate = np.linalg.pinv(jacobian) / self.scales
-        total = np.zeros((len(values), len(values)))
+        total = np.full((len(values), len(values)), np.nan)
+        total[np.ix_(free, free)] = 0.0
         ends = np.cumsum([flux.size for flux in self.fluxes])
         for single, part in zip(self.singles, np.split(estimate, ends[:-1], axis=1)):
-            total += _propagated(single, part)
+            total[np.ix_(free, free)] += _propagated(single, part)
         return total
+
+    def at_limit(self, values: Floats) -> Flags:
+        """Which of the parameters would go beyond their limits."""
+        low, high = self.model.limits
+        near = 1e-4 * (high - low)
+        return (values < low + near) | (values > high - near)
 
     def predicted(self, values: Floats) -> Floats:
         """Prediction with the nodes as they are."""
@@ -362,8 +393,9 @@ def _variances(single: Record, flux: Floats, predicted: Floats) -> Floats:
         return found + (RELATIVE_FLOOR * (flux + flux.mean())) ** 2
     (tally,) = single.tallies
     hits = np.repeat(tally.hits.ravel(), len(single.channels)).astype(np.int64)
-    one_ray = 1.0 / max(single.ledger.emitted, 1)
-    return np.maximum(pooled(found, hits, predicted), one_ray**2)
+    # a tenth of a ray, where all batches received the same
+    least = 0.1 / max(single.ledger.emitted, 1)
+    return np.maximum(pooled(found, hits, predicted), least**2)
 
 
 def _propagated(single: Record, estimate: Floats) -> Floats:

@@ -10,6 +10,8 @@ import numpy as np
 
 from ..array_types import Floats
 from ..quadrature import integrate
+from ..quadrature.cells import NODES_PER_CELL, Cells
+from ..quadrature.incident_light import IncidentLight
 from ..quadrature.rule import Rule
 from ..results.record import Record
 from ..transport.loop import flux_context
@@ -44,6 +46,23 @@ class PatchPredictions:
         self.passes = passes(nm)
         self._nodes: list[_Nodes] = []
 
+    def begin(self) -> None:
+        """Take the same few nodes in each patch, which will do for a first search."""
+        cells = Cells.of(self.subdivision)
+        patch = np.repeat(cells.patch, NODES_PER_CELL)
+        theta, phi, lower, weight = cells.nodes()
+        self._nodes = []
+        for nm in self.passes:
+            angles = [(self.theta_i, self.phi_i)]
+            light = IncidentLight.of(angles, self.side, self._interaction(nm))
+            rule = Rule(self.subdivision, patch, theta, phi, lower, weight, light)
+            self._nodes.append(_Nodes(rule, self.n_patches))
+
+    @property
+    def n_patches(self) -> int:
+        """Patches of all hemispheres of the record."""
+        return self.hemispheres * self.subdivision.n_patches
+
     def adapt(self, bsdf: mi.BSDF) -> Floats:
         """:meth:`of` a BSDF, with the nodes that it needs from now on."""
         self._nodes, parts = [], []
@@ -57,8 +76,7 @@ class PatchPredictions:
                 side=self.side,
                 interaction=self._interaction(nm),
             )
-            n_patches = self.hemispheres * self.subdivision.n_patches
-            self._nodes.append(_Nodes(found.rule, n_patches))
+            self._nodes.append(_Nodes(found.rule, self.n_patches))
             parts.append(found.flux[: self.hemispheres, ..., : nm and len(nm)])
         return np.concatenate(parts, axis=-1)[..., : self.channels].ravel()
 

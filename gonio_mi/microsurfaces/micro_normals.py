@@ -16,7 +16,7 @@ from ..collector.directions import direction
 from ..errors import SpecimenError, checked_count, checked_number
 from ..instrument.loading import load_specimen
 from ..settings.parsed import checked_period
-from ..transport.flight import escapes
+from ..transport.flight import unobstructed
 from ..transport.kernels import launches_kernels
 from ..transport.ray_offsets import departure, intersect
 from ..transport.specimen import Specimen
@@ -159,8 +159,8 @@ def micro_normals(
     parameters : dict, optional
         Values for the ``$name`` parameters of an XML file.
     period : {"box", "none"} or (float, float)
-        As of :func:`measure`: of a surface that is not repeated, facets near its edges
-        are seen too well.
+        As of :func:`measure`. What leaves through a side of a surface that is not
+        repeated meets nothing more, so that facets near its edges are seen too well.
     points : int
         Random points of the surface.
     blocks : int
@@ -355,7 +355,7 @@ def _escape(specimen: Specimen, facets: _Facets, towards: Floats) -> Any:
     active = dr.dot(si.n, d) > 0
     origin, offset = departure(specimen, si, -si.n, d)
     ray = mi.Ray3f(origin + offset * si.n, d)
-    return escapes(specimen, 1, ray, si.n, offset, active).numpy()
+    return unobstructed(specimen, 1, ray, si.n, offset, active)[0].numpy()
 
 
 def _ratio(

@@ -19,7 +19,15 @@ from .ray_offsets import (
     through_side,
 )
 
-__all__ = ["Encounter", "Flight", "encounter", "escapes", "flight_from", "proceed"]
+__all__ = [
+    "Encounter",
+    "Flight",
+    "encounter",
+    "escapes",
+    "flight_from",
+    "proceed",
+    "unobstructed",
+]
 
 # Cells after which a ray is as good as horizontal.
 MAX_CELLS = 4096
@@ -151,7 +159,6 @@ def proceed(
     flight.cells[met.crosses] = flight.cells + 1
 
 
-@dr.syntax
 def escapes(
     specimen: Any,
     side: int,
@@ -177,6 +184,20 @@ def escapes(
     mi.Bool
         False for those that leave through a side of the specimen's bounding box.
     """
+    free, last = unobstructed(specimen, side, ray, n, offset, active)
+    return free & ~leaves_by_a_side(specimen, last.o, last.d)
+
+
+@dr.syntax
+def unobstructed(
+    specimen: Any,
+    side: int,
+    ray: mi.Ray3f,
+    n: mi.Normal3f,
+    offset: mi.Float,
+    active: mi.Bool,
+) -> tuple[mi.Bool, mi.Ray3f]:
+    """As :func:`escapes`, sides or no sides; and the rays as they were at last."""
     flight = flight_from(specimen, ray, n, offset)
     free = mi.Bool(False)
     flying = mi.Bool(active)
@@ -187,4 +208,4 @@ def escapes(
         free |= met.missed & ~met.crosses & ~met.endless
         proceed(specimen, flight, si, met)
         flying = met.goes_on
-    return free & ~leaves_by_a_side(specimen, flight.ray.o, flight.ray.d)
+    return free, flight.ray
