@@ -35,8 +35,9 @@ STEP = 3e-4
 RELATIVE_FLOOR = 1e-4
 
 # Standard errors by which a parameter changes the record all over its range, at least;
-# and the condition beyond which parameters do the same to it.
-LEAST_EFFECT, MOST_ALIKE = 1.0, 1e4
+# and the condition beyond which parameters do the same to it, as far as derivatives by
+# differences in single precision can tell.
+LEAST_EFFECT, MOST_ALIKE = 1.0, 1e3
 
 # Chi-square per degree of freedom beyond which noise does not explain what is left.
 MISFIT = 1.5
