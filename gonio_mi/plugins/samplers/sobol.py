@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, reduce
+from operator import xor
 from typing import Any
 
 import drjit as dr
@@ -122,7 +123,7 @@ def along_curve(place: mi.UInt32, base: int, bits: int, seed: mi.UInt32) -> mi.U
     digits = _mirrored(place, whole)
     x, y = (
         owen_inverse(_every_other(digits >> draw), key(seed, draw))
-        ^ sobol_any(dr.opaque(mi.UInt32, base), mi.UInt32(draw))
+        ^ dr.opaque(mi.UInt32, _coordinate(base, draw))
         for draw in (0, 1)
     )
     digits = _spread(x) | (_spread(y) << 1)
@@ -132,6 +133,12 @@ def along_curve(place: mi.UInt32, base: int, bits: int, seed: mi.UInt32) -> mi.U
         entry = (4 * whole + byte) * 256 + ((place >> 8 * byte) & 255)
         index = index ^ dr.gather(mi.UInt32, _curve_table(), entry)
     return index
+
+
+def _coordinate(index: int, draw: int) -> int:
+    """Mirrored coordinate of one point, for a `draw` of the first block."""
+    chosen = (v for bit, v in enumerate(MIRRORED[draw]) if index >> bit & 1)
+    return reduce(xor, chosen, 0)
 
 
 def _mirrored(x: mi.UInt32, bits: mi.UInt32) -> mi.UInt32:
@@ -349,8 +356,9 @@ class Sobol(mi.Sampler):
         """
         bits = block_bits(self.start, self.per_sequence)
         last = self.sequences << bits if last is None else last
-        lane = dr.arange(mi.UInt32, last - first) + dr.opaque(mi.UInt32, first)
-        place, sequence = apart(lane, self.sequences)
+        shift = dr.opaque(mi.UInt32, first)
+        lane = dr.arange(mi.UInt32, last - first)
+        place, sequence = apart(lane + shift, self.sequences)
         size = dr.opaque(mi.UInt32, 1 << bits)
         place = (place + dr.opaque(mi.UInt32, 3 << bits >> 2)) & (size - 1)
         # at least two keys: what is gathered from a single one is another kernel
@@ -359,15 +367,16 @@ class Sobol(mi.Sampler):
         index = along_curve(place, base, bits, dr.gather(mi.UInt32, keys, sequence))
         start = dr.opaque(mi.UInt32, self.start)
         wanted = index - start < dr.opaque(mi.UInt32, self.per_sequence)
-        dr.eval(index, sequence, wanted)
+        dr.eval(index, wanted)
         if self.per_sequence < 1 << bits:
             kept = dr.compress(wanted)
-            if len(kept) > 1:  # a single lane would be another kernel
-                index = dr.gather(mi.UInt32, index, kept)
-                sequence = dr.gather(mi.UInt32, sequence, kept)
-                dr.eval(index, sequence)
-        self.index, self.key = index, dr.gather(mi.UInt32, keys, sequence)
-        return sequence, index - start
+            # a single lane would be another kernel
+            lane = kept if len(kept) > 1 else lane
+        dr.make_opaque(lane)
+        _, sequence = apart(lane + shift, self.sequences)
+        self.index = dr.gather(mi.UInt32, index, lane)
+        self.key = dr.gather(mi.UInt32, keys, sequence)
+        return sequence, self.index - start
 
     def advance(self) -> None:
         """Go on by one wavefront."""
