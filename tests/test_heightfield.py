@@ -6,7 +6,9 @@ from budget import agree, disagree, normal_scores, single
 
 import gonio_mi as gonio
 from gonio_mi.errors import SpecimenError
+from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.surfaces.heights import gaussian_heights, height_statistics
+from gonio_mi.transport.specimen import Specimen
 
 # isort: split
 import mitsuba as mi
@@ -241,3 +243,18 @@ def test_smooth_normals_follow_the_surface():
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     # nearer to second order than to first
     assert np.all(orders > 1.5), f"errors {errors}"
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_scene_is_built_once():
+    """Its acceleration structure is most of a large surface's memory, and time."""
+    field = {"type": "heightfield", "resolution": 16}
+    light = {"type": "directional"}
+    scene = load_specimen({"type": "scene", "field": field, "light": light})
+    assert Specimen(scene).scene is scene
+    # not one with what is no part of the specimen
+    lamp = {"type": "rectangle", "emitter": {"type": "area"}}
+    scene = load_specimen({"type": "scene", "field": field, "lamp": lamp})
+    assert Specimen(scene).scene is not scene
+    # nor one that is not watertight
+    assert Specimen(mi.load_dict({"type": "scene", "field": field})).scene is not scene

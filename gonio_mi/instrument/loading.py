@@ -22,7 +22,7 @@ from ..errors import (
 )
 from ..files.mesh_files import is_mesh
 from ..surfaces.height_maps import is_height_map
-from ..transport.geometry import scene_of
+from ..transport.geometry import WATERTIGHT, remember, scene_of
 from ..transport.kernels import launches_kernels
 from ..transport.variants import is_usable
 from .named_files import check_named_files
@@ -113,7 +113,11 @@ def load_specimen(specimen: Any, parameters: dict[str, Any] | None = None) -> An
         specimen = loaded(f"the specimen {path}", mi.load_file, str(path), **parameters)
     elif isinstance(specimen, dict):
         check_named_files(specimen)
+        if specimen.get("type") == "scene":
+            specimen = specimen | WATERTIGHT
         specimen = loaded("the specimen", mi.load_dict, specimen, optimize=False)
+        if isinstance(specimen, mi.Scene):
+            remember(specimen)  # built as the specimen will be
     if isinstance(specimen, mi.Scene):
         return specimen
     if isinstance(specimen, mi.BSDF):

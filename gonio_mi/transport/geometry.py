@@ -10,7 +10,10 @@ import mitsuba as mi
 
 from .digest import digest
 
-__all__ = ["groups_of", "scene_of", "surfaces_of"]
+__all__ = ["WATERTIGHT", "groups_of", "remember", "scene_of", "surfaces_of"]
+
+# Option of a scene, without which rays slip between the triangles of a mesh.
+WATERTIGHT = {"embree_use_robust_intersections": True}
 
 # The shapes that were built last, a digest of their geometry, and their scene: what is
 # measured again is found here, and nothing else is kept alive.
@@ -56,13 +59,20 @@ def scene_of(shapes: Sequence[mi.Shape], groups: Sequence[mi.Shape] = ()) -> mi.
     # the old one is freed before the new one is built
     _last.clear()
     scene = mi.load_dict(
-        # watertight: without it rays slip between the triangles of a mesh
-        {"type": "scene", "embree_use_robust_intersections": True}
-        | dict(zip(_names(shapes), shapes)),
+        {"type": "scene"} | WATERTIGHT | dict(zip(_names(shapes), shapes)),
         optimize=False,
     )
     _last[:] = list(shapes), geometry, scene
     return scene
+
+
+def remember(scene: mi.Scene) -> None:
+    """Let :func:`scene_of` find a scene that was loaded with `WATERTIGHT`.
+
+    Its emitters may be no shapes; else the specimen is built without them.
+    """
+    shapes = [*groups_of(scene), *scene.shapes()]
+    _last[:] = shapes, digest(shapes, geometry=True), scene
 
 
 def _names(shapes: Sequence[mi.Shape]) -> list[str]:
