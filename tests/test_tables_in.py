@@ -234,6 +234,18 @@ def test_commands_take_what_the_table_leaves_open(tmp_path, capsys):
     assert main([*command, *columns, *rest, "--uncertainty", "0.01"]) == 3
 
 
+def test_show_says_how_a_table_is_understood(tmp_path, capsys):
+    path = str(written(tmp_path, SAME.format(";", ",")))
+    assert main(["show", path]) == 0
+    said = capsys.readouterr().out
+    assert "2 of brdf" in said
+    assert "BSDF        0.25 to 0.5 1/sr, mean 0.375" in said
+    assert "note: columns: theta_i is 'theta_i/deg' in deg" in said
+    assert main(["show", path, "--json"]) == 1
+    assert main(["show", str(tmp_path / "a.npz"), "--channel", "x"]) == 1
+    assert "--channel goes with a table" in capsys.readouterr().err
+
+
 @pytest.mark.usefixtures("spectral")
 def test_the_channel_of_a_table_is_the_wavelength(tmp_path):
     names = "theta_i,phi_i,theta_r,phi_r,451.5nm"

@@ -22,11 +22,11 @@ from .arguments import (
     add_number,
     add_scene_options,
     add_text,
-    pair,
     specimen_of,
     tell,
 )
 from .setting_options import add_setting
+from .table_options import TABLE_OPTIONS, add_table_options, table_of
 
 __all__ = ["add_options", "run"]
 
@@ -45,9 +45,6 @@ The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005
 `# aperture_half_angle: 0.75` and `# emitter_half_angle: 0.25`; angles are in degrees.
 Exit code 3: they differ by more than chance explains.
 """
-
-# Options on how a table is read.
-TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth")
 
 # What names a specimen, and no table.
 SCENES = (".xml", ".obj", ".ply", ".stl")
@@ -68,7 +65,8 @@ def add_options(parser: ArgumentParser) -> None:
         "OTHER",
         "an .exr or .npz file, a table, or a specimen, if RECORD is a file",
     )
-    _add_table_options(parser)
+    add_table_options(parser)
+    _add_uncertainties(parser)
     add_number(
         parser, "--alpha", "P", "probability with which a right model fails", 1e-3
     )
@@ -95,38 +93,8 @@ def add_options(parser: ArgumentParser) -> None:
     add_scene_options(specimen)
 
 
-def _add_table_options(parser: ArgumentParser) -> None:
-    """Add the options on what a table of measured values leaves unsaid."""
-    add_text(
-        parser,
-        "--channel",
-        "NAME",
-        "of a table that has several, such as 550nm",
-    )
-    add_text(
-        parser,
-        "--quantity",
-        "Q",
-        "what the values of the table are, if it does not say it: brdf, brdf_cos, "
-        "btdf or reflectance_factor",
-    )
-    parser.add_argument(
-        "--columns",
-        nargs="+",
-        action="extend",
-        type=pair,
-        metavar="ROLE=NAME",
-        help="which column of the table is theta_i, phi_i, theta_o, phi_o, delta_phi, "
-        "value, sigma or wavelength; ROLE=NAME:rad if an angle is in radians, and "
-        "ROLE=0 for a number in its place",
-    )
-    add_text(
-        parser,
-        "--azimuth",
-        "FROM",
-        "where azimuths of exit in the table are 0, if relative to incidence: on "
-        "the side of the source or of the mirror direction (source, mirror)",
-    )
+def _add_uncertainties(parser: ArgumentParser) -> None:
+    """Add the options on how well the other's values are known."""
     add_number(
         parser,
         "--uncertainty",
@@ -181,8 +149,6 @@ def _is_record(path: str) -> bool:
 
 def _other(options: Namespace) -> Any:
     """Record or table that OTHER is; None if it is a specimen."""
-    from ..files.measured import read_measured
-
     told = {name: getattr(options, name) for name in TABLE_OPTIONS}
     word = options.other
     names_specimen = Path(word).suffix.lower() in SCENES or (
@@ -193,8 +159,7 @@ def _other(options: Namespace) -> Any:
             if value is not None:
                 raise SettingError(f"--{name} goes with a table, got {word!r}")
         return files.load(word) if _is_record(word) else None
-    told["columns"] = dict(told["columns"]) if told["columns"] else None
-    return read_measured(word, **told)
+    return table_of(word, options)
 
 
 def _record(options: Namespace, other: Any) -> tuple[Any, Any]:

@@ -1,21 +1,27 @@
-"""``gonio-mi show``: show the numbers of a record.
+"""``gonio-mi show``: show the numbers of a record, or how a table is understood.
 
 Show the numbers of a record: reflectance and transmittance with their intervals, where
-every ray went, and the worst patches.
+every ray went, and the worst patches. Of a table of measured values, in text with
+columns or a file of another program, show what it holds and what was inferred.
 """
 
 import json
+import os
 from argparse import ArgumentParser, Namespace
+from pathlib import Path
 
 from .. import files
+from ..errors import SettingError
 from ..results.summary import summarize, summary_text
 from .arguments import DONE, add_record, tell
+from .table_options import TABLE_OPTIONS, add_table_options, table_of, table_text
 
 __all__ = ["add_options", "run"]
 
 EXAMPLES = """\
-example:
+examples:
   gonio-mi show run.npz --json | jq .directions[0].dhr
+  gonio-mi show panel.txt --channel 550nm
 """
 
 
@@ -23,10 +29,20 @@ def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     add_record(parser)
     parser.add_argument("--json", action="store_true", help="for machines")
+    add_table_options(parser.add_argument_group("for a table"))
 
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
+    path = options.record
+    told = [name for name in TABLE_OPTIONS if getattr(options, name) is not None]
+    if Path(path).suffix.lower() not in files.ENDINGS and os.path.isfile(path):
+        if options.json:
+            raise SettingError(f"--json goes with a record, got {path!r}")
+        tell(table_text(table_of(path, options)))
+        return DONE
+    if told:
+        raise SettingError(f"--{told[0]} goes with a table, got {path!r}")
     numbers = summarize(files.load(options.record))
     if options.json:
         print(json.dumps(numbers, indent=2, allow_nan=False))

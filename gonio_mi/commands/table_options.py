@@ -1,0 +1,86 @@
+"""Options on how a table of measured values is read, and what it says."""
+
+from argparse import Namespace
+from typing import Any
+
+import numpy as np
+
+from ..files.measured import MeasuredTable, read_measured
+from .arguments import add_text, pair
+
+__all__ = ["TABLE_OPTIONS", "add_table_options", "table_of", "table_text"]
+
+TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth")
+
+# Incident directions that are listed.
+MOST_LISTED = 12
+
+
+def add_table_options(group: Any) -> None:
+    """Add the options on what a table of measured values leaves unsaid."""
+    add_text(group, "--channel", "NAME", "of a table that has several, such as 550nm")
+    add_text(
+        group,
+        "--quantity",
+        "Q",
+        "what the values of the table are, if it does not say it: brdf, brdf_cos, "
+        "btdf or reflectance_factor",
+    )
+    group.add_argument(
+        "--columns",
+        nargs="+",
+        action="extend",
+        type=pair,
+        metavar="ROLE=NAME",
+        help="which column of the table is theta_i, phi_i, theta_o, phi_o, delta_phi, "
+        "value, sigma or wavelength; ROLE=NAME:rad if an angle is in radians, and "
+        "ROLE=0 for a number in its place",
+    )
+    add_text(
+        group,
+        "--azimuth",
+        "FROM",
+        "where azimuths of exit in the table are 0, if relative to incidence: on "
+        "the side of the source or of the mirror direction (source, mirror)",
+    )
+
+
+def table_of(path: str, options: Namespace) -> MeasuredTable:
+    """Table of a file, read as the options say."""
+    columns = dict(options.columns) if options.columns else None
+    return read_measured(
+        path,
+        options.channel,
+        quantity=options.quantity,
+        columns=columns,
+        azimuth=options.azimuth,
+    )
+
+
+def table_text(table: MeasuredTable) -> str:
+    """Lines on what a table holds, and how it was understood."""
+    incident = table.incident
+    listed = [f"({theta:.5g}, {phi:.5g})" for theta, phi in incident[:MOST_LISTED]]
+    more = (
+        f" and {len(incident) - MOST_LISTED} more"
+        if len(incident) > MOST_LISTED
+        else ""
+    )
+    errors = table.bsdf_std_err
+    known = f"{np.median(errors):.3g} 1/sr (median)" if errors.any() else "not stated"
+    apertures = table.aperture_half_angle
+    low, high = np.round([table.theta_o.min(), table.theta_o.max()], 6)
+    lines = [
+        f"table       {table.name}",
+        f"values      {len(table)} of {table.quantity}"
+        + (f", channel {table.channel}" if table.channel else ""),
+        f"incident    {len(incident)} directions (theta_i, phi_i) in degrees: "
+        f"{' '.join(listed)}{more}",
+        f"exit        theta_o {low:.5g} to {high:.5g} degrees",
+        f"BSDF        {table.bsdf.min():.4g} to {table.bsdf.max():.4g} 1/sr, mean "
+        f"{table.bsdf.mean():.4g}",
+        f"uncertainty {known}; common to all {table.scale_uncertainty:.3g}",
+        "aperture    "
+        + (f"half-angle {apertures:.4g} degrees" if apertures else "not stated"),
+    ]
+    return "\n".join([*lines, *(f"note: {note}" for note in table.notes)])
