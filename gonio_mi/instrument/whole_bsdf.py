@@ -57,6 +57,10 @@ def checked_theta_max(value: Any) -> float:
     return checked_number("theta_max", value, 10, 89.5, "degrees from 10 to below 89.5")
 
 
+class _NotIntegrableError(Exception):
+    """A direction of which an integral is refused, where rays may be taken."""
+
+
 class WholeBsdf:
     """All incident directions that the material of one specimen needs.
 
@@ -116,11 +120,10 @@ class WholeBsdf:
         while True:
             try:
                 return self._measured()
-            except SpecimenError as error:
-                if len(self.estimators) == 1 or self.known:
-                    raise
+            except _NotIntegrableError as error:
                 logger.info("%s: rays instead of integrals: %s", self.name, error)
                 del self.estimators[0]
+                self.known.clear()
                 self.n_rounds = 0
 
     def _measured(self) -> Record:
@@ -159,7 +162,12 @@ class WholeBsdf:
         said = f"{self.name}, {len(self.known)} directions, {said}"
         logger.info("%s: %d more", said, len(new))
         settings = self.settings | self._goals()
-        record = records_of({self.name: self.specimen}, new, where, settings, said)
+        try:
+            record = records_of({self.name: self.specimen}, new, where, settings, said)
+        except SpecimenError as error:
+            if len(self.estimators) == 1:
+                raise
+            raise _NotIntegrableError(error) from error
         self.known |= zip(new, (one for one in _parts(record[self.name])))
         self.n_rounds += 1
 

@@ -250,10 +250,17 @@ class Guides:
         return np.bincount(self.cell, minlength=n_cells)
 
     def descend(
-        self, cells: Cells, chosen: NDArray[np.bool_], way: NDArray[np.int64]
+        self,
+        cells: Cells,
+        chosen: NDArray[np.bool_],
+        way: NDArray[np.int64],
+        full: NDArray[np.bool_],
     ) -> "Guides":
-        """Guides of the chosen cells, in the parts of the `way` of each."""
-        kept = chosen[self.cell]
+        """Guides of the chosen cells, in the parts of the `way` of each.
+
+        Those in cells that are not `full` will fill none, and are left behind.
+        """
+        kept = (chosen & full)[self.cell]
         cell, theta, phi = self.cell[kept], self.theta[kept], self.phi[kept]
         fourth = [
             np.clip(4 * (angle - edges[:, 0]) // np.diff(edges)[:, 0], 0, 3)

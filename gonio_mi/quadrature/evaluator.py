@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats, Integers
+from ..array_types import Floats
 from ..collector import Subdivision
 from ..collector.directions import angles
 from ..errors import SpecimenError
@@ -21,7 +21,6 @@ from .cells import (
     Points,
     noise,
     off_polynomial,
-    way_to_split,
 )
 from .incident_light import IncidentLight
 
@@ -80,18 +79,17 @@ class Evaluator:
         phi[(cells.phi[patch, 0] < 0) & (phi > np.pi)] -= 2 * np.pi
         return Guides(patch, np.minimum(theta, np.pi - theta), phi)
 
-    def integrals(self, cells: Cells) -> tuple[Floats, Integers, Floats]:
-        """Integrals over cells, how to split each, and the values that say so.
+    def integrals(self, cells: Cells) -> tuple[Floats, Floats]:
+        """Integrals over cells, and the values that they are made of.
 
         Returns
         -------
         integrals : ndarray, shape (n, channels)
-        way : ndarray of int, shape (n,)
         values : ndarray, shape (n, NODES_PER_CELL, channels)
         """
         values = self._values(cells, GAUSS)
         weights = cells.weights()[:, :, None]
-        return (values * weights).sum(axis=1), way_to_split(values), values
+        return (values * weights).sum(axis=1), values
 
     def unconfirmed(self, cells: Cells, integrals: Floats) -> Floats:
         """How far a rule of other points is from the `integrals` over cells.

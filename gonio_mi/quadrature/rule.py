@@ -13,7 +13,7 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Numbers
 from ..collector import Subdivision
 from ..errors import SpecimenError
-from .cells import NODES_PER_CELL, QUARTERS, Cells
+from .cells import NODES_PER_CELL, QUARTERS, Cells, way_to_split
 from .evaluator import INTEGRAL_ROUNDING, Evaluator
 from .incident_light import IncidentLight
 
@@ -235,14 +235,15 @@ def _integrated(
     """Integrals over the patches that begin as `cells`, for each of the lights."""
     n_patches = len(cells.patch)
     guides = evaluator.guides(cells, subdivision)
-    coarse, way, _ = evaluator.integrals(cells)
+    coarse, values_at = evaluator.integrals(cells)
+    way = way_to_split(values_at)
     sums, finished = _PatchSums(cells, len(lights), coarse.shape[-1]), []
     for level in range(MAX_LEVELS):
         full = guides.held(len(cells.patch)) > MOST_GUIDES
         way[full] = QUARTERS
         parts = cells.split(way)
-        fine, ways, values_at = evaluator.integrals(parts)
-        values_at = values_at.reshape(len(cells.patch), 4 * NODES_PER_CELL, -1)
+        fine, of_parts = evaluator.integrals(parts)
+        values_at = of_parts.reshape(len(cells.patch), 4 * NODES_PER_CELL, -1)
         values = fine.reshape(len(cells.patch), 4, -1).sum(axis=1)
         allowed = sums.allowed(cells, values, rel_err)
         tolerance = CAUTION * allowed[cells.patch] * cells.tolerated(way)[:, None]
@@ -262,8 +263,9 @@ def _integrated(
         finished.append(parts[~children])
         if not open_cells.any():
             break
-        guides = guides.descend(cells, open_cells, way)
-        cells, coarse, way = parts[children], fine[children], ways[children]
+        guides = guides.descend(cells, open_cells, way, full)
+        cells, coarse = parts[children], fine[children]
+        way = way_to_split(of_parts[children])
     _check_converged(evaluator, np.sqrt(sums.square), allowed, rel_err)
     shape = (len(lights), -1, *subdivision.shape, coarse.shape[-1])
     flux = sums.flux.reshape(shape)
