@@ -13,7 +13,7 @@ import synthetic
 from budget import agree, disagree, single
 
 import gonio_mi as gonio
-from gonio_mi.instrument import campaign_tasks
+from gonio_mi.instrument import campaign_tasks, whole_bsdf
 from gonio_mi.instrument.refinement import Axis, Interval, refined
 from gonio_mi.materials.gradients import gradients
 from gonio_mi.materials.lobes import LobeTable
@@ -240,6 +240,23 @@ def test_an_anisotropic_specimen_is_recognised():
     noise = [noise_of(record[number]) for number in range(len(record))]
     assert max(noise) <= how["tolerance"] / 4
     assert record.settings["noise"] == how["tolerance"] / 4
+
+
+@pytest.mark.usefixtures("mono")
+def test_rays_are_taken_where_a_late_integral_is_refused(monkeypatch):
+    """At directions never used, when all others are known; nothing is mixed."""
+    measure = whole_bsdf.records_of
+
+    def refusing(specimens, incidents, where, settings, said):
+        if settings["estimator"] == "quadrature" and "never used" in said:
+            raise gonio.SpecimenError("it does not converge")
+        return measure(specimens, incidents, where, settings, said)
+
+    monkeypatch.setattr(whole_bsdf, "records_of", refusing)
+    how = {"tolerance": 0.3, "collector": "projected:4x12"}
+    record = gonio.campaign({"plate": {"type": "diffuse"}}, **how)["plate"]
+    assert record.settings["estimator"] == "weighted"
+    assert all(record[number].ledger.emitted for number in range(len(record)))
 
 
 @pytest.mark.usefixtures("mono")
