@@ -429,5 +429,5 @@ def test_exports_are_not_silent(tmp_path):
         export(porous, tmp_path / "screen.xml")
     messages = [str(one.message) for one in told]
     assert len(messages) == 2
-    assert "describes light from the front only, and the back reflects" in messages[0]
-    assert "has light from theta_i 0, 50 only" in messages[1]
+    assert "describes light from the front only, and the back reflects" in messages[1]
+    assert "has light from theta_i 0, 50 only" in messages[0]

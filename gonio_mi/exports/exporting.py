@@ -113,9 +113,11 @@ def export(
 
 
 def _warn_of_openings(record: Record) -> None:
-    """Warn if the file cannot say what passed beside the specimen or through it."""
-    directions = summarize(record)["directions"]
+    """Warn if the file cannot say what passed beside the specimen."""
     ledger = record.ledger
+    if not ledger.missed:
+        return
+    directions = summarize(record)["directions"]
     if any(exceeds_error(direction, "missed") for direction in directions):
         warnings.warn(
             f"{ledger.missed / ledger.emitted:.2%} of the rays missed the specimen, "

@@ -26,15 +26,12 @@ def _take(table: Numbers, index: mi.Float) -> mi.Float:
     return dr.gather(mi.Float, mi.Float(table), mi.UInt32(index))
 
 
+# What Dr.Jit calls as NumPy does.
+SAME = ("sqrt", "sin", "cos", "atan2", "floor", "ceil", "minimum")
+
 # See gonio_mi.collector.Subdivision.patch_index.
 DRJIT = SimpleNamespace(
-    sqrt=dr.sqrt,
-    sin=dr.sin,
-    cos=dr.cos,
-    atan2=dr.atan2,
-    floor=dr.floor,
-    ceil=dr.ceil,
-    minimum=dr.minimum,
+    **{name: getattr(dr, name) for name in SAME},
     where=dr.select,
     count_below=_count_below,
     take=_take,

@@ -14,35 +14,15 @@ from gonio_mi.files.stl_triangles import read_stl
 def stl(props: mi.Properties) -> mi.Mesh:
     r"""Triangles of an STL file (:monosp:`stl`).
 
-    Binary or text; their own flat facets, in the order of the file.
+    Binary or text; their own flat facets, in the order of the file. The property
+    `to_world` and the nested BSDF are those of Mitsuba's own meshes.
 
     .. pluginparameters::
 
      * - filename
        - |string|
-       - The file.
-
-     * - to_world
-       - |transform|
-       - Object to world. (Default: none)
-
-     * - (Nested plugin)
-       - :paramtype:`bsdf`
-       - What the triangles are made of.
-
-    .. tabs::
-        .. code-tab:: xml
-
-            <shape type="stl">
-                <string name="filename" value="slat.stl"/>
-                <bsdf type="twosided"><bsdf type="diffuse"/></bsdf>
-            </shape>
-
-        .. code-tab:: python
-
-            'type': 'stl',
-            'filename': 'slat.stl',
-            'bsdf': {'type': 'twosided', 'bsdf': {'type': 'diffuse'}}
+       - The file, such as ``<string name="filename" value="slat.stl"/>`` in XML, or
+         ``'filename': 'slat.stl'`` in Python.
     """
     path = Path(str(mi.file_resolver().resolve(props["filename"])))
     triangles = read_stl(path)
