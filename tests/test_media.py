@@ -20,6 +20,8 @@ from budget import (
 )
 from slabs import NULL, henyey_greenstein, medium, rectangle, stack, theory
 
+from gonio_mi.results.summary import summarize
+
 SCENES = Path(__file__).parents[1] / "scenes"
 PATCHES = "projected:5x6"
 # Midpoints of eight rings of equal projected solid angle.
@@ -189,6 +191,9 @@ def test_scatterings_may_be_limited():
     record = measured(stack(medium(5.0, 1.0)), period="box", max_scatterings=3)
     assert record.ledger.truncated > 0
     assert record.settings["max_scatterings"] == 3
+    assert record.settings["media"] == ["HomogeneousMedium"]
+    (sentence,) = summarize(record)["warnings"]  # none of the direct light
+    assert "truncated by max_depth or max_scatterings" in sentence
     assert "max_scatterings" not in measured({"type": "diffuse"}, rays=100).settings
 
 
@@ -321,3 +326,4 @@ def test_rays_astray_are_told():
             record = measured(scene)
         ledger = record.ledger
         assert 0 < ledger.astray < ledger.emitted == RAYS
+        assert any("went astray" in text for text in summarize(record)["warnings"])

@@ -178,6 +178,7 @@ def _worst_patches(look: Record) -> list[dict[str, Any]]:
 def _warnings(record: Record, directions: list[dict[str, Any]]) -> list[str]:
     """Sentences on what makes the result doubtful, or its bits hard to repeat."""
     ledger, sentences = record.ledger, []
+    media = "media" in record.settings
     called = "sample()"
     if record.settings.get("estimator") == "next_event":
         called += " or eval()"
@@ -188,9 +189,15 @@ def _warnings(record: Record, directions: list[dict[str, Any]]) -> list[str]:
             "direction; their flux is in no patch"
         )
     if ledger.truncated:
+        limits = "max_depth or max_scatterings" if media else "max_depth"
         sentences.append(
-            f"{_share(ledger.truncated, ledger)} were truncated by max_depth; their "
+            f"{_share(ledger.truncated, ledger)} were truncated by {limits}; their "
             "flux is in no patch"
+        )
+    if ledger.astray:
+        sentences.append(
+            f"{_share(ledger.astray, ledger)} went astray: a shape with a medium is "
+            "open or overlaps another; their flux is in no patch"
         )
     rows = {
         "sideways": "left sideways, over the edge of the specimen, into no patch",
@@ -199,6 +206,8 @@ def _warnings(record: Record, directions: list[dict[str, Any]]) -> list[str]:
         "transmitted, as they should between threads or slats but not in a closed "
         "surface",
     }
+    if media:
+        del rows["direct"]  # it passed a layer, as it should
     transmission = record.settings.get("transmission")
     if ledger.direct and transmission == "none":
         transmission = "gaps"  # which the few thousand rays did not find
