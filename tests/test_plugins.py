@@ -1,5 +1,9 @@
 """The plugins live through changes of variant and refuse what they cannot do."""
 
+import ast
+import importlib
+import inspect
+import re
 import subprocess
 import sys
 
@@ -120,3 +124,25 @@ def test_foreign_sensor_and_film_are_refused():
 def test_angles_out_of_range_are_refused(theta_i):
     with pytest.raises(ValueError, match="theta_i must be"):
         gonio.measure({"type": "diffuse"}, theta_i)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("plugin", "of"),
+    [
+        ("cosinelobe", None),
+        ("glossymixture", None),
+        ("anisotropicphong", None),
+        ("heightfield", "gonio_mi.plugins.shapes.heightfield"),
+    ],
+)
+def test_examples_of_manual_pages_load_and_are_the_same(plugin, of):
+    """The scene file and the dictionary of a docstring, word for word."""
+    if of is None:
+        manual = type(mi.load_dict({"type": plugin})).__doc__
+    else:
+        made = vars(importlib.import_module(of)).values()
+        manual = next(x.__doc__ for x in made if "code-tab" in str(x.__doc__))
+    file, python = re.split(r".. code-tab:: \w+\n", inspect.cleandoc(manual))[1:]
+    loaded = mi.load_string(file.strip().replace(">", ' version="3.0.0">', 1))
+    assert str(loaded) == str(mi.load_dict(ast.literal_eval("{" + python + "}")))

@@ -6,6 +6,7 @@ for no second base.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import drjit as dr
@@ -23,26 +24,24 @@ class Joint(Protocol):
         """BRDF times the cosine of `wo`, and its density."""
 
 
-def evaluate(
-    self: Joint,
-    ctx: mi.BSDFContext,
-    si: mi.SurfaceInteraction3f,
-    wo: mi.Vector3f,
-    active: Any = True,
-) -> mi.Spectrum:
-    """BSDF times the cosine of `wo`, of the enabled components."""
-    return self.eval_pdf(ctx, si, wo, active)[0]
+def _part(number: int, what: str) -> Callable[..., Any]:
+    """Function of a BSDF that gives one of the two answers of its ``eval_pdf``."""
+
+    def part(
+        self: Joint,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: Any = True,
+    ) -> Any:
+        return self.eval_pdf(ctx, si, wo, active)[number]
+
+    part.__doc__ = what
+    return part
 
 
-def density(
-    self: Joint,
-    ctx: mi.BSDFContext,
-    si: mi.SurfaceInteraction3f,
-    wo: mi.Vector3f,
-    active: Any = True,
-) -> mi.Float:
-    """Density of `wo` in 1/sr."""
-    return self.eval_pdf(ctx, si, wo, active)[1]
+evaluate = _part(0, "BSDF times the cosine of `wo`, of the enabled components.")
+density = _part(1, "Density of `wo` in 1/sr.")
 
 
 def name_component(

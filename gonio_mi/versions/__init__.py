@@ -1,5 +1,6 @@
 """What two installed versions of Mitsuba say of the same BSDF, function by function."""
 
-from .differing import Difference, Differences, diff
+from .differences import Difference, Differences
+from .differing import diff
 
 __all__ = ["Difference", "Differences", "diff"]

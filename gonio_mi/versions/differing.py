@@ -1,10 +1,9 @@
-"""Two versions of Mitsuba compared: what differs, by how many errors, what it means."""
+"""Two versions of Mitsuba compared: what differs, and by how many errors."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
@@ -17,8 +16,9 @@ from ..errors import checked_count, checked_number
 from ..instrument.loading import check_variant, specimen_name
 from ..validation.equality import BSDF_ROUNDING, SLACK, ULPS, is_many
 from .asking import Answers, Question, ask, interpreter
+from .differences import Difference, Differences
 
-__all__ = ["Difference", "Differences", "diff"]
+__all__ = ["diff"]
 
 # Polar angles of incidence in degrees and transport modes, on either side.
 VIEWS = (
@@ -31,101 +31,6 @@ SAME = 2.0**-10
 
 # A value below that has no use as a denominator.
 SMALLEST = 1e-30
-
-MEANING = {
-    "eval": "images change where this light is seen",
-    "pdf": "weights of combined sampling change; images do not, if `sample` fits it",
-    "sample": "noise changes; images do not, if the light is the same",
-    "weights": "images change, unless `pdf` changed with them",
-    "albedo": "images change: more or less light is scattered",
-    "flags": "integrators treat it otherwise",
-    "parameters": "scenes and scripts that name them, or rely on defaults",
-}
-
-
-@dataclass(frozen=True)
-class Difference:
-    """One function, as two versions have it.
-
-    Attributes
-    ----------
-    function : str
-        Key of the table of meanings: ``eval``, ``pdf``, ``sample``, ``weights``,
-        ``albedo``, ``flags`` or ``parameters``.
-    differs : bool
-        By more than errors explain.
-    size : float
-        In units of the error: for ``eval``, ``pdf`` and ``weights`` the most that
-        rounding may leave, for ``albedo`` standard errors; 0 without a number.
-    text : str
-        By how much, and where.
-    """
-
-    function: str
-    differs: bool
-    size: float
-    text: str
-
-    def __str__(self) -> str:
-        word = "differs" if self.differs else "same"
-        line = f"{word:<9}{self.function:<11} {self.text}"
-        if self.differs:
-            line += f"\n{'':<21}{MEANING[self.function]}"
-        return line
-
-
-@dataclass(frozen=True)
-class Differences:
-    """What two versions of Mitsuba say of one BSDF.
-
-    Attributes
-    ----------
-    name : str
-        Of the BSDF.
-    versions : tuple of str
-        Of Mitsuba: here, and there.
-    parts : tuple of Difference
-    """
-
-    name: str
-    versions: tuple[str, str]
-    parts: tuple[Difference, ...]
-
-    @property
-    def same(self) -> bool:
-        """Whether nothing differs."""
-        return not any(part.differs for part in self.parts)
-
-    def __getitem__(self, function: str) -> Difference:
-        return {part.function: part for part in self.parts}[function]
-
-    def __str__(self) -> str:
-        found = [part.function for part in self.parts if part.differs]
-        said = f"differs in {', '.join(found)}" if found else "the same"
-        title = (
-            f"{self.name}: Mitsuba {self.versions[0]} and {self.versions[1]}: {said}"
-        )
-        return "\n".join(
-            [title, *(f"  {part}".replace("\n", "\n  ") for part in self.parts)]
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON: name, versions, ``same``, and the parts with their attributes."""
-        return {
-            "name": self.name,
-            "versions": list(self.versions),
-            "same": self.same,
-            "parts": [
-                {
-                    "function": part.function,
-                    "differs": part.differs,
-                    "size": part.size,
-                    "text": part.text,
-                    "meaning": MEANING[part.function] if part.differs else None,
-                }
-                for part in self.parts
-            ],
-        }
 
 
 def diff(
@@ -199,8 +104,10 @@ def _parts(
         for theta, side, mode in conditions
     ]
     pairs = [(own.at(i), other.at(i)) for i in range(len(conditions))]
-    for function in ("eval", "pdf"):
-        yield _values(function, places, pairs)
+    means = "images change where this light is seen"
+    yield _values("eval", means, places, pairs)
+    means = "weights of combined sampling change; images do not, if `sample` fits it"
+    yield _values("pdf", means, places, pairs)
     yield _sample(places, pairs)
     yield _weights(places, pairs)
     yield _albedo(places, pairs, alpha)
@@ -220,6 +127,7 @@ def _sizes(a: Floats, b: Floats, slack: Floats | float) -> Floats:
 
 def _worst(
     function: str,
+    means: str,
     places: Sequence[str],
     sizes: Sequence[Floats],
     examples: Sequence[tuple[Floats, Floats]],
@@ -230,24 +138,21 @@ def _worst(
     many = [is_many(size > 1, len(size)) for size in sizes]
     if not any(many):
         most = max((float(np.quantile(s, 0.999)) for s in sizes if len(s)), default=0.0)
-        return Difference(
-            function, False, most, f"to rounding: up to {most:.2g} of what it may leave"
-        )
+        text = f"to rounding: up to {most:.2g} of what it may leave"
+        return Difference(function, False, most, text, means)
     i = int(np.argmax(shares))
     k = int(np.argmax(np.where(np.isfinite(sizes[i]), sizes[i], -1)))
     a, b = (np.ravel(x[k]).mean() for x in examples[i])
     size = float(sizes[i][k])
-    return Difference(
-        function,
-        True,
-        size,
+    text = (
         f"{what}{a:.5g} and {b:.5g}, {size:.3g} times what rounding leaves; "
-        f"{shares[i]:.2g} of all at {places[i]}, and at {sum(many) - 1} more views",
+        f"{shares[i]:.2g} of all at {places[i]}, and at {sum(many) - 1} more views"
     )
+    return Difference(function, True, size, text, means)
 
 
 def _values(
-    function: str, places: Sequence[str], pairs: Sequence[tuple[Any, Any]]
+    function: str, means: str, places: Sequence[str], pairs: Sequence[tuple[Any, Any]]
 ) -> Difference:
     """``eval`` or ``pdf`` at the same directions."""
     sizes, examples = [], []
@@ -255,7 +160,7 @@ def _values(
         slack = np.fmax(a[f"{function}_slack"], b[f"{function}_slack"])
         sizes.append(_sizes(a[function], b[function], np.nan_to_num(slack)))
         examples.append((a[function], b[function]))
-    return _worst(function, places, sizes, examples, "up to ")
+    return _worst(function, means, places, sizes, examples, "up to ")
 
 
 def _given(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Flags, Flags]:
@@ -277,12 +182,12 @@ def _sample(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Differen
     shares = [float(one.mean()) for one in moved]
     i = int(np.argmax(shares))
     if not any(is_many(one, len(one)) for one in moved):
-        return Difference(
-            "sample", False, 0.0, "the same directions for the same numbers"
-        )
+        text = "the same directions for the same numbers"
+        return Difference("sample", False, 0.0, text, "")
     share = f"{shares[i]:.2g} of the same random numbers"
     text = f"other directions for {share} at {places[i]}"
-    return Difference("sample", True, 0.0, text)
+    means = "noise changes; images do not, if the light is the same"
+    return Difference("sample", True, 0.0, text, means)
 
 
 def _weights(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Difference:
@@ -314,7 +219,9 @@ def _weights(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Differe
         name = "weight" if weight.sum() >= density.sum() else "sampled_pdf"
         sizes.append(np.fmax(weight, density))
         examples.append((own[name], other[name]))
-    return _worst("weights", places, sizes, examples, "of the same sample up to ")
+    means = "images change, unless `pdf` changed with them"
+    what = "of the same sample up to "
+    return _worst("weights", means, places, sizes, examples, what)
 
 
 def _albedo(
@@ -336,7 +243,8 @@ def _albedo(
     level = alpha / len(scores)
     differs = bool(2 * special.ndtr(-abs(scores[i])) < level)
     text = f"{texts[i]} at {places[i]}: {scores[i]:+.2g} standard errors"
-    return Difference("albedo", differs, float(abs(scores[i])), text)
+    means = "images change: more or less light is scattered"
+    return Difference("albedo", differs, float(abs(scores[i])), text, means)
 
 
 def _flags(a: Mapping[str, Any], b: Mapping[str, Any]) -> Difference:
@@ -344,8 +252,9 @@ def _flags(a: Mapping[str, Any], b: Mapping[str, Any]) -> Difference:
     said = [f"{one['flags']:#x}, {len(one['components'])} components" for one in (a, b)]
     keys = ("flags", "components")
     if all(a[key] == b[key] for key in keys):
-        return Difference("flags", False, 0.0, said[0])
-    return Difference("flags", True, 0.0, f"{said[0]} and {said[1]}")
+        return Difference("flags", False, 0.0, said[0], "")
+    text = f"{said[0]} and {said[1]}"
+    return Difference("flags", True, 0.0, text, "integrators treat it otherwise")
 
 
 def _parameters(a: Mapping[str, Any], b: Mapping[str, Any]) -> Difference:
@@ -366,7 +275,8 @@ def _parameters(a: Mapping[str, Any], b: Mapping[str, Any]) -> Difference:
     if changed:
         words.append(f"other values of {', '.join(sorted(changed))}")
     text = "; ".join(words) or f"{len(first)} of the same names and values"
-    return Difference("parameters", bool(words), 0.0, text)
+    means = "scenes and scripts that name them, or rely on defaults"
+    return Difference("parameters", bool(words), 0.0, text, means)
 
 
 def _equal(x: Sequence[float] | None, y: Sequence[float] | None) -> bool:

@@ -10,8 +10,10 @@ import mitsuba as mi
 from gonio_mi.materials import bsdf_functions, facets, one_sided_glossy
 from gonio_mi.materials import exponentiated_cosine as lobe
 from gonio_mi.materials.reflectance import reflectance
+from gonio_mi.settings.manual import example
 
 
+@example("bsdf", "anisotropicphong", exponent_u=50.0, exponent_v=1000.0, f0=1.0)
 class AnisotropicPhong(mi.BSDF):
     r"""Microfacets with anisotropic Phong normals (:monosp:`anisotropicphong`).
 
@@ -101,22 +103,6 @@ class AnisotropicPhong(mi.BSDF):
     sampling are also in M. Ashikhmin and P. Shirley, *An anisotropic Phong BRDF model*,
     Journal of Graphics Tools 5 (2), 2000, `doi:10.1080/10867651.2000.10487522
     <https://doi.org/10.1080/10867651.2000.10487522>`_.
-
-    .. tabs::
-        .. code-tab:: xml
-
-            <bsdf type="anisotropicphong">
-                <float name="exponent_u" value="50"/>
-                <float name="exponent_v" value="1000"/>
-                <float name="f0" value="1"/>
-            </bsdf>
-
-        .. code-tab:: python
-
-            'type': 'anisotropicphong',
-            'exponent_u': 50,
-            'exponent_v': 1000,
-            'f0': 1
     """
 
     sample, eval_pdf = one_sided_glossy.sample, one_sided_glossy.eval_pdf

@@ -11,8 +11,10 @@ from gonio_mi import properties
 from gonio_mi.materials import bsdf_functions, one_sided_glossy
 from gonio_mi.materials import exponentiated_cosine as lobe
 from gonio_mi.materials.reflectance import reflectance
+from gonio_mi.settings.manual import example
 
 
+@example("bsdf", "cosinelobe", exponent=16.0, normalisation="unit")
 class CosineLobe(mi.BSDF):
     r"""Exponentiated-cosine lobe (:monosp:`cosinelobe`).
 
@@ -92,20 +94,6 @@ class CosineLobe(mi.BSDF):
 
     Source: E. P. Lafortune and Y. D. Willems, *Using the modified Phong reflectance
     model for physically based rendering*, report CW 197, K.U. Leuven, 1994.
-
-    .. tabs::
-        .. code-tab:: xml
-
-            <bsdf type="cosinelobe">
-                <float name="exponent" value="16"/>
-                <string name="normalisation" value="unit"/>
-            </bsdf>
-
-        .. code-tab:: python
-
-            'type': 'cosinelobe',
-            'exponent': 16,
-            'normalisation': 'unit'
     """
 
     sample, eval_pdf = one_sided_glossy.sample, one_sided_glossy.eval_pdf

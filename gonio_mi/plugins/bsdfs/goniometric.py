@@ -18,6 +18,7 @@ from gonio_mi.materials import bsdf_functions
 from gonio_mi.materials.lit_face import LitFace
 from gonio_mi.materials.lobes import LobeTable
 from gonio_mi.results.record import Record
+from gonio_mi.settings.manual import example
 
 LUMINANCE = (0.212671, 0.715160, 0.072169)
 
@@ -28,6 +29,7 @@ SIDES = (1, -1)
 EVEN = 0.1
 
 
+@example("bsdf", "goniometric", filename="measured.npz")
 class Goniometric(mi.BSDF):
     r"""Material that was measured with the instrument (:monosp:`goniometric`).
 
@@ -81,18 +83,6 @@ class Goniometric(mi.BSDF):
     rgb, and by its luminance monochrome ones; one of several wavelengths spectral
     variants: it is linear in between and constant beyond them, where `measure` refuses
     it.
-
-    .. tabs::
-        .. code-tab:: xml
-
-            <bsdf type="goniometric">
-                <string name="filename" value="measured.npz"/>
-            </bsdf>
-
-        .. code-tab:: python
-
-            'type': 'goniometric',
-            'filename': 'measured.npz'
     """
 
     eval, pdf = bsdf_functions.evaluate, bsdf_functions.density

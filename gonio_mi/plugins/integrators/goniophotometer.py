@@ -14,10 +14,12 @@ from gonio_mi.instrument.scene_settings import own_settings, sampler_of
 from gonio_mi.instrument.sending import send_all
 from gonio_mi.results.tally import Tally, batch_sizes
 from gonio_mi.settings import INTEGRATOR, MeasurementSettings, plugin_table
+from gonio_mi.settings.manual import example
 from gonio_mi.transport.kernels import launches_kernels
 from gonio_mi.transport.specimen import Specimen
 
 
+@example("integrator", "goniophotometer", rays=1000000)
 class Goniophotometer(mi.SamplingIntegrator):
     r"""Virtual goniophotometer (:monosp:`goniophotometer`).
 
@@ -29,18 +31,6 @@ class Goniophotometer(mi.SamplingIntegrator):
     .. pluginparameters::
 
      {parameters}
-
-    .. tabs::
-        .. code-tab:: xml
-
-            <integrator type="goniophotometer">
-                <integer name="rays" value="1000000"/>
-            </integrator>
-
-        .. code-tab:: python
-
-            'type': 'goniophotometer',
-            'rays': 1000000
     """
 
     def __init__(self, props: mi.Properties) -> None:

@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.errors import VariantError
+from gonio_mi.settings.manual import example
 from gonio_mi.transport.morton import block_bits, sorting_tables
 from gonio_mi.transport.sampling import apart
 
@@ -264,6 +265,7 @@ def fraction(bits: mi.UInt32) -> mi.Float:
     return mi.Float(bits >> 8) * 2.0**-24
 
 
+@example("sampler", "sobol")
 class Sobol(mi.Sampler):
     r"""Owen-scrambled Sobol' points (:monosp:`sobol`).
 
@@ -286,15 +288,6 @@ class Sobol(mi.Sampler):
      * - seed
        - |int|
        - Added to the seed of each rendering or batch. (Default: 0)
-
-    .. tabs::
-        .. code-tab:: xml
-
-            <sampler type="sobol"/>
-
-        .. code-tab:: python
-
-            'type': 'sobol'
     """
 
     def __init__(self, props: mi.Properties) -> None:

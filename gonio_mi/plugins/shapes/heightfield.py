@@ -15,6 +15,7 @@ from gonio_mi import properties
 from gonio_mi.array_types import Floats
 from gonio_mi.errors import SpecimenError
 from gonio_mi.memory import check_memory
+from gonio_mi.settings.manual import example
 from gonio_mi.surfaces.height_maps import HeightMap, read_height_map
 from gonio_mi.surfaces.heights import (
     CORRELATIONS,
@@ -36,6 +37,12 @@ GENERATED = (
 ROWS = 64
 
 
+@example(
+    "shape",
+    "heightfield",
+    alpha=0.3,
+    bsdf={"type": "twosided", "bsdf": {"type": "conductor"}},
+)
 def heightfield(props: mi.Properties) -> mi.Mesh:
     r"""Height field (:monosp:`heightfield`).
 
@@ -143,20 +150,6 @@ def heightfield(props: mi.Properties) -> mi.Mesh:
      * - (Nested plugin)
        - :paramtype:`bsdf`
        - What the facets are made of.
-
-    .. tabs::
-        .. code-tab:: xml
-
-            <shape type="heightfield">
-                <float name="alpha" value="0.3"/>
-                <bsdf type="twosided"><bsdf type="conductor"/></bsdf>
-            </shape>
-
-        .. code-tab:: python
-
-            'type': 'heightfield',
-            'alpha': 0.3,
-            'bsdf': {'type': 'twosided', 'bsdf': {'type': 'conductor'}}
     """
     name, ready = _topography(props)
     for concern in ready.concerns():

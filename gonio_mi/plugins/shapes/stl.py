@@ -9,8 +9,15 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.files.stl_triangles import read_stl
+from gonio_mi.settings.manual import example
 
 
+@example(
+    "shape",
+    "stl",
+    filename="slat.stl",
+    bsdf={"type": "twosided", "bsdf": {"type": "diffuse"}},
+)
 def stl(props: mi.Properties) -> mi.Mesh:
     r"""Triangles of an STL file (:monosp:`stl`).
 
@@ -21,8 +28,7 @@ def stl(props: mi.Properties) -> mi.Mesh:
 
      * - filename
        - |string|
-       - The file, such as ``<string name="filename" value="slat.stl"/>`` in XML, or
-         ``'filename': 'slat.stl'`` in Python.
+       - The file.
     """
     path = Path(str(mi.file_resolver().resolve(props["filename"])))
     triangles = read_stl(path)
