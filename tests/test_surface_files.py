@@ -292,6 +292,21 @@ def test_one_command(tmp_path, capfd):
     assert np.isfinite(record.brdf_std_err[record.counts[0] > 0]).all()
 
 
+def test_all_orders_in_one_command(tmp_path):
+    """Exact: a file for each, which add up to all rays, patch by patch."""
+    command = ["measure", "heightfield:alpha=0.8,resolution=32", "--theta-i", "60"]
+    command += ["--period", "box", "--rays", "1e4", "-q", "-o", str(tmp_path / "a.npz")]
+    assert main([*command, "--order", "1,2,3+"]) == 0
+    assert main(command) == 0
+    parts = [
+        gonio.load(tmp_path / f"a_order_{order}.npz") for order in ("1", "2", "3+")
+    ]
+    assert [one.settings["order"] for one in parts] == ["1", "2", "3+"]
+    whole = gonio.load(tmp_path / "a.npz")
+    assert np.array_equal(sum(one.counts for one in parts), whole.counts)
+    assert main([*command, "--order", "1,x"]) == 1
+
+
 def test_options_go_with_a_file_of_heights(capfd):
     assert main(["measure", "diffuse", "--theta-i", "0", "--form", "plane"]) == 1
     assert "--form goes with a file of heights, got" in capfd.readouterr().err

@@ -11,6 +11,7 @@ import warnings
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from .. import files
@@ -19,6 +20,7 @@ from ..instrument.campaigns import campaign
 from ..instrument.measuring import measure
 from ..results.record import Record
 from ..results.summary import summarize, summary_text
+from ..settings.orders import Order
 from .arguments import (
     DONE,
     INCOMPLETE,
@@ -56,8 +58,10 @@ examples:
   gonio-mi measure roughconductor:alpha=0.3 --tolerance 0.01 -o material.npz
   gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz
   gonio-mi measure scan.x3p --form plane --fill nearest --theta-i 30 -o scan.npz
+  gonio-mi measure grooves.xml --theta-i 30 --order 1,2,3+ -o grooves.npz
   gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz --resume run.npz
 
+Several orders give a file each: grooves_order_1.npz, grooves_order_2.npz, ...
 Options take their defaults from the scene file if that is a complete measurement
 (integrator `goniophotometer`, sensor `collector`). SPECIMEN comes first.
 """
@@ -138,7 +142,36 @@ def _add_output(group: Any) -> None:
 
 
 def run(options: Namespace) -> int:
-    """Measure; what goes wrong with files does so before."""
+    """Measure; what goes wrong with files does so before.
+
+    Several orders, ``1,2,3+``, are measured one after the other with the same rays,
+    each into files of its own.
+    """
+    orders = str(options.order).split(",")
+    if len(orders) == 1:
+        return _run(options)
+    if options.resume is not None or options.folder is not None:
+        raise SettingError("--resume and --folder go with one order, got several")
+    for order in orders:
+        Order.parse("order", order)
+    code = DONE
+    for order in orders:
+        output = [_of_order(path, order) for path in options.output]
+        single = Namespace(**vars(options) | {"order": order, "output": output})
+        code = max(code, _run(single))
+        if code == INCOMPLETE and options.rel_err is None:
+            break  # interrupted
+    return code
+
+
+def _of_order(path: str, order: str) -> str:
+    """Name of the file of one order among several."""
+    whole = Path(path)
+    return str(whole.with_name(f"{whole.stem}_order_{order}{whole.suffix}"))
+
+
+def _run(options: Namespace) -> int:
+    """Measure one order, or all together."""
     for path in options.output:
         files.check_output(path, files.ENDINGS)
     specimen, parameters = specimen_of(options.specimen, options)
