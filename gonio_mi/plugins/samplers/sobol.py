@@ -350,7 +350,8 @@ class Sobol(mi.Sampler):
         bits = block_bits(self.start, self.per_sequence)
         last = self.sequences << bits if last is None else last
         shift = dr.opaque(mi.UInt32, first)
-        lane = dr.arange(mi.UInt32, last - first)
+        # a single lane would be another kernel, of which loops take parts for constants
+        lane = dr.arange(mi.UInt32, max(last - first, 2))
         place, sequence = apart(lane + shift, self.sequences)
         size = dr.opaque(mi.UInt32, 1 << bits)
         place = (place + dr.opaque(mi.UInt32, 3 << bits >> 2)) & (size - 1)
@@ -363,13 +364,15 @@ class Sobol(mi.Sampler):
         dr.eval(index, wanted)
         if self.per_sequence < 1 << bits:
             kept = dr.compress(wanted)
-            # a single lane would be another kernel
             lane = kept if len(kept) > 1 else lane
         dr.make_opaque(lane)
         _, sequence = apart(lane + shift, self.sequences)
         self.index = dr.gather(mi.UInt32, index, lane)
         self.key = dr.gather(mi.UInt32, keys, sequence)
-        return sequence, self.index - start
+        number = self.index - start
+        if last - first < 2:
+            number = dr.select(lane == 0, number, self.per_sequence)  # of nobody
+        return sequence, number
 
     def advance(self) -> None:
         """Go on by one wavefront."""
