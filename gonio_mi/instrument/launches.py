@@ -41,7 +41,7 @@ GROUP_SECONDS = 4
 
 # Rays of each batch in a round: traced and on a plane. Of samplers whose numbers
 # depend on the launch, rounds are whole launches.
-ROUND_TRACED, ROUND_PLANE = 2**17, 2**22
+ROUND_TRACED, ROUND_PLANE = 2**17, 2**24
 
 
 class Launches:
