@@ -111,7 +111,7 @@ def test_grid(estimator):
     """Delta tracking through a grid of two layers, one of which is thin."""
     one = grid([0.3, 3.0])
     scene = {"type": "scene", "top": rectangle(0, None, one), "end": rectangle(-2, one)}
-    record = measured(scene, period="box", estimator=estimator)
+    record = measured(scene, period="box", estimator=estimator, rays=20_000)
     assert record.settings["transport"] == "traced"
     assert record.ledger.astray == 0
     layers = [(tau, 0.9, henyey_greenstein(0.5)) for tau in (0.3, 3.0)]
@@ -270,7 +270,7 @@ def test_paint_hides_its_base():
             measured(
                 SCENES / "paint_film.xml",
                 parameters={"thickness": thickness, "base": base},
-                rays=20_000,
+                rays=10_000,
             )
             for base in (0.0, 0.8)
         ]
@@ -301,10 +301,10 @@ def test_skin_is_red_and_leaf_is_green():
 def test_leaf_transmits_alike_both_ways():
     """Reciprocity of a plate: lit all over, as much passes up as down (Lambertian)."""
     sky = {"type": "constant"}
-    down = measured(SCENES / "leaf.xml", None, emitter=sky, rays=100_000)
+    down = measured(SCENES / "leaf.xml", None, emitter=sky, rays=50_000)
     # of each direction alone it is another share
     up = [
-        measured(SCENES / "leaf.xml", theta, side="back", rays=20_000)
+        measured(SCENES / "leaf.xml", theta, side="back", rays=10_000)
         for theta in RING_ANGLES
     ]
     t = np.mean([one.dht[0] for one in up])
