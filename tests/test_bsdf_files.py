@@ -350,3 +350,26 @@ def test_command_refuses(tmp_path, monkeypatch, capsys, words, message):
 def test_what_the_file_decides_is_not_asked_for(tmp_path):
     with pytest.raises(ValueError, match="theta_i is decided by the file, got 3"):
         gonio.bsdf({"type": "diffuse"}, tmp_path / "x.xml", theta_i=3)
+
+
+@pytest.mark.usefixtures("rgb")
+def test_a_coloured_face_and_a_black_back(tmp_path):
+    """Which has one channel; in the file both are coloured."""
+    colour = {"type": "rgb", "value": [0.7, 0.5, 0.2]}
+    paint = {"type": "diffuse", "reflectance": colour}
+    path = tmp_path / "paint.xml"
+    records = gonio.bsdf(paint, path, "klems-quarter", rays=256)
+    assert records["back"].channels == ("Y",)
+    with open(path, "rb") as stream:
+        file = RadianceBSDF(stream)
+    wo = file.basis.points(1)[:, 0]
+    seen = file.values("front", 0, 40.0, 80.0, wo) * file.basis.projected_solid_angles
+    # every ray has this weight; seven digits, and the matrices to XYZ and back
+    assert np.allclose(seen.sum(axis=0), colour["value"], rtol=20 * DIGITS)
+    assert (np.abs(file.values("back", 0, 40.0, 80.0, wo)) <= DIGITS).all()
+
+
+@pytest.mark.usefixtures("spectral")
+def test_several_wavelengths_are_refused_before_they_are_measured(tmp_path):
+    with pytest.raises(ValueError, match="wavelengths must be one for a file"):
+        gonio.bsdf({"type": "diffuse"}, tmp_path / "x.xml", wavelengths=[450, 550])

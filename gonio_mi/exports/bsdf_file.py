@@ -5,6 +5,7 @@ from __future__ import annotations
 from os import PathLike
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 
 from ..errors import SettingError, checked_choice
@@ -88,6 +89,11 @@ def bsdf(
     for name in FIXED:
         if settings.get(name) is not None:
             raise SettingError(f"{name} is decided by the file, got {settings[name]!r}")
+    nm = np.atleast_1d(settings.get("wavelengths") or 550.0)
+    if mi.is_spectral and len(nm) > 1:
+        raise SettingError(
+            f"wavelengths must be one for a file, or none in an rgb variant, got {nm}"
+        )
     asked = _checked_cells(basis, cells)
     incident, collector = incidence(basis, asked)
     if settings.get("rel_err") is None and settings.get("rays") is None:

@@ -77,8 +77,10 @@ def write_radiance(
     blocks: dict[tuple[str, str], Any] = {}
     sides = [Side(record, basis) for record in records]
     _warn_of_missing_side(records)
+    # a side that is black, or grey, has one channel
+    colours = max(len(record.channels) for record in records)
     for side in sides:
-        blocks |= side.blocks()
+        blocks |= side.blocks(colours)
     for record in solar:
         only = Side(record, basis).blocks()
         blocks |= {("Solar", key): only["Visible", key] for _, key in only}
@@ -107,11 +109,10 @@ def _check_sides(records: Sequence[Record]) -> None:
             f"{' and '.join(sides)}"
         )
     digests = {record.settings.get("digest") for record in records}
-    channels = {record.channels for record in records}
-    if len(digests) > 1 or len(channels) > 1:
+    if len(digests) > 1:
         raise SettingError(
-            "the records of a file must be of one specimen and have the same channels, "
-            "got " + " and ".join(str(r.settings.get("specimen"))[:60] for r in records)
+            "the records of a file must be of one specimen, got "
+            + " and ".join(str(r.settings.get("specimen"))[:60] for r in records)
         )
 
 
@@ -145,17 +146,19 @@ class Side:
             _check_resampled(record, self.rank)
             self.material = Material(record, apart=True)
 
-    def blocks(self) -> dict[tuple[str, str], Any]:
-        """Matrices or trees by wavelength and direction."""
+    def blocks(self, colours: int = 1) -> dict[tuple[str, str], Any]:
+        """Matrices or trees by wavelength and direction, of so many channels."""
         blocks: dict[tuple[str, str], Any] = {}
         projected = self.patches.projected_solid_angles.reshape(-1, 1)
         for hemisphere in self.hemispheres:
             name = radiance_xml.DIRECTIONS[self.face, hemisphere]
             if self.rank is None:
                 values = self._columns(hemisphere) / projected
+                values = np.repeat(values, colours // values.shape[-1] or 1, axis=-1)
                 blocks |= radiance_bsdf.matrices(np.swapaxes(values, 0, 1), name)
             else:
                 grid = self._grid(hemisphere, self.rank) / projected[0, 0]
+                grid = np.repeat(grid, colours // grid.shape[-1] or 1, axis=-1)
                 blocks |= radiance_bsdf.trees(grid, name)
         return blocks
 
@@ -208,7 +211,7 @@ class Side:
         x, y, z = np.moveaxis(patches.points(1)[:, 0], -1, 0)
         middles = np.stack([x, y, z], axis=-1)
         projected = patches.projected_solid_angles.reshape(-1, 1)
-        theirs = [
+        theirs: Any = [
             [
                 written.values(self.face, hemisphere, one_theta, one_phi, middles)
                 * projected
@@ -216,6 +219,8 @@ class Side:
             ]
             for one_theta, one_phi in zip(theta, phi)
         ]
+        if len(record.channels) == 1:
+            theirs = np.mean(theirs, axis=-1, keepdims=True)
         if self.measured:
             return losses(record, np.reshape(theirs, fractions_of(record).shape))
         ours = [
@@ -279,7 +284,7 @@ def _is_measured(record: Record, basis: str, patches: Subdivision) -> bool:
         raise SettingError(
             f"a record whose light fills patches of incidence goes to a file of the "
             f"same patches, got the incident {filled!s:.40}, the collector "
-            f"{record.subdivision!s:.40} and the basis {basis}"
+            f"{record.subdivision!s:.40} and the basis {basis}: take the same for all"
         )
     middles = np.degrees(wanted.middles[1]).ravel()
     if basis == "tensor3":
