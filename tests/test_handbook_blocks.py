@@ -118,13 +118,17 @@ def lines(text):
             yield words
 
 
+# What says how many rays there are, if any.
+PRECISE = {"--rel-err", "--tolerance", "quadrature"}
+
+
 def fast(words):
     """Arguments of ``gonio-mi`` with few rays."""
     command, *rest = words
     if "--rays" in rest:
         at = rest.index("--rays") + 1
         rest[at] = f"{min(float(rest[at]), RAYS):g}"
-    elif command == "measure" and not {"--rel-err", "quadrature"} & set(rest):
+    elif command == "measure" and not PRECISE & set(rest):
         rest += ["--rays", f"{RAYS:g}"]
     return [command, *rest, *FAST.get(command, [])]
 
