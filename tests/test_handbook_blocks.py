@@ -94,7 +94,13 @@ def imaged(path):
     mi.Bitmap(codes.astype(np.uint16)[..., None]).write(str(path))
 
 
+PANEL = (
+    "BRF Values\n"
+    "src_z\tsrc_a\tview_z\tview_a\t450nm\t550nm\tu(550nm) [%]\n"
+    "0,0\t0,0\t45,0\t180,0\t1,004\t1,009\t0,5\n"
+)
 GIVEN = {
+    "panel.txt": lambda path: path.write_text(PANEL),
     "scan.x3p": scanned,
     "heights.png": imaged,
     "my_bsdf.py": lambda path: path.write_text(PLUGIN),
