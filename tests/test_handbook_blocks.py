@@ -157,12 +157,15 @@ def run_command(words, folder):
         assert words[0] in ("pytest", "jupyter", "cd", "git"), words
 
 
-def run_python(text, folder):
-    """Run one block; workers of a campaign are started from a file of its own."""
+def run_python(text, folder, known):
+    """Run one block, which knows what those before it on the page have defined.
+
+    Workers of a campaign are started from a file of its own.
+    """
     path = folder / "block.py"
     path.write_text(text)
     if "__main__" not in text:
-        runpy.run_path(str(path))
+        known |= runpy.run_path(str(path), known)
         return
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, str(path)], check=True, env=environment)
@@ -177,7 +180,7 @@ def test_page_runs_word_for_word(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "my_bsdf", raising=False)
-    variant = mi.variant()
+    variant, known = mi.variant(), {}
     try:
         for language, text in blocks(page):
             if language in ("bash", "sh"):
@@ -188,7 +191,7 @@ def test_page_runs_word_for_word(page, tmp_path, monkeypatch):
                     said = name in text or f"import {Path(name).stem}" in text
                     if said and not (tmp_path / name).exists():
                         GIVEN[name](tmp_path / name)
-                run_python(text, tmp_path)
+                run_python(text, tmp_path, known)
     finally:
         if variant is not None:
             mi.set_variant(variant)
@@ -201,4 +204,4 @@ def test_twin_a_wrong_command_is_found(tmp_path, monkeypatch):
     with pytest.raises(AssertionError):
         run_command(["pip", "install", ".[reports]"], tmp_path)
     with pytest.raises(NameError):
-        run_python("record.dhr", tmp_path)
+        run_python("record.dhr", tmp_path, {})
