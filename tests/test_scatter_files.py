@@ -460,6 +460,7 @@ DAMAGE = {
     "TIS>SIT": "must begin with TIS",
     "DataEnd>": "must be DataEnd",
     "Symmetry>Cemetery": "unknown keyword Cemetery",
+    "Asymmetrical>PlaneSymmetrical": "azimuths must go from 0 to 180, got 0 to 3",
 }
 
 
@@ -495,3 +496,17 @@ def test_files_of_others_by_these_names(tmp_path):
     ):
         with pytest.raises(FileFormatError, match=message):
             fred.read(io.BytesIO(text.encode()))
+
+
+def test_what_the_table_of_fred_cannot_be(tmp_path):
+    """Rows below the horizon are told; another quantity is refused, as of ASTM."""
+    path = tmp_path / "a.txt"
+    text = "type bsdf_data\nformat angles=deg\n0 0\n10 0 0.3\n100 0 0.2\n"
+    path.write_text(text)
+    table = gonio.read_measured(path, quantity="brdf")
+    assert table.theta_o.tolist() == [10]
+    assert "1 rows at or below the horizon are left out" in table.notes
+    for name in ("a.txt", "a.json", "a.astm"):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(ValueError, match=r"holds brdf, got the quantity 'btdf'"):
+            gonio.read_measured(tmp_path / name, quantity="btdf")

@@ -140,6 +140,26 @@ def test_uncertainties_of_each_kind(tmp_path):
     assert any("adds to that in quadrature" in note for note in table.notes)
 
 
+def test_values_of_one_are_no_units(tmp_path):
+    """A row of ones is a row; and what is no unit of an angle is refused."""
+    head = "theta_i,phi_i,theta_o,phi_o,value\n"
+    table = gonio.read_measured(written(tmp_path, head + "1,1,1,1,1\n45,0,30,180,2\n"))
+    assert table.value.tolist() == [1, 2]
+    with pytest.raises(ValueError, match="theta_i must be in deg or rad, got"):
+        gonio.read_measured(written(tmp_path, "theta_i [%],theta_r,brdf\n45,0,1\n"))
+
+
+def test_a_said_column_keeps_the_unit_of_its_name(tmp_path):
+    path = written(tmp_path, "theta_i [deg];theta_r [deg];Messwert [%]\n0;20;31.5\n")
+    said = {"columns": {"value": "Messwert [%]"}, "quantity": "reflectance_factor"}
+    assert gonio.read_measured(path, **said).value[0] == pytest.approx(0.315, EPS)
+
+
+def test_a_coverage_that_is_no_number_is_none(tmp_path):
+    text = "theta_i [deg],theta_r [deg],brdf,sigma (k=1.2.3)\n0,20,1,0.5\n"
+    assert gonio.read_measured(written(tmp_path, text)).sigma.tolist() == [0.5]
+
+
 def test_a_reflectance_factor_is_pi_times_the_brdf(tmp_path):
     path = written(tmp_path, SAME.format(",", ".").replace("BRDF [1/sr]", "BRF [%]"))
     table = gonio.read_measured(path)

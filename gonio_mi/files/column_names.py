@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-__all__ = ["ANGLES", "COLOURS", "ROLES", "Column", "is_unit", "recognised"]
+__all__ = ["ANGLES", "COLOURS", "ROLES", "Column", "is_unit", "recognised", "unit_of"]
 
 ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o", "delta_phi")
 ROLES = (*ANGLES, "value", "sigma", "wavelength")
@@ -113,10 +113,10 @@ def recognised(name: str) -> Column | None:
     text, channel = _without_wavelength(text if unit not in ("nm", "um") else name)
     words = _words(text)
     if set(words) & UNCERTAIN:
-        coverage = re.search(r"k\s*=\s*([0-9.]+)", name)
+        coverage = re.search(r"k\s*=\s*([0-9]+(?:\.[0-9]*)?)(?![\w.])", name)
         factor = 2.0 if "expanded" in words or "U" in re.findall(r"\w+", name) else 1.0
         relative = unit == "%" or bool(set(words) & {"relative", "rel"})
-        factor = float(coverage[1].strip(".") or 1) if coverage else factor
+        factor = float(coverage[1]) if coverage else factor
         return Column(name, "sigma", unit, "", channel, factor or 1.0, relative)
     quantity = _quantity(words)
     if quantity or set(words) & VALUES or (channel and not words):
@@ -127,6 +127,11 @@ def recognised(name: str) -> Column | None:
 def is_unit(text: str) -> bool:
     """Whether a text is a unit, in brackets or not."""
     return text.strip().strip("[]()").strip().lower() in UNIT_OF
+
+
+def unit_of(name: str) -> str:
+    """Unit that a name ends with, as a key of :data:`UNITS`; empty if with none."""
+    return _without_unit(name)[1]
 
 
 def _without_unit(name: str) -> tuple[str, str]:

@@ -93,6 +93,8 @@ def read_measured(
     if others and (columns is not None or azimuth is not None):
         raise SettingError(f"columns and azimuth go with a text of columns, got {path}")
     if ending == ".astm":
+        if quantity not in (None, "brdf"):
+            raise SettingError(f"{path} holds brdf, got the quantity {shown(quantity)}")
         return _read_astm(path, channel)
     if others:
         return scatter_table(path, channel, quantity)

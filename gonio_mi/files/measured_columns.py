@@ -9,7 +9,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import FileFormatError, SettingError, shown
-from .column_names import ANGLES, COLOURS, ROLES, Column, recognised
+from .column_names import ANGLES, COLOURS, ROLES, Column, recognised, unit_of
 from .measured_table import COLUMNS, fits
 from .numbers import decimal, is_decimal
 from .text_table import TextTable
@@ -138,7 +138,8 @@ def _assigned(
         names = [own.lower() for own in text.names]
         if name.strip().lower() in names:
             index = names.index(name.strip().lower())
-            before = recognised(text.names[index]) or Column(text.names[index], role)
+            own = text.names[index]
+            before = recognised(own) or Column(own, role, unit_of(own))
             known[index] = replace(before, role=role, unit=unit or before.unit)
         elif is_decimal(name):
             constants[role] = decimal(name) * DEGREES[unit]
@@ -285,7 +286,12 @@ def _notes(
 def _check_angle_units(
     place: str, arrays: Mapping[str, Any], picked: Mapping[str, Column], own: bool
 ) -> None:
-    """Raise FileFormatError for angles that could be degrees or radians."""
+    """Raise FileFormatError for angles in no unit of angles, or in either of two."""
+    for role in (r for r in ANGLES if r in picked and picked[r].unit not in DEGREES):
+        raise FileFormatError(
+            f"{place}: the angle {role} must be in deg or rad, got "
+            f"{picked[role].name.strip()!r:.60}"
+        )
     silent = [r for r in ANGLES if r in picked and not picked[r].unit]
     if own or not silent:
         return

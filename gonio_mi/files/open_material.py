@@ -21,7 +21,7 @@ from .channels import wavelengths_nm
 from .header import require
 from .scatter import MOST_NUMBERS, Block, Scatter
 
-__all__ = ["is_open_material", "read", "rows", "write"]
+__all__ = ["read", "rows", "write"]
 
 SCHEMA = (
     "https://raw.githubusercontent.com/asam-ev/OpenMATERIAL-3D/refs/tags/v1.0.0/schemas/"
@@ -50,11 +50,6 @@ DIGITS = 1e6
 
 # What stands for a channel without a wavelength, in nm.
 GREY = 550.0
-
-
-def is_open_material(content: bytes) -> bool:
-    """Whether a file begins as one of JSON."""
-    return content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
 
 
 def rows(stream: BinaryIO) -> tuple[Floats, dict[str, str]]:

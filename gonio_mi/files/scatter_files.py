@@ -91,9 +91,12 @@ def scatter_table(
     """
     with open(path, "rb") as stream:
         head = stream.read(HEAD)
+    is_json = Path(path).suffix.lower() in JSON
+    if (is_json or fred.is_fred(head)) and quantity not in (None, "brdf"):
+        raise SettingError(f"{path} holds brdf, got the quantity {shown(quantity)}")
     if fred.is_fred(head):
         return _rows_of_fred(path)
-    if Path(path).suffix.lower() in JSON:
+    if is_json:
         return _rows_of_json(path, channel)
     scatter = read_scatter(path)
     held = [name for k, name in enumerate(("brdf", "btdf")) if scatter.of(k)]
@@ -129,11 +132,17 @@ def _rows_of_fred(path: str | PathLike[str]) -> MeasuredTable:
     with open(path, "rb") as stream:
         try:
             rows = fred.read(stream)
-            rows = rows[rows[:, 2] < 90]
-            notes = ("incidences are told by their specular directions",)
+            above = rows[:, 2] < 90
+            notes = ["incidences are told by their specular directions"]
+            if not above.all():
+                left = np.count_nonzero(~above)
+                notes.append(f"{left} rows at or below the horizon are left out")
+            rows = rows[above]
             theta_i, phi_i, theta_o, phi_o, value = rows.T
             return MeasuredTable(
-                theta_i, phi_i, theta_o, phi_o, value, name=str(path), notes=notes
+                *(theta_i, phi_i, theta_o, phi_o, value),
+                name=str(path),
+                notes=tuple(notes),
             )
         except ValueError as error:
             raise FileFormatError(f"{path}: {error}") from None

@@ -190,6 +190,7 @@ def _read_anisotropic(rows: _Rows) -> Scatter:
         ]
         # nothing meets a surface at 90 degrees
         unscaled = [block for block in unscaled if block.theta_i < 90]
+        require(bool(unscaled), "it has no incidence below 90 degrees")
         # an anisotropy angle of 360 is that of 0 again
         once = {(block.phi_i, block.theta_i): block for block in reversed(unscaled)}
         scale = percentages * _scale(list(once.values()), reference)

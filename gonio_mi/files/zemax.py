@@ -80,7 +80,11 @@ def read(stream: BinaryIO) -> Scatter:
         require(text == "DataEnd", f"line {number} must be DataEnd")
     azimuths = axes["ScatterAzimuth"]
     if symmetric:
-        require(azimuths[-1] <= 180, "it is PlaneSymmetrical with azimuths beyond 180")
+        require(
+            len(azimuths) == 1 or (azimuths[0] == 0 and azimuths[-1] == 180),
+            "it is PlaneSymmetrical, and its azimuths must go from 0 to 180, got "
+            f"{azimuths[0]:g} to {azimuths[-1]:g}",
+        )
     blocks = [
         Block(
             theta_i=float(axes["AngleOfIncidence"][incidence]),
