@@ -70,6 +70,7 @@ def test_rings_and_the_rest_are_all_that_left():
     ("radii", "words"),
     [
         ([1.0], "radii must be 2 to"),
+        (1.0, "radii must be 2 to"),
         ([0.0, 1.0, 1.0], "ascending"),
         ([-1.0, 1.0], "radii must be numbers"),
         ([0.0, np.nan], "radii must be numbers"),
@@ -83,3 +84,20 @@ def test_no_radii(radii, words):
 def test_settings_that_it_has_not():
     with pytest.raises(ValueError, match="footprint is no setting of exit_profile"):
         gonio.exit_profile(stack(medium()), RADII, footprint=1.0)
+    with pytest.raises(ValueError, match="noise is no setting of exit_profile"):
+        gonio.exit_profile(stack(medium()), RADII, noise=0.01)
+
+
+@pytest.mark.parametrize("how", [{}, {"trace": True}])
+def test_light_that_scatters_at_a_surface_leaves_where_it_came(how):
+    """Estimators that deposit light by its direction know nothing of the place."""
+    plate = {"type": "diffuse", "reflectance": 0.5}
+    for estimator in ("weighted", "analog"):
+        found = gonio.exit_profile(plate, RADII, estimator=estimator, **how)
+        within = found.reflectance[0] * np.pi * RADII[1] ** 2
+        assert within == pytest.approx(found.dhr, rel=4 * np.finfo(float).eps)
+        assert not found.reflectance[1:].any()
+        assert not found.beyond.any()
+    for estimator in ("quadrature", "next_event"):
+        with pytest.raises(ValueError, match="must be one of weighted, analog, got"):
+            gonio.exit_profile(plate, RADII, estimator=estimator, **how)

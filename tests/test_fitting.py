@@ -140,6 +140,7 @@ def test_variances_are_pooled():
         ({"batches": 1}, "diffuse", None, "error bars"),
         ({"collector": "apertures:5@0/0"}, "diffuse", None, "rings and sectors"),
         ({"divergence": 5}, "diffuse", None, "collimated"),
+        ({"incident": "projected:2x2"}, "diffuse", None, "collimated"),
         ({}, "diffuse", ["colour"], "free must name parameters such as"),
         ({}, "diffuse", ["x=1:0"], "limits as in x=0:1"),
         ({}, "diffuse:reflectance=0.5", None, "got nothing"),

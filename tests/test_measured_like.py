@@ -90,6 +90,11 @@ def test_a_specimen_is_measured_as_a_record_was():
     alarms.agree(verdict_of(compare(again, record)))
     (other,) = measure_like({**ROUGH, "alpha": 0.25}, record)
     alarms.disagree(verdict_of(compare(other, record)))
+    filled = gonio.measure(ROUGH, 40, 20, incident="angle:3x4", **settings)
+    (again,) = measure_like(ROUGH, filled)
+    assert again.settings["incident"] == "angle:3x4"
+    (again,) = measure_like(DIFFUSE, record[0], noise=0.1)
+    assert again.settings["noise"] == 0.1
     with pytest.raises(TypeError, match="collector must come from the record"):
         measure_like(ROUGH, record, collector="angle:2x2")
     with pytest.raises(ValueError, match="aperture_half_angle goes with a table"):

@@ -269,6 +269,7 @@ def test_rays_are_taken_where_a_late_integral_is_refused(monkeypatch):
         ({"tolerance": 1e-7}, "single precision"),
         ({"theta_max": 90}, "theta_max must be degrees from 10 to below 89.5, got 90"),
         ({"theta_i": 30}, "tolerance and theta_i exclude each other"),
+        ({"phi_i": 30}, "tolerance and phi_i exclude each other"),
         ({"rays": 100}, "tolerance and rays exclude each other"),
         ({"collector": "klems"}, "rings with at least 8 equal sectors"),
     ],
@@ -276,6 +277,24 @@ def test_rays_are_taken_where_a_late_integral_is_refused(monkeypatch):
 def test_bad_input(arguments, reason):
     with pytest.raises(ValueError, match=reason):
         gonio.campaign({"metal": CONDUCTOR}, **SETTINGS | arguments)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_name_that_is_a_path_stays_in_the_folder(monkeypatch, tmp_path):
+    """The command line names a specimen by its file, which may be anywhere."""
+    folders = []
+
+    def asked(specimens, incidents, where, *_):  # noqa: ARG001
+        folders.append(where.folder.parent)
+        raise RuntimeError("enough of it")
+
+    monkeypatch.setattr(whole_bsdf, "records_of", asked)
+    names = [str(tmp_path / "plate.xml"), "../plate", "plate", "..", "x:y", "x_y"]
+    for name in names:
+        with pytest.raises(RuntimeError, match="enough of it"):
+            gonio.campaign({name: CONDUCTOR}, **SETTINGS, folder=tmp_path)
+    assert {folder.parent for folder in folders} == {tmp_path}
+    assert len({folder.name for folder in folders}) == len(names)
 
 
 @pytest.mark.usefixtures("mono")

@@ -29,11 +29,11 @@ MOST_RAYS = 10**8
 # Settings of a record with which it can be measured again.
 AGAIN = (
     *("estimator", "footprint", "divergence", "emission", "max_depth", "rr_depth"),
-    *("period", "order", "side", "collector_radius"),
+    *("period", "order", "side", "collector_radius", "incident"),
 )
 SAMPLED = ("rays", "sampler", "batches")
 
-PRECISION = {"rays", "rel_err", "estimator", "trace"}
+PRECISION = {"rays", "rel_err", "noise", "estimator", "trace"}
 
 
 def measure_like(
@@ -48,9 +48,9 @@ def measure_like(
 
     Around each direction of a table stands a circular aperture, so that no patch mean
     stands for a point. Apertures that overlap are measured one group after the other,
-    each with its own rays. Unless `rays`, `rel_err`, `estimator` or `trace` is given,
-    light is deposited from every event towards every aperture (``next_event``, traced),
-    until its error is small beside the table's.
+    each with its own rays. Unless `rays`, `rel_err`, `noise`, `estimator` or `trace` is
+    given, light is deposited from every event towards every aperture (``next_event``,
+    traced), until its error is small beside the table's.
 
     Parameters
     ----------
@@ -181,7 +181,8 @@ def _like_record(
         )
     names = AGAIN if known.get("estimator") == "quadrature" else (*AGAIN, *SAMPLED)
     again = {name: known[name] for name in names if known.get(name) is not None}
-    if {"rel_err", "rays"} & {k for k, value in settings.items() if value is not None}:
+    given = {name for name, value in settings.items() if value is not None}
+    if given & {"rel_err", "noise", "rays"}:
         again.pop("rays", None)
     nm = wavelengths_nm(record.channels)
     if nm is not None:

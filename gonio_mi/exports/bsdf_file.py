@@ -67,7 +67,7 @@ def bsdf(
         Show progress bars.
     **settings
         Other settings of :func:`gonio_mi.measure`. Default: ``rays=2**16`` for each
-        incident patch; or ``rel_err``.
+        incident patch; or ``rel_err`` or ``noise``.
 
     Returns
     -------
@@ -89,14 +89,15 @@ def bsdf(
     for name in FIXED:
         if settings.get(name) is not None:
             raise SettingError(f"{name} is decided by the file, got {settings[name]!r}")
-    nm = np.atleast_1d(settings.get("wavelengths") or 550.0)
+    nm = settings.get("wavelengths")
+    nm = np.atleast_1d(550.0 if nm is None else nm)
     if mi.is_spectral and len(nm) > 1:
         raise SettingError(
             f"wavelengths must be one for a file, or none in an rgb variant, got {nm}"
         )
     asked = _checked_cells(basis, cells)
     incident, collector = incidence(basis, asked)
-    if settings.get("rel_err") is None and settings.get("rays") is None:
+    if all(settings.get(name) is None for name in ("rays", "rel_err", "noise")):
         settings["rays"] = RAYS
     directions: dict[str, Any] = {}
     if basis == "tensor3":

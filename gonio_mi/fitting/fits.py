@@ -13,6 +13,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import SettingError
+from ..files.channels import wavelengths_nm
 from ..instrument.loading import parse_specimen, specimen_name
 from ..instrument.measurement import measure_here
 from ..results.record import Record
@@ -86,6 +87,7 @@ class Fit:
     @cached_property
     def prediction(self) -> Record:
         """Record of the model under the incident directions of the record."""
+        nm = wavelengths_nm(self.record.channels)
         singles = [
             measure_here(
                 self.bsdf,
@@ -95,7 +97,7 @@ class Fit:
                 estimator="quadrature",
                 side=self.record.settings.get("side", "front"),
                 hemispheres="both" if self.record.has_lower else "upper",
-                wavelengths=_wavelengths(self.record),
+                wavelengths=None if nm is None else nm.tolist(),
             )
             for theta_i, phi_i in zip(self.record.theta_i, self.record.phi_i)
         ]
@@ -226,11 +228,6 @@ def fit(
     )
 
 
-def _wavelengths(record: Record) -> list[float] | None:
-    nm = [float(c.removesuffix("nm")) for c in record.channels if c.endswith("nm")]
-    return nm or None
-
-
 def _check(record: Record) -> None:
     """Raise ValueError for a record that no BSDF can be fitted to."""
     if len(record.channels) > 1 and len(record.channels) != len(mi.Spectrum()):
@@ -241,7 +238,8 @@ def _check(record: Record) -> None:
     needs = {
         "a collector of rings and sectors": record.subdivision.axes is None,
         "a collimated beam": np.isfinite(record.theta_i).all()
-        and not record.settings.get("divergence"),
+        and not record.settings.get("divergence")
+        and record.settings.get("incident", "none") == "none",
         "light in its patches": record.flux_fraction.any(),
     }
     for need, holds in needs.items():

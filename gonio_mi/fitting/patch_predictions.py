@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
+from ..files.channels import wavelengths_nm
 from ..quadrature import integrate
 from ..quadrature.cells import NODES_PER_CELL, Cells
 from ..quadrature.incident_light import IncidentLight
@@ -42,8 +43,8 @@ class PatchPredictions:
         self.side = single.settings.get("side", "front")
         self.hemispheres = 1 + single.has_lower
         self.channels = len(single.channels)
-        nm = [float(c.removesuffix("nm")) for c in single.channels if c[-2:] == "nm"]
-        self.passes = passes(nm)
+        nm = wavelengths_nm(single.channels)
+        self.passes = passes([] if nm is None else nm.tolist())
         self._nodes: list[_Nodes] = []
 
     def begin(self) -> None:

@@ -117,9 +117,13 @@ def campaign(
             )
         return records_of(specimens, incidents, where, settings)
     tolerance, theta_max = checked_tolerance(tolerance), checked_theta_max(theta_max)
-    others = {"theta_i": theta_i, "incident": settings.get("incident")}
+    others = {
+        "theta_i": theta_i,
+        "phi_i": phi_i if np.any(phi_i) else None,
+        "incident": settings.get("incident"),
+    }
     for other, value in others.items():
-        if value is not None or np.any(phi_i):
+        if value is not None:
             raise SettingError(f"tolerance and {other} exclude each other, got both")
     return {
         str(name): WholeBsdf(

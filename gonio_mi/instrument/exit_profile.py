@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SettingError, checked_number, shown
+from ..errors import SettingError, checked_choice, checked_number, shown
 from ..results.record import Record
 from ..results.tally import Ledger, Tally, batch_sizes
 from ..settings import MeasurementSettings
@@ -24,6 +24,15 @@ from .sending import send_all
 __all__ = ["ExitProfile", "exit_profile"]
 
 MOST_RINGS = 10_000
+
+# Settings that are decided here, or that say nothing of where light leaves.
+NONE_OF_ITS = {
+    *("footprint", "collector", "collector_radius", "incident"),
+    *("rel_err", "noise", "max_rays"),
+}
+
+# Those that follow light to where it leaves; others deposit it by direction.
+ESTIMATORS = ("weighted", "analog")
 
 
 @dataclass(frozen=True)
@@ -86,7 +95,8 @@ def exit_profile(
         Degrees.
     **settings
         Those of :func:`gonio_mi.measure`, but for `footprint`, which is a point, the
-        collector's, and `rel_err`.
+        collector's, `incident`, `rel_err` and `noise`; the `estimator` is weighted or
+        analog.
 
     Returns
     -------
@@ -99,8 +109,7 @@ def exit_profile(
     """
     check_variant()
     edges = _checked(radii)
-    own = {"footprint", "collector", "collector_radius", "rel_err", "max_rays"}
-    for name in sorted(own & settings.keys()):
+    for name in sorted(NONE_OF_ITS & settings.keys()):
         raise SettingError(f"{name} is no setting of exit_profile, got it")
     given = {name: value for name, value in settings.items() if value is not None}
     MeasurementSettings().changed(**given)  # refused before anything is loaded
@@ -108,8 +117,9 @@ def exit_profile(
     scene = load_specimen(specimen, parameters)
     # one ring of light inside of the first radius, and one beyond the last
     fixed = {"footprint": "point", "collector": f"angle:{edges.size + 1}x1"}
-    found = {k: v for k, v in own_settings(scene).items() if k not in own}
+    found = {k: v for k, v in own_settings(scene).items() if k not in NONE_OF_ITS}
     chosen = MeasurementSettings().changed(**found | given | fixed)
+    checked_choice("the estimator of exit_profile", chosen.estimator, ESTIMATORS)
     instrument = Instrument(chosen, sampler_of(chosen))
     measured = Specimen(scene, chosen.period)
     instrument.check(measured)
@@ -127,7 +137,8 @@ def exit_profile(
 
 def _checked(radii: Sequence[float]) -> Floats:
     """Edges of rings as an array; raise SettingError for what is none."""
-    edges = np.array([checked_number("radii", x, 0, 1e15, "numbers") for x in radii])
+    many = radii if np.ndim(radii) else [radii]
+    edges = np.array([checked_number("radii", x, 0, 1e15, "numbers") for x in many])
     if not 2 <= edges.size <= MOST_RINGS + 1 or not np.all(np.diff(edges) > 0):
         raise SettingError(
             f"radii must be 2 to {MOST_RINGS + 1} ascending numbers, got {shown(radii)}"

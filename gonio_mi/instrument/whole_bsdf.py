@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import logging
+import re
 import warnings
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -158,7 +160,8 @@ class WholeBsdf:
         where, estimator = self.where, self.estimators[0]
         if where.folder is not None:
             part = f"{estimator}_{self.n_rounds:03d}"
-            where = replace(where, folder=Path(where.folder) / self.name / part)
+            own = Path(where.folder) / _folder_name(self.name)
+            where = replace(where, folder=own / part)
         said = f"{self.name}, {len(self.known)} directions, {said}"
         logger.info("%s: %d more", said, len(new))
         settings = self.settings | self._goals()
@@ -168,7 +171,7 @@ class WholeBsdf:
             if len(self.estimators) == 1:
                 raise
             raise _NotIntegrableError(error) from error
-        self.known |= zip(new, (one for one in _parts(record[self.name])))
+        self.known |= zip(new, _parts(record[self.name]))
         self.n_rounds += 1
 
     def _records(
@@ -378,6 +381,15 @@ class WholeBsdf:
                 stacklevel=4,
             )
         return record.with_settings(campaign=found)
+
+
+def _folder_name(name: str) -> str:
+    """Name of the folder of a specimen, whose own name may be a path.
+
+    What tells names apart that would be written alike is behind it.
+    """
+    digest = hashlib.blake2s(name.encode(), digest_size=4).hexdigest()
+    return f"{re.sub(r'[^A-Za-z0-9.,=+-]+', '_', name)[:80]}_{digest}"
 
 
 def _parts(record: Record) -> Iterable[Record]:

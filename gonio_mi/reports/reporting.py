@@ -71,13 +71,13 @@ def report(
     data = json.dumps({"records": packed})
     data = data.replace("<", "\\u003c")  # no text of a record ends the script
     body = [
-        (ours / "record_page.html").read_text(),
+        (ours / "record_page.html").read_text("utf-8"),
         f"<script>{get_plotlyjs()}</script>",
         f'<script type="application/json" id="data">{data}</script>',
-        f"<script>{(ours / 'record_page.js').read_text()}</script>",
+        f"<script>{(ours / 'record_page.js').read_text('utf-8')}</script>",
     ]
     title = ", ".join(str(one.settings.get("specimen")) for one in records)
-    page = html_page(title, body, (ours / "record_page.css").read_text())
+    page = html_page(title, body, (ours / "record_page.css").read_text("utf-8"))
     with replacing(path) as stream:
         stream.write(page.encode("utf-8", "backslashreplace"))
 
