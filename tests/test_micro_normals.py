@@ -15,6 +15,7 @@ from gonio_mi.surfaces.heights import gaussian_heights, height_statistics
 import mitsuba as mi
 
 N, SIZE = 64, 2.0
+EPS = float(np.finfo(np.float32).eps)
 
 
 def field(**settings):
@@ -200,3 +201,51 @@ def test_command(tmp_path, capfd):
     assert "as beckmann" in said.out
     assert "are smaller than light, 0.5 um" in said.err
     assert (tmp_path / "a.png").stat().st_size > 10_000
+
+
+@pytest.mark.usefixtures("mono")
+def test_rectangles_show_no_triangles():
+    """Two that face +z, one above a part of the other, as exact shares of area."""
+    above = mi.ScalarTransform4f().translate([0, 0, 0.5]).scale(0.5)
+    plates = {
+        "type": "scene",
+        "low": {"type": "rectangle"},
+        "high": {"type": "rectangle", "to_world": above},
+    }
+    points = 2**12
+    found = gonio.micro_normals(plates, points=points, theta=(0,), phi=(0,))
+    ring = -2 * np.pi * np.diff(np.cos(np.radians(found.theta_edges)))
+    area = found.density * ring
+    assert area[0] == pytest.approx(1 + 0.25, rel=points * EPS)
+    assert not area[1:].any()
+    # a quarter of the lower one is hidden: 1 of 1.25 is seen
+    error = np.sqrt(0.8 * 0.2 / points)
+    agree(single((found.masking[0] - 0.8) / error))
+    disagree(single((found.masking[0] - 1) / error))
+    upright = mi.ScalarTransform4f().rotate([1, 0, 0], 90)
+    wall = {"type": "rectangle", "to_world": upright}
+    with pytest.raises(SpecimenError, match="extended along x and y"):
+        gonio.micro_normals(wall, points=points)
+    with pytest.raises(ValueError, match="phi must be an angle in degrees, got nan"):
+        gonio.micro_normals(plates, phi=(np.nan,))
+    # a plane is what both models are without roughness
+    plane = gonio.micro_normals({"type": "rectangle"}, points=points)
+    # but that in a ring the mean cosine stands for each: of the first, for 1
+    assert max(plane.elsewhere.values()) < (1 - np.cos(np.radians(2))) / 2
+
+
+@pytest.mark.parametrize("alphas", [(0.3, 0.3), (0.5, 0.1)])
+@pytest.mark.parametrize("name", smith.DISTRIBUTIONS)
+def test_shares_of_rings_are_the_density(name, alphas):
+    """Against adaptive integrals of the density; in all they are 1."""
+    edges = np.linspace(0, 90, 10)
+    shares = smith.ring_shares(name, edges, *alphas)
+    assert shares.sum() == pytest.approx(1, rel=1e-13)  # rounding
+
+    def light(theta):
+        value = smith.density(name, np.array(theta), *alphas)
+        return 2 * np.pi * value * np.sin(theta) * np.cos(theta)
+
+    for low, high, share in zip(np.radians(edges), np.radians(edges[1:]), shares):
+        exact = integrate.quad(light, low, min(high, np.pi / 2 - 1e-9))[0]
+        assert share == pytest.approx(exact, abs=1e-8)  # what quad promises

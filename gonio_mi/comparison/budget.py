@@ -90,7 +90,8 @@ class Budget:
             column = getattr(self, name)
             if column is None:
                 continue
-            sizes = np.abs(np.nan_to_num(column)) / scale
+            column = np.nan_to_num(column)  # nothing is known of no hit
+            sizes = np.abs(column) / scale
             share = f"{np.median(column**2 / variance):8.1%}"
             if name == "aperture":
                 share = "not in it: mean over the aperture less its axis"

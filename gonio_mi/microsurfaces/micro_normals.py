@@ -16,11 +16,19 @@ from ..collector.directions import direction
 from ..errors import SpecimenError, checked_count, checked_number
 from ..instrument.loading import load_specimen
 from ..settings.parsed import checked_period
+from ..single_precision import FEW_ROUNDINGS
 from ..transport.flight import unobstructed
 from ..transport.kernels import launches_kernels
 from ..transport.ray_offsets import departure, intersect
 from ..transport.specimen import Specimen
-from .smith import DISTRIBUTIONS, density, fitted_alphas, masking, smith_lambda
+from .smith import (
+    DISTRIBUTIONS,
+    density,
+    fitted_alphas,
+    masking,
+    ring_shares,
+    smith_lambda,
+)
 
 __all__ = ["MicroNormals", "micro_normals"]
 
@@ -177,19 +185,22 @@ def micro_normals(
     Raises
     ------
     SpecimenError
-        If the specimen has no points to be found, as instances do not.
+        If the specimen has no points to be found, as instances do not, or stands
+        upright.
     """
     points = checked_count("points", points, 1000, 2**26)
     blocks = checked_count("blocks", blocks, 2, 64)
-    angles = [
-        (checked_number("theta", t, 0, 90, "an angle in degrees in [0, 90)"), float(p))
-        for t in theta
-        for p in phi
-    ]
+    seed = checked_count("seed", seed, 0)
+    angles = [(_checked_theta(t), _checked_phi(p)) for t in theta for p in phi]
     scene = load_specimen(specimen, parameters)
     measured = Specimen(scene, checked_period("period", period))
-    facets = _facets(measured, points, blocks, seed)
     extent = (measured.high - measured.low)[:2]
+    if not extent.min() > FEW_ROUNDINGS * np.max(measured.high - measured.low):
+        raise SpecimenError(
+            "micro_normals needs a specimen that is extended along x and y, got one of "
+            f"{extent[0]:g} x {extent[1]:g}"
+        )
+    facets = _facets(measured, points, blocks, seed)
     plane = float(extent[0] * extent[1]) / blocks**2
     edges = np.linspace(0, 90, N_RINGS + 1)
     found, error = _density(facets, edges, plane, blocks**2)
@@ -212,13 +223,21 @@ def micro_normals(
         alpha_errors,
         {
             name: float(
-                np.abs(found - _ring_means(name, edges, alphas[name])) @ ring / 2
+                np.abs(found * ring - ring_shares(name, edges, *alphas[name])).sum() / 2
             )
             for name in DISTRIBUTIONS
         },
         *np.array(angles, dtype=float).reshape(-1, 2).T,
         *columns,
     )
+
+
+def _checked_theta(value: float) -> float:
+    return checked_number("theta", value, 0, 90, "an angle in degrees in [0, 90)")
+
+
+def _checked_phi(value: float) -> float:
+    return checked_number("phi", value, -1e6, 1e6, "an angle in degrees")
 
 
 def _facets(specimen: Specimen, points: int, blocks: int, seed: int) -> _Facets:
@@ -229,7 +248,7 @@ def _facets(specimen: Specimen, points: int, blocks: int, seed: int) -> _Facets:
     areas = np.array([float(dr.sum(s.surface_area())[0]) for s in specimen.surfaces])
     numbers = np.maximum(1, np.round(points * areas / areas.sum()).astype(int))
     parts = [
-        (_mesh_points if shape.is_mesh() else _shape_points)(shape, n, generator)
+        (_mesh_points if _has_triangles(shape) else _shape_points)(shape, n, generator)
         for shape, n in zip(specimen.surfaces, numbers.tolist())
     ]
     p, normal = (np.concatenate(columns) for columns in zip(*parts))
@@ -245,6 +264,11 @@ def _facets(specimen: Specimen, points: int, blocks: int, seed: int) -> _Facets:
     cell = np.clip((p[:, :2] - low) / extent * blocks, 0, blocks - 1).astype(int)
     n = np.array(si.n, dtype=float).T
     return _Facets(si, n, area, cell[:, 0] * blocks + cell[:, 1])
+
+
+def _has_triangles(shape: mi.Shape) -> bool:
+    """Whether a shape shows its triangles; a rectangle is a mesh and does not."""
+    return shape.is_mesh() and "vertex_positions" in mi.traverse(shape)
 
 
 def _mesh_points(
@@ -276,7 +300,10 @@ def _shape_points(
 ) -> tuple[Floats, Floats]:
     """Uniform points of a shape and their normals."""
     found = shape.sample_position(0.0, mi.Point2f(generator.random((2, n))))
-    p, normal = (np.array(v, dtype=float).T for v in (found.p, found.n))
+    # of a flat one there is one normal for all
+    p, normal = (
+        np.broadcast_to(np.array(v, dtype=float).T, (n, 3)) for v in (found.p, found.n)
+    )
     return p, normal
 
 
