@@ -10,6 +10,7 @@ import runpy
 import shlex
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import mitsuba as mi
@@ -113,7 +114,8 @@ GIVEN = {
 
 def blocks(page):
     """Language and text of the blocks of a page, in their order."""
-    return re.findall(r"^```(\w+)\n(.*?)^```", page.read_text(), re.M | re.S)
+    found = re.findall(r"^( *)```(\w+)\n(.*?)^\1```", page.read_text(), re.M | re.S)
+    return [(language, textwrap.dedent(text)) for _, language, text in found]
 
 
 def lines(text):

@@ -31,7 +31,7 @@ def test_ledger_rows_are_the_fates():
     ledger = Ledger.from_counts(range(1, len(Fate) + 1))
     assert list(ledger.rows) == [fate.name.lower() for fate in Fate]
     assert ledger.emitted == sum(range(1, len(Fate) + 1))
-    assert (ledger.reflected, ledger.direct) == (1, len(Fate))
+    assert (ledger.reflected, ledger.direct) == (1, Fate.DIRECT + 1)
     assert (ledger + ledger).rows == {k: 2 * n for k, n in ledger.rows.items()}
 
 

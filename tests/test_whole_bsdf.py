@@ -311,6 +311,20 @@ def test_patches_that_are_too_coarse_are_told_at_once():
         gonio.campaign({"narrow": narrow}, **how | {"collector": named}, folder=Stop())
 
 
+@pytest.mark.usefixtures("mono")
+def test_without_a_collector_one_is_chosen(tmp_path):
+    """The one that a refusal would name; and a finished folder is used again."""
+    how = {"tolerance": 0.15, "theta_max": 80, "seed": 1}
+    gloss = {"type": "roughconductor", "alpha": 0.2}
+    with pytest.raises(gonio.SpecimenError) as error:
+        gonio.campaign({"gloss": gloss}, **how, collector="projected:30x30")
+    named = str(error.value).split()[-1]
+    record = gonio.campaign({"gloss": gloss}, **how, folder=tmp_path)["gloss"]
+    assert str(record.subdivision) == named
+    again = gonio.campaign({"gloss": gloss}, **how, folder=tmp_path)["gloss"]
+    assert again == record
+
+
 class Stop:
     """A folder that ends a campaign once it is known whether it is isotropic."""
 

@@ -55,7 +55,7 @@ examples:
   gonio-mi measure plastic:diffuse_reflectance=0.2/0.5/0.1 --theta-i 45 \\
       --variant llvm_ad_rgb
   gonio-mi measure mybsdf:roughness=0.3 --plugin mybsdf.py --theta-i 45
-  gonio-mi measure roughconductor:alpha=0.3 --tolerance 0.01 -o material.npz
+  gonio-mi measure roughconductor:alpha=0.3 --tolerance 0.02 -o material.npz
   gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz
   gonio-mi measure scan.x3p --form plane --fill nearest --theta-i 30 -o scan.npz
   gonio-mi measure grooves.xml --theta-i 30 --order 1,2,3+ -o grooves.npz

@@ -15,7 +15,7 @@ from ..results.misplacement import misplaced
 from ..results.record import Record
 from .prediction import Prediction
 
-__all__ = ["check_equal_sectors", "check_resolved"]
+__all__ = ["TooCoarseError", "check_equal_sectors", "check_resolved"]
 
 # By which power of their width finer patches are better, where they nearly resolve a
 # lobe, and up to which part of the light in the wrong place they do.
@@ -28,6 +28,14 @@ SHARE = 1 / 2
 MOST_PATCHES = 10**5
 
 Records = Callable[[Sequence[tuple[float, float]], Subdivision | None], Record]
+
+
+class TooCoarseError(SpecimenError):
+    """Patches that do not resolve the lobes, where `enough` would."""
+
+    def __init__(self, sentence: str, enough: EqualAngle) -> None:
+        super().__init__(sentence)
+        self.enough = enough
 
 
 def check_equal_sectors(patches: Subdivision) -> None:
@@ -45,8 +53,9 @@ def check_resolved(
 ) -> None:
     """Raise SpecimenError if patches are too coarse to say what is between directions.
 
-    It names a collector that would do, from what finer ones would measure: of equal
-    steps of angle, which resolve lobes at grazing incidence with the fewest patches.
+    A :class:`TooCoarseError` names a collector that would do, from what finer ones
+    would measure: of equal steps of angle, which resolve lobes at grazing incidence
+    with the fewest patches.
 
     Parameters
     ----------
@@ -78,8 +87,9 @@ def check_resolved(
         raise SpecimenError(f"{said}, and {max(lost):.2g} with {patches!s:.40}")
     factors = [max(1.0, (one / (SHARE * tolerance)) ** (1 / ORDER)) for one in lost]
     sizes = [math.ceil(n * f / 4) * 4 for n, f in zip(patches.shape, factors)]
-    raise SpecimenError(
-        f"{said}; take a smaller theta_max or a collector such as {EqualAngle(*sizes)}"
+    enough = EqualAngle(*sizes)
+    raise TooCoarseError(
+        f"{said}; take a smaller theta_max or a collector such as {enough}", enough
     )
 
 

@@ -22,7 +22,7 @@ from ..results.record import Record
 from .campaign_tasks import Surroundings, records_of
 from .prediction import Prediction
 from .refinement import Axis, Interval, refined
-from .resolution import check_equal_sectors, check_resolved
+from .resolution import TooCoarseError, check_equal_sectors, check_resolved
 
 __all__ = ["WholeBsdf", "checked_theta_max", "checked_tolerance"]
 
@@ -108,16 +108,18 @@ class WholeBsdf:
         self.n_points = 8 if tolerance >= 0.005 else 16 if tolerance >= 0.001 else 32
         self.known: dict[tuple[float, float], Record] = {}
         self.n_rounds = 0
+        self.chosen: Subdivision | None = None  # where no collector was asked for
 
     def measured(self) -> Record:
         """Stack of the directions that the material needs, with its errors.
 
-        Integrals where the specimen allows it, else rays.
+        Integrals where the specimen allows it, else rays; where no collector is asked
+        for, and the default is too coarse, one whose patches resolve the lobes.
 
         Raises
         ------
         SpecimenError
-            If lobes are narrower than patches.
+            If lobes are narrower than the patches that were asked for.
         """
         while True:
             try:
@@ -125,8 +127,18 @@ class WholeBsdf:
             except _NotIntegrableError as error:
                 logger.info("%s: rays instead of integrals: %s", self.name, error)
                 del self.estimators[0]
-                self.known.clear()
-                self.n_rounds = 0
+                self._start_anew()
+            except TooCoarseError as error:
+                if self.settings.get("collector") is not None:
+                    raise
+                logger.info("%s: the collector is %s", self.name, error.enough)
+                self.chosen = error.enough
+                self.settings = self.settings | {"collector": self.chosen}
+                self._start_anew()
+
+    def _start_anew(self) -> None:
+        self.known.clear()
+        self.n_rounds = 0
 
     def _measured(self) -> Record:
         """Refine polar angles, then azimuths, then wherever it is still wrong."""
@@ -160,6 +172,8 @@ class WholeBsdf:
         where, estimator = self.where, self.estimators[0]
         if where.folder is not None:
             part = f"{estimator}_{self.n_rounds:03d}"
+            if self.chosen is not None:
+                part += f"_{self.chosen}".replace(":", "_")
             own = Path(where.folder) / _folder_name(self.name)
             where = replace(where, folder=own / part)
         said = f"{self.name}, {len(self.known)} directions, {said}"
