@@ -186,7 +186,9 @@ def fit(
         ``diffuse``: reflectance; ``roughconductor``: alpha and specular_reflectance, of
         a metal that reflects all light unless it is said; ``roughdielectric``: alpha,
         int_ior; ``roughplastic``: alpha, int_ior, diffuse_reflectance; ``principled``:
-        base_color, roughness, metallic, specular.
+        base_color, roughness, metallic, specular. Mitsuba has air, of index 1.000277,
+        outside unless ``ext_ior`` is said. Colours of three channels are within 0 and
+        1, as Mitsuba loads no others: one that would pass 1 is in ``at_limit``.
 
     Returns
     -------

@@ -14,13 +14,14 @@ from ..errors import SettingError, shown
 
 __all__ = ["FittedModel", "Parameter"]
 
-# What is free unless it is said, and what else a model is then made of.
-FREE: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
-    "diffuse": (("reflectance",), {}),
-    "roughconductor": (("alpha", "specular_reflectance"), {"material": "none"}),
-    "roughdielectric": (("alpha", "int_ior"), {"ext_ior": 1.0}),
-    "roughplastic": (("alpha", "int_ior", "diffuse_reflectance"), {"ext_ior": 1.0}),
-    "principled": (("base_color", "roughness", "metallic", "specular"), {}),
+# What is free unless it is said. Nothing is said for the user: the same words are the
+# same BSDF in a fit as in a measurement.
+FREE: dict[str, tuple[str, ...]] = {
+    "diffuse": ("reflectance",),
+    "roughconductor": ("alpha", "specular_reflectance"),
+    "roughdielectric": ("alpha", "int_ior"),
+    "roughplastic": ("alpha", "int_ior", "diffuse_reflectance"),
+    "principled": ("base_color", "roughness", "metallic", "specular"),
 }
 
 # Where the search for a parameter begins, and its limits. Roughness decides where the
@@ -34,7 +35,8 @@ KNOWN: dict[str, tuple[tuple[float, ...], float, float]] = {
     **dict.fromkeys(("int_ior", "ext_ior"), INDEX),
     "eta": ((1.5,), 0.01, 10.0),
     "k": ((3.0,), 0.0, 20.0),
-    # a fit may have to pass 1, which no surface does, to be unbiased
+    # a fit may have to pass 1, which no surface does, to be unbiased; Mitsuba's colours
+    # cannot
     **dict.fromkeys(("specular_reflectance", "reflectance"), ((0.8,), 0.0, 1.5)),
     **dict.fromkeys(("diffuse_reflectance", "specular_transmittance"), FRACTION),
     **dict.fromkeys(("base_color", "metallic", "specular", "anisotropic"), FRACTION),
@@ -104,11 +106,8 @@ class FittedModel:
         free: Sequence[str] | None,
         channels: Sequence[str],
     ) -> None:
-        names, base = FREE.get(bsdf["type"], ((), {}))
-        if "eta" in bsdf or "k" in bsdf:
-            base = {}
         if free is None:
-            free = [name for name in names if name not in bsdf]
+            free = [name for name in FREE.get(bsdf["type"], ()) if name not in bsdf]
         found = [Parameter.parse(text) for text in free]
         twice = [one.name for one in found if one.name in bsdf]
         if twice or not found:
@@ -118,19 +117,30 @@ class FittedModel:
             )
         if any(one.name.startswith("alpha_") for one in found):
             found = [one for one in found if one.name != "alpha"]
-        self.fixed = {k: v for k, v in base.items() if k not in bsdf} | dict(bsdf)
-        self.fixed = {k: v for k, v in self.fixed.items() if k not in free}
+        self.fixed = dict(bsdf)
         self.channels = tuple(channels)
         self.parameters = tuple(
-            Parameter(name, one.starts, one.low, one.high)
+            part
             for one in found
-            for name in self._names(one.name)
+            for part in (self._colour(one) if self._is_colour(one.name) else [one])
         )
 
-    def _names(self, name: str) -> list[str]:
-        if len(self.channels) == 3 and name.endswith(COLOURS):
-            return [f"{name}.{channel}" for channel in self.channels]
-        return [name]
+    def _is_colour(self, name: str) -> bool:
+        return len(self.channels) == 3 and name.endswith(COLOURS)
+
+    def _colour(self, one: Parameter) -> list[Parameter]:
+        """A parameter in each channel, within what Mitsuba loads as a reflectance."""
+        low, high = max(one.low, 0.0), min(one.high, 1.0)
+        if low >= high:
+            raise SettingError(
+                f"free must give limits of the colour {one.name} from 0 to 1, got "
+                f"{one.low:g}:{one.high:g}"
+            )
+        starts = tuple(start for start in one.starts if low <= start <= high)
+        names = [f"{one.name}.{channel}" for channel in self.channels]
+        return [
+            Parameter(name, starts or ((low + high) / 2,), low, high) for name in names
+        ]
 
     def bsdf(self, values: Floats) -> dict[str, Any]:
         """Mitsuba dictionary with these values of the parameters."""
