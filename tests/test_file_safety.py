@@ -759,3 +759,16 @@ def test_resume_looks_at_the_hemispheres():
         {"type": "roughdielectric"}, hemispheres="upper", resume=upper, **settings
     )
     assert again.tallies == upper.tallies  # the twin
+
+
+@pytest.mark.parametrize("command", ["measure", "bsdf"])
+def test_an_output_is_no_file_of_the_specimen(command, tmp_path, capsys):
+    """A scene, or the record of a material, is not written over."""
+    ending = {"measure": "npz", "bsdf": "xml"}[command]
+    path = tmp_path / f"mine.{ending}"
+    path.write_text("mine")
+    specimens = [str(path)] if ending == "xml" else []
+    for specimen in (*specimens, f"goniometric:filename={path}"):
+        assert cli.main([command, specimen, "-o", str(path)]) == 1
+        assert "must not be a file of the specimen" in capsys.readouterr().err
+        assert path.read_text() == "mine"

@@ -6,6 +6,7 @@ import inspect
 import re
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn
 
@@ -33,6 +34,7 @@ __all__ = [
     "add_record",
     "add_scene_options",
     "add_specimen",
+    "check_not_read",
     "add_text",
     "number",
     "number_or_word",
@@ -166,6 +168,17 @@ def add_scene_options(group: Any, variants: Sequence[str] = (DEFAULT_VARIANT,)) 
         metavar="KEY=VALUE",
         help="values of the $KEY parameters of the scene file",
     )
+
+
+def check_not_read(specimen: Any, word: str, outputs: Sequence[str]) -> None:
+    """Raise ValueError if an output is a file that the specimen is read from."""
+    read = [word, *(specimen.values() if isinstance(specimen, dict) else ())]
+    named = [one for one in read if isinstance(one, str) and Path(one).is_file()]
+    for output in outputs:
+        if Path(output).exists() and any(Path(output).samefile(one) for one in named):
+            raise SettingError(
+                f"the output must not be a file of the specimen, got {output}"
+            )
 
 
 def specimen_of(word: str, options: argparse.Namespace) -> tuple[Any, dict[str, Any]]:

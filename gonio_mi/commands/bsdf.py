@@ -22,6 +22,7 @@ from .arguments import (
     INCOMPLETE,
     add_scene_options,
     add_specimen,
+    check_not_read,
     number,
     specimen_of,
     tell,
@@ -97,6 +98,7 @@ def run(options: Namespace) -> int:
     check_output(options.output, (".xml",))
     sizes = {name: _size(options, name) for name in ("thickness", "width", "height")}
     specimen, parameters = specimen_of(options.specimen, options)
+    check_not_read(specimen, options.specimen, [options.output])
     specimen = prepared_surface(specimen, options)
     solar = None if options.solar is None else parse_specimen(options.solar)
     if sizes["thickness"] is None and options.unit is not None:

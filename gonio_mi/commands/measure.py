@@ -30,6 +30,7 @@ from .arguments import (
     add_scene_options,
     add_specimen,
     add_text,
+    check_not_read,
     number,
     say,
     sentence,
@@ -175,6 +176,7 @@ def _run(options: Namespace) -> int:
     for path in options.output:
         files.check_output(path, files.ENDINGS)
     specimen, parameters = specimen_of(options.specimen, options)
+    check_not_read(specimen, options.specimen, options.output)
     specimen = prepared_surface(specimen, options)
 
     with _CtrlC() as ctrl_c:

@@ -17,7 +17,7 @@ from .header import require
 from .radiance_bsdf import RadianceBSDF
 from .scatter import Scatter, patch_means
 
-__all__ = ["PatchMeans", "load_material", "scatter_means"]
+__all__ = ["PatchMeans", "has_back", "load_material", "scatter_means"]
 
 # Azimuths of incidence at which tensor trees for any materials are taken.
 N_AZIMUTHS = 24
@@ -109,6 +109,15 @@ def load_material(
             return made(bsdf, side)
         except FileFormatError as error:
             raise FileFormatError(f"cannot load {path}: {error}") from None
+
+
+def has_back(path: str | PathLike[str]) -> bool:
+    """Whether a file that :func:`load_material` reads holds both faces by itself."""
+    if Path(path).suffix.lower() != ".xml":
+        return False
+    with open(path, "rb") as stream:
+        bsdf = RadianceBSDF(stream)
+    return any(bsdf.holds("back", hemisphere) for hemisphere in (0, 1))
 
 
 def _of_klems(bsdf: RadianceBSDF, side: str) -> PatchMeans:

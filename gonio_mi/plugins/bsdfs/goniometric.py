@@ -13,7 +13,7 @@ import numpy as np
 
 from gonio_mi.errors import SettingError
 from gonio_mi.files.channels import wavelengths_nm
-from gonio_mi.files.material_files import PatchMeans, load_material
+from gonio_mi.files.material_files import PatchMeans, has_back, load_material
 from gonio_mi.materials import bsdf_functions
 from gonio_mi.materials.lit_face import LitFace
 from gonio_mi.materials.lobes import LobeTable
@@ -47,9 +47,9 @@ class Goniometric(mi.BSDF):
      * - back_filename
        - |string|
        - Record of light that meets the other face, measured with ``side="back"``. For a
-         specimen with two equal faces it may be the same file. Of an ``.xml``, which
-         may be the same as well, the side lit from -z counts. (Default: none, that
-         face is black)
+         specimen with two equal faces it may be the same file. Of an ``.xml`` the side
+         lit from -z counts. (Default: an ``.xml`` that holds both sides itself, else
+         none, and that face is black)
 
     With a lower hemisphere in the record, component 0 is reflection and component 1
     transmission. At an incident direction of the record, the BSDF is the record: its
@@ -92,12 +92,13 @@ class Goniometric(mi.BSDF):
         self.files = [props.get(name) for name in ("filename", "back_filename")]
         if self.files[0] is None:
             raise SettingError("goniometric.filename must name a record, got nothing")
-        self.faces = [
-            None if name is None else _face(f"goniometric.{key}", name, side)
-            for key, name, side in zip(
-                ("filename", "back_filename"), self.files, ("front", "back")
-            )
-        ]
+        front = _face("goniometric.filename", self.files[0], "front")
+        if self.files[1] is None and has_back(_resolved(self.files[0])):
+            self.files[1] = self.files[0]
+        back = None
+        if self.files[1] is not None:
+            back = _face("goniometric.back_filename", self.files[1], "back")
+        self.faces = [front, back]
         self._declare()
 
     def wavelength_range(self) -> tuple[float, float]:
@@ -246,10 +247,15 @@ def _seen(v: mi.Vector3f, side: int) -> mi.Vector3f:
     return mi.Vector3f(v.x, v.y, v.z * side)
 
 
+def _resolved(name: str) -> str:
+    """Path of a file where Mitsuba looks for it."""
+    return str(mi.file_resolver().resolve(name))
+
+
 def _face(label: str, name: str, side: str) -> LitFace:
     """Face of the material in a file, in the variant's channels."""
     try:
-        material: Any = load_material(str(mi.file_resolver().resolve(name)), side)
+        material: Any = load_material(_resolved(name), side)
         wavelengths = wavelengths_nm(material.channels)
         return LitFace(LobeTable.of(material, _mixture(material)), wavelengths)
     except (ValueError, OSError) as error:
