@@ -190,16 +190,16 @@ def test_bad_input_is_one_sentence():
 
 def test_command(tmp_path, capfd):
     """A file of heights: what it is like, what is doubtful, and how its facets lie."""
-    z = gaussian_heights((N, N), 0.5, 0.3, 0.3, 4.0) + 0.1 * np.arange(N)
+    z = gaussian_heights((N, N), 0.25, 0.3, 0.3, 1.0) + 0.1 * np.arange(N)
     np.save(tmp_path / "a.npy", z)
-    command = ["surface", str(tmp_path / "a.npy"), "--size", "32", "--form", "plane"]
-    command += ["--unit", "um", "--points", "1e4", "-o", str(tmp_path / "a.png")]
-    assert main(command) == 0
+    command = ["surface", str(tmp_path / "a.npy"), "--size", "15.75"]
+    command += ["--form", "plane", "--unit", "um", "--points", "1e4"]
+    assert main([*command, "-o", str(tmp_path / "a.png")]) == 0
     said = capfd.readouterr()
-    assert "64 x 64, 0.5 x 0.5 um apart" in said.out
+    assert "64 x 64, 0.25 x 0.25 um apart" in said.out
     assert "slopes    rms" in said.out
     assert "as beckmann" in said.out
-    assert "are smaller than light, 0.5 um" in said.err
+    assert "are smaller than light, 0.25 um" in said.err
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 

@@ -238,6 +238,16 @@ def test_waves_are_warned_of():
     at_light = HeightMap(rough * 0.2, "a", (0.1, 0.1), "um", True)
     said = topography(at_light).concerns()
     assert any("smaller than light, 0.1 um" in one for one in said)
+    # waves of 6.4 um, and a plane, have the same slopes over 0.55 um as over 0.1 um
+    x = np.arange(256)
+    wave, plane = np.sin(2 * np.pi * x / 64), 0.02 * x
+    for heights, joined in ((wave, True), (wave, False), (plane, False)):
+        fine = HeightMap(np.tile(heights, (256, 1)), "a", (0.1, 0.1), "um", joined)
+        assert topography(fine).concerns() == []
+    # noise has not, however little larger than its facets the wavelength is
+    noise = 0.5 * np.random.default_rng(2).standard_normal((64, 64))
+    (one,) = topography(HeightMap(noise, "a", (0.5, 0.5), "um", True)).concerns()
+    assert "smaller than light, 0.5 um" in one
     # waves leave exp(-(4 pi sigma / wavelength)^2) in the mirror's direction
     faint = HeightMap(rough * 0.02, "a", (1, 1), "um", True)
     share = 100 * np.exp(-((4 * np.pi * 0.02 / np.sqrt(2) / 0.55) ** 2))
@@ -262,6 +272,66 @@ def test_cells_need_not_be_square(tmp_path):
     extents = np.array([15, 11]) * surface_files.SPACING / 1000
     assert np.allclose([np.ptp(x), np.ptp(y)], extents, rtol=EPS32, atol=0)
     assert np.array_equal(height, z.astype(np.float32).ravel())
+
+
+RAMP = 0.2 * np.tile(np.arange(101), (101, 1))
+
+
+@pytest.fixture(params=["npy", "png"])
+def ramp(tmp_path, request):
+    """A plane of slope 0.2, of 101 x 101 points, and what makes it that."""
+    path = tmp_path / f"ramp.{request.param}"
+    if request.param == "npy":
+        np.save(path, RAMP)
+        return path, []
+    mi.Bitmap(np.round(5 * RAMP).astype(np.uint8)[..., None]).write(str(path))
+    return path, ["--scale", "0.2"]
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_file_is_a_finite_specimen(ramp, capfd):
+    """Exact, to the digits: over 100 mm a plane is one; twin: with a period it ends.
+
+    101 points are 100 mm, and 100 mm / 101 apart in a period, whose step of 20 mm is
+    as steep as 100 facets: a mean square slope of 0.202^2 * (100 + 100^2) / 101.
+    """
+    path, scale = ramp
+    command = ["surface", str(path), "--size", "100", "--unit", "mm", *scale]
+    command += ["--points", "1e3"]
+    assert main(command) == 0
+    said = capfd.readouterr().out
+    assert "1 x 1 mm apart" in said
+    assert "100 x 100 mm, not joined" in said
+    assert f"alpha {np.sqrt(2) * 0.2:.4g} x 0\n" in said
+    assert main([*command, "--period", "box"]) == 0
+    said = capfd.readouterr().out
+    assert "100 x 100 mm, joined" in said
+    assert f"alpha {np.sqrt(2) * 0.202 * 10:.4g} x 0\n" in said
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_file_is_a_finite_specimen_when_it_is_measured(tmp_path):
+    """Exact: as the shape that is not joined, and in a cell as the one that is."""
+    path = str(tmp_path / "ramp.npy")
+    np.save(path, RAMP / 50)
+    shape = {"type": "heightfield", "filename": path, "bsdf": {"type": "conductor"}}
+    for period in ("none", "box", (3, 3)):
+        given = {"rays": 1000, "period": period}
+        found = gonio.measure(path, 0, **given).tallies
+        for joined in (True, False):
+            other = gonio.measure(shape | {"periodic": joined}, 0, **given).tallies
+            assert (found == other) == (joined == (period != "none"))
+    for period in ("none", "box"):
+        normals = gonio.micro_normals(path, period=period, points=1000)
+        assert (normals.density > 0).sum() == (1 if period == "none" else 2)
+    command = ["measure", path, "--size", "2", "--theta-i", "0", "--rays", "1000"]
+    assert main([*command, "-q", "-o", str(tmp_path / "a.npz")]) == 0
+    plain = gonio.load(tmp_path / "a.npz")
+    # a mirror at atan(0.2) sends all light to one direction
+    (ring,) = np.unique(np.nonzero(plain.counts[0])[0])
+    edges = plain.subdivision.theta_edges
+    assert edges[ring] <= 2 * np.arctan(0.2) < edges[ring + 1]
+    assert plain.ledger.reflected + plain.ledger.sideways == 1000
 
 
 def test_one_command(tmp_path, capfd):

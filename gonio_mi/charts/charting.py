@@ -88,7 +88,7 @@ def chart(
             raise SettingError(
                 f"{name} must be a sequence of names, got {shown(words)}"
             )
-    scene = load_specimen(specimen, parameters)
+    scene = load_specimen(specimen, parameters, settings.get("period"))
     runs = Runs(scene, {"theta_i": theta_i, "phi_i": phi_i, **settings}, seed, repeats)
     with _Clock(seconds, progress) as clock:
         clock.show("reference")

@@ -69,7 +69,7 @@ def run(options: Namespace) -> int:
         given = given_surface(options)
         given["height_range"] = given.pop("range", None)
         source = read_height_map(Path(name), image_heights)
-        found = topography(source, periodic=specimen.get("periodic"), **given)
+        found = topography(source, periodic=specimen["periodic"], **given)
         joined = found.periodic
         tell(found.summary() + "\n")
         for concern in found.concerns():

@@ -19,7 +19,12 @@ __all__ = ["add_surface_options", "given_surface", "prepared_surface"]
 
 # Properties of the plugin `heightfield`, with their options' metavar and sentence.
 NUMBERS = {
-    "size": ("X", "Extent in x. Default: what the file says, else 2."),
+    "size": (
+        "X",
+        "Extent in x, from the first point of a row to the last; with --period, from "
+        "the first to where it comes again, a cell further. Default: what the file "
+        "says, else 2.",
+    ),
     "size_y": ("Y", "Extent in y. Default: what the file says, else by square cells."),
     "scale": (
         "Z",
@@ -94,7 +99,8 @@ def given_surface(options: Namespace) -> dict[str, Any]:
 def prepared_surface(specimen: Any, options: Namespace) -> Any:
     """The specimen, or the shape of a file of heights or a mesh with what is given.
 
-    With a period its last row and column are joined to the first.
+    A surface of heights is finite, unless a period joins its last row and column to the
+    first.
 
     Raises
     ------
@@ -116,9 +122,8 @@ def prepared_surface(specimen: Any, options: Namespace) -> Any:
         name = next(iter(lying)).replace("_", "-")
         raise SettingError(f"--{name} goes with a mesh, got {specimen!r}")
     if isinstance(specimen, str) and is_height_map(specimen):
-        if getattr(options, "period", None) not in (None, "none"):
-            given["periodic"] = True  # a cell has no step at its border
-        return surface_specimen(specimen, bsdf, **given)
+        period = getattr(options, "period", None)
+        return surface_specimen(specimen, bsdf, period, **given)
     if given or options.bsdf is not None:
         names = [f"--{name.replace('_', '-')}" for name in given] or ["--bsdf"]
         raise SettingError(f"{names[0]} goes with a file of heights, got {specimen!r}")

@@ -154,7 +154,8 @@ class _Task:
         """Digests of the specimen and the emitter as they are now."""
         with _here:
             self._load_plugins()
-            scene = load_specimen(self._located(), self.settings.get("parameters"))
+            given = [self.settings.get(name) for name in ("parameters", "period")]
+            scene = load_specimen(self._located(), *given)
             things, emitter = scene.shapes(), self.settings.get("emitter")
             if emitter is not None:
                 things += emitter_scene(None, emitter, None, "front").emitters()

@@ -114,7 +114,7 @@ def exit_profile(
     given = {name: value for name, value in settings.items() if value is not None}
     MeasurementSettings().changed(**given)  # refused before anything is loaded
     incidents, _ = incident_angles(float(theta_i), float(phi_i))
-    scene = load_specimen(specimen, parameters)
+    scene = load_specimen(specimen, parameters, given.get("period"))
     # one ring of light inside of the first radius, and one beyond the last
     fixed = {"footprint": "point", "collector": f"angle:{edges.size + 1}x1"}
     found = {k: v for k, v in own_settings(scene).items() if k not in NONE_OF_ITS}

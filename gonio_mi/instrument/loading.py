@@ -70,7 +70,9 @@ def check_variant() -> None:
 
 
 @launches_kernels()
-def load_specimen(specimen: Any, parameters: dict[str, Any] | None = None) -> Any:
+def load_specimen(
+    specimen: Any, parameters: dict[str, Any] | None = None, period: Any = None
+) -> Any:
     """Load a specimen as a Mitsuba scene.
 
     Parameters
@@ -81,6 +83,8 @@ def load_specimen(specimen: Any, parameters: dict[str, Any] | None = None) -> An
         units in z = 0.
     parameters : dict, optional
         Values for the ``$name`` parameters of an XML file.
+    period : {"box", "none"} or (float, float), optional
+        Of the measurement: whether a file of heights is joined at its borders.
 
     Returns
     -------
@@ -99,7 +103,7 @@ def load_specimen(specimen: Any, parameters: dict[str, Any] | None = None) -> An
         if not path.is_file():
             raise SpecimenError(f"specimen must be an existing file, got {str(path)!r}")
         if is_height_map(path):
-            specimen = surface_specimen(path)
+            specimen = surface_specimen(path, period=period)
         elif is_mesh(path):
             raise SpecimenError(
                 f"the mesh {path.name} must come with what it is made of, such as "

@@ -169,7 +169,7 @@ def _prepared(
     resume: object,
 ) -> tuple[mi.Scene, MeasurementSettings]:
     """Scene of a specimen, and the settings with which it is measured."""
-    scene = load_specimen(specimen, parameters)
+    scene = load_specimen(specimen, parameters, given.get("period"))
     settings = _settled(own_settings(scene), given, resume)
     if mi.is_spectral and isinstance(specimen, (str, PathLike, dict)):
         check_named_files(specimen, parameters, settings.wavelengths)

@@ -13,7 +13,10 @@ MIRROR = {"type": "conductor"}
 
 
 def surface_specimen(
-    path: str | os.PathLike[str], bsdf: dict[str, Any] | None = None, **settings: Any
+    path: str | os.PathLike[str],
+    bsdf: dict[str, Any] | None = None,
+    period: Any = None,
+    **settings: Any,
 ) -> dict[str, Any]:
     """Mitsuba dictionary of the plugin `heightfield` for a file of heights.
 
@@ -22,9 +25,19 @@ def surface_specimen(
     path : str or path
     bsdf : dict, optional
         What the surface is made of. Default: a mirror.
+    period : {"box", "none"} or (float, float), optional
+        As of :func:`gonio_mi.measure`. Without one the surface is finite, whatever its
+        file says; in a cell its last row and column are joined to the first, so that
+        there is no step.
     settings : optional
         Properties of the plugin; None for its default.
     """
     given = {name: value for name, value in settings.items() if value is not None}
-    filename = {"type": "heightfield", "filename": os.fspath(path)}
-    return filename | given | {"bsdf": MIRROR if bsdf is None else bsdf}
+    finite = period is None or (isinstance(period, str) and period == "none")
+    shape = {
+        "type": "heightfield",
+        "filename": os.fspath(path),
+        "periodic": not finite,
+        "bsdf": MIRROR if bsdf is None else bsdf,
+    }
+    return shape | given

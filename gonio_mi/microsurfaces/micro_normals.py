@@ -192,7 +192,7 @@ def micro_normals(
     blocks = checked_count("blocks", blocks, 2, 64)
     seed = checked_count("seed", seed, 0)
     angles = [(_checked_theta(t), _checked_phi(p)) for t in theta for p in phi]
-    scene = load_specimen(specimen, parameters)
+    scene = load_specimen(specimen, parameters, period)
     measured = Specimen(scene, checked_period("period", period))
     extent = (measured.high - measured.low)[:2]
     if not extent.min() > FEW_ROUNDINGS * np.max(measured.high - measured.low):

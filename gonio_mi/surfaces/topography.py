@@ -24,6 +24,10 @@ VISIBLE = 550e-9
 # slope of 70 degrees. Grooves and fibres have less.
 ABSURD = 4.0
 
+# Change of alpha over one wavelength, as a part of it, up to which facets smaller than
+# that are no matter: the same surface in facets of its size would have the same slopes.
+SAME = 0.03
+
 # Share of light that stays in a mirror's direction, from where it is told.
 COHERENT = 0.01
 
@@ -129,12 +133,14 @@ class Topography:
         least = min(self.spacing)
         if least < wavelength:
             u, v = self._alphas_over(wavelength)
-            found.append(
-                f"the facets of {self.source} are smaller than light, {least:.3g} "
-                f"{self.unit} at a wavelength of {shown}: this is geometric optics, "
-                f"which sees alpha {s.alpha_u:.3g} x {s.alpha_v:.3g}; over one "
-                f"wavelength it is {u:.3g} x {v:.3g}"
-            )
+            changes = abs(u - s.alpha_u), abs(v - s.alpha_v)
+            if changes[0] > SAME * s.alpha_u or changes[1] > SAME * s.alpha_v:
+                found.append(
+                    f"the facets of {self.source} are smaller than light, {least:.3g} "
+                    f"{self.unit} at a wavelength of {shown}: this is geometric "
+                    f"optics, which sees alpha {s.alpha_u:.3g} x {s.alpha_v:.3g}; over "
+                    f"one wavelength it is {u:.3g} x {v:.3g}"
+                )
         coherent = math.exp(-((4 * math.pi * s.rms_height / wavelength) ** 2))
         if coherent > COHERENT:
             found.append(
@@ -146,13 +152,21 @@ class Topography:
         return found
 
     def _alphas_over(self, length: float) -> tuple[float, float]:
-        """Alpha along x and y of differences of points that are so far apart."""
+        """Alpha along x and y of differences over a length, at least of one facet.
+
+        The facets along a row are lines: between grid points, heights are too.
+        """
         alphas = []
         for axis, step in ((1, self.spacing[0]), (0, self.spacing[1])):
             n = self.heights.shape[axis]
-            lag = min(max(1, round(length / step)), n - 1)
-            ahead, behind = np.arange(lag, n), np.arange(n - lag)
-            rise = self.heights.take(ahead, axis) - self.heights.take(behind, axis)
+            lag = min(max(1.0, length / step), n - 1.0)
+            whole, part = int(lag), lag % 1
+            behind = np.arange(n if self.periodic else n - math.ceil(lag))
+            here, low, high = (
+                self.heights.take(behind + i, axis, mode="wrap")
+                for i in (0, whole, math.ceil(lag))
+            )
+            rise = low * (1 - part) + high * part - here
             alphas.append(math.sqrt(2 * np.mean(rise**2)) / (lag * step))
         return alphas[0], alphas[1]
 

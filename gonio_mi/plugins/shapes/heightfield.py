@@ -104,7 +104,8 @@ def heightfield(props: mi.Properties) -> mi.Mesh:
 
      * - size
        - |float|
-       - Extent in x. (Default: what the file of an instrument says, for others 2)
+       - Extent in x: of n points in a row n cells where it is periodic, else n - 1.
+         (Default: what the file of an instrument says, for others 2)
 
      * - size_y
        - |float|
