@@ -146,3 +146,15 @@ def test_examples_of_manual_pages_load_and_are_the_same(plugin, of):
     file, python = re.split(r".. code-tab:: \w+\n", inspect.cleandoc(manual))[1:]
     loaded = mi.load_string(file.strip().replace(">", ' version="3.0.0">', 1))
     assert str(loaded) == str(mi.load_dict(ast.literal_eval("{" + python + "}")))
+
+
+def test_goniometric_asks_for_arrays(tmp_path):
+    """In a scalar variant it says so, in one sentence."""
+    variant = mi.variant()
+    mi.set_variant("scalar_rgb")
+    try:
+        with pytest.raises(RuntimeError, match="needs a variant that computes with"):
+            mi.load_dict({"type": "goniometric", "filename": str(tmp_path / "a.npz")})
+    finally:
+        if variant is not None:
+            mi.set_variant(variant)

@@ -11,6 +11,7 @@ import time
 from argparse import ArgumentParser, Namespace
 
 from ..errors import SettingError
+from ..exports.bsdf_file import RAYS, bsdf, hemispherical
 from ..files import check_output
 from ..files.radiance_xml import Product
 from ..instrument.loading import load_specimen, parse_specimen
@@ -71,7 +72,8 @@ def add_options(parser: ArgumentParser) -> None:
     )
     _add_product(parser.add_argument_group("product", "what else the file states"))
     method = parser.add_argument_group("method")
-    for name in ("rays", "rel_err", "max_rays", "batches", "sampler", "seed"):
+    add_setting(method, "rays", f"{RAYS}")
+    for name in ("rel_err", "max_rays", "batches", "sampler", "seed"):
         add_setting(method, name)
     add_setting(method, "estimator")
     light = parser.add_argument_group("light and events on the surface")
@@ -104,7 +106,6 @@ def run(options: Namespace) -> int:
     if sizes["thickness"] is None and options.unit is not None:
         low, high = bounds(load_specimen(specimen, parameters).shapes())
         sizes["thickness"] = float(high[2] - low[2]) * metres(options.unit)
-    from ..exports.bsdf_file import bsdf, hemispherical
 
     product = Product(options.name or options.specimen, options.manufacturer, **sizes)
     started = time.perf_counter()

@@ -36,14 +36,17 @@ def add_group(parser: argparse.ArgumentParser, title: str, before: str = "") -> 
     return group
 
 
-def add_setting(group: Any, name: str) -> None:
-    """Add the option of one setting, with its declared sentence and default."""
+def add_setting(group: Any, name: str, default: str | None = None) -> None:
+    """Add the option of one setting, with its declared sentence and default.
+
+    A command whose `default` is another says so.
+    """
     declared = _declared()[name]
     reader = dict(READERS[declared.kind])
     if declared.kind is not Kind.FLAG:
         reader["metavar"] = declared.metavar
     sentence = declared.sentence.replace("``", "").replace("`", "").replace("*", "")
-    help_text = f"{sentence} Default: {declared.shown_default}."
+    help_text = f"{sentence} Default: {default or declared.shown_default}."
     group.add_argument(declared.option, help=help_text.replace("%", "%%"), **reader)
 
 

@@ -56,7 +56,7 @@ def check_answers(evidence: Evidence, drawn: Drawn) -> None:
                 evidence.breach(
                     "answers",
                     function,
-                    f"{wrong.mean():.3g} of the samples at {drawn.condition}",
+                    f"{100 * wrong.mean():.3g} % of the samples at {drawn.condition}",
                     f"the {what} of `{function}` is {example:g} in places",
                     size=float(wrong.mean()),
                 )
@@ -132,7 +132,7 @@ def check_directions(evidence: Evidence, drawn: Drawn) -> None:
             evidence.breach(
                 "directions",
                 "sample",
-                f"{wrong.mean():.3g} of the samples at {drawn.condition}",
+                f"{100 * wrong.mean():.3g} % of the samples at {drawn.condition}",
                 f"`sample`: {mistake}",
                 size=float(wrong.mean()),
                 effect=effect,
@@ -154,7 +154,7 @@ def check_memory(evidence: Evidence, first: Drawn, again: Drawn) -> None:
             evidence.breach(
                 "answers",
                 function,
-                f"{wrong.mean():.3g} of the samples at {first.condition}",
+                f"{100 * wrong.mean():.3g} % of the samples at {first.condition}",
                 f"`{function}` answers otherwise when it is asked again: it depends on "
                 "the calls before",
                 size=1.0,

@@ -67,7 +67,7 @@ def check_components(evidence: Evidence, bsdf: mi.BSDF, drawn: Drawn) -> None:
             "components",
             "eval",
             f"their sum is {np.median(ratio):.4g} times the whole for "
-            f"{wrong.mean():.3g} of the samples at {drawn.condition}",
+            f"{100 * wrong.mean():.3g} % of the samples at {drawn.condition}",
             deaf
             or "`eval` does not heed ctx.component, or the components are not a sum",
             size=1 + float(wrong.mean()),
@@ -80,7 +80,7 @@ def check_components(evidence: Evidence, bsdf: mi.BSDF, drawn: Drawn) -> None:
             "components",
             "pdf",
             f"`pdf` is up to {min(ratio.max(), 1e6):.4g} times the sum of those of "
-            f"the components for {more.mean():.3g} of the samples at "
+            f"the components for {100 * more.mean():.3g} % of the samples at "
             f"{drawn.condition}",
             "`pdf` of the whole is more than those of its components together",
             size=float(more.mean()),

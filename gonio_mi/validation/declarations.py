@@ -112,7 +112,7 @@ def check_sides(evidence: Evidence, bsdf: mi.BSDF, seed: int) -> None:
                 _breach(
                     evidence,
                     function if np.isnan(drawn.weight).any() else "flags",
-                    f"{lit.mean():.3g} of the samples scatter at "
+                    f"{100 * lit.mean():.3g} % of the samples scatter at "
                     f"{replace(base, side=side)}",
                     f"`flags` does not declare {flag.name}, whose light is scattered",
                 )

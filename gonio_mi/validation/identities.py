@@ -37,7 +37,7 @@ def _check_dark(evidence: Evidence, drawn: Drawn, smooth: Flags) -> None:
     evidence.breach(
         "weights",
         "eval",
-        f"{dark.sum() / smooth.sum():.3g} of the samples with light at "
+        f"{100 * dark.sum() / smooth.sum():.3g} % of the samples with light at "
         f"{drawn.condition}",
         f"{functions} 0 where `sample` scatters light",
         size=1 + float(dark.mean()),
@@ -123,7 +123,7 @@ def _check_joint(evidence: Evidence, drawn: Drawn) -> None:
         evidence.breach(
             "eval_pdf_sample",
             "eval_pdf_sample",
-            f"{wrong.mean():.3g} of the samples at {drawn.condition}",
+            f"{100 * wrong.mean():.3g} % of the samples at {drawn.condition}",
             "`eval_pdf_sample` draws other samples than `sample`",
             size=float(wrong.mean()),
         )
@@ -150,7 +150,7 @@ def _unequal(
     evidence.breach(
         name,
         function,
-        f"{what} is {spread} for {wrong.mean():.3g} of the samples at "
+        f"{what} is {spread} for {100 * wrong.mean():.3g} % of the samples at "
         f"{drawn.condition}",
         mistake,
         size=float(wrong.mean()),

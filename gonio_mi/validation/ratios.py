@@ -120,7 +120,7 @@ def _place(cases: Cases, n: int) -> str:
         theta = np.degrees(np.arccos(np.clip(np.abs(wo[wrong, 2]), 0, 1)))
         low, high = np.quantile(theta, [0.05, 0.95])
         words.append(
-            f"for {wrong.mean():.2g} of the samples, with theta_o {low:.0f} to "
+            f"for {100 * wrong.mean():.3g} % of the samples, with theta_o {low:.0f} to "
             f"{high:.0f}"
         )
         for axis, name in ((0, "wo.x"), (1, "wo.y")):

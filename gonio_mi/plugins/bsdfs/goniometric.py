@@ -92,6 +92,11 @@ class Goniometric(mi.BSDF):
         self.files = [props.get(name) for name in ("filename", "back_filename")]
         if self.files[0] is None:
             raise SettingError("goniometric.filename must name a record, got nothing")
+        if mi.variant().startswith("scalar"):
+            raise SettingError(
+                "goniometric needs a variant that computes with arrays, such as "
+                f"llvm_ad_rgb, got {mi.variant()}"
+            )
         front = _face("goniometric.filename", self.files[0], "front")
         if self.files[1] is None and has_back(_resolved(self.files[0])):
             self.files[1] = self.files[0]
