@@ -208,6 +208,13 @@ def test_rows_of_open_material_in_the_plane_are_a_table_only(tmp_path):
     assert read.phi_o == pytest.approx([0, 180], abs=1e-3)
     with pytest.raises(FileFormatError, match="no grid over the hemisphere"):
         read_scatter(path)
+    # a pole that is told for one of two wavelengths
+    both = [[nm, 0.5, 0.1, phi, 0.2] for nm in (5e-7, 6e-7) for phi in (0, 2, 4)]
+    both.append([5e-7, 0.5, 0, 0, 0.2])
+    polar = {"wavelengths": [5e-7, 6e-7], "lookupTable": both}
+    path.write_text(json.dumps({"metadata": metadata, "brdf": polar}))
+    with pytest.raises(FileFormatError, match="no grid over the hemisphere"):
+        read_scatter(path)
     for key, value, message in (
         ("lookupTable", [[1, 2]], "row 0 of its lookupTable must have 5 numbers"),
         ("lookupTable", [[9e-7, 2.0, 0, 0, 1]], "row 0 .* incident zenith 2"),

@@ -9,8 +9,8 @@ import pytest
 
 from gonio_mi import cli
 from gonio_mi.errors import SettingError, SpecimenError
-from gonio_mi.versions import diff
-from gonio_mi.versions.differing import _albedo, _sizes
+from gonio_mi.versions import Differences, diff
+from gonio_mi.versions.differing import _albedo, _sizes, _worst
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="a shell's script")
 
@@ -172,3 +172,14 @@ def test_sizes_are_in_units_of_rounding():
     )
     assert _sizes(a, b, 0.0).tolist() == [pytest.approx(2, rel=2**-12), 0, np.inf, 0]
     assert _sizes(a, b, 2.0**-13)[0] < 2 / 16
+
+
+def test_no_number_is_none_in_json():
+    """One version says NaN where the other has values: JSON has no infinity."""
+    nothing, ones = np.full(4, np.nan), np.ones(4)
+    sizes = [_sizes(nothing, ones, 0.0)]
+    part = _worst("eval", "it changes", ["normal"], sizes, [(nothing, ones)], "")
+    assert part.differs
+    found = Differences("a", ("1", "2"), (part,)).to_dict()
+    assert found["parts"][0]["size"] is None
+    json.dumps(found, allow_nan=False)

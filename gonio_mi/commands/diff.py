@@ -98,7 +98,7 @@ def run(options: Namespace) -> int:
         if not options.json:
             tell(f"{name}: {answers[-1]['error']}" if "error" in answers[-1] else found)
     if options.json:
-        print(json.dumps(answers, indent=2))
+        print(json.dumps(answers, indent=2, allow_nan=False))
     else:
         same = sum(one["same"] for one in answers)
         tell(f"{same} of {len(answers)} are the same")

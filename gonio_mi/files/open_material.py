@@ -146,8 +146,10 @@ def read(stream: BinaryIO) -> Scatter:
         )
         grid[place] = here[:, 4]
         pole = polar < SAME  # told for one azimuth or for all
-        known = np.nanmean(grid[pole], axis=1, keepdims=True) if pole.any() else 0
-        grid[pole] = np.where(np.isnan(grid[pole]), known, grid[pole])
+        told = ~np.isnan(grid[pole])
+        n_told = told.sum(axis=1, keepdims=True)
+        known = np.nansum(grid[pole], axis=1, keepdims=True) / np.maximum(n_told, 1)
+        grid[pole] = np.where(~told & (n_told > 0), known, grid[pole])
         require(
             bool(np.isfinite(grid).all()) and len(azimuth) > 2,
             f"its exits for incidence at {theta_i:g} degrees are no grid over the "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,7 +79,10 @@ class Differences:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON: name, versions, ``same``, and the parts with their attributes."""
+        """For JSON: name, versions, ``same``, and the parts with their attributes.
+
+        A size is None where one version has no finite number.
+        """
         return {
             "name": self.name,
             "versions": list(self.versions),
@@ -87,7 +91,7 @@ class Differences:
                 {
                     "function": part.function,
                     "differs": part.differs,
-                    "size": part.size,
+                    "size": part.size if math.isfinite(part.size) else None,
                     "text": part.text,
                     "meaning": part.meaning if part.differs else None,
                 }
