@@ -21,6 +21,7 @@ from budget import (
 from slabs import NULL, henyey_greenstein, medium, rectangle, stack, theory
 
 from gonio_mi.results.summary import summarize
+from gonio_mi.transport.pace import Pace
 
 SCENES = Path(__file__).parents[1] / "scenes"
 PATCHES = "projected:5x6"
@@ -147,6 +148,26 @@ def test_channels_that_differ(estimator):
         agree(verdict(scores(record, patches[0], 0, channel)))
         disagree(verdict(scores(record, 1.25 * patches[0], 0, channel)))
         agree(of_total(record, totals[0], channel))
+
+
+@pytest.mark.usefixtures("rgb")
+@pytest.mark.parametrize("estimator", ["weighted", "analog"])
+def test_bits_however_launches_are_cut(estimator, monkeypatch):
+    """As rays of one launch or of several, on the channels' own powers too."""
+    one = coloured([0.2, 1.0, 4.0], [0.6, 0.9, 0.99])
+
+    def record(longest):
+        monkeypatch.setattr(
+            Pace,
+            "next_part",
+            lambda _, begin, end, most: min(longest, most, end - begin),
+        )
+        settings = {"period": "box", "rays": 6000, "batches": 2}
+        return measured(stack(one), sampler="sobol", estimator=estimator, **settings)
+
+    whole, parts = record(2**20), record(1501)
+    assert np.array_equal(whole.tallies[0].sums, parts.tallies[0].sums)
+    assert not np.array_equal(*np.moveaxis(whole.tallies[0].sums, -1, 0)[:2])
 
 
 @pytest.mark.usefixtures("spectral")

@@ -235,7 +235,7 @@ def trace_inside(
         medium[at_surface & changes] = si.target_medium(wo)
 
         # ---------------------------- Russian roulette --------------------------------
-        power = β / dr.mean(chance) if apart else β
+        power = β / _mean(chance) if apart else β
         if roulette:
             # of thousands of events none may end a ray that has lost nothing
             survival = survival_chance(power, depth + scatterings > rr_depth, 1.0)
@@ -261,7 +261,7 @@ def trace_inside(
 
     ray = flight.ray
     if apart:
-        β = β / dr.mean(chance)
+        β = β / _mean(chance)
     if apart and settings.analog:
         β = whole_number(β, sampler.next_1d(), sampler.next_1d())
         none = (fate == mi.UInt32(Fate.REFLECTED)) & ~dr.any(β > 0)
@@ -270,3 +270,11 @@ def trace_inside(
     sideways = (fate == mi.UInt32(Fate.REFLECTED)) & path.by_a_side(flight)
     fate = dr.select(sideways, mi.UInt32(Fate.SIDEWAYS), fate)
     return Exits(ray.o + flight.shift, ray.d, β, fate, incident, scatterings)
+
+
+def _mean(spectrum: mi.Spectrum) -> mi.Float:
+    """Mean over the channels, the same to the bit however many lanes there are.
+
+    The mean of Dr.Jit 1.5 rounds by their number, which it makes part of the kernel.
+    """
+    return dr.sum(spectrum) / len(spectrum)
