@@ -41,7 +41,7 @@ from .instrument.mesh_specimens import mesh  # noqa: E402
 from .microsurfaces import MicroNormals, micro_normals  # noqa: E402
 from .plots import plot  # noqa: E402
 from .reports import report  # noqa: E402
-from .results.ray_density import Plan, plan  # noqa: E402
+from .results.planning import Plan, plan  # noqa: E402
 from .results.record import Record  # noqa: E402
 from .results.tally import Ledger  # noqa: E402
 from .validation import Verdict, validate  # noqa: E402

@@ -16,7 +16,7 @@ from gonio_mi import cli
 from gonio_mi.charts.chart_figure import plot_chart
 from gonio_mi.charts.chart_page import save_page
 from gonio_mi.charts.curves import Chart, Curve, Point, Reference
-from gonio_mi.results.ray_density import rms_expectation
+from gonio_mi.results.ray_bounds import rms_expectation
 
 # the package has functions of these names
 charting = importlib.import_module("gonio_mi.charts.charting")

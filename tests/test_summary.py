@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import synthetic
 
-from gonio_mi.results.ray_density import precision
+from gonio_mi.results.precision import precision
 from gonio_mi.results.summary import summarize, summary_text
 from gonio_mi.results.tally import Fate
 

@@ -16,7 +16,7 @@ from ..collector import subdivision
 from ..instrument.measuring import measure
 from ..quadrature import integrate
 from ..results.normal_scores import student_score
-from ..results.ray_density import rms_expectation
+from ..results.ray_bounds import rms_expectation
 from ..results.record import Record
 
 __all__ = ["main"]

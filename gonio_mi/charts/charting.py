@@ -12,7 +12,7 @@ from tqdm import tqdm
 from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import load_specimen, specimen_name
-from ..results.ray_density import rms_expectation
+from ..results.ray_bounds import rms_expectation
 from ..transport.kernels import launches_kernels
 from .curves import Chart, Curve, Point, Reference
 from .runs import GROWTH, TOO_FAR, Method, Runs, find_reference

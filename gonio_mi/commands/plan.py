@@ -65,7 +65,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    from ..results.ray_density import plan  # SciPy's statistics are slow to import
+    from ..results.planning import plan  # SciPy's statistics are slow to import
 
     pilot = None if options.pilot is None else files.load(options.pilot)
     names = ("collector", "epsilon", "delta", "rel_err", "level", "floor")

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..results.misplacement import noise_of
-from ..results.ray_density import paper_rays, precision
+from ..results.precision import precision
+from ..results.ray_bounds import paper_rays
 from ..results.record import Record
 from ..results.tally import Tally
 from ..settings.measurement_settings import PILOT_RAYS, MeasurementSettings
@@ -122,8 +123,8 @@ def send_until(
     """Let all batches grow until `target` is met; one tally in the end.
 
     The number of batches is fixed, so that what decides about stopping has the same
-    degrees of freedom at every look; they grow to what the last look predicts, so that
-    there are few looks.
+    degrees of freedom at every look; they grow to what the last look predicts, to twice
+    of what they were at most.
     """
     batches = instrument.settings.batches
     # rays of every batch, at first two or more
@@ -177,10 +178,11 @@ class Target:
         worst = self.found(record)
         if worst <= self.goal:
             return sent
-        # the error of the worst patch falls as 1 / sqrt(rays), or faster; a tenth more
-        # keeps the looks few. What is not known yet asks for as many rays again.
-        growth = 1.1 * (worst / self.goal) ** 2 if np.isfinite(worst) else 2.0
-        return min(int(sent * min(max(growth, 1.25), 16.0)), self.max_rays)
+        # the error of the worst patch falls as 1 / sqrt(rays), or faster: looking again
+        # at twice the rays saves up to a third of them. What is not known yet asks for
+        # as many rays again.
+        growth = (worst / self.goal) ** 2 if np.isfinite(worst) else 2.0
+        return min(int(sent * min(max(growth, 1.25), 2.0)), self.max_rays)
 
     def reached(self, record: Record) -> dict[str, Any]:
         """What the record's settings say of the target, for the worst direction."""

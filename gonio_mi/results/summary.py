@@ -9,8 +9,8 @@ import numpy as np
 
 from ..single_precision import ROUNDING
 from .campaign_text import campaign_text
+from .precision import FLOOR, precision
 from .processors import processors
-from .ray_density import FLOOR, precision
 from .record import Record
 from .tally import Ledger
 
