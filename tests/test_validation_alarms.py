@@ -1,7 +1,8 @@
 """Right plugins pass, whatever the seed; with GONIO_SEEDS=200 more of them are tried.
 
 All verdicts on one plugin share one share of the suite's budget (see budget.py); the
-twins are the broken plugins of test_validation.py.
+twins are the broken plugins of test_validation.py. At the alpha of users, and with all
+p-values: study_of_alarms.py.
 """
 
 import os
@@ -14,40 +15,16 @@ import pytest
 import right_bsdfs
 from scipy import stats
 
-from gonio_mi.validation import balance, maps, validate
+from gonio_mi.validation import balance, identities, maps, validate
+from gonio_mi.validation.collecting import collect
 from gonio_mi.validation.conditions import Condition, Effort
 from gonio_mi.validation.evidence import Evidence
 from gonio_mi.validation.integrals import integrals
 
 SEEDS = int(os.environ.get("GONIO_SEEDS", "1"))
 
-GGX = {"type": "roughconductor", "distribution": "ggx"}
-RIGHT = {
-    "lambert": {"type": "diffuse", "reflectance": 1.0},
-    "ggx 0.05": GGX | {"alpha": 0.05},
-    "ggx 0.2": GGX | {"alpha": 0.2},
-    "ggx 1": GGX | {"alpha": 1.0},
-    "ggx brushed, all normals": GGX
-    | {"alpha_u": 0.1, "alpha_v": 0.4, "sample_visible": False},
-    "rough glass": {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.2},
-    "rough glass of index 1.02": {
-        "type": "roughdielectric",
-        "distribution": "ggx",
-        "alpha": 0.3,
-        "int_ior": 1.02,
-        "ext_ior": 1.0,
-    },
-    "glossymixture": {"type": "glossymixture"},
-    "cosinelobe": {"type": "cosinelobe"},
-    "anisotropicphong": {"type": "anisotropicphong"},
-    "ggx 0.05, all normals": GGX | {"alpha": 0.05, "sample_visible": False},
-    "mirror": {"type": "conductor"},
-    "glass of index 1.0001": {"type": "dielectric", "int_ior": 1.0001, "ext_ior": 1.0},
-    "glass of index 1.01": {"type": "dielectric", "int_ior": 1.01, "ext_ior": 1.0},
-    "glass of index 3": {"type": "dielectric", "int_ior": 3.0, "ext_ior": 1.0},
-    "glass": {"type": "dielectric"},
-    "plastic": {"type": "plastic"},
-}
+# Seconds each, for a few seeds too many.
+SLOW = ("rough glass of index 1.0001", "rough glass 0.01", "rough glass 1")
 
 
 @pytest.fixture
@@ -64,14 +41,31 @@ def remembered(monkeypatch):
     monkeypatch.setattr(maps, "integrals", integral)
 
 
-@pytest.mark.usefixtures("mono", "remembered")
-@pytest.mark.parametrize("name", RIGHT)
-def test_right_plugins_pass(name):
-    bsdf = mi.load_dict(RIGHT[name])
+def alarms(name, specimen):
+    """What fails for any seed though it is right, as text; nothing if all is well."""
     alpha = budget.ALPHA / SEEDS
+    bsdf = mi.load_dict(specimen)
     for seed in range(SEEDS):
-        verdict = validate(bsdf, effort="quick", seed=seed, alpha=alpha)
-        assert verdict.passed, f"seed {seed}\n{verdict}"
+        verdict = validate(bsdf, effort="quick", seed=seed, alpha=alpha, strict=True)
+        failed = {one.name for one in verdict.failures}
+        if failed - right_bsdfs.KNOWN.get(name, set()):
+            return f"{name}, seed {seed}\n{verdict}"
+    return ""
+
+
+@pytest.mark.usefixtures("mono", "remembered")
+@pytest.mark.parametrize(
+    "name", [name for name in right_bsdfs.RIGHT if SEEDS > 1 or name not in SLOW]
+)
+def test_right_plugins_pass(name):
+    assert not alarms(name, right_bsdfs.RIGHT[name])
+
+
+@pytest.mark.usefixtures("mono", "remembered")
+def test_right_maps_pass():
+    """Textures, maps of heights and normals, and what holds other BSDFs."""
+    for name, specimen in right_bsdfs.textured().items():
+        assert not alarms(name, specimen)
 
 
 @pytest.mark.usefixtures("mono")
@@ -79,11 +73,24 @@ def test_right_plugins_pass(name):
 def test_heavy_weights_are_no_fault(name):
     """Whatever their tails, up to an infinite variance."""
     right_bsdfs.register()
-    bsdf = mi.load_dict({"type": "heavy", "case": name})
-    alpha = budget.ALPHA / SEEDS
-    for seed in range(SEEDS):
-        verdict = validate(bsdf, effort="quick", seed=seed, alpha=alpha, strict=True)
-        assert verdict.passed, f"seed {seed}\n{verdict}"
+    assert not alarms(name, {"type": "heavy", "case": name})
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("name", "component"),
+    [("ggx 0.01, all normals", None), ("rough glass of index 1.0001", 0)],
+)
+@pytest.mark.parametrize("off", [1.0, 1.05], ids=["right", "twin"])
+def test_rounding_is_no_fault(name, component, off):
+    """Of a cosine that rounds to 1, and of indices that are nearly equal."""
+    bsdf = mi.load_dict(right_bsdfs.RIGHT[name])
+    condition = Condition(50.0, 25.0, component=component)
+    drawn = collect(bsdf, condition, 2**14, (0, 1))
+    drawn.weight, drawn.sampled_pdf = drawn.weight * off, drawn.sampled_pdf / off
+    identities.check_identities(evidence := Evidence(), drawn)
+    alone = {b.property for b in evidence.breaches if "sampled" in b.property}
+    assert bool(alone) == (off != 1)
 
 
 @pytest.mark.usefixtures("mono")

@@ -30,7 +30,8 @@ class Drawn:
     """Samples one by one, with what all functions say of their directions.
 
     Arrays of ``(n,)``, or ``(n, channels)`` for weights and values; a slack is the
-    largest change of a value when both directions are displaced by rounding errors.
+    largest change of a value when both directions are displaced by rounding errors, and
+    relative to its value no less than that of half of the samples.
 
     Attributes
     ----------
@@ -132,14 +133,28 @@ def collect(bsdf: mi.BSDF, condition: Condition, n: int, key: tuple[int, ...]) -
         sample2=spectral(sample2, n),
         eval=spectral(value, n),
         pdf=numbers(pdf, n).astype(float),
-        eval_slack=spectral(eval_slack, n),
-        pdf_slack=numbers(pdf_slack, n).astype(float),
+        eval_slack=_no_less(spectral(eval_slack, n), spectral(value, n)),
+        pdf_slack=_no_less(numbers(pdf_slack, n), numbers(pdf, n)),
         joint=joint,
         other_mode=spectral(other_mode, n),
         reverse=spectral(reverse, n),
-        reverse_slack=spectral(reverse_slack, n),
+        reverse_slack=_no_less(spectral(reverse_slack, n), spectral(reverse, n)),
         reverse_other_mode=spectral(reverse_other_mode, n),
     )
+
+
+def _no_less(slack: Numbers, value: Numbers) -> Floats:
+    """Slack of at least the relative one of half of the samples.
+
+    Where a difference of nearly equal numbers has few steps left, displacements may
+    happen to change nothing.
+    """
+    size = np.abs(value).astype(float)
+    usable = (size > 0) & np.isfinite(size) & np.isfinite(slack)
+    if not usable.any():
+        return slack.astype(float)
+    half = np.median(slack[usable] / size[usable])
+    return np.maximum(slack, half * np.where(np.isfinite(size), size, 0.0))
 
 
 def _joint(
@@ -244,9 +259,13 @@ def _tilted(
     """
     h = dr.normalize(wi + wo)
     h = dr.select(dr.abs(wi.z + wo.z) > 1e-4, h, mi.Vector3f(0, 0, 1))
-    sine = dr.maximum(dr.sqrt(dr.square(h.x) + dr.square(h.y)), np.sqrt(COSINE))
-    down = mi.Vector3f(h.x * h.z, h.y * h.z, -dr.square(sine)) / sine
+    sine = dr.sqrt(dr.square(h.x) + dr.square(h.y))
+    # a cosine that rounds to 1 leaves no azimuth
+    off = sine > 0
+    x, y = dr.select(off, h.x / sine, 1.0), dr.select(off, h.y / sine, 0.0)
+    down = mi.Vector3f(x * h.z, y * h.z, -sine)
+    angle = COSINE / dr.maximum(sine, np.sqrt(COSINE))
     for sign in (1.0, -1.0):
-        moved = dr.normalize(h + sign * (COSINE / sine) * down)
+        moved = dr.normalize(h + sign * angle * down)
         # the change counts as it is, those of a displacement SLACK times
         yield wi, mi.reflect(wi, moved), 1 / SLACK
