@@ -28,7 +28,7 @@ PATCHES = "projected:5x6"
 # Midpoints of eight rings of equal projected solid angle.
 RING_ANGLES = np.degrees(np.arcsin(np.sqrt((np.arange(8) + 0.5) / 8))).tolist()
 RAYS = 50_000
-GLASS = {"type": "dielectric", "int_ior": 1.5}
+GLASS = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
 
 
 def measured(scene, theta_i=30.0, **settings):

@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from budget import agree, difference_scores, disagree, normal_scores, scores, verdict
+from plates import plate, rings
 from slabs import chandrasekhar, henyey_greenstein, medium, rectangle, stack, theory
 
 from gonio_mi.collector.directions import direction
@@ -92,6 +93,29 @@ def test_half_space(theta_i):
     patches = np.repeat(rings[:, None], n_phi, axis=1) * 2 * np.pi / n_phi
     agree(verdict(scores(record, patches)))
     disagree(verdict(scores(record, 1.03 * patches)))
+
+
+@pytest.mark.parametrize(
+    ("tau", "albedo", "g", "index", "theta_i"),
+    [(0.1, 0.5, -0.5, 1.5, 85), (1, 0.99, 0.9, 1.4, 60), (10, 1, 0, 1.5, 0)],
+)
+def test_behind_smooth_faces(tau, albedo, g, index, theta_i):
+    """Ring by ring against adding and doubling, whose error is below a tenth of ours.
+
+    What reflects and passes unscattered is in the rings, after any number of inner
+    reflections.
+    """
+    patches = "projected:8x1"
+    edges = gonio.subdivision(patches).theta_edges
+    theta_i, exact = rings(tau, albedo, g, index, edges, theta_i)
+    _, other = rings(tau, albedo, g, 0.9 * index, edges, theta_i)
+    scene = plate(tau, albedo, g, index)
+    record = measured(scene, theta_i, collector=patches, rays=2 * RAYS)
+    assert record.settings["transport"] == "layers"
+    for hemisphere in (0, 1):
+        agree(verdict(scores(record, exact[hemisphere][:, None], hemisphere)))
+        disagree(verdict(scores(record, other[hemisphere][:, None], hemisphere)))
+    agree(verdict(of_totals(record, exact.sum(axis=1))))
 
 
 @pytest.mark.parametrize("trace", [False, True])
