@@ -82,7 +82,8 @@ def test_finer_trees_lose_less(tmp_path, glossy, monkeypatch):
     [
         ((0, 120, 240), ("Y",), "has 3 azimuths of incidence: take tensor4"),
         ((0, 0, 0), ("R", "G", "B"), "loses the colours"),
-        ((0, 0, 0), ("400nm", "500nm"), "one channel or of R, G, B"),
+        ((0, 0, 0), ("400nm", "500nm"), "95% of visible light"),
+        ((0, 0, 0), ("a", "b"), "one channel, of R, G, B or of wavelengths"),
     ],
 )
 def test_trees_of_rank_3_are_isotropic_and_grey(tmp_path, phi_i, channels, message):

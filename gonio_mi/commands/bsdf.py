@@ -2,8 +2,8 @@
 
 Measure all that a Radiance BSDF file says of a specimen, and write it: reflection and
 transmission of both sides, each incident patch averaged over the patch, in the file's
-own patches. The specimen's face to +z, the front, looks into the
-room, and its +y is up.
+own patches; of several wavelengths, visible and solar light. The specimen's face to
++z, the front, looks into the room, and its +y is up.
 """
 
 import sys
@@ -12,6 +12,7 @@ from argparse import ArgumentParser, Namespace
 
 from ..errors import SettingError
 from ..exports.bsdf_file import RAYS, bsdf, hemispherical
+from ..exports.daylight import VISIBLE_NM, luminous
 from ..files import check_output
 from ..files.radiance_xml import Product
 from ..instrument.loading import load_specimen, parse_specimen
@@ -28,10 +29,13 @@ from .arguments import (
     specimen_of,
     tell,
 )
+from .campaign_options import add_campaign, campaign_options, kept_after_ctrl_c
 from .setting_options import add_setting, given_settings
 from .surface_options import add_surface_options, prepared_surface
 
 __all__ = ["add_options", "run"]
+
+WAVELENGTHS = f"{VISIBLE_NM[0]} to {VISIBLE_NM[-1]} by {VISIBLE_NM[1] - VISIBLE_NM[0]}"
 
 USAGE = "%(prog)s SPECIMEN -o FILE.xml [options]"
 
@@ -42,6 +46,8 @@ examples:
       --bsdf diffuse:reflectance=0.7 -o blind.xml
   gonio-mi bsdf roughdielectric:alpha=0.1 --basis tensor3 -o film.xml
   gonio-mi bsdf diffuse:reflectance=0.7 --solar diffuse:reflectance=0.6 -o both.xml
+  gonio-mi bsdf film.xml --variant llvm_ad_spectral --wavelengths 300 320 340 360 380 \
+      400 450 500 550 600 650 700 800 1000 1300 1600 2000 2500 -o film_klems.xml
 """
 
 
@@ -68,7 +74,8 @@ def add_options(parser: ArgumentParser) -> None:
     group.add_argument(
         "--solar",
         metavar="SPECIMEN",
-        help="the specimen with what it does to all sunlight, for the block Solar",
+        help="the specimen with what it does to all sunlight, for the block Solar; not "
+        "needed with wavelengths from 300 to 2500 nm",
     )
     _add_product(parser.add_argument_group("product", "what else the file states"))
     method = parser.add_argument_group("method")
@@ -78,9 +85,10 @@ def add_options(parser: ArgumentParser) -> None:
     add_setting(method, "estimator")
     light = parser.add_argument_group("light and events on the surface")
     for name in ("footprint", "wavelengths", "max_depth", "rr_depth", "period"):
-        add_setting(light, name)
+        add_setting(light, name, WAVELENGTHS if name == "wavelengths" else None)
     add_surface_options(parser)
     add_scene_options(parser.add_argument_group("scene"))
+    add_campaign(parser.add_argument_group("campaign"))
     parser.add_argument(
         "-q", "--quiet", action="store_true", help="no numbers and no progress bar"
     )
@@ -109,23 +117,28 @@ def run(options: Namespace) -> int:
 
     product = Product(options.name or options.specimen, options.manufacturer, **sizes)
     started = time.perf_counter()
-    records = bsdf(
-        specimen,
-        options.output,
-        options.basis,
-        solar=solar,
-        product=product,
-        cells=options.cells,
-        parameters=parameters,
-        progress=not options.quiet and sys.stderr.isatty(),
-        **given_settings(options),
-    )
+    with kept_after_ctrl_c(options.folder):
+        records = bsdf(
+            specimen,
+            options.output,
+            options.basis,
+            solar=solar,
+            product=product,
+            cells=options.cells,
+            parameters=parameters,
+            progress=not options.quiet and sys.stderr.isatty(),
+            **campaign_options(options),
+            **given_settings(options),
+        )
     seconds = time.perf_counter() - started
     if not options.quiet:
         for name, record in records.items():
-            tell(_line(name, record, hemispherical(record)))
+            tell(_line(name, luminous(record)))
         rays = sum(record.ledger.emitted for record in records.values())
-        tell(f"{options.output}: {options.basis}, {rays:.3g} rays, {seconds:.0f} s")
+        kind = "" if "solar front" in records else ", no block Solar"
+        tell(
+            f"{options.output}: {options.basis}{kind}, {rays:.3g} rays, {seconds:.0f} s"
+        )
     return INCOMPLETE if any(map(_is_imprecise, records.values())) else DONE
 
 
@@ -137,15 +150,25 @@ def _size(options: Namespace, name: str) -> float | None:
     return None if value is None else float(value)
 
 
-def _line(name: str, record: Record, means: tuple[float, float]) -> str:
+def _line(name: str, record: Record) -> str:
     """What a side does to light from about the normal and to diffuse light."""
-    normal = int(record.theta_i.argmin())
-    dht = 0.0 if record.dht is None else record.dht[normal].mean()
-    words = f"{name}: from about the normal reflected {record.dhr[normal].mean():.4f}, "
-    words += f"transmitted {dht:.4f}"
+    normal = record[int(record.theta_i.argmin())]
+    words = f"{name}: from about the normal reflected {_told(normal, 'dhr')}"
+    if record.has_lower:
+        words += f", transmitted {_told(normal, 'dht')}"
     if record.ledger.direct:
-        words += f" ({record.direct[normal].mean():.4f} directly)"
-    return f"{words}; of diffuse light {means[0]:.4f} and {means[1]:.4f}"
+        words += f" ({_told(normal, 'direct')} directly)"
+    totals = " and ".join(_pair(*total) for total in hemispherical(record))
+    return f"{words}; of diffuse light {totals}"
+
+
+def _told(record: Record, name: str) -> str:
+    value, error = getattr(record, name), getattr(record, f"{name}_std_err")
+    return _pair(float(value[0]), float(error[0]))
+
+
+def _pair(value: float, error: float) -> str:
+    return f"{value:.4f} +- {error:.1g}"
 
 
 def _is_imprecise(record: Record) -> bool:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import files
-from ..errors import SettingError, checked_count
+from ..errors import SettingError
 from ..instrument.campaigns import campaign
 from ..instrument.measuring import measure
 from ..results.record import Record
@@ -37,6 +37,7 @@ from .arguments import (
     specimen_of,
     tell,
 )
+from .campaign_options import add_campaign, campaign_options, kept_after_ctrl_c
 from .setting_options import add_group, given_settings
 from .surface_options import add_surface_options, prepared_surface
 
@@ -127,19 +128,7 @@ def _add_output(group: Any) -> None:
         "RECORD",
         "carry on this interrupted record of the very same measurement",
     )
-    add_number(
-        group,
-        "--workers",
-        "N",
-        "measure the incident directions in that many processes",
-    )
-    add_text(
-        group,
-        "--folder",
-        "DIR",
-        "keep finished incident directions there: the same command carries on, also"
-        " after a crash",
-    )
+    add_campaign(group)
 
 
 def run(options: Namespace) -> int:
@@ -207,37 +196,26 @@ def _measure(options: Namespace) -> Callable[..., Record]:
     chosen = {name: value for name, value in chosen.items() if value is not None}
     if "theta_max" in chosen and "tolerance" not in chosen:
         raise SettingError("--theta-max goes with --tolerance")
-    if options.workers is None and options.folder is None and not chosen:
+    where = campaign_options(options)
+    if not where and not chosen:
         resume = None if options.resume is None else files.load(options.resume)
         return partial(measure, resume=resume)
     if options.resume is not None:
         raise SettingError("--resume goes without --workers, --folder and --tolerance")
-    workers = options.workers
-    if workers is not None:
-        workers = checked_count("workers", workers)
+    where = where or {"plugins": options.plugin}
 
     def _by_campaign(
         specimen: Any, theta_i: Any, phi_i: Any, **settings: Any
     ) -> Record:
-        try:
+        with kept_after_ctrl_c(options.folder):
             record = campaign(
                 {options.specimen: specimen},
                 theta_i,
                 phi_i,
-                executor=workers,
-                folder=options.folder,
-                plugins=options.plugin,
+                **where,
                 **chosen,
                 **settings,
             )[options.specimen]
-        except KeyboardInterrupt:
-            if options.folder is None:
-                kept = "nothing was kept, for want of --folder"
-            else:
-                kept = f"{options.folder} holds what was finished; the same command "
-                kept += "carries on"
-            say(f"interrupted: {kept}")
-            raise SystemExit(INCOMPLETE) from None
         return record if len(record) > 1 else record[0]
 
     return _by_campaign

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
+from ..collector import subdivision
+from ..collector.directions import direction
 from ..errors import SettingError, checked_choice
 from ..files import check_output
 from ..files.radiance_xml import Product
+from ..instrument.campaigns import campaign
 from ..instrument.measurement import measure_whole
 from ..results.record import Record
+from ..settings.parsed import checked_wavelengths
+from .daylight import VISIBLE, VISIBLE_NM, of_daylight
 from .exporting import export
 from .radiance_export import BASES, incidence
 
@@ -36,8 +42,8 @@ def bsdf(
     solar: Any = None,
     product: Product | None = None,
     cells: int | None = None,
-    parameters: dict[str, Any] | None = None,
-    progress: bool = False,
+    executor: Any = None,
+    folder: str | PathLike[str] | None = None,
     **settings: Any,
 ) -> dict[str, Record]:
     """Measure all that a Radiance BSDF file says of a specimen, and write it.
@@ -56,24 +62,27 @@ def bsdf(
         Patches of the file: 145, 77 or 41 in each hemisphere, or a tensor tree, of
         rank 3 for isotropic specimens.
     solar : optional
-        The specimen with what it does to all sunlight, if that differs.
+        The specimen with what it does to all sunlight, if that differs. From
+        wavelengths that stand for sunlight it is known without.
     product : Product, optional
         What else the file states.
     cells : int, optional
         Per axis of tensor trees, a power of two. Default: 32 for rank 3, 16 for 4.
-    parameters : dict, optional
-        Values for the ``$name`` parameters of a scene file.
-    progress : bool
-        Show progress bars.
+    executor, folder : optional
+        As of :func:`gonio_mi.campaign`: where to measure, and where finished incident
+        patches are kept, so that a call that was interrupted goes on. `folder` has the
+        records in the end, ``front.npz`` and so on.
     **settings
-        Other settings of :func:`gonio_mi.measure`. Default: ``rays=2**16`` for each
-        incident patch; or ``rel_err`` or ``noise``.
+        Other arguments of :func:`gonio_mi.measure`, or with `executor` or `folder` of
+        :func:`gonio_mi.campaign`. Default: ``rays=2**16`` for each incident patch; or
+        ``rel_err`` or ``noise``; in spectral variants 16 ``wavelengths``, for visible
+        light.
 
     Returns
     -------
     dict of Record
-        ``"front"`` and ``"back"``; with `solar` ``"solar front"`` and ``"solar back"``
-        too.
+        What the file holds: ``"front"`` and ``"back"``, and where it has sunlight
+        ``"solar front"`` and ``"solar back"``.
 
     Raises
     ------
@@ -82,44 +91,51 @@ def bsdf(
     OSError
         If the file cannot be written.
     KeyboardInterrupt
-        After Ctrl-C: nothing is written.
+        After Ctrl-C: no file is written.
     """
     check_output(path, (".xml",))
     checked_choice("basis", basis, BASES)
     for name in FIXED:
         if settings.get(name) is not None:
             raise SettingError(f"{name} is decided by the file, got {settings[name]!r}")
-    nm = settings.get("wavelengths")
-    nm = np.atleast_1d(550.0 if nm is None else nm)
-    if mi.is_spectral and len(nm) > 1:
-        raise SettingError(
-            f"wavelengths must be one for a file, or none in an rgb variant, got {nm}"
-        )
-    asked = _checked_cells(basis, cells)
-    incident, collector = incidence(basis, asked)
+    if mi.is_spectral:
+        asked = settings.get("wavelengths")
+        nm = checked_wavelengths("wavelengths", VISIBLE_NM if asked is None else asked)
+        settings["wavelengths"] = nm
+        if len(nm) > 1:
+            VISIBLE.check(np.array(nm))
+    size = _checked_cells(basis, cells)
+    incident, collector = incidence(basis, size)
     if all(settings.get(name) is None for name in ("rays", "rel_err", "noise")):
         settings["rays"] = RAYS
-    directions: dict[str, Any] = {}
     if basis == "tensor3":
-        directions["theta_i"] = np.degrees(incident.middles[0][:, 1])
-        directions["phi_i"] = 180.0
-    records = {}
+        settings["theta_i"] = np.degrees(incident.middles[0][:, 1])
+        settings["phi_i"] = 180.0
+    settings |= {"incident": incident, "collector": collector}
+    sides: dict[str, list[Record]] = {"": [], "solar ": []}
     for prefix, measured in (("", specimen), ("solar ", solar)):
         for side in ("front", "back") if measured is not None else ():
-            records[prefix + side] = measure_whole(
-                measured,
-                **directions,
-                **settings,
-                incident=incident,
-                collector=collector,
-                side=side,
-                parameters=parameters,
-                progress=progress,
-            )
-    light = [records["front"], records["back"]]
-    sunlight = [records[name] for name in records if name.startswith("solar")]
+            name = (prefix + side).replace(" ", "_")
+            record = _side(measured, name, executor, folder, side=side, **settings)
+            sides[prefix].append(record)
+    light, sunlight = of_daylight(sides[""], sides["solar "])
     export(light, path, basis, product=product, solar=sunlight)
-    return records
+    records = dict(zip(("front", "back"), light))
+    return records | dict(zip(("solar front", "solar back"), sunlight))
+
+
+def _side(
+    specimen: Any, name: str, executor: Any, folder: Any, **settings: Any
+) -> Record:
+    """Record of one side, here and at once, or in a campaign of its own."""
+    if executor is None and folder is None:
+        return measure_whole(specimen, **settings)
+    own = None if folder is None else Path(folder) / name
+    given = {"executor": executor, "folder": own, **settings}
+    record = campaign({name: specimen}, **given)[name]
+    if own is not None:
+        record.save(own.with_suffix(".npz"))
+    return record
 
 
 def _checked_cells(basis: str, cells: int | None) -> int:
@@ -133,23 +149,20 @@ def _checked_cells(basis: str, cells: int | None) -> int:
     return int(cells)
 
 
-def hemispherical(record: Record) -> tuple[float, float]:
-    """Reflectance and transmittance of diffuse light, mean of the channels.
+def hemispherical(record: Record) -> tuple[tuple[float, float], ...]:
+    """Reflectance and transmittance of diffuse light, each with its standard error.
 
-    Of a record whose light fills all patches of incidence: the mean over those, by
-    their projected solid angle.
+    Of a record of one channel whose light fills all patches of incidence: the mean
+    over those, by their projected solid angle.
     """
-    from ..collector import subdivision
-
     patches = subdivision(record.settings["incident"])
-    weight = patches.projected_solid_angles.ravel()
-    numbers = patches.patch(_towards(record))
-    weight = weight[numbers] / weight[numbers].sum()
-    dht: Any = 0.0 if record.dht is None else weight @ record.dht.mean(axis=1)
-    return float(weight @ record.dhr.mean(axis=1)), float(dht)
-
-
-def _towards(record: Record) -> Any:
-    from ..collector.directions import direction
-
-    return direction(np.radians(record.theta_i), np.radians(record.phi_i))
+    toward = direction(np.radians(record.theta_i), np.radians(record.phi_i))
+    weight = patches.projected_solid_angles.ravel()[patches.patch(toward)]
+    weight /= weight.sum()
+    parts = [(record.dhr, record.dhr_std_err)]
+    if record.dht is not None and record.dht_std_err is not None:
+        parts.append((record.dht, record.dht_std_err))
+    return tuple(
+        (float(weight @ value[:, 0]), float(np.linalg.norm(weight * error[:, 0])))
+        for value, error in parts
+    )

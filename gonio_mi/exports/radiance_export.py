@@ -14,10 +14,12 @@ from ..collector.klems import Klems
 from ..collector.shirley_chiu import ShirleyChiu
 from ..errors import SettingError, checked_choice
 from ..files import radiance_bsdf, radiance_xml, replacing
+from ..files.channels import wavelengths_nm
 from ..files.radiance_bsdf import RadianceBSDF
 from ..files.radiance_xml import Product
 from ..files.tensor_tree import grid_directions
 from ..results.record import Record
+from .daylight import of_daylight
 from .loss import Loss, fractions_of, losses
 from .resampling import Material, resampled
 
@@ -55,14 +57,16 @@ def write_radiance(
     Parameters
     ----------
     records : sequence of Record
-        Of one channel or of R, G, B; one for each lit face.
+        Of one channel, of R, G, B, or of wavelengths, which are weighted as daylight
+        is; one for each lit face.
     path : str or path
     basis : {"klems", "klems-half", "klems-quarter", "tensor3", "tensor4"}
         A Klems basis, or a tensor tree for isotropic (3) or any (4) materials.
     product : Product, optional
         What else the file says of the specimen.
     solar : sequence of Record
-        The same of one channel, for all sunlight instead of what is visible.
+        The same of one channel or of wavelengths, for all sunlight instead of what is
+        visible. Default: of `records` of wavelengths that stand for it.
 
     Raises
     ------
@@ -74,6 +78,7 @@ def write_radiance(
     checked_choice("basis", basis, BASES)
     _check_sides(records)
     _check_sides(solar)
+    records, solar = of_daylight(records, solar)
     blocks: dict[tuple[str, str], Any] = {}
     sides = [Side(record, basis) for record in records]
     _warn_of_missing_side(records)
@@ -97,10 +102,12 @@ def write_radiance(
 def _check_sides(records: Sequence[Record]) -> None:
     """Raise ValueError unless the records are of different sides of one specimen."""
     for record in records:
-        if len(record.channels) > 1 and record.channels != ("R", "G", "B"):
+        spectral = wavelengths_nm(record.channels) is not None
+        coloured = spectral or record.channels == ("R", "G", "B")
+        if len(record.channels) > 1 and not coloured:
             raise SettingError(
-                "Radiance's files take records of one channel or of R, G, B, got "
-                f"{', '.join(record.channels)[:80]}"
+                "Radiance's files take records of one channel, of R, G, B or of "
+                f"wavelengths, got {', '.join(record.channels)[:80]}"
             )
     sides = [record.settings.get("side", "front") for record in records]
     if len(set(sides)) < len(sides):

@@ -13,7 +13,7 @@ from . import radiance_xml, tensor_tree
 from .header import require
 from .tensor_tree import TensorTree
 
-__all__ = ["RadianceBSDF", "matrices", "trees"]
+__all__ = ["RadianceBSDF", "XYZ", "matrices", "trees"]
 
 # CIE XYZ of linear sRGB (IEC 61966-2-1).
 XYZ = np.array(

@@ -54,6 +54,10 @@ DETECTORS = {
     "Solar": "None",
 }
 
+# Light of each block; of sunlight that of NFRC 300.
+SOURCES = dict.fromkeys(DETECTORS, "CIE Illuminant D65 1nm.ssp")
+SOURCES["Solar"] = "ASTM E891 Table 1 Direct AM1_5.ssp"
+
 # Longest file read: a hundred times what 12 matrices need.
 MOST_BYTES = 2**29
 
@@ -195,7 +199,7 @@ def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
     return f"""<WavelengthData>
 <LayerNumber>System</LayerNumber>
 <Wavelength unit="Integral">{wavelength}</Wavelength>
-<SourceSpectrum>CIE Illuminant D65 1nm.ssp</SourceSpectrum>
+<SourceSpectrum>{SOURCES[wavelength]}</SourceSpectrum>
 <DetectorSpectrum>{DETECTORS[wavelength]}</DetectorSpectrum>
 <WavelengthDataBlock>
 <WavelengthDataDirection>{direction}</WavelengthDataDirection>

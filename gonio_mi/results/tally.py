@@ -265,7 +265,7 @@ class Tally:
 
     def first(self, channels: int) -> Tally:
         """Tally of the first `channels` channels."""
-        return self._of_each_channel(lambda array: array[..., :channels])
+        return self.of_each_channel(lambda array: array[..., :channels])
 
     def spread(self, channels: int) -> Tally:
         """Tally with the one channel of an achromatic specimen repeated."""
@@ -275,10 +275,10 @@ class Tally:
             raise ValueError(
                 f"a tally of {self.channels} channels cannot become one of {channels}"
             )
-        return self._of_each_channel(lambda one: np.repeat(one, channels, axis=-1))
+        return self.of_each_channel(lambda one: np.repeat(one, channels, axis=-1))
 
-    def _of_each_channel(self, change: Callable[[Numbers], Numbers]) -> Tally:
-        """Tally with other channels."""
+    def of_each_channel(self, change: Callable[[Numbers], Numbers]) -> Tally:
+        """Tally with other channels: what `change` makes of each array's last axis."""
         changed: dict[str, Any]
         changed = {name: change(getattr(self, name)) for name in self.of_channels}
         return replace(self, **changed)

@@ -1,0 +1,51 @@
+"""Options of the commands that measure in campaigns, and what Ctrl-C leaves of one."""
+
+from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from ..errors import checked_count
+from .arguments import INCOMPLETE, add_number, add_text, say
+
+__all__ = ["add_campaign", "campaign_options", "kept_after_ctrl_c"]
+
+
+def add_campaign(group: Any) -> None:
+    """Add where to measure, and where to keep what is finished."""
+    add_number(
+        group,
+        "--workers",
+        "N",
+        "measure the incident directions in that many processes",
+    )
+    add_text(
+        group,
+        "--folder",
+        "DIR",
+        "keep finished incident directions there: the same command carries on, also"
+        " after a crash",
+    )
+
+
+def campaign_options(options: Namespace) -> dict[str, Any]:
+    """Arguments of a campaign; none if it was not asked for."""
+    workers, folder = options.workers, options.folder
+    if workers is None and folder is None:
+        return {}
+    if workers is not None:
+        workers = checked_count("workers", workers)
+    return {"executor": workers, "folder": folder, "plugins": options.plugin}
+
+
+@contextmanager
+def kept_after_ctrl_c(folder: str | None) -> Iterator[None]:
+    """Context of a campaign, that Ctrl-C leaves with a sentence on what is kept."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = "nothing was kept, for want of --folder"
+        if folder is not None:
+            kept = f"{folder} holds what was finished; the same command carries on"
+        say(f"interrupted: {kept}")
+        raise SystemExit(INCOMPLETE) from None
