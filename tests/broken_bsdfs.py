@@ -9,7 +9,25 @@ import drjit as dr
 import mitsuba as mi
 
 # Right plugins, whose mistakes are below.
-RIGHT = ("lambert", "grey", "two_faces", "mixture", "brushed", "glass", "frosted")
+RIGHT = (
+    "lambert",
+    "grey",
+    "two_faces",
+    "retro",
+    "mixture",
+    "brushed",
+    "glass",
+    "frosted",
+)
+
+# Where weight times pdf is one account and `eval` another, and nothing tells which of
+# both is right: neither gains light, both are reciprocal.
+EITHER = (
+    "eval_five_percent_less",
+    "weight_five_percent_less",
+    "eval_of_twice_the_exponent",
+    "weight_of_twice_the_exponent",
+)
 
 MISTAKES = {
     # of a Lambertian
@@ -45,6 +63,11 @@ MISTAKES = {
     "hemisphere_mixed_up": "sample",
     "black_before_the_horizon": "eval",
     "eval_other_at_normal": "eval",
+    "eval_five_percent_less": "eval",
+    "weight_five_percent_less": "sample",
+    # of a lobe towards the light
+    "eval_of_twice_the_exponent": "eval",
+    "weight_of_twice_the_exponent": "sample",
     # of a mixture with a microfacet lobe
     "weight_without_lobe_probability": "sample",
     "lobes_picked_the_wrong_way": "sample",
@@ -326,6 +349,56 @@ def register():
         def value(self, si, wo):
             normal = dr.square(si.wi.x) + dr.square(si.wi.y) < 1e-12
             return super().value(si, wo) * dr.select(normal, 0.5, mi.Float(1))
+
+    class EvalFivePercentLess(Lambert):
+        def eval(self, ctx, si, wo, active=True):
+            return 0.95 * super().eval(ctx, si, wo, active)
+
+    class WeightFivePercentLess(Lambert):
+        def weight(self, si, bs):
+            return 0.95 * super().weight(si, bs)
+
+    class Retro(Lambert):
+        """A lobe around the direction to the source; what it has below is lost."""
+
+        components = (glossy | front,)
+        exponent = 20
+
+        def lobe(self, si, wo, exponent):
+            along = dr.maximum(dr.dot(wo, si.wi), 0)
+            return (exponent + 1) / (2 * dr.pi) * dr.power(along, exponent)
+
+        def value(self, si, wo):
+            return mi.Spectrum(0.8 * self.lobe(si, wo, self.exponent) * cosine(wo))
+
+        def density(self, si, wo):
+            return self.lobe(si, wo, self.exponent)
+
+        def direction(self, si, sample1, sample2):
+            z = dr.power(sample2.x, 1 / (self.exponent + 1))
+            across = dr.safe_sqrt(1 - z * z)
+            sin, cos = dr.sincos(dr.two_pi * sample2.y)
+            local = mi.Vector3f(across * cos, across * sin, z)
+            return mi.Vector3f(mi.Frame3f(si.wi).to_world(local))
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs, weight = super().sample(ctx, si, sample1, sample2, active)
+            bs.sampled_type = mi.UInt32(glossy)
+            return bs, weight
+
+    class EvalOfTwiceTheExponent(Retro):
+        """Nothing tells that it was meant otherwise."""
+
+        def value(self, si, wo):
+            return super().value(si, wo) * dr.power(dr.dot(wo, si.wi), self.exponent)
+
+        def weight(self, si, bs):
+            return super().value(si, bs.wo) / bs.pdf
+
+    class WeightOfTwiceTheExponent(Retro):
+        def weight(self, si, bs):
+            along = dr.dot(bs.wo, si.wi)
+            return super().weight(si, bs) * dr.power(along, self.exponent)
 
     class TwoFaces(Lambert):
         components = (diffuse | front | back,)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -13,7 +14,7 @@ from ..collector import Borders
 from ..collector.directions import direction
 from ..errors import checked_choice
 
-__all__ = ["EFFORTS", "Condition", "Effort"]
+__all__ = ["EFFORTS", "Condition", "Effort", "LitFrom"]
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,16 @@ class Condition:
         if self.mode != "importance":
             words.append(f"{self.mode} mode")
         return ", ".join(words)
+
+
+class LitFrom:
+    """A condition lit from an arbitrary direction."""
+
+    def __init__(self, condition: Condition, wi: Floats) -> None:
+        self.wi, self._condition = wi / np.linalg.norm(wi), condition
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._condition, name)
 
 
 # Azimuths and places that no symmetry of a model distinguishes.

@@ -18,6 +18,9 @@ from .probe import Probe, numbers, spectral
 
 __all__ = ["LOBES", "check_flags", "check_masks", "check_sides"]
 
+# Where nothing tells which of two is wrong.
+EITHER = "flags or sample"
+
 # What a lobe can be: names as in mi.BSDFFlags.
 LOBES = (
     "Null",
@@ -77,17 +80,19 @@ def _undeclared(bsdf: mi.BSDF, drawn: Drawn) -> tuple[int, tuple[Any, ...] | Non
     if components.max() >= n:
         trap = "; m_components must be assigned, to append to it has no effect"
         return kinds, (
-            "sample",
+            EITHER,
             f"component {int(components.max())}, of {n} that are declared",
-            "`sample` names a component that is not declared" + ("" if n else trap),
+            f"`sample` names component {int(components.max())}, where `flags` declares "
+            + (f"{n} from 0 on: one of them is wrong" if n else f"none{trap}"),
         )
     for i in set(components.tolist()):
         own = int(np.bitwise_or.reduce(types[components == i])) & ~int(bsdf.flags(i))
         if own:
             return kinds, (
-                "sample",
+                EITHER,
                 f"{_names(own)} as component {i}",
-                f"`sample` gives component {i} a type that its flags lack",
+                f"`sample` gives component {i} a type that its `flags` lack: one of "
+                "them is wrong",
             )
     return kinds, None
 

@@ -11,7 +11,7 @@ from scipy import special
 
 from ..array_types import Flags, Floats
 from .collecting import Drawn, collect
-from .conditions import Condition
+from .conditions import Condition, LitFrom
 from .equality import BSDF_ROUNDING, is_many, unequal
 from .evidence import BIAS, BREAKS, MODEL, Evidence
 from .probe import Probe, numbers, spectral
@@ -138,7 +138,7 @@ def _check_reversal(
     wi = drawn.condition.wi
     if drawn.condition.mode != "importance" or abs(wo[2]) < 1e-3:
         return
-    reverse: Any = _Reversed(drawn.condition, wo)
+    reverse: Any = LitFrom(drawn.condition, wo)
     back = collect(bsdf, reverse, drawn.n, (*key, 7))
     returned = back.given & (back.type == drawn.type[own][0])
     returned &= np.abs(back.wo - wi).max(axis=1) < SAME
@@ -172,7 +172,7 @@ def _sensitivity(
     shares = []
     for change in (-2 * tilt, -tilt, 0.0, tilt, 2 * tilt):
         z = max(cosine + change, tilt / 2) * np.sign(wo[2])
-        reverse: Any = _Reversed(condition, np.array([wo[0], wo[1], z]))
+        reverse: Any = LitFrom(condition, np.array([wo[0], wo[1], z]))
         probe = Probe(bsdf, reverse)
         one = probe.sample(*random)
         share = spectral(one.weight, n) * numbers(one.bs.pdf, n)[:, None]
@@ -212,16 +212,6 @@ def _check_modes(
             else f"`sample` weight in radiance mode is {ratio:.4g} times the other one",
             effect=BIAS if returns else BREAKS,
         )
-
-
-class _Reversed:
-    """A condition lit from an arbitrary direction."""
-
-    def __init__(self, condition: Condition, wi: Floats) -> None:
-        self.wi, self._condition = wi / np.linalg.norm(wi), condition
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._condition, name)
 
 
 def check_null(evidence: Evidence, drawn: Drawn, probe: Probe) -> None:

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 
 from ..array_types import Flags, Floats
 from .collecting import Drawn
+from .evidence import Evidence
 
-__all__ = ["FACTORS", "explain_ratio", "factor"]
+__all__ = [
+    "FACTORS",
+    "Cases",
+    "explain_neutrally",
+    "explain_ratio",
+    "factor",
+    "ratios_of",
+]
 
 # What is likely forgotten, or there once too often, and how it reads.
 FACTORS = {
@@ -32,7 +41,7 @@ FACTORS = {
 NEAR = 2e-3
 
 # Ratios, the samples, and which of them the ratios are of.
-Cases: TypeAlias = "Sequence[tuple[Floats, Drawn, Flags]]"
+Cases: TypeAlias = "list[tuple[Floats, Drawn, Flags]]"
 
 
 def factor(name: str, drawn: Drawn, mask: Flags) -> Floats:
@@ -62,6 +71,36 @@ def factor(name: str, drawn: Drawn, mask: Flags) -> Floats:
     return np.full(len(wo), {"pi": np.pi, "four": 4.0, "two": 2.0}[name])
 
 
+@dataclass(frozen=True)
+class _Found:
+    """A factor that explains a ratio, its power, and a constant besides."""
+
+    name: str
+    power: int
+    constant: float | None = None
+
+
+def ratios_of(evidence: Evidence, what: str) -> Cases:
+    """Ratios that should be 1, of each set of samples, with the samples they are of."""
+    cases: Cases = []
+    for drawn in evidence.drawn:
+        if drawn.condition.component is not None:
+            continue
+        ok = drawn.smooth & (drawn.pdf > 0) & np.isfinite(drawn.pdf)
+        ok &= np.isfinite(drawn.sampled_pdf) & (np.abs(drawn.wo[:, 2]) > 1e-4)
+        if what == "sampled_weight":
+            over = drawn.weight.sum(axis=1) * drawn.pdf
+            under = drawn.eval.sum(axis=1)
+        elif what == "sampled_pdf":
+            over, under = drawn.sampled_pdf, drawn.pdf
+        else:
+            over, under = drawn.pdf, drawn.sampled_pdf
+        ok &= np.isfinite(under) & (under > 0) & (over > 0)
+        if ok.any():
+            cases.append((over[ok] / under[ok], drawn, ok))
+    return cases
+
+
 def explain_ratio(cases: Cases, function: str, what: str) -> str:
     """Sentence on a ratio of two answers that should be 1.
 
@@ -74,27 +113,59 @@ def explain_ratio(cases: Cases, function: str, what: str) -> str:
     what : str
         The ratio, in words.
     """
-    # what is right tells nothing
-    everything = cases
-    cases = [case for case in cases if not _is_near(case[0])] or cases
-    if not cases:
+    wrong = _wrong(cases)
+    if not wrong:
         return f"`{function}` contradicts the other functions"
+    found = _find(wrong)
+    if found is None:
+        return f"`{function}`: {what} {_in_numbers(wrong, len(cases))}"
+    text = _worded(function, found.name, found.power)
+    if found.constant is None:
+        return text + _where(wrong, len(cases))
+    return f"{text}, and has a factor {found.constant:.4g} besides"
+
+
+def explain_neutrally(cases: Cases, what: str) -> str:
+    """The same where nothing tells whose fault it is."""
+    wrong = _wrong(cases)
+    found = _find(wrong)
+    if found is None:
+        return f"{what} {_in_numbers(wrong, len(cases))}"
+    text, constant = FACTORS[found.name], found.constant
+    if found.power < 0:
+        text = f"{constant or 1:.4g} over {text}"
+    elif constant is not None:
+        text = f"{constant:.4g} times {text}"
+    return f"{what} is {text}{_where(wrong, len(cases))}"
+
+
+def _wrong(cases: Cases) -> Cases:
+    """Cases without what is right, which tells nothing."""
+    return [case for case in cases if not _is_near(case[0])] or cases
+
+
+def _find(cases: Cases) -> _Found | None:
+    """What explains a ratio; None if nothing that is known."""
     for name, power, constant in _candidates():
         near = 0.02 if name == "component" else NEAR  # known from frequencies only
         rests = [
             ratio / factor(name, drawn, mask) ** power for ratio, drawn, mask in cases
         ]
         if _is_constantly(1.0, name, rests, cases, near):
-            return _worded(function, name, power) + _where(cases, len(everything))
+            return _Found(name, power)
         if constant and _is_constantly(float(np.median(rests[0])), name, rests, cases):
-            rest = f", and has a factor {np.median(rests[0]):.4g} besides"
-            return _worded(function, name, power) + rest
+            return _Found(name, power, float(np.median(rests[0])))
+    return None
+
+
+def _in_numbers(cases: Cases, n: int) -> str:
+    """How large a ratio is, of `n` cases all told, and where."""
     ratios = np.concatenate([ratio for ratio, _, _ in cases])
     low, middle, high = np.quantile(ratios, [0.05, 0.5, 0.95])
-    place = _place(cases, len(everything))
+    place = _place(cases, n)
     if high - low < NEAR * middle:
-        return f"`{function}`: {what} is {middle:.4g} {place or 'everywhere'}"
-    text = f"`{function}`: {what} is {low:.4g} to {high:.4g}, median {middle:.4g}"
+        return f"is {middle:.4g} {place or 'everywhere'}"
+    text = f"is {low:.4g} to {high:.4g}, median {middle:.4g}"
     return f"{text}, {place}" if place else text
 
 

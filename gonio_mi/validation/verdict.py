@@ -44,7 +44,7 @@ class Property:
     mistake : str or None
         What is likely wrong, if it fails.
     function : str or None
-        Of the plugin, where that is.
+        Of the plugin, where that is; as of :class:`Verdict`.
     p_value : float or None
         The smallest of its statistical tests, times the number of these; None without.
     effect : str or None
@@ -94,7 +94,8 @@ class Verdict:
         Of the BSDF.
     properties : tuple of Property
     function : str or None
-        The function that is most likely guilty; None if nothing fails.
+        The function that is most likely guilty, or two of which nothing tells which,
+        as ``"eval or sample"``; None if nothing fails.
     mistake : str or None
         What is likely wrong with it.
     settings : dict
