@@ -15,7 +15,7 @@ import pytest
 import right_bsdfs
 from scipy import stats
 
-from gonio_mi.validation import balance, identities, maps, validate
+from gonio_mi.validation import balance, drawing, identities, maps, validate
 from gonio_mi.validation.collecting import collect
 from gonio_mi.validation.conditions import Condition, Effort
 from gonio_mi.validation.evidence import Evidence
@@ -115,6 +115,19 @@ def test_a_density_that_underflows_has_no_hole():
     balance.check_maps(evidence, found)
     assert not evidence.breaches
     assert "tails are too heavy" in evidence.undecided["weights"]
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("sector", ["any", "one"])
+def test_a_direction_that_rounds_to_the_pole_has_any_azimuth(sector, monkeypatch):
+    """Some of a smooth lobe at normal incidence; of the twin all go to one sector."""
+    if sector == "one":
+        monkeypatch.setattr(drawing, "_with_azimuth", lambda wo, _: wo)
+    bsdf = mi.load_dict(right_bsdfs.GGX | {"alpha": 0.004, "sample_visible": False})
+    grid = Effort.named("quick").patches
+    found = maps.four_maps(bsdf, Condition(0.0, 25.0), grid, 2**19, (0, 1))
+    p = budget.Verdict(found.count_scores.p_values)
+    (budget.agree if sector == "any" else budget.disagree)(p)
 
 
 # Samplers of growing tails, and seeds of each: p-values of one view in 96 maps.

@@ -22,6 +22,9 @@ __all__ = ["Samples", "Totals", "count", "draw", "patch_of", "seed_of", "uniform
 # Samples of one launch, whose values come back one by one.
 CHUNK = 2**20
 
+# The golden ratio of 2^32, whose multiples are spread evenly.
+GOLDEN = 2654435769
+
 
 @dataclass
 class Totals:
@@ -147,6 +150,7 @@ def draw(
     value, pdf = probe.eval(wo), probe.pdf(wo)
     # a weight of zero means that sample failed, or that the BSDF is black there
     counted = ~delta & dr.any(one.weight != 0) & dr.isfinite(wo.z)
+    wo = _with_azimuth(wo, n)
     index = dr.select(counted, patch_of(subdivision, condition, wo), 2 * m)
     dr.eval(index, one.weight, one.bs.pdf, delta, value, pdf)
     weight, density = spectral(one.weight, n), numbers(pdf, n).astype(float)
@@ -159,6 +163,14 @@ def draw(
         numbers(delta, n),
         ratio,
     )
+
+
+def _with_azimuth(wo: mi.Vector3f, n: int) -> mi.Vector3f:
+    """Directions that round to a pole, which is in no sector, go to all in turn."""
+    turn = dr.two_pi * 2.0**-32 * mi.Float(GOLDEN * dr.arange(mi.UInt32, n))
+    lost = (wo.x == 0) & (wo.y == 0)
+    x, y = (1e-9 * f(turn) for f in (dr.cos, dr.sin))
+    return mi.Vector3f(dr.select(lost, x, wo.x), dr.select(lost, y, wo.y), wo.z)
 
 
 def patch_of(
