@@ -36,7 +36,7 @@ from .files.measured import MeasuredTable, read_measured  # noqa: E402
 from .fitting import Fit, fit  # noqa: E402
 from .instrument.campaigns import campaign  # noqa: E402
 from .instrument.exit_profile import ExitProfile, exit_profile  # noqa: E402
-from .instrument.measuring import measure  # noqa: E402
+from .instrument.measuring import measure, measure_orders  # noqa: E402
 from .instrument.mesh_specimens import mesh  # noqa: E402
 from .microsurfaces import MicroNormals, micro_normals  # noqa: E402
 from .plots import plot  # noqa: E402
@@ -82,6 +82,7 @@ __all__ = [
     "load",
     "measure",
     "measure_like",
+    "measure_orders",
     "mesh",
     "micro_normals",
     "plan",

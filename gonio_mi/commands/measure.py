@@ -17,7 +17,7 @@ from typing import Any
 from .. import files
 from ..errors import SettingError
 from ..instrument.campaigns import campaign
-from ..instrument.measuring import measure
+from ..instrument.measuring import measure, measure_orders
 from ..results.record import Record
 from ..results.summary import summarize, summary_text
 from ..settings.orders import Order
@@ -134,8 +134,8 @@ def _add_output(group: Any) -> None:
 def run(options: Namespace) -> int:
     """Measure; what goes wrong with files does so before.
 
-    Several orders, ``1,2,3+``, are measured one after the other with the same rays,
-    each into files of its own.
+    Several orders, ``1,2,3+``, are measured with the same rays, each into files of its
+    own: all at once, or one campaign after the other.
     """
     orders = str(options.order).split(",")
     if len(orders) == 1:
@@ -144,58 +144,81 @@ def run(options: Namespace) -> int:
         raise SettingError("--resume and --folder go with one order, got several")
     for order in orders:
         Order.parse("order", order)
+    if options.workers is None and options.tolerance is None:
+        return _run(options, orders)
     code = DONE
     for order in orders:
         output = [_of_order(path, order) for path in options.output]
         single = Namespace(**vars(options) | {"order": order, "output": output})
         code = max(code, _run(single))
-        if code == INCOMPLETE and options.rel_err is None:
-            break  # interrupted
     return code
 
 
 def _of_order(path: str, order: str) -> str:
-    """Name of the file of one order among several."""
+    """Name of the file of one order among several; as it is without one."""
+    if not order:
+        return path
     whole = Path(path)
     return str(whole.with_name(f"{whole.stem}_order_{order}{whole.suffix}"))
 
 
-def _run(options: Namespace) -> int:
-    """Measure one order, or all together."""
+def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
+    """Measure what the options say, or several orders of it at once."""
     for path in options.output:
         files.check_output(path, files.ENDINGS)
     specimen, parameters = specimen_of(options.specimen, options)
     check_not_read(specimen, options.specimen, options.output)
     specimen = prepared_surface(specimen, options)
+    settings = given_settings(options)
+    if orders:
+        del settings["order"]
 
+    code = DONE
     with _CtrlC() as ctrl_c:
         # said below, with the files' names
         warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
-        record = _measure(options)(
+        measured = _measure(options, orders)(
             specimen,
             _one_or_many(options.theta_i),
             _one_or_many(options.phi_i),
-            **given_settings(options),
+            **settings,
             parameters=parameters,
             progress=not options.quiet and sys.stderr.isatty(),
         )
         ctrl_c.ignored = True
-        unsaved = _save(record, options.output)
-        if not options.quiet:
-            tell(summary_text(summarize(record)))
-        if ctrl_c.pressed:
-            say(f"interrupted: {_remains(options, record)}")
+        for order, record in (measured if orders else {"": measured}).items():
+            output = [
+                _of_order(path, order) if order else path for path in options.output
+            ]
+            code = max(code, _finish(record, options, output, ctrl_c.pressed))
+    return code
+
+
+def _finish(
+    record: Record, options: Namespace, output: Sequence[str], pressed: bool
+) -> int:
+    """Save and show a record; return the exit code."""
+    unsaved = _save(record, output)
+    if not options.quiet:
+        tell(summary_text(summarize(record)))
+    if pressed:
+        say(f"interrupted: {_remains(options, output, record)}")
     if unsaved:
         return USER_ERROR
-    return INCOMPLETE if ctrl_c.pressed or _is_imprecise(record) else DONE
+    return INCOMPLETE if pressed or _is_imprecise(record) else DONE
 
 
-def _measure(options: Namespace) -> Callable[..., Record]:
-    """Function that measures here and at once, or in a campaign."""
+def _measure(options: Namespace, orders: Sequence[str]) -> Callable[..., Any]:
+    """Function that measures here and at once, or in a campaign.
+
+    Of several orders it gives a dictionary.
+    """
     chosen = {"tolerance": options.tolerance, "theta_max": options.theta_max}
     chosen = {name: value for name, value in chosen.items() if value is not None}
     if "theta_max" in chosen and "tolerance" not in chosen:
         raise SettingError("--theta-max goes with --tolerance")
+    if orders:
+        return partial(measure_orders, orders=orders)
     where = campaign_options(options)
     if not where and not chosen:
         resume = None if options.resume is None else files.load(options.resume)
@@ -247,19 +270,21 @@ def _one_or_many(values: Any) -> Any:
     return values[0] if values is not None and len(values) == 1 else values
 
 
-def _remains(options: Namespace, record: Record) -> str:
+def _remains(options: Namespace, output: Sequence[str], record: Record) -> str:
     """What is left of an interrupted measurement."""
     if record.ledger.emitted:
         kept = f"{record.ledger.emitted:,} rays".replace(",", " ")
     else:
         asked = len(options.theta_i or [None]) * len(options.phi_i)
         kept = f"{len(record)} of {asked} incident directions"
-    if not options.output:
+    if not output:
         return f"{kept} were finished and nothing was saved, for want of -o"
-    kept = f"{' and '.join(options.output)} holds {kept}"
+    kept = f"{' and '.join(output)} holds {kept}"
     if record.settings["estimator"] == "quadrature" or options.rel_err is not None:
         return kept
-    return f"{kept}; --resume {options.output[0]} carries it on"
+    order = record.settings["order"]
+    again = "" if order == "all" else f"--order {order} "
+    return f"{kept}; {again}--resume {output[0]} carries it on"
 
 
 class _CtrlC:

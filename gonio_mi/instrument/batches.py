@@ -13,7 +13,7 @@ from ..results.misplacement import noise_of
 from ..results.precision import precision
 from ..results.ray_bounds import paper_rays
 from ..results.record import Record
-from ..results.tally import Tally
+from ..results.tally import Fate, Tally
 from ..settings.measurement_settings import PILOT_RAYS, MeasurementSettings
 from ..transport.bench import Bench
 from .instrument import Instrument
@@ -27,7 +27,7 @@ PAPER_EPSILON, PAPER_DELTA = 0.005, 0.01
 
 def rays_sent(tallies: Sequence[Tally], passes: int) -> list[int]:
     """Rays of each batch of `tallies`, which sent them `passes` times."""
-    counts = [tally.fates.sum(axis=1) // passes for tally in tallies]
+    counts = [tally.fates[:, : len(Fate)].sum(axis=1) // passes for tally in tallies]
     return [int(rays) for some in counts for rays in some]
 
 

@@ -15,6 +15,7 @@ from ..results.integral_sums import Integrals
 from ..results.record import Record
 from ..results.tally import WEIGHT_SCALE, Ledger, Tally
 from ..settings import MeasurementSettings
+from ..settings.orders import Order
 from ..transport.beam import Beam
 from ..transport.bench import Bench
 from ..transport.collector_sphere import CollectorSphere
@@ -88,11 +89,13 @@ class Instrument:
         emitters: Sequence[mi.Emitter],
         incident: tuple[float, float] | None = None,
         described: str | None = None,
+        orders: Sequence[Order] = (),
     ) -> Bench:
         """Set up a :class:`Bench` for the one emitter of `emitters`.
 
         `incident` is the pair of angles in degrees that it was made for, if any, and
-        `described` the digest of the emitter before it was turned there.
+        `described` the digest of the emitter before it was turned there. Several
+        `orders` are collected apart.
         """
         if any(emitter.get_medium() is not None for emitter in emitters):
             raise SpecimenError(
@@ -111,6 +114,7 @@ class Instrument:
             )
         beam = self._beam(specimen, emitters[0])
         bench = Bench(specimen, beam, self.collector, self.sampler, incident, described)
+        bench.collect_orders(orders)
         if self.integrates:
             lanes = wavelength_lanes(passes(self.wavelengths)[0])
             check_integrable(bench, self.settings, lanes)

@@ -80,7 +80,8 @@ class Launches:
         """Batches that may share a launch: the same for all launches at a bench."""
         if not self.divisible:
             return 1
-        fitting = FUSED_SUMS // (self.bench.n_bins * packet_width())
+        sums = len(self.bench.classes) * self.bench.n_bins * packet_width()
+        fitting = FUSED_SUMS // sums
         return max(1, min(fitting, self.settings.batches))
 
     @property

@@ -11,7 +11,6 @@ from os import PathLike
 from typing import Any
 
 import mitsuba as mi
-import numpy as np
 
 from ..errors import SettingError, VariantError
 from ..memory import check_memory
@@ -19,6 +18,7 @@ from ..results.processors import joined_processors
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
+from ..settings.orders import Order
 from ..settings.parsed import checked_incident
 from ..transport.bench import Bench
 from ..transport.kernels import launches_kernels
@@ -28,18 +28,21 @@ from .incidence import described_digest, emitter_scene, incident_angles, inciden
 from .instrument import Instrument
 from .loading import check_variant, load_specimen, specimen_name
 from .named_files import check_named_files
+from .remarks import (
+    warn_of_created_light,
+    warn_of_interruption,
+    warn_unless_reached,
+)
 from .resuming import check_resumable
 from .scene_settings import own_settings, sampler_of
 from .sending import send_all
 
-__all__ = ["measure_each", "measure_here", "measure_whole", "whole"]
+__all__ = ["measure_each", "measure_here", "measure_stacks", "measure_whole", "whole"]
 
 logger = logging.getLogger(__name__)
 
-# Light is said to be created where the intervals of this level begin above all that
-# came, and by more than what a path of so many events loses to single precision.
-SURE = 1 - 1e-9
-PATH_ROUNDING = 1000 * float(np.finfo(np.float32).eps)
+# Estimators whose rays are each of the one order in which they leave.
+COUNTS_EXITS = ("weighted", "analog")
 
 
 def measure_here(
@@ -53,39 +56,75 @@ def measure_here(
     return record if stacked else record[0]
 
 
-@launches_kernels()
 def measure_each(
+    specimen: Any, incidents: Sequence[tuple[float, float] | None], **settings: Any
+) -> Record:
+    """Stack of the incident directions, each ``(theta_i, phi_i)`` in degrees or None.
+
+    All else as of :func:`~gonio_mi.instrument.measuring.measure`.
+    """
+    (record,) = measure_stacks(specimen, incidents, (), **settings)
+    return record
+
+
+@launches_kernels()
+def measure_stacks(
     specimen: Any,
     incidents: Sequence[tuple[float, float] | None],
+    orders: Sequence[Order],
     *,
     progress: bool = False,
     resume: Record | None = None,
     parameters: dict[str, Any] | None = None,
     emitter: dict[str, Any] | None = None,
     **given: Any,
-) -> Record:
-    """Stack of the incident directions, each ``(theta_i, phi_i)`` in degrees or None.
-
-    All else as of :func:`~gonio_mi.instrument.measuring.measure`.
-    """
+) -> list[Record]:
+    """Stacks of the incident directions: of each of the orders, if there are any."""
     check_variant()
     given = {name: value for name, value in given.items() if value is not None}
+    if orders:
+        given["order"] = Order(most=max(order.most for order in orders))
     asked = MeasurementSettings().changed(**given)  # refused before anything is loaded
     _check_together(given, asked, incidents, emitter)
     scene, settings = _prepared(specimen, parameters, given, resume)
+    one_by_one = Target.of(settings) or settings.estimator not in COUNTS_EXITS
+    if len(orders) > 1 and one_by_one:
+        given |= {"progress": progress, "parameters": parameters, "emitter": emitter}
+        records: list[Record] = []
+        for one in orders:
+            records += measure_stacks(specimen, incidents, [one], **given)
+            if records[-1].settings.get("interrupted"):
+                break
+        return records
+    if len(orders) == 1:
+        settings, orders = replace(settings, order=orders[0]), ()
     instrument = Instrument(settings, sampler_of(settings))
     measured = Specimen(scene, settings.period)
     measured.name = specimen_name(specimen, parameters)
     instrument.check(measured)
     described = described_digest(emitter)
+    # kept, for with a scene its emitters go
     scenes = [
         emitter_scene(scene, emitter, incident, settings.side) for incident in incidents
     ]
     benches = [
-        instrument.bench(measured, lit.emitters(), incident, described)
+        instrument.bench(measured, lit.emitters(), incident, described, orders)
         for lit, incident in zip(scenes, incidents)
     ]
-    plan = batch_sizes(settings.rays, settings.batches)
+    keys = [(settings.seed, *incident_key(incident)) for incident in incidents]
+    return _sent(instrument, benches, keys, resume, progress)
+
+
+def _sent(
+    instrument: Instrument,
+    benches: Sequence[Bench],
+    keys: Sequence[tuple[int, ...]],
+    resume: Record | None,
+    progress: bool,
+) -> list[Record]:
+    """Send all rays, and make of them a stack of records for each order."""
+    settings = instrument.settings
+    plan, target = batch_sizes(settings.rays, settings.batches), Target.of(settings)
     _check_sums_fit(instrument, benches, plan)
     finished: list[list[Tally]] = [[] for _ in benches]
     if resume is not None:
@@ -93,28 +132,49 @@ def measure_each(
         finished[: len(resume)] = [[tally] for tally in resume.tallies]
 
     started = time.perf_counter()
-    keys = [(settings.seed, *incident_key(incident)) for incident in incidents]
-    target = Target.of(settings)
     complete = send_all(instrument, benches, keys, plan, target, finished, progress)
-    records = [
-        instrument.record(bench, Tally.join(tallies), settings.seed)
+    records = _records(instrument, benches, finished)
+    if resume is not None:
+        parts = joined_processors(resume.settings, records[0].settings)
+        records = [records[0].with_settings(**parts)]
+    seconds = time.perf_counter() - started
+    logger.info("measured for %.3g s: %r", seconds, records[0])
+    if target:
+        records = [records[0].with_settings(**target.reached(records[0]))]
+        if complete:
+            warn_unless_reached(records[0], target)
+    if not complete:
+        records = [record.with_settings(interrupted=True) for record in records]
+        warn_of_interruption(instrument, records[0], len(benches))
+    return records
+
+
+def _records(
+    instrument: Instrument,
+    benches: Sequence[Bench],
+    finished: Sequence[list[Tally]],
+) -> list[Record]:
+    """Record of each order, or the one of all rays: stacks of what was finished."""
+    done = [
+        (bench, Tally.join(tallies))
         for bench, tallies in zip(benches, finished)
         if tallies
     ]
-    _warn_of_created_light(records)
-    record = Record.stack(records)
-    if resume is not None:
-        parts = joined_processors(resume.settings, record.settings)
-        record = record.with_settings(**parts)
-    logger.info("measured for %.3g s: %r", time.perf_counter() - started, record)
-    if target:
-        record = record.with_settings(**target.reached(record))
-        if complete:
-            _warn_unless_reached(record, target)
-    if not complete:
-        record = record.with_settings(interrupted=True)
-        _warn_of_interruption(instrument, record, len(benches))
-    return record
+    seed, orders, found = instrument.settings.seed, benches[0].orders, []
+    if not orders:
+        found.append([instrument.record(bench, tally, seed) for bench, tally in done])
+    for number, order in enumerate(orders):
+        found.append(
+            [
+                instrument.record(bench, tally.apart()[number], seed).with_settings(
+                    order=str(order)
+                )
+                for bench, tally in done
+            ]
+        )
+    for records in found:
+        warn_of_created_light(records)
+    return [Record.stack(records) for records in found]
 
 
 def measure_whole(specimen: Any, *args: Any, **settings: Any) -> Record:
@@ -201,55 +261,13 @@ def _check_sums_fit(
     instrument: Instrument, benches: Sequence[Bench], plan: Sequence[int]
 ) -> None:
     """Raise ValueError if the sums of all benches do not fit into memory."""
-    sums = sum(bench.n_collected for bench in benches)
+    n_orders = max(1, len(benches[0].orders))
+    sums = n_orders * sum(bench.n_collected for bench in benches)
     # while they are joined; and beside those of the rounds before
     n_rounds = len(rounds(plan, min(map(instrument.round_rays, benches))))
     copies = 2 * min(n_rounds, 2)
     check_memory(
         f"{sums} patches in {len(plan)} batches",
         copies * 8 * sums * len(plan) * len(mi.Spectrum()),
-        "take fewer patches, incident directions or batches",
+        "take fewer patches, incident directions, batches or orders at once",
     )
-
-
-def _warn_of_created_light(records: Sequence[Record]) -> None:
-    """Warn if more light left than came, beyond chance and single precision."""
-    for record in records:
-        total, low = record.dhr, record.interval(SURE, "dhr")[0]
-        if record.dht is not None:
-            total, low = total + record.dht, low + record.interval(SURE, "dht")[0]
-        if np.any(low > 1 + PATH_ROUNDING):
-            theta_i, phi_i = record.theta_i[0], record.phi_i[0]
-            warnings.warn(
-                f"the BSDF creates light: {np.max(total):.6g} of what came leaves for "
-                f"incidence at theta_i {theta_i:g}, phi_i {phi_i:g}",
-                RuntimeWarning,
-                stacklevel=3,
-            )
-            return
-
-
-def _warn_unless_reached(record: Record, target: Target) -> None:
-    reached = record.settings["reached"]
-    if not reached <= target.goal:
-        where = "" if target.of_noise else " in the worst patch"
-        warnings.warn(
-            f"{target.name} of {target.goal:g} was not reached with "
-            f"{target.max_rays:g} rays: it is {reached:.3g}{where}",
-            RuntimeWarning,
-            stacklevel=3,
-        )
-
-
-def _warn_of_interruption(
-    instrument: Instrument, record: Record, n_incident: int
-) -> None:
-    """Warn of what is left of so many incident directions."""
-    settings = instrument.settings
-    if instrument.integrates or Target.of(settings):
-        kept = f"{len(record)} of {n_incident} incident directions"
-        kept += "" if instrument.integrates else ", the last one less precise"
-    else:
-        asked = settings.rays * n_incident * instrument.passes
-        kept = f"{record.ledger.emitted} of {asked} rays; resume= carries it on"
-    warnings.warn(f"interrupted: the record holds {kept}", RuntimeWarning, stacklevel=3)

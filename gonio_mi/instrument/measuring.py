@@ -1,19 +1,24 @@
-"""The function `measure`: here and at once, or as a campaign of one specimen."""
+"""The function `measure`: here and at once, or a campaign; and one for many orders."""
 
 from __future__ import annotations
 
 import inspect
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from ..errors import SettingError
+from ..errors import SettingError, shown
 from ..results.record import Record
 from ..settings import MeasurementSettings, declarations, numpydoc
+from ..settings.orders import Order
+from ..settings.parsed import checked_incident
 from .campaigns import campaign
-from .measurement import measure_here
+from .incidence import incident_angles
+from .loading import check_variant
+from .measurement import measure_here, measure_stacks
 
-__all__ = ["measure"]
+__all__ = ["measure", "measure_orders"]
 
 
 def measure(
@@ -97,6 +102,54 @@ def measure(
     )
     stacked = theta_i is None or np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0
     return done["specimen"] if stacked else done["specimen"][0]
+
+
+def measure_orders(
+    specimen: Any,
+    theta_i: Any = None,
+    phi_i: Any = 0.0,
+    *,
+    orders: Sequence[int | str] = (1, 2, "3+"),
+    **settings: Any,
+) -> dict[str, Record]:
+    """Measure several scattering orders, each as :func:`measure` does with that order.
+
+    The rays are traced once and sorted by their numbers of events, for about the time
+    of one measurement of all orders and with the same bits as one by one. With
+    `rel_err`, `noise` and the estimators `quadrature` and `next_event` one order is
+    measured after the other.
+
+    Parameters
+    ----------
+    specimen, theta_i, phi_i, **settings
+        As of :func:`measure`, but for `order`, `resume`, `executor` and `folder`.
+    orders : sequence of int or str
+        Such as ``2`` and ``"3+"``, or ``"all"``; see the setting `order` of
+        :func:`measure`. Each needs sums of its own in memory.
+
+    Returns
+    -------
+    dict of Record
+        By the names of the orders, ``"2"`` and ``"3+"``.
+
+    Raises
+    ------
+    TypeError, ValueError, SpecimenError, VariantError, LostRaysError
+        As of :func:`measure`.
+    """
+    check_variant()
+    for name in sorted({"order", "resume"} & settings.keys()):
+        raise SettingError(f"{name} is no setting of measure_orders, got it")
+    parsed = list(dict.fromkeys(Order.parse("orders", one) for one in orders))
+    if not parsed:
+        raise SettingError(f"orders must hold at least one order, got {shown(orders)}")
+    patches = checked_incident("incident", settings.get("incident"))
+    incidents, stacked = incident_angles(theta_i, phi_i, patches)
+    records = measure_stacks(specimen, incidents, parsed, **settings)
+    return {
+        str(order): record if stacked else record[0]
+        for order, record in zip(parsed, records)
+    }
 
 
 def _with_settings(signature: inspect.Signature) -> inspect.Signature:

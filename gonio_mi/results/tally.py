@@ -263,6 +263,41 @@ class Tally:
             direct=np.concatenate([tally.direct for tally in tallies], axis=-1),
         )
 
+    @classmethod
+    def of_orders(cls, tallies: Sequence[Tally]) -> Tally:
+        """Tally of the same rays with patches and fates of several orders side by side.
+
+        What passed without any event is direct light of those orders that hold it.
+        """
+        first = tallies[0]
+        return cls(
+            hits=np.concatenate([tally.hits for tally in tallies]),
+            sums=np.concatenate([tally.sums for tally in tallies], axis=1),
+            incident=first.incident,
+            fates=np.concatenate([tally.fates for tally in tallies], axis=1),
+            scale=first.scale,
+            direct=np.max([tally.direct for tally in tallies], axis=0),
+        )
+
+    def apart(self) -> list[Tally]:
+        """Tallies of the orders that are side by side in this one."""
+        n = self.fates.shape[1] // len(Fate)
+        parts = zip(
+            np.split(self.hits, n),
+            np.split(self.sums, n, axis=1),
+            np.split(self.fates, n, axis=1),
+        )
+        return [
+            replace(
+                self,
+                hits=hits,
+                sums=sums,
+                fates=fates,
+                direct=self.direct * (fates[:, Fate.DIRECT, None] > 0),
+            )
+            for hits, sums, fates in parts
+        ]
+
     def first(self, channels: int) -> Tally:
         """Tally of the first `channels` channels."""
         return self.of_each_channel(lambda array: array[..., :channels])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -9,12 +10,14 @@ import mitsuba as mi
 
 from ..array_types import Floats
 from ..results.tally import Fate
+from ..settings.orders import Order
 from .beam import Beam
 from .collector_sphere import CollectorSphere
 from .digest import emitter_digest, specimen_digest
 from .layers import layers_of
 from .loop import Exits
 from .plugin_digest import plugins_digest
+from .scattering_order import OrderClasses
 from .specimen import Specimen
 
 __all__ = ["Bench"]
@@ -63,6 +66,8 @@ class Bench:
         self.n_collected = self.shape[0] * self.n_patches
         self.n_bins = self.n_collected + len(Fate)
         self._radii: Any = None
+        self.orders: tuple[Order, ...] = ()
+        self.classes = OrderClasses()
         # of powers beyond the ordinary that sums have room for: what was met so far
         self.levels = USUAL_LEVELS if self.n_bins <= FEW_BINS else range(0)
 
@@ -74,6 +79,10 @@ class Bench:
         """
         self._radii = mi.Float(radii.tolist())
         dr.make_opaque(self._radii)
+
+    def collect_orders(self, orders: Sequence[Order]) -> None:
+        """Let each of the scattering orders have patches and fates of its own."""
+        self.orders, self.classes = tuple(orders), OrderClasses(orders)
 
     def _patch(self, exits: Exits, d: mi.Vector3f) -> mi.UInt32:
         """Number of the patch of light that arrives in the direction `d`."""

@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats, Integers
+from ..array_types import Flags, Floats, Integers
 
 __all__ = ["LEVELS", "ONE", "UNIT", "Digits", "Exact", "unit_of"]
 
@@ -87,6 +87,14 @@ class Exact:
         total._halves = dict(self._halves)
         for unit, halves in other._halves.items():
             total._halves[unit] = total._halves.get(unit, 0) + halves
+        return total
+
+    def total(self, among: Flags) -> Exact:
+        """Sum over those along the first axis that are `among` them."""
+        total = Exact({})
+        total._halves = {
+            unit: halves[:, among].sum(axis=1) for unit, halves in self._halves.items()
+        }
         return total
 
     def powers(self) -> Floats:

@@ -226,10 +226,10 @@ def trace_inside(
         event_fate[ended & in_medium] = mi.UInt32(Fate.ABSORBED_INSIDE)
         survived = event_fate == mi.UInt32(Fate.REFLECTED)
         fate[event & ~survived] = event_fate
+        scatterings[in_medium] += 1
         at_surface &= survived
         in_medium &= survived
         depth[at_surface] += 1
-        scatterings[in_medium] += 1
         through = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null)
         touched |= in_medium | (at_surface & ~through)
         medium[at_surface & changes] = si.target_medium(wo)

@@ -75,7 +75,7 @@ class Exits:
     incident : mi.Spectrum
         Power that met the specimen.
     depth : mi.UInt32
-        Surface events.
+        Surface events, the one among them that ended the ray.
     left, density : mi.Point3f, mi.Float
         Where the last of them was, and the density in 1/sr of the direction that it
         chose: infinite for delta components, and without any event. None for all
@@ -207,8 +207,8 @@ def trace(
         event_β, event_fate = after_event(β, bsdf_weight, bs, wo, numbers)
         β[active] = event_β
         fate[active] = event_fate
-        active &= event_fate == mi.UInt32(Fate.REFLECTED)
         depth[active] += 1
+        active &= event_fate == mi.UInt32(Fate.REFLECTED)
         if deposits is not None:
             left[active] = si.p + flight.shift
             density[active] = deposits.density(si, bsdf, bs, wo, active)

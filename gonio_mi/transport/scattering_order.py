@@ -1,27 +1,92 @@
 """Scattering orders: which rays are collected, by their number of surface events."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import replace
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
+from ..array_types import Flags, Integers
 from ..results.tally import Fate
-from ..settings.orders import ALL_ORDERS, Order
+from ..settings.orders import ALL_ORDERS, UNLIMITED, Order
 from .loop import Exits
 
-__all__ = ["of_order"]
+__all__ = ["OrderClasses", "of_order"]
 
 
 def of_order(exits: Exits, order: Order) -> Exits:
     """Exits whose rays of another :class:`Order` have the fate OTHER_ORDER.
 
-    Those that were cut off after its most events are among them.
+    Those that were cut off or ended after its most events are among them.
     """
     if order == ALL_ORDERS:
         return exits
     fate = exits.fate
     left = (fate == mi.UInt32(Fate.REFLECTED)) | (fate == mi.UInt32(Fate.SIDEWAYS))
     left |= fate == mi.UInt32(Fate.DIRECT)
-    other = left & ((exits.depth < order.least) | (exits.depth > order.most))
+    other = (left & (exits.depth < order.least)) | (exits.depth > order.most)
     other |= (fate == mi.UInt32(Fate.TRUNCATED)) & (exits.depth >= order.most)
     return replace(exits, fate=dr.select(other, mi.UInt32(Fate.OTHER_ORDER), fate))
+
+
+class OrderClasses:
+    """Classes of rays by their numbers of events, of which any of some orders are made.
+
+    Parameters
+    ----------
+    orders : sequence of Order
+        Those of one class of all rays if there is none.
+    """
+
+    def __init__(self, orders: Sequence[Order] = ()) -> None:
+        edges = {0, *(one.least for one in orders), *(one.most + 1 for one in orders)}
+        self._first = np.array(sorted(edges - {UNLIMITED + 1}))
+        self._last = np.append(self._first[1:] - 1, UNLIMITED)
+
+    def __len__(self) -> int:
+        return len(self._first)
+
+    def number(self, depth: mi.UInt32) -> mi.UInt32:
+        """Number of the class of rays that met so many events."""
+        number = mi.UInt32(0)
+        for first in self._first[1:].tolist():
+            number += dr.select(depth >= first, mi.UInt32(1), 0)
+        return number
+
+    def within(self, order: Order) -> Flags:
+        """Which of the classes the order is made of."""
+        within: Flags = (self._first >= order.least) & (self._last <= order.most)
+        return within
+
+    def rays(self, order: Order, rays: Integers, shape: tuple[int, ...]) -> Integers:
+        """Rays in the bins as if only `order` had been traced, as `of_order` does.
+
+        Parameters
+        ----------
+        order : Order
+        rays : ndarray of int64, shape (n_classes, n_batches, n_bins)
+            In the patches of a collector of that `shape`, and behind them the fates.
+
+        Returns
+        -------
+        ndarray of int64, shape (n_batches, n_bins)
+        """
+        n_collected = int(np.prod(shape))
+        within, before = self.within(order), self._last < order.least
+        kept = rays[within].sum(axis=0)
+        other = rays[self._first > order.most].sum(axis=(0, 2))
+        patches, fates = np.split(rays[before].sum(axis=0), [n_collected], axis=1)
+        other += patches.sum(axis=1)
+        # direct light is in its patch too, if that is there
+        left = [Fate.SIDEWAYS, Fate.TRANSMITTED, Fate.DIRECT][: 4 - shape[0]]
+        other += fates[:, left].sum(axis=1)
+        fates[:, [*left, Fate.DIRECT]] = 0
+        kept[:, n_collected:] += fates
+        if order.most < UNLIMITED:
+            other += kept[:, n_collected + Fate.TRUNCATED]
+            kept[:, n_collected + Fate.TRUNCATED] = 0
+        kept[:, n_collected + Fate.OTHER_ORDER] += other
+        return kept

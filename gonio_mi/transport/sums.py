@@ -33,6 +33,9 @@ class Sums:
     Powers beyond the ordinary are added up by themselves, in the levels that the bench
     has room for. What other levels there were is known once the kernel has run.
 
+    Each of the bench's classes of orders has such sums of its own, as if its rays were
+    further batches.
+
     Parameters
     ----------
     bench : Bench
@@ -53,7 +56,8 @@ class Sums:
         self.bench = bench
         self.counted = counted
         self.one = 1 if counted else ONE
-        self.n_batches = n_batches
+        self.capacity = n_batches
+        self.n_batches = n_batches = len(bench.classes) * n_batches
         self.deposits = deposits
         self.channels = len(mi.Spectrum())
         self.width = packet_width()
@@ -69,6 +73,7 @@ class Sums:
         self, bins: mi.UInt32, exits: Exits, active: mi.Bool, batch: mi.UInt32
     ) -> None:
         """Scatter one ray per lane, each for its `batch`."""
+        batch = batch + self.capacity * self.bench.classes.number(exits.depth)
         direct = exits.fate == mi.UInt32(Fate.DIRECT)
         if self.deposits:
             bins = self.bench.fate_bins(bins, direct)
@@ -141,24 +146,25 @@ class Sums:
 
     def totals(self, n_batches: int) -> Totals:
         """Return the :class:`Totals` of the first `n_batches`, once the kernel ran."""
-        shape: tuple[int, ...] = (self.n_batches, self.bench.n_bins, self.width)
-        bins = self.bins.numpy().reshape(shape)[:n_batches, :, : 1 + self.channels]
+        by_class = len(self.bench.classes), self.capacity
+        shape: tuple[int, ...] = (*by_class, self.bench.n_bins, self.width)
+        bins = self.bins.numpy().reshape(shape)[:, :n_batches, :, : 1 + self.channels]
         rays = bins[..., 0].astype(np.int64)
         flux = bins[..., 1:].copy()
         # beyond 64 bits in between, but not in the end
         flux[..., 0] += rays * self.one
         flux[..., 1:] += flux[..., :1]
         numbers = {0 if self.counted else UNIT: flux}
-        shape = len(self.levels), self.channels, *shape[:2]
+        shape = len(self.levels), self.channels, *shape[:3]
         rare = np.moveaxis(self.rare.numpy()[LEVELS:].reshape(shape), 1, -1)
         for level, sums in zip(self.levels, rare):
-            numbers[unit_of(level)] = sums[:n_batches]
+            numbers[unit_of(level)] = sums[:, :n_batches]
         incident = None
         if not self.bench.beam.uniform:
-            shape = LEVELS, self.channels, self.n_batches
+            shape = LEVELS, self.channels, *by_class
             levels = np.moveaxis(self.incident.numpy().reshape(shape), 1, -1)
             incident = Exact(
-                {unit_of(i): sums[:n_batches] for i, sums in enumerate(levels)}
+                {unit_of(i): sums[:, :n_batches] for i, sums in enumerate(levels)}
             )
         return Totals(self, rays, Exact(numbers), incident)
 
@@ -170,9 +176,9 @@ class Totals:
     ----------
     sums : Sums
         Of one of the launches.
-    rays : ndarray of int64, shape (n_batches, n_bins)
-    flux : Exact, shape (n_batches, n_bins, channels)
-    incident : Exact, shape (n_batches, channels), or None
+    rays : ndarray of int64, shape (n_classes, n_batches, n_bins)
+    flux : Exact, shape (n_classes, n_batches, n_bins, channels)
+    incident : Exact, shape (n_classes, n_batches, channels), or None
         None for a beam of uniform power, which needs no sum of it: every ray that met
         the specimen carried the power 1.
 
@@ -199,22 +205,37 @@ class Totals:
     def emitted(self) -> int:
         """Rays that were counted: each once, whatever became of it."""
         bench = self._sums.bench
-        fates = self._rays[:, bench.n_collected :]
+        fates = self._rays[..., bench.n_collected :]
         if self._sums.deposits:
             return int(fates.sum())
-        twice = fates[:, Fate.DIRECT].sum() if bench.shape[0] == 2 else 0
+        twice = fates[..., Fate.DIRECT].sum() if bench.shape[0] == 2 else 0
         return int(self._rays.sum() - twice)
 
     def tally(self) -> Tally:
-        """Return the :class:`Tally` of all batches."""
+        """Return the :class:`Tally` of all batches; of several orders side by side."""
+        bench = self._sums.bench
+        if not bench.orders:
+            return self._tally(self._rays[0], self._flux.total(np.array([True])))
+        return Tally.of_orders(
+            [
+                self._tally(
+                    bench.classes.rays(order, self._rays, bench.shape),
+                    self._flux.total(bench.classes.within(order)),
+                )
+                for order in bench.orders
+            ]
+        )
+
+    def _tally(self, rays: Integers, flux: Exact) -> Tally:
+        """Tally of the rays that are kept, and of their flux."""
         sums, bench = self._sums, self._sums.bench
         kind = np.uint64 if sums.counted else float
         scale = 1 if sums.counted else WEIGHT_SCALE
-        n_batches = len(self._rays)
-        flux = (scale * self._flux.powers()).astype(kind)
-        direct = flux[:, bench.n_collected + Fate.DIRECT]
-        flux = flux[:, : bench.n_collected].reshape(n_batches, *bench.shape, -1)
-        hits, fates = np.split(self._rays.astype(np.uint64), [bench.n_collected], 1)
+        n_batches = len(rays)
+        power = (scale * flux.powers()).astype(kind)
+        direct = power[:, bench.n_collected + Fate.DIRECT]
+        power = power[:, : bench.n_collected].reshape(n_batches, *bench.shape, -1)
+        hits, fates = np.split(rays.astype(np.uint64), [bench.n_collected], 1)
         hits = hits.reshape(n_batches, *bench.shape)
         if not sums.deposits:
             fates[:, Fate.REFLECTED] = hits[:, 0].sum(axis=(1, 2))
@@ -223,11 +244,12 @@ class Totals:
             fates[:, Fate.TRANSMITTED] = scattered
         if self._incident is None:
             met = fates.sum(axis=1) - fates[:, Fate.MISSED] - fates[:, Fate.UNLIT]
-            power = np.repeat(met[:, None], sums.channels, axis=1)
+            incident = np.repeat(met[:, None], sums.channels, axis=1)
         else:
-            power = self._incident.powers()
-        power = (scale * power).astype(kind)
-        return Tally(hits.sum(axis=0), flux, power, fates, scale, direct=direct)
+            every = np.ones(len(self._rays), bool)
+            incident = self._incident.total(every).powers()
+        incident = (scale * incident).astype(kind)
+        return Tally(hits.sum(axis=0), power, incident, fates, scale, direct=direct)
 
 
 def packet_width() -> int:
