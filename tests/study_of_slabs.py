@@ -13,8 +13,9 @@ import gonio_mi as gonio
 import mitsuba as mi
 import numpy as np
 from budget import normal_scores, scores, verdict
-from slabs import henyey_greenstein, medium, stack, theory
+from slabs import medium, stack
 
+from gonio_mi.benchmark.discrete_ordinates import henyey_greenstein, theory
 from gonio_mi.collector.directions import direction
 
 PATCHES = "projected:6x8"

@@ -19,7 +19,13 @@ from budget import (
 from scipy import stats
 
 import gonio_mi as gonio
-from gonio_mi.benchmark import c_loop, diffuse_facets, groove, renderers
+from gonio_mi.benchmark import (
+    c_loop,
+    diffuse_facets,
+    groove,
+    renderers,
+    turbid_layer,
+)
 from gonio_mi.benchmark.baselines import (
     PATCHES,
     THETA_I,
@@ -282,6 +288,26 @@ def test_path_samples_of_facets():
 
     agree(compared(1))
     disagree(compared(1.04))
+
+
+@pytest.mark.usefixtures("mono")
+def test_path_samples_of_a_layer():
+    """Mitsuba's volpath agrees with discrete ordinates; twin: as lit from the left."""
+    (((_, exact), *_, (baseline, _), _),) = turbid_layer.layer_contests()[0].values()
+    assert baseline.name.startswith("Mitsuba volpath")
+    flux = np.stack([baseline.flux(16, seed) for seed in range(16)])
+
+    def compared(exact):
+        # groups of 5 x 5 patches, so that means are normal
+        values, target = (
+            x.reshape(-1, 6, 5, 6, 5).sum(axis=(2, 4)) for x in (flux, exact)
+        )
+        std_err = values.std(axis=0, ddof=1) / 4
+        z = (values.mean(axis=0) - target[0]) / std_err
+        return verdict(normal_scores(z.ravel(), 15))
+
+    agree(compared(exact))
+    disagree(compared(np.roll(exact, 15, axis=1)))
 
 
 @pytest.mark.usefixtures("mono")

@@ -18,8 +18,9 @@ from budget import (
     single,
     verdict,
 )
-from slabs import NULL, henyey_greenstein, medium, rectangle, stack, theory
+from slabs import NULL, medium, rectangle, stack
 
+from gonio_mi.benchmark.discrete_ordinates import henyey_greenstein, theory
 from gonio_mi.results.summary import summarize
 from gonio_mi.transport.pace import Pace
 

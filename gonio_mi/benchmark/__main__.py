@@ -12,6 +12,7 @@ from .diffuse_facets import facet_contests
 from .endurance import print_growth
 from .equal_error import print_contests, print_costs
 from .micro_geometry import print_speeds
+from .turbid_layer import layer_contests, print_layer_speeds
 
 __all__ = ["main"]
 
@@ -32,6 +33,12 @@ def main(argv: Sequence[str] | None = None) -> None:
         help="paths on a rough mirror, and equal error on diffuse facets, instead",
     )
     part.add_argument(
+        "--media",
+        action="store_true",
+        help="rays through a layer of a medium, and equal error beside volpath, "
+        "instead",
+    )
+    part.add_argument(
         "--error", action="store_true", help="sobol against independent rays, instead"
     )
     part.add_argument(
@@ -48,8 +55,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--rays",
         type=float,
-        help="for raw speed 1.7e7, for --error 1e8, for --geometry 4.2e6, and the most "
-        "for --coverage 1e6, if not given",
+        help="for raw speed 1.7e7, for --error 1e8, for --geometry 4.2e6, for --media "
+        "2.1e6, and the most for --coverage 1e6, if not given",
     )
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--seeds", type=int, default=6, help="for --error (6)")
@@ -76,6 +83,9 @@ def _run(options: argparse.Namespace) -> None:
     elif options.geometry:
         print_speeds(int(options.rays or 2**22), options.repeats)
         print_contests(*facet_contests(), *cost)
+    elif options.media:
+        print_layer_speeds(int(options.rays or 2**21), options.repeats)
+        print_contests(*layer_contests(), *cost)
     elif options.coverage:
         print_coverage(int(options.rays or 1e6))
     elif options.long:

@@ -26,6 +26,9 @@ __all__ = [
 
 KLEMS = Klems()
 
+# No path has as many events.
+MAX_DEPTH = 10_000
+
 RADIANCE_PLATE = (
     "m polygon plate 0 0 12  -1 -1 -0.001  1 -1 -0.001  1 1 -0.001  -1 1 -0.001"
 )
@@ -56,7 +59,10 @@ def path_directions(specimen: dict[str, Any]) -> Baseline:
 
 
 def path_samples(
-    shapes: Callable[[], dict[str, Any]], n: int = 1, sampler: str = "independent"
+    shapes: Callable[[], dict[str, Any]],
+    n: int = 1,
+    sampler: str = "independent",
+    integrator: str = "path",
 ) -> Baseline:
     """Stock Mitsuba towards ``n x n`` points of every patch, by so many paths each.
 
@@ -64,16 +70,19 @@ def path_samples(
     """
 
     def _flux(paths: int, seed: int) -> Floats:
-        return _path_flux(_path_scene(shapes, n, sampler), n, paths, seed)
+        return _path_flux(_path_scene(shapes, n, sampler, integrator), n, paths, seed)
 
     sensors = "1 distant sensor" if n == 1 else f"{n * n} distant sensors"
-    name = f"Mitsuba path, {sampler}, {sensors} a patch"
+    name = f"Mitsuba {integrator}, {sampler}, {sensors} a patch"
     return Baseline(name, _flux, size="paths each", first=1)
 
 
 @lru_cache(maxsize=1)  # all sensors that exist, of any scene, make a rendering slower
 def _path_scene(
-    shapes: Callable[[], dict[str, Any]], n: int, sampler: str = "independent"
+    shapes: Callable[[], dict[str, Any]],
+    n: int,
+    sampler: str = "independent",
+    integrator: str = "path",
 ) -> mi.Scene:
     """One `distant` sensor for each direction, in a `batch`, above the lit specimen."""
     points = PATCHES.points(n).reshape(-1, 3)
@@ -101,7 +110,8 @@ def _path_scene(
         return mi.load_dict(
             {
                 "type": "scene",
-                "integrator": {"type": "path"},
+                # as many events as there are
+                "integrator": {"type": integrator, "max_depth": MAX_DEPTH},
                 "light": {
                     "type": "directional",
                     "direction": (-direction(np.radians(THETA_I), 0.0)).tolist(),
