@@ -106,6 +106,37 @@ def lambertian(reflectance=0.5, theta_i=(0.0, 30.0, 60.0), collector="projected:
     return replace(base, tallies=tuple(tallies))
 
 
+def exact(weights, theta_i, collector, phi_i=0.0):
+    """Record of given flux fractions, shape ``(n, hemispheres, rings, sectors)``."""
+    patches = subdivision(collector)
+    tallies = []
+    for per_hemisphere in weights:
+        sums = np.round(np.asarray(per_hemisphere) * 2**40).astype(np.uint64)
+        hits = (sums > 0).astype(np.uint64)  # a ray in each patch that light reaches
+        fates = np.zeros((1, len(Fate)), np.uint64)
+        for fate, received in zip((Fate.REFLECTED, Fate.TRANSMITTED), hits):
+            fates[0, fate] = received.sum()
+        fates[0, Fate.ABSORBED] = 1  # and one that none of them received
+        tallies.append(
+            Tally(
+                hits=hits,
+                sums=sums[None, ..., None],
+                incident=np.array([[2**40]], np.uint64),
+                fates=fates,
+                scale=WEIGHT_SCALE,
+            )
+        )
+    return Record(
+        subdivision=patches,
+        theta_i=np.array(theta_i, float),
+        phi_i=np.broadcast_to(np.asarray(phi_i, float), len(theta_i)),
+        channels=("Y",),
+        tallies=tuple(tallies),
+        settings={},
+        stacked=True,
+    )
+
+
 def huge():
     """Record whose numbers need more than 32 bits, up to 64."""
     small = record(channels=("R", "G", "B"), both=True)

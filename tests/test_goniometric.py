@@ -11,7 +11,6 @@ import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.materials.lobes import LobeTable
 from gonio_mi.quadrature import integrate
-from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Tally
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -56,38 +55,7 @@ def one_patch(patch, theta_i, fraction=0.5, collector="projected:6x8"):
     weights = np.zeros((len(theta_i), *gonio.subdivision(collector).shape))
     for number, place in enumerate(patch):
         weights[(number, *place)] = fraction
-    return exact(weights[:, None], theta_i, collector=collector)
-
-
-def exact(weights, theta_i, collector):
-    """Record of given flux fractions, shape ``(n, hemispheres, rings, sectors)``."""
-    patches = gonio.subdivision(collector)
-    tallies = []
-    for per_hemisphere in weights:
-        sums = np.round(np.asarray(per_hemisphere) * 2**40).astype(np.uint64)
-        hits = (sums > 0).astype(np.uint64)  # a ray in each patch that light reaches
-        fates = np.zeros((1, len(Fate)), np.uint64)
-        for fate, received in zip((Fate.REFLECTED, Fate.TRANSMITTED), hits):
-            fates[0, fate] = received.sum()
-        fates[0, Fate.ABSORBED] = 1  # and one that none of them received
-        tallies.append(
-            Tally(
-                hits=hits,
-                sums=sums[None, ..., None],
-                incident=np.array([[2**40]], np.uint64),
-                fates=fates,
-                scale=WEIGHT_SCALE,
-            )
-        )
-    return gonio.Record(
-        subdivision=patches,
-        theta_i=np.array(theta_i, float),
-        phi_i=np.zeros(len(theta_i)),
-        channels=("Y",),
-        tallies=tuple(tallies),
-        settings={},
-        stacked=True,
-    )
+    return synthetic.exact(weights[:, None], theta_i, collector=collector)
 
 
 def interaction(theta_i, phi_i=0.0, side=1):
@@ -224,7 +192,7 @@ def test_measuring_it_returns_the_record(plugin):
 def test_diffuse_stays_diffuse(plugin):
     patches = gonio.subdivision("projected:6x8")
     even = np.full((2, 1, *patches.shape), 0.75 / patches.n_patches)
-    bsdf = plugin(exact(even, (10, 80), "projected:6x8"))
+    bsdf = plugin(synthetic.exact(even, (10, 80), "projected:6x8"))
     wo = direction(*np.random.default_rng(2).uniform(0, 1.5, (2, 1000)))
     error = np.abs(values(bsdf, wo, 50, 200) - 0.75 / np.pi)
     assert (error <= ROUNDING * 0.75 / np.pi).all()
@@ -251,7 +219,7 @@ def test_energy_is_linear_in_between(plugin, theta_i):
     patches = gonio.subdivision("projected:6x8")
     lobe = [synthetic.specular(patches, theta, 180, 20) for theta in (30, 60)]
     weights = np.stack([0.25 * lobe[0], 0.75 * lobe[1]])[:, None]
-    bsdf = plugin(exact(weights, (30, 60), "projected:6x8"))
+    bsdf = plugin(synthetic.exact(weights, (30, 60), "projected:6x8"))
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(3, 1000)
     _, weight = bsdf.sample(
@@ -448,7 +416,7 @@ def test_white_sphere_vanishes_in_a_furnace(plugin):
             "integrator": {"type": "path", "max_depth": 2},
             "sphere": {
                 "type": "sphere",
-                "bsdf": plugin(exact(even, (0,), "projected:6x8")),
+                "bsdf": plugin(synthetic.exact(even, (0,), "projected:6x8")),
             },
             "light": {"type": "constant"},
             "sensor": {

@@ -19,7 +19,7 @@ from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
 from ..files.material_files import PatchMeans
 from ..materials.lit_face import LitFace
-from ..materials.lobes import LobeTable, incident_grid
+from ..materials.lobes import LobeTable
 from ..results.record import Record
 from .loss import fractions_of
 
@@ -85,8 +85,8 @@ class Material:
             record.subdivision, record.theta_i, record.phi_i, record.channels, flux
         )
         self.table = table = LobeTable.of(rest)
-        self.peaks = incident_grid(record, peaks)[2] * apart
-        self.theta_i, self.phi_i = table.theta_i, table.phi_i
+        self.peaks = table.grid.filled(peaks) * apart
+        self.theta_i, self.phi_i = table.grid.theta_i, table.grid.phi_i
         self._face = LitFace(table)
 
     def values(self, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> Floats:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -13,6 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..array_types import Floats
+from .disk import DiskPoint, above, on_disk, seen_from, towards, turned
+from .half_vectors import goes, reflected
 from .lobes import LobeTable
 
 __all__ = ["LitFace"]
@@ -27,14 +31,13 @@ class _Place:
     leg: mi.UInt32  # index among the legs of all azimuths
     rows: tuple[mi.UInt32, ...]  # of azimuth and polar angle at both ends of the leg
     t: mi.Float64  # how far on the leg, from 0 to 1
+    past: mi.Float64  # angle from this azimuth to that of incidence
+    z_i: mi.Float64  # cosine of the angle of incidence
 
-
-@dataclass(frozen=True)
-class _Point:
-    """Point of the unit disk, turned so that light comes from +x."""
-
-    x: mi.Float64
-    v: mi.Float64  # y / sqrt(1 - x^2)
+    def lights(self) -> tuple[list[Any], list[Any]]:
+        """Where light came from at this azimuth, and comes from, which is +x."""
+        here = [dr.safe_sqrt(1 - dr.square(self.z_i)), mi.Float64(0), self.z_i]
+        return turned(here, -self.past), here
 
 
 class LitFace:
@@ -55,11 +58,12 @@ class LitFace:
             table.brdf.shape
         )
         self.n_azimuths, self.n_angles = n_azimuths, n_angles
+        self.reflects = table.grid.reflects
         self.n_legs, self.n_strips = table.strips.shape[2], table.strips.shape[-1]
         sin2 = np.sin(table.theta_edges) ** 2
         self.arrays = SimpleNamespace(
-            sin_i=_doubles(np.sin(np.radians(table.theta_i))),
-            phi_i=_doubles(np.radians(table.phi_i)),
+            sin_i=_doubles(np.sin(np.radians(table.grid.theta_i))),
+            phi_i=_doubles(np.radians(table.grid.phi_i)),
             sin2=_doubles([*sin2[:-1], 1]),
             phi=_doubles(table.phi_edges),
             flux=_doubles(table.flux.mean(axis=-1)),
@@ -135,7 +139,7 @@ class LitFace:
         else:
             hemisphere = dr.select(lower, mi.UInt32(1), hemisphere)
         phi_i = self._azimuth_of_incidence(wi)
-        point = _point(wo, phi_i)
+        point = seen_from(wo, phi_i)
         value = [mi.Float64(0) for _ in self.arrays.brdf]
         total = mi.Float64(0)
         for place in self._places(wi, phi_i):
@@ -147,9 +151,23 @@ class LitFace:
         return value, total, wanted
 
     def _brdf(
-        self, place: _Place, hemisphere: mi.UInt32, point: _Point, active: mi.Bool
+        self, place: _Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
     ) -> list[mi.Float64]:
         """BRDF of one azimuth: both ends of the leg, moved to where `wi` wants them."""
+        sources: list[tuple[DiskPoint, Any, mi.Bool]] = [(point, 1.0, active)]
+        if self.reflects:
+            sources = self._sources(place, hemisphere, point, active)
+        values = [mi.Float64(0) for _ in self.arrays.brdf]
+        for source, stretch, wanted in sources:
+            own = self._of_azimuth(place, hemisphere, source, wanted)
+            for channel, value in enumerate(own):
+                values[channel] += stretch * value
+        return values
+
+    def _of_azimuth(
+        self, place: _Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
+    ) -> list[mi.Float64]:
+        """BRDF at the azimuth of the place itself."""
         values = [mi.Float64(0) for _ in self.arrays.brdf]
         for end, row in enumerate(place.rows):
             source, stretch = point, 1.0
@@ -167,7 +185,7 @@ class LitFace:
         return values
 
     def _patch(
-        self, place: _Place, point: _Point
+        self, place: _Place, point: DiskPoint
     ) -> tuple[mi.UInt32, mi.UInt32, list[mi.Float64]]:
         """Ring and sector in which a point lies, and where, from -1/2 to 1/2."""
         arrays = self.arrays
@@ -213,8 +231,10 @@ class LitFace:
             leg = _last(self.n_legs, lambda i: _read(arrays.sin_i, i) <= sine)
             low, high = _read(arrays.sin_i, leg), _read(arrays.sin_i, leg + 1)
             t = dr.clip((sine - low) / (high - low), 0, 1)
+        z_i = mi.Float64(wi.z) * dr.rsqrt(mi.Float64(dr.squared_norm(wi)))
+        place = partial(self._place, leg, t, z_i)
         if self.n_azimuths == 1:
-            return [self._place(mi.Float64(1), mi.UInt32(0), leg, t)]
+            return [place(mi.Float64(1), mi.UInt32(0), mi.Float64(0))]
         turn = 2 * dr.pi
         phi -= turn * dr.floor(phi / turn)
         last = mi.UInt32(self.n_azimuths - 1)
@@ -224,19 +244,24 @@ class LitFace:
         high = dr.select(low == last, 0, low + 1)
         past = phi - _read(arrays.phi_i, low)
         gap = _read(arrays.phi_i, high) - _read(arrays.phi_i, low)
-        share = dr.select(past < 0, past + turn, past)
-        share /= dr.select(gap <= 0, gap + turn, gap)
-        return [
-            self._place(1 - share, low, leg, t),
-            self._place(share, high, leg, t),
-        ]
+        past = dr.select(past < 0, past + turn, past)
+        gap = dr.select(gap <= 0, gap + turn, gap)
+        share = past / gap
+        return [place(1 - share, low, past), place(share, high, past - gap)]
 
     def _place(
-        self, weight: mi.Float64, azimuth: mi.UInt32, leg: mi.UInt32, t: mi.Float64
+        self,
+        leg: mi.UInt32,
+        t: mi.Float64,
+        z_i: mi.Float64,
+        weight: mi.Float64,
+        azimuth: mi.UInt32,
+        past: mi.Float64,
     ) -> _Place:
         first = azimuth * self.n_angles
         rows = first + leg, first + dr.minimum(leg + 1, self.n_angles - 1)
-        return _Place(weight, azimuth, azimuth * self.n_legs + leg, rows, t)
+        leg = azimuth * self.n_legs + leg
+        return _Place(weight, azimuth, leg, rows, t, past, z_i)
 
     # ------------------------------------------------------------------- between angles
 
@@ -244,10 +269,10 @@ class LitFace:
         self,
         place: _Place,
         hemisphere: mi.UInt32,
-        point: _Point,
+        point: DiskPoint,
         start: mi.Float64,
         to: mi.Float64,
-    ) -> tuple[_Point, mi.Float64]:
+    ) -> tuple[DiskPoint, mi.Float64]:
         """Where a point at `start` of the leg is at `to`, and the stretch of areas."""
         arrays = self.arrays
         number = place.leg * self.n_hemispheres + hemisphere
@@ -262,7 +287,7 @@ class LitFace:
         across = dr.safe_sqrt(
             (1 - x * x) / dr.maximum(1 - dr.square(point.x), 2.0**-60)
         )
-        return _Point(x, v), stretch_x * stretch_v * across
+        return DiskPoint(x, v), stretch_x * stretch_v * across
 
     def _moved_along(
         self,
@@ -290,6 +315,35 @@ class LitFace:
         share = (coordinate - at(begins, index, start)) / slope
         return at(begins, index, to) + share * new_slope, index, new_slope / slope
 
+    # ----------------------------------------------------------------- between azimuths
+
+    def _sources(
+        self, place: _Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
+    ) -> list[tuple[DiskPoint, Any, mi.Bool]]:
+        """Where the light at a point is in the lobe of a measured azimuth.
+
+        What micro-normals send there, with the stretch of areas, and what stays.
+        """
+        wo, (own, here) = above(point), place.lights()
+        came, scale = reflected(wo, here, own)
+        comes = active & (hemisphere == 0) & goes(came[2], wo[2])
+        stretch = dr.select(comes, came[2] * scale / wo[2], 0)
+        _, leaves = self._reflected(place, hemisphere, point)
+        source = on_disk(turned(came, place.past))
+        return [(source, stretch, comes), (point, 1.0, active & ~leaves)]
+
+    def _reflected(
+        self, place: _Place, hemisphere: mi.UInt32, point: DiskPoint
+    ) -> tuple[DiskPoint, mi.Bool]:
+        """Where micro-normals send light of a measured azimuth to, and whether."""
+        wo, (own, here) = turned(above(point), -place.past), place.lights()
+        to, _ = reflected(wo, own, here)
+        leaves = (hemisphere == 0) & goes(wo[2], to[2])
+        moved = on_disk(to)
+        return DiskPoint(
+            dr.select(leaves, moved.x, point.x), dr.select(leaves, moved.v, point.v)
+        ), leaves
+
     def carried(
         self, wi: mi.Vector3f, point: mi.Point2f, hemisphere: int
     ) -> list[tuple[mi.UInt32, mi.Float64, mi.Vector3f]]:
@@ -316,14 +370,16 @@ class LitFace:
         for place in self._places(wi, phi_i):
             own = _read(self.arrays.phi_i, place.azimuth)
             height = dr.safe_sqrt(1 - dr.squared_norm(point))
-            start = _point(mi.Vector3f(point.x, point.y, height), own)
+            start = seen_from(mi.Vector3f(point.x, point.y, height), own)
             for end, row in enumerate(place.rows):
                 moved = start
                 if self.n_angles > 1:
                     at = mi.Float64(end)
                     moved, _ = self._moved(place, number, start, at, place.t)
+                if self.reflects:
+                    moved, _ = self._reflected(place, number, moved)
                 share = place.weight * (place.t if end else 1 - place.t)
-                parts.append((row, share, _direction(moved, phi_i, up)))
+                parts.append((row, share, towards(moved, phi_i, up)))
         return parts
 
     # ------------------------------------------------------------------------- sampling
@@ -346,23 +402,27 @@ class LitFace:
         if not choices:
             return mi.Vector3f(0)
         left = mi.Float64(sample1) * sum(flux for *_, flux in choices)
-        picked = [mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.Float64(0)]
+        picked = [mi.UInt32(0)] * 4 + [mi.Float64(0)] * 2
         for place, end, number, flux in choices:
             # one without light is never picked, however `left` is rounded
             this = (left >= 0) & (flux > 0)
-            own = place.azimuth, place.leg, place.rows[end], number, float(end)
+            row, at = place.rows[end], float(end)
+            own = place.azimuth, place.leg, row, number, at, place.past
             picked = [dr.select(this, new, old) for new, old in zip(own, picked)]
             left -= flux
-        azimuth, leg, row, hemisphere, end = picked
-        place = _Place(1, azimuth, leg, (row, row), choices[0][0].t)
+        azimuth, leg, row, hemisphere, end, past = picked
+        first = choices[0][0]
+        place = _Place(1, azimuth, leg, (row, row), first.t, past, first.z_i)
         point = self._drawn(place, hemisphere, sample2)
         if self.n_angles > 1:
             point, _ = self._moved(place, hemisphere, point, end, place.t)
-        return _direction(point, phi_i, hemisphere == 0)
+        if self.reflects:
+            point, _ = self._reflected(place, hemisphere, point)
+        return towards(point, phi_i, hemisphere == 0)
 
     def _drawn(
         self, place: _Place, hemisphere: mi.UInt32, sample2: mi.Point2f
-    ) -> _Point:
+    ) -> DiskPoint:
         """Point of a record's lobe."""
         arrays = self.arrays
         row = place.rows[0] * self.n_hemispheres + hemisphere
@@ -394,7 +454,7 @@ class LitFace:
         sine = dr.sqrt(sin2)
         x, y = sine * cos, sine * sin
         across = dr.sqrt(1 - sin2 + y * y)
-        return _Point(x, dr.select(across > 0, y / across, 0))
+        return DiskPoint(x, dr.select(across > 0, y / across, 0))
 
     def _hemispheres(self, enabled: tuple[bool, bool]) -> list[int]:
         return [n for n in range(self.n_hemispheres) if enabled[n]]
@@ -428,25 +488,6 @@ def _between(edges: mi.Float64, number: mi.UInt32, part: mi.Float64) -> mi.Float
     """Coordinate of the part of a bin."""
     low, high = _read(edges, number), _read(edges, number + 1)
     return low + part * (high - low)
-
-
-def _point(wo: mi.Vector3f, phi_i: mi.Float64) -> _Point:
-    """Point of the disk below (or above) which a unit vector ends."""
-    x, y, z = (mi.Float64(component) for component in (wo.x, wo.y, wo.z))
-    norm = dr.rsqrt(x * x + y * y + z * z)
-    sin, cos = dr.sincos(phi_i)
-    x, y, z = norm * (x * cos + y * sin), norm * (y * cos - x * sin), norm * z
-    across = dr.sqrt(y * y + z * z)
-    return _Point(dr.clip(x, -1, 1), dr.select(across > 0, y / across, 0))
-
-
-def _direction(point: _Point, phi_i: mi.Float64, upper: mi.Bool) -> mi.Vector3f:
-    """Unit vector above or below a point of the disk."""
-    across = dr.safe_sqrt(1 - dr.square(point.x))
-    x, y = point.x, point.v * across
-    z = across * dr.safe_sqrt(1 - dr.square(point.v))
-    sin, cos = dr.sincos(phi_i)
-    return mi.Vector3f(x * cos - y * sin, x * sin + y * cos, dr.select(upper, z, -z))
 
 
 def _last(n: int, begins: Callable[[mi.UInt32], mi.Bool]) -> mi.UInt32:

@@ -10,7 +10,8 @@ those along x first, then those across (the Knothe-Rosenblatt map; for one dimen
 A. L. Read, *Linear interpolation of histograms*, 1999,
 doi:10.1016/S0168-9002(98)01347-3), of histograms that are coarse on purpose, so that
 the noise of a record does not steer its light. The lobes that are moved are the records
-themselves, all of them: no light is lost or made.
+themselves, all of them: no light is lost or made. How they change with the azimuth is
+in :mod:`.half_vectors`.
 """
 
 from dataclasses import dataclass
@@ -18,12 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..collector import RingsAndSectors, Subdivision
+from ..collector import RingsAndSectors
 from ..errors import SettingError
 from ..results.record import Record
 from .gradients import gradients
+from .incident_grid import IncidentGrid
 
-__all__ = ["LobeTable", "incident_grid"]
+__all__ = ["LobeTable"]
 
 Floats = NDArray[np.float64]
 
@@ -34,12 +36,6 @@ N_POINTS = 8
 # Part of the light that is spread evenly over the histograms: bounds how far apart
 # neighbouring points can be moved. It is not part of the lobes.
 EVEN = 0.01
-
-# Gaps between azimuths of incidence that may be bridged, in degrees.
-WIDEST_GAP = 120
-
-# Angles of incidence that differ by less are the same, in degrees.
-SAME_ANGLE = 1e-3
 
 # Of the whole table.
 MOST_BYTES = 2**31
@@ -56,8 +52,8 @@ class LobeTable:
 
     Attributes
     ----------
-    theta_i, phi_i : ndarray, shapes (N,), (P,)
-        Incident directions in degrees, ascending. A single azimuth means isotropic.
+    grid : IncidentGrid
+        Incident directions. A single azimuth means isotropic.
     theta_edges, phi_edges : ndarray
         Edges of rings and sectors in radians, absolute azimuth.
     brdf : ndarray, shape (P, N, H, n_theta, n_phi, channels)
@@ -81,8 +77,7 @@ class LobeTable:
         The same across a strip.
     """
 
-    theta_i: Floats
-    phi_i: Floats
+    grid: IncidentGrid
     theta_edges: Floats
     phi_edges: Floats
     brdf: Floats
@@ -117,7 +112,8 @@ class LobeTable:
         flux = record.flux_fraction if record.stacked else record.flux_fraction[None]
         if not np.isfinite(flux).all():
             raise SettingError("the record must have incident light in all its stack")
-        theta_i, phi_i, flux = incident_grid(record, flux)
+        grid = IncidentGrid.of(record, flux)
+        flux = grid.filled(flux)
         if mixture is not None:
             flux = flux @ np.asarray(mixture, dtype=float)[:, None]
         n_azimuths, n_angles, n_hemispheres = flux.shape[:3]
@@ -129,7 +125,7 @@ class LobeTable:
         shape = 2, n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
         strips, strip_slopes = np.empty((2, *shape))
         cells, cell_slopes = np.empty((2, *shape, shape[-1]))
-        for azimuth, phi in enumerate(np.radians(phi_i)):
+        for azimuth, phi in enumerate(np.radians(grid.phi_i)):
             histograms = _histograms(brdf[azimuth].mean(axis=-1), patches, phi)
             for leg, hemisphere in np.ndindex(shape[2:4]):
                 ends = [
@@ -148,8 +144,7 @@ class LobeTable:
         tilt = changes[0].mean(axis=-1) * areas / _positive(weight.sum(-1)[..., None])
         tilts = np.cumsum(tilt, axis=-1)
         return cls(
-            theta_i=theta_i,
-            phi_i=phi_i,
+            grid=grid,
             theta_edges=patches.theta_edges,
             phi_edges=patches.phi_edges,
             brdf=brdf,
@@ -164,108 +159,6 @@ class LobeTable:
             cells=cells,
             cell_slopes=cell_slopes,
         )
-
-
-def incident_grid(record: Record, flux: Floats) -> tuple[Floats, Floats, Floats]:
-    """Sorted angles of incidence in degrees, and `flux` ``(P, N, ...)`` at them.
-
-    Raises
-    ------
-    ValueError
-        If the incident directions are unknown, no grid, or too far apart in azimuth.
-    """
-    if not np.isfinite([record.theta_i, record.phi_i]).all():
-        raise SettingError("the record must know its incident directions, got NaN")
-    theta_i, of_theta = _levels(record.theta_i)
-    # along the normal there is no azimuth: what was measured there is for all of them
-    normal = (of_theta == 0) & (theta_i[0] < SAME_ANGLE)
-    turned = np.mod(record.phi_i + SAME_ANGLE / 2, 360) - SAME_ANGLE / 2
-    phi_i, of_phi = _levels(turned if normal.all() else turned[~normal])
-    grid = np.full((len(phi_i), len(theta_i)), -1)
-    index = np.flatnonzero(~normal)
-    if len(index):
-        grid[of_phi, of_theta[index]] = index
-    tilted = grid[:, int(normal.any()) :]
-    if np.count_nonzero(tilted >= 0) != len(index) or not _is_filled(
-        tilted, phi_i, record.subdivision
-    ):
-        raise SettingError(
-            f"the record's {len(flux)} incident directions must be each of its "
-            f"{len(theta_i)} polar angles at each of its {len(phi_i)} azimuths, once; "
-            "or azimuths that are whole sectors apart"
-        )
-    gaps = [_widest(phi_i[of_angle >= 0]) for of_angle in tilted.T]
-    if len(phi_i) > 1 and max(gaps, default=0) > WIDEST_GAP:
-        raise SettingError(
-            "the azimuths of incidence of an anisotropic record must go all around, "
-            f"with gaps of at most {WIDEST_GAP} degrees, got one of {max(gaps):g}"
-        )
-    lobes = flux[grid]
-    for angle in range(int(normal.any()), len(theta_i)):
-        _fill(lobes[:, angle], grid[:, angle] >= 0, phi_i)
-    if normal.any():
-        lobes[:, 0] = flux[normal].mean(axis=0)
-    return theta_i, phi_i, lobes
-
-
-def _is_filled(grid: NDArray[np.int64], phi_i: Floats, patches: Subdivision) -> bool:
-    """Whether each angle has all azimuths, or can get them by turns of whole sectors.
-
-    `grid` holds the record of each azimuth and angle, -1 for none.
-    """
-    if (grid >= 0).all():
-        return True
-    edges = np.degrees(getattr(patches, "phi_edges", np.zeros(1)))
-    if not np.allclose(np.diff(edges), 360 / max(len(edges) - 1, 1), atol=SAME_ANGLE):
-        return False
-    sectors = (phi_i - phi_i[0]) * (len(edges) - 1) / 360
-    whole = np.abs(sectors - np.round(sectors)) * 360 < SAME_ANGLE * (len(edges) - 1)
-    return bool(whole.all() and (grid >= 0).any(axis=0).all())
-
-
-def _widest(phi_i: Floats) -> float:
-    """Widest gap between ascending azimuths, all around, in degrees."""
-    return float(np.diff([*phi_i, phi_i[0] + 360]).max())
-
-
-def _fill(lobes: Floats, measured: NDArray[np.bool_], phi_i: Floats) -> None:
-    """Fill in what was not measured at one polar angle, as it would be looked up.
-
-    That is the two neighbours, turned with incidence by whole sectors, and mixed.
-
-    Parameters
-    ----------
-    lobes : ndarray, shape (P, H, n_theta, n_phi, channels)
-    measured : ndarray of bool, shape (P,)
-    phi_i : ndarray, shape (P,)
-        In degrees, ascending.
-    """
-    known, n_phi = np.flatnonzero(measured), lobes.shape[-2]
-    for azimuth in np.flatnonzero(~measured):
-        last = np.searchsorted(known, azimuth) - 1
-        ends = known[last], known[(last + 1) % len(known)]
-        past, left = (
-            (phi_i[azimuth] - phi_i[ends[0]]) % 360,
-            (phi_i[ends[1]] - phi_i[azimuth]) % 360,
-        )
-        turns = [round(angle * n_phi / 360) for angle in (past, -left)]
-        low, high = (np.roll(lobes[e], n, axis=-2) for e, n in zip(ends, turns))
-        lobes[azimuth] = (left * low + past * high) / (past + left)
-
-
-def _levels(
-    angles: Floats,
-) -> tuple[Floats, NDArray[np.int64]]:
-    """Distinct angles in degrees, ascending, and the number of each angle's.
-
-    They come from directions in single precision.
-    """
-    order = np.argsort(angles, kind="stable")
-    steps = np.diff(angles[order], prepend=angles[order[0]]) > SAME_ANGLE
-    number = np.empty(len(angles), dtype=int)
-    number[order] = np.cumsum(steps)
-    levels = [angles[number == n].mean() for n in range(number.max() + 1)]
-    return np.array(levels), number
 
 
 def _check_size(shape: tuple[int, ...]) -> None:

@@ -1,0 +1,131 @@
+"""Lobes between azimuths of incidence: reflected at micro-normals that stay.
+
+A brushed surface looks the same from everywhere, but for where it reflects light to:
+light that was measured in one direction was reflected, if once, at the normal halfway
+to where it came from (the half vector; Torrance and Sparrow 1967,
+doi:10.1364/JOSA.57.001105), and at the same normal it is reflected elsewhere when it
+comes from another azimuth. What would be sent below the horizon stays where it is, so
+that no light is lost.
+
+The formulas are for NumPy and Dr.Jit alike.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..collector import RingsAndSectors
+from ..collector.directions import direction
+from .gradients import gradients
+
+__all__ = ["goes", "predicted", "reflected"]
+
+Floats = NDArray[np.float64]
+
+# Light is not moved so near to the horizon that it is seen as more times brighter.
+BRIGHTEST = 4
+
+# Points per side of a patch whose light is moved.
+N_POINTS = 4
+
+
+def reflected(wo: Any, before: Any, after: Any) -> tuple[list[Any], Any]:
+    """Where a micro-normal reflects light to that comes from another direction.
+
+    Parameters
+    ----------
+    wo, before, after : sequence of three coordinates
+        Unit vectors away from the surface: to where the normal reflects light, to
+        where that light came from, and to where other light comes from.
+
+    Returns
+    -------
+    list of three coordinates
+        Unit vector, perhaps below the horizon.
+    float or array
+        Solid angle there for one at `wo`.
+    """
+    half = [a + b for a, b in zip(wo, before)]
+    scale = _dot(half, after) / _dot(half, before)
+    return [scale * a - b for a, b in zip(half, after)], scale
+
+
+def _dot(a: Any, b: Any) -> Any:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def goes(z: Any, to: Any) -> Any:
+    """Whether light goes to the height `to` from the height `z` of where it was."""
+    return (z > 0) & (to > 0) & (z <= BRIGHTEST * to)
+
+
+def predicted(
+    flux: Floats, patches: RingsAndSectors, theta_i: float, phi_i: tuple[float, float]
+) -> tuple[Floats, Floats]:
+    """Lobe of reflection for another azimuth of incidence: turned, and reflected.
+
+    Parameters
+    ----------
+    flux : ndarray, shape (n_theta, n_phi, channels)
+        Flux fractions.
+    patches : RingsAndSectors
+    theta_i : float
+        In degrees.
+    phi_i : (float, float)
+        Azimuths in degrees at which it was measured, and for which it is wanted.
+
+    Returns
+    -------
+    turned, moved : ndarray, shape (n_theta, n_phi, channels)
+        As it is if it turns with incidence, and if micro-normals stay where they are.
+        Both hold the same light in all.
+    """
+    wo = np.moveaxis(patches.points(N_POINTS), -1, 0)
+    before, after = (direction(np.radians(theta_i), np.radians(phi)) for phi in phi_i)
+    turn = np.radians(phi_i[1] - phi_i[0])
+    x, y, z = wo
+    own = [
+        x * np.cos(turn) + y * np.sin(turn),
+        y * np.cos(turn) - x * np.sin(turn),
+        z,
+    ]
+    lobe = _Lobe(flux, patches)
+    unmoved = lobe.at(own)
+    source, scale = reflected(wo, after, before)
+    comes = goes(source[2], z)
+    stretch = np.where(comes, source[2] * scale / z, 0)[..., None]
+    stays = ~goes(z, reflected(own, before, after)[0][2])[..., None]
+    source[2] = np.where(comes, source[2], 1)
+    moved = stretch * lobe.at(source) + stays * unmoved
+    return lobe.means(unmoved), lobe.means(moved)
+
+
+class _Lobe:
+    """Lobe on patches, linear within each."""
+
+    def __init__(self, flux: Floats, patches: RingsAndSectors) -> None:
+        self.flux, self.patches = flux, patches
+        self.areas = patches.projected_solid_angles[..., None]
+        self.brdf = flux / self.areas
+        edges = patches.theta_edges, patches.phi_edges
+        self.edges = np.sin(edges[0]) ** 2, edges[1]
+        self.changes = gradients(self.brdf, *edges)
+
+    def at(self, wo: Any) -> Floats:
+        """BRDF at unit vectors above the horizon, a column for each channel."""
+        directions = np.stack(list(wo), axis=-1)
+        number = self.patches.patch(directions)
+        place = np.unravel_index(number, self.patches.shape)
+        value = self.brdf[place]
+        coordinates = wo[0] ** 2 + wo[1] ** 2, np.arctan2(wo[1], wo[0]) % (2 * np.pi)
+        for edges, own, change, at in zip(self.edges, place, self.changes, coordinates):
+            part = (at - edges[own]) / (edges[own + 1] - edges[own]) - 0.5
+            value = value + np.clip(part, -0.5, 0.5)[..., None] * change[place]
+        return value
+
+    def means(self, values: Floats) -> Floats:
+        """Flux fractions of values at the points of each patch; no light is lost."""
+        flux = values.mean(axis=1).reshape(self.flux.shape) * self.areas
+        total, wanted = flux.sum(axis=(0, 1)), self.flux.sum(axis=(0, 1))
+        return flux * np.divide(wanted, total, where=total > 0, out=np.ones_like(total))

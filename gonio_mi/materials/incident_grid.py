@@ -1,0 +1,219 @@
+"""Incident directions of a record as polar angles times azimuths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..collector import RingsAndSectors, Subdivision
+from ..errors import SettingError
+from ..results.record import Record
+from .half_vectors import predicted
+
+__all__ = ["IncidentGrid"]
+
+Floats = NDArray[np.float64]
+
+# Gaps between azimuths of incidence that may be bridged, in degrees.
+WIDEST_GAP = 120
+
+# Angles of incidence that differ by less are the same, in degrees.
+SAME_ANGLE = 1e-3
+
+# Records that are predicted from their neighbours, to know how lobes move.
+TRIALS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class IncidentGrid:
+    """``P`` azimuths x ``N`` polar angles of incidence of a record.
+
+    Attributes
+    ----------
+    theta_i, phi_i : ndarray, shapes (N,), (P,)
+        In degrees, ascending.
+    index : ndarray of int, shape (P, N)
+        Which of the stack was measured there; -1 for none. Along the normal it is the
+        first of all that were.
+    normal : ndarray of bool
+        Of the stack, which were measured along the normal.
+    patches : Subdivision
+    reflects : bool
+        Whether between azimuths reflected light moves by :mod:`.half_vectors`, as
+        records say that are predicted from their neighbours; else lobes turn with
+        incidence.
+    """
+
+    theta_i: Floats
+    phi_i: Floats
+    index: NDArray[np.int64]
+    normal: NDArray[np.bool_]
+    patches: Subdivision
+    reflects: bool
+
+    @classmethod
+    def of(cls, record: Record, flux: Floats) -> IncidentGrid:
+        """Grid of a record, whose stack has these flux fractions.
+
+        Raises
+        ------
+        ValueError
+            If the incident directions are unknown, no grid, or too far apart in
+            azimuth.
+        """
+        if not np.isfinite([record.theta_i, record.phi_i]).all():
+            raise SettingError("the record must know its incident directions, got NaN")
+        theta_i, of_theta = _levels(record.theta_i)
+        # along the normal there is no azimuth: what was measured there is for all
+        normal = (of_theta == 0) & (theta_i[0] < SAME_ANGLE)
+        turned = np.mod(record.phi_i + SAME_ANGLE / 2, 360) - SAME_ANGLE / 2
+        phi_i, of_phi = _levels(turned if normal.all() else turned[~normal])
+        grid = np.full((len(phi_i), len(theta_i)), -1)
+        index = np.flatnonzero(~normal)
+        if len(index):
+            grid[of_phi, of_theta[index]] = index
+        tilted = grid[:, int(normal.any()) :]
+        if np.count_nonzero(tilted >= 0) != len(index) or not _is_filled(
+            tilted, phi_i, record.subdivision
+        ):
+            raise SettingError(
+                f"the record's {len(flux)} incident directions must be each of its "
+                f"{len(theta_i)} polar angles at each of its {len(phi_i)} azimuths, "
+                "once; or azimuths that are whole sectors apart"
+            )
+        gaps = [_widest(phi_i[of_angle >= 0]) for of_angle in tilted.T]
+        widest = max(gaps, default=0)
+        if len(phi_i) > 1 and widest > WIDEST_GAP:
+            raise SettingError(
+                "the azimuths of incidence of an anisotropic record must go all "
+                f"around, with gaps of at most {WIDEST_GAP} degrees, got one of "
+                f"{widest:g}"
+            )
+        first = np.flatnonzero(normal)[:1]
+        if len(first):
+            grid[:, 0] = first
+        found = cls(theta_i, phi_i, grid, normal, record.subdivision, False)
+        return replace(found, reflects=found._reflects(flux))
+
+    def filled(self, values: Floats) -> Floats:
+        """Values of the stack at each azimuth and angle, shape ``(P, N, ...)``.
+
+        What was not measured is filled in: lobes ``(H, n_theta, n_phi, channels)`` as
+        they would be looked up, and totals of them by what is between the neighbours.
+        """
+        lobes = values[self.index]
+        begin = int(self.normal.any())
+        for angle in range(begin, len(self.theta_i)):
+            self._fill(lobes[:, angle], angle)
+        if begin:
+            lobes[:, 0] = values[self.normal].mean(axis=0)
+        return lobes
+
+    def _fill(self, lobes: Floats, angle: int) -> None:
+        """Fill in what was not measured at one polar angle.
+
+        That is the two neighbours, turned with incidence by whole sectors, or with
+        their micro-normals where they are, and mixed.
+
+        Parameters
+        ----------
+        lobes : ndarray, shape (P, H, n_theta, n_phi, channels) or (P, H, channels)
+        angle : int
+        """
+        measured = self.index[:, angle] >= 0
+        known = np.flatnonzero(measured)
+        for azimuth in np.flatnonzero(~measured).tolist():
+            last = np.searchsorted(known, azimuth) - 1
+            ends = int(known[last]), int(known[(last + 1) % len(known)])
+            past, left = self._distances(ends[0], azimuth, ends[1])
+            low, high = lobes[list(ends)]
+            if lobes.ndim == 5:
+                turns = [round(by * lobes.shape[3] / 360) for by in (past, -left)]
+                low, high = np.roll(low, turns[0], 2), np.roll(high, turns[1], 2)
+            if lobes.ndim == 5 and self.reflects:
+                low[0], high[0] = (
+                    self._predicted(lobes[end, 0], angle, end, azimuth)[1]
+                    for end in ends
+                )
+            lobes[azimuth] = (left * low + past * high) / (past + left)
+
+    def _distances(self, before: int, azimuth: int, after: int) -> tuple[float, float]:
+        """How far an azimuth is past one and before another, in degrees."""
+        own = self.phi_i[azimuth]
+        return (own - self.phi_i[before]) % 360, (self.phi_i[after] - own) % 360
+
+    def _predicted(
+        self, lobe: Floats, angle: int, end: int, azimuth: int
+    ) -> tuple[Floats, Floats]:
+        """Reflected lobe of one azimuth for another one, in both ways."""
+        phi_i = float(self.phi_i[end]), float(self.phi_i[azimuth])
+        patches: Any = self.patches
+        return predicted(lobe, patches, float(self.theta_i[angle]), phi_i)
+
+    def _reflects(self, flux: Floats) -> bool:
+        """Whether reflected lobes are better predicted by their micro-normals."""
+        if not isinstance(self.patches, RingsAndSectors) or len(self.phi_i) < 4:
+            return False
+        trials = []
+        for angle in range(int(self.normal.any()), len(self.theta_i)):
+            known = np.flatnonzero(self.index[:, angle] >= 0)
+            if len(known) >= 4:
+                ways = zip(np.roll(known, 1), known, np.roll(known, -1))
+                trials += [(angle, *one) for one in ways]
+        wrong = np.zeros(2)
+        for number in np.unique(np.linspace(0, len(trials) - 1, TRIALS, dtype=int)):
+            wrong += self._errors(flux, *trials[number])
+        return bool(wrong[1] < wrong[0])
+
+    def _errors(
+        self, flux: Floats, angle: int, before: int, azimuth: int, after: int
+    ) -> Floats:
+        """Light that both ways have in wrong places, of a record between two others."""
+        low, known, high = (
+            flux[self.index[at, angle], 0].mean(axis=-1, keepdims=True)
+            for at in (before, azimuth, after)
+        )
+        past, left = self._distances(before, azimuth, after)
+        of_low = np.stack(self._predicted(low, angle, before, azimuth))
+        of_high = np.stack(self._predicted(high, angle, after, azimuth))
+        mixed = (left * of_low + past * of_high) / (past + left)
+        errors: Floats = np.abs(mixed - known).sum(axis=(1, 2, 3))
+        return errors
+
+
+def _is_filled(grid: NDArray[np.int64], phi_i: Floats, patches: Subdivision) -> bool:
+    """Whether each angle has all azimuths, or can get them by turns of whole sectors.
+
+    `grid` holds the record of each azimuth and angle, -1 for none.
+    """
+    if (grid >= 0).all():
+        return True
+    edges = np.degrees(getattr(patches, "phi_edges", np.zeros(1)))
+    if not np.allclose(np.diff(edges), 360 / max(len(edges) - 1, 1), atol=SAME_ANGLE):
+        return False
+    sectors = (phi_i - phi_i[0]) * (len(edges) - 1) / 360
+    whole = np.abs(sectors - np.round(sectors)) * 360 < SAME_ANGLE * (len(edges) - 1)
+    return bool(whole.all() and (grid >= 0).any(axis=0).all())
+
+
+def _widest(phi_i: Floats) -> float:
+    """Widest gap between ascending azimuths, all around, in degrees."""
+    return float(np.diff([*phi_i, phi_i[0] + 360]).max())
+
+
+def _levels(
+    angles: Floats,
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Distinct angles in degrees, ascending, and the number of each angle's.
+
+    They come from directions in single precision.
+    """
+    order = np.argsort(angles, kind="stable")
+    steps = np.diff(angles[order], prepend=angles[order[0]]) > SAME_ANGLE
+    number = np.empty(len(angles), dtype=int)
+    number[order] = np.cumsum(steps)
+    levels = [angles[number == n].mean() for n in range(number.max() + 1)]
+    return np.array(levels), number
