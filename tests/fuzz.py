@@ -283,6 +283,7 @@ EXPORTS = [
     "o.csv",
     "o.astm",
     "o.nc",
+    "o.h5",
     "o.xml",
     "o.bsdf",
     "o.x",

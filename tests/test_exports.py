@@ -1,6 +1,7 @@
 """Files of other tools: read back, by independent readers where there are some."""
 
 import io
+import json
 import struct
 
 import mitsuba as mi
@@ -294,6 +295,43 @@ def test_netcdf_is_what_xarray_reads(tmp_path, glossy):
         assert np.array_equal(data.counts.values, glossy.counts)
         assert data.bsdf.sel(hemisphere="reflection").isel(incident=1).size == 128
         assert data.theta_i.values.tolist() == [0, 30, 60]
+
+
+def test_any_reader_of_hdf5_has_names_units_and_axes(tmp_path):
+    """Exact, by h5py alone: nothing of the file needs xarray or us."""
+    h5py = pytest.importorskip("h5py")
+    pytest.importorskip("h5netcdf")
+    # longer than the 64 KiB of an attribute that lies in the header of an object
+    record = synthetic.record(channels=("400nm", "632.8nm")).with_settings(
+        remark="x" * 2**16
+    )
+    losses = exporting.export(record, tmp_path / "run.h5")
+    assert all(loss.misplaced <= np.finfo(float).eps for loss in losses)
+    with h5py.File(tmp_path / "run.h5") as file:
+        bsdf = file["bsdf"]
+        assert np.array_equal(bsdf[:, 0], record.brdf[None])
+        assert np.array_equal(file["std_err"][:, 0], record.brdf_std_err[None], True)
+        assert bsdf.attrs["units"] == "sr-1"
+        names = [next(iter(axis.values())).name.strip("/") for axis in bsdf.dims]
+        assert names == ["incident", "hemisphere", "ring", "sector", "channel"]
+        assert file["channel"].asstr()[:].tolist() == ["400nm", "632.8nm"]
+        assert file["theta"].attrs["units"] == "degree"
+        middles = np.degrees(record.subdivision.middles[0])
+        assert np.array_equal(file["theta"][:], middles)
+        assert file["wavelength"][:].tolist() == [400, 632.8]
+        assert json.loads(file.attrs["settings"])["remark"] == "x" * 2**16
+
+
+def test_without_h5netcdf_a_sentence(tmp_path, monkeypatch):
+    from gonio_mi.files import netcdf
+
+    pytest.importorskip("xarray")
+    monkeypatch.setattr(netcdf, "find_spec", lambda name: None)
+    with pytest.raises(
+        ImportError, match=r'h5netcdf.*pip install "gonio-mi\[netcdf\]"'
+    ):
+        exporting.export(synthetic.record(), tmp_path / "run.h5")
+    assert not list(tmp_path.iterdir())
 
 
 def test_netcdf_of_wavelengths_has_them_as_numbers():

@@ -1,9 +1,9 @@
 """``gonio-mi export``: write a record for other tools.
 
 Write a record for other tools: a table .csv or .astm (after ASTM E1392), a Radiance
-.xml, a .bsdf for Mitsuba's plugin measured, NetCDF .nc, a .zemax.bsdf for Zemax, a
-.brdf or .anisotropicbsdf for Speos, OpenMATERIAL .json or .xompt, or a .binary as the
-MERL database has them. What was written is read back, and what was lost is said.
+.xml, a .bsdf for Mitsuba's plugin measured, NetCDF .nc, HDF5 .h5, a .zemax.bsdf for
+Zemax, a .brdf or .anisotropicbsdf for Speos, OpenMATERIAL .json or .xompt, or a .binary
+as the MERL database has them. What was written is read back, and what was lost is said.
 """
 
 from argparse import ArgumentParser, Namespace
@@ -38,8 +38,8 @@ def add_options(parser: ArgumentParser) -> None:
         required=True,
         nargs="+",
         metavar="OUT",
-        help="files that end in .csv, .astm, .xml, .bsdf, .nc, .zemax.bsdf, .brdf, "
-        ".anisotropicbsdf, .json, .xompt or .binary",
+        help="files that end in .csv, .astm, .xml, .bsdf, .nc, .h5, .zemax.bsdf, "
+        ".brdf, .anisotropicbsdf, .json, .xompt or .binary",
     )
     parser.add_argument(
         "--basis",

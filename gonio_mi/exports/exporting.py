@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from .scatter_export import (
 __all__ = ["BASES", "ENDINGS", "export"]
 
 ENDINGS = (
-    *(".csv", ".astm", ".xml", ".bsdf", ".nc"),
+    *(".csv", ".astm", ".xml", ".bsdf", ".nc", ".h5"),
     *(".brdf", ".anisotropicbsdf", ".json", ".xompt", ".binary"),
 )
 ZEMAX = ".zemax.bsdf"
@@ -61,9 +62,9 @@ def export(
         quantities or channels their names are put before the ending. ``.astm``: text
         after ASTM E1392, of reflection; see :mod:`gonio_mi.files.astm`. ``.xml``: a
         Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only; needs a
-        variant of rgb, or a spectral one for channels that are wavelengths. ``.nc``:
-        NetCDF, by xarray. ``.zemax.bsdf``: for Zemax. ``.brdf`` and
-        ``.anisotropicbsdf``: for Speos. ``.json`` or ``.xompt``: OpenMATERIAL.
+        variant of rgb, or a spectral one for channels that are wavelengths. ``.nc``
+        and ``.h5``: NetCDF and HDF5, by xarray. ``.zemax.bsdf``: for Zemax. ``.brdf``
+        and ``.anisotropicbsdf``: for Speos. ``.json`` or ``.xompt``: OpenMATERIAL.
         ``.binary``: as the MERL database.
     basis : {"klems", "klems-half", "klems-quarter", "tensor3", "tensor4"}
         Of Radiance: a Klems basis, or a tensor tree for isotropic (3) or any (4)
@@ -215,13 +216,15 @@ def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
     )
 
 
-def _netcdf(record: Record, path: str | PathLike[str]) -> list[Loss]:
+def _netcdf(
+    record: Record, path: str | PathLike[str], engine: str = "scipy"
+) -> list[Loss]:
     """Labelled arrays."""
     with replacing(path) as stream:
-        netcdf.write(record, stream)
+        netcdf.write(record, stream, engine)
     import xarray
 
-    with xarray.open_dataset(path, engine="scipy") as written:
+    with xarray.open_dataset(path, engine=engine) as written:
         values = written["bsdf"].to_numpy()
     projected = record.subdivision.projected_solid_angles[..., None]
     return losses(record, values * projected)
@@ -232,6 +235,7 @@ _FORMATS = {
     ".astm": _astm,
     ".bsdf": write_measured,
     ".nc": _netcdf,
+    ".h5": partial(_netcdf, engine="h5netcdf"),
     ".brdf": write_spectral,
     ".anisotropicbsdf": write_anisotropic,
     ".json": write_open_material,
