@@ -209,8 +209,9 @@ def number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
+        apart = " (numbers are parted by spaces: 0 15.5 30)" if "," in text else ""
         raise argparse.ArgumentTypeError(
-            f"must be a number such as 45 or 1e7, got {text!r}"
+            f"must be a number such as 45 or 1e7, got {text!r}{apart}"
         ) from None
 
 

@@ -1,6 +1,7 @@
 """Drawing the patches of one hemisphere in orthographic projection."""
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,14 @@ from ..collector import RingsAndSectors
 from ..results.record import Record
 from .drawn_patches import drawn_in_rings
 
-__all__ = ["add_bar", "draw_map", "draw_patches", "scale_of", "shown_values"]
+__all__ = [
+    "add_bar",
+    "add_legend",
+    "draw_map",
+    "draw_patches",
+    "scale_of",
+    "shown_values",
+]
 
 # More than this between largest and smallest value, and the scale is logarithmic.
 WIDE_RANGE = 100
@@ -41,19 +49,27 @@ def draw_map(axes: Axes, single: Record, of: str) -> None:
     mesh = draw_patches(axes, single, of, scale_of(mean.compressed()))
     add_bar(axes.figure, mesh, axes.inset_axes((1.16, 0.1, 0.045, 0.8)), single, of)
     _label_grid(axes)
-    if mean.mask.any():
-        axes.plot([], [], "s", color=NO_HIT, label=_unlit(single))
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(
-            loc="upper center",
-            bbox_to_anchor=(0.5, -0.05),
+    add_legend(axes, [axes], loc="upper center", bbox_to_anchor=(0.5, -0.05))
+    axes.set_title({"brdf": "Reflection", "btdf": "Transmission"}[of])
+
+
+def add_legend(place: Any, maps: Iterable[Axes], **where: Any) -> None:
+    """Say in one row at a `place` (axes or figure) what the marks of maps mean."""
+    marks: dict[str, Any] = {}
+    for axes in maps:
+        handles, labels = axes.get_legend_handles_labels()
+        marks |= dict(zip(labels, handles))
+    if marks:
+        place.legend(
+            marks.values(),
+            marks.keys(),
             ncols=3,
             frameon=False,
             fontsize="small",
             handletextpad=0.3,
             columnspacing=1.5,
+            **where,
         )
-    axes.set_title({"brdf": "Reflection", "btdf": "Transmission"}[of])
 
 
 def _unlit(single: Record) -> str:
@@ -106,6 +122,8 @@ def draw_patches(
         style = {"c": "0.2", "lw": 0.8} if theta == 90 else {"c": "w", "lw": 0.4}
         axes.plot(size * np.cos(circle), size * np.sin(circle), **style)
     _mark_directions(axes, single, of)
+    if values.mask.any():
+        axes.plot([], [], "s", color=NO_HIT, label=_unlit(single))
     axes.set_aspect("equal")
     axes.set_axis_off()
     return mesh
@@ -155,7 +173,7 @@ def _mark_directions(axes: Axes, single: Record, of: str) -> None:
         return
     x, y = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi)
     style = {"ls": "none", "c": "tab:red", "mfc": "none", "ms": 9, "mew": 1.5}
-    style["path_effects"] = _outlined(3, "w")
+    style |= {"path_effects": _outlined(3, "w"), "clip_on": False}
     if of == "brdf":
         axes.plot(x, y, marker="o", label="incident", **style)
         axes.plot(-x, -y, marker="D", label="mirror direction", **style)

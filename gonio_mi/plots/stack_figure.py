@@ -40,7 +40,7 @@ def sheet(record: Record, path: str | PathLike[str] | None = None) -> Figure:
     """
     check_matplotlib()
     from .figure import NotebookFigure
-    from .polar_map import add_bar, draw_patches
+    from .polar_map import add_bar, add_legend, draw_patches
 
     if path is not None:
         check_output(path, FIGURE_ENDINGS)
@@ -61,6 +61,7 @@ def sheet(record: Record, path: str | PathLike[str] | None = None) -> Figure:
             place.set_axis_off()
         place = axes[columns - 1].inset_axes((1.12, 0, 0.07, 1))
         add_bar(block, mesh, place, record[0], of)
+        add_legend(block, axes, loc="outside lower center")
         block.suptitle(NAMES[of], fontsize="medium")
     figure.suptitle(_title(record, len(shown)), fontsize="medium", parse_math=False)
     if path is not None:
