@@ -326,7 +326,7 @@ def test_without_h5netcdf_a_sentence(tmp_path, monkeypatch):
     from gonio_mi.files import netcdf
 
     pytest.importorskip("xarray")
-    monkeypatch.setattr(netcdf, "find_spec", lambda name: None)
+    monkeypatch.setattr(netcdf, "find_spec", lambda _: None)
     with pytest.raises(
         ImportError, match=r'h5netcdf.*pip install "gonio-mi\[netcdf\]"'
     ):
