@@ -1,7 +1,7 @@
 """Records in the files of other tools, each with what it has lost."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -230,7 +230,7 @@ def _netcdf(
     return losses(record, values * projected)
 
 
-_FORMATS = {
+_FORMATS: dict[str, Callable[[Record, str | PathLike[str]], list[Loss]]] = {
     ".csv": _csv,
     ".astm": _astm,
     ".bsdf": write_measured,
