@@ -248,7 +248,9 @@ def compare(
     other : Record or MeasuredTable
         A record must have the same collector, channels and incident directions: there
         is no honest way from one set of patch means to another. Where only one has a
-        lower hemisphere, no light may have come there. Of a table each point
+        lower hemisphere, no light may have come there. A note tells other conditions
+        that are not the same: side, footprint, divergence, order and so on. Of a table
+        each point
         is compared with the mean of the patch that holds it.
     uncertainty : float, optional
         Relative standard uncertainty of each value of `other`, independent between

@@ -12,6 +12,7 @@ from ..errors import SettingError
 from ..files.measured_table import MeasuredTable
 from ..results.record import Record
 from .agreement import PointSet, Readings
+from .unlike_conditions import unlike_conditions, unlike_the_table
 
 __all__ = [
     "check_uncertainties",
@@ -37,7 +38,7 @@ def pair_with_record(
                 f"got {a!s:.60} and {b!s:.60}"
             )
     seeds = [r.settings.get("seed") for r in (record, other)]
-    notes = []
+    notes = unlike_conditions(record, other)
     if seeds[0] == seeds[1]:
         notes.append(
             f"both records have the seed {seeds[0]}: their rays are not independent; "
@@ -91,6 +92,7 @@ def pair_with_table(
                 "measure it with hemispheres='both'"
             )
         channel = _channel(record, table, notes)
+        notes += unlike_the_table(record, table)
         patches = record.subdivision
         patch, held = patches.detectors(v)
         if patches.aperture_half_angle is not None:
