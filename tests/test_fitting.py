@@ -117,6 +117,34 @@ def test_colours_have_a_value_in_each_channel(rgb):  # noqa: ARG001
     assert np.allclose(found.prediction.dhr, record.dhr, rtol=1e-3, atol=0)
 
 
+def test_a_grey_record_takes_no_coloured_model(rgb):  # noqa: ARG001
+    """Its one channel is no more the red of a model than the green."""
+    record = measured({"type": "diffuse"}, collector="projected:3x4")
+    assert record.channels == ("Y",)
+    with pytest.raises(SettingError, match=r"one channel.* and the model is coloured"):
+        gonio.fit(record, "roughconductor:material=Au")
+    grey = gonio.fit(record, "diffuse")
+    assert grey.names == ("reflectance",)
+    assert abs(grey.values[0] - 0.5) <= 1e-3
+
+
+@pytest.mark.usefixtures("spectral")
+def test_three_wavelengths_are_no_colour():
+    """One value for all, as for two or four: convergence, as above."""
+    metal = {"type": "roughconductor", "material": "none", "alpha": 0.3}
+    for nm in ([450, 550, 650], [450, 650]):
+        record = measured(
+            metal | {"specular_reflectance": 0.6},
+            collector="projected:3x4",
+            estimator="quadrature",
+            wavelengths=nm,
+        )
+        found = gonio.fit(record, "roughconductor")
+        assert found.names == ("alpha", "specular_reflectance")
+        assert np.allclose(found.values, [0.3, 0.6], rtol=1e-3, atol=0)
+        assert found.prediction.channels == record.channels
+
+
 def test_a_colour_stays_within_what_mitsuba_loads(rgb):  # noqa: ARG001
     """A record brighter than the model may be: its limit is told, in each channel."""
     bright = {"type": "roughconductor", "alpha": 0.3}

@@ -232,7 +232,9 @@ def fit(
 
 def _check(record: Record) -> None:
     """Raise ValueError for a record that no BSDF can be fitted to."""
-    if len(record.channels) > 1 and len(record.channels) != len(mi.Spectrum()):
+    spectral = wavelengths_nm(record.channels) is not None
+    colours = len(record.channels) > 1 and not spectral
+    if spectral != mi.is_spectral or (colours and not mi.is_rgb):
         raise SettingError(
             f"the variant must be the record's, {record.settings.get('variant')}, got "
             f"{mi.variant()}"

@@ -43,6 +43,7 @@ KNOWN: dict[str, tuple[tuple[float, ...], float, float]] = {
     **dict.fromkeys(("spec_tint", "sheen", "sheen_tint", "clearcoat"), FRACTION),
     **dict.fromkeys(("clearcoat_gloss", "flatness", "spec_trans"), FRACTION),
 }
+RGB = ("R", "G", "B")
 COLOURS = ("reflectance", "base_color", "transmittance")
 
 
@@ -97,7 +98,8 @@ class FittedModel:
     free : sequence of str, optional
         Names of parameters, or ``name=low:high``. Default: see :data:`FREE`.
     channels : sequence of str
-        Those of the record; a colour has a parameter in each of three.
+        Those of the record; a colour has a parameter in each of R, G and B, and one
+        for all wavelengths.
     """
 
     def __init__(
@@ -126,7 +128,7 @@ class FittedModel:
         )
 
     def _is_colour(self, name: str) -> bool:
-        return len(self.channels) == 3 and name.endswith(COLOURS)
+        return self.channels == RGB and name.endswith(COLOURS)
 
     def _colour(self, one: Parameter) -> list[Parameter]:
         """A parameter in each channel, within what Mitsuba loads as a reflectance."""

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
+from ..errors import SettingError
 from ..files.channels import wavelengths_nm
 from ..quadrature import integrate
 from ..quadrature.cells import NODES_PER_CELL, Cells
@@ -65,7 +66,13 @@ class PatchPredictions:
         return self.hemispheres * self.subdivision.n_patches
 
     def adapt(self, bsdf: mi.BSDF) -> Floats:
-        """:meth:`of` a BSDF, with the nodes that it needs from now on."""
+        """:meth:`of` a BSDF, with the nodes that it needs from now on.
+
+        Raises
+        ------
+        ValueError
+            If it is coloured and the record, of an rgb variant, has one channel.
+        """
         self._nodes, parts = [], []
         for nm in self.passes:
             found = integrate(
@@ -79,7 +86,14 @@ class PatchPredictions:
             )
             self._nodes.append(_Nodes(found.rule, self.n_patches))
             parts.append(found.flux[: self.hemispheres, ..., : nm and len(nm)])
-        return np.concatenate(parts, axis=-1)[..., : self.channels].ravel()
+        flux = np.concatenate(parts, axis=-1)
+        one = flux[..., : self.channels]
+        if self.channels == 1 and not np.allclose(flux, one, rtol=REL_ERR, atol=0):
+            raise SettingError(
+                "the record has one channel, as of a grey specimen, and the model is "
+                "coloured: fit it to a record of R, G and B, or say a grey model"
+            )
+        return one.ravel()
 
     def of(self, bsdf: mi.BSDF) -> Floats:
         """Flux fractions, shape (n_hemispheres * n_patches * channels,)."""
