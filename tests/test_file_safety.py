@@ -29,7 +29,8 @@ from gonio_mi.errors import FileFormatError, printable, shortened, shown
 from gonio_mi.files import radiance_xml, seal, tensor_file, writing
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.integral_sums import Integrals
-from gonio_mi.results.summary import summarize, summary_text
+from gonio_mi.results.summary import summarize
+from gonio_mi.results.summary_text import summary_text
 from gonio_mi.results.tally import Fate
 
 RECORD = synthetic.record(channels=("R", "G", "B"), both=True)

@@ -17,7 +17,8 @@ from budget import Verdict, agree, disagree, normal_scores, single, verdict
 from scipy import stats
 
 from gonio_mi.exports import export
-from gonio_mi.results.summary import summarize, summary_text
+from gonio_mi.results.summary import summarize
+from gonio_mi.results.summary_text import summary_text
 from gonio_mi.results.tally import Tally
 
 pytestmark = pytest.mark.usefixtures("mono")

@@ -11,7 +11,8 @@ import gonio_mi as gonio
 from gonio_mi import llvm
 from gonio_mi.instrument import processor
 from gonio_mi.results.processors import processors
-from gonio_mi.results.summary import summarize, summary_text
+from gonio_mi.results.summary import summarize
+from gonio_mi.results.summary_text import summary_text
 
 pytestmark = pytest.mark.usefixtures("mono")
 

@@ -209,7 +209,9 @@ def test_it_is_what_it_says(material, tmp_path):
         errors.append(misplaced(seen, truth.flux_fraction))
     assert not errors[0].exceeds(SETTINGS["tolerance"])
     assert errors[1].exceeds(SETTINGS["tolerance"])
-    text = gonio.results.summary.summary_text(gonio.results.summary.summarize(material))
+    text = gonio.results.summary_text.summary_text(
+        gonio.results.summary.summarize(material)
+    )
     assert "material  tolerance 0.03 up to theta_i 70, isotropic by meas" in text
 
 

@@ -19,7 +19,8 @@ from ..errors import SettingError
 from ..instrument.campaigns import campaign
 from ..instrument.measuring import measure, measure_orders
 from ..results.record import Record
-from ..results.summary import summarize, summary_text
+from ..results.summary import summarize
+from ..results.summary_text import summary_text
 from ..settings.orders import Order
 from .arguments import (
     DONE,

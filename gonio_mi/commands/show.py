@@ -12,7 +12,8 @@ from pathlib import Path
 
 from .. import files
 from ..errors import SettingError
-from ..results.summary import summarize, summary_text
+from ..results.summary import summarize
+from ..results.summary_text import summary_text
 from .arguments import DONE, add_record, tell
 from .table_options import TABLE_OPTIONS, add_table_options, table_of, table_text
 

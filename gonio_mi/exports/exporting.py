@@ -17,8 +17,9 @@ from ..files.channels import wavelengths_nm
 from ..files.measured import MeasuredTable, read_measured
 from ..files.radiance_xml import Product
 from ..files.writing import takes_a_stream
+from ..results.doubts import exceeds_error
 from ..results.record import Record
-from ..results.summary import exceeds_error, summarize
+from ..results.summary import summarize
 from .loss import Loss, fractions_of, losses
 from .measured_export import write_measured
 from .radiance_export import BASES, write_radiance

@@ -6,7 +6,8 @@ import io
 
 from ..errors import PackageError
 from ..results.record import Record
-from ..results.summary import summarize, summary_text
+from ..results.summary import summarize
+from ..results.summary_text import summary_text
 from .record_figure import plot
 from .stack_figure import sheet
 

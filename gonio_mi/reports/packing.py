@@ -12,7 +12,8 @@ from ..array_types import Floats
 from ..collector import Subdivision
 from ..collector.directions import direction
 from ..results.record import Record
-from ..results.summary import summarize, summary_text
+from ..results.summary import summarize
+from ..results.summary_text import summary_text
 
 __all__ = ["MOST_VALUES", "RASTER", "packed_record", "raster"]
 

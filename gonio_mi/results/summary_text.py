@@ -1,0 +1,221 @@
+"""The numbers of a record, as text for people."""
+
+import math
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+from ..single_precision import ROUNDING
+from .campaign_text import campaign_text
+from .doubts import grouped
+from .precision import FLOOR
+from .processors import processors
+
+__all__ = ["summary_text"]
+
+WIDTH = 88
+MAIN_ROWS = ("reflected", "transmitted", "absorbed")
+
+
+def summary_text(numbers: dict[str, Any]) -> str:
+    """Return what :func:`~gonio_mi.results.summary.summarize` found, for people."""
+    blocks = [
+        _settings_text(numbers),
+        _totals_text(numbers),
+        _ledger_text(numbers["ledger"]),
+        _patches_text(numbers),
+    ]
+    if numbers["settings"].get("campaign"):
+        blocks.insert(1, campaign_text(numbers["settings"]["campaign"], WIDTH))
+    warnings = [_filled("warning   ", text) for text in numbers["warnings"]]
+    if warnings:
+        blocks.append("\n".join(warnings))
+    return "\n\n".join(blocks)
+
+
+def _settings_text(numbers: dict[str, Any]) -> str:
+    """What was measured, and how."""
+    settings = numbers["settings"]
+
+    def _shown(key: str) -> Any:
+        return settings.get(key, "?")
+
+    n_directions = len(numbers["directions"])
+    emitted = numbers["ledger"]["emitted"]
+    named = "rel_err" if settings.get("rel_err") is not None else "noise"
+    goal = settings.get(named)
+    rays = settings.get("rays", 0) if goal is None else 0
+    asked = n_directions * rays * settings.get("passes", 1)
+    radius = settings.get("collector_radius")
+    lines = [
+        ("specimen", _shown("specimen")),
+        ("surface", _shown("surface")),
+        (
+            "light",
+            f"{_shown('emitter')} on the {_shown('side')}, "
+            f"footprint {_shown('footprint')}, emission {_shown('emission')}",
+        ),
+        (
+            "collector",
+            f"{_shown('collector')}, hemispheres {_shown('hemispheres')}, "
+            + (f"radius {radius:g}" if radius else "far field"),
+        ),
+        (
+            "rays",
+            grouped(emitted)
+            + (f" of {grouped(asked)} asked for" if emitted < asked else "")
+            + (f" over {n_directions} incident directions" if n_directions > 1 else "")
+            + f", batches {_shown('batches')}, seed {_shown('seed')}"
+            + (f", {named} {goal:g} asked for" if goal is not None else ""),
+        ),
+        (
+            "method",
+            f"estimator {_shown('estimator')}, "
+            + (f"points {settings['points']}, " if "points" in settings else "")
+            + f"sampler {_shown('sampler')}, transport "
+            f"{_shown('transport')}, period {_shown('period')}, "
+            f"order {_shown('order')}, max_depth {_shown('max_depth')}, "
+            f"rr_depth {_shown('rr_depth')}",
+        ),
+        (
+            "made",
+            f"{_shown('created')}, variant {_shown('variant')}, "
+            + ", ".join(f"{k} {v}" for k, v in settings.get("versions", {}).items())
+            + ", on "
+            + "; ".join(processors(settings)),
+        ),
+    ]
+    return "\n".join(_filled(f"{name:<10}", text) for name, text in lines)
+
+
+def _totals_text(numbers: dict[str, Any]) -> str:
+    """Reflectance and transmittance with their intervals."""
+    header = ["theta_i", "phi_i", "of", "channel", "value", "std_err"]
+    header += [f"{numbers['level']:.0%} low", f"{numbers['level']:.0%} high"]
+    rows = []
+    for direction in numbers["directions"]:
+        angles = [_angle(direction["theta_i"]), _angle(direction["phi_i"])]
+        shown = ["dhr", "dht", *(["direct"] if direction["ledger"]["direct"] else [])]
+        for quantity in shown:
+            for total in direction[quantity] or []:
+                decimals = _decimals(total["value"], total["std_err"])
+                rows.append(
+                    [
+                        *angles,
+                        quantity,
+                        total["channel"],
+                        _fixed(total["value"], decimals),
+                        _std_err(total, decimals),
+                        _fixed(total["low"], decimals),
+                        _fixed(total["high"], decimals),
+                    ]
+                )
+    return _table(header, rows)
+
+
+def _ledger_text(ledger: dict[str, int]) -> str:
+    """Where the rays went: all rows but those that are zero."""
+    emitted = ledger["emitted"]
+    shown = {
+        name: n
+        for name, n in ledger.items()
+        if name != "emitted" and (n or name in MAIN_ROWS)
+    }
+    rows = [[name, grouped(n), _percent(n, emitted)] for name, n in shown.items()]
+    rows.append(["sum", grouped(sum(shown.values())), _percent(emitted, emitted)])
+    return _table(["ledger", "rays", "%"], rows)
+
+
+def _patches_text(numbers: dict[str, Any]) -> str:
+    """How well the patches are known, and the worst of them."""
+    directions = numbers["directions"]
+    n = sum(direction["n_patches"] for direction in directions)
+    empty = sum(direction["n_without_hit"] for direction in directions)
+    lobe = sum(direction["n_lobe"] for direction in directions)
+    errors = [direction["rel_err_lobe"] for direction in directions]
+    text = f"{grouped(n)}, of which {grouped(empty)} without a hit and {grouped(lobe)} "
+    text += f"brighter than {FLOOR:g} of the mean"
+    if None not in errors:
+        text += f", the worst of these known to {100 * max(errors):.3g} %"
+    worst = numbers["worst_patches"]
+    if not worst:
+        return _filled("patches   ", text + "; their standard errors are not known")
+    header = ["worst of", "channel", "theta_i", "phi_i", "theta_o", "phi_o"]
+    rows = [
+        [
+            patch["of"],
+            patch["channel"],
+            *(
+                _angle(patch[angle])
+                for angle in ("theta_i", "phi_i", "theta_o", "phi_o")
+            ),
+            f"{patch['value']:.4g}",
+            f"{patch['std_err']:.2g}",
+            f"{100 * patch['rel_err']:.3g}",
+            grouped(patch["hits"]),
+        ]
+        for patch in worst
+    ]
+    table = _table([*header, "value", "+- std_err", "%", "hits"], rows)
+    return _filled("patches   ", text) + "\n\n" + table
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Columns aligned to the right, the first one to the left."""
+    lines = [header, *rows]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+    return "\n".join(
+        "  ".join(
+            cell.rjust(width) if i else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(line, widths))
+        )
+        for line in lines
+    )
+
+
+def _filled(label: str, text: str) -> str:
+    """`text` behind its label, in lines of at most `WIDTH`."""
+    return textwrap.fill(
+        text,
+        WIDTH,
+        initial_indent=label,
+        subsequent_indent=" " * len(label),
+        break_on_hyphens=False,
+    )
+
+
+def _percent(n: int, total: int) -> str:
+    """Share in per cent that is 0 or 100 for nothing and all only."""
+    if not total:
+        return "-"
+    text = f"{100 * n / total:.4f}"
+    if n and text == "0.0000":
+        return "<0.0001"
+    return ">99.9999" if n < total and text == "100.0000" else text
+
+
+def _angle(degrees: float | None) -> str:
+    return "-" if degrees is None else f"{round(degrees, 6) + 0.0:.4g}"
+
+
+def _decimals(value: float, std_err: float | None) -> int:
+    """Decimals that show two digits of a standard error, but no more than are known.
+
+    Mitsuba computes in single precision, which carries some seven digits of the value.
+    """
+    if not std_err:
+        return 6
+    least = max(std_err, ROUNDING * abs(value))
+    return min(max(1 - math.floor(math.log10(least)), 2), 12)
+
+
+def _std_err(total: dict[str, Any], decimals: int) -> str:
+    """Text of a standard error, or of the rounding in which it is lost."""
+    rounding = ROUNDING * abs(total["value"] or 0)
+    if total["std_err"] and total["std_err"] < rounding:
+        return f"<{rounding:.{decimals}f}"
+    return _fixed(total["std_err"], decimals)
+
+
+def _fixed(value: float | None, decimals: int) -> str:
+    return "-" if value is None else f"{value:.{decimals}f}"
