@@ -350,6 +350,15 @@ def register():
             normal = dr.square(si.wi.x) + dr.square(si.wi.y) < 1e-12
             return super().value(si, wo) * dr.select(normal, 0.5, mi.Float(1))
 
+    class CompilesAnew(Lambert):
+        """A number of Python that changes is a literal, here of no consequence."""
+
+        calls = 0
+
+        def density(self, si, wo):
+            self.calls += 1
+            return dr.select(wo.z > -1 - self.calls, dr.inv_pi * cosine(wo), 0)
+
     class EvalFivePercentLess(Lambert):
         def eval(self, ctx, si, wo, active=True):
             return 0.95 * super().eval(ctx, si, wo, active)

@@ -17,13 +17,14 @@ from broken_bsdfs import EITHER, MISTAKES, RIGHT
 
 from gonio_mi import SpecimenError, cli
 from gonio_mi.testing import assert_bsdf_valid
-from gonio_mi.validation import PROPERTIES, delta, save_report, validate
+from gonio_mi.validation import PROPERTIES, cost, delta, save_report, validate
 from gonio_mi.validation.collecting import collect
 from gonio_mi.validation.conditions import Condition
 from gonio_mi.validation.evidence import Evidence
 from gonio_mi.validation.parameters import coloured
 
 ALPHA = budget.ALPHA
+OBLIQUE = Condition(40.0, 25.0)
 EFFORT = os.environ.get("GONIO_EFFORT", "quick")
 
 
@@ -190,6 +191,45 @@ def test_causes_come_before_consequences_and_places_are_named():
     assert "everywhere" in constant.mistake
     gain = validate({"type": "cats_eye_gains_light"}, effort="quick")
     assert "gains light" in gain.mistake
+
+
+@pytest.mark.usefixtures("plugins")
+def test_kernels_that_are_compiled_anew_are_told():
+    """Its twin, the same with a constant, is `lambert`."""
+    verdict = validate({"type": "compiles_anew"}, effort="quick", strict=True)
+    assert verdict.passed
+    assert verdict["cost"].effect == "adds cost"
+    assert "compiled anew" in verdict["cost"].statistic
+    assert verdict.headline.endswith("but it adds cost")
+    lambert = validate({"type": "lambert"}, effort="quick")
+    assert lambert["cost"].effect is None
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize(("ns", "told"), [(5_000, False), (80_000, True)])
+def test_time_of_a_ray_is_a_ratio_in_turns(ns, told, monkeypatch):
+    """By a clock of its own, on a machine that now and then does something else."""
+    now = [0]
+
+    def call(own):
+        def advance():
+            other_work = 10**6 if len(now) % 5 == 0 else 0
+            now.append(now[-1] + own + other_work)
+
+        return advance
+
+    def ratio(first, second):
+        del first, second
+        return compared(call(ns), call(1_000), lambda: now[-1])
+
+    compared = cost.compared
+    monkeypatch.setattr(cost, "compared", ratio)
+    cost.check_time(evidence := Evidence(), mi.load_dict({"type": "lambert"}), OBLIQUE)
+    assert (
+        f"{ns / 1_000:.2g} times as long as those of `diffuse`"
+        in (evidence.remarks["cost"])
+    )
+    assert ("cost" in evidence.lesser) == told
 
 
 @pytest.mark.usefixtures("plugins")

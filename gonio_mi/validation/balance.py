@@ -6,7 +6,7 @@ import numpy as np
 from scipy import special
 
 from .equality import BSDF_ROUNDING
-from .evidence import INTERFACE, Evidence
+from .evidence import INTERFACE, NOISE, Evidence
 from .integrals import SUM_ERROR
 from .maps import FourMaps
 
@@ -66,7 +66,7 @@ def _check_reach(evidence: Evidence, maps: FourMaps) -> None:
             size=lost,
         )
     elif maps.judged < JUDGED:
-        evidence.noisy.add("weights")
+        evidence.lesser["weights"] = NOISE
         evidence.undecided["weights"] = (
             f"tails are too heavy: {1 - maps.judged:.2g} of the light at "
             f"{maps.condition} is in weights that {maps.totals.n} samples meet too "

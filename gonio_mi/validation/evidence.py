@@ -12,6 +12,7 @@ from .maps import FourMaps
 __all__ = [
     "BIAS",
     "BREAKS",
+    "COST",
     "EFFECTS",
     "HARM",
     "INTERFACE",
@@ -31,6 +32,7 @@ BREAKS = "breaks some integrators"
 NOISE = "adds noise"
 MODEL = "a property of the model"
 INTERFACE = "a nicety of the interface"
+COST = "adds cost"  # never a failure
 EFFECTS = (BIAS, BREAKS, NOISE, MODEL, INTERFACE)
 
 # What a BSDF should have, in the order of a verdict.
@@ -53,6 +55,7 @@ PROPERTIES = {
     "masks": "inactive rays get 0, active ones what they get anyway",
     "ends": "finite at the ends: horizon, normal, random numbers, roughness",
     "parameters": "`traverse` answers; gradients of `eval` are its changes",
+    "cost": "what is asked again compiles nothing, and takes no longer than others",
 }
 
 # What a failure of each does, if its breach does not say otherwise; and to which of
@@ -76,6 +79,7 @@ HARM = {
     "masks": INTERFACE,
     "ends": BIAS,
     "parameters": BREAKS,
+    "cost": INTERFACE,
 }
 COMBINED = "path, direct, volpathmis, prb: light and BSDF sampling are combined"
 SAMPLED = "all that sample the BSDF"
@@ -160,8 +164,8 @@ class Evidence:
     breaches, tests : list
     undecided : dict of str
         By property, why it could not be decided and what it would take.
-    noisy : set of str
-        Those that could not be decided because the plugin adds noise.
+    lesser : dict of str
+        By property, what it does though it does not fail: adds noise, or cost.
     remarks : dict of str
         By property, what is worth knowing though it holds.
     declared : dict of str
@@ -173,7 +177,7 @@ class Evidence:
     breaches: list[Breach] = field(default_factory=list)
     tests: list[Test] = field(default_factory=list)
     undecided: dict[str, str] = field(default_factory=dict)
-    noisy: set[str] = field(default_factory=set)
+    lesser: dict[str, str] = field(default_factory=dict)
     remarks: dict[str, str] = field(default_factory=dict)
     declared: dict[str, str] = field(default_factory=dict)
     maps: list[FourMaps] = field(default_factory=list)

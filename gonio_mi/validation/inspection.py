@@ -17,6 +17,7 @@ from . import (
     answers,
     balance,
     components,
+    cost,
     declarations,
     delta,
     ends,
@@ -61,7 +62,7 @@ def validate(
     effort : {"quick", "normal", "thorough"}
         Seconds, some ten seconds, or minutes.
     seed : int
-        Same seed, same verdict.
+        Same seed, same verdict, but for times: those are for `normal` and more.
     alpha : float
         Probability that a right BSDF fails, shared by all statistical tests.
     allow : sequence of str
@@ -156,7 +157,8 @@ def _examine(evidence: Evidence, bsdf: mi.BSDF, plan: Effort, seed: int) -> None
     radiance = [replace(one, mode="radiance") for one in plan.radiance(sides)]
     for i, condition in enumerate([*conditions, *radiance]):
         _check_samples(evidence, bsdf, condition, plan, (seed, 1, i))
-    again = collect(bsdf, conditions[0], plan.checked, (seed, 1, 0))
+    first = conditions[0], plan.checked, (seed, 1, 0)
+    again = cost.check_compiled(evidence, bsdf, *first)
     answers.check_memory(evidence, evidence.drawn[0], again)
     declarations.check_flags(evidence, bsdf)
     declarations.check_sides(evidence, bsdf, seed)
@@ -172,6 +174,8 @@ def _examine(evidence: Evidence, bsdf: mi.BSDF, plan: Effort, seed: int) -> None
     ends.check_ends(evidence, bsdf)
     ends.check_roughness(evidence, bsdf)
     _check_maps(evidence, bsdf, plan, sides, lobes, seed)
+    if plan.timed:
+        cost.check_time(evidence, bsdf, Condition(40.0, 25.0, sides[0]))
 
 
 def _check_samples(

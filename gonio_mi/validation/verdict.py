@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 from .evidence import (
     BIAS,
     BREAKS,
+    COST,
     EFFECTS,
     HARM,
     INTERFACE,
-    NOISE,
     PROPERTIES,
     WHERE,
     Evidence,
@@ -48,7 +48,8 @@ class Property:
     p_value : float or None
         The smallest of its statistical tests, times the number of these; None without.
     effect : str or None
-        What a failure does to an image, one of :data:`EFFECTS`; None if it holds.
+        What a failure does to an image, one of :data:`EFFECTS`; ``adds cost``, or
+        ``adds noise``, of what does not fail; else None.
     places : tuple of str
         How much and where else it fails, sample by sample, the worst first.
     """
@@ -143,6 +144,8 @@ class Verdict:
         if not failed:
             undecided = sum(p.status == UNDECIDED for p in self.properties)
             rest = f", {undecided} could not be decided" if undecided else ""
+            if any(p.effect == COST for p in self.properties):
+                rest += ", but it adds cost"
             return f"{self.name}: nothing wrong was found{rest}"
         word = "passes, with a remark" if self.passed else "FAILS"
         guess = f"{failed[0].consequence}. Most likely: {self.mistake}"
@@ -265,14 +268,15 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
     if name in evidence.declared:
         return Property(name, LACKS, evidence.declared[name], p_value=p_value)
     if name in evidence.undecided:
-        noise = NOISE if name in evidence.noisy else None
+        lesser = evidence.lesser.get(name)
         text = evidence.undecided[name]
-        return Property(name, UNDECIDED, text, p_value=p_value, effect=noise)
+        return Property(name, UNDECIDED, text, p_value=p_value, effect=lesser)
     text = evidence.remarks.get(name, "")
     if tests:
         least = f"smallest p of {len(tests)} tests {smallest:.2g}"
         text = f"{text}; {least}" if text else least
-    return Property(name, HOLDS, text, p_value=p_value)
+    lesser = evidence.lesser.get(name)
+    return Property(name, HOLDS, text, p_value=p_value, effect=lesser)
 
 
 def _harm_of(test: Test) -> str:
