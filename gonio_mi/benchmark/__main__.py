@@ -12,6 +12,7 @@ from .diffuse_facets import facet_contests
 from .endurance import print_growth
 from .equal_error import print_contests, print_costs
 from .micro_geometry import print_speeds
+from .tolerances import print_campaigns
 from .turbid_layer import layer_contests, print_layer_speeds
 
 __all__ = ["main"]
@@ -52,6 +53,16 @@ def main(argv: Sequence[str] | None = None) -> None:
         metavar="RAYS",
         help="memory and time per ray from 1e7 to RAYS (1e9), instead",
     )
+    part.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="X",
+        help="what campaigns of this tolerance cost, beside grids; hours below 0.01",
+    )
+    parser.add_argument(
+        "--only", nargs="+", default=(), help="specimens of --tolerance"
+    )
+    parser.add_argument("--theta-max", type=float, default=80.0, help="of --tolerance")
     parser.add_argument(
         "--rays",
         type=float,
@@ -83,6 +94,8 @@ def _run(options: argparse.Namespace) -> None:
     elif options.geometry:
         print_speeds(int(options.rays or 2**22), options.repeats)
         print_contests(*facet_contests(), *cost)
+    elif options.tolerance:
+        print_campaigns(options.tolerance, options.only, options.theta_max)
     elif options.media:
         print_layer_speeds(int(options.rays or 2**21), options.repeats)
         print_contests(*layer_contests(), *cost)

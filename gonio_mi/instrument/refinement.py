@@ -7,11 +7,6 @@ from dataclasses import dataclass, field
 
 __all__ = ["Axis", "Interval", "refined"]
 
-# What halving an interval leaves of the error in its middle, where the lobes are
-# smooth; where they are not, directions that were never used will tell.
-ORDER = 1 / 4
-
-
 @dataclass(frozen=True)
 class Interval:
     """Neighbours on an axis of incident directions, between which light is predicted.
@@ -42,11 +37,15 @@ class Axis:
     ----------
     middle : callable
         Where to split an interval; None where it is as narrow as it may be.
+    left : float
+        What a split is expected to leave of the error of an interval. A fourth, where
+        lobes are smooth and change as fast in both parts.
     errors : dict
         Largest error expected in each interval; None if nothing is known.
     """
 
     middle: Callable[[Interval], float | None]
+    left: float = 1 / 4
     errors: dict[Interval, float | None] = field(default_factory=dict)
 
     def levels(self, on: float = 0.0) -> list[float]:
@@ -66,7 +65,7 @@ class Axis:
             return None
         del self.errors[interval]
         for part in interval.parts(middle):
-            self.errors[part] = ORDER * error
+            self.errors[part] = self.left * error
         return middle
 
     def unsettled(self, limit: float) -> list[Interval]:

@@ -34,8 +34,10 @@ LEAST_TOLERANCE = 1e-4
 # Directions to begin with, and azimuths of an anisotropic specimen.
 FIRST_ANGLES, FIRST_AZIMUTHS = 4, 8
 
-# Legs are not split into parts below so many degrees.
+# Legs are not split into parts below so many degrees. What a split leaves of the error
+# of a leg: more than a fourth, since lobes change faster towards grazing incidence.
 NARROWEST_LEG = 0.25
+LEFT = 1 / 2
 
 # Directions never used that confirm the material, how many of them may miss the
 # tolerance, and how often it is refined where they did.
@@ -149,7 +151,7 @@ class WholeBsdf:
         self.n_sectors = patches.shape[1]
         check_resolved(self.tolerance, self.n_points, angles[2:], self._records)
         self.isotropic = self._is_isotropic(angles)
-        self.legs = Axis(_middle_angle, dict.fromkeys(_intervals(angles)))
+        self.legs = Axis(_middle_angle, LEFT, dict.fromkeys(_intervals(angles)))
         self.gaps = Axis(_middle_sector)
         # errors along both axes add up by their squares, about
         limit = self.tolerance * (1.0 if self.isotropic else 0.5**0.5)
@@ -333,17 +335,16 @@ class WholeBsdf:
         return errors
 
     def _split_at(self, missed: Iterable[Misplacement]) -> bool:
-        """Split what holds the directions that were missed; whether anything was."""
+        """Split what holds the directions that were missed; whether anything was.
+
+        Each leg or gap once, for the worst of them.
+        """
         before = len(self.legs.errors), len(self.gaps.errors)
+        worst = sorted(missed, key=lambda one: one.error, reverse=True)
         done: set[Interval] = set()
-        for one in missed:
-            leg = self.legs.around(one.theta_i)
-            sector = one.phi_i * self.n_sectors / 360
-            rings = [theta for theta in (leg.low, leg.high) if self.gaps.levels(theta)]
-            gaps = [self.gaps.around(sector, theta) for theta in rings]
+        for one, (leg, gaps) in [(one, self._around(one)) for one in worst]:
             if done & {leg, *gaps}:
                 continue
-            done |= {leg, *gaps}
             of_gaps = max((self.gaps.errors[gap] or 0.0 for gap in gaps), default=0.0)
             by_angle = (self.legs.errors[leg] or 0.0) >= of_gaps
             for split_leg in (by_angle, not by_angle):
@@ -353,8 +354,16 @@ class WholeBsdf:
                 else:
                     middles = [self.gaps.split(gap, one.error) for gap in gaps]
                 if any(middle is not None for middle in middles):
+                    done |= {leg} if split_leg else set(gaps)
                     break
         return before != (len(self.legs.errors), len(self.gaps.errors))
+
+    def _around(self, one: Misplacement) -> tuple[Interval, list[Interval]]:
+        """Leg that holds a direction, and the gaps of azimuth on both its ends."""
+        leg = self.legs.around(one.theta_i)
+        sector = one.phi_i * self.n_sectors / 360
+        rings = [theta for theta in (leg.low, leg.high) if self.gaps.levels(theta)]
+        return leg, [self.gaps.around(sector, theta) for theta in rings]
 
     def _split_leg(self, leg: Interval, error: float) -> float | None:
         """Split a leg; its new ring has the azimuths of both its neighbours."""

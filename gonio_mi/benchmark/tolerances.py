@@ -1,0 +1,188 @@
+"""What a whole BSDF costs: campaigns that choose their directions, beside grids."""
+
+import itertools
+import logging
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..errors import SpecimenError
+from ..instrument.campaign_tasks import Surroundings, records_of
+from ..instrument.campaigns import campaign
+from ..instrument.prediction import Prediction
+from ..results.misplacement import Misplacement, misplaced
+from ..results.record import Record
+from .table import print_table
+from .timing import cpu_seconds
+
+__all__ = ["print_campaigns"]
+
+# Random directions that no campaign has seen.
+UNSEEN, SEED = 200, 12345
+
+# Polar angles of the grids that are tried, in equal steps, and azimuths of each.
+ANGLES = (5, 7, 9, 11, 13, 16, 19, 23, 28, 34, 41, 50)
+AZIMUTHS = (16, 24, 32, 48, 64, 96)
+MOST_OF_GRID = 1000
+
+
+@dataclass(frozen=True)
+class Case:
+    """A specimen, and how it is measured."""
+
+    specimen: dict[str, Any]
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+def _cases() -> dict[str, Case]:
+    """The specimens by name."""
+    conductor = {"type": "roughconductor", "distribution": "ggx"}
+    glass = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.3}
+    heights = np.array([[0.0, -0.25], [0.0, -0.25]], dtype=np.float32)
+    grooves = {
+        "type": "heightfield",
+        "heights": mi.TensorXf(heights),
+        "size": 1.0,
+        "bsdf": {"type": "roughconductor", "alpha": 0.3},
+    }
+    return {
+        "conductor 0.3": Case(conductor | {"alpha": 0.3}),
+        "plastic 0.3": Case({"type": "roughplastic", "alpha": 0.3}),
+        "glass 0.3, outside": Case(glass),
+        "glass 0.3, inside": Case(glass, {"side": "back"}),
+        "brushed 0.15 x 0.4": Case(conductor | {"alpha_u": 0.15, "alpha_v": 0.4}),
+        "conductor 0.05": Case(conductor | {"alpha": 0.05}),
+        "grooves": Case(grooves, {"period": "box"}),
+    }
+
+
+def print_campaigns(tolerance: float, names: Sequence[str], theta_max: float) -> None:
+    """Print what campaigns of a tolerance cost, and how right their materials are.
+
+    Parameters
+    ----------
+    tolerance : float
+    names : sequence of str
+        Cases whose name begins like this; none for all.
+    theta_max : float
+        In degrees.
+    """
+    for name, case in _cases().items():
+        if names and not name.startswith(tuple(names)):
+            continue
+        logging.getLogger(__name__).info("%s at %g", name, tolerance)
+        try:
+            rows = _rows(case, tolerance, theta_max)
+        except SpecimenError as refused:
+            print(f"{name}: {refused}", flush=True)
+            continue
+        print_table(
+            f"{name}, tolerance {tolerance:g} up to {theta_max:g} degrees",
+            ("incident directions", "collector", "used", "measured", "rays")
+            + ("core-s", "MB", "within", "mean", "worst"),
+            rows,
+        )
+
+
+def _rows(case: Case, tolerance: float, theta_max: float) -> list[tuple[str, ...]]:
+    """Rows of the campaign, and of the first grid that is as right."""
+    started = cpu_seconds()
+    settings = {"tolerance": tolerance, "theta_max": theta_max} | case.settings
+    chosen = campaign({"it": case.specimen}, **settings)["it"]
+    spent = cpu_seconds() - started
+    found = chosen.settings["campaign"]
+    unseen = _unseen(case, chosen, theta_max)
+    errors = _errors(chosen, unseen)
+    counts = found["measured"], found["rays"], spent
+    rows = [_row("chosen", chosen, counts, errors, tolerance)]
+    if chosen.settings["estimator"] != "quadrature":
+        return rows  # grids would take hours
+    enough = _within(errors, tolerance)
+    for steps, n_azimuths in _grids(found["isotropic"]):
+        started = cpu_seconds()
+        angles = np.linspace(0, theta_max, steps)[1:].tolist()
+        azimuths = (np.arange(n_azimuths) * (360 / n_azimuths)).tolist()
+        incidents = [(0.0, 0.0), *itertools.product(angles, azimuths)]
+        grid = _measured(case, chosen, incidents)
+        spent = cpu_seconds() - started
+        errors = _errors(grid, unseen)
+        counts = len(grid), grid.ledger.emitted, spent
+        last = _row(f"{steps} x {n_azimuths}", grid, counts, errors, tolerance)
+        if _within(errors, tolerance) >= min(enough, 0.95):
+            return [*rows, last]
+    return [*rows, last]
+
+
+def _grids(isotropic: bool) -> list[tuple[int, int]]:
+    """Polar angles and azimuths of grids, ascending by their directions."""
+    azimuths = (1,) if isotropic else AZIMUTHS
+    grids = itertools.product(ANGLES, azimuths)
+    return sorted(
+        (one for one in grids if one[0] * one[1] <= MOST_OF_GRID),
+        key=lambda one: one[0] * one[1],
+    )
+
+
+def _unseen(case: Case, chosen: Record, theta_max: float) -> Record:
+    """Random directions, uniform in solid angle, measured as the campaign did."""
+    generator = np.random.default_rng(SEED)
+    least = np.cos(np.radians(theta_max))
+    theta_i = np.degrees(np.arccos(1 - generator.random(UNSEEN) * (1 - least)))
+    phi_i = 360 * generator.random(UNSEEN)
+    return _measured(case, chosen, list(zip(theta_i.tolist(), phi_i.tolist())))
+
+
+def _measured(
+    case: Case, chosen: Record, incidents: Sequence[tuple[float, float]]
+) -> Record:
+    """Stack of incident directions, with the settings of the chosen ones."""
+    names = ("estimator", "rel_err", "noise")
+    own = {name: chosen.settings.get(name) for name in names}
+    settings = own | {"collector": chosen.subdivision} | case.settings
+    return records_of({"it": case.specimen}, incidents, Surroundings(), settings)["it"]
+
+
+def _errors(record: Record, unseen: Record) -> list[Misplacement]:
+    """What the material of a record gets wrong at unseen directions."""
+    prediction = Prediction(record, 8)
+    return [
+        misplaced(one, prediction.flux(float(one.theta_i[0]), float(one.phi_i[0])))
+        for one in (unseen[number] for number in range(len(unseen)))
+    ]
+
+
+def _within(errors: Sequence[Misplacement], tolerance: float) -> float:
+    return float(np.mean([not one.exceeds(tolerance) for one in errors]))
+
+
+def _row(
+    name: str,
+    record: Record,
+    counts: tuple[int, int, float],
+    errors: Sequence[Misplacement],
+    tolerance: float,
+) -> tuple[str, ...]:
+    """Cells of a row; `counts` are directions, rays and core-seconds."""
+    measured, rays, spent = counts
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "material.npz"
+        record.save(path)
+        size = path.stat().st_size
+    every = [one.error for one in errors]
+    return (
+        name,
+        str(record.subdivision),
+        str(len(record)),
+        str(measured),
+        f"{rays:.2g}",
+        f"{spent:.3g}",
+        f"{size / 1e6:.2g}",
+        f"{_within(errors, tolerance):.1%}",
+        f"{np.mean(every):.2%}",
+        f"{max(every):.2%}",
+    )
