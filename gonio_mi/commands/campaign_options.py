@@ -24,7 +24,8 @@ def add_campaign(group: Any) -> None:
         "--folder",
         "DIR",
         "keep finished incident directions there: the same command carries on, also"
-        " after a crash",
+        " after a crash (with --tolerance, if not given: beside the file of -o until"
+        " that is written)",
     )
 
 

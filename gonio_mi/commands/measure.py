@@ -39,6 +39,7 @@ from .arguments import (
     tell,
 )
 from .campaign_options import add_campaign, campaign_options, kept_after_ctrl_c
+from .campaign_parts import CampaignParts
 from .setting_options import add_group, given_settings
 from .surface_options import add_surface_options, prepared_surface
 
@@ -175,7 +176,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
         del settings["order"]
 
     code = DONE
-    with _CtrlC() as ctrl_c:
+    with _CtrlC() as ctrl_c, CampaignParts(options) as parts:
         # said below, with the files' names
         warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
         measured = _measure(options, orders)(
@@ -192,6 +193,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
                 _of_order(path, order) if order else path for path in options.output
             ]
             code = max(code, _finish(record, options, output, ctrl_c.pressed))
+        parts.finished = code != USER_ERROR
     return code
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 __all__ = ["Axis", "Interval", "refined"]
 
+
 @dataclass(frozen=True)
 class Interval:
     """Neighbours on an axis of incident directions, between which light is predicted.

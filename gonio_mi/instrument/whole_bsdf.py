@@ -24,7 +24,7 @@ from .prediction import Prediction
 from .refinement import Axis, Interval, refined
 from .resolution import TooCoarseError, check_equal_sectors, check_resolved
 
-__all__ = ["WholeBsdf", "checked_theta_max", "checked_tolerance"]
+__all__ = ["WholeBsdf", "checked_theta_max", "checked_tolerance", "folder_name"]
 
 logger = logging.getLogger(__name__)
 
@@ -176,7 +176,7 @@ class WholeBsdf:
             part = f"{estimator}_{self.n_rounds:03d}"
             if self.chosen is not None:
                 part += f"_{self.chosen}".replace(":", "_")
-            own = Path(where.folder) / _folder_name(self.name)
+            own = Path(where.folder) / folder_name(self.name)
             where = replace(where, folder=own / part)
         said = f"{self.name}, {len(self.known)} directions, {said}"
         logger.info("%s: %d more", said, len(new))
@@ -406,7 +406,7 @@ class WholeBsdf:
         return record.with_settings(campaign=found)
 
 
-def _folder_name(name: str) -> str:
+def folder_name(name: str) -> str:
     """Name of the folder of a specimen, whose own name may be a path.
 
     What tells names apart that would be written alike is behind it.
