@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Sequence
+from typing import Any
 
 import mitsuba as mi
 
@@ -53,16 +54,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         metavar="RAYS",
         help="memory and time per ray from 1e7 to RAYS (1e9), instead",
     )
-    part.add_argument(
-        "--tolerance",
-        type=float,
-        metavar="X",
-        help="what campaigns of this tolerance cost, beside grids; hours below 0.01",
-    )
-    parser.add_argument(
-        "--only", nargs="+", default=(), help="specimens of --tolerance"
-    )
-    parser.add_argument("--theta-max", type=float, default=80.0, help="of --tolerance")
+    _add_tolerance(parser, part)
     parser.add_argument(
         "--rays",
         type=float,
@@ -84,6 +76,20 @@ def main(argv: Sequence[str] | None = None) -> None:
     options = parser.parse_args(argv)
     mi.set_variant(options.variant)
     _run(options)
+
+
+def _add_tolerance(parser: argparse.ArgumentParser, part: Any) -> None:
+    """Add the options of the study of whole materials."""
+    part.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="X",
+        help="what campaigns of this tolerance cost, beside grids; hours below 0.01",
+    )
+    parser.add_argument(
+        "--only", nargs="+", default=(), help="specimens of --tolerance"
+    )
+    parser.add_argument("--theta-max", type=float, default=80.0, help="of --tolerance")
 
 
 def _run(options: argparse.Namespace) -> None:
