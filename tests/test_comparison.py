@@ -44,9 +44,10 @@ def truth(record):
 
 
 def table_of(record, values, phi_o=None, **settings):
-    """Table with one point in the middle of each patch."""
+    """Table with one point for each patch, whose mean it says that it is."""
     _, theta, phi = truth(record)
     n = len(values)
+    settings["header"] = {"collector": str(record.subdivision)}
     return MeasuredTable(
         np.full(n, record.theta_i[0]),
         np.full(n, record.phi_i[0]),
@@ -55,6 +56,10 @@ def table_of(record, values, phi_o=None, **settings):
         values,
         **settings,
     )
+
+
+# Of a table that says to be of these patches.
+OWN_PATCHES = {"collector": "angle:10x40"}
 
 
 def noisy(values, uncertainty, seed, scale=0.0):
@@ -150,7 +155,9 @@ def test_points_in_one_patch_count_once():
     columns = (once.theta_i, once.phi_i, theta, phi, values)
     n = len(values)
     found = {
-        k: compare(record, MeasuredTable(*(np.tile(c, k) for c in columns))).statistics
+        k: compare(
+            record, MeasuredTable(*(np.tile(c, k) for c in columns), header=once.header)
+        ).statistics
         for k in (1, 2, 4)
     }
     assert found[2]["chi2"] == pytest.approx(2 * found[1]["chi2"], rel=n * EPS)
@@ -660,11 +667,11 @@ def test_apertures_see_a_lobe_that_patches_smear():
     comparison = compare(records, table)
     agree(verdict_of(comparison))
     assert any("count as exact" in note for note in comparison.notes)
-    # twin: means over patches of 9 degrees are something else, and the notes say so
+    # twin: means over patches of 9 degrees are something else
     coarse = gonio.measure(bsdf, 45, 180, collector="angle:10x40", rays=1_000_000)
-    smeared = compare(coarse, table)
-    disagree(verdict_of(smeared))
-    assert any("stand for points" in note for note in smeared.notes)
+    disagree(verdict_of(compare(coarse, replace(table, header=OWN_PATCHES))))
+    with pytest.raises(ValueError, match="too coarse for 15 of 15 points"):
+        compare(coarse, table)
 
 
 @pytest.mark.usefixtures("mono")

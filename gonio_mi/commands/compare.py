@@ -19,6 +19,7 @@ from .arguments import (
     DEFAULT_VARIANT,
     DONE,
     FAILED,
+    INCOMPLETE,
     add_number,
     add_scene_options,
     add_text,
@@ -43,7 +44,7 @@ examples:
 
 The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005`,
 `# aperture_half_angle: 0.75` and `# emitter_half_angle: 0.25`; angles are in degrees.
-Exit code 3: they differ by more than chance explains.
+Exit code 3: they differ by more than chance explains; 2: patches cannot decide it.
 """
 
 # What names a specimen, and no table.
@@ -140,6 +141,8 @@ def run(options: Namespace) -> int:
         tell(comparison)
     if options.budget is not None:
         _tell_budget(comparison, specimen, other, options)
+    if comparison.undecided:
+        return INCOMPLETE
     return DONE if comparison.passed else FAILED
 
 

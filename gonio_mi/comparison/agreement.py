@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from ..results.record import Record
 from ..results.statistics import ratio
 from ..single_precision import FEW_ROUNDINGS
 
-__all__ = ["FEW_FOR_TAILS", "PointSet", "Readings", "judge", "mostly_few"]
+__all__ = ["FEW_FOR_TAILS", "PointSet", "Readings", "Variation", "judge", "mostly_few"]
 
 # Below this many hits the mean of batches is too skewed for Student's t far out: its
 # two-sided tail at 1e-5 is 1.3 times too heavy at 1000 hits, 4.4 times at 100.
@@ -105,6 +105,18 @@ class Readings:
 
 
 @dataclass(eq=False)
+class Variation:
+    """How far what is compared with readings may be from them by its place in a patch.
+
+    `bound` is by how much at most, `hidden` the mean square of what the noise of the
+    readings hides of it, without bias: negative by chance.
+    """
+
+    bound: np.ndarray
+    hidden: np.ndarray
+
+
+@dataclass(eq=False)
 class PointSet:
     """Points of one record and incident direction, and what they are compared with."""
 
@@ -115,6 +127,7 @@ class PointSet:
     other_readings: Readings | None
     solid: np.ndarray
     total_of: list[Any]  # to which total each point belongs
+    variation: Variation | None = None  # of means over patches beside points
 
 
 def judge(
@@ -184,7 +197,8 @@ def _fitted_scale(sets: Sequence[PointSet], scale: float) -> float:
     pull, weight = 0.0, 1 / scale**2
     for one in sets:
         sigma2, _, few, _ = _errors(one, 1.0)
-        inverse = np.where(few, 0.0, 1 / sigma2)
+        bound = 0.0 if one.variation is None else one.variation.bound
+        inverse = np.where(few, 0.0, 1 / (sigma2 + bound**2))
         pull += np.sum(one.other * (one.readings.value - one.other) * inverse)
         weight += np.sum(one.other**2 * inverse)
     return pull / weight
@@ -199,13 +213,18 @@ class _Total:
     shared: float = 0.0
     welch: float = 0.0
     hits: float = 0.0
+    bound: float = 0.0
+    # of variation: the sum over solid angles, and these
+    hidden: Floats = field(default_factory=lambda: np.zeros(2))
 
     @property
     def score(self) -> float:
-        """Normal score of the difference."""
+        """Normal score of the difference, beyond what variation in patches explains."""
         variance = self.variance + self.shared**2
         dof = variance**2 / self.welch if self.welch else np.inf
-        return float(student_score(self.difference / np.sqrt(variance), dof))
+        bound = self.bound + np.sqrt(max(self.hidden.prod(), 0.0))
+        beyond = max(abs(self.difference) - bound, 0.0)
+        return float(student_score(beyond / np.sqrt(variance), dof))
 
 
 def _add_total(total: _Total, one: PointSet, key: object, shared: Floats) -> None:
@@ -219,6 +238,9 @@ def _add_total(total: _Total, one: PointSet, key: object, shared: Floats) -> Non
     total.welch += variance**2 / dof
     total.shared += shared @ solid
     total.hits += one.readings.hits @ (solid > 0)
+    if one.variation is not None:
+        total.bound += one.variation.bound @ solid
+        total.hidden += one.variation.hidden @ solid, solid.sum()
     if one.other_readings is not None:
         _, variance, dof = one.other_readings.total(solid)
         total.variance += variance
@@ -230,6 +252,8 @@ def _errors(one: PointSet, factor: float) -> tuple[Floats, Floats, Flags, Flags]
     mine, others = one.readings, one.other_readings
     rounding = FEW_ROUNDINGS * factor * one.other
     sigma2 = mine.error**2 + one.other_error**2 + rounding**2
+    if one.variation is not None:
+        sigma2 = sigma2 + np.maximum(one.variation.hidden, 0)
     welch = mine.error**4 / mine.dof
     few, empty = mine.hits < FEW_FOR_TAILS, mine.hits == 0
     if others is not None:
@@ -247,9 +271,13 @@ def _scores(one: PointSet, factor: float) -> tuple[Floats, Floats]:
     """
     mine, others = one.readings, one.other_readings
     sigma2, dof, few, empty = _errors(one, factor)
-    z = student_score((mine.value - factor * one.other) / np.sqrt(sigma2), dof)
+    other = factor * one.other
+    if one.variation is not None:
+        bound = one.variation.bound
+        other = other + np.clip(mine.value - other, -bound, bound)
+    z = student_score((mine.value - other) / np.sqrt(sigma2), dof)
     if others is None:
-        exact = _hits_score(mine, factor * one.other, sigma2 - mine.error**2)
+        exact = _hits_score(mine, other, sigma2 - mine.error**2)
     elif np.any(one.other_error) or factor != 1:
         exact = np.full(z.shape, np.nan)
     else:

@@ -22,6 +22,7 @@ from .pairing import (
     pair_with_record,
     pair_with_table,
 )
+from .patch_variation import left_undecided
 
 __all__ = ["ALPHA", "Comparison", "compare"]
 
@@ -65,6 +66,9 @@ class Comparison:
         What a reader of the verdict should know.
     labels : tuple of str
         What to call the record and the other: what differs in their settings.
+    undecided : bool
+        Whether they agree only as far as what the BRDF may do within patches explains
+        what differs.
     """
 
     theta_i: np.ndarray
@@ -82,6 +86,7 @@ class Comparison:
     alpha: float
     notes: tuple[str, ...] = ()
     labels: tuple[str, str] = ("record", "other")
+    undecided: bool = False
 
     @property
     def rms(self) -> float:
@@ -123,6 +128,7 @@ class Comparison:
         """Everything in JSON's types; what is not known is None."""
         return {
             "passed": self.passed,
+            "undecided": self.undecided,
             "p_value": self.p_value,
             "alpha": self.alpha,
             "n_points": len(self.z),
@@ -179,6 +185,7 @@ class Comparison:
     def __str__(self) -> str:
         found, p = self.statistics, self.p_values
         verdict = "agree" if self.passed else "DIFFER"
+        verdict = "cannot be decided with these patches" if self.undecided else verdict
         lines = [
             f"rms error   {self.rms:.4g} 1/sr, {100 * self.relative_rms:.3g} % of the "
             f"mean; {self.rms_expected:.4g} from the uncertainties alone",
@@ -290,6 +297,7 @@ def compare(
             "more rays, or the sampler independent"
         )
     z, errors, statistics, p_values = judge(sets, scale)
+    undecided = left_undecided(sets, scale, p_values, alpha, notes)
     columns = {
         name: np.concatenate([one.columns[name] for one in sets])
         for name in sets[0].columns
@@ -306,6 +314,7 @@ def compare(
         alpha=alpha,
         notes=tuple(notes),
         labels=compared,
+        undecided=undecided,
     )
 
 

@@ -1,17 +1,19 @@
 """Which points of a record belong to which of another one, or of a measured table."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..array_types import Floats
+from ..array_types import Flags, Floats, Integers
 from ..collector.directions import direction
 from ..collector.hemisphere import EDGE
 from ..errors import SettingError
 from ..files.measured_table import MeasuredTable
 from ..results.record import Record
-from .agreement import PointSet, Readings
+from .agreement import PointSet, Readings, Variation
+from .patch_variation import MEASURED_ANEW, variation_within
 from .unlike_conditions import unlike_conditions, unlike_the_table
 
 __all__ = [
@@ -76,7 +78,10 @@ def pair_with_record(
 def pair_with_table(
     records: Sequence[Record], table: MeasuredTable
 ) -> tuple[list[PointSet], list[str]]:
-    """Sets of points of a table, each with the records that hold it."""
+    """Sets of points of a table, each with the records that hold it.
+
+    Points of patches whose variation is not known are left out, with a note.
+    """
     notes = list(table.notes)
     errors = table.bsdf_std_err
     if not (errors.any() or table.scale_uncertainty):
@@ -84,7 +89,7 @@ def pair_with_table(
     sets = []
     hemisphere = int(table.quantity == "btdf")
     v = direction(np.radians(pole_angle(table.theta_o)), np.radians(table.phi_o))
-    left = np.ones(len(table), bool)
+    left, coarse = np.ones(len(table), bool), np.zeros(len(table), bool)
     for record in records:
         if hemisphere and not record.has_lower:
             raise SettingError(
@@ -93,37 +98,87 @@ def pair_with_table(
             )
         channel = _channel(record, table, notes)
         notes += unlike_the_table(record, table)
-        patches = record.subdivision
-        patch, held = patches.detectors(v)
-        if patches.aperture_half_angle is not None:
-            _check_apertures(patches, table)
-        else:
-            notes.append(
-                f"means over patches of {patches} stand for points; a record made like "
-                "the table (measure_like) has no such bias"
-            )
+        patch, held = record.subdivision.detectors(v)
+        in_patches = _stand_for_points(record.subdivision, table)
         for k in range(len(record)):
             incident = (record.theta_i[k], record.phi_i[k])
             here = left & held & _same(incident, (table.theta_i, table.phi_i))
-            if not here.any():
-                continue
             left &= ~here
-            names = ("theta_i", "phi_i", "theta_o", "phi_o")
-            columns = {name: getattr(table, name)[here] for name in names}
-            own = np.full(here.sum(), channel)
-            columns["channel"] = np.array(record.channels)[own]
-            where = np.full(here.sum(), hemisphere)
-            readings = Readings.of(record, k, where, patch[here], own)
-            solid = patches.projected_solid_angles.ravel()[patch[here]]
-            keys = [tuple(np.round(incident, 3))] * len(own)
-            sets.append(
-                PointSet(
-                    columns, readings, table.bsdf[here], errors[here], None, solid, keys
+            side = _Side(record, k, hemisphere, channel)
+            variation = None
+            if in_patches and here.any():
+                variation, known = variation_within(
+                    record.subdivision, patch[here], side.readings
                 )
-            )
+                coarse[here], here[here] = ~known, known
+            if here.any():
+                sets.append(side.points(table, here, errors, patch, variation))
     if left.any():
         raise SettingError(_lacking(records, table, int(np.argmax(left))))
+    _tell_coarse(records[0], table, coarse, notes)
     return sets, list(dict.fromkeys(notes))
+
+
+@dataclass(frozen=True)
+class _Side:
+    """A channel of one hemisphere of a record, at one incident direction."""
+
+    record: Record
+    k: int
+    hemisphere: int
+    channel: int
+
+    def readings(self, numbers: Integers) -> Readings:
+        """Readings of some patches."""
+        where, own = (np.full(len(numbers), n) for n in (self.hemisphere, self.channel))
+        return Readings.of(self.record, self.k, where, numbers, own)
+
+    def points(
+        self,
+        table: MeasuredTable,
+        here: Flags,
+        errors: Floats,
+        patch: Integers,
+        variation: Variation | None,
+    ) -> PointSet:
+        """Points of a table that are `here`, each with the patch that holds it."""
+        record, k = self.record, self.k
+        names = ("theta_i", "phi_i", "theta_o", "phi_o")
+        columns = {name: getattr(table, name)[here] for name in names}
+        columns["channel"] = np.full(here.sum(), record.channels[self.channel])
+        solid = record.subdivision.projected_solid_angles.ravel()[patch[here]]
+        incident = record.theta_i[k], record.phi_i[k]
+        keys = [tuple(np.round(incident, 3))] * int(here.sum())
+        readings, values = self.readings(patch[here]), table.bsdf[here]
+        of_points = columns, readings, values, errors[here], None, solid, keys
+        return PointSet(*of_points, variation)
+
+
+def _stand_for_points(patches: Any, table: MeasuredTable) -> bool:
+    """Whether means over patches stand for the points of a table.
+
+    They do not where a table has them itself, as our own files say.
+    """
+    if patches.aperture_half_angle is not None:
+        _check_apertures(patches, table)
+        return False
+    return table.header.get("collector") != str(patches)
+
+
+def _tell_coarse(
+    record: Record, table: MeasuredTable, coarse: Flags, notes: list[str]
+) -> None:
+    """Note points that were left out; ValueError if these are all."""
+    n = int(coarse.sum())
+    if not n:
+        return
+    why = (
+        f"the patches of {record.subdivision!s:.40} are too coarse for {n} of "
+        f"{len(table)} points, where lobes are steep or the horizon is near"
+    )
+    if n == len(table):
+        raise SettingError(f"{why}: {MEASURED_ANEW}")
+    notes.append(f"{why}: these are left out")
 
 
 def _lacking(records: Sequence[Record], table: MeasuredTable, row: int) -> str:
