@@ -79,11 +79,11 @@ def left_undecided(
     notes: list[str],
 ) -> bool:
     """Whether only variation within patches lets two agree; it is noted how large."""
-    known = [one for one in sets if one.variation is not None]
+    known = [(one.variation, one.readings) for one in sets if one.variation is not None]
     if not known:
         return False
-    bounds = np.concatenate([one.variation.bound for one in known])
-    values = np.concatenate([one.readings.value for one in known])
+    bounds = np.concatenate([variation.bound for variation, _ in known])
+    values = np.concatenate([readings.value for _, readings in known])
     parts = bounds / np.where(values > 0, values, np.inf)
     notes.append(
         f"means over patches stand for points: up to {np.median(parts):.1%} of a value "
