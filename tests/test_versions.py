@@ -2,6 +2,7 @@
 
 import json
 import sys
+from pathlib import Path
 
 import budget
 import numpy as np
@@ -118,6 +119,54 @@ def test_command(tmp_path, plugin, capsys):
     assert part["meaning"].startswith("images change")
     assert cli.main(["diff", "diffuse", "--against", sys.executable]) == 0
     assert "1 of 1 are the same" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("changed", "differs"), [("nothing", set()), ("eval", {"eval"}), ("sample", None)]
+)
+def test_two_saved_files(tmp_path, plugin, capsys, changed, differs):
+    """They say what both versions say side by side; samples may be others."""
+    other = str(disguised(tmp_path / "venv", changed))
+    files = [str(tmp_path / f"{name}.json") for name in ("own", "other")]
+    common = ["diff", "two_versions", "--plugin", plugin]
+    assert cli.main([*common, "--save", files[0]]) == 0
+    assert cli.main([*common, "--against", other, "--save", files[1]]) == 0
+    assert cli.main(["diff", *files, "--json"]) == (3 if differs != set() else 0)
+    (answer,) = json.loads(capsys.readouterr().out)
+    found = {part["function"]: part for part in answer["parts"] if part["differs"]}
+    assert answer["name"] == "two_versions"
+    if differs is None:
+        # directions are not the same, and the lattice tells that values are
+        differs = {"sample"}
+    else:
+        cli.main([*common, "--against", other, "--json"])
+        (beside,) = json.loads(capsys.readouterr().out)
+        sizes = [[part["size"] for part in x["parts"]] for x in (answer, beside)]
+        # single precision is what is kept
+        assert sizes[0] == pytest.approx(sizes[1], rel=0.01, abs=0.01)
+    assert found.keys() == differs
+
+
+@pytest.mark.usefixtures("mono")
+def test_files_that_cannot_be_compared(tmp_path, capsys):
+    own, seeded, two, nothing = (str(tmp_path / f"{name}.json") for name in "abcd")
+    assert cli.main(["diff", "diffuse", "--save", own]) == 0
+    (entry,) = json.loads(Path(own).read_text())
+    asked = entry["asked"] | {"seed": 1}
+    Path(seeded).write_text(json.dumps([entry | {"asked": asked}]))
+    Path(two).write_text(json.dumps([entry, entry | {"name": "another"}]))
+    Path(nothing).write_text(json.dumps([entry | {"arrays": "AA=="}]))
+    for words, message in (
+        ([own, seeded], "ask diffuse with the same seed, got 0 and 1"),
+        ([own, two], "the same BSDFs, got another in one"),
+        ([own, nothing], "holds no answers"),
+        ([own, str(tmp_path / "absent.json")], "cannot be read"),
+        ([own, "diffuse"], "BSDFs, or two files"),
+        (["diffuse"], "needs --against"),
+    ):
+        assert cli.main(["diff", *words]) == 1
+        assert message in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("mono")

@@ -2,16 +2,19 @@
 
 Compare what two installed versions of Mitsuba say of the same BSDFs, function by
 function, in units of their errors, with what a difference means. Without a BSDF, all of
-Mitsuba's own that this package knows are compared.
+Mitsuba's own that this package knows are compared. What one version says can be saved,
+and two such files compared.
 """
 
 import json
+import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
-from ..errors import SpecimenError
+from ..errors import SettingError, SpecimenError, shown
+from ..files.writing import check_output
 from .arguments import (
     DONE,
     FAILED,
@@ -26,7 +29,9 @@ from .arguments import (
 
 __all__ = ["add_options", "run"]
 
-USAGE = "%(prog)s [BSDF ...] --against VENV [options]"
+USAGE = """%(prog)s [BSDF ...] --against VENV [options]
+       %(prog)s [BSDF ...] [--against VENV] --save ANSWERS.json [options]
+       %(prog)s ANSWERS.json OTHERS.json [--alpha P] [--json]"""
 
 # The one that wheels of all versions have, with colours.
 VARIANT = "llvm_ad_rgb"
@@ -37,6 +42,9 @@ examples:
   gonio-mi diff --against old
   gonio-mi diff principled roughplastic:alpha=0.2 --against old
   gonio-mi diff mybsdf:roughness=0.3 --plugin mybsdf.py --against old --json
+  gonio-mi diff mybsdf --plugin mybsdf.py --save new.json
+  gonio-mi diff mybsdf --plugin mybsdf.py --against old --save old.json
+  gonio-mi diff old.json new.json
 
 The other environment needs Mitsuba and NumPy, nothing of this package.
 Exit code 3: something differs by more than errors explain.
@@ -49,7 +57,8 @@ def add_options(parser: ArgumentParser) -> None:
         parser,
         "specimens",
         "BSDF",
-        "BSDFs in one word, or scene files with one shape; none for Mitsuba's own",
+        "BSDFs in one word, or scene files with one shape; none for Mitsuba's own; "
+        "or two files of --save",
         nargs="*",
     )
     add_text(
@@ -57,7 +66,12 @@ def add_options(parser: ArgumentParser) -> None:
         "--against",
         "VENV",
         "the other virtual environment, or its Python",
-        required=True,
+    )
+    add_text(
+        parser,
+        "--save",
+        "JSON",
+        "compare nothing: save what --against says, or else this environment",
     )
     add_number(parser, "--seed", "S", "of the random numbers", 0)
     add_number(
@@ -73,11 +87,44 @@ def add_options(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    from ..versions import diff
+    from ..versions import diff_saved
     from ..versions.asking import interpreter
 
+    files = [word for word in options.specimens if word.endswith(".json")]
+    if files:
+        if len(files) != len(options.specimens) or len(files) != 2:
+            raise SettingError(
+                "diff compares BSDFs, or two files of --save, got "
+                f"{', '.join(map(shown, options.specimens))}"
+            )
+        return _told(diff_saved(*files, alpha=options.alpha), options)
+    if options.save is not None:
+        return _save(options)
+    if options.against is None:
+        raise SettingError("diff needs --against, two files of --save, or --save")
     interpreter(options.against)  # before anything else takes time
+    return _told(_compared(options), options)
+
+
+def _told(found: Iterable[Any], options: Namespace) -> int:
+    """Print what was found, and return the exit code."""
     answers: list[dict[str, Any]] = []
+    for one in found:
+        answers.append(one if isinstance(one, dict) else one.to_dict())
+        if not options.json:
+            tell(f"{one['name']}: {one['error']}" if isinstance(one, dict) else one)
+    if options.json:
+        print(json.dumps(answers, indent=2, allow_nan=False))
+    else:
+        same = sum(one["same"] for one in answers)
+        tell(f"{same} of {len(answers)} are the same")
+    return DONE if all(one["same"] for one in answers) else FAILED
+
+
+def _compared(options: Namespace) -> Iterator[Any]:
+    """Differences of each BSDF, or what went wrong with it if there are several."""
+    from ..versions import diff
+
     for name, specimen, parameters in _specimens(options):
         try:
             found = diff(
@@ -91,18 +138,31 @@ def run(options: Namespace) -> int:
         except SpecimenError as error:
             if len(options.specimens) == 1:
                 raise
-            answers.append({"name": name, "same": False, "error": sentence(error)})
+            yield {"name": name, "same": False, "error": sentence(error)}
         else:
-            found = replace(found, name=name)
-            answers.append(found.to_dict())
-        if not options.json:
-            tell(f"{name}: {answers[-1]['error']}" if "error" in answers[-1] else found)
-    if options.json:
-        print(json.dumps(answers, indent=2, allow_nan=False))
-    else:
-        same = sum(one["same"] for one in answers)
-        tell(f"{same} of {len(answers)} are the same")
-    return DONE if all(one["same"] for one in answers) else FAILED
+            yield replace(found, name=name)
+
+
+def _save(options: Namespace) -> int:
+    """Save what one environment says of each BSDF."""
+    from ..versions import save_answers, saved
+    from ..versions.asking import interpreter
+
+    check_output(options.save, (".json",))
+    python = interpreter(options.against or sys.executable)
+    entries = [
+        saved(
+            specimen,
+            python,
+            name=name,
+            parameters=parameters,
+            plugins=options.plugin,
+            seed=options.seed,
+        )
+        for name, specimen, parameters in _specimens(options)
+    ]
+    save_answers(options.save, entries)
+    return DONE
 
 
 def _specimens(options: Namespace) -> Iterator[tuple[str, Any, dict[str, Any]]]:

@@ -2,5 +2,6 @@
 
 from .differences import Difference, Differences
 from .differing import diff
+from .saving import diff_saved, save_answers, saved
 
-__all__ = ["Difference", "Differences", "diff"]
+__all__ = ["Difference", "Differences", "diff", "diff_saved", "save_answers", "saved"]

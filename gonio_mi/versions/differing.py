@@ -18,7 +18,7 @@ from ..validation.equality import BSDF_ROUNDING, SLACK, ULPS, is_many
 from .asking import Answers, Question, ask, interpreter
 from .differences import Difference, Differences
 
-__all__ = ["diff"]
+__all__ = ["alike", "asked_of", "diff"]
 
 # Polar angles of incidence in degrees and transport modes, on either side.
 VIEWS = (
@@ -77,20 +77,40 @@ def diff(
     check_variant()
     seed = checked_count("seed", seed, 0)
     alpha = checked_number("alpha", alpha, 1e-12, 1, "a probability in [1e-12, 1)")
-    conditions = tuple(
-        (theta, side, mode) for side in ("front", "back") for theta, mode in VIEWS
-    )
-    question = Question(
-        specimen, parameters or {}, mi.variant(), tuple(plugins), conditions, seed
-    )
+    question = asked_of(specimen, parameters, plugins, seed)
     there = interpreter(against)
     own = ask(sys.executable, question)
     wo = {name: x for name, x in own.arrays.items() if name.startswith("wo.")}
     other = ask(there, question, wo)
     name = specimen_name(specimen, dict(question.parameters))
+    return alike(name, question.conditions, own, other, alpha)
+
+
+def asked_of(
+    specimen: Any,
+    parameters: Mapping[str, Any] | None,
+    plugins: Sequence[str],
+    seed: int,
+) -> Question:
+    """What is asked of a BSDF, in the variant that is set."""
+    conditions = tuple(
+        (theta, side, mode) for side in ("front", "back") for theta, mode in VIEWS
+    )
+    return Question(
+        specimen, parameters or {}, mi.variant(), tuple(plugins), conditions, seed
+    )
+
+
+def alike(
+    name: str,
+    conditions: Sequence[tuple[float, str, str]],
+    own: Answers,
+    other: Answers,
+    alpha: float,
+) -> Differences:
+    """Differences of answers that were given at the same directions."""
     versions = own.facts["mitsuba"], other.facts["mitsuba"]
-    parts = tuple(_parts(conditions, own, other, alpha))
-    return Differences(name, versions, parts)
+    return Differences(name, versions, tuple(_parts(conditions, own, other, alpha)))
 
 
 def _parts(

@@ -1,0 +1,174 @@
+"""What one version of Mitsuba says of BSDFs, in one file; two such files compared.
+
+A file is JSON: a list with an entry for each BSDF, whose arrays are an ``.npz`` in
+base64. So versions need not be there at the same time, nor on the same machine.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from ..errors import FileFormatError, SettingError, checked_number
+from ..files.writing import replacing
+from ..instrument.loading import check_variant, specimen_name
+from ..validation.equality import SLACK, ULPS
+from .asking import Answers, Question, ask, interpreter
+from .differences import Differences
+from .differing import alike, asked_of
+
+__all__ = ["diff_saved", "save_answers", "saved"]
+
+FORMAT = "gonio-mi answers of a BSDF, 1"
+
+# Samples of each view that are kept; values are known at half of them.
+SAMPLES = 2**13
+
+# What is known at the directions of the lattice, and at those of samples.
+ROWS = ("eval", "pdf", "eval_slack", "pdf_slack", "wo")
+
+
+def saved(
+    specimen: Any,
+    python: str | PathLike[str],
+    *,
+    name: str | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    plugins: Sequence[str] = (),
+    seed: int = 0,
+) -> dict[str, Any]:
+    """What the Mitsuba of a virtual environment says of a BSDF, for JSON.
+
+    Parameters as of :func:`gonio_mi.versions.diff`; `name` is what the entry is called.
+    """
+    check_variant()
+    question = asked_of(specimen, parameters, plugins, seed)
+    answers = ask(interpreter(python), question)
+    content = io.BytesIO()
+    # single precision is what was answered
+    small = {
+        key: x.astype(np.int32 if key.startswith(("index", "type")) else np.float32)
+        for key, x in _first(answers.arrays).items()
+    }
+    np.savez_compressed(content, allow_pickle=False, **small)
+    return {
+        "format": FORMAT,
+        "name": name or specimen_name(specimen, dict(question.parameters)),
+        "asked": _asked(question),
+        "facts": answers.facts,
+        "arrays": base64.b64encode(content.getvalue()).decode(),
+    }
+
+
+def save_answers(
+    path: str | PathLike[str], entries: Sequence[Mapping[str, Any]]
+) -> None:
+    """Write entries of :func:`saved` to a file."""
+    with replacing(path) as file:
+        file.write(json.dumps(list(entries), indent=1).encode())
+
+
+def diff_saved(
+    first: str | PathLike[str], second: str | PathLike[str], *, alpha: float = 1e-3
+) -> list[Differences]:
+    """Compare what two files of :func:`save_answers` say, BSDF by BSDF.
+
+    Values are compared at the directions that both have: a lattice on the sphere, and
+    the samples that are the same in both.
+
+    Raises
+    ------
+    FileFormatError
+        If a file is none of these.
+    SettingError
+        If they hold other BSDFs, or were asked otherwise.
+    """
+    alpha = checked_number("alpha", alpha, 1e-12, 1, "a probability in [1e-12, 1)")
+    own, other = _read(first), _read(second)
+    if own.keys() != other.keys():
+        only = sorted(own.keys() ^ other.keys())
+        raise SettingError(f"both files must hold the same BSDFs, got {only[0]} in one")
+    found = []
+    for name, (asked, mine) in own.items():
+        also, others = other[name]
+        if asked != also:
+            key = next(key for key in asked if asked[key] != also.get(key))
+            raise SettingError(
+                f"both files must ask {name} with the same {key}, got {asked[key]} and "
+                f"{also.get(key)}"
+            )
+        places = [tuple(one) for one in asked["conditions"]]
+        found.append(alike(name, places, *_aligned(mine, others), alpha))
+    return found
+
+
+def _first(arrays: Mapping[str, Any]) -> dict[str, Any]:
+    """Arrays without the samples that are too many for a file."""
+    return {
+        key: x if key.partition(".")[0] in (*ROWS, "index") else x[:SAMPLES]
+        for key, x in arrays.items()
+    }
+
+
+def _asked(question: Question) -> dict[str, Any]:
+    """What must be the same in two files."""
+    return {
+        "variant": question.variant,
+        "seed": question.seed,
+        "conditions": [list(one) for one in question.conditions],
+    }
+
+
+def _read(path: str | PathLike[str]) -> dict[str, tuple[dict[str, Any], Answers]]:
+    """Question and answers by name of the BSDF."""
+    try:
+        with open(path, "rb") as file:
+            entries = json.load(file)
+        found = {}
+        for entry in entries:
+            if entry["format"] != FORMAT:
+                raise ValueError
+            content = io.BytesIO(base64.b64decode(entry["arrays"], validate=True))
+            with np.load(content, allow_pickle=False) as arrays:
+                answers = Answers(entry["facts"], dict(arrays))
+            found[str(entry["name"])] = (dict(entry["asked"]), answers)
+    except OSError as error:
+        raise FileFormatError(f"{path} cannot be read: {error.strerror}") from None
+    except (ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile):
+        raise FileFormatError(
+            f"{path} holds no answers of `gonio-mi diff --save`"
+        ) from None
+    return found
+
+
+def _aligned(own: Answers, other: Answers) -> tuple[Answers, Answers]:
+    """Both, at the directions that they have in common."""
+    n = sum(name.startswith("wo.") for name in own.arrays)
+    first, second = dict(own.arrays), dict(other.arrays)
+    for i in range(n):
+        rows, index = _common(own.at(i), other.at(i))
+        for arrays, kept in zip((first, second), rows):
+            for name in ROWS:
+                arrays[f"{name}.{i}"] = arrays[f"{name}.{i}"][kept]
+            arrays[f"index.{i}"] = index
+    return Answers(own.facts, first), Answers(other.facts, second)
+
+
+def _common(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[list[Any], Any]:
+    """Rows of the same directions in either, and numbers of their samples."""
+    starts = [len(x["wo"]) - len(x["index"]) for x in (a, b)]
+    index, *places = np.intersect1d(
+        a["index"], b["index"], assume_unique=True, return_indices=True
+    )
+    at = [start + place for start, place in zip(starts, places)]
+    off = np.abs(a["wo"][at[0]] - b["wo"][at[1]]).max(axis=1, initial=0)
+    same = off <= SLACK * ULPS
+    lattice = np.arange(min(starts))
+    return [np.concatenate([lattice, x[same]]) for x in at], index[same]
