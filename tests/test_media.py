@@ -22,6 +22,7 @@ from slabs import NULL, medium, rectangle, stack
 
 from gonio_mi.benchmark.discrete_ordinates import henyey_greenstein, theory
 from gonio_mi.results.summary import summarize
+from gonio_mi.transport import sampling
 from gonio_mi.transport.pace import Pace
 
 SCENES = Path(__file__).parents[1] / "scenes"
@@ -154,20 +155,24 @@ def test_channels_that_differ(estimator):
 @pytest.mark.usefixtures("rgb")
 @pytest.mark.parametrize("estimator", ["weighted", "analog"])
 def test_bits_however_launches_are_cut(estimator, monkeypatch):
-    """As rays of one launch or of several, on the channels' own powers too."""
+    """As rays of one launch or of several, each in a lane or one after the other.
+
+    On the channels' own powers too.
+    """
     one = coloured([0.2, 1.0, 4.0], [0.6, 0.9, 0.99])
 
-    def record(longest):
+    def record(longest, relayed):
         monkeypatch.setattr(
             Pace,
             "next_part",
             lambda _, begin, end, most: min(longest, most, end - begin),
         )
+        monkeypatch.setattr(sampling, "MOST_RELAYED", relayed)
         settings = {"period": "box", "rays": 6000, "batches": 2}
         return measured(stack(one), sampler="sobol", estimator=estimator, **settings)
 
-    whole, parts = record(2**20), record(1501)
-    assert np.array_equal(whole.tallies[0].sums, parts.tallies[0].sums)
+    whole, parts, alone = record(2**20, 64), record(1501, 64), record(2**20, 1)
+    assert whole.tallies == parts.tallies == alone.tallies
     assert not np.array_equal(*np.moveaxis(whole.tallies[0].sums, -1, 0)[:2])
 
 

@@ -230,7 +230,7 @@ def test_orders_tell_single_from_multiple_scattering():
     rings = np.sum(single * mu * half * weights, axis=1)[::-1]
     patches = np.broadcast_to(rings[:, None] * np.pi / 3, whole.subdivision.shape)
     agree(verdict(scores(parts["1"], patches)))
-    disagree(verdict(scores(parts["1"], 1.03 * patches)))
+    disagree(verdict(scores(parts["1"], 1.06 * patches)))
 
 
 def test_what_is_no_layer_is_traced():

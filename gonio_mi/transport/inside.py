@@ -131,25 +131,22 @@ def trace_inside(
     sampler: mi.Sampler,
     wavelengths: mi.Spectrum,
     settings: PathSettings,
-) -> Exits:
+    relay: Any,
+) -> None:
     """Follow every ray through surfaces and media until it leaves, ends or is cut off.
 
-    The `depth` of the exits counts scatterings inside of media.
+    A lane whose ray has ended takes the next one from the `relay`, a
+    :class:`~.sampling.Relay`, and gives it the exits of the last one. Their `depth`
+    counts scatterings inside of media.
     """
-    p, wi, distance, weight = beam.sample(sampler, wavelengths)
-    β = emitted(weight, sampler, settings.analog, beam.uniform)
     apart = differ_by_channel(specimen.media, wavelengths)
     homogeneous = all(medium.is_homogeneous() for medium in specimen.media)
     # whole numbers of rays, unless channels share them: then in the end
-    analog, roulette = settings.analog and not apart, settings.roulette
+    counted = settings.analog
+    analog, roulette = counted and not apart, settings.roulette
     n = len(mi.Spectrum())
-    hero = mi.UInt32(sampler.next_1d() * n) if apart else mi.UInt32(0)
-
-    start = dr.minimum(distance, specimen.reach * START / dr.abs(wi.z))
-    ray = mi.Ray3f(p + start * wi, -wi)
-    ray.wavelengths = wavelengths
-    flight: Any = path.start(ray)
     together = beam.footprint != "point"
+    passed = Fate.DIRECT if specimen.periodic else Fate.MISSED
 
     ctx = flux_context()
     phase_ctx = mi.PhaseFunctionContext(None, mi.TransportMode.Importance)
@@ -157,18 +154,40 @@ def trace_inside(
     max_scatterings = dr.opaque(mi.UInt32, settings.max_scatterings)
     rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
 
-    lit = dr.any(β > 0)
-    incident = mi.Spectrum(β)  # Power that met the specimen
+    coming = relay.first()  # Number of the ray that each lane sends next
+    which = mi.UInt32(coming)  # Of the one that it follows
+    hero = mi.UInt32(0)  # Channel whose free path it takes
+    β = mi.Spectrum(0)  # Power left
+    incident = mi.Spectrum(0)  # Power that met the specimen
     chance = mi.Spectrum(1)  # Probability of the path by channel, over the hero's
     depth = mi.UInt32(0)  # Surface events so far
     scatterings = mi.UInt32(0)  # Events inside of media so far
     touched = mi.Bool(False)  # Any of them but the passing of a null boundary?
     medium = dr.zeros(mi.MediumPtr)  # Around the ray; none is air
-    passed = Fate.DIRECT if specimen.periodic else Fate.MISSED
-    fate = dr.select(lit, mi.UInt32(passed), mi.UInt32(Fate.UNLIT))
-    active = mi.Bool(lit)  # Still in flight?
+    fate = mi.UInt32(Fate.UNLIT)
+    flight: Any = path.start(dr.zeros(mi.Ray3f))
+    active = mi.Bool(False)  # Still in flight?
 
-    while active:
+    while active | relay.has(coming):
+        # -------------------------------- New rays ------------------------------------
+        if ~active:
+            which = mi.UInt32(coming)
+            coming = relay.begin(sampler, which)
+            p, wi, distance, weight = beam.sample(sampler, wavelengths)
+            β = emitted(weight, sampler, counted, beam.uniform)
+            hero = mi.UInt32(sampler.next_1d() * n) if apart else mi.UInt32(0)
+            start = dr.minimum(distance, specimen.reach * START / dr.abs(wi.z))
+            ray = mi.Ray3f(p + start * wi, -wi)
+            ray.wavelengths = wavelengths
+            flight = path.start(ray)
+            active = dr.any(β > 0)
+            incident = mi.Spectrum(β)
+            chance = mi.Spectrum(1)
+            depth, scatterings = mi.UInt32(0), mi.UInt32(0)
+            touched = mi.Bool(False)
+            medium = dr.zeros(mi.MediumPtr)
+            fate = dr.select(active, mi.UInt32(passed), mi.UInt32(Fate.UNLIT))
+
         ray = flight.ray
         first = (depth == 0) & (scatterings == 0)
         inside = active & (medium != None)  # noqa: E711 (each lane)
@@ -259,17 +278,32 @@ def trace_inside(
         path.proceed(flight, si, met, at_surface, wo)
         active = at_surface | stays | goes_on
 
+        # ---------------------------- Rays that have ended ----------------------------
+        if ~active:
+            left = mi.Spectrum(β)
+            if dr.hint(apart, mode="scalar"):
+                left /= _mean(chance)
+            if dr.hint(apart and counted, mode="scalar"):
+                left = whole_number(left, sampler.next_1d(), sampler.next_1d())
+            relay.arrive(which, _exits(path, flight, left, fate, incident, scatterings))
+
+
+def _exits(
+    path: Geometry | Layers,
+    flight: Any,
+    left: mi.Spectrum,
+    fate: mi.UInt32,
+    incident: mi.Spectrum,
+    scatterings: mi.UInt32,
+) -> Exits:
+    """Exits of rays that have ended, with the power that is `left`."""
     ray = flight.ray
-    if apart:
-        β = β / _mean(chance)
-    if apart and settings.analog:
-        β = whole_number(β, sampler.next_1d(), sampler.next_1d())
-        none = (fate == mi.UInt32(Fate.REFLECTED)) & ~dr.any(β > 0)
-        fate = dr.select(none, mi.UInt32(Fate.ABSORBED_INSIDE), fate)
+    none = (fate == mi.UInt32(Fate.REFLECTED)) & ~dr.any(left > 0)
+    fate = dr.select(none, mi.UInt32(Fate.ABSORBED_INSIDE), fate)
     incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
     sideways = (fate == mi.UInt32(Fate.REFLECTED)) & path.by_a_side(flight)
     fate = dr.select(sideways, mi.UInt32(Fate.SIDEWAYS), fate)
-    return Exits(ray.o + flight.shift, ray.d, β, fate, incident, scatterings)
+    return Exits(ray.o + flight.shift, ray.d, left, fate, incident, scatterings)
 
 
 def _mean(spectrum: mi.Spectrum) -> mi.Float:

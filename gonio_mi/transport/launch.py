@@ -9,11 +9,12 @@ import drjit as dr
 import mitsuba as mi
 
 from ..settings.measurement_settings import MeasurementSettings
+from ..settings.orders import UNLIMITED
 from .bench import Bench
 from .inside import Geometry, trace_inside
 from .loop import Exits, PathSettings, scatter_plane, trace
 from .next_event import Deposits
-from .sampling import apart, continues, in_turns, seeded, turns_of
+from .sampling import Relay, apart, continues, in_turns, relay_turns, seeded, turns_of
 from .scattering_order import of_order
 from .sums import Sums, Totals
 
@@ -57,7 +58,10 @@ def launch(
     counted = settings.estimator == "analog"
     deposited = settings.estimator == "next_event"
     traced = traces(bench, settings)
+    inside = bool(bench.specimen.media)
     turns = 1 if traced else turns_of(bench.sampler, sizes[0])
+    if inside and continues(bench.sampler):
+        turns = relay_turns(bench.sampler, sizes[0])
     lanes = -(-sizes[0] // turns)
     if traced and len(sizes) * lanes == 1:
         lanes = 2  # in a single one Dr.Jit 1.5 takes a loop's variables for constants
@@ -74,7 +78,9 @@ def launch(
         full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
         size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
         rays = _Rays(bench, settings, wavelengths, sums, batch, size)
-        if continues(sampler) and not traced:
+        if inside:
+            rays.relay(sampler, ray, sizes[0])
+        elif continues(sampler) and not traced:
             in_turns(rays.add, sampler, ray, lanes, turns)
         else:
             rays.add(sampler, ray)
@@ -115,6 +121,7 @@ class _Rays:
     ) -> None:
         self.bench, self.settings, self.wavelengths = bench, settings, wavelengths
         self.sums, self.batch, self.size = sums, batch, size
+        self.ray: Any = None
 
     def add(self, sampler: mi.Sampler, ray: mi.UInt32) -> None:
         """Add to the sums what becomes of one ray per lane, number `ray` of a batch."""
@@ -131,6 +138,41 @@ class _Rays:
         if deposits is not None:
             deposits.add_exits(bins, exits)
 
+    def relay(self, sampler: mi.Sampler, ray: mi.UInt32, rays: int) -> None:
+        """Add to the sums what becomes of all rays, which scatter inside of media."""
+        specimen, beam = self.bench.specimen, self.bench.beam
+        path: Any = self.bench.layers
+        if transport_of(self.bench, self.settings) == "traced":
+            path = Geometry(specimen, beam.side)
+        if not continues(sampler):
+            rays = dr.width(ray)
+            # what rays of any number are looked up in
+            self.batch, self.size = (
+                x + dr.zeros(mi.UInt32, rays) for x in (self.batch, self.size)
+            )
+            dr.eval(self.batch, self.size, ray)
+            self.ray = ray
+        trace_inside(
+            specimen,
+            path,
+            beam,
+            sampler,
+            self.wavelengths,
+            _path_settings(self.bench, self.settings),
+            Relay(sampler, rays, self._arrive),
+        )
+
+    def _arrive(self, number: mi.UInt32, exits: Exits) -> None:
+        """Add to the sums what has become of some rays of a relay."""
+        exits = of_order(exits, self.settings.order)
+        ray, batch, size = number, self.batch, self.size
+        if self.ray is not None:
+            ray, batch, size = (
+                dr.gather(mi.UInt32, x, number)
+                for x in (self.ray, self.batch, self.size)
+            )
+        self.sums.add(self.bench.bins(exits), exits, ray < size, batch)
+
 
 def _exits(
     bench: Bench,
@@ -140,28 +182,30 @@ def _exits(
     deposits: Deposits | None,
 ) -> Exits:
     """Follow the rays by the cheapest transport that is exact for the specimen."""
+    how = _path_settings(bench, settings)
+    if traces(bench, settings):
+        exits = trace(bench.specimen, bench.beam, sampler, wavelengths, how, deposits)
+    else:
+        plane = bench.specimen.plane
+        exits = scatter_plane(plane, bench.beam, sampler, wavelengths, how)
+    return of_order(exits, settings.order)
+
+
+def _path_settings(bench: Bench, settings: MeasurementSettings) -> PathSettings:
+    """How rays are followed."""
     analog = settings.estimator == "analog"
     rr_depth = settings.rr_depth
     # counted rays live or die at each event as it is, and stay whole
     roulette = rr_depth >= 0 and not analog
     media, most = bool(bench.specimen.media), settings.order.most
-    how = PathSettings(
+    # rays that are cut off would leave other numbers to those after them in the lane
+    shared = media and continues(bench.sampler)
+    return PathSettings(
         analog=analog,
         # nothing that comes later is collected
         max_depth=settings.max_depth if media else min(settings.max_depth, most),
         rr_depth=rr_depth if roulette else 2**32 - 1,
         delta_only=settings.estimator == "quadrature",
-        max_scatterings=min(settings.max_scatterings, most),
+        max_scatterings=min(settings.max_scatterings, UNLIMITED if shared else most),
         roulette=roulette,
     )
-    specimen, beam = bench.specimen, bench.beam
-    if media:
-        path: Any = bench.layers
-        if transport_of(bench, settings) == "traced":
-            path = Geometry(specimen, beam.side)
-        exits = trace_inside(specimen, path, beam, sampler, wavelengths, how)
-    elif traces(bench, settings):
-        exits = trace(specimen, beam, sampler, wavelengths, how, deposits)
-    else:
-        exits = scatter_plane(specimen.plane, beam, sampler, wavelengths, how)
-    return of_order(exits, settings.order)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -11,10 +12,12 @@ import numpy as np
 from ..errors import SettingError
 
 __all__ = [
+    "Relay",
     "apart",
     "check_sampler",
     "continues",
     "in_turns",
+    "relay_turns",
     "sampler_name",
     "seeded",
     "turns_of",
@@ -46,6 +49,12 @@ def sampler_name(sampler: mi.Sampler) -> str:
 # Rays of a lane, and lanes that keep all threads busy. They take part in the seeding.
 MOST_TURNS = 16
 FEWEST_LANES = 2**16
+
+# The same of a relay, whose rays may be a thousand times as long as others; and lanes
+# of each thread, of samplers whose numbers are the same in any lane.
+MOST_RELAYED = 2**10
+FEWEST_RELAYING = 2**10
+FEWEST_IN_A_THREAD = 2**7
 
 
 def check_sampler(label: str, sampler: mi.Sampler) -> None:
@@ -113,6 +122,63 @@ def in_turns(
     while turn < turns:
         add(sampler, ray + turn * lanes)
         turn += 1
+
+
+class Relay:
+    """Rays that lanes send one after the other, each when its last one has ended.
+
+    Else all lanes of a vector would wait for the longest of their paths.
+
+    Parameters
+    ----------
+    sampler : mi.Sampler
+        Seeded for all rays, or if it `continues`, for one of each lane. It becomes that
+        of the lanes.
+    rays : int
+    arrive : callable
+        ``arrive(number, exits)`` is told what has become of rays, by their numbers.
+    """
+
+    def __init__(
+        self,
+        sampler: mi.Sampler,
+        rays: int,
+        arrive: Callable[[mi.UInt32, Any], None],
+    ) -> None:
+        self.arrive = arrive
+        # in a single lane Dr.Jit 1.5 takes a loop's variables for constants
+        self._n = max(2, -(-rays // relay_turns(sampler, rays)))
+        self._lane = dr.arange(mi.UInt32, self._n)
+        self._points: Any = None
+        if hasattr(sampler, "go_to"):
+            self._points = sampler.points()
+            dr.eval(self._points)
+            sampler.go_to(*(dr.zeros(mi.UInt32, self._n) for _ in self._points))
+        self._step, self._end = (dr.opaque(mi.UInt32, n) for n in (self._n, rays))
+
+    def first(self) -> mi.UInt32:
+        """Numbers of the first ray of each lane."""
+        return mi.UInt32(self._lane)
+
+    def has(self, number: mi.UInt32) -> mi.Bool:
+        """Whether there are such rays."""
+        return number < self._end
+
+    def begin(self, sampler: mi.Sampler, number: mi.UInt32) -> mi.UInt32:
+        """Let `sampler` draw for the rays of such numbers; those of the ones after."""
+        if self._points is not None:
+            sampler.go_to(*(dr.gather(mi.UInt32, x, number) for x in self._points))
+        return number + self._step
+
+
+def relay_turns(sampler: mi.Sampler, rays: int) -> int:
+    """Rays that a lane of a relay sends one after the other, of so many in all."""
+    fewest = FEWEST_RELAYING
+    if hasattr(sampler, "go_to"):
+        fewest = FEWEST_IN_A_THREAD * dr.thread_count()
+    elif not continues(sampler):
+        return 1
+    return max(1, min(MOST_RELAYED, rays // fewest))
 
 
 def apart(lane: mi.UInt32, n: int) -> tuple[mi.UInt32, mi.UInt32]:

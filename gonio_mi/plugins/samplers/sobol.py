@@ -374,6 +374,15 @@ class Sobol(mi.Sampler):
             number = dr.select(lane == 0, number, self.per_sequence)  # of nobody
         return sequence, number
 
+    def points(self) -> tuple[mi.UInt32, mi.UInt32]:
+        """Index and key of the point of each lane, for :meth:`go_to`."""
+        every = dr.zeros(mi.UInt32, dr.width(self.index))
+        return self.index + every, self.key + every
+
+    def go_to(self, index: mi.UInt32, key: mi.UInt32) -> None:
+        """Draw the numbers of other points, from their first."""
+        self.index, self.key, self.draw = index, key, mi.UInt32(0)
+
     def advance(self) -> None:
         """Go on by one wavefront."""
         self.index = self.index + self.wavefront_size()
