@@ -19,6 +19,7 @@ from gonio_mi.exports import exporting, radiance_export, resampling
 from gonio_mi.exports.loss import in_words
 from gonio_mi.files import radiance_xml
 from gonio_mi.files.radiance_bsdf import RadianceBSDF
+from gonio_mi.instrument.loading import parse_specimen
 
 KLEMS = Klems()
 OMEGA = KLEMS.projected_solid_angles
@@ -365,3 +366,37 @@ def test_a_coloured_face_and_a_black_back(tmp_path):
     # every ray has this weight; seven digits, and the matrices to XYZ and back
     assert np.allclose(seen.sum(axis=0), colour["value"], rtol=20 * DIGITS)
     assert (np.abs(file.values("back", 0, 40.0, 80.0, wo)) <= DIGITS).all()
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_grain_is_told_of_a_tree_of_rank_3(tmp_path, recwarn):
+    """And none of what is the same at all azimuths, with light in deltas or not."""
+    path, few = tmp_path / "tree.xml", {"cells": 4, "rays": 16}
+    brushed = {"type": "roughconductor", "alpha_u": 0.1, "alpha_v": 0.3}
+    with pytest.warns(RuntimeWarning, match=r"not isotropic.*take tensor4 or klems"):
+        gonio.bsdf(brushed, path, "tensor3", **few)
+    recwarn.clear()
+    for even in ("roughdielectric:alpha=0.2", "thindielectric", "conductor"):
+        gonio.bsdf(parse_specimen(even), path, "tensor3", **few)
+    gonio.bsdf(brushed, path, "tensor4", **few)
+    assert not recwarn.list
+
+
+@pytest.mark.usefixtures("mono")
+def test_light_that_leaves_over_the_edge_is_told(tmp_path, recwarn):
+    """Of a pane without a period; with one there is none."""
+    faces = {
+        f"face{z}": {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().translate([0, 0, z]).rotate(*turn),
+            "bsdf": {"type": "dielectric"},
+        }
+        for z, turn in ((0, ([0, 0, 1], 0)), (-1, ([1, 0, 0], 180)))
+    }
+    scene, path = mi.load_dict({"type": "scene"} | faces), tmp_path / "pane.xml"
+    with pytest.warns(RuntimeWarning, match="left sideways, over the edge") as told:
+        gonio.bsdf(scene, path, "klems-quarter", rays=64)
+    assert all("in no patch of the file" in str(one.message) for one in told)
+    recwarn.clear()
+    gonio.bsdf(scene, path, "klems-quarter", rays=64, period=2)
+    assert not recwarn.list

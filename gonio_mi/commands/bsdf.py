@@ -134,7 +134,9 @@ def run(options: Namespace) -> int:
     if not options.quiet:
         for name, record in records.items():
             tell(_line(name, luminous(record)))
-        rays = sum(record.ledger.emitted for record in records.values())
+        # of wavelengths, visible and solar records are of the same rays
+        sent = records if options.solar is not None else ("front", "back")
+        rays = sum(records[name].ledger.emitted for name in sent)
         kind = "" if "solar front" in records else ", no block Solar"
         tell(
             f"{options.output}: {options.basis}{kind}, {rays:.3g} rays, {seconds:.0f} s"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,14 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..collector import subdivision
+from ..collector import EqualProjectedSolidAngle, subdivision
 from ..collector.directions import direction
 from ..errors import SettingError, checked_choice
 from ..files import check_output
 from ..files.radiance_xml import Product
 from ..instrument.campaigns import campaign
 from ..instrument.measurement import measure_whole
+from ..results.misplacement import misplaced
 from ..results.record import Record
 from ..settings.parsed import checked_wavelengths
 from .daylight import VISIBLE, VISIBLE_NM, of_daylight
@@ -29,6 +31,9 @@ RAYS = 2**16
 
 # Cells per axis of tensor trees: of rank 3 and 4.
 CELLS = {"tensor3": 32, "tensor4": 16}
+
+# Rays, patches and the part of the light that tell an anisotropic specimen.
+TRIAL, SECTORS, ANISOTROPIC = 2**14, EqualProjectedSolidAngle(4, 24), 0.02
 
 # What the file decides, and not its user.
 FIXED = ("theta_i", "phi_i", "incident", "collector", "side", "hemispheres")
@@ -109,6 +114,7 @@ def bsdf(
     if all(settings.get(name) is None for name in ("rays", "rel_err", "noise")):
         settings["rays"] = RAYS
     if basis == "tensor3":
+        _warn_unless_isotropic(specimen, settings)
         settings["theta_i"] = np.degrees(incident.middles[0][:, 1])
         settings["phi_i"] = 180.0
     settings |= {"incident": incident, "collector": collector}
@@ -122,6 +128,28 @@ def bsdf(
     export(light, path, basis, product=product, solar=sunlight)
     records = dict(zip(("front", "back"), light))
     return records | dict(zip(("solar front", "solar back"), sunlight))
+
+
+def _warn_unless_isotropic(specimen: Any, settings: dict[str, Any]) -> None:
+    """Warn of a specimen that turned by 45 or 90 degrees sends light elsewhere."""
+    asked = {"rays": TRIAL, "rel_err": None, "noise": None, "collector": SECTORS}
+    n = SECTORS.shape[1]
+    for side in ("front", "back"):
+        azimuths = 7.5, 52.5, 97.5  # middles of sectors
+        given = settings | asked | {"side": side}
+        found = measure_whole(specimen, 40, azimuths, **given)
+        for k in (1, 2):
+            turned = np.roll(found.flux_fraction[0], k * n // 8, axis=2)
+            missed = misplaced(found[k], turned)
+            if missed.exceeds(ANISOTROPIC):
+                warnings.warn(
+                    "the specimen is not isotropic, as the basis tensor3 takes it: "
+                    f"turned by {45 * k} degrees it sends {missed.error:.0%} of its "
+                    "light elsewhere; take tensor4 or klems",
+                    RuntimeWarning,
+                    stacklevel=3,
+                )
+                return
 
 
 def _side(

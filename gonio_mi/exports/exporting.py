@@ -39,6 +39,16 @@ ENDINGS = (
 )
 ZEMAX = ".zemax.bsdf"
 
+# Rays whose light no patch receives, and the part of all that is told.
+LOST = {
+    "sideways": "left sideways, over the edge of the specimen: measure one cell of it "
+    "with a period, or take a smaller footprint",
+    "astray": "went astray: a shape with a medium is open or overlaps another",
+    "truncated": "were truncated by max_depth or max_scatterings",
+    "invalid": "are invalid, by what the BSDF returned",
+}
+MOST_LOST = 1e-3
+
 
 def export(
     record: Record | Sequence[Record],
@@ -51,8 +61,9 @@ def export(
     """Write a record to a file of another tool, and say what was lost.
 
     What was written is read back, for Mitsuba's `measured` measured anew, and compared.
-    A warning tells of a specimen that was missed by a relevant part of the rays, and of
-    light that a file .xml has no words for: a side, or angles of incidence.
+    A warning tells of a specimen that was missed by a relevant part of the rays, of
+    rays whose light is in no patch, and of light that a file .xml has no words for: a
+    side, or angles of incidence.
 
     Parameters
     ----------
@@ -102,6 +113,7 @@ def export(
         raise SettingError("record must be one record or more, got none")
     for one in records:
         _warn_of_openings(one)
+        _warn_of_lost_light(one)
     if ending == ".xml":
         return write_radiance(records, path, basis, product, solar)
     if len(records) > 1 or product is not None or solar:
@@ -128,6 +140,20 @@ def _warn_of_openings(record: Record) -> None:
             RuntimeWarning,
             stacklevel=3,
         )
+
+
+def _warn_of_lost_light(record: Record) -> None:
+    """Warn of light that left the specimen, or was given up, and is in no patch."""
+    ledger = record.ledger
+    for row, words in LOST.items():
+        share = ledger.rows[row] / max(ledger.emitted, 1)
+        if share > MOST_LOST:
+            warnings.warn(
+                f"{share:.2%} of the rays {words}; their light is in no patch of the "
+                "file",
+                RuntimeWarning,
+                stacklevel=3,
+            )
 
 
 def _csv(record: Record, path: str | PathLike[str]) -> list[Loss]:
