@@ -1,8 +1,9 @@
-"""``gonio-mi fit``: find the parameters of a BSDF from a record.
+"""``gonio-mi fit``: find the parameters of a BSDF from a record or a measured table.
 
-Find the parameters with which a BSDF is closest to a record, their uncertainties from
-the record's own noise, and what the model cannot follow. A rough model without its
-distribution is tried with both, Beckmann and GGX, the closer one first.
+Find the parameters with which a BSDF is closest to a record or to a table of measured
+values, their uncertainties from the noise of the one or what the other states, and what
+the model cannot follow. A rough model without its distribution is tried with both,
+Beckmann and GGX, the closer one first.
 """
 
 import json
@@ -11,14 +12,17 @@ from collections.abc import Iterator
 
 from .. import files
 from ..errors import SettingError
+from ..files.channels import wavelengths_nm
+from ..files.measured_table import MeasuredTable
+from ..results.record import Record
 from .arguments import (
     DEFAULT_VARIANT,
     DONE,
     add_files,
-    add_record,
     set_variant,
     tell,
 )
+from .table_options import add_table_options, table_of
 
 __all__ = ["add_options", "run"]
 
@@ -29,6 +33,7 @@ examples:
   gonio-mi fit run.npz roughconductor
   gonio-mi fit run.npz roughconductor:distribution=ggx principled -o fits.png
   gonio-mi fit run.npz roughconductor:material=Al --free alpha_u alpha_v
+  gonio-mi fit table.csv roughplastic --quantity brdf -o fit.png fit.csv
   gonio-mi fit run.npz mybsdf:tint=0.5 --free weight=0:1 --plugin mybsdf.py
 """
 
@@ -38,7 +43,12 @@ ROUGH = ("roughconductor", "roughdielectric", "roughplastic")
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    add_record(parser)
+    parser.add_argument(
+        "record",
+        metavar="RECORD",
+        help="an .exr or .npz file, or a table of measured values, in any of the "
+        "formats of gonio-mi compare",
+    )
     parser.add_argument(
         "models",
         metavar="MODEL",
@@ -54,9 +64,11 @@ def add_options(parser: ArgumentParser) -> None:
         "the model)",
     )
     add_files(parser, "--plugin", text="Python files that register your own plugins")
+    add_table_options(parser.add_argument_group("table"))
     parser.add_argument("--json", action="store_true", help="for machines")
-    text = "a picture of record and models (.png, .pdf, .svg); a record of what the "
-    add_files(parser, "-o", "--output", text=text + "closest model predicts (.npz)")
+    text = "a picture of record and models (.png, .pdf, .svg); what the closest model "
+    text += "predicts, a record (.npz, .exr) or a table (.csv)"
+    add_files(parser, "-o", "--output", text=text)
 
 
 def run(options: Namespace) -> int:
@@ -67,13 +79,20 @@ def run(options: Namespace) -> int:
     from ..plots.drawable import FIGURE_ENDINGS, check_picture
 
     pictures = [path for path in options.output if path.endswith(FIGURE_ENDINGS)]
-    records = [path for path in options.output if path not in pictures]
+    predictions = [path for path in options.output if path not in pictures]
     for path in pictures:
         check_picture(path)
-    for path in records:
-        files.check_output(path, files.ENDINGS)
-    record = files.load(options.record)
-    set_variant(record.settings.get("variant", DEFAULT_VARIANT))
+    is_record = options.record.lower().endswith(files.ENDINGS)
+    for path in predictions:
+        files.check_output(path, files.ENDINGS if is_record else (".csv",))
+    record: Record | MeasuredTable
+    if is_record:
+        record = files.load(options.record)
+        set_variant(record.settings.get("variant", DEFAULT_VARIANT))
+    else:
+        record = table_of(options.record, options)
+        is_wavelength = wavelengths_nm([record.channel or ""]) is not None
+        set_variant("llvm_ad_spectral" if is_wavelength else DEFAULT_VARIANT)
     for path in options.plugin:
         load_plugin_file(path)
     fits = [
@@ -81,16 +100,18 @@ def run(options: Namespace) -> int:
         for given in options.models
         for model in _distributions(given)
     ]
-    fits.sort(key=lambda one: one.chi2)
+    fits.sort(key=lambda one: (one.scatter, one.chi2))
     if options.json:
         found = [one.to_dict() for one in fits]
         print(json.dumps(found, indent=2, allow_nan=False))
     else:
         for one in fits:
             tell(one)
+        for note in () if isinstance(record, Record) else record.notes:
+            tell(f"note: {note}")
     for path in pictures:
         fit_figure(fits, path)
-    for path in records:
+    for path in predictions:
         fits[0].prediction.save(path)
     return DONE
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["comparison_figure"]
+__all__ = ["comparison_figure", "points_in_profile"]
 
 
 MAX_PANELS = 6
@@ -72,7 +72,7 @@ def _draw(
     own = (comparison.theta_i == theta_i) & (comparison.phi_i == phi_i)
     own &= comparison.channel == channel
     points = np.flatnonzero(own)
-    x, in_plane, label = _profile(
+    x, in_plane, label = points_in_profile(
         comparison.theta_o[points], comparison.phi_o[points], phi_i
     )
     points, x = points[in_plane], x[in_plane]
@@ -107,7 +107,9 @@ def _draw(
     below.set_xlabel(label)
 
 
-def _profile(theta_o: Floats, phi_o: Floats, phi_i: float) -> tuple[Floats, Flags, str]:
+def points_in_profile(
+    theta_o: Floats, phi_o: Floats, phi_i: float
+) -> tuple[Floats, Flags, str]:
     """Abscissa of each point, which points lie in the profile, and the axis label."""
     ahead = _turn(phi_o - phi_i - 180)
     back = _turn(phi_o - phi_i)

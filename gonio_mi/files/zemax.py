@@ -9,6 +9,8 @@ values are BRDF or BTDF in 1/sr. ``ScatterRadial`` counts from the specular dire
 the azimuths 0 to 180 stand for both sides. Where the radial angles end before the
 horizon, the last value is taken to go on. For transmission the axis is the direction
 straight on, and ``AngleOfIncidence`` is its angle, as if nothing were refracted.
+``SampleRotation`` is the azimuth of incidence, and azimuths of exit turn counter-
+clockwise about the axis, as R. Kimura's libbsdf reads them.
 """
 
 import re

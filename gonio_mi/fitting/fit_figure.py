@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import SettingError
+from ..files.measured_table import MeasuredTable
 from ..plots.drawable import check_matplotlib, check_picture, save_picture
+from .points_figure import points_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,6 +44,11 @@ def fit_figure(fits: Any, path: str | PathLike[str] | None = None) -> Figure:
         raise SettingError("fits must be of one record to be drawn together")
     if path is not None:
         check_picture(path)
+    if isinstance(record, MeasuredTable) or record.subdivision.axes is not None:
+        figure = points_figure(fits)
+        if path is not None:
+            save_picture(figure, path)
+        return figure
     last = len(record) - 1
     shown = np.unique(np.linspace(0, last, min(MOST_DIRECTIONS, last + 1)).round())
     rows = ["brdf", *(["btdf"] if record.has_lower and record.btdf.any() else [])]

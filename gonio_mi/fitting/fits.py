@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 from typing import Any
@@ -14,12 +14,14 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import SettingError
 from ..files.channels import wavelengths_nm
+from ..files.measured_table import MeasuredTable
 from ..instrument.loading import parse_specimen, specimen_name
 from ..instrument.measurement import measure_here
 from ..results.record import Record
 from ..transport.kernels import launches_kernels
 from .fitted_models import FittedModel
 from .least_squares import Search
+from .observations import Observations, RecordObservations, TableObservations
 
 __all__ = ["Fit", "fit"]
 
@@ -30,14 +32,18 @@ MOST_ROUNDS, SETTLED, NEAR = 8, 0.02, 1e-3
 # Chi-square per degree of freedom beyond which noise does not explain what is left.
 MISFIT = 1.5
 
+# Relative distance of points from the model that may be noise of an instrument.
+FOLLOWED = 0.1
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A BSDF that was fitted to a record.
+    """A BSDF that was fitted to a record or a table.
 
     Attributes
     ----------
-    record : Record
+    record : Record or MeasuredTable
+        What it was fitted to.
     bsdf : dict
         Mitsuba dictionary of the model with what was found.
     names : tuple of str
@@ -52,12 +58,19 @@ class Fit:
     dof : int
         Its degrees of freedom: patches less parameters.
     misplaced : float
-        Part of the light that the model sends into other patches than the record.
+        Part of the light that the model sends into other patches than the record; of a
+        table or of apertures, half the mean difference over the mean of all values.
+    predicted : ndarray, shape (n,)
+        What the model says of the values: flux fractions of the detectors of a record,
+        BSDF of the rows of a table.
     at_limit : tuple of str
         Parameters that would go beyond what they may be.
+    scatter : float, optional
+        Of a table that states no uncertainty: how far its points are from the model,
+        relative, root mean square. `chi2` is then that of points as uncertain as that.
     """
 
-    record: Record
+    record: Record | MeasuredTable
     bsdf: dict[str, Any]
     names: tuple[str, ...]
     values: Floats
@@ -65,7 +78,25 @@ class Fit:
     chi2: float
     dof: int
     misplaced: float
+    predicted: Floats
     at_limit: tuple[str, ...] = ()
+    scatter: float | None = None
+
+    @property
+    def _residual(self) -> str:
+        """What is left between the values and the model."""
+        if self.scatter is not None:
+            return (
+                "the table states no uncertainty: +- is from how its points scatter "
+                f"about the model, by {100 * self.scatter:.3g} % (rms)"
+            )
+        left = f"{100 * self.misplaced:.3g} % of the light in other patches"
+        if isinstance(self.record, MeasuredTable):
+            left = f"points differ by {200 * self.misplaced:.3g} % of their mean"
+        return (
+            f"chi-square per degree of freedom {self.reduced_chi2:.3g} "
+            f"({self.dof} degrees), {left}"
+        )
 
     @property
     def std_errs(self) -> Floats:
@@ -85,8 +116,20 @@ class Fit:
         return name if distribution is None else f"{name} {distribution}"
 
     @cached_property
-    def prediction(self) -> Record:
-        """Record of the model under the incident directions of the record."""
+    def prediction(self) -> Record | MeasuredTable:
+        """Record of the model as the record was measured, or the model's table.
+
+        Raises ValueError for a record of apertures.
+        """
+        if isinstance(self.record, MeasuredTable):
+            return replace(
+                self.record,
+                value=self.predicted,
+                quantity="btdf" if self.record.quantity == "btdf" else "brdf",
+                sigma=None,
+                uncertainty=0.0,
+                scale_uncertainty=0.0,
+            )
         nm = wavelengths_nm(self.record.channels)
         singles = [
             measure_here(
@@ -144,16 +187,14 @@ class Fit:
             line += f"  (correlation {', '.join(others)})" if others else ""
             line += "  (at its limit)" if name in self.at_limit else ""
             lines.append(line)
-        lines.append(
-            f"  chi-square per degree of freedom {self.reduced_chi2:.3g} "
-            f"({self.dof} degrees), {100 * self.misplaced:.3g} % of the light in other "
-            "patches"
-        )
-        if self.reduced_chi2 > MISFIT:
+        lines.append(f"  {self._residual}")
+        if self.scatter is None and self.reduced_chi2 > MISFIT:
             lines.append(
                 "  the model does not follow the record within its noise, which is all "
                 "that +- stands for"
             )
+        if self.scatter is not None and self.scatter > FOLLOWED:
+            lines.append("  the model does not follow the table: +- says little")
         return "\n".join(lines)
 
 
@@ -163,11 +204,11 @@ def _known(value: float) -> float | None:
 
 @launches_kernels()
 def fit(
-    record: Record,
+    record: Record | MeasuredTable,
     model: str | Mapping[str, Any],
     free: Sequence[str] | None = None,
 ) -> Fit:
-    """Find the parameters with which a BSDF is closest to a record.
+    """Find the parameters with which a BSDF is closest to a record or a table.
 
     Minimised is chi-square, the sum over the patches of all incident directions of the
     squared differences of record and model over their variances; the model's patches
@@ -177,8 +218,10 @@ def fit(
 
     Parameters
     ----------
-    record : Record
-        Of a collimated beam into rings and sectors, with error bars.
+    record : Record or MeasuredTable
+        Of a collimated beam, with error bars. A table's values are means over its
+        aperture, or if it states none, the BSDF in its directions; without any
+        uncertainty they are taken for uncertain by one part of themselves.
     model : str or dict
         BSDF plugin with what is known of it: ``"roughconductor:distribution=ggx"``.
     free : sequence of str, optional
@@ -202,9 +245,10 @@ def fit(
     bsdf = parse_specimen(model) if isinstance(model, str) else dict(model)
     if not isinstance(bsdf, dict):
         raise SettingError(f"model must be a BSDF in one word, got {model!r}")
-    _check(record)
-    fitted = FittedModel(bsdf, free, record.channels)
-    search = Search(record, fitted)
+    observations = _observations(record)
+    channels = record.channels if isinstance(record, Record) else ("Y",)
+    fitted = FittedModel(bsdf, free, channels)
+    search = Search(observations, fitted)
     values = search.begin()
     for _ in range(MOST_ROUNDS):
         search.adapt(values)
@@ -217,17 +261,50 @@ def fit(
     predicted = search.predicted(values)
     at_limit = search.at_limit(values)
     names = tuple(parameter.name for parameter in fitted.parameters)
+    chi2 = float(np.sum(search.residuals(predicted) ** 2))
+    dof, scatter = predicted.size - len(values), None
+    if not all(one.stated for one in observations):
+        covariance, chi2 = covariance * chi2 / dof, float(dof)
+        scatter = float(np.sqrt(search.misfit(predicted) / dof))
+    misplaced = np.abs(predicted - search.values).sum() / search.values.sum() / 2
     return Fit(
         record,
         fitted.bsdf(values),
         names,
         values,
         covariance,
-        chi2=float(np.sum(search.residuals(predicted) ** 2)),
-        dof=predicted.size - len(values),
-        misplaced=float(np.abs(predicted - search.flux).sum() / search.flux.sum() / 2),
+        chi2=chi2,
+        dof=dof,
+        misplaced=float(misplaced),
+        predicted=predicted,
         at_limit=tuple(name for name, at in zip(names, at_limit) if at),
+        scatter=scatter,
     )
+
+
+def _observations(record: Record | MeasuredTable) -> list[Observations]:
+    """What a fit has to explain, once it is known that it can."""
+    if isinstance(record, MeasuredTable):
+        _check_table(record)
+        return [TableObservations(record)]
+    _check(record)
+    return [RecordObservations(record[i]) for i in range(len(record))]
+
+
+def _check_table(table: MeasuredTable) -> None:
+    """Raise ValueError for a table that no BSDF can be fitted to."""
+    if table.emitter_half_angle:
+        raise SettingError(
+            f"a fit needs a collimated beam, but {table.name} has an "
+            f"emitter_half_angle of {table.emitter_half_angle:g} degrees"
+        )
+    if mi.is_rgb or (mi.is_spectral and wavelengths_nm([table.channel or ""]) is None):
+        raise SettingError(
+            "a fit to a table needs the variant llvm_ad_mono, or llvm_ad_spectral if "
+            f"its channel is a wavelength such as 550nm, got {mi.variant()}"
+        )
+    if not table.bsdf.any():
+        raise SettingError(f"a fit needs light, but all values of {table.name} are 0")
 
 
 def _check(record: Record) -> None:
@@ -240,7 +317,6 @@ def _check(record: Record) -> None:
             f"{mi.variant()}"
         )
     needs = {
-        "a collector of rings and sectors": record.subdivision.axes is None,
         "a collimated beam": np.isfinite(record.theta_i).all()
         and not record.settings.get("divergence")
         and record.settings.get("incident", "none") == "none",

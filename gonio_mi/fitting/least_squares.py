@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags, Floats
 from ..errors import SpecimenError
 from ..instrument.loading import loaded
-from ..results.record import Record
 from .fitted_models import FittedModel
-from .patch_predictions import PatchPredictions
-from .pooled_variances import pooled
+from .observations import Observations
 
 __all__ = ["Search"]
 
@@ -19,8 +19,8 @@ __all__ = ["Search"]
 # against single precision, narrow against the curvature.
 STEP = 3e-4
 
-# Relative error of the integrals of a model, in no error bar of a record of integrals.
-RELATIVE_FLOOR = 1e-4
+# Steps from each start, after which the best of them is known.
+FIRST_STEPS = 12
 
 # Standard errors by which a parameter changes the record all over its range, at least;
 # and the condition beyond which parameters do the same to it, as far as derivatives by
@@ -31,43 +31,45 @@ LEAST_EFFECT, MOST_ALIKE = 1.0, 1e3
 class Search:
     """The sum of squares to be minimised, and how uncertain its minimum is."""
 
-    def __init__(self, record: Record, model: FittedModel) -> None:
-        self.model = model
-        self.singles = [record[i] for i in range(len(record))]
-        self.predictions = [PatchPredictions(single) for single in self.singles]
-        self.fluxes = [single.flux_fraction.ravel() for single in self.singles]
-        self.flux = np.concatenate(self.fluxes)
-        self.scales = np.ones_like(self.flux)
+    def __init__(
+        self, observations: Sequence[Observations], model: FittedModel
+    ) -> None:
+        self.observations, self.model = observations, model
+        self.values = np.concatenate([one.values for one in observations])
+        self.scales = np.ones_like(self.values)
+        self._ends = np.cumsum([one.values.size for one in observations])[:-1]
 
     def begin(self) -> Floats:
-        """Values of a first search, on a few nodes, from the best of all starts."""
-        for one in self.predictions:
+        """Values of a first search on a few nodes: the best minimum of all starts."""
+        for one in self.observations:
             one.begin()
         tried = []
         for start in self.model.starts():
-            predicted = self.predicted(start)
-            self._weigh(predicted)
-            tried.append((float(np.sum(self.residuals(predicted) ** 2)), start))
-        best = min(tried, key=lambda one: one[0])[1]
-        self._weigh(self.predicted(best))
-        return self.minimum(best)
+            self._weigh(self.predicted(start))
+            found = self.minimum(start, FIRST_STEPS)
+            tried.append((self.misfit(self.predicted(found)), found))
+        return min(tried, key=lambda one: one[0])[1]
+
+    def misfit(self, predicted: Floats) -> float:
+        """Sum of squares by which minima and models are compared."""
+        parts = zip(self.observations, np.split(predicted, self._ends))
+        return sum(one.misfit(part) for one, part in parts)
 
     def adapt(self, values: Floats) -> None:
         """Refine the nodes for these values, and share variances."""
         bsdf = self._bsdf(values)
-        self._weigh(np.concatenate([one.adapt(bsdf) for one in self.predictions]))
+        self._weigh(np.concatenate([one.adapt(bsdf) for one in self.observations]))
 
     def _weigh(self, predicted: Floats) -> None:
         """Share variances among patches that are predicted to be alike."""
-        ends = np.cumsum([flux.size for flux in self.fluxes])[:-1]
-        each = map(_variances, self.singles, self.fluxes, np.split(predicted, ends))
-        self.scales = np.sqrt(np.concatenate(list(each)))
+        parts = zip(self.observations, np.split(predicted, self._ends))
+        self.scales = np.sqrt(np.concatenate([one.variances(p) for one, p in parts]))
 
     def residuals(self, predicted: Floats) -> Floats:
-        """Differences of prediction and record over their standard errors."""
-        return (predicted - self.flux) / self.scales
+        """Differences of prediction and observation over their standard errors."""
+        return (predicted - self.values) / self.scales
 
-    def minimum(self, values: Floats) -> Floats:
+    def minimum(self, values: Floats, most_steps: int | None = None) -> Floats:
         """Values of least squares, with nodes and variances as they are."""
         from scipy.optimize import least_squares
 
@@ -81,6 +83,7 @@ class Search:
             x_scale="jac",
             xtol=1e-7,
             ftol=1e-9,
+            max_nfev=most_steps,
         )
         return found.x
 
@@ -103,9 +106,11 @@ class Search:
         estimate = np.linalg.pinv(jacobian) / self.scales
         total = np.full((len(values), len(values)), np.nan)
         total[np.ix_(free, free)] = 0.0
-        ends = np.cumsum([flux.size for flux in self.fluxes])
-        for single, part in zip(self.singles, np.split(estimate, ends[:-1], axis=1)):
-            total[np.ix_(free, free)] += _propagated(single, part)
+        parts = (
+            np.split(array, self._ends, axis=-1) for array in (estimate, self.scales**2)
+        )
+        for one, part, variances in zip(self.observations, *parts):
+            total[np.ix_(free, free)] += one.propagated(part, variances)
         return total
 
     def at_limit(self, values: Floats) -> Flags:
@@ -117,7 +122,7 @@ class Search:
     def predicted(self, values: Floats) -> Floats:
         """Prediction with the nodes as they are."""
         bsdf = self._bsdf(values)
-        return np.concatenate([one.of(bsdf) for one in self.predictions])
+        return np.concatenate([one.of(bsdf) for one in self.observations])
 
     def _jacobian(self, values: Floats) -> Floats:
         """Derivatives of the prediction, by differences within the limits."""
@@ -132,41 +137,3 @@ class Search:
 
     def _bsdf(self, values: Floats) -> mi.BSDF:
         return loaded("the model", mi.load_dict, self.model.bsdf(values))
-
-
-def _batches(single: Record) -> Floats | None:
-    """Flux fractions batch by batch, shape (n_batches, n); None for integrals."""
-    (tally,) = single.tallies
-    if single.settings.get("estimator") == "quadrature" or tally.n_batches < 2:
-        return None
-    incident = tally.incident.astype(float)[:, None, None, None]
-    return (tally.sums / incident).reshape(tally.n_batches, -1)
-
-
-def _std_errs(single: Record) -> Floats:
-    """Standard errors of the flux fractions; 0 where nothing is known of one."""
-    solid = single.subdivision.projected_solid_angles[..., None]
-    both = [single.brdf_std_err, single.btdf_std_err]
-    errors = np.stack([one * solid for one in both if one is not None])
-    return np.nan_to_num(errors).ravel()
-
-
-def _variances(single: Record, flux: Floats, predicted: Floats) -> Floats:
-    """Variance of each patch, of which a fit makes its weights."""
-    found = _std_errs(single) ** 2
-    if _batches(single) is None:
-        return found + (RELATIVE_FLOOR * (flux + flux.mean())) ** 2
-    (tally,) = single.tallies
-    hits = np.repeat(tally.hits.ravel(), len(single.channels)).astype(np.int64)
-    # a tenth of a ray, where all batches received the same
-    least = 0.1 / max(single.ledger.emitted, 1)
-    return np.maximum(pooled(found, hits, predicted), least**2)
-
-
-def _propagated(single: Record, estimate: Floats) -> Floats:
-    """Covariance of a linear estimate from the patches of one incident direction."""
-    batches = _batches(single)
-    if batches is None:
-        return (estimate * _std_errs(single) ** 2) @ estimate.T
-    each = batches @ estimate.T
-    return np.atleast_2d(np.cov(each, rowvar=False)) / len(batches)

@@ -1,14 +1,15 @@
-"""What a BSDF sends into the patches of one incident direction of a record."""
+"""What a BSDF sends into patches, for one incident direction of a measurement."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats
+from ..array_types import Floats, Integers
 from ..errors import SettingError
 from ..files.channels import wavelengths_nm
 from ..quadrature import integrate
@@ -19,18 +20,60 @@ from ..results.record import Record
 from ..transport.loop import flux_context
 from ..transport.wavelengths import passes, wavelength_lanes
 
-__all__ = ["PatchPredictions"]
+__all__ = ["Nodes", "PatchPredictions", "Predictions", "REL_ERR"]
 
 # Relative error of each patch to which the nodes of the integrals are refined.
 REL_ERR = 1e-4
 
 
-class PatchPredictions:
-    """Predictions for the patches of one incident direction.
+class Predictions:
+    """Predictions for one incident direction of a measurement.
 
-    The nodes of the integrals are those that one BSDF needs, and stay until
-    :meth:`adapt` is called with another one: so predictions are smooth functions of
-    the parameters.
+    The nodes of the integrals are those that one BSDF needs, and stay until `adapt` is
+    called with another one: so predictions are smooth functions of the parameters.
+
+    Parameters
+    ----------
+    incident : (float, float)
+        ``theta_i`` and ``phi_i`` in degrees.
+    side : {"front", "back"}
+    channels : sequence of str
+    """
+
+    def __init__(
+        self, incident: tuple[float, float], side: str, channels: Sequence[str]
+    ) -> None:
+        self.incident, self.side, self.channels = incident, side, len(channels)
+        nm = wavelengths_nm(channels)
+        self.passes = passes([] if nm is None else nm.tolist())
+        self._nodes: list[Nodes] = []
+
+    def of(self, bsdf: mi.BSDF) -> Floats:
+        """Values of all places and channels, shape (n * channels,)."""
+        parts = [
+            nodes.sums(bsdf)[:, : nm and len(nm)]
+            for nodes, nm in zip(self._nodes, self.passes)
+        ]
+        return np.concatenate(parts, axis=-1)[:, : self.channels].ravel()
+
+    def _light(self, nm: Any) -> IncidentLight:
+        """Light of the incident direction, of these wavelengths."""
+        return IncidentLight.of([self.incident], self.side, self._interaction(nm))
+
+    @staticmethod
+    def _interaction(nm: Any) -> mi.SurfaceInteraction3f | None:
+        """Point of a square in the middle of which light of these wavelengths lands."""
+        if nm is None:
+            return None
+        scene = mi.load_dict({"type": "scene", "shape": {"type": "rectangle"}})
+        si = scene.ray_intersect(mi.Ray3f([0, 0, 1], [0, 0, -1]))
+        si.wavelengths = wavelength_lanes(tuple(nm))
+        dr.make_opaque(si)
+        return si
+
+
+class PatchPredictions(Predictions):
+    """Flux fractions of the patches of one incident direction of a record.
 
     Parameters
     ----------
@@ -39,14 +82,11 @@ class PatchPredictions:
     """
 
     def __init__(self, single: Record) -> None:
-        self.theta_i, self.phi_i = float(single.theta_i[0]), float(single.phi_i[0])
+        incident = float(single.theta_i[0]), float(single.phi_i[0])
+        side = single.settings.get("side", "front")
+        super().__init__(incident, side, single.channels)
         self.subdivision = single.subdivision
-        self.side = single.settings.get("side", "front")
         self.hemispheres = 1 + single.has_lower
-        self.channels = len(single.channels)
-        nm = wavelengths_nm(single.channels)
-        self.passes = passes([] if nm is None else nm.tolist())
-        self._nodes: list[_Nodes] = []
 
     def begin(self) -> None:
         """Take the same few nodes in each patch, which will do for a first search."""
@@ -55,10 +95,9 @@ class PatchPredictions:
         theta, phi, lower, weight = cells.nodes()
         self._nodes = []
         for nm in self.passes:
-            angles = [(self.theta_i, self.phi_i)]
-            light = IncidentLight.of(angles, self.side, self._interaction(nm))
+            light = self._light(nm)
             rule = Rule(self.subdivision, patch, theta, phi, lower, weight, light)
-            self._nodes.append(_Nodes(rule, self.n_patches))
+            self._nodes.append(Nodes.of(rule, self.n_patches))
 
     @property
     def n_patches(self) -> int:
@@ -77,14 +116,13 @@ class PatchPredictions:
         for nm in self.passes:
             found = integrate(
                 bsdf,
-                self.theta_i,
-                self.phi_i,
+                *self.incident,
                 self.subdivision,
                 rel_err=REL_ERR,
                 side=self.side,
                 interaction=self._interaction(nm),
             )
-            self._nodes.append(_Nodes(found.rule, self.n_patches))
+            self._nodes.append(Nodes.of(found.rule, self.n_patches))
             parts.append(found.flux[: self.hemispheres, ..., : nm and len(nm)])
         flux = np.concatenate(parts, axis=-1)
         one = flux[..., : self.channels]
@@ -95,45 +133,50 @@ class PatchPredictions:
             )
         return one.ravel()
 
-    def of(self, bsdf: mi.BSDF) -> Floats:
-        """Flux fractions, shape (n_hemispheres * n_patches * channels,)."""
-        parts = [
-            nodes.sums(bsdf)[:, : nm and len(nm)]
-            for nodes, nm in zip(self._nodes, self.passes)
-        ]
-        return np.concatenate(parts, axis=-1)[:, : self.channels].ravel()
 
-    @staticmethod
-    def _interaction(nm: Any) -> mi.SurfaceInteraction3f | None:
-        """Point of a square in the middle of which light of these wavelengths lands."""
-        if nm is None:
-            return None
-        scene = mi.load_dict({"type": "scene", "shape": {"type": "rectangle"}})
-        si = scene.ray_intersect(mi.Ray3f([0, 0, 1], [0, 0, -1]))
-        si.wavelengths = wavelength_lanes(tuple(nm))
-        dr.make_opaque(si)
-        return si
+class Nodes:
+    """Nodes of sums over places.
 
+    Parameters
+    ----------
+    light : IncidentLight
+    place : ndarray of int, shape (n,)
+        To which each node belongs.
+    angles : (ndarray, ndarray, ndarray)
+        Polar angle from the pole of its hemisphere, azimuth, and whether that is the
+        lower one; shapes (n,).
+    weight : ndarray, shape (n,)
+        In sr.
+    n_places : int
+    """
 
-class _Nodes:
-    """The nodes of a rule in the first `n_patches` patches."""
-
-    def __init__(self, rule: Rule, n_patches: int) -> None:
-        kept = rule.patch < n_patches
-        self.n_patches = n_patches
-        self.patch = rule.patch[kept]
-        self.weight = (rule.weight * np.sin(rule.theta))[kept]
-        self.si = rule.light.first
-        self.wo = rule.light.towards(rule.theta[kept], rule.phi[kept], rule.lower[kept])
+    def __init__(
+        self,
+        light: IncidentLight,
+        place: Integers,
+        angles: tuple[Any, Any, Any],
+        weight: Floats,
+        n_places: int,
+    ) -> None:
+        self.n_places, self.place, self.weight = n_places, place, weight
+        self.si, self.wo = light.first, light.towards(*angles)
         dr.eval(self.wo)
 
+    @classmethod
+    def of(cls, rule: Rule, n_patches: int) -> Nodes:
+        """The nodes of a rule in the first `n_patches` patches."""
+        kept = rule.patch < n_patches
+        angles = rule.theta[kept], rule.phi[kept], rule.lower[kept]
+        weight = (rule.weight * np.sin(rule.theta))[kept]
+        return cls(rule.light, rule.patch[kept], angles, weight, n_patches)
+
     def sums(self, bsdf: mi.BSDF) -> Floats:
-        """Integrals over the patches, shape (n_patches, channels)."""
+        """Sums over the places, shape (n_places, channels)."""
         columns = [
             np.bincount(
-                self.patch,
+                self.place,
                 self.weight * np.broadcast_to(value.numpy(), len(self.weight)),
-                minlength=self.n_patches,
+                minlength=self.n_places,
             )
             for value in bsdf.eval(flux_context(), self.si, self.wo)
         ]

@@ -1,0 +1,231 @@
+"""What a fit has to explain: values of records and tables, and their uncertainties."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Floats
+from ..files.measured_table import MeasuredTable
+from ..results.record import Record
+from .cone_predictions import ConePredictions
+from .patch_predictions import PatchPredictions
+from .pooled_variances import pooled
+
+__all__ = ["Observations", "RecordObservations", "TableObservations"]
+
+# Relative error of the integrals of a model, in no error bar of a record of integrals;
+# and the part of the mean below which values are uncertain alike.
+RELATIVE_FLOOR, FAINT = 1e-4, 0.01
+
+
+class Observations(Protocol):
+    """Values, what a BSDF predicts for them, and how uncertain they are.
+
+    Attributes
+    ----------
+    values : ndarray, shape (n,)
+    stated : bool
+        Whether uncertainties of the values are known, and not only how they compare.
+    """
+
+    values: Floats
+    stated: bool
+
+    def begin(self) -> None:
+        """Take few nodes, which will do for a first search."""
+
+    def adapt(self, bsdf: mi.BSDF) -> Floats:
+        """Prediction, with the nodes that this BSDF needs from now on."""
+
+    def of(self, bsdf: mi.BSDF) -> Floats:
+        """Prediction with the nodes as they are."""
+
+    def variances(self, predicted: Floats) -> Floats:
+        """Variance of each value, of which a fit makes its weights."""
+
+    def misfit(self, predicted: Floats) -> float:
+        """Sum of squares by which models are compared."""
+
+    def propagated(self, estimate: Floats, variances: Floats) -> Floats:
+        """Covariance of a linear estimate from the values, which have these weights."""
+
+
+class RecordObservations:
+    """Flux fractions of one incident direction of a record, in all its detectors.
+
+    Parameters
+    ----------
+    single : Record
+    """
+
+    stated = True
+
+    def __init__(self, single: Record) -> None:
+        self.single = single
+        self._each = _predictions(single)
+        self.values = self._kept(single.flux_fraction)
+
+    def begin(self) -> None:
+        """See :class:`Observations`."""
+        for one in self._each:
+            one.begin()
+
+    def adapt(self, bsdf: mi.BSDF) -> Floats:
+        """See :class:`Observations`."""
+        return np.concatenate([one.adapt(bsdf) for one in self._each])
+
+    def of(self, bsdf: mi.BSDF) -> Floats:
+        """See :class:`Observations`."""
+        return np.concatenate([one.of(bsdf) for one in self._each])
+
+    def variances(self, predicted: Floats) -> Floats:
+        """Those of the record, shared among detectors that are alike."""
+        found = self._std_errs() ** 2
+        if self._batches() is None:
+            return found + (RELATIVE_FLOOR * (self.values + self.values.mean())) ** 2
+        (tally,) = self.single.tallies
+        channels = len(self.single.channels)
+        hits = self._kept(np.repeat(tally.hits[..., None], channels, axis=-1))
+        # a tenth of a ray, where all batches received the same
+        least = 0.1 / max(self.single.ledger.emitted, 1)
+        return np.maximum(pooled(found, hits.astype(np.int64), predicted), least**2)
+
+    def misfit(self, predicted: Floats) -> float:
+        """Chi-square."""
+        return float(np.sum((predicted - self.values) ** 2 / self.variances(predicted)))
+
+    def propagated(
+        self,
+        estimate: Floats,
+        variances: Floats,  # noqa: ARG002 (shared ones)
+    ) -> Floats:
+        """From the record's batches, which know how detectors depend on each other."""
+        batches = self._batches()
+        if batches is None:
+            return (estimate * self._std_errs() ** 2) @ estimate.T
+        each = batches @ estimate.T
+        return np.atleast_2d(np.cov(each, rowvar=False)) / len(batches)
+
+    def _kept(self, values: Floats) -> Floats:
+        """Values of the detectors, without what is between them, in one row."""
+        detectors = self.single.subdivision.n_detectors
+        hemispheres, channels = 1 + self.single.has_lower, len(self.single.channels)
+        return values.reshape(hemispheres, -1, channels)[:, :detectors].ravel()
+
+    def _batches(self) -> Floats | None:
+        """Flux fractions batch by batch, shape (n_batches, n); None for integrals."""
+        (tally,) = self.single.tallies
+        integrated = self.single.settings.get("estimator") == "quadrature"
+        if integrated or tally.n_batches < 2:
+            return None
+        incident = tally.incident.astype(float)[:, None, None, None]
+        return np.stack([self._kept(batch) for batch in tally.sums / incident])
+
+    def _std_errs(self) -> Floats:
+        """Standard errors of the flux fractions; 0 where nothing is known of one."""
+        solid = self.single.subdivision.projected_solid_angles[..., None]
+        both = [self.single.brdf_std_err, self.single.btdf_std_err]
+        errors = np.stack([one * solid for one in both if one is not None])
+        return self._kept(np.nan_to_num(errors))
+
+
+class TableObservations:
+    """BSDF values of a measured table, in all its directions.
+
+    Parameters
+    ----------
+    table : MeasuredTable
+        Where it states an aperture, its values are means over it. Without any
+        uncertainty all values are taken for uncertain by the same part of themselves.
+    """
+
+    def __init__(self, table: MeasuredTable) -> None:
+        self.table, self.values = table, table.bsdf
+        self.stated = bool(table.bsdf_std_err.any())
+        lower = table.quantity == "btdf"
+        theta = 180 - table.theta_o if lower else table.theta_o
+        axes = np.stack([theta, table.phi_o], axis=-1)
+        self._each = []
+        for theta_i, phi_i in table.incident:
+            (rows,) = np.nonzero((table.theta_i == theta_i) & (table.phi_i == phi_i))
+            cones = ConePredictions(
+                (theta_i, phi_i),
+                "front",
+                [table.channel or "Y"],
+                axes[rows],
+                lower=lower,
+                half_angle=table.aperture_half_angle or 0.0,
+                means=True,
+            )
+            self._each.append((cones, rows))
+
+    def begin(self) -> None:
+        """See :class:`Observations`."""
+        for cones, _ in self._each:
+            cones.begin()
+
+    def adapt(self, bsdf: mi.BSDF) -> Floats:
+        """See :class:`Observations`."""
+        return self._joined([cones.adapt(bsdf) for cones, _ in self._each])
+
+    def of(self, bsdf: mi.BSDF) -> Floats:
+        """See :class:`Observations`."""
+        return self._joined([cones.of(bsdf) for cones, _ in self._each])
+
+    def _joined(self, parts: list[Floats]) -> Floats:
+        """Values of the incident directions in the rows of the table."""
+        found = np.empty(len(self.table))
+        for (_, rows), part in zip(self._each, parts):
+            found[rows] = part
+        return found
+
+    def variances(self, predicted: Floats) -> Floats:
+        """Those that the table states, or squares of what the model predicts."""
+        if not self.stated:
+            return (np.abs(predicted) + FAINT * np.abs(predicted).mean()) ** 2
+        # a part of what is predicted: a part of a value that noise made small would
+        # give it too much weight
+        relative = self.table.uncertainty
+        found = self.table.bsdf_std_err**2 - (relative * self.values) ** 2
+        found = np.maximum(found, 0) + (relative * predicted) ** 2
+        return found + (RELATIVE_FLOOR * (np.abs(self.values).mean())) ** 2
+
+    def misfit(self, predicted: Floats) -> float:
+        """Chi-square; without variances, of distances relative to both values.
+
+        Relative to those of a model alone one that is far too bright would be near.
+        """
+        variances = self.variances(predicted)
+        if not self.stated:
+            variances = (variances + self.variances(self.values)) / 2
+        return float(np.sum((predicted - self.values) ** 2 / variances))
+
+    def propagated(self, estimate: Floats, variances: Floats) -> Floats:
+        """From the points, and from the factor that is common to all."""
+        points = (estimate * variances) @ estimate.T
+        common = self.table.scale_uncertainty * (estimate @ self.values)
+        return points + np.outer(common, common)
+
+
+def _predictions(single: Record) -> list[PatchPredictions] | list[ConePredictions]:
+    """What predicts the detectors of a record, hemisphere by hemisphere if cones."""
+    patches = single.subdivision
+    half_angle = patches.aperture_half_angle
+    if half_angle is None:
+        return [PatchPredictions(single)]
+    axes = np.degrees(np.concatenate(patches.middles, axis=1))[: patches.n_detectors]
+    return [
+        ConePredictions(
+            (float(single.theta_i[0]), float(single.phi_i[0])),
+            single.settings.get("side", "front"),
+            single.channels,
+            axes,
+            lower=lower,
+            half_angle=half_angle,
+            means=False,
+        )
+        for lower in (False, True)[: 1 + single.has_lower]
+    ]
