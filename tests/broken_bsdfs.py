@@ -27,6 +27,9 @@ EITHER = (
     "weight_five_percent_less",
     "eval_of_twice_the_exponent",
     "weight_of_twice_the_exponent",
+    "eval_with_uv_swapped",
+    "eval_of_one_roughness",
+    "eval_eta2_upside_down",
 )
 
 MISTAKES = {
@@ -93,6 +96,19 @@ MISTAKES = {
     "discrete_pdf_not_probability": "sample",
     "cats_eye_gains_light": "sample",
     "eval_the_same_in_both_modes": "eval",
+    # directions and places mixed up, and what is kept from call to call
+    "eval_with_cosine_of_wi": "eval",
+    "eval_with_uv_swapped": "eval",
+    "eval_black_from_behind": "eval",
+    "eval_fresnel_at_another_angle": "eval",
+    "eval_of_one_roughness": "eval",
+    "eval_eta2_upside_down": "eval",
+    "pdf_clamped": "pdf",
+    "pdf_of_half_vector_too_long": "pdf",
+    "pdf_of_the_last_sample": "pdf",
+    "pdf_with_two_cosines": "pdf",
+    "sample_below_the_horizon": "sample",
+    "sample_with_eta_of_the_other_side": "sample",
     # no usable answer
     "pdf_raises": "pdf",
     "eval_returns_a_direction": "eval",
@@ -745,6 +761,110 @@ def register():
     class EvalTheSameInBothModes(Frosted):
         def factor(self, ctx, si):
             return super().factor(mi.BSDFContext(mi.TransportMode.Importance), si)
+
+    # ----------------------------------------- Directions, places and calls mixed up
+
+    class EvalWithCosineOfWi(Lambert):
+        def eval(self, ctx, si, wo, active=True):
+            value = mi.Spectrum(0.8 * dr.inv_pi * cosine(si.wi))
+            return value & (active & self.above(si, wo))
+
+    class EvalWithUvSwapped(Lambert):
+        """Stripes along u, which ``eval`` has along v."""
+
+        def stripes(self, u):
+            return 0.5 + 0.3 * dr.sin(5 * u)
+
+        def weight(self, si, bs):
+            return mi.Spectrum(self.stripes(si.uv.x))
+
+        def value(self, si, wo):
+            return mi.Spectrum(self.stripes(si.uv.y) * dr.inv_pi * cosine(wo))
+
+    class EvalBlackFromBehind(TwoFaces):
+        """Two-sided, but for one function."""
+
+        def value(self, si, wo):
+            return mi.Spectrum(0.8 * dr.inv_pi * dr.maximum(cosine(wo), 0))
+
+        def weight(self, si, bs):
+            return mi.Spectrum(0.8)
+
+    class EvalFresnelAtAnotherAngle(Mixture):
+        def eval(self, ctx, si, wo, active=True):
+            self.fresnel = lambda _, wo, __: 0.1 + 0.3 * (1 - cosine(wo)) ** 5
+            value = super().eval(ctx, si, wo, active)
+            del self.fresnel
+            return value
+
+    class EvalOfOneRoughness(Brushed):
+        """Its normals are as many as if both roughnesses were the first."""
+
+        def eval(self, ctx, si, wo, active=True):
+            first, second = self.alpha
+            only = mi.BSDFContext(ctx.mode)
+            only.component = 0
+            diffuse = super().eval(only, si, wo, active)
+            whole = super().eval(ctx, si, wo, active)
+            if not ctx.is_enabled(flags.DiffuseReflection, 0):
+                return whole * second / first
+            if not ctx.is_enabled(flags.GlossyReflection, 1):
+                return whole
+            return diffuse + (whole - diffuse) * second / first
+
+    class EvalEta2UpsideDown(Frosted):
+        def eval(self, ctx, si, wo, active=True):
+            value = Lambert.eval(self, ctx, si, wo, active)
+            return value / dr.maximum(self.factor(ctx, si), 1e-3) / 1.5**2
+
+    class PdfClamped(Brushed):
+        """Against fireflies."""
+
+        def pdf(self, ctx, si, wo, active=True):
+            return dr.minimum(super().pdf(ctx, si, wo, active), 0.5)
+
+    class PdfOfHalfVectorTooLong(Mixture):
+        """Nobody normalised it."""
+
+        def pdf(self, ctx, si, wo, active=True):
+            h = (si.wi + wo) / 1.9
+            share = self.glossy_share(ctx)
+            glossy = self.facets().pdf(si.wi, h) * self.jacobian(wo, dr.normalize(h))
+            pdf = (1 - share) * dr.inv_pi * cosine(wo) + share * glossy
+            return dr.select(active & self.above(si, wo), pdf, 0)
+
+    class PdfOfTheLastSample(Mixture):
+        """It remembers from where ``sample`` was lit."""
+
+        lit = None
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            self.lit = mi.Vector3f(si.wi)
+            return super().sample(ctx, si, sample1, sample2, active)
+
+        def pdf(self, ctx, si, wo, active=True):
+            other = mi.SurfaceInteraction3f(si)
+            if self.lit is not None and dr.width(self.lit) == 1:
+                other.wi = self.lit
+            return super().pdf(ctx, other, wo, active)
+
+    class PdfWithTwoCosines(Lambert):
+        def pdf(self, ctx, si, wo, active=True):
+            return super().pdf(ctx, si, wo, active) * cosine(wo)
+
+    class SampleBelowTheHorizon(Mixture):
+        """Facets reflect downwards too, with the weight of facets."""
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs, weight = super().sample(ctx, si, sample1, sample2, active)
+            below = (bs.wo.z < 0) & (si.wi.z > 0)
+            return bs, dr.select(active & below, mi.Spectrum(0.3), weight)
+
+    class SampleWithEtaOfTheOtherSide(Glass):
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs, weight = super().sample(ctx, si, sample1, sample2, active)
+            bs.eta = 1 / bs.eta
+            return bs, weight
 
     # --------------------------------------------------------------- No usable answer
 

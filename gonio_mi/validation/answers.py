@@ -15,6 +15,7 @@ from .evidence import INTERFACE, NOISE, Evidence
 from .probe import Probe, numbers, spectral
 
 __all__ = [
+    "asked_after",
     "check_answers",
     "check_directions",
     "check_everywhere",
@@ -139,17 +140,34 @@ def check_directions(evidence: Evidence, drawn: Drawn) -> None:
             )
 
 
-def check_memory(evidence: Evidence, first: Drawn, again: Drawn) -> None:
-    """The same samples after all other calls: no answer depends on those before."""
-    for function, before, after in (
+def asked_after(probe: Probe, first: Drawn) -> tuple[Floats, Floats]:
+    """``eval`` and ``pdf`` of samples, when others were drawn since."""
+    wo = mi.Vector3f(np.ascontiguousarray(first.wo.T, dtype=np.float32))
+    pdf = numbers(probe.pdf(wo), first.n).astype(float)
+    return spectral(probe.eval(wo), first.n), pdf
+
+
+def check_memory(
+    evidence: Evidence,
+    first: Drawn,
+    after: tuple[Floats, Floats],
+    again: Drawn,
+) -> None:
+    """The same samples after all other calls: no answer depends on those before.
+
+    `after` is what :func:`asked_after` said in between.
+    """
+    for function, before, after_all in (
+        ("eval", first.eval, after[0]),
+        ("pdf", first.pdf, after[1]),
         ("sample", first.weight, again.weight),
         ("sample", first.sampled_pdf, again.sampled_pdf),
         ("eval", first.eval, again.eval),
         ("pdf", first.pdf, again.pdf),
     ):
-        usable: Any = np.isfinite(before) & np.isfinite(after)
+        usable: Any = np.isfinite(before) & np.isfinite(after_all)
         usable = usable if usable.ndim == 1 else usable.all(axis=1)
-        wrong = unequal(before, after, 0.0) & usable
+        wrong = unequal(before, after_all, 0.0) & usable
         if is_many(wrong, first.n):
             evidence.breach(
                 "answers",

@@ -202,14 +202,24 @@ def _check_modes(
     wrong = unequal(same.weight * eta2, drawn.weight, 0.0) & both
     if is_many(wrong, drawn.n):
         ratio = np.median(same.weight[wrong] / drawn.weight[wrong])
+        due = 1 / np.median(eta2[wrong])
+        if returns and abs(ratio - 1) < 1e-3:
+            mistake = "`sample` weight lacks 1/eta^2 in radiance mode"
+        elif abs(ratio * due - 1) < 1e-3:
+            mistake = (
+                "`sample` gives the eta of the other side, or its weight in radiance "
+                "mode is multiplied by eta^2, which divides it"
+            )
+        else:
+            mistake = (
+                f"`sample` weight in radiance mode is {ratio:.4g} times the other one"
+            )
         evidence.breach(
             "adjoint",
             "sample",
-            f"radiance over importance is {ratio:.4g} where 1/eta^2 = "
-            f"{1 / np.median(eta2[wrong]):.4g} at {drawn.condition}",
-            "`sample` weight lacks 1/eta^2 in radiance mode"
-            if returns and abs(ratio - 1) < 1e-3
-            else f"`sample` weight in radiance mode is {ratio:.4g} times the other one",
+            f"radiance over importance is {ratio:.4g} where 1/eta^2 = {due:.4g} "
+            f"at {drawn.condition}",
+            mistake,
             effect=BIAS if returns else BREAKS,
         )
 

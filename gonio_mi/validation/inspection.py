@@ -158,8 +158,9 @@ def _examine(evidence: Evidence, bsdf: mi.BSDF, plan: Effort, seed: int) -> None
     for i, condition in enumerate([*conditions, *radiance]):
         _check_samples(evidence, bsdf, condition, plan, (seed, 1, i))
     first = conditions[0], plan.checked, (seed, 1, 0)
+    after = answers.asked_after(Probe(bsdf, first[0]), evidence.drawn[0])
     again = cost.check_compiled(evidence, bsdf, *first)
-    answers.check_memory(evidence, evidence.drawn[0], again)
+    answers.check_memory(evidence, evidence.drawn[0], after, again)
     declarations.check_flags(evidence, bsdf)
     declarations.check_sides(evidence, bsdf, seed)
     for drawn in evidence.drawn[:: max(1, len(plan.angles) // 3)]:

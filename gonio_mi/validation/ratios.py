@@ -118,10 +118,10 @@ def explain_ratio(cases: Cases, function: str, what: str) -> str:
         return f"`{function}` contradicts the other functions"
     found = _find(wrong)
     if found is None:
-        return f"`{function}`: {what} {_in_numbers(wrong, len(cases))}"
+        return f"`{function}`: {what} {_in_numbers(wrong, cases)}"
     text = _worded(function, found.name, found.power)
     if found.constant is None:
-        return text + _where(wrong, len(cases))
+        return text + _where(wrong, cases)
     return f"{text}, and has a factor {found.constant:.4g} besides"
 
 
@@ -130,13 +130,13 @@ def explain_neutrally(cases: Cases, what: str) -> str:
     wrong = _wrong(cases)
     found = _find(wrong)
     if found is None:
-        return f"{what} {_in_numbers(wrong, len(cases))}"
+        return f"{what} {_in_numbers(wrong, cases)}"
     text, constant = FACTORS[found.name], found.constant
     if found.power < 0:
         text = f"{constant or 1:.4g} over {text}"
     elif constant is not None:
         text = f"{constant:.4g} times {text}"
-    return f"{what} is {text}{_where(wrong, len(cases))}"
+    return f"{what} is {text}{_where(wrong, cases)}"
 
 
 def _wrong(cases: Cases) -> Cases:
@@ -158,32 +158,45 @@ def _find(cases: Cases) -> _Found | None:
     return None
 
 
-def _in_numbers(cases: Cases, n: int) -> str:
-    """How large a ratio is, of `n` cases all told, and where."""
+def _in_numbers(cases: Cases, everything: Cases) -> str:
+    """How large a ratio is in cases of all, and where."""
     ratios = np.concatenate([ratio for ratio, _, _ in cases])
     low, middle, high = np.quantile(ratios, [0.05, 0.5, 0.95])
-    place = _place(cases, n)
+    place = _place(cases, everything)
     if high - low < NEAR * middle:
         return f"is {middle:.4g} {place or 'everywhere'}"
     text = f"is {low:.4g} to {high:.4g}, median {middle:.4g}"
     return f"{text}, {place}" if place else text
 
 
-def _where(cases: Cases, n: int) -> str:
-    """Incident directions of which ratios are wrong; empty if of all."""
+def _where(cases: Cases, everything: Cases) -> str:
+    """Incident directions of which ratios are wrong; empty if of all.
+
+    The place on the surface too, if it is right at others only.
+    """
+    n = len(everything)
     if len(cases) == n:
         return ""
     first = max(cases, key=lambda case: np.abs(case[0] - 1).mean())[1]
     more = f", and at {len(cases) - 1} more of {n}" if len(cases) > 1 else ""
-    return f" at {first.condition}{more}"
+    wrong = {drawn.condition.uv for _, drawn, _ in cases}
+    right = {
+        drawn.condition.uv
+        for ratio, drawn, _ in everything
+        if not any(ratio is one for one, _, _ in cases)
+    }
+    u, v = first.condition.uv
+    uv = f", uv ({u:g}, {v:g})" if not wrong & right else ""
+    return f" at {first.condition}{uv}{more}"
 
 
-def _place(cases: Cases, n: int) -> str:
+def _place(cases: Cases, everything: Cases) -> str:
     """Where ratios are wrong; empty if everywhere."""
     ratio, drawn, mask = max(cases, key=lambda case: np.abs(case[0] - 1).mean())
     wo, reflected = drawn.wo[mask], drawn.reflected[mask]
     wrong = np.abs(ratio - 1) > NEAR
-    words = [_where(cases, n).strip()] if len(cases) < n else []
+    words = [_where(cases, everything).strip()]
+    words = words if words[0] else []
     if 0 < wrong.mean() < 0.95:
         for side, name in ((reflected, "lit side"), (~reflected, "other side")):
             if side[wrong].all() and not side.all():

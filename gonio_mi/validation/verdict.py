@@ -80,7 +80,7 @@ class Property:
         details: list[str | None] = [self.statistic] if self.statistic else []
         if self.status == FAILS:
             details.insert(0, self.consequence)
-        if self.mistake and self.status == FAILS:
+        if self.mistake and self.status == FAILS and self.mistake != self.statistic:
             details.append(self.mistake)
         return "\n".join([line, *(f"{'':<27}{text}" for text in details)])
 
@@ -164,7 +164,10 @@ class Verdict:
     def __str__(self) -> str:
         failed = self.failures
         rest = [one for one in self.properties if one not in failed]
-        lines = [str(one) for one in (*failed, *rest)]
+        lines = [str(one) for one in (*failed, *(rest if self.answered else rest[:0]))]
+        if not self.answered and rest:
+            # all for the same reason
+            lines.append(f"{UNDECIDED:<10}all else: {rest[0].statistic}")
         s = self.settings
         lines.append("")
         lines.append(
