@@ -19,13 +19,15 @@ from ..settings.parsed import checked_period
 from ..single_precision import FEW_ROUNDINGS
 from ..transport.flight import unobstructed
 from ..transport.kernels import launches_kernels
-from ..transport.ray_offsets import departure, intersect
+from ..transport.ray_offsets import departure
 from ..transport.specimen import Specimen
+from .facet_points import Facets, found_facets
 from .smith import (
     DISTRIBUTIONS,
-    density,
+    FLATTEST,
     fitted_alphas,
     masking,
+    ring_means,
     ring_shares,
     smith_lambda,
 )
@@ -36,9 +38,6 @@ __all__ = ["MicroNormals", "micro_normals"]
 N_RINGS = 45
 THETA = (15.0, 30.0, 45.0, 60.0, 70.0, 80.0)
 PHI = (0.0, 90.0)
-
-# How far above its surface a point is looked for, relative to its coordinates.
-APPROACH = 2.0**-16
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +81,7 @@ class MicroNormals:
 
     def model_density(self, distribution: str) -> Floats:
         """Density that the fitted model has in the rings."""
-        return _ring_means(distribution, self.theta_edges, self.alphas[distribution])
+        return ring_means(distribution, self.theta_edges, *self.alphas[distribution])
 
     def model_masking(self, distribution: str) -> Floats:
         """Smith's masking of the fitted model."""
@@ -105,7 +104,7 @@ class MicroNormals:
         lines = ["facets          alpha along x         alpha along y      elsewhere"]
         for name in DISTRIBUTIONS:
             u, v = (
-                f"{_pair(alpha, error):<21}"
+                f"{_pair(alpha, error) if alpha > FLATTEST else 'flat':<21}"
                 for alpha, error in zip(self.alphas[name], self.alpha_std_errs[name])
             )
             lines.append(f"as {name:<11}  {u} {v}{100 * self.elsewhere[name]:.2f} %")
@@ -130,16 +129,6 @@ class MicroNormals:
 
 def _pair(value: float, error: float) -> str:
     return f"{value:.4g} +- {error:.2g}"
-
-
-@dataclass(frozen=True, eq=False)
-class _Facets:
-    """Random points of the surfaces, each of the area that it stands for."""
-
-    si: mi.SurfaceInteraction3f
-    n: Floats
-    area: Floats
-    block: Integers
 
 
 @launches_kernels()
@@ -200,7 +189,7 @@ def micro_normals(
             "micro_normals needs a specimen that is extended along x and y, got one of "
             f"{extent[0]:g} x {extent[1]:g}"
         )
-    facets = _facets(measured, points, blocks, seed)
+    facets = found_facets(measured, points, blocks, seed)
     plane = float(extent[0] * extent[1]) / blocks**2
     edges = np.linspace(0, 90, N_RINGS + 1)
     found, error = _density(facets, edges, plane, blocks**2)
@@ -240,88 +229,8 @@ def _checked_phi(value: float) -> float:
     return checked_number("phi", value, -1e6, 1e6, "an angle in degrees")
 
 
-def _facets(specimen: Specimen, points: int, blocks: int, seed: int) -> _Facets:
-    """Points of all surfaces, in proportion to their areas."""
-    if specimen.groups:
-        raise SpecimenError("micro_normals needs a specimen without instances")
-    generator = np.random.default_rng(seed)
-    areas = np.array([float(dr.sum(s.surface_area())[0]) for s in specimen.surfaces])
-    numbers = np.maximum(1, np.round(points * areas / areas.sum()).astype(int))
-    parts = [
-        (_mesh_points if _has_triangles(shape) else _shape_points)(shape, n, generator)
-        for shape, n in zip(specimen.surfaces, numbers.tolist())
-    ]
-    p, normal = (np.concatenate(columns) for columns in zip(*parts))
-    si = _found(specimen, p, normal)
-    there = si.is_valid().numpy()
-    if np.count_nonzero(there) < 0.99 * len(there):
-        raise SpecimenError(
-            "micro_normals needs surfaces that rays find where they are, but "
-            f"{np.count_nonzero(~there)} of {len(there)} points were not found"
-        )
-    area = np.repeat(areas / numbers, numbers) * there
-    low, extent = specimen.low[:2], (specimen.high - specimen.low)[:2]
-    cell = np.clip((p[:, :2] - low) / extent * blocks, 0, blocks - 1).astype(int)
-    n = np.array(si.n, dtype=float).T
-    return _Facets(si, n, area, cell[:, 0] * blocks + cell[:, 1])
-
-
-def _has_triangles(shape: mi.Shape) -> bool:
-    """Whether a shape shows its triangles; a rectangle is a mesh and does not."""
-    return shape.is_mesh() and "vertex_positions" in mi.traverse(shape)
-
-
-def _mesh_points(
-    mesh: mi.Mesh, n: int, generator: np.random.Generator
-) -> tuple[Floats, Floats]:
-    """Uniform points of a mesh and their normals, in double precision.
-
-    What Mitsuba draws of a mesh of many triangles lies beside them: one number in
-    single precision chooses the triangle and the place in it.
-    """
-    parameters = mi.traverse(mesh)
-    vertices = np.array(parameters["vertex_positions"]).reshape(-1, 3)
-    faces = np.array(parameters["faces"]).reshape(-1, 3)
-    a, b, c = (vertices[faces[:, i]].astype(float) for i in range(3))
-    normal = np.cross(b - a, c - a)
-    size = np.cumsum(np.linalg.norm(normal, axis=1))
-    chosen = np.searchsorted(size, generator.random(n) * size[-1], side="right")
-    chosen = np.minimum(chosen, len(faces) - 1)
-    u, v = generator.random((2, n))
-    root = np.sqrt(u)
-    shares = np.stack([1 - root, root * (1 - v), root * v])[..., None]
-    a, b, c, normal = (one[chosen] for one in (a, b, c, normal))
-    unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    return shares[0] * a + shares[1] * b + shares[2] * c, unit
-
-
-def _shape_points(
-    shape: mi.Shape, n: int, generator: np.random.Generator
-) -> tuple[Floats, Floats]:
-    """Uniform points of a shape and their normals."""
-    found = shape.sample_position(0.0, mi.Point2f(generator.random((2, n))))
-    # of a flat one there is one normal for all
-    p, normal = (
-        np.broadcast_to(np.array(v, dtype=float).T, (n, 3)) for v in (found.p, found.n)
-    )
-    return p, normal
-
-
-def _found(specimen: Specimen, p: Floats, n: Floats) -> mi.SurfaceInteraction3f:
-    """Points as rays find them that fall on them from just above.
-
-    Only so are they known to the bit by what tells a surface from itself.
-    """
-    above = np.abs(p).max(axis=1, keepdims=True) + specimen.detail
-    origin = mi.Point3f((p + n * above * APPROACH).astype(np.float32).T)
-    ray = mi.Ray3f(origin, -mi.Vector3f(n.T))
-    si = intersect(specimen.scene, ray, mi.RayFlags.All, mi.Bool(True))
-    dr.eval(si)
-    return si
-
-
 def _density(
-    facets: _Facets, edges: Floats, plane: float, n_blocks: int
+    facets: Facets, edges: Floats, plane: float, n_blocks: int
 ) -> tuple[Floats, Floats]:
     """Density of micro-normals in rings, and its standard error over the blocks."""
     cosine = np.clip(facets.n[:, 2], -1, 1)
@@ -333,16 +242,6 @@ def _density(
     solid = -2 * np.pi * np.diff(np.cos(np.radians(edges)))
     each = area.reshape(n_blocks, -1) / solid / plane
     return each.mean(axis=0), each.std(axis=0, ddof=1) / np.sqrt(n_blocks)
-
-
-def _ring_means(distribution: str, edges: Floats, alphas: Floats) -> Floats:
-    """Mean of a model's density over rings, by Gauss's rule in each."""
-    nodes, weights = np.polynomial.legendre.leggauss(8)
-    low, high = np.radians(edges[:-1, None]), np.radians(edges[1:, None])
-    theta = (low + high) / 2 + nodes * (high - low) / 2
-    weight = weights * np.sin(theta)
-    values = density(distribution, theta, *alphas) * weight
-    return values.sum(axis=1) / weight.sum(axis=1)
 
 
 def _jackknife(
@@ -359,7 +258,7 @@ def _jackknife(
 
 
 def _visible(
-    specimen: Specimen, facets: _Facets, theta: float, phi: float, n_blocks: int
+    specimen: Specimen, facets: Facets, theta: float, phi: float, n_blocks: int
 ) -> tuple[float, float, float, float]:
     """Masking and its error, shadowing with the mirror direction and its error."""
     towards = direction(np.radians(theta), np.radians(phi))
@@ -376,7 +275,7 @@ def _visible(
     )
 
 
-def _escape(specimen: Specimen, facets: _Facets, towards: Floats) -> Any:
+def _escape(specimen: Specimen, facets: Facets, towards: Floats) -> Any:
     """Whether each point sees a direction."""
     si, d = facets.si, mi.Vector3f(towards.tolist())
     active = dr.dot(si.n, d) > 0

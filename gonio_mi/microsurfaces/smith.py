@@ -12,9 +12,11 @@ from ..array_types import Floats
 
 __all__ = [
     "DISTRIBUTIONS",
+    "FLATTEST",
     "density",
     "fitted_alphas",
     "masking",
+    "ring_means",
     "ring_shares",
     "smith_lambda",
 ]
@@ -58,6 +60,31 @@ def ring_shares(
     beckmann = distribution == "beckmann"
     within = -np.expm1(-square) if beckmann else square / (1 + square)
     return np.diff(within.mean(axis=1))
+
+
+def ring_means(
+    distribution: str, edges: Floats, alpha_u: float, alpha_v: float
+) -> Floats:
+    """Means in 1/sr of the density of micro-normals over rings with `edges` in degrees.
+
+    Integrals over the part of the facets, and not over angles: a lobe however narrow
+    is met.
+    """
+    turn = 2 * np.pi * (np.arange(N_AZIMUTHS) + 0.5) / N_AZIMUTHS
+    alpha2 = (np.cos(turn) * alpha_u) ** 2 + (np.sin(turn) * alpha_v) ** 2
+    with np.errstate(over="ignore"):
+        square = np.tan(np.radians(edges))[:, None] ** 2 / alpha2
+        # the square of it is the part of the projected area that is steeper
+        beckmann = distribution == "beckmann"
+        root = np.exp(-square / 2) if beckmann else (1 + square) ** -0.5
+    nodes, weights = np.polynomial.legendre.leggauss(16)
+    high, low = root[:-1, :, None], root[1:, :, None]
+    at = (high + low) / 2 + nodes * (high - low) / 2
+    at = np.maximum(at, np.finfo(float).tiny)  # of an empty ring
+    slope2 = (-2 * np.log(at) if beckmann else at**-2.0 - 1) * alpha2[:, None]
+    area = (2 * at * np.sqrt(1 + slope2) * weights).sum(axis=-1)
+    area = (area * (root[:-1] - root[1:]) / 2).mean(axis=-1)
+    return area / (-2 * np.pi * np.diff(np.cos(np.radians(edges))))
 
 
 def smith_lambda(
