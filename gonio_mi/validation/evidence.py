@@ -55,7 +55,7 @@ PROPERTIES = {
     "masks": "inactive rays get 0, active ones what they get anyway",
     "ends": "finite at the ends: horizon, normal, random numbers, roughness",
     "parameters": "`traverse` answers; gradients of `eval` are its changes",
-    "cost": "what is asked again compiles nothing, and takes no longer than others",
+    "cost": "what is asked again compiles nothing",
 }
 
 # What a failure of each does, if its breach does not say otherwise; and to which of

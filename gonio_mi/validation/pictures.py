@@ -59,7 +59,7 @@ def draw_plane(maps: FourMaps) -> Figure:
 
     Two panels, of directions and of weights: what is drawn and what is due, in 1/sr,
     over the polar angle on the worst patch's side of its hemisphere, negative beyond
-    the normal. A line marks the patch.
+    the normal. A line marks the patch, a band two standard errors of what is due.
 
     Returns
     -------
@@ -74,14 +74,18 @@ def draw_plane(maps: FourMaps) -> Figure:
     patches = maps.subdivision
     edges = np.degrees(patches.theta_edges)
     edges = np.concatenate([-edges[:0:-1], edges])
-    for axes, first in zip(figure.subplots(1, 2), (0, 3)):
+    for axes, first, error in zip(figure.subplots(1, 2), (0, 3), _errors(maps)):
         half, ring, sector = _worst(columns[first + 2][1])
         beyond = (sector + patches.n_phi // 2) % patches.n_phi
-        for (title, values), style in zip(columns[first : first + 2], ("-", "--")):
-            cut = [values[half][::-1, beyond], values[half][:, sector]]
-            axes.stairs(
-                np.concatenate(cut), edges, baseline=None, ls=style, label=title
-            )
+        lines = columns[first : first + 2]
+        drawn, due, wide = (
+            np.concatenate([one[half][::-1, beyond], one[half][:, sector]])
+            for one in (*(values for _, values in lines), 2 * error)
+        )
+        band = {"color": "tab:orange", "alpha": 0.2, "lw": 0, "fill": True}
+        axes.stairs(due + wide, edges, baseline=np.maximum(due - wide, 0), **band)
+        for (title, _), values, style in zip(lines, (drawn, due), ("-", "--")):
+            axes.stairs(values, edges, baseline=None, ls=style, label=title)
         axes.axvline(np.degrees(patches.theta[ring]), c="0.6", lw=1, zorder=0)
         side = "lit side" if half == 0 else "other side"
         axes.set_title(
@@ -91,6 +95,17 @@ def draw_plane(maps: FourMaps) -> Figure:
         axes.set_ylabel("1/sr")
         axes.legend(frameon=False, fontsize="small")
     return figure
+
+
+def _errors(maps: FourMaps) -> tuple[Floats, Floats]:
+    """Standard errors of counted directions and of summed weights, in 1/sr."""
+    shape, solid = (2, *maps.subdivision.shape), maps.subdivision.solid_angles
+    due = np.clip(maps.pdf, 0, 1)
+    variances = due * (1 - due), np.maximum(maps.due.squares.values, 0)
+    first, second = (
+        np.sqrt(one / maps.totals.n).reshape(shape) / solid for one in variances
+    )
+    return first, second
 
 
 def _worst(scores: Floats) -> tuple[int, int, int]:

@@ -24,7 +24,8 @@ LEGEND = (
     "Maps of both hemispheres, seen from the normal: the circle is the direction to "
     "the source, the cross the patch whose score is the worst. Scores z are normal if "
     "nothing is wrong: beyond 5 or so, they are no chance. Below, what is drawn and "
-    "what is due in the plane through that patch, which a line marks."
+    "what is due in the plane through that patch, which a line marks; the band is two "
+    "standard errors wide on either side of what is due."
 )
 
 
@@ -77,14 +78,15 @@ def _table(verdict: Verdict) -> list[str]:
 
 
 def _row(one: Property) -> str:
-    details = [html.escape(one.statistic)] if one.statistic else []
+    details = [_code(one.statistic)] if one.statistic else []
     if one.status == FAILS:
         details.insert(0, html.escape(str(one.consequence)))
-    if one.mistake:
+    if one.mistake and one.mistake != one.statistic:
         details.append(f"<b>{_code(one.mistake)}</b>")
     if len(one.places) > 1:
         details.append("also:")
-        details += [html.escape(place) for place in one.places if place not in details]
+        places = [_code(place) for place in one.places]
+        details += [place for place in places if place not in details]
     text = "<br>".join([_code(one.question), *(f"<small>{d}</small>" for d in details)])
     return (
         f'<tr class="{one.status}"><td>{one.status}</td>'

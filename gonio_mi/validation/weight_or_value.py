@@ -7,6 +7,7 @@ where the other is not, or depends on the lobe that was picked.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
@@ -79,10 +80,9 @@ def explain_weights(
         cases = [(1 / ratio, drawn, mask) for ratio, drawn, mask in cases]
         return "eval", explain_ratio(cases, "eval", "value, over weight times pdf,")
     if guilty == "sample":
-        return "sample", explain_ratio(
-            cases, "sample", "weight times pdf, over `eval`,"
-        )
-    text = explain_neutrally(cases, "weight times pdf, over `eval`,")
+        text = explain_ratio(cases, "sample", WHAT)
+        return "sample", re.sub("^`sample` (?!weight)", "`sample` weight ", text)
+    text = explain_neutrally(cases, WHAT)
     return BOTH, f"`eval` or the weight of `sample`: {text}"
 
 
