@@ -12,6 +12,7 @@ from .coverage import print_coverage
 from .diffuse_facets import facet_contests
 from .endurance import print_growth
 from .equal_error import print_contests, print_costs
+from .integrals import print_integrals
 from .micro_geometry import print_speeds
 from .tolerances import print_campaigns
 from .turbid_layer import layer_contests, print_layer_speeds
@@ -39,6 +40,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         action="store_true",
         help="rays through a layer of a medium, and equal error beside volpath, "
         "instead",
+    )
+    part.add_argument(
+        "--integrals", action="store_true", help="a stack of them and each, instead"
     )
     part.add_argument(
         "--error", action="store_true", help="sobol against independent rays, instead"
@@ -100,6 +104,8 @@ def _run(options: argparse.Namespace) -> None:
     elif options.geometry:
         print_speeds(int(options.rays or 2**22), options.repeats)
         print_contests(*facet_contests(), *cost)
+    elif options.integrals:
+        print_integrals(options.repeats)
     elif options.tolerance:
         print_campaigns(options.tolerance, options.only, options.theta_max)
     elif options.media:

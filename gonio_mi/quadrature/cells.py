@@ -13,6 +13,7 @@ __all__ = [
     "BLIND",
     "CONFIRMING",
     "GAUSS",
+    "NOISE",
     "NODES_PER_CELL",
     "PROBING",
     "QUARTERS",
@@ -153,13 +154,14 @@ class Cells:
     def weights(self) -> NDArray[np.float64]:
         """Solid angles that the points of the rule stand for, shape (n, n_points)."""
         theta = self.theta.mean(axis=1, keepdims=True) + np.diff(self.theta) / 2 * NODES
-        weights = self._areas() * np.sin(theta)[:, :, None]
+        weights = self._areas()
+        weights *= np.sin(theta)[:, :, None]
         return weights.reshape(len(theta), -1)
 
     def _areas(self) -> NDArray[np.float64]:
         """Areas in polar angle and azimuth that the points of the rule stand for."""
         area = np.diff(self.theta) / 2 * (np.diff(self.phi) / 2)
-        return area[:, :, None] * WEIGHTS[:, None] * WEIGHTS
+        return (area * WEIGHTS)[:, :, None] * WEIGHTS
 
     def of_direction(self, number: int, n_patches: int) -> "Cells":
         """Cells of one incident direction, as if there were no other.
@@ -185,6 +187,8 @@ class Cells:
         )
 
     def __getitem__(self, chosen: Any) -> "Cells":
+        if np.asarray(chosen).dtype.kind == "b" and np.all(chosen):
+            return self
         return Cells(*(column[chosen] for column in self._columns()))
 
 
@@ -200,12 +204,15 @@ class Points:
         How far inside its cell a point is at least, in radians.
     areas : ndarray, shape (n_points,)
         What they stand for of the area, which is 4; nothing where it is no rule.
+    n_side : int
+        Points on a side, where each of one side goes with each of the other; else 0.
     """
 
     theta: NDArray[np.float64]
     phi: NDArray[np.float64]
     inside: float
     areas: NDArray[np.float64]
+    n_side: int = 0
 
     @classmethod
     def tensor(
@@ -217,7 +224,7 @@ class Points:
         """Points of a tensor rule, the azimuth running fastest."""
         n = len(nodes)
         areas = np.outer(weights, weights).ravel()
-        return cls(np.repeat(nodes, n), np.tile(nodes, n), inside, areas)
+        return cls(np.repeat(nodes, n), np.tile(nodes, n), inside, areas, n)
 
     def __len__(self) -> int:
         return len(self.theta)
@@ -262,12 +269,15 @@ class Guides:
         """
         kept = (chosen & full)[self.cell]
         cell, theta, phi = self.cell[kept], self.theta[kept], self.phi[kept]
-        fourth = [
-            np.clip(4 * (angle - edges[:, 0]) // np.diff(edges)[:, 0], 0, 3)
-            for angle, edges in ((theta, cells.theta[cell]), (phi, cells.phi[cell]))
-        ]
-        quarter = 2 * (fourth[0] // 2) + fourth[1] // 2
-        part = np.choose(way[cell], [quarter, *fourth]).astype(int)
+        fourth = []
+        for angle, edges in ((theta, cells.theta), (phi, cells.phi)):
+            steps = 4 / np.diff(edges)[:, 0]
+            place = (angle - edges[cell, 0]) * steps[cell]
+            fourth.append(np.clip(place, 0, 3).astype(np.int8))
+        part = 2 * (fourth[0] // 2) + fourth[1] // 2
+        for axis, across in enumerate((ACROSS_THETA, ACROSS_PHI)):
+            own = way[cell] == across
+            part[own] = fourth[axis][own]
         rank = np.cumsum(chosen) - 1
         return Guides(4 * rank[cell] + part, theta, phi)
 
@@ -304,6 +314,9 @@ def _difference(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
 STEP = 0.1
 ALONG = 1 / 32
 
+# What single precision leaves of the largest value, at best.
+NOISE = 2.0**-22
+
 # Of the nodes of a cell along one side, and of those of both its halves.
 ROUGH, FINE_ROUGH = _difference(NODES), _difference(_HALF_NODES)
 
@@ -318,12 +331,12 @@ def off_polynomial(
 
 def noise(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """How far the values at the nodes of quarters are from smooth, by cell."""
-    n = len(values)
-    values = values.reshape(n, 2, 2, ORDER, ORDER, -1).swapaxes(2, 3)
-    values = values.reshape(n, 2 * ORDER, 2 * ORDER, -1)
+    n, _, channels = values.shape
+    values = values.reshape(n, 2, 2, ORDER, ORDER, channels).swapaxes(2, 3)
+    values = values.reshape(n, 2 * ORDER, 2 * ORDER, channels)
     theta = np.abs(np.einsum("ntpc,t->npc", values, FINE_ROUGH)).max(axis=1)
     phi = np.abs(np.einsum("ntpc,p->ntc", values, FINE_ROUGH)).max(axis=1)
-    return np.maximum(theta, phi) + 2.0**-22 * np.abs(values).max(axis=(1, 2))
+    return np.maximum(theta, phi) + NOISE * np.abs(values).max(axis=(1, 2))
 
 
 def way_to_split(values: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -74,8 +74,14 @@ class IncidentLight:
 
         They are rounded to single precision once.
         """
-        sin_theta, cos_theta = dr.sincos(mi.Float64(theta))
-        sin_phi, cos_phi = dr.sincos(mi.Float64(phi))
+        of_theta, of_phi = (dr.sincos(mi.Float64(angle)) for angle in (theta, phi))
+        return self.towards_sines(of_theta, of_phi, lower)
+
+    def towards_sines(
+        self, theta: tuple[Any, Any], phi: tuple[Any, Any], lower: Any
+    ) -> mi.Vector3f:
+        """The same from the sine and cosine of each angle, in double precision."""
+        (sin_theta, cos_theta), (sin_phi, cos_phi) = theta, phi
         world = mi.Vector3f(
             mi.Float(sin_theta * cos_phi),
             mi.Float(sin_theta * sin_phi),

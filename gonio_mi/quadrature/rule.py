@@ -100,6 +100,8 @@ class PatchIntegrals:
         Estimated absolute error of `flux`: the differences of all cells added up, as if
         none cancelled, from coarser cells and from a rule of other points.
     n_evaluations : int
+    together : Cells
+        Of all directions that shared kernels, of which this one has the `number`.
     rule : Rule
         The converged rule, to integrate a similar BSDF, or to differentiate it.
     """
@@ -108,13 +110,20 @@ class PatchIntegrals:
     flux: Floats
     error: Floats
     n_evaluations: int
-    cells: Cells
+    together: Cells
+    number: int
     light: IncidentLight
 
     @property
     def values(self) -> Floats:
         """Patch means of BRDF and BTDF in 1/sr, shaped like `flux`."""
         return self.flux / self.subdivision.projected_solid_angles[..., None]
+
+    @cached_property
+    def cells(self) -> Cells:
+        """The converged cells of this direction."""
+        n_patches = len(self.flux) * self.subdivision.n_patches
+        return self.together.of_direction(self.number, n_patches)
 
     @cached_property
     def rule(self) -> Rule:
@@ -233,7 +242,6 @@ def _integrated(
     lights: Sequence[IncidentLight],
 ) -> list[PatchIntegrals]:
     """Integrals over the patches that begin as `cells`, for each of the lights."""
-    n_patches = len(cells.patch)
     guides = evaluator.guides(cells, subdivision)
     coarse, values_at = evaluator.integrals(cells)
     way = way_to_split(values_at)
@@ -259,7 +267,9 @@ def _integrated(
         open_cells &= ~(too_many | (level == MAX_LEVELS - 1))[cells.direction]
         children = np.repeat(open_cells, 4)
         for chosen in (sharp, ~sharp & ~open_cells):
-            sums.add(cells[chosen], values[chosen], difference[chosen], ~sharp[chosen])
+            sums.add(
+                cells.patch[chosen], values[chosen], difference[chosen], ~sharp[chosen]
+            )
         finished.append(parts[~children])
         if not open_cells.any():
             break
@@ -277,7 +287,8 @@ def _integrated(
             flux[number],
             error[number],
             int(evaluator.n_evaluations[number]),
-            whole.of_direction(number, n_patches // len(lights)),
+            whole,
+            number,
             light,
         )
         for number, light in enumerate(lights)
@@ -337,7 +348,7 @@ class _PatchSums:
 
     def allowed(self, cells: Cells, values: Floats, rel_err: float) -> Floats:
         """Tolerated error of each patch, if the open `cells` have these `values`."""
-        estimate = self.flux + self._by_patch(cells, values)
+        estimate = self.flux + self._by_patch(cells.patch, values)
         of_each = estimate.reshape(self.n_directions, -1, estimate.shape[-1])
         # over both hemispheres, also where one is known to be dark
         mean = of_each.mean(axis=(1, 2), keepdims=True) * self.lit
@@ -345,20 +356,20 @@ class _PatchSums:
         return rel_err * np.maximum(of_each, least).reshape(estimate.shape)
 
     def add(
-        self, cells: Cells, values: Floats, difference: Floats, counted: Flags
+        self, patch: Integers, values: Floats, difference: Floats, counted: Flags
     ) -> None:
         """Add the integrals over finished cells, and what they may be wrong by.
 
         Where single precision ends, no convergence is asked: it is not `counted`.
         """
-        self.flux += self._by_patch(cells, values)
-        self.error += self._by_patch(cells, difference)
-        self.square += self._by_patch(cells, counted[:, None] * difference**2)
+        self.flux += self._by_patch(patch, values)
+        self.error += self._by_patch(patch, difference)
+        self.square += self._by_patch(patch, counted[:, None] * difference**2)
 
-    def _by_patch(self, cells: Cells, values: Numbers) -> Numbers:
+    def _by_patch(self, patch: Integers, values: Numbers) -> Numbers:
         """Sum of the cells' values in each patch."""
         n = len(self.flux)
-        columns = [np.bincount(cells.patch, one, minlength=n) for one in values.T]
+        columns = [np.bincount(patch, one, minlength=n) for one in values.T]
         return np.stack(columns, axis=-1)
 
 
