@@ -12,8 +12,8 @@ from .coverage import print_coverage
 from .diffuse_facets import facet_contests
 from .endurance import print_growth
 from .equal_error import print_contests, print_costs
-from .integrals import print_integrals
 from .micro_geometry import print_speeds
+from .stacked_integrals import print_integrals
 from .tolerances import print_campaigns
 from .turbid_layer import layer_contests, print_layer_speeds
 
