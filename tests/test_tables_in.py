@@ -55,6 +55,10 @@ phi_s                    | phi_o      | -
 phi_r - phi_i            | delta_phi  | -
 Relative Azimuth         | delta_phi  | -
 BRDF (1/sr)              | value      | 1/sr
+f_r/sr^-1                | value      | 1/sr
+f_r 550 nm               | value      | -
+frame                    | -          | -
+theta_det                | theta_o    | -
 Panel BRF                | value      | -
 550nm                    | value      | -
 u(BRDF) / %              | sigma      | %

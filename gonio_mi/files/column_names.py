@@ -34,7 +34,7 @@ OUTGOING = {
     *("o", "out", "r", "s", "v", "view", "viewing", "exit", "exitant", "outgoing"),
     *("measure", "measured", "measurement", "detector", "receiver", "scatter"),
     *("scattered", "scattering", "reflected", "observation", "observer", "sensor"),
-    *("emergent", "output", "receive", "detection"),
+    *("emergent", "output", "receive", "detection", "det"),
     *("t", "transmitted", "transmission"),
 }
 RELATIVE = {"relative", "rel", "delta", "d", "difference", "diff"}
@@ -60,6 +60,8 @@ QUANTITY_OF = {
     "brf": "reflectance_factor",
     "hcrf": "reflectance_factor",
 }
+# Nicodemus's symbols f_r and f_t, alone.
+SYMBOLS = {"fr": "brdf", "ft": "btdf"}
 VALUES = {"value", "values", "bsdf", *QUANTITY_OF}
 
 # Channels that columns of values may have for their whole name.
@@ -212,4 +214,4 @@ def _quantity(words: Sequence[str]) -> str:
         if word in QUANTITY_OF:
             cosine = QUANTITY_OF[word] == "brdf" and {"cos", "cosine"} & set(words)
             return "brdf_cos" if cosine else QUANTITY_OF[word]
-    return ""
+    return SYMBOLS.get("".join(words), "")
