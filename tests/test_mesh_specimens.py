@@ -202,3 +202,17 @@ def test_a_film_without_walls_is_not_told_of(recwarn):
     }
     gonio.measure({"type": "scene"} | faces, 30, period="box", rays=64)
     assert not recwarn.list
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_mesh_is_measured_in_other_processes(tmp_path):
+    """Mitsuba's transforms cannot be sent by themselves; the bits are the same."""
+    path = tmp_path / "slat.obj"
+    path.write_text("v 0 0 0\nv 2 0 1\nv 2 1 1\nv 0 1 0\nf 1 2 3 4\n")
+    slat = gonio.mesh(path, {"type": "diffuse"}, mean_plane=0.2)
+    settings = {"theta_i": (0, 40), "rays": 500, "collector": "projected:2x4"}
+    (here, there) = (
+        gonio.campaign({"slat": slat}, **settings, period=(2, 1), executor=executor)
+        for executor in (None, 1)
+    )
+    assert here["slat"].tallies == there["slat"].tallies

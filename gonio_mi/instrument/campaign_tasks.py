@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import logging
 import os
 import pickle
@@ -17,6 +18,7 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ..errors import SettingError, SpecimenError, frames, shown
 from ..progress import bar
@@ -270,6 +272,7 @@ def _check_specimens(
 
 def _check_picklable(tasks: Sequence[_Task]) -> None:
     """Raise ValueError for a specimen or setting that other processes cannot get."""
+    copyreg.pickle(mi.ScalarTransform4f, _sent)  # of meshes, which cannot by themselves
     for task in tasks:
         for label, value in {task.name: task.specimen, **task.settings}.items():
             try:
@@ -279,6 +282,18 @@ def _check_picklable(tasks: Sequence[_Task]) -> None:
                     f"{label} must be plain values or a path to be measured in another "
                     f"process, got {shown(value)}"
                 ) from None
+
+
+def _sent(transform: Any) -> tuple[Any, ...]:
+    """What a transform is made of in another process."""
+    return _received, (np.array(transform.matrix).tolist(), mi.variant())
+
+
+def _received(matrix: list[list[float]], variant: str) -> Any:
+    """Transform, in a process that may not have the variant of its task yet."""
+    if mi.variant() is None:
+        mi.set_variant(variant)
+    return mi.ScalarTransform4f(matrix)
 
 
 # ------------------------------------------------------------------------ executing
