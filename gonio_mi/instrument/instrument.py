@@ -266,7 +266,8 @@ def _warn_of_astray(ledger: Ledger) -> None:
             "a shape with a medium must be closed, and overlap no other, but "
             f"{ledger.astray} of {ledger.emitted} rays left the scene inside of a "
             "medium or met a surface that is said to lie in another one; they are in "
-            "the ledger's row astray and in no patch",
+            "the ledger's row astray and in no patch; layers that are open at their "
+            "sides are measured with --period box",
             RuntimeWarning,
             stacklevel=3,
         )
