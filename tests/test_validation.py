@@ -332,6 +332,15 @@ def test_grey_parameters_get_a_colour():
     assert params["alpha"] == np.float32(0.1)
 
 
+@pytest.mark.usefixtures("rgb")
+def test_what_a_plugin_keeps_as_one_number_stays_one():
+    """A tint would give it three, which are no reflectances of so many rays."""
+    broken_bsdfs.register()
+    verdict = validate({"type": "grey"}, effort="quick", alpha=ALPHA)
+    assert verdict.answered, str(verdict)
+    assert verdict.passed, str(verdict)
+
+
 PLUGIN = """
 import sys
 sys.path.insert(0, {folder!r})

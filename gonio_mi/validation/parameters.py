@@ -173,7 +173,9 @@ def _tints(bsdf: mi.BSDF) -> dict[str, Any]:
     tints = {}
     for key in params.keys():  # noqa: SIM118
         name, value = key.removesuffix(".value"), params[key]
-        if not COLOURS.search(name) or not isinstance(value, (mi.Float, mi.Color3f)):
+        # a texture may be grey; what a plugin keeps as one number stays one
+        colour = mi.Color3f if key == name else (mi.Float, mi.Color3f)
+        if not COLOURS.search(name) or not isinstance(value, colour):
             continue
         value = np.ravel(value)
         if "." not in name and np.ptp(value) == 0 and 0 < value[0] <= 1:
