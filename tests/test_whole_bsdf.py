@@ -13,7 +13,7 @@ import synthetic
 from budget import agree, disagree, single
 
 import gonio_mi as gonio
-from gonio_mi.instrument import campaign_tasks, whole_bsdf
+from gonio_mi.instrument import campaign_tasks, known_directions
 from gonio_mi.instrument.refinement import Axis, Interval, refined
 from gonio_mi.materials.gradients import gradients
 from gonio_mi.materials.lobes import LobeTable
@@ -247,14 +247,14 @@ def test_an_anisotropic_specimen_is_recognised():
 @pytest.mark.usefixtures("mono")
 def test_rays_are_taken_where_a_late_integral_is_refused(monkeypatch):
     """At directions never used, when all others are known; nothing is mixed."""
-    measure = whole_bsdf.records_of
+    measure = known_directions.records_of
 
     def refusing(specimens, incidents, where, settings, said):
         if settings["estimator"] == "quadrature" and "never used" in said:
             raise gonio.SpecimenError("it does not converge")
         return measure(specimens, incidents, where, settings, said)
 
-    monkeypatch.setattr(whole_bsdf, "records_of", refusing)
+    monkeypatch.setattr(known_directions, "records_of", refusing)
     how = {"tolerance": 0.3, "collector": "projected:4x12"}
     record = gonio.campaign({"plate": {"type": "diffuse"}}, **how)["plate"]
     assert record.settings["estimator"] == "weighted"
@@ -290,7 +290,7 @@ def test_a_name_that_is_a_path_stays_in_the_folder(monkeypatch, tmp_path):
         folders.append(where.folder.parent)
         raise RuntimeError("enough of it")
 
-    monkeypatch.setattr(whole_bsdf, "records_of", asked)
+    monkeypatch.setattr(known_directions, "records_of", asked)
     names = [str(tmp_path / "plate.xml"), "../plate", "plate", "..", "x:y", "x_y"]
     for name in names:
         with pytest.raises(RuntimeError, match="enough of it"):
@@ -325,6 +325,17 @@ def test_without_a_collector_one_is_chosen(tmp_path):
     assert str(record.subdivision) == named
     again = gonio.campaign({"gloss": gloss}, **how, folder=tmp_path)["gloss"]
     assert again == record
+
+
+@pytest.mark.usefixtures("mono")
+def test_hours_are_announced(monkeypatch):
+    """Before they pass; twin: seconds are not."""
+    how = {"tolerance": 0.3, "collector": "projected:4x12", "estimator": "weighted"}
+    plate = {"plate": {"type": "diffuse"}}
+    gonio.campaign(plate, **how)
+    monkeypatch.setattr(known_directions, "LONG", 0)
+    with pytest.warns(RuntimeWarning, match=r"took \d+ s; at least some \d+ more are"):
+        gonio.campaign(plate, **how)
 
 
 class Stop:

@@ -25,10 +25,10 @@ __all__ = ["print_campaigns"]
 # Random directions that no campaign has seen.
 UNSEEN, SEED = 200, 12345
 
-# Polar angles of the grids that are tried, in equal steps, and azimuths of each.
+# Polar angles of the grids that are tried, in equal steps; and of those of anisotropic
+# specimens, with the azimuths of each.
 ANGLES = (5, 7, 9, 11, 13, 16, 19, 23, 28, 34, 41, 50)
-AZIMUTHS = (16, 24, 32, 48, 64, 96)
-MOST_OF_GRID = 1000
+ANGLES_OF_AZIMUTHS, AZIMUTHS = (6, 8, 11, 16), (16, 32, 64)
 
 
 @dataclass(frozen=True)
@@ -120,12 +120,10 @@ def _rows(case: Case, tolerance: float, theta_max: float) -> list[tuple[str, ...
 
 def _grids(isotropic: bool) -> list[tuple[int, int]]:
     """Polar angles and azimuths of grids, ascending by their directions."""
-    azimuths = (1,) if isotropic else AZIMUTHS
-    grids = itertools.product(ANGLES, azimuths)
-    return sorted(
-        (one for one in grids if one[0] * one[1] <= MOST_OF_GRID),
-        key=lambda one: one[0] * one[1],
-    )
+    if isotropic:
+        return [(angles, 1) for angles in ANGLES]
+    grids = itertools.product(ANGLES_OF_AZIMUTHS, AZIMUTHS)
+    return sorted(grids, key=lambda one: one[0] * one[1])
 
 
 def _unseen(case: Case, chosen: Record, theta_max: float) -> Record:

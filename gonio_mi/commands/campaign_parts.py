@@ -7,7 +7,7 @@ import shutil
 from argparse import Namespace
 from pathlib import Path
 
-from ..instrument.whole_bsdf import folder_name
+from ..instrument.known_directions import folder_name
 
 __all__ = ["CampaignParts"]
 

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import logging
-import re
 import warnings
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..collector import Subdivision
-from ..errors import SettingError, SpecimenError, checked_number
+from ..errors import checked_number
 from ..results.misplacement import Misplacement, misplaced
 from ..results.record import Record
-from .campaign_tasks import Surroundings, records_of
+from .campaign_tasks import Surroundings
+from .known_directions import KnownDirections, NotIntegrableError
 from .prediction import Prediction
 from .refinement import Axis, Interval, refined
 from .resolution import TooCoarseError, check_equal_sectors, check_resolved
 
-__all__ = ["WholeBsdf", "checked_theta_max", "checked_tolerance", "folder_name"]
+__all__ = ["WholeBsdf", "checked_theta_max", "checked_tolerance"]
 
 logger = logging.getLogger(__name__)
 
@@ -43,9 +39,6 @@ LEFT = 1 / 2
 # tolerance, and how often it is refined where they did.
 UNSEEN, MISSES, ROUNDS = 40, 2, 10
 
-# Parts of the tolerance: what noise may misplace, and what an integral may be off by.
-NOISE, INTEGRAL = 1 / 4, 1 / 10
-
 
 def checked_tolerance(value: Any) -> float:
     """Tolerance of a whole BSDF, or a ValueError that says what it must be."""
@@ -59,10 +52,6 @@ def checked_tolerance(value: Any) -> float:
 def checked_theta_max(value: Any) -> float:
     """Largest angle of incidence, or a ValueError that says what it must be."""
     return checked_number("theta_max", value, 10, 89.5, "degrees from 10 to below 89.5")
-
-
-class _NotIntegrableError(Exception):
-    """A direction of which an integral is refused, where rays may be taken."""
 
 
 class WholeBsdf:
@@ -94,23 +83,17 @@ class WholeBsdf:
         where: Surroundings,
         settings: dict[str, Any],
     ) -> None:
-        for other in ("rays", "rel_err", "noise"):
-            if settings.get(other) is not None:
-                raise SettingError(
-                    f"tolerance and {other} exclude each other, got both"
-                )
-        self.name, self.specimen = name, specimen
-        self.tolerance, self.theta_max = tolerance, theta_max
-        self.where, self.settings = where, settings
-        self.estimators = [settings.get("estimator") or "quadrature"]
-        if settings.get("estimator") is None:
-            self.estimators.append("weighted")
+        self.name, self.tolerance, self.theta_max = name, tolerance, theta_max
+        self.directions = KnownDirections(name, specimen, tolerance, where, settings)
+        self.settings = settings
         # on a side of each patch; the error of the mean over them is below a tenth of
         # the tolerance where the collector resolves the lobes
         self.n_points = 8 if tolerance >= 0.005 else 16 if tolerance >= 0.001 else 32
-        self.known: dict[tuple[float, float], Record] = {}
-        self.n_rounds = 0
-        self.chosen: Subdivision | None = None  # where no collector was asked for
+
+    @property
+    def known(self) -> dict[tuple[float, float], Record]:
+        """Records of the directions measured so far."""
+        return self.directions.records
 
     def measured(self) -> Record:
         """Stack of the directions that the material needs, with its errors.
@@ -126,92 +109,38 @@ class WholeBsdf:
         while True:
             try:
                 return self._measured()
-            except _NotIntegrableError as error:
+            except NotIntegrableError as error:
                 logger.info("%s: rays instead of integrals: %s", self.name, error)
-                del self.estimators[0]
-                self._start_anew()
+                self.directions.start_anew()
             except TooCoarseError as error:
-                if self.settings.get("collector") is not None:
+                if self.directions.settings.get("collector") is not None:
                     raise
                 logger.info("%s: the collector is %s", self.name, error.enough)
-                self.chosen = error.enough
-                self.settings = self.settings | {"collector": self.chosen}
-                self._start_anew()
-
-    def _start_anew(self) -> None:
-        self.known.clear()
-        self.n_rounds = 0
+                self.directions.start_anew(error.enough)
 
     def _measured(self) -> Record:
         """Refine polar angles, then azimuths, then wherever it is still wrong."""
         angles = np.linspace(0, self.theta_max, FIRST_ANGLES).tolist()
-        self._measure([(theta, 0.0) for theta in angles], "first directions")
+        self.directions.measure([(theta, 0.0) for theta in angles], "first directions")
         patches = self.known[0.0, 0.0].subdivision
         check_equal_sectors(patches)
         self.n_sectors = patches.shape[1]
-        check_resolved(self.tolerance, self.n_points, angles[2:], self._records)
+        check_resolved(self.tolerance, self.n_points, angles[2:], self.directions.stack)
         self.isotropic = self._is_isotropic(angles)
         self.legs = Axis(_middle_angle, LEFT, dict.fromkeys(_intervals(angles)))
         self.gaps = Axis(_middle_sector)
         # errors along both axes add up by their squares, about
-        limit = self.tolerance * (1.0 if self.isotropic else 0.5**0.5)
-        refined(self.legs, limit, self._errors_of_legs)
+        self.limit = self.tolerance * (1.0 if self.isotropic else 0.5**0.5)
+        refined(self.legs, self.limit, self._errors_of_legs)
         if not self.isotropic:
             for theta in self.legs.levels()[1:]:
                 self.gaps.errors |= dict.fromkeys(
                     _intervals([*self._first_sectors(), self.n_sectors], theta)
                 )
-            refined(self.gaps, limit, self._errors_of_gaps)
+            refined(self.gaps, self.limit, self._errors_of_gaps)
         return self._described(self._confirmed())
 
-    # --------------------------------------------------------------------- measuring
-
-    def _measure(self, incidents: Iterable[tuple[float, float]], said: str) -> None:
-        """Measure the directions that are not known yet."""
-        new = sorted(set(incidents) - self.known.keys())
-        if not new:
-            return
-        where, estimator = self.where, self.estimators[0]
-        if where.folder is not None:
-            part = f"{estimator}_{self.n_rounds:03d}"
-            if self.chosen is not None:
-                part += f"_{self.chosen}".replace(":", "_")
-            own = Path(where.folder) / folder_name(self.name)
-            where = replace(where, folder=own / part)
-        said = f"{self.name}, {len(self.known)} directions, {said}"
-        logger.info("%s: %d more", said, len(new))
-        settings = self.settings | self._goals()
-        try:
-            record = records_of({self.name: self.specimen}, new, where, settings, said)
-        except SpecimenError as error:
-            if len(self.estimators) == 1:
-                raise
-            raise _NotIntegrableError(error) from error
-        self.known |= zip(new, _parts(record[self.name]))
-        self.n_rounds += 1
-
-    def _records(
-        self, incidents: Sequence[tuple[float, float]], patches: Subdivision | None
-    ) -> Record:
-        """Stack of directions, which are measured if they are not known.
-
-        With other `patches` they are measured here, and not kept.
-        """
-        said = "whether patches resolve the lobes"
-        if patches is None:
-            self._measure(incidents, said)
-            return Record.stack(self.known[one] for one in incidents)
-        where = replace(self.where, folder=None)
-        settings = self.settings | self._goals() | {"collector": patches}
-        specimens = {self.name: self.specimen}
-        return records_of(specimens, incidents, where, settings, said)[self.name]
-
-    def _goals(self) -> dict[str, Any]:
-        """Estimator, and how precise each direction is to be."""
-        if self.estimators[0] == "quadrature":
-            rel_err = min(INTEGRAL * self.tolerance, 1e-3)
-            return {"estimator": "quadrature", "rel_err": rel_err}
-        return {"estimator": self.estimators[0], "noise": NOISE * self.tolerance}
+    # -------------------------------------------------------------------- directions
 
     def _azimuth(self, sector: float) -> float:
         """Azimuth of a sector's edge in degrees."""
@@ -234,7 +163,7 @@ class WholeBsdf:
             for theta in angles[1:3]
             for sector in sectors
         ]
-        self._measure(turned, "whether it is isotropic")
+        self.directions.measure(turned, "whether it is isotropic")
         prediction = self._prediction((theta, 0.0) for theta in angles)
         errors = [self._missed(prediction, *incident) for incident in turned]
         isotropic = not any(one.exceeds(self.tolerance / 2) for one in errors)
@@ -258,12 +187,14 @@ class WholeBsdf:
         self, legs: Sequence[Interval], middles: Iterable[float]
     ) -> list[float]:
         """Errors in the middles of legs: the largest of all first azimuths."""
+        self._announce()
         middles = list(middles)
         lines = [self._azimuth(sector) for sector in self._first_sectors()]
         levels = self.legs.levels()
         said = f"{len(legs)} of {len(levels) - 1} legs open"
         needed = [(theta, phi) for theta in [*levels, *middles] for phi in lines]
-        self._measure(((t, phi) if t else (0.0, 0.0) for t, phi in needed), said)
+        needed = [(theta, phi if theta else 0.0) for theta, phi in needed]
+        self.directions.measure(needed, said)
         worst = np.zeros(len(legs))
         for phi in lines:
             ends = [(theta, phi) if theta else (0.0, 0.0) for theta in levels]
@@ -279,10 +210,11 @@ class WholeBsdf:
         self, gaps: Sequence[Interval], middles: Iterable[float]
     ) -> list[float]:
         """Errors in the middles of gaps between azimuths of rings."""
+        self._announce()
         middles = [self._azimuth(sector) for sector in middles]
         said = f"{len(gaps)} of {len(self.gaps.errors)} gaps of azimuth open"
         new = [(gap.on, phi) for gap, phi in zip(gaps, middles)]
-        self._measure([*self._directions(), *new], said)
+        self.directions.measure([*self._directions(), *new], said)
         of_ring = defaultdict(list)
         for number, gap in enumerate(gaps):
             of_ring[gap.on].append(number)
@@ -293,6 +225,19 @@ class WholeBsdf:
                 error = self._missed(prediction, theta, middles[number])
                 errors[number] = _beyond(error)
         return errors
+
+    def _announce(self) -> None:
+        """Tell how long it will take, if that is long, from the errors known so far."""
+
+        def parts(axis: Axis) -> float:
+            errors = [2 * self.limit if e is None else e for e in axis.errors.values()]
+            return float(np.sqrt(np.maximum(np.divide(errors, self.limit), 1)).sum())
+
+        n_rings = 1 + parts(self.legs)
+        n_azimuths = float(len(self._first_sectors()))
+        if self.gaps.errors:
+            n_azimuths = parts(self.gaps) / (len(self.legs.levels()) - 1)
+        self.directions.announce(n_rings * n_azimuths + UNSEEN)
 
     # ------------------------------------------------------------------- confirming
 
@@ -320,7 +265,8 @@ class WholeBsdf:
             unseen = list(
                 zip(theta.tolist(), (360 * generator.random(UNSEEN)).tolist())
             )
-            self._measure([*self._directions(), *unseen], "at directions never used")
+            every = [*self._directions(), *unseen]
+            self.directions.measure(every, "at directions never used")
             prediction = self._prediction(self._directions())
             errors = [self._missed(prediction, *incident) for incident in unseen]
             missed = [one for one in errors if one.exceeds(self.tolerance)]
@@ -404,20 +350,6 @@ class WholeBsdf:
                 stacklevel=4,
             )
         return record.with_settings(campaign=found)
-
-
-def folder_name(name: str) -> str:
-    """Name of the folder of a specimen, whose own name may be a path.
-
-    What tells names apart that would be written alike is behind it.
-    """
-    digest = hashlib.blake2s(name.encode(), digest_size=4).hexdigest()
-    return f"{re.sub(r'[^A-Za-z0-9.,=+-]+', '_', name)[:80]}_{digest}"
-
-
-def _parts(record: Record) -> Iterable[Record]:
-    """Records of each incident direction."""
-    return (record[number] for number in range(len(record)))
 
 
 def _beyond(error: Misplacement) -> float:

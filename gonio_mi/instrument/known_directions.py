@@ -1,0 +1,166 @@
+"""Directions that a campaign has measured, as precisely as its tolerance asks."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import re
+import time
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..collector import Subdivision
+from ..errors import SettingError, SpecimenError
+from ..results.record import Record
+from .campaign_tasks import Surroundings, records_of
+
+__all__ = ["KnownDirections", "NotIntegrableError", "folder_name"]
+
+logger = logging.getLogger(__name__)
+
+# Parts of the tolerance: what noise may misplace, and what an integral may be off by.
+NOISE, INTEGRAL = 1 / 4, 1 / 10
+
+# Seconds of further measuring that are announced.
+LONG = 600
+
+
+class NotIntegrableError(Exception):
+    """A direction of which an integral is refused, where rays may be taken."""
+
+
+class KnownDirections:
+    """Records of a specimen by incident direction; the same wherever it is measured.
+
+    Parameters
+    ----------
+    name : str
+    specimen : object
+        What :func:`~gonio_mi.instrument.measuring.measure` takes.
+    tolerance : float
+    where : Surroundings
+    settings : dict
+        All other settings of a measurement.
+
+    Attributes
+    ----------
+    records : dict
+        By polar angle and azimuth in degrees.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        specimen: Any,
+        tolerance: float,
+        where: Surroundings,
+        settings: dict[str, Any],
+    ) -> None:
+        for other in ("rays", "rel_err", "noise"):
+            if settings.get(other) is not None:
+                raise SettingError(
+                    f"tolerance and {other} exclude each other, got both"
+                )
+        self.name, self.specimen, self.tolerance = name, specimen, tolerance
+        self.where, self.settings = where, settings
+        self.estimators = [settings.get("estimator") or "quadrature"]
+        if settings.get("estimator") is None:
+            self.estimators.append("weighted")
+        self.chosen: Subdivision | None = None  # where no collector was asked for
+        self.records: dict[tuple[float, float], Record] = {}
+        self.n_rounds = self.n_timed = 0
+        self.seconds, self.announced = 0.0, False
+
+    def start_anew(self, patches: Subdivision | None = None) -> None:
+        """Forget all directions; take rays, or other patches if some are given."""
+        if patches is None:
+            del self.estimators[0]
+        else:
+            self.chosen = patches
+            self.settings = self.settings | {"collector": patches}
+        self.records.clear()
+        self.n_rounds = self.n_timed = 0
+        self.seconds = 0.0
+
+    def measure(self, incidents: Iterable[tuple[float, float]], said: str) -> None:
+        """Measure the directions that are not known yet.
+
+        Raises
+        ------
+        NotIntegrableError
+            If an integral is refused, and no estimator was asked for.
+        """
+        new = sorted(set(incidents) - self.records.keys())
+        if not new:
+            return
+        where, started = self.where, time.perf_counter()
+        if where.folder is not None:
+            part = f"{self.estimators[0]}_{self.n_rounds:03d}"
+            if self.chosen is not None:
+                part += f"_{self.chosen}".replace(":", "_")
+            own = Path(where.folder) / folder_name(self.name)
+            where = replace(where, folder=own / part)
+        said = f"{self.name}, {len(self.records)} directions, {said}"
+        logger.info("%s: %d more", said, len(new))
+        settings = self.settings | self._goals()
+        try:
+            record = records_of({self.name: self.specimen}, new, where, settings, said)
+        except SpecimenError as error:
+            if len(self.estimators) == 1:
+                raise
+            raise NotIntegrableError(error) from error
+        stack = record[self.name]
+        self.records |= zip(new, (stack[number] for number in range(len(stack))))
+        self.n_rounds, self.n_timed = self.n_rounds + 1, self.n_timed + len(new)
+        self.seconds += time.perf_counter() - started
+
+    def stack(
+        self,
+        incidents: Sequence[tuple[float, float]],
+        patches: Subdivision | None = None,
+    ) -> Record:
+        """Stack of directions, which are measured if they are not known.
+
+        With other `patches` they are measured here, and not kept.
+        """
+        said = "whether patches resolve the lobes"
+        if patches is None:
+            self.measure(incidents, said)
+            return Record.stack(self.records[one] for one in incidents)
+        where = replace(self.where, folder=None)
+        settings = self.settings | self._goals() | {"collector": patches}
+        specimens = {self.name: self.specimen}
+        return records_of(specimens, incidents, where, settings, said)[self.name]
+
+    def announce(self, expected: float) -> None:
+        """Warn, once, if so many directions in all will take long."""
+        more = expected - len(self.records)
+        left = more * self.seconds / max(self.n_timed, 1)
+        if left > LONG and not self.announced:
+            self.announced = True
+            warnings.warn(
+                f"{self.name}: {self.n_timed} directions took {self.seconds:.0f} s; at "
+                f"least some {more:.0f} more are expected, {left / 3600:.1f} hours; a "
+                "larger tolerance needs less",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+
+    def _goals(self) -> dict[str, Any]:
+        """Estimator, and how precise each direction is to be."""
+        if self.estimators[0] == "quadrature":
+            rel_err = min(INTEGRAL * self.tolerance, 1e-3)
+            return {"estimator": "quadrature", "rel_err": rel_err}
+        return {"estimator": self.estimators[0], "noise": NOISE * self.tolerance}
+
+
+def folder_name(name: str) -> str:
+    """Name of the folder of a specimen, whose own name may be a path.
+
+    What tells names apart that would be written alike is behind it.
+    """
+    digest = hashlib.blake2s(name.encode(), digest_size=4).hexdigest()
+    return f"{re.sub(r'[^A-Za-z0-9.,=+-]+', '_', name)[:80]}_{digest}"
