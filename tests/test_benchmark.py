@@ -24,6 +24,7 @@ from gonio_mi.benchmark import (
     diffuse_facets,
     groove,
     renderers,
+    round_trips,
     turbid_layer,
 )
 from gonio_mi.benchmark.baselines import (
@@ -405,3 +406,18 @@ def test_crossing():
     assert found.std_err / found.rays == pytest.approx(relative / 1.5, rel=rounding)
     with pytest.raises(ValueError, match="beyond the first 16384 rays"):
         crossing(np.ones(2), lambda n: np.full(2, 1 / n))
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.filterwarnings("ignore:the file describes light from")
+def test_round_trips_lose_what_is_stated(monkeypatch):
+    """A file of the record's own patches loses less than one on another grid."""
+    monkeypatch.setattr(round_trips, "THETA_I", (0, 40))
+    monkeypatch.setattr(round_trips, "COLLECTOR", "projected:6x12")
+    formats = {"a.npz": "", "a.zemax.bsdf": ""}
+    metal = {"type": "roughconductor", "alpha": 0.3}
+    own, zemax = round_trips.round_trips(metal, 2**16, formats)
+    assert own[:2] == (".npz", [])
+    assert zemax[0] == ".zemax.bsdf"
+    assert max(own[2]) < min(zemax[1]) < 0.1
+    assert 0 < np.mean(zemax[2]) < 2 * np.mean(zemax[1])

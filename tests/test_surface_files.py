@@ -252,7 +252,7 @@ def test_waves_are_warned_of():
     faint = HeightMap(rough * 0.02, "a", (1, 1), "um", True)
     share = 100 * np.exp(-((4 * np.pi * 0.02 / np.sqrt(2) / 0.55) ** 2))
     (one,) = topography(faint).concerns()
-    assert f"waves would reflect {share:.2g} %" in one
+    assert f"waves would reflect {share:.3g} %" in one
     coarse = HeightMap(rough, "a", (10, 10), "um", True)
     assert topography(coarse).concerns() == []
     assert topography(HeightMap(rough * 0.01, "a", (0.1, 0.1))).concerns() == []
@@ -375,6 +375,14 @@ def test_all_orders_in_one_command(tmp_path):
     whole = gonio.load(tmp_path / "a.npz")
     assert np.array_equal(sum(one.counts for one in parts), whole.counts)
     assert main([*command, "--order", "1,x"]) == 1
+
+
+@pytest.mark.usefixtures("mono")
+def test_text_is_told_from_heights_by_its_ending(tmp_path):
+    """A table of measured values is no surface, whatever a reader would make of it."""
+    np.savetxt(tmp_path / "a.txt", np.eye(8))
+    with pytest.raises(SpecimenError, match=r"heights in text are known by .* \.asc"):
+        gonio.measure(tmp_path / "a.txt", 0)
 
 
 def test_options_go_with_a_file_of_heights(capfd):

@@ -36,6 +36,9 @@ __all__ = [
     "specimen_name",
 ]
 
+# Texts that may hold heights or measured values.
+TEXTS = (".txt", ".csv", ".tsv")
+
 # What Mitsuba puts before messages that say it all: its source positions, the root of
 # a dictionary, the search for a plugin, and the frame around our own plugins' errors.
 FRAMES = re.compile(
@@ -108,6 +111,12 @@ def load_specimen(
             raise SpecimenError(
                 f"the mesh {path.name} must come with what it is made of, such as "
                 "--bsdf diffuse:reflectance=0.7 or gonio.mesh(path, bsdf)"
+            )
+        elif path.suffix.lower() in TEXTS:
+            raise SpecimenError(
+                f"a specimen must not be a table, got {path.name}: heights in text are "
+                "known by the ending .asc, and measured values go to gonio-mi compare "
+                "or fit"
             )
     if isinstance(specimen, (str, os.PathLike)):
         parameters = {k: str(v) for k, v in (parameters or {}).items()}

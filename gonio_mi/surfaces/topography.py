@@ -146,7 +146,7 @@ class Topography:
             found.append(
                 f"the rms height of {self.source} is small against light: at normal "
                 f"incidence and a wavelength of {shown} waves would reflect "
-                f"{100 * coherent:.2g} % as a mirror does, which geometric optics "
+                f"{100 * coherent:.3g} % as a mirror does, which geometric optics "
                 "leaves out"
             )
         return found
