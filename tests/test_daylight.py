@@ -219,3 +219,11 @@ def test_an_interrupted_file_goes_on(tmp_path, capsys, measured):
     capsys.readouterr()
     assert cli.main(["show", str(folder / "back.npz")]) == 0
     assert "klems-quarter" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("spectral")
+def test_one_wavelength_is_told_to_be_all_that_is_seen(tmp_path, capsys):
+    words = ["bsdf", "diffuse", "--basis", "klems-quarter", "--rays", "16"]
+    words += ["--variant", "llvm_ad_spectral", "--wavelengths", "550"]
+    assert cli.main([*words, "-o", str(tmp_path / "a.xml")]) == 0
+    assert "klems-quarter as at 550nm, no block Solar" in capsys.readouterr().out

@@ -10,6 +10,8 @@ import sys
 import time
 from argparse import ArgumentParser, Namespace
 
+import mitsuba as mi
+
 from ..errors import SettingError
 from ..exports.bsdf_file import RAYS, bsdf, hemispherical
 from ..exports.daylight import VISIBLE_NM, luminous
@@ -137,7 +139,9 @@ def run(options: Namespace) -> int:
         # of wavelengths, visible and solar records are of the same rays
         sent = records if options.solar is not None else ("front", "back")
         rays = sum(records[name].ledger.emitted for name in sent)
-        kind = "" if "solar front" in records else ", no block Solar"
+        channels = records["front"].channels
+        kind = f" as at {channels[0]}" if mi.is_spectral and channels != ("Y",) else ""
+        kind += "" if "solar front" in records else ", no block Solar"
         tell(
             f"{options.output}: {options.basis}{kind}, {rays:.3g} rays, {seconds:.0f} s"
         )
