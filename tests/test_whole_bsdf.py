@@ -213,6 +213,10 @@ def test_it_is_what_it_says(material, tmp_path):
         gonio.results.summary.summarize(material)
     )
     assert "material  tolerance 0.03 up to theta_i 70, isotropic by meas" in text
+    # of 40 of 40: a share whose 40th power is a tenth of 5 %
+    share = (0.05 / 10) ** (1 / 40)
+    assert found["within"] == 1
+    assert f"at least {share:.0%}, with" in " ".join(text.split())
 
 
 @pytest.mark.usefixtures("mono")

@@ -5,10 +5,15 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 __all__ = ["campaign_is_sound", "campaign_text"]
 
 NUMBERS = ("tolerance", "theta_max", "within", "measured", "rays")
+
+# A campaign looks at new directions at most so often, and ends when few are missed: the
+# confidence in their share holds for all looks together (Bonferroni).
+LOOKS, CONFIDENCE = 10, 0.95
 
 # Of each unseen direction: both angles, light, its standard error, dhr and dht.
 COLUMNS = 6
@@ -35,14 +40,19 @@ def campaign_text(found: Mapping[str, Any], width: int) -> str:
     light, reflected = unseen[:, 2], np.abs(unseen[:, 4:]).max(axis=1)
     worst = int(np.argmax(np.maximum(light, reflected)))
     theta, phi = unseen[worst, :2]
+    missed = round((1 - found["within"]) * len(unseen))
+    chance = (1 - CONFIDENCE) / LOOKS
+    # exact binomial limit (Clopper and Pearson 1934, doi:10.1093/biomet/26.4.404)
+    share = stats.beta.ppf(chance, len(unseen) - missed, missed + 1)
     kind = "isotropic" if found["isotropic"] else "anisotropic"
     text = (
         f"tolerance {found['tolerance']:.3g} up to theta_i {found['theta_max']:g}, "
         f"{kind} by measurement; {found['measured']} directions were measured. At "
         f"{len(unseen)} that the material does not use, {found['within']:.1%} are "
-        f"within the tolerance: of the light, {np.mean(light):.2g} is elsewhere than "
-        f"predicted on average and {light[worst]:.2g} +- {unseen[worst, 3]:.1g} at the "
-        f"worst, theta_i {theta:.1f}, phi_i {phi:.1f}; dhr and dht are off by up to "
+        f"within the tolerance (of all directions at least {share:.0%}, with a "
+        f"confidence of {CONFIDENCE:.0%}): of the light, {np.mean(light):.2g} is "
+        f"elsewhere than predicted on average and {light[worst]:.2g} "
+        f"+- {unseen[worst, 3]:.1g} at the worst, theta_i {theta:.1f}, phi_i {phi:.1f}; dhr and dht are off by up to "
         f"{reflected.max():.2g}."
     )
     indent = " " * 10
