@@ -52,8 +52,8 @@ def campaign_text(found: Mapping[str, Any], width: int) -> str:
         f"within the tolerance (of all directions at least {share:.0%}, with a "
         f"confidence of {CONFIDENCE:.0%}): of the light, {np.mean(light):.2g} is "
         f"elsewhere than predicted on average and {light[worst]:.2g} "
-        f"+- {unseen[worst, 3]:.1g} at the worst, theta_i {theta:.1f}, phi_i {phi:.1f}; dhr and dht are off by up to "
-        f"{reflected.max():.2g}."
+        f"+- {unseen[worst, 3]:.1g} at the worst, theta_i {theta:.1f}, phi_i "
+        f"{phi:.1f}; dhr and dht are off by up to {reflected.max():.2g}."
     )
     indent = " " * 10
     return textwrap.fill(
