@@ -13,17 +13,14 @@ import numpy as np
 
 import gonio_mi as gonio
 from gonio_mi.files.measured_table import MeasuredTable
+from gonio_mi.instrument.loading import parse_specimen
 
 # isort: split
 import mitsuba as mi
 
-METAL = {
-    "type": "roughconductor",
-    "material": "none",
-    "distribution": "ggx",
-    "alpha": 0.3,
-    "specular_reflectance": 0.8,
-}
+METAL = parse_specimen(
+    "roughconductor:material=none,distribution=ggx,alpha=0.3,specular_reflectance=0.8"
+)
 GLASS = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.3, "int_ior": 1.5}
 PAINT = {
     "type": "principled",
