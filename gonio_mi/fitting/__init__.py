@@ -1,5 +1,6 @@
 """From a record to the parameters of a BSDF, with uncertainties."""
 
-from .fits import Fit, fit
+from .fit_result import Fit
+from .fits import fit
 
 __all__ = ["Fit", "fit"]
