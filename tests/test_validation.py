@@ -50,7 +50,9 @@ def test_mistake_is_seen_and_its_function_named(name):
     assert not verdict.passed, str(verdict)
     named = verdict.function.split(" or ")
     assert MISTAKES[name] in named, str(verdict)
-    assert len(named) == 1 + (name in EITHER), str(verdict)
+    if EFFORT == "quick" or name not in EITHER:
+        # harder looks may tell more
+        assert len(named) == 1 + (name in EITHER), str(verdict)
     assert f"`{MISTAKES[name]}`" in verdict.mistake or "pdf" in verdict.mistake
     assert verdict.headline.startswith(f"{name}: FAILS: {verdict.failures[0].effect}")
 
