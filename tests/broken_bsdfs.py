@@ -346,6 +346,10 @@ def register():
             bs.eta = 1.5
             return bs, weight
 
+    class WeightFivePercentLess(Lambert):
+        def weight(self, si, bs):
+            return 0.95 * super().weight(si, bs)
+
     class EvalHalfBelowALine(Lambert):
         """Wrong for incident light of one side only."""
 
@@ -378,10 +382,6 @@ def register():
     class EvalFivePercentLess(Lambert):
         def eval(self, ctx, si, wo, active=True):
             return 0.95 * super().eval(ctx, si, wo, active)
-
-    class WeightFivePercentLess(Lambert):
-        def weight(self, si, bs):
-            return 0.95 * super().weight(si, bs)
 
     class Retro(Lambert):
         """A lobe around the direction to the source; what it has below is lost."""

@@ -112,11 +112,6 @@ class Effort:
     few_angles: tuple[float, ...]
 
     @property
-    def timed(self) -> bool:
-        """Whether rays are timed, which takes a second."""
-        return self is not EFFORTS["quick"]
-
-    @property
     def patches(self) -> Borders:
         """Rings of equal projected solid angle, and thin ones at pole and horizon."""
         sines = np.sqrt(np.arange(self.rings + 1) / self.rings)
