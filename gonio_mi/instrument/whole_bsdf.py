@@ -122,6 +122,7 @@ class WholeBsdf:
         """Refine polar angles, then azimuths, then wherever it is still wrong."""
         angles = np.linspace(0, self.theta_max, FIRST_ANGLES).tolist()
         self.directions.measure([(theta, 0.0) for theta in angles], "first directions")
+        self.directions.announce(len(angles) + UNSEEN)  # at least
         patches = self.known[0.0, 0.0].subdivision
         check_equal_sectors(patches)
         self.n_sectors = patches.shape[1]
@@ -230,7 +231,7 @@ class WholeBsdf:
         """Tell how long it will take, if that is long, from the errors known so far."""
 
         def parts(axis: Axis) -> float:
-            errors = [2 * self.limit if e is None else e for e in axis.errors.values()]
+            errors = [4 * self.limit if e is None else e for e in axis.errors.values()]
             return float(np.sqrt(np.maximum(np.divide(errors, self.limit), 1)).sum())
 
         n_rings = 1 + parts(self.legs)
