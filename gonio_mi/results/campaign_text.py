@@ -5,7 +5,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from scipy import stats
+
+from .statistics import binomial_interval
 
 __all__ = ["campaign_is_sound", "campaign_text"]
 
@@ -40,10 +41,9 @@ def campaign_text(found: Mapping[str, Any], width: int) -> str:
     light, reflected = unseen[:, 2], np.abs(unseen[:, 4:]).max(axis=1)
     worst = int(np.argmax(np.maximum(light, reflected)))
     theta, phi = unseen[worst, :2]
-    missed = round((1 - found["within"]) * len(unseen))
+    within = np.clip(round(found["within"] * len(unseen)), 0, len(unseen))
     chance = (1 - CONFIDENCE) / LOOKS
-    # exact binomial limit (Clopper and Pearson 1934, doi:10.1093/biomet/26.4.404)
-    share = stats.beta.ppf(chance, len(unseen) - missed, missed + 1)
+    share, _ = binomial_interval(within, len(unseen), 1 - 2 * chance)
     kind = "isotropic" if found["isotropic"] else "anisotropic"
     text = (
         f"tolerance {found['tolerance']:.3g} up to theta_i {found['theta_max']:g}, "
