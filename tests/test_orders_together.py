@@ -15,7 +15,7 @@ from gonio_mi.transport.scattering_order import OrderClasses
 pytestmark = pytest.mark.usefixtures("mono")
 
 SCENES = Path(__file__).parents[1] / "scenes"
-ORDERS = (0, 1, "2+", "all")
+ORDERS = (0, 1, "2+", 6, "all")
 GREY = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.8}}
 HILLS = {"type": "heightfield", "alpha": 0.8, "resolution": 16, "bsdf": GREY}
 SPECIMENS = {
@@ -71,18 +71,20 @@ def test_rows_of_the_ledger_by_classes():
     # straight through, so in its patch too; past; from one, two and three events
     rays[0, 0, [1, 2 + Fate.DIRECT, 2 + Fate.MISSED]] = 5, 5, 7
     rays[1, 0, [0, 1, 2 + Fate.ABSORBED, 2 + Fate.SIDEWAYS]] = 10, 20, 30, 40
+    rays[1, 0, 2 + Fate.TRUNCATED] = 50
     rays[2, 0, [0, 2 + Fate.ABSORBED, 2 + Fate.TRUNCATED]] = 100, 300, 500
     rays[3, 0, [0, 2 + Fate.INVALID]] = 1000, 4000
     kept = classes.rays(orders[0], rays, (2, 1, 1))[0]
     assert kept[:2].tolist() == [10, 20]
-    other = 5 + 100 + 300 + 500 + 1000 + 4000
+    other = 5 + 50 + 100 + 300 + 500 + 1000 + 4000
     expected = Ledger(missed=7, absorbed=30, sideways=40, other_order=other)
     assert Ledger.from_counts(kept[2:]) == expected
     kept = classes.rays(orders[1], rays, (2, 1, 1))[0]
     assert kept[:2].tolist() == [100, 0]
-    # what the first event absorbed is absorbed; what had two and goes on is no second
+    # what the first event absorbed is absorbed; what had two and goes on is no second;
+    # what was cut off after one might have been
     other = 5 + 10 + 20 + 40 + 500 + 1000 + 4000
-    expected = Ledger(missed=7, absorbed=330, other_order=other)
+    expected = Ledger(missed=7, absorbed=330, truncated=50, other_order=other)
     assert Ledger.from_counts(kept[2:]) == expected
 
 

@@ -84,9 +84,9 @@ class OrderClasses:
         left = [Fate.SIDEWAYS, Fate.TRANSMITTED, Fate.DIRECT][: 4 - shape[0]]
         other += fates[:, left].sum(axis=1)
         fates[:, [*left, Fate.DIRECT]] = 0
-        kept[:, n_collected:] += fates
-        if order.most < UNLIMITED:
+        if order.most < UNLIMITED:  # then one class holds `most` events alone
             other += kept[:, n_collected + Fate.TRUNCATED]
             kept[:, n_collected + Fate.TRUNCATED] = 0
+        kept[:, n_collected:] += fates
         kept[:, n_collected + Fate.OTHER_ORDER] += other
         return kept
