@@ -251,6 +251,12 @@ def test_a_grey_record_takes_no_coloured_model(rgb):  # noqa: ARG001
     grey = gonio.fit(record, "diffuse")
     assert grey.names == ("reflectance",)
     assert abs(grey.values[0] - 0.5) <= 1e-3
+    # and so in apertures
+    cones = gonio.Apertures(8.0, ((20.0, 0.0), (50.0, 90.0)))
+    record = measured({"type": "diffuse"}, collector=cones)
+    with pytest.raises(SettingError, match=r"one channel.* and the model is coloured"):
+        gonio.fit(record, "roughconductor:material=Au")
+    assert gonio.fit(record, "diffuse").names == ("reflectance",)
 
 
 @pytest.mark.usefixtures("spectral")

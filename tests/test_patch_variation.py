@@ -1,5 +1,6 @@
 """Means over patches beside points of a table: what they can tell, and what not."""
 
+import budget
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def sampled(bsdf, theta_i=30.0, wrong=1.0, **settings):
 def test_a_brdf_at_points_is_not_said_to_differ_from_itself(bsdf, collector):
     """Its values are exact, and the noise of the means is small."""
     record = gonio.measure(bsdf, 30, collector=collector, rays=2**22)
-    comparison = compare(record, sampled(bsdf))
+    comparison = compare(record, sampled(bsdf), alpha=budget.ALPHA)
     assert comparison.passed, str(comparison)
     assert any("means over patches stand for" in note for note in comparison.notes)
 
@@ -42,9 +43,11 @@ def test_a_brdf_at_points_is_not_said_to_differ_from_itself(bsdf, collector):
 def test_five_per_cent_are_told(collector):
     record = gonio.measure(PLASTIC, 30, collector=collector, rays=2**22)
     for wrong in (0.95, 1.05):
-        comparison = compare(record, sampled(PLASTIC, wrong=wrong, uncertainty=0.005))
+        table = sampled(PLASTIC, wrong=wrong, uncertainty=0.005)
+        comparison = compare(record, table, alpha=budget.ALPHA)
         assert not comparison.passed, str(comparison)
-    assert compare(record, sampled(PLASTIC, uncertainty=0.005)).passed
+    right = sampled(PLASTIC, uncertainty=0.005)
+    assert compare(record, right, alpha=budget.ALPHA).passed
 
 
 def test_where_patches_cannot_decide_it_is_said(tmp_path, capsys):
@@ -55,19 +58,20 @@ def test_where_patches_cannot_decide_it_is_said(tmp_path, capsys):
     for wrong, code in ((1.0, 0), (1.05, 3)):
         stated = {"uncertainty": 0.005, "aperture_half_angle": 0.5}
         sampled(METAL, wrong=wrong, **stated).save(table)
-        assert main(["compare", str(path), str(table)]) == 2
+        alpha = ["--alpha", str(budget.ALPHA)]
+        assert main(["compare", str(path), str(table), *alpha]) == 2
         out = capsys.readouterr().out
         assert "verdict     cannot be decided with these patches" in out
         assert "compare the specimen itself with the table" in out
         word = "roughconductor:alpha=0.3"
-        assert main(["compare", word, str(table)]) == code
+        assert main(["compare", word, str(table), *alpha]) == code
         capsys.readouterr()
 
 
 def test_a_lobe_narrower_than_its_patch_is_left_out():
     """What is dark all around is compared: the lobe is elsewhere."""
     record = gonio.measure(NARROW, 30, collector="projected:12x24", rays=2**16)
-    comparison = compare(record, sampled(NARROW))
+    comparison = compare(record, sampled(NARROW), alpha=budget.ALPHA)
     assert comparison.passed
     assert any("too coarse for" in note for note in comparison.notes)
     assert comparison.other.max() < 1e-3

@@ -157,7 +157,12 @@ def test_files_that_cannot_be_compared(tmp_path, capsys):
     Path(seeded).write_text(json.dumps([entry | {"asked": asked}]))
     Path(two).write_text(json.dumps([entry, entry | {"name": "another"}]))
     Path(nothing).write_text(json.dumps([entry | {"arrays": "AA=="}]))
+    empty = str(tmp_path / "empty.json")
+    Path(empty).write_text("[]")
     for words, message in (
+        ([empty, empty], "holds no answers"),
+        ([own, own, "--against", sys.prefix], "go without --against"),
+        (["mine:filename=a.json", "--against", "nowhere"], "must be a virtual"),
         ([own, seeded], "ask diffuse with the same seed, got 0 and 1"),
         ([own, two], "the same BSDFs, got another in one"),
         ([own, nothing], "holds no answers"),

@@ -90,13 +90,15 @@ def run(options: Namespace) -> int:
     from ..versions import diff_saved
     from ..versions.asking import interpreter
 
-    files = [word for word in options.specimens if word.endswith(".json")]
+    files = [word for word in options.specimens if _is_answers(word)]
     if files:
         if len(files) != len(options.specimens) or len(files) != 2:
             raise SettingError(
                 "diff compares BSDFs, or two files of --save, got "
                 f"{', '.join(map(shown, options.specimens))}"
             )
+        if options.against is not None or options.save is not None:
+            raise SettingError("two files of --save go without --against and --save")
         return _told(diff_saved(*files, alpha=options.alpha), options)
     if options.save is not None:
         return _save(options)
@@ -104,6 +106,11 @@ def run(options: Namespace) -> int:
         raise SettingError("diff needs --against, two files of --save, or --save")
     interpreter(options.against)  # before anything else takes time
     return _told(_compared(options), options)
+
+
+def _is_answers(word: str) -> bool:
+    """Whether a word is a file of --save, and no BSDF whose last value ends so."""
+    return word.endswith(".json") and "=" not in word
 
 
 def _told(found: Iterable[Any], options: Namespace) -> int:

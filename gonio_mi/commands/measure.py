@@ -189,9 +189,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
         )
         ctrl_c.ignored = True
         for order, record in (measured if orders else {"": measured}).items():
-            output = [
-                _of_order(path, order) if order else path for path in options.output
-            ]
+            output = [_of_order(path, order) for path in options.output]
             code = max(code, _finish(record, options, output, ctrl_c.pressed))
         parts.finished = code != USER_ERROR
     return code

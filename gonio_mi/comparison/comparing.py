@@ -257,8 +257,8 @@ def compare(
         is no honest way from one set of patch means to another. Where only one has a
         lower hemisphere, no light may have come there. A note tells other conditions
         that are not the same: side, footprint, divergence, order and so on. Of a table
-        each point
-        is compared with the mean of the patch that holds it.
+        each point is compared with the mean of the patch that holds it, within what
+        the BRDF may do there; points of patches that are too coarse are left out.
     uncertainty : float, optional
         Relative standard uncertainty of each value of `other`, independent between
         points and in addition to what `other` knows itself: 0.005 is 0.5 %. Default:

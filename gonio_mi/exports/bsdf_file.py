@@ -20,7 +20,7 @@ from ..instrument.measurement import measure_whole
 from ..results.misplacement import misplaced
 from ..results.record import Record
 from ..settings.parsed import checked_wavelengths
-from .daylight import VISIBLE, VISIBLE_NM, of_daylight
+from .daylight import SOLAR, VISIBLE, VISIBLE_NM, of_daylight
 from .exporting import export
 from .radiance_export import BASES, incidence
 
@@ -109,6 +109,8 @@ def bsdf(
         settings["wavelengths"] = nm
         if len(nm) > 1:
             VISIBLE.check(np.array(nm))
+            if solar is not None:
+                SOLAR.check(np.array(nm))
     size = _checked_cells(basis, cells)
     incident, collector = incidence(basis, size)
     if all(settings.get(name) is None for name in ("rays", "rel_err", "noise")):

@@ -49,12 +49,28 @@ class Predictions:
         self._nodes: list[Nodes] = []
 
     def of(self, bsdf: mi.BSDF) -> Floats:
-        """Values of all places and channels, shape (n * channels,)."""
+        """Values of all places and channels, shape (n * channels,).
+
+        Raises
+        ------
+        ValueError
+            If the BSDF is coloured and the measurement, of an rgb variant, is not.
+        """
         parts = [
             nodes.sums(bsdf)[:, : nm and len(nm)]
             for nodes, nm in zip(self._nodes, self.passes)
         ]
-        return np.concatenate(parts, axis=-1)[:, : self.channels].ravel()
+        return self._of_channels(np.concatenate(parts, axis=-1))
+
+    def _of_channels(self, values: Floats) -> Floats:
+        """Values ``(..., n)`` of the channels that were measured, in one row."""
+        own = values[..., : self.channels]
+        if self.channels == 1 and not np.allclose(values, own, rtol=REL_ERR, atol=0):
+            raise SettingError(
+                "the record has one channel, as of a grey specimen, and the model is "
+                "coloured: fit it to a record of R, G and B, or say a grey model"
+            )
+        return own.ravel()
 
     def _light(self, nm: Any) -> IncidentLight:
         """Light of the incident direction, of these wavelengths."""
@@ -105,13 +121,7 @@ class PatchPredictions(Predictions):
         return self.hemispheres * self.subdivision.n_patches
 
     def adapt(self, bsdf: mi.BSDF) -> Floats:
-        """:meth:`of` a BSDF, with the nodes that it needs from now on.
-
-        Raises
-        ------
-        ValueError
-            If it is coloured and the record, of an rgb variant, has one channel.
-        """
+        """:meth:`of` a BSDF, with the nodes that it needs from now on."""
         self._nodes, parts = [], []
         for nm in self.passes:
             found = integrate(
@@ -124,14 +134,7 @@ class PatchPredictions(Predictions):
             )
             self._nodes.append(Nodes.of(found.rule, self.n_patches))
             parts.append(found.flux[: self.hemispheres, ..., : nm and len(nm)])
-        flux = np.concatenate(parts, axis=-1)
-        one = flux[..., : self.channels]
-        if self.channels == 1 and not np.allclose(flux, one, rtol=REL_ERR, atol=0):
-            raise SettingError(
-                "the record has one channel, as of a grey specimen, and the model is "
-                "coloured: fit it to a record of R, G and B, or say a grey model"
-            )
-        return one.ravel()
+        return self._of_channels(np.concatenate(parts, axis=-1))
 
 
 class Nodes:

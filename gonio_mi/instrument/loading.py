@@ -243,7 +243,7 @@ def parse_specimen(text: str) -> Any:
     if os.path.isfile(text) or (text.endswith(".xml") and not is_plugin):
         return text
     name, _, settings = text.partition(":")
-    if not re.fullmatch(r"\w*", name):  # a name of no plugin, but of a file
+    if not re.fullmatch(r"[\w-]*", name):  # a name of no plugin, but of a file
         raise SpecimenError(
             f"specimen must be an existing file or a BSDF in one word, got {text!r}"
         )

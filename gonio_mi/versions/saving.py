@@ -131,6 +131,8 @@ def _read(path: str | PathLike[str]) -> dict[str, tuple[dict[str, Any], Answers]
     try:
         with open(path, "rb") as file:
             entries = json.load(file)
+        if not entries:
+            raise ValueError
         found = {}
         for entry in entries:
             if entry["format"] != FORMAT:
