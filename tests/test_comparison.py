@@ -348,7 +348,7 @@ def test_a_record_agrees_with_itself_and_says_so():
     assert comparison.p_value == 1
     assert any("seed 1" in note for note in comparison.notes)
     assert "agree" in str(comparison)
-    assert repr(comparison).startswith("<Comparison of 48 points: agrees")
+    assert repr(comparison).startswith("<Comparison of 48 points: agree, p")
 
 
 # --------------------------------------------------------------------------- refusals

@@ -10,6 +10,7 @@ import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.comparison import compare
+from gonio_mi.comparison.comparison_figure import comparison_figure
 from gonio_mi.files.measured import MeasuredTable
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -66,6 +67,18 @@ def test_where_patches_cannot_decide_it_is_said(tmp_path, capsys):
         word = "roughconductor:alpha=0.3"
         assert main(["compare", word, str(table), *alpha]) == code
         capsys.readouterr()
+
+
+def test_no_verdict_calls_equal_what_patches_cannot_decide():
+    """A fifth too bright all over; twin: twice as bright is told."""
+    record = gonio.measure(METAL, 30, collector="projected:12x24", rays=2**18)
+    for wrong, verdict in ((1.2, "undecided"), (2.0, "differ")):
+        table = sampled(METAL, wrong=wrong, uncertainty=0.02)
+        comparison = compare(record, table, alpha=budget.ALPHA)
+        assert comparison.verdict == verdict
+        assert f"points: {verdict}, p" in repr(comparison)
+        title = comparison_figure(comparison).get_suptitle()
+        assert title.startswith(f"{verdict}: p =")
 
 
 def test_a_lobe_narrower_than_its_patch_is_left_out():

@@ -115,8 +115,18 @@ class Comparison:
 
     @property
     def passed(self) -> bool:
-        """Whether the two agree: ``p_value >= alpha``."""
+        """Whether nothing tells the two apart: ``p_value >= alpha``.
+
+        Ask `undecided` too: where patches cannot decide, this is True.
+        """
         return self.p_value >= self.alpha
+
+    @property
+    def verdict(self) -> str:
+        """One of ``"agree"``, ``"differ"`` and ``"undecided"``."""
+        if self.undecided:
+            return "undecided"
+        return "agree" if self.passed else "differ"
 
     @property
     def worst(self) -> list[dict[str, Any]]:
@@ -179,13 +189,16 @@ class Comparison:
         return f"{picture}<pre>{html.escape(str(self))}</pre>"
 
     def __repr__(self) -> str:
-        verdict = "agrees" if self.passed else "differs"
-        return f"<Comparison of {len(self.z)} points: {verdict}, p {self.p_value:.3g}>"
+        said = f"{len(self.z)} points: {self.verdict}, p {self.p_value:.3g}"
+        return f"<Comparison of {said}>"
 
     def __str__(self) -> str:
         found, p = self.statistics, self.p_values
-        verdict = "agree" if self.passed else "DIFFER"
-        verdict = "cannot be decided with these patches" if self.undecided else verdict
+        verdict = {
+            "agree": "agree",
+            "differ": "DIFFER",
+            "undecided": "cannot be decided with these patches",
+        }[self.verdict]
         lines = [
             f"rms error   {self.rms:.4g} 1/sr, {100 * self.relative_rms:.3g} % of the "
             f"mean; {self.rms_expected:.4g} from the uncertainties alone",

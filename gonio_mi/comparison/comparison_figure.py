@@ -50,8 +50,8 @@ def comparison_figure(comparison: Any) -> Figure:
         _draw(comparison, panel, above, below)
     axes[0, 0].set_ylabel("BSDF (1/sr)")
     axes[1, 0].set_ylabel("z")
-    verdict = "agree" if comparison.passed else "differ"
-    title = f"{verdict}: p = {comparison.p_value:.2g}, rms {comparison.rms:.3g} 1/sr"
+    p_value, rms = comparison.p_value, comparison.rms
+    title = f"{comparison.verdict}: p = {p_value:.2g}, rms {rms:.3g} 1/sr"
     if len(panels) > len(shown):
         title += f"; {len(shown)} of {len(panels)} panels"
     figure.suptitle(title, fontsize="medium")
