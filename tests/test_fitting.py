@@ -129,6 +129,7 @@ def test_a_table_is_fitted_in_its_directions():
     found = gonio.fit(table_of(METAL), "roughconductor:distribution=ggx")
     assert np.allclose(found.values, [0.3, 0.8], rtol=1e-4, atol=0)
     assert found.scatter < 1e-3
+    assert found.to_dict()["scatter"] == found.scatter
     assert np.allclose(found.prediction.bsdf, found.record.bsdf, rtol=1e-3, atol=0)
     wide = table_of(METAL, aperture_half_angle=10)
     assert gonio.fit(wide, "roughconductor:distribution=ggx").values[0] < 0.297
@@ -406,5 +407,7 @@ def test_command(tmp_path, capfd, mono):  # noqa: ARG001
     score = (alpha["value"] - 0.3) / alpha["std_err"]
     agree(single(normal_scores(score, 15)))
     assert found["dof"] == 32 - 1
+    assert main([*command, "--quantity", "brdf"]) == 1
+    assert "--quantity goes with a table" in capfd.readouterr().err
     assert main(["fit", str(tmp_path / "a.npz"), "scenes/lambertian.xml"]) == 1
     assert "must be a BSDF in one word" in capfd.readouterr().err

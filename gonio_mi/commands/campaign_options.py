@@ -11,8 +11,11 @@ from .arguments import INCOMPLETE, add_number, add_text, say
 __all__ = ["add_campaign", "campaign_options", "kept_after_ctrl_c"]
 
 
-def add_campaign(group: Any) -> None:
-    """Add where to measure, and where to keep what is finished."""
+def add_campaign(group: Any, kept: str = "") -> None:
+    """Add where to measure, and where to keep what is finished.
+
+    `kept` tells where that is without a folder.
+    """
     add_number(
         group,
         "--workers",
@@ -24,8 +27,7 @@ def add_campaign(group: Any) -> None:
         "--folder",
         "DIR",
         "keep finished incident directions there: the same command carries on, also"
-        " after a crash (with --tolerance, if not given: beside the file of -o until"
-        " that is written)",
+        f" after a crash{kept}",
     )
 
 

@@ -22,7 +22,7 @@ from .arguments import (
     set_variant,
     tell,
 )
-from .table_options import add_table_options, table_of
+from .table_options import add_table_options, check_no_table_options, table_of
 
 __all__ = ["add_options", "run"]
 
@@ -87,6 +87,7 @@ def run(options: Namespace) -> int:
         files.check_output(path, files.ENDINGS if is_record else (".csv",))
     record: Record | MeasuredTable
     if is_record:
+        check_no_table_options(options.record, options)
         record = files.load(options.record)
         set_variant(record.settings.get("variant", DEFAULT_VARIANT))
     else:

@@ -130,7 +130,8 @@ def _add_output(group: Any) -> None:
         "RECORD",
         "carry on this interrupted record of the very same measurement",
     )
-    add_campaign(group)
+    kept = "with --tolerance, if not given: beside the file of -o until that is written"
+    add_campaign(group, f" ({kept})")
 
 
 def run(options: Namespace) -> int:

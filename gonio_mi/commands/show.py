@@ -15,7 +15,12 @@ from ..errors import SettingError
 from ..results.summary import summarize
 from ..results.summary_text import summary_text
 from .arguments import DONE, add_record, tell
-from .table_options import TABLE_OPTIONS, add_table_options, table_of, table_text
+from .table_options import (
+    add_table_options,
+    check_no_table_options,
+    table_of,
+    table_text,
+)
 
 __all__ = ["add_options", "run"]
 
@@ -36,14 +41,12 @@ def add_options(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     path = options.record
-    told = [name for name in TABLE_OPTIONS if getattr(options, name) is not None]
     if Path(path).suffix.lower() not in files.ENDINGS and os.path.isfile(path):
         if options.json:
             raise SettingError(f"--json goes with a record, got {path!r}")
         tell(table_text(table_of(path, options)))
         return DONE
-    if told:
-        raise SettingError(f"--{told[0]} goes with a table, got {path!r}")
+    check_no_table_options(path, options)
     numbers = summarize(files.load(options.record))
     if options.json:
         print(json.dumps(numbers, indent=2, allow_nan=False))

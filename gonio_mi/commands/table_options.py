@@ -5,10 +5,17 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import SettingError
 from ..files.measured import MeasuredTable, read_measured
 from .arguments import add_text, pair
 
-__all__ = ["TABLE_OPTIONS", "add_table_options", "table_of", "table_text"]
+__all__ = [
+    "TABLE_OPTIONS",
+    "add_table_options",
+    "check_no_table_options",
+    "table_of",
+    "table_text",
+]
 
 TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth")
 
@@ -43,6 +50,13 @@ def add_table_options(group: Any) -> None:
         "where azimuths of exit in the table are 0, if relative to incidence: on "
         "the side of the source or of the mirror direction (source, mirror)",
     )
+
+
+def check_no_table_options(path: str, options: Namespace) -> None:
+    """Raise ValueError for an option of tables that goes with none."""
+    told = [name for name in TABLE_OPTIONS if getattr(options, name) is not None]
+    if told:
+        raise SettingError(f"--{told[0]} goes with a table, got {path!r}")
 
 
 def table_of(path: str, options: Namespace) -> MeasuredTable:

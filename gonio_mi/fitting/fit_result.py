@@ -140,7 +140,7 @@ class Fit:
         return fit_figure(self, path)
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything but the record, in JSON's types."""
+        """What was found, in JSON's types."""
         parameters = zip(self.names, self.values.tolist(), self.std_errs.tolist())
         return {
             "bsdf": self.bsdf,
@@ -153,6 +153,7 @@ class Fit:
             "dof": self.dof,
             "misplaced": self.misplaced,
             "at_limit": list(self.at_limit),
+            "scatter": self.scatter,
         }
 
     def __str__(self) -> str:
