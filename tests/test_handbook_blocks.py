@@ -4,6 +4,7 @@ Where one takes more than seconds it has fewer rays, or less effort, than it say
 """
 
 import importlib.util
+import json
 import os
 import re
 import runpy
@@ -25,9 +26,8 @@ tomllib = pytest.importorskip("tomllib")
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "notebooks").glob("*.md"))]
-EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
-    "optional-dependencies"
-]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+EXTRAS = PROJECT["optional-dependencies"]
 
 # At most so many rays, and what else makes a command take seconds.
 RAYS = 1e5
@@ -207,3 +207,19 @@ def test_twin_a_wrong_command_is_found(tmp_path, monkeypatch):
         run_command(["pip", "install", ".[reports]"], tmp_path)
     with pytest.raises(NameError):
         run_python("record.dhr", tmp_path, {})
+
+
+def test_the_extra_docs_brings_what_the_notebooks_import():
+    """The handbook runs its notebooks, in an environment that has this extra alone."""
+    lines = PROJECT["dependencies"] + EXTRAS["docs"]
+    brought = {re.match(r"[\w-]+", line)[0].lower() for line in lines}
+    brought |= {"drjit", "gonio_mi", "ipython", *sys.stdlib_module_names}
+    pages = sorted((ROOT / "notebooks").glob("*.ipynb"))
+    assert pages
+    for page in pages:
+        cells = json.loads(page.read_text())["cells"]
+        code = "\n".join(
+            "".join(x["source"]) for x in cells if x["cell_type"] == "code"
+        )
+        names = re.findall(r"^ *(?:from|import) (\w+)", code, re.MULTILINE)
+        assert {name.lower() for name in names} <= brought, page.name

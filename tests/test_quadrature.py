@@ -390,6 +390,33 @@ def test_a_negative_value_is_named():
 
 
 @pytest.mark.usefixtures("mono")
+def test_a_plugin_whose_active_has_no_default():
+    """As Mitsuba's own examples of plugins in Python declare it."""
+
+    class Strict(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            self.nested = mi.load_dict({"type": "diffuse", "reflectance": 0.4})
+            self.m_components = [mi.BSDFFlags.DiffuseReflection]
+            self.m_flags = mi.BSDFFlags.DiffuseReflection
+
+        def sample(self, ctx, si, sample1, sample2, active):
+            return self.nested.sample(ctx, si, sample1, sample2, active)
+
+        def eval(self, ctx, si, wo, active):
+            return self.nested.eval(ctx, si, wo, active)
+
+        def pdf(self, ctx, si, wo, active):
+            return self.nested.pdf(ctx, si, wo, active)
+
+        def to_string(self):
+            return "Strict"
+
+    mi.register_bsdf("strict_active", Strict)
+    record = integrated({"type": "strict_active"})
+    assert abs(record.dhr[0] - 0.4) <= record.dhr_std_err[0]
+
+
 def test_a_textured_specimen_at_a_point():
     """At a point there is one reflectance, even of a texture."""
     texture = {"type": "checkerboard", "color0": 0.4, "color1": 0.4}

@@ -34,7 +34,7 @@ class Lambertian(mi.BSDF):
         name = "albedo" if "parameters" in CHANGED else "reflectance"
         callback.put(name, self.reflectance, mi.ParamFlags.Differentiable)
 
-    def sample(self, ctx, si, sample1, sample2, active=True):
+    def sample(self, ctx, si, sample1, sample2, active):
         bs = dr.zeros(mi.BSDFSample3f)
         if "sample" in CHANGED:
             sample2 = mi.Point2f(sample2.y, sample2.x)
@@ -44,12 +44,12 @@ class Lambertian(mi.BSDF):
         weight = 0.8 * (1.001 if "weights" in CHANGED else 1)
         return bs, mi.Spectrum(weight) & (active & (si.wi.z > 0) & (bs.pdf > 0))
 
-    def eval(self, ctx, si, wo, active=True):
+    def eval(self, ctx, si, wo, active):
         ok = active & (si.wi.z > 0) & (wo.z > 0)
         tilt = 1 + 0.01 * wo.x if "eval" in CHANGED else 1
         return mi.Spectrum(0.8 * tilt * dr.inv_pi * wo.z) & ok
 
-    def pdf(self, ctx, si, wo, active=True):
+    def pdf(self, ctx, si, wo, active):
         return dr.select(active & (si.wi.z > 0) & (wo.z > 0), dr.inv_pi * wo.z, 0)
 
     def to_string(self):

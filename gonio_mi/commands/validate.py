@@ -163,7 +163,8 @@ def _print(
     for other in others:
         variant = other.settings["variant"]
         if _failed(other) <= _failed(verdict):
-            print(f"nothing else was found in {variant}")
+            here = verdict.settings["variant"]
+            print(f"in {variant}: nothing that was not found in {here} too\n")
         else:
             print(f"in {variant}:\n{other}\n")
     print(verdict)

@@ -181,6 +181,6 @@ class Nodes:
                 self.weight * np.broadcast_to(value.numpy(), len(self.weight)),
                 minlength=self.n_places,
             )
-            for value in bsdf.eval(flux_context(), self.si, self.wo)
+            for value in bsdf.eval(flux_context(), self.si, self.wo, mi.Bool(True))
         ]
         return np.stack(columns, axis=-1)

@@ -62,7 +62,7 @@ class Evaluator:
         si = self.light.from_number(number)
         same = lane - number * N_GUIDES
         one, two = (dr.gather(type(sample), sample, same) for sample in samples)
-        bs, weight = self.bsdf.sample(flux_context(), si, one, two)
+        bs, weight = self.bsdf.sample(flux_context(), si, one, two, mi.Bool(True))
         delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
         lane_wise = np.broadcast_to((~delta & dr.any(weight > 0)).numpy(), len(lane))
         wo = np.broadcast_to(si.to_world(bs.wo).numpy(), (3, len(lane))).T
@@ -163,7 +163,7 @@ class Evaluator:
         direction = mi.UInt32(cells.direction.astype(np.uint32))
         si = self.light.from_number(dr.gather(mi.UInt32, direction, number))
         function = self.bsdf.pdf if self.pdf else self.bsdf.eval
-        value = function(flux_context(), si, wo)
+        value = function(flux_context(), si, wo, mi.Bool(True))
         return [value] if self.pdf else list(value), theta[0]
 
     def _check(self, values: Floats, cells: Cells, points: Points) -> None:

@@ -95,7 +95,8 @@ class IncidentLight:
         """``eval`` of all channels for the first of the lights."""
         first = dr.zeros(mi.UInt32, len(theta))
         wo = self.towards(theta, phi, lower)
-        return list(bsdf.eval(flux_context(), self.from_number(first), wo))
+        si = self.from_number(first)
+        return list(bsdf.eval(flux_context(), si, wo, mi.Bool(True)))
 
 
 def _square() -> mi.SurfaceInteraction3f:

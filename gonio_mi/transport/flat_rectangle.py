@@ -57,7 +57,8 @@ class Plane:
 
         def values(uv: mi.Point2f) -> mi.Spectrum:
             si = self.interactions(uv, wi, wavelengths)
-            return self.bsdf.eval(mi.BSDFContext(), si, si.to_local(wo))
+            wo_local, every = si.to_local(wo), mi.Bool(True)
+            return self.bsdf.eval(mi.BSDFContext(), si, wo_local, every)
 
         here, there = values(mi.Point2f(0.5)), values(sampler.next_2d())
         alike = dr.abs(there - here) <= dr.abs(here) * FEW_ROUNDINGS

@@ -130,17 +130,16 @@ class Asked:
     def eval_pdf(self, wi: Any, wo: Any) -> Any:
         """Values of ``eval``, shape ``(n, channels)``, and of ``pdf``, ``(n,)``."""
         si, wo, n = self.interaction(wi), self.vector(wo), len(wo)
-        value = columns(self.bsdf.eval(self.ctx, si, wo), n)
-        return value, column(self.bsdf.pdf(self.ctx, si, wo), n)
+        asked = self.ctx, si, wo, self.mi.Bool(True)
+        return columns(self.bsdf.eval(*asked), n), column(self.bsdf.pdf(*asked), n)
 
     def sample(self, u: Any) -> dict[str, Any]:
         """Answers of ``sample`` for random numbers of shape ``(n, 3)``."""
         n, mi = len(u), self.mi
         sample1, x, y = (mi.Float(np.ascontiguousarray(u[:, i])) for i in range(3))
         wi = np.broadcast_to(self.wi, (n, 3))
-        bs, weight = self.bsdf.sample(
-            self.ctx, self.interaction(wi), sample1, mi.Point2f(x, y)
-        )
+        si, sample2, every = self.interaction(wi), mi.Point2f(x, y), mi.Bool(True)
+        bs, weight = self.bsdf.sample(self.ctx, si, sample1, sample2, every)
         return {
             "direction": columns(bs.wo, n),
             "weight": columns(weight, n),
