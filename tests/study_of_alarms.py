@@ -139,7 +139,6 @@ def main():
                 todo = [seed for seed in seeds if (name, seed) not in done]
                 if not todo:
                     continue
-                # parameters of a dictionary get a colour in rgb
                 maps.integrals = Remembered()
                 for seed in todo:
                     line = judged(name, chosen[name], options.effort, seed)

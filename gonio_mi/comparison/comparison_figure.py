@@ -110,7 +110,10 @@ def _draw(
 def points_in_profile(
     theta_o: Floats, phi_o: Floats, phi_i: float
 ) -> tuple[Floats, Flags, str]:
-    """Abscissa of each point, which points lie in the profile, and the axis label."""
+    """Abscissa of each point, which points lie in the profile, and the axis label.
+
+    All angles are in degrees, `theta_o` and `phi_o` of shape ``(n,)``.
+    """
     ahead = _turn(phi_o - phi_i - 180)
     back = _turn(phi_o - phi_i)
     nearest = [

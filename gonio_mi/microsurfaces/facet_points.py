@@ -41,7 +41,13 @@ class Facets:
 
 
 def found_facets(specimen: Specimen, points: int, blocks: int, seed: int) -> Facets:
-    """Points of all surfaces, in proportion to their areas."""
+    """Points of all surfaces, in proportion to their areas, ``blocks**2`` blocks.
+
+    Raises
+    ------
+    SpecimenError
+        If there are instances, or rays do not find one point of a hundred.
+    """
     if specimen.groups:
         raise SpecimenError("micro_normals needs a specimen without instances")
     generator = np.random.default_rng(seed)

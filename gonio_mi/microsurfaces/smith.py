@@ -67,8 +67,8 @@ def ring_means(
 ) -> Floats:
     """Means in 1/sr of the density of micro-normals over rings with `edges` in degrees.
 
-    Integrals over the part of the facets, and not over angles: a lobe however narrow
-    is met.
+    Of ``n + 1`` edges from 0 to 90, ascending, shape ``(n,)``. Integrals over the part
+    of the facets, and not over angles: a lobe however narrow is met.
     """
     turn = 2 * np.pi * (np.arange(N_AZIMUTHS) + 0.5) / N_AZIMUTHS
     alpha2 = (np.cos(turn) * alpha_u) ** 2 + (np.sin(turn) * alpha_v) ** 2
