@@ -206,6 +206,14 @@ def test_tables_that_cannot_be_fitted(settings, message):
         gonio.fit(replace(table_of(METAL), **settings), "diffuse")
 
 
+@pytest.mark.usefixtures("mono")
+def test_a_table_of_transmission_takes_no_opaque_model():
+    table = table_of(METAL)
+    below = replace(table, theta_o=180 - table.theta_o, quantity="btdf")
+    with pytest.raises(SettingError, match=r"must send light to where .* \(btdf\)"):
+        gonio.fit(below, "diffuse")
+
+
 def test_a_table_needs_a_variant_of_one_channel(rgb):  # noqa: ARG001
     with pytest.raises(SettingError, match="needs the variant llvm_ad_mono"):
         gonio.fit(synthetic_table(), "diffuse")

@@ -8,6 +8,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
+from ..errors import SettingError
 from ..files.measured_table import MeasuredTable
 from ..results.record import Record
 from .cone_predictions import ConePredictions
@@ -183,7 +184,18 @@ class TableObservations:
         return found
 
     def variances(self, predicted: Floats) -> Floats:
-        """Those that the table states, or squares of what the model predicts."""
+        """Those that the table states, or squares of what the model predicts.
+
+        Raises
+        ------
+        ValueError
+            If the table states none, and the model predicts no light at all.
+        """
+        if not self.stated and not predicted.any():
+            raise SettingError(
+                f"the model must send light to where {self.table.name} was measured "
+                f"({self.table.quantity}), got none"
+            )
         if not self.stated:
             return (np.abs(predicted) + FAINT * np.abs(predicted).mean()) ** 2
         # a part of what is predicted: a part of a value that noise made small would
