@@ -417,6 +417,7 @@ def test_a_plugin_whose_active_has_no_default():
     assert abs(record.dhr[0] - 0.4) <= record.dhr_std_err[0]
 
 
+@pytest.mark.usefixtures("mono")
 def test_a_textured_specimen_at_a_point():
     """At a point there is one reflectance, even of a texture."""
     texture = {"type": "checkerboard", "color0": 0.4, "color1": 0.4}
