@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import checked_number
+from ..results.campaign_text import LOOKS
 from ..results.misplacement import Misplacement, misplaced
 from ..results.record import Record
 from .campaign_tasks import Surroundings
@@ -35,9 +36,9 @@ FIRST_ANGLES, FIRST_AZIMUTHS = 4, 8
 NARROWEST_LEG = 0.25
 LEFT = 1 / 2
 
-# Directions never used that confirm the material, how many of them may miss the
-# tolerance, and how often it is refined where they did.
-UNSEEN, MISSES, ROUNDS = 40, 2, 10
+# Directions never used that confirm the material, and how many of them may miss the
+# tolerance; it is refined where more did, and looked at anew, LOOKS times at most.
+UNSEEN, MISSES = 40, 2
 
 
 def checked_tolerance(value: Any) -> float:
@@ -257,7 +258,7 @@ class WholeBsdf:
         Where they do, the material is refined, as long as it can be.
         """
         seed = self.settings.get("seed") or 0
-        for number in range(ROUNDS):
+        for number in range(LOOKS):
             generator = np.random.default_rng([int(seed), number])
             cosines = 1 - generator.random(UNSEEN) * (
                 1 - np.cos(np.radians(self.theta_max))
@@ -275,7 +276,7 @@ class WholeBsdf:
             logger.info(
                 "%s: %d of %d missed: %s", self.name, len(missed), UNSEEN, worst
             )
-            if len(missed) <= MISSES or number == ROUNDS - 1:
+            if len(missed) <= MISSES or number == LOOKS - 1:
                 break
             if not self._split_at(missed):
                 break

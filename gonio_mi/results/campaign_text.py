@@ -8,7 +8,7 @@ import numpy as np
 
 from .statistics import binomial_interval
 
-__all__ = ["campaign_is_sound", "campaign_text"]
+__all__ = ["LOOKS", "campaign_is_sound", "campaign_text"]
 
 NUMBERS = ("tolerance", "theta_max", "within", "measured", "rays")
 
