@@ -61,7 +61,7 @@ class Comparison:
         Of ``chi2``, ``worst`` and ``total``: the probability of a statistic this large
         if both have the same true values.
     alpha : float
-        Probability with which `passed` is False although they have.
+        Probability with which the verdict is ``"differ"`` although they have.
     notes : tuple of str
         What a reader of the verdict should know.
     labels : tuple of str
@@ -115,11 +115,11 @@ class Comparison:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing tells the two apart: ``p_value >= alpha``.
+        """Whether nothing tells the two apart, and patches can: ``p_value >= alpha``.
 
-        Ask `undecided` too: where patches cannot decide, this is True.
+        False where it is `undecided`.
         """
-        return self.p_value >= self.alpha
+        return self.p_value >= self.alpha and not self.undecided
 
     @property
     def verdict(self) -> str:
