@@ -266,6 +266,8 @@ def test_show_says_how_a_table_is_understood(tmp_path, capsys):
     assert "BSDF        0.25 to 0.5 1/sr, mean 0.375" in said
     assert "note: columns: theta_i is 'theta_i/deg' in deg" in said
     assert main(["show", path, "--json"]) == 1
+    assert main(["show", f"{path}.no"]) == 1
+    assert "there is no file" in capsys.readouterr().err
     assert main(["show", str(tmp_path / "a.npz"), "--channel", "x"]) == 1
     assert "--channel goes with a table" in capsys.readouterr().err
 

@@ -363,6 +363,7 @@ def test_command(tmp_path, capsys):
     assert cli.main(arguments) == 3
     answer = json.loads(capsys.readouterr().out)
     assert answer["function"] == "pdf"
+    assert "(broken_bsdfs.py, line " in answer["mistake"]
     assert [p["name"] for p in answer["properties"]] == list(PROPERTIES)
     assert report.is_file()
     assert cli.main(["validate", "diffuse", "--allow", "magic"]) == 1

@@ -113,8 +113,9 @@ def add_specimen(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "specimen",
         metavar="SPECIMEN",
-        help="a Mitsuba scene file, a file of heights (x3p, sur, ...), or a BSDF in "
-        "one word such as roughconductor:alpha=0.2,distribution=ggx",
+        help="a Mitsuba scene file, a file of heights (x3p, sur, ...), a mesh (obj, "
+        "ply, stl) with --bsdf, or a BSDF in one word such as "
+        "roughconductor:alpha=0.2,distribution=ggx",
     )
 
 

@@ -41,7 +41,9 @@ def add_options(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     path = options.record
-    if Path(path).suffix.lower() not in files.ENDINGS and os.path.isfile(path):
+    if Path(path).suffix.lower() not in files.ENDINGS:
+        if not os.path.exists(path):
+            raise FileNotFoundError(f"there is no file {path}")
         if options.json:
             raise SettingError(f"--json goes with a record, got {path!r}")
         tell(table_text(table_of(path, options)))

@@ -224,7 +224,9 @@ class Comparison:
         ]
         for point in self.worst:
             angles = [f"{point[name]:7.4g}" for name in ("theta_i", "phi_i")]
-            angles += [f"{point[name]:7.4g}" for name in ("theta_o", "phi_o")]
+            # 359.99999 of single precision is 0
+            phi_o = float(f"{point['phi_o']:.4g}") % 360
+            angles += [f"{point['theta_o']:7.4g}", f"{phi_o:7.4g}"]
             lines.append(
                 f"{''.join(angles)}  {point['channel']:>6}  "
                 f"{_pair(point['value'], point['std_err'])}  "

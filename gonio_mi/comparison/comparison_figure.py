@@ -48,6 +48,8 @@ def comparison_figure(comparison: Any) -> Figure:
     )
     for (above, below), panel in zip(axes.T, shown):
         _draw(comparison, panel, above, below)
+    curves = axes[0, 0].get_legend_handles_labels()
+    figure.legend(*curves, loc="outside lower center", ncols=2, frameon=False)
     axes[0, 0].set_ylabel("BSDF (1/sr)")
     axes[1, 0].set_ylabel("z")
     p_value, rms = comparison.p_value, comparison.rms
@@ -94,7 +96,6 @@ def _draw(
             label=f"{name} +- std_err",
             mfc=face,
         )
-    above.legend(frameon=False)
     above.set_title(
         f"theta_i {theta_i:.4g}°, phi_i {phi_i:.4g}°, {channel}", fontsize="small"
     )

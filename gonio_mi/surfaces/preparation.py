@@ -47,7 +47,7 @@ def filled(heights: Floats, method: str) -> Floats:
     if method == "none":
         raise SettingError(
             f"heights must be known everywhere, but {n} of {missing.size} points were "
-            "not measured: take fill=nearest or fill=linear"
+            "not measured: take the fill nearest or linear"
         )
     heights = heights.copy()
     rows, columns = _nearest(missing)

@@ -6,8 +6,10 @@ Whatever a plugin does wrong there ends in a :class:`PluginFault`.
 from __future__ import annotations
 
 import contextlib
+import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -18,6 +20,8 @@ from ..array_types import Floats, Numbers
 from .conditions import Condition
 
 __all__ = ["PluginFault", "Probe", "Sampled", "blamed", "numbers", "spectral"]
+
+PACKAGE = Path(__file__).parents[1]
 
 # Channels of a spectral variant, in nm.
 WAVELENGTHS_NM = (450.0, 520.0, 580.0, 650.0)
@@ -218,8 +222,17 @@ def blamed(function: str) -> Iterator[None]:
         # a plugin may raise anything
         text = " ".join(str(error).split())
         raise PluginFault(
-            function, f"raised {type(error).__name__}: {text:.200}"
+            function, f"raised {type(error).__name__}: {text:.200}{_place(error)}"
         ) from error
+
+
+def _place(error: Exception) -> str:
+    """Where a plugin in Python raised it, in brackets; nothing for one in C++."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        path = Path(frame.filename)
+        if not (PACKAGE in path.parents or "site-packages" in path.parts):
+            return f" ({path.name}, line {frame.lineno})"
+    return ""
 
 
 def _kind(value: Any) -> str:
