@@ -72,7 +72,7 @@ def test_rings_and_the_rest_are_all_that_left():
         ([1.0], "radii must be 2 to"),
         (1.0, "radii must be 2 to"),
         ([0.0, 1.0, 1.0], "ascending"),
-        ([-1.0, 1.0], "radii must be numbers"),
+        ([-1.0, 1.0], "radii must be numbers of at least 0"),
         ([0.0, np.nan], "radii must be numbers"),
     ],
 )

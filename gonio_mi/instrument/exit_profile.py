@@ -24,6 +24,7 @@ from .sending import send_all
 __all__ = ["ExitProfile", "exit_profile"]
 
 MOST_RINGS = 10_000
+RADII = "numbers of at least 0 and less than 1e15"
 
 # Settings that are decided here, or that say nothing of where light leaves.
 NONE_OF_ITS = {
@@ -138,7 +139,7 @@ def exit_profile(
 def _checked(radii: Sequence[float]) -> Floats:
     """Edges of rings as an array; raise SettingError for what is none."""
     many = radii if np.ndim(radii) else [radii]
-    edges = np.array([checked_number("radii", x, 0, 1e15, "numbers") for x in many])
+    edges = np.array([checked_number("radii", x, 0, 1e15, RADII) for x in many])
     if not 2 <= edges.size <= MOST_RINGS + 1 or not np.all(np.diff(edges) > 0):
         raise SettingError(
             f"radii must be 2 to {MOST_RINGS + 1} ascending numbers, got {shown(radii)}"

@@ -62,6 +62,7 @@ def micro_normals_figure(found: Any, path: str | PathLike[str] | None = None) ->
             curve = found.model_masking(name)[own]
             right.plot(found.theta[own], curve, style, c=colour, lw=1)
     right.set(xlabel="theta (degrees)", ylabel="visible part G1, Smith: lines")
+    right.set_ylim(0, 1.05)
     right.legend(frameon=False)
     if path is not None:
         save_picture(figure, path)
