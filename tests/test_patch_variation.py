@@ -9,7 +9,7 @@ from references import eval_flux
 import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
-from gonio_mi.comparison import compare
+from gonio_mi.comparison import compare, patch_variation
 from gonio_mi.comparison.comparison_figure import comparison_figure
 from gonio_mi.files.measured import MeasuredTable
 
@@ -79,6 +79,20 @@ def test_no_verdict_calls_equal_what_patches_cannot_decide():
         assert f"points: {verdict}, p" in repr(comparison)
         title = comparison_figure(comparison).get_suptitle()
         assert title.startswith(f"{verdict}: p =")
+
+
+def test_a_lobe_on_a_diffuse_ground_may_hide_about_the_pole(monkeypatch):
+    """All sectors there are alike; twin: without the rule for it, equals differ."""
+    shiny = {"type": "roughplastic", "alpha": 0.1}
+    record = gonio.measure(shiny, 0, collector="solid:10x20", rays=2**20)
+    theta_o, phi_o = np.repeat(np.arange(1.0, 8), 8), np.tile(np.arange(8) * 45.0, 7)
+    wo = direction(np.radians(theta_o), np.radians(phi_o))
+    values = eval_flux(mi.load_dict(shiny), 0, 0, wo)[:, 0] / wo[:, 2]
+    table = MeasuredTable(0 * theta_o, 0 * theta_o, theta_o, phi_o, values)
+    with pytest.raises(ValueError, match="too coarse for 56 of 56"):
+        compare(record, table, alpha=budget.ALPHA)
+    monkeypatch.setattr(patch_variation, "HIDDEN", np.inf)
+    assert compare(record, table, alpha=budget.ALPHA).verdict == "differ"
 
 
 def test_a_lobe_narrower_than_its_patch_is_left_out():

@@ -1,9 +1,10 @@
 """How far the mean over a patch may be from the value at a point of it.
 
 The patches around tell: where lobes are resolved, a value is no farther from the mean
-than the farthest mean of all patches that one of `REACH` times the width would meet. Of
-1500 random points in each of 80 maps (8 BSDFs, 5 collectors) all were within, but for 4
-on the rim of lobes much narrower than a patch.
+than the farthest mean of all patches that one of `REACH` times the width would meet.
+Around the pole all sectors of the first ring are one patch. Of 600 points in each of
+264 maps (11 BSDFs, 6 collectors, 4 angles of incidence, half of the points in the lobe)
+the variation is known for 90 000, of which 23 are beyond, at most by a factor of 2.1.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import Flags, Integers
-from ..collector.hemisphere import Subdivision
+from ..collector import RingsAndSectors, Subdivision
 from .agreement import PointSet, Readings, Variation, judge
 
 __all__ = ["MEASURED_ANEW", "left_undecided", "variation_within"]
@@ -23,6 +24,10 @@ REACH, POINTS = 2.5, 4
 
 # Means that differ by more than this factor, next to each other, resolve no lobe.
 STEEP = 3.0
+
+# A lobe is hidden in a patch that is brighter than the darkest around by this part of
+# its mean, and if so by `STEEP` times as much as this part of what is around.
+HIDDEN, ALONE = 0.1, 0.4
 
 # What decides where patches cannot.
 MEASURED_ANEW = (
@@ -51,7 +56,7 @@ def variation_within(
         Of those patches where it is known.
     known : ndarray of bool, shape (n,)
         False next to the horizon, beyond which there is no patch, and where the means
-        are steeper than a lobe that is resolved.
+        are steeper than a lobe that is resolved, be it on top of a diffuse one.
     """
     around, beyond = _around(patches, patch)
     numbers, where = np.unique(np.stack([*around.T, patch]), return_inverse=True)
@@ -64,9 +69,13 @@ def variation_within(
     bound = np.maximum(apart - CHANCE * chance, 0).max(axis=0)
     low, high = np.maximum(value - CHANCE * error, 0), value + CHANCE * error
     steep = (low[:-1] > STEEP * high[-1]) | (low[-1] > STEEP * high[:-1])
+    base = value.min(axis=0)
+    around_it = value[POINTS**2 : -1] - base
+    alone = (mean - base > STEEP * around_it).mean(axis=0) > ALONE
+    alone &= low[-1] - base > HIDDEN * mean
     # what is hidden in the noise, without bias: it may be negative
     hidden = np.where(apart > CHANCE * chance, 0.0, apart**2 - chance**2).mean(axis=0)
-    known = ~(beyond | steep.any(axis=0))
+    known = ~(beyond | alone | steep.any(axis=0))
     # a value is about half as far from the mean as that of the next patch
     return Variation(bound[known], hidden[known] / 4), known
 
@@ -100,10 +109,17 @@ def left_undecided(
 
 
 def _around(patches: Subdivision, patch: Integers) -> tuple[Integers, Flags]:
-    """Patches around others, ``(n, points)``, and which of those the horizon cuts."""
+    """Patches around others, ``(n, 2 * points)``, and which of those the horizon cuts.
+
+    The second half is around the pole for patches of the first ring.
+    """
     points = patches.points(POINTS)[patch]
     middle = points.mean(axis=1, keepdims=True)
-    far = middle + REACH * (points - middle)
+    center = middle.copy()
+    if isinstance(patches, RingsAndSectors):
+        center[patch < patches.shape[1]] = 0, 0, 1
+    each = [one + REACH * (points - one) for one in (middle, center)]
+    far: Any = np.concatenate(each, axis=1)
     beyond = far[..., 2] <= 0
     far[..., 2] = np.maximum(far[..., 2], 1e-6)
     far /= np.linalg.norm(far, axis=-1, keepdims=True)
