@@ -237,3 +237,14 @@ def test_no_number_is_none_in_json():
     found = Differences("a", ("1", "2"), (part,)).to_dict()
     assert found["parts"][0]["size"] is None
     json.dumps(found, allow_nan=False)
+
+
+def test_the_example_is_where_most_light_differs():
+    """Not in the tail of a lobe, though it differs by more of itself there."""
+    here = np.r_[np.full(50, 2.0), np.full(50, 1e-9)]
+    there = np.r_[np.full(50, 2.02), np.full(50, 2e-9)]
+    sizes = [_sizes(here, there, 0.0)]
+    assert sizes[0][-1] > sizes[0][0] > 1
+    part = _worst("eval", "it changes", ["normal"], sizes, [(here, there)], "up to ")
+    assert "up to 2 and 2.02; " in part.text
+    assert part.size == sizes[0].max()

@@ -161,14 +161,29 @@ def _worst(
         text = f"to rounding: up to {most:.2g} of what it may leave"
         return Difference(function, False, most, text, means)
     i = int(np.argmax(shares))
-    k = int(np.argmax(np.where(np.isfinite(sizes[i]), sizes[i], -1)))
+    k = _most_seen(sizes[i], *examples[i])
     a, b = (np.ravel(x[k]).mean() for x in examples[i])
-    size = float(sizes[i][k])
+    size = float(sizes[i][np.argmax(np.where(np.isfinite(sizes[i]), sizes[i], -1))])
     text = (
-        f"{what}{a:.5g} and {b:.5g}, {size:.3g} times what rounding leaves; "
-        f"{shares[i]:.2g} of all at {places[i]}, and at {sum(many) - 1} more views"
+        f"{what}{a:.5g} and {b:.5g}; by up to {size:.3g} times what rounding leaves, "
+        f"{shares[i]:.2g} of all at {places[i]}"
     )
+    if sum(many) > 1:
+        text += f", and at {sum(many) - 1} more views"
     return Difference(function, True, size, text, means)
+
+
+def _most_seen(sizes: Floats, a: Floats, b: Floats) -> int:
+    """Where finite values that differ by more than rounding are furthest apart.
+
+    In the tails of a lobe values differ by most of themselves, which nobody sees.
+    """
+    seen = np.isfinite(sizes) & (sizes > 1)
+    if not seen.any():
+        return int(np.argmax(sizes))
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(a - b).reshape(len(sizes), -1).max(axis=1)
+    return int(np.argmax(np.where(seen, apart, -1)))
 
 
 def _values(
