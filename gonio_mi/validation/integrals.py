@@ -314,17 +314,22 @@ class _Integrand:
         si: mi.SurfaceInteraction3f,
         sample1: mi.Float,
         sample2: mi.Point2f,
+        active: mi.Bool,
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Return record and weight."""
-        del si
+        del si, active
         one = self.probe.sample(sample1, sample2)
         return one.bs, one.weight
 
     def eval(
-        self, _: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f
+        self,
+        _: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        active: mi.Bool,
     ) -> list[mi.Float]:
         """Return all channels, as long as there are evaluations left."""
-        del si
+        del si, active
         self.left -= dr.width(wo)
         if self.left < 0:
             raise SpecimenError("the integral takes too many evaluations")
