@@ -22,6 +22,7 @@ from slabs import NULL, medium, rectangle, stack
 
 from gonio_mi.benchmark.discrete_ordinates import henyey_greenstein, theory
 from gonio_mi.results.summary import summarize
+from gonio_mi.results.summary_text import summary_text
 from gonio_mi.transport import sampling
 from gonio_mi.transport.pace import Pace
 
@@ -218,7 +219,9 @@ def test_scatterings_may_be_limited():
     record = measured(stack(medium(5.0, 1.0)), period="box", max_scatterings=3)
     assert record.ledger.truncated > 0
     assert record.settings["max_scatterings"] == 3
-    assert record.settings["media"] == ["HomogeneousMedium"]
+    told = "HomogeneousMedium with IsotropicPhaseFunction: scale 1, albedo 1, sigma_t 5"
+    assert record.settings["media"] == [told]
+    assert told in " ".join(summary_text(summarize(record)).split())
     (sentence,) = summarize(record)["warnings"]  # none of the direct light
     assert "truncated by max_depth or max_scatterings" in sentence
     assert "max_scatterings" not in measured({"type": "diffuse"}, rays=100).settings

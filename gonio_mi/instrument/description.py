@@ -6,6 +6,7 @@ import datetime
 import platform
 from functools import cache
 from importlib.metadata import version
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -23,6 +24,9 @@ __all__ = ["described"]
 
 # Settings that a record knows better: its batches, its channels, its precision.
 KNOWN_OTHERWISE = {"batches", "wavelengths", "rel_err"}
+
+# A parameter of a medium that has more, such as a grid, is told by its size.
+MOST_NUMBERS = 4
 
 
 @cache
@@ -47,7 +51,7 @@ def described(
     if settings.estimator != "next_event":
         del own["points"]
     if bench.specimen.media:
-        own["media"] = [class_of(medium) for medium in bench.specimen.media]
+        own["media"] = [_of_medium(medium) for medium in bench.specimen.media]
     else:
         del own["max_scatterings"]
     if settings.estimator == "quadrature":
@@ -79,3 +83,16 @@ def described(
             "T", "seconds"
         ),
     }
+
+
+def _of_medium(medium: Any) -> str:
+    """One line on a medium: its classes and numbers; of large arrays, their size."""
+    numbers = {}
+    for name, value in mi.traverse(medium):
+        flat = np.ravel(np.array(value, dtype=float))
+        name = name.removesuffix(".value").removesuffix(".value")
+        few = "/".join(f"{number:g}" for number in flat)
+        numbers[name] = few if flat.size <= MOST_NUMBERS else f"{flat.size} numbers"
+    phase = class_of(medium.phase_function())
+    told = ", ".join(f"{name} {value}" for name, value in numbers.items())
+    return f"{class_of(medium)} with {phase}: {told}"

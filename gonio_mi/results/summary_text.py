@@ -50,6 +50,7 @@ def _settings_text(numbers: dict[str, Any]) -> str:
     lines = [
         ("specimen", _shown("specimen")),
         ("surface", _shown("surface")),
+        *(("medium", medium) for medium in settings.get("media", [])),
         (
             "light",
             f"{_shown('emitter')} on the {_shown('side')}, "
