@@ -329,7 +329,7 @@ def test_precision_that_is_reached_exits_with_0(run):
         ((*QUICK, "--plugin", "missing.py"), "existing file, got 'missing.py'"),
         ((*QUICK, "--resume", "missing.npz"), "missing.npz"),
         (("show", "missing.npz"), "missing.npz"),
-        (("show", "run.txt"), "must end in .exr or .npz"),
+        (("show", "run.txt"), "there is no file run.txt"),
         (("plot", "missing.npz", "-o", "a.png"), "missing.npz"),
     ],
 )
