@@ -92,6 +92,8 @@ def _of_medium(medium: Any) -> str:
         flat = np.ravel(np.array(value, dtype=float))
         name = name.removesuffix(".value").removesuffix(".value")
         few = "/".join(f"{number:g}" for number in flat)
+        if mi.is_spectral and flat.size == 3:
+            few = "of a colour"  # the numbers are coefficients of its spectrum
         numbers[name] = few if flat.size <= MOST_NUMBERS else f"{flat.size} numbers"
     phase = class_of(medium.phase_function())
     told = ", ".join(f"{name} {value}" for name, value in numbers.items())
