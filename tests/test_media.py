@@ -21,6 +21,7 @@ from budget import (
 from slabs import NULL, medium, rectangle, stack
 
 from gonio_mi.benchmark.discrete_ordinates import henyey_greenstein, theory
+from gonio_mi.instrument import description
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 from gonio_mi.transport import sampling
@@ -225,6 +226,14 @@ def test_scatterings_may_be_limited():
     (sentence,) = summarize(record)["warnings"]  # none of the direct light
     assert "truncated by max_depth or max_scatterings" in sentence
     assert "max_scatterings" not in measured({"type": "diffuse"}, rays=100).settings
+
+
+@pytest.mark.usefixtures("mono")
+def test_what_is_no_number_costs_no_record(monkeypatch):
+    odd = [("name", object()), ("words", "grey"), ("sigma_t", 5.0)]
+    monkeypatch.setattr(mi, "traverse", lambda _: odd)
+    told = description._of_medium(mi.load_dict({"type": "homogeneous"}))
+    assert told == "HomogeneousMedium with IsotropicPhaseFunction: sigma_t 5"
 
 
 BAD = {

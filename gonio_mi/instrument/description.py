@@ -86,10 +86,16 @@ def described(
 
 
 def _of_medium(medium: Any) -> str:
-    """One line on a medium: its classes and numbers; of large arrays, their size."""
+    """One line on a medium: its classes and numbers; of large arrays, their size.
+
+    What is no number, of a plugin of somebody's own, is left out.
+    """
     numbers = {}
     for name, value in mi.traverse(medium):
-        flat = np.ravel(np.array(value, dtype=float))
+        try:
+            flat = np.ravel(np.array(value, dtype=float))
+        except (TypeError, ValueError):
+            continue
         name = name.removesuffix(".value").removesuffix(".value")
         few = "/".join(f"{number:g}" for number in flat)
         if mi.is_spectral and flat.size == 3:

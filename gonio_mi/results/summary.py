@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from .doubts import doubts
-from .precision import FLOOR, lobe, precision
+from .precision import FLOOR, lobe, patch_values, precision
 from .record import Record
 
 __all__ = ["LEVEL", "summarize"]
@@ -93,10 +93,8 @@ def _totals(look: Record, quantity: str) -> list[dict[str, Any]]:
 def _worst_patches(look: Record) -> list[dict[str, Any]]:
     """Patches worth reporting with the largest relative standard error."""
     quantities = ("brdf", "btdf") if look.has_lower else ("brdf",)
-    value = np.stack([getattr(look, quantity) for quantity in quantities])
-    std_err = np.stack(
-        [getattr(look, f"{quantity}_std_err") for quantity in quantities]
-    )
+    value = patch_values(look, "brdf", "btdf")
+    std_err = patch_values(look, "brdf_std_err", "btdf_std_err")
     relative = np.full(value.shape, np.nan)
     weights = look.subdivision.projected_solid_angles
     for channel in range(len(look.channels)):
