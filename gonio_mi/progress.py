@@ -1,5 +1,7 @@
-"""A progress bar on standard error."""
+"""A progress bar on standard error, or lines where that is no terminal."""
 
+import sys
+import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
@@ -8,15 +10,23 @@ from tqdm import tqdm
 
 __all__ = ["bar"]
 
+# Seconds between two lines.
+PAUSE = 30.0
+
 
 def bar(
     shown: bool, **settings: Any
 ) -> AbstractContextManager[Callable[[float], Any] | None]:
     """Context of the function to report progress to; of None if it is not `shown`.
 
-    `settings` are those of :class:`tqdm.tqdm`.
+    Where standard error is a file or a pipe, a line is written about every 30 seconds,
+    however many bars there are one after the other. `settings` are those of
+    :class:`tqdm.tqdm`.
     """
-    return _Bar(leave=False, **settings) if shown else nullcontext()
+    if not shown:
+        return nullcontext()
+    in_place = sys.stderr.isatty() or "ipykernel" in sys.modules
+    return (_Bar if in_place else _Lines)(leave=False, **settings)
 
 
 class _Bar(tqdm):
@@ -25,3 +35,40 @@ class _Bar(tqdm):
     def __enter__(self) -> Callable[[float], Any]:
         super().__enter__()
         return self.update
+
+
+class _Lines(_Bar):
+    """Progress in lines, of which the first comes after a while.
+
+    Attributes
+    ----------
+    written, alive : float
+        When the last line was, and when any progress was heard of last, by the
+        monotonic clock: after a pause as long as between lines the clock starts anew.
+    """
+
+    written = alive = -PAUSE
+
+    def __init__(self, **settings: Any) -> None:
+        now = time.monotonic()
+        if now - _Lines.alive > PAUSE:
+            _Lines.written = now
+        _Lines.alive = now
+        shape = "{desc}{n_fmt} of {total_fmt} {unit}s, {remaining} left"
+        if settings.get("total") is None:
+            shape = "{desc}{n_fmt} {unit}s, {elapsed} so far"
+        if settings.get("desc"):
+            shape = shape.replace("{desc}", "{desc}: ")
+        own = {"bar_format": shape, "mininterval": 0, "miniters": 1, "delay": 0}
+        super().__init__(**settings | own)
+
+    def display(self, *_: Any, **__: Any) -> None:
+        """Write a line, if it is time."""
+        now = _Lines.alive = time.monotonic()
+        if now - _Lines.written >= PAUSE:
+            _Lines.written = now
+            print(self, file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        """End; there is nothing to wipe out."""
+        self.disable = True

@@ -13,8 +13,10 @@ import synthetic
 from budget import agree, disagree, single
 
 import gonio_mi as gonio
-from gonio_mi.instrument import campaign_tasks, known_directions
+from gonio_mi.instrument import campaign_tasks, campaigns, known_directions
 from gonio_mi.instrument.refinement import Axis, Interval, refined
+from gonio_mi.instrument.resolution import delta_share
+from gonio_mi.instrument.whole_bsdf import FIRST_ANGLES
 from gonio_mi.materials.gradients import gradients
 from gonio_mi.materials.lobes import LobeTable
 from gonio_mi.results.misplacement import misplaced, noise_of
@@ -236,6 +238,38 @@ def test_same_bits_elsewhere_and_again(material, tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("mono")
+def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
+    """That the same call carries on from; of two specimens the first is whole in it."""
+    plates = {name: {"type": "diffuse"} for name in "ab"}
+    how = {"tolerance": 0.3, "collector": "projected:4x12"}
+    measure, calls = known_directions.records_of, []
+
+    def counting(specimens, *asked):
+        calls.append(*specimens)
+        if "b" in specimens and calls.count("b") == 2:
+            raise KeyboardInterrupt
+        return measure(specimens, *asked)
+
+    monkeypatch.setattr(known_directions, "records_of", counting)
+    monkeypatch.setattr(campaigns.tempfile, "mkdtemp", lambda **_: str(tmp_path))
+    whole = gonio.campaign({"a": plates["a"]}, **how)["a"]
+    rounds = calls.count("a")
+    measured = whole.settings["campaign"]["measured"]
+    finished = measured + FIRST_ANGLES
+    with pytest.raises(KeyboardInterrupt, match=f"^{tmp_path} holds the {finished} "):
+        gonio.campaign(plates, **how)
+    assert len(list(tmp_path.glob("*/quadrature_*"))) == rounds + 1
+
+    def again(*_, **__):
+        raise AssertionError("it was finished")
+
+    monkeypatch.setattr(campaign_tasks, "measure_each", again)
+    kept = gonio.campaign({"a": plates["a"]}, **how, folder=tmp_path)["a"]
+    assert kept.tallies == whole.tallies
+    assert kept.settings["campaign"] == whole.settings["campaign"]
+
+
+@pytest.mark.usefixtures("mono")
 def test_an_anisotropic_specimen_is_recognised():
     """From rays, as few as the tolerance asks for."""
     brushed = {"type": "roughconductor", "alpha_u": 0.3, "alpha_v": 0.7}
@@ -315,6 +349,30 @@ def test_patches_that_are_too_coarse_are_told_at_once():
     named = str(error.value).split()[-1]
     with pytest.raises(RuntimeError, match="enough of it"):
         gonio.campaign({"narrow": narrow}, **how | {"collector": named}, folder=Stop())
+
+
+@pytest.mark.usefixtures("mono")
+def test_deltas_are_told_at_once(monkeypatch):
+    """By their share of the light, before finer patches are tried."""
+    plate = {"type": "diffuse", "reflectance": 0.5}
+    # of the half that meets nothing all is left, of the other one the half
+    mask = {"type": "mask", "opacity": 0.5, "bsdf": plate}
+    record = gonio.measure(mask, 50, estimator="quadrature", rays=2**14)
+    share = delta_share(record)
+    # a patch beside has the same smooth light but for a part of one in 900, of a third;
+    # the rays for deltas are of low discrepancy
+    assert abs(share - 2 / 3) < 1 / 900
+    assert delta_share(gonio.measure(plate, 50, estimator="quadrature")) == 0
+    looked = []
+    measure = known_directions.records_of
+    monkeypatch.setattr(
+        known_directions,
+        "records_of",
+        lambda *asked: looked.append(asked) or measure(*asked),
+    )
+    with pytest.raises(gonio.SpecimenError, match=r"^0.67 of the light .* delta"):
+        gonio.campaign({"mask": mask}, tolerance=0.05)
+    assert {str(settings.get("collector")) for *_, settings, _ in looked} == {"None"}
 
 
 @pytest.mark.usefixtures("mono")

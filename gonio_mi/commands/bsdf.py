@@ -6,7 +6,6 @@ own patches; of several wavelengths, visible and solar light. The specimen's fac
 +z, the front, looks into the room, and its +y is up.
 """
 
-import sys
 import time
 from argparse import ArgumentParser, Namespace
 
@@ -128,7 +127,7 @@ def run(options: Namespace) -> int:
             product=product,
             cells=options.cells,
             parameters=parameters,
-            progress=not options.quiet and sys.stderr.isatty(),
+            progress=not options.quiet,
             **campaign_options(options),
             **given_settings(options),
         )

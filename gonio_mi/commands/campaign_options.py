@@ -46,8 +46,8 @@ def kept_after_ctrl_c(folder: str | None) -> Iterator[None]:
     """Context of a campaign, that Ctrl-C leaves with a sentence on what is kept."""
     try:
         yield
-    except KeyboardInterrupt:
-        kept = "nothing was kept, for want of --folder"
+    except KeyboardInterrupt as pressed:
+        kept = str(pressed) or "nothing was kept, for want of --folder"
         if folder is not None:
             kept = f"{folder} holds what was finished; the same command carries on"
         say(f"interrupted: {kept}")

@@ -6,7 +6,6 @@ Measure how a specimen scatters light, and show the numbers.
 from __future__ import annotations
 
 import signal
-import sys
 import warnings
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
@@ -186,7 +185,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
             _one_or_many(options.phi_i),
             **settings,
             parameters=parameters,
-            progress=not options.quiet and sys.stderr.isatty(),
+            progress=not options.quiet,
         )
         ctrl_c.ignored = True
         for order, record in (measured if orders else {"": measured}).items():

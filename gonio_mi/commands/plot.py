@@ -5,7 +5,6 @@ is drawn as a sheet of the maps of its incident directions, on one colour scale,
 an animation; --index chooses one of them.
 """
 
-import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
@@ -48,7 +47,7 @@ def run(options: Namespace) -> int:
     if Path(options.output).suffix.lower() in ANIMATION_ENDINGS:
         if options.index is not None:
             raise SettingError("--index must not be given for an animation of them all")
-        animation(record, options.output, progress=sys.stderr.isatty())
+        animation(record, options.output, progress=True)
     elif options.index is None and len(record) > 1:
         sheet(record, options.output)
     else:

@@ -5,7 +5,6 @@ the pointer, sliders over incident directions, cuts, lobes, totals and ledger; t
 records beside each other, with their difference in standard errors.
 """
 
-import sys
 from argparse import ArgumentParser, Namespace
 
 from .. import files
@@ -35,5 +34,5 @@ def run(options: Namespace) -> int:
     from ..reports import report  # plotly is an extra, and large
 
     records = [files.load(one) for one in options.records]
-    report(records, options.output, progress=sys.stderr.isatty())
+    report(records, options.output, progress=True)
     return DONE

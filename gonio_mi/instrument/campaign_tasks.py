@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copyreg
+import itertools
 import logging
 import os
 import pickle
@@ -32,7 +33,7 @@ from .loading import load_plugin_file, load_specimen, specimen_name
 from .measurement import measure_each, whole
 from .workers import workers
 
-__all__ = ["Surroundings", "records_of"]
+__all__ = ["Surroundings", "keep", "records_of"]
 
 logger = logging.getLogger(__name__)
 
@@ -87,6 +88,27 @@ def records_of(
         )
         for name in specimens
     }
+
+
+def keep(
+    stack: Record,
+    name: str,
+    specimen: Any,
+    incidents: Sequence[tuple[float, float]],
+    where: Surroundings,
+    settings: dict[str, Any],
+) -> None:
+    """Write what :func:`records_of` gave for one specimen into the folder of `where`.
+
+    There it is as if it had been measured with that folder.
+    """
+    specimens = {name: specimen}
+    tasks = _tasks(specimens, incidents, where.plugins, where.threads, settings)
+    records = (stack[number] for number in range(len(stack)))
+    with CampaignFolder(where.folder or ".", tasks, incidents) as folder:
+        for task in tasks:
+            some = itertools.islice(records, len(task.incidents))
+            folder.save(task, Record.stack(some))
 
 
 def _records(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any
@@ -94,7 +95,9 @@ def campaign(
         If a setting is out of its range, `folder` holds another campaign or one is at
         work in it, or a specimen cannot be sent to another process.
     KeyboardInterrupt
-        After Ctrl-C, at once: `folder` holds the tasks that were finished.
+        After Ctrl-C, at once: `folder` holds the tasks that were finished. With a
+        `tolerance` and no folder its message names a new one, which holds the last
+        whole round of directions and all before.
     concurrent.futures.BrokenExecutor
         If workers keep dying. What is finished is in `folder`.
     """
@@ -125,9 +128,18 @@ def campaign(
     for other, value in others.items():
         if value is not None:
             raise SettingError(f"tolerance and {other} exclude each other, got both")
-    return {
-        str(name): WholeBsdf(
-            str(name), specimen, tolerance, theta_max, where, settings
-        ).measured()
+    materials = [
+        WholeBsdf(str(name), specimen, tolerance, theta_max, where, settings)
         for name, specimen in specimens.items()
-    }
+    ]
+    try:
+        return {material.name: material.measured() for material in materials}
+    except KeyboardInterrupt:
+        if folder is not None or not materials[0].directions.rounds:
+            raise
+        kept = tempfile.mkdtemp(prefix="gonio_mi_")
+        n_kept = sum(material.directions.keep_in(kept) for material in materials)
+        raise KeyboardInterrupt(
+            f"{kept} holds the {n_kept} directions that were finished: with it as "
+            "folder the same campaign carries on"
+        ) from None

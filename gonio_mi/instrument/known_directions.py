@@ -9,13 +9,14 @@ import time
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from ..collector import Subdivision
 from ..errors import SettingError, SpecimenError
 from ..results.record import Record
-from .campaign_tasks import Surroundings, records_of
+from .campaign_tasks import Surroundings, keep, records_of
 
 __all__ = ["KnownDirections", "NotIntegrableError", "folder_name"]
 
@@ -71,6 +72,8 @@ class KnownDirections:
             self.estimators.append("weighted")
         self.chosen: Subdivision | None = None  # where no collector was asked for
         self.records: dict[tuple[float, float], Record] = {}
+        # for `keep_in`: arguments of `keep` but for where
+        self.rounds: list[tuple[str, Record, Sequence[Any], dict[str, Any]]] = []
         self.n_rounds = self.n_timed = 0
         self.seconds, self.announced = 0.0, False
 
@@ -96,13 +99,12 @@ class KnownDirections:
         new = sorted(set(incidents) - self.records.keys())
         if not new:
             return
+        part = f"{self.estimators[0]}_{self.n_rounds:03d}"
+        if self.chosen is not None:
+            part += f"_{self.chosen}".replace(":", "_")
         where, started = self.where, time.perf_counter()
         if where.folder is not None:
-            part = f"{self.estimators[0]}_{self.n_rounds:03d}"
-            if self.chosen is not None:
-                part += f"_{self.chosen}".replace(":", "_")
-            own = Path(where.folder) / folder_name(self.name)
-            where = replace(where, folder=own / part)
+            where = self._where(where.folder, part)
         said = f"{self.name}, {len(self.records)} directions, {said}"
         logger.info("%s: %d more", said, len(new))
         settings = self.settings | self._goals()
@@ -113,9 +115,25 @@ class KnownDirections:
                 raise
             raise NotIntegrableError(error) from error
         stack = record[self.name]
+        self.rounds.append((part, stack, new, settings))
         self.records |= zip(new, (stack[number] for number in range(len(stack))))
         self.n_rounds, self.n_timed = self.n_rounds + 1, self.n_timed + len(new)
         self.seconds += time.perf_counter() - started
+
+    def keep_in(self, folder: str) -> int:
+        """Write all rounds of directions to a folder, from which a campaign carries on.
+
+        Returns how many directions these are.
+        """
+        for part, stack, incidents, settings in self.rounds:
+            where = self._where(folder, part)
+            keep(stack, self.name, self.specimen, incidents, where, settings)
+        return sum(len(stack) for _, stack, *_ in self.rounds)
+
+    def _where(self, folder: str | PathLike[str], part: str) -> Surroundings:
+        """Where a round is measured, which is kept in a folder."""
+        own = Path(folder) / folder_name(self.name)
+        return replace(self.where, folder=own / part)
 
     def stack(
         self,

@@ -15,7 +15,7 @@ from ..results.misplacement import misplaced
 from ..results.record import Record
 from .prediction import Prediction
 
-__all__ = ["TooCoarseError", "check_equal_sectors", "check_resolved"]
+__all__ = ["TooCoarseError", "check_equal_sectors", "check_resolved", "delta_share"]
 
 # By which power of their width finer patches are better, where they nearly resolve a
 # lobe, and up to which part of the light in the wrong place they do.
@@ -53,9 +53,10 @@ def check_resolved(
 ) -> None:
     """Raise SpecimenError if patches are too coarse to say what is between directions.
 
-    A :class:`TooCoarseError` names a collector that would do, from what finer ones
-    would measure: of equal steps of angle, which resolve lobes at grazing incidence
-    with the fewest patches.
+    So are all for more of the light than the tolerance in delta lobes. A
+    :class:`TooCoarseError` names a collector that would do, from what finer ones would
+    measure: of equal steps of angle, which resolve lobes at grazing incidence with the
+    fewest patches.
 
     Parameters
     ----------
@@ -72,6 +73,15 @@ def check_resolved(
     lost = at_first = _lost(n_points, angles, partial(_at, records, None))
     if max(lost) <= tolerance:
         return
+    delta = max(map(delta_share, (first[number] for number in range(len(first)))))
+    if delta > tolerance:
+        raise SpecimenError(
+            f"{delta:.2g} of the light of {first.settings['specimen']!s:.60} leaves in "
+            f"delta lobes (mirror images, or straight on) at an angle up to "
+            f"{max(angles):.3g}, and no patches tell where these are between "
+            "directions: take a rough BSDF, or name angles (theta_i) instead of a "
+            "tolerance"
+        )
     while max(lost) > NEARLY:
         sizes = [n * (1 + (one > NEARLY)) for n, one in zip(patches.shape, lost)]
         if math.prod(sizes) > MOST_PATCHES:
@@ -91,6 +101,24 @@ def check_resolved(
     raise TooCoarseError(
         f"{said}; take a smaller theta_max or a collector such as {enough}", enough
     )
+
+
+def delta_share(record: Record) -> float:
+    """Part of the light of one incident direction that is seen to be in delta lobes.
+
+    What passed openings straight on; and beside integrals what was sampled, of which
+    patches hold more than those around them.
+    """
+    total = record.flux_fraction.sum()
+    delta = record.direct.sum()
+    if record.settings["estimator"] == "quadrature":
+        flux = record.flux_fraction.sum(axis=-1)
+        outer = np.pad(flux, ((0, 0), (1, 1), (0, 0)))
+        around = [outer[:, :-2], outer[:, 2:], np.roll(flux, 1, -1)]
+        around.append(np.roll(flux, -1, -1))
+        excess = np.maximum(flux - np.max(around, axis=0), 0)
+        delta += excess[record.counts > 0].sum()
+    return float(delta / total) if total > 0 else 0.0
 
 
 def _at(

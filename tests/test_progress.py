@@ -1,0 +1,40 @@
+"""What long work says of itself where nobody looks at a terminal. All is exact."""
+
+import pytest
+
+from gonio_mi import progress
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that is set by hand, and stands still otherwise."""
+    now = [1000.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(progress._Lines, "alive", -progress.PAUSE)
+    return now
+
+
+def test_a_line_once_a_while(clock, capsys):
+    """However many bars there are; and none in what is short."""
+    for number in range(4):
+        name = f"round {number}"
+        with progress.bar(True, total=4, unit="direction", desc=name) as report:
+            for _ in range(4):
+                clock[0] += 5
+                report(1)
+    said = [line.split(",")[0] for line in capsys.readouterr().err.splitlines()]
+    assert said == ["round 1: 2 of 4 directions", "round 2: 4 of 4 directions"]
+    clock[0] += 3600  # of something else
+    with progress.bar(True, total=None, unit="ray", unit_scale=True) as report:
+        report(1e6)
+        assert not capsys.readouterr().err
+        clock[0] += 31
+        report(1e6)
+    assert capsys.readouterr().err.startswith("2.00M rays")
+
+
+def test_nothing_where_it_is_not_wanted(clock, capsys):
+    with progress.bar(False, total=4) as report:
+        clock[0] += 100
+    assert report is None
+    assert not capsys.readouterr().err
