@@ -13,12 +13,14 @@ __all__ = [
     "FileFormatError",
     "Frame",
     "LLVMError",
+    "LABEL",
     "LostRaysError",
     "PackageError",
     "SettingError",
     "SettingTypeError",
     "SpecimenError",
     "VariantError",
+    "abridged",
     "checked_choice",
     "checked_count",
     "checked_number",
@@ -32,6 +34,9 @@ __all__ = [
 
 # Characters of a message, of a word in it, and of a value that it repeats.
 LONGEST, LONGEST_WORD, LONGEST_VALUE = 400, 120, 80
+
+# Characters of a specimen's name where two stand beside each other.
+LABEL = 60
 
 
 def printable(text: str) -> str:
@@ -50,6 +55,21 @@ def shortened(text: str, longest: int = LONGEST) -> str:
     line = " ".join(printable(" ".join(text.split())).split())
     words = (_without_middle(word, LONGEST_WORD) for word in line.split(" "))
     return _without_middle(" ".join(words), longest)
+
+
+def abridged(text: str, longest: int) -> str:
+    """Text of at most `longest` characters, cut after a parameter or else a word.
+
+    Three dots say that more would follow.
+    """
+    if len(text) <= longest:
+        return text
+    head = text[: longest - 4]
+    for ends in (",;", " "):
+        end = 1 + max(head.rfind(one) for one in ends)
+        if end > longest // 3:
+            return f"{head[:end].rstrip()} ..."
+    return f"{head}..."
 
 
 def shown(value: object, longest: int = LONGEST_VALUE) -> str:

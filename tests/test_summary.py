@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import synthetic
 
+from gonio_mi.files.exr_parts import attributes
+from gonio_mi.results.integral_sums import Integrals
 from gonio_mi.results.precision import precision
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
-from gonio_mi.results.tally import Fate
+from gonio_mi.results.tally import Fate, Tally
 
 
 def moved(record, row, n):
@@ -145,3 +147,33 @@ def test_what_is_not_known_is_none():
     assert summarize(record)["worst_patches"] == []
     text = " ".join(summary_text(summarize(record)).split())
     assert "their standard errors are not known" in text
+
+
+def test_integrals_say_what_stands_for_rays():
+    patches = synthetic.record().subdivision
+    flux = np.full((1, *patches.shape, 1), 0.01)
+    nothing = Tally.empty(1, patches.shape, 1, 2**24)
+    record = replace(
+        synthetic.record(), tallies=(Integrals.beside(nothing, flux, 1e-7 * flux),)
+    )
+    numbers = summarize(record.with_settings(estimator="quadrature", rel_err=1e-4))
+    text = summary_text(numbers)
+    assert "none: the BSDF is integrated over each patch, rel_err 0.0001" in text
+    assert line(record, "ledger").endswith("std_err is their estimated error")
+    assert "hit" not in text
+    assert numbers["worst_patches"][0]["hits"] is None
+    assert "integrals" in repr(record)
+    assert "ray" not in repr(record)
+    maps = attributes(record, 0, "brdf")
+    assert "counted" not in maps["gonio.meaning"]
+    assert maps["gonio.ledger"] == "empty: integrals send no rays"
+
+
+def test_rays_beside_integrals_are_of_delta_components():
+    (sampled,) = synthetic.record().tallies
+    flux = np.full((*sampled.hits.shape, 1), 0.01)
+    both = Integrals.beside(sampled, flux, 1e-7 * flux)
+    record = replace(synthetic.record(), tallies=(both,))
+    assert "80 000 for delta components, all else integrated" in line(record, "rays")
+    assert "integrals and 80 000 rays" in repr(record)
+    assert line(record, "sum").split()[1:3] == ["80", "000"]

@@ -8,7 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import PackageError, SettingTypeError, checked_number, shown
+from ..errors import (
+    LABEL,
+    PackageError,
+    SettingTypeError,
+    abridged,
+    checked_number,
+    shown,
+)
 from ..files.measured import MeasuredTable
 from ..files.measured_table import NUMBERS
 from ..plots import check_picture, html_of_figure
@@ -347,7 +354,8 @@ def _paired(
         }
         table = replace(other, **{k: v for k, v in given.items() if v is not None})
         sets, notes = pair_with_table(records, table)
-        compared = (str(records[0].settings.get("specimen"))[:40], table.name[:40])
+        names = str(records[0].settings.get("specimen")), table.name
+        compared = abridged(names[0], LABEL), abridged(names[1], LABEL)
         return sets, notes, compared, table.scale_uncertainty
     if isinstance(other, Record):
         if len(records) != 1:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers
 from ..collector.directions import direction
 from ..collector.hemisphere import EDGE
-from ..errors import SettingError
+from ..errors import LABEL, SettingError, abridged
 from ..files.measured_table import MeasuredTable
 from ..results.record import Record
 from .agreement import PointSet, Readings, Variation
@@ -37,7 +38,7 @@ def pair_with_record(
         if a != b:
             raise SettingError(
                 f"the records must have the same {what} to be compared patch by patch, "
-                f"got {a!s:.60} and {b!s:.60}"
+                f"got {abridged(str(a), 60)} and {abridged(str(b), 60)}"
             )
     seeds = [r.settings.get("seed") for r in (record, other)]
     notes = unlike_conditions(record, other)
@@ -173,7 +174,8 @@ def _tell_coarse(
     if not n:
         return
     why = (
-        f"the patches of {record.subdivision!s:.40} are too coarse for {n} of "
+        f"the patches of {abridged(str(record.subdivision), 40)} are too coarse "
+        f"for {n} of "
         f"{len(table)} points, where lobes are steep or the horizon is near"
     )
     if n == len(table):
@@ -273,9 +275,19 @@ def labels(record: Record, other: Record) -> tuple[str, str]:
         one, two = (str(r.settings.get(name)) for r in (record, other))
         if one != two:
             prefix = "" if name == "specimen" else f"{name} "
-            return f"{prefix}{one:.40}", f"{prefix}{two:.40}"
+            one, two = _abridged_apart(one, two)
+            return prefix + one, prefix + two
     one, two = (f"seed {r.settings.get('seed')}" for r in (record, other))
     return (one, two) if one != two else ("record", "other")
+
+
+def _abridged_apart(one: str, two: str) -> tuple[str, str]:
+    """Two texts that differ, abridged such that they still do."""
+    if abridged(one, LABEL) == abridged(two, LABEL):
+        alike = takewhile(lambda pair: pair[0] == pair[1], zip(one, two))
+        start = one.rfind(",", 0, sum(1 for _ in alike)) + 1
+        one, two = f"... {one[start:]}", f"... {two[start:]}"
+    return abridged(one, LABEL), abridged(two, LABEL)
 
 
 def pole_angle(theta_o: Floats) -> Floats:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from ..errors import abridged
 from ..files.measured_table import MeasuredTable
 from ..results.record import Record
 from ..settings import MeasurementSettings, declarations
@@ -23,7 +24,7 @@ def unlike_conditions(record: Record, other: Record) -> list[str]:
     mine, theirs = _known(record), _known(other)
     cut = record.ledger.truncated or other.ledger.truncated
     unlike = [
-        f"{name} {mine[name]!s:.60} and {theirs[name]!s:.60}"
+        f"{name} {abridged(str(mine[name]), 60)} and {abridged(str(theirs[name]), 60)}"
         for name in CONDITIONS
         if name in mine.keys() & theirs.keys()
         and mine[name] != theirs[name]
@@ -47,7 +48,7 @@ def unlike_the_table(record: Record, table: MeasuredTable) -> list[str]:
     # where the table is silent, a divergence was said with the comparison
     other_cone = collimated and told and abs(known["divergence"] - told) > 1e-6
     if known["incident"] != "none":
-        said = f"filled patches of incidence ({known['incident']!s:.40})"
+        said = f"filled patches of incidence ({abridged(str(known['incident']), 40)})"
     elif other_cone:
         said = f"had a divergence of {known['divergence']:g} degrees"
     else:

@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats, Numbers
-from ..errors import SettingError, VariantError
+from ..errors import SettingError, VariantError, abridged
 from ..files import replacing, tensor_file
 from ..files.channels import wavelengths_nm
 from ..instrument.measurement import measure_whole
@@ -68,13 +68,14 @@ def _is_spectral(record: Record) -> bool:
     if not (mi.variant() or "").endswith(wanted):
         raise VariantError(
             f"Mitsuba's measured needs a variant of {wanted} for a .bsdf file of "
-            f"{', '.join(record.channels)[:80]}, such as llvm_ad_{wanted}, got "
+            f"{abridged(', '.join(record.channels), 80)}, such as "
+            f"llvm_ad_{wanted}, got "
             f"{mi.variant()}"
         )
     if not spectral and record.channels not in (("Y",), ("R", "G", "B")):
         raise SettingError(
             "a .bsdf file takes records of one channel, of R, G, B or of wavelengths, "
-            f"got {', '.join(record.channels)[:80]}"
+            f"got {abridged(', '.join(record.channels), 80)}"
         )
     return spectral
 

@@ -12,7 +12,7 @@ from ..collector.borders import Borders
 from ..collector.hemisphere import Subdivision
 from ..collector.klems import Klems
 from ..collector.shirley_chiu import ShirleyChiu
-from ..errors import SettingError, checked_choice
+from ..errors import SettingError, abridged, checked_choice
 from ..files import radiance_bsdf, radiance_xml, replacing
 from ..files.channels import wavelengths_nm
 from ..files.radiance_bsdf import RadianceBSDF
@@ -107,7 +107,7 @@ def _check_sides(records: Sequence[Record]) -> None:
         if len(record.channels) > 1 and not coloured:
             raise SettingError(
                 "Radiance's files take records of one channel, of R, G, B or of "
-                f"wavelengths, got {', '.join(record.channels)[:80]}"
+                f"wavelengths, got {abridged(', '.join(record.channels), 80)}"
             )
     sides = [record.settings.get("side", "front") for record in records]
     if len(set(sides)) < len(sides):
@@ -119,7 +119,9 @@ def _check_sides(records: Sequence[Record]) -> None:
     if len(digests) > 1:
         raise SettingError(
             "the records of a file must be of one specimen, got "
-            + " and ".join(str(r.settings.get("specimen"))[:60] for r in records)
+            + " and ".join(
+                abridged(str(r.settings.get("specimen")), 60) for r in records
+            )
         )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..collector.directions import direction
-from ..errors import SettingError
+from ..errors import SettingError, abridged
 from ..files import merl, open_material, replacing, speos_writing, zemax
 from ..files.channels import wavelengths_nm
 from ..files.material_files import PatchMeans, scatter_means
@@ -95,7 +95,7 @@ def write_merl(record: Record, path: str | PathLike[str]) -> list[Loss]:
     if record.channels != ("R", "G", "B") and len(record.channels) > 1:
         raise SettingError(
             "a .binary file takes records of one channel or of R, G, B, got "
-            f"{', '.join(record.channels)[:80]}"
+            f"{abridged(', '.join(record.channels), 80)}"
         )
     material = Material(record)
     turn = np.radians(record.phi_i[0])
@@ -245,7 +245,7 @@ def _part(scatter: Scatter, hemisphere: int, number: int) -> Scatter:
 
 
 def _said(record: Record) -> str:
-    return str(record.settings.get("specimen", "a record"))[:200]
+    return abridged(str(record.settings.get("specimen", "a record")), 200)
 
 
 def _check_channels(record: Record, what: str) -> None:
@@ -253,7 +253,7 @@ def _check_channels(record: Record, what: str) -> None:
     if len(record.channels) > 1 and wavelengths_nm(record.channels) is None:
         raise SettingError(
             f"{what} takes records of one channel or of wavelengths, got "
-            f"{', '.join(record.channels)[:80]}"
+            f"{abridged(', '.join(record.channels), 80)}"
         )
 
 

@@ -25,6 +25,10 @@ CONVENTIONS = (
 MEANINGS = {
     "brdf": "BRDF of each patch, its standard error (NaN where unknown), counted rays",
     "btdf": "BTDF of each patch, its standard error (NaN where unknown), counted rays",
+    "brdf of integrals": "BRDF of each patch by integration, its estimated error, rays "
+    "of delta components",
+    "btdf of integrals": "BTDF of each patch by integration, its estimated error, rays "
+    "of delta components",
     "view": "picture of the BRDF, and of the BTDF to its right: seen along -z, radius "
     "is sin(theta), phi = 0 to the right, counter-clockwise, linear values in 1/sr",
     "tally": "received flux in units of 1/scale of a ray, one row per batch, "
@@ -76,9 +80,11 @@ def layers(single: Record) -> dict[str, dict[str, Numbers]]:
 def attributes(record: Record, index: int, part: str) -> dict[str, Any]:
     """Header of one part, for people: what it is and how it was made."""
     tally = record.tallies[index]
+    integrals = isinstance(tally, Integrals)
+    kind = f"{part} of integrals" if integrals else part
     n_views = max(len(tally.hits) for tally in record.tallies)
     rows = {
-        "meaning": MEANINGS[part],
+        "meaning": MEANINGS.get(kind, MEANINGS[part]),
         "conventions": CONVENTIONS,
         "units": "1/sr",
         "collector": str(record.subdivision),
@@ -89,8 +95,11 @@ def attributes(record: Record, index: int, part: str) -> dict[str, Any]:
         "scale": str(tally.scale),
     }
     rows |= {key: _text(value) for key, value in record.settings.items()}
-    rows |= {f"ledger.{fate}": str(n) for fate, n in tally.ledger.rows.items()}
-    rows["ledger.emitted"] = str(tally.ledger.emitted)
+    if integrals and not tally.ledger.emitted:
+        rows["ledger"] = "empty: integrals send no rays"
+    else:
+        ledger = tally.ledger.rows | {"emitted": tally.ledger.emitted}
+        rows |= {f"ledger.{fate}": str(n) for fate, n in ledger.items()}
     return {f"gonio.{key}": value for key, value in rows.items()} | {
         "compression": OpenEXR.ZIP_COMPRESSION,
         # OpenEXR wants one display window for all parts: that of the picture

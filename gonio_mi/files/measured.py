@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileFormatError, SettingError, shown
+from ..errors import FileFormatError, SettingError, abridged, shown
 from . import astm
 from .measured_table import MeasuredTable
 from .measured_text import Said, read_text
@@ -112,7 +112,7 @@ def _read_astm(path: str | PathLike[str], channel: str | None) -> MeasuredTable:
         channel = names[0]
     if channel is None or channel not in names:
         raise SettingError(
-            f"channel must be one of {', '.join(names)[:80]} for {path}, got "
+            f"channel must be one of {abridged(', '.join(names), 80)} for {path}, got "
             f"{shown(channel)}"
         )
     try:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import FileFormatError, SettingError, shown
+from ..errors import FileFormatError, SettingError, abridged, shown
 from .column_names import ANGLES, COLOURS, ROLES, Column, recognised, unit_of
 from .measured_table import COLUMNS, fits
 from .numbers import decimal, is_decimal
@@ -146,7 +146,7 @@ def _assigned(
         else:
             raise SettingError(
                 f"columns must name columns of {text.place} "
-                f"({', '.join(text.names)[:120]}), got {shown(name)}"
+                f"({abridged(', '.join(text.names), 120)}), got {shown(name)}"
             )
     return constants, known
 
@@ -180,7 +180,8 @@ def _picked(
         wanted = wanted if wanted in names else f"{wanted}nm"
         if wanted not in names:
             raise SettingError(
-                f"channel must be one of {', '.join(names)[:120]} for {text.place}, "
+                f"channel must be one of {abridged(', '.join(names), 120)} "
+                f"for {text.place}, "
                 f"got {shown(channel)}"
             )
         by_role["value"] = [c for c in values if c.channel == wanted]
@@ -256,7 +257,8 @@ def _one_wavelength(
         channel = f"{channel}nm"
     if channel is None or channel not in names:
         raise SettingError(
-            f"channel must be one of {', '.join(names)[:120]} for {place}, got "
+            f"channel must be one of {abridged(', '.join(names), 120)} "
+            f"for {place}, got "
             f"{shown(channel)}"
         )
     here = np.abs(nm - names[channel]) <= SAME_WAVELENGTH
@@ -277,7 +279,7 @@ def _notes(
     unused = [n for n in text.names if n and n not in used and recognised(n) is None]
     notes = [f"columns: {', '.join(said)}"]
     if unused:
-        notes.append(f"not used: {', '.join(map(repr, unused))[:200]}")
+        notes.append(f"not used: {abridged(', '.join(map(repr, unused)), 200)}")
     if text.decimal_comma:
         notes.append("numbers have decimal commas")
     return notes
@@ -290,7 +292,7 @@ def _check_angle_units(
     for role in (r for r in ANGLES if r in picked and picked[r].unit not in DEGREES):
         raise FileFormatError(
             f"{place}: the angle {role} must be in deg or rad, got "
-            f"{picked[role].name.strip()!r:.60}"
+            f"{shown(picked[role].name.strip(), 60)}"
         )
     silent = [r for r in ANGLES if r in picked and not picked[r].unit]
     if own or not silent:

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import FileFormatError
+from ..errors import FileFormatError, abridged
 from .channels import wavelengths_nm
 from .header import require
 from .scatter import MOST_NUMBERS, Block, Scatter
@@ -191,7 +191,7 @@ def write(scatter: Scatter, stream: BinaryIO, name: str) -> None:
                     for k in (order[:1] if polar == 0 else order)
                 ]  # fmt: skip
     metadata = {
-        "name": name[:80],
+        "name": abridged(name, 80),
         "uuid": str(uuid.uuid5(uuid.NAMESPACE_URL, json.dumps(table))),
         "materialVersion": "1.0.0",
         "openMaterial3dVersion": "1.0.0",

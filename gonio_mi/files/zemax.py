@@ -20,7 +20,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import FileFormatError
+from ..errors import FileFormatError, abridged
 from .header import require
 from .numbers import decimal
 from .scatter import Block, Scatter, check_size, total_of
@@ -101,7 +101,7 @@ def read(stream: BinaryIO) -> Scatter:
         for rotation, incidence in np.ndindex(n[0], n[1])
     ]
     channels = ("Y",) if spectrum == "Monochrome" else ("X", "Y", "Z")
-    said = "; ".join(comment for comment in comments if comment)[:2000]
+    said = abridged("; ".join(comment for comment in comments if comment), 2000)
     notes = ("angles of exit count from the specular direction",)
     return Scatter(blocks, channels, {"comment": said} if said else {}, notes)
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SettingError, checked_count
+from ..errors import SettingError, abridged, checked_count
 from ..files import check_output
+from ..results.integral_sums import sent_text
 from ..results.record import Record
 from .drawable import FIGURE_ENDINGS, check_matplotlib, save_picture
 from .profile import draw_profiles
@@ -96,15 +97,14 @@ def _title(record: Record, index: int) -> str:
     """Three lines: specimen, incident direction and settings, totals."""
     single, settings = record[index], record.settings
     specimen = " ".join(str(settings.get("specimen", "specimen")).split())
-    if len(specimen) > MAX_TITLE:
-        specimen = specimen[: MAX_TITLE - 1] + "…"
+    specimen = abridged(specimen, MAX_TITLE)
     direction = f"θᵢ = {single.theta_i[0]:g}°, φᵢ = {single.phi_i[0]:g}°"
     if math.isnan(single.theta_i[0]):
         direction = "incident as the emitter"
     if len(record) > 1:
         direction += f" ({index + 1} of {len(record)} directions)"
     facts = [direction, "back side" if settings.get("side") == "back" else ""]
-    rays = [f"{single.ledger.emitted:,} rays".replace(",", " ")]
+    rays = [sent_text(single.tallies)]
     rays += [f"{settings[key]} {key}" for key in WORDS if key in settings]
     rays += [
         f"{key} {settings[key]}"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..errors import abridged
 from ..files import check_output, replacing
 from ..progress import bar
 from ..results.record import Record
@@ -157,7 +158,8 @@ def _direction(record: Record, number: int) -> str:
 
 
 def _title(record: Record, n_shown: int) -> str:
-    name = " ".join(str(record.settings.get("specimen", "specimen")).split())[:60]
+    name = " ".join(str(record.settings.get("specimen", "specimen")).split())
+    name = abridged(name, 60)
     if n_shown < len(record):
         name += f" ({n_shown} of {len(record)} incident directions)"
     return name

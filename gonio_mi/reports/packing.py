@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..array_types import Floats
 from ..collector import Subdivision
 from ..collector.directions import direction
+from ..errors import LABEL, abridged
 from ..results.record import Record
 from ..results.summary import summarize
 from ..results.summary_text import summary_text
@@ -51,9 +52,11 @@ def packed_record(
         blocks.append(_block(record[number]))
         if report is not None:
             report(1)
+    name = str(record.settings.get("specimen", "specimen"))
     middles = [np.degrees(np.ravel(angle)) for angle in patches.middles]
     return {
-        "name": str(record.settings.get("specimen", "specimen")),
+        "name": name,
+        "label": abridged(name, LABEL),
         "collector": str(patches),
         "channels": list(record.channels),
         "hemispheres": 2 if record.has_lower else 1,
@@ -64,6 +67,7 @@ def packed_record(
         "phi": _packed(middles[1].astype("<f4")),
         "raster": _packed(raster(patches)),
         "raster_shape": RASTER,
+        "integrals": numbers["integrals"],
         "directions": [numbers["directions"][i] for i in kept],
         "values": blocks,
         "left_out": "" if len(kept) == n_all else _left_out(len(kept), n_all),

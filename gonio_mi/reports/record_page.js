@@ -145,7 +145,7 @@
       `\u03b8 ${short(r.theta)}\u00b0, \u03c6 ${short(r.phi)}\u00b0: ${short(r.mean)} \u00b1 ` +
         `${short(r.error)} 1/sr`,
       `95 % interval ${short(r.low)} to ${short(r.high)}`,
-      `${r.hits} rays, solid angle ${short(r.solid)} sr, patch ${patch}`];
+      `${look.one.integrals && !r.hits ? "integrated" : `${r.hits} rays`}, solid angle ${short(r.solid)} sr, patch ${patch}`];
     if (other)
       lines.push(`${short(difference(look, other, hemisphere, patch))} standard errors apart`);
     return lines.join("\n");
@@ -413,7 +413,7 @@
   }
 
   records.forEach((one, i) => {
-    one.title = `${i + 1}: ${one.name.slice(0, 40)}`;
+    one.title = `${i + 1}: ${one.label}`;
     by("record").append(new Option(one.title, i));
   });
   by("beside").append(new Option("none", -1), ...records.map((one, i) => new Option(one.title, i)));

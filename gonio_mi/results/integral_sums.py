@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -10,7 +11,20 @@ import numpy as np
 from ..array_types import Floats
 from .tally import Fate, Tally
 
-__all__ = ["Integrals"]
+__all__ = ["Integrals", "holds_integrals", "sent_text"]
+
+
+def holds_integrals(tallies: Sequence[Tally]) -> bool:
+    """Whether integrals stand for rays, but for those of delta components."""
+    return any(isinstance(tally, Integrals) for tally in tallies)
+
+
+def sent_text(tallies: Sequence[Tally]) -> str:
+    """How many rays were sent, or what stands for them: ``10 000 rays``."""
+    rays = f"{sum(tally.ledger.emitted for tally in tallies):,} rays".replace(",", " ")
+    if not holds_integrals(tallies):
+        return rays
+    return "integrals" if rays == "0 rays" else f"integrals and {rays}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from .doubts import doubts
+from .integral_sums import holds_integrals
 from .precision import FLOOR, lobe, patch_values, precision
 from .record import Record
 
@@ -25,18 +26,21 @@ def summarize(record: Record) -> dict[str, Any]:
     Returns
     -------
     dict
+        ``integrals``, whether these stand for rays, but for delta components;
         ``settings``, with ``collector`` and ``channels``; ``level`` of the intervals;
         one entry per incident direction in ``directions``, where ``direct`` is None but
         for periodic specimens whose direct light is collected; ``ledger`` over all,
         ``worst_patches``, of the largest relative standard error among those that
         reach a tenth of the mean; ``warnings``, a list of sentences. Angles are in
-        degrees, ``brdf`` and ``btdf`` in 1/sr. What is not known is None.
+        degrees, ``brdf`` and ``btdf`` in 1/sr. What is not known is None, and the
+        ``hits`` of a patch that is an integral.
     """
     looks = [record[i] for i in range(len(record))]
     directions = [_direction(look) for look in looks]
     patches = [patch for look in looks for patch in _worst_patches(look)]
     patches.sort(key=lambda patch: -patch["rel_err"])
     numbers = {
+        "integrals": holds_integrals(record.tallies),
         "settings": dict(record.settings)
         | {
             "collector": str(record.subdivision),
@@ -108,6 +112,8 @@ def _worst_patches(look: Record) -> list[dict[str, Any]]:
         if not np.isfinite(relative[index]):
             break
         hemisphere, i, j, channel = index
+        hits = int(look.counts[hemisphere, i, j])
+        integral = holds_integrals(look.tallies) and not hits
         theta_o, phi_o = (np.degrees(a[i, j]) for a in look.subdivision.middles)
         worst.append(
             {
@@ -120,7 +126,7 @@ def _worst_patches(look: Record) -> list[dict[str, Any]]:
                 "value": float(value[index]),
                 "std_err": float(std_err[index]),
                 "rel_err": float(relative[index]),
-                "hits": int(look.counts[hemisphere, i, j]),
+                "hits": None if integral else hits,
             }
         )
     return worst

@@ -5,6 +5,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any
 
+from ..errors import abridged
 from ..single_precision import ROUNDING
 from .campaign_text import campaign_text
 from .doubts import grouped
@@ -14,6 +15,7 @@ from .processors import processors
 __all__ = ["summary_text"]
 
 WIDTH = 88
+LONGEST_SURFACE = 400
 MAIN_ROWS = ("reflected", "transmitted", "absorbed")
 
 
@@ -22,7 +24,7 @@ def summary_text(numbers: dict[str, Any]) -> str:
     blocks = [
         _settings_text(numbers),
         _totals_text(numbers),
-        _ledger_text(numbers["ledger"]),
+        _ledger_text(numbers["ledger"], numbers["integrals"]),
         _patches_text(numbers),
     ]
     if numbers["settings"].get("campaign"):
@@ -40,16 +42,10 @@ def _settings_text(numbers: dict[str, Any]) -> str:
     def _shown(key: str) -> Any:
         return settings.get(key, "?")
 
-    n_directions = len(numbers["directions"])
-    emitted = numbers["ledger"]["emitted"]
-    named = "rel_err" if settings.get("rel_err") is not None else "noise"
-    goal = settings.get(named)
-    rays = settings.get("rays", 0) if goal is None else 0
-    asked = n_directions * rays * settings.get("passes", 1)
     radius = settings.get("collector_radius")
     lines = [
         ("specimen", _shown("specimen")),
-        ("surface", _shown("surface")),
+        ("surface", abridged(str(_shown("surface")), LONGEST_SURFACE)),
         *(("medium", medium) for medium in settings.get("media", [])),
         (
             "light",
@@ -61,14 +57,7 @@ def _settings_text(numbers: dict[str, Any]) -> str:
             f"{_shown('collector')}, hemispheres {_shown('hemispheres')}, "
             + (f"radius {radius:g}" if radius else "far field"),
         ),
-        (
-            "rays",
-            grouped(emitted)
-            + (f" of {grouped(asked)} asked for" if emitted < asked else "")
-            + (f" over {n_directions} incident directions" if n_directions > 1 else "")
-            + f", batches {_shown('batches')}, seed {_shown('seed')}"
-            + (f", {named} {goal:g} asked for" if goal is not None else ""),
-        ),
+        ("rays", _rays_text(numbers)),
         (
             "method",
             f"estimator {_shown('estimator')}, "
@@ -87,6 +76,29 @@ def _settings_text(numbers: dict[str, Any]) -> str:
         ),
     ]
     return "\n".join(_filled(f"{name:<10}", text) for name, text in lines)
+
+
+def _rays_text(numbers: dict[str, Any]) -> str:
+    """How many rays were sent, or what stands for them."""
+    settings, emitted = numbers["settings"], numbers["ledger"]["emitted"]
+    n_directions = len(numbers["directions"])
+    over = f" over {n_directions} incident directions" if n_directions > 1 else ""
+    named = "rel_err" if settings.get("rel_err") is not None else "noise"
+    goal = settings.get(named)
+    wanted = f", {named} {goal:g} asked for" if goal is not None else ""
+    if numbers["integrals"] and not emitted:
+        return (
+            f"none: the BSDF is integrated over each patch{over and ','}{over}{wanted}"
+        )
+    rays = settings.get("rays", 0) if goal is None else 0
+    asked = n_directions * rays * settings.get("passes", 1)
+    return (
+        grouped(emitted)
+        + (f" of {grouped(asked)} asked for" if emitted < asked else "")
+        + (" for delta components, all else integrated" * numbers["integrals"])
+        + f"{over}, batches {settings.get('batches', '?')}"
+        + f", seed {settings.get('seed', '?')}{wanted}"
+    )
 
 
 def _totals_text(numbers: dict[str, Any]) -> str:
@@ -114,9 +126,12 @@ def _totals_text(numbers: dict[str, Any]) -> str:
     return _table(header, rows)
 
 
-def _ledger_text(ledger: dict[str, int]) -> str:
+def _ledger_text(ledger: dict[str, int], integrals: bool) -> str:
     """Where the rays went: all rows but those that are zero."""
     emitted = ledger["emitted"]
+    if integrals and not emitted:
+        text = "empty, for integrals send no rays; std_err is their estimated error"
+        return _filled("ledger    ", text)
     shown = {
         name: n
         for name, n in ledger.items()
@@ -134,8 +149,10 @@ def _patches_text(numbers: dict[str, Any]) -> str:
     empty = sum(direction["n_without_hit"] for direction in directions)
     lobe = sum(direction["n_lobe"] for direction in directions)
     errors = [direction["rel_err_lobe"] for direction in directions]
-    text = f"{grouped(n)}, of which {grouped(empty)} without a hit and {grouped(lobe)} "
-    text += f"brighter than {FLOOR:g} of the mean"
+    text = f"{grouped(n)}, of which "
+    if not numbers["integrals"]:
+        text += f"{grouped(empty)} without a hit and "
+    text += f"{grouped(lobe)} brighter than {FLOOR:g} of the mean"
     if None not in errors:
         text += f", the worst of these known to {100 * max(errors):.3g} %"
     worst = numbers["worst_patches"]
@@ -153,17 +170,20 @@ def _patches_text(numbers: dict[str, Any]) -> str:
             f"{patch['value']:.4g}",
             f"{patch['std_err']:.2g}",
             f"{100 * patch['rel_err']:.3g}",
-            grouped(patch["hits"]),
+            "-" if patch["hits"] is None else grouped(patch["hits"]),
         ]
         for patch in worst
     ]
-    table = _table([*header, "value", "+- std_err", "%", "hits"], rows)
+    header += ["value", "+- std_err", "%", "hits"]
+    if not numbers["ledger"]["emitted"]:
+        header.pop()  # as are the cells below it, which no line of the table ends with
+    table = _table(header, rows)
     return _filled("patches   ", text) + "\n\n" + table
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Columns aligned to the right, the first one to the left."""
-    lines = [header, *rows]
+    lines = [header, *(row[: len(header)] for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
     return "\n".join(
         "  ".join(

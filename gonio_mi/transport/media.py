@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SpecimenError
+from ..errors import SpecimenError, abridged
 from ..single_precision import FEW_ROUNDINGS
 from .trial import class_of
 
@@ -66,7 +66,7 @@ def check_media(
             try:
                 _check_coefficients(name, medium, specimen.low, specimen.high, lanes)
             except RuntimeError as error:
-                said = " ".join(str(error).split())[:200]
+                said = abridged(" ".join(str(error).split()), 200)
                 raise SpecimenError(
                     f"{name} fails in the variant {mi.variant()}: {said}"
                 ) from error

@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SpecimenError
+from ..errors import SpecimenError, abridged
 from ..settings.parsed import Period
 from .cell_walls import walls_of_glass
 from .extents import bounds
@@ -26,6 +26,9 @@ __all__ = ["Specimen"]
 
 # Rays that look for a gap.
 N_POINTS = 2**12
+
+# Characters of a BSDF's description in the record: nested ones of principled have 1500.
+LONGEST_DESCRIPTION = 4000
 
 # Extents in scene units that rays find their way in. A box from -LARGEST to LARGEST is
 # where the product of four lengths, 2^128, exceeds single precision. As measured, glass
@@ -237,7 +240,7 @@ def _describe(shape: mi.Shape) -> str:
     # of a mesh, its file or what a height field has to say
     name = re.search(r'\bname = "([^"]*)"', _text(shape)) if shape.is_mesh() else None
     label = f"{shape.class_name()} {name[1]}" if name else shape.class_name()
-    return f"{label} with {_text(shape.bsdf())[:200]}"
+    return f"{label} with {abridged(_text(shape.bsdf()), LONGEST_DESCRIPTION)}"
 
 
 def _text(thing: Any) -> str:

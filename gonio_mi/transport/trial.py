@@ -10,7 +10,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import SpecimenError
+from ..errors import SpecimenError, abridged
 
 __all__ = ["check_works", "class_of"]
 
@@ -33,7 +33,7 @@ def check_works(bsdfs: Iterable[Any], wavelengths: Any, estimator: str) -> None:
         except RuntimeError as error:
             if _in_python(error):
                 raise
-            said = " ".join(str(error).split())[:200]
+            said = abridged(" ".join(str(error).split()), 200)
             raise SpecimenError(
                 f"the BSDF {class_of(bsdf)} fails in the variant {mi.variant()}: {said}"
             ) from error

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from gonio_mi.errors import SettingError
+from gonio_mi.errors import SettingError, abridged
 from gonio_mi.files.channels import wavelengths_nm
 from gonio_mi.files.material_files import PatchMeans, has_back, load_material
 from gonio_mi.materials import bsdf_functions
@@ -273,7 +273,7 @@ def _face(label: str, name: str, side: str) -> LitFace:
 def _mixture(material: Record | PatchMeans) -> tuple[float, ...] | None:
     """Weights that make one channel of three where the variant has one, or None."""
     channels = material.channels
-    said = ", ".join(channels)[:80]
+    said = abridged(", ".join(channels), 80)
     if len(channels) == 1:
         return None
     if wavelengths_nm(channels) is not None:
