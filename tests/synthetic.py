@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gonio_mi.collector import subdivision
+from gonio_mi.results.integral_sums import Integrals
 from gonio_mi.results.record import Record
 from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Tally
 
@@ -158,3 +159,13 @@ def huge():
         (big,),
         settings,
     )
+
+
+def integrals(value=0.01):
+    """Record of integrals, of the same flux fraction in each patch: no ray was sent."""
+    made = record()
+    patches = made.subdivision
+    flux = np.full((1, *patches.shape, 1), value)
+    nothing = Tally.empty(1, patches.shape, 1, WEIGHT_SCALE)
+    found = replace(made, tallies=(Integrals.beside(nothing, flux, 1e-7 * flux),))
+    return found.with_settings(estimator="quadrature", rel_err=1e-4)

@@ -108,6 +108,17 @@ def test_mirrored_azimuth_differs():
     agree(verdict_of(compare(record, whole_turns)))
 
 
+@pytest.mark.parametrize("turn", [-1e-12, 360, 720 - 1e-10, -1])
+def test_azimuths_of_points_are_of_one_turn(turn):
+    record = gloss()
+    values, _, phi = truth(record)
+    turned = table_of(record, values, phi_o=phi - phi[0] + turn, uncertainty=0.5)
+    found = compare(record, turned)
+    assert np.all((found.phi_o >= 0) & (found.phi_o < 360))
+    exact = turn + 360 if turn == -1 else 0.0
+    assert found.phi_o[0] == exact
+
+
 def test_scale_uncertainty_is_common_to_all_points():
     record = gloss()
     values, _, _ = truth(record)

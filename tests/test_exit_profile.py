@@ -66,6 +66,14 @@ def test_rings_and_the_rest_are_all_that_left():
     assert found.transmittance[0] * areas[0] > record.direct
 
 
+def test_a_profile_says_what_it_is_in_a_line():
+    found = gonio.exit_profile({"type": "diffuse"}, RADII, rays=1000)
+    assert str(found) == (
+        "<ExitProfile of diffuse: 5 rings from 0 to 1.6, 1 000 rays, dhr [0.5]>"
+    )
+    assert found == found, "one by one, not by arrays"
+
+
 @pytest.mark.parametrize(
     ("radii", "words"),
     [

@@ -204,6 +204,17 @@ def test_command(tmp_path, capfd):
 
 
 @pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(("alpha", "least", "most"), [(0.02, 8, 12), (0.3, 40, 70)])
+def test_the_picture_ends_where_the_facets_do(alpha, least, most):
+    mi.set_variant("llvm_ad_mono")
+    flat = gonio.micro_normals(field(alpha_u=alpha, alpha_v=alpha), points=2**12)
+    (low, high) = flat.plot().axes[0].get_xlim()
+    assert low == 0
+    assert flat.theta_edges[np.flatnonzero(flat.density)[-1] + 1] <= high
+    assert least <= high <= most
+    assert len(repr(flat)) < 100
+
+
 def test_rectangles_show_no_triangles():
     """Two that face +z, one above a part of the other, as exact shares of area."""
     above = mi.ScalarTransform4f().translate([0, 0, 0.5]).scale(0.5)

@@ -18,6 +18,8 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SettingError, SettingTypeError
 from gonio_mi.reports import packing, report
 from gonio_mi.reports.packing import packed_record
+from gonio_mi.results.summary import summarize
+from gonio_mi.results.summary_text import summary_text
 
 pytest.importorskip("plotly")
 
@@ -176,11 +178,6 @@ def pointed(page, panel, theta, phi):
     return page.locator(f"#{panel} output").text_content()
 
 
-def significant(x):
-    """A number as the page writes it: five digits."""
-    return float(f"{np.float32(x):.5g}")
-
-
 def test_slider_and_pointer_show_the_record(opened):
     record = synthetic.record(theta_i=(0, 30, 60), phi_i=(20,) * 3, both=True)
     page = opened(record)
@@ -190,9 +187,26 @@ def test_slider_and_pointer_show_the_record(opened):
         page.wait_for_function(f"document.body.dataset.drawn === '0/{index}/0'")
         text = pointed(page, "map-0-1", theta[3, 2], phi[3, 2])
         number = float(re.search(r": (\S+) ±", text)[1])
-        assert number == significant(record.btdf[index, 3, 2, 0])
-        assert number != significant(record.btdf[1, 3, 2, 0])
+        # half a unit of the second digit of its error, which begins with 1 at least
+        shown = 0.05 * record.btdf_std_err[index, 3, 2, 0]
+        assert number == pytest.approx(record.btdf[index, 3, 2, 0], rel=0, abs=shown)
+        assert number != pytest.approx(record.btdf[1, 3, 2, 0], rel=0, abs=shown)
         assert f"{record.counts[index, 1, 3, 2]} rays" in text
+
+
+def test_totals_have_the_digits_that_show_gives_them(opened):
+    record = synthetic.record(both=True, channels=("R", "G"))
+    rows = opened(record).locator("#readings tr").all_text_contents()
+    lines = summary_text(summarize(record)).splitlines()
+    for row, line in zip(rows[1:5], [one for one in lines if "  dh" in one]):
+        *_, value, _, low, high = line.split()
+        assert value in row
+        assert row.endswith(f"{low} to {high}")
+    integrals = synthetic.integrals()
+    page = opened(integrals)
+    assert "none: integrals" in page.locator("#readings").text_content()
+    theta, phi = integrals.subdivision.middles
+    assert "integrated, solid" in pointed(page, "map-0-0", theta[3, 2], phi[3, 2])
 
 
 def test_two_records_and_their_difference(opened):

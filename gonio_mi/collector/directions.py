@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["angles", "direction", "mirror"]
+__all__ = ["angles", "azimuths_deg", "direction", "mirror"]
 
 
 def direction(theta: ArrayLike, phi: ArrayLike) -> NDArray[np.float64]:
@@ -48,6 +48,12 @@ def angles(v: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     phi = np.where(phi < 0, phi + 2 * np.pi, phi)
     phi = np.where((phi >= 2 * np.pi) | ((x == 0) & (y == 0)), 0.0, phi)
     return np.arctan2(np.hypot(x, y), z), phi
+
+
+def azimuths_deg(phi: ArrayLike) -> NDArray[np.float64]:
+    """Azimuths in degrees, turned into [0, 360): what is 360 by rounding is 0."""
+    turned = np.mod(np.asarray(phi, dtype=float), 360)
+    return np.where(turned >= 360 - 1e-9, 0.0, turned)
 
 
 def mirror(theta: ArrayLike, phi: ArrayLike) -> tuple[ArrayLike, NDArray[np.float64]]:

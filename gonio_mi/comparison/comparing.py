@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..collector.directions import azimuths_deg
 from ..errors import (
     LABEL,
     PackageError,
@@ -324,6 +325,8 @@ def compare(
         name: np.concatenate([one.columns[name] for one in sets])
         for name in sets[0].columns
     }
+    for name in ("phi_i", "phi_o"):
+        columns[name] = azimuths_deg(columns[name])
     return Comparison(
         **columns,
         value=np.concatenate([one.readings.value for one in sets]),

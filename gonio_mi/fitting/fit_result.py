@@ -156,6 +156,11 @@ class Fit:
             "scatter": self.scatter,
         }
 
+    def __repr__(self) -> str:
+        pairs = zip(self.names, self.values, self.std_errs)
+        found = ", ".join(f"{name} {x:.6g} +- {error:.2g}" for name, x, error in pairs)
+        return f"<Fit of {self.label}: {found}>"
+
     def __str__(self) -> str:
         width = max(map(len, self.names))
         lines = [specimen_name(self.bsdf)]

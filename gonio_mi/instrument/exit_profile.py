@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SettingError, checked_choice, checked_number, shown
+from ..errors import SettingError, checked_choice, checked_number, printable, shown
 from ..results.record import Record
 from ..results.tally import Ledger, Tally, batch_sizes
 from ..settings import MeasurementSettings
@@ -17,7 +17,7 @@ from ..transport.kernels import launches_kernels
 from ..transport.specimen import Specimen
 from .incidence import emitter_scene, incident_angles, incident_key
 from .instrument import Instrument
-from .loading import check_variant, load_specimen
+from .loading import check_variant, load_specimen, specimen_name
 from .scene_settings import own_settings, sampler_of
 from .sending import send_all
 
@@ -36,7 +36,7 @@ NONE_OF_ITS = {
 ESTIMATORS = ("weighted", "analog")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ExitProfile:
     """Light that leaves, per area, over the distance from where it entered.
 
@@ -68,6 +68,15 @@ class ExitProfile:
     dht: Floats | None
     ledger: Ledger
     settings: dict[str, Any]
+
+    def __repr__(self) -> str:
+        n, (first, last) = len(self.radii) - 1, self.radii[[0, -1]]
+        rays = f"{self.ledger.emitted:,} rays".replace(",", " ")
+        return (
+            f"<ExitProfile of {printable(str(self.settings.get('specimen')))}: "
+            f"{n} ring{'s' * (n > 1)} from {first:g} to {last:g}, {rays}, "
+            f"dhr {np.array2string(self.dhr, precision=5)}>"
+        )
 
 
 @launches_kernels()
@@ -123,6 +132,7 @@ def exit_profile(
     checked_choice("the estimator of exit_profile", chosen.estimator, ESTIMATORS)
     instrument = Instrument(chosen, sampler_of(chosen))
     measured = Specimen(scene, chosen.period)
+    measured.name = specimen_name(specimen, parameters)
     instrument.check(measured)
     lit = emitter_scene(scene, None, incidents[0], chosen.side)
     bench = instrument.bench(measured, lit.emitters(), incidents[0])

@@ -100,6 +100,12 @@ class MicroNormals:
 
         return micro_normals_figure(self, path)
 
+    def __repr__(self) -> str:
+        alphas = [
+            f"{name} alpha {u:.3g} x {v:.3g}" for name, (u, v) in self.alphas.items()
+        ]
+        return f"<MicroNormals: {', '.join(alphas)}>"
+
     def __str__(self) -> str:
         lines = ["facets          alpha along x         alpha along y      elsewhere"]
         for name in DISTRIBUTIONS:

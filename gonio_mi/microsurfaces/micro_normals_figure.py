@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 __all__ = ["micro_normals_figure"]
 
+# Rings that are drawn at least.
+FEWEST_RINGS = 5
+
 MODELS = {"beckmann": "-", "ggx": "--"}
 
 
@@ -41,9 +44,12 @@ def micro_normals_figure(found: Any, path: str | PathLike[str] | None = None) ->
         label = f"{name}, alpha {u:.3g} x {v:.3g}"
         curve = found.model_density(name)
         left.plot(middles, curve, style, c=f"C{number}", label=label)
-    positive = found.density[found.density > 0]
+    (held,) = np.nonzero(found.density)
+    positive = found.density[held]
     left.set(xlabel="polar angle of the facet's normal (degrees)", ylabel="D (1/sr)")
     if positive.size:
+        # to one ring beyond the last one with facets
+        left.set_xlim(0, edges[min(max(held[-1] + 2, FEWEST_RINGS), len(edges) - 1)])
         left.set_yscale("log")
         left.set_ylim(positive.min() / 3, positive.max() * 3)
     left.legend(frameon=False)

@@ -6,7 +6,8 @@ from collections.abc import Iterable
 __all__ = ["html_page"]
 
 STYLE = """
-:root { --ink: #222; --soft: #666; --line: #ddd; --accent: #1f5f9e; }
+:root { --ink: #222; --soft: #666; --line: #ddd; --accent: #1f5f9e;
+        color-scheme: only light; }
 body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); max-width: 78em;
        margin: 1.5em auto; padding: 0 1em; }
 h1 { font-size: 1.4em; margin: 0 0 .3em; overflow-wrap: anywhere; }

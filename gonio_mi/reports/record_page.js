@@ -11,6 +11,25 @@
   const state = { record: 0, beside: -1, theta: 0, phi: 0, channel: 0, azimuth: 0 };
   const degrees = (radians) => (radians * 180) / Math.PI;
   const short = (x) => (Number.isFinite(x) ? Number(x.toPrecision(5)).toString() : "unknown");
+  const ROUNDING = 2 ** -24; // relative, of single precision
+
+  // A number with as many digits as leave two of its error, and single precision has.
+  function known(x, error) {
+    if (!Number.isFinite(x) || !(error > 0)) return short(x);
+    const size = Math.abs(x);
+    const places = 1 - Math.floor(Math.log10(Math.max(error, ROUNDING * size)));
+    const within = (n, most) => Math.min(Math.max(n, 0), most);
+    if (size > 0 && (size < 1e-4 || size >= 1e7))
+      return x.toExponential(within(Math.floor(Math.log10(size)) + places, 7));
+    return x.toFixed(within(places, 12));
+  }
+
+  // The error of a number, or the rounding in which it is lost.
+  function uncertain(x, error) {
+    const rounding = ROUNDING * Math.abs(x);
+    return error > 0 && error < rounding ? `<${known(rounding, rounding)}` : known(error, error);
+  }
+
   const pointed = {}; // patch under the pointer, by map
   const plotted = { displaylogo: false, responsive: true };
 
@@ -120,7 +139,7 @@
 
   function layout() {
     const plain = { visible: false, range: [-1.08, 1.08] };
-    return { margin: { l: 5, r: 5, t: 5, b: 5 }, shapes: [30, 60, 90].map(circle),
+    return { margin: { l: 5, r: 5, t: 32, b: 5 }, shapes: [30, 60, 90].map(circle),
              xaxis: { ...plain }, yaxis: { ...plain, scaleanchor: "x" },
              plot_bgcolor: "#fff", hovermode: "closest" };
   }
@@ -142,9 +161,9 @@
   function told(look, hemisphere, patch, other) {
     const r = reading(look, hemisphere, patch);
     const lines = [
-      `\u03b8 ${short(r.theta)}\u00b0, \u03c6 ${short(r.phi)}\u00b0: ${short(r.mean)} \u00b1 ` +
-        `${short(r.error)} 1/sr`,
-      `95 % interval ${short(r.low)} to ${short(r.high)}`,
+      `\u03b8 ${short(r.theta)}\u00b0, \u03c6 ${short(r.phi)}\u00b0: ${known(r.mean, r.error)} \u00b1 ` +
+        `${uncertain(r.mean, r.error)} 1/sr`,
+      `95 % interval ${known(r.low, r.error)} to ${known(r.high, r.error)}`,
       `${look.one.integrals && !r.hits ? "integrated" : `${r.hits} rays`}, solid angle ${short(r.solid)} sr, patch ${patch}`];
     if (other)
       lines.push(`${short(difference(look, other, hemisphere, patch))} standard errors apart`);
@@ -256,8 +275,8 @@
     by("cut-value").textContent = `${state.azimuth}\u00b0`;
     by("azimuth").value = state.azimuth;
     await Plotly.react(by("cut"), traces, {
-      margin: { l: 60, r: 10, t: 10, b: 40 }, legend: { orientation: "h", y: 1.12 },
-      xaxis: { range: [-90, 90], dtick: 30, ticksuffix: "\u00b0", title: { text: "\u03b8\u2092" } },
+      margin: { l: 60, r: 10, t: 10, b: 40 }, legend: { orientation: "h", y: 1.02, yanchor: "bottom" },
+      xaxis: { range: [-93, 93], dtick: 30, ticksuffix: "\u00b0", title: { text: "\u03b8\u2092" } },
       yaxis: { type, title: { text: "1/sr" }, exponentformat: "e",
                rangemode: type === "log" ? "normal" : "tozero" } }, plotted);
   }
@@ -310,9 +329,12 @@
     add("", "value", "std_err", "95 % interval");
     for (const name of ["dhr", "dht", "direct"])
       for (const total of direction[name] ?? [])
-        add(`${name} ${one.channels.length > 1 ? total.channel : ""}`, short(total.value),
-            short(total.std_err ?? NaN), `${short(total.low ?? NaN)} to ${short(total.high ?? NaN)}`);
+        add(`${name} ${one.channels.length > 1 ? total.channel : ""}`,
+            known(total.value, total.std_err), uncertain(total.value, total.std_err ?? NaN),
+            `${known(total.low ?? NaN, total.std_err)} to ` +
+              known(total.high ?? NaN, total.std_err));
     const { emitted } = direction.ledger;
+    if (!emitted && one.integrals) add("rays", "none: integrals", "", "");
     for (const [name, n] of Object.entries(direction.ledger))
       if (n) add(name, n.toLocaleString("en").replaceAll(",", " "),
                  `${short((100 * n) / emitted)} %`, "");

@@ -27,7 +27,7 @@ def sent_text(tallies: Sequence[Tally]) -> str:
     return "integrals" if rays == "0 rays" else f"integrals and {rays}"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Integrals(Tally):
     """Integrals in the unit of a tally: their part is the same in each of its batches.
 

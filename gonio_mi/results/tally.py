@@ -318,6 +318,14 @@ class Tally:
         changed = {name: change(getattr(self, name)) for name in self.of_channels}
         return replace(self, **changed)
 
+    def __repr__(self) -> str:
+        hemispheres, *patches = self.hits.shape
+        return (
+            f"<{type(self).__name__}: {self.n_batches} batches, {hemispheres} "
+            f"hemispheres of {' x '.join(map(str, patches))} patches, "
+            f"{self.channels} channels, {self.ledger.emitted} rays>"
+        )
+
     def __eq__(self, other: object) -> bool:
         return (
             isinstance(other, Tally)

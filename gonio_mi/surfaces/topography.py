@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SettingError
+from ..errors import SettingError, printable
 from .height_maps import HeightMap
 from .heights import LARGEST, HeightStatistics, checked_heights, height_statistics
 from .length_units import UNITS, metres
@@ -55,6 +55,10 @@ class Topography:
     periodic: bool
     source: str
     unit: str | None = None
+
+    def __repr__(self) -> str:
+        n_y, n_x = self.heights.shape
+        return f"<Topography of {printable(self.source)}: {n_x} x {n_y} points>"
 
     @cached_property
     def statistics(self) -> HeightStatistics:
