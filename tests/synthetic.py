@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gonio_mi.collector import subdivision
+from gonio_mi.collector.directions import direction
 from gonio_mi.results.integral_sums import Integrals
 from gonio_mi.results.record import Record
 from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Tally
@@ -136,6 +137,29 @@ def exact(weights, theta_i, collector, phi_i=0.0):
         settings={},
         stacked=True,
     )
+
+
+def facets(wo, theta_i, phi_i, widths, tilt=(0.0, 0.0), turn=0.0):
+    """BRDF of single reflections at Gaussian slopes, all of them seen and lit.
+
+    Around a mean slope, on a surface that is turned; all angles in degrees.
+    """
+    wi = direction(np.radians(theta_i), np.radians(phi_i))
+    half = wo + wi
+    slopes = half[..., :2] / half[..., 2:] - np.asarray(tilt)
+    cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
+    slopes = slopes @ np.array([[cos, -sin], [sin, cos]]) / widths
+    norm = np.linalg.norm(half, axis=-1)
+    density = np.exp(-np.sum(slopes**2, axis=-1) / 2) * (norm / half[..., 2]) ** 3
+    return density / (half @ wi / norm) / wo[..., 2]
+
+
+def facet_lobes(patches, incidents, widths=(0.1, 0.2), **more):
+    """Flux fractions, half of the light each, by 16 x 16 points of each patch."""
+    points = patches.points(16)
+    flux = [facets(points, *one, widths, **more).mean(axis=1) for one in incidents]
+    flux = np.reshape(flux, (-1, *patches.shape)) * patches.projected_solid_angles
+    return flux / flux.sum(axis=(1, 2), keepdims=True) / 2
 
 
 def huge():

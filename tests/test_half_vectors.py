@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import synthetic
 from budget import agree, disagree, scores, verdict
+from synthetic import facet_lobes
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
@@ -15,24 +16,6 @@ from gonio_mi.materials.incident_grid import IncidentGrid
 DOUBLE = 1e-14
 
 EVERY_30 = tuple(range(0, 360, 30))
-
-
-def brushed(wo, theta_i, phi_i, widths):
-    """BRDF of single reflections at Gaussian slopes, all of them seen and lit."""
-    wi = direction(np.radians(theta_i), np.radians(phi_i))
-    half = wo + wi
-    slopes = half[..., :2] / half[..., 2:] / widths
-    norm = np.linalg.norm(half, axis=-1)
-    density = np.exp(-np.sum(slopes**2, axis=-1) / 2) * (norm / half[..., 2]) ** 3
-    return density / (half @ wi / norm) / wo[..., 2]
-
-
-def lobes(patches, incidents, widths=(0.1, 0.2)):
-    """Flux fractions, half of the light each, by 16 x 16 points of each patch."""
-    points = patches.points(16)
-    flux = [brushed(points, *one, np.array(widths)).mean(axis=1) for one in incidents]
-    flux = np.reshape(flux, (-1, *patches.shape)) * patches.projected_solid_angles
-    return flux / flux.sum(axis=(1, 2), keepdims=True) / 2
 
 
 def test_a_micro_normal_reflects_as_the_law_says():
@@ -65,7 +48,7 @@ def test_a_lobe_is_predicted_up_to_its_patches():
     errors = []
     for size in ("projected:12x36", "projected:24x72", "projected:48x144"):
         patches = gonio.subdivision(size)
-        first, second = lobes(patches, [(15, 0), (15, 20)])[..., None]
+        first, second = facet_lobes(patches, [(15, 0), (15, 20)])[..., None]
         found = predicted(first, patches, 15.0, (0.0, 20.0))
         assert np.allclose([one.sum() for one in found], 0.5, rtol=DOUBLE, atol=0)
         errors.append([np.abs(one - second).sum() for one in found])
@@ -87,14 +70,14 @@ def test_records_say_how_their_lobes_move():
     patches = gonio.subdivision("projected:24x36")
     incidents = [(50, phi) for phi in EVERY_30]
     for widths, reflects in (((0.1, 0.25), True), ((0.2, 0.2), False)):
-        weights = lobes(patches, incidents, widths)
+        weights = facet_lobes(patches, incidents, widths)
         record = record_of(patches, incidents, weights)
         grid = IncidentGrid.of(record, record.flux_fraction)
         assert grid.reflects == reflects
         # and so does what was not measured
         some = [n for n in range(12) if n % 3 == 0] + list(range(12, 24))
         both = [(50, phi) for phi in EVERY_30] + [(70, phi) for phi in EVERY_30]
-        weights = lobes(patches, both, widths)
+        weights = facet_lobes(patches, both, widths)
         record = record_of(patches, [both[n] for n in some], weights[some])
         grid = IncidentGrid.of(record, record.flux_fraction)
         assert grid.reflects == reflects
@@ -109,7 +92,7 @@ def test_samples_follow_the_values(theta_i, tmp_path):
     """Also where light stays above the horizon; twin: of another azimuth."""
     patches = gonio.subdivision("projected:24x36")
     incidents = [(theta_i, phi) for phi in EVERY_30]
-    weights = lobes(patches, incidents, (0.15, 0.4))
+    weights = facet_lobes(patches, incidents, (0.15, 0.4))
     record = record_of(patches, incidents, weights)
     record.save(tmp_path / "brushed.npz")
     plugin = {"type": "goniometric", "filename": str(tmp_path / "brushed.npz")}

@@ -270,19 +270,6 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
 
 
 @pytest.mark.usefixtures("mono")
-def test_an_anisotropic_specimen_is_recognised():
-    """From rays, as few as the tolerance asks for."""
-    brushed = {"type": "roughconductor", "alpha_u": 0.3, "alpha_v": 0.7}
-    how = {"tolerance": 0.2, "collector": "projected:6x16", "estimator": "weighted"}
-    record = gonio.campaign({"brushed": brushed}, **how, theta_max=60)["brushed"]
-    assert not record.settings["campaign"]["isotropic"]
-    assert len(set(record.phi_i[record.theta_i > 0])) >= 8
-    noise = [noise_of(record[number]) for number in range(len(record))]
-    assert max(noise) <= how["tolerance"] / 4
-    assert record.settings["noise"] == how["tolerance"] / 4
-
-
-@pytest.mark.usefixtures("mono")
 def test_rays_are_taken_where_a_late_integral_is_refused(monkeypatch):
     """At directions never used, when all others are known; nothing is mixed."""
     measure = known_directions.records_of

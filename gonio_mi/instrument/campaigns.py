@@ -56,10 +56,12 @@ def campaign(
         that of :class:`~gonio_mi.results.misplacement.Misplacement`: light in another
         patch than predicted, or of reflectance or transmittance, as a part of all that
         leaves. Isotropic specimens are recognised; others get azimuths, in whole
-        sectors, where each polar angle needs them. Integrals are measured where the
-        specimen allows it, unless there is an `estimator`; else as many rays as noise
-        of a quarter of the tolerance needs. The record's setting ``campaign`` holds
-        the errors at directions that were never used.
+        sectors, where each polar angle needs them. Of a specimen that may be turned by
+        a part of a whole turn, or mirrored, which is recognised too, the record holds
+        copies of what was measured instead, and says which. Integrals are measured
+        where the specimen allows it, unless there is an `estimator`; else as many rays
+        as noise of a quarter of the tolerance needs. The record's setting ``campaign``
+        holds the errors at directions that were never used.
     theta_max : float
         Largest angle of incidence of such a campaign in degrees; beyond, the material
         is what it is there.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import math
 import warnings
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -12,12 +13,14 @@ from typing import Any
 import numpy as np
 
 from ..errors import checked_number
+from ..results.azimuth_symmetry import AzimuthSymmetry, azimuth_of
 from ..results.campaign_text import LOOKS
 from ..results.misplacement import Misplacement, misplaced
 from ..results.record import Record
 from .campaign_tasks import Surroundings
 from .known_directions import KnownDirections, NotIntegrableError
 from .prediction import Prediction
+from .recognition import Recognition
 from .refinement import Axis, Interval, refined
 from .resolution import TooCoarseError, check_equal_sectors, check_resolved
 
@@ -120,7 +123,7 @@ class WholeBsdf:
                 self.directions.start_anew(error.enough)
 
     def _measured(self) -> Record:
-        """Refine polar angles, then azimuths, then wherever it is still wrong."""
+        """Recognise the specimen, and choose directions until they hold."""
         angles = np.linspace(0, self.theta_max, FIRST_ANGLES).tolist()
         self.directions.measure([(theta, 0.0) for theta in angles], "first directions")
         self.directions.announce(len(angles) + UNSEEN)  # at least
@@ -128,7 +131,21 @@ class WholeBsdf:
         check_equal_sectors(patches)
         self.n_sectors = patches.shape[1]
         check_resolved(self.tolerance, self.n_points, angles[2:], self.directions.stack)
-        self.isotropic = self._is_isotropic(angles)
+        self.recognition = Recognition(self.directions, angles, self.n_points)
+        self.isotropic = self.recognition.is_isotropic()
+        self.symmetry = AzimuthSymmetry(self.n_sectors)
+        if not self.isotropic:
+            self.symmetry = self.recognition.symmetry()
+        self._refine(angles)
+        errors = self._confirmed()
+        while errors is None:
+            self.symmetry = AzimuthSymmetry(self.n_sectors)
+            self._refine(angles)
+            errors = self._confirmed()
+        return self._described(errors)
+
+    def _refine(self, angles: Sequence[float]) -> None:
+        """Refine polar angles, then azimuths, as far as middles of intervals tell."""
         self.legs = Axis(_middle_angle, LEFT, dict.fromkeys(_intervals(angles)))
         self.gaps = Axis(_middle_sector)
         # errors along both axes add up by their squares, about
@@ -137,49 +154,50 @@ class WholeBsdf:
         if not self.isotropic:
             for theta in self.legs.levels()[1:]:
                 self.gaps.errors |= dict.fromkeys(
-                    _intervals([*self._first_sectors(), self.n_sectors], theta)
+                    _intervals(self._first_sectors(), theta)
                 )
             refined(self.gaps, self.limit, self._errors_of_gaps)
-        return self._described(self._confirmed())
 
     # -------------------------------------------------------------------- directions
 
     def _azimuth(self, sector: float) -> float:
         """Azimuth of a sector's edge in degrees."""
-        return (sector * 360 / self.n_sectors) % 360
+        return azimuth_of(sector, self.n_sectors)
 
     def _first_sectors(self) -> list[float]:
-        """Azimuths to begin with, in sectors; one for an isotropic specimen."""
+        """Azimuths to begin with, in sectors, and the end of what they are part of.
+
+        Of an isotropic specimen one, and no end.
+        """
         if self.isotropic:
             return [0.0]
-        steps = np.arange(FIRST_AZIMUTHS) * (self.n_sectors / FIRST_AZIMUTHS)
+        first, last = self.symmetry.domain
+        parts = math.ceil(FIRST_AZIMUTHS * (last - first) / self.n_sectors)
+        steps = first + np.arange(parts + 1) * ((last - first) / parts)
         return sorted({float(sector) for sector in np.round(steps)})
+
+    def _own(self, levels: list[float]) -> list[float]:
+        """Azimuths without the last one where it is the first one's image."""
+        of_all = self.isotropic or self.symmetry.mirror is not None
+        return levels if of_all else levels[:-1]
 
     # ------------------------------------------------------------------- predicting
 
-    def _is_isotropic(self, angles: Sequence[float]) -> bool:
-        """Whether turned by whole sectors the specimen is the same."""
-        sectors = {round(self.n_sectors * turn) for turn in (0.125, 0.25, 0.625)} - {0}
-        turned = [
-            (theta, self._azimuth(sector))
-            for theta in angles[1:3]
-            for sector in sectors
-        ]
-        self.directions.measure(turned, "whether it is isotropic")
-        prediction = self._prediction((theta, 0.0) for theta in angles)
-        errors = [self._missed(prediction, *incident) for incident in turned]
-        isotropic = not any(one.exceeds(self.tolerance / 2) for one in errors)
-        found = "isotropic" if isotropic else "anisotropic"
-        logger.info(
-            "%s is %s: turned by %d azimuths, %.2g of its light is elsewhere",
-            *(self.name, found, len(sectors), max(one.light for one in errors)),
-        )
-        return isotropic
+    def _whole(self, incidents: Iterable[tuple[float, float]]) -> list[Record]:
+        """Records of directions and of all their images, measured or copied."""
+        found: dict[tuple[float, float], Record] = {}
+        for theta, phi in incidents:
+            for motion in self.symmetry.motions if theta else []:
+                image = theta, motion.azimuth(phi)
+                if image not in found:
+                    known = self.known.get(image)
+                    found[image] = known or motion.copy(self.known[theta, phi])
+            if not theta:
+                found[theta, phi] = self.known[theta, phi]
+        return [found[one] for one in sorted(found)]
 
     def _prediction(self, incidents: Iterable[tuple[float, float]]) -> Prediction:
-        return Prediction(
-            Record.stack(self.known[one] for one in incidents), self.n_points
-        )
+        return Prediction(Record.stack(self._whole(incidents)), self.n_points)
 
     def _missed(self, prediction: Prediction, theta: float, phi: float) -> Misplacement:
         """Error of a prediction of a known direction."""
@@ -191,7 +209,7 @@ class WholeBsdf:
         """Errors in the middles of legs: the largest of all first azimuths."""
         self._announce()
         middles = list(middles)
-        lines = [self._azimuth(sector) for sector in self._first_sectors()]
+        lines = [self._azimuth(one) for one in self._own(self._first_sectors())]
         levels = self.legs.levels()
         said = f"{len(legs)} of {len(levels) - 1} legs open"
         needed = [(theta, phi) for theta in [*levels, *middles] for phi in lines]
@@ -199,11 +217,10 @@ class WholeBsdf:
         self.directions.measure(needed, said)
         worst = np.zeros(len(legs))
         for phi in lines:
-            ends = [(theta, phi) if theta else (0.0, 0.0) for theta in levels]
-            prediction = self._prediction(ends[int(phi > 0) :])
+            ends = [(theta, phi if theta else 0.0) for theta in levels]
+            stack = Record.stack(self.known[one] for one in ends)
+            prediction = Prediction(stack, self.n_points)
             for number, middle in enumerate(middles):
-                if phi > 0 and legs[number].low == 0:
-                    continue  # the record along the normal has another azimuth
                 error = self._missed(prediction, middle, phi)
                 worst[number] = max(worst[number], _beyond(error))
         return worst.tolist()
@@ -236,7 +253,7 @@ class WholeBsdf:
             return float(np.sqrt(np.maximum(np.divide(errors, self.limit), 1)).sum())
 
         n_rings = 1 + parts(self.legs)
-        n_azimuths = float(len(self._first_sectors()))
+        n_azimuths = float(len(self._own(self._first_sectors())))
         if self.gaps.errors:
             n_azimuths = parts(self.gaps) / (len(self.legs.levels()) - 1)
         self.directions.announce(n_rings * n_azimuths + UNSEEN)
@@ -245,17 +262,18 @@ class WholeBsdf:
 
     def _ring(self, theta: float) -> list[tuple[float, float]]:
         """Directions of one polar angle that the material is made of."""
-        sectors = self.gaps.levels(theta)[:-1] or [0.0]
+        sectors = self._own(self.gaps.levels(theta)) or [0.0]
         return [(theta, self._azimuth(sector)) for sector in sectors]
 
     def _directions(self) -> list[tuple[float, float]]:
         """All directions that the material is made of."""
         return [one for theta in self.legs.levels() for one in self._ring(theta)]
 
-    def _confirmed(self) -> list[Misplacement]:
+    def _confirmed(self) -> list[Misplacement] | None:
         """Errors at directions never used, few of which miss the tolerance.
 
-        Where they do, the material is refined, as long as it can be.
+        Where they do, the material is refined, as long as it can be. None if the
+        specimen is not as symmetric there as it seemed.
         """
         seed = self.settings.get("seed") or 0
         for number in range(LOOKS):
@@ -278,6 +296,11 @@ class WholeBsdf:
             )
             if len(missed) <= MISSES or number == LOOKS - 1:
                 break
+            worst_one = max(missed, key=lambda one: one.error)
+            if self.recognition.refuted(
+                self.symmetry.generators, worst_one.theta_i, worst_one.phi_i
+            ):
+                return None
             if not self._split_at(missed):
                 break
         return errors
@@ -309,7 +332,8 @@ class WholeBsdf:
     def _around(self, one: Misplacement) -> tuple[Interval, list[Interval]]:
         """Leg that holds a direction, and the gaps of azimuth on both its ends."""
         leg = self.legs.around(one.theta_i)
-        sector = one.phi_i * self.n_sectors / 360
+        sector = self.symmetry.home(one.phi_i * self.n_sectors / 360)
+        sector = min(max(sector, self.symmetry.domain[0]), self.symmetry.domain[1])
         rings = [theta for theta in (leg.low, leg.high) if self.gaps.levels(theta)]
         return leg, [self.gaps.around(sector, theta) for theta in rings]
 
@@ -329,12 +353,15 @@ class WholeBsdf:
 
     def _described(self, errors: Sequence[Misplacement]) -> Record:
         """The material's record, with what is known of its errors."""
-        record = Record.stack(self.known[one] for one in self._directions())
+        record = Record.stack(self._whole(self._directions()))
+        directions = zip(record.theta_i.tolist(), record.phi_i.tolist())
         within = np.mean([not one.exceeds(self.tolerance) for one in errors])
         found = {
             "tolerance": self.tolerance,
             "theta_max": self.theta_max,
             "isotropic": self.isotropic,
+            "symmetry": self.symmetry.described()
+            | {"copies": [list(one) for one in directions if one not in self.known]},
             "measured": len(self.known),
             "rays": sum(one.ledger.emitted for one in self.known.values()),
             "within": float(within),

@@ -32,7 +32,20 @@ def campaign_is_sound(found: Any) -> bool:
             row if isinstance(row, (list, tuple)) and len(row) == COLUMNS else [""]
         )
     plain = all(type(x) in (int, float) and -1e15 < x < 1e15 for x in numbers)
-    return plain and len(rows) > 0
+    return plain and len(rows) > 0 and _is_symmetry(found.get("symmetry"))
+
+
+def _is_symmetry(found: Any) -> bool:
+    """Whether it can be a symmetry; older records say nothing of it."""
+    if found is None:
+        return True
+    if not isinstance(found, Mapping):
+        return False
+    mirror, copies = found.get("mirror"), found.get("copies")
+    numbers: list[Any] = [found.get("turns"), 0 if mirror is None else mirror]
+    for one in copies if isinstance(copies, (list, tuple)) else [None]:
+        numbers += one if isinstance(one, (list, tuple)) and len(one) == 2 else [""]
+    return all(type(x) in (int, float) and -1e15 < x < 1e15 for x in numbers)
 
 
 def campaign_text(found: Mapping[str, Any], width: int) -> str:
@@ -47,7 +60,8 @@ def campaign_text(found: Mapping[str, Any], width: int) -> str:
     kind = "isotropic" if found["isotropic"] else "anisotropic"
     text = (
         f"tolerance {found['tolerance']:.3g} up to theta_i {found['theta_max']:g}, "
-        f"{kind} by measurement; {found['measured']} directions were measured. At "
+        f"{kind} by measurement{_symmetry_text(found.get('symmetry'))}; "
+        f"{found['measured']} directions were measured. At "
         f"{len(unseen)} that the material does not use, {found['within']:.1%} are "
         f"within the tolerance (of all directions at least {share:.0%}, with a "
         f"confidence of {CONFIDENCE:.0%}): of the light, {np.mean(light):.2g} is "
@@ -58,4 +72,19 @@ def campaign_text(found: Mapping[str, Any], width: int) -> str:
     indent = " " * 10
     return textwrap.fill(
         text, width, initial_indent="material".ljust(10), subsequent_indent=indent
+    )
+
+
+def _symmetry_text(found: Mapping[str, Any] | None) -> str:
+    """How a specimen may be turned and mirrored, and what was copied for it."""
+    if not found or not found["copies"]:
+        return ""
+    ways = []
+    if found["turns"] > 1:
+        ways.append(f"turned by {360 / found['turns']:g} degrees")
+    if found["mirror"] is not None:
+        ways.append(f"mirrored at the azimuth {found['mirror']:g}")
+    return (
+        f" and the same if {' or '.join(ways)} ({len(found['copies'])} of its "
+        "directions are copies, with the noise of what they copy)"
     )

@@ -1,0 +1,130 @@
+"""What a campaign recognises of a specimen by measuring: how it may be turned."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
+from ..results.misplacement import Misplacement, misplaced
+from ..results.record import Record
+from .known_directions import KnownDirections
+from .prediction import Prediction
+
+__all__ = ["Recognition"]
+
+logger = logging.getLogger(__name__)
+
+# Azimuths at which it is measured whether a specimen is isotropic, in whole turns, and
+# those of them whose images are measured for its symmetry.
+TURNS, IMAGED = (0.125, 0.25, 0.625), (0.125, 0.25)
+
+# Equal parts of a whole turn that are tried; of a mirror's azimuth, in whole turns,
+# those that are tried before the one that fits the light along the normal best.
+PARTS, MIRRORS = (6, 4, 3, 2), (0, 0.25, 0.125, 0.375)
+
+
+class Recognition:
+    """Symmetries of a specimen, as far as its tolerance tells.
+
+    Light in the wrong place may be half the tolerance, beyond the error bars.
+
+    Parameters
+    ----------
+    directions : KnownDirections
+        With that along the normal, and `angles` at azimuth 0.
+    angles : sequence of float
+        Polar angles in degrees, three or more from 0 upwards.
+    n_points : int
+        Of a prediction, per side of a patch.
+    """
+
+    def __init__(
+        self, directions: KnownDirections, angles: Sequence[float], n_points: int
+    ) -> None:
+        self.directions, self.n_points = directions, n_points
+        self.angles, self.looked_at = angles, angles[1:3]
+        self.normal = directions.records[0.0, 0.0]
+        self.n_sectors = self.normal.subdivision.shape[1]
+
+    def is_isotropic(self) -> bool:
+        """Whether turned by whole sectors the specimen is the same."""
+        name, known = self.directions.name, self.directions.records
+        sectors = {round(self.n_sectors * turn) for turn in TURNS} - {0}
+        turned = [
+            (theta, self._azimuth(sector))
+            for theta in self.looked_at
+            for sector in sectors
+        ]
+        self.directions.measure(turned, "whether it is isotropic")
+        ring = Record.stack(known[theta, 0.0] for theta in self.angles)
+        prediction = Prediction(ring, self.n_points)
+        errors = [misplaced(known[one], prediction.flux(*one)) for one in turned]
+        isotropic = not any(self._is_wrong(one) for one in errors)
+        found = "isotropic" if isotropic else "anisotropic"
+        logger.info(
+            "%s is %s: turned by %d azimuths, %.2g of its light is elsewhere",
+            *(name, found, len(sectors), max(one.light for one in errors)),
+        )
+        return isotropic
+
+    def symmetry(self) -> AzimuthSymmetry:
+        """Turns and mirrors after which an anisotropic specimen is what it was."""
+        n = self.n_sectors
+        parts = [one for one in PARTS if n % one == 0 and n // one >= 4]
+        turns = (one for one in parts if self._holds(Motion(n // one, False, n)))
+        mirrors = (one for one in self._mirrors() if self._holds(Motion(one, True, n)))
+        found = AzimuthSymmetry(n, next(turns, 1), next(mirrors, None))
+        logger.info("%s is the same in %s", self.directions.name, found.described())
+        return found
+
+    def refuted(self, motions: Sequence[Motion], theta: float, phi: float) -> bool:
+        """Whether at a direction a motion changes the specimen after all."""
+        images = [(theta, motion.azimuth(phi)) for motion in motions]
+        start = theta, phi
+        self.directions.measure([start, *images], "whether it is symmetric there")
+        return any(
+            self._is_wrong(self._change(motion, start, image))
+            for motion, image in zip(motions, images)
+        )
+
+    def _mirrors(self) -> list[int]:
+        """Mirrors to try: along the axes, and the one that fits best.
+
+        By twice their azimuth in sectors.
+        """
+        n = self.n_sectors
+        axes = [round(2 * n * turn) for turn in MIRRORS if 2 * n * turn % 1 == 0]
+        flux = self.normal.flux_fraction
+        changes = [
+            np.abs(Motion(by, True, n).moved(flux, 2) - flux).sum() for by in range(n)
+        ]
+        return list(dict.fromkeys([*axes, int(np.argmin(changes))]))
+
+    def _holds(self, motion: Motion) -> bool:
+        """Whether a motion changes neither light along the normal, nor from beside."""
+        normal = 0.0, 0.0
+        if self._is_wrong(self._change(motion, normal, normal)):
+            return False
+        starts = {self._azimuth(round(self.n_sectors * turn)) for turn in IMAGED}
+        return not any(
+            self.refuted([motion], theta, phi)
+            for theta in self.looked_at
+            for phi in sorted(starts)
+        )
+
+    def _change(
+        self, motion: Motion, start: tuple[float, float], image: tuple[float, float]
+    ) -> Misplacement:
+        """What is wrong if a known direction is the image of another one."""
+        known = self.directions.records
+        return misplaced(known[image], motion.moved(known[start].flux_fraction, 2))
+
+    def _is_wrong(self, change: Misplacement) -> bool:
+        return change.exceeds(self.directions.tolerance / 2)
+
+    def _azimuth(self, sector: float) -> float:
+        """Azimuth of a sector's edge in degrees."""
+        return azimuth_of(sector, self.n_sectors)

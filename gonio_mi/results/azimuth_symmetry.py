@@ -1,0 +1,137 @@
+"""Specimens that look the same when turned about their normal, or mirrored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..array_types import Numbers
+from .integral_sums import Integrals
+from .record import Record
+
+__all__ = ["AzimuthSymmetry", "Motion", "azimuth_of"]
+
+
+def azimuth_of(sector: float, n_sectors: int) -> float:
+    """Azimuth in degrees, the same number for whatever is rounded to one sector."""
+    return (round(sector, 9) * 360 / n_sectors) % 360
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A turn about the normal by whole sectors, or a mirror that maps them on sectors.
+
+    Attributes
+    ----------
+    by : int
+        Sectors to turn by; of a mirror the edge to which that at azimuth 0 goes, so
+        that the mirror stands at half of it.
+    mirrored : bool
+    n_sectors : int
+        Of the whole azimuth, all of one width.
+    """
+
+    by: int
+    mirrored: bool
+    n_sectors: int
+
+    def edge(self, sector: float) -> float:
+        """To where an azimuth goes, both in sectors."""
+        return (self.by + (-sector if self.mirrored else sector)) % self.n_sectors
+
+    def moved(self, values: Numbers, axis: int) -> Numbers:
+        """Array whose sectors, along an axis, are where they go."""
+        own = np.flip(values, axis) if self.mirrored else values
+        return np.roll(own, self.by, axis)
+
+    def azimuth(self, phi_i: float) -> float:
+        """To where an azimuth in degrees goes."""
+        return azimuth_of(self.edge(phi_i * self.n_sectors / 360), self.n_sectors)
+
+    def copy(self, record: Record) -> Record:
+        """What one incident direction's record is if light comes from its image."""
+        (tally,) = record.tallies
+        changed: dict[str, Any] = {"hits": self.moved(tally.hits, 2)}
+        changed["sums"] = self.moved(tally.sums, 3)
+        if isinstance(tally, Integrals):
+            changed["errors"] = self.moved(tally.errors, 2)
+        return replace(
+            record,
+            theta_i=record.theta_i.copy(),
+            phi_i=np.array([self.azimuth(float(record.phi_i[0]))]),
+            tallies=(replace(tally, **changed),),
+        )
+
+
+@dataclass(frozen=True)
+class AzimuthSymmetry:
+    """Turns, and mirrors, after which a specimen is what it was.
+
+    Attributes
+    ----------
+    n_sectors : int
+        Of the whole azimuth.
+    turns : int
+        Equal parts of a whole turn, by each of which it may be turned; they divide the
+        sectors.
+    mirror : int, optional
+        Twice the azimuth of a mirror plane in sectors. There is another one half a
+        part further, and so on.
+    """
+
+    n_sectors: int
+    turns: int = 1
+    mirror: int | None = None
+
+    @property
+    def motions(self) -> list[Motion]:
+        """All of them, that which moves nothing first."""
+        part = self.n_sectors // self.turns
+        found = [Motion(n * part, False, self.n_sectors) for n in range(self.turns)]
+        if self.mirror is not None:
+            found += [
+                Motion((self.mirror + one.by) % self.n_sectors, True, self.n_sectors)
+                for one in found
+            ]
+        return found
+
+    @property
+    def generators(self) -> list[Motion]:
+        """At most one turn and one mirror, of which all others are made."""
+        motions = self.motions
+        turn = motions[1 : self.turns][:1]
+        return turn + motions[self.turns :][:1]
+
+    @property
+    def domain(self) -> tuple[int, int]:
+        """Azimuths in sectors of which all others are images.
+
+        The last one is the first one's image, unless there are mirrors at both.
+        """
+        part = self.n_sectors // self.turns
+        if self.mirror is None:
+            return 0, part
+        return -(-self.mirror // 2), (self.mirror + part) // 2
+
+    def home(self, sector: float) -> float:
+        """Image of an azimuth that is in the domain, or next to it between mirrors."""
+        low, high = self.domain
+        half = self.n_sectors / 2
+
+        def off(image: float) -> float:
+            return abs((image - (low + high) / 2 + half) % self.n_sectors - half)
+
+        return min((one.edge(sector) for one in self.motions), key=off)
+
+    def images(self, sector: float) -> set[float]:
+        """All images of an azimuth, itself included."""
+        return {one.edge(sector) for one in self.motions}
+
+    def described(self) -> dict[str, Any]:
+        """What a record says of it: turns, and the azimuth of a mirror in degrees."""
+        mirror = self.mirror
+        if mirror is not None:
+            mirror = mirror * 180 / self.n_sectors
+        return {"turns": self.turns, "mirror": mirror}

@@ -1,0 +1,217 @@
+"""Specimens that may be turned or mirrored: recognised by measuring, and then copied.
+
+Lobes are closed forms: of facets whose slopes are as symmetric as a test wants them.
+"""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import synthetic
+from synthetic import facet_lobes
+
+import gonio_mi as gonio
+from gonio_mi.instrument import whole_bsdf
+from gonio_mi.instrument.campaign_tasks import Surroundings
+from gonio_mi.instrument.known_directions import KnownDirections
+from gonio_mi.instrument.recognition import Recognition
+from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
+from gonio_mi.results.misplacement import misplaced, noise_of
+
+PATCHES = gonio.subdivision("projected:8x24")
+ANGLES = (0.0, 25.0, 50.0, 75.0)
+
+# Sums of 2**40ths that are rounded, of some hundred patches, over half of the light.
+WHOLE = 2.0**-30
+
+
+class Facets(KnownDirections):
+    """Directions of facets that are computed, not measured."""
+
+    def __init__(self, tolerance, *surfaces):
+        super().__init__("facets", None, tolerance, Surroundings(), {})
+        self.surfaces = surfaces
+        self.measure([(theta, 0.0) for theta in ANGLES], "")
+
+    def measure(self, incidents, said):  # noqa: ARG002
+        for one in set(incidents) - self.records.keys():
+            lobes = [facet_lobes(PATCHES, [one], **how) for how in self.surfaces]
+            lobe = np.mean(lobes, axis=0)[:, None]
+            self.records[one] = synthetic.exact(lobe, one[:1], str(PATCHES), one[1])[0]
+
+
+def brushed(**how):
+    return {"widths": (0.2, 0.45)} | how
+
+
+CASES = {
+    "brushed": ([brushed()], 2, {0, 12}),
+    "brushed, turned": ([brushed(turn=37.5)], 2, {5, 17}),
+    "tilted along": ([brushed(tilt=(0.2, 0))], 1, {0}),
+    "tilted across": ([brushed(tilt=(0, 0.2))], 1, {12}),
+    "tilted askew": ([brushed(tilt=(0.2, 0.1))], 1, {None}),
+    "crossed": ([brushed(), brushed(turn=90)], 4, {0, 6, 12, 18}),
+    "crossed askew": ([brushed(), brushed(turn=60)], 2, {4, 16}),
+    "six": ([brushed(turn=turn) for turn in (0, 60, 120)], 6, set(range(0, 24, 2))),
+    "three": (
+        [
+            {"widths": (0.2, 0.2), "tilt": 0.3 * np.array([np.cos(a), np.sin(a)])}
+            for a in np.radians([0, 120, 240])
+        ],
+        3,
+        {0, 8, 16},
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_symmetries_are_those_of_the_slopes(case):
+    """Each of them, and none more; mirrors by twice their azimuth in sectors."""
+    surfaces, turns, mirrors = CASES[case]
+    directions = Facets(0.01, *surfaces)
+    found = Recognition(directions, ANGLES, 8).symmetry()
+    assert found.turns == turns
+    assert found.mirror in mirrors
+    # few directions tell: two azimuths of two angles, for each turn or mirror tried
+    assert len(directions.records) <= len(ANGLES) + 2 * (2 + 2 * 4)
+
+
+@pytest.mark.parametrize("tilt", [0.004, 0.02])
+def test_nearly_symmetric_is_what_the_tolerance_says(tilt):
+    """A lobe that is moved misplaces light; half of the tolerance may be."""
+    surface = brushed(tilt=(tilt, 0))
+    lobes = facet_lobes(PATCHES, [(25, 45), (25, 225), (50, 45), (50, 225)], **surface)
+    lobes = lobes[::2] - np.roll(lobes[1::2], 12, axis=2)
+    change = np.abs(lobes).sum(axis=(1, 2)).max()  # half of half the light
+    for tolerance, turns in ((1.9 * change, 1), (4 * change, 2)):
+        found = Recognition(Facets(tolerance, surface), ANGLES, 8).symmetry()
+        assert found.turns == turns
+
+
+@pytest.mark.parametrize("turn", [0, 7.5, 37.5])
+def test_copies_are_what_would_be_measured(turn):
+    """At all images; twin: with a mirror that is a sector off."""
+    directions = Facets(0.01, brushed(turn=turn))
+    start = 50.0, 30.0
+    for by, right in ((round(turn / 7.5), True), (round(turn / 7.5) + 2, False)):
+        symmetry = AzimuthSymmetry(24, 2, by)
+        images = [(50.0, motion.azimuth(30.0)) for motion in symmetry.motions]
+        assert len(set(images)) == 4
+        directions.measure([start, *images], "")
+        for motion, image in zip(symmetry.motions, images):
+            copy, known = (
+                motion.copy(directions.records[start]),
+                directions.records[image],
+            )
+            assert (copy.theta_i, copy.phi_i) == image
+            same = np.allclose(copy.brdf, known.brdf, rtol=0, atol=WHOLE * 24)
+            assert same == (right or not motion.mirrored)
+
+
+@pytest.mark.parametrize(
+    ("turns", "mirror"),
+    [(1, None), (2, None), (6, None), (1, 0), (1, 7), (2, 3), (3, 5), (6, 1)],
+)
+def test_each_azimuth_has_one_image_in_the_domain(turns, mirror):
+    """Up to its ends; and all motions are made of the generators."""
+    symmetry = AzimuthSymmetry(24, turns, mirror)
+    first, last = symmetry.domain
+    motions = {(one.by, one.mirrored) for one in symmetry.motions}
+    assert len(motions) == turns * (1 if mirror is None else 2)
+    covered = set()
+    for sector in range(first, last + 1):
+        covered |= symmetry.images(sector)
+        assert symmetry.home(sector) in {first, last, sector}
+        inside = symmetry.images(sector) & set(range(first + 1, last))
+        assert inside <= {sector}
+    assert covered == set(range(24))
+    for sector in np.arange(0.25, 24, 0.5):
+        home = symmetry.home(sector)
+        assert first - 0.5 <= home <= last + 0.5
+        assert sector in symmetry.images(home)
+    made = {(0, False)}
+    for _ in range(24):
+        made |= {
+            (one.edge(by) % 24, one.mirrored != mirrored)
+            for one in symmetry.generators
+            for by, mirrored in made
+        }
+    assert made == motions
+
+
+def profile(heights):
+    """Periodic grooves along y of metal, of one period."""
+    return {
+        "type": "heightfield",
+        "heights": mi.TensorXf(np.array([heights, heights], dtype=np.float32)),
+        "size": 1.0,
+        "bsdf": {"type": "roughconductor", "alpha": 0.4},
+    }
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("heights", "turns"), [([0.0, -0.25], 2), ([0.0, 0.1, 0.2, 0.3], 1)]
+)
+def test_grooves_are_symmetric_and_blazed_ones_only_along(heights, turns):
+    """Sampled, with noise of a quarter of the tolerance."""
+    how = {"collector": "angle:6x16", "estimator": "weighted", "period": "box"}
+    directions = KnownDirections("it", profile(heights), 0.1, Surroundings(), how)
+    directions.measure([(theta, 0.0) for theta in ANGLES], "")
+    found = Recognition(directions, ANGLES, 8)
+    assert not found.is_isotropic()
+    assert found.symmetry() == AzimuthSymmetry(16, turns, 0)
+
+
+BRUSHED = {"type": "roughconductor", "alpha_u": 0.3, "alpha_v": 0.7}
+COARSE = {"tolerance": 0.2, "collector": "projected:6x16", "theta_max": 60}
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_material_holds_copies_and_says_so(tmp_path):
+    """From rays, as few as the tolerance asks for; any reader can use it."""
+    how = COARSE | {"estimator": "weighted"}
+    record = gonio.campaign({"brushed": BRUSHED}, **how)["brushed"]
+    found = record.settings["campaign"]
+    assert not found["isotropic"]
+    assert (found["symmetry"]["turns"], found["symmetry"]["mirror"]) == (2, 0)
+    noise = [noise_of(record[number]) for number in range(len(record))]
+    assert max(noise) <= how["tolerance"] / 4
+    assert record.settings["noise"] == how["tolerance"] / 4
+    copies = {tuple(one) for one in found["symmetry"]["copies"]}
+    every = set(zip(record.theta_i.tolist(), record.phi_i.tolist()))
+    assert copies < every
+    assert found["measured"] >= len(every - copies) + whole_bsdf.UNSEEN
+    for theta in set(record.theta_i) - {0}:
+        azimuths = record.phi_i[record.theta_i == theta]
+        assert len(azimuths) >= 8
+        assert set((-azimuths) % 360) == set((azimuths + 180) % 360) == set(azimuths)
+    text = gonio.results.summary_text.summary_text(
+        gonio.results.summary.summarize(record)
+    )
+    said = "the same if turned by 180 degrees or mirrored at the azimuth 0 ("
+    assert said + f"{len(copies)} of its" in " ".join(text.split())
+    record.save(tmp_path / "m.npz")
+    assert gonio.load(tmp_path / "m.npz") == record
+    plugin = {"type": "goniometric", "filename": str(tmp_path / "m.npz")}
+    how = {"collector": COARSE["collector"], "rays": 2**16}
+    seen, truth = (gonio.measure(bsdf, 30, 200, **how) for bsdf in (plugin, BRUSHED))
+    assert not misplaced(seen, truth.flux_fraction).exceeds(COARSE["tolerance"])
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("believed", [False, True])
+def test_a_symmetry_that_does_not_hold_is_given_up(believed, monkeypatch):
+    """Where directions never used miss; twin: believed, it spoils the material."""
+    askew = AzimuthSymmetry(16, 2, 4)
+    monkeypatch.setattr(Recognition, "symmetry", lambda _: askew)
+    for name, number in (("UNSEEN", 10), ("LOOKS", 2), ("MISSES", 0)):
+        monkeypatch.setattr(whole_bsdf, name, number)
+    if believed:
+        monkeypatch.setattr(Recognition, "refuted", lambda *_: False)
+        with pytest.warns(RuntimeWarning, match="was not reached"):
+            record = gonio.campaign({"brushed": BRUSHED}, **COARSE)["brushed"]
+    else:
+        record = gonio.campaign({"brushed": BRUSHED}, **COARSE)["brushed"]
+    found = record.settings["campaign"]
+    assert (found["symmetry"]["copies"] == []) != believed
+    assert (found["within"] == 1) != believed
