@@ -131,7 +131,5 @@ class AzimuthSymmetry:
 
     def described(self) -> dict[str, Any]:
         """What a record says of it: turns, and the azimuth of a mirror in degrees."""
-        mirror = self.mirror
-        if mirror is not None:
-            mirror = mirror * 180 / self.n_sectors
+        mirror = None if self.mirror is None else self.mirror * 180 / self.n_sectors
         return {"turns": self.turns, "mirror": mirror}
