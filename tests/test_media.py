@@ -354,6 +354,25 @@ def test_leaf_transmits_alike_both_ways():
 
 
 @pytest.mark.usefixtures("mono")
+def test_rays_that_are_all_astray_are_no_measurement():
+    """Layers whose medium is another one for each of its faces; twin: one for both."""
+    one, other = medium(1.0, 1.0), medium(1.0, 1.0)
+    faces = {"top": rectangle(0.0, None, one), "bottom": rectangle(-1.0, other, None)}
+    with pytest.raises(gonio.SpecimenError, match=f"closed.*but all {RAYS} rays"):
+        measured({"type": "scene", **faces}, period="box")
+    assert measured(stack(one), period="box").ledger.astray == 0
+
+
+@pytest.mark.usefixtures("mono")
+def test_walls_of_a_medium_in_the_sides_of_a_cell_are_refused():
+    """Light would pass into the next cell's medium untold; twin: a larger cell."""
+    for bsdf in (NULL, GLASS):
+        with pytest.raises(gonio.SpecimenError, match="no walls in the sides"):
+            measured(cube(medium(1.0), bsdf=bsdf), period="box")
+    assert measured(cube(medium(1.0)), period=(2.5, 2.5)).ledger.astray == 0
+
+
+@pytest.mark.usefixtures("mono")
 def test_rays_astray_are_told():
     """An open shape, and two that overlap: counted, and said."""
     one = medium(1.0, 1.0)

@@ -229,6 +229,7 @@ class Instrument:
                 f"the footprint {self.settings.footprint} must meet the specimen, "
                 f"but all {tally.ledger.emitted} rays missed it"
             )
+        _check_arrived(tally.ledger)
         functions = "sample() or eval()" if self.deposits else "sample()"
         _warn_of_invalid(tally.ledger, functions, bench.beam.collimated)
         _warn_of_astray(tally.ledger)
@@ -257,6 +258,18 @@ def _warn_of_invalid(ledger: Ledger, functions: str, collimated: bool) -> None:
             "rays; they are in the ledger's row invalid and in no patch",
             RuntimeWarning,
             stacklevel=3,
+        )
+
+
+def _check_arrived(ledger: Ledger) -> None:
+    """Raise SpecimenError where all rays that met the specimen went astray."""
+    met = ledger.emitted - ledger.missed - ledger.unlit
+    if 0 < ledger.astray == met:
+        raise SpecimenError(
+            "a shape with a medium must be closed, and overlap no other, but all "
+            f"{met} rays that met it left the scene inside of a medium, or met a "
+            "surface of another one; layers that are open at their sides are measured "
+            "with --period box, and two shapes about one medium share it by a reference"
         )
 
 

@@ -1,8 +1,8 @@
-"""Walls of glass in the sides of a periodic cell, which hardly any specimen has."""
+"""Walls of glass, or of media, in the sides of a periodic cell: no endless piece's."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mitsuba as mi
@@ -10,31 +10,45 @@ import numpy as np
 
 from ..array_types import Floats
 
-__all__ = ["walls_of_glass"]
+__all__ = ["encloses_medium", "refracts", "walls_in_sides"]
 
 # How near to the side of the cell a wall is in it, in units of the cell.
 NEAR = 1e-5
 
 
-def walls_of_glass(shapes: Sequence[mi.Shape], low: Floats, high: Floats) -> list[str]:
-    """Names of refracting shapes with faces in the sides of the cell.
+def walls_in_sides(
+    shapes: Sequence[mi.Shape],
+    low: Floats,
+    high: Floats,
+    which: Callable[[mi.Shape], bool],
+) -> list[str]:
+    """Names of the shapes, of those `which`, with faces in the sides of the cell.
 
     Parameters
     ----------
     shapes : sequence of mi.Shape
     low, high : ndarray, shape (3,)
         Corners of the cell.
+    which : callable
+        Such as :func:`refracts` and :func:`encloses_medium`.
     """
-    glass = filter(_refracts, shapes)
-    return [_name(shape) for shape in glass if _walls(shape, low, high)]
+    return [_name(shape) for shape in filter(which, shapes) if _walls(shape, low, high)]
 
 
-def _refracts(shape: mi.Shape) -> bool:
+def refracts(shape: mi.Shape) -> bool:
     """Whether light that passes is bent: no mask, and no thin sheet."""
     flags = shape.bsdf().flags()
     bent = mi.BSDFFlags.DeltaTransmission, mi.BSDFFlags.GlossyTransmission
-    refracts = any(mi.has_flag(flags, flag) for flag in bent)
-    return refracts and not mi.has_flag(flags, mi.BSDFFlags.Null)
+    refracted = any(mi.has_flag(flags, flag) for flag in bent)
+    return refracted and not mi.has_flag(flags, mi.BSDFFlags.Null)
+
+
+def encloses_medium(shape: mi.Shape) -> bool:
+    """Whether light may pass it into a medium, or out of one."""
+    flags = shape.bsdf().flags()
+    return shape.is_medium_transition() and mi.has_flag(
+        flags, mi.BSDFFlags.Transmission
+    )
 
 
 def _walls(shape: mi.Shape, low: Floats, high: Floats) -> bool:

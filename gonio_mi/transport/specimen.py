@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import SpecimenError, abridged
 from ..settings.parsed import Period
-from .cell_walls import walls_of_glass
+from .cell_walls import encloses_medium, refracts, walls_in_sides
 from .extents import bounds
 from .flat_rectangle import Plane
 from .flight import escapes
@@ -110,7 +110,7 @@ class Specimen:
         self.periodic = period != "none"
         if self.periodic:
             self._set_cell(period)
-            self._warn_of_walls()
+            self._check_walls()
         self._check_extent()
         self.closed_to_light = not any(
             mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Transmission)
@@ -194,9 +194,17 @@ class Specimen:
                 stacklevel=4,
             )
 
-    def _warn_of_walls(self) -> None:
-        """Warn of glass that ends at the cell's sides, as no endless piece does."""
-        walls = walls_of_glass(self.surfaces, self.low, self.high)
+    def _check_walls(self) -> None:
+        """Refuse media, and warn of glass, that end at the cell's sides."""
+        walls = walls_in_sides(self.surfaces, self.low, self.high, encloses_medium)
+        if walls:
+            raise SpecimenError(
+                f"{walls[0]} must have no walls in the sides of the periodic cell, for "
+                "light that leaves its medium there is inside of the next cell's at "
+                "once: leave these walls out (an endless layer is two rectangles), or "
+                "make the period larger"
+            )
+        walls = walls_in_sides(self.surfaces, self.low, self.high, refracts)
         if walls:
             warnings.warn(
                 f"{walls[0]} refracts light at walls in the sides of the periodic "
