@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import SpecimenError
 from ..instrument.campaign_tasks import Surroundings, records_of
 from ..instrument.campaigns import campaign
+from ..instrument.known_directions import CONFIRMING
 from ..instrument.prediction import Prediction
 from ..results.misplacement import Misplacement, misplaced
 from ..results.record import Record
@@ -139,8 +140,10 @@ def _measured(
     case: Case, chosen: Record, incidents: Sequence[tuple[float, float]]
 ) -> Record:
     """Stack of incident directions, with the settings of the chosen ones."""
-    names = ("estimator", "rel_err", "noise")
+    names = ("estimator", "rel_err")
     own = {name: chosen.settings.get(name) for name in names}
+    if own["rel_err"] is None:
+        own["noise"] = CONFIRMING * chosen.settings["campaign"]["tolerance"]
     settings = own | {"collector": chosen.subdivision} | case.settings
     return records_of({"it": case.specimen}, incidents, Surroundings(), settings)["it"]
 

@@ -60,8 +60,8 @@ def campaign(
         a part of a whole turn, or mirrored, which is recognised too, the record holds
         copies of what was measured instead, and says which. Integrals are measured
         where the specimen allows it, unless there is an `estimator`; else as many rays
-        as noise of a quarter of the tolerance needs. The record's setting ``campaign``
-        holds the errors at directions that were never used.
+        as noise of half the tolerance needs, and of a quarter at directions that are
+        never used. The record's setting ``campaign`` holds the errors there.
     theta_max : float
         Largest angle of incidence of such a campaign in degrees; beyond, the material
         is what it is there.

@@ -18,7 +18,7 @@ from ..results.campaign_text import LOOKS
 from ..results.misplacement import Misplacement, misplaced
 from ..results.record import Record
 from .campaign_tasks import Surroundings
-from .known_directions import KnownDirections, NotIntegrableError
+from .known_directions import CONFIRMING, KnownDirections, NotIntegrableError
 from .prediction import Prediction
 from .recognition import Recognition
 from .refinement import Axis, Interval, refined
@@ -285,8 +285,9 @@ class WholeBsdf:
             unseen = list(
                 zip(theta.tolist(), (360 * generator.random(UNSEEN)).tolist())
             )
-            every = [*self._directions(), *unseen]
-            self.directions.measure(every, "at directions never used")
+            self.directions.measure(self._directions(), "of split legs and gaps")
+            said = "at directions never used"
+            self.directions.measure(unseen, said, CONFIRMING)
             prediction = self._prediction(self._directions())
             errors = [self._missed(prediction, *incident) for incident in unseen]
             missed = [one for one in errors if one.exceeds(self.tolerance)]
