@@ -11,8 +11,10 @@ import sys
 import tempfile
 import traceback
 import warnings
+from argparse import Namespace
 from collections.abc import Sequence
 from importlib import metadata
+from typing import NoReturn
 
 from .commands import (
     bsdf,
@@ -39,7 +41,7 @@ from .commands.arguments import (
     say,
     sentence,
 )
-from .errors import frames, is_the_users
+from .errors import SettingError, frames, is_the_users
 
 __all__ = ["COMMANDS", "main", "parser"]
 
@@ -119,10 +121,19 @@ def parser() -> Parser:
     )
     version = metadata.version("gonio-mi")
     whole.add_argument("--version", action="version", version=f"{PROGRAM} {version}")
-    commands = whole.add_subparsers(metavar="COMMAND", required=True)
+    commands = whole.add_subparsers(metavar="COMMAND")
+    whole.set_defaults(run=_without_command)
     for command in COMMANDS:
         add_command(commands, command)
     return whole
+
+
+def _without_command(_: Namespace) -> NoReturn:
+    names = ", ".join(command.__name__.rpartition(".")[2] for command in COMMANDS)
+    raise SettingError(
+        f"a command must be given, one of {names}: {PROGRAM} --help tells what each "
+        f"does, and {PROGRAM} COMMAND --help its options"
+    )
 
 
 def _show_warning(message: object, *_: object, **__: object) -> None:

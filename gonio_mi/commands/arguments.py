@@ -16,6 +16,7 @@ from .. import llvm
 from ..errors import SettingError, VariantError, printable, shortened
 from ..instrument.loading import load_plugin_file, parse_specimen
 from ..transport.variants import usable_variants
+from .file_kinds import check_kind
 from .positionals import with_positionals_first
 
 __all__ = [
@@ -195,6 +196,7 @@ def specimen_of(word: str, options: argparse.Namespace) -> tuple[Any, dict[str, 
     set_variant(options.variant)
     for path in options.plugin:
         load_plugin_file(path)
+    check_kind(word, "specimen")
     specimen = parse_specimen(word)
     if options.parameters and isinstance(specimen, dict):
         raise SettingError(f"-D goes with a scene file, got {word!r}")

@@ -26,6 +26,7 @@ from .arguments import (
     specimen_of,
     tell,
 )
+from .file_kinds import record_of
 from .setting_options import add_setting
 from .table_options import TABLE_OPTIONS, add_table_options, table_of
 
@@ -161,7 +162,7 @@ def _other(options: Namespace) -> Any:
         for name, value in told.items():
             if value is not None:
                 raise SettingError(f"--{name} goes with a table, got {word!r}")
-        return files.load(word) if _is_record(word) else None
+        return record_of(word) if _is_record(word) else None
     return table_of(word, options)
 
 
@@ -175,7 +176,7 @@ def _record(options: Namespace, other: Any) -> tuple[Any, Any]:
             )
         return None, specimen_of(word, options)
     if other is None:
-        record = files.load(word)
+        record = record_of(word)
         if options.variant == DEFAULT_VARIANT:
             options.variant = record.settings.get("variant", DEFAULT_VARIANT)
         return record, specimen_of(options.other, options)
@@ -185,7 +186,7 @@ def _record(options: Namespace, other: Any) -> tuple[Any, Any]:
                 f"--{name.replace('_', '-')} goes with a specimen, which is measured; "
                 f"{word} was"
             )
-    return files.load(word), None
+    return record_of(word), None
 
 
 def _measured(specimen: tuple[Any, Any], like: Any, options: Namespace) -> Any:

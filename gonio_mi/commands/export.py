@@ -13,6 +13,7 @@ from .. import files
 from ..errors import SettingError
 from ..files.channels import wavelengths_nm
 from .arguments import DONE, set_variant, tell
+from .file_kinds import record_of
 
 __all__ = ["add_options", "run"]
 
@@ -56,7 +57,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    records = [files.load(path) for path in options.record]
+    records = [record_of(path) for path in options.record]
     # which need a renderer
     from ..exports.exporting import ENDINGS, export
     from ..exports.loss import in_words

@@ -22,6 +22,7 @@ from .arguments import (
     set_variant,
     tell,
 )
+from .file_kinds import record_of
 from .table_options import add_table_options, check_no_table_options, table_of
 
 __all__ = ["add_options", "run"]
@@ -88,7 +89,7 @@ def run(options: Namespace) -> int:
     record: Record | MeasuredTable
     if is_record:
         check_no_table_options(options.record, options)
-        record = files.load(options.record)
+        record = record_of(options.record)
         set_variant(record.settings.get("variant", DEFAULT_VARIANT))
     else:
         record = table_of(options.record, options)

@@ -39,6 +39,7 @@ from .arguments import (
 )
 from .campaign_options import add_campaign, campaign_options, kept_after_ctrl_c
 from .campaign_parts import CampaignParts
+from .file_kinds import record_of
 from .setting_options import add_group, given_settings
 from .surface_options import add_surface_options, prepared_surface
 
@@ -222,7 +223,7 @@ def _measure(options: Namespace, orders: Sequence[str]) -> Callable[..., Any]:
         return partial(measure_orders, orders=orders)
     where = campaign_options(options)
     if not where and not chosen:
-        resume = None if options.resume is None else files.load(options.resume)
+        resume = None if options.resume is None else record_of(options.resume)
         return partial(measure, resume=resume)
     if options.resume is not None:
         raise SettingError("--resume goes without --workers, --folder and --tolerance")

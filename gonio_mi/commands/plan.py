@@ -8,8 +8,8 @@ import json
 from argparse import ArgumentParser, Namespace
 from dataclasses import asdict
 
-from .. import files
 from .arguments import DONE, add_number, add_text, tell
+from .file_kinds import record_of
 
 __all__ = ["add_options", "run"]
 
@@ -67,7 +67,7 @@ def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     from ..results.planning import plan  # SciPy's statistics are slow to import
 
-    pilot = None if options.pilot is None else files.load(options.pilot)
+    pilot = None if options.pilot is None else record_of(options.pilot)
     names = ("collector", "epsilon", "delta", "rel_err", "level", "floor")
     planned = plan(pilot, **{name: getattr(options, name) for name in names})
     tell(json.dumps(asdict(planned), indent=2) if options.json else planned)

@@ -8,9 +8,9 @@ an animation; --index chooses one of them.
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from .. import files
 from ..errors import SettingError
 from .arguments import DONE, add_record, number
+from .file_kinds import record_of
 
 __all__ = ["add_options", "run"]
 
@@ -41,7 +41,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    record = files.load(options.record)
+    record = record_of(options.record)
     from ..plots import ANIMATION_ENDINGS, animation, plot, sheet  # slow to import
 
     if Path(options.output).suffix.lower() in ANIMATION_ENDINGS:

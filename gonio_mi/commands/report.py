@@ -7,8 +7,8 @@ records beside each other, with their difference in standard errors.
 
 from argparse import ArgumentParser, Namespace
 
-from .. import files
 from .arguments import DONE
+from .file_kinds import record_of
 
 __all__ = ["add_options", "run"]
 
@@ -33,6 +33,6 @@ def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     from ..reports import report  # plotly is an extra, and large
 
-    records = [files.load(one) for one in options.records]
+    records = [record_of(one) for one in options.records]
     report(records, options.output, progress=True)
     return DONE

@@ -15,6 +15,7 @@ from ..errors import SettingError
 from ..results.summary import summarize
 from ..results.summary_text import summary_text
 from .arguments import DONE, add_record, tell
+from .file_kinds import record_of
 from .table_options import (
     add_table_options,
     check_no_table_options,
@@ -49,7 +50,7 @@ def run(options: Namespace) -> int:
         tell(table_text(table_of(path, options)))
         return DONE
     check_no_table_options(path, options)
-    numbers = summarize(files.load(options.record))
+    numbers = summarize(record_of(options.record))
     if options.json:
         print(json.dumps(numbers, indent=2, allow_nan=False))
     else:

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SettingError
+from ..errors import FileFormatError, SettingError
 from ..files.measured import MeasuredTable, read_measured
 from .arguments import add_text, pair
+from .file_kinds import check_kind
 
 __all__ = [
     "TABLE_OPTIONS",
@@ -62,13 +63,17 @@ def check_no_table_options(path: str, options: Namespace) -> None:
 def table_of(path: str, options: Namespace) -> MeasuredTable:
     """Table of a file, read as the options say."""
     columns = dict(options.columns) if options.columns else None
-    return read_measured(
-        path,
-        options.channel,
-        quantity=options.quantity,
-        columns=columns,
-        azimuth=options.azimuth,
-    )
+    try:
+        return read_measured(
+            path,
+            options.channel,
+            quantity=options.quantity,
+            columns=columns,
+            azimuth=options.azimuth,
+        )
+    except FileFormatError:
+        check_kind(path, "table")
+        raise
 
 
 def table_text(table: MeasuredTable) -> str:

@@ -163,7 +163,7 @@ def decoded(path: str | PathLike[str]) -> str:
             continue
         if not re.search(r"[\0-\x08\x0e-\x1f\x7f-\x9f]", text):
             return text
-    raise FileFormatError(f"{path} is not a CSV file: it is not text")
+    raise FileFormatError(f"{path} is no table of values: it is not text")
 
 
 def cut(line: str, delimiter: str) -> list[str]:

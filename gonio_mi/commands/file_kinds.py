@@ -1,0 +1,119 @@
+"""What a file is that was given to the wrong command, and which command takes it."""
+
+from pathlib import Path
+
+from .. import files
+from ..errors import SettingError
+from ..files import scatter_files, tensor_file
+from ..files.mesh_files import MESHES
+from ..results.record import Record
+from ..surfaces import height_maps
+
+__all__ = ["check_kind", "record_of"]
+
+# Bytes in which an XML file names its root.
+HEAD = 4096
+
+# Endings of names, what commands take such files as, and a sentence on them.
+KINDS: tuple[tuple[tuple[str, ...], str, str], ...] = (
+    (
+        files.ENDINGS,
+        "record",
+        "is named as a record is: give it to gonio-mi show, plot or report",
+    ),
+    (
+        scatter_files.ENDINGS,
+        "table",
+        "holds measured values: give it to gonio-mi show, compare or fit, or measure "
+        "the material goniometric:filename={path}",
+    ),
+    (
+        (".csv", ".tsv", ".txt", ".astm", ".rtd"),
+        "table",
+        "is named as a table is: give it to gonio-mi show, compare or fit (heights in "
+        "text are known by the ending .asc)",
+    ),
+    (
+        tuple(MESHES),
+        "specimen",
+        "is a mesh: give it to gonio-mi measure or surface, with --bsdf",
+    ),
+    (
+        height_maps.ENDINGS,
+        "specimen",
+        "is read as heights of a surface: give it to gonio-mi surface or measure",
+    ),
+    (
+        (".jpg", ".jpeg", ".gif", ".pdf", ".svg", ".webp", ".bmp"),
+        "picture",
+        "is a picture, which no command reads: records end in .npz or .exr",
+    ),
+    (
+        (".ies", ".ldt"),
+        "lamp",
+        "is the light of a lamp, which no command reads: emitters are parts of scenes",
+    ),
+    (
+        (".h5", ".hdf5", ".nc"),
+        "arrays",
+        "holds arrays, which gonio-mi export writes and no command reads: records end "
+        "in .npz or .exr",
+    ),
+    (
+        (".py",),
+        "plugin",
+        "is a program in Python: give a plugin with --plugin, and its name as the "
+        "specimen",
+    ),
+)
+OF_MITSUBA = "is a material of Mitsuba: measure the specimen measured:filename={path}"
+OF_RADIANCE = "is a BSDF of Radiance: measure the specimen goniometric:filename={path}"
+SCENE = "is a scene: give it to gonio-mi measure"
+
+
+def check_kind(path: str, wanted: str) -> None:
+    """Raise one sentence if a file is of a known kind and not of the one `wanted`.
+
+    Parameters
+    ----------
+    path : str
+        Of a file; nothing is said of one that does not exist.
+    wanted : {"record", "table", "specimen"}
+
+    Raises
+    ------
+    SettingError
+        What the file is, and which command takes it.
+    """
+    if Path(path).is_file():
+        kind, sentence = _kind(Path(path))
+        if kind not in (wanted, "unknown"):
+            raise SettingError(f"{path} {sentence.format(path=path)}")
+
+
+def record_of(path: str) -> Record:
+    """Record of a file.
+
+    Raises
+    ------
+    SettingError, OSError
+        As of :func:`gonio_mi.load`, and of :func:`check_kind`.
+    """
+    check_kind(path, "record")
+    return files.load(path)
+
+
+def _kind(path: Path) -> tuple[str, str]:
+    """What commands take a file as, and a sentence on it."""
+    with path.open("rb") as stream:
+        head = stream.read(HEAD)
+    name = path.name.lower()
+    if head.startswith(tensor_file.MAGIC):
+        return "material", OF_MITSUBA
+    if name.endswith(".xml"):
+        is_radiance = b"<WindowElement" in head
+        return ("material", OF_RADIANCE) if is_radiance else ("specimen", SCENE)
+    for endings, kind, sentence in KINDS:
+        if name.endswith(endings):
+            return kind, sentence
+    return "unknown", ""
