@@ -365,8 +365,8 @@ def test_deltas_are_told_at_once(monkeypatch):
 @pytest.mark.usefixtures("mono")
 def test_without_a_collector_one_is_chosen(tmp_path):
     """The one that a refusal would name; and a finished folder is used again."""
-    how = {"tolerance": 0.15, "theta_max": 80, "seed": 1}
-    gloss = {"type": "roughconductor", "alpha": 0.2}
+    how = {"tolerance": 0.15, "theta_max": 60, "seed": 1}
+    gloss = {"type": "roughconductor", "alpha": 0.1}
     with pytest.raises(gonio.SpecimenError) as error:
         gonio.campaign({"gloss": gloss}, **how, collector="projected:30x30")
     named = str(error.value).split()[-1]
