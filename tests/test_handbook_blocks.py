@@ -29,7 +29,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "notebooks").glob("*.md"))]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 
-# At most so many rays, nothing more precise, and what else makes a command take seconds.
+# At most so many rays, no finer tolerance, and what else makes a command take seconds.
 RAYS = 1e5
 TOLERANCE = 0.3
 FAST = {
