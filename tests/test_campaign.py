@@ -299,3 +299,15 @@ def test_a_campaign_of_a_given_precision_is_the_stack():
         for one in (record, stack)
     )
     assert own == others
+
+
+@pytest.mark.usefixtures("mono")
+def test_tensors_of_a_specimen_stay():
+    """A texture's are still there when it is loaded again, and when it was refused."""
+    pixels = mi.TensorXf([[0.2, 0.4], [0.6, 0.8]]).array
+    image = {"type": "bitmap", "raw": True, "data": mi.TensorXf(pixels, (2, 2, 1))}
+    board = {"type": "diffuse", "reflectance": image}
+    once = gonio.measure(board, 0, rays=1000, footprint="full")
+    records = gonio.campaign({"board": board}, [0, 40], rays=1000, footprint="full")
+    assert image["data"].shape == (2, 2, 1)
+    assert records["board"][0].tallies == once.tallies

@@ -10,6 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 
 from .. import llvm
@@ -34,6 +35,7 @@ __all__ = [
     "loaded",
     "parse_specimen",
     "specimen_name",
+    "with_own_tensors",
 ]
 
 # Texts that may hold heights or measured values.
@@ -154,11 +156,18 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
     try:
         for argument in args:
             _check_whole_numbers(argument)
-        return load(*args, **kwargs)
+        return load(*map(with_own_tensors, args), **kwargs)
     except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
         if tells_of_our_bug(error):
             raise  # a bug of ours in a plugin
         raise SpecimenError(f"{what} cannot be loaded: {_one_line(error)}") from error
+
+
+def with_own_tensors(node: Any) -> Any:
+    """Dictionary with tensors of its own: Mitsuba empties those that it loads."""
+    if isinstance(node, dict):
+        return {key: with_own_tensors(value) for key, value in node.items()}
+    return type(node)(node) if dr.is_tensor_v(node) else node
 
 
 def _check_whole_numbers(node: Any) -> None:

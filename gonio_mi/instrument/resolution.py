@@ -75,12 +75,14 @@ def check_resolved(
         return
     delta = max(map(delta_share, (first[number] for number in range(len(first)))))
     if delta > tolerance:
+        instead = "name angles (theta_i) instead of a tolerance"
+        window = "make a window file of it (gonio-mi bsdf)"
+        other = window if np.any(first.direct) else "take a rough BSDF"
         raise SpecimenError(
             f"{delta:.2g} of the light of {first.settings['specimen']!s:.60} leaves in "
             f"delta lobes (mirror images, or straight on) at an angle up to "
             f"{max(angles):.3g}, and no patches tell where these are between "
-            "directions: take a rough BSDF, or name angles (theta_i) instead of a "
-            "tolerance"
+            f"directions: {instead}, or {other}"
         )
     while max(lost) > NEARLY:
         sizes = [n * (1 + (one > NEARLY)) for n, one in zip(patches.shape, lost)]

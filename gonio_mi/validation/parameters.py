@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
+from ..instrument.loading import with_own_tensors
 from .collecting import Drawn
 from .conditions import Condition
 from .evidence import INTERFACE, Evidence
@@ -159,7 +160,7 @@ def coloured(bsdf: mi.BSDF, specimen: dict[str, Any]) -> mi.BSDF:
     if not tints:
         return bsdf
     try:
-        return mi.load_dict(specimen | tints)
+        return mi.load_dict(with_own_tensors(specimen | tints))
     except Exception:
         return bsdf  # what such a parameter may be is up to the plugin
 
