@@ -5,7 +5,9 @@ counts, and the plugin `goniometric` itself, sampled.
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
+import broken_bsdfs
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -14,12 +16,14 @@ from budget import agree, disagree, single
 
 import gonio_mi as gonio
 from gonio_mi.instrument import campaign_tasks, campaigns, known_directions
+from gonio_mi.instrument.campaign_tasks import Surroundings
+from gonio_mi.instrument.known_directions import KnownDirections
 from gonio_mi.instrument.refinement import Axis, Interval, refined
 from gonio_mi.instrument.resolution import delta_share
-from gonio_mi.instrument.whole_bsdf import FIRST_ANGLES
+from gonio_mi.instrument.whole_bsdf import FIRST_ANGLES, UNSEEN, WholeBsdf
 from gonio_mi.materials.gradients import gradients
 from gonio_mi.materials.lobes import LobeTable
-from gonio_mi.results.misplacement import misplaced, noise_of
+from gonio_mi.results.misplacement import Misplacement, misplaced, noise_of
 from gonio_mi.results.tally import Fate, Tally
 
 CONDUCTOR = {"type": "roughconductor", "alpha": 0.5}
@@ -270,6 +274,38 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
 
 
 @pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    "missed", [[0], [1, 1], [1, 0], [2, 0], [2, 1, 1], [5, 0], [9, 3, 1, 1], [1] * 2]
+)
+def test_two_looks_together_decide(missed, monkeypatch):
+    """Few misses refine the material too; none of the first look is enough."""
+    whole = WholeBsdf("plate", {"type": "diffuse"}, 0.1, 80, Surroundings(), {})
+    left, looks, split = [], [], []
+
+    def look(directions, _):
+        looks.append(len(directions))
+        left[:] = [1] * missed[len(looks) - 1] + [0] * (UNSEEN - missed[len(looks) - 1])
+
+    def error(_, theta, phi):
+        return Misplacement(theta, phi, float(left.pop()), 0, 0, 0)
+
+    monkeypatch.setattr(whole.directions, "measure", look)
+    for name, value in {
+        "_missed": error,
+        "_prediction": list,
+        "_directions": list,
+        "_split_at": lambda some: split.append(len(some)) or True,
+    }.items():
+        monkeypatch.setattr(whole, name, value)
+    whole.recognition = SimpleNamespace(refuted=lambda *_: False)
+    whole.symmetry = SimpleNamespace(generators=())
+    errors = whole._confirmed()
+    assert looks == [UNSEEN] * len(missed)
+    assert split == missed[:-1]
+    assert sum(one.exceeds(0.1) for one in errors) == missed[-1]
+
+
+@pytest.mark.usefixtures("mono")
 def test_rays_are_taken_where_a_late_integral_is_refused(monkeypatch):
     """At directions never used, when all others are known; nothing is mixed."""
     measure = known_directions.records_of
@@ -322,6 +358,37 @@ def test_a_name_that_is_a_path_stays_in_the_folder(monkeypatch, tmp_path):
             gonio.campaign({name: CONDUCTOR}, **SETTINGS, folder=tmp_path)
     assert {folder.parent for folder in folders} == {tmp_path}
     assert len({folder.name for folder in folders}) == len(names)
+
+
+@pytest.mark.usefixtures("mono")
+def test_samples_that_contradict_integrals_are_told():
+    """Of eval 5 % below, at 3 %; twins: at 8 %, and for who asks for one of both."""
+    broken_bsdfs.register()
+
+    def checked(tolerance, name="eval_five_percent_less", **more):
+        settings = {"collector": "projected:6x8"} | more
+        where = Surroundings()
+        known = KnownDirections("x", {"type": name}, tolerance, where, settings)
+        known.measure([(30.0, 0.0)], "one")
+        known.check_functions((30.0, 0.0))
+        return known.records[30.0, 0.0]
+
+    with pytest.raises(
+        gonio.SpecimenError, match=r"eval\(\) of x disagree: .* 30, 0.8 "
+    ):
+        checked(0.03)
+    assert checked(0.08).settings["estimator"] == "quadrature"
+    assert abs(checked(0.03, estimator="quadrature").dhr - 0.76) < 1e-6
+
+    class SampleAlone(mi.BSDF):
+        def __new__(cls, _):
+            bsdf = mi.load_dict({"type": "lambert"})
+            bsdf.eval = lambda *_: 0.0  # a number, as who has not come to it leaves it
+            return bsdf
+
+    mi.register_bsdf("sample_alone", SampleAlone)
+    with pytest.raises(gonio.SpecimenError, match=r"0\.8 of the light .* and 0 by the"):
+        checked(0.1, "sample_alone")
 
 
 @pytest.mark.usefixtures("mono")

@@ -23,7 +23,7 @@ from .cells import (
     noise,
     off_polynomial,
 )
-from .incident_light import IncidentLight
+from .incident_light import IncidentLight, channels_of
 
 __all__ = ["INTEGRAL_ROUNDING", "Evaluator"]
 
@@ -164,7 +164,7 @@ class Evaluator:
         si = self.light.from_number(dr.gather(mi.UInt32, direction, number))
         function = self.bsdf.pdf if self.pdf else self.bsdf.eval
         value = function(flux_context(), si, wo, mi.Bool(True))
-        return [value] if self.pdf else list(value), theta[0]
+        return [value] if self.pdf else channels_of(value), theta[0]
 
     def _check(self, values: Floats, cells: Cells, points: Points) -> None:
         """Raise SpecimenError for a value that is negative or not finite."""

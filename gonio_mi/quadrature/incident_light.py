@@ -14,7 +14,7 @@ from ..array_types import Flags, Floats
 from ..collector.directions import direction
 from ..transport.loop import flux_context
 
-__all__ = ["IncidentLight"]
+__all__ = ["IncidentLight", "channels_of"]
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,12 @@ class IncidentLight:
         first = dr.zeros(mi.UInt32, len(theta))
         wo = self.towards(theta, phi, lower)
         si = self.from_number(first)
-        return list(bsdf.eval(flux_context(), si, wo, mi.Bool(True)))
+        return channels_of(bsdf.eval(flux_context(), si, wo, mi.Bool(True)))
+
+
+def channels_of(value: Any) -> list[mi.Float]:
+    """Channels of what a BSDF gives, be it one number for all of them."""
+    return list(mi.Spectrum(value) if dr.depth_v(value) < 2 else value)
 
 
 def _square() -> mi.SurfaceInteraction3f:
