@@ -39,7 +39,7 @@ FIRST_ANGLES, FIRST_AZIMUTHS = 4, 8
 NARROWEST_LEG = 0.25
 LEFT = 1 / 2
 
-# Directions never used that confirm the material, and how many may miss the tolerance in
+# Directions never used that confirm the material, and how many may miss it in
 # two looks together if any does in the last: two in a single look would let one
 # material in three pass that misses a twelfth of all directions. It is refined where
 # any did, and looked at anew, LOOKS times at most.
