@@ -121,26 +121,37 @@ class KnownDirections:
         new = sorted(set(incidents) - self.records.keys())
         if not new:
             return
-        part = f"{self.estimators[0]}_{self.n_rounds:03d}"
-        if self.chosen is not None:
-            part += f"_{self.chosen}".replace(":", "_")
-        where, started = self.where, time.perf_counter()
-        if where.folder is not None:
-            where = self._where(where.folder, part)
+        started = time.perf_counter()
         said = f"{self.name}, {len(self.records)} directions, {said}"
         logger.info("%s: %d more", said, len(new))
-        settings = self.settings | self._goals(noise)
+        part = f"{self.estimators[0]}_{self.n_rounds:03d}"
         try:
-            record = records_of({self.name: self.specimen}, new, where, settings, said)
+            stack = self._kept(part, new, self.settings | self._goals(noise), said)
         except SpecimenError as error:
             if len(self.estimators) == 1:
                 raise
             raise NotIntegrableError(error) from error
-        stack = record[self.name]
-        self.rounds.append((part, stack, new, settings))
         self.records |= zip(new, (stack[number] for number in range(len(stack))))
         self.n_rounds, self.n_timed = self.n_rounds + 1, self.n_timed + len(new)
         self.seconds += time.perf_counter() - started
+
+    def _kept(
+        self,
+        part: str,
+        incidents: Sequence[tuple[float, float]],
+        settings: dict[str, Any],
+        said: str,
+    ) -> Record:
+        """Stack of directions that is kept: in the folder, or for one."""
+        if self.chosen is not None:
+            part += f"_{self.chosen}".replace(":", "_")
+        where = self.where
+        if where.folder is not None:
+            where = self._where(where.folder, part)
+        specimens = {self.name: self.specimen}
+        stack = records_of(specimens, incidents, where, settings, said)[self.name]
+        self.rounds.append((part, stack, incidents, settings))
+        return stack
 
     def check_functions(self, incident: tuple[float, float]) -> None:
         """Raise SpecimenError if samples contradict the integral of a known direction.
@@ -150,9 +161,8 @@ class KnownDirections:
         if len(self.estimators) == 1 or self.estimators[0] != "quadrature":
             return
         settings = self.settings | {"estimator": "weighted", "rays": PROBE_RAYS}
-        where, specimens = replace(self.where, folder=None), {self.name: self.specimen}
-        said = "whether sample() and eval() agree"
-        record = records_of(specimens, [incident], where, settings, said)[self.name]
+        said = f"{self.name}, whether sample() and eval() agree"
+        record = self._kept("functions", [incident], settings, said)
         integral = self.records[incident]
         error = misplaced(record, integral.flux_fraction)
         if error.exceeds(self.tolerance):
