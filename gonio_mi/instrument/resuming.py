@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 from ..errors import SettingError, SettingTypeError, shown
-from ..results.record import DIGESTS, Record
+from ..results.joined_settings import DIGESTS
+from ..results.record import Record
 from ..settings import MeasurementSettings, declarations
 from ..transport.bench import Bench
 from .batches import rays_sent, rounds
@@ -61,7 +62,7 @@ def check_resumable(
             }
         )
         lacking = set(DIGESTS) - others.keys()
-        for key in own.keys() - FREE - lacking:
+        for key in sorted(own.keys() - FREE - lacking):
             if own[key] != others.get(key) and own[key] == own[key]:
                 raise SettingError(
                     f"resume must be a record of this measurement, but its {key} is "

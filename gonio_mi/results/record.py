@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from os import PathLike
@@ -20,20 +20,13 @@ from ..errors import (
     printable,
     shown,
 )
-from . import statistics
+from . import joined_settings, statistics
 from .estimates import Estimates, IntegralEstimates, SampledEstimates
 from .integral_sums import Integrals, holds_integrals, sent_text
-from .processors import joined_processors
 from .read_only import read_only
 from .tally import Ledger, Tally
 
-__all__ = ["DIGESTS", "Record"]
-
-# Settings that tell a specimen and its emitter from others; old records lack them.
-DIGESTS = ("digest", "emitter_digest", "plugin_digest")
-
-# Settings that tell the largest number of a stack: what `rel_err` has reached.
-OF_THE_WORST = {"reached", "n_lobe"}
+__all__ = ["Record"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,13 +273,7 @@ class Record:
         if not records:
             raise SettingError("records must hold at least one to be stacked, got none")
         for other in records[1:]:
-            # an emitter that was moved, not turned, has another digest
-            free = {"created", "processors", "batches", "emitter_digest", "task"}
-            _check_alike(records[0], other, free | OF_THE_WORST, "stacked")
-        settings = {k: v for k, v in records[0].settings.items() if k != "task"}
-        settings |= joined_processors(*(record.settings for record in records))
-        for key in OF_THE_WORST & settings.keys():
-            settings[key] = max(record.settings[key] for record in records)
+            records[0]._check_alike(other, joined_settings.STACKED, "stacked")
         channels = max((record.channels for record in records), key=len)
         return replace(
             records[0],
@@ -298,7 +285,7 @@ class Record:
                 for record in records
                 for tally in record.tallies
             ),
-            settings=settings,
+            settings=joined_settings.stacked([one.settings for one in records]),
             stacked=True,
         )
 
@@ -360,9 +347,7 @@ class Record:
             and emitters by their digests), were made with the same seed, whose rays
             would be counted twice, or hold integrals.
         """
-        free = {"rays", "batches", "seed", "created", "versions", "specimen"}
-        free |= {"interrupted", "task", "processors"}
-        _check_alike(self, other, free, "merged")
+        self._check_alike(other, joined_settings.MERGED, "merged")
         for key in ("theta_i", "phi_i"):
             a, b = getattr(self, key).tolist(), getattr(other, key).tolist()
             if not np.array_equal(a, b, equal_nan=True):
@@ -372,16 +357,7 @@ class Record:
                 )
         if holds_integrals((*self.tallies, *other.tallies)):
             raise SettingError("records of the estimator quadrature cannot be merged")
-        seeds = [*_seeds(self), *_seeds(other)]
-        if len(set(seeds)) < len(seeds):
-            raise SettingError(
-                f"records must have different seeds to be merged, got {seeds}"
-            )
-        settings = dict(self.settings, seed=seeds)
-        settings |= joined_processors(self.settings, other.settings)
-        settings.pop("task", None)
-        for key in ("rays", "batches"):
-            settings[key] = self.settings[key] + other.settings[key]
+        settings = joined_settings.merged(self.settings, other.settings)
         tallies = tuple(a + b for a, b in zip(self.tallies, other.tallies))
         channels = max(self.channels, other.channels, key=len)
         return replace(self, tallies=tallies, channels=channels, settings=settings)
@@ -420,6 +396,22 @@ class Record:
     def _projected(self) -> Floats:
         return self.subdivision.projected_solid_angles[..., None]
 
+    def _check_alike(self, other: Record, free: set[str], purpose: str) -> None:
+        """Raise ValueError if the collector or a setting that is not `free` differs."""
+        for a, b in ((self, other), (other, self)):
+            if a.ledger.missed and b.ledger.direct:
+                raise SettingError(
+                    f"records must agree in what is incident to be {purpose}: one, of "
+                    "an older gonio-mi, leaves out the light that passes the openings "
+                    "of its cell"
+                )
+        joined_settings.check_alike(self._told, other._told, free, purpose)
+
+    @property
+    def _told(self) -> dict[str, Any]:
+        """The settings, and the collector as what it was resolved to."""
+        return {**self.settings, "collector": str(self.subdivision)}
+
     def _estimates(self, tally: Tally) -> Estimates:
         """Estimates of one incident direction, by the kind of its tally."""
         passes = self.settings.get("passes", 1)
@@ -449,38 +441,3 @@ def _frozen(array: Numbers) -> Numbers:
     """The array, into which nobody can write from now on."""
     array.flags.writeable = False
     return array
-
-
-def _both_ways(a: Record, b: Record) -> tuple[tuple[Record, Record], ...]:
-    return (a, b), (b, a)
-
-
-def _seeds(record: Record) -> list[Any]:
-    seed = record.settings.get("seed")
-    return seed if isinstance(seed, list) else [seed]
-
-
-def _check_alike(
-    one: Record, other: Record, free: Collection[str], purpose: str
-) -> None:
-    """Raise ValueError if any setting that is not `free`, or the collector, differs."""
-    if any(a.ledger.missed and b.ledger.direct for a, b in _both_ways(one, other)):
-        raise SettingError(
-            f"records must agree in what is incident to be {purpose}: one, of an older "
-            "gonio-mi, leaves out the light that passes the openings of its cell"
-        )
-    settings = []
-    for record in (one, other):
-        own = {k: v for k, v in record.settings.items() if k not in free}
-        settings.append(own | {"collector": str(record.subdivision)})
-    a, b = settings
-    for key in sorted(a.keys() | b.keys()):
-        if key in DIGESTS and not (key in a and key in b):
-            continue
-        if key == "surface" and a.get("digest") and b.get("digest"):
-            continue  # the digest knows; older records have the text cut short
-        if a.get(key) != b.get(key):
-            raise SettingError(
-                f"records must agree in {key} to be {purpose}, got "
-                f"{shown(a.get(key))} and {shown(b.get(key))}"
-            )
