@@ -199,11 +199,23 @@ def test_apertures_of_a_record_are_fitted(tmp_path):
     [
         ({"emitter_half_angle": 1}, "emitter_half_angle of 1 degrees"),
         ({"value": np.zeros(32)}, "all values of the table are 0"),
+        ({"value": np.linspace(-1, 0.9, 32)}, "negative on average"),
     ],
 )
 def test_tables_that_cannot_be_fitted(settings, message):
     with pytest.raises(SettingError, match=message):
         gonio.fit(replace(table_of(METAL), **settings), "diffuse")
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("uncertainty", [0.0, 0.01])
+def test_as_many_parameters_as_values_are_refused(uncertainty):
+    table = gonio.MeasuredTable(
+        [30, 30], [0, 0], [20, 40], [180, 180], [0.5, 0.4], uncertainty=uncertainty
+    )
+    with pytest.raises(SettingError, match=r"needs more than 2 values, got 2"):
+        gonio.fit(table, "roughconductor:distribution=ggx")
+    assert gonio.fit(table, "diffuse").dof == 1
 
 
 @pytest.mark.usefixtures("mono")

@@ -67,6 +67,24 @@ Wavelength [nm]          | wavelength | nm
 Shifted Relative Azimuth | -          | -
 Elevation                | -          | -
 weight                   | -          | -
+cos * BRDF               | value      | -
+BRDF_1/sr                | value      | -
+BRDF 1000 nm             | value      | -
+BRDF sample 2            | value      | -
+log10 BRDF               | -          | -
+ln(BRDF)                 | -          | -
+BRDF (dB)                | -          | -
+BRDF [mSr-1]             | -          | -
+BRDF [1/msr]             | -          | -
+1000*BRDF                | -          | -
+BRDF x 1e3               | -          | -
+BRDF·10⁻³                | -          | -
+BRDF/1000                | -          | -
+1/BRDF                   | -          | -
+-BRDF                    | -          | -
+BRDF^2                   | -          | -
+BRDF (arb. units)        | -          | -
+normalised BRDF          | -          | -
 """
 
 
@@ -90,8 +108,8 @@ SAME = """theta_i/deg{0}phi_i/deg{0}theta_r/deg{0}phi_r/deg{0}BRDF [1/sr]
     ("delimiter", "point"),
     [("\t", "."), ("\t", ","), (";", "."), (";", ","), (",", "."), ("  ", ".")],
 )
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
-@pytest.mark.parametrize("title", ["", "BRF Values\nby hand, °C\n"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+@pytest.mark.parametrize("title", ["", "BRF Values\nby hand – 20 °C\n"])
 def test_one_table_in_many_writings(tmp_path, delimiter, point, encoding, title):
     text = SAME.format(delimiter, point)
     if delimiter == "  ":  # names of a table with blanks have none
@@ -142,6 +160,15 @@ def test_uncertainties_of_each_kind(tmp_path):
     table = gonio.read_measured(written(tmp_path, both))
     assert table.bsdf_std_err[0] == pytest.approx(np.hypot(0.01, 0.008), rel=4 * EPS)
     assert any("adds to that in quadrature" in note for note in table.notes)
+
+
+def test_what_is_said_against_a_name_is_noted(tmp_path):
+    text = "theta_i,phi_i,theta_o,phi_o,BRDF*cos\n45,0,60,180,0.2\n"
+    path = written(tmp_path, text)
+    assert gonio.read_measured(path).bsdf[0] == pytest.approx(0.4, rel=4 * EPS)
+    table = gonio.read_measured(path, quantity="brdf")
+    assert table.bsdf[0] == 0.2
+    assert any("taken for brdf" in note and "brdf_cos" in note for note in table.notes)
 
 
 def test_values_of_one_are_no_units(tmp_path):

@@ -64,6 +64,24 @@ QUANTITY_OF = {
 SYMBOLS = {"fr": "brdf", "ft": "btdf"}
 VALUES = {"value", "values", "bsdf", *QUANTITY_OF}
 
+# Words of values that are something of a quantity, and not the quantity itself; and
+# the like in signs, where cosines and units are none.
+CHANGED = {
+    *("log", "lg", "ln", "db", "decibel", "decibels", "sqrt", "root", "square"),
+    *("squared", "inverse", "reciprocal", "ratio", "difference", "residual"),
+    *("relative", "rel", "normalised", "normalized", "scaled", "arb", "arbitrary"),
+    *("au", "counts", "msr", "flag", "index"),
+}
+COSINE = re.compile(r"[*x·×⋅]\s*\(?cos\w*.*$|^\s*cos\w*\s*[*x·×⋅]", re.IGNORECASE)
+PER_SR = re.compile(
+    r"(1\s*)?/\s*sr\b|\bsr\s*(\^|\*\*)?[{(]?[-−⁻][1¹][})]?", re.IGNORECASE
+)
+CHANGES = re.compile(
+    r"[*^×·⋅]|\b(db\b|[munk]sr)|(?<!\w)1e-?\d|(?<![\d.])10+(?![\d.])"
+    r"|^\s*[-−]|/\s*\d|(?<![\w.])1\s*/|(b[rst]df|brf)\s*/|/\s*(b[rst]df|brf)",
+    re.IGNORECASE,
+)
+
 # Channels that columns of values may have for their whole name.
 COLOURS = ("R", "G", "B")
 
@@ -121,6 +139,8 @@ def recognised(name: str) -> Column | None:
         factor = float(coverage[1]) if coverage else factor
         return Column(name, "sigma", unit, "", channel, factor or 1.0, relative)
     quantity = _quantity(words)
+    if _is_changed(text, words):
+        return None
     if quantity or set(words) & VALUES or (channel and not words):
         return Column(name, "value", unit if not channel else "", quantity, channel)
     return None
@@ -204,6 +224,12 @@ def _without_wavelength(text: str) -> tuple[str, str]:
         return text, ""
     spaced = text.replace("_", " ")
     return spaced[: match.start()] + " " + spaced[match.end() :], f"{nm:.10g}nm"
+
+
+def _is_changed(text: str, words: Sequence[str]) -> bool:
+    """Whether a name is that of values times a number, their logarithm or the like."""
+    bare = PER_SR.sub(" ", COSINE.sub(" ", text))
+    return bool(CHANGED & set(words) or CHANGES.search(bare))
 
 
 def _quantity(words: Sequence[str]) -> str:

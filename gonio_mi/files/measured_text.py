@@ -83,6 +83,12 @@ def _quantity(
 ) -> str:
     """What the values are: as said, as the names or titles have it, or asked for."""
     if said is not None:
+        named = parsed.value.quantity
+        if named and named != said:
+            notes.append(
+                f"the values are taken for {said}, as is said, though the name "
+                f"{parsed.value.name.strip()!r} says {named}"
+            )
         return said
     if parsed.own:
         return "brdf"

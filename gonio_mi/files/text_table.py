@@ -152,10 +152,10 @@ def split_text(
 
 
 def decoded(path: str | PathLike[str]) -> str:
-    """Text of a file in UTF-8, or UTF-16 with its mark, or else Latin-1."""
+    """Text of a file in UTF-8, or UTF-16 with its mark, or else as Windows has it."""
     content = Path(path).read_bytes()
     marks = (b"\xff\xfe", b"\xfe\xff")
-    encodings = ("utf-16",) if content.startswith(marks) else ("utf-8-sig", "latin-1")
+    encodings = ("utf-16",) if content.startswith(marks) else ("utf-8-sig", "cp1252")
     for encoding in encodings:
         try:
             text = content.decode(encoding)

@@ -74,6 +74,7 @@ def fit(
     fitted = FittedModel(bsdf, free, channels)
     search = Search(observations, fitted)
     values = search.begin()
+    _check_number(observations, fitted)
     for _ in range(MOST_ROUNDS):
         search.adapt(values)
         before, values = values, search.minimum(values)
@@ -115,6 +116,17 @@ def _observations(record: Record | MeasuredTable) -> list[Observations]:
     return [RecordObservations(record[i]) for i in range(len(record))]
 
 
+def _check_number(observations: Sequence[Observations], model: FittedModel) -> None:
+    """Raise ValueError unless there are more values than parameters."""
+    n_values = sum(one.values.size for one in observations)
+    names = [parameter.name for parameter in model.parameters]
+    if n_values <= len(names):
+        raise SettingError(
+            f"a fit of {', '.join(names)} needs more than {len(names)} values, got "
+            f"{n_values}"
+        )
+
+
 def _check_table(table: MeasuredTable) -> None:
     """Raise ValueError for a table that no BSDF can be fitted to."""
     if table.emitter_half_angle:
@@ -129,6 +141,10 @@ def _check_table(table: MeasuredTable) -> None:
         )
     if not table.bsdf.any():
         raise SettingError(f"a fit needs light, but all values of {table.name} are 0")
+    if table.bsdf.sum() <= 0:
+        raise SettingError(
+            f"a fit needs light, but the values of {table.name} are negative on average"
+        )
 
 
 def _check(record: Record) -> None:
