@@ -439,7 +439,7 @@ def test_one_measurement_in_files_of_zemax_and_fred():
     ("name", "message"),
     [
         ("rt300s_speos.rtd", "version 1.0: save it anew"),
-        ("rt300s_lighttools.txt", "must name the columns"),
+        ("rt300s_lighttools.txt", "a scan of a REFLET goniophotometer"),
     ],
 )
 def test_raw_exports_of_an_instrument_are_refused(name, message):

@@ -256,6 +256,7 @@ def test_units_below_the_names_colours_and_gaps(tmp_path):
         ("theta_i,theta_r,brf,brdf\n45,0,1,1\n", "several .* say --columns value=NAME"),
         ("theta_i,theta_r,brdf\n0.5,0,1\n", "say --columns theta_i='theta_i:rad'"),
         ("theta_i,phi_i,brdf\n45,0,1\n", "say --columns theta_o=NAME"),
+        ("Theta measure end :\t30\nTheta Lighting\t0\n-30\t0\t0\n", "of a REFLET"),
         ("theta_i;theta_r;brdf\n45;0;x\n", "line 2, column brdf: must be a number"),
         ("theta_i;theta_r;brdf\n45;0\n", "must have 3 values separated by semicolons"),
         (

@@ -64,6 +64,12 @@ QUANTITY_OF = {
 SYMBOLS = {"fr": "brdf", "ft": "btdf"}
 VALUES = {"value", "values", "bsdf", *QUANTITY_OF}
 
+# Channels that columns of values may have for their whole name.
+COLOURS = ("R", "G", "B")
+
+# Wavelengths in nm that a column may be named by without a unit.
+SHORTEST, LONGEST = 150, 20_000
+
 # Words of values that are something of a quantity, and not the quantity itself; and
 # the like in signs, where cosines and units are none.
 CHANGED = {
@@ -81,12 +87,6 @@ CHANGES = re.compile(
     r"|^\s*[-−]|/\s*\d|(?<![\w.])1\s*/|(b[rst]df|brf)\s*/|/\s*(b[rst]df|brf)",
     re.IGNORECASE,
 )
-
-# Channels that columns of values may have for their whole name.
-COLOURS = ("R", "G", "B")
-
-# Wavelengths in nm that a column may be named by without a unit.
-SHORTEST, LONGEST = 150, 20_000
 
 
 @dataclass(frozen=True)

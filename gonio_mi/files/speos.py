@@ -8,9 +8,11 @@ is at ``(theta_i, 0)``. Values are proportional to the BSDF (type 1) or to the
 intensity, the BSDF times the cosine (type 0), and *scaled*: in ``.brdf`` so that each
 block has the percentage that stands before it, in ``.anisotropicbsdf`` all by one
 factor for each wavelength, such that the block of a stated incidence has the percentage
-of the spectrum. Azimuths of incidence are minus the anisotropy angle, for which the
-manual leaves the sense to a figure: +x of the specimen is opposite to the anisotropy
-vector.
+of the spectrum. The anisotropy angle is, in the manual's words ("Anisotropic BSDF
+Surface Overview"), between the direction in which the light flies and the anisotropy
+vector, "using trigonometrical convention", which leaves from which to which to a
+figure. Here it counts from the light to the vector, counter-clockwise: azimuths of
+incidence are minus that angle, and +x of the specimen is opposite to the vector.
 """
 
 from collections.abc import Sequence

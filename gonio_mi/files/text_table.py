@@ -24,6 +24,10 @@ LONGEST_LINE = 10_000
 # Lines of a title, at most, above the names of the columns.
 MOST_TITLES = 200
 
+# Line above a scan in the own text of REFLET instruments (their export "LightTools").
+# Ansys's converter scales these with a reflectance from another file.
+SCANNED = "Theta Lighting"
+
 DELIMITERS = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}
 COMMENTS = ("#", "%", "!", "//")
 
@@ -125,6 +129,11 @@ def split_text(
     ]
     n_known, _, number, delimiter = max(scored, default=(0, 0, 0, ","))
     if n_known < 2:
+        if any(text.startswith(SCANNED) for _, text in lines):
+            raise FileFormatError(
+                f"{path} is a scan of a REFLET goniophotometer, whose values have no "
+                "stated scale: export it for Zemax, .bsdf, with the reflectance"
+            )
         number, text = lines[0]
         raise FileFormatError(
             f"{path}, line {number}: must name the columns {wanted}, got {shown(text)}"
