@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Counts", "Flags", "Floats", "Integers", "Numbers"]
+__all__ = ["Counts", "Flags", "Floats", "Integers", "Numbers", "Singles"]
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 Integers = NDArray[np.int64]
 Counts = NDArray[np.uint64]
 Flags = NDArray[np.bool_]

@@ -322,29 +322,29 @@ ROUGH, FINE_ROUGH = _difference(NODES), _difference(_HALF_NODES)
 
 
 def off_polynomial(
-    found: NDArray[np.float64], values: NDArray[np.float64]
+    found: NDArray[np.float32], values: NDArray[np.float32]
 ) -> NDArray[np.float64]:
     """How far values at the probes are from the polynomial through those at nodes."""
-    expected = np.einsum("pk,nkc->npc", CONTINUATION, values)
+    expected = np.einsum("pk,nkc->npc", CONTINUATION, values.astype(float))
     return np.abs(found - expected).max(axis=1)
 
 
-def noise(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def noise(values: NDArray[np.float32]) -> NDArray[np.float64]:
     """How far the values at the nodes of quarters are from smooth, by cell."""
     n, _, channels = values.shape
-    values = values.reshape(n, 2, 2, ORDER, ORDER, channels).swapaxes(2, 3)
-    values = values.reshape(n, 2 * ORDER, 2 * ORDER, channels)
-    theta = np.abs(np.einsum("ntpc,t->npc", values, FINE_ROUGH)).max(axis=1)
-    phi = np.abs(np.einsum("ntpc,p->ntc", values, FINE_ROUGH)).max(axis=1)
-    return np.maximum(theta, phi) + NOISE * np.abs(values).max(axis=(1, 2))
+    at = values.astype(float).reshape(n, 2, 2, ORDER, ORDER, channels).swapaxes(2, 3)
+    at = at.reshape(n, 2 * ORDER, 2 * ORDER, channels)
+    theta = np.abs(np.einsum("ntpc,t->npc", at, FINE_ROUGH)).max(axis=1)
+    phi = np.abs(np.einsum("ntpc,p->ntc", at, FINE_ROUGH)).max(axis=1)
+    return np.maximum(theta, phi) + NOISE * np.abs(at).max(axis=(1, 2))
 
 
-def way_to_split(values: NDArray[np.float64]) -> NDArray[np.int64]:
+def way_to_split(values: NDArray[np.float32]) -> NDArray[np.int64]:
     """How to split cells: across a step that keeps to one angle, or into quarters."""
-    values = values.reshape(len(values), ORDER, ORDER, -1)
-    theta = np.abs(np.einsum("ntpc,t->npc", values, ROUGH)).max(axis=(1, 2))
-    phi = np.abs(np.einsum("ntpc,p->ntc", values, ROUGH)).max(axis=(1, 2))
-    step = STEP * values.max(axis=(1, 2, 3))
+    at = values.astype(float).reshape(len(values), ORDER, ORDER, -1)
+    theta = np.abs(np.einsum("ntpc,t->npc", at, ROUGH)).max(axis=(1, 2))
+    phi = np.abs(np.einsum("ntpc,p->ntc", at, ROUGH)).max(axis=(1, 2))
+    step = STEP * at.max(axis=(1, 2, 3))
     across_theta = (theta > step) & (phi < ALONG * theta)
     across_phi = (phi > step) & (theta < ALONG * phi)
     return np.select([across_theta, across_phi], [ACROSS_THETA, ACROSS_PHI], QUARTERS)

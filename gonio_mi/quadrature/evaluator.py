@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats
+from ..array_types import Floats, Singles
 from ..collector import Subdivision
 from ..collector.directions import angles
 from ..errors import SpecimenError
@@ -32,6 +32,9 @@ N_GUIDES = 2**14
 
 # What single precision leaves of an integral's digits, at best.
 INTEGRAL_ROUNDING = 2.0**-22
+
+# Cells whose values are summed at a time, so that they stay in the processor's cache.
+IN_CACHE = 2**10
 
 # Times the noise of the values, by which they may be off the polynomial through them.
 UNSURE = 256
@@ -80,19 +83,21 @@ class Evaluator:
         phi[(cells.phi[patch, 0] < 0) & (phi > np.pi)] -= 2 * np.pi
         return Guides(patch, np.minimum(theta, np.pi - theta), phi)
 
-    def integrals(self, cells: Cells) -> tuple[Floats, Floats]:
+    def integrals(self, cells: Cells) -> tuple[Floats, Singles]:
         """Integrals over cells, and the values that they are made of.
 
         Returns
         -------
         integrals : ndarray, shape (n, channels)
         values : ndarray, shape (n, NODES_PER_CELL, channels)
+            In single precision, as they were found.
         """
         values = self._values(cells, GAUSS)
-        weights = cells.weights()[:, :, None]
-        # new memory costs more than the sum
-        out = weights if values.shape[-1] == 1 else None
-        return np.multiply(values, weights, out=out).sum(axis=1), values
+        found = np.empty((len(values), values.shape[-1]))
+        for some in _pieces(len(values)):
+            weights = cells[some].weights()[:, :, None]
+            found[some] = np.multiply(values[some], weights).sum(axis=1)
+        return found, values
 
     def unconfirmed(self, cells: Cells, integrals: Floats) -> Floats:
         """How far a rule of other points is from the `integrals` over cells.
@@ -108,7 +113,9 @@ class Evaluator:
         weight = dr.gather(mi.Float64, weights, lane - number * len(CONFIRMING))
         area = np.diff(cells.theta)[:, 0] * np.diff(cells.phi)[:, 0] / 4
         weight *= dr.gather(mi.Float64, mi.Float64(area), number) * sines
-        sums = [dr.block_sum(value * weight, len(CONFIRMING)) for value in values]
+        products = [value * weight for value in values]
+        dr.eval(values, products)  # at once, so that each point is evaluated once
+        sums = [dr.block_sum(product, len(CONFIRMING)) for product in products]
         least = [dr.min(value) for value in values]
         dr.eval(sums, least)
         found = np.stack([one.numpy() for one in sums], axis=-1)
@@ -116,31 +123,34 @@ class Evaluator:
             self._values(cells, CONFIRMING)  # which says what is wrong
         return np.abs(found - integrals)
 
-    def hidden(self, cells: Cells, values: Floats) -> Floats:
+    def hidden(self, cells: Cells, values: Singles) -> Floats:
         """What a step between the nodes of the quarters of each cell can change.
 
         There, BSDF and the polynomial through its `values` differ.
         """
         if not len(values):
-            return values[:, 0]
+            return values[:, 0].astype(float)
         found = self._values(cells, PROBING)
-        off = off_polynomial(found, values)
+        pieces = _pieces(len(values))
+        off = np.concatenate([off_polynomial(found[p], values[p]) for p in pieces])
         # some of the values are enough to see most of the cells that are smooth
-        least = NOISE * np.abs(values[:, ::8]).max(axis=1)
+        least = NOISE * np.abs(values[:, ::8]).max(axis=1).astype(float)
         doubtful = np.any(off > UNSURE * least, axis=1)
         off[doubtful] -= UNSURE * noise(values[doubtful])
         off[~doubtful] = 0
         return BLIND * np.maximum(off, 0) * cells.area[:, None]
 
-    def _values(self, cells: Cells, points: Points) -> Floats:
+    def _values(self, cells: Cells, points: Points) -> Singles:
         """Values at the `points` of each cell, shape ``(n, n_points, channels)``."""
         shape = len(cells.patch), len(points)
         several, _ = self._evaluated(cells, points)
         dr.eval(several)
-        values = np.empty((*shape, len(several)))
-        for channel, one in enumerate(several):
-            column = np.broadcast_to(one.numpy(), shape[0] * shape[1])
-            values[..., channel] = column.reshape(shape)
+        columns = [
+            np.broadcast_to(one.numpy(), shape[0] * shape[1]).reshape(shape)
+            for one in several
+        ]
+        # a single one is not copied
+        values = columns[0][..., None] if len(columns) == 1 else np.stack(columns, -1)
         self._check(values, cells, points)
         return values
 
@@ -166,7 +176,7 @@ class Evaluator:
         value = function(flux_context(), si, wo, mi.Bool(True))
         return [value] if self.pdf else channels_of(value), theta[0]
 
-    def _check(self, values: Floats, cells: Cells, points: Points) -> None:
+    def _check(self, values: Singles, cells: Cells, points: Points) -> None:
         """Raise SpecimenError for a value that is negative or not finite."""
         top = values.max(initial=0)
         if values.min(initial=0) >= 0 and np.isfinite(top):
@@ -188,6 +198,11 @@ class Evaluator:
             f"theta {np.degrees(theta):.3f}, phi {np.degrees(phi):.3f} degrees"
             f"{' in transmission' if cells.lower[cell] else ''}"
         )
+
+
+def _pieces(n: int) -> list[slice]:
+    """Pieces of `n` cells whose values stay in the cache while they are worked on."""
+    return [slice(first, first + IN_CACHE) for first in range(0, n, IN_CACHE)]
 
 
 def _sines(

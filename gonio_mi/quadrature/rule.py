@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Flags, Floats, Integers, Numbers
+from ..array_types import Flags, Floats, Integers, Numbers, Singles
 from ..collector import Subdivision
 from ..errors import SpecimenError
 from .cells import NODES_PER_CELL, QUARTERS, Cells, way_to_split
@@ -39,7 +39,7 @@ NARROWEST = 2.0**-21
 
 # Points of the first rule of all directions that share kernels: more of them would
 # save no time any more, and need memory.
-SHARED = 2**20
+SHARED = 2**21
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +100,9 @@ class PatchIntegrals:
         Estimated absolute error of `flux`: the differences of all cells added up, as if
         none cancelled, from coarser cells and from a rule of other points.
     n_evaluations : int
-    together : Cells
-        Of all directions that shared kernels, of which this one has the `number`.
+    together : sequence of (Cells, ndarray of bool)
+        Cells of each level, of all directions that shared kernels, and which of them
+        have converged. This direction has the `number`.
     rule : Rule
         The converged rule, to integrate a similar BSDF, or to differentiate it.
     """
@@ -110,7 +111,7 @@ class PatchIntegrals:
     flux: Floats
     error: Floats
     n_evaluations: int
-    together: Cells
+    together: Sequence[tuple[Cells, Flags]]
     number: int
     light: IncidentLight
 
@@ -123,7 +124,8 @@ class PatchIntegrals:
     def cells(self) -> Cells:
         """The converged cells of this direction."""
         n_patches = len(self.flux) * self.subdivision.n_patches
-        return self.together.of_direction(self.number, n_patches)
+        levels = (level[converged] for level, converged in self.together)
+        return Cells.join(one.of_direction(self.number, n_patches) for one in levels)
 
     @cached_property
     def rule(self) -> Rule:
@@ -245,7 +247,8 @@ def _integrated(
     guides = evaluator.guides(cells, subdivision)
     coarse, values_at = evaluator.integrals(cells)
     way = way_to_split(values_at)
-    sums, finished = _PatchSums(cells, len(lights), coarse.shape[-1]), []
+    sums = _PatchSums(cells, len(lights), coarse.shape[-1])
+    finished: list[tuple[Cells, Flags]] = []
     for level in range(MAX_LEVELS):
         full = guides.held(len(cells.patch)) > MOST_GUIDES
         way[full] = QUARTERS
@@ -270,7 +273,7 @@ def _integrated(
             sums.add(
                 cells.patch[chosen], values[chosen], difference[chosen], ~sharp[chosen]
             )
-        finished.append(parts[~children])
+        finished.append((parts, ~children))
         if not open_cells.any():
             break
         guides = guides.descend(cells, open_cells, way, full)
@@ -280,14 +283,13 @@ def _integrated(
     shape = (len(lights), -1, *subdivision.shape, coarse.shape[-1])
     flux = sums.flux.reshape(shape)
     error = np.hypot(sums.error, INTEGRAL_ROUNDING * sums.flux).reshape(shape)
-    whole = Cells.join(finished)
     return [
         PatchIntegrals(
             subdivision,
             flux[number],
             error[number],
             int(evaluator.n_evaluations[number]),
-            whole,
+            finished,
             number,
             light,
         )
@@ -316,7 +318,7 @@ def _add_unseen(
     evaluator: Evaluator,
     cells: Cells,
     values: Floats,
-    values_at: Floats,
+    values_at: Singles,
     smooth: Flags,
 ) -> None:
     """Add to the differences of smooth cells what their own points cannot see."""
@@ -325,9 +327,9 @@ def _add_unseen(
     difference[settled] += evaluator.unconfirmed(cells[settled], values[settled])
 
 
-def _swing(values_at: Floats, cells: Cells, chosen: Flags) -> Floats:
+def _swing(values_at: Singles, cells: Cells, chosen: Flags) -> Floats:
     """What a step anywhere in the chosen cells, in one of four parts, can change."""
-    values = values_at[chosen]
+    values = values_at[chosen].astype(float)
     swing = values.max(axis=1) - values.min(axis=1)
     return swing * cells.area[chosen, None] / 4
 
