@@ -15,6 +15,8 @@ from scipy import stats
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.quadrature import integrate
+from gonio_mi.quadrature.cells import CONFIRMING
+from gonio_mi.quadrature.evaluator import Evaluator
 
 SHARP = {"type": "roughconductor", "alpha": 0.005}
 MATERIALS = {
@@ -90,8 +92,8 @@ def test_promised_error(name, theta_i):
     asked = (1e-3, 1e-4, 1e-5)
     least = asked[-1]
     *loose, tight = (integrate(bsdf, theta_i, 20, grid, rel_err=e) for e in asked)
-    flux = np.maximum(tight.flux, 1e-6 * tight.flux.mean())
     for rel_err, found in zip(asked, loose):
+        flux = np.maximum(tight.flux, rel_err * tight.flux.mean())
         assert np.all(np.abs(found.flux - tight.flux) <= (rel_err + least) * flux)
         assert len(found.cells.patch) <= len(tight.cells.patch)
     twin = integrate(bsdf, abs(theta_i - 0.5), 20, grid, rel_err=1e-4)
@@ -328,8 +330,8 @@ def test_steps_between_the_nodes(theta_i):
         array.reshape(2, 10, 2, 10, 2, 1).sum(axis=(2, 4))
         for array in (fine.flux, fine.error)
     )
-    # patches below a millionth of the mean need no relative precision
-    error += coarse.error + 1e-5 * 1e-6 * flux.mean()
+    # patches below 1e-5 of the mean need no relative precision
+    error += coarse.error + 1e-5 * 1e-5 * flux.mean()
     assert np.all(np.abs(coarse.flux - flux) <= error)
     assert np.any(np.abs(coarse.flux - (1 + 1e-4) * flux) > error), "twin"
 
@@ -380,6 +382,76 @@ def test_claims_are_as_wide_as_the_truth(specimen, incident, rel_err, patch):
 
     agree(_verdict(flux))
     disagree(_verdict(1.001 * flux))
+
+
+def through_glass(theta_i, wo, alpha=0.3, eta=1.5046 / 1.000277):
+    """BTDF times cosine of ggx glass lit from inside at azimuth 0, double precision.
+
+    Walter et al. 2007, doi:10.2312/EGWR/EGSR07/195-206, eq. 21, for the wave of flux.
+    """
+    wi = direction(theta_i, 0)
+    m = -(eta * wi + wo)
+    m *= np.sign(m[..., 2:]) / np.linalg.norm(m, axis=-1, keepdims=True)
+    inside, outside = m @ wi, -(m * wo).sum(axis=-1)
+    sin2 = eta**2 * (1 - inside**2)
+    through = np.sqrt(np.maximum(1 - sin2, 0))
+    across = (eta * inside - through) / (eta * inside + through)
+    along = (inside - eta * through) / (inside + eta * through)
+    passed = np.where(sin2 < 1, 1 - (across**2 + along**2) / 2, 0)
+    cos2 = m[..., 2] ** 2
+    normals = 1 / (np.pi * alpha**2 * (cos2 + (1 - cos2) / alpha**2) ** 2)
+    for v in (wi, wo):
+        normals = normals * 2 / (1 + np.sqrt(1 + alpha**2 * (v[..., 2] ** -2 - 1)))
+    value = passed * normals * inside * outside / wi[2] / (eta * inside - outside) ** 2
+    return np.where((inside > 0) & (outside > 0), value, 0)
+
+
+@pytest.mark.usefixtures("mono")
+def test_dim_patches_of_glass_from_inside():
+    """As precise as promised, against double precision, and at no great cost.
+
+    Rounding of ``eval`` next to total reflection keeps dim patches from more; ten times
+    as many points were spent on it. Twin: light from a tenth of a degree beside.
+    """
+    grid, rel_err = gonio.EqualProjectedSolidAngle(30, 30), 1e-3
+    found = integrate(mi.load_dict(GGX), 20, 0, grid, rel_err=rel_err, side="back")
+    flux, least = found.flux[1, ..., 0].ravel(), rel_err * found.flux.mean()
+    dim = np.flatnonzero((flux > 0) & (flux < 10 * least))
+    assert len(dim) > 20
+    n = 128
+    middles = (np.arange(n) + 0.5) / n
+    low, high, left, right = grid.cells[dim].T[:, :, None, None]
+    theta = low + middles[:, None] * (high - low)
+    wo = direction(theta, left + middles * (right - left)) * [1, 1, -1]
+    area = ((high - low) * (right - left))[:, 0, 0] / n**2
+
+    def off(theta_i):
+        values = through_glass(np.radians(theta_i), wo) * np.sin(theta)
+        truth = values.sum(axis=(1, 2)) * area
+        return np.abs(flux[dim] - truth) / (rel_err * np.maximum(truth, least))
+
+    assert off(20).max() <= 1
+    assert off(20.1).max() > 1, "twin"
+    assert found.n_evaluations < 2e6
+
+
+@pytest.mark.usefixtures("rgb")
+def test_each_point_is_evaluated_once(monkeypatch):
+    """Where a rule of other points confirms: in one kernel, for all channels."""
+    kernels = []
+    confirm = Evaluator.unconfirmed
+
+    def watched(self, cells, integrals):
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+            dr.kernel_history_clear()
+            found = confirm(self, cells, integrals)
+            sizes = [one["size"] for one in dr.kernel_history([dr.KernelType.JIT])]
+        kernels.append(sizes.count(len(cells.patch) * len(CONFIRMING)))
+        return found
+
+    monkeypatch.setattr(Evaluator, "unconfirmed", watched)
+    integrated({"type": "roughconductor", "alpha": 0.3})
+    assert kernels[0] == 1
 
 
 @pytest.mark.usefixtures("mono")

@@ -30,7 +30,9 @@ CAUTION = 1 / 4
 MAX_EVALUATIONS = 2**25
 MAX_LEVELS = 24
 
-# Patches below this fraction of the mean need no relative precision.
+# Patches below this fraction of the mean, or that of the tolerated relative error, need
+# no relative precision: single precision of ``eval`` would not give it, for instance
+# where glass lights but a corner of a patch.
 NEGLIGIBLE = 1e-6
 
 # What single precision leaves of a direction, in radians: a step is not looked for in
@@ -164,9 +166,10 @@ def integrate(
         Incident direction in degrees, `theta_i` from the normal of the lit face.
     subdivision : Subdivision
     rel_err : float
-        Tolerated error of each patch, relative to the patch, or to a millionth of the
-        mean over all patches where that is more. Single precision of ``eval`` limits
-        it to about 1e-6 for smooth BSDFs, and more for sharp lobes.
+        Tolerated error of each patch, relative to the patch, or, where that is more,
+        to the same part of the mean over all patches, at least a millionth of it.
+        Single precision of ``eval`` limits it to about 1e-6 for smooth BSDFs, and more
+        for sharp lobes.
     side : {"front", "back"}
     pdf : bool
         Integrate the sampling density over solid angle instead.
@@ -354,7 +357,7 @@ class _PatchSums:
         of_each = estimate.reshape(self.n_directions, -1, estimate.shape[-1])
         # over both hemispheres, also where one is known to be dark
         mean = of_each.mean(axis=(1, 2), keepdims=True) * self.lit
-        least = NEGLIGIBLE * mean
+        least = max(NEGLIGIBLE, rel_err) * mean
         return rel_err * np.maximum(of_each, least).reshape(estimate.shape)
 
     def add(

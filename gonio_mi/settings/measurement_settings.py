@@ -88,8 +88,8 @@ class MeasurementSettings:
         Kind.NUMBER,
         "Instead of `rays`: go on until the relative standard error of every patch "
         "worth reporting is at most this, for each incident direction. For "
-        "``quadrature`` the error to which every patch converges, down to a millionth "
-        "of the mean patch.",
+        "``quadrature`` the error to which every patch converges, relative to itself, "
+        "or to this part of the mean patch (at least a millionth), whichever is more.",
         group=METHOD,
         metavar="X",
         plugin=INTEGRATOR,
