@@ -138,6 +138,8 @@ def test_points_of_a_patch_share_its_projected_solid_angle(kind):
     np.testing.assert_array_equal(
         patches.patch(points), np.arange(30)[:, None] * np.ones(16, int)
     )
+    chosen = np.array([7, 3, 29])
+    np.testing.assert_array_equal(patches.points(4, chosen), points[chosen])
     # as many in each cell of a grid of sin^2 and azimuth inside of the patch
     low, high, left, right = patches.cells.T[:, :, None]
     theta, phi = angles(points)

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import broken_bsdfs
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ import gonio_mi as gonio
 from gonio_mi.instrument import campaign_tasks, campaigns, known_directions
 from gonio_mi.instrument.campaign_tasks import Surroundings
 from gonio_mi.instrument.known_directions import KnownDirections
+from gonio_mi.instrument.prediction import Prediction
 from gonio_mi.instrument.refinement import Axis, Interval, refined
 from gonio_mi.instrument.resolution import delta_share
 from gonio_mi.instrument.whole_bsdf import FIRST_ANGLES, UNSEEN, WholeBsdf
@@ -134,6 +136,43 @@ def test_light_that_is_missing_is_an_error_of_the_reflectance():
     assert abs(error.dhr + 0.1) <= DOUBLE
     assert error.dht == 0
     assert error.error >= 0.1 - DOUBLE
+
+
+# ------------------------------------------------------------------ what is predicted
+
+
+@pytest.mark.usefixtures("mono")
+def test_points_are_spared_where_few_do():
+    """Light in the wrong place by no more than allowed, from a third of the points.
+
+    Twin: all of the sparing would be more than that.
+    """
+    record = gonio.measure(
+        {"type": "roughconductor", "alpha": 0.1, "distribution": "ggx"},
+        [40, 50],
+        estimator="quadrature",
+        collector="angle:30x600",
+        rel_err=1e-3,
+    )
+    found, widths = [], []
+    for spared in (0, 1e-4, 1):
+        prediction = Prediction(record, 8, spared)
+        values = prediction.face.values
+        evaluated = []
+
+        def counted(wi, wo, values=values, evaluated=evaluated):
+            evaluated.append(dr.width(wo))
+            return values(wi, wo)
+
+        prediction.face.values = counted
+        found.append(prediction.flux(44, 31))
+        widths.append(sum(evaluated))
+    few, fewest = (
+        np.abs(one - found[0]).sum() / 2 / found[0].sum() for one in found[1:]
+    )
+    assert few <= 1e-4 < fewest
+    assert widths[1] < widths[0] / 3
+    assert widths[2] == widths[0] / 16
 
 
 # ------------------------------------------------------------------ the material itself

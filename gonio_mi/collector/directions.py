@@ -21,13 +21,13 @@ def direction(theta: ArrayLike, phi: ArrayLike) -> NDArray[np.float64]:
     ndarray, shape (..., 3)
         ``(sin theta cos phi, sin theta sin phi, cos theta)``.
     """
-    theta, phi = np.broadcast_arrays(
-        np.asarray(theta, dtype=float), np.asarray(phi, dtype=float)
-    )
+    theta, phi = np.asarray(theta, dtype=float), np.asarray(phi, dtype=float)
+    found = np.empty((*np.broadcast_shapes(theta.shape, phi.shape), 3))
     sin_theta = np.sin(theta)
-    return np.stack(
-        [sin_theta * np.cos(phi), sin_theta * np.sin(phi), np.cos(theta)], axis=-1
-    )
+    found[..., 0] = sin_theta * np.cos(phi)
+    found[..., 1] = sin_theta * np.sin(phi)
+    found[..., 2] = np.cos(theta)
+    return found
 
 
 def angles(v: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -167,10 +167,18 @@ class Subdivision(ABC):
         """
         return self.patch(v), np.ones(len(v), bool)
 
-    def points(self, n: int) -> NDArray[np.float64]:
+    def points(
+        self, n: int, chosen: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float64]:
         """Directions of ``n x n`` points in each patch, with z > 0.
 
         Each stands for the same projected solid angle of its patch.
+
+        Parameters
+        ----------
+        n : int
+        chosen : ndarray of int, optional
+            Numbers of the patches that are wanted; all of them, if none are given.
 
         Returns
         -------
@@ -181,14 +189,14 @@ class Subdivision(ABC):
         ValueError
             If the patches have poles of their own.
         """
-        low, high, left, right = self.cells_about_pole().T[:, :, None]
+        cells = self.cells_about_pole()
+        cells = cells if chosen is None else cells[chosen]
+        low, high, left, right = cells.T[:, :, None]
         step = (np.arange(n) + 0.5) / n
-        along, around = (
-            axis.ravel() for axis in np.meshgrid(step, step, indexing="ij")
-        )
         begin, end = np.sin(low) ** 2, np.sin(high) ** 2
-        sin2 = begin + along * (end - begin)
-        return direction(np.arcsin(np.sqrt(sin2)), left + around * (right - left))
+        theta = np.arcsin(np.sqrt(begin + step * (end - begin)))
+        phi = left + step * (right - left)
+        return direction(theta[:, :, None], phi[:, None]).reshape(-1, n * n, 3)
 
     def frame_of(self, number: int) -> tuple[float, ...]:
         """Numbers that tell where a patch is, for :meth:`drawn`."""

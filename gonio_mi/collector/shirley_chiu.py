@@ -91,12 +91,15 @@ class ShirleyChiu(Subdivision):
         """Raise ValueError: these cells are no parts of rings."""
         raise SettingError(f"the patches must be rings and sectors, got {self}")
 
-    def points(self, n: int) -> NDArray[np.float64]:
+    def points(
+        self, n: int, chosen: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float64]:
         """Directions of ``n x n`` points in each cell; see `Subdivision.points`."""
         steps = ((np.arange(self.size * n) + 0.5) / (self.size * n)).reshape(-1, n)
         a, b = steps[:, None, :, None], steps[None, :, None, :]
         square = np.stack(np.broadcast_arrays(a, b), axis=-1)
-        return directions_of(square.reshape(self.n_patches, n * n, 2))
+        square = square.reshape(self.n_patches, n * n, 2)
+        return directions_of(square if chosen is None else square[chosen])
 
     def patch_index(self, xp: Any, x: Any, y: Any, z: Any) -> Any:
         """Index of the cell of each direction; see `Subdivision.patch_index`."""

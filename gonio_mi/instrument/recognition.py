@@ -11,7 +11,7 @@ from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.misplacement import Misplacement, misplaced
 from ..results.record import Record
 from .known_directions import KnownDirections
-from .prediction import Prediction
+from .prediction import SPARED, Prediction
 
 __all__ = ["Recognition"]
 
@@ -60,7 +60,8 @@ class Recognition:
         ]
         self.directions.measure(turned, "whether it is isotropic")
         ring = Record.stack(known[theta, 0.0] for theta in self.angles)
-        prediction = Prediction(ring, self.n_points)
+        spared = SPARED * self.directions.tolerance
+        prediction = Prediction(ring, self.n_points, spared)
         errors = [misplaced(known[one], prediction.flux(*one)) for one in turned]
         isotropic = not any(self._is_wrong(one) for one in errors)
         found = "isotropic" if isotropic else "anisotropic"

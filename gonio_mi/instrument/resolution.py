@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -13,7 +14,7 @@ from ..collector import EqualAngle, RingsAndSectors, Subdivision
 from ..errors import SettingError, SpecimenError
 from ..results.misplacement import misplaced
 from ..results.record import Record
-from .prediction import Prediction
+from .prediction import SPARED, Prediction
 
 __all__ = ["TooCoarseError", "check_equal_sectors", "check_resolved", "delta_share"]
 
@@ -27,7 +28,8 @@ SHARE = 1 / 2
 # Patches of a collector that is tried to find the one that would do.
 MOST_PATCHES = 10**5
 
-Records = Callable[[Sequence[tuple[float, float]], Subdivision | None], Record]
+Incident = tuple[float, float]
+Records = Callable[[Sequence[Incident], Subdivision | None], Record]
 
 
 class TooCoarseError(SpecimenError):
@@ -70,7 +72,8 @@ def check_resolved(
     """
     first = records([(theta_i, 0.0) for theta_i in angles], None)
     asked = patches = first.subdivision
-    lost = at_first = _lost(n_points, angles, partial(_at, records, None))
+    lost_at = partial(_lost, tolerance, n_points, angles)
+    lost = at_first = lost_at(patches, partial(_at, records, None))
     if max(lost) <= tolerance:
         return
     delta = max(map(delta_share, (first[number] for number in range(len(first)))))
@@ -89,7 +92,7 @@ def check_resolved(
         if math.prod(sizes) > MOST_PATCHES:
             break
         patches = EqualAngle(*sizes)
-        lost = _lost(n_points, angles, partial(_at, records, patches))
+        lost = lost_at(patches, partial(_at, records, patches))
     said = (
         f"the lobes of {first.settings['specimen']!s:.60} are too narrow for "
         f"{asked!s:.40}: moved by half a patch, {max(at_first):.2g} of the light would "
@@ -126,46 +129,57 @@ def delta_share(record: Record) -> float:
 def _at(
     records: Records,
     patches: Subdivision | None,
-    incidents: Sequence[tuple[float, float]],
+    incidents: Sequence[Incident],
 ) -> Record:
     """Records of incident directions, with the patches first."""
     return records(incidents, patches)
 
 
 def _lost(
+    tolerance: float,
     n_points: int,
     angles: Sequence[float],
-    records: Callable[[Sequence[tuple[float, float]]], Record],
+    patches: Subdivision,
+    records: Callable[[Sequence[Incident]], Record],
 ) -> tuple[float, ...]:
-    """Light in the wrong place where only the patches are in the way: at the worst."""
-    each = [_lost_at(n_points, theta_i, records) for theta_i in angles]
+    """Light in the wrong place where only the patches are in the way: at the worst.
+
+    By rings and by sectors: lobes are moved by half a ring, and by half a sector, from
+    directions next to them.
+    """
+    moved = [_moved(theta_i, patches) for theta_i in angles]
+    every = {
+        incident
+        for both in moved
+        for to, stacks in both
+        for incident in itertools.chain([to], *stacks)
+    }
+    incidents = sorted(every)
+    record = records(incidents)
+    known = {one: record[number] for number, one in enumerate(incidents)}
+
+    def lost_by(to: Incident, stacks: Sequence[Sequence[Incident]]) -> float:
+        """Light in the wrong place in a direction, as the mean of `stacks` tells."""
+        around = [Record.stack(known[one] for one in stack) for stack in stacks]
+        ways = [Prediction(one, n_points, SPARED * tolerance) for one in around]
+        error = misplaced(known[to], np.mean([one.flux(*to) for one in ways], axis=0))
+        return max(error.light - 2 * error.std_err, 0.0)
+
+    each = [[lost_by(to, stacks) for to, stacks in both] for both in moved]
     return tuple(map(max, zip(*each)))
 
 
-def _lost_at(
-    n_points: int,
-    theta_i: float,
-    records: Callable[[Sequence[tuple[float, float]]], Record],
-) -> tuple[float, ...]:
-    """The same at one angle of incidence, by rings and by sectors.
+def _moved(theta_i: float, patches: Any) -> list[tuple[Incident, list[list[Incident]]]]:
+    """Directions half a ring and half a sector from one, in degrees.
 
-    Lobes are moved by half a ring, and by half a sector, from directions next to them.
+    Each with the stacks that predict it, of whose predictions the mean is taken.
     """
-    start = records([(theta_i, 0.0)])
-    patches: Any = start.subdivision
     edges = np.degrees(patches.theta_edges)
     ring = int(np.searchsorted(edges, theta_i).clip(1, len(edges) - 1))
     width = min(float(edges[ring] - edges[ring - 1]), theta_i)
-    legs = records([(theta_i - width, 0.0), (theta_i, 0.0)])
     sector = 360 / patches.shape[1]
-    beside = [start, records([(theta_i, sector)])]
-    lost = []
-    for one, around in (
-        ((theta_i - width / 2, 0.0), [legs]),
-        ((theta_i, sector / 2), beside),
-    ):
-        measured = records([one])[0]
-        predicted = [Prediction(some, n_points).flux(*one) for some in around]
-        error = misplaced(measured, np.mean(predicted, axis=0))
-        lost.append(max(error.light - 2 * error.std_err, 0.0))
-    return tuple(lost)
+    start = theta_i, 0.0
+    return [
+        ((theta_i - width / 2, 0.0), [[(theta_i - width, 0.0), start]]),
+        ((theta_i, sector / 2), [[start], [(theta_i, sector)]]),
+    ]

@@ -19,7 +19,7 @@ from ..results.misplacement import Misplacement, misplaced
 from ..results.record import Record
 from .campaign_tasks import Surroundings
 from .known_directions import CONFIRMING, KnownDirections, NotIntegrableError
-from .prediction import Prediction
+from .prediction import SPARED, Prediction
 from .recognition import Recognition
 from .refinement import Axis, Interval, refined
 from .resolution import TooCoarseError, check_equal_sectors, check_resolved
@@ -200,7 +200,8 @@ class WholeBsdf:
         return [found[one] for one in sorted(found)]
 
     def _prediction(self, incidents: Iterable[tuple[float, float]]) -> Prediction:
-        return Prediction(Record.stack(self._whole(incidents)), self.n_points)
+        record = Record.stack(self._whole(incidents))
+        return Prediction(record, self.n_points, SPARED * self.tolerance)
 
     def _missed(self, prediction: Prediction, theta: float, phi: float) -> Misplacement:
         """Error of a prediction of a known direction."""
@@ -222,7 +223,7 @@ class WholeBsdf:
         for phi in lines:
             ends = [(theta, phi if theta else 0.0) for theta in levels]
             stack = Record.stack(self.known[one] for one in ends)
-            prediction = Prediction(stack, self.n_points)
+            prediction = Prediction(stack, self.n_points, SPARED * self.tolerance)
             for number, middle in enumerate(middles):
                 error = self._missed(prediction, middle, phi)
                 worst[number] = max(worst[number], _beyond(error))
