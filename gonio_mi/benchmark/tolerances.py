@@ -105,7 +105,7 @@ def _rows(case: Case, tolerance: float, theta_max: float) -> list[tuple[str, ...
     if chosen.settings["estimator"] != "quadrature":
         return rows  # grids would take hours
     enough = min(_within(errors, tolerance), 0.95)
-    found_rows = {}
+    found_rows: dict[int, tuple[str, ...]] = {}
 
     def is_right(number: int) -> bool:
         """Whether a grid is as right; its row is kept."""
