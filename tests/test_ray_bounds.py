@@ -151,6 +151,22 @@ def test_rel_err_is_reached(sampler, estimator):
 
 
 @pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("goal", [{"rel_err": 0.005}, {"noise": 0.002}])
+def test_rays_of_a_target_are_even(goal):
+    """Exact: few launches send them; twin: the most rays that are allowed are not."""
+    (batches, each), most = rays_of_batches(goal), 16 * 16_411
+    assert (batches, each > 2**14, each % 2**11) == (16, True, 0)
+    with pytest.warns(RuntimeWarning, match="was not reached"):
+        assert rays_of_batches(goal | {"max_rays": most}) == (16, 16_411)
+
+
+def rays_of_batches(goal):
+    """Batches of a measurement, and the rays of each."""
+    record = measured(**goal, sampler="independent")
+    return record.n_batches, record.ledger.emitted // record.n_batches
+
+
+@pytest.mark.usefixtures("mono")
 def test_max_rays_comes_first():
     with pytest.warns(RuntimeWarning, match="rel_err of 0.0001 was not reached"):
         record = measured(rel_err=1e-4, max_rays=400_000, sampler="independent")
