@@ -8,7 +8,7 @@ from references import fresnel, slab
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.transport.loop import flux_context
+from gonio_mi.transport.surface_events import flux_context
 
 pytestmark = pytest.mark.usefixtures("mono")
 

@@ -17,7 +17,7 @@ from ..quadrature.cells import NODES_PER_CELL, Cells
 from ..quadrature.incident_light import IncidentLight
 from ..quadrature.rule import Rule
 from ..results.record import Record
-from ..transport.loop import flux_context
+from ..transport.surface_events import flux_context
 from ..transport.wavelengths import passes, wavelength_lanes
 
 __all__ = ["Nodes", "PatchPredictions", "Predictions", "REL_ERR"]

@@ -10,7 +10,7 @@ from ..array_types import Floats, Singles
 from ..collector import Subdivision
 from ..collector.directions import angles
 from ..errors import SpecimenError
-from ..transport.loop import flux_context
+from ..transport.surface_events import flux_context
 from .cells import (
     BLIND,
     CONFIRMING,

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from ..collector.directions import direction
-from ..transport.loop import flux_context
+from ..transport.surface_events import flux_context
 
 __all__ = ["IncidentLight", "channels_of"]
 

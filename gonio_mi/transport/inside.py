@@ -16,19 +16,17 @@ from .beam import Beam
 from .flight import Encounter, Flight, encounter, flight_from, proceed
 from .free_flight import free_flight
 from .layers import Layers
-from .loop import (
-    Exits,
-    PathSettings,
+from .loop import Exits, PathSettings, exits_of, sent
+from .media import differ_by_channel
+from .ray_offsets import intersect, leaves_by_a_side
+from .specimen import Specimen
+from .surface_events import (
     after_event,
-    emitted,
-    flux_context,
-    shading_normal_correction,
+    event_numbers,
+    scattered,
     survival_chance,
     whole_number,
 )
-from .media import differ_by_channel
-from .ray_offsets import START, intersect, leaves_by_a_side
-from .specimen import Specimen
 
 __all__ = ["Geometry", "trace_inside"]
 
@@ -148,8 +146,6 @@ def trace_inside(
     together = beam.footprint != "point"
     passed = Fate.DIRECT if specimen.periodic else Fate.MISSED
 
-    ctx = flux_context()
-    phase_ctx = mi.PhaseFunctionContext(None, mi.TransportMode.Importance)
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     max_scatterings = dr.opaque(mi.UInt32, settings.max_scatterings)
     rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
@@ -173,12 +169,8 @@ def trace_inside(
         if ~active:
             which = mi.UInt32(coming)
             coming = relay.begin(sampler, which)
-            p, wi, distance, weight = beam.sample(sampler, wavelengths)
-            β = emitted(weight, sampler, counted, beam.uniform)
+            ray, β = sent(specimen, beam, sampler, wavelengths, counted)
             hero = mi.UInt32(sampler.next_1d() * n) if apart else mi.UInt32(0)
-            start = dr.minimum(distance, specimen.reach * START / dr.abs(wi.z))
-            ray = mi.Ray3f(p + start * wi, -wi)
-            ray.wavelengths = wavelengths
             flight = path.start(ray)
             active = dr.any(β > 0)
             incident = mi.Spectrum(β)
@@ -224,21 +216,13 @@ def trace_inside(
 
         # ------------------------------- Scattering -----------------------------------
         u1, u2 = sampler.next_1d(event), sampler.next_2d(event)
-        bs, event_weight = si.bsdf(ray).sample(ctx, si, u1, u2, at_surface)
-        wo = si.to_world(bs.wo)
-        event_weight *= shading_normal_correction(si, ray, bs.wo, wo)
-        phase = medium.phase_function()
-        phase_wo, phase_weight, phase_pdf = phase.sample(
-            phase_ctx, step.at, u1, u2, in_medium
-        )
+        bs, event_weight, wo = scattered(si.bsdf(ray), si, ray, u1, u2, at_surface)
+        power = mi.Spectrum(1) if apart else step.power
+        phase_wo, phase_weight, pdf = _turned(medium, step.at, power, u1, u2, in_medium)
         wo = dr.select(in_medium, phase_wo, wo)
-        if not apart:
-            phase_weight *= step.power
         event_weight = dr.select(in_medium, phase_weight, event_weight)
-        bs.pdf = dr.select(in_medium, phase_pdf, bs.pdf)
-        number = sampler.next_1d() if analog else mi.Float(0)
-        another = sampler.next_1d(event)
-        numbers = (number, another) if analog else None
+        bs.pdf = dr.select(in_medium, pdf, bs.pdf)
+        another, numbers = event_numbers(sampler, analog, event)
         event_β, event_fate = after_event(β, event_weight, bs, wo, numbers)
         β[event] = event_β
         ended = event_fate == mi.UInt32(Fate.ABSORBED)
@@ -255,12 +239,8 @@ def trace_inside(
 
         # ---------------------------- Russian roulette --------------------------------
         power = β / _mean(chance) if apart else β
-        if roulette:
-            # of thousands of events none may end a ray that has lost nothing
-            survival = survival_chance(power, depth + scatterings > rr_depth, 1.0)
-        else:
-            faint = mi.Bool(not analog) & (dr.max(power) < FAINT)
-            survival = dr.select(faint, mi.Float(FEW), mi.Float(1))
+        due = depth + scatterings > rr_depth if roulette else mi.Bool(not analog)
+        survival = _survival(power, due, roulette)
         event = at_surface | in_medium
         survives = another < survival
         β[event] = dr.select(survives, β / survival, 0.0)
@@ -288,6 +268,29 @@ def trace_inside(
             relay.arrive(which, _exits(path, flight, left, fate, incident, scatterings))
 
 
+def _turned(
+    medium: mi.MediumPtr,
+    at: mi.MediumInteraction3f,
+    power: mi.Spectrum,
+    u1: mi.Float,
+    u2: mi.Point2f,
+    active: mi.Bool,
+) -> tuple[mi.Vector3f, mi.Spectrum, mi.Float]:
+    """Direction after a scattering inside, weight times `power`, and density."""
+    ctx = mi.PhaseFunctionContext(None, mi.TransportMode.Importance)
+    wo, weight, pdf = medium.phase_function().sample(ctx, at, u1, u2, active)
+    return wo, weight * power, pdf
+
+
+def _survival(power: mi.Spectrum, due: mi.Bool, roulette: bool) -> mi.Float:
+    """Chance to survive where it is `due`; without `roulette` of faint rays alone."""
+    if roulette:
+        # of thousands of events none may end a ray that has lost nothing
+        return survival_chance(power, due, 1.0)
+    faint = due & (dr.max(power) < FAINT)
+    return dr.select(faint, mi.Float(FEW), mi.Float(1))
+
+
 def _exits(
     path: Geometry | Layers,
     flight: Any,
@@ -297,13 +300,10 @@ def _exits(
     scatterings: mi.UInt32,
 ) -> Exits:
     """Exits of rays that have ended, with the power that is `left`."""
-    ray = flight.ray
     none = (fate == mi.UInt32(Fate.REFLECTED)) & ~dr.any(left > 0)
     fate = dr.select(none, mi.UInt32(Fate.ABSORBED_INSIDE), fate)
-    incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
-    sideways = (fate == mi.UInt32(Fate.REFLECTED)) & path.by_a_side(flight)
-    fate = dr.select(sideways, mi.UInt32(Fate.SIDEWAYS), fate)
-    return Exits(ray.o + flight.shift, ray.d, left, fate, incident, scatterings)
+    by_a_side = path.by_a_side(flight)
+    return exits_of(flight, by_a_side, left, fate, incident, scatterings)
 
 
 def _mean(spectrum: mi.Spectrum) -> mi.Float:

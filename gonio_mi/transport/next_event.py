@@ -11,15 +11,15 @@ from ..settings.measurement_settings import MeasurementSettings
 from ..settings.orders import Order
 from .bench import Bench
 from .flight import escapes
-from .loop import (
+from .loop import Exits
+from .ray_offsets import departure
+from .sums import Sums
+from .surface_events import (
     LARGEST_POWER,
-    Exits,
     flux_context,
     is_delta,
     shading_normal_correction,
 )
-from .ray_offsets import departure
-from .sums import Sums
 
 __all__ = ["Deposits", "check_traced"]
 
