@@ -136,11 +136,13 @@ def send_until(
     # rays of every batch, at first two or more
     each, goal = 0, max(PILOT_RAYS // (batches * instrument.points), 2)
     while each < goal:
-        each = _even(goal, most)
+        each = goal
         send(instrument, bench, key, [each] * batches, tallies, report)
         tallies[:] = [Tally.join(tallies)]
         record = instrument.record(bench, tallies[0], key[0])
         goal = target.next_goal(record, each * batches) // batches
+        if goal > each:
+            goal = _even(goal, most)
 
 
 def _even(rays: int, most: int) -> int:
