@@ -50,11 +50,11 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
-def shortened(text: str, longest: int = LONGEST) -> str:
-    """One line of at most `longest` characters: what is too long lacks its middle."""
+def shortened(text: str) -> str:
+    """One line of at most `LONGEST` characters: what is too long lacks its middle."""
     line = " ".join(printable(" ".join(text.split())).split())
     words = (_without_middle(word, LONGEST_WORD) for word in line.split(" "))
-    return _without_middle(" ".join(words), longest)
+    return _without_middle(" ".join(words), LONGEST)
 
 
 def abridged(text: str, longest: int) -> str:

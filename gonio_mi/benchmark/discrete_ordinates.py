@@ -19,6 +19,9 @@ Layer = tuple[float, float, Callable[[int], float]]
 # The program solves for albedos below 1 only; it loses 1e-7 at each scattering.
 NEARLY_1 = 1 - 1e-7
 
+# Points of the rule over each patch, along either side.
+NODES = 6
+
 
 def henyey_greenstein(g: float) -> Callable[[int], float]:
     """Legendre coefficients of the phase function."""
@@ -32,7 +35,6 @@ def theory(
     *,
     base: float = 0.0,
     streams: int = 64,
-    nodes: int = 6,
 ) -> tuple[Floats, Floats, float]:
     """Diffuse flux fractions of plane-parallel layers with matched boundaries.
 
@@ -50,8 +52,6 @@ def theory(
         Reflectance of a Lambertian base.
     streams : int
         Ordinates of both hemispheres.
-    nodes : int
-        Of each patch, along either side.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def theory(
     totals = np.array([up(0.0), 0.0 if base else down(depth[-1])[0]]) / mu0
     patches: Any = subdivision(collector)
     fluxes = []
-    x, weights = np.polynomial.legendre.leggauss(nodes)
+    x, weights = np.polynomial.legendre.leggauss(NODES)
     mu, mu_w = _between(np.cos(patches.theta_edges)[::-1], x, weights)
     phi, phi_w = _between(patches.phi_edges, x, weights)
     for tau, sign in ((0.0, 1), (depth[-1], -1)):

@@ -19,7 +19,7 @@ import numpy as np
 from ..exports.exporting import export
 from ..instrument.loading import parse_specimen
 from ..instrument.measuring import measure
-from ..results.misplacement import misplaced
+from ..results.misplacement import Misplacement, misplaced
 
 __all__ = ["round_trips"]
 
@@ -41,7 +41,7 @@ COLLECTOR = "projected:30x60"
 
 def round_trips(
     specimen: Any, rays: int = 10**6, formats: Any = FORMATS
-) -> Iterator[tuple[str, list[float], list[float]]]:
+) -> Iterator[tuple[str, list[float], list[Misplacement]]]:
     """Name of each format, the losses that are stated, and those that are found.
 
     Parameters
@@ -66,8 +66,7 @@ def round_trips(
             material = {"type": "goniometric", "filename": str(path)}
             back = measure(material, list(THETA_I), rays=rays, **how)
             found = [
-                misplaced(back[i], record[i].flux_fraction).light
-                for i in range(len(THETA_I))
+                misplaced(back[i], record[i].flux_fraction) for i in range(len(THETA_I))
             ]
             yield f"{name[1:]} {basis}".strip(), stated, found
 
@@ -78,7 +77,8 @@ def main(words: list[str]) -> None:
     warnings.simplefilter("ignore")  # of light that a file has no words for
     print("| file | stated, mean and worst | found, mean and worst |\n|---|---|---|")
     for specimen in words or ["roughconductor:alpha=0.3"]:
-        for name, *columns in round_trips(parse_specimen(specimen)):
+        for name, stated, found in round_trips(parse_specimen(specimen)):
+            columns = stated, [one.light for one in found]
             shown = [
                 f"{np.mean(one):.1%}, {np.max(one):.1%}" if one else "-"
                 for one in columns

@@ -134,10 +134,10 @@ def add_text(group: Any, option: str, metavar: str, text: str, **how: Any) -> No
     group.add_argument(option, metavar=metavar, help=text, **how)
 
 
-def add_files(group: Any, *options: str, text: str, metavar: str = "FILE") -> None:
+def add_files(group: Any, *options: str, text: str) -> None:
     """Add an option that takes any number of files, and may be given again."""
     group.add_argument(
-        *options, nargs="+", action="extend", default=[], metavar=metavar, help=text
+        *options, nargs="+", action="extend", default=[], metavar="FILE", help=text
     )
 
 

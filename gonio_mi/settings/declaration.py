@@ -126,15 +126,15 @@ def declarations(settings: Any) -> dict[str, Declaration]:
     return found
 
 
-def numpydoc(settings: Any, indent: str = "    ") -> str:
+def numpydoc(settings: Any) -> str:
     """Rows of a numpydoc section `Parameters`, one for each setting."""
     rows = []
     for declared in declarations(settings).values():
         sentence = f"{declared.sentence} Default ``{declared.shown_default}``."
-        body = textwrap.fill(sentence, 84 - len(indent), break_on_hyphens=False)
+        body = textwrap.fill(sentence, 80, break_on_hyphens=False)
         rows.append(f"{declared.name} : {declared.form}, optional")
         rows.append(textwrap.indent(body, "    "))
-    return textwrap.indent("\n".join(rows), indent).lstrip()
+    return textwrap.indent("\n".join(rows), "    ").lstrip()
 
 
 def plugin_table(text: str | None, settings: Any, plugin: str) -> str:
