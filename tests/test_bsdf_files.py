@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 import synthetic
-from budget import Verdict, agree, disagree, normal_scores
+from budget import ENOUGH_HITS, Verdict, agree, disagree, normal_scores, verdict
 from scipy import stats
 
 import gonio_mi as gonio
@@ -219,22 +219,30 @@ def test_no_column_of_the_file_has_more_light_than_came(blind):
 
 
 def test_direct_light_is_in_one_patch(blind):
-    """Of each incident patch, and as much as the closed form says."""
+    """Of each incident patch, and as much as the closed form says; twin: 3 % more."""
     _, records = blind
     record = records["front"]
+    # a grid of 256 points is right to 3e-5, a hundredth of a standard error
     points = KLEMS.points(16)
     theta = np.degrees(np.arccos(points[..., 2]))
     phi = np.degrees(np.arctan2(points[..., 1], points[..., 0]))
-    for number in (0, 20, 60, 110):
-        share = np.mean(
-            [blinds.direct_share(BLIND, *a) for a in zip(theta[number], phi[number])]
-        )
-        # 2048 points of a scrambled sequence, and 256 of a grid
-        assert abs(record.direct[number, 0] - share) <= 0.01
-        there = radiance_xml.incident_patch(record.theta_i, record.phi_i)[number]
-        flux = record.flux_fraction[number, 1, there, 0, 0]
-        assert flux >= record.direct[number, 0]
-        assert flux - record.direct[number, 0] <= 0.02
+    numbers = np.arange(0, 145, 5)
+    direct, std_err = record.direct[numbers, 0], record.direct_std_err[numbers, 0]
+    angles = (zip(theta[number], phi[number]) for number in numbers)
+    share = np.array(
+        [np.mean([blinds.direct_share(BLIND, *a) for a in each]) for each in angles]
+    )
+    assert (direct[share == 0] == 0).all()
+    known = share * 2**11 > ENOUGH_HITS
+    for factor, passes in ((1, agree), (1.03, disagree)):
+        t = (direct - factor * share)[known] / std_err[known]
+        passes(verdict(normal_scores(t, record.n_batches - 1)))
+    there = radiance_xml.incident_patch(record.theta_i, record.phi_i)[numbers]
+    flux = record.flux_fraction[numbers, 1, there, 0, 0]
+    assert (flux >= direct).all()
+    # what was scattered any number of times leaves by the cosine law of a slat
+    most = RHO / (1 - RHO) * KLEMS.solid_angles.ravel()[there] / np.pi
+    assert (flux - direct <= most).all()
 
 
 def test_radiance_reads_the_blind(blind):
