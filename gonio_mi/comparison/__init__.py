@@ -1,7 +1,8 @@
 """Comparison of a record with another record or with measured values."""
 
 from .budget import Budget, aperture_effect, uncertainty_budget
-from .comparing import ALPHA, Comparison, compare
+from .comparing import ALPHA, compare
+from .findings import Comparison
 from .measuring_like import measure_like
 
 __all__ = [

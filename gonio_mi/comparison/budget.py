@@ -11,7 +11,8 @@ from ..errors import SettingError
 from ..files import check_output, replacing
 from ..files.measured import MeasuredTable
 from ..single_precision import FEW_ROUNDINGS
-from .comparing import Comparison, compare
+from .comparing import compare
+from .findings import Comparison
 from .measuring_like import measure_like
 
 __all__ = ["Budget", "aperture_effect", "uncertainty_budget"]

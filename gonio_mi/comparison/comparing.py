@@ -1,9 +1,7 @@
-"""Comparison of a record with another record or with measured values: the verdict."""
+"""Comparison of a record with another record or with measured values: the tests."""
 
-import html
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from os import PathLike
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,6 @@ import numpy as np
 from ..collector.directions import azimuths_deg
 from ..errors import (
     LABEL,
-    PackageError,
     SettingTypeError,
     abridged,
     checked_number,
@@ -19,11 +16,9 @@ from ..errors import (
 )
 from ..files.measured import MeasuredTable
 from ..files.measured_table import NUMBERS
-from ..plots import check_picture, html_of_figure
-from ..plots.drawable import save_picture
 from ..results.record import Record
 from .agreement import FEW_FOR_TAILS, PointSet, judge, mostly_few
-from .comparison_figure import comparison_figure
+from .findings import Comparison
 from .pairing import (
     check_uncertainties,
     labels,
@@ -32,215 +27,10 @@ from .pairing import (
 )
 from .patch_variation import left_undecided
 
-__all__ = ["ALPHA", "Comparison", "compare"]
+__all__ = ["ALPHA", "compare"]
 
 # Probability with which a right model is rejected.
 ALPHA = 1e-3
-
-N_WORST = 5
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Comparison:
-    """How well two sets of values agree, point by point and as a whole.
-
-    A point is a patch of the record, in one channel; with measured values, the patch
-    that holds the point. All arrays have the shape ``(n_points,)``.
-
-    Attributes
-    ----------
-    theta_i, phi_i, theta_o, phi_o : ndarray of float64
-        Directions of incidence and exit in degrees; ``theta_o > 90`` is transmission.
-    channel : ndarray of str
-    value, std_err : ndarray of float64
-        The record's BRDF or BTDF in 1/sr and its standard error, NaN without a hit.
-    other, other_std_err : ndarray of float64
-        The same of what it is compared with.
-    z : ndarray of float64
-        Difference in units of its standard error, as the normal score of the same
-        probability: positive where the record is larger, at most about 37. A common
-        scale uncertainty has no part in it: `other` counts times ``scale``, see below.
-    statistics : dict of float
-        ``chi2``, the sum of the squares of `z`; ``chi2_dof``, its effective degrees of
-        freedom (correlated points count less); ``scale``, the most likely common factor
-        of the other's values, 1 without a scale uncertainty; ``worst``, the largest
-        ``abs(z)``; ``total``, the largest normal score of a hemisphere's total.
-    p_values : dict of float
-        Of ``chi2``, ``worst`` and ``total``: the probability of a statistic this large
-        if both have the same true values.
-    alpha : float
-        Probability with which the verdict is ``"differ"`` although they have.
-    notes : tuple of str
-        What a reader of the verdict should know.
-    labels : tuple of str
-        What to call the record and the other: what differs in their settings.
-    undecided : bool
-        Whether they agree only as far as what the BRDF may do within patches explains
-        what differs.
-    """
-
-    theta_i: np.ndarray
-    phi_i: np.ndarray
-    theta_o: np.ndarray
-    phi_o: np.ndarray
-    channel: np.ndarray
-    value: np.ndarray
-    std_err: np.ndarray
-    other: np.ndarray
-    other_std_err: np.ndarray
-    z: np.ndarray
-    statistics: dict[str, float]
-    p_values: dict[str, float]
-    alpha: float
-    notes: tuple[str, ...] = ()
-    labels: tuple[str, str] = ("record", "other")
-    undecided: bool = False
-
-    @property
-    def rms(self) -> float:
-        """Root of the mean squared difference in 1/sr, the RMS error of the paper."""
-        return float(np.sqrt(np.mean((self.value - self.other) ** 2)))
-
-    @property
-    def rms_expected(self) -> float:
-        """RMS error in 1/sr that the uncertainties alone would give.
-
-        A patch without a hit counts with the uncertainty of the other alone.
-        """
-        square = self.other_std_err**2 + np.nan_to_num(self.std_err) ** 2
-        return float(np.sqrt(np.mean(square)))
-
-    @property
-    def relative_rms(self) -> float:
-        """`rms` over the mean of the other's values; NaN if that is not positive."""
-        mean = float(np.mean(self.other))
-        return self.rms / mean if mean > 0 else float("nan")
-
-    @property
-    def p_value(self) -> float:
-        """The least of `p_values`, times their number (Bonferroni), at most 1."""
-        return min(1.0, len(self.p_values) * min(self.p_values.values()))
-
-    @property
-    def passed(self) -> bool:
-        """Whether nothing tells the two apart, and patches can: ``p_value >= alpha``.
-
-        False where it is `undecided`.
-        """
-        return self.p_value >= self.alpha and not self.undecided
-
-    @property
-    def verdict(self) -> str:
-        """One of ``"agree"``, ``"differ"`` and ``"undecided"``."""
-        if self.undecided:
-            return "undecided"
-        return "agree" if self.passed else "differ"
-
-    @property
-    def worst(self) -> list[dict[str, Any]]:
-        """The points of largest ``abs(z)``, worst first: up to five dictionaries."""
-        order = np.argsort(-np.abs(self.z), kind="stable")[:N_WORST]
-        return [self._point(i) for i in order]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Everything in JSON's types; what is not known is None."""
-        return {
-            "passed": self.passed,
-            "undecided": self.undecided,
-            "p_value": self.p_value,
-            "alpha": self.alpha,
-            "n_points": len(self.z),
-            "rms": self.rms,
-            "rms_expected": self.rms_expected,
-            "relative_rms": _known(self.relative_rms),
-            "statistics": dict(self.statistics),
-            "p_values": dict(self.p_values),
-            "worst": self.worst,
-            "notes": list(self.notes),
-            "labels": list(self.labels),
-            "points": [self._point(i) for i in range(len(self.z))],
-        }
-
-    def plot(self, path: str | PathLike[str]) -> None:
-        """Write a picture of both curves with error bars, and of `z` below them.
-
-        One panel per incident direction and channel, along the measured half-planes
-        next to the plane of incidence.
-
-        Parameters
-        ----------
-        path : str or path
-            Ends in ``.pdf``, ``.png`` or ``.svg``.
-
-        Raises
-        ------
-        ImportError
-            Without Matplotlib.
-        ValueError, OSError
-            For another ending, or if the file cannot be written.
-        """
-        check_picture(path)
-        save_picture(comparison_figure(self), path)
-
-    def _point(self, i: int) -> dict[str, Any]:
-        directions = ("theta_i", "phi_i", "theta_o", "phi_o")
-        names = (*directions, "value", "std_err", "other", "other_std_err", "z")
-        point = {name: _known(float(getattr(self, name)[i])) for name in names}
-        return point | {"channel": str(self.channel[i])}
-
-    def _repr_html_(self) -> str:
-        """Picture and numbers, for notebooks; numbers alone without Matplotlib."""
-        try:
-            picture = html_of_figure(comparison_figure(self))
-        except PackageError:
-            picture = ""
-        return f"{picture}<pre>{html.escape(str(self))}</pre>"
-
-    def __repr__(self) -> str:
-        said = f"{len(self.z)} points: {self.verdict}, p {self.p_value:.3g}"
-        return f"<Comparison of {said}>"
-
-    def __str__(self) -> str:
-        found, p = self.statistics, self.p_values
-        verdict = {
-            "agree": "agree",
-            "differ": "DIFFER",
-            "undecided": "cannot be decided with these patches",
-        }[self.verdict]
-        lines = [
-            f"rms error   {self.rms:.4g} 1/sr, {100 * self.relative_rms:.3g} % of the "
-            f"mean; {self.rms_expected:.4g} from the uncertainties alone",
-            *(
-                [f"scale       the other's values times {found['scale']:.5g} fit best"]
-                if found["scale"] != 1
-                else []
-            ),
-            f"chi-square  {found['chi2']:.6g} of {len(self.z)} points, "
-            f"{found['chi2_dof']:.4g} degrees of freedom, p = {p['chi2']:.3g}",
-            f"worst       |z| = {found['worst']:.3g} of {len(self.z)} points, "
-            f"p = {p['worst']:.3g}",
-            f"total       |z| = {found['total']:.3g}, p = {p['total']:.3g}"
-            if found["total"]
-            else "total       not tested, or no difference",
-            f"verdict     {verdict}: p = {self.p_value:.3g}, where a right model falls "
-            f"below {self.alpha:g} with that probability",
-            "",
-            "worst points, angles in degrees, values in 1/sr: value of "
-            f"{self.labels[0]}, other of {self.labels[1]}",
-            "theta_i  phi_i  theta_o  phi_o  channel   value +- std_err      "
-            "other +- std_err          z",
-        ]
-        for point in self.worst:
-            angles = [f"{point[name]:7.4g}" for name in ("theta_i", "phi_i")]
-            # 359.99999 of single precision is 0
-            phi_o = float(f"{point['phi_o']:.4g}") % 360
-            angles += [f"{point['theta_o']:7.4g}", f"{phi_o:7.4g}"]
-            lines.append(
-                f"{''.join(angles)}  {point['channel']:>6}  "
-                f"{_pair(point['value'], point['std_err'])}  "
-                f"{_pair(point['other'], point['other_std_err'])}  {point['z']:6.2f}"
-            )
-        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
 
 def compare(
@@ -384,13 +174,3 @@ def _is_even(record: Record) -> bool:
     settings = record.settings
     sampled = settings.get("estimator") != "quadrature"
     return sampled and settings.get("sampler") != "independent"
-
-
-def _known(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-def _pair(value: float, std_err: float) -> str:
-    if std_err is None:
-        return f"{value:9.4g} +- {'-':<8}"
-    return f"{value:9.4g} +- {std_err:<8.2g}"
