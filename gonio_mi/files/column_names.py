@@ -93,6 +93,9 @@ CHANGES = re.compile(
 class Column:
     """What a column of a table holds.
 
+    One whose name says that it holds a multiple or a logarithm of a quantity, as
+    `CHANGED` and `CHANGES` have it, is none of these.
+
     Attributes
     ----------
     name : str
