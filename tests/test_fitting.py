@@ -245,6 +245,14 @@ def test_command_fits_a_table(tmp_path, capsys):
     assert "points differ by" in capsys.readouterr().out
     assert len(gonio.read_measured(outputs[1])) == 32
     assert main(["fit", str(tmp_path / "a.csv"), model, "-o", "b.npz"]) == 1
+    named = tmp_path / "named.csv"
+    text = (tmp_path / "a.csv").read_text().replace(",value", ",BRDF*cos")
+    named.write_text(text.replace("# quantity: brdf\n", ""))
+    said = ["--quantity", "brdf", "--json"]
+    assert main(["fit", str(named), "diffuse", *said]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)[0]["bsdf"]["type"] == "diffuse"
+    assert "taken for brdf" in err
 
 
 def test_colours_have_a_value_in_each_channel(rgb):  # noqa: ARG001

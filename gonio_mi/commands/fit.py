@@ -19,6 +19,7 @@ from .arguments import (
     DEFAULT_VARIANT,
     DONE,
     add_files,
+    say,
     set_variant,
     tell,
 )
@@ -109,8 +110,8 @@ def run(options: Namespace) -> int:
     else:
         for one in fits:
             tell(one)
-        for note in () if isinstance(record, Record) else record.notes:
-            tell(f"note: {note}")
+    for note in () if isinstance(record, Record) else record.notes:
+        (say if options.json else tell)(f"note: {note}")
     for path in pictures:
         fit_figure(fits, path)
     for path in predictions:
