@@ -206,6 +206,19 @@ def test_title_says_what_was_measured():
         assert words in title
 
 
+def test_integrals_are_drawn_without_their_rounding():
+    figure = plot(synthetic.integrals().with_settings(sampler="sobol"))
+    title = figure.get_suptitle()
+    assert "integrals, quadrature estimator" in title
+    assert "ray" not in title
+    assert "sampler" not in title
+    _, axes = panels(figure)
+    low, high = axes.get_ylim()
+    value = synthetic.integrals().brdf.max()
+    assert high - low >= 0.01 * value
+    assert low > 0.9 * value
+
+
 def test_any_name_of_a_specimen_can_be_drawn(tmp_path):
     name = "a $b_{ \\frac \udcff\n" + "long " * 99
     plot(synthetic.record().with_settings(specimen=name), tmp_path / "figure.png")

@@ -25,6 +25,8 @@ MAX_CURVES = 8
 WIDE_RANGE = 100
 # Less than this, and it does not begin at zero.
 NARROW_RANGE = 1.5
+# Part of the values that the axis spans at least: less is rounding.
+LEAST_RANGE = 0.01
 
 
 @dataclass(frozen=True)
@@ -160,6 +162,10 @@ def _scale(axes: "Axes", positive: NDArray[np.float64]) -> None:
         axes.set_ylim(low / 3, None)
     elif high > NARROW_RANGE * low:
         axes.set_ylim(0, None)
+    else:
+        below, above = axes.get_ylim()
+        margin = LEAST_RANGE * high / 2
+        axes.set_ylim(min(below, low - margin), max(above, high + margin))
 
 
 def _add_legend(

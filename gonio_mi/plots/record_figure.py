@@ -105,7 +105,8 @@ def _title(record: Record, index: int) -> str:
         direction += f" ({index + 1} of {len(record)} directions)"
     facts = [direction, "back side" if settings.get("side") == "back" else ""]
     rays = [sent_text(single.tallies)]
-    rays += [f"{settings[key]} {key}" for key in WORDS if key in settings]
+    words = WORDS if single.ledger.emitted else WORDS[:1]  # integrals draw no samples
+    rays += [f"{settings[key]} {key}" for key in words if key in settings]
     rays += [
         f"{key} {settings[key]}"
         for key, default in DEFAULTS.items()
