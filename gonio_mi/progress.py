@@ -1,6 +1,7 @@
 """A progress bar on standard error, or lines where that is no terminal."""
 
 import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -48,8 +49,10 @@ class _Lines(_Bar):
     """
 
     written = alive = -PAUSE
+    monitor_interval = 0  # no thread of tqdm's own
 
     def __init__(self, **settings: Any) -> None:
+        self._ended = threading.Event()
         now = time.monotonic()
         if now - _Lines.alive > PAUSE:
             _Lines.written = now
@@ -62,6 +65,15 @@ class _Lines(_Bar):
         own = {"bar_format": shape, "mininterval": 0, "miniters": 1, "delay": 0}
         super().__init__(**settings | own)
 
+    def __enter__(self) -> Callable[[float], Any]:
+        threading.Thread(target=self._watch, daemon=True).start()
+        return super().__enter__()
+
+    def _watch(self) -> None:
+        """Write also while nothing is reported."""
+        while not self._ended.wait(PAUSE):
+            self.display()
+
     def display(self, *_: Any, **__: Any) -> None:
         """Write a line, if it is time."""
         now = _Lines.alive = time.monotonic()
@@ -72,3 +84,4 @@ class _Lines(_Bar):
     def close(self) -> None:
         """End; there is nothing to wipe out."""
         self.disable = True
+        self._ended.set()

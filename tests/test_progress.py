@@ -1,5 +1,8 @@
 """What long work says of itself where nobody looks at a terminal. All is exact."""
 
+import threading
+import time
+
 import pytest
 
 from gonio_mi import progress
@@ -31,6 +34,19 @@ def test_a_line_once_a_while(clock, capsys):
         clock[0] += 31
         report(1e6)
     assert capsys.readouterr().err.startswith("2.00M rays")
+
+
+def test_a_line_while_nothing_is_reported(monkeypatch, capsys):
+    """Of the first direction, which takes long."""
+    monkeypatch.setattr(progress, "PAUSE", 0.02)
+    threads, said = threading.active_count(), ""
+    with progress.bar(True, total=4, unit="direction", desc="slow"):
+        while not said:
+            time.sleep(0.01)
+            said = capsys.readouterr().err
+    assert said.startswith("slow: 0 of 4 directions, ? left\n")
+    while threading.active_count() > threads:
+        time.sleep(0.01)
 
 
 def test_nothing_where_it_is_not_wanted(clock, capsys):

@@ -118,6 +118,14 @@ def test_noise_is_no_misplaced_light():
     agree(single((plain / noise_of(record) - 1) / scatter))
 
 
+def test_where_all_batches_agree_there_is_no_noise():
+    """All light in one patch, as of a mirror, or none at all: that is enough rays."""
+    for share in (1, 0):
+        record = counted(share * (np.arange(120) == 7), 2000)
+        assert noise_of(record) == 0
+    assert noise_of(counted(lobe(60), 2000, batches=1)) == np.inf
+
+
 def test_a_lobe_in_another_place_is_misplaced_light():
     """By as much as both differ; twin: by half of it."""
     record = counted(lobe(60), 20000)

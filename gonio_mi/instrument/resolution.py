@@ -29,6 +29,9 @@ SHARE = 1 / 2
 MOST_PATCHES = 10**5
 
 Incident = tuple[float, float]
+# What to do where no patches resolve the lobes.
+INSTEAD = "name angles (theta_i) instead of a tolerance"
+
 Records = Callable[[Sequence[Incident], Subdivision | None], Record]
 
 
@@ -78,14 +81,13 @@ def check_resolved(
         return
     delta = max(map(delta_share, (first[number] for number in range(len(first)))))
     if delta > tolerance:
-        instead = "name angles (theta_i) instead of a tolerance"
         window = "make a window file of it (gonio-mi bsdf)"
         other = window if np.any(first.direct) else "take a rough BSDF"
         raise SpecimenError(
             f"{delta:.2g} of the light of {first.settings['specimen']!s:.60} leaves in "
             f"delta lobes (mirror images, or straight on) at an angle up to "
             f"{max(angles):.3g}, and no patches tell where these are between "
-            f"directions: {instead}, or {other}"
+            f"directions: {INSTEAD}, or {other}"
         )
     while max(lost) > NEARLY:
         sizes = [n * (1 + (one > NEARLY)) for n, one in zip(patches.shape, lost)]
@@ -99,7 +101,10 @@ def check_resolved(
         f"be in the wrong place at an angle up to {max(angles):.3g}"
     )
     if max(lost) > NEARLY:
-        raise SpecimenError(f"{said}, and {max(lost):.2g} with {patches!s:.40}")
+        raise SpecimenError(
+            f"{said}, and {max(lost):.2g} with {patches!s:.40}, as of smooth mirrors; "
+            f"{INSTEAD}"
+        )
     factors = [max(1.0, (one / (SHARE * tolerance)) ** (1 / ORDER)) for one in lost]
     sizes = [math.ceil(n * f / 4) * 4 for n, f in zip(patches.shape, factors)]
     enough = EqualAngle(*sizes)

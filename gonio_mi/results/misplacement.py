@@ -103,12 +103,14 @@ def misplaced(record: Record, predicted: Floats) -> Misplacement:
 def noise_of(record: Record) -> float:
     """Part of its light that a record's standard errors misplace on average.
 
-    Of one incident direction; the errors of patches are taken as normal. Infinite
-    where no light or no error is known.
+    Of one incident direction; the errors of patches are taken as normal. None where all
+    batches agree, as on a mirror, or no light left at all; infinite where no error is
+    known, of a single batch.
     """
     total = record.flux_fraction.sum()
-    stated = np.sqrt(2 / np.pi) * _stated(record)
-    return float(stated / total) if total > 0 and stated > 0 else np.inf
+    if record.n_batches < 2:
+        return float(np.inf)
+    return float(np.sqrt(2 / np.pi) * _stated(record) / total) if total > 0 else 0.0
 
 
 def _stated(record: Record) -> float:
