@@ -4,18 +4,11 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import budget
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import (
-    Verdict,
-    agree,
-    count_verdict,
-    disagree,
-    normal_scores,
-    scores,
-    verdict,
-)
+from budget import agree, count_verdict, disagree, normal_scores, scores, verdict
 from scipy import stats
 
 import gonio_mi as gonio
@@ -285,7 +278,7 @@ def test_path_samples_of_facets():
         std_err = np.sqrt((a.var(axis=0, ddof=1) + b.var(axis=0, ddof=1)) / 16)
         z = normal_scores((a - b).mean(axis=0) / std_err, 30)
         worst = z.size * 2 * stats.norm.sf(np.abs(z).max())
-        return Verdict({"worst": min(1.0, worst)}, z.size)
+        return budget.Verdict({"worst": min(1.0, worst)}, z.size)
 
     agree(compared(1))
     disagree(compared(1.04))
