@@ -154,10 +154,25 @@ def facets(wo, theta_i, phi_i, widths, tilt=(0.0, 0.0), turn=0.0):
     return density / (half @ wi / norm) / wo[..., 2]
 
 
-def facet_lobes(patches, incidents, widths=(0.1, 0.2), **more):
+def facets_through(wo, theta_i, phi_i, widths, eta):
+    """BTDF of single refractions at such slopes; `wo` as seen from above."""
+    wi, out = direction(np.radians(theta_i), np.radians(phi_i)), wo * [1, 1, -1]
+    half = (wi + eta * out) * np.sign(1 - eta)
+    normal = half / np.linalg.norm(half, axis=-1, keepdims=True)
+    comes, goes = normal @ wi, -np.sum(normal * out, axis=-1)
+    up = normal[..., 2]
+    seen = (comes > 0) & (goes > 0) & (up > 0)
+    slopes = normal[..., :2] / np.where(seen, up, 1)[..., None] / widths
+    density = np.exp(-np.sum(slopes**2, axis=-1) / 2) / np.where(seen, up, 1) ** 4
+    # all normals refract as much: Walter et al. 2007, equation 17 is left
+    value = density * goes / (comes - eta * goes) ** 2 / wo[..., 2]
+    return np.where(seen, value, 0)
+
+
+def facet_lobes(patches, incidents, widths=(0.1, 0.2), of=facets, **more):
     """Flux fractions, half of the light each, by 16 x 16 points of each patch."""
     points = patches.points(16)
-    flux = [facets(points, *one, widths, **more).mean(axis=1) for one in incidents]
+    flux = [of(points, *one, widths, **more).mean(axis=1) for one in incidents]
     flux = np.reshape(flux, (-1, *patches.shape)) * patches.projected_solid_angles
     return flux / flux.sum(axis=(1, 2), keepdims=True) / 2
 

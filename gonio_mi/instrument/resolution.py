@@ -54,7 +54,11 @@ def check_equal_sectors(patches: Subdivision) -> None:
 
 
 def check_resolved(
-    tolerance: float, n_points: int, angles: Sequence[float], records: Records
+    tolerance: float,
+    n_points: int,
+    angles: Sequence[float],
+    records: Records,
+    phi_i: float = 0.0,
 ) -> None:
     """Raise SpecimenError if patches are too coarse to say what is between directions.
 
@@ -72,10 +76,13 @@ def check_resolved(
         Of incidence in degrees, where it is looked at.
     records : callable
         Stack of incident directions in degrees, with another collector if one is given.
+    phi_i : float
+        Azimuth in degrees, where it is looked at.
     """
-    first = records([(theta_i, 0.0) for theta_i in angles], None)
+    incidents = [(theta_i, phi_i) for theta_i in angles]
+    first = records(incidents, None)
     asked = patches = first.subdivision
-    lost_at = partial(_lost, tolerance, n_points, angles)
+    lost_at = partial(_lost, tolerance, n_points, incidents)
     lost = at_first = lost_at(patches, partial(_at, records, None))
     if max(lost) <= tolerance:
         return
@@ -143,7 +150,7 @@ def _at(
 def _lost(
     tolerance: float,
     n_points: int,
-    angles: Sequence[float],
+    looked_at: Sequence[Incident],
     patches: Subdivision,
     records: Callable[[Sequence[Incident]], Record],
 ) -> tuple[float, ...]:
@@ -152,7 +159,7 @@ def _lost(
     By rings and by sectors: lobes are moved by half a ring, and by half a sector, from
     directions next to them.
     """
-    moved = [_moved(theta_i, patches) for theta_i in angles]
+    moved = [_moved(*incident, patches) for incident in looked_at]
     every = {
         incident
         for both in moved
@@ -174,7 +181,9 @@ def _lost(
     return tuple(map(max, zip(*each)))
 
 
-def _moved(theta_i: float, patches: Any) -> list[tuple[Incident, list[list[Incident]]]]:
+def _moved(
+    theta_i: float, phi_i: float, patches: Any
+) -> list[tuple[Incident, list[list[Incident]]]]:
     """Directions half a ring and half a sector from one, in degrees.
 
     Each with the stacks that predict it, of whose predictions the mean is taken.
@@ -183,8 +192,8 @@ def _moved(theta_i: float, patches: Any) -> list[tuple[Incident, list[list[Incid
     ring = int(np.searchsorted(edges, theta_i).clip(1, len(edges) - 1))
     width = min(float(edges[ring] - edges[ring - 1]), theta_i)
     sector = 360 / patches.shape[1]
-    start = theta_i, 0.0
+    start = theta_i, phi_i
     return [
-        ((theta_i - width / 2, 0.0), [[(theta_i - width, 0.0), start]]),
-        ((theta_i, sector / 2), [[start], [(theta_i, sector)]]),
+        ((theta_i - width / 2, phi_i), [[(theta_i - width, phi_i), start]]),
+        ((theta_i, phi_i + sector / 2), [[start], [(theta_i, phi_i + sector)]]),
     ]

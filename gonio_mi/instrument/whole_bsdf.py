@@ -119,7 +119,7 @@ class WholeBsdf:
                 logger.info("%s: rays instead of integrals: %s", self.name, error)
                 self.directions.start_anew()
             except TooCoarseError as error:
-                if self.directions.settings.get("collector") is not None:
+                if self.settings.get("collector") is not None:
                     raise
                 logger.info("%s: the collector is %s", self.name, error.enough)
                 self.directions.start_anew(error.enough)
@@ -133,11 +133,14 @@ class WholeBsdf:
         patches = self.known[0.0, 0.0].subdivision
         check_equal_sectors(patches)
         self.n_sectors = patches.shape[1]
-        check_resolved(self.tolerance, self.n_points, angles[2:], self.directions.stack)
+        looked_at = self.tolerance, self.n_points, angles[2:], self.directions.stack
+        check_resolved(*looked_at)
         self.recognition = Recognition(self.directions, angles, self.n_points)
         self.isotropic = self.recognition.is_isotropic()
         self.symmetry = AzimuthSymmetry(self.n_sectors)
         if not self.isotropic:
+            # lobes that are wide along this azimuth may be narrow along the other
+            check_resolved(*looked_at, self._azimuth(round(self.n_sectors / 4)))
             self.symmetry = self.recognition.symmetry()
         self._refine(angles)
         errors = self._confirmed()

@@ -19,7 +19,7 @@ from ..collector import RingsAndSectors
 from ..collector.directions import direction
 from .gradients import gradients
 
-__all__ = ["goes", "predicted", "reflected"]
+__all__ = ["goes", "predicted", "reflected", "refracted", "sent"]
 
 Floats = NDArray[np.float64]
 
@@ -55,15 +55,68 @@ def _dot(a: Any, b: Any) -> Any:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
+def refracted(
+    wo: Any, before: Any, after: Any, eta: float, xp: Any
+) -> tuple[list[Any], Any, Any]:
+    """Where a micro-normal refracts light to that comes from another direction.
+
+    Parameters
+    ----------
+    wo, before, after : sequence of three coordinates
+        As for :func:`reflected`, but `wo` and what is returned are on the other side
+        of the surface, and z is their depth.
+    eta : float
+        Refractive index of that side, relative to that of the light.
+    xp : module
+        NumPy or Dr.Jit.
+
+    Returns
+    -------
+    list of three coordinates
+        Unit vector, perhaps above the horizon.
+    float or array
+        Solid angle there for one at `wo` (Walter et al. 2007,
+        doi:10.2312/EGWR/EGSR07/195-206, equation 17).
+    bool or array
+        Whether any normal refracts both; what is returned is finite where none does.
+    """
+    side = 1 if eta < 1 else -1
+    through = [wo[0], wo[1], -wo[2]]
+    half = [side * (b + eta * o) for b, o in zip(before, through)]
+    length = xp.sqrt(xp.maximum(_dot(half, half), 2.0**-60))
+    normal = [one / length for one in half]
+    came, went = _dot(normal, before), -_dot(normal, through)
+    comes = _dot(normal, after)
+    cos2 = 1 - (1 - comes * comes) / eta**2
+    goes_on = xp.sqrt(xp.maximum(cos2, 0))
+    valid = (normal[2] > 0) & (came > 0) & (went > 0) & (comes > 0) & (cos2 > 2.0**-40)
+    to = [(comes / eta - goes_on) * n - a / eta for n, a in zip(normal, after)]
+    rate = went * ((comes - eta * goes_on) / (came - eta * went)) ** 2
+    return [to[0], to[1], -to[2]], rate / xp.maximum(goes_on, 2.0**-20), valid
+
+
+def sent(
+    wo: Any, before: Any, after: Any, eta: float | None, xp: Any
+) -> tuple[list[Any], Any, Any]:
+    """What :func:`refracted` says, or without `eta` :func:`reflected`: always valid."""
+    if eta is None:
+        return *reflected(wo, before, after), wo[2] > 0
+    return refracted(wo, before, after, eta, xp)
+
+
 def goes(z: Any, to: Any) -> Any:
     """Whether light goes to the height `to` from the height `z` of where it was."""
     return (z > 0) & (to > 0) & (z <= BRIGHTEST * to)
 
 
 def predicted(
-    flux: Floats, patches: RingsAndSectors, theta_i: float, phi_i: tuple[float, float]
+    flux: Floats,
+    patches: RingsAndSectors,
+    theta_i: float,
+    phi_i: tuple[float, float],
+    eta: float | None = None,
 ) -> tuple[Floats, Floats]:
-    """Lobe of reflection for another azimuth of incidence: turned, and reflected.
+    """Lobe for another azimuth of incidence: turned, and sent by its micro-normals.
 
     Parameters
     ----------
@@ -74,6 +127,8 @@ def predicted(
         In degrees.
     phi_i : (float, float)
         Azimuths in degrees at which it was measured, and for which it is wanted.
+    eta : float, optional
+        Of a lobe of transmission the refractive index.
 
     Returns
     -------
@@ -92,10 +147,11 @@ def predicted(
     ]
     lobe = _Lobe(flux, patches)
     unmoved = lobe.at(own)
-    source, scale = reflected(wo, after, before)
-    comes = goes(source[2], z)
+    source, scale, valid = sent(wo, after, before, eta, np)
+    comes = valid & goes(source[2], z)
     stretch = np.where(comes, source[2] * scale / z, 0)[..., None]
-    stays = ~goes(z, reflected(own, before, after)[0][2])[..., None]
+    to, _, valid = sent(own, before, after, eta, np)
+    stays = ~(valid & goes(z, to[2]))[..., None]
     source[2] = np.where(comes, source[2], 1)
     moved = stretch * lobe.at(source) + stays * unmoved
     return lobe.means(unmoved), lobe.means(moved)

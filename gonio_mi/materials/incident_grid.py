@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from ..collector import RingsAndSectors, Subdivision
 from ..errors import SettingError
 from ..results.record import Record
+from .azimuth_trials import AzimuthTrials, distances
 from .half_vectors import predicted
 
 __all__ = ["IncidentGrid"]
@@ -22,9 +22,6 @@ WIDEST_GAP = 120
 
 # Angles of incidence that differ by less are the same, in degrees.
 SAME_ANGLE = 1e-3
-
-# Records that are predicted from their neighbours, to know how lobes move.
-TRIALS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +42,8 @@ class IncidentGrid:
         Whether between azimuths reflected light moves by :mod:`.half_vectors`, as
         records say that are predicted from their neighbours; else lobes turn with
         incidence.
+    eta : float, optional
+        The same for transmitted light, with this refractive index of the other side.
     """
 
     theta_i: Floats
@@ -53,6 +52,7 @@ class IncidentGrid:
     normal: NDArray[np.bool_]
     patches: Subdivision
     reflects: bool
+    eta: float | None = None
 
     @classmethod
     def of(cls, record: Record, flux: Floats) -> IncidentGrid:
@@ -96,7 +96,16 @@ class IncidentGrid:
         if len(first):
             grid[:, 0] = first
         found = cls(theta_i, phi_i, grid, normal, record.subdivision, False)
-        return replace(found, reflects=found._reflects(flux))
+        if not isinstance(found.patches, RingsAndSectors) or len(phi_i) == 1:
+            return found
+        begin = int(normal.any())
+        trials = AzimuthTrials(theta_i[begin:], phi_i, grid[:, begin:], found.patches)
+        lower = flux.shape[1] > 1
+        return replace(
+            found,
+            reflects=trials.reflects(flux[:, 0]),
+            eta=trials.index_of_refraction(flux[:, 1]) if lower else None,
+        )
 
     def filled(self, values: Floats) -> Floats:
         """Values of the stack at each azimuth and angle, shape ``(P, N, ...)``.
@@ -128,60 +137,27 @@ class IncidentGrid:
         for azimuth in np.flatnonzero(~measured).tolist():
             last = np.searchsorted(known, azimuth) - 1
             ends = int(known[last]), int(known[(last + 1) % len(known)])
-            past, left = self._distances(ends[0], azimuth, ends[1])
+            past, left = distances(self.phi_i[[ends[0], azimuth, ends[1]]])
             low, high = lobes[list(ends)]
             if lobes.ndim == 5:
-                turns = [round(by * lobes.shape[3] / 360) for by in (past, -left)]
-                low, high = np.roll(low, turns[0], 2), np.roll(high, turns[1], 2)
-            if lobes.ndim == 5 and self.reflects:
-                low[0], high[0] = (
-                    self._predicted(lobes[end, 0], angle, end, azimuth)[1]
-                    for end in ends
-                )
+                low = self._sent(low, angle, ends[0], azimuth)
+                high = self._sent(high, angle, ends[1], azimuth)
             lobes[azimuth] = (left * low + past * high) / (past + left)
 
-    def _distances(self, before: int, azimuth: int, after: int) -> tuple[float, float]:
-        """How far an azimuth is past one and before another, in degrees."""
-        own = self.phi_i[azimuth]
-        return (own - self.phi_i[before]) % 360, (self.phi_i[after] - own) % 360
-
-    def _predicted(
-        self, lobe: Floats, angle: int, end: int, azimuth: int
-    ) -> tuple[Floats, Floats]:
-        """Reflected lobe of one azimuth for another one, in both ways."""
+    def _sent(self, lobes: Floats, angle: int, end: int, azimuth: int) -> Floats:
+        """Lobes of one azimuth for another one, shape ``(H, n_theta, n_phi, ...)``."""
         phi_i = float(self.phi_i[end]), float(self.phi_i[azimuth])
-        patches: Any = self.patches
-        return predicted(lobe, patches, float(self.theta_i[angle]), phi_i)
+        sectors = round((phi_i[1] - phi_i[0]) * lobes.shape[2] / 360)
+        moved, patches, theta_i = np.roll(lobes, sectors, 2), self.patches, self.theta_i
+        for number, lobe in enumerate(lobes):
+            if self.moves(number) and isinstance(patches, RingsAndSectors):
+                eta = self.eta if number else None
+                moved[number] = predicted(lobe, patches, theta_i[angle], phi_i, eta)[1]
+        return moved
 
-    def _reflects(self, flux: Floats) -> bool:
-        """Whether reflected lobes are better predicted by their micro-normals."""
-        if not isinstance(self.patches, RingsAndSectors) or len(self.phi_i) < 4:
-            return False
-        trials = []
-        for angle in range(int(self.normal.any()), len(self.theta_i)):
-            known = np.flatnonzero(self.index[:, angle] >= 0)
-            if len(known) >= 4:
-                ways = zip(np.roll(known, 1), known, np.roll(known, -1))
-                trials += [(angle, *one) for one in ways]
-        wrong = np.zeros(2)
-        for number in np.unique(np.linspace(0, len(trials) - 1, TRIALS, dtype=int)):
-            wrong += self._errors(flux, *trials[number])
-        return bool(wrong[1] < wrong[0])
-
-    def _errors(
-        self, flux: Floats, angle: int, before: int, azimuth: int, after: int
-    ) -> Floats:
-        """Light that both ways have in wrong places, of a record between two others."""
-        low, known, high = (
-            flux[self.index[at, angle], 0].mean(axis=-1, keepdims=True)
-            for at in (before, azimuth, after)
-        )
-        past, left = self._distances(before, azimuth, after)
-        of_low = np.stack(self._predicted(low, angle, before, azimuth))
-        of_high = np.stack(self._predicted(high, angle, after, azimuth))
-        mixed = (left * of_low + past * of_high) / (past + left)
-        errors: Floats = np.abs(mixed - known).sum(axis=(1, 2, 3))
-        return errors
+    def moves(self, hemisphere: int) -> bool:
+        """Whether light moves between azimuths by its micro-normals."""
+        return self.eta is not None if hemisphere else self.reflects
 
 
 def _is_filled(grid: NDArray[np.int64], phi_i: Floats, patches: Subdivision) -> bool:

@@ -13,7 +13,7 @@ from .disk import DiskPoint, seen_from, towards
 from .incident_places import IncidentPlaces, Place
 from .lit_lobes import LitLobes
 from .lobes import LobeTable
-from .moving_points import Legs, came_from, goes_to
+from .moving_points import Azimuths, Legs
 from .table_reading import doubles, read
 
 __all__ = ["LitFace"]
@@ -34,8 +34,8 @@ class LitFace:
     def __init__(self, table: LobeTable, wavelengths: Floats | None = None) -> None:
         self.wavelengths = wavelengths
         self.n_azimuths, self.n_angles, self.n_hemispheres = table.brdf.shape[:3]
-        self.reflects = table.grid.reflects
         self.incident, self.legs = IncidentPlaces(table.grid), Legs(table)
+        self.azimuths = Azimuths(table.grid, self.n_hemispheres)
         self.lobes = LitLobes(table)
         self.flux = doubles(table.flux.mean(axis=-1))
 
@@ -109,14 +109,14 @@ class LitFace:
     ) -> list[mi.Float64]:
         """BRDF of one azimuth at that of incidence.
 
-        What its micro-normals send to a point, and what they would send below the
+        What its micro-normals send to a point, and what they would send beyond the
         horizon and therefore stays.
         """
-        if not self.reflects:
+        if not self.azimuths.ways:
             return self._of_azimuth(place, hemisphere, point, active)
-        source, stretch, comes = came_from(place, hemisphere, point)
+        source, stretch, comes = self.azimuths.came_from(place, hemisphere, point)
         sent = self._of_azimuth(place, hemisphere, source, active & comes)
-        _, leaves = goes_to(place, hemisphere, point)
+        _, leaves = self.azimuths.goes_to(place, hemisphere, point)
         stays = self._staying(place, hemisphere, point, active & ~leaves)
         return [stretch * a + b for a, b in zip(sent, stays)]
 
@@ -205,8 +205,8 @@ class LitFace:
         """Where a point of the lobe at an end of a leg is for incident light."""
         if self.n_angles > 1:
             ((point, _),) = self.legs.moved(place, hemisphere, point, end, [place.t])
-        if self.reflects:
-            point, _ = goes_to(place, hemisphere, point)
+        if self.azimuths.ways:
+            point, _ = self.azimuths.goes_to(place, hemisphere, point)
         return point
 
     def sample(

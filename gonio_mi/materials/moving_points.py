@@ -9,12 +9,13 @@ import drjit as dr
 import mitsuba as mi
 
 from .disk import DiskPoint, above, on_disk, turned
-from .half_vectors import goes, reflected
+from .half_vectors import goes, sent
+from .incident_grid import IncidentGrid
 from .incident_places import Place
 from .lobes import LobeTable
 from .table_reading import doubles, last, read
 
-__all__ = ["Legs", "came_from", "goes_to"]
+__all__ = ["Azimuths", "Legs"]
 
 
 @dataclass(frozen=True)
@@ -111,28 +112,51 @@ class Legs:
         return found
 
 
-def came_from(
-    place: Place, hemisphere: mi.UInt32, point: DiskPoint
-) -> tuple[DiskPoint, mi.Float64, mi.Bool]:
-    """Where light that micro-normals send to a point is in a measured azimuth's lobe.
+class Azimuths:
+    """Ways of points between azimuths, by micro-normals that stay.
 
-    With the stretch of areas, and whether any is sent there.
+    Parameters
+    ----------
+    grid : IncidentGrid
+        That says which light moves so: reflected, transmitted or both.
+    n_hemispheres : {1, 2}
     """
-    wo, (own, here) = above(point), place.lights()
-    came, scale = reflected(wo, here, own)
-    comes = (hemisphere == 0) & goes(came[2], wo[2])
-    stretch = dr.select(comes, came[2] * scale / wo[2], 0)
-    return on_disk(turned(came, place.past)), stretch, comes
 
+    def __init__(self, grid: IncidentGrid, n_hemispheres: int) -> None:
+        # by hemisphere, with the refractive index of transmission
+        self.ways = [
+            (number, grid.eta if number else None)
+            for number in range(n_hemispheres)
+            if grid.moves(number)
+        ]
 
-def goes_to(
-    place: Place, hemisphere: mi.UInt32, point: DiskPoint
-) -> tuple[DiskPoint, mi.Bool]:
-    """Where micro-normals send light of a measured azimuth to, and whether."""
-    wo, (own, here) = turned(above(point), -place.past), place.lights()
-    to, _ = reflected(wo, own, here)
-    leaves = (hemisphere == 0) & goes(wo[2], to[2])
-    moved = on_disk(to)
-    return DiskPoint(
-        dr.select(leaves, moved.x, point.x), dr.select(leaves, moved.v, point.v)
-    ), leaves
+    def came_from(
+        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint
+    ) -> tuple[DiskPoint, mi.Float64, mi.Bool]:
+        """Where light that is sent to a point is in a measured azimuth's lobe.
+
+        With the stretch of areas, and whether any is sent there.
+        """
+        wo, (own, here) = above(point), place.lights()
+        source, stretch, comes = wo, mi.Float64(0), mi.Bool(False)
+        for number, eta in self.ways:
+            came, scale, valid = sent(wo, here, own, eta, dr)
+            this = (hemisphere == number) & valid & goes(came[2], wo[2])
+            stretch = dr.select(this, came[2] * scale / wo[2], stretch)
+            source = [dr.select(this, a, b) for a, b in zip(came, source)]
+            comes |= this
+        return on_disk(turned(source, place.past)), stretch, comes
+
+    def goes_to(
+        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint
+    ) -> tuple[DiskPoint, mi.Bool]:
+        """Where light of a measured azimuth is sent to, and whether."""
+        wo, (own, here) = turned(above(point), -place.past), place.lights()
+        x, v, leaves = point.x, point.v, mi.Bool(False)
+        for number, eta in self.ways:
+            to, _, valid = sent(wo, own, here, eta, dr)
+            this = (hemisphere == number) & valid & goes(wo[2], to[2])
+            moved = on_disk(to)
+            x, v = dr.select(this, moved.x, x), dr.select(this, moved.v, v)
+            leaves |= this
+        return DiskPoint(x, v), leaves

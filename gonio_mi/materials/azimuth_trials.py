@@ -1,0 +1,113 @@
+"""How lobes move between azimuths: tried where records are between two others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..array_types import Floats, Integers
+from ..collector import RingsAndSectors
+from .half_vectors import predicted
+
+__all__ = ["AzimuthTrials", "distances"]
+
+# Records that are predicted from their neighbours; azimuths below which none is.
+TRIALS, FEW = 4, 4
+
+# Refractive indices that are tried, relative to what Snell's law makes of the mean of
+# the transmitted light; so near to 1 there is no telling by what light was bent.
+INDICES, BENT = (0.9, 1.0, 1.1), 0.05
+
+
+def distances(phi_i: Floats) -> tuple[float, float]:
+    """How far the second of three azimuths is past the first and before the third."""
+    return float((phi_i[1] - phi_i[0]) % 360), float((phi_i[2] - phi_i[1]) % 360)
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A record between two others at one polar angle: their numbers in the stack."""
+
+    theta_i: float
+    phi_i: Floats
+    numbers: list[int]
+
+
+class AzimuthTrials:
+    """Lobes predicted in both ways: as they turn, and by micro-normals that stay.
+
+    Parameters
+    ----------
+    theta_i, phi_i : ndarray, shapes (N,), (P,)
+        In degrees, ascending; polar angles without the normal.
+    index : ndarray of int, shape (P, N)
+        Of the stack; -1 for none.
+    patches : RingsAndSectors
+    """
+
+    def __init__(
+        self, theta_i: Floats, phi_i: Floats, index: Integers, patches: RingsAndSectors
+    ) -> None:
+        self.theta_i, self.phi_i, self.index = theta_i, phi_i, index
+        self.patches = patches
+        trials = []
+        for angle, theta in enumerate(theta_i.tolist()):
+            known = np.flatnonzero(index[:, angle] >= 0)
+            if len(known) >= FEW:
+                ways = zip(np.roll(known, 1), known, np.roll(known, -1))
+                trials += [(angle, theta, list(one)) for one in ways]
+        chosen = np.unique(np.linspace(0, len(trials) - 1, TRIALS, dtype=int))
+        self.trials = [
+            _Trial(theta, phi_i[of], index[of, angle].tolist())
+            for angle, theta, of in (trials[n] for n in (chosen if trials else []))
+        ]
+
+    def reflects(self, flux: Floats) -> bool:
+        """Whether micro-normals predict reflected lobes better.
+
+        `flux` has the shape ``(n, n_theta, n_phi, channels)``, as that of the stack.
+        """
+        return bool(self.trials) and self._are_better(flux, None)
+
+    def index_of_refraction(self, flux: Floats) -> float | None:
+        """That by which micro-normals predict transmitted lobes better, or None.
+
+        Near what Snell's law says of the mean of all light, relative to the side of
+        incidence: that which predicts a record best.
+        """
+        snell = self._mean_index(flux) if self.trials else None
+        if snell is None:
+            return None
+        middle = self.trials[len(self.trials) // 2]
+        tried = [snell * factor for factor in INDICES if abs(snell * factor - 1) > BENT]
+        eta = min(tried, key=lambda one: self._errors(flux, one, middle)[1])
+        return eta if self._are_better(flux, eta) else None
+
+    def _mean_index(self, flux: Floats) -> float | None:
+        """Sines of incidence over those of the mean light; None if that is back."""
+        middles = self.patches.points(1)[:, 0, :2].reshape(*flux.shape[1:3], 2)
+        sines = means = 0.0
+        for (azimuth, angle), number in np.ndenumerate(self.index):
+            if number >= 0:
+                light = flux[number].sum(axis=-1)
+                phi = np.radians(self.phi_i[azimuth])
+                away = -(middles @ np.array([np.cos(phi), np.sin(phi)]))
+                means += float((light * away).sum())
+                sines += float(np.sin(np.radians(self.theta_i[angle])) * light.sum())
+        return sines / means if means > 0 else None
+
+    def _are_better(self, flux: Floats, eta: float | None) -> bool:
+        wrong = np.sum([self._errors(flux, eta, one) for one in self.trials], axis=0)
+        return bool(wrong[1] < wrong[0])
+
+    def _errors(self, flux: Floats, eta: float | None, trial: _Trial) -> Floats:
+        """Light that both ways have in wrong places."""
+        low, known, high = flux[trial.numbers].mean(axis=-1, keepdims=True)
+        theta_i, (first, own, other) = trial.theta_i, trial.phi_i.tolist()
+        past, left = distances(trial.phi_i)
+        of_low = np.stack(predicted(low, self.patches, theta_i, (first, own), eta))
+        of_high = np.stack(predicted(high, self.patches, theta_i, (other, own), eta))
+        mixed = (left * of_low + past * of_high) / (past + left)
+        errors: Floats = np.abs(mixed - known).sum(axis=(1, 2, 3))
+        return errors
