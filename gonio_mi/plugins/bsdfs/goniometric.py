@@ -61,11 +61,12 @@ class Goniometric(mi.BSDF):
     stays at the mirror angle, a diffuse lobe where it is, and reflectance and
     transmittance are linear in :math:`\sin\theta_i`, never above the greater of the
     two. Azimuths turn with that of incidence; between two measured azimuths both
-    neighbours are mixed. Of reflection they are first moved to where the same
-    micro-normals (half vectors) reflect to, if this predicts records of four azimuths
-    or more better from their neighbours; what would go below the horizon stays. Outside
-    of the polar angles of the record, the nearest counts. How
-    wrong all this is between the directions, a record of a campaign with a
+    neighbours are mixed. First they are moved to where the same micro-normals (half
+    vectors) reflect to, or refract to, if this predicts records of four azimuths or
+    more better from their neighbours; for either hemisphere on its own, and of
+    transmission with the refractive index that fits the records. What would go beyond
+    the horizon stays. Outside of the polar angles of the record, the nearest counts.
+    How wrong all this is between the directions, a record of a campaign with a
     ``tolerance`` tells: its setting ``campaign`` holds the errors at directions that
     were never used.
 
