@@ -1,5 +1,6 @@
 """Every method of the benchmark gives the right answer; how fast is not tested."""
 
+import itertools
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +34,7 @@ from gonio_mi.benchmark.baselines import (
 from gonio_mi.benchmark.batch_designs import crossing
 from gonio_mi.benchmark.counting import SPECIMENS, baselines
 from gonio_mi.benchmark.equal_error import error, klems_groove_flux, search
+from gonio_mi.benchmark.tolerances import ANGLES_OF_AZIMUTHS, AZIMUTHS, _fewest
 from gonio_mi.collector import subdivision
 from gonio_mi.collector.directions import direction
 from gonio_mi.quadrature import integrate
@@ -424,3 +426,23 @@ def test_round_trips_lose_what_is_stated(monkeypatch):
         unsaid.append([one.light - said for one, said in zip(zemax[2], zemax[1])])
     coarse, fine = np.abs(unsaid).mean(axis=1)
     assert fine < coarse / 2
+
+
+@pytest.mark.parametrize("needed", [100, 200, 260, 400, 700, 2000])
+@pytest.mark.parametrize("slope", [0.5, 1, 2])
+def test_the_smallest_right_grid_is_found(needed, slope):
+    """As one finds it who looks at grid after grid; it looks at fewer of them."""
+    looked_at = []
+
+    def is_right(n_azimuths, steps):
+        looked_at.append((steps, n_azimuths))
+        return steps**slope * n_azimuths ** (2 - slope) >= needed
+
+    found = _fewest(ANGLES_OF_AZIMUTHS, AZIMUTHS, is_right)
+    assert found in looked_at
+    looked_at, seen = [], len(looked_at)
+    grids = itertools.product(ANGLES_OF_AZIMUTHS, AZIMUTHS)
+    ascending = sorted(grids, key=lambda one: one[0] * one[1])
+    right = (one for one in ascending if is_right(one[1], one[0]))
+    assert found == next(right, ascending[-1])
+    assert seen <= 9

@@ -3,9 +3,11 @@
 import bisect
 import itertools
 import logging
+import math
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -105,23 +107,40 @@ def _rows(case: Case, tolerance: float, theta_max: float) -> list[tuple[str, ...
     if chosen.settings["estimator"] != "quadrature":
         return rows  # grids would take hours
     enough = min(_within(errors, tolerance), 0.95)
-    found_rows: dict[int, tuple[str, ...]] = {}
+    found_rows: dict[tuple[int, int], tuple[str, ...]] = {}
 
-    def is_right(number: int) -> bool:
+    def is_right(n_azimuths: int, steps: int) -> bool:
         """Whether a grid is as right; its row is kept."""
-        steps, n_azimuths = grids[number]
         started = cpu_seconds()
         grid = _measured(case, chosen, _incidents(steps, n_azimuths, theta_max))
         counts = len(grid), grid.ledger.emitted, cpu_seconds() - started
         errors = _errors(grid, unseen, tolerance)
         name = f"{steps} x {n_azimuths}"
-        found_rows[number] = _row(name, grid, counts, errors, tolerance)
+        found_rows[steps, n_azimuths] = _row(name, grid, counts, errors, tolerance)
         return _within(errors, tolerance) >= enough
 
-    # finer grids are taken to be as right, and the last one is looked at if none is
-    grids = _grids(found["isotropic"])
-    first = bisect.bisect_left(range(len(grids)), True, key=is_right)
-    return [*rows, found_rows[min(first, len(grids) - 1)]]
+    if found["isotropic"]:
+        fewest = _fewest(ANGLES, (1,), is_right)
+    else:
+        fewest = _fewest(ANGLES_OF_AZIMUTHS, AZIMUTHS, is_right)
+    return [*rows, found_rows[fewest]]
+
+
+def _fewest(
+    angles: Sequence[int], azimuths: Sequence[int], is_right: Callable[[int, int], bool]
+) -> tuple[int, int]:
+    """Polar angles and azimuths of the smallest grid that is right; else the largest.
+
+    More of either are taken to be as right, so that few grids need be looked at.
+    """
+    best = angles[-1], azimuths[-1]
+    for n_azimuths in azimuths:
+        fewer = [one for one in angles if one * n_azimuths <= math.prod(best)]
+        right = partial(is_right, n_azimuths)
+        first = bisect.bisect_left(fewer, True, key=right)
+        if first < len(fewer):
+            best = fewer[first], n_azimuths
+    return best
 
 
 def _incidents(
@@ -131,14 +150,6 @@ def _incidents(
     angles = np.linspace(0, theta_max, steps)[1:].tolist()
     azimuths = (np.arange(n_azimuths) * (360 / n_azimuths)).tolist()
     return [(0.0, 0.0), *itertools.product(angles, azimuths)]
-
-
-def _grids(isotropic: bool) -> list[tuple[int, int]]:
-    """Polar angles and azimuths of grids, ascending by their directions."""
-    if isotropic:
-        return [(angles, 1) for angles in ANGLES]
-    grids = itertools.product(ANGLES_OF_AZIMUTHS, AZIMUTHS)
-    return sorted(grids, key=lambda one: one[0] * one[1])
 
 
 def _unseen(case: Case, chosen: Record, theta_max: float) -> Record:
