@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import logging
-import math
 import warnings
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -177,10 +176,7 @@ class WholeBsdf:
         """
         if self.isotropic:
             return [0.0]
-        first, last = self.symmetry.domain
-        parts = math.ceil(FIRST_AZIMUTHS * (last - first) / self.n_sectors)
-        steps = first + np.arange(parts + 1) * ((last - first) / parts)
-        return sorted({float(sector) for sector in np.round(steps)})
+        return self.symmetry.spread(FIRST_AZIMUTHS)
 
     def _own(self, levels: list[float]) -> list[float]:
         """Azimuths without the last one where it is the first one's image."""
@@ -189,21 +185,8 @@ class WholeBsdf:
 
     # ------------------------------------------------------------------- predicting
 
-    def _whole(self, incidents: Iterable[tuple[float, float]]) -> list[Record]:
-        """Records of directions and of all their images, measured or copied."""
-        found: dict[tuple[float, float], Record] = {}
-        for theta, phi in incidents:
-            for motion in self.symmetry.motions if theta else []:
-                image = theta, motion.azimuth(phi)
-                if image not in found:
-                    known = self.known.get(image)
-                    found[image] = known or motion.copy(self.known[theta, phi])
-            if not theta:
-                found[theta, phi] = self.known[theta, phi]
-        return [found[one] for one in sorted(found)]
-
     def _prediction(self, incidents: Iterable[tuple[float, float]]) -> Prediction:
-        record = Record.stack(self._whole(incidents))
+        record = Record.stack(self.symmetry.whole(self.known, incidents))
         return Prediction(record, self.n_points, SPARED * self.tolerance)
 
     def _missed(self, prediction: Prediction, theta: float, phi: float) -> Misplacement:
@@ -363,7 +346,7 @@ class WholeBsdf:
 
     def _described(self, errors: Sequence[Misplacement]) -> Record:
         """The material's record, with what is known of its errors."""
-        record = Record.stack(self._whole(self._directions()))
+        record = Record.stack(self.symmetry.whole(self.known, self._directions()))
         directions = zip(record.theta_i.tolist(), record.phi_i.tolist())
         within = np.mean([not one.exceeds(self.tolerance) for one in errors])
         found = {

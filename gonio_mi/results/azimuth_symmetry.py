@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -115,6 +117,13 @@ class AzimuthSymmetry:
             return 0, part
         return -(-self.mirror // 2), (self.mirror + part) // 2
 
+    def spread(self, n_azimuths: int) -> list[float]:
+        """Sectors that cut the domain as `n_azimuths` cut the whole; with both ends."""
+        first, last = self.domain
+        parts = math.ceil(n_azimuths * (last - first) / self.n_sectors)
+        steps = first + np.arange(parts + 1) * ((last - first) / parts)
+        return sorted({float(sector) for sector in np.round(steps)})
+
     def home(self, sector: float) -> float:
         """Image of an azimuth that is in the domain, or next to it between mirrors."""
         low, high = self.domain
@@ -128,6 +137,29 @@ class AzimuthSymmetry:
     def images(self, sector: float) -> set[float]:
         """All images of an azimuth, itself included."""
         return {one.edge(sector) for one in self.motions}
+
+    def whole(
+        self,
+        known: Mapping[tuple[float, float], Record],
+        incidents: Iterable[tuple[float, float]],
+    ) -> list[Record]:
+        """Records of directions and of all their images, measured or copied.
+
+        Parameters
+        ----------
+        known : mapping
+            What was measured by polar angle and azimuth in degrees.
+        incidents : iterable of (float, float)
+            Some of these; along the normal there is one image.
+        """
+        found: dict[tuple[float, float], Record] = {}
+        for theta, phi in incidents:
+            for motion in self.motions if theta else self.motions[:1]:
+                image = (theta, motion.azimuth(phi)) if theta else (theta, phi)
+                if image not in found:
+                    own = known.get(image)
+                    found[image] = own or motion.copy(known[theta, phi])
+        return [found[one] for one in sorted(found)]
 
     def described(self) -> dict[str, Any]:
         """What a record says of it: turns, and the azimuth of a mirror in degrees."""
