@@ -327,31 +327,45 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
 def test_two_looks_together_decide(missed, monkeypatch):
     """Few misses refine the material too; none of the first look is enough."""
     whole = WholeBsdf("plate", {"type": "diffuse"}, 0.1, 80, Surroundings(), {})
-    left, looks, split = [], [], []
+    looks, split = [], []
 
-    def look(directions, said, *_):
-        if "never used" in said:
-            looks.append(len(directions))
-            wrong = missed[len(looks) - 1]
-            left[:] = [1] * wrong + [0] * (UNSEEN - wrong)
+    def look(unseen):
+        looks.append(len(unseen))
+        wrong = missed[len(looks) - 1]
+        return [
+            Misplacement(*one, float(number < wrong), 0, 0, 0)
+            for number, one in enumerate(unseen)
+        ]
 
-    def error(_, theta, phi):
-        return Misplacement(theta, phi, float(left.pop()), 0, 0, 0)
-
-    monkeypatch.setattr(whole.directions, "measure", look)
-    for name, value in {
-        "_missed": error,
-        "_prediction": list,
-        "_directions": list,
-        "_split_at": lambda some: split.append(len(some)) or True,
-    }.items():
-        monkeypatch.setattr(whole, name, value)
+    monkeypatch.setattr(whole, "_errors_at", look)
+    monkeypatch.setattr(
+        whole, "_split_at", lambda some: split.append(len(some)) or True
+    )
     whole.recognition = SimpleNamespace(refuted=lambda *_: False)
     whole.symmetry = SimpleNamespace(generators=())
     errors = whole._confirmed()
     assert looks == [UNSEEN] * len(missed)
     assert split == missed[:-1]
     assert sum(one.exceeds(0.1) for one in errors) == missed[-1]
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("estimator", ["weighted", "quadrature"])
+def test_noisy_directions_are_measured_again(estimator):
+    """Once, and all rays count; twin: integrals have no noise, and are kept."""
+    how = {"collector": "projected:6x16", "estimator": estimator}
+    known = KnownDirections("metal", CONDUCTOR, 0.02, Surroundings(), how)
+    incident, found = (30.0, 0.0), []
+    for noise in (1 / 2, 1 / 4, 1 / 4, 1 / 2):
+        known.measure([incident], "again", noise)
+        found.append(known.records[incident])
+    sampled = estimator == "weighted"
+    assert (found[1] is not found[0], found[2] is found[1], found[3] is found[1]) == (
+        (sampled, True, True)
+    )
+    if sampled:
+        assert noise_of(found[1]) <= 0.005
+        assert known.rays == found[0].ledger.emitted + found[1].ledger.emitted
 
 
 @pytest.mark.usefixtures("mono")

@@ -60,8 +60,9 @@ def campaign(
         a part of a whole turn, or mirrored, which is recognised too, the record holds
         copies of what was measured instead, and says which. Integrals are measured
         where the specimen allows it, unless there is an `estimator`; else as many rays
-        as noise of half the tolerance needs, and of a quarter at directions that are
-        never used. The record's setting ``campaign`` holds the errors there.
+        as noise of half the tolerance needs, and of a quarter where directions that
+        are never used are near it. The record's setting ``campaign`` holds the errors
+        of these.
     theta_max : float
         Largest angle of incidence of such a campaign in degrees; beyond, the material
         is what it is there.

@@ -33,8 +33,9 @@ logger = logging.getLogger(__name__)
 # of, or may be, and at those that confirm it; and what an integral may be off by.
 # Between directions noise is averaged: of a half a third is left, which adds about by
 # squares, so that it costs 6 % of the tolerance, and a third of the rays of a quarter.
-# Of an error as large as the tolerance, noise of a half at the direction where it is
-# looked for hides a tenth, of a quarter 3 %: 1 - 1 / sqrt(1 + noise**2), if normal.
+# Noise at a direction where errors are looked for hides at most 0.43 of itself: of a
+# difference of x standard errors x erfc(x / sqrt(2)) of them is lost, at most 0.34, and
+# noise is sqrt(2 / pi) of them.
 NOISE, CONFIRMING, INTEGRAL = 1 / 2, 1 / 4, 1 / 10
 
 # Rays that tell whether sample() is as eval() says.
@@ -65,6 +66,8 @@ class KnownDirections:
     ----------
     records : dict
         By polar angle and azimuth in degrees.
+    rays : int
+        That were sent for them, also for those that were too noisy.
     """
 
     def __init__(
@@ -89,7 +92,7 @@ class KnownDirections:
         self.records: dict[tuple[float, float], Record] = {}
         # for `keep_in`: arguments of `keep` but for where
         self.rounds: list[tuple[str, Record, Sequence[Any], dict[str, Any]]] = []
-        self.n_rounds = self.n_timed = 0
+        self.rays = self.n_rounds = self.n_timed = 0
         self.seconds, self.announced = 0.0, False
 
     def start_anew(self, patches: Subdivision | None = None) -> None:
@@ -100,7 +103,7 @@ class KnownDirections:
             self.chosen = patches
             self.settings = self.settings | {"collector": patches}
         self.records.clear()
-        self.n_rounds = self.n_timed = 0
+        self.rays = self.n_rounds = self.n_timed = 0
         self.seconds = 0.0
 
     def measure(
@@ -109,7 +112,7 @@ class KnownDirections:
         said: str,
         noise: float = NOISE,
     ) -> None:
-        """Measure the directions that are not known yet.
+        """Measure the directions that are not known yet, or not as precisely.
 
         `noise`: the part of the tolerance that it may misplace where they are sampled.
 
@@ -118,7 +121,8 @@ class KnownDirections:
         NotIntegrableError
             If an integral is refused, and no estimator was asked for.
         """
-        new = sorted(set(incidents) - self.records.keys())
+        goal = noise * self.tolerance
+        new = sorted(one for one in set(incidents) if self._lacks(one, goal))
         if not new:
             return
         started = time.perf_counter()
@@ -126,14 +130,20 @@ class KnownDirections:
         logger.info("%s: %d more", said, len(new))
         part = f"{self.estimators[0]}_{self.n_rounds:03d}"
         try:
-            stack = self._kept(part, new, self.settings | self._goals(noise), said)
+            stack = self._kept(part, new, self.settings | self._goals(goal), said)
         except SpecimenError as error:
             if len(self.estimators) == 1:
                 raise
             raise NotIntegrableError(error) from error
+        self.rays += stack.ledger.emitted
         self.records |= zip(new, (stack[number] for number in range(len(stack))))
         self.n_rounds, self.n_timed = self.n_rounds + 1, self.n_timed + len(new)
         self.seconds += time.perf_counter() - started
+
+    def _lacks(self, incident: tuple[float, float], noise: float) -> bool:
+        """Whether a direction is not known, or is sampled and not as precise."""
+        record = self.records.get(incident)
+        return record is None or (record.settings.get("noise") or 0.0) > noise
 
     def _kept(
         self,
@@ -204,7 +214,9 @@ class KnownDirections:
             self.measure(incidents, said)
             return Record.stack(self.records[one] for one in incidents)
         where = replace(self.where, folder=None)
-        settings = self.settings | self._goals(NOISE) | {"collector": patches}
+        settings = (
+            self.settings | self._goals(NOISE * self.tolerance) | {"collector": patches}
+        )
         specimens = {self.name: self.specimen}
         return records_of(specimens, incidents, where, settings, said)[self.name]
 
@@ -227,7 +239,7 @@ class KnownDirections:
         if self.estimators[0] == "quadrature":
             rel_err = INTEGRAL * self.tolerance
             return {"estimator": "quadrature", "rel_err": rel_err}
-        return {"estimator": self.estimators[0], "noise": noise * self.tolerance}
+        return {"estimator": self.estimators[0], "noise": noise}
 
 
 def folder_name(name: str) -> str:
