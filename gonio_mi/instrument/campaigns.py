@@ -59,10 +59,10 @@ def campaign(
         sectors, where each polar angle needs them. Of a specimen that may be turned by
         a part of a whole turn, or mirrored, which is recognised too, the record holds
         copies of what was measured instead, and says which. Integrals are measured
-        where the specimen allows it, unless there is an `estimator`; else as many rays
-        as noise of half the tolerance needs, and of a quarter where directions that
-        are never used are near it. The record's setting ``campaign`` holds the errors
-        of these.
+        where the specimen allows it, unless there is an `estimator`, and refused where
+        samples contradict them by more than the tolerance; else as many rays as noise
+        of half the tolerance needs, and of a quarter where directions that are never
+        used are near it. The record's setting ``campaign`` holds the errors of these.
     theta_max : float
         Largest angle of incidence of such a campaign in degrees; beyond, the material
         is what it is there.
