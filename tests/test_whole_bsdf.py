@@ -338,9 +338,7 @@ def test_two_looks_together_decide(missed, monkeypatch):
         ]
 
     monkeypatch.setattr(whole, "_errors_at", look)
-    monkeypatch.setattr(
-        whole, "_split_at", lambda some: split.append(len(some)) or True
-    )
+    whole.rings = SimpleNamespace(split_at=lambda some: split.append(len(some)) or True)
     whole.recognition = SimpleNamespace(refuted=lambda *_: False)
     whole.symmetry = SimpleNamespace(generators=())
     errors = whole._confirmed()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 import warnings
 from collections import defaultdict
@@ -17,10 +16,11 @@ from ..results.campaign_text import LOOKS
 from ..results.misplacement import Misplacement, misplaced
 from ..results.record import Record
 from .campaign_tasks import Surroundings
+from .incident_rings import IncidentRings
 from .known_directions import CONFIRMING, KnownDirections, NotIntegrableError
 from .prediction import SPARED, Prediction
 from .recognition import Recognition
-from .refinement import Axis, Interval, refined
+from .refinement import Interval, refined
 from .resolution import TooCoarseError, check_equal_sectors, check_resolved
 
 __all__ = ["WholeBsdf", "checked_theta_max", "checked_tolerance"]
@@ -30,13 +30,8 @@ logger = logging.getLogger(__name__)
 # What single precision and the points of a prediction leave of a tolerance.
 LEAST_TOLERANCE = 1e-4
 
-# Directions to begin with, and azimuths of an anisotropic specimen.
-FIRST_ANGLES, FIRST_AZIMUTHS = 4, 8
-
-# Legs are not split into parts below so many degrees. What a split leaves of the error
-# of a leg: more than a fourth, since lobes change faster towards grazing incidence.
-NARROWEST_LEG = 0.25
-LEFT = 1 / 2
+# Polar angles to begin with.
+FIRST_ANGLES = 4
 
 # Directions never used that confirm the material, and how many may miss it in
 # two looks together if any does in the last: two in a single look would let one
@@ -135,57 +130,33 @@ class WholeBsdf:
         self.directions.announce(len(angles) + UNSEEN)  # at least
         patches = self.known[0.0, 0.0].subdivision
         check_equal_sectors(patches)
-        self.n_sectors = patches.shape[1]
+        n_sectors = patches.shape[1]
         looked_at = self.tolerance, self.n_points, angles[2:], self.directions.stack
         check_resolved(*looked_at)
         self.recognition = Recognition(self.directions, angles, self.n_points)
         self.isotropic = self.recognition.is_isotropic()
-        self.symmetry = AzimuthSymmetry(self.n_sectors)
+        self.symmetry = AzimuthSymmetry(n_sectors)
         if not self.isotropic:
             # lobes that are wide along this azimuth may be narrow along the other
-            check_resolved(*looked_at, self._azimuth(round(self.n_sectors / 4)))
+            check_resolved(*looked_at, azimuth_of(round(n_sectors / 4), n_sectors))
             self.symmetry = self.recognition.symmetry()
         self._refine(angles)
         errors = self._confirmed()
         while errors is None:
-            self.symmetry = AzimuthSymmetry(self.n_sectors)
+            self.symmetry = AzimuthSymmetry(n_sectors)
             self._refine(angles)
             errors = self._confirmed()
         return self._described(errors)
 
     def _refine(self, angles: Sequence[float]) -> None:
         """Refine polar angles, then azimuths, as far as middles of intervals tell."""
-        self.legs = Axis(_middle_angle, LEFT, dict.fromkeys(_intervals(angles)))
-        self.gaps = Axis(_middle_sector)
+        self.rings = IncidentRings(angles, self.symmetry, self.isotropic)
         # errors along both axes add up by their squares, about
         self.limit = self.tolerance * (1.0 if self.isotropic else 0.5**0.5)
-        refined(self.legs, self.limit, self._errors_of_legs)
+        refined(self.rings.legs, self.limit, self._errors_of_legs)
         if not self.isotropic:
-            for theta in self.legs.levels()[1:]:
-                self.gaps.errors |= dict.fromkeys(
-                    _intervals(self._first_sectors(), theta)
-                )
-            refined(self.gaps, self.limit, self._errors_of_gaps)
-
-    # -------------------------------------------------------------------- directions
-
-    def _azimuth(self, sector: float) -> float:
-        """Azimuth of a sector's edge in degrees."""
-        return azimuth_of(sector, self.n_sectors)
-
-    def _first_sectors(self) -> list[float]:
-        """Azimuths to begin with, in sectors, and the end of what they are part of.
-
-        Of an isotropic specimen one, and no end.
-        """
-        if self.isotropic:
-            return [0.0]
-        return self.symmetry.spread(FIRST_AZIMUTHS)
-
-    def _own(self, levels: list[float]) -> list[float]:
-        """Azimuths without the last one where it is the first one's image."""
-        of_all = self.isotropic or self.symmetry.mirror is not None
-        return levels if of_all else levels[:-1]
+            self.rings.begin_gaps()
+            refined(self.rings.gaps, self.limit, self._errors_of_gaps)
 
     # ------------------------------------------------------------------- predicting
 
@@ -201,10 +172,10 @@ class WholeBsdf:
         self, legs: Sequence[Interval], middles: Iterable[float]
     ) -> list[float]:
         """Errors in the middles of legs: the largest of all first azimuths."""
-        self._announce()
+        self.directions.announce(self.rings.expected(self.limit) + UNSEEN)
         middles = list(middles)
-        lines = [self._azimuth(one) for one in self._own(self._first_sectors())]
-        levels = self.legs.levels()
+        lines = self.rings.first_azimuths
+        levels = self.rings.legs.levels()
         said = f"{len(legs)} of {len(levels) - 1} legs open"
         needed = [(theta, phi) for theta in [*levels, *middles] for phi in lines]
         needed = [(theta, phi if theta else 0.0) for theta, phi in needed]
@@ -223,45 +194,23 @@ class WholeBsdf:
         self, gaps: Sequence[Interval], middles: Iterable[float]
     ) -> list[float]:
         """Errors in the middles of gaps between azimuths of rings."""
-        self._announce()
-        middles = [self._azimuth(sector) for sector in middles]
-        said = f"{len(gaps)} of {len(self.gaps.errors)} gaps of azimuth open"
+        self.directions.announce(self.rings.expected(self.limit) + UNSEEN)
+        middles = [self.rings.azimuth(sector) for sector in middles]
+        said = f"{len(gaps)} of {len(self.rings.gaps.errors)} gaps of azimuth open"
         new = [(gap.on, phi) for gap, phi in zip(gaps, middles)]
-        self.directions.measure([*self._directions(), *new], said)
+        self.directions.measure([*self.rings.directions(), *new], said)
         of_ring = defaultdict(list)
         for number, gap in enumerate(gaps):
             of_ring[gap.on].append(number)
         errors = [0.0] * len(gaps)
         for theta, numbers in of_ring.items():
-            prediction = self._prediction(self._ring(theta))
+            prediction = self._prediction(self.rings.ring(theta))
             for number in numbers:
                 error = self._missed(prediction, theta, middles[number])
                 errors[number] = _beyond(error)
         return errors
 
-    def _announce(self) -> None:
-        """Tell how long it will take, if that is long, from the errors known so far."""
-
-        def parts(axis: Axis) -> float:
-            errors = [4 * self.limit if e is None else e for e in axis.errors.values()]
-            return float(np.sqrt(np.maximum(np.divide(errors, self.limit), 1)).sum())
-
-        n_rings = 1 + parts(self.legs)
-        n_azimuths = float(len(self._own(self._first_sectors())))
-        if self.gaps.errors:
-            n_azimuths = parts(self.gaps) / (len(self.legs.levels()) - 1)
-        self.directions.announce(n_rings * n_azimuths + UNSEEN)
-
     # ------------------------------------------------------------------- confirming
-
-    def _ring(self, theta: float) -> list[tuple[float, float]]:
-        """Directions of one polar angle that the material is made of."""
-        sectors = self._own(self.gaps.levels(theta)) or [0.0]
-        return [(theta, self._azimuth(sector)) for sector in sectors]
-
-    def _directions(self) -> list[tuple[float, float]]:
-        """All directions that the material is made of."""
-        return [one for theta in self.legs.levels() for one in self._ring(theta)]
 
     def _confirmed(self) -> list[Misplacement] | None:
         """Errors at directions never used, few of which miss the tolerance.
@@ -294,70 +243,24 @@ class WholeBsdf:
                 self.symmetry.generators, worst_one.theta_i, worst_one.phi_i
             ):
                 return None
-            if not self._split_at(missed):
+            if not self.rings.split_at(missed):
                 break
         return errors
 
     def _errors_at(self, unseen: Sequence[tuple[float, float]]) -> list[Misplacement]:
         """What is wrong at directions, with less noise where they are large."""
         said = "at directions never used"
-        self.directions.measure([*self._directions(), *unseen], said)
-        prediction = self._prediction(self._directions())
+        self.directions.measure([*self.rings.directions(), *unseen], said)
+        prediction = self._prediction(self.rings.directions())
         found = {one: self._missed(prediction, *one) for one in unseen}
         large = [one for one in unseen if found[one].error > SURE * self.tolerance]
         self.directions.measure(large, f"{said}, with less noise", CONFIRMING)
         found |= {one: self._missed(prediction, *one) for one in large}
         return list(found.values())
 
-    def _split_at(self, missed: Iterable[Misplacement]) -> bool:
-        """Split what holds the directions that were missed; whether anything was.
-
-        Each leg or gap once, for the worst of them.
-        """
-        before = len(self.legs.errors), len(self.gaps.errors)
-        worst = sorted(missed, key=lambda one: one.error, reverse=True)
-        done: set[Interval] = set()
-        for one, (leg, gaps) in [(one, self._around(one)) for one in worst]:
-            if done & {leg, *gaps}:
-                continue
-            of_gaps = max((self.gaps.errors[gap] or 0.0 for gap in gaps), default=0.0)
-            by_angle = (self.legs.errors[leg] or 0.0) >= of_gaps
-            for split_leg in (by_angle, not by_angle):
-                middles: list[float | None]
-                if split_leg:
-                    middles = [self._split_leg(leg, one.error)]
-                else:
-                    middles = [self.gaps.split(gap, one.error) for gap in gaps]
-                if any(middle is not None for middle in middles):
-                    done |= {leg} if split_leg else set(gaps)
-                    break
-        return before != (len(self.legs.errors), len(self.gaps.errors))
-
-    def _around(self, one: Misplacement) -> tuple[Interval, list[Interval]]:
-        """Leg that holds a direction, and the gaps of azimuth on both its ends."""
-        leg = self.legs.around(one.theta_i)
-        sector = self.symmetry.home(one.phi_i * self.n_sectors / 360)
-        sector = min(max(sector, self.symmetry.domain[0]), self.symmetry.domain[1])
-        rings = [theta for theta in (leg.low, leg.high) if self.gaps.levels(theta)]
-        return leg, [self.gaps.around(sector, theta) for theta in rings]
-
-    def _split_leg(self, leg: Interval, error: float) -> float | None:
-        """Split a leg; its new ring has the azimuths of both its neighbours."""
-        middle = self.legs.split(leg, error)
-        levels = {s for end in (leg.low, leg.high) for s in self.gaps.levels(end)}
-        if middle is not None and levels:
-            for gap in _intervals(sorted(levels), middle):
-                self.gaps.errors[gap] = max(
-                    self.gaps.errors[self.gaps.around((gap.low + gap.high) / 2, end)]
-                    or 0.0
-                    for end in (leg.low, leg.high)
-                    if self.gaps.levels(end)
-                )
-        return middle
-
     def _described(self, errors: Sequence[Misplacement]) -> Record:
         """The material's record, with what is known of its errors."""
-        record = Record.stack(self.symmetry.whole(self.known, self._directions()))
+        record = Record.stack(self.symmetry.whole(self.known, self.rings.directions()))
         directions = zip(record.theta_i.tolist(), record.phi_i.tolist())
         within = np.mean([not one.exceeds(self.tolerance) for one in errors])
         found = {
@@ -388,20 +291,3 @@ class WholeBsdf:
 def _beyond(error: Misplacement) -> float:
     """What is certain of an error, beyond two standard errors."""
     return max(error.error - 2 * error.std_err, 0.0)
-
-
-def _intervals(levels: Sequence[float], on: float = 0.0) -> list[Interval]:
-    """Intervals between ascending levels."""
-    return [Interval(low, high, on) for low, high in itertools.pairwise(levels)]
-
-
-def _middle_angle(leg: Interval) -> float | None:
-    """Middle of a leg in degrees; None for one that is narrow enough."""
-    if leg.high - leg.low < 2 * NARROWEST_LEG:
-        return None
-    return (leg.low + leg.high) / 2
-
-
-def _middle_sector(gap: Interval) -> float | None:
-    """Sector in the middle of a gap; None if there is none."""
-    return float((gap.low + gap.high) // 2) if gap.high - gap.low >= 2 else None
