@@ -16,6 +16,7 @@ from gonio_mi.instrument.known_directions import KnownDirections
 from gonio_mi.instrument.recognition import Recognition
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.misplacement import misplaced, noise_of
+from gonio_mi.results.record import Record
 
 PATCHES = gonio.subdivision("projected:8x24")
 ANGLES = (0.0, 25.0, 50.0, 75.0)
@@ -196,6 +197,32 @@ def test_a_material_holds_copies_and_says_so(tmp_path):
     how = {"collector": COARSE["collector"], "rays": 2**16}
     seen, truth = (gonio.measure(bsdf, 30, 200, **how) for bsdf in (plugin, BRUSHED))
     assert not misplaced(seen, truth.flux_fraction).exceeds(COARSE["tolerance"])
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("told", [True, False])
+def test_the_noise_of_copies_counts_once(told):
+    """Exact: copies change neither a fit nor a comparison; twin: if none says so."""
+    symmetry, start = AzimuthSymmetry(16, 2, 0), (30.0, 45.0)
+    records, measured = [], []
+    for seed in (1, 2):
+        how = {"collector": "projected:6x16", "sampler": "independent", "rays": 2**14}
+        one = gonio.measure(BRUSHED, *start, **how, seed=seed)
+        stack = Record.stack(symmetry.whole({start: one}, [start]))
+        copies = [[30.0, phi] for phi in stack.phi_i.tolist() if phi != start[1]]
+        assert len(copies) == 3
+        found = {"symmetry": symmetry.described() | {"copies": told * copies}}
+        records.append(stack.with_settings(campaign=found))
+        measured.append(one)
+    many, one = gonio.compare(*records), gonio.compare(*measured)
+    # rounding: sums of some hundred scores in other orders
+    assert many.statistics["chi2"] == pytest.approx(4 * one.statistics["chi2"], 1e-12)
+    dof = (1 if told else 4) * one.statistics["chi2_dof"]
+    assert many.statistics["chi2_dof"] == pytest.approx(dof, 1e-12)
+    model, free = "roughconductor:distribution=beckmann", ["alpha_u", "alpha_v"]
+    many, one = (gonio.fit(some[0], model, free) for some in (records, measured))
+    assert (many.dof == one.dof) == told
+    assert np.all(many.std_errs == one.std_errs) == told
 
 
 @pytest.mark.usefixtures("mono")

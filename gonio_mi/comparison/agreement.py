@@ -128,6 +128,7 @@ class PointSet:
     solid: np.ndarray
     total_of: list[Any]  # to which total each point belongs
     variation: Variation | None = None  # of means over patches beside points
+    sharing: int = 1  # how many sets may have one noise, as copies of one direction
 
 
 def judge(
@@ -156,13 +157,14 @@ def judge(
         scores.append(z)
         own = 0.0 if one.other_readings is None else one.other_readings.error
         errors.append(np.sqrt(one.other_error**2 + shared**2 + own**2))
-        trace2 += _trace_of_square(one, sigma)
+        trace2 += one.sharing * _trace_of_square(one, sigma)
         for key in set(one.total_of):
             _add_total(totals.setdefault(key, _Total()), one, key, shared)
     z = np.concatenate(scores)
     n = len(z)
     pull = fitted / scale if scale else 0.0
-    chi2, dof = float(z @ z + pull**2), min(float(n**2 / trace2), float(n))
+    most = sum(len(one.other) / one.sharing for one in sets)
+    chi2, dof = float(z @ z + pull**2), min(float(n**2 / trace2), most)
     worst = float(np.abs(z).max())
     total = [abs(t.score) for t in totals.values() if t.hits >= FEW_FOR_TAILS]
     statistics = {

@@ -12,6 +12,7 @@ from ..collector.directions import direction
 from ..collector.hemisphere import EDGE
 from ..errors import LABEL, SettingError, abridged
 from ..files.measured_table import MeasuredTable
+from ..results.copied_directions import sharing
 from ..results.record import Record
 from .agreement import PointSet, Readings, Variation
 from .patch_variation import MEASURED_ANEW, variation_within
@@ -56,7 +57,7 @@ def pair_with_record(
     hemisphere, patch, channel = (a.ravel() for a in np.indices(shape))
     theta, phi = (angle.ravel() for angle in patches.middles)
     theta_o = np.degrees(theta)[patch]
-    sets = []
+    sets, alike = [], list(map(max, sharing(record), sharing(other)))
     for k in range(len(record)):
         incident = (record.theta_i[k], record.phi_i[k])
         _check_incident(incident, (other.theta_i[k], other.phi_i[k]))
@@ -72,7 +73,8 @@ def pair_with_record(
         solid = patches.projected_solid_angles.ravel()[patch]
         keys = [(k, h, c) for h, c in zip(hemisphere.tolist(), channel.tolist())]
         error = relative * np.abs(second.value)
-        sets.append(PointSet(columns, first, second.value, error, second, solid, keys))
+        of_points = columns, first, second.value, error, second, solid, keys
+        sets.append(PointSet(*of_points, sharing=alike[k]))
     return sets, notes
 
 
@@ -152,7 +154,7 @@ class _Side:
         keys = [tuple(np.round(incident, 3))] * int(here.sum())
         readings, values = self.readings(patch[here]), table.bsdf[here]
         of_points = columns, readings, values, errors[here], None, solid, keys
-        return PointSet(*of_points, variation)
+        return PointSet(*of_points, variation, sharing(record)[k])
 
 
 def _stand_for_points(patches: Any, table: MeasuredTable) -> bool:

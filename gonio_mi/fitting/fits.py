@@ -12,6 +12,7 @@ from ..errors import SettingError
 from ..files.channels import wavelengths_nm
 from ..files.measured_table import MeasuredTable
 from ..instrument.loading import parse_specimen
+from ..results.copied_directions import without_copies
 from ..results.record import Record
 from ..transport.kernels import launches_kernels
 from .fit_result import Fit
@@ -38,7 +39,8 @@ def fit(
     squared differences of record and model over their variances; the model's patches
     are integrals of its ``eval``. Variances are pooled over patches that the model
     makes alike. The covariance is that of the estimate over the record's own batches,
-    so that it knows how patches depend on each other.
+    so that it knows how patches depend on each other. Directions that a campaign copied
+    from others are left out, since they would count their noise twice.
 
     Parameters
     ----------
@@ -69,6 +71,8 @@ def fit(
     bsdf = parse_specimen(model) if isinstance(model, str) else dict(model)
     if not isinstance(bsdf, dict):
         raise SettingError(f"model must be a BSDF in one word, got {model!r}")
+    if isinstance(record, Record):
+        record = without_copies(record)
     observations = _observations(record)
     channels = record.channels if isinstance(record, Record) else ("Y",)
     fitted = FittedModel(bsdf, free, channels)
