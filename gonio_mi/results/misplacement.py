@@ -65,8 +65,8 @@ def misplaced(record: Record, predicted: Floats) -> Misplacement:
     is never above the truth, 0 where there is no difference, and below the truth by no
     more than half of what noise would add. Its scatter over the batches, by their
     number's root, is the standard error; batches share most signs, so that where there
-    is no difference this is too small, by about 1.7 for independent rays. Integrals have
-    no noise; what they may be wrong by is the standard error.
+    is no difference this is too small, by about 1.7 for independent rays. Integrals
+    have no noise; what they may be wrong by is the standard error.
 
     Parameters
     ----------
