@@ -94,6 +94,9 @@ def _add_tolerance(parser: argparse.ArgumentParser, part: Any) -> None:
         "--only", nargs="+", default=(), help="specimens of --tolerance"
     )
     parser.add_argument("--theta-max", type=float, default=80.0, help="of --tolerance")
+    parser.add_argument(
+        "--no-grids", action="store_true", help="--tolerance without grids beside it"
+    )
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -107,7 +110,8 @@ def _run(options: argparse.Namespace) -> None:
     elif options.integrals:
         print_integrals(options.repeats)
     elif options.tolerance:
-        print_campaigns(options.tolerance, options.only, options.theta_max)
+        asked = options.tolerance, options.only, options.theta_max
+        print_campaigns(*asked, not options.no_grids)
     elif options.media:
         print_layer_speeds(int(options.rays or 2**21), options.repeats)
         print_contests(*layer_contests(), *cost)

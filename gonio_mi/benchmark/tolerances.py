@@ -65,7 +65,9 @@ def _cases() -> dict[str, Case]:
     }
 
 
-def print_campaigns(tolerance: float, names: Sequence[str], theta_max: float) -> None:
+def print_campaigns(
+    tolerance: float, names: Sequence[str], theta_max: float, grids: bool = True
+) -> None:
     """Print what campaigns of a tolerance cost, and how right their materials are.
 
     Parameters
@@ -75,13 +77,15 @@ def print_campaigns(tolerance: float, names: Sequence[str], theta_max: float) ->
         Cases whose name begins like this; none for all.
     theta_max : float
         In degrees.
+    grids : bool
+        Whether grids are tried beside integrals; beside rays they would take hours.
     """
     for name, case in _cases().items():
         if names and not name.startswith(tuple(names)):
             continue
         logging.getLogger(__name__).info("%s at %g", name, tolerance)
         try:
-            rows = _rows(case, tolerance, theta_max)
+            rows = _rows(case, tolerance, theta_max, grids)
         except SpecimenError as refused:
             print(f"{name}: {refused}", flush=True)
             continue
@@ -93,19 +97,21 @@ def print_campaigns(tolerance: float, names: Sequence[str], theta_max: float) ->
         )
 
 
-def _rows(case: Case, tolerance: float, theta_max: float) -> list[tuple[str, ...]]:
+def _rows(
+    case: Case, tolerance: float, theta_max: float, grids: bool
+) -> list[tuple[str, ...]]:
     """Rows of the campaign, and of the first grid that is as right."""
     started = cpu_seconds()
     settings = {"tolerance": tolerance, "theta_max": theta_max} | case.settings
-    chosen = campaign({"it": case.specimen}, **settings)["it"]
+    chosen = campaign({"it": case.specimen}, progress=True, **settings)["it"]
     spent = cpu_seconds() - started
     found = chosen.settings["campaign"]
     unseen = _unseen(case, chosen, theta_max)
     errors = _errors(chosen, unseen, tolerance)
     counts = found["measured"], found["rays"], spent
     rows = [_row("chosen", chosen, counts, errors, tolerance)]
-    if chosen.settings["estimator"] != "quadrature":
-        return rows  # grids would take hours
+    if not grids or chosen.settings["estimator"] != "quadrature":
+        return rows
     enough = min(_within(errors, tolerance), 0.95)
     found_rows: dict[tuple[int, int], tuple[str, ...]] = {}
 
