@@ -88,6 +88,17 @@ def test_nearly_symmetric_is_what_the_tolerance_says(tilt):
         assert found.turns == turns
 
 
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(("parts", "isotropic"), [(0, True), (5, False), (8, False)])
+def test_isotropic_is_not_what_eighths_of_a_turn_leave(parts, isotropic):
+    """Ridges of pyramids with eight sides; twin: facets tilted alike all around."""
+    angles = 2 * np.pi * np.arange(parts or 48) / (parts or 48)
+    tilts = 0.5 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    surfaces = [{"widths": (0.15, 0.15), "tilt": tilt} for tilt in tilts]
+    directions = Facets(0.1, *surfaces)
+    assert Recognition(directions, ANGLES, 8).is_isotropic() == isotropic
+
+
 @pytest.mark.parametrize("turn", [0, 7.5, 37.5])
 def test_copies_are_what_would_be_measured(turn):
     """At all images; twin: with a mirror that is a sector off."""

@@ -17,9 +17,10 @@ __all__ = ["Recognition"]
 
 logger = logging.getLogger(__name__)
 
-# Azimuths at which it is measured whether a specimen is isotropic, in whole turns, and
-# those of them whose images are measured for its symmetry.
-TURNS, IMAGED = (0.125, 0.25, 0.625), (0.125, 0.25)
+# Azimuths at which it is measured whether a specimen is isotropic, in whole turns, not
+# all eighths, after which pyramids of eight sides are what they were; and those of them
+# whose images are measured for its symmetry.
+TURNS, IMAGED = (0.125, 0.25, 0.7), (0.125, 0.25)
 
 # Equal parts of a whole turn that are tried; of a mirror's azimuth, in whole turns,
 # those that are tried before the one that fits the light along the normal best.
