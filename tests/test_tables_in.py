@@ -70,6 +70,7 @@ weight                   | -          | -
 cos * BRDF               | value      | -
 BRDF_1/sr                | value      | -
 BRDF 1000 nm             | value      | -
+BRDF [1/sr] 1000 nm      | value      | -
 BRDF sample 2            | value      | -
 log10 BRDF               | -          | -
 ln(BRDF)                 | -          | -
@@ -78,6 +79,8 @@ BRDF [mSr-1]             | -          | -
 BRDF [1/msr]             | -          | -
 1000*BRDF                | -          | -
 BRDF x 1e3               | -          | -
+BRDF x 1000              | -          | -
+500 x BRDF               | -          | -
 BRDF·10⁻³                | -          | -
 BRDF/1000                | -          | -
 1/BRDF                   | -          | -

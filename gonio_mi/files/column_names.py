@@ -70,6 +70,12 @@ COLOURS = ("R", "G", "B")
 # Wavelengths in nm that a column may be named by without a unit.
 SHORTEST, LONGEST = 150, 20_000
 
+# A number that may be a wavelength, and one that values are multiplied with.
+WITH_UNIT = re.compile(
+    r"(?<![\w.])([0-9]+(?:\.[0-9]+)?)\s*(nm|um|µm|μm)?(?![\w.])", re.IGNORECASE
+)
+TIMES = re.compile(r"[*x·×⋅]\s*\d|\d\s*[*x·×⋅](?!\w)", re.IGNORECASE)
+
 # Words of values that are something of a quantity, and not the quantity itself; and
 # the like in signs, where cosines and units are none.
 CHANGED = {
@@ -215,24 +221,21 @@ def _angle(words: Sequence[str]) -> str:
 
 def _without_wavelength(text: str) -> tuple[str, str]:
     """Name without a wavelength in it, and its channel such as ``"550nm"``."""
-    match = re.search(
-        r"(?<![\w.])([0-9]+(?:\.[0-9]+)?)\s*(nm|um|µm|μm)?(?![\w.])",
-        text.replace("_", " "),
-        re.IGNORECASE,
-    )
-    if not match:
-        return text, ""
-    nm = float(match[1]) * (1 if (match[2] or "nm").lower() == "nm" else 1000)
-    if not SHORTEST <= nm <= LONGEST:
-        return text, ""
     spaced = text.replace("_", " ")
-    return spaced[: match.start()] + " " + spaced[match.end() :], f"{nm:.10g}nm"
+    for match in WITH_UNIT.finditer(spaced):
+        nm = float(match[1]) * (1 if (match[2] or "nm").lower() == "nm" else 1000)
+        before, after = spaced[: match.start()], spaced[match.end() :]
+        multiple = TIMES.search(f"{before[-3:]}0{after[:3]}")
+        if SHORTEST <= nm <= LONGEST and not multiple:
+            return f"{before} {after}", f"{nm:.10g}nm"
+    return text, ""
 
 
 def _is_changed(text: str, words: Sequence[str]) -> bool:
     """Whether a name is that of values times a number, their logarithm or the like."""
     bare = PER_SR.sub(" ", COSINE.sub(" ", text))
-    return bool(CHANGED & set(words) or CHANGES.search(bare))
+    changed = CHANGES.search(bare) or TIMES.search(bare)
+    return bool(CHANGED & set(words) or changed)
 
 
 def _quantity(words: Sequence[str]) -> str:
