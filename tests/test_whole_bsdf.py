@@ -16,7 +16,12 @@ import synthetic
 from budget import agree, disagree, single
 
 import gonio_mi as gonio
-from gonio_mi.instrument import campaign_tasks, campaigns, known_directions
+from gonio_mi.instrument import (
+    campaign_tasks,
+    campaigns,
+    known_directions,
+    resolution,
+)
 from gonio_mi.instrument.campaign_tasks import Surroundings
 from gonio_mi.instrument.known_directions import KnownDirections
 from gonio_mi.instrument.prediction import Prediction
@@ -503,8 +508,59 @@ def test_patches_that_are_too_coarse_are_told_at_once():
         gonio.campaign({"narrow": narrow}, **how | {"collector": named}, folder=Stop())
 
 
+@pytest.fixture
+def looked(monkeypatch):
+    """Collectors that are looked at, and in how many directions."""
+    found, measure = [], known_directions.records_of
+
+    def counted(specimens, incidents, where, settings, *more):
+        found.append((str(settings.get("collector")), len(incidents)))
+        return measure(specimens, incidents, where, settings, *more)
+
+    monkeypatch.setattr(known_directions, "records_of", counted)
+    return found
+
+
 @pytest.mark.usefixtures("mono")
-def test_deltas_are_told_at_once(monkeypatch):
+def test_collectors_without_sectors_are_told_before_anything_is_measured():
+    """Twin: with others the folder is asked for."""
+    how = SETTINGS | {"folder": Stop()}
+    with pytest.raises(RuntimeError, match="enough of it"):
+        gonio.campaign({"metal": CONDUCTOR}, **how)
+    with pytest.raises(ValueError, match="rings with at least 8 equal sectors"):
+        gonio.campaign({"metal": CONDUCTOR}, **how | {"collector": "klems"})
+
+
+@pytest.mark.usefixtures("mono")
+def test_curved_mirrors_are_told_with_one_finer_collector(looked):
+    """The finest, at one angle."""
+    heights = mi.TensorXf(np.array([[0.0, -0.25], [0.0, -0.25]], dtype=np.float32))
+    grooves = {"type": "heightfield", "heights": heights, "size": 1.0}
+    mirrors = grooves | {"bsdf": {"type": "conductor"}}
+    how = {"tolerance": 0.1, "theta_max": 60, "period": "box"}
+    with pytest.raises(gonio.SpecimenError, match=r"angle:240x240, as of smooth mir"):
+        gonio.campaign({"mirrors": mirrors}, **how)
+    finer = [one for one in looked if one[0].startswith("angle")]
+    assert finer == [("angle:240x240", 5)]
+
+
+@pytest.mark.usefixtures("mono")
+def test_patches_within_the_tolerance_are_enough(monkeypatch):
+    """Of 6x64, with 0.098 in the wrong place; twin: 9 % needs more rings, and patches.
+
+    And rough lobes are not told as mirrors.
+    """
+    monkeypatch.setattr(resolution, "MOST_PATCHES", 500)
+    gloss = {"gloss": {"type": "roughconductor", "alpha": 0.1}}
+    how = {"theta_max": 60, "collector": "projected:6x16"}
+    with pytest.raises(gonio.SpecimenError, match=r"a collector such as angle:\d+x64$"):
+        gonio.campaign(gloss, tolerance=0.15, **how)
+    with pytest.raises(gonio.SpecimenError, match=r"0.21 with angle:6x32; name ang"):
+        gonio.campaign(gloss, tolerance=0.09, **how)
+
+
+@pytest.mark.usefixtures("mono")
+def test_deltas_are_told_at_once(looked):
     """By their share of the light, before finer patches are tried."""
     plate = {"type": "diffuse", "reflectance": 0.5}
     # of the half that meets nothing all is left, of the other one the half
@@ -515,16 +571,9 @@ def test_deltas_are_told_at_once(monkeypatch):
     # the rays for deltas are of low discrepancy
     assert abs(share - 2 / 3) < 1 / 900
     assert delta_share(gonio.measure(plate, 50, estimator="quadrature")) == 0
-    looked = []
-    measure = known_directions.records_of
-    monkeypatch.setattr(
-        known_directions,
-        "records_of",
-        lambda *asked: looked.append(asked) or measure(*asked),
-    )
     with pytest.raises(gonio.SpecimenError, match=r"^0.67 of the light .* delta"):
         gonio.campaign({"mask": mask}, tolerance=0.05)
-    assert {str(settings.get("collector")) for *_, settings, _ in looked} == {"None"}
+    assert {collector for collector, _ in looked} == {"None"}
 
 
 @pytest.mark.usefixtures("mono")

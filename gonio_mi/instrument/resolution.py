@@ -19,8 +19,13 @@ from .prediction import SPARED, Prediction
 __all__ = ["TooCoarseError", "check_equal_sectors", "check_resolved", "delta_share"]
 
 # By which power of their width finer patches are better, where they nearly resolve a
-# lobe, and up to which part of the light in the wrong place they do.
-ORDER, NEARLY = 1.7, 0.05
+# lobe, and up to which part of the light in the wrong place they do; above which part
+# the finest patches of all are tried before those in between.
+ORDER, NEARLY, FAR = 1.7, 0.05, 0.4
+
+# Part of what coarse patches lose that fine ones lose of mirrors too; of the rough
+# conductor 0.1 on 6x16 patches half is left after one doubling.
+LIKE_MIRRORS = 3 / 4
 
 # Part of the tolerance that patches may take of it.
 SHARE = 1 / 2
@@ -82,42 +87,59 @@ def check_resolved(
     incidents = [(theta_i, phi_i) for theta_i in angles]
     first = records(incidents, None)
     asked = patches = first.subdivision
-    lost_at = partial(_lost, tolerance, n_points, incidents)
-    lost = at_first = lost_at(patches, partial(_at, records, None))
+    lost_at = partial(_lost, tolerance, n_points, records)
+    lost = at_first = lost_at(incidents, patches, own=True)
     if max(lost) <= tolerance:
         return
-    delta = max(map(delta_share, (first[number] for number in range(len(first)))))
-    if delta > tolerance:
-        window = "make a window file of it (gonio-mi bsdf)"
-        other = window if np.any(first.direct) else "take a rough BSDF"
-        raise SpecimenError(
-            f"{delta:.2g} of the light of {first.settings['specimen']!s:.60} leaves in "
-            f"delta lobes (mirror images, or straight on) at an angle up to "
-            f"{max(angles):.3g}, and no patches tell where these are between "
-            f"directions: {INSTEAD}, or {other}"
-        )
-    while max(lost) > NEARLY:
-        sizes = [n * (1 + (one > NEARLY)) for n, one in zip(patches.shape, lost)]
-        if math.prod(sizes) > MOST_PATCHES:
-            break
-        patches = EqualAngle(*sizes)
-        lost = lost_at(patches, partial(_at, records, patches))
+    _check_delta(tolerance, first, max(angles))
     said = (
         f"the lobes of {first.settings['specimen']!s:.60} are too narrow for "
         f"{asked!s:.40}: moved by half a patch, {max(at_first):.2g} of the light would "
         f"be in the wrong place at an angle up to {max(angles):.3g}"
     )
-    if max(lost) > NEARLY:
-        raise SpecimenError(
-            f"{said}, and {max(lost):.2g} with {patches!s:.40}, as of smooth mirrors; "
-            f"{INSTEAD}"
-        )
+    nearly = max(NEARLY, tolerance)
+    if max(lost) > FAR and min(lost) > nearly:
+        # rings and sectors would be doubled each time, for mirrors to the end
+        finest = _finest(patches)
+        of_finest = lost_at(incidents[:1], finest)
+        if min(of_finest) > nearly:
+            patches, lost = finest, of_finest
+    while max(lost) > nearly:
+        sizes = [n * (1 + (one > nearly)) for n, one in zip(patches.shape, lost)]
+        if math.prod(sizes) > MOST_PATCHES:
+            mirrors = max(lost) > LIKE_MIRRORS * max(at_first)
+            as_of = ", as of smooth mirrors" if mirrors else ""
+            raise SpecimenError(
+                f"{said}, and {max(lost):.2g} with {patches!s:.40}{as_of}; {INSTEAD}"
+            )
+        patches = EqualAngle(*sizes)
+        lost = lost_at(incidents, patches)
     factors = [max(1.0, (one / (SHARE * tolerance)) ** (1 / ORDER)) for one in lost]
     sizes = [math.ceil(n * f / 4) * 4 for n, f in zip(patches.shape, factors)]
     enough = EqualAngle(*sizes)
     raise TooCoarseError(
         f"{said}; take a smaller theta_max or a collector such as {enough}", enough
     )
+
+
+def _check_delta(tolerance: float, record: Record, theta_i: float) -> None:
+    """Raise SpecimenError for more of the light than the tolerance in delta lobes."""
+    delta = max(map(delta_share, (record[number] for number in range(len(record)))))
+    if delta > tolerance:
+        window = "make a window file of it (gonio-mi bsdf)"
+        other = window if np.any(record.direct) else "take a rough BSDF"
+        raise SpecimenError(
+            f"{delta:.2g} of the light of {record.settings['specimen']!s:.60} leaves "
+            "in delta lobes (mirror images, or straight on) at an angle up to "
+            f"{theta_i:.3g}, and no patches tell where these are between directions: "
+            f"{INSTEAD}, or {other}"
+        )
+
+
+def _finest(patches: Subdivision) -> EqualAngle:
+    """Patches whose rings and sectors are doubled as often as may be."""
+    doublings = max(int(math.log(MOST_PATCHES / patches.n_patches, 4)), 0)
+    return EqualAngle(*(n << doublings for n in patches.shape))
 
 
 def delta_share(record: Record) -> float:
@@ -138,26 +160,18 @@ def delta_share(record: Record) -> float:
     return float(delta / total) if total > 0 else 0.0
 
 
-def _at(
-    records: Records,
-    patches: Subdivision | None,
-    incidents: Sequence[Incident],
-) -> Record:
-    """Records of incident directions, with the patches first."""
-    return records(incidents, patches)
-
-
 def _lost(
     tolerance: float,
     n_points: int,
+    records: Records,
     looked_at: Sequence[Incident],
     patches: Subdivision,
-    records: Callable[[Sequence[Incident]], Record],
+    own: bool = False,
 ) -> tuple[float, ...]:
     """Light in the wrong place where only the patches are in the way: at the worst.
 
     By rings and by sectors: lobes are moved by half a ring, and by half a sector, from
-    directions next to them.
+    directions next to them. `own`: whether records have these patches anyway.
     """
     moved = [_moved(*incident, patches) for incident in looked_at]
     every = {
@@ -167,7 +181,7 @@ def _lost(
         for incident in itertools.chain([to], *stacks)
     }
     incidents = sorted(every)
-    record = records(incidents)
+    record = records(incidents, None if own else patches)
     known = {one: record[number] for number, one in enumerate(incidents)}
 
     def lost_by(to: Incident, stacks: Sequence[Sequence[Incident]]) -> float:

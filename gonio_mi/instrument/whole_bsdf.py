@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..collector import subdivision
 from ..errors import checked_number
 from ..results.azimuth_symmetry import AzimuthSymmetry, azimuth_of
 from ..results.campaign_text import LOOKS
@@ -90,6 +91,8 @@ class WholeBsdf:
         self.name, self.tolerance, self.theta_max = name, tolerance, theta_max
         self.directions = KnownDirections(name, specimen, tolerance, where, settings)
         self.settings = settings
+        if settings.get("collector") is not None:
+            check_equal_sectors(subdivision(settings["collector"]))
         # on a side of each patch; the error of the mean over them is below a tenth of
         # the tolerance where the collector resolves the lobes
         self.n_points = 8 if tolerance >= 0.005 else 16 if tolerance >= 0.001 else 32
