@@ -6,7 +6,7 @@ import synthetic
 
 import gonio_mi as gonio
 from gonio_mi.comparison.pairing import labels
-from gonio_mi.errors import abridged
+from gonio_mi.errors import LABEL, abridged
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 
@@ -55,12 +55,32 @@ def test_records_with_a_description_that_was_cut_short_are_merged():
         one.with_settings(digest=None).merge(two.with_settings(digest=None))
 
 
+@pytest.mark.usefixtures("mono")
+def test_a_record_with_a_description_that_was_cut_short_is_carried_on():
+    """Twin: with another specimen's digest."""
+    how = {"specimen": {"type": "diffuse"}, "theta_i": 30, "rays": 2000}
+    record = gonio.measure(**how, collector="projected:4x4")
+    old = record.with_settings(surface=record.settings["surface"][:20])
+    again = gonio.measure(**how, collector="projected:4x4", resume=old)
+    assert again.tallies == record.tallies
+    other = old.with_settings(digest="0")
+    with pytest.raises(ValueError, match="but its digest is"):
+        gonio.measure(**how, collector="projected:4x4", resume=other)
+
+
 def test_labels_of_specimens_that_differ_late():
     name = "principled:base_color=0.2/0.3/0.4,metallic=0.3,anisotropic=0.25,roughness="
     one, two = (
         synthetic.record().with_settings(specimen=f"{name}{x}") for x in (0.4, 0.5)
     )
     assert labels(one, two) == ("... roughness=0.4", "... roughness=0.5")
+    folder = f"/home/{'a/' * LABEL}scene_"
+    one_file, another = (
+        synthetic.record().with_settings(specimen=f"{folder}{x}.xml") for x in (4, 5)
+    )
+    found = labels(one_file, another)
+    assert max(map(len, found)) <= LABEL
+    assert [label[-5:] for label in found] == ["4.xml", "5.xml"]
     short = synthetic.record().with_settings(specimen="diffuse")
     assert labels(one, short)[0] == (
         "principled:base_color=0.2/0.3/0.4,metallic=0.3, ..."

@@ -286,8 +286,11 @@ def labels(record: Record, other: Record) -> tuple[str, str]:
 def _abridged_apart(one: str, two: str) -> tuple[str, str]:
     """Two texts that differ, abridged such that they still do."""
     if abridged(one, LABEL) == abridged(two, LABEL):
-        alike = takewhile(lambda pair: pair[0] == pair[1], zip(one, two))
-        start = one.rfind(",", 0, sum(1 for _ in alike)) + 1
+        alike = sum(
+            1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one, two))
+        )
+        # from the parameter, or the middle of a long name
+        start = max(one.rfind(",", 0, alike) + 1, alike - LABEL // 2)
         one, two = f"... {one[start:]}", f"... {two[start:]}"
     return abridged(one, LABEL), abridged(two, LABEL)
 

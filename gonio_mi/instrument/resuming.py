@@ -62,6 +62,8 @@ def check_resumable(
             }
         )
         lacking = set(DIGESTS) - others.keys()
+        if others.get("digest"):
+            lacking.add("surface")  # which older records have cut short
         for key in sorted(own.keys() - FREE - lacking):
             if own[key] != others.get(key) and own[key] == own[key]:
                 raise SettingError(
