@@ -29,6 +29,7 @@ __all__ = [
     "printable",
     "shortened",
     "shown",
+    "unknown_channel",
     "tells_of_our_bug",
 ]
 
@@ -227,6 +228,16 @@ def checked_number(
     if not math.isfinite(number) or not low <= number < high:
         raise SettingError(f"{name} must be {condition}, got {shown(value)}")
     return number
+
+
+def unknown_channel(
+    place: object, names: Iterable[str], channel: str | None
+) -> SettingError:
+    """Error for a channel that the file `place` lacks, or that was not said."""
+    known = abridged(", ".join(names), 120)
+    found = "none was said: say --channel" if channel is None else shown(channel)
+    separator = "; " if channel is None else ", got "
+    return SettingError(f"channel must be one of {known} for {place}{separator}{found}")
 
 
 def checked_choice(name: str, value: Choice, choices: Iterable[Choice]) -> Choice:

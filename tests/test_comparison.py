@@ -22,6 +22,7 @@ from gonio_mi.collector.apertures import Apertures, disjoint_groups
 from gonio_mi.collector.directions import direction
 from gonio_mi.comparison import compare, measure_like
 from gonio_mi.comparison.agreement import Readings
+from gonio_mi.comparison.comparison_figure import comparison_figure
 from gonio_mi.files.measured import MeasuredTable, read_measured
 from gonio_mi.results.record import Record
 from gonio_mi.transport.collector_sphere import CollectorSphere
@@ -841,3 +842,22 @@ def test_lower_hemisphere_of_one_record():
     glass = gonio.measure({"type": "roughdielectric"}, **settings)
     with pytest.raises(ValueError, match="measure the second with hemispheres"):
         compare(glass, upper)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_point_for_each_incidence_is_drawn_over_incidence():
+    """One panel for all of them; twin: two points each have panels of their own."""
+    incidence = np.array([60.0, 0.0, 30.0])
+    settings = {"collector": "projected:4x8", "rays": 4096}
+    record = gonio.measure({"type": "diffuse"}, incidence, **settings)
+    for k, panels in ((1, 1), (2, 3)):
+        theta_i = np.repeat(incidence, k)
+        theta_o, zero = np.tile([20.0, 40.0][:k], 3), np.zeros(3 * k)
+        table = MeasuredTable(theta_i, zero, theta_o, zero + 10, zero + 0.16)
+        figure = comparison_figure(compare(record, table))
+        axes = figure.get_axes()
+        assert len(axes) == 2 * panels
+        above, below = axes[0], axes[panels]
+        drawn = np.asarray(above.containers[0][0].get_xdata()).tolist()
+        assert drawn == ([0, 30, 60] if k == 1 else [-40, -20])
+        assert below.get_xlabel().startswith("theta_i" if k == 1 else "theta_o")

@@ -3,6 +3,7 @@
 import io
 import json
 import struct
+import warnings
 
 import mitsuba as mi
 import numpy as np
@@ -132,6 +133,19 @@ def test_measured_of_an_anisotropic_colour_converges(tmp_path, monkeypatch):
     assert (np.array(misplaced[0]) > 1.7 * np.array(misplaced[1])).all()
 
 
+@pytest.mark.usefixtures("rgb")
+def test_light_that_measured_adds_is_a_loss_and_no_warning(tmp_path, monkeypatch):
+    monkeypatch.setattr(measured_export, "GRID", 16)
+    monkeypatch.setattr(measured_export, "RAYS", 2**14)
+    metal = {"type": "roughconductor", "alpha": 0.3}
+    record = gonio.measure(metal, [0, 40, 80], collector="angle:16x24", rays=2**16)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        losses = exporting.export(record, tmp_path / "metal.bsdf")
+    assert max(loss.written for loss in losses) > 1.002
+    assert not [one for one in caught if "creates light" in str(one.message)]
+
+
 @pytest.mark.usefixtures("mono")
 def test_measured_needs_rgb(tmp_path):
     with pytest.raises(VariantError, match="needs a variant of rgb"):
@@ -232,7 +246,8 @@ def test_astm_is_what_compare_reads(tmp_path, channels, columns):
     assert table.header["COLLECTOR"] == "projected:4x8"
     assert gonio.compare(record, table).passed
     if len(channels) > 1:
-        with pytest.raises(ValueError, match=f"must be one of {channels[0]}, .*None"):
+        none_said = f"must be one of {channels[0]}, .*none was said"
+        with pytest.raises(ValueError, match=none_said):
             gonio.read_measured(path)
 
 

@@ -198,6 +198,7 @@ def test_totals_have_the_digits_that_show_gives_them(opened):
     record = synthetic.record(both=True, channels=("R", "G"))
     rows = opened(record).locator("#readings tr").all_text_contents()
     lines = summary_text(summarize(record)).splitlines()
+    assert rows[5] == "raysshare"
     for row, line in zip(rows[1:5], [one for one in lines if "  dh" in one]):
         *_, value, _, low, high = line.split()
         assert value in row
@@ -205,6 +206,7 @@ def test_totals_have_the_digits_that_show_gives_them(opened):
     integrals = synthetic.integrals()
     page = opened(integrals)
     assert "none: integrals" in page.locator("#readings").text_content()
+    assert "share" not in page.locator("#readings").text_content()
     theta, phi = integrals.subdivision.middles
     assert "integrated, solid" in pointed(page, "map-0-0", theta[3, 2], phi[3, 2])
 

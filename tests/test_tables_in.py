@@ -248,8 +248,10 @@ def test_units_below_the_names_colours_and_gaps(tmp_path):
     assert table.theta_i.tolist() == [np.degrees(0.5)]
     assert (table.value.tolist(), table.channel) == ([2], "G")
     assert "1 rows without a value are left out" in table.notes
-    with pytest.raises(ValueError, match="channel must be one of R, G, B"):
+    with pytest.raises(ValueError, match=r"one of R, G, B for .*: say --channel"):
         gonio.read_measured(path, quantity="btdf")
+    with pytest.raises(ValueError, match=r"one of R, G, B for .*, got 'K'"):
+        gonio.read_measured(path, "K", quantity="btdf")
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..array_types import Flags, Floats
+from ..array_types import Flags, Floats, Integers
 from ..plots.drawable import check_matplotlib
 
 if TYPE_CHECKING:
@@ -28,6 +29,8 @@ def comparison_figure(comparison: Any) -> Figure:
     One panel per incident direction and channel, up to six, with the points of the two
     half-planes next to the plane of incidence over the signed polar angle: positive on
     the mirror direction's side. Points that do not line up are drawn over theta_o.
+    A table with hardly more than a point for each incident direction has one panel per
+    channel, over theta_i.
 
     Raises ImportError without Matplotlib.
     """
@@ -49,7 +52,8 @@ def comparison_figure(comparison: Any) -> Figure:
     for (above, below), panel in zip(axes.T, shown):
         _draw(comparison, panel, above, below)
     curves = axes[0, 0].get_legend_handles_labels()
-    figure.legend(*curves, loc="outside lower center", ncols=2, frameon=False)
+    columns = min(2, len(shown))
+    figure.legend(*curves, loc="outside lower center", ncols=columns, frameon=False)
     axes[0, 0].set_ylabel("BSDF (1/sr)")
     axes[1, 0].set_ylabel("z")
     p_value, rms = comparison.p_value, comparison.rms
@@ -60,24 +64,51 @@ def comparison_figure(comparison: Any) -> Figure:
     return figure
 
 
-def _panels(comparison: Any) -> list[tuple[float, float, str]]:
-    """Distinct incident directions and channels, in order."""
+@dataclass
+class _Panel:
+    """Numbers of the points of a panel, their abscissas, and what is written there."""
+
+    points: Integers
+    x: Floats
+    title: str
+    label: str
+    line: str = "-"
+
+
+def _panels(comparison: Any) -> list[_Panel]:
+    """One for each incident direction and channel, in order, or for each channel."""
     columns = (comparison.theta_i, comparison.phi_i, comparison.channel)
-    return list(dict.fromkeys(zip(*(column.tolist() for column in columns))))
+    distinct = list(dict.fromkeys(zip(*(column.tolist() for column in columns))))
+    if len(distinct) > 1 and len(comparison.theta_i) < 2 * len(distinct):
+        return [
+            _over_incidence(comparison, channel)
+            for channel in dict.fromkeys(comparison.channel.tolist())
+        ]
+    return [_profile(comparison, *panel) for panel in distinct]
 
 
-def _draw(
-    comparison: Any, panel: tuple[float, float, str], above: Axes, below: Axes
-) -> None:
+def _over_incidence(comparison: Any, channel: str) -> _Panel:
+    """All points of a channel, over the angle of incidence."""
+    points = np.flatnonzero(comparison.channel == channel)
+    label = "theta_i (degrees), all points"
+    return _Panel(points, comparison.theta_i[points], channel, label, line="")
+
+
+def _profile(comparison: Any, theta_i: float, phi_i: float, channel: str) -> _Panel:
     """One incident direction and channel."""
-    theta_i, phi_i, channel = panel
     own = (comparison.theta_i == theta_i) & (comparison.phi_i == phi_i)
     own &= comparison.channel == channel
     points = np.flatnonzero(own)
     x, in_plane, label = points_in_profile(
         comparison.theta_o[points], comparison.phi_o[points], phi_i
     )
-    points, x = points[in_plane], x[in_plane]
+    title = f"theta_i {theta_i:.4g}°, phi_i {phi_i:.4g}°, {channel}"
+    return _Panel(points[in_plane], x[in_plane], title, label)
+
+
+def _draw(comparison: Any, panel: _Panel, above: Axes, below: Axes) -> None:
+    """Values of a panel, and their scores."""
+    points, x = panel.points, panel.x
     order = np.argsort(x, kind="stable")
     points, x = points[order], x[order]
     first, second = comparison.labels
@@ -89,23 +120,21 @@ def _draw(
             x,
             values[points],
             np.nan_to_num(errors[points]),
-            fmt=f"-{style}",
+            fmt=f"{panel.line}{style}",
             markersize=3,
             linewidth=0.8,
             capsize=2,
             label=f"{name} +- std_err",
             mfc=face,
         )
-    above.set_title(
-        f"theta_i {theta_i:.4g}°, phi_i {phi_i:.4g}°, {channel}", fontsize="small"
-    )
+    above.set_title(panel.title, fontsize="small")
     z = comparison.z[points]
     below.axhspan(-2, 2, color="0.9")
     below.axhline(0, color="0.5", linewidth=0.8)
     below.plot(x, z, "o", markersize=3, color="C1")
     reach = max(3.5, 1.1 * np.abs(z).max())
     below.set_ylim(-reach, reach)
-    below.set_xlabel(label)
+    below.set_xlabel(panel.label)
 
 
 def points_in_profile(

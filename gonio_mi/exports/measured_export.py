@@ -1,5 +1,6 @@
 """Records as material files of Mitsuba's plugin `measured`."""
 
+import warnings
 from os import PathLike
 from typing import Any
 
@@ -54,10 +55,15 @@ def write_measured(record: Record, path: str | PathLike[str]) -> list[Loss]:
     settings = {"collector": record.subdivision, "rays": RAYS}
     if spectral:
         settings["wavelengths"] = wavelengths.tolist()
-    again = [
-        measure_whole({"type": "measured", "filename": str(path)}, *angles, **settings)
-        for angles in zip(record.theta_i, record.phi_i)
-    ]
+    with warnings.catch_warnings():
+        # what Mitsuba's interpolation adds is told as a loss of the file
+        warnings.filterwarnings("ignore", "the BSDF creates light")
+        again = [
+            measure_whole(
+                {"type": "measured", "filename": str(path)}, *angles, **settings
+            )
+            for angles in zip(record.theta_i, record.phi_i)
+        ]
     return losses(record, np.stack([one.flux_fraction[:1] for one in again]))
 
 

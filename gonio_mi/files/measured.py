@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileFormatError, SettingError, abridged, shown
+from ..errors import FileFormatError, SettingError, shown, unknown_channel
 from . import astm
 from .measured_table import MeasuredTable
 from .measured_text import Said, read_text
@@ -111,10 +111,7 @@ def _read_astm(path: str | PathLike[str], channel: str | None) -> MeasuredTable:
     if channel is None and len(names) == 1:
         channel = names[0]
     if channel is None or channel not in names:
-        raise SettingError(
-            f"channel must be one of {abridged(', '.join(names), 80)} for {path}, got "
-            f"{shown(channel)}"
-        )
+        raise unknown_channel(path, names, channel)
     try:
         in_degrees = np.abs(angles).max(initial=0) > 2 * np.pi
         angles = angles if in_degrees else np.degrees(angles)

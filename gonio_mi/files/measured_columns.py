@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import FileFormatError, SettingError, abridged, shown
+from ..errors import FileFormatError, SettingError, abridged, shown, unknown_channel
 from .column_names import ANGLES, COLOURS, ROLES, Column, recognised, unit_of
 from .measured_table import COLUMNS, fits
 from .numbers import decimal, is_decimal
@@ -179,11 +179,7 @@ def _picked(
         wanted = channel or ""
         wanted = wanted if wanted in names else f"{wanted}nm"
         if wanted not in names:
-            raise SettingError(
-                f"channel must be one of {abridged(', '.join(names), 120)} "
-                f"for {text.place}, "
-                f"got {shown(channel)}"
-            )
+            raise unknown_channel(text.place, names, channel)
         by_role["value"] = [c for c in values if c.channel == wanted]
         names = [wanted]
     elif channel is not None and "wavelength" not in by_role:
@@ -256,11 +252,7 @@ def _one_wavelength(
     if channel not in names and f"{channel}nm" in names:
         channel = f"{channel}nm"
     if channel is None or channel not in names:
-        raise SettingError(
-            f"channel must be one of {abridged(', '.join(names), 120)} "
-            f"for {place}, got "
-            f"{shown(channel)}"
-        )
+        raise unknown_channel(place, names, channel)
     here = np.abs(nm - names[channel]) <= SAME_WAVELENGTH
     return {role: array[here] for role, array in arrays.items()}, [channel]
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileFormatError, SettingError, abridged, shown
+from ..errors import FileFormatError, SettingError, shown, unknown_channel
 from . import fred, merl, open_material, speos, tensor_file, zemax
 from .measured_table import MeasuredTable
 from .scatter import Scatter
@@ -120,10 +120,7 @@ def _chosen(path: object, names: list[str], channel: str | None) -> str:
     if channel is not None and f"{channel}nm" in names:
         return f"{channel}nm"
     if channel is None or channel not in names:
-        raise SettingError(
-            f"channel must be one of {abridged(', '.join(names), 120)} for {path}, got "
-            f"{shown(channel)}"
-        )
+        raise unknown_channel(path, names, channel)
     return channel
 
 

@@ -335,6 +335,7 @@
               known(total.high ?? NaN, total.std_err));
     const { emitted } = direction.ledger;
     if (!emitted && one.integrals) add("rays", "none: integrals", "", "");
+    if (emitted) add("", "rays", "share", "");
     for (const [name, n] of Object.entries(direction.ledger))
       if (n) add(name, n.toLocaleString("en").replaceAll(",", " "),
                  `${short((100 * n) / emitted)} %`, "");
