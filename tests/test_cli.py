@@ -379,7 +379,9 @@ def test_bad_plugin_files(refuse, write, content, words):
 
 
 def test_what_mitsuba_refuses_while_measuring_is_a_sentence(refuse):
-    assert "non-spectral color type" in refuse("measure", "hair", "--theta-i", "45")
+    said = refuse("measure", "hair", "--theta-i", "45")
+    assert "non-spectral color type" in said
+    assert "another variant may do (llvm_ad_rgb, llvm_ad_spectral)" in said
 
 
 def test_workers_are_called_so(refuse):

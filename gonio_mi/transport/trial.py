@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import SpecimenError, abridged
+from .variants import usable_variants
 
 __all__ = ["check_works", "class_of"]
 
@@ -34,8 +35,12 @@ def check_works(bsdfs: Iterable[Any], wavelengths: Any, estimator: str) -> None:
             if _in_python(error):
                 raise
             said = abridged(" ".join(str(error).split()), 200)
+            kind = mi.variant().partition("_")[0]
+            others = [name for name in usable_variants() if name.startswith(kind)]
+            others.remove(mi.variant())
             raise SpecimenError(
-                f"the BSDF {class_of(bsdf)} fails in the variant {mi.variant()}: {said}"
+                f"the BSDF {class_of(bsdf)} fails in the variant {mi.variant()}: "
+                f"{said}; another variant may do ({', '.join(others)})"
             ) from error
 
 
