@@ -16,7 +16,7 @@ import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.collector.klems import Klems
 from gonio_mi.exports import exporting, radiance_export, resampling
-from gonio_mi.exports.loss import in_words
+from gonio_mi.exports.loss import Loss, in_words
 from gonio_mi.files import radiance_xml
 from gonio_mi.files.radiance_bsdf import RadianceBSDF
 from gonio_mi.instrument.loading import parse_specimen
@@ -110,6 +110,16 @@ def test_every_basis_keeps_the_light_of_narrow_lobes(tmp_path, monkeypatch, basi
     lines = in_words(losses)
     assert lines[0].startswith("front, reflected: ")
     assert "ended up in a neighbouring patch, at worst" in lines[0]
+
+
+def test_what_hardly_any_light_does_is_left_out_of_the_words():
+    """Beyond total reflection all is misplaced; twin: with light there it is told."""
+    bright = Loss(0, 0, "dht", 0.9, 0, 0.88, 0.1, 0)
+    for light, told in ((1e-6, "10.0%"), (0.1, "55.0%")):
+        (line,) = in_words([bright, Loss(73, 0, "dht", light, 0, light, 1.0, 0)])
+        assert line.startswith(f"front, transmitted: {told} of the light")
+        assert line.endswith("faint directions left out") == (light < 1e-3)
+        assert "total off by at most 0.02" in line
 
 
 @pytest.mark.usefixtures("mono")

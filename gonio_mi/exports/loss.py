@@ -13,6 +13,9 @@ __all__ = ["Loss", "fractions_of", "in_words", "losses"]
 
 WORDS = {"dhr": "reflected", "dht": "transmitted"}
 
+# Part of the most light, below which where light goes tells little of the file.
+FAINT = 0.01
+
 
 @dataclass(frozen=True)
 class Loss:
@@ -105,19 +108,27 @@ def losses(
 
 
 def in_words(every: Sequence[Loss]) -> list[str]:
-    """One line for each lit face and hemisphere: what was lost, and where most."""
+    """One line for each lit face and hemisphere: what was lost, and where most.
+
+    Where less than 1 % of the most light is, as behind total reflection, patches are
+    left out, and the line says so; totals are of all incident directions.
+    """
     lines = []
     for side, quantity in dict.fromkeys((one.side, one.quantity) for one in every):
         some = [one for one in every if (one.side, one.quantity) == (side, quantity)]
-        worst = max(some, key=lambda one: one.misplaced)
+        least = FAINT * max(one.recorded for one in some)
+        told = [one for one in some if one.recorded >= least]
+        worst = max(told, key=lambda one: one.misplaced)
         off = max(some, key=lambda one: abs(one.written - one.recorded))
-        mean = sum(one.misplaced for one in some) / len(some)
+        mean = sum(one.misplaced for one in told) / len(told)
+        left_out = len(some) - len(told)
         where = f"theta_i {worst.theta_i:.3g}, phi_i {worst.phi_i:.3g}"
-        worst_words = "" if len(some) == 1 else f", at worst {worst.misplaced:.1%} for"
+        worst_words = "" if len(told) == 1 else f", at worst {worst.misplaced:.1%} for"
         worst_words = worst_words + " incidence at" if worst_words else ", incidence at"
         lines.append(
             f"{side}, {WORDS[quantity]}: {mean:.1%} of the light ended up in a "
             f"neighbouring patch{worst_words} {where}; total off by at most "
             f"{abs(off.written - off.recorded):.1g}"
+            + (f"; {left_out} faint directions left out" if left_out else "")
         )
     return lines
