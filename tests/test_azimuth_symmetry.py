@@ -15,6 +15,7 @@ from gonio_mi.instrument.campaign_tasks import Surroundings
 from gonio_mi.instrument.known_directions import KnownDirections
 from gonio_mi.instrument.recognition import Recognition
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
+from gonio_mi.results.campaign_text import campaign_is_sound
 from gonio_mi.results.misplacement import misplaced, noise_of
 from gonio_mi.results.record import Record
 
@@ -208,6 +209,28 @@ def test_a_material_holds_copies_and_says_so(tmp_path):
     how = {"collector": COARSE["collector"], "rays": 2**16}
     seen, truth = (gonio.measure(bsdf, 30, 200, **how) for bsdf in (plugin, BRUSHED))
     assert not misplaced(seen, truth.flux_fraction).exceeds(COARSE["tolerance"])
+
+
+@pytest.mark.parametrize(
+    ("change", "sound"),
+    [
+        ({}, True),
+        ({"mirror": None, "copies": []}, True),
+        ({"turns": 0}, False),
+        ({"turns": 2.5}, False),
+        ({"turns": 10**9}, False),
+        ({"mirror": "0"}, False),
+        ({"copies": [[30.0]]}, False),
+        ({"copies": None}, False),
+    ],
+)
+def test_symmetries_of_files_are_checked(change, sound):
+    """What a campaign writes is sound; nothing that would spoil a comparison is."""
+    symmetry = AzimuthSymmetry(16, 2, 0).described() | {"copies": [[30.0, 180.0]]}
+    numbers = {"tolerance": 0.1, "theta_max": 80, "within": 1.0, "measured": 9}
+    found = numbers | {"rays": 0, "isotropic": False, "unseen": [[0.0] * 6]}
+    assert campaign_is_sound(found | {"symmetry": symmetry | change}) == sound
+    assert campaign_is_sound(found), "as of older versions"
 
 
 @pytest.mark.usefixtures("mono")

@@ -16,6 +16,9 @@ NUMBERS = ("tolerance", "theta_max", "within", "measured", "rays")
 # confidence in their share holds for all looks together (Bonferroni).
 LOOKS, CONFIDENCE = 10, 0.95
 
+# Equal parts of a whole turn that a specimen may be turned by: no more than degrees.
+MOST_TURNS = 360
+
 # Of each unseen direction: both angles, light, its standard error, dhr and dht.
 COLUMNS = 6
 
@@ -41,8 +44,10 @@ def _is_symmetry(found: Any) -> bool:
         return True
     if not isinstance(found, Mapping):
         return False
-    mirror, copies = found.get("mirror"), found.get("copies")
-    numbers: list[Any] = [found.get("turns"), 0 if mirror is None else mirror]
+    turns, mirror, copies = (found.get(name) for name in ("turns", "mirror", "copies"))
+    if type(turns) is not int or not 1 <= turns <= MOST_TURNS:
+        return False
+    numbers: list[Any] = [0 if mirror is None else mirror]
     for one in copies if isinstance(copies, (list, tuple)) else [None]:
         numbers += one if isinstance(one, (list, tuple)) and len(one) == 2 else [""]
     return all(type(x) in (int, float) and -1e15 < x < 1e15 for x in numbers)
