@@ -17,6 +17,7 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.quadrature import integrate
 from gonio_mi.quadrature.cells import CONFIRMING
 from gonio_mi.quadrature.evaluator import Evaluator
+from gonio_mi.quadrature.incident_light import channels_of
 
 SHARP = {"type": "roughconductor", "alpha": 0.005}
 MATERIALS = {
@@ -505,3 +506,11 @@ def test_no_merging_and_no_resuming():
         record.merge(integrated({"type": "diffuse"}, seed=1))
     with pytest.raises(ValueError, match="resume is for sampled rays"):
         integrated({"type": "diffuse"}, resume=record)
+
+
+@pytest.mark.usefixtures("mono")
+def test_an_integrand_of_more_channels_than_colours_has_them_all():
+    """As validation integrates; a number stands for the one of the variant."""
+    several = [mi.Float(number) for number in range(9)]
+    assert channels_of(several) == several
+    assert len(channels_of(mi.Float(1))) == 1

@@ -100,7 +100,9 @@ class IncidentLight:
 
 
 def channels_of(value: Any) -> list[mi.Float]:
-    """Channels of what a BSDF gives, be it one number for all of them."""
+    """Channels of what a BSDF gives, be it one number for all of them, or a list."""
+    if isinstance(value, list):
+        return value
     return list(mi.Spectrum(value) if dr.depth_v(value) < 2 else value)
 
 
