@@ -362,7 +362,8 @@ def test_pilots_that_adapt_nothing(brdf, uniform, message):
 
 @pytest.mark.parametrize(
     "text",
-    ["projected", "projected:30", "x:3x3", "angle:3x-3", "angle:0x3", "angle:axb"],
+    ["projected", "projected:30", "x:3x3", "angle:3x-3", "angle:0x3", "angle:axb"]
+    + ["apertures:2@10/0,2@20/90", "apertures:5@10", "borders:0,a"],
 )
 def test_bad_names_are_refused(text):
     with pytest.raises(ValueError, match=r"collector must look like|at least 1"):

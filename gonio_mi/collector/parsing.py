@@ -61,8 +61,10 @@ def subdivision(text: str | Subdivision) -> Subdivision:
             return Borders(_numbers(rings), _numbers(sectors))
         if name == Apertures.name:
             return Apertures.parse(size)
-    except ValueError as error:
+    except SettingError as error:
         raise SettingError(shortened(f"collector {shown(text)}: {error}")) from None
+    except ValueError:  # of a word that is no number, or lacks one
+        raise SettingError(shortened(f"{form}, got {shown(text)}")) from None
     if text in _KLEMS:
         return _KLEMS[text]
     if name == ShirleyChiu.name and _is_integer(size):

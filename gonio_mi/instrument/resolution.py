@@ -67,10 +67,10 @@ def check_resolved(
 ) -> None:
     """Raise SpecimenError if patches are too coarse to say what is between directions.
 
-    So are all for more of the light than the tolerance in delta lobes. A
-    :class:`TooCoarseError` names a collector that would do, from what finer ones would
-    measure: of equal steps of angle, which resolve lobes at grazing incidence with the
-    fewest patches.
+    Where they are, and more of the light than the tolerance is in delta lobes, no
+    others would do either. Otherwise a :class:`TooCoarseError` names a collector that
+    would, from what finer ones would measure: of equal steps of angle, which resolve
+    lobes at grazing incidence with the fewest patches.
 
     Parameters
     ----------
