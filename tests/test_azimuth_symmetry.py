@@ -261,10 +261,12 @@ def test_the_noise_of_copies_counts_once(told):
 
 @pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("believed", [False, True])
-def test_a_symmetry_that_does_not_hold_is_given_up(believed, monkeypatch):
+@pytest.mark.parametrize("isotropic", [False, True])
+def test_a_symmetry_that_does_not_hold_is_given_up(isotropic, believed, monkeypatch):
     """Where directions never used miss; twin: believed, it spoils the material."""
     askew = AzimuthSymmetry(16, 2, 4)
     monkeypatch.setattr(Recognition, "symmetry", lambda _: askew)
+    monkeypatch.setattr(Recognition, "is_isotropic", lambda _: isotropic)
     for name, number in (("UNSEEN", 10), ("LOOKS", 2), ("MISSES", 0)):
         monkeypatch.setattr(whole_bsdf, name, number)
     if believed:
@@ -274,5 +276,6 @@ def test_a_symmetry_that_does_not_hold_is_given_up(believed, monkeypatch):
     else:
         record = gonio.campaign({"brushed": BRUSHED}, **COARSE)["brushed"]
     found = record.settings["campaign"]
-    assert (found["symmetry"]["copies"] == []) != believed
+    assert found["isotropic"] == (isotropic and believed)
+    assert (found["symmetry"]["copies"] != []) == (believed and not isotropic)
     assert (found["within"] == 1) != believed

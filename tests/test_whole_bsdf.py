@@ -344,8 +344,7 @@ def test_two_looks_together_decide(missed, monkeypatch):
 
     monkeypatch.setattr(whole, "_errors_at", look)
     whole.rings = SimpleNamespace(split_at=lambda some: split.append(len(some)) or True)
-    whole.recognition = SimpleNamespace(refuted=lambda *_: False)
-    whole.symmetry = SimpleNamespace(generators=())
+    monkeypatch.setattr(whole, "_is_refuted_at", lambda *_: False)
     errors = whole._confirmed()
     assert looks == [UNSEEN] * len(missed)
     assert split == missed[:-1]

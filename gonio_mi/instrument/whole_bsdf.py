@@ -12,7 +12,7 @@ import numpy as np
 
 from ..collector import subdivision
 from ..errors import checked_number
-from ..results.azimuth_symmetry import AzimuthSymmetry, azimuth_of
+from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_text import LOOKS
 from ..results.misplacement import Misplacement, misplaced
 from ..results.record import Record
@@ -139,16 +139,17 @@ class WholeBsdf:
         self.recognition = Recognition(self.directions, angles, self.n_points)
         self.isotropic = self.recognition.is_isotropic()
         self.symmetry = AzimuthSymmetry(n_sectors)
+        quarter = azimuth_of(round(n_sectors / 4), n_sectors)
         if not self.isotropic:
             # lobes that are wide along this azimuth may be narrow along the other
-            check_resolved(*looked_at, azimuth_of(round(n_sectors / 4), n_sectors))
+            check_resolved(*looked_at, quarter)
             self.symmetry = self.recognition.symmetry()
         self._refine(angles)
-        errors = self._confirmed()
-        while errors is None:
-            self.symmetry = AzimuthSymmetry(n_sectors)
+        while (errors := self._confirmed()) is None:
+            if self.isotropic:
+                check_resolved(*looked_at, quarter)
+            self.isotropic, self.symmetry = False, AzimuthSymmetry(n_sectors)
             self._refine(angles)
-            errors = self._confirmed()
         return self._described(errors)
 
     def _refine(self, angles: Sequence[float]) -> None:
@@ -242,13 +243,19 @@ class WholeBsdf:
                 break
             before = len(missed)
             worst_one = max(missed, key=lambda one: one.error)
-            if self.recognition.refuted(
-                self.symmetry.generators, worst_one.theta_i, worst_one.phi_i
-            ):
+            if self._is_refuted_at(worst_one.theta_i, worst_one.phi_i):
                 return None
             if not self.rings.split_at(missed):
                 break
         return errors
+
+    def _is_refuted_at(self, theta: float, phi: float) -> bool:
+        """Whether the specimen is not as symmetric at a direction as it seemed."""
+        motions = self.symmetry.generators
+        if self.isotropic:  # turned to about the azimuth of the material
+            n = self.symmetry.n_sectors
+            motions = [Motion(n - round(phi * n / 360), False, n)]
+        return self.recognition.refuted(motions, theta, phi)
 
     def _errors_at(self, unseen: Sequence[tuple[float, float]]) -> list[Misplacement]:
         """What is wrong at directions, with less noise where they are large."""
