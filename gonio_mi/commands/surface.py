@@ -76,7 +76,8 @@ def run(options: Namespace) -> int:
             say(f"warning: {concern}")
     period = options.period or ("box" if joined else "none")
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "the (facets|rms height) of", RuntimeWarning)
+        told = "the (facets|heights|rms height) of"
+        warnings.filterwarnings("ignore", told, RuntimeWarning)
         normals = micro_normals(
             specimen,
             parameters=parameters,

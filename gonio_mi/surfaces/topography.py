@@ -11,6 +11,7 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import SettingError, printable
 from .height_maps import HeightMap
+from .height_steps import height_step
 from .heights import LARGEST, HeightStatistics, checked_heights, height_statistics
 from .length_units import UNITS, metres
 from .preparation import filled, without_form
@@ -27,6 +28,13 @@ ABSURD = 4.0
 # Change of alpha over one wavelength, as a part of it, up to which facets smaller than
 # that are no matter: the same surface in facets of its size would have the same slopes.
 SAME = 0.03
+
+# Step of slope, as a part of the rms slope, from where it is told. At 0.03 a mirror of
+# Gaussian waves has 0.9 to 4.5 % of its light in other patches of projected:30x30 than
+# without steps, twice what another seed makes of 4e5 rays at most; at 0.1 3 to 16 %, at
+# 0.3 13 to 70 %. Of a rough conductor of alpha 0.05 it is 0.8 to 3.6 % at 0.3, where
+# another seed makes 1 to 2.5 %.
+COARSE = 0.03
 
 # Share of light that stays in a mirror's direction, from where it is told.
 COHERENT = 0.01
@@ -48,6 +56,9 @@ class Topography:
         What they come from, and what was done to them.
     unit : str, optional
         The scene unit, if it is known.
+    step : float, optional
+        What the heights were rounded to, see
+        :func:`~gonio_mi.surfaces.height_steps.height_step`.
     """
 
     heights: Floats
@@ -55,6 +66,7 @@ class Topography:
     periodic: bool
     source: str
     unit: str | None = None
+    step: float | None = None
 
     def __repr__(self) -> str:
         n_y, n_x = self.heights.shape
@@ -126,9 +138,26 @@ class Topography:
                 f"{s.alpha_u:.3g} x {s.alpha_v:.3g}, an rms slope of {degrees:.4g} "
                 "degrees: heights and size must be in one unit; see scale, range, size"
             )
+        found += self._steps(s)
         if self.unit in UNITS:
             found += self._waves(s, wavelength / UNITS[self.unit])
         return found
+
+    def _steps(self, s: HeightStatistics) -> list[str]:
+        """What heights of few bits do to slopes."""
+        if self.step is None:
+            return []
+        slope, rms = self.step / min(self.spacing), max(s.alpha_u, s.alpha_v) / 2**0.5
+        if slope < COARSE * rms:
+            return []
+        unit = "" if self.unit is None else f" {self.unit}"
+        return [
+            f"the heights of {self.source} come in steps of {self.step:.3g}{unit}, and "
+            f"slopes in steps of {slope:.3g}, which is {100 * slope / rms:.3g} % of "
+            "the rms slope: smooth facets send light to other patches than those of "
+            "the surface would; take 16 bits or floats, smooth the heights, or make it "
+            "of a rough BSDF"
+        ]
 
     def _waves(self, s: HeightStatistics, wavelength: float) -> list[str]:
         """What geometric optics leaves out at a wavelength in scene units."""
@@ -214,7 +243,8 @@ def topography(
         If something is missing, or given twice.
     """
     heights = checked_heights(given.heights, missing=True)
-    heights = heights * _factor(given, heights, scale, height_range)
+    factor, step = _factor(given, heights, scale, height_range), height_step(heights)
+    heights = heights * factor
     done = [given.source]
     if form != "keep":
         done.append(f"{form} removed")
@@ -230,6 +260,7 @@ def topography(
         joined,
         ", ".join(done),
         _unit(given, unit),
+        None if step is None else abs(factor) * step,
     )
 
 

@@ -55,8 +55,8 @@ def heightfield(props: mi.Properties) -> mi.Mesh:
     Files of profilometers and AFMs (x3p, sur, plu, MetroPro, Wyko OPD, gwy, ...) are
     read by the library SurfaceTopography (``pip install "gonio-mi[surfaces]"``); their
     own unit is that of the scene. What makes a measurement doubtful is warned of:
-    absurdly steep facets, and, where the unit is known, heights and facets that are
-    small against visible light.
+    absurdly steep facets, heights in steps that are coarse for their slopes, and, where
+    the unit is known, heights and facets that are small against visible light.
 
     .. pluginparameters::
 
