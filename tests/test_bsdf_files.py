@@ -119,7 +119,17 @@ def test_what_hardly_any_light_does_is_left_out_of_the_words():
         (line,) = in_words([bright, Loss(73, 0, "dht", light, 0, light, 1.0, 0)])
         assert line.startswith(f"front, transmitted: {told} of the light")
         assert line.endswith("faint directions left out") == (light < 1e-3)
-        assert "total off by at most 0.02" in line
+        assert "total off by 0.02 at theta_i 0, phi_i 0, the most at the reco" in line
+
+
+def test_totals_are_off_by_no_more_than_is_said():
+    """At rough glass from inside, by one digit, 0.1457 was at most 0.1."""
+    losses = [
+        Loss(t, 0, "dht", 0.6, 0, 0.6 - e, 0, 0) for t, e in [(0, 0), (37, 0.1457)]
+    ]
+    (line,) = in_words(losses)
+    assert "total off by 0.15 at theta_i 37, phi_i 0, the most at the record's" in line
+    assert in_words(losses[1:])[0].endswith("theta_i 37, phi_i 0; total off by 0.15")
 
 
 @pytest.mark.usefixtures("mono")

@@ -110,8 +110,9 @@ def losses(
 def in_words(every: Sequence[Loss]) -> list[str]:
     """One line for each lit face and hemisphere: what was lost, and where most.
 
-    Where less than 1 % of the most light is, as behind total reflection, patches are
-    left out, and the line says so; totals are of all incident directions.
+    That is of the record's own incident directions; between them a file, which may be
+    of patches, can be further off. Where less than 1 % of the most light is, as behind
+    total reflection, patches are left out, and the line says so; totals are of all.
     """
     lines = []
     for side, quantity in dict.fromkeys((one.side, one.quantity) for one in every):
@@ -122,13 +123,22 @@ def in_words(every: Sequence[Loss]) -> list[str]:
         off = max(some, key=lambda one: abs(one.written - one.recorded))
         mean = sum(one.misplaced for one in told) / len(told)
         left_out = len(some) - len(told)
-        where = f"theta_i {worst.theta_i:.3g}, phi_i {worst.phi_i:.3g}"
         worst_words = "" if len(told) == 1 else f", at worst {worst.misplaced:.1%} for"
         worst_words = worst_words + " incidence at" if worst_words else ", incidence at"
         lines.append(
             f"{side}, {WORDS[quantity]}: {mean:.1%} of the light ended up in a "
-            f"neighbouring patch{worst_words} {where}; total off by at most "
-            f"{abs(off.written - off.recorded):.1g}"
+            f"neighbouring patch{worst_words} {_place(worst)}; total off by "
+            f"{abs(off.written - off.recorded):.2g}"
+            + (
+                f" at {_place(off)}, the most at the record's own {len(some)} incident "
+                "directions"
+                if len(some) > 1
+                else ""
+            )
             + (f"; {left_out} faint directions left out" if left_out else "")
         )
     return lines
+
+
+def _place(one: Loss) -> str:
+    return f"theta_i {one.theta_i:.3g}, phi_i {one.phi_i:.3g}"
