@@ -85,6 +85,7 @@ def test_ctrl_c(tmp_path, uninterrupted, monkeypatch, capsys):
     assert capsys.readouterr().err == f"gonio-mi: interrupted: {path}.parts {said}"
     assert len(list(tmp_path.rglob("0*.npz"))) == len(calls) - 1 == BEGUN - 1
     same(path, whole)
+    assert not capsys.readouterr().err
     assert len(calls) - BEGUN == of_all - (BEGUN - 1)
 
 
@@ -97,6 +98,16 @@ def test_a_kill(tmp_path, whole):
     assert one.returncode == -signal.SIGKILL
     assert not path.exists()
     same(path, whole)
+
+
+def test_parts_of_another_specimen_are_told_of(tmp_path, capsys):
+    """They stay, for whoever carries on; after Ctrl-C nothing is said of one's own."""
+    path, other = tmp_path / "metal.npz", tmp_path / "metal.npz.parts/glass_0123abcd"
+    (other / "rays_000").mkdir(parents=True)
+    assert cli.main([*COMMAND, "-o", str(path)]) == 0
+    said = "holds parts of another specimen, whose campaign was not finished: remove"
+    assert f"gonio-mi: {other} {said}" in capsys.readouterr().err
+    assert list(other.parent.iterdir()) == [other]
 
 
 def test_what_is_refused_leaves_nothing(tmp_path, capsys):

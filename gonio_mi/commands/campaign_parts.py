@@ -8,6 +8,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from ..instrument.known_directions import folder_name
+from .arguments import say
 
 __all__ = ["CampaignParts"]
 
@@ -17,7 +18,8 @@ class CampaignParts:
 
     It is there while the campaign is at work, and stays if that was interrupted or
     killed, so that the same command carries on. In its context the options name it,
-    unless they name another, or there is nothing to write.
+    unless they name another, or there is nothing to write. Parts of other specimens
+    stay, and the user is told.
 
     Attributes
     ----------
@@ -48,3 +50,9 @@ class CampaignParts:
             shutil.rmtree(self.folder / self.name, ignore_errors=True)
             with contextlib.suppress(OSError):  # what else is in it is not ours
                 self.folder.rmdir()
+        others = sorted(path for path in self.folder.glob("*") if path.is_dir())
+        if self.finished and others:
+            say(
+                f"{others[0]} holds parts of another specimen, whose "
+                "campaign was not finished: remove it if they are not needed"
+            )
