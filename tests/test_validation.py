@@ -16,12 +16,14 @@ import pytest
 from broken_bsdfs import EITHER, MISTAKES, RIGHT
 
 from gonio_mi import SpecimenError, cli
+from gonio_mi.commands.validate import _print
 from gonio_mi.testing import assert_bsdf_valid
 from gonio_mi.validation import PROPERTIES, cost, delta, save_report, validate
 from gonio_mi.validation.collecting import collect
 from gonio_mi.validation.conditions import Condition
 from gonio_mi.validation.evidence import Evidence
 from gonio_mi.validation.parameters import coloured
+from gonio_mi.validation.verdict import Verdict, judge
 
 ALPHA = budget.ALPHA
 OBLIQUE = Condition(40.0, 25.0)
@@ -321,6 +323,43 @@ def test_command_judges_where_a_plugin_answers(tmp_path, capsys, monkeypatch):
     answer = json.loads(capsys.readouterr().out)
     assert [one["settings"]["variant"] for one in answer["others"]] == ["llvm_ad_mono"]
     assert answer["skipped"] == {}
+
+
+def verdict_of(*p_values, effort="quick", variant="llvm_ad_rgb"):
+    """Verdict of ten tests of a probability of 0.1 %: a level of 0.01 % for each."""
+    evidence = Evidence()
+    for p in (*p_values, *[0.5] * (10 - len(p_values))):
+        evidence.test("sampling", p, "z")
+    settings = {"effort": effort, "seed": 0, "alpha": 1e-3, "strict": False}
+    settings |= {"variant": variant, "n_tests": 10, "n_samples": 1}
+    found = tuple(judge(evidence, 1e-3))
+    return Verdict("paint", found, "pdf", "a mistake", settings)
+
+
+def test_what_is_near_its_limit_is_told_without_an_alarm():
+    """Within a factor of ten; twins: further, and beyond the limit."""
+    near = verdict_of(0.3, 0.00023)
+    told = "sampling (p = 0.00023, fails below 0.0001)"
+    assert near.headline.endswith(
+        f"; near the limit: {told}, effort normal looks closer"
+    )
+    assert near.passed
+    assert not near.failures
+    assert "effort thorough" in verdict_of(0.00099, effort="normal").headline
+    assert "another seed" in verdict_of(0.00099, effort="thorough").headline
+    assert "near" not in verdict_of(0.00101).headline
+    failed = verdict_of(0.00009)
+    assert not failed.passed
+    assert "near" not in failed.headline
+
+
+def test_other_variants_are_told_of_after_the_verdict(capsys):
+    other = verdict_of(0.00023, variant="llvm_ad_mono")
+    _print(verdict_of(), [other], {})
+    *_, headline, last = capsys.readouterr().out.splitlines()
+    assert headline.startswith("paint: nothing wrong was found")
+    assert last.startswith("in llvm_ad_mono: nothing that was not found in llvm_ad_rgb")
+    assert "near the limit: sampling" in last
 
 
 @pytest.mark.usefixtures("rgb")

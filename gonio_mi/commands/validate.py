@@ -160,14 +160,15 @@ def _print(
     """One verdict in full, and of the others what differs."""
     for variant, reason in skipped.items():
         print(f"not judged in {variant}: {reason}")
+    here, no_more = verdict.settings["variant"], []
     for other in others:
         variant = other.settings["variant"]
         if _failed(other) <= _failed(verdict):
-            here = verdict.settings["variant"]
-            print(f"in {variant}: nothing that was not found in {here} too\n")
+            found = f"nothing that was not found in {here} too{other.near}"
+            no_more.append(f"in {variant}: {found}")
         else:
             print(f"in {variant}:\n{other}\n")
-    print(verdict)
+    print("\n".join([str(verdict), *no_more]))
 
 
 def _failed(verdict: Verdict) -> set[str]:

@@ -26,6 +26,17 @@ __all__ = ["FAILS", "HOLDS", "LACKS", "UNDECIDED", "Property", "Verdict", "judge
 # Places of a failure that are kept.
 MOST_PLACES = 10
 
+# Times the level of a test, up to which a p-value is near it: of right plugins so many
+# times the false-alarm probability are.
+NEAR = 10
+
+# What decides where a p-value is near its level.
+CLOSER = {
+    "quick": "effort normal looks closer",
+    "normal": "effort thorough looks closer",
+    "thorough": "another seed decides",
+}
+
 HOLDS, FAILS, UNDECIDED, LACKS = "holds", "fails", "undecided", "lacks"
 
 
@@ -52,6 +63,8 @@ class Property:
         ``adds noise``, of what does not fail; else None.
     places : tuple of str
         How much and where else it fails, sample by sample, the worst first.
+    near : str
+        The smallest p-value and its level, if it does not fail but is near that.
     """
 
     name: str
@@ -62,6 +75,7 @@ class Property:
     p_value: float | None = None
     effect: str | None = None
     places: tuple[str, ...] = ()
+    near: str = ""
 
     @property
     def question(self) -> str:
@@ -146,10 +160,17 @@ class Verdict:
             rest = f", {undecided} could not be decided" if undecided else ""
             if any(p.effect == COST for p in self.properties):
                 rest += ", but it adds cost"
-            return f"{self.name}: nothing wrong was found{rest}"
+            return f"{self.name}: nothing wrong was found{rest}{self.near}"
         word = "passes, with a remark" if self.passed else "FAILS"
         guess = f"{failed[0].consequence}. Most likely: {self.mistake}"
         return f"{self.name}: {word}: {guess}"
+
+    @property
+    def near(self) -> str:
+        """What is near its limit, to follow a sentence, and what looks closer."""
+        closer = CLOSER[self.settings["effort"]]
+        found = [f"{p.name} ({p.near})" for p in self.properties if p.near]
+        return f"; near the limit: {', '.join(found)}, {closer}" if found else ""
 
     def _repr_html_(self) -> str:
         """Headline and properties, for notebooks."""
@@ -279,7 +300,10 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
         least = f"smallest p of {len(tests)} tests {smallest:.2g}"
         text = f"{text}; {least}" if text else least
     lesser = evidence.lesser.get(name)
-    return Property(name, HOLDS, text, p_value=p_value, effect=lesser)
+    near = ""
+    if smallest is not None and smallest < NEAR * level:
+        near = f"p = {smallest:.2g}, fails below {level:.2g}"
+    return Property(name, HOLDS, text, p_value=p_value, effect=lesser, near=near)
 
 
 def _harm_of(test: Test) -> str:
