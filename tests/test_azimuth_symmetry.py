@@ -203,6 +203,13 @@ def test_a_material_holds_copies_and_says_so(tmp_path):
     )
     said = "the same if turned by 180 degrees or mirrored at the azimuth 0 ("
     assert said + f"{len(copies)} of its" in " ".join(text.split())
+    # measured directions have a line each, copies one for all, and the rest is below
+    assert text.count("  dhr  ") == len(every - copies)
+    assert f"\n{len(copies)} copies of these are left out" in text
+    assert text.split("\n\n")[-1].startswith("material  tolerance 0.2 ")
+    angles = list(zip(record.theta_i.tolist(), record.phi_i.tolist()))
+    alone = gonio.results.summary.summarize(record[angles.index(min(copies))])
+    assert "  dhr  " in gonio.results.summary_text.summary_text(alone)
     record.save(tmp_path / "m.npz")
     assert gonio.load(tmp_path / "m.npz") == record
     plugin = {"type": "goniometric", "filename": str(tmp_path / "m.npz")}

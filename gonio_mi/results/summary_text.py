@@ -27,11 +27,12 @@ def summary_text(numbers: dict[str, Any]) -> str:
         _ledger_text(numbers["ledger"], numbers["integrals"]),
         _patches_text(numbers),
     ]
-    if numbers["settings"].get("campaign"):
-        blocks.insert(1, campaign_text(numbers["settings"]["campaign"], WIDTH))
     warnings = [_filled("warning   ", text) for text in numbers["warnings"]]
     if warnings:
         blocks.append("\n".join(warnings))
+    if numbers["settings"].get("campaign"):
+        # what decides, below a table that may be long
+        blocks.append(campaign_text(numbers["settings"]["campaign"], WIDTH))
     return "\n\n".join(blocks)
 
 
@@ -102,11 +103,18 @@ def _rays_text(numbers: dict[str, Any]) -> str:
 
 
 def _totals_text(numbers: dict[str, Any]) -> str:
-    """Reflectance and transmittance with their intervals."""
+    """Reflectance and transmittance with their intervals; of copies no line."""
     header = ["theta_i", "phi_i", "of", "channel", "value", "std_err"]
     header += [f"{numbers['level']:.0%} low", f"{numbers['level']:.0%} high"]
     rows = []
-    for direction in numbers["directions"]:
+    symmetry = (numbers["settings"].get("campaign") or {}).get("symmetry") or {}
+    copies = {tuple(copy) for copy in symmetry.get("copies", ())}
+    measured = [
+        one
+        for one in numbers["directions"]
+        if (one["theta_i"], one["phi_i"]) not in copies
+    ] or numbers["directions"]
+    for direction in measured:
         angles = [_angle(direction["theta_i"]), _angle(direction["phi_i"])]
         shown = ["dhr", "dht", *(["direct"] if direction["ledger"]["direct"] else [])]
         for quantity in shown:
@@ -123,7 +131,9 @@ def _totals_text(numbers: dict[str, Any]) -> str:
                         _fixed(total["high"], decimals),
                     ]
                 )
-    return _table(header, rows)
+    left_out = len(numbers["directions"]) - len(measured)
+    said = f"\n{left_out} copies of these are left out" if left_out else ""
+    return _table(header, rows) + said
 
 
 def _ledger_text(ledger: dict[str, int], integrals: bool) -> str:
