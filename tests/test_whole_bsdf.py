@@ -23,13 +23,15 @@ from gonio_mi.instrument import (
     resolution,
 )
 from gonio_mi.instrument.campaign_tasks import Surroundings
+from gonio_mi.instrument.incident_rings import IncidentRings
 from gonio_mi.instrument.known_directions import KnownDirections
 from gonio_mi.instrument.prediction import Prediction
 from gonio_mi.instrument.refinement import Axis, Interval, refined
 from gonio_mi.instrument.resolution import delta_share
 from gonio_mi.instrument.whole_bsdf import FIRST_ANGLES, UNSEEN, WholeBsdf
 from gonio_mi.materials.gradients import gradients
-from gonio_mi.materials.lobes import LobeTable
+from gonio_mi.materials.lobes import LobeTable, TooLargeError
+from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.misplacement import Misplacement, misplaced, noise_of
 from gonio_mi.results.tally import Fate, Tally
 
@@ -349,6 +351,29 @@ def test_two_looks_together_decide(missed, monkeypatch):
     assert looks == [UNSEEN] * len(missed)
     assert split == missed[:-1]
     assert sum(one.exceeds(0.1) for one in errors) == missed[-1]
+
+
+def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
+    """With the directions of the last look; at the first one it is an error."""
+    whole = WholeBsdf("plate", {"type": "diffuse"}, 0.1, 80, Surroundings(), {})
+    symmetry, looks = AzimuthSymmetry(16), []
+
+    def look(unseen):
+        looks.append(whole.rings.directions())
+        if len(looks[-1]) > len(looks[0]):
+            raise TooLargeError("no memory")
+        return [Misplacement(*one, 1.0, 0, 0, 0) for one in unseen]
+
+    monkeypatch.setattr(whole, "_errors_at", look)
+    monkeypatch.setattr(whole, "_is_refuted_at", lambda *_: False)
+    whole.rings = IncidentRings([0.0, 40.0, 80.0], symmetry, isotropic=True)
+    errors = whole._confirmed()
+    assert len(looks) == 2
+    assert whole.rings.directions() == looks[0]
+    assert all(one.exceeds(0.1) for one in errors)
+    looks[:] = [[]]
+    with pytest.raises(TooLargeError, match="no memory"):
+        whole._confirmed()
 
 
 @pytest.mark.usefixtures("mono")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import warnings
 from collections import defaultdict
@@ -12,6 +13,7 @@ import numpy as np
 
 from ..collector import subdivision
 from ..errors import checked_number
+from ..materials.lobes import TooLargeError
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_text import LOOKS
 from ..results.misplacement import Misplacement, misplaced
@@ -219,10 +221,12 @@ class WholeBsdf:
     def _confirmed(self) -> list[Misplacement] | None:
         """Errors at directions never used, few of which miss the tolerance.
 
-        Where they do, the material is refined, as long as it can be. None if the
-        specimen is not as symmetric there as it seemed.
+        Where they do, the material is refined, as long as it can be and its table fits
+        into memory. None if the specimen is not as symmetric there as it seemed.
         """
         seed, before = self.settings.get("seed") or 0, MISSES
+        errors: list[Misplacement] = []
+        fitting = self.rings
         for number in range(LOOKS):
             generator = np.random.default_rng([int(seed), number])
             cosines = 1 - generator.random(UNSEEN) * (
@@ -232,7 +236,14 @@ class WholeBsdf:
             unseen = list(
                 zip(theta.tolist(), (360 * generator.random(UNSEEN)).tolist())
             )
-            errors = self._errors_at(unseen)
+            try:
+                errors = self._errors_at(unseen)
+            except TooLargeError as error:
+                if not errors:
+                    raise
+                logger.info("%s: not refined further: %s", self.name, error)
+                self.rings = fitting
+                break
             missed = [one for one in errors if one.exceeds(self.tolerance)]
             worst = [f"{one.error:.2g} at {one.theta_i:.1f}" for one in missed]
             logger.info(
@@ -245,6 +256,7 @@ class WholeBsdf:
             worst_one = max(missed, key=lambda one: one.error)
             if self._is_refuted_at(worst_one.theta_i, worst_one.phi_i):
                 return None
+            fitting = copy.deepcopy(self.rings)
             if not self.rings.split_at(missed):
                 break
         return errors
@@ -291,7 +303,8 @@ class WholeBsdf:
             warnings.warn(
                 f"tolerance of {self.tolerance:g} was not reached for {self.name}: of "
                 f"directions that were never used {within:.0%} are within it, and no "
-                "further ones help: take a collector of more patches",
+                "further ones help or fit into memory: take another collector, or a "
+                "larger tolerance",
                 RuntimeWarning,
                 stacklevel=4,
             )

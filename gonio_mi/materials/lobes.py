@@ -25,7 +25,7 @@ from ..results.record import Record
 from .gradients import gradients
 from .incident_grid import IncidentGrid
 
-__all__ = ["LobeTable"]
+__all__ = ["LobeTable", "TooLargeError"]
 
 Floats = NDArray[np.float64]
 
@@ -39,6 +39,10 @@ EVEN = 0.01
 
 # Of the whole table.
 MOST_BYTES = 2**31
+
+
+class TooLargeError(SettingError):
+    """A record whose table does not fit into memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,14 +166,14 @@ class LobeTable:
 
 
 def _check_size(shape: tuple[int, ...]) -> None:
-    """Raise ValueError unless the table of a record of this shape fits into memory."""
+    """Raise TooLargeError unless the table of such a record fits into memory."""
     n_azimuths, n_angles, n_hemispheres, *patches, n_channels = shape
     n_lobes = n_azimuths * n_angles * n_hemispheres
     n_bytes = (
         8 * n_lobes * (4 * (2 * N_CELLS) ** 2 + np.prod(patches) * (3 * n_channels + 3))
     )
     if n_bytes > MOST_BYTES:
-        raise SettingError(
+        raise TooLargeError(
             f"a table of {n_azimuths} x {n_angles} incident directions and "
             f"{patches[0]} x {patches[1]} patches must need at most {MOST_BYTES:.2g} "
             f"bytes, got {n_bytes:.2g}"
