@@ -29,13 +29,11 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "notebooks").glob("*.md"))]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 
-# At most so many rays, no finer tolerance, and what else makes a command take seconds.
+# At most so many rays, and what else makes a command take seconds.
 RAYS = 1e5
-TOLERANCE = 0.3
 FAST = {
     "bsdf": ["--rays", "64"],
     "chart": ["--seconds", "2"],
-    "fit": ["--free", "alpha"],
     "surface": ["--points", "1e4"],
     "validate": ["--effort", "quick"],
 }
@@ -133,11 +131,8 @@ PRECISE = {"--rel-err", "--tolerance", "quadrature"}
 
 
 def fast(words):
-    """Arguments of ``gonio-mi`` with few rays, and no tolerance that needs many."""
+    """Arguments of ``gonio-mi`` with few rays."""
     command, *rest = words
-    if "--tolerance" in rest:
-        at = rest.index("--tolerance") + 1
-        rest[at] = f"{max(float(rest[at]), TOLERANCE):g}"
     if "--rays" in rest:
         at = rest.index("--rays") + 1
         rest[at] = f"{min(float(rest[at]), RAYS):g}"

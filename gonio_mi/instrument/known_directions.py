@@ -94,7 +94,7 @@ class KnownDirections:
             self.estimators.append("weighted")
         self.chosen: Subdivision | None = None  # where no collector was asked for
         self.records: dict[tuple[float, float], Record] = {}
-        # for `keep_in`: arguments of `keep` but for where
+        # for `keep_in`, where there is no folder: arguments of `keep` but for where
         self.rounds: list[tuple[str, Record, Sequence[Any], dict[str, Any]]] = []
         self.rays = self.n_rounds = self.n_timed = 0
         self.seconds, self.announced = 0.0, False
@@ -159,12 +159,12 @@ class KnownDirections:
         """Stack of directions that is kept: in the folder, or for one."""
         if self.chosen is not None:
             part += f"_{self.chosen}".replace(":", "_")
-        where = self.where
+        where, specimens = self.where, {self.name: self.specimen}
         if where.folder is not None:
             where = self._where(where.folder, part)
-        specimens = {self.name: self.specimen}
         stack = records_of(specimens, incidents, where, settings, said)[self.name]
-        self.rounds.append((part, stack, incidents, settings))
+        if self.where.folder is None:
+            self.rounds.append((part, stack, incidents, settings))
         return stack
 
     def check_functions(self, incident: tuple[float, float]) -> None:

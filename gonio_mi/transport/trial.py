@@ -36,8 +36,8 @@ def check_works(bsdfs: Iterable[Any], wavelengths: Any, estimator: str) -> None:
                 raise
             said = abridged(" ".join(str(error).split()), 200)
             kind = mi.variant().partition("_")[0]
-            others = [name for name in usable_variants() if name.startswith(kind)]
-            others.remove(mi.variant())
+            others = [one for one in usable_variants() if one.startswith(kind)]
+            others = [one for one in others if one != mi.variant()]
             raise SpecimenError(
                 f"the BSDF {class_of(bsdf)} fails in the variant {mi.variant()}: "
                 f"{said}; another variant may do ({', '.join(others)})"
