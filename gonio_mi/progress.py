@@ -26,7 +26,8 @@ def bar(
     """
     if not shown:
         return nullcontext()
-    in_place = sys.stderr.isatty() or "ipykernel" in sys.modules
+    notebook = type(sys.stderr).__module__.startswith("ipykernel")
+    in_place = sys.stderr.isatty() or notebook
     return (_Bar if in_place else _Lines)(leave=False, **settings)
 
 

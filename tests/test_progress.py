@@ -1,7 +1,10 @@
 """What long work says of itself where nobody looks at a terminal. All is exact."""
 
+import io
+import sys
 import threading
 import time
+from types import ModuleType
 
 import pytest
 
@@ -54,3 +57,16 @@ def test_nothing_where_it_is_not_wanted(clock, capsys):
         clock[0] += 100
     assert report is None
     assert not capsys.readouterr().err
+
+
+def test_bars_only_where_they_are_drawn(monkeypatch, capsys):
+    """In a notebook; not wherever somebody has imported what notebooks need."""
+    monkeypatch.setitem(sys.modules, "ipykernel", ModuleType("ipykernel"))
+    with progress.bar(True, total=1, unit="direction"):
+        pass
+    assert not capsys.readouterr().err
+    stream = type("OutStream", (io.StringIO,), {"__module__": "ipykernel.iostream"})
+    monkeypatch.setattr(sys, "stderr", drawn := stream())
+    with progress.bar(True, total=1, unit="direction"):
+        pass
+    assert "0/1" in drawn.getvalue()
