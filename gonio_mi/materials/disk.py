@@ -23,7 +23,7 @@ class DiskPoint:
 def seen_from(wo: mi.Vector3f, phi_i: mi.Float64) -> DiskPoint:
     """Point of the disk below (or above) which a unit vector ends."""
     x, y, z = (mi.Float64(component) for component in (wo.x, wo.y, wo.z))
-    norm = dr.rsqrt(x * x + y * y + z * z)
+    norm = 1 / dr.sqrt(x * x + y * y + z * z)
     return on_disk([norm * one for one in turned([x, y, z], -phi_i)])
 
 

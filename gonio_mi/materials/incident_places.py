@@ -68,7 +68,7 @@ class IncidentPlaces:
             leg = last(self.n_legs, lambda i: read(self.sin_i, i) <= sine)
             low, high = read(self.sin_i, leg), read(self.sin_i, leg + 1)
             t = dr.clip((sine - low) / (high - low), 0, 1)
-        z_i = mi.Float64(wi.z) * dr.rsqrt(mi.Float64(dr.squared_norm(wi)))
+        z_i = mi.Float64(wi.z) / dr.sqrt(mi.Float64(dr.squared_norm(wi)))
         place = partial(self._place, leg, t, z_i)
         if self.n_azimuths == 1:
             return [place(mi.Float64(1), mi.UInt32(0), mi.Float64(0))]

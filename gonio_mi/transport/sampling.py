@@ -186,9 +186,10 @@ def apart(lane: mi.UInt32, n: int) -> tuple[mi.UInt32, mi.UInt32]:
     """Number of the group of `n` lanes, and of the lane in it; up to 2**24 lanes.
 
     A division in double precision, exact because no quotient is nearer to a whole
-    number than ``1 / (2 n)``, and much faster than one of integers.
+    number than ``1 / (2 n)``, and much faster than one of integers. The reciprocal is
+    Python's: that of a GPU has single precision.
     """
-    per_group = dr.rcp(mi.Float64(dr.opaque(mi.UInt32, n)))
+    per_group = dr.opaque(mi.Float64, 1 / n)
     group = mi.UInt32((mi.Float64(lane) + 0.5) * per_group)
     return group, lane - group * dr.opaque(mi.UInt32, n)
 
