@@ -8,13 +8,17 @@ import gonio_mi  # noqa: F401
 
 # isort: split
 import ctypes
+import math
 import os
+import sys
 from pathlib import Path
 
 import budget
 import drjit as dr
 import mitsuba as mi
 import pytest
+
+from gonio_mi import progress
 
 
 def pytest_configure():
@@ -33,37 +37,56 @@ def pytest_configure():
         mi.set_variant(before)
 
 
-def _variant(name):
-    before = mi.variant()
-    if before != name:
+# The variants by the names of their fixtures.
+VARIANTS = {name: f"llvm_ad_{name}" for name in ("mono", "rgb", "spectral")}
+
+
+def _set_variant(name):
+    if mi.variant() != name:
         mi.set_variant(name)
-    yield name
-    if before and before != mi.variant():
-        mi.set_variant(before)
+    return name
+
+
+@pytest.fixture(autouse=True)
+def unmoved(request, monkeypatch):
+    """Begin each test in the same state, whatever its process has run before.
+
+    In llvm_ad_mono unless the test says otherwise; with the paths of modules and the
+    folder as they were; and with no line of progress, which depends on how long ago
+    another test wrote one, and on how slow the machine is.
+    """
+    if not {*VARIANTS, "variant"} & {*request.fixturenames}:
+        _set_variant(VARIANTS["mono"])
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(progress, "PAUSE", 1e6)
+    monkeypatch.setattr(progress._Lines, "alive", -math.inf)
+    folder = Path.cwd()
+    yield
+    os.chdir(folder)
 
 
 @pytest.fixture
 def mono():
     """Run the test in llvm_ad_mono."""
-    yield from _variant("llvm_ad_mono")
+    return _set_variant(VARIANTS["mono"])
 
 
 @pytest.fixture
 def rgb():
     """Run the test in llvm_ad_rgb."""
-    yield from _variant("llvm_ad_rgb")
+    return _set_variant(VARIANTS["rgb"])
 
 
 @pytest.fixture
 def spectral():
     """Run the test in llvm_ad_spectral."""
-    yield from _variant("llvm_ad_spectral")
+    return _set_variant(VARIANTS["spectral"])
 
 
-@pytest.fixture(params=["llvm_ad_mono", "llvm_ad_rgb", "llvm_ad_spectral"])
+@pytest.fixture(params=VARIANTS.values())
 def variant(request):
     """Run the test once in each variant."""
-    yield from _variant(request.param)
+    return _set_variant(request.param)
 
 
 # ------------------------------------------------------------ the false-alarm budget

@@ -561,7 +561,7 @@ def test_ctrl_c_gives_no_verdict(run, plugins, write):
     compared = ("compare", "test_interrupted:at=4", write("table.csv", table))
     compared += ("--aperture-half-angle", "5", "--rays", "2e7", *plugins)
     drawn = ("chart", "test_interrupted:at=40", "--theta-i", "45", *plugins)
-    drawn += ("--estimator", "analog", "--sampler", "independent", "--seconds", "10")
+    drawn += ("--estimator", "analog", "--sampler", "independent", "--seconds", "600")
     for arguments in (compared, drawn):
         code, out, err = run(*arguments)
         assert (code, out) == (2, ""), err

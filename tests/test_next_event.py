@@ -343,7 +343,12 @@ def test_bad_settings_are_one_sentence(settings, message):
 
 def test_a_chart_compares_it_on_geometry_only():
     names = ["weighted", "next_event"]
-    settings = {"estimators": names, "samplers": ["sobol"], "seconds": 1, "repeats": 2}
+    settings = {
+        "estimators": names,
+        "samplers": ["sobol"],
+        "seconds": 0.01,
+        "repeats": 2,
+    }
     chart = charting.chart(field(GREY), 30, period="box", collector=GRID, **settings)
     assert [curve.estimator for curve in chart.curves] == names
     flat = charting.chart({"type": "diffuse"}, 30, collector=GRID, **settings)

@@ -16,7 +16,7 @@ def clock(monkeypatch):
     """A clock that is set by hand, and stands still otherwise."""
     now = [1000.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(progress._Lines, "alive", -progress.PAUSE)
+    monkeypatch.setattr(progress, "PAUSE", 30.0)
     return now
 
 
@@ -42,13 +42,13 @@ def test_a_line_once_a_while(clock, capsys):
 def test_a_line_while_nothing_is_reported(monkeypatch, capsys):
     """Of the first direction, which takes long."""
     monkeypatch.setattr(progress, "PAUSE", 0.02)
-    threads, said = threading.active_count(), ""
+    before, said = {*threading.enumerate()}, ""
     with progress.bar(True, total=4, unit="direction", desc="slow"):
-        while not said:
+        while "\n" not in said:
             time.sleep(0.01)
-            said = capsys.readouterr().err
+            said += capsys.readouterr().err
     assert said.startswith("slow: 0 of 4 directions, ? left\n")
-    while threading.active_count() > threads:
+    while {*threading.enumerate()} - before:
         time.sleep(0.01)
 
 

@@ -6,7 +6,6 @@ All is exact.
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -20,7 +19,23 @@ BEGUN = 25
 COMMAND = ["measure", "roughconductor:alpha=0.5", "--tolerance", "0.2", "--theta-max"]
 COMMAND += ["60", "--collector", "projected:6x16", "--estimator", "weighted", "-q"]
 
-PROGRAM = "import sys; from gonio_mi.cli import main; sys.exit(main())"
+# The command in a process of its own, killed as it begins a direction amid the work.
+KILLED = f"""
+import os, signal, sys
+from gonio_mi.cli import main
+from gonio_mi.instrument import campaign_tasks
+
+measure, calls = campaign_tasks.measure_each, []
+
+def one(*args, **kwargs):
+    calls.append(1)
+    if len(calls) == {BEGUN}:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return measure(*args, **kwargs)
+
+campaign_tasks.measure_each = one
+sys.exit(main())
+"""
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -91,11 +106,9 @@ def test_ctrl_c(tmp_path, uninterrupted, monkeypatch, capsys):
 
 def test_a_kill(tmp_path, whole):
     path = tmp_path / "metal.npz"
-    with subprocess.Popen([sys.executable, "-c", PROGRAM, *COMMAND, "-o", path]) as one:
-        while one.poll() is None and len(list(tmp_path.rglob("0*.npz"))) < 14:
-            time.sleep(0.01)
-        one.kill()
-    assert one.returncode == -signal.SIGKILL
+    command = [sys.executable, "-c", KILLED, *COMMAND, "-o", path]
+    assert subprocess.run(command).returncode == -signal.SIGKILL
+    assert len(list(tmp_path.rglob("0*.npz"))) == BEGUN - 1
     assert not path.exists()
     same(path, whole)
 
