@@ -55,9 +55,13 @@ def stl(triangles=TRIANGLES, text=False):
     return data
 
 
-def measured(path, **options):
+RAYS = 2**12
+
+
+def measured(path, phi_i=80, **options):
     specimen = gonio.mesh(path, MATT, **options)
-    return gonio.measure(specimen, 30, 80, period=25, rays=2**12, collector="angle:6x8")
+    settings = {"period": 25, "rays": RAYS, "collector": "angle:6x8"}
+    return gonio.measure(specimen, 30, phi_i, **settings)
 
 
 @pytest.fixture
@@ -75,17 +79,20 @@ def reference(tmp_path):
     ],
 )
 def test_formats_are_one_specimen(tmp_path, reference, name, content):
-    """To the rounding of vertices: a ray in a thousand may go another way."""
+    """To the bit: the same vertices in single precision."""
     (tmp_path / name).write_bytes(content)
-    record = measured(tmp_path / name)
-    difference = np.abs(record.flux_fraction - reference.flux_fraction)
-    assert difference.sum() <= 4e-3
+    assert measured(tmp_path / name).tallies == reference.tallies
     assert reference.dht[0] > 0.2
 
 
 @pytest.mark.parametrize("up", ["z", "-z", "y", "-y", "x", "-x"])
 def test_the_axis_that_is_up_becomes_the_normal(tmp_path, reference, up):
-    """Whatever way the mesh was turned before; and shifts are undone."""
+    """Whatever way the mesh was turned before; and shifts are undone.
+
+    They round the vertices by 1e-6 of 25. About 7 edges are crossed by a radian, or by
+    the width of a cell, where a ray goes another way then: one of 4096 with a chance of
+    3e-3, two with one of 5e-6. Twin: light from a degree beside.
+    """
     axis = "xyz".index(up[-1])
     sign = -1 if up[0] == "-" else 1
     path = tmp_path / "turned.obj"
@@ -93,9 +100,10 @@ def test_the_axis_that_is_up_becomes_the_normal(tmp_path, reference, up):
     assert np.linalg.det(matrix) == 1
     assert (matrix[2] == sign * np.eye(3)[axis]).all()
     path.write_bytes(obj(CORNERS @ matrix + [5, -3, 2]))
-    record = measured(path, up=up)
-    difference = np.abs(record.flux_fraction - reference.flux_fraction)
-    assert difference.sum() <= 4e-3
+    for phi_i, same in ((80, True), (81, False)):
+        light = measured(path, phi_i, up=up).flux_fraction
+        off = np.abs(light - reference.flux_fraction).sum()
+        assert (off <= 2 / RAYS) == same
     plane = gonio.mesh(path, MATT, up=up, mean_plane=1.0)
     low, high = gonio.transport.extents.bounds(mi.load_dict(plane).shapes())
     middle = sign * [5, -3, 2][axis]
