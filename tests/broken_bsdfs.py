@@ -844,7 +844,7 @@ def register():
 
         def pdf(self, ctx, si, wo, active=True):
             other = mi.SurfaceInteraction3f(si)
-            if self.lit is not None and dr.width(self.lit) == 1:
+            if self.lit is not None and dr.width(self.lit) == dr.width(wo):
                 other.wi = self.lit
             return super().pdf(ctx, other, wo, active)
 

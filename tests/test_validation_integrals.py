@@ -43,6 +43,9 @@ class Density:
     def eval(self, wo, wi=None):  # noqa: ARG002
         return mi.Spectrum(self.pdf(wo))
 
+    def eval_and_pdf(self, wo):
+        return self.eval(wo), self.pdf(wo)
+
     def sample(self, sample1, sample2):
         return Probe(self.bsdf, BEAM).sample(sample1, sample2)
 

@@ -104,10 +104,8 @@ def collect(bsdf: mi.BSDF, condition: Condition, n: int, key: tuple[int, ...]) -
     sample1, sample2 = uniform(n, key)
     one = probe.sample(sample1, sample2)
     bs = one.bs
-    dr.eval(bs, one.weight, sample1, sample2)
     wo = mi.Vector3f(bs.wo)
     value, pdf = probe.eval(wo), probe.pdf(wo)
-    dr.eval(value, pdf)
     joint = _joint(probe, wo, sample1, sample2)
     other = probe.condition.context
     other.reverse()
@@ -164,7 +162,6 @@ def _joint(
     n = dr.width(wo)
     value, pdf = probe.eval_pdf(wo)
     other_value, other_pdf, same = probe.eval_pdf_sample(wo, sample1, sample2)
-    dr.eval(value, pdf, other_value, other_pdf, same.bs, same.weight)
     return {
         "eval_pdf": (spectral(value, n), numbers(pdf, n).astype(float)),
         "eval_pdf_sample": (
@@ -192,7 +189,6 @@ def rounding(probe: Probe, key: tuple[int, ...]) -> list[float]:
     one = probe.sample(*uniform(n, (*key, 2)))
     wo = mi.Vector3f(one.bs.wo)
     wi = mi.Vector3f(probe.wi) + dr.zeros(mi.Vector3f, n)
-    dr.eval(wo, one.weight, one.bs)
     value, pdf = probe.eval(wo), probe.pdf(wo)
     slacks = _changes(
         _displaced(wi, wo, key),
@@ -223,10 +219,8 @@ def _changes(
     """Largest changes of functions (with their values), times the weight of each."""
     largest = [0 * value for _, value in functions]
     for moved_wi, moved_wo, weight in displaced:
-        dr.eval(moved_wi, moved_wo)
         for i, (function, value) in enumerate(functions):
             change = weight * dr.abs(function(moved_wi, moved_wo) - value)
-            dr.eval(change)  # one kernel for each function, whatever its arguments
             largest[i] = dr.maximum(largest[i], change)
         dr.eval(largest)
     return largest

@@ -102,13 +102,14 @@ def compared(
 def _call(bsdf: mi.BSDF, condition: Condition) -> Callable[[], None]:
     """Function that samples, and asks for value and density of what it drew."""
     probe = Probe(bsdf, condition)
+    ctx, si = probe.ctx, probe.interaction()
     sample1, sample2 = uniform(RAYS, (71,))
-    dr.eval(sample1, sample2)
+    dr.make_opaque(sample1, sample2, si.wi)
 
     def call() -> None:
-        one = probe.sample(sample1, sample2)
-        wo = mi.Vector3f(one.bs.wo)
-        dr.eval(one.weight, one.bs, probe.eval(wo), probe.pdf(wo))
+        # all in one kernel, as an integrator has it
+        bs, weight = bsdf.sample(ctx, si, sample1, sample2)
+        dr.eval(weight, bs, bsdf.eval(ctx, si, bs.wo), bsdf.pdf(ctx, si, bs.wo))
         dr.sync_thread()
 
     return call

@@ -147,12 +147,12 @@ def draw(
     m = subdivision.n_patches
     one = probe.sample(*uniform(n, key))
     wo, delta = one.bs.wo, one.delta
-    value, pdf = probe.eval(wo), probe.pdf(wo)
+    value, pdf = probe.eval_and_pdf(wo)
     # a weight of zero means that sample failed, or that the BSDF is black there
     counted = ~delta & dr.any(one.weight != 0) & dr.isfinite(wo.z)
     wo = _with_azimuth(wo, n)
     index = dr.select(counted, patch_of(subdivision, condition, wo), 2 * m)
-    dr.eval(index, one.weight, one.bs.pdf, delta, value, pdf)
+    dr.eval(index, delta)
     weight, density = spectral(one.weight, n), numbers(pdf, n).astype(float)
     ratio = np.full(n, np.inf)
     np.divide(spectral(value, n).mean(axis=1), density, out=ratio, where=density > 0)

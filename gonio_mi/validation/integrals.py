@@ -251,7 +251,7 @@ def _values(probe: Probe, wo: Floats, limit: Floats) -> list[Floats]:
 
 def _finite_values(probe: Probe, wo: mi.Vector3f, limit: mi.Float) -> list[mi.Float]:
     """Values as of :class:`Due`; what is not finite, or negative, is another's."""
-    pdf, value = probe.pdf(wo), probe.eval(wo)
+    value, pdf = probe.eval_and_pdf(wo)
     pdf, *channels = (
         dr.select(dr.isfinite(x), dr.maximum(x, 0.0), 0.0) for x in (pdf, *value)
     )

@@ -59,6 +59,10 @@ class Sampled:
 class Probe:
     """The functions of a BSDF under one condition.
 
+    Each call is a kernel of its own, from arrays in memory to arrays in memory, so that
+    all that ask for the same function share one: of a large plugin, compiling takes far
+    longer than all evaluations.
+
     Parameters
     ----------
     bsdf : mi.BSDF
@@ -70,8 +74,6 @@ class Probe:
         self.ctx = condition.context
         self.wi = mi.Vector3f(condition.wi.tolist())
         self.uv = mi.Point2f(list(condition.uv))
-        # what varies between conditions is no literal of the kernel
-        dr.make_opaque(self.wi, self.uv)
 
     def interaction(self, wi: mi.Vector3f | None = None) -> mi.SurfaceInteraction3f:
         """Point of a flat surface in z = 0, of 2 x 2 scene units, lit from `wi`."""
@@ -96,9 +98,7 @@ class Probe:
         wi: mi.Vector3f | None = None,
     ) -> Sampled:
         """Answer of ``sample``."""
-        answer = self._call(
-            "sample", self.interaction(wi), sample1, sample2, active=active
-        )
+        answer = self._call("sample", sample1, sample2, active=active, wi=wi)
         return self._sampled(
             "sample", answer, self._width(wi, sample1, sample2, active)
         )
@@ -111,21 +111,29 @@ class Probe:
         ctx: mi.BSDFContext | None = None,
     ) -> mi.Spectrum:
         """Answer of ``eval``."""
-        answer = self._call("eval", self.interaction(wi), wo, active=active, ctx=ctx)
+        answer = self._call("eval", wo, active=active, wi=wi, ctx=ctx)
         return self._spectrum("eval", answer, self._width(wi, wo, active))
 
     def pdf(
         self, wo: mi.Vector3f, active: mi.Bool = True, wi: mi.Vector3f | None = None
     ) -> mi.Float:
         """Answer of ``pdf``."""
-        answer = self._call("pdf", self.interaction(wi), wo, active=active)
+        answer = self._call("pdf", wo, active=active, wi=wi)
         return self._float("pdf", answer, self._width(wi, wo, active))
+
+    def eval_and_pdf(self, wo: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
+        """Answers of ``eval`` and of ``pdf``, whose kernel shares their work."""
+        answers = [self._asked(name, wo) for name in ("eval", "pdf")]
+        with blamed("eval"):
+            dr.eval(answers)
+        n = self._width(None, wo)
+        return self._spectrum("eval", answers[0], n), self._float("pdf", answers[1], n)
 
     def eval_pdf(
         self, wo: mi.Vector3f, active: mi.Bool = True
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Both answers of ``eval_pdf``."""
-        answer = self._call("eval_pdf", self.interaction(), wo, active=active)
+        answer = self._call("eval_pdf", wo, active=active)
         value, pdf = self._parts("eval_pdf", answer, 2)
         n = dr.width(wo, active)
         return self._spectrum("eval_pdf", value, n), self._float("eval_pdf", pdf, n)
@@ -139,9 +147,7 @@ class Probe:
     ) -> tuple[mi.Spectrum, mi.Float, Sampled]:
         """Value, density and :class:`Sampled` of ``eval_pdf_sample``."""
         name = "eval_pdf_sample"
-        answer = self._call(
-            name, self.interaction(), wo, sample1, sample2, active=active
-        )
+        answer = self._call(name, wo, sample1, sample2, active=active)
         value, pdf, bs, weight = self._parts(name, answer, 4)
         n = dr.width(wo, sample1, sample2)
         sampled = self._sampled(name, (bs, weight), n)
@@ -157,16 +163,31 @@ class Probe:
         """Number of rays of a call."""
         return dr.width(self.wi if wi is None else wi, self.uv, *arguments)
 
-    def _call(
+    def _call(self, function: str, *arguments: Any, **options: Any) -> Any:
+        """Answer of a function, in memory."""
+        answer = self._asked(function, *arguments, **options)
+        with blamed(function):
+            dr.eval(answer)
+        return answer
+
+    def _asked(
         self,
         function: str,
         *arguments: Any,
-        active: mi.Bool,
+        active: mi.Bool = True,
+        wi: mi.Vector3f | None = None,
         ctx: mi.BSDFContext | None = None,
     ) -> Any:
-        method = getattr(self.bsdf, function)
+        """The same before it is evaluated; what it is asked for is in memory."""
+        n = self._width(wi, *arguments, active)
+        # one direction of incidence for all lanes would be another kernel
+        wi = mi.Vector3f(self.wi if wi is None else wi)
+        if dr.width(wi) < n:
+            wi += dr.zeros(mi.Vector3f, n)
+        dr.make_opaque(wi, self.uv, arguments)
         with blamed(function):
-            return method(ctx or self.ctx, *arguments, active)
+            method = getattr(self.bsdf, function)
+            return method(ctx or self.ctx, self.interaction(wi), *arguments, active)
 
     def _sampled(self, function: str, answer: Any, n: int) -> Sampled:
         bs, weight = self._parts(function, answer, 2)
