@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import synthetic
 from budget import agree, disagree, scores, verdict
-from synthetic import facet_lobes, facets_through
+from synthetic import facet_lobes, facets_through, plugin_means
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
@@ -185,7 +185,7 @@ def test_samples_follow_the_values(theta_i, tmp_path):
     assert abs(seen.dhr[0] - 0.25) + abs(seen.dht[0] - 0.25) <= SHARES_OF_RAYS
     bsdf = mi.load_dict(plugin)
     right, rough, wrong = (
-        means(bsdf, coarse, theta_i, phi_i, n_points)
+        plugin_means(bsdf, coarse, theta_i, phi_i, n_points)
         for phi_i, n_points in ((10, 96), (10, 48), (14, 96))
     )
     # of the first order at least: what points leave is below what twice as many change
@@ -194,17 +194,3 @@ def test_samples_follow_the_values(theta_i, tmp_path):
         one, other = right[hemisphere], wrong[hemisphere]
         agree(verdict(scores(seen, one, hemisphere)))
         disagree(verdict(scores(seen, other, hemisphere)))
-
-
-def means(bsdf, patches, theta_i, phi_i, n_points):
-    """Flux fractions of both hemispheres by the plugin's values at points."""
-    upper = patches.points(n_points).reshape(-1, 3)
-    si = mi.SurfaceInteraction3f()
-    si.wi = mi.Vector3f(direction(*np.radians([theta_i, phi_i])).tolist())
-    context = mi.BSDFContext(mi.TransportMode.Importance)
-    found = []
-    for wo in (upper, upper * [1, 1, -1]):
-        value = bsdf.eval(context, si, mi.Vector3f(*wo.T.tolist())).numpy()[0]
-        value = (value / upper[:, 2]).reshape(*patches.shape, -1).mean(axis=-1)
-        found.append(value * patches.projected_solid_angles)
-    return np.array(found)

@@ -18,7 +18,7 @@ from ..array_types import Floats
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
 from ..files.material_files import PatchMeans
-from ..materials.lit_face import LitFace
+from ..materials.leg_trials import best_face
 from ..materials.lobes import LobeTable
 from ..results.record import Record
 from .loss import fractions_of
@@ -87,7 +87,7 @@ class Material:
         self.table = table = LobeTable.of(rest)
         self.peaks = table.grid.filled(peaks) * apart
         self.theta_i, self.phi_i = table.grid.theta_i, table.grid.phi_i
-        self._face = LitFace(table)
+        self._face = best_face(table)
 
     def values(self, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> Floats:
         """BRDF or BTDF in 1/sr, shape ``(n, channels)``, without the `peaks`.
@@ -154,7 +154,7 @@ class Material:
         Shapes ``(n, 2)`` and ``(rows, n, channels)``.
         """
         table = self.table
-        sin2, phi = np.sin(table.theta_edges) ** 2, table.phi_edges
+        sin2, phi = np.sin(table.patches.theta_edges) ** 2, table.patches.phi_edges
         areas = np.diff(sin2)[:, None] * np.diff(phi) / 2
         flux = table.brdf[:, :, hemisphere] * areas[..., None]
         flux = flux.reshape(-1, areas.size, flux.shape[-1])

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers
 from ..collector.directions import direction
-from ..materials.lit_face import LitFace
+from ..materials.leg_trials import best_face
 from ..materials.lobes import LobeTable
 from ..results.record import Record
 
@@ -42,7 +42,7 @@ class Prediction:
     """
 
     def __init__(self, record: Record, n_points: int, spared: float = 0) -> None:
-        self.face = LitFace(LobeTable.of(record))
+        self.face = best_face(LobeTable.of(record))
         self.subdivision = record.subdivision
         self.n_hemispheres = 1 + record.has_lower
         self.n_points, self.spared = n_points, spared

@@ -10,7 +10,7 @@ from ..array_types import Floats, Integers
 from ..collector import RingsAndSectors
 from .half_vectors import predicted
 
-__all__ = ["AzimuthTrials", "distances"]
+__all__ = ["AzimuthTrials", "distances", "tried_indices"]
 
 # Records that are predicted from their neighbours; azimuths below which none is.
 TRIALS, FEW = 4, 4
@@ -23,6 +23,31 @@ INDICES, BENT = (0.9, 1.0, 1.1), 0.05
 def distances(phi_i: Floats) -> tuple[float, float]:
     """How far the second of three azimuths is past the first and before the third."""
     return float((phi_i[1] - phi_i[0]) % 360), float((phi_i[2] - phi_i[1]) % 360)
+
+
+def tried_indices(
+    light: Floats, theta_i: Floats, phi_i: Floats, patches: RingsAndSectors
+) -> list[float]:
+    """Refractive indices that may have bent light: near Snell's, of its mean direction.
+
+    Parameters
+    ----------
+    light : ndarray, shape (n, n_theta, n_phi)
+        Transmitted, as flux fractions.
+    theta_i, phi_i : ndarray, shape (n,)
+        In degrees.
+    patches : RingsAndSectors
+    """
+    middles = patches.points(1)[:, 0, :2].reshape(*light.shape[1:], 2)
+    sines = means = 0.0
+    for lobe, theta, phi in zip(light, np.radians(theta_i), np.radians(phi_i)):
+        away = -(middles @ np.array([np.cos(phi), np.sin(phi)]))
+        means += float((lobe * away).sum())
+        sines += float(np.sin(theta) * lobe.sum())
+    if means <= 0:
+        return []
+    tried = [sines / means * factor for factor in INDICES]
+    return [eta for eta in tried if abs(eta - 1) > BENT]
 
 
 @dataclass(frozen=True)
@@ -76,26 +101,17 @@ class AzimuthTrials:
         Near what Snell's law says of the mean of all light, relative to the side of
         incidence: that which predicts a record best.
         """
-        snell = self._mean_index(flux) if self.trials else None
-        if snell is None:
+        if not self.trials:
+            return None
+        azimuth, angle = np.nonzero(self.index >= 0)
+        light = flux[self.index[azimuth, angle]].sum(axis=-1)
+        incidents = self.theta_i[angle], self.phi_i[azimuth]
+        tried = tried_indices(light, *incidents, self.patches)
+        if not tried:
             return None
         middle = self.trials[len(self.trials) // 2]
-        tried = [snell * factor for factor in INDICES if abs(snell * factor - 1) > BENT]
         eta = min(tried, key=lambda one: self._errors(flux, one, middle)[1])
         return eta if self._are_better(flux, eta) else None
-
-    def _mean_index(self, flux: Floats) -> float | None:
-        """Sines of incidence over those of the mean light; None if that is back."""
-        middles = self.patches.points(1)[:, 0, :2].reshape(*flux.shape[1:3], 2)
-        sines = means = 0.0
-        for (azimuth, angle), number in np.ndenumerate(self.index):
-            if number >= 0:
-                light = flux[number].sum(axis=-1)
-                phi = np.radians(self.phi_i[azimuth])
-                away = -(middles @ np.array([np.cos(phi), np.sin(phi)]))
-                means += float((light * away).sum())
-                sines += float(np.sin(np.radians(self.theta_i[angle])) * light.sum())
-        return sines / means if means > 0 else None
 
     def _are_better(self, flux: Floats, eta: float | None) -> bool:
         wrong = np.sum([self._errors(flux, eta, one) for one in self.trials], axis=0)

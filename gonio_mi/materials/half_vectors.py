@@ -57,7 +57,7 @@ def _dot(a: Any, b: Any) -> Any:
 
 
 def refracted(
-    wo: Any, before: Any, after: Any, eta: float, xp: Any
+    wo: Any, before: Any, after: Any, eta: Any, xp: Any
 ) -> tuple[list[Any], Any, Any]:
     """Where a micro-normal refracts light to that comes from another direction.
 
@@ -66,8 +66,8 @@ def refracted(
     wo, before, after : sequence of three coordinates
         As for :func:`reflected`, but `wo` and what is returned are on the other side
         of the surface, and z is their depth.
-    eta : float
-        Refractive index of that side, relative to that of the light.
+    eta : float or array
+        Refractive index of that side, relative to that of the light, which is not 1.
     xp : module
         NumPy or Dr.Jit.
 
@@ -81,7 +81,7 @@ def refracted(
     bool or array
         Whether any normal refracts both; what is returned is finite where none does.
     """
-    side = 1 if eta < 1 else -1
+    side = xp.sign(1 - eta)
     through = [wo[0], wo[1], -wo[2]]
     half = [side * (b + eta * o) for b, o in zip(before, through)]
     length = xp.sqrt(xp.maximum(_dot(half, half), 2.0**-60))
@@ -97,7 +97,7 @@ def refracted(
 
 
 def sent(
-    wo: Any, before: Any, after: Any, eta: float | None, xp: Any
+    wo: Any, before: Any, after: Any, eta: Any, xp: Any
 ) -> tuple[list[Any], Any, Any]:
     """What :func:`refracted` says, or without `eta` :func:`reflected`: always valid."""
     if eta is None:

@@ -28,11 +28,13 @@ class Place:
     t: mi.Float64  # how far on the leg, from 0 to 1
     past: mi.Float64  # angle from this azimuth to that of incidence
     z_i: mi.Float64  # cosine of the angle of incidence
+    ends: tuple[mi.Float64, ...]  # the same at both ends of the leg
 
-    def lights(self) -> tuple[list[Any], list[Any]]:
-        """Where light came from at this azimuth, and comes from, which is +x."""
-        here = [dr.safe_sqrt(1 - dr.square(self.z_i)), mi.Float64(0), self.z_i]
-        return turned(here, -self.past), here
+    def light(self, past: Any = None, z: Any = None) -> list[Any]:
+        """Where light comes from: +x, or from azimuth `past` before it, at cosine z."""
+        z = self.z_i if z is None else z
+        here = [dr.safe_sqrt(1 - dr.square(z)), mi.Float64(0), z]
+        return here if past is None else turned(here, -past)
 
     def share(self, end: int) -> mi.Float64:
         """What an end of the leg has of this azimuth."""
@@ -51,6 +53,7 @@ class IncidentPlaces:
         self.n_azimuths, self.n_angles = len(grid.phi_i), len(grid.theta_i)
         self.n_legs = max(self.n_angles - 1, 1)
         self.sin_i = doubles(np.sin(np.radians(grid.theta_i)))
+        self.cos_i = doubles(np.cos(np.radians(grid.theta_i)))
         self.phi_i = doubles(np.radians(grid.phi_i))
 
     def azimuth(self, wi: mi.Vector3f) -> mi.Float64:
@@ -97,5 +100,6 @@ class IncidentPlaces:
     ) -> Place:
         first = azimuth * self.n_angles
         rows = first + leg, first + dr.minimum(leg + 1, self.n_angles - 1)
+        ends = tuple(read(self.cos_i, row - first) for row in rows)
         leg = azimuth * self.n_legs + leg
-        return Place(weight, azimuth, leg, rows, t, past, z_i)
+        return Place(weight, azimuth, leg, rows, t, past, z_i, ends)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import drjit as dr
 import mitsuba as mi
@@ -13,7 +14,7 @@ from .disk import DiskPoint, seen_from, towards
 from .incident_places import IncidentPlaces, Place
 from .lit_lobes import LitLobes
 from .lobes import LobeTable
-from .moving_points import Azimuths, Legs
+from .moving_points import Legs, MicroNormals, Ways
 from .table_reading import doubles, read
 
 __all__ = ["LitFace"]
@@ -29,13 +30,24 @@ class LitFace:
     table : LobeTable
     wavelengths : sequence of float, optional
         Of the table's channels in nm, for spectral variants.
+    ways : sequence of (int, float or None), optional
+        Hemispheres whose light keeps its micro-normals between polar angles, with the
+        refractive index of transmission; that of others moves by :class:`Legs`. See
+        :func:`.leg_trials.best_face`.
     """
 
-    def __init__(self, table: LobeTable, wavelengths: Floats | None = None) -> None:
+    def __init__(
+        self, table: LobeTable, wavelengths: Floats | None = None, ways: Ways = ()
+    ) -> None:
         self.wavelengths = wavelengths
         self.n_azimuths, self.n_angles, self.n_hemispheres = table.brdf.shape[:3]
         self.incident, self.legs = IncidentPlaces(table.grid), Legs(table)
-        self.azimuths = Azimuths(table.grid, self.n_hemispheres)
+        grid, number = table.grid, range(self.n_hemispheres)
+        moving = [n for n in number if self.n_azimuths > 1 and grid.moves(n)]
+        self.normals = MicroNormals(ways, moving)
+        by_legs = [n for n in number if n not in dict(ways)]
+        between = [(n, grid.eta if n else None) for n in by_legs if n in moving]
+        self.azimuths, self.by_legs = MicroNormals(between, moving), bool(by_legs)
         self.lobes = LitLobes(table)
         self.flux = doubles(table.flux.mean(axis=-1))
 
@@ -107,26 +119,66 @@ class LitFace:
     def _brdf(
         self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
     ) -> list[mi.Float64]:
-        """BRDF of one azimuth at that of incidence.
+        """BRDF of one azimuth at that of incidence."""
+        if not self.normals.ways:
+            return self._by_legs(place, hemisphere, point, active)
+        moves = self.normals.move(hemisphere)
+        values = self._by_normals(place, hemisphere, point, active & moves)
+        if self.by_legs:
+            others = self._by_legs(place, hemisphere, point, active & ~moves)
+            values = [a + b for a, b in zip(values, others)]
+        return values
 
-        What its micro-normals send to a point, and what they would send beyond the
-        horizon and therefore stays.
+    def _by_normals(
+        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
+    ) -> list[mi.Float64]:
+        """What micro-normals of both ends of the leg send, and what of them stays."""
+        values = [mi.Float64(0)] * self.lobes.n_channels
+        phi_i = self._azimuth(place)
+        for end, z in enumerate(place.ends):
+            row = place.rows[end] * self.n_hemispheres + hemisphere
+            at = place, z, hemisphere, point
+            source, stretch, comes = self.normals.came_from(*at)
+            sent = self.lobes.values(row, phi_i, source, active & comes)
+            _, leaves = self.normals.goes_to(*at)
+            stays = self._seldom(
+                point, active & ~leaves, partial(self.lobes.values, row, phi_i)
+            )
+            share = place.share(end)
+            values = [
+                v + share * (stretch * a + b) for v, a, b in zip(values, sent, stays)
+            ]
+        return values
+
+    def _by_legs(
+        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
+    ) -> list[mi.Float64]:
+        """What moves along the legs, and between azimuths perhaps by micro-normals.
+
+        What these send to a point, and what they would send beyond the horizon and
+        therefore stays.
         """
         if not self.azimuths.ways:
             return self._of_azimuth(place, hemisphere, point, active)
-        source, stretch, comes = self.azimuths.came_from(place, hemisphere, point)
+        at = place, place.z_i, hemisphere, point
+        source, stretch, comes = self.azimuths.came_from(*at)
         sent = self._of_azimuth(place, hemisphere, source, active & comes)
-        _, leaves = self.azimuths.goes_to(place, hemisphere, point)
-        stays = self._staying(place, hemisphere, point, active & ~leaves)
+        _, leaves = self.azimuths.goes_to(*at)
+        stays = self._seldom(
+            point, active & ~leaves, partial(self._of_azimuth, place, hemisphere)
+        )
         return [stretch * a + b for a, b in zip(sent, stays)]
 
-    def _staying(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
+    def _seldom(
+        self,
+        point: DiskPoint,
+        active: mi.Bool,
+        values: Callable[[DiskPoint, mi.Bool], list[mi.Float64]],
     ) -> list[mi.Float64]:
-        """The same for few lanes: all others skip it, which halves the time."""
+        """Values of few lanes: all others skip them, which halves the time."""
 
         def looked_up(x: mi.Float64, v: mi.Float64) -> list[mi.Float64]:
-            return self._of_azimuth(place, hemisphere, DiskPoint(x, v), active)
+            return values(DiskPoint(x, v), active)
 
         def nothing(*_: mi.Float64) -> list[mi.Float64]:
             return [mi.Float64(0)] * self.lobes.n_channels
@@ -203,11 +255,19 @@ class LitFace:
         self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, end: mi.Float64
     ) -> DiskPoint:
         """Where a point of the lobe at an end of a leg is for incident light."""
-        if self.n_angles > 1:
-            ((point, _),) = self.legs.moved(place, hemisphere, point, end, [place.t])
+        moved = point
+        if self.n_angles > 1 and self.by_legs:
+            ((moved, _),) = self.legs.moved(place, hemisphere, point, end, [place.t])
         if self.azimuths.ways:
-            point, _ = self.azimuths.goes_to(place, hemisphere, point)
-        return point
+            moved, _ = self.azimuths.goes_to(place, place.z_i, hemisphere, moved)
+        if not self.normals.ways:
+            return moved
+        z = dr.select(end > 0.5, place.ends[-1], place.ends[0])
+        sent, _ = self.normals.goes_to(place, z, hemisphere, point)
+        this = self.normals.move(hemisphere)
+        return DiskPoint(
+            dr.select(this, sent.x, moved.x), dr.select(this, sent.v, moved.v)
+        )
 
     def sample(
         self,
@@ -237,7 +297,8 @@ class LitFace:
             left -= flux
         azimuth, leg, row, hemisphere, end, past = picked
         first = choices[0][0]
-        place = Place(1, azimuth, leg, (row, row), first.t, past, first.z_i)
+        rows = row, row
+        place = Place(1, azimuth, leg, rows, first.t, past, first.z_i, first.ends)
         row = row * self.n_hemispheres + hemisphere
         point = self.lobes.drawn(row, self._azimuth(place), sample2)
         point = self._carried(place, hemisphere, point, end)

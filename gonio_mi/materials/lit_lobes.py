@@ -28,8 +28,8 @@ class LitLobes:
     def __init__(self, table: LobeTable) -> None:
         *_, self.n_theta, self.n_phi, self.n_channels = table.brdf.shape
         channels = range(self.n_channels)
-        sin2 = np.sin(table.theta_edges) ** 2
-        self.sin2, self.phi = doubles([*sin2[:-1], 1]), doubles(table.phi_edges)
+        sin2 = np.sin(table.patches.theta_edges) ** 2
+        self.sin2, self.phi = doubles([*sin2[:-1], 1]), doubles(table.patches.phi_edges)
         self.brdf = [doubles(table.brdf[..., channel]) for channel in channels]
         self.gradients = [
             [doubles(along[..., channel]) for channel in channels]

@@ -14,7 +14,8 @@ themselves, all of them: no light is lost or made. How they change with the azim
 in :mod:`.half_vectors`.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,8 +59,8 @@ class LobeTable:
     ----------
     grid : IncidentGrid
         Incident directions. A single azimuth means isotropic.
-    theta_edges, phi_edges : ndarray
-        Edges of rings and sectors in radians, absolute azimuth.
+    patches : RingsAndSectors
+        Of absolute azimuth.
     brdf : ndarray, shape (P, N, H, n_theta, n_phi, channels)
         Patch means of BRDF and BTDF in 1/sr.
     gradients : ndarray, shape (2, P, N, H, n_theta, n_phi, channels)
@@ -82,8 +83,7 @@ class LobeTable:
     """
 
     grid: IncidentGrid
-    theta_edges: Floats
-    phi_edges: Floats
+    patches: RingsAndSectors
     brdf: Floats
     gradients: Floats
     flux: Floats
@@ -120,26 +120,12 @@ class LobeTable:
         flux = grid.filled(flux)
         if mixture is not None:
             flux = flux @ np.asarray(mixture, dtype=float)[:, None]
-        n_azimuths, n_angles, n_hemispheres = flux.shape[:3]
         brdf = flux / patches.projected_solid_angles[..., None]
         rings, brdf = patches.in_rings(brdf)
         if rings != patches:  # else the flux stays as measured, to the bit
             patches, flux = rings, brdf * rings.projected_solid_angles[..., None]
         _check_size(flux.shape)
-        shape = 2, n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
-        strips, strip_slopes = np.empty((2, *shape))
-        cells, cell_slopes = np.empty((2, *shape, shape[-1]))
-        for azimuth, phi in enumerate(np.radians(grid.phi_i)):
-            histograms = _histograms(brdf[azimuth].mean(axis=-1), patches, phi)
-            for leg, hemisphere in np.ndindex(shape[2:4]):
-                ends = [
-                    histograms[min(leg + end, n_angles - 1), hemisphere]
-                    for end in (0, 1)
-                ]
-                here = slice(None), azimuth, leg, hemisphere
-                strips[here], strip_slopes[here], cells[here], cell_slopes[here] = _leg(
-                    *ends
-                )
+        strips, strip_slopes, cells, cell_slopes = _legs(brdf, patches, grid.phi_i)
         weight = flux.mean(axis=-1)
         changes = np.zeros((2, *brdf.shape))
         if rings == record.subdivision:  # else what is below them has no rings
@@ -149,8 +135,7 @@ class LobeTable:
         tilts = np.cumsum(tilt, axis=-1)
         return cls(
             grid=grid,
-            theta_edges=patches.theta_edges,
-            phi_edges=patches.phi_edges,
+            patches=patches,
             brdf=brdf,
             gradients=changes,
             flux=flux.sum(axis=(3, 4)),
@@ -158,6 +143,35 @@ class LobeTable:
             sectors=_cumulative(weight),
             tilts=tilts[..., -1],
             sector_tilts=np.concatenate([0 * tilts[..., :1], tilts], axis=-1),
+            strips=strips,
+            strip_slopes=strip_slopes,
+            cells=cells,
+            cell_slopes=cell_slopes,
+        )
+
+    def part(self, azimuth: int, angles: Sequence[int]) -> "LobeTable":
+        """Table of some polar angles at one azimuth, as if no others were known."""
+        one, many = slice(azimuth, azimuth + 1), list(angles)
+        grid = replace(
+            self.grid,
+            theta_i=self.grid.theta_i[many],
+            phi_i=self.grid.phi_i[one],
+            index=self.grid.index[one, many],
+            reflects=False,
+            eta=None,
+        )
+        brdf = self.brdf[one, many]
+        strips, strip_slopes, cells, cell_slopes = _legs(brdf, self.patches, grid.phi_i)
+        return replace(
+            self,
+            grid=grid,
+            brdf=brdf,
+            gradients=self.gradients[:, one, many],
+            flux=self.flux[one, many],
+            rings=self.rings[one, many],
+            sectors=self.sectors[one, many],
+            tilts=self.tilts[one, many],
+            sector_tilts=self.sector_tilts[one, many],
             strips=strips,
             strip_slopes=strip_slopes,
             cells=cells,
@@ -181,6 +195,27 @@ def _check_size(shape: tuple[int, ...]) -> None:
 
 
 # ------------------------------------------------------------------ ways between lobes
+
+
+def _legs(
+    brdf: Floats, patches: RingsAndSectors, phi_i: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Strips and cells of all legs, and their slopes; see :class:`LobeTable`."""
+    n_azimuths, n_angles, n_hemispheres = brdf.shape[:3]
+    shape = 2, n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
+    strips, strip_slopes = np.empty((2, *shape))
+    cells, cell_slopes = np.empty((2, *shape, shape[-1]))
+    for azimuth, phi in enumerate(np.radians(phi_i)):
+        histograms = _histograms(brdf[azimuth].mean(axis=-1), patches, phi)
+        for leg, hemisphere in np.ndindex(shape[2:4]):
+            ends = [
+                histograms[min(leg + end, n_angles - 1), hemisphere] for end in (0, 1)
+            ]
+            here = slice(None), azimuth, leg, hemisphere
+            strips[here], strip_slopes[here], cells[here], cell_slopes[here] = _leg(
+                *ends
+            )
+    return strips, strip_slopes, cells, cell_slopes
 
 
 def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:

@@ -1,21 +1,24 @@
-"""Where points of a lobe move to, between angles and between azimuths, in Dr.Jit."""
+"""Where points of a lobe move to between incident directions, in Dr.Jit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import drjit as dr
 import mitsuba as mi
 
 from .disk import DiskPoint, above, on_disk, turned
 from .half_vectors import goes, sent
-from .incident_grid import IncidentGrid
 from .incident_places import Place
 from .lobes import LobeTable
 from .table_reading import doubles, last, read
 
-__all__ = ["Azimuths", "Legs"]
+__all__ = ["Legs", "MicroNormals", "Ways"]
+
+# Hemispheres, with the refractive index of transmission.
+Ways: TypeAlias = Sequence[tuple[int, float | None]]
 
 
 @dataclass(frozen=True)
@@ -112,51 +115,64 @@ class Legs:
         return found
 
 
-class Azimuths:
-    """Ways of points between azimuths, by micro-normals that stay.
+class MicroNormals:
+    """Ways of points by micro-normals that stay, whose light comes from elsewhere.
 
     Parameters
     ----------
-    grid : IncidentGrid
-        That says which light moves so: reflected, transmitted or both.
-    n_hemispheres : {1, 2}
+    ways : sequence of (int, float or None)
+        Hemispheres whose light moves so, with the refractive index of transmission.
+    with_azimuth : sequence of int
+        Those where the record's azimuth counts; else lobes turn with incidence.
     """
 
-    def __init__(self, grid: IncidentGrid, n_hemispheres: int) -> None:
-        # by hemisphere, with the refractive index of transmission
-        self.ways = [
-            (number, grid.eta if number else None)
-            for number in range(n_hemispheres)
-            if grid.moves(number)
-        ]
+    def __init__(self, ways: Ways, with_azimuth: Sequence[int]) -> None:
+        # an index that is no constant of the kernel: another one compiles nothing
+        self.ways = [(n, eta and dr.opaque(mi.Float64, eta)) for n, eta in ways]
+        self.with_azimuth = with_azimuth
+
+    def move(self, hemisphere: mi.UInt32) -> mi.Bool:
+        """Whether the light of a hemisphere moves so."""
+        moves = mi.Bool(False)
+        for number, _ in self.ways:
+            moves |= hemisphere == number
+        return moves
 
     def came_from(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint
+        self, place: Place, z: mi.Float64, hemisphere: mi.UInt32, point: DiskPoint
     ) -> tuple[DiskPoint, mi.Float64, mi.Bool]:
-        """Where light that is sent to a point is in a measured azimuth's lobe.
+        """Where light that is sent to a point is in a record's lobe.
 
-        With the stretch of areas, and whether any is sent there.
+        `z` is the cosine of that record's angle of incidence. With the stretch of
+        areas, and whether any is sent there.
         """
-        wo, (own, here) = above(point), place.lights()
-        source, stretch, comes = wo, mi.Float64(0), mi.Bool(False)
+        wo, (x, v) = above(point), (point.x, point.v)
+        stretch, comes = mi.Float64(0), mi.Bool(False)
         for number, eta in self.ways:
-            came, scale, valid = sent(wo, here, own, eta, dr)
+            past = self._past(place, number)
+            came, scale, valid = sent(wo, place.light(), place.light(past, z), eta, dr)
             this = (hemisphere == number) & valid & goes(came[2], wo[2])
             stretch = dr.select(this, came[2] * scale / wo[2], stretch)
-            source = [dr.select(this, a, b) for a, b in zip(came, source)]
+            source = on_disk(turned(came, past))
+            x, v = dr.select(this, source.x, x), dr.select(this, source.v, v)
             comes |= this
-        return on_disk(turned(source, place.past)), stretch, comes
+        return DiskPoint(x, v), stretch, comes
 
     def goes_to(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint
+        self, place: Place, z: mi.Float64, hemisphere: mi.UInt32, point: DiskPoint
     ) -> tuple[DiskPoint, mi.Bool]:
-        """Where light of a measured azimuth is sent to, and whether."""
-        wo, (own, here) = turned(above(point), -place.past), place.lights()
+        """Where light of a record's lobe is sent to, and whether."""
         x, v, leaves = point.x, point.v, mi.Bool(False)
         for number, eta in self.ways:
-            to, _, valid = sent(wo, own, here, eta, dr)
+            past = self._past(place, number)
+            wo = turned(above(point), -past)
+            to, _, valid = sent(wo, place.light(past, z), place.light(), eta, dr)
             this = (hemisphere == number) & valid & goes(wo[2], to[2])
             moved = on_disk(to)
             x, v = dr.select(this, moved.x, x), dr.select(this, moved.v, v)
             leaves |= this
         return DiskPoint(x, v), leaves
+
+    def _past(self, place: Place, hemisphere: int) -> mi.Float64:
+        """Azimuth of incidence from that of the record, if it counts."""
+        return place.past if hemisphere in self.with_azimuth else mi.Float64(0)
