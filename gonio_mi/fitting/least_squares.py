@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import mitsuba as mi
 import numpy as np
@@ -18,6 +19,10 @@ __all__ = ["Search"]
 # Differences for derivatives, relative to a value or to a hundredth of its range: wide
 # against single precision, narrow against the curvature.
 STEP = 3e-4
+
+# Models that are kept: a step and its derivatives begin with the same, and Mitsuba's
+# rough plastic takes 45 ms to load.
+LOADED = 8
 
 # Steps from each start, after which the best of them is known.
 FIRST_STEPS = 12
@@ -38,6 +43,7 @@ class Search:
         self.values = np.concatenate([one.values for one in observations])
         self.scales = np.ones_like(self.values)
         self._ends = np.cumsum([one.values.size for one in observations])[:-1]
+        self._loaded = lru_cache(LOADED)(self._load)
 
     def begin(self) -> Floats:
         """Values of a first search on a few nodes: the best minimum of all starts."""
@@ -136,4 +142,7 @@ class Search:
         return np.stack(columns, axis=-1)
 
     def _bsdf(self, values: Floats) -> mi.BSDF:
-        return loaded("the model", mi.load_dict, self.model.bsdf(values))
+        return self._loaded(tuple(values))
+
+    def _load(self, values: tuple[float, ...]) -> mi.BSDF:
+        return loaded("the model", mi.load_dict, self.model.bsdf(np.array(values)))
