@@ -48,21 +48,25 @@ def _set_variant(name):
 
 
 @pytest.fixture(autouse=True)
-def unmoved(request, monkeypatch):
+def unmoved(request, monkeypatch, tmp_path_factory):
     """Begin each test in the same state, whatever its process has run before.
 
-    In llvm_ad_mono unless the test says otherwise; with the paths of modules and the
-    folder as they were; and with no line of progress, which depends on how long ago
-    another test wrote one, and on how slow the machine is.
+    In llvm_ad_mono unless the test says otherwise; in the same folder, with the same
+    paths of modules and none of another test's; and with no line of progress, which
+    depends on how long ago another test wrote one, and on how slow the machine is.
     """
     if not {*VARIANTS, "variant"} & {*request.fixturenames}:
         _set_variant(VARIANTS["mono"])
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr(progress, "PAUSE", 1e6)
     monkeypatch.setattr(progress._Lines, "alive", -math.inf)
-    folder = Path.cwd()
+    folder, known = Path.cwd(), {*sys.modules}
     yield
     os.chdir(folder)
+    of_tests = str(tmp_path_factory.getbasetemp())
+    for name in {*sys.modules} - known:
+        if str(getattr(sys.modules[name], "__file__", None)).startswith(of_tests):
+            del sys.modules[name]
 
 
 @pytest.fixture

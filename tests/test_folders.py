@@ -249,6 +249,21 @@ def test_a_plugin_edited_while_it_is_measured(plugin, tmp_path):
             measure(tmp_path / "kept", specimens=specimens, plugins=[path])
 
 
+def test_each_plugin_file_has_the_modules_of_its_own_folder(tmp_path):
+    """Of one name in both, and known from the paths of the files alone."""
+    factors, files = {"dark": 0.5, "bright": 1.0}, []
+    for name, factor in factors.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "helper_of_both.py").write_text(f"FACTOR = {factor}\n")
+        text = PLUGIN.format(helper="helper_of_both", value=0.5, name=f"test_{name}")
+        files.append(tmp_path / name / "p.py")
+        files[-1].write_text(text)
+    specimens = {name: {"type": f"test_{name}"} for name in factors}
+    records = gonio.campaign(specimens, [0, 30], **SETTINGS, plugins=files)
+    for name, factor in factors.items():
+        assert (records[name].dhr == 0.5 * factor).all()
+
+
 def test_records_of_an_edited_class_do_not_merge(plugin):
     """The class of a module, without any list of plugin files."""
     records = []

@@ -52,7 +52,7 @@ FRAMES = re.compile(
 )
 
 # Modules that plugin files have imported from their own folder.
-_imported: dict[str, list[str]] = {}
+_imported: list[str] = []
 
 
 def check_variant() -> None:
@@ -206,10 +206,10 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
     if not path.is_file():
         raise SpecimenError(f"plugin file must be an existing file, got {str(path)!r}")
     folder = str(path.resolve().parent)
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    for name in _imported.pop(folder, ()):
-        sys.modules.pop(name, None)
+    # another file may have imported a module of the same name from its own folder
+    sys.path[:] = [folder, *(one for one in sys.path if one != folder)]
+    while _imported:
+        sys.modules.pop(_imported.pop(), None)
     known = set(sys.modules)
     scope = {"__name__": path.stem, "__file__": str(path)}
     try:
@@ -225,7 +225,7 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
             f"plugin file {path} raised {type(error).__name__}: {_one_line(error)}"
         ) from error
     finally:
-        _imported[folder] = [
+        _imported[:] = [
             name
             for name, module in list(sys.modules.items())
             if name not in known

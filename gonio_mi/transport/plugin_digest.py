@@ -4,6 +4,7 @@ import ast
 import hashlib
 import inspect
 import linecache
+import sys
 import sysconfig
 import weakref
 from collections.abc import Iterable, Iterator
@@ -142,23 +143,24 @@ def _imported(text: str, path: Path) -> Iterator[str]:
                     yield content
 
 
-def _imports(text: str, path: Path) -> Iterator[tuple[str, list[str] | None]]:
+def _imports(text: str, path: Path) -> Iterator[tuple[str, list[str]]]:
     """Dotted names that a text imports, and where to look for the first of them."""
     try:
         tree = ast.parse(text)
     except (SyntaxError, ValueError):
         return
+    anywhere = [str(path.resolve().parent), *sys.path]
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            yield from ((alias.name, None) for alias in node.names)
+            yield from ((alias.name, anywhere) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            folder = [str(path.parents[node.level - 1])] if node.level else None
+            folder = [str(path.parents[node.level - 1])] if node.level else anywhere
             module = [node.module] if node.module else []
             for alias in node.names:
                 yield ".".join([*module, alias.name]), folder
 
 
-def _files(name: str, folder: list[str] | None) -> Iterator[Path]:
+def _files(name: str, folder: list[str]) -> Iterator[Path]:
     """Files of a module and of the packages it is in; of as many as there are."""
     first, _, rest = name.partition(".")
     try:
