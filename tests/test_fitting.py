@@ -15,11 +15,13 @@ from gonio_mi.errors import SettingError, SpecimenError
 from gonio_mi.files.measured_table import MeasuredTable
 from gonio_mi.fitting.fitted_models import FREE, FittedModel
 from gonio_mi.fitting.least_squares import STEP
+from gonio_mi.fitting.loaded_model import LoadedModel
 from gonio_mi.fitting.patch_predictions import REL_ERR
 from gonio_mi.fitting.pooled_variances import pooled
 from gonio_mi.instrument.loading import parse_specimen
 
 # isort: split
+import drjit as dr
 import mitsuba as mi
 
 METAL = {
@@ -251,6 +253,45 @@ def synthetic_table():
 
 
 @pytest.mark.usefixtures("mono")
+def test_what_is_told_of_a_table_is_as_if_it_said_it():
+    """Exact; what it says of its aperture itself counts, as in `compare`."""
+    told = {"uncertainty": 0.02, "aperture_half_angle": 5.0}
+    model = "roughconductor:distribution=ggx"
+    says = gonio.fit(table_of(METAL, scale_uncertainty=0.01, **told), model)
+    is_told = gonio.fit(table_of(METAL), model, scale_uncertainty=0.01, **told)
+    assert np.array_equal(is_told.values, says.values)
+    assert np.array_equal(is_told.covariance, says.covariance)
+    assert not np.array_equal(says.values, gonio.fit(table_of(METAL), model).values)
+    again = gonio.fit(says.record, model, aperture_half_angle=1.0)
+    assert np.array_equal(again.values, says.values)
+    with pytest.raises(SettingError, match="uncertainty goes with a table, got a rec"):
+        gonio.fit(measured({"type": "diffuse"}, rays=2000), "diffuse", uncertainty=0.1)
+
+
+@pytest.mark.parametrize("name", FREE)
+def test_a_colour_that_is_changed_is_as_loaded(name, rgb):  # noqa: ARG001
+    """Exact: the same bits for all but the colours that were changed meanwhile."""
+    model = FittedModel({"type": name}, None, ("R", "G", "B"))
+    held = LoadedModel(model)
+    start = model.starts()[0]
+    colours = np.array(["." in one.name for one in model.parameters])
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.wi = mi.Vector3f(0.6, 0, 0.8)
+    wo = mi.Vector3f(*direction(np.linspace(0.1, 3, 20), np.full(20, 2.5)).T)
+    for share in (1.0, 0.6, 0.9):
+        values = np.where(colours, start * share, start)
+        fresh = mi.load_dict(model.bsdf(values))
+        each = [
+            bsdf.eval(mi.BSDFContext(), si, wo).numpy()
+            for bsdf in (held.bsdf(values), fresh)
+        ]
+        assert np.array_equal(*each)
+        assert each[0].any()
+    other = start * np.where(colours, 1, 0.9)
+    assert (held.bsdf(other) is held.bsdf(start)) == bool(colours.all())
+
+
+@pytest.mark.usefixtures("mono")
 def test_command_fits_a_table(tmp_path, capsys):
     table_of(METAL, uncertainty=0.02).save(tmp_path / "a.csv")
     model = "roughconductor:distribution=ggx"
@@ -263,8 +304,11 @@ def test_command_fits_a_table(tmp_path, capsys):
     text = (tmp_path / "a.csv").read_text().replace(",value", ",BRDF*cos")
     named.write_text(text.replace("# quantity: brdf\n", ""))
     said = ["--quantity", "brdf", "--json"]
-    assert main(["fit", str(named), "diffuse", *said]) == 0
+    told = ["--uncertainty", "0.1", "--scale-uncertainty", "0"]
+    told += ["--aperture-half-angle", "1"]
+    assert main(["fit", str(named), "diffuse", *said, *told]) == 0
     out, err = capsys.readouterr()
+    assert json.loads(out)[0]["scatter"] is None
     assert json.loads(out)[0]["bsdf"]["type"] == "diffuse"
     assert "taken for brdf" in err
 

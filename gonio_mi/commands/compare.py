@@ -28,7 +28,13 @@ from .arguments import (
 )
 from .file_kinds import record_of
 from .setting_options import add_setting
-from .table_options import TABLE_OPTIONS, add_table_options, table_of
+from .table_options import (
+    TABLE_OPTIONS,
+    add_aperture,
+    add_table_options,
+    add_uncertainties,
+    table_of,
+)
 
 __all__ = ["add_options", "run"]
 
@@ -68,7 +74,7 @@ def add_options(parser: ArgumentParser) -> None:
         "an .exr or .npz file, a table, or a specimen, if RECORD is a file",
     )
     add_table_options(parser)
-    _add_uncertainties(parser)
+    add_uncertainties(parser, "OTHER")
     add_number(
         parser, "--alpha", "P", "probability with which a right model fails", 1e-3
     )
@@ -86,30 +92,8 @@ def add_options(parser: ArgumentParser) -> None:
     specimen = parser.add_argument_group("for a specimen")
     for name in ("rays", "rel_err", "divergence", "seed"):
         add_setting(specimen, name)
-    add_number(
-        specimen,
-        "--aperture-half-angle",
-        "DEG",
-        "of the detector, if the table does not say it",
-    )
+    add_aperture(specimen)
     add_scene_options(specimen)
-
-
-def _add_uncertainties(parser: ArgumentParser) -> None:
-    """Add the options on how well the other's values are known."""
-    add_number(
-        parser,
-        "--uncertainty",
-        "X",
-        "relative standard uncertainty of each value of OTHER, 0.005 for 0.5 %%, "
-        "independent between points (default: what the table says)",
-    )
-    add_number(
-        parser,
-        "--scale-uncertainty",
-        "X",
-        "the same of a factor common to all values: calibration",
-    )
 
 
 def run(options: Namespace) -> int:

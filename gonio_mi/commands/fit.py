@@ -24,7 +24,13 @@ from .arguments import (
     tell,
 )
 from .file_kinds import record_of
-from .table_options import add_table_options, check_no_table_options, table_of
+from .table_options import (
+    add_aperture,
+    add_table_options,
+    add_uncertainties,
+    check_no_table_options,
+    table_of,
+)
 
 __all__ = ["add_options", "run"]
 
@@ -36,8 +42,12 @@ examples:
   gonio-mi fit run.npz roughconductor:distribution=ggx principled -o fits.png
   gonio-mi fit run.npz roughconductor:material=Al --free alpha_u alpha_v
   gonio-mi fit table.csv roughplastic --quantity brdf -o fit.png fit.csv
+  gonio-mi fit table.csv diffuse --uncertainty 0.01 --aperture-half-angle 1
   gonio-mi fit run.npz mybsdf:tint=0.5 --free weight=0:1 --plugin mybsdf.py
 """
+
+# What may be known of a table beside how it is read.
+KNOWN = ("uncertainty", "scale_uncertainty", "aperture_half_angle")
 
 # Models that have a distribution of micro-normals to choose.
 ROUGH = ("roughconductor", "roughdielectric", "roughplastic")
@@ -66,7 +76,10 @@ def add_options(parser: ArgumentParser) -> None:
         "the model)",
     )
     add_files(parser, "--plugin", text="Python files that register your own plugins")
-    add_table_options(parser.add_argument_group("table"))
+    table = parser.add_argument_group("table")
+    add_table_options(table)
+    add_uncertainties(table, "the table")
+    add_aperture(table)
     parser.add_argument("--json", action="store_true", help="for machines")
     text = "a picture of record and models (.png, .pdf, .svg); what the closest model "
     text += "predicts, a record (.npz, .exr) or a table (.csv)"
@@ -89,7 +102,7 @@ def run(options: Namespace) -> int:
         files.check_output(path, files.ENDINGS if is_record else (".csv",))
     record: Record | MeasuredTable
     if is_record:
-        check_no_table_options(options.record, options)
+        check_no_table_options(options.record, options, KNOWN)
         record = record_of(options.record)
         set_variant(record.settings.get("variant", DEFAULT_VARIANT))
     else:
@@ -98,8 +111,9 @@ def run(options: Namespace) -> int:
         set_variant("llvm_ad_spectral" if is_wavelength else DEFAULT_VARIANT)
     for path in options.plugin:
         load_plugin_file(path)
+    told = {name: getattr(options, name) for name in KNOWN}
     fits = [
-        fit(record, model, options.free)
+        fit(record, model, options.free, progress=True, **told)
         for given in options.models
         for model in _distributions(given)
     ]

@@ -1,18 +1,21 @@
 """Options on how a table of measured values is read, and what it says."""
 
 from argparse import Namespace
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ..errors import FileFormatError, SettingError
 from ..files.measured import MeasuredTable, read_measured
-from .arguments import add_text, pair
+from .arguments import add_number, add_text, pair
 from .file_kinds import check_kind
 
 __all__ = [
     "TABLE_OPTIONS",
+    "add_aperture",
     "add_table_options",
+    "add_uncertainties",
     "check_no_table_options",
     "table_of",
     "table_text",
@@ -53,11 +56,42 @@ def add_table_options(group: Any) -> None:
     )
 
 
-def check_no_table_options(path: str, options: Namespace) -> None:
-    """Raise ValueError for an option of tables that goes with none."""
-    told = [name for name in TABLE_OPTIONS if getattr(options, name) is not None]
+def add_uncertainties(group: Any, name: str) -> None:
+    """Add the options on how well the values of a file are known, named so in help."""
+    add_number(
+        group,
+        "--uncertainty",
+        "X",
+        f"relative standard uncertainty of each value of {name}, 0.005 for 0.5 %%, "
+        "independent between points (default: what the table says)",
+    )
+    add_number(
+        group,
+        "--scale-uncertainty",
+        "X",
+        "the same of a factor common to all values: calibration",
+    )
+
+
+def add_aperture(group: Any) -> None:
+    """Add the option on the detector of a table that does not say it."""
+    add_number(
+        group,
+        "--aperture-half-angle",
+        "DEG",
+        "of the detector, if the table does not say it",
+    )
+
+
+def check_no_table_options(
+    path: str, options: Namespace, more: Sequence[str] = ()
+) -> None:
+    """Raise ValueError for an option of tables, or one `more`, that goes with none."""
+    names = (*TABLE_OPTIONS, *more)
+    told = [name for name in names if getattr(options, name) is not None]
     if told:
-        raise SettingError(f"--{told[0]} goes with a table, got {path!r}")
+        option = told[0].replace("_", "-")
+        raise SettingError(f"--{option} goes with a table, got {path!r}")
 
 
 def table_of(path: str, options: Namespace) -> MeasuredTable:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Floats
 from ..errors import SettingError
 from ..files.channels import wavelengths_nm
 from ..files.measured_table import MeasuredTable
 from ..instrument.loading import parse_specimen
+from ..progress import bar
 from ..results.copied_directions import without_copies
 from ..results.record import Record
 from ..transport.kernels import launches_kernels
@@ -32,6 +35,11 @@ def fit(
     record: Record | MeasuredTable,
     model: str | Mapping[str, Any],
     free: Sequence[str] | None = None,
+    *,
+    uncertainty: float | None = None,
+    scale_uncertainty: float | None = None,
+    aperture_half_angle: float | None = None,
+    progress: bool = False,
 ) -> Fit:
     """Find the parameters with which a BSDF is closest to a record or a table.
 
@@ -58,6 +66,12 @@ def fit(
         base_color, roughness, metallic, specular. Mitsuba has air, of index 1.000277,
         outside unless ``ext_ior`` is said. Colours of three channels are within 0 and
         1, as Mitsuba loads no others: one that would pass 1 is in ``at_limit``.
+    uncertainty, scale_uncertainty : float, optional
+        Of the values of a table, as of :func:`gonio_mi.compare`. Default: what it says.
+    aperture_half_angle : float, optional
+        Of the detector in degrees, if a table does not say it.
+    progress : bool
+        Show a progress bar on standard error.
 
     Returns
     -------
@@ -71,22 +85,18 @@ def fit(
     bsdf = parse_specimen(model) if isinstance(model, str) else dict(model)
     if not isinstance(bsdf, dict):
         raise SettingError(f"model must be a BSDF in one word, got {model!r}")
-    if isinstance(record, Record):
-        record = without_copies(record)
+    record = _as_told(
+        record,
+        uncertainty=uncertainty,
+        scale_uncertainty=scale_uncertainty,
+        aperture_half_angle=aperture_half_angle,
+    )
     observations = _observations(record)
     channels = record.channels if isinstance(record, Record) else ("Y",)
     fitted = FittedModel(bsdf, free, channels)
-    search = Search(observations, fitted)
-    values = search.begin()
-    _check_number(observations, fitted)
-    for _ in range(MOST_ROUNDS):
-        search.adapt(values)
-        before, values = values, search.minimum(values)
-        covariance = search.covariance(values)
-        moved = np.abs(values - before)
-        noise = np.nan_to_num(np.sqrt(np.diag(covariance)))
-        if np.all(moved <= np.maximum(SETTLED * noise, NEAR * np.abs(values))):
-            break
+    with bar(progress, desc=f"fit of {bsdf['type']}", unit="prediction") as report:
+        search = Search(observations, fitted, report)
+        values, covariance = _found(search)
     predicted = search.predicted(values)
     at_limit = search.at_limit(values)
     names = tuple(parameter.name for parameter in fitted.parameters)
@@ -109,6 +119,35 @@ def fit(
         at_limit=tuple(name for name, at in zip(names, at_limit) if at),
         scatter=scatter,
     )
+
+
+def _found(search: Search) -> tuple[Floats, Floats]:
+    """Values of the parameters, and their covariance."""
+    values = search.begin()
+    _check_number(search.observations, search.model)
+    for _ in range(MOST_ROUNDS):
+        search.adapt(values)
+        before, values = values, search.minimum(values)
+        covariance = search.covariance(values)
+        moved = np.abs(values - before)
+        noise = np.nan_to_num(np.sqrt(np.diag(covariance)))
+        if np.all(moved <= np.maximum(SETTLED * noise, NEAR * np.abs(values))):
+            break
+    return values, covariance
+
+
+def _as_told(
+    record: Record | MeasuredTable, **told: float | None
+) -> Record | MeasuredTable:
+    """Record without its copied directions, or table with what was told of it."""
+    given = {name: value for name, value in told.items() if value is not None}
+    if isinstance(record, Record):
+        if given:
+            raise SettingError(f"{next(iter(given))} goes with a table, got a record")
+        return without_copies(record)
+    if record.aperture_half_angle is not None:
+        given.pop("aperture_half_angle", None)
+    return replace(record, **given)
 
 
 def _observations(record: Record | MeasuredTable) -> list[Observations]:

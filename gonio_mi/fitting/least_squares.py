@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags, Floats
 from ..errors import SpecimenError
-from ..instrument.loading import loaded
 from .fitted_models import FittedModel
+from .loaded_model import LoadedModel
 from .observations import Observations
 
 __all__ = ["Search"]
@@ -19,10 +18,6 @@ __all__ = ["Search"]
 # Differences for derivatives, relative to a value or to a hundredth of its range: wide
 # against single precision, narrow against the curvature.
 STEP = 3e-4
-
-# Models that are kept: a step and its derivatives begin with the same, and Mitsuba's
-# rough plastic takes 45 ms to load.
-LOADED = 8
 
 # Steps from each start, after which the best of them is known.
 FIRST_STEPS = 12
@@ -34,19 +29,33 @@ LEAST_EFFECT, MOST_ALIKE = 1.0, 1e3
 
 
 class Search:
-    """The sum of squares to be minimised, and how uncertain its minimum is."""
+    """The sum of squares to be minimised, and how uncertain its minimum is.
+
+    Parameters
+    ----------
+    observations : sequence of Observations
+    model : FittedModel
+    report : callable, optional
+        Called with 1 for each prediction.
+    """
 
     def __init__(
-        self, observations: Sequence[Observations], model: FittedModel
+        self,
+        observations: Sequence[Observations],
+        model: FittedModel,
+        report: Callable[[float], Any] | None = None,
     ) -> None:
         self.observations, self.model = observations, model
+        self._loaded, self._report = LoadedModel(model), report
+        # the last prediction and its parameters, with the nodes as they are
+        self._last: tuple[Floats, Floats] | None = None
         self.values = np.concatenate([one.values for one in observations])
         self.scales = np.ones_like(self.values)
         self._ends = np.cumsum([one.values.size for one in observations])[:-1]
-        self._loaded = lru_cache(LOADED)(self._load)
 
     def begin(self) -> Floats:
         """Values of a first search on a few nodes: the best minimum of all starts."""
+        self._last = None
         for one in self.observations:
             one.begin()
         tried = []
@@ -63,7 +72,8 @@ class Search:
 
     def adapt(self, values: Floats) -> None:
         """Refine the nodes for these values, and share variances."""
-        bsdf = self._bsdf(values)
+        self._last = None
+        bsdf = self._loaded.bsdf(values)
         self._weigh(np.concatenate([one.adapt(bsdf) for one in self.observations]))
 
     def _weigh(self, predicted: Floats) -> None:
@@ -127,8 +137,13 @@ class Search:
 
     def predicted(self, values: Floats) -> Floats:
         """Prediction with the nodes as they are."""
-        bsdf = self._bsdf(values)
-        return np.concatenate([one.of(bsdf) for one in self.observations])
+        if self._last is None or not np.array_equal(self._last[0], values):
+            bsdf = self._loaded.bsdf(values)
+            found = np.concatenate([one.of(bsdf) for one in self.observations])
+            self._last = values.copy(), found
+            if self._report is not None:
+                self._report(1)
+        return self._last[1]
 
     def _jacobian(self, values: Floats) -> Floats:
         """Derivatives of the prediction, by differences within the limits."""
@@ -140,9 +155,3 @@ class Search:
             there = self.predicted(moved)
             columns.append((there - here) / (moved[i] - value))
         return np.stack(columns, axis=-1)
-
-    def _bsdf(self, values: Floats) -> mi.BSDF:
-        return self._loaded(tuple(values))
-
-    def _load(self, values: tuple[float, ...]) -> mi.BSDF:
-        return loaded("the model", mi.load_dict, self.model.bsdf(np.array(values)))
