@@ -140,7 +140,9 @@ def _as_told(
     record: Record | MeasuredTable, **told: float | None
 ) -> Record | MeasuredTable:
     """Record without its copied directions, or table with what was told of it."""
-    given = {name: value for name, value in told.items() if value is not None}
+    given: dict[str, Any] = {
+        name: value for name, value in told.items() if value is not None
+    }
     if isinstance(record, Record):
         if given:
             raise SettingError(f"{next(iter(given))} goes with a table, got a record")
