@@ -17,36 +17,30 @@ gonio_mi.collector.subdivision(30)
 """
 
 
-@pytest.fixture(scope="module")
-def mypy(tmp_path_factory):
+def test_types(tmp_path):
+    """In the package; twin: in code of a user a wrong one is seen.
+
+    To whom ``py.typed`` shows the annotations. Both in one run, which takes long.
+    """
     pytest.importorskip("mypy")
-    cache = tmp_path_factory.mktemp("mypy")
-
-    def run(*arguments):
-        command = [sys.executable, "-m", "mypy", "--cache-dir", str(cache), *arguments]
-        environment = os.environ | {"MYPYPATH": str(ROOT)}
-        return subprocess.run(
-            command, cwd=ROOT, env=environment, capture_output=True, text=True
-        )
-
-    return run
-
-
-def test_types(mypy):
-    found = mypy()
-    assert found.returncode == 0, found.stdout + found.stderr
-
-
-def test_twin_sees_a_wrong_type(mypy, tmp_path):
-    """In code of a user, to whom ``py.typed`` shows the annotations."""
-    file = tmp_path / "user.py"
-    file.write_text(USER)
-    found = mypy(str(file))
-    assert found.returncode == 1
-    assert 'Revealed type is "gonio_mi.collector.hemisphere.Subdivision"' in (
-        found.stdout
+    user = tmp_path / "user.py"
+    user.write_text(USER)
+    command = [sys.executable, "-m", "mypy", "--cache-dir", os.devnull]
+    found = subprocess.run(
+        [*command, "gonio_mi", str(user)],
+        cwd=ROOT,
+        env=os.environ | {"MYPYPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
     )
-    assert '"subdivision" has incompatible type "int"' in found.stdout
+    lines = found.stdout.splitlines()
+    said = [line for line in lines if line.startswith(str(user))]
+    assert len(said) == 2
+    assert 'Revealed type is "gonio_mi.collector.hemisphere.Subdivision"' in said[0]
+    assert '"subdivision" has incompatible type "int"' in said[1]
+    assert set(lines) - set(said) == {lines[-1]}, found.stdout + found.stderr
+    assert lines[-1].startswith("Found 1 error in 1 file (checked ")
+    assert found.returncode == 1
 
 
 def test_annotations_are_packaged():
