@@ -107,6 +107,10 @@ def check() -> None:
     LLVMError
         In one sentence, with the line that fixes it.
     """
+    loaded = sys.modules.get("drjit")
+    # each measurement asks, and the path that `status` looks for takes a while
+    if loaded and loaded.detail.llvm_version()[0] >= MINIMUM_VERSION:
+        return
     current = status()
     if not current.usable:
         raise LLVMError(current.reason)
@@ -240,10 +244,8 @@ def _loaded_path() -> str | None:
     except OSError:
         return named
     mapped = {line.split(maxsplit=5)[-1] for line in lines}
-    if named and any(
-        named == os.path.basename(path) or os.path.realpath(named) == path
-        for path in mapped
-    ):
+    names = {os.path.basename(path) for path in mapped}
+    if named and (named in names or os.path.realpath(named) in mapped):
         return named
     found = [path for path in mapped if LIBRARY_NAME.fullmatch(os.path.basename(path))]
     return found[0] if len(found) == 1 else None
