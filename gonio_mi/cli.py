@@ -1,7 +1,8 @@
 """The command line: ``gonio-mi COMMAND ...``, and how it fails.
 
 Exit codes: 0 done, 1 an error, 2 the asked precision was not reached or the
-measurement was interrupted, 3 a validation or comparison failed.
+measurement was interrupted, 3 a validation or comparison failed, 143 a campaign was
+ended by SIGTERM.
 """
 
 import os
@@ -58,7 +59,8 @@ examples:
   gonio-mi plot run.npz -o run.png
 
 exit codes: 0 done, 1 an error (said in one line: yours, or a bug to report), 2
-interrupted, or the asked precision was not reached, 3 a validation or comparison failed
+interrupted, or the asked precision was not reached, 3 a validation or comparison
+failed, 143 a campaign was ended by SIGTERM
 """
 
 

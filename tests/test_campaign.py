@@ -191,6 +191,16 @@ def test_a_relative_path_is_found_from_elsewhere(tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("where", [{}, {"folder": "missing/parent"}])
+def test_a_specimen_that_is_no_file(where, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    said = (
+        r"existing file or a dictionary such as \{'type': 'diffuse'\}, got '.*diffuse'"
+    )
+    with pytest.raises(gonio.SpecimenError, match=said):
+        gonio.campaign({"b": "diffuse"}, **ANGLES, **SETTINGS, **where)
+
+
 def test_a_folder_of_something_else(tmp_path):
     gonio.campaign(SPECIMENS, 0, **SETTINGS, folder=tmp_path / "a")
     for change in ({"rays": 5001}, {"seed": 1}, {"theta_i": 1}):

@@ -48,14 +48,14 @@ def sigint():
     signal.signal(signal.SIGINT, before)
 
 
-def counted(monkeypatch, interrupted=None):
+def counted(monkeypatch, interrupted=None, by=signal.SIGINT):
     """List of the directions that are begun; the one of that number is interrupted."""
     measure, calls = campaign_tasks.measure_each, []
 
     def one(*args, **kwargs):
         calls.append(1)
         if len(calls) == interrupted:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(by)
         return measure(*args, **kwargs)
 
     monkeypatch.setattr(campaign_tasks, "measure_each", one)
@@ -102,6 +102,18 @@ def test_ctrl_c(tmp_path, uninterrupted, monkeypatch, capsys):
     same(path, whole)
     assert not capsys.readouterr().err
     assert len(calls) - BEGUN == of_all - (BEGUN - 1)
+
+
+def test_what_sigterm_ends_says_so(tmp_path, monkeypatch, capsys):
+    before = signal.getsignal(signal.SIGTERM)
+    counted(monkeypatch, 5, signal.SIGTERM)
+    path = tmp_path / "metal.npz"
+    with pytest.raises(SystemExit) as ended:
+        cli.main([*COMMAND, "-o", str(path)])
+    assert ended.value.code == 143
+    assert f"gonio-mi: interrupted: {path}.parts holds" in capsys.readouterr().err
+    assert len(list(tmp_path.rglob("0*.npz"))) == 4
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_a_kill(tmp_path, whole):

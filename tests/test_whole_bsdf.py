@@ -369,6 +369,7 @@ def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
     whole.rings = IncidentRings([0.0, 40.0, 80.0], symmetry, isotropic=True)
     errors = whole._confirmed()
     assert len(looks) == 2
+    assert "outgrow memory: a collector of fewer patches" in whole.helps
     assert whole.rings.directions() == looks[0]
     assert all(one.exceeds(0.1) for one in errors)
     looks[:] = [[]]

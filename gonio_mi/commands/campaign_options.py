@@ -1,5 +1,6 @@
 """Options of the commands that measure in campaigns, and what Ctrl-C leaves of one."""
 
+import signal
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,6 +10,9 @@ from ..errors import checked_count
 from .arguments import INCOMPLETE, add_number, add_text, say
 
 __all__ = ["add_campaign", "campaign_options", "kept_after_ctrl_c"]
+
+# Exit code of what SIGTERM has ended, as shells count: 128 and its number.
+TERMINATED = 143
 
 
 def add_campaign(group: Any, kept: str = "") -> None:
@@ -43,7 +47,18 @@ def campaign_options(options: Namespace) -> dict[str, Any]:
 
 @contextmanager
 def kept_after_ctrl_c(folder: str | None) -> Iterator[None]:
-    """Context of a campaign, that Ctrl-C leaves with a sentence on what is kept."""
+    """Context of a campaign, that Ctrl-C leaves with a sentence on what is kept.
+
+    So does SIGTERM, with an exit code of its own.
+    """
+    ended = []
+
+    def end(*_: object) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # what is finished is being kept
+        ended.append(TERMINATED)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, end)
     try:
         yield
     except KeyboardInterrupt as pressed:
@@ -51,4 +66,6 @@ def kept_after_ctrl_c(folder: str | None) -> Iterator[None]:
         if folder is not None:
             kept = f"{folder} holds what was finished; the same command carries on"
         say(f"interrupted: {kept}")
-        raise SystemExit(INCOMPLETE) from None
+        raise SystemExit(ended[0] if ended else INCOMPLETE) from None
+    finally:
+        signal.signal(signal.SIGTERM, before)

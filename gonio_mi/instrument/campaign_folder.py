@@ -25,6 +25,7 @@ from .. import files
 from ..errors import FileFormatError, SettingError
 from ..files.writing import PREFIX, SUFFIX
 from ..results.record import Record
+from .loading import existing
 
 __all__ = ["CampaignFolder"]
 
@@ -279,7 +280,7 @@ def _text(value: Any) -> str:
 def _fingerprint(specimen: Any) -> str:
     """Text that tells a specimen from others: for a file, of its content too."""
     if isinstance(specimen, (str, os.PathLike)):
-        content = Path(specimen).read_bytes()
+        content = existing(specimen).read_bytes()
         return f"{os.fspath(specimen)} sha256:{_sha256(content)}"
     return _text(specimen)
 

@@ -125,6 +125,8 @@ def _records(
         logger.info("%d of %d tasks were finished before", len(done), len(tasks))
     n_done = sum(len(record) for record in done.values())
     total = sum(len(task.incidents) for task in tasks)
+    # a campaign of several rounds knows the time that is left of each only
+    said = said and f"{said}; this round"
     shown_as = {"total": total, "initial": n_done, "unit": "direction", "desc": said}
     with bar(where.progress, **shown_as) as report:
 

@@ -30,6 +30,7 @@ from .named_files import check_named_files
 from .surface_specimens import surface_specimen
 
 __all__ = [
+    "existing",
     "load_plugin_file",
     "load_specimen",
     "loaded",
@@ -75,6 +76,19 @@ def check_variant() -> None:
 
 
 @launches_kernels()
+def existing(specimen: str | os.PathLike[str]) -> Path:
+    """Path of a specimen that is a file; SpecimenError if there is none."""
+    path = Path(specimen)
+    if not path.is_file():
+        here = path.parent in (Path(), Path.cwd())
+        bsdf = f" or a dictionary such as {{'type': {path.name!r}}}"
+        bsdf *= here and path.name.isidentifier()
+        raise SpecimenError(
+            f"specimen must be an existing file{bsdf}, got {str(path)!r}"
+        )
+    return path
+
+
 def load_specimen(
     specimen: Any, parameters: dict[str, Any] | None = None, period: Any = None
 ) -> Any:
@@ -104,9 +118,7 @@ def load_specimen(
     """
     check_variant()
     if isinstance(specimen, (str, os.PathLike)):
-        path = Path(specimen)
-        if not path.is_file():
-            raise SpecimenError(f"specimen must be an existing file, got {str(path)!r}")
+        path = existing(specimen)
         if is_height_map(path):
             specimen = surface_specimen(path, period=period)
         elif is_mesh(path):

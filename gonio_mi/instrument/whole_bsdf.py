@@ -42,6 +42,16 @@ FIRST_ANGLES = 4
 # any did, and looked at anew, LOOKS times at most.
 UNSEEN, MISSES = 40, 2
 
+# What helps where directions never used go on missing the tolerance, and why.
+OUTGROWN = (
+    "further ones would outgrow memory: a collector of fewer patches, or a larger "
+    "tolerance, helps"
+)
+CLOSEST = "its directions are as close to each other as they may be: "
+TOLERANT = "a larger tolerance helps, another collector does not"
+MORE_SECTORS = "a collector of more sectors, or a larger tolerance, helps"
+LOOKED = f"it was refined for them {LOOKS - 1} times: a larger tolerance helps"
+
 # Part of the tolerance above which errors are measured again with less noise. Below it,
 # noise hides no error as large as the tolerance.
 SURE = 3 / 4
@@ -226,7 +236,7 @@ class WholeBsdf:
         """
         seed, before = self.settings.get("seed") or 0, MISSES
         errors: list[Misplacement] = []
-        fitting = self.rings
+        fitting, self.helps = self.rings, LOOKED
         for number in range(LOOKS):
             generator = np.random.default_rng([int(seed), number])
             cosines = 1 - generator.random(UNSEEN) * (
@@ -242,7 +252,7 @@ class WholeBsdf:
                 if not errors:
                     raise
                 logger.info("%s: not refined further: %s", self.name, error)
-                self.rings = fitting
+                self.rings, self.helps = fitting, OUTGROWN
                 break
             missed = [one for one in errors if one.exceeds(self.tolerance)]
             worst = [f"{one.error:.2g} at {one.theta_i:.1f}" for one in missed]
@@ -258,6 +268,7 @@ class WholeBsdf:
                 return None
             fitting = copy.deepcopy(self.rings)
             if not self.rings.split_at(missed):
+                self.helps = CLOSEST + (TOLERANT if self.isotropic else MORE_SECTORS)
                 break
         return errors
 
@@ -302,9 +313,8 @@ class WholeBsdf:
         if sum(one.exceeds(self.tolerance) for one in errors) > MISSES:
             warnings.warn(
                 f"tolerance of {self.tolerance:g} was not reached for {self.name}: of "
-                f"directions that were never used {within:.0%} are within it, and no "
-                "further ones help or fit into memory: take another collector, or a "
-                "larger tolerance",
+                f"directions that were never used {within:.0%} are within it, and "
+                f"{self.helps}",
                 RuntimeWarning,
                 stacklevel=4,
             )
