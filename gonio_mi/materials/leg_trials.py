@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from ..array_types import Floats
+from ..array_types import Floats, Integers
 from ..collector.directions import direction
 from .azimuth_trials import tried_indices
 from .lit_face import LitFace
 from .lobes import LobeTable
-from .moving_points import Ways
+from .moving_points import Way
 
 __all__ = ["best_face"]
 
-# Records that are predicted from their neighbours, and the part of their light that is
-# looked at: on the patches that have most of it.
-TRIALS, LOOKED_AT = 3, 0.99
+# Records that are predicted from their neighbours, at most, and the part of their light
+# that is looked at: on the patches that have most of it, or some of these.
+TRIALS, LOOKED_AT, MOST_PATCHES = 6, 0.99, 2**13
 
 # Points per side of a patch.
 N_POINTS = 4
@@ -32,9 +33,9 @@ NEAR, FINELY = 0.05, {"xatol": 1e-3}
 def best_face(table: LobeTable, wavelengths: Floats | None = None) -> LitFace:
     """Face whose lobes move between polar angles as its own records say.
 
-    All of a hemisphere move alike: by quantiles (:class:`.moving_points.Legs`), or with
-    micro-normals that stay where these predict records better, from those of the next
-    smaller and the next larger angle.
+    On a leg by quantiles (:class:`.moving_points.Legs`), or with micro-normals that
+    stay where these predict the nearest record better, from those of the next smaller
+    and the next larger angle.
 
     Parameters
     ----------
@@ -42,28 +43,37 @@ def best_face(table: LobeTable, wavelengths: Floats | None = None) -> LitFace:
     wavelengths : sequence of float, optional
         See :class:`.lit_face.LitFace`.
     """
-    known = np.argwhere(table.grid.index[:, 1:-1] >= 0)
-    chosen = np.unique(np.linspace(0, len(known) - 1, TRIALS, dtype=int))
-    trials = [_Trial(table, *known[n]) for n in (chosen if len(known) else [])]
-    ways = [
-        way
-        for hemisphere in range(table.brdf.shape[2] if trials else 0)
-        for way in _best(table, hemisphere, trials)
-    ]
-    return LitFace(table, wavelengths, ways)
+    n_angles = len(table.grid.theta_i)
+    if n_angles < 3:
+        return LitFace(table, wavelengths)
+    angles = np.unique(np.linspace(1, n_angles - 2, TRIALS).round().astype(int))
+    trials = [_Trial(table, n / len(angles), k) for n, k in enumerate(angles.tolist())]
+    ways = []
+    for hemisphere in range(table.brdf.shape[2]):
+        eta = _index(table, trials) if hemisphere else None
+        if hemisphere and eta is None:
+            continue
+        errors = [
+            [one.error(hemisphere, keeps, eta) for one in trials]
+            for keeps in (False, True)
+        ]
+        ways.append(Way(hemisphere, eta, _better(angles, *errors)))
+    return LitFace(table, wavelengths, [way for way in ways if any(way.legs)])
 
 
-def _best(table: LobeTable, hemisphere: int, trials: Sequence[_Trial]) -> Ways:
-    """Way of a hemisphere by micro-normals, if it is better than that by quantiles."""
+def _better(
+    angles: Integers, by_quantiles: Sequence[float], by_normals: Sequence[float]
+) -> tuple[bool, ...]:
+    """On which legs micro-normals are better, where records nearest to it are tried.
 
-    def error(way: Ways) -> float:
-        return sum(one.error(hemisphere, way) for one in trials)
-
-    eta = _index(table, trials) if hemisphere else None
-    if hemisphere and eta is None:
-        return []
-    ways: list[Ways] = [[], [(hemisphere, eta)]]
-    return min(ways, key=error)
+    `angles` are the numbers of these records' polar angles.
+    """
+    gains = np.subtract(by_quantiles, by_normals)
+    legs = []
+    for leg in range(angles.max() + 1):
+        distance = np.abs(angles - leg - 0.5)
+        legs.append(bool(gains[distance == distance.min()].sum() > 0))
+    return tuple(legs)
 
 
 def _index(table: LobeTable, trials: Sequence[_Trial]) -> float | None:
@@ -79,11 +89,7 @@ def _index(table: LobeTable, trials: Sequence[_Trial]) -> float | None:
     tried = tried_indices(light, theta_i.ravel(), phi_i.ravel(), table.patches)
     if not tried:
         return None
-    middle = trials[len(trials) // 2]
-
-    def error(eta: float) -> float:
-        return middle.error(1, [(1, eta)])
-
+    error = partial(trials[len(trials) // 2].error, 1, True)
     best = min(tried, key=error)
     around = best * (1 - NEAR), best * (1 + NEAR)
     found = minimize_scalar(error, bounds=around, method="bounded", options=FINELY)
@@ -96,30 +102,38 @@ class _Trial:
     Parameters
     ----------
     table : LobeTable
-    azimuth, before : int
-        Number of its azimuth, and of the polar angle before its own.
+    part : float
+        Which of the azimuths: 0 for the first that were measured there, to 1.
+    angle : int
+        Number of its polar angle.
     """
 
-    def __init__(self, table: LobeTable, azimuth: int, before: int) -> None:
-        self.part = table.part(azimuth, (before, before + 2))
-        self.lobes = table.brdf[azimuth, before + 1].mean(axis=-1)
-        angles = table.grid.theta_i[before + 1], table.grid.phi_i[azimuth]
-        self.wi = direction(*np.radians(angles))
+    def __init__(self, table: LobeTable, part: float, angle: int) -> None:
+        known = np.flatnonzero(table.grid.index[:, angle] >= 0)
+        azimuth = int(known[int(part * len(known))])
+        self.part = table.part(azimuth, (angle - 1, angle + 1))
+        self.lobes = table.brdf[azimuth, angle].mean(axis=-1)
+        incident = table.grid.theta_i[angle], table.grid.phi_i[azimuth]
+        self.wi = direction(*np.radians(incident))
 
-    def error(self, hemisphere: int, ways: Ways) -> float:
-        """Light in wrong places, on the patches that are looked at."""
+    def error(self, hemisphere: int, keeps: bool, eta: float | None = None) -> float:
+        """Light in wrong places, on the patches that are looked at.
+
+        If micro-normals are kept, or not; with the refractive index of transmission.
+        """
         patches = self.part.patches
         light = (self.lobes[hemisphere] * patches.projected_solid_angles).ravel()
         if not light.any():
             return 0.0
         order = np.argsort(-light, kind="stable")
         few = np.searchsorted(np.cumsum(light[order]), LOOKED_AT * light.sum())
-        number = np.sort(order[: few + 1])
+        number = np.sort(order[: few + 1 : 1 + few // MOST_PATCHES])
         points = patches.points(N_POINTS, number)
         points[..., 2] *= -1 if hemisphere else 1
         wo = mi.Vector3f(np.ascontiguousarray(points.reshape(-1, 3).T))
         wi = mi.Vector3f(self.wi.tolist())
         dr.make_opaque(wi, wo)
+        ways = [Way(hemisphere, eta, (True,))] if keeps else []
         values, _, wanted = LitFace(self.part, ways=ways).values(wi, wo)
         mean = dr.select(wanted, sum(values) / len(values), 0.0)
         means = dr.block_sum(mean, N_POINTS**2).numpy() / N_POINTS**2

@@ -14,7 +14,7 @@ from .disk import DiskPoint, seen_from, towards
 from .incident_places import IncidentPlaces, Place
 from .lit_lobes import LitLobes
 from .lobes import LobeTable
-from .moving_points import Legs, MicroNormals, Ways
+from .moving_points import Legs, MicroNormals, Way
 from .table_reading import doubles, read
 
 __all__ = ["LitFace"]
@@ -30,14 +30,16 @@ class LitFace:
     table : LobeTable
     wavelengths : sequence of float, optional
         Of the table's channels in nm, for spectral variants.
-    ways : sequence of (int, float or None), optional
-        Hemispheres whose light keeps its micro-normals between polar angles, with the
-        refractive index of transmission; that of others moves by :class:`Legs`. See
-        :func:`.leg_trials.best_face`.
+    ways : sequence of Way, optional
+        Where light keeps its micro-normals between polar angles; elsewhere it moves by
+        :class:`Legs`. See :func:`.leg_trials.best_face`.
     """
 
     def __init__(
-        self, table: LobeTable, wavelengths: Floats | None = None, ways: Ways = ()
+        self,
+        table: LobeTable,
+        wavelengths: Floats | None = None,
+        ways: Sequence[Way] = (),
     ) -> None:
         self.wavelengths = wavelengths
         self.n_azimuths, self.n_angles, self.n_hemispheres = table.brdf.shape[:3]
@@ -45,8 +47,12 @@ class LitFace:
         grid, number = table.grid, range(self.n_hemispheres)
         moving = [n for n in number if self.n_azimuths > 1 and grid.moves(n)]
         self.normals = MicroNormals(ways, moving)
-        by_legs = [n for n in number if n not in dict(ways)]
-        between = [(n, grid.eta if n else None) for n in by_legs if n in moving]
+        by_normals = [way.hemisphere for way in ways if all(way.legs)]
+        by_legs = [n for n in number if n not in by_normals]
+        every = (True,) * self.incident.n_legs
+        between = [
+            Way(n, grid.eta if n else None, every) for n in by_legs if n in moving
+        ]
         self.azimuths, self.by_legs = MicroNormals(between, moving), bool(by_legs)
         self.lobes = LitLobes(table)
         self.flux = doubles(table.flux.mean(axis=-1))
@@ -122,7 +128,7 @@ class LitFace:
         """BRDF of one azimuth at that of incidence."""
         if not self.normals.ways:
             return self._by_legs(place, hemisphere, point, active)
-        moves = self.normals.move(hemisphere)
+        moves = self.normals.move(place, hemisphere)
         values = self._by_normals(place, hemisphere, point, active & moves)
         if self.by_legs:
             others = self._by_legs(place, hemisphere, point, active & ~moves)
@@ -264,7 +270,7 @@ class LitFace:
             return moved
         z = dr.select(end > 0.5, place.ends[-1], place.ends[0])
         sent, _ = self.normals.goes_to(place, z, hemisphere, point)
-        this = self.normals.move(hemisphere)
+        this = self.normals.move(place, hemisphere)
         return DiskPoint(
             dr.select(this, sent.x, moved.x), dr.select(this, sent.v, moved.v)
         )

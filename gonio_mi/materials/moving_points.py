@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -15,10 +14,7 @@ from .incident_places import Place
 from .lobes import LobeTable
 from .table_reading import doubles, last, read
 
-__all__ = ["Legs", "MicroNormals", "Ways"]
-
-# Hemispheres, with the refractive index of transmission.
-Ways: TypeAlias = Sequence[tuple[int, float | None]]
+__all__ = ["Legs", "MicroNormals", "Way"]
 
 
 @dataclass(frozen=True)
@@ -115,27 +111,51 @@ class Legs:
         return found
 
 
+@dataclass(frozen=True)
+class Way:
+    """Where the light of a hemisphere keeps its micro-normals.
+
+    Attributes
+    ----------
+    hemisphere : {0, 1}
+    eta : float or None
+        Refractive index of transmission.
+    legs : tuple of bool
+        On which of the legs of each azimuth.
+    """
+
+    hemisphere: int
+    eta: float | None
+    legs: tuple[bool, ...]
+
+
 class MicroNormals:
     """Ways of points by micro-normals that stay, whose light comes from elsewhere.
 
     Parameters
     ----------
-    ways : sequence of (int, float or None)
-        Hemispheres whose light moves so, with the refractive index of transmission.
+    ways : sequence of Way
     with_azimuth : sequence of int
-        Those where the record's azimuth counts; else lobes turn with incidence.
+        Hemispheres where the record's azimuth counts; else lobes turn with incidence.
     """
 
-    def __init__(self, ways: Ways, with_azimuth: Sequence[int]) -> None:
+    def __init__(self, ways: Sequence[Way], with_azimuth: Sequence[int]) -> None:
+        self.ways, self.with_azimuth = ways, with_azimuth
         # an index that is no constant of the kernel: another one compiles nothing
-        self.ways = [(n, eta and dr.opaque(mi.Float64, eta)) for n, eta in ways]
-        self.with_azimuth = with_azimuth
+        self.etas = [
+            (way.hemisphere, way.eta and dr.opaque(mi.Float64, way.eta)) for way in ways
+        ]
+        self.legs = [mi.Bool(list(way.legs)) for way in ways]
 
-    def move(self, hemisphere: mi.UInt32) -> mi.Bool:
+    def move(self, place: Place, hemisphere: mi.UInt32) -> mi.Bool:
         """Whether the light of a hemisphere moves so."""
         moves = mi.Bool(False)
-        for number, _ in self.ways:
-            moves |= hemisphere == number
+        for way, legs in zip(self.ways, self.legs):
+            this = hemisphere == way.hemisphere
+            if not all(way.legs):
+                leg = place.leg - place.azimuth * len(way.legs)
+                this &= dr.gather(mi.Bool, legs, leg)
+            moves |= this
         return moves
 
     def came_from(
@@ -148,7 +168,7 @@ class MicroNormals:
         """
         wo, (x, v) = above(point), (point.x, point.v)
         stretch, comes = mi.Float64(0), mi.Bool(False)
-        for number, eta in self.ways:
+        for number, eta in self.etas:
             past = self._past(place, number)
             came, scale, valid = sent(wo, place.light(), place.light(past, z), eta, dr)
             this = (hemisphere == number) & valid & goes(came[2], wo[2])
@@ -163,7 +183,7 @@ class MicroNormals:
     ) -> tuple[DiskPoint, mi.Bool]:
         """Where light of a record's lobe is sent to, and whether."""
         x, v, leaves = point.x, point.v, mi.Bool(False)
-        for number, eta in self.ways:
+        for number, eta in self.etas:
             past = self._past(place, number)
             wo = turned(above(point), -past)
             to, _, valid = sent(wo, place.light(past, z), place.light(), eta, dr)
