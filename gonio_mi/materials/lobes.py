@@ -11,7 +11,8 @@ A. L. Read, *Linear interpolation of histograms*, 1999,
 doi:10.1016/S0168-9002(98)01347-3), of histograms that are coarse on purpose, so that
 the noise of a record does not steer its light. The lobes that are moved are the records
 themselves, all of them: no light is lost or made. How they change with the azimuth is
-in :mod:`.half_vectors`.
+in :mod:`.half_vectors`, and where they do so with the angle as well, in
+:mod:`.leg_trials`.
 """
 
 from collections.abc import Sequence
