@@ -20,7 +20,6 @@ import pytest
 import surface_files
 
 from gonio_mi.cli import main
-from gonio_mi.fitting import fitted_models
 from gonio_mi.surfaces.heights import gaussian_heights
 
 tomllib = pytest.importorskip("tomllib")
@@ -30,9 +29,8 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "notebooks").glob("*.md"))]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 
-# At most so many rays, at least such a tolerance, and what else makes a command take
-# seconds.
-RAYS, TOLERANCE = 1e5, 0.05
+# At most so many rays, and what else makes a command take seconds.
+RAYS = 1e5
 FAST = {
     "bsdf": ["--rays", "64"],
     "chart": ["--seconds", "2"],
@@ -133,11 +131,8 @@ PRECISE = {"--rel-err", "--tolerance", "quadrature"}
 
 
 def fast(words):
-    """Arguments of ``gonio-mi`` with few rays, or a wide tolerance."""
+    """Arguments of ``gonio-mi`` with few rays."""
     command, *rest = words
-    if "--tolerance" in rest:
-        at = rest.index("--tolerance") + 1
-        rest[at] = f"{max(float(rest[at]), TOLERANCE):g}"
     if "--rays" in rest:
         at = rest.index("--rays") + 1
         rest[at] = f"{min(float(rest[at]), RAYS):g}"
@@ -187,8 +182,6 @@ def test_page_runs_word_for_word(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "my_bsdf", raising=False)
-    # fits search from one roughness instead of several
-    monkeypatch.setitem(fitted_models.KNOWN, "alpha", ((0.15,), 1e-3, 1.0))
     variant, known = mi.variant(), {}
     try:
         for language, text in blocks(page):
