@@ -23,6 +23,7 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.comparison import compare, measure_like
 from gonio_mi.comparison.agreement import Readings
 from gonio_mi.comparison.comparison_figure import comparison_figure
+from gonio_mi.comparison.findings import Comparison
 from gonio_mi.files.measured import MeasuredTable, read_measured
 from gonio_mi.results.record import Record
 from gonio_mi.transport.collector_sphere import CollectorSphere
@@ -681,7 +682,12 @@ def test_apertures_see_a_lobe_that_patches_smear():
     records = measure_like(bsdf, table, rays=1_000_000)
     comparison = compare(records, table)
     agree(verdict_of(comparison))
+    # what decides most comes first
     assert any("count as exact" in note for note in comparison.notes)
+    assert "count as exact" in str(comparison).splitlines()[0]
+    assert str(comparison).count("count as exact") == 1
+    stated = compare(records, replace(table, uncertainty=0.01))
+    assert "count as exact" not in str(stated)
     # twin: means over patches of 9 degrees are something else
     coarse = gonio.measure(bsdf, 45, 180, collector="angle:10x40", rays=1_000_000)
     disagree(verdict_of(compare(coarse, replace(table, header=OWN_PATCHES))))
@@ -861,3 +867,18 @@ def test_a_point_for_each_incidence_is_drawn_over_incidence():
         drawn = np.asarray(above.containers[0][0].get_xdata()).tolist()
         assert drawn == ([0, 30, 60] if k == 1 else [-40, -20])
         assert below.get_xlabel().startswith("theta_i" if k == 1 else "theta_o")
+
+
+@pytest.mark.parametrize(
+    ("least", "scale"), [(0.01, "linear"), (1e-4, "log"), (-1e-4, "linear")]
+)
+def test_values_over_decades_are_drawn_logarithmically(least, scale):
+    """Unless one is not positive, which such an axis would not show."""
+    n = 4
+    theta_o, zero = np.linspace(10, 70, n), np.zeros(n)
+    values = np.array([0.5, 0.1, 0.05, least])
+    found = Comparison(
+        zero + 30, zero, theta_o, zero + 180, np.full(n, "Y"), abs(values),
+        zero + 1e-3, values, zero, zero, {}, {"chi2": 1.0}, 1e-3,
+    )  # fmt: skip
+    assert comparison_figure(found).axes[0].get_yscale() == scale

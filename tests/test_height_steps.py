@@ -88,6 +88,7 @@ def test_coarse_steps_are_warned_of():
         return topography(given, size=2.0, height_range=RANGE).concerns()
 
     (one,) = said(8)
+    assert "of the rms slope" in one
     slope = RANGE / 255 / (2 / 128)
     assert f"the heights of a.png come in steps of {RANGE / 255:.3g}, and " in one
     assert f"slopes in steps of {slope:.3g}, " in one
@@ -109,7 +110,10 @@ def test_commands_tell_it_once(tmp_path, capfd):
         shape = {"type": "heightfield", "filename": path, "range": RANGE}
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            gonio.measure(shape | {"bsdf": {"type": "conductor"}}, 0, rays=1000)
+            plate = shape | {"bsdf": {"type": "conductor"}}
+            record = gonio.measure(plate, 0, rays=1000)
+        # for whoever gets the record only
+        assert ("slopes in steps of" in record.settings["surface"]) == bool(times)
         assert sum("come in steps" in str(one.message) for one in caught) == times
         for command in (
             ["surface", path, "--points", "1e3"],

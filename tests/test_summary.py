@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import synthetic
 
+from gonio_mi.cli import main
 from gonio_mi.files.exr_parts import attributes
 from gonio_mi.results.integral_sums import Integrals
 from gonio_mi.results.precision import precision
+from gonio_mi.results.record import Record
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 from gonio_mi.results.tally import Fate
@@ -172,3 +174,29 @@ def test_rays_beside_integrals_are_of_delta_components():
     assert "80 000 for delta components, all else integrated" in line(record, "rays")
     assert "integrals and 80 000 rays" in repr(record)
     assert line(record, "sum").split()[1:3] == ["80", "000"]
+
+
+def test_totals_of_many_directions_are_left_out_in_the_middle(tmp_path, capsys):
+    """Half of the rows from both ends; all are asked for by an option."""
+    one = synthetic.record()
+    many = Record.stack([one] * 50)
+    path = tmp_path / "many.npz"
+    many.save(path)
+    whole = []
+    for record, options in ((one, []), (many, []), (many, ["--all"])):
+        record.save(path)
+        assert main(["show", str(path), *options]) == 0
+        rows = capsys.readouterr().out.splitlines()
+        whole.append(sum("  dhr  " in row for row in rows))
+        left = [row for row in rows if "rows are left out" in row]
+        assert left == [row for row in left if row.startswith("... 10 rows")]
+        assert len(left) == (len(record) == 50 and not options)
+    assert whole == [1, 40, 50]
+
+
+def test_nothing_is_0():
+    numbers = summarize(synthetic.record())
+    (total,) = numbers["directions"][0]["dhr"]
+    total |= {"value": 0.0, "std_err": 3e-15, "low": 0.0, "high": 6e-15}
+    (row,) = (r for r in summary_text(numbers).splitlines() if " dhr " in r)
+    assert row.split()[4:] == ["0", "3e-15", "0", "6e-15"]

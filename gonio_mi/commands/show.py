@@ -7,6 +7,7 @@ columns or a file of another program, show what it holds and what was inferred.
 
 import json
 import os
+import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
@@ -36,6 +37,9 @@ def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     add_record(parser)
     parser.add_argument("--json", action="store_true", help="for machines")
+    parser.add_argument(
+        "--all", action="store_true", help="the totals of all incident directions"
+    )
     add_table_options(parser.add_argument_group("for a table"))
 
 
@@ -54,5 +58,6 @@ def run(options: Namespace) -> int:
     if options.json:
         print(json.dumps(numbers, indent=2, allow_nan=False))
     else:
-        tell(summary_text(numbers))
+        rows = {"most_rows": sys.maxsize} if options.all else {}
+        tell(summary_text(numbers, **rows))
     return DONE

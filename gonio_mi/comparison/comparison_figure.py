@@ -19,6 +19,9 @@ __all__ = ["comparison_figure", "points_in_profile"]
 
 MAX_PANELS = 6
 
+# Values whose largest is so many times the smallest are drawn on a logarithmic axis.
+DECADES = 100
+
 # Azimuths closer than this, in degrees, are the same.
 SAME = 1e-3
 
@@ -128,6 +131,10 @@ def _draw(comparison: Any, panel: _Panel, above: Axes, below: Axes) -> None:
             mfc=face,
         )
     above.set_title(panel.title, fontsize="small")
+    drawn = np.concatenate([comparison.other[points], comparison.value[points]])
+    # what is not positive would be drawn nowhere
+    if drawn.min() > 0 and drawn.max() > DECADES * drawn.min():
+        above.set_yscale("log", nonpositive="clip")
     z = comparison.z[points]
     below.axhspan(-2, 2, color="0.9")
     below.axhline(0, color="0.5", linewidth=0.8)

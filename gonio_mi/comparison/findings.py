@@ -11,6 +11,7 @@ from ..errors import PackageError
 from ..plots import check_picture, html_of_figure
 from ..plots.drawable import save_picture
 from .comparison_figure import comparison_figure
+from .pairing import EXACT
 
 __all__ = ["Comparison"]
 
@@ -185,6 +186,7 @@ class Comparison:
             "undecided": "cannot be decided with these patches",
         }[self.verdict]
         lines = [
+            *(note for note in self.notes if note.endswith(EXACT)),
             f"rms error   {self.rms:.4g} 1/sr, {100 * self.relative_rms:.3g} % of the "
             f"mean; {self.rms_expected:.4g} from the uncertainties alone",
             *(
@@ -217,7 +219,8 @@ class Comparison:
                 f"{_pair(point['value'], point['std_err'])}  "
                 f"{_pair(point['other'], point['other_std_err'])}  {point['z']:6.2f}"
             )
-        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+        notes = [f"note: {one}" for one in self.notes if not one.endswith(EXACT)]
+        return "\n".join([*lines, *notes])
 
 
 def _known(value: float) -> float | None:

@@ -19,12 +19,16 @@ from .patch_variation import MEASURED_ANEW, variation_within
 from .unlike_conditions import unlike_conditions, unlike_the_table
 
 __all__ = [
+    "EXACT",
     "check_uncertainties",
     "labels",
     "pair_with_record",
     "pair_with_table",
     "pole_angle",
 ]
+
+# Note on a table, which comes before all numbers: they mean little without it.
+EXACT = "states no uncertainty: its values count as exact, unless `uncertainty` is said"
 
 
 def pair_with_record(
@@ -88,7 +92,7 @@ def pair_with_table(
     notes = list(table.notes)
     errors = table.bsdf_std_err
     if not (errors.any() or table.scale_uncertainty):
-        notes.append(f"{table.name} states no uncertainty: its values count as exact")
+        notes.append(f"{table.name} {EXACT}")
     sets = []
     hemisphere = int(table.quantity == "btdf")
     v = direction(np.radians(pole_angle(table.theta_o)), np.radians(table.phi_o))

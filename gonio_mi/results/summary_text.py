@@ -18,12 +18,21 @@ WIDTH = 88
 LONGEST_SURFACE = 400
 MAIN_ROWS = ("reflected", "transmitted", "absorbed")
 
+# Decimals of a total, below which numbers are written with a power of ten.
+MOST_DECIMALS = 12
 
-def summary_text(numbers: dict[str, Any]) -> str:
-    """Return what :func:`~gonio_mi.results.summary.summarize` found, for people."""
+# Rows of totals that are shown, in halves from both ends.
+MOST_ROWS = 40
+
+
+def summary_text(numbers: dict[str, Any], most_rows: int = MOST_ROWS) -> str:
+    """Return what :func:`~gonio_mi.results.summary.summarize` found, for people.
+
+    Of more totals than `most_rows`, those in the middle are left out.
+    """
     blocks = [
         _settings_text(numbers),
-        _totals_text(numbers),
+        _totals_text(numbers, most_rows),
         _ledger_text(numbers["ledger"], numbers["integrals"]),
         _patches_text(numbers),
     ]
@@ -102,7 +111,7 @@ def _rays_text(numbers: dict[str, Any]) -> str:
     )
 
 
-def _totals_text(numbers: dict[str, Any]) -> str:
+def _totals_text(numbers: dict[str, Any], most_rows: int) -> str:
     """Reflectance and transmittance with their intervals; of copies no line."""
     header = ["theta_i", "phi_i", "of", "channel", "value", "std_err"]
     header += [f"{numbers['level']:.0%} low", f"{numbers['level']:.0%} high"]
@@ -133,7 +142,12 @@ def _totals_text(numbers: dict[str, Any]) -> str:
                 )
     left_out = len(numbers["directions"]) - len(measured)
     said = f"\n{left_out} copies of these are left out" if left_out else ""
-    return _table(header, rows) + said
+    lines = _table(header, rows).split("\n")
+    if len(rows) > most_rows:
+        half = most_rows // 2
+        left = f"... {len(rows) - 2 * half} rows are left out: show --all has them ..."
+        lines[1 + half : -half] = [left]
+    return "\n".join(lines) + said
 
 
 def _ledger_text(ledger: dict[str, int], integrals: bool) -> str:
@@ -237,7 +251,7 @@ def _decimals(value: float, std_err: float | None) -> int:
     if not std_err:
         return 6
     least = max(std_err, ROUNDING * abs(value))
-    return min(max(1 - math.floor(math.log10(least)), 2), 12)
+    return min(max(1 - math.floor(math.log10(least)), 2), MOST_DECIMALS)
 
 
 def _std_err(total: dict[str, Any], decimals: int) -> str:
@@ -249,4 +263,10 @@ def _std_err(total: dict[str, Any], decimals: int) -> str:
 
 
 def _fixed(value: float | None, decimals: int) -> str:
-    return "-" if value is None else f"{value:.{decimals}f}"
+    """Text of so many decimals; nothing at all is 0."""
+    if value is None:
+        return "-"
+    text = f"{value:.{decimals}f}"
+    if value == 0 or (decimals == MOST_DECIMALS and not float(text)):
+        return f"{value + 0.0:.2g}"
+    return text

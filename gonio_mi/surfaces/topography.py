@@ -138,25 +138,41 @@ class Topography:
                 f"{s.alpha_u:.3g} x {s.alpha_v:.3g}, an rms slope of {degrees:.4g} "
                 "degrees: heights and size must be in one unit; see scale, range, size"
             )
-        found += self._steps(s)
+        found += self._steps()
         if self.unit in UNITS:
             found += self._waves(s, wavelength / UNITS[self.unit])
         return found
 
-    def _steps(self, s: HeightStatistics) -> list[str]:
+    @property
+    def described(self) -> str:
+        """Statistics and unit of the heights, and whether they are too coarse."""
+        steps, unit = (
+            self._slope_steps(),
+            "" if self.unit is None else f" in {self.unit}",
+        )
+        coarse = "" if steps is None else f"; slopes in steps of {steps[1]}"
+        return f"{self.statistics}{unit}{coarse}"
+
+    def _slope_steps(self) -> tuple[float, str] | None:
+        """Steps of slopes, and what part of the rms slope they are; None if fine."""
+        s = self.statistics
+        rms = max(s.alpha_u, s.alpha_v) / 2**0.5
+        slope = 0.0 if self.step is None else self.step / min(self.spacing)
+        if self.step is None or slope < COARSE * rms:
+            return None
+        return slope, f"{100 * slope / rms:.3g} % of the rms slope"
+
+    def _steps(self) -> list[str]:
         """What heights of few bits do to slopes."""
-        if self.step is None:
-            return []
-        slope, rms = self.step / min(self.spacing), max(s.alpha_u, s.alpha_v) / 2**0.5
-        if slope < COARSE * rms:
+        steps = self._slope_steps()
+        if steps is None:
             return []
         unit = "" if self.unit is None else f" {self.unit}"
         return [
             f"the heights of {self.source} come in steps of {self.step:.3g}{unit}, and "
-            f"slopes in steps of {slope:.3g}, which is {100 * slope / rms:.3g} % of "
-            "the rms slope: smooth facets send light to other patches than those of "
-            "the surface would; take 16 bits or floats, smooth the heights, or make it "
-            "of a rough BSDF"
+            f"slopes in steps of {steps[0]:.3g}, which is {steps[1]}: smooth facets "
+            "send light to other patches than those of the surface would; take 16 bits "
+            "or floats, smooth the heights, or make it of a rough BSDF"
         ]
 
     def _waves(self, s: HeightStatistics, wavelength: float) -> list[str]:

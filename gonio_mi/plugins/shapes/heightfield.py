@@ -162,8 +162,7 @@ def heightfield(props: mi.Properties) -> mi.Mesh:
     n_y, n_x = heights.shape
     what = f"the mesh of a height field of {n_x} x {n_y} points"
     check_memory(what, heights.size * MESH_BYTES, "lower its resolution")
-    unit = "" if ready.unit is None else f" in {ready.unit}"
-    name += f"; has {ready.statistics}{unit}"
+    name += f"; has {ready.described}"
     normals: Any = _normals(heights, ready.spacing, closed) if smooth else None
     if closed:
         heights = np.pad(heights, ((0, 1), (0, 1)), mode="wrap")
