@@ -201,6 +201,7 @@ def test_a_specimen_that_is_no_file(where, tmp_path, monkeypatch):
         gonio.campaign({"b": "diffuse"}, **ANGLES, **SETTINGS, **where)
 
 
+@pytest.mark.usefixtures("mono")
 def test_a_folder_of_something_else(tmp_path):
     gonio.campaign(SPECIMENS, 0, **SETTINGS, folder=tmp_path / "a")
     for change in ({"rays": 5001}, {"seed": 1}, {"theta_i": 1}):

@@ -1,12 +1,14 @@
 """What users do around a measurement: threads, Dr.Jit's flags, plugins that raise."""
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import drjit as dr
 import mitsuba as mi
 import pytest
 
 import gonio_mi as gonio
+from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.transport.kernels import check_all_counted
 
 PLATE = {"type": "diffuse", "reflectance": 0.7}
@@ -127,8 +129,9 @@ def test_flags_that_break_dr_jit_are_refused(name, mono):  # noqa: ARG001
     sentence = f"flag {name} must be {'on' if usual else 'off'}"
     dr.set_flag(flag, not usual)
     try:
-        with pytest.raises(gonio.VariantError, match=sentence):
-            gonio.measure(PLATE, 30, **SMALL)
+        for function in (load_specimen, partial(gonio.measure, theta_i=30, **SMALL)):
+            with pytest.raises(gonio.VariantError, match=sentence):
+                function(PLATE)
     finally:
         dr.set_flag(flag, usual)
     assert gonio.measure(PLATE, 30, **SMALL).ledger.emitted == 2000

@@ -75,7 +75,6 @@ def check_variant() -> None:
         llvm.check()
 
 
-@launches_kernels()
 def existing(specimen: str | os.PathLike[str]) -> Path:
     """Path of a specimen that is a file; SpecimenError if there is none."""
     path = Path(specimen)
@@ -89,6 +88,7 @@ def existing(specimen: str | os.PathLike[str]) -> Path:
     return path
 
 
+@launches_kernels()
 def load_specimen(
     specimen: Any, parameters: dict[str, Any] | None = None, period: Any = None
 ) -> Any:
