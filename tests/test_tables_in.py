@@ -212,7 +212,7 @@ def test_azimuths_relative_to_the_plane_of_incidence(tmp_path):
     """One mirror direction, told in four ways."""
     names = "incident zenith,viewing zenith,relative azimuth,brdf"
     path = written(tmp_path, f"{names}\n30,30,0,1\n30,40,90,2\n")
-    with pytest.raises(ValueError, match="say --azimuth source if"):
+    with pytest.raises(ValueError, match="say --azimuth source or"):
         gonio.read_measured(path)
     assert gonio.read_measured(path, azimuth="mirror").phi_o.tolist() == [180, 270]
     assert gonio.read_measured(path, azimuth="source").phi_o.tolist() == [0, 90]
@@ -248,7 +248,7 @@ def test_units_below_the_names_colours_and_gaps(tmp_path):
     assert table.theta_i.tolist() == [np.degrees(0.5)]
     assert (table.value.tolist(), table.channel) == ([2], "G")
     assert "1 rows without a value are left out" in table.notes
-    with pytest.raises(ValueError, match=r"one of R, G, B for .*: say --channel"):
+    with pytest.raises(ValueError, match=r"one of R, G, B: say --channel"):
         gonio.read_measured(path, quantity="btdf")
     with pytest.raises(ValueError, match=r"one of R, G, B for .*, got 'K'"):
         gonio.read_measured(path, "K", quantity="btdf")
@@ -261,6 +261,21 @@ def test_units_below_the_names_colours_and_gaps(tmp_path):
         ("theta_i,theta_r,brf,brdf\n45,0,1,1\n", "several .* say --columns value=NAME"),
         ("theta_i,theta_r,brdf\n0.5,0,1\n", "say --columns theta_i='theta_i:rad'"),
         ("theta_i,phi_i,brdf\n45,0,1\n", "say --columns theta_o=NAME"),
+        ("a,b,c\n45,0,1\n", "say each: --columns theta_i=NAME theta_o=NAME value"),
+        # all at once, as far as it can be told
+        (
+            "theta_i,phi_i,delta_phi,b,c\n45,0,0,0,1\n",
+            "open: .1. .*columns theta_o and value are missing; .* say --columns "
+            "theta_o=NAME value=NAME; .2. .* say --quantity brdf,",
+        ),
+        (
+            "theta_i,b,450nm,550nm\n45,0,1,2\n",
+            "channel must be one of 450nm, 550nm: .*theta_o is missing.*--quantity",
+        ),
+        (
+            "theta_i,theta_r,raa,550nm\n0.5,0.4,0,1\n",
+            "be degrees or radians: .* --quantity b.* --azimuth source",
+        ),
         ("Theta measure end :\t30\nTheta Lighting\t0\n-30\t0\t0\n", "of a REFLET"),
         ("theta_i;theta_r;brdf\n45;0;x\n", "line 2, column brdf: must be a number"),
         ("theta_i;theta_r;brdf\n45;0\n", "must have 3 values separated by semicolons"),

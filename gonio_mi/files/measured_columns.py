@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,14 @@ from ..errors import FileFormatError, SettingError, abridged, shown, unknown_cha
 from .column_names import ANGLES, COLOURS, ROLES, Column, recognised, unit_of
 from .measured_table import COLUMNS, fits
 from .numbers import decimal, is_decimal
+from .open_questions import (
+    angle_units,
+    channel_question,
+    check_nothing_open,
+    missing_columns,
+    quantity_question,
+    quantity_said,
+)
 from .text_table import TextTable
 
 __all__ = ["Columns", "parsed_columns"]
@@ -41,6 +48,8 @@ class Columns:
         That of the values, and of the uncertainties if there is one.
     channel : str or None
     notes : list of str
+    open : list of str
+        Questions that must be answered before anything here is of use.
     """
 
     own: bool
@@ -49,6 +58,7 @@ class Columns:
     sigma: Column | None
     channel: str | None
     notes: list[str] = field(default_factory=list)
+    open: list[str] = field(default_factory=list)
 
 
 def parsed_columns(
@@ -88,15 +98,13 @@ def parsed_columns(
     place = f"{text.place}, line {text.number}"
     if own:
         _check_own(place, text.names)
-    picked, channels = _picked(text, known, constants, channel)
-    for role in ("theta_i", "theta_o", "value"):
-        if role not in picked and role not in constants:
-            raise FileFormatError(
-                f"{place}: the column {role} is missing; if another name stands for "
-                f"it, say --columns {role}=NAME"
-            )
-    if "phi_i" in picked and "phi_o" not in picked and "delta_phi" not in picked:
-        raise FileFormatError(f"{place}: the column phi_o is missing")
+    questions: list[str] = []
+    picked, channels = _picked(text, known, constants, channel, questions)
+    questions += missing_columns(known, constants)
+    values = [column for column in known if column and column.role == "value"]
+    if questions and not (quantity or own or quantity_said(text, values)):
+        questions.append(quantity_question())
+    check_nothing_open(place, questions)
     if "value" in constants:
         raise SettingError(f"columns must name a column of values of {text.place}")
     cells, n_missing = _numbers(text, picked, (quantity or "brdf") if own else None)
@@ -106,16 +114,21 @@ def parsed_columns(
     n = len(arrays["value"])
     arrays |= {role: np.full(n, value) for role, value in constants.items()}
     if "wavelength" in picked:
-        arrays, channels = _one_wavelength(text.place, arrays, picked, channel)
+        arrays, channels = _one_wavelength(
+            text.place, arrays, picked, channel, questions
+        )
     notes = [] if own else _notes(text, picked, constants)
     if n_missing:
         notes.append(f"{n_missing} rows without a value are left out")
-    _check_angle_units(text.place, arrays, picked, own)
+    _check_angle_units(text.place, picked)
+    if not own:
+        questions += angle_units(arrays, picked)
     for role in ANGLES:
         if role in picked:
             arrays[role] = arrays[role] * DEGREES[picked[role].unit]
     chosen = channels[0] if channels else None
-    return Columns(own, arrays, picked["value"], picked.get("sigma"), chosen, notes)
+    sigma = picked.get("sigma")
+    return Columns(own, arrays, picked["value"], sigma, chosen, notes, questions)
 
 
 def _assigned(
@@ -167,17 +180,22 @@ def _picked(
     known: Sequence[Column | None],
     constants: Mapping[str, float],
     channel: str | None,
+    questions: list[str],
 ) -> tuple[dict[str, Column], list[str]]:
-    """The one column of each role, and the channel of the values."""
+    """The one column of each role, and the channel of the values, or questions."""
     by_role: dict[str, list[Column]] = {}
     for column in known:
         if column is not None and column.role not in constants:
             by_role.setdefault(column.role, []).append(column)
     values = by_role.get("value", [])
     names = [column.channel for column in values if column.channel]
-    if len(names) > 1 or (names and channel is not None):
-        wanted = channel or ""
-        wanted = wanted if wanted in names else f"{wanted}nm"
+    if len(names) > 1 and channel is None:
+        questions.append(channel_question(names))
+        del by_role["value"]
+        by_role.pop("sigma", None)
+        names = []
+    elif names and channel is not None:
+        wanted = channel if channel in names else f"{channel}nm"
         if wanted not in names:
             raise unknown_channel(text.place, names, channel)
         by_role["value"] = [c for c in values if c.channel == wanted]
@@ -192,9 +210,9 @@ def _picked(
     for role, columns in by_role.items():
         if len(columns) > 1:
             several = ", ".join(repr(column.name) for column in columns)
-            raise FileFormatError(
-                f"{text.place}, line {text.number}: several columns may be {role} "
-                f"({several:.150}); say --columns {role}=NAME"
+            questions.append(
+                f"several columns may be {role} ({several:.150}); say --columns "
+                f"{role}=NAME"
             )
     return {role: columns[0] for role, columns in by_role.items() if columns}, names
 
@@ -243,15 +261,19 @@ def _one_wavelength(
     arrays: dict[str, Floats],
     picked: Mapping[str, Column],
     channel: str | None,
+    questions: list[str],
 ) -> tuple[dict[str, Floats], list[str]]:
-    """Rows of one wavelength of a table that has it in a column."""
+    """Rows of one wavelength of a table that has it in a column, or a question."""
     nm = arrays.pop("wavelength") * NM.get(picked["wavelength"].unit, 1.0)
     names = {f"{one:.10g}nm": one for one in np.unique(nm)}
     if channel is None and len(names) == 1:
         channel = next(iter(names))
     if channel not in names and f"{channel}nm" in names:
         channel = f"{channel}nm"
-    if channel is None or channel not in names:
+    if channel is None:
+        questions.append(channel_question(names))
+        return arrays, []
+    if channel not in names:
         raise unknown_channel(place, names, channel)
     here = np.abs(nm - names[channel]) <= SAME_WAVELENGTH
     return {role: array[here] for role, array in arrays.items()}, [channel]
@@ -277,24 +299,10 @@ def _notes(
     return notes
 
 
-def _check_angle_units(
-    place: str, arrays: Mapping[str, Any], picked: Mapping[str, Column], own: bool
-) -> None:
-    """Raise FileFormatError for angles in no unit of angles, or in either of two."""
+def _check_angle_units(place: str, picked: Mapping[str, Column]) -> None:
+    """Raise FileFormatError for angles in no unit of angles."""
     for role in (r for r in ANGLES if r in picked and picked[r].unit not in DEGREES):
         raise FileFormatError(
             f"{place}: the angle {role} must be in deg or rad, got "
             f"{shown(picked[role].name.strip(), 60)}"
-        )
-    silent = [r for r in ANGLES if r in picked and not picked[r].unit]
-    if own or not silent:
-        return
-    largest = max(np.abs(arrays[role]).max() for role in silent)
-    whole = all((arrays[role] == np.round(arrays[role])).all() for role in silent)
-    if 0 < largest <= 2 * np.pi and not whole:
-        role = silent[0]
-        raise FileFormatError(
-            f"{place}: its angles are at most {largest:.4g} and may be degrees or "
-            f"radians; say --columns {role}='{picked[role].name.strip()}:rad' (or "
-            f":deg), and so of each"
         )

@@ -1,6 +1,5 @@
 """Tables of measured values in plain text: as we write them, and as others do."""
 
-import re
 from collections.abc import Mapping
 from os import PathLike
 from typing import Any, NamedTuple
@@ -8,25 +7,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import FileFormatError, SettingError, checked_choice
+from ..errors import FileFormatError, checked_choice
 from .column_names import recognised
 from .measured_columns import Columns, parsed_columns
 from .measured_header import parsed_keys
 from .measured_table import COLUMNS, QUANTITIES, MeasuredTable
+from .open_questions import check_nothing_open, quantity_question, titled_quantity
 from .text_table import TextTable, split_text
 
 __all__ = ["AZIMUTHS", "Said", "read_text"]
 
 # What azimuths of exit count from.
 AZIMUTHS = ("specimen", "source", "mirror")
-
-# What titles and names of files call the quantities.
-HINTS = (
-    (r"\b(BRF|reflectance factors?|radiance factors?)\b", "reflectance_factor"),
-    (r"\b(cosine.corrected BRDF|CCBRDF|BRDF ?[*x] ?cos)", "brdf_cos"),
-    (r"\bBTDF\b", "btdf"),
-    (r"\bBRDF\b", "brdf"),
-)
 
 
 class Said(NamedTuple):
@@ -54,12 +46,12 @@ def read_text(path: str | PathLike[str], said: Said) -> MeasuredTable:
         checked_choice("azimuth", azimuth, AZIMUTHS)
     parsed = parsed_columns(text, settings.get("quantity"), channel, columns)
     notes = parsed.notes
-    settings["quantity"] = _quantity(text, parsed, settings.get("quantity"), notes)
+    quantity = _quantity(text, parsed, settings.get("quantity"), notes)
     arrays = parsed.arrays
     values, sigma = _values(arrays, parsed, settings, notes)
-    directions: dict[str, Any] = _directions(
-        text.place, arrays, parsed.own, azimuth, notes
-    )
+    directions: dict[str, Any] = _directions(arrays, parsed, azimuth)
+    check_nothing_open(text.place, parsed.open)
+    settings["quantity"] = quantity
     if settings["quantity"] == "btdf" and not parsed.own:
         directions["theta_o"] = _from_lit_side(directions["theta_o"], notes)
     if parsed.channel is not None:
@@ -80,7 +72,7 @@ def read_text(path: str | PathLike[str], said: Said) -> MeasuredTable:
 
 def _quantity(
     text: TextTable, parsed: Columns, said: str | None, notes: list[str]
-) -> str:
+) -> str | None:
     """What the values are: as said, as the names or titles have it, or asked for."""
     if said is not None:
         named = parsed.value.quantity
@@ -95,18 +87,12 @@ def _quantity(
     if parsed.value.quantity:
         notes.append(f"the values are {parsed.value.quantity}, as their name says")
         return parsed.value.quantity
-    title = "\n".join(line for _, line in (*text.titles, *text.comments))
-    found = [
-        q for pattern, q in HINTS if re.search(pattern, title.replace("_", " "), re.I)
-    ]
-    if len(set(found)) == 1:
-        notes.append(f"the values are {found[0]}, as the title says")
-        return found[0]
-    raise FileFormatError(
-        f"{text.place} does not say what its values "
-        f"({parsed.value.name.strip()!r:.40}) are: say --quantity "
-        f"{', '.join(QUANTITIES[:-1])} or {QUANTITIES[-1]}"
-    )
+    titled = titled_quantity(text)
+    if titled is None:
+        parsed.open.append(quantity_question(parsed.value.name))
+    else:
+        notes.append(f"the values are {titled}, as the title says")
+    return titled
 
 
 def _values(
@@ -141,13 +127,10 @@ def _values(
 
 
 def _directions(
-    place: str,
-    arrays: Mapping[str, Floats],
-    own: bool,
-    azimuth: str | None,
-    notes: list[str],
+    arrays: Mapping[str, Floats], parsed: Columns, azimuth: str | None
 ) -> dict[str, Floats]:
     """Polar angles, and azimuths of the specimen, in degrees."""
+    own, notes = parsed.own, parsed.notes
     theta_i, theta_o = arrays["theta_i"], arrays["theta_o"]
     zero = np.zeros(len(theta_i))
     phi_i = arrays.get("phi_i", zero)
@@ -164,10 +147,9 @@ def _directions(
         needed = (theta_o != 0).any() and (theta_i != 0).any()
         if needed and azimuth in (None, "specimen"):
             what = "angles" if signed else "azimuths"
-            raise SettingError(
-                f"{place} has {what} relative to the plane of incidence: say --azimuth "
-                "source if the side of the source is 0 (or positive), --azimuth mirror "
-                "if that of the mirror direction is"
+            parsed.open.append(
+                f"its {what} are relative to the plane of incidence: say --azimuth "
+                "source or --azimuth mirror, by whose side is 0 (or positive)"
             )
         phi_o = phi_i + relative + (180 if azimuth == "mirror" else 0)
         notes.append(
