@@ -485,7 +485,8 @@ ROW = "45,0,30,180,0.3,0.001"
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        (["theta_i,phi_i,theta_o,value", "45,0,30,0.3"], "line 1 leaves open: .1. the column phi_o is"),
+        (["theta_i,phi_i,theta_o,value", "45,0,30,0.3"],
+         "line 1 leaves open: .1. the column phi_o is"),
         ([HEADER, ROW, "45,0,30,180,bright,0"],
          "line 3, column value: must be a number, got 'bright'"),
         ([HEADER, "45,0,91,180,0.3,0"],

@@ -137,8 +137,8 @@ def split_text(
         number, text = lines[0]
         raise FileFormatError(
             f"{path}, line {number}: must name the columns {wanted}, got "
-            f"{shown(text)}; where other names stand for them, say each: --columns theta_i=NAME "
-            "theta_o=NAME value=NAME"
+            f"{shown(text)}; where other names stand for them, say each: --columns "
+            "theta_i=NAME theta_o=NAME value=NAME"
         )
     text = dict(candidates)[number]
     rows = [line for line in lines if line[0] > number]
