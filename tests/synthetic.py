@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import mitsuba as mi
 import numpy as np
 
 from gonio_mi.collector import subdivision
@@ -176,20 +175,6 @@ def facet_lobes(patches, incidents, widths=(0.1, 0.2), of=facets, **more):
     flux = [of(points, *one, widths, **more).mean(axis=1) for one in incidents]
     flux = np.reshape(flux, (-1, *patches.shape)) * patches.projected_solid_angles
     return flux / flux.sum(axis=(1, 2), keepdims=True) / 2
-
-
-def plugin_means(bsdf, patches, theta_i, phi_i, n_points):
-    """Flux fractions of both hemispheres by the plugin's values at points."""
-    upper = patches.points(n_points).reshape(-1, 3)
-    si = mi.SurfaceInteraction3f()
-    si.wi = mi.Vector3f(direction(*np.radians([theta_i, phi_i])).tolist())
-    context = mi.BSDFContext(mi.TransportMode.Importance)
-    found = []
-    for wo in (upper, upper * [1, 1, -1]):
-        value = bsdf.eval(context, si, mi.Vector3f(*wo.T.tolist())).numpy()[0]
-        value = (value / upper[:, 2]).reshape(*patches.shape, -1).mean(axis=-1)
-        found.append(value * patches.projected_solid_angles)
-    return np.array(found)
 
 
 def huge():

@@ -1,11 +1,10 @@
 """Lobes between azimuths: a surface of known micro-normals, lit from all around."""
 
-import mitsuba as mi
 import numpy as np
 import pytest
 import synthetic
-from budget import agree, disagree, scores, verdict
-from synthetic import facet_lobes, facets_through, plugin_means
+from sampled_material import check_samples
+from synthetic import facet_lobes, facets_through
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
@@ -14,9 +13,6 @@ from gonio_mi.materials.incident_grid import IncidentGrid
 
 # Of the sums of some ten numbers of double precision.
 DOUBLE = 1e-14
-
-# Eight standard deviations of which hemisphere 2**17 rays choose, twice.
-SHARES_OF_RAYS = 8 * np.sqrt(2.0**-17)
 
 EVERY_30 = tuple(range(0, 360, 30))
 
@@ -176,21 +172,4 @@ def test_samples_follow_the_values(theta_i, tmp_path):
     lower = facet_lobes(patches, incidents, (0.3, 0.6), **how) / 2
     record = record_of(patches, incidents, upper, lower)
     assert IncidentGrid.of(record, record.flux_fraction).eta is not None
-    record.save(tmp_path / "brushed.npz")
-    plugin = {"type": "goniometric", "filename": str(tmp_path / "brushed.npz")}
-    coarse = gonio.subdivision("projected:6x8")
-    how = {"collector": coarse, "rays": 2**17, "sampler": "independent"}
-    seen = gonio.measure(plugin, theta_i, 10, **how)
-    # all light of the neighbours is kept
-    assert abs(seen.dhr[0] - 0.25) + abs(seen.dht[0] - 0.25) <= SHARES_OF_RAYS
-    bsdf = mi.load_dict(plugin)
-    right, rough, wrong = (
-        plugin_means(bsdf, coarse, theta_i, phi_i, n_points)
-        for phi_i, n_points in ((10, 96), (10, 48), (14, 96))
-    )
-    # of the first order at least: what points leave is below what twice as many change
-    assert abs(right.sum() - 0.5) <= np.abs(right - rough).sum()
-    for hemisphere in (0, 1):
-        one, other = right[hemisphere], wrong[hemisphere]
-        agree(verdict(scores(seen, one, hemisphere)))
-        disagree(verdict(scores(seen, other, hemisphere)))
+    check_samples(record, theta_i, 14, tmp_path)

@@ -1,25 +1,29 @@
 """Lobes between polar angles: by micro-normals where the records say so."""
 
+from dataclasses import replace
+
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 import synthetic
-from budget import agree, disagree, scores, verdict
-from synthetic import facet_lobes, facets_through, plugin_means
+from budget import agree, count_verdict, disagree
+from sampled_material import check_samples
+from synthetic import facet_lobes, facets_through
 
 import gonio_mi as gonio
+from gonio_mi.collector.directions import direction
 from gonio_mi.instrument.prediction import Prediction
+from gonio_mi.materials.azimuth_trials import tried_indices
 from gonio_mi.materials.leg_trials import best_face
 from gonio_mi.materials.lit_face import LitFace
 from gonio_mi.materials.lobes import LobeTable
+from gonio_mi.materials.moving_points import Way
 from gonio_mi.results.misplacement import misplaced
 
 pytestmark = pytest.mark.usefixtures("mono")
 
 ANGLES = (0, 20, 40, 60)
-
-# Eight standard deviations of which hemisphere 2**17 rays choose, twice.
-SHARES_OF_RAYS = 8 * np.sqrt(2.0**-17)
 
 
 def record_of(patches, angles, *hemispheres):
@@ -51,10 +55,10 @@ def test_records_say_how_their_lobes_move(eta):
         (fixed, fixed, []),
     ):
         record = record_of(patches, angles, reflected, transmitted)
-        face = best_face(LobeTable.of(record))
-        assert [way.hemisphere for way in face.normals.ways if all(way.legs)] == moving
+        ways = best_face(LobeTable.of(record)).lobes.normals.ways
+        assert [way.hemisphere for way in ways if all(way.legs)] == moving
         if 1 in moving:
-            assert (face.normals.ways[-1].eta > 1) == (eta > 1)
+            assert (ways[-1].eta > 1) == (eta > 1)
 
 
 def test_each_leg_moves_as_the_nearest_records_say():
@@ -64,7 +68,7 @@ def test_each_leg_moves_as_the_nearest_records_say():
     upper, _ = facets_both(patches, angles)
     upper[:5] = synthetic.specular(patches, 20, 90, 20) / 4
     record = record_of(patches, angles, upper)
-    ((way,),) = [best_face(LobeTable.of(record)).normals.ways]
+    ((way,),) = [best_face(LobeTable.of(record)).lobes.normals.ways]
     # the record at 40 degrees is between two that have nothing in common
     assert way.legs[:3] == (False,) * 3
     assert way.legs[5:] == (True,) * 2
@@ -74,7 +78,17 @@ def test_too_few_angles_say_nothing():
     """Of two no one is between others."""
     patches = gonio.subdivision("projected:24x48")
     record = record_of(patches, ANGLES[:2], *facets_both(patches, ANGLES[:2]))
-    assert not best_face(LobeTable.of(record)).normals.ways
+    assert not best_face(LobeTable.of(record)).lobes.normals.ways
+
+
+def test_light_of_the_normal_alone_says_no_index():
+    """It has a mean direction, by noise or an uneven lobe, but nothing bent it."""
+    patches = gonio.subdivision("projected:6x8")
+    light = np.zeros((2, *patches.shape))
+    theta_i = np.array([0.0, 30.0])
+    for number, some in ((0, False), (1, True)):
+        light[number, 0, 4] = 0.1
+        assert bool(tried_indices(light, theta_i, 0 * theta_i, patches)) == some
 
 
 @pytest.mark.parametrize("theta_i", [10, 50])
@@ -104,21 +118,52 @@ def test_samples_follow_the_values(theta_i, tmp_path):
     """Also beyond the last angle, where light stays; twin: of another direction."""
     patches = gonio.subdivision("projected:24x36")
     record = record_of(patches, ANGLES, *facets_both(patches, ANGLES))
-    assert len(best_face(LobeTable.of(record)).normals.ways) == 2
-    record.save(tmp_path / "facets.npz")
-    plugin = {"type": "goniometric", "filename": str(tmp_path / "facets.npz")}
-    coarse = gonio.subdivision("projected:6x8")
-    how = {"collector": coarse, "rays": 2**17, "sampler": "independent"}
-    seen = gonio.measure(plugin, theta_i, 10, **how)
-    # all light of the records is kept
-    assert abs(seen.dhr[0] - 0.25) + abs(seen.dht[0] - 0.25) <= SHARES_OF_RAYS
-    bsdf = mi.load_dict(plugin)
-    right, rough, wrong = (
-        plugin_means(bsdf, coarse, theta_i, phi_i, n_points)
-        for phi_i, n_points in ((10, 96), (10, 48), (40, 96))
+    assert len(best_face(LobeTable.of(record)).lobes.normals.ways) == 2
+    check_samples(record, theta_i, 40, tmp_path)
+
+
+def shares(face, wi, patches):
+    """Density times area of both hemispheres' patches, by points."""
+    points = patches.points(48).reshape(-1, 3)
+    found = []
+    for up in (1, -1):
+        wo = mi.Vector3f(np.ascontiguousarray((points * [1, 1, up]).T, np.float32))
+        _, pdf = face.eval_pdf(wi, wo, (True, True), mi.Bool(True), mi.Spectrum(0))
+        density = (pdf.numpy() / points[:, 2]).reshape(patches.n_patches, -1)
+        found += [density.mean(axis=1) * patches.projected_solid_angles.ravel()]
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize(("reflects", "eta"), [(True, None), (False, 1.5)])
+def test_samples_follow_values_where_lanes_move_in_different_ways(reflects, eta):
+    """On each leg, in each hemisphere and between azimuths; twin: by quantiles only."""
+    patches, coarse = (
+        gonio.subdivision("projected:12x24"),
+        gonio.subdivision("projected:6x8"),
     )
-    # of the first order at least: what points leave is below what twice as many change
-    assert abs(right.sum() - 0.5) <= np.abs(right - rough).sum()
-    for hemisphere in (0, 1):
-        agree(verdict(scores(seen, right[hemisphere], hemisphere)))
-        disagree(verdict(scores(seen, wrong[hemisphere], hemisphere)))
+    incidents = [(theta, phi) for theta in ANGLES for phi in range(0, 360, 60)]
+    upper = facet_lobes(patches, incidents, (0.1, 0.2))
+    how = {"of": facets_through, "eta": 1.5}
+    lower = facet_lobes(patches, incidents, (0.2, 0.4), **how)
+    theta_i, phi_i = np.transpose(incidents)
+    weights = np.stack([upper / 2, lower / 2], axis=1)
+    table = LobeTable.of(synthetic.exact(weights, theta_i, str(patches), phi_i))
+    table = replace(table, grid=replace(table.grid, reflects=reflects, eta=eta))
+    ways = Way(0, None, (False, True, False)), Way(1, 1.5, (True, False, True))
+    face, quantiles = LitFace(table, ways=ways), LitFace(table)
+    lights = direction(*np.radians([[30, 50, 75], [14, 200, 355]]))
+    rays, generator = 2**16, np.random.default_rng(1)
+    wi = mi.Vector3f(np.repeat(lights, rays, axis=0).T.astype(np.float32))
+    numbers = generator.random((3, 3 * rays), np.float32)
+    samples = mi.Float(numbers[0]), mi.Point2f(numbers[1:])
+    wo = face.sample(wi, (True, True), *samples).numpy().T
+    below = wo[:, 2] < 0
+    patch = coarse.patch(wo * np.where(below, [[1], [1], [-1]], 1).T)
+    patch += coarse.n_patches * below
+    counts = [
+        np.bincount(own, minlength=2 * coarse.n_patches) for own in patch.reshape(3, -1)
+    ]
+    lit = [mi.Vector3f(light.tolist()) for light in lights]
+    dr.make_opaque(lit)
+    agree(count_verdict(counts, [shares(face, one, coarse) for one in lit]))
+    disagree(count_verdict(counts, [shares(quantiles, one, coarse) for one in lit]))

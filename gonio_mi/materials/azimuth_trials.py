@@ -44,7 +44,7 @@ def tried_indices(
         away = -(middles @ np.array([np.cos(phi), np.sin(phi)]))
         means += float((lobe * away).sum())
         sines += float(np.sin(theta) * lobe.sum())
-    if means <= 0:
+    if not (means > 0 and sines > 0):  # light that goes back, or is of the normal alone
         return []
     tried = [sines / means * factor for factor in INDICES]
     return [eta for eta in tried if abs(eta - 1) > BENT]

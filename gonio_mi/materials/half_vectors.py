@@ -1,10 +1,10 @@
-"""Lobes between azimuths of incidence: sent by micro-normals that stay.
+"""Lobes between directions of incidence: sent by micro-normals that stay.
 
 A brushed surface looks the same from everywhere, but for where it reflects light to:
 light that was measured in one direction was reflected, if once, at the normal halfway
 to where it came from (the half vector; Torrance and Sparrow 1967,
 doi:10.1364/JOSA.57.001105), and at the same normal it is reflected elsewhere when it
-comes from another azimuth. Rough glass refracts likewise (Walter et al. 2007,
+comes from another direction. Rough glass refracts likewise (Walter et al. 2007,
 doi:10.2312/EGWR/EGSR07/195-206). What would be sent beyond the horizon, or to where no
 normal refracts, stays where it is, so that no light is lost.
 

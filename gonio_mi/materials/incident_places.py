@@ -62,6 +62,10 @@ class IncidentPlaces:
         first = read(self.phi_i, mi.UInt32(0))
         return dr.select(normal, first, mi.Float64(dr.atan2(wi.y, wi.x)))
 
+    def measured(self, azimuth: mi.UInt32) -> mi.Float64:
+        """Azimuth of the records of that number, in radians."""
+        return read(self.phi_i, azimuth)
+
     def around(self, wi: mi.Vector3f, phi: mi.Float64) -> list[Place]:
         """Return the one or two measured azimuths to mix for `wi`, whose own is phi."""
         leg, t = mi.UInt32(0), mi.Float64(0)

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 
 import drjit as dr
 import mitsuba as mi
 
 from ..array_types import Floats
-from .disk import DiskPoint, seen_from, towards
+from .disk import seen_from, towards
 from .incident_places import IncidentPlaces, Place
-from .lit_lobes import LitLobes
 from .lobes import LobeTable
-from .moving_points import Legs, MicroNormals, Way
+from .moving_lobes import MovingLobes
+from .moving_points import Way
 from .table_reading import doubles, read
 
 __all__ = ["LitFace"]
@@ -31,8 +30,7 @@ class LitFace:
     wavelengths : sequence of float, optional
         Of the table's channels in nm, for spectral variants.
     ways : sequence of Way, optional
-        Where light keeps its micro-normals between polar angles; elsewhere it moves by
-        :class:`Legs`. See :func:`.leg_trials.best_face`.
+        Of :class:`.moving_lobes.MovingLobes`; see :func:`.leg_trials.best_face`.
     """
 
     def __init__(
@@ -43,18 +41,8 @@ class LitFace:
     ) -> None:
         self.wavelengths = wavelengths
         self.n_azimuths, self.n_angles, self.n_hemispheres = table.brdf.shape[:3]
-        self.incident, self.legs = IncidentPlaces(table.grid), Legs(table)
-        grid, number = table.grid, range(self.n_hemispheres)
-        moving = [n for n in number if self.n_azimuths > 1 and grid.moves(n)]
-        self.normals = MicroNormals(ways, moving)
-        by_normals = [way.hemisphere for way in ways if all(way.legs)]
-        by_legs = [n for n in number if n not in by_normals]
-        every = (True,) * self.incident.n_legs
-        between = [
-            Way(n, grid.eta if n else None, every) for n in by_legs if n in moving
-        ]
-        self.azimuths, self.by_legs = MicroNormals(between, moving), bool(by_legs)
-        self.lobes = LitLobes(table)
+        self.incident = IncidentPlaces(table.grid)
+        self.lobes = MovingLobes(table, self.incident, ways)
         self.flux = doubles(table.flux.mean(axis=-1))
 
     # -------------------------------------------------------------- value and density
@@ -118,100 +106,9 @@ class LitFace:
         for place in self.incident.around(wi, phi_i):
             for number in self._hemispheres(enabled):
                 total += sum(self._fluxes(place, number))
-            brdf = self._brdf(place, hemisphere, point, wanted)
+            brdf = self.lobes.values(place, hemisphere, point, wanted)
             value = [a + place.weight * b for a, b in zip(value, brdf)]
         return value, total, wanted
-
-    def _brdf(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
-    ) -> list[mi.Float64]:
-        """BRDF of one azimuth at that of incidence."""
-        if not self.normals.ways:
-            return self._by_legs(place, hemisphere, point, active)
-        moves = self.normals.move(place, hemisphere)
-        values = self._by_normals(place, hemisphere, point, active & moves)
-        if self.by_legs:
-            others = self._by_legs(place, hemisphere, point, active & ~moves)
-            values = [a + b for a, b in zip(values, others)]
-        return values
-
-    def _by_normals(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
-    ) -> list[mi.Float64]:
-        """What micro-normals of both ends of the leg send, and what of them stays."""
-        values = [mi.Float64(0)] * self.lobes.n_channels
-        phi_i = self._azimuth(place)
-        for end, z in enumerate(place.ends):
-            row = place.rows[end] * self.n_hemispheres + hemisphere
-            at = place, z, hemisphere, point
-            source, stretch, comes = self.normals.came_from(*at)
-            sent = self.lobes.values(row, phi_i, source, active & comes)
-            _, leaves = self.normals.goes_to(*at)
-            stays = self._seldom(
-                point, active & ~leaves, partial(self.lobes.values, row, phi_i)
-            )
-            share = place.share(end)
-            values = [
-                v + share * (stretch * a + b) for v, a, b in zip(values, sent, stays)
-            ]
-        return values
-
-    def _by_legs(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
-    ) -> list[mi.Float64]:
-        """What moves along the legs, and between azimuths perhaps by micro-normals.
-
-        What these send to a point, and what they would send beyond the horizon and
-        therefore stays.
-        """
-        if not self.azimuths.ways:
-            return self._of_azimuth(place, hemisphere, point, active)
-        at = place, place.z_i, hemisphere, point
-        source, stretch, comes = self.azimuths.came_from(*at)
-        sent = self._of_azimuth(place, hemisphere, source, active & comes)
-        _, leaves = self.azimuths.goes_to(*at)
-        stays = self._seldom(
-            point, active & ~leaves, partial(self._of_azimuth, place, hemisphere)
-        )
-        return [stretch * a + b for a, b in zip(sent, stays)]
-
-    def _seldom(
-        self,
-        point: DiskPoint,
-        active: mi.Bool,
-        values: Callable[[DiskPoint, mi.Bool], list[mi.Float64]],
-    ) -> list[mi.Float64]:
-        """Values of few lanes: all others skip them, which halves the time."""
-
-        def looked_up(x: mi.Float64, v: mi.Float64) -> list[mi.Float64]:
-            return values(DiskPoint(x, v), active)
-
-        def nothing(*_: mi.Float64) -> list[mi.Float64]:
-            return [mi.Float64(0)] * self.lobes.n_channels
-
-        found: list[mi.Float64] = dr.if_stmt(
-            (point.x, point.v), active, looked_up, nothing
-        )
-        return found
-
-    def _of_azimuth(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
-    ) -> list[mi.Float64]:
-        """BRDF at the azimuth of the place: of both ends of the leg, moved to there."""
-        sources = [(point, mi.Float64(1))] * 2
-        if self.n_angles > 1:
-            sources = self.legs.moved(place, hemisphere, point, place.t, (0, 1))
-        values = [mi.Float64(0)] * self.lobes.n_channels
-        phi_i = self._azimuth(place)
-        for end, (source, stretch) in enumerate(sources):
-            row = place.rows[end] * self.n_hemispheres + hemisphere
-            own = self.lobes.values(row, phi_i, source, active)
-            share = stretch * place.share(end)
-            values = [a + share * b for a, b in zip(values, own)]
-        return values
-
-    def _azimuth(self, place: Place) -> mi.Float64:
-        return read(self.incident.phi_i, place.azimuth)
 
     def _fluxes(self, place: Place, hemisphere: int) -> tuple[mi.Float64, mi.Float64]:
         """Light that both ends of the leg contribute to a hemisphere."""
@@ -250,30 +147,12 @@ class LitFace:
         wo = mi.Vector3f(point.x, point.y, height)
         parts = []
         for place in self.incident.around(wi, phi_i):
-            start = seen_from(wo, self._azimuth(place))
+            start = seen_from(wo, self.incident.measured(place.azimuth))
             for end, row in enumerate(place.rows):
-                moved = self._carried(place, number, start, mi.Float64(end))
+                moved = self.lobes.moved(place, number, start, mi.Float64(end))
                 share = place.weight * place.share(end)
                 parts.append((row, share, towards(moved, phi_i, up)))
         return parts
-
-    def _carried(
-        self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, end: mi.Float64
-    ) -> DiskPoint:
-        """Where a point of the lobe at an end of a leg is for incident light."""
-        moved = point
-        if self.n_angles > 1 and self.by_legs:
-            ((moved, _),) = self.legs.moved(place, hemisphere, point, end, [place.t])
-        if self.azimuths.ways:
-            moved, _ = self.azimuths.goes_to(place, place.z_i, hemisphere, moved)
-        if not self.normals.ways:
-            return moved
-        z = dr.select(end > 0.5, place.ends[-1], place.ends[0])
-        sent, _ = self.normals.goes_to(place, z, hemisphere, point)
-        this = self.normals.move(place, hemisphere)
-        return DiskPoint(
-            dr.select(this, sent.x, moved.x), dr.select(this, sent.v, moved.v)
-        )
 
     def sample(
         self,
@@ -293,19 +172,15 @@ class LitFace:
         if not choices:
             return mi.Vector3f(0)
         left = mi.Float64(sample1) * sum(flux for *_, flux in choices)
-        picked = [mi.UInt32(0)] * 4 + [mi.Float64(0)] * 2
+        picked = [mi.UInt32(0)] * 5 + [mi.Float64(0)] * 2
         for place, end, number, flux in choices:
             # one without light is never picked, however `left` is rounded
             this = (left >= 0) & (flux > 0)
-            row, at = place.rows[end], float(end)
-            own = place.azimuth, place.leg, row, number, at, place.past
+            own = place.azimuth, place.leg, *place.rows, number, float(end), place.past
             picked = [dr.select(this, new, old) for new, old in zip(own, picked)]
             left -= flux
-        azimuth, leg, row, hemisphere, end, past = picked
-        first = choices[0][0]
-        rows = row, row
-        place = Place(1, azimuth, leg, rows, first.t, past, first.z_i, first.ends)
-        row = row * self.n_hemispheres + hemisphere
-        point = self.lobes.drawn(row, self._azimuth(place), sample2)
-        point = self._carried(place, hemisphere, point, end)
+        azimuth, leg, *rows, hemisphere, end, past = picked
+        first = choices[0][0]  # both have the same polar angle
+        place = Place(1, azimuth, leg, (*rows,), first.t, past, first.z_i, first.ends)
+        point = self.lobes.drawn(place, hemisphere, end, sample2)
         return towards(point, phi_i, hemisphere == 0)

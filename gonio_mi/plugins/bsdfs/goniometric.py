@@ -55,21 +55,22 @@ class Goniometric(mi.BSDF):
     With a lower hemisphere in the record, component 0 is reflection and component 1
     transmission. At an incident direction of the record, the BSDF is the record: its
     means over patches are those measured, and within a patch it is linear, as the
-    patches around suggest (constant in a Klems file). Between two polar angles lobes
-    *move*: both are shifted over the disk onto which the hemisphere projects, towards
-    the place that lies between them by :math:`\sin\theta_i` (of quantiles of their
-    light, along the plane of incidence and then across it), and mixed. A mirror lobe
-    stays at the mirror angle, a diffuse lobe where it is, and reflectance and
-    transmittance are linear in :math:`\sin\theta_i`, never above the greater of the
-    two. Azimuths turn with that of incidence; between two measured azimuths both
-    neighbours are mixed. First they are moved to where the same micro-normals (half
-    vectors) reflect to, or refract to, if this predicts records of four azimuths or
-    more better from their neighbours; for either hemisphere on its own, and of
-    transmission with the refractive index that fits the records. What would go beyond
-    the horizon stays. Outside of the polar angles of the record, the nearest counts.
-    How wrong all this is between the directions, a record of a campaign with a
-    ``tolerance`` tells: its setting ``campaign`` holds the errors at directions that
-    were never used.
+    patches around suggest (constant in a Klems file). Between two polar angles the
+    lobes of both *move* to the place that lies between them, and are mixed linearly in
+    :math:`\sin\theta_i`, and so are reflectance and transmittance. On each of these
+    legs, and for either hemisphere on its own, they move in the way by which the
+    record's nearest angle is better predicted from the next smaller and the next larger
+    one: either by the quantiles of their light, along the plane of incidence and then
+    across it, over the disk onto which the hemisphere projects; or to where the same
+    micro-normals (half vectors) reflect to, or refract to with the refractive index
+    that fits the records. A mirror lobe stays at the mirror angle in both ways.
+    Azimuths turn with that of incidence; between two measured azimuths both neighbours
+    are mixed. First they are moved by their micro-normals, if this predicts records of
+    four azimuths or more better from their neighbours. What would go beyond the horizon
+    stays. Outside of the polar angles of the record, lobes of the nearest one move on
+    by their micro-normals, or stay. How wrong all this is between the directions, a
+    record of a campaign with a ``tolerance`` tells: its setting ``campaign`` holds the
+    errors at directions that were never used.
 
     In importance mode :math:`\omega_i` looks to the emitter, and the value is what was
     measured: flux per incident flux, in which nothing is divided by :math:`\eta^2`.
