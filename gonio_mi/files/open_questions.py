@@ -12,7 +12,10 @@ from .measured_table import QUANTITIES
 from .text_table import TextTable
 
 __all__ = [
+    "angle_units",
+    "channel_question",
     "check_nothing_open",
+    "missing_columns",
     "quantity_question",
     "quantity_said",
     "titled_quantity",

@@ -146,10 +146,8 @@ class Topography:
     @property
     def described(self) -> str:
         """Statistics and unit of the heights, and whether they are too coarse."""
-        steps, unit = (
-            self._slope_steps(),
-            "" if self.unit is None else f" in {self.unit}",
-        )
+        steps = self._slope_steps()
+        unit = "" if self.unit is None else f" in {self.unit}"
         coarse = "" if steps is None else f"; slopes in steps of {steps[1]}"
         return f"{self.statistics}{unit}{coarse}"
 
