@@ -1,5 +1,6 @@
 """What users do around a measurement: threads, Dr.Jit's flags, plugins that raise."""
 
+import gc
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -8,6 +9,7 @@ import mitsuba as mi
 import pytest
 
 import gonio_mi as gonio
+from gonio_mi.errors import SpecimenError
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.transport.kernels import check_all_counted
 
@@ -180,6 +182,34 @@ def registered(name, mistake):
             return "Plugin[]"
 
     mi.register_bsdf(name, Plugin)
+
+
+def test_what_was_refused_takes_part_in_no_kernel(mono):  # noqa: ARG001
+    """A BSDF without `sample`, though its error is kept and no garbage collected."""
+
+    class Lacking(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            checks = {"type": "diffuse", "reflectance": {"type": "checkerboard"}}
+            self.nested = mi.load_dict(checks)
+            self.m_components = [mi.BSDFFlags.DiffuseReflection]
+            self.m_flags = mi.BSDFFlags.DiffuseReflection
+
+        def eval(self, ctx, si, wo, active):
+            return self.nested.eval(ctx, si, wo, active)
+
+        def to_string(self):
+            return "Lacking[]"
+
+    mi.register_bsdf("lacking_sample", Lacking)
+    gc.disable()
+    try:
+        with pytest.raises(SpecimenError, match="the same BSDF all over") as kept:
+            gonio.measure({"type": "lacking_sample"}, 30, estimator="quadrature")
+        assert gonio.measure(PLATE, 30, **SMALL, trace=True).ledger.emitted > 0
+        assert kept.value.__traceback__ is not None
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize(

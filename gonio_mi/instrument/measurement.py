@@ -103,14 +103,13 @@ def measure_stacks(
     measured.name = specimen_name(specimen, parameters)
     instrument.check(measured)
     described = described_digest(emitter)
-    # kept, for with a scene its emitters go
-    scenes = [
-        emitter_scene(scene, emitter, incident, settings.side) for incident in incidents
-    ]
-    benches = [
-        instrument.bench(measured, lit.emitters(), incident, described, orders)
-        for lit, incident in zip(scenes, incidents)
-    ]
+    # scenes are kept, for with them their emitters go; no comprehension, for its cells
+    # would keep the specimen as long as an error
+    scenes, benches = [], []
+    for incident in incidents:
+        scenes.append(emitter_scene(scene, emitter, incident, settings.side))
+        lit = scenes[-1].emitters()
+        benches.append(instrument.bench(measured, lit, incident, described, orders))
     keys = [(settings.seed, *incident_key(incident)) for incident in incidents]
     return _sent(instrument, benches, keys, resume, progress)
 

@@ -61,12 +61,11 @@ def launches_kernels(
                 try:
                     return function(*args, **kwargs)
                 except BaseException as error:
-                    causes = list(_chain(error))
-                    for cause in causes:
-                        traceback.clear_frames(cause.__traceback__)
+                    # no variable of this very frame may hold what holds the frame
+                    _let_go(error)
                     if not _is_wrapped(error):
                         raise
-                    raise causes[-1] from None
+                    raise _first_cause(error) from None
 
         return entrance
 
@@ -102,6 +101,18 @@ def _is_wrapped(error: BaseException) -> bool:
         and error.__cause__ is not None
         and "encountered an exception" in str(error)
     )
+
+
+def _let_go(error: BaseException) -> None:
+    """Release the variables of the tracebacks of an error and of its causes."""
+    for cause in _chain(error):
+        traceback.clear_frames(cause.__traceback__)
+
+
+def _first_cause(error: BaseException) -> BaseException:
+    """The error that led to all others."""
+    *_, first = _chain(error)
+    return first
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:
