@@ -8,7 +8,6 @@ from functools import partial
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from ..array_types import Floats, Integers
 from ..collector.directions import direction
@@ -92,6 +91,8 @@ def _index(table: LobeTable, trials: Sequence[_Trial]) -> float | None:
     error = partial(trials[len(trials) // 2].error, 1, True)
     best = min(tried, key=error)
     around = best * (1 - NEAR), best * (1 + NEAR)
+    from scipy.optimize import minimize_scalar  # half a second, which no other needs
+
     found = minimize_scalar(error, bounds=around, method="bounded", options=FINELY)
     return min(best, float(found.x), key=error)
 
