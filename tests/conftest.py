@@ -48,7 +48,8 @@ def _set_variant(name):
     return name
 
 
-def pytest_collection_finish():
+@pytest.fixture(autouse=True, scope="module")
+def settled():
     """Let `gc.collect` look at what comes after only: microseconds, not 0.3 s."""
     gc.collect()
     gc.freeze()
