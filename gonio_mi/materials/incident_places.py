@@ -80,7 +80,7 @@ class IncidentPlaces:
         if self.n_azimuths == 1:
             return [place(mi.Float64(1), mi.UInt32(0), mi.Float64(0))]
         turn = 2 * dr.pi
-        phi -= turn * dr.floor(phi / turn)
+        phi = phi - turn * dr.floor(phi / turn)  # -= would change the caller's too
         end = mi.UInt32(self.n_azimuths - 1)
         low = last(self.n_azimuths, lambda i: read(self.phi_i, i) <= phi)
         # before the first azimuth is after the last one

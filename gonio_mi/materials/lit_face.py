@@ -40,7 +40,7 @@ class LitFace:
         ways: Sequence[Way] = (),
     ) -> None:
         self.wavelengths = wavelengths
-        self.n_azimuths, self.n_angles, self.n_hemispheres = table.brdf.shape[:3]
+        self.n_azimuths, _, self.n_hemispheres = table.brdf.shape[:3]
         self.incident = IncidentPlaces(table.grid)
         self.lobes = MovingLobes(table, self.incident, ways)
         self.flux = doubles(table.flux.mean(axis=-1))
