@@ -74,6 +74,27 @@ def test_each_leg_moves_as_the_nearest_records_say():
     assert way.legs[5:] == (True,) * 2
 
 
+@pytest.mark.parametrize("theta_i", [10, 30])
+def test_diffuse_light_is_as_bright_at_the_horizon_as_elsewhere(theta_i):
+    """Beneath lobes of facets; twin: not so where it moves with their micro-normals."""
+    patches = gonio.subdivision("projected:24x48")
+    facets, _ = facets_both(patches, ANGLES)
+    even = patches.projected_solid_angles / patches.projected_solid_angles.sum() / 4
+    table = LobeTable.of(record_of(patches, ANGLES, facets + even))
+    every = Way(0, None, (True,) * 3)
+    theta, phi = np.meshgrid(
+        np.radians([83, 85, 87]), np.radians(np.arange(60, 301, 5))
+    )
+    wi, wo = direction(np.radians(theta_i), 0.0), direction(theta, phi).reshape(-1, 3)
+    wi, wo = mi.Vector3f(wi.tolist()), mi.Vector3f(wo.T.astype(np.float32))
+    # only the even light, of which the facets' is no part there, is looked at
+    errors = [
+        np.abs(face.values(wi, wo)[0][0].numpy() * 4 * np.pi - 1).mean()
+        for face in (best_face(table), LitFace(table, ways=[every]), LitFace(table))
+    ]
+    assert errors[0] <= errors[2] < errors[1] / 2
+
+
 def test_too_few_angles_say_nothing():
     """Of two no one is between others."""
     patches = gonio.subdivision("projected:24x48")

@@ -118,12 +118,14 @@ class _Trial:
         self.wi = direction(*np.radians(incident))
 
     def error(self, hemisphere: int, keeps: bool, eta: float | None = None) -> float:
-        """Light in wrong places, on the patches that are looked at.
+        """Light in wrong places as a camera sees it, on the patches looked at.
 
         If micro-normals are kept, or not; with the refractive index of transmission.
+        By radiance: a diffuse part that moves with micro-normals is up to some times
+        brighter near the horizon, where flux is too small to show it.
         """
         patches = self.part.patches
-        light = (self.lobes[hemisphere] * patches.projected_solid_angles).ravel()
+        light = (self.lobes[hemisphere] * patches.solid_angles).ravel()
         if not light.any():
             return 0.0
         order = np.argsort(-light, kind="stable")
@@ -138,5 +140,5 @@ class _Trial:
         values, _, wanted = LitFace(self.part, ways=ways).values(wi, wo)
         mean = dr.select(wanted, sum(values) / len(values), 0.0)
         means = dr.block_sum(mean, N_POINTS**2).numpy() / N_POINTS**2
-        areas = patches.projected_solid_angles.ravel()[number]
+        areas = patches.solid_angles.ravel()[number]
         return float(np.abs(means * areas - light[number]).sum())
