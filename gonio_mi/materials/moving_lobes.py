@@ -38,7 +38,7 @@ class MovingLobes:
         self, table: LobeTable, incident: IncidentPlaces, ways: Sequence[Way] = ()
     ) -> None:
         self.n_hemispheres = table.brdf.shape[2]
-        self.incident, self.legs = incident, Legs(table)
+        self.incident = incident
         grid, number = table.grid, range(self.n_hemispheres)
         moving = [n for n in number if incident.n_azimuths > 1 and grid.moves(n)]
         self.normals = MicroNormals(ways, moving)
@@ -48,7 +48,9 @@ class MovingLobes:
         between = [
             Way(n, grid.eta if n else None, every) for n in by_legs if n in moving
         ]
-        self.azimuths, self.has_legs = MicroNormals(between, moving), bool(by_legs)
+        self.azimuths = MicroNormals(between, moving)
+        # most of a table of coarse patches: none where nothing moves by them
+        self.legs = Legs(table) if by_legs else None
         self.measured = LitLobes(table)
         self.n_channels = self.measured.n_channels
 
@@ -62,7 +64,7 @@ class MovingLobes:
             return self._by_legs(place, hemisphere, point, active)
         moves = self.normals.move(place, hemisphere)
         values = self._by_normals(place, hemisphere, point, active & moves)
-        if self.has_legs:
+        if self.legs is not None:
             others = self._by_legs(place, hemisphere, point, active & ~moves)
             values = [a + b for a, b in zip(values, others)]
         return values
@@ -131,7 +133,7 @@ class MovingLobes:
     ) -> list[mi.Float64]:
         """BRDF at the azimuth of the place: of both ends of the leg, moved to there."""
         sources = [(point, mi.Float64(1))] * 2
-        if self.incident.n_angles > 1:
+        if self.legs is not None and self.incident.n_angles > 1:
             sources = self.legs.moved(place, hemisphere, point, place.t, (0, 1))
         values = [mi.Float64(0)] * self.n_channels
         phi_i = self.incident.measured(place.azimuth)
@@ -163,7 +165,7 @@ class MovingLobes:
     ) -> DiskPoint:
         """Where a point of the lobe at an end of a leg is for incident light."""
         moved = point
-        if self.incident.n_angles > 1 and self.has_legs:
+        if self.legs is not None and self.incident.n_angles > 1:
             ((moved, _),) = self.legs.moved(place, hemisphere, point, end, [place.t])
         if self.azimuths.ways:
             moved, _ = self.azimuths.goes_to(place, place.z_i, hemisphere, moved)
