@@ -11,15 +11,15 @@ import numpy as np
 
 from ..array_types import Floats, Integers
 from ..collector.directions import direction
-from .azimuth_trials import tried_indices
+from .azimuth_trials import BENT, tried_indices
 from .lit_face import LitFace
 from .lobes import LobeTable
 from .moving_points import Way
 
 __all__ = ["best_face"]
 
-# Records that are predicted from their neighbours, at most, and the part of their light
-# that is looked at: on the patches that have most of it, or some of these.
+# Records that are predicted from their neighbours, at most, and the part of their
+# radiance that is looked at: on the patches that have most of it, or some of these.
 TRIALS, LOOKED_AT, MOST_PATCHES = 6, 0.99, 2**13
 
 # Points per side of a patch.
@@ -33,8 +33,8 @@ def best_face(table: LobeTable, wavelengths: Floats | None = None) -> LitFace:
     """Face whose lobes move between polar angles as its own records say.
 
     On a leg by quantiles (:class:`.moving_points.Legs`), or with micro-normals that
-    stay where these predict the nearest record better, from those of the next smaller
-    and the next larger angle.
+    stay where these predict the nearest record better, as a camera sees it, from those
+    of the next smaller and the next larger angle.
 
     Parameters
     ----------
@@ -94,7 +94,9 @@ def _index(table: LobeTable, trials: Sequence[_Trial]) -> float | None:
     from scipy.optimize import minimize_scalar  # half a second, which no other needs
 
     found = minimize_scalar(error, bounds=around, method="bounded", options=FINELY)
-    return min(best, float(found.x), key=error)
+    # so near to 1 that no light is bent, there is none to find
+    finer = [float(found.x)] if abs(found.x - 1) > BENT else []
+    return min([best, *finer], key=error)
 
 
 class _Trial:
