@@ -403,3 +403,18 @@ def test_records_of_other_channels_are_refused(tmp_path):
     record = synthetic.record(channels=("a", "b"))
     with pytest.raises(ValueError, match="one channel, of R, G, B or of wavelengths"):
         exporting.export(record, tmp_path / "run.xml")
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_transmitted_light_that_a_file_cannot_hold_is_told(tmp_path, both):
+    """Twin: nothing is said where none was transmitted, or where the file holds it."""
+    record = synthetic.record(both=both)
+    for name in ("all.csv", "reflected.astm"):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            gonio.export(record, tmp_path / name)
+        texts = [str(one.message) for one in said]
+        told = [text for text in texts if "holds reflection only" in text]
+        assert len(told) == (both and name.endswith(".astm"))
+        if told:
+            assert f"up to {record.dht.max():.2%} of the light" in told[0]

@@ -13,6 +13,7 @@ from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SettingError, SpecimenError
 from gonio_mi.files.measured_table import MeasuredTable
+from gonio_mi.fitting.fit_figure import fit_figure
 from gonio_mi.fitting.fitted_models import FREE, FittedModel
 from gonio_mi.fitting.least_squares import STEP
 from gonio_mi.fitting.loaded_model import LoadedModel
@@ -498,3 +499,16 @@ def test_command(tmp_path, capfd, mono):  # noqa: ARG001
     assert "--quantity goes with a table" in capfd.readouterr().err
     assert main(["fit", str(tmp_path / "a.npz"), "scenes/lambertian.xml"]) == 1
     assert "must be a BSDF in one word" in capfd.readouterr().err
+
+
+def test_fits_of_one_table_are_drawn_together(mono, tmp_path):  # noqa: ARG001
+    """Whatever each was told of it; twin: of another table they are not."""
+    pytest.importorskip("matplotlib")
+    table = table_of({"type": "diffuse", "reflectance": 0.4})
+    other = table_of({"type": "diffuse", "reflectance": 0.3})
+    told = {"uncertainty": 0.01}
+    fits = [gonio.fit(table, "diffuse", **told) for _ in range(2)]
+    fit_figure(fits, tmp_path / "fits.png")
+    assert (tmp_path / "fits.png").stat().st_size > 0
+    with pytest.raises(ValueError, match="of one record"):
+        fit_figure([*fits, gonio.fit(other, "diffuse", **told)])

@@ -39,6 +39,9 @@ ENDINGS = (
 )
 ZEMAX = ".zemax.bsdf"
 
+# Endings of files that have no place for transmitted light.
+REFLECTION_ONLY = (".astm", ".bsdf", ".binary")
+
 # Rays whose light no patch receives, and the part of all that is told.
 LOST = {
     "sideways": "left sideways, over the edge of the specimen: measure one cell of it "
@@ -123,6 +126,8 @@ def export(
         )
     if Path(path).name.lower().endswith(ZEMAX):
         return write_zemax(records[0], path)
+    if ending in REFLECTION_ONLY:
+        _warn_of_transmission(records[0], ending)
     return _FORMATS[ending](records[0], path)
 
 
@@ -154,6 +159,18 @@ def _warn_of_lost_light(record: Record) -> None:
                 RuntimeWarning,
                 stacklevel=3,
             )
+
+
+def _warn_of_transmission(record: Record, ending: str) -> None:
+    """Warn of light that was transmitted, which the file does not hold."""
+    most = 0.0 if record.dht is None else float(record.dht.max())
+    if most > 0:
+        warnings.warn(
+            f"a file {ending} holds reflection only: up to {most:.2%} of the light was "
+            "transmitted, and is not in it",
+            RuntimeWarning,
+            stacklevel=3,
+        )
 
 
 def _csv(record: Record, path: str | PathLike[str]) -> list[Loss]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from ..errors import SettingError
 from ..files.measured_table import MeasuredTable
 from ..plots.drawable import check_matplotlib, check_picture, save_picture
+from ..results.record import Record
 from .points_figure import points_figure
 
 if TYPE_CHECKING:
@@ -40,7 +42,7 @@ def fit_figure(fits: Any, path: str | PathLike[str] | None = None) -> Figure:
 
     fits = list(fits) if isinstance(fits, (list, tuple)) else [fits]
     record = fits[0].record
-    if any(one.record is not record for one in fits):
+    if not all(_is_same(one.record, record) for one in fits):
         raise SettingError("fits must be of one record to be drawn together")
     if path is not None:
         check_picture(path)
@@ -64,6 +66,17 @@ def fit_figure(fits: Any, path: str | PathLike[str] | None = None) -> Figure:
     if path is not None:
         save_picture(figure, path)
     return figure
+
+
+def _is_same(one: Record | MeasuredTable, other: Record | MeasuredTable) -> bool:
+    """Whether both hold the same; a table that was told something is another object."""
+    if not (isinstance(one, MeasuredTable) and isinstance(other, MeasuredTable)):
+        return one is other or one == other
+    pairs = [(getattr(one, f.name), getattr(other, f.name)) for f in fields(one)]
+    return all(
+        np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind == "f")
+        for a, b in pairs
+    )
 
 
 def _draw(axes: Axes, fits: list[Any], index: int, of: str) -> None:
