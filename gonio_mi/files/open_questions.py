@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,12 +32,15 @@ HINTS = (
 
 
 def check_nothing_open(place: str, questions: Sequence[str]) -> None:
-    """Raise FileFormatError with all that is to be said of the text at `place`."""
+    """Raise FileFormatError with all that is to be said of the text at `place`.
+
+    Several questions leave no room for the folder: a long message loses its middle.
+    """
     if len(questions) == 1:
         raise FileFormatError(f"{place}: {questions[0]}")
     if questions:
         each = "; ".join(f"({i}) {one}" for i, one in enumerate(questions, 1))
-        raise FileFormatError(f"{place} leaves open: {each}")
+        raise FileFormatError(f"{Path(place).name} leaves open: {each}")
 
 
 def titled_quantity(text: TextTable) -> str | None:
