@@ -151,7 +151,10 @@ class LobeTable:
         )
 
     def part(self, azimuth: int, angles: Sequence[int]) -> "LobeTable":
-        """Table of some polar angles at one azimuth, as if no others were known."""
+        """Table of some polar angles at one azimuth, as if no others were known.
+
+        Its lobes are those of the whole table: `grid` is not to fill in any.
+        """
         one, many = slice(azimuth, azimuth + 1), list(angles)
         grid = replace(
             self.grid,
