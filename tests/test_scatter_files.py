@@ -511,7 +511,8 @@ def test_a_total_that_leaves_out_the_cosine_is_told():
         means = (v[1:, 1:] + v[1:, :-1] + v[:-1, 1:] + v[:-1, :-1]) / 4
         sine = (np.sin(radial[1:]) + np.sin(radial[:-1])) / 2
         sum_of = means * (sine * np.diff(radial))[:, None] * np.diff(azimuth)
-        assert sum_of.sum() == pytest.approx(block.total[0], rel=1e-3)
+        # values have four digits
+        assert sum_of.sum() == pytest.approx(block.total[0], rel=5e-4)
     notes = gonio.read_measured(path).notes
     assert any("0.8282 to 1.312 of the stated totals" in note for note in notes)
 
@@ -567,8 +568,11 @@ def test_a_real_material_is_measured():
     path = real("planesymmetric.speos.anisotropicbsdf")
     material = {"type": "goniometric", "filename": str(path)}
     record = gonio.measure(material, [15, 45], rays=2**16)
-    # stated at 15 degrees; at 45 it is what Zemax's file states
-    assert record.dhr[:, 0] == pytest.approx([0.134506, 0.1536868], rel=2e-3)
+    blocks = [one for one in read_scatter(path).blocks if one.theta_i in (15, 45)]
+    fine, coarse = (np.array([total_of(b, n)[0] for b in blocks]) for n in (200, 50))
+    rule_error = np.abs(coarse - fine).max()
+    assert record.dhr[:, 0] == pytest.approx(fine, abs=rule_error)
+    assert record.dhr[::-1, 0] != pytest.approx(fine, abs=rule_error)  # the twin
 
 
 # ------------------------------------------------------------------------ damaged files
