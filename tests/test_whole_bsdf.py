@@ -5,6 +5,7 @@ counts, and the plugin `goniometric` itself, sampled.
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from types import SimpleNamespace
 
 import broken_bsdfs
@@ -21,13 +22,14 @@ from gonio_mi.instrument import (
     campaigns,
     known_directions,
     resolution,
+    whole_bsdf,
 )
 from gonio_mi.instrument.campaign_tasks import Surroundings
 from gonio_mi.instrument.incident_rings import IncidentRings
 from gonio_mi.instrument.known_directions import KnownDirections
 from gonio_mi.instrument.prediction import Prediction
 from gonio_mi.instrument.refinement import Axis, Interval, refined
-from gonio_mi.instrument.resolution import delta_share
+from gonio_mi.instrument.resolution import check_peaks, delta_share
 from gonio_mi.instrument.whole_bsdf import FIRST_ANGLES, UNSEEN, WholeBsdf
 from gonio_mi.materials.gradients import gradients
 from gonio_mi.materials.lobes import LobeTable, TooLargeError
@@ -557,16 +559,49 @@ def test_collectors_without_sectors_are_told_before_anything_is_measured():
 
 
 @pytest.mark.usefixtures("mono")
-def test_curved_mirrors_are_told_with_one_finer_collector(looked):
-    """The finest, at one angle."""
+def test_mirrors_are_told_with_one_finer_collector(looked, monkeypatch):
+    """The finest, at one angle; twin: as peaks, before anything else is measured."""
     heights = mi.TensorXf(np.array([[0.0, -0.25], [0.0, -0.25]], dtype=np.float32))
     grooves = {"type": "heightfield", "heights": heights, "size": 1.0}
     mirrors = grooves | {"bsdf": {"type": "conductor"}}
     how = {"tolerance": 0.1, "theta_max": 60, "period": "box"}
+    with pytest.raises(gonio.SpecimenError, match=r"^1 of the light .* delta lobes"):
+        gonio.campaign({"mirrors": mirrors}, **how)
+    # integrals are refused; the collector's own patches, and the finest
+    assert looked == [("None", 4), ("None", 1), ("angle:240x240", 1)]
+    del looked[:]
+    monkeypatch.setattr(whole_bsdf, "check_peaks", lambda *_: None)
     with pytest.raises(gonio.SpecimenError, match=r"angle:240x240, as of smooth mir"):
         gonio.campaign({"mirrors": mirrors}, **how)
     finer = [one for one in looked if one[0].startswith("angle")]
     assert finer == [("angle:240x240", 5)]
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("theta_max", [20, 80])
+def test_a_mirror_peak_beside_scattered_light_is_told_at_once(looked, theta_max):
+    """Of the upper face of milk glass: as much as Fresnel's equations reflect.
+
+    Twin: a peak below twice the tolerance is no reason to refuse.
+    """
+    glass = Path(__file__).parents[1] / "scenes" / "milk_glass.xml"
+    theta = np.radians(theta_max + 0.0625)  # the middle of a ring of 240
+    inside = np.arcsin(np.sin(theta) / 1.5)
+    s = (np.sin(theta - inside) / np.sin(theta + inside)) ** 2
+    p = (np.tan(theta - inside) / np.tan(theta + inside)) ** 2
+    reflected = (s + p) / 2
+    known = KnownDirections("glass", glass, 0.01, Surroundings(), {})
+    del known.estimators[0]  # of integrals, which are refused
+    check_peaks(0.6 * reflected, theta_max, known.probe)
+    with pytest.raises(gonio.SpecimenError, match=r"^0\.\d+ of the light") as e:
+        check_peaks(0.4 * reflected, theta_max, known.probe)
+    share = float(str(e.value).split()[0])
+    # what is scattered into the patch is below a thousandth: 1 / 57600 of each
+    # hemisphere, thrice at most; statistics as of independent rays, or rounding to two
+    # digits
+    scatter = 5 * np.sqrt(reflected / 2**18) + 0.012 * reflected
+    assert abs(share - reflected) < scatter < abs(share - s)
+    assert {n for _, n in looked} == {1}
 
 
 @pytest.mark.usefixtures("mono")

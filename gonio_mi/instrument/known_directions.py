@@ -228,6 +228,19 @@ class KnownDirections:
         specimens = {self.name: self.specimen}
         return records_of(specimens, incidents, where, settings, said)[self.name]
 
+    def probe(
+        self, incident: tuple[float, float], patches: Subdivision | None = None
+    ) -> Record:
+        """Record of a direction, of a few rays, which is not kept."""
+        where = replace(self.where, folder=None, progress=False)
+        settings = self.settings | {
+            "estimator": self.estimators[0],
+            "rays": PROBE_RAYS,
+            "collector": patches or self.settings.get("collector"),
+        }
+        specimens = {self.name: self.specimen}
+        return records_of(specimens, [incident], where, settings)[self.name][0]
+
     def announce(self, expected: float) -> None:
         """Warn, once, if so many directions in all will take long."""
         more = expected - len(self.records)

@@ -10,13 +10,20 @@ from typing import Any
 
 import numpy as np
 
+from ..array_types import Floats
 from ..collector import EqualAngle, RingsAndSectors, Subdivision
 from ..errors import SettingError, SpecimenError
 from ..results.misplacement import misplaced
 from ..results.record import Record
 from .prediction import SPARED, Prediction
 
-__all__ = ["TooCoarseError", "check_equal_sectors", "check_resolved", "delta_share"]
+__all__ = [
+    "TooCoarseError",
+    "check_equal_sectors",
+    "check_peaks",
+    "check_resolved",
+    "delta_share",
+]
 
 # By which power of their width finer patches are better, where they nearly resolve a
 # lobe, and up to which part of the light in the wrong place they do; above which part
@@ -34,6 +41,11 @@ SHARE = 1 / 2
 MOST_PATCHES = 10**5
 
 Incident = tuple[float, float]
+# A peak that no patches resolve holds so many times the light of any patch beside it,
+# of the finest, and at least so much of all: of a Gaussian lobe in the middle of a
+# patch, where its standard deviation is a third of the patch.
+STANDS_OUT, LEAST_PEAK = 10, 1e-3
+
 # What to do where no patches resolve the lobes.
 INSTEAD = "name angles (theta_i) instead of a tolerance"
 
@@ -122,18 +134,58 @@ def check_resolved(
     )
 
 
+def check_peaks(tolerance: float, theta_i: float, probe: Callable[..., Record]) -> None:
+    """Raise SpecimenError for more light than two tolerances in unresolvable peaks.
+
+    Moved by half a patch, half of it would be in the wrong place. Rays do not tell
+    whether they met delta components alone, and are looked at with the finest patches.
+
+    Parameters
+    ----------
+    tolerance : float
+    theta_i : float
+        Angle of incidence in degrees, where mirrors are brightest: the largest.
+    probe : callable
+        Record of a few rays from a direction, with another collector if one is given.
+    """
+    own = probe((theta_i, 0.0)).subdivision
+    check_equal_sectors(own)
+    finest = _finest(own)
+    # the mirror image is in the middle of a patch
+    edges = np.degrees(finest.theta_edges)
+    ring = int(np.searchsorted(edges, theta_i).clip(1, len(edges) - 1))
+    middle = float(edges[ring - 1 : ring + 1].mean())
+    record = probe((middle, 180 + 180 / finest.n_phi), finest)
+    share = _peak_share(record)
+    if share > 2 * tolerance:
+        raise _delta_error(share, record, theta_i)
+
+
+def _peak_share(record: Record) -> float:
+    """Part of the light of one incident direction that stands out of its patches."""
+    flux = record.flux_fraction.sum(axis=-1)
+    total = flux.sum()
+    stands_out = flux > np.maximum(STANDS_OUT * _beside(flux), LEAST_PEAK * total)
+    return float(flux[stands_out].sum() / total) if total > 0 else 0.0
+
+
 def _check_delta(tolerance: float, record: Record, theta_i: float) -> None:
     """Raise SpecimenError for more of the light than the tolerance in delta lobes."""
     delta = max(map(delta_share, (record[number] for number in range(len(record)))))
     if delta > tolerance:
-        window = "make a window file of it (gonio-mi bsdf)"
-        other = window if np.any(record.direct) else "take a rough BSDF"
-        raise SpecimenError(
-            f"{delta:.2g} of the light of {record.settings['specimen']!s:.60} leaves "
-            "in delta lobes (mirror images, or straight on) at an angle up to "
-            f"{theta_i:.3g}, and no patches tell where these are between directions: "
-            f"{INSTEAD}, or {other}"
-        )
+        raise _delta_error(delta, record, theta_i)
+
+
+def _delta_error(share: float, record: Record, theta_i: float) -> SpecimenError:
+    """Error for a share of the light in delta lobes."""
+    window = "make a window file of it (gonio-mi bsdf)"
+    other = window if record.has_lower and np.any(record.dht) else "take a rough BSDF"
+    return SpecimenError(
+        f"{share:.2g} of the light of {record.settings['specimen']!s:.60} leaves in "
+        "delta lobes (mirror images, or straight on) at an angle up to "
+        f"{theta_i:.3g}, and no patches tell where these are between directions: "
+        f"{INSTEAD}, or {other}"
+    )
 
 
 def _finest(patches: Subdivision) -> EqualAngle:
@@ -152,12 +204,16 @@ def delta_share(record: Record) -> float:
     delta = record.direct.sum()
     if record.settings["estimator"] == "quadrature":
         flux = record.flux_fraction.sum(axis=-1)
-        outer = np.pad(flux, ((0, 0), (1, 1), (0, 0)))
-        around = [outer[:, :-2], outer[:, 2:], np.roll(flux, 1, -1)]
-        around.append(np.roll(flux, -1, -1))
-        excess = np.maximum(flux - np.max(around, axis=0), 0)
+        excess = np.maximum(flux - _beside(flux), 0)
         delta += excess[record.counts > 0].sum()
     return float(delta / total) if total > 0 else 0.0
+
+
+def _beside(flux: Floats) -> Floats:
+    """Largest of the four patches beside each; (n_hemispheres, n_theta, n_phi)."""
+    outer = np.pad(flux, ((0, 0), (1, 1), (0, 0)))
+    sides = [outer[:, :-2], outer[:, 2:], np.roll(flux, 1, -1), np.roll(flux, -1, -1)]
+    return np.asarray(np.max(sides, axis=0))
 
 
 def _lost(

@@ -24,7 +24,12 @@ from .known_directions import CONFIRMING, KnownDirections, NotIntegrableError
 from .prediction import SPARED, Prediction
 from .recognition import Recognition
 from .refinement import Interval, refined
-from .resolution import TooCoarseError, check_equal_sectors, check_resolved
+from .resolution import (
+    TooCoarseError,
+    check_equal_sectors,
+    check_peaks,
+    check_resolved,
+)
 
 __all__ = ["WholeBsdf", "checked_theta_max", "checked_tolerance"]
 
@@ -139,6 +144,8 @@ class WholeBsdf:
 
     def _measured(self) -> Record:
         """Recognise the specimen, and choose directions until they hold."""
+        if self.directions.estimators[0] != "quadrature":
+            check_peaks(self.tolerance, self.theta_max, self.directions.probe)
         angles = np.linspace(0, self.theta_max, FIRST_ANGLES).tolist()
         self.directions.measure([(theta, 0.0) for theta in angles], "first directions")
         self.directions.check_functions((angles[1], 0.0))
