@@ -153,6 +153,18 @@ def false_alarms(n, level, stated):
     return failed
 
 
+def test_uncertainties_of_few_repetitions_are_known_so_well():
+    """Each of a table's is found from four values; the twin takes them for exact."""
+    record = synthetic.record("projected:20x30", rays=300_000, n_batches=32)
+    values, _, _ = truth(record)
+    rng, dof = np.random.default_rng(11), 3
+    noise = 0.1 * values * rng.standard_normal(len(values))
+    sigma = 0.1 * values * np.sqrt(rng.chisquare(dof, len(values)) / dof)
+    table = table_of(record, values + noise, sigma=sigma, degrees_of_freedom=dof)
+    agree(verdict_of(compare(record, table)))
+    disagree(verdict_of(compare(record, replace(table, degrees_of_freedom=None))))
+
+
 def test_false_alarms_are_as_rare_as_stated():
     """Student's t of 8 batches, Welch, and the three tests together."""
     n, level = 300, 0.1
@@ -469,13 +481,15 @@ def test_table_is_saved_and_read_without_loss(tmp_path):
     rng = np.random.default_rng(2)
     columns = [rng.uniform(0, 89, 7) for _ in range(6)]
     table = MeasuredTable(*columns, uncertainty=0.1, aperture_half_angle=0.7,
-                          emitter_distance=3.0, header={"who": "me"})  # fmt: skip
+                          degrees_of_freedom=15, emitter_distance=3.0,
+                          header={"who": "me"})  # fmt: skip
     path = tmp_path / "a.csv"
     table.save(path)
     again = read_measured(path)
     for name in ("theta_i", "phi_i", "theta_o", "phi_o", "value", "sigma"):
         assert np.array_equal(getattr(table, name), getattr(again, name))
-    for name in ("uncertainty", "aperture_half_angle", "emitter_distance", "header"):
+    settings = "uncertainty", "aperture_half_angle", "degrees_of_freedom"
+    for name in (*settings, "emitter_distance", "header"):
         assert getattr(table, name) == getattr(again, name)
 
 
@@ -768,13 +782,15 @@ def test_commands_refuse_in_one_line(saved, capsys):
     a, right = str(saved / "a.npz"), str(saved / "right.csv")
     bad = saved / "bad.csv"
     bad.write_text(f"{HEADER}\n45,0,91,180,0.3,0\n")
+    points = saved / "points.csv"
+    points.write_text(f"{HEADER}\n45,0,30,180,0.3,0\n")
     for arguments, message in (
         ([a, str(bad)], "column theta_o"),
         ([a, str(saved / "none.csv")], "none.csv"),
         ([a, right, "-o", "fig.txt"], "must end in .pdf or .png or .svg"),
         ([a, right, "--uncertainty", "-1"], "uncertainty must be"),
         ([right, a], "RECORD must be"),
-        (["diffuse", right], "aperture_half_angle must be given"),
+        (["diffuse", str(points)], "aperture_half_angle must be given"),
     ):
         assert main(["compare", *arguments]) == 1
         error = capsys.readouterr().err
@@ -803,6 +819,24 @@ def test_command_measures_a_specimen_like_the_table(tmp_path, capsys):
     assert main(["compare", "diffuse:reflectance=0.7", *arguments]) == 0
     assert main(["compare", "diffuse:reflectance=0.74", *arguments]) == 3
     assert "DIFFER" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("mono")
+def test_command_measures_a_specimen_in_the_patches_of_a_table(tmp_path, capsys):
+    """Which the table says to hold the means of, as exported ones do."""
+    path = tmp_path / "measured.csv"
+    specimen = {"type": "roughplastic", "alpha": 0.2}
+    record = gonio.measure(specimen, 45, rays=10**5, collector="projected:6x8")
+    gonio.export(record, path)
+    arguments = [str(path), "--alpha", str(budget.ALPHA)]
+    assert main(["compare", "roughplastic:alpha=0.2", *arguments]) == 0
+    assert main(["compare", "roughplastic:alpha=0.3", *arguments]) == 3
+    assert "DIFFER" in capsys.readouterr().out
+    table = read_measured(path)
+    assert table.degrees_of_freedom == record.n_batches - 1
+    unknown = replace(table, header={"collector": "a photodiode"})
+    with pytest.raises(ValueError, match="aperture_half_angle must be given"):
+        measure_like(specimen, unknown)
 
 
 # ---------------------------------------------- what is compared, and its name

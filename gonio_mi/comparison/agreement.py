@@ -124,6 +124,7 @@ class PointSet:
     readings: Readings
     other: np.ndarray
     other_error: np.ndarray  # independent between points, without that of the readings
+    other_dof: np.ndarray
     other_readings: Readings | None
     solid: np.ndarray
     total_of: list[Any]  # to which total each point belongs
@@ -238,6 +239,7 @@ def _add_total(total: _Total, one: PointSet, key: object, shared: Floats) -> Non
     total.variance += variance + one.other_error**2 @ solid**2
     total.variance += (FEW_ROUNDINGS * other) ** 2 + np.finfo(float).tiny
     total.welch += variance**2 / dof
+    total.welch += one.other_error**4 / one.other_dof @ solid**4
     total.shared += shared @ solid
     total.hits += one.readings.hits @ (solid > 0)
     if one.variation is not None:
@@ -250,20 +252,25 @@ def _add_total(total: _Total, one: PointSet, key: object, shared: Floats) -> Non
 
 
 def _errors(one: PointSet, factor: float) -> tuple[Floats, Floats, Flags, Flags]:
-    """Variance of each difference, Welch's d.o.f., where hits are few, where none."""
+    """Variance of each difference, its d.o.f., where hits are few, where none.
+
+    Welch's, and no more than a table says of its own: on the safe side (Mickey and
+    Brown 1966, Annals of Mathematical Statistics 37, 639).
+    """
     mine, others = one.readings, one.other_readings
     rounding = FEW_ROUNDINGS * factor * one.other
     sigma2 = mine.error**2 + one.other_error**2 + rounding**2
     if one.variation is not None:
         sigma2 = sigma2 + np.maximum(one.variation.hidden, 0)
-    welch = mine.error**4 / mine.dof
+    welch = mine.error**4 / mine.dof + one.other_error**4 / one.other_dof
     few, empty = mine.hits < FEW_FOR_TAILS, mine.hits == 0
     if others is not None:
         sigma2 = sigma2 + others.error**2
         welch = welch + others.error**4 / others.dof
         few, empty = few | (others.hits < FEW_FOR_TAILS), empty | (others.hits == 0)
     dof = sigma2**2 / np.maximum(welch, np.finfo(float).tiny)
-    return sigma2, dof, few, empty
+    # Welch's are too many where an error of few repetitions is small by chance
+    return sigma2, np.minimum(dof, one.other_dof), few, empty
 
 
 def _scores(one: PointSet, factor: float) -> tuple[Floats, Floats]:

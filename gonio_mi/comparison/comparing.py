@@ -44,11 +44,12 @@ def compare(
     r"""Compare a record with another one, or with measured values.
 
     The difference of each point over its standard error, from both uncertainties, is
-    taken as Student's t with Welch's degrees of freedom, and turned into the normal
-    score z of the same probability. A patch with fewer than 1000 hits has the smaller
-    score of that and of the exact test of its hits (of Poisson's law, spread by the
-    uncertainty of the measured value; for two records given their sum), so that empty
-    patches take part. Three tests share `alpha` (Bonferroni):
+    taken as Student's t with Welch's degrees of freedom, or those of a table if they
+    are fewer, and turned into the normal score z of the same probability. A patch with
+    fewer than 1000 hits has the smaller score of that and of the exact test of its hits
+    (of Poisson's law, spread by the uncertainty of the measured value; for two records
+    given their sum), so that empty patches take part. Three tests share `alpha`
+    (Bonferroni):
 
     * the sum of the squares of z (and of the fitted common factor, in units of its
       uncertainty), as a chi-square whose degrees of freedom ``n**2 / trace(R**2)`` come

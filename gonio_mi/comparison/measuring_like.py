@@ -8,7 +8,10 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from ..array_types import Flags
 from ..collector.apertures import Apertures, disjoint_groups
+from ..collector.hemisphere import Subdivision
+from ..collector.parsing import subdivision
 from ..errors import SettingError, SettingTypeError, SpecimenError, shown
 from ..files.channels import wavelengths_nm
 from ..files.measured import MeasuredTable
@@ -47,10 +50,12 @@ def measure_like(
     """Measure at the solid angles of a table's points, or as a record was measured.
 
     Around each direction of a table stands a circular aperture, so that no patch mean
-    stands for a point. Apertures that overlap are measured one group after the other,
-    each with its own rays. Unless `rays`, `rel_err`, `noise`, `estimator` or `trace` is
-    given, light is deposited from every event towards every aperture (``next_event``,
-    traced), until its error is small beside the table's.
+    stands for a point; a table of patch means, as `export` writes them, has its own
+    patches, unless an aperture is given. Apertures that overlap are measured one group
+    after the other, each with its own rays. Unless `rays`, `rel_err`, `noise`,
+    `estimator` or `trace` is given, rays are taken until their error is small beside
+    the table's; light is deposited from every event towards every aperture
+    (``next_event``, traced).
 
     Parameters
     ----------
@@ -79,8 +84,8 @@ def measure_like(
     Raises
     ------
     TypeError, ValueError
-        If there is no aperture's half-angle, or an aperture reaches below the horizon;
-        and as :func:`measure`.
+        If there is neither aperture's half-angle nor collector, or an aperture reaches
+        below the horizon; and as :func:`measure`.
     """
     for key in {"theta_i", "phi_i", "collector"} & settings.keys():
         what = "record" if isinstance(like, Record) else "table"
@@ -95,21 +100,22 @@ def measure_like(
             )
         return (_like_record(specimen, like, seed, settings),)
     half_angle = like.aperture_half_angle or aperture_half_angle
-    if half_angle is None:
+    solid_angles = _own_patches(like) if half_angle is None else half_angle
+    if solid_angles is None:
         raise SettingError(
             f"aperture_half_angle must be given: {like.name} does not say it"
         )
-    return _like_table(specimen, like, half_angle, seed or 0, settings)
+    return _like_table(specimen, like, solid_angles, seed or 0, settings)
 
 
 def _like_table(
     specimen: Any,
     table: MeasuredTable,
-    half_angle: float,
+    solid_angles: Subdivision | float,
     seed: int,
     settings: dict[str, Any],
 ) -> tuple[Record, ...]:
-    """Records with apertures around the points of a table."""
+    """Records in the patches of a table, or in apertures of a half-angle."""
     if table.emitter_half_angle:
         if settings.get("divergence"):
             raise SettingError(
@@ -124,18 +130,16 @@ def _like_table(
     settings.setdefault("hemispheres", lower)
     automatic = not {k for k in PRECISION & settings.keys() if settings[k] is not None}
     if automatic:
-        settings |= {"estimator": "next_event", "trace": True, "rays": None}
-        settings |= {"rel_err": _wanted(table), "max_rays": MOST_RAYS}
+        settings |= {"rel_err": _wanted(table), "max_rays": MOST_RAYS, "rays": None}
+        if not isinstance(solid_angles, Subdivision):
+            settings |= {"estimator": "next_event", "trace": True}
     records: list[Record] = []
     for theta_i, phi_i in table.incident:
         here = (table.theta_i == theta_i) & (table.phi_i == phi_i)
-        theta_o = pole_angle(table.theta_o[here])
-        # the same direction once, whatever the turn of its azimuth
-        cones = dict.fromkeys(zip(theta_o.tolist(), (table.phi_o[here] % 360).tolist()))
-        for group in disjoint_groups(list(cones), half_angle):
+        for collector in _collectors(table, here, solid_angles):
             n = len(records)
             own = np.random.SeedSequence((seed, n)).generate_state(1)[0] if n else seed
-            given = {"collector": Apertures(half_angle, tuple(group)), "seed": int(own)}
+            given = {"collector": collector, "seed": int(own)}
             with _errors_speak(automatic):
                 try:
                     record = measure_whole(
@@ -150,6 +154,27 @@ def _like_table(
                     )
             records.append(record)
     return tuple(records)
+
+
+def _own_patches(table: MeasuredTable) -> Subdivision | None:
+    """Patches that a table's values are means over, as our own files say."""
+    try:
+        return subdivision(table.header.get("collector", ""))
+    except SettingError:
+        return None
+
+
+def _collectors(
+    table: MeasuredTable, here: Flags, solid_angles: Subdivision | float
+) -> list[Subdivision]:
+    """Collectors that hold the points of a table that are `here`."""
+    if isinstance(solid_angles, Subdivision):
+        return [solid_angles]
+    theta_o = pole_angle(table.theta_o[here])
+    # the same direction once, whatever the turn of its azimuth
+    cones = dict.fromkeys(zip(theta_o.tolist(), (table.phi_o[here] % 360).tolist()))
+    groups = disjoint_groups(list(cones), solid_angles)
+    return [Apertures(solid_angles, tuple(group)) for group in groups]
 
 
 def _wanted(table: MeasuredTable) -> float:

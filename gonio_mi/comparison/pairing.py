@@ -77,7 +77,8 @@ def pair_with_record(
         solid = patches.projected_solid_angles.ravel()[patch]
         keys = [(k, h, c) for h, c in zip(hemisphere.tolist(), channel.tolist())]
         error = relative * np.abs(second.value)
-        of_points = columns, first, second.value, error, second, solid, keys
+        exact = np.full(len(error), np.inf)
+        of_points = columns, first, second.value, error, exact, second, solid, keys
         sets.append(PointSet(*of_points, sharing=alike[k]))
     return sets, notes
 
@@ -157,7 +158,8 @@ class _Side:
         incident = record.theta_i[k], record.phi_i[k]
         keys = [tuple(np.round(incident, 3))] * int(here.sum())
         readings, values = self.readings(patch[here]), table.bsdf[here]
-        of_points = columns, readings, values, errors[here], None, solid, keys
+        known = errors[here], table.bsdf_dof[here]
+        of_points = columns, readings, values, *known, None, solid, keys
         return PointSet(*of_points, variation, sharing(record)[k])
 
 

@@ -246,6 +246,7 @@ def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
     columns: dict[str, Any] = {key: np.concatenate(of) for key, of in parts.items()}
     if np.isnan(columns["sigma"]).any():
         columns["sigma"] = None
+    exact = record.n_batches < 2 or all(one.binomial for one in record.estimates)
     return MeasuredTable(
         theta_i=np.clip(record.theta_i, 0, None).repeat(n),
         phi_i=record.phi_i.repeat(n),
@@ -253,6 +254,7 @@ def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
         phi_o=np.tile(phi[known], len(record)),
         quantity=quantity,
         channel=record.channels[number] if len(record.channels) > 1 else None,
+        degrees_of_freedom=None if exact else record.n_batches - 1,
         aperture_half_angle=record.subdivision.aperture_half_angle,
         emitter_half_angle=record.settings.get("divergence") or 0.0,
         header={"collector": str(record.subdivision)},

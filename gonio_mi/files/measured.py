@@ -37,11 +37,12 @@ def read_measured(
         45,0,30,180,0.3181,0.0004
 
     The columns, in any order, and their ranges are those of :class:`MeasuredTable`;
-    `sigma` may be left out. The keys, all optional, are its settings, with ``units``,
-    which must be ``1/sr`` (or 1, for a reflectance factor), and
-    ``aperture_solid_angle`` in sr instead of ``aperture_half_angle``. Further keys are
-    kept as text in `header`, comment lines without a colon are skipped, and so are
-    empty lines. A key that looks like a misspelt one is refused.
+    `sigma` may be left out, and ``degrees_of_freedom`` tells how well it is known. The
+    keys, all optional, are its settings, with ``units``, which must be ``1/sr`` (or 1,
+    for a reflectance factor), and ``aperture_solid_angle`` in sr instead of
+    ``aperture_half_angle``. Further keys are kept as text in `header`, comment lines
+    without a colon are skipped, and so are empty lines. A key that looks like a
+    misspelt one is refused.
 
     Of others' texts the columns are known by names such as ``theta_i/deg``,
     ``Viewing Zenith [deg]``, ``src_a``, ``BRDF (1/sr)`` or ``550nm``; cells are

@@ -33,6 +33,7 @@ MOST, MOST_UNCERTAIN = 1e30, 1e6
 NUMBERS = {
     "uncertainty": (0, MOST_UNCERTAIN, "a finite number of 0 or more, below 1e6"),
     "scale_uncertainty": (0, MOST_UNCERTAIN, "a finite number of 0 or more, below 1e6"),
+    "degrees_of_freedom": (1, 1e15, "a number of 1 or more, below 1e15"),
     "aperture_half_angle": (0, 90, "an angle in degrees in [0, 90)"),
     "aperture_solid_angle": (0, 2 * np.pi, "a solid angle in sr in [0, 2 pi)"),
     "emitter_half_angle": (0, 90, "an angle in degrees in [0, 90)"),
@@ -60,6 +61,9 @@ class MeasuredTable:
     quantity : {"brdf", "brdf_cos", "btdf", "reflectance_factor"}
         ``brdf_cos`` is the BRDF times cos(theta_o). A reflectance factor is pi sr times
         the BRDF: 1 for a white Lambertian; its values and `sigma` have no unit.
+    degrees_of_freedom : float, optional
+        Of `sigma`, found from so many repeated measurements less one (JCGM 100, G.3);
+        by default it is exact.
     uncertainty : float
         Relative standard uncertainty of each value, independent between points; it adds
         to `sigma` in quadrature. 0.005 is 0.5 %.
@@ -96,6 +100,7 @@ class MeasuredTable:
     quantity: str = "brdf"
     uncertainty: float = 0.0
     scale_uncertainty: float = 0.0
+    degrees_of_freedom: float | None = None
     aperture_half_angle: float | None = None
     emitter_half_angle: float = 0.0
     emitter_distance: float | None = None
@@ -164,6 +169,19 @@ class MeasuredTable:
         """
         sigma = 0.0 if self.sigma is None else self.sigma
         return np.hypot(sigma, self.uncertainty * np.abs(self.value)) / self._factor
+
+    @property
+    def bsdf_dof(self) -> Floats:
+        """Effective degrees of freedom of `bsdf_std_err`, shape (n,).
+
+        After Welch and Satterthwaite; infinite where `sigma` is 0 or exact.
+        """
+        if self.degrees_of_freedom is None or self.sigma is None:
+            return np.full(len(self), np.inf)
+        of_sigma = (self.sigma / self._factor) ** 4
+        found = np.full(len(self), np.inf)
+        np.divide(self.bsdf_std_err**4, of_sigma, out=found, where=of_sigma > 0)
+        return self.degrees_of_freedom * found
 
     @property
     def _factor(self) -> Floats | float:
