@@ -388,6 +388,19 @@ def test_picture_shows_every_method(tmp_path):
     assert chart.advice(0.01) in figure.get_suptitle()
 
 
+@pytest.mark.parametrize("repeats", [2, 4])
+def test_bars_know_that_seeds_are_few(repeats):
+    """Student's t: 12.7 and 3.18 standard errors, where a normal law has 1.96."""
+    chart = synthetic(curve("weighted", 0.25, 1e-8, error=9.0))
+    chart = replace(chart, settings={"repeats": repeats})
+    axes = plot_chart(chart).subfigs[0].axes[0]
+    ((bars,),) = [c[2] for c in axes.containers]
+    below, above = bars.get_segments()[0][:, 1]
+    quantile = {2: 12.7062047, 4: 3.1824463}[repeats]
+    # tables of Student's t have nine digits
+    assert (above - below) / 2 == pytest.approx(0.01 * quantile, rel=1e-8)
+
+
 def test_page_says_what_to_use(tmp_path):
     chart = synthetic(curve("weighted", 0.75, 1e-8), curve("analog", 0.5, 2e-8))
     save_page(chart, tmp_path / "chart.html", 0.02)

@@ -178,6 +178,21 @@ def test_passes_of_the_same_rays_count_once(hits, interval):
     assert not np.array_equal(twin, interval(one, 0, LEVEL))
 
 
+def test_a_patch_that_one_pass_alone_hits_was_hit():
+    """Its light is no more than what a hit carries; twin: without the other pass."""
+    one = replace(tally(), fates=tally().fates * np.uint64(2))
+    hits = one.hits.copy()
+    hits[0, 0, :2] = 1, 0
+    sums = one.sums.copy()
+    sums[:, 0, 0, 1] = 0
+    odd = SampledEstimates(replace(one, hits=hits, sums=sums), True, passes=2)
+    assert odd.hits[0, 0, :2].tolist() == [1, 0]
+    low, high = odd.interval(0, LEVEL)
+    assert np.isfinite(high).all()
+    assert (low <= odd.fraction(0)).all()
+    assert (odd.fraction(0) <= high).all()
+
+
 def test_counted_rays_are_binomial():
     record = synthetic.record(analog=True)
     (estimates,) = record.estimates

@@ -74,8 +74,22 @@ def test_sheet_has_one_scale_and_all_directions():
     drawn = meshes(sheet(record))
     assert len(drawn) == 2 * 8
     limits = {(mesh.norm.vmin, mesh.norm.vmax) for mesh in drawn[:8]}
-    assert limits == {(0, record.brdf.max())}
-    assert (0, record.brdf[0].max()) not in limits  # twin: a scale of one map
+    least = record.brdf[record.brdf > 0].min()  # the scale is logarithmic
+    assert limits == {(least, record.brdf.max())}
+    assert (least, record.brdf[0].max()) not in limits  # twin: a scale of one map
+
+
+def test_marks_at_the_horizon_are_within_a_sheet():
+    figure = sheet(synthetic.record(theta_i=(89, 89), phi_i=(0, 90)))
+    figure.draw_without_rendering()
+    for place in (mesh.axes for mesh in meshes(figure)):
+        marks = [line for line in place.lines if line.get_marker() in "oD"]
+        assert len(marks) == 2
+        for mark in marks:
+            x, y = place.transData.transform(mark.get_xydata()[0])
+            radius = mark.get_markersize() / 2 * figure.dpi / 72
+            assert figure.bbox.x0 + radius < x < figure.bbox.x1 - radius
+            assert figure.bbox.y0 + radius < y < figure.bbox.y1 - radius
 
 
 def test_large_sheet_is_thinned_and_says_so():

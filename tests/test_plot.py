@@ -72,7 +72,8 @@ def test_other_plane_other_profile():
 
 
 @pytest.mark.parametrize(
-    "collector", ["angle:5x4", "solid:3x7", "projected:2x400", "klems"]
+    "collector",
+    ["angle:5x4", "solid:3x7", "projected:2x400", "klems", "borders:0,40,90x0,80,360"],
 )
 def test_map_draws_every_patch_in_its_place(collector):
     """Centres of the drawn pieces hit the patch whose value they have."""
@@ -98,8 +99,11 @@ def test_map_draws_every_patch_in_its_place(collector):
     np.testing.assert_array_equal(drawn.mask, record.counts[0].ravel()[hit] == 0)
 
 
-@pytest.mark.parametrize(("ratio", "norm"), [(99, Normalize), (101, LogNorm)])
-def test_colours_are_logarithmic_for_a_wide_range(ratio, norm):
+@pytest.mark.parametrize(
+    ("ratio", "norm", "axis"),
+    [(19, Normalize, "linear"), (21, LogNorm, "linear"), (101, LogNorm, "log")],
+)
+def test_colours_are_logarithmic_for_a_wide_range(ratio, norm, axis):
     record = synthetic.record(power=0)
     tally = synthetic.writeable(record.tallies[0])
     tally.sums[:] = 1
@@ -108,7 +112,7 @@ def test_colours_are_logarithmic_for_a_wide_range(ratio, norm):
     maps, axes = panels(plot(record))
     mesh = maps[0].collections[0]
     assert type(mesh.norm) is norm
-    assert axes.get_yscale() == ("log" if norm is LogNorm else "linear")
+    assert axes.get_yscale() == axis
     if norm is Normalize:
         assert mesh.norm.vmin == 0
 
@@ -167,7 +171,7 @@ def test_error_bars_are_the_intervals():
 def test_a_single_batch_has_no_error_bars():
     record = synthetic.record(n_batches=1, power=1).with_settings(sampler="sobol")
     _, axes = panels(plot(record))
-    assert "95% interval" not in labels(axes)
+    assert "95 % interval" not in labels(axes)
 
 
 def test_many_patches_are_drawn_as_a_band():
@@ -203,13 +207,49 @@ def test_title_says_what_was_measured():
         "independent sampler",
         "dhr 0.60",
     ):
-        assert words in title
+        assert words in title.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_no_title_is_wider_than_its_figure():
+    """Twin: as it was, of a name that is longer than its figure is wide."""
+    record = synthetic.record().with_settings(specimen="W" * 79, period="1.0,1.0")
+    figure = plot(record)
+    title = figure._suptitle
+    figure.draw_without_rendering()
+    assert title.get_window_extent().width < figure.bbox.width
+    assert figure.get_suptitle().replace("\n", "").startswith("W" * 79)
+    figure.suptitle("W" * 79)
+    assert figure._suptitle.get_window_extent().width > figure.bbox.width
+
+
+@pytest.mark.parametrize(
+    ("theta_i", "phi_i", "on_border", "sectors"),
+    [
+        (30, 0, True, "0° to 45° and 180° to 225°"),
+        (30, 270, True, "270° to 315° and 90° to 135°"),
+        (20, 20, False, None),
+        (90 / 6, 20, True, None),
+        (0, 0, False, "0° to 45° and 180° to 225°"),
+    ],
+)
+def test_borders_of_patches_are_told(theta_i, phi_i, on_border, sectors):
+    """Of 8 sectors; with 6 rings of equal angle a border is at 15 degrees."""
+    record = synthetic.record("angle:6x8", theta_i=(theta_i,), phi_i=(phi_i,))
+    (reflection,), axes = panels(plot(record))
+    assert ("mirror direction, on a border of patches" in labels(reflection)) == (
+        on_border
+    )
+    told = axes.get_xlabel().split("\n")
+    assert len(told) == (1 if sectors is None else 2)
+    assert sectors is None or told[1].endswith(f" = {sectors}")
 
 
 def test_integrals_are_drawn_without_their_rounding():
     figure = plot(synthetic.integrals().with_settings(sampler="sobol"))
     title = figure.get_suptitle()
     assert "integrals, quadrature estimator" in title
+    assert "std_err" not in title
+    assert title.endswith("(± largest error)")
     assert "ray" not in title
     assert "sampler" not in title
     _, axes = panels(figure)

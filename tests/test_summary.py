@@ -156,7 +156,11 @@ def test_integrals_say_what_stands_for_rays():
     numbers = summarize(record)
     text = summary_text(numbers)
     assert "none: the BSDF is integrated over each patch, rel_err 0.0001" in text
-    assert line(record, "ledger").endswith("std_err is their estimated error")
+    header = line(record, "theta_i").split()
+    assert header[4:] == ["value", "error", "low", "high"]
+    assert "95%" not in text
+    assert "std_err" not in text
+    assert "no standard error" in " ".join(text.split())
     assert "hit" not in text
     assert numbers["worst_patches"][0]["hits"] is None
     assert "integrals" in repr(record)

@@ -7,9 +7,10 @@ from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy import special
 
 from ..array_types import Floats
-from ..plots.drawable import check_matplotlib, check_picture, save_picture
+from ..plots.drawable import check_matplotlib, check_picture, save_picture, set_title
 from .curves import Chart, Curve
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ STYLES = {
 QUADRATURE = ("*", "-", None)
 FRONT = "0.82"
 LEGEND = {"fontsize": "small", "frameon": False}
-LEVEL = 1.96  # of the error bars, 95 %
+LEVEL = 0.95  # of the error bars
 
 
 def plot_chart(
@@ -71,7 +72,7 @@ def plot_chart(
     for curve in chart.curves:
         # integrals send no rays; their label is wanted all the same
         rays = np.where(curve.rays > 0, curve.rays, np.nan)
-        _draw_curve(by_rays, curve, rays, colours[curve.sampler])
+        _draw_curve(by_rays, chart, curve, rays, colours[curve.sampler])
     _draw_expectation(by_rays, chart)
     _finish(by_rays, chart, target)
     by_time.set_xlabel("CPU seconds of one measurement")
@@ -81,7 +82,7 @@ def plot_chart(
     by_time.legend(handles[:1], labels[:1], **LEGEND, loc="upper right")
     by_rays.legend(**LEGEND, loc="best")
     _draw_table(below.subplots(), chart, target, colours)
-    figure.suptitle(_title(chart, target), size="medium", parse_math=False)
+    set_title(figure, _title(chart, target))
     if path is not None:
         save_picture(figure, path)
     return figure
@@ -92,7 +93,7 @@ def draw_by_time(axes: Axes, chart: Chart, target: float = 0.01) -> None:
     colours = _colours(chart)
     _draw_front(axes, chart)
     for curve in chart.curves:
-        _draw_curve(axes, curve, curve.cpu_seconds, colours[curve.sampler])
+        _draw_curve(axes, chart, curve, curve.cpu_seconds, colours[curve.sampler])
     _finish(axes, chart, target)
 
 
@@ -102,10 +103,11 @@ def _colours(chart: Chart) -> dict[str, str]:
     return COLOURS | dict(zip(dict.fromkeys(others), OTHERS))
 
 
-def _draw_curve(axes: Axes, curve: Curve, x: Floats, colour: str) -> None:
-    """Points of one method with their error bars."""
+def _draw_curve(axes: Axes, chart: Chart, curve: Curve, x: Floats, colour: str) -> None:
+    """Points of one method with their error bars, of few seeds and so Student's t."""
     marker, line, face = STYLES.get(curve.estimator, QUADRATURE)
-    bars = LEVEL * np.nan_to_num([point.error_std_err for point in curve.points])
+    times = special.stdtrit(chart.settings.get("repeats", 2) - 1, (1 + LEVEL) / 2)
+    bars = times * np.nan_to_num([point.error_std_err for point in curve.points])
     axes.errorbar(
         x,
         curve.error,
@@ -182,7 +184,7 @@ def _draw_table(
         "CPU s",
         "times the best",
         "rays",
-        "order in rays",
+        "order in rays ± std_err",
         "error bars / error",
     ]
     ranking = chart.ranking(target)

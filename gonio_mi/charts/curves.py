@@ -257,7 +257,7 @@ class Chart:
 
     def table(self, target: float) -> str:
         """Lines for people: what each method needs for `target`, and its order."""
-        header = f"{'method':26s} {'CPU s':>8s} {'rays':>8s}   order          claimed"
+        header = f"{'method':26s} {'CPU s':>8s} {'rays':>8s}   order +- std_err claimed"
         lines = [f"{header} / true error"]
         for curve, cost in self.ranking(target):
             order, std_err = curve.order(self.n_patches, self.least)

@@ -142,7 +142,8 @@ def run(options: Namespace) -> int:
         kind = f" as at {channels[0]}" if mi.is_spectral and channels != ("Y",) else ""
         kind += "" if "solar front" in records else ", no block Solar"
         tell(
-            f"{options.output}: {options.basis}{kind}, {rays:.3g} rays, {seconds:.0f} s"
+            f"{options.output}: {options.basis}{kind}, {rays:.3g} rays, "
+            f"{seconds:.0f} s; +- is one standard error"
         )
     return INCOMPLETE if any(map(_is_imprecise, records.values())) else DONE
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..array_types import Flags, Floats, Integers
+from ..errors import LABEL, abridged
 from ..plots.drawable import check_matplotlib
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ def comparison_figure(comparison: Any) -> Figure:
     columns = min(2, len(shown))
     figure.legend(*curves, loc="outside lower center", ncols=columns, frameon=False)
     axes[0, 0].set_ylabel("BSDF (1/sr)")
-    axes[1, 0].set_ylabel("z")
+    axes[1, 0].set_ylabel("z = difference\n/ std_err")
     p_value, rms = comparison.p_value, comparison.rms
     title = f"{comparison.verdict}: p = {p_value:.2g}, rms {rms:.3g} 1/sr"
     if len(panels) > len(shown):
@@ -127,7 +128,7 @@ def _draw(comparison: Any, panel: _Panel, above: Axes, below: Axes) -> None:
             markersize=3,
             linewidth=0.8,
             capsize=2,
-            label=f"{name} +- std_err",
+            label=f"{abridged(name, LABEL)} +- std_err",
             mfc=face,
         )
     above.set_title(panel.title, fontsize="small")
@@ -167,14 +168,14 @@ def points_in_profile(
     if chosen.sum() < min(3, len(theta_o)):
         return theta_o, np.ones(len(theta_o), bool), "theta_o (degrees), all points"
     azimuths = [
-        f"{(phi_i + turn + angle) % 360:.4g}°"
-        for turn, angle, there in (
-            (180, nearest[0], forward),
-            (0, nearest[1], backward),
+        f"{sign} at phi_o {(phi_i + turn + angle) % 360:.4g}°"
+        for sign, turn, angle, there in (
+            ("positive", 180, nearest[0], forward),
+            ("negative", 0, nearest[1], backward),
         )
         if there.any()
     ]
-    label = f"theta_o (degrees), phi_o {' and '.join(azimuths)}"
+    label = f"theta_o (degrees), {', '.join(azimuths)}"
     return np.where(backward & ~forward, -theta_o, theta_o), chosen, label
 
 

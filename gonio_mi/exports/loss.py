@@ -50,9 +50,9 @@ class Loss:
     def __str__(self) -> str:
         return (
             f"theta_i {self.theta_i:.4g}, phi_i {self.phi_i:.4g}, {self.side}: "
-            f"{self.quantity} {self.recorded:.5f} +- {self.std_err:.1g}, in the file "
-            f"{self.written:.5f}; {self.misplaced:.2%} of the light is in other "
-            f"patches (the record's own noise: {self.noise:.2%})"
+            f"{self.quantity} {self.recorded:.5f} +- {self.std_err:.1g} (std_err), in "
+            f"the file {self.written:.5f}; {self.misplaced:.2%} of the light is in "
+            f"other patches (the record's own noise: {self.noise:.2%})"
         )
 
 

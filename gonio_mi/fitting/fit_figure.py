@@ -81,14 +81,20 @@ def _is_same(one: Record | MeasuredTable, other: Record | MeasuredTable) -> bool
 
 def _draw(axes: Axes, fits: list[Any], index: int, of: str) -> None:
     """One incident direction: the first channel of record and models."""
-    from ..plots.profile import profile
+    from ..plots.profile import bars_text, profile
 
     single = fits[0].record[index]
     points = profile(single, of)
     value = points.value[:, 0]
     errors = np.abs([value - points.low[:, 0], points.high[:, 0] - value])
     axes.errorbar(
-        points.theta, value, errors, fmt="ok", markersize=3, capsize=2, label="record"
+        points.theta,
+        value,
+        errors,
+        fmt="ok",
+        markersize=3,
+        capsize=2,
+        label=f"record, {bars_text(single)}",
     )
     for fitted in fits:
         model = profile(fitted.prediction[index], of)
@@ -99,4 +105,4 @@ def _draw(axes: Axes, fits: list[Any], index: int, of: str) -> None:
         f"{single.channels[0]}",
         fontsize="small",
     )
-    axes.set_xlabel("theta_o (degrees)")
+    axes.set_xlabel("theta_o (degrees; negative: towards the source)")

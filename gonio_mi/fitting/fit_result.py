@@ -74,15 +74,16 @@ class Fit:
         """What is left between the values and the model."""
         if self.scatter is not None:
             return (
-                "the table states no uncertainty: +- is from how its points scatter "
-                f"about the model, by {100 * self.scatter:.3g} % (rms)"
+                "the table states no uncertainty: +- is one standard error from how "
+                f"its points scatter about the model, by {100 * self.scatter:.3g} % "
+                "(rms)"
             )
         left = f"{100 * self.misplaced:.3g} % of the light in other patches"
         if isinstance(self.record, MeasuredTable):
             left = f"points differ by {200 * self.misplaced:.3g} % of their mean"
         return (
-            f"chi-square per degree of freedom {self.reduced_chi2:.3g} "
-            f"({self.dof} degrees), {left}"
+            f"+- is one standard error; chi-square per degree of freedom "
+            f"{self.reduced_chi2:.3g} ({self.dof} degrees), {left}"
         )
 
     @property

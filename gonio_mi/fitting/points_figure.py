@@ -51,7 +51,7 @@ def points_figure(fits: list[Any]) -> Figure:
     for (above, below), number in zip(axes.T, shown.astype(int)):
         _draw(fits, points, directions[number], above, below)
     axes[0, 0].set_ylabel("BSDF (1/sr)")
-    axes[1, 0].set_ylabel("model / points - 1")
+    axes[1, 0].set_ylabel("model / points - 1\n(beyond 1: not drawn)")
     axes[0, 0].legend(frameon=False, fontsize="small")
     return figure
 
@@ -90,7 +90,9 @@ def _draw(
     order = np.argsort(x[in_plane], kind="stable")
     x, own = x[in_plane][order], own[in_plane][order]
     value, errors = points.value[own], np.nan_to_num(points.std_err[own])
-    above.errorbar(x, value, errors, fmt="ok", markersize=3, capsize=2, label="points")
+    style = {"fmt": "ok", "markersize": 3, "capsize": 2}
+    label = "points +- std_err" if errors.any() else "points, uncertainty not stated"
+    above.errorbar(x, value, errors, label=label, **style)
     below.axhline(0, color="0.5", linewidth=0.8)
     for fitted in fits:
         channels = fitted.predicted.size // len(points.value)

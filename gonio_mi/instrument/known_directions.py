@@ -130,7 +130,7 @@ class KnownDirections:
         if not new:
             return
         started = time.perf_counter()
-        said = f"{self.name}, {len(self.records)} directions, {said}"
+        said = f"{self.name}, {len(self.records)} directions measured, {said}"
         logger.info("%s: %d more", said, len(new))
         part = f"{self.estimators[0]}_{self.n_rounds:03d}"
         try:

@@ -289,7 +289,7 @@ class WholeBsdf:
 
     def _errors_at(self, unseen: Sequence[tuple[float, float]]) -> list[Misplacement]:
         """What is wrong at directions, with less noise where they are large."""
-        said = "at directions never used"
+        said = "at random directions that only test it"
         self.directions.measure([*self.rings.directions(), *unseen], said)
         prediction = self._prediction(self.rings.directions())
         found = {one: self._missed(prediction, *one) for one in unseen}
@@ -320,8 +320,8 @@ class WholeBsdf:
         if sum(one.exceeds(self.tolerance) for one in errors) > MISSES:
             warnings.warn(
                 f"tolerance of {self.tolerance:g} was not reached for {self.name}: of "
-                f"directions that were never used {within:.0%} are within it, and "
-                f"{self.helps}",
+                f"{UNSEEN} random directions that only test it {within:.0%} are within "
+                f"it, and {self.helps}",
                 RuntimeWarning,
                 stacklevel=4,
             )

@@ -36,9 +36,8 @@ def micro_normals_figure(found: Any, path: str | PathLike[str] | None = None) ->
     left, right = figure.subplots(1, 2)
     edges = found.theta_edges
     middles = (edges[:-1] + edges[1:]) / 2
-    left.errorbar(
-        middles, found.density, found.density_std_err, fmt="ok", ms=3, label="facets"
-    )
+    bars = middles, found.density, found.density_std_err
+    left.errorbar(*bars, fmt="ok", ms=3, label="facets +- std_err")
     for number, (name, style) in enumerate(MODELS.items()):
         u, v = found.alphas[name]
         label = f"{name}, alpha {u:.3g} x {v:.3g}"

@@ -18,7 +18,11 @@ __all__ = [
     "check_matplotlib",
     "check_picture",
     "save_picture",
+    "set_title",
 ]
+
+# Part of a figure's width that a title may fill.
+TITLE_WIDTH = 0.97
 
 FIGURE_ENDINGS = (".pdf", ".png", ".svg")
 ANIMATION_ENDINGS = (".gif",)
@@ -46,6 +50,37 @@ def check_picture(path: str | PathLike[str]) -> None:
     """
     check_matplotlib()
     check_output(path, FIGURE_ENDINGS)
+
+
+def set_title(figure: Figure, text: str, size: str = "medium") -> None:
+    """Write the title of a figure; lines wider than the figure are broken.
+
+    Between words, and within those that are wider alone. Dollars are no formulas.
+    """
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(size=size)
+    limit = TITLE_WIDTH * 72 * figure.get_figwidth()
+
+    def fits(line: str) -> bool:
+        width, *_ = text_to_path.get_text_width_height_descent(line, font, False)
+        return bool(width <= limit)
+
+    lines = []
+    for paragraph in text.split("\n"):
+        line = ""
+        for word in paragraph.split(" "):
+            if line and not fits(f"{line} {word}"):
+                lines.append(line)
+                line = ""
+            line = f"{line} {word}" if line else word
+            while not fits(line):
+                n = max(sum(fits(line[:i]) for i in range(2, len(line))), 1)
+                lines.append(line[: n + 1])
+                line = line[n + 1 :]
+        lines.append(line)
+    figure.suptitle("\n".join(lines), size=size, parse_math=False)
 
 
 def save_picture(figure: Figure, path: str | PathLike[str]) -> None:

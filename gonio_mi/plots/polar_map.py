@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..collector import RingsAndSectors
 from ..results.record import Record
-from .drawn_patches import drawn_in_rings
+from .drawn_patches import ON_BORDER, drawn_in_rings, sectors_beside
 
 __all__ = [
     "add_bar",
@@ -24,13 +24,16 @@ __all__ = [
     "shown_values",
 ]
 
-# More than this between largest and smallest value, and the scale is logarithmic.
-WIDE_RANGE = 100
+# More than this between largest and smallest value, or the first between largest and
+# median, and the scale is logarithmic.
+WIDE_RANGE, FAR_ABOVE = 100, 20
 # What is this much darker than the brightest patch has the darkest colour.
 DEEPEST = 1e-6
 # Degrees of azimuth in which the edge of a patch is drawn as a straight line.
 STRAIGHT = 1
 NO_HIT = "0.8"
+# Half the width of a map, in that of its circle: marks at the horizon are not cut.
+HALF_WIDTH = 1.08
 # Polar angles in degrees that are drawn as circles.
 CIRCLES = (30, 60, 90)
 
@@ -46,11 +49,13 @@ def draw_map(axes: Axes, single: Record, of: str) -> None:
     of : {"brdf", "btdf"}
     """
     _, mean = shown_values(single, of)
-    mesh = draw_patches(axes, single, of, scale_of(mean.compressed()))
+    note = ", on a border of patches" if _on_border(single) else ""
+    mesh = draw_patches(axes, single, of, scale_of(mean.compressed()), note)
     add_bar(axes.figure, mesh, axes.inset_axes((1.16, 0.1, 0.045, 0.8)), single, of)
     _label_grid(axes)
     add_legend(axes, [axes], loc="upper center", bbox_to_anchor=(0.5, -0.05))
-    axes.set_title({"brdf": "Reflection", "btdf": "Transmission"}[of])
+    title = {"brdf": "Reflection", "btdf": "Transmission"}[of]
+    axes.set_title(title, pad=12)  # above the azimuth
 
 
 def add_legend(place: Any, maps: Iterable[Axes], **where: Any) -> None:
@@ -94,18 +99,22 @@ def scale_of(values: NDArray[np.float64]) -> colors.Normalize:
     if positive.size == 0:
         return colors.Normalize(0, 1)
     low, high = positive.min(), positive.max()
-    if high > WIDE_RANGE * low:
+    if high > WIDE_RANGE * low or high > FAR_ABOVE * np.median(positive):
         return colors.LogNorm(max(low, DEEPEST * high), high, clip=True)
     return colors.Normalize(0, high)
 
 
 def draw_patches(
-    axes: Axes, single: Record, of: str, scale: colors.Normalize
+    axes: Axes, single: Record, of: str, scale: colors.Normalize, note: str = ""
 ) -> QuadMesh:
-    """Fill each patch with the colour of its value, and draw circles and directions."""
+    """Fill each patch with the colour of its value, and draw circles and directions.
+
+    `note` follows the name of the mirror direction, or of that straight through.
+    """
     patches, values = shown_values(single, of)
     pieces = math.ceil(360 / patches.n_phi / STRAIGHT)
-    phi = np.linspace(0, 2 * np.pi, patches.n_phi * pieces + 1)
+    steps = np.arange(patches.n_phi * pieces + 1) / pieces
+    phi = np.interp(steps, np.arange(patches.n_phi + 1), patches.phi_edges)
     radius = np.sin(patches.theta_edges)[:, None]
     mesh = axes.pcolormesh(
         radius * np.cos(phi),
@@ -121,10 +130,11 @@ def draw_patches(
         size = math.sin(math.radians(theta))
         style = {"c": "0.2", "lw": 0.8} if theta == 90 else {"c": "w", "lw": 0.4}
         axes.plot(size * np.cos(circle), size * np.sin(circle), **style)
-    _mark_directions(axes, single, of)
+    _mark_directions(axes, single, of, note)
     if values.mask.any():
         axes.plot([], [], "s", color=NO_HIT, label=_unlit(single))
-    axes.set_aspect("equal")
+    limits = -HALF_WIDTH, HALF_WIDTH
+    axes.set(aspect="equal", xlim=limits, ylim=limits)
     axes.set_axis_off()
     return mesh
 
@@ -166,7 +176,17 @@ def _label_grid(axes: Axes) -> None:
             )
 
 
-def _mark_directions(axes: Axes, single: Record, of: str) -> None:
+def _on_border(single: Record) -> bool:
+    """Whether the mirror direction lies on the border of a sector or ring."""
+    patches, theta = single.subdivision, np.radians(single.theta_i[0])
+    if not isinstance(patches, RingsAndSectors) or np.isnan(theta):
+        return False
+    rings = np.abs(np.asarray(patches.theta_edges)[1:-1] - theta)
+    on_ring = rings.min(initial=np.inf) < ON_BORDER
+    return bool(theta > 0 and (on_ring or sectors_beside(single)))
+
+
+def _mark_directions(axes: Axes, single: Record, of: str, note: str) -> None:
     """Mark where the light comes from, and where a smooth specimen would send it."""
     theta, phi = np.radians([single.theta_i[0], single.phi_i[0]])
     if np.isnan(theta) or np.isnan(phi):
@@ -176,9 +196,9 @@ def _mark_directions(axes: Axes, single: Record, of: str) -> None:
     style |= {"path_effects": _outlined(3, "w"), "clip_on": False}
     if of == "brdf":
         axes.plot(x, y, marker="o", label="incident", **style)
-        axes.plot(-x, -y, marker="D", label="mirror direction", **style)
+        axes.plot(-x, -y, marker="D", label=f"mirror direction{note}", **style)
     else:
-        axes.plot(-x, -y, marker="D", label="straight through", **style)
+        axes.plot(-x, -y, marker="D", label=f"straight through{note}", **style)
 
 
 def _outlined(width: float, colour: str = "0.15") -> list[withStroke]:

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..results.integral_sums import without_chance
 from ..results.record import Record
-from .drawn_patches import drawn_in_rings
+from .drawn_patches import drawn_in_rings, sectors_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["LEVEL", "Profile", "draw_profiles", "profile"]
+__all__ = ["LEVEL", "Profile", "bars_text", "draw_profiles", "profile"]
 
 LEVEL = 0.95
 # More patches than this, and their intervals are drawn as a band.
@@ -23,6 +24,8 @@ MAX_POINTS = 200
 MAX_CURVES = 8
 # More than this between largest and smallest value, and the axis is logarithmic.
 WIDE_RANGE = 100
+# A logarithmic axis begins no deeper than this below the largest value.
+DEEPEST = 1e-9
 # Less than this, and it does not begin at zero.
 NARROW_RANGE = 1.5
 # Part of the values that the axis spans at least: less is rounding.
@@ -51,6 +54,13 @@ class Profile:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     empty: NDArray[np.bool_]
+
+
+def bars_text(record: Record) -> str:
+    """What the limits of a profile are."""
+    if without_chance(record.tallies):
+        return "largest error, estimated"
+    return f"{100 * LEVEL:g} % interval"
 
 
 def profile(single: Record, of: str = "brdf", level: float = LEVEL) -> Profile:
@@ -124,16 +134,18 @@ def draw_profiles(
             for colour, label in zip(colours, labels):
                 axes.plot([], [], c=colour, label=label)
     values = np.concatenate([cut.value.ravel() for cut in cuts])
-    _scale(axes, values[values > 0])
+    limits = [cut.high[cut.empty].ravel() for cut in cuts]
+    _scale(axes, values[values > 0], np.concatenate(limits))
     axes.set_xlim(-90, 90)
     axes.set_xticks(range(-90, 91, 30), [f"{theta}°" for theta in range(-90, 91, 30)])
     axes.set_xlabel(
         r"$\theta_o$ in the plane of incidence (negative: towards the source)"
+        + _sectors_text(record[index])
     )
     axes.set_ylabel(" and ".join(of.upper() for of in shown) + " (1/sr)")
     axes.grid(alpha=0.3, lw=0.5)
     axes.spines[["top", "right"]].set_visible(False)
-    _add_legend(axes, cuts, shown, record.theta_i[index])
+    _add_legend(axes, record[index], cuts, shown)
 
 
 def _draw_curve(axes: "Axes", cut: Profile, channel: int, colour: Any, of: str) -> None:
@@ -152,14 +164,31 @@ def _draw_curve(axes: "Axes", cut: Profile, channel: int, colour: Any, of: str) 
     axes.plot(cut.theta[~hit], high[~hit], "v", c=colour, ms=4, mfc="none", mew=0.7)
 
 
-def _scale(axes: "Axes", positive: NDArray[np.float64]) -> None:
-    """Choose the axis of the values: logarithmic, from zero, or close to them."""
+def _sectors_text(single: Record) -> str:
+    """Which sectors are drawn, where the plane of incidence is a border of them."""
+    beside = sectors_beside(single)
+    if not beside:
+        return ""
+    drawn = " and ".join(f"{begin:.4g}° to {end:.4g}°" for begin, end in beside)
+    return (
+        "\nThis is a border of sectors: drawn are those of " + rf"$\varphi_o$ = {drawn}"
+    )
+
+
+def _scale(
+    axes: "Axes", positive: NDArray[np.float64], limits: NDArray[np.float64]
+) -> None:
+    """Choose the axis of the values: logarithmic, from zero, or close to them.
+
+    `limits`: upper ones of what is not known to be positive.
+    """
     if positive.size == 0:
         return
     low, high = positive.min(), positive.max()
     if high > WIDE_RANGE * low:
         axes.set_yscale("log", nonpositive="clip")
-        axes.set_ylim(low / 3, None)
+        least = min(low, limits[limits > 0].min(initial=low))
+        axes.set_ylim(max(least / 3, DEEPEST * high), None)
     elif high > NARROW_RANGE * low:
         axes.set_ylim(0, None)
     else:
@@ -169,7 +198,7 @@ def _scale(axes: "Axes", positive: NDArray[np.float64]) -> None:
 
 
 def _add_legend(
-    axes: "Axes", cuts: Sequence[Profile], shown: Sequence[str], theta_i: float
+    axes: "Axes", single: Record, cuts: Sequence[Profile], shown: Sequence[str]
 ) -> None:
     """Explain curves and marks, beside the axes."""
     grey = {"c": "0.4", "ls": "none"}
@@ -177,11 +206,11 @@ def _add_legend(
         axes.plot([], [], marker="o", ms=3, label="reflection", **grey)
         axes.plot([], [], marker="o", ms=3, mfc="w", label="transmission", **grey)
     if any(np.isfinite(cut.low[~cut.empty]).all() for cut in cuts):
-        axes.plot([], [], marker="|", ms=9, label=f"{LEVEL:.0%} interval", **grey)
+        axes.plot([], [], marker="|", ms=9, label=bars_text(single), **grey)
     if any(cut.empty.any() for cut in cuts):
         label = "upper limit, no hit"
         axes.plot([], [], marker="v", ms=4, mfc="none", label=label, **grey)
-    if not np.isnan(theta_i):
+    if not np.isnan(single.theta_i[0]):
         axes.plot([], [], c="0.4", ls=":", lw=1, label="mirror direction")
     if axes.get_legend_handles_labels()[1]:
         axes.legend(

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from ..errors import SettingError, abridged, checked_count
 from ..files import check_output
-from ..results.integral_sums import sent_text
+from ..results.integral_sums import sent_text, without_chance
 from ..results.record import Record
-from .drawable import FIGURE_ENDINGS, check_matplotlib, save_picture
+from .drawable import FIGURE_ENDINGS, check_matplotlib, save_picture, set_title
 from .profile import draw_profiles
 
 if TYPE_CHECKING:
@@ -36,12 +36,14 @@ def plot(
     Above, the patches of one incident direction in orthographic projection, seen along
     -z: the radius is sin(theta_o), so that equal areas are equal projected solid
     angles; phi_o is 0 to the right and grows counter-clockwise. Colours are linear, or
-    logarithmic where values differ by more than a factor of 100. With several channels
-    they show the mean. Transmission is drawn if any was received.
+    logarithmic where values differ by more than a factor of 100, or the largest is more
+    than 20 times the median. With several channels they show the mean. Transmission is
+    drawn if any was received.
 
     Below, the profile in the plane of incidence with 95 % intervals: one curve per
     channel, or per incident direction of a stack of up to 8 with one channel. Triangles
     are the upper limits of patches without a hit, dotted lines the mirror directions.
+    Where the plane is a border of sectors, it says which ones are drawn.
 
     Parameters
     ----------
@@ -87,7 +89,7 @@ def plot(
     for axes, of in zip(above.subplots(1, len(shown), squeeze=False)[0], shown):
         draw_map(axes, single, of)
     draw_profiles(below.subplots(), record, index, shown)
-    figure.suptitle(_title(record, index), size="medium", parse_math=False)
+    set_title(figure, _title(record, index))
     if path is not None:
         save_picture(figure, path)
     return figure
@@ -123,6 +125,9 @@ def _title(record: Record, index: int) -> str:
     if single.ledger.direct:
         totals.append(_total("direct", single.direct, single.direct_std_err))
     lines[-1] += "; " + ", ".join(totals)
+    if "±" in lines[-1]:
+        of = "largest error" if without_chance(single.tallies) else "std_err"
+        lines[-1] += f" (± {of})"
     return "\n".join(lines).encode("utf-8", "backslashreplace").decode()
 
 
@@ -131,9 +136,10 @@ def _total(
 ) -> str:
     """Mean over the channels, with the standard error of a single channel."""
     if len(values) > 1:
-        return f"{name} {values.mean():.4g}"
+        return f"{name} {values.mean():.4g}, mean of {len(values)} channels"
     value, std_err = float(values[0]), float(std_errs[0])
     if not std_err > 0:
         return f"{name} {value:.4g}"
     decimals = max(0, 1 - math.floor(math.log10(std_err)))
-    return f"{name} {value:.{decimals}f} ± {std_err:.{decimals}f}"
+    words = f"{name} {value:.{decimals}f} ± {std_err:.{decimals}f}"
+    return words.replace(" ", "\N{NO-BREAK SPACE}")

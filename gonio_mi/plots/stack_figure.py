@@ -12,7 +12,13 @@ from ..errors import abridged
 from ..files import check_output, replacing
 from ..progress import bar
 from ..results.record import Record
-from .drawable import ANIMATION_ENDINGS, FIGURE_ENDINGS, check_matplotlib, save_picture
+from .drawable import (
+    ANIMATION_ENDINGS,
+    FIGURE_ENDINGS,
+    check_matplotlib,
+    save_picture,
+    set_title,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,7 +28,10 @@ __all__ = ["animation", "sheet"]
 # Maps that a sheet has room for, and frames that make an animation long enough.
 MOST_MAPS, MOST_FRAMES = 24, 60
 FRAMES_PER_SECOND = 4
+# Inches at the right of a frame for the colour bar with its numbers and its name.
+BAR = 1.1
 NAMES = {"brdf": "Reflection", "btdf": "Transmission"}
+GRID = "circles: θₒ = 30°, 60°; φₒ = 0° to the right"
 
 
 def sheet(record: Record, path: str | PathLike[str] | None = None) -> Figure:
@@ -63,8 +72,8 @@ def sheet(record: Record, path: str | PathLike[str] | None = None) -> Figure:
         place = axes[columns - 1].inset_axes((1.12, 0, 0.07, 1))
         add_bar(block, mesh, place, record[0], of)
         add_legend(block, axes, loc="outside lower center")
-        block.suptitle(NAMES[of], fontsize="medium")
-    figure.suptitle(_title(record, len(shown)), fontsize="medium", parse_math=False)
+        block.suptitle(f"{NAMES[of]} ({GRID})", fontsize="medium")
+    set_title(figure, _title(record, len(shown)))
     if path is not None:
         save_picture(figure, path)
     return figure
@@ -117,7 +126,8 @@ def _frame(record: Record, number: int, scales: dict[str, Any], n_shown: int) ->
 
     from .polar_map import add_bar, draw_patches
 
-    figure = Figure(figsize=(4.6 * len(scales), 4.4), dpi=100)
+    width = 4.7 * len(scales)
+    figure = Figure(figsize=(width, 4.4), dpi=100)
     canvas = FigureCanvasAgg(figure)
     places = figure.subplots(1, len(scales), squeeze=False)[0]
     for (of, scale), axes in zip(scales.items(), places):
@@ -125,8 +135,9 @@ def _frame(record: Record, number: int, scales: dict[str, Any], n_shown: int) ->
         add_bar(figure, mesh, axes.inset_axes((1.05, 0.1, 0.05, 0.8)), record[0], of)
         axes.set_title(NAMES[of], fontsize="small")
     title = f"{_title(record, n_shown)}\n{_direction(record, number)}"
-    figure.suptitle(title, fontsize="small", parse_math=False)
-    figure.subplots_adjust(left=0.02, right=0.84, top=0.82, bottom=0.03, wspace=0.5)
+    set_title(figure, title, "small")
+    right = 1 - BAR / width
+    figure.subplots_adjust(left=0.02, right=right, top=0.82, bottom=0.03, wspace=0.5)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3]
 

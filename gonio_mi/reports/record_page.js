@@ -158,13 +158,17 @@
                          ticktext: ticks.map((t) => `1e${t}`) } };
   }
 
+  // Whether nothing is left to chance: integrals without a hit beside them.
+  const exact = (one, hits) => one.integrals && !hits;
+
   function told(look, hemisphere, patch, other) {
     const r = reading(look, hemisphere, patch);
     const lines = [
       `\u03b8 ${short(r.theta)}\u00b0, \u03c6 ${short(r.phi)}\u00b0: ${known(r.mean, r.error)} \u00b1 ` +
         `${uncertain(r.mean, r.error)} 1/sr`,
-      `95 % interval ${known(r.low, r.error)} to ${known(r.high, r.error)}`,
-      `${look.one.integrals && !r.hits ? "integrated" : `${r.hits} rays`}, solid angle ${short(r.solid)} sr, patch ${patch}`];
+      exact(look.one, r.hits) ? "\u00b1 is the largest error that the integral is estimated to have"
+        : `\u00b1 is one standard error; 95 % interval ${known(r.low, r.error)} to ${known(r.high, r.error)}`,
+      `${exact(look.one, r.hits) ? "integrated" : `${r.hits} rays`}, solid angle ${short(r.solid)} sr, patch ${patch}`];
     if (other)
       lines.push(`${short(difference(look, other, hemisphere, patch))} standard errors apart`);
     return lines.join("\n");
@@ -326,16 +330,17 @@
       const row = table.insertRow();
       for (const cell of cells) row.insertCell().textContent = cell;
     };
-    add("", "value", "std_err", "95 % interval");
+    const { emitted } = direction.ledger;
+    const certain = exact(one, emitted);
+    add("", "value", certain ? "largest error" : "std_err", certain ? "limits" : "95 % interval");
     for (const name of ["dhr", "dht", "direct"])
       for (const total of direction[name] ?? [])
         add(`${name} ${one.channels.length > 1 ? total.channel : ""}`,
             known(total.value, total.std_err), uncertain(total.value, total.std_err ?? NaN),
             `${known(total.low ?? NaN, total.std_err)} to ` +
               known(total.high ?? NaN, total.std_err));
-    const { emitted } = direction.ledger;
-    if (!emitted && one.integrals) add("rays", "none: integrals", "", "");
-    if (emitted) add("", "rays", "share", "");
+    if (certain) add("rays", "none: integrals", "", "");
+    if (emitted) add("ledger, whatever power they carry", "rays", "share of rays", "");
     for (const [name, n] of Object.entries(direction.ledger))
       if (n) add(name, n.toLocaleString("en").replaceAll(",", " "),
                  `${short((100 * n) / emitted)} %`, "");

@@ -53,8 +53,11 @@ def _is_symmetry(found: Any) -> bool:
     return all(type(x) in (int, float) and -1e15 < x < 1e15 for x in numbers)
 
 
-def campaign_text(found: Mapping[str, Any], width: int) -> str:
-    """Tolerance, and the errors at directions that were never used."""
+def campaign_text(found: Mapping[str, Any], used: int, width: int) -> str:
+    """Tolerance, and the errors at directions that only test the material.
+
+    `used`: measured incident directions that the record holds.
+    """
     unseen = np.array(found["unseen"], dtype=float)
     light, reflected = unseen[:, 2], np.abs(unseen[:, 4:]).max(axis=1)
     worst = int(np.argmax(np.maximum(light, reflected)))
@@ -65,14 +68,15 @@ def campaign_text(found: Mapping[str, Any], width: int) -> str:
     kind = "isotropic" if found["isotropic"] else "anisotropic"
     text = (
         f"tolerance {found['tolerance']:.3g} up to theta_i {found['theta_max']:g}, "
-        f"{kind} by measurement{_symmetry_text(found.get('symmetry'))}; "
-        f"{found['measured']} directions were measured. At "
-        f"{len(unseen)} that the material does not use, {found['within']:.1%} are "
-        f"within the tolerance (of all directions at least {share:.0%}, with a "
-        f"confidence of {CONFIDENCE:.0%}): of the light, {np.mean(light):.2g} is "
-        f"elsewhere than predicted on average and {light[worst]:.2g} "
-        f"+- {unseen[worst, 3]:.1g} at the worst, theta_i {theta:.1f}, phi_i "
-        f"{phi:.1f}; dhr and dht are off by up to {reflected.max():.2g}."
+        f"{kind} by measurement{_symmetry_text(found.get('symmetry'))}. "
+        f"{found['measured']} incident directions were measured: {used} of them are "
+        f"this record, {len(unseen)} at random only test it, the rest only served the "
+        f"choice. Of the {len(unseen)} tests, {within:.0f} are within the tolerance "
+        f"(of all directions at least {share:.0%}, with a confidence of "
+        f"{CONFIDENCE:.0%}): of the light, {np.mean(light):.2g} is elsewhere than "
+        f"predicted on average and {light[worst]:.2g} +- {unseen[worst, 3]:.1g} "
+        f"(std_err) at the worst, theta_i {theta:.1f}, phi_i {phi:.1f}; dhr and dht "
+        f"are off by up to {reflected.max():.2g}."
     )
     indent = " " * 10
     return textwrap.fill(

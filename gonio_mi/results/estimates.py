@@ -45,8 +45,11 @@ class Estimates(ABC):
 
     @property
     def hits(self) -> Counts:
-        """Hits per patch of one pass, shape ``(n_hemispheres, n_theta, n_phi)``."""
-        return self.tally.hits // np.uint64(self.passes)
+        """Hits per patch of one pass, shape ``(n_hemispheres, n_theta, n_phi)``.
+
+        Rounded up: a patch that one pass alone hits was hit.
+        """
+        return -(-self.tally.hits.astype(np.int64) // self.passes).astype(np.uint64)
 
     @property
     def rays(self) -> int:

@@ -11,12 +11,21 @@ import numpy as np
 from ..array_types import Floats
 from .tally import Fate, Tally
 
-__all__ = ["Integrals", "holds_integrals", "sent_text"]
+__all__ = ["Integrals", "holds_integrals", "sent_text", "without_chance"]
 
 
 def holds_integrals(tallies: Sequence[Tally]) -> bool:
     """Whether integrals stand for rays, but for those of delta components."""
     return any(isinstance(tally, Integrals) for tally in tallies)
+
+
+def without_chance(tallies: Sequence[Tally]) -> bool:
+    """Whether all values are integrals, beside which no ray was sent.
+
+    Their standard errors are then the largest errors that they are estimated to have,
+    and so are the limits of their intervals, at any level.
+    """
+    return holds_integrals(tallies) and not any(one.ledger.emitted for one in tallies)
 
 
 def sent_text(tallies: Sequence[Tally]) -> str:

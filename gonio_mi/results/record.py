@@ -218,8 +218,9 @@ class Record:
         interval reaches at least to the limits for weighted counts (Fay and Feuer
         1997), of which one of unit weight may have been missed.
 
-        Integrals (estimator `quadrature`) may be wrong by their error, to which
-        Student's t for the sampled delta components is added.
+        Integrals (estimator `quadrature`) may be wrong by their error, the largest that
+        they are estimated to have, at any `level`; Student's t for delta components,
+        which are sampled, is added to it.
 
         Parameters
         ----------

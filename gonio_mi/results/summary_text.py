@@ -33,7 +33,7 @@ def summary_text(numbers: dict[str, Any], most_rows: int = MOST_ROWS) -> str:
     blocks = [
         _settings_text(numbers),
         _totals_text(numbers, most_rows),
-        _ledger_text(numbers["ledger"], numbers["integrals"]),
+        _ledger_text(numbers),
         _patches_text(numbers),
     ]
     warnings = [_filled("warning   ", text) for text in numbers["warnings"]]
@@ -41,7 +41,8 @@ def summary_text(numbers: dict[str, Any], most_rows: int = MOST_ROWS) -> str:
         blocks.append("\n".join(warnings))
     if numbers["settings"].get("campaign"):
         # what decides, below a table that may be long
-        blocks.append(campaign_text(numbers["settings"]["campaign"], WIDTH))
+        used = len(numbers["directions"]) - len(_copies(numbers))
+        blocks.append(campaign_text(numbers["settings"]["campaign"], used, WIDTH))
     return "\n\n".join(blocks)
 
 
@@ -113,11 +114,13 @@ def _rays_text(numbers: dict[str, Any]) -> str:
 
 def _totals_text(numbers: dict[str, Any], most_rows: int) -> str:
     """Reflectance and transmittance with their intervals; of copies no line."""
-    header = ["theta_i", "phi_i", "of", "channel", "value", "std_err"]
-    header += [f"{numbers['level']:.0%} low", f"{numbers['level']:.0%} high"]
+    level = f"{numbers['level']:.0%} "
+    ends = ["error", "low", "high"]
+    if not _without_rays(numbers):
+        ends = ["std_err", level + "low", level + "high"]
+    header = ["theta_i", "phi_i", "of", "channel", "value", *ends]
     rows = []
-    symmetry = (numbers["settings"].get("campaign") or {}).get("symmetry") or {}
-    copies = {tuple(copy) for copy in symmetry.get("copies", ())}
+    copies = _copies(numbers)
     measured = [
         one
         for one in numbers["directions"]
@@ -150,11 +153,29 @@ def _totals_text(numbers: dict[str, Any], most_rows: int) -> str:
     return "\n".join(lines) + said
 
 
-def _ledger_text(ledger: dict[str, int], integrals: bool) -> str:
+def _copies(numbers: dict[str, Any]) -> set[tuple[float, float]]:
+    """Incident directions that a campaign copied from others."""
+    symmetry = (numbers["settings"].get("campaign") or {}).get("symmetry") or {}
+    copies = {tuple(copy) for copy in symmetry.get("copies", ())}
+    held = {(one["theta_i"], one["phi_i"]) for one in numbers["directions"]}
+    return copies & held
+
+
+def _without_rays(numbers: dict[str, Any]) -> bool:
+    """Whether all values are integrals, whose errors are none of chance."""
+    return bool(numbers["integrals"] and not numbers["ledger"]["emitted"])
+
+
+def _ledger_text(numbers: dict[str, Any]) -> str:
     """Where the rays went: all rows but those that are zero."""
+    ledger = numbers["ledger"]
     emitted = ledger["emitted"]
-    if integrals and not emitted:
-        text = "empty, for integrals send no rays; std_err is their estimated error"
+    if _without_rays(numbers):
+        text = (
+            "empty, for integrals send no rays; error is the largest that the "
+            "integrals are estimated to have, no standard error: low and high are the "
+            "value less and plus it"
+        )
         return _filled("ledger    ", text)
     shown = {
         name: n
@@ -163,7 +184,11 @@ def _ledger_text(ledger: dict[str, int], integrals: bool) -> str:
     }
     rows = [[name, grouped(n), _percent(n, emitted)] for name, n in shown.items()]
     rows.append(["sum", grouped(sum(shown.values())), _percent(emitted, emitted)])
-    return _table(["ledger", "rays", "%"], rows)
+    table = _table(["ledger", "rays", "% of rays"], rows)
+    if numbers["settings"].get("estimator") == "analog":
+        return table
+    told = "rays are counted, whatever power they carry: shares of power stand above"
+    return f"{table}\n{told}"
 
 
 def _patches_text(numbers: dict[str, Any]) -> str:
@@ -178,7 +203,10 @@ def _patches_text(numbers: dict[str, Any]) -> str:
         text += f"{grouped(empty)} without a hit and "
     text += f"{grouped(lobe)} brighter than {FLOOR:g} of the mean"
     if None not in errors:
-        text += f", the worst of these known to {100 * max(errors):.3g} %"
+        text += (
+            f", {'error' if _without_rays(numbers) else 'std_err'} of these at most "
+            f"{100 * max(errors):.3g} %"
+        )
     worst = numbers["worst_patches"]
     if not worst:
         return _filled("patches   ", text + "; their standard errors are not known")
@@ -199,8 +227,9 @@ def _patches_text(numbers: dict[str, Any]) -> str:
         for patch in worst
     ]
     header += ["value", "+- std_err", "%", "hits"]
-    if not numbers["ledger"]["emitted"]:
-        header.pop()  # as are the cells below it, which no line of the table ends with
+    if _without_rays(numbers):
+        # no hits, nor the cells below, which no line of the table ends with
+        header[-3:] = ["+- error", "%"]
     table = _table(header, rows)
     return _filled("patches   ", text) + "\n\n" + table
 

@@ -47,6 +47,9 @@ class Fate(IntEnum):
 class Ledger:
     """Where every ray went, as whole numbers of rays that add up to `emitted`.
 
+    Of rays, not of power: one that left with a weight of 0.8 counts as one reflected,
+    and the 0.2 that the specimen kept are in no row.
+
     Attributes
     ----------
     reflected, transmitted : int

@@ -175,7 +175,8 @@ def _patches(
     wi = maps.condition.wi
     axes.plot(wi[0], wi[1], "o", mfc="none", mec="tab:red", ms=6)
     axes.set_title(title, fontsize="medium")
-    axes.set_aspect("equal")
+    # wider than the circle, whose sides would be cut
+    axes.set(aspect="equal", xlim=(-1.05, 1.05), ylim=(-1.05, 1.05))
     axes.set_xticks([])
     axes.set_yticks([])
     for spine in axes.spines.values():

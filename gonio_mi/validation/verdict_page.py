@@ -21,11 +21,11 @@ STYLE = """
 """
 
 LEGEND = (
-    "Maps of both hemispheres, seen from the normal: the circle is the direction to "
-    "the source, the cross the patch whose score is the worst. Scores z are normal if "
-    "nothing is wrong: beyond 5 or so, they are no chance. Below, what is drawn and "
-    "what is due in the plane through that patch, which a line marks; the band is two "
-    "standard errors wide on either side of what is due."
+    "Maps of both hemispheres in 1/sr, seen from the normal: the circle is the "
+    "direction to the source, the cross the patch whose score is the worst. Scores z "
+    "are normal if nothing is wrong: beyond 5 or so, they are no chance. Below, what "
+    "is drawn and what is due in the plane through that patch, which a line marks; the "
+    "band is two standard errors wide on either side of what is due."
 )
 
 
