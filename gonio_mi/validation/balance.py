@@ -7,6 +7,7 @@ from scipy import special
 
 from .equality import BSDF_ROUNDING
 from .evidence import INTERFACE, NOISE, Evidence
+from .extent import misplaced, surplus
 from .integrals import SUM_ERROR
 from .maps import FourMaps
 
@@ -26,9 +27,9 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
         ("sampling", maps.count_scores),
         ("weights", maps.weight_scores),
     ):
-        texts = scores.statistics
+        texts, off = scores.statistics, misplaced(maps, name)
         for view, p in scores.p_values.items():
-            evidence.test(name, p, texts[view], maps.condition)
+            evidence.test(name, p, texts[view], maps.condition, off)
     _check_excess(evidence, maps)
     _check_reach(evidence, maps)
 
@@ -48,6 +49,8 @@ def _check_excess(evidence: Evidence, maps: FourMaps) -> None:
             f"{used + unused:.5g} at {maps.condition}",
             text,
             size=used + unused - 1,
+            off=min(used + unused - 1, 1.0),
+            theta_i=maps.condition.theta_i,
             effect=INTERFACE if harmless else None,
         )
 
@@ -64,6 +67,8 @@ def _check_reach(evidence: Evidence, maps: FourMaps) -> None:
             f"{lost / flux:.3g} of the light at {maps.condition}",
             f"`eval` sends {lost / flux:.3g} of its light where `pdf` is 0",
             size=lost,
+            off=min(lost / flux, 1.0),
+            theta_i=maps.condition.theta_i,
         )
     elif maps.judged < JUDGED:
         evidence.lesser["weights"] = NOISE
@@ -86,7 +91,9 @@ def check_pooled(evidence: Evidence) -> None:
         if len(scores) > 1:
             z = float(np.sum(scores) / np.sqrt(len(scores)))
             p = float(2 * special.ndtr(-abs(z)))
-            evidence.test(name, p, f"z of all sums together {z:+.1f}")
+            gains = [surplus(m, name) for m in evidence.maps]
+            off = abs(float(np.mean(gains)))
+            evidence.test(name, p, f"z of all sums together {z:+.1f}", off=off)
 
 
 def check_energy(evidence: Evidence, maps: FourMaps) -> None:

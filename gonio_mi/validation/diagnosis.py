@@ -17,6 +17,10 @@ __all__ = ["diagnose"]
 # Part of the samples that explains nothing else.
 RARE = 0.01
 
+# Part of the share of the largest failure below which another is no symptom of it, but
+# a smaller one beside it, and explains nothing.
+MINOR = 0.2
+
 # What is looked at first explains what comes later.
 ORDER = (
     "answers",
@@ -41,15 +45,18 @@ ORDER = (
 
 
 def diagnose(
-    evidence: Evidence, failed: Mapping[str, str], bsdf: mi.BSDF
+    evidence: Evidence,
+    failed: Mapping[str, str],
+    shares: Mapping[str, float | None],
+    bsdf: mi.BSDF,
 ) -> tuple[str, str]:
     """Likely guilty function and mistake.
 
     Parameters
     ----------
     evidence : Evidence
-    failed : dict
-        Effect by name of property.
+    failed, shares : dict
+        Effect by name of property, and how much of the light it is about.
     bsdf : mi.BSDF
         To be asked for its single lobes.
 
@@ -58,6 +65,10 @@ def diagnose(
     function, mistake : str
     """
     worst = min(failed.values(), key=EFFECTS.index)
+    own = {name: shares[name] for name in failed if failed[name] == worst}
+    largest = max((x for x in own.values() if x is not None), default=0.0)
+    minor = {n for n, x in own.items() if x is not None and x < MINOR * largest}
+    failed = {name: effect for name, effect in failed.items() if name not in minor}
     names = [name for name in ORDER if failed.get(name) == worst]
     # what few samples do comes after what all do, as a law that a model may choose
     later = [

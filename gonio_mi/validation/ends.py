@@ -19,6 +19,9 @@ from .probe import PluginFault, Probe, numbers, spectral
 __all__ = ["check_ends", "check_roughness"]
 
 # Polar angles of incidence in degrees, and the ends of random numbers in [0, 1).
+# Part of an image that single pixels are.
+SINGLE = 1e-3
+
 ANGLES = (0, 1e-3, 89.99, 90, 90.01, 120, 179.999, 180)
 LAST = float(np.nextafter(np.float32(1), np.float32(0)))
 NUMBERS = (0.0, 0.5, LAST)
@@ -112,6 +115,7 @@ def _finite(
             f"`{function}` gives {example:g} at an end of its domain",
             size=float(wrong.sum()),
             effect=INTERFACE if harmless else None,
+            off=SINGLE,
         )
 
 
@@ -127,6 +131,7 @@ def _unit(
             f"direction {_text(wo[wrong][0])} {place}, "
             f"sample {_text(corners[wrong][0])}",
             "`sample` gives a direction of another length than 1 at an end",
+            off=SINGLE,
         )
 
 

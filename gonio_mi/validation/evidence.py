@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,6 +25,7 @@ __all__ = [
     "Evidence",
     "Test",
     "harm",
+    "share",
 ]
 
 # What a failure does to an image, the worst first.
@@ -118,6 +120,10 @@ class Breach:
         The larger, the more it says: the worst breach of a property is shown.
     effect : str, optional
         One of `EFFECTS`; that of its property by default.
+    off : float, optional
+        Part of the light, or of the samples, that it is about; None if not known.
+    theta_i : float
+        Where that is, in degrees.
     """
 
     property: str
@@ -126,6 +132,8 @@ class Breach:
     mistake: str
     size: float = 1.0
     effect: str | None = None
+    off: float | None = None
+    theta_i: float = 0.0
 
 
 def harm(breach: Breach) -> str:
@@ -145,14 +153,32 @@ class Test:
     statistic : str
     condition : Condition or None
         None for one over all conditions.
+    off : float, optional
+        Part of the light, or of the samples, that is not where it should be.
     """
 
     property: str
     p: float
     statistic: str
     condition: Condition | None = None
+    off: float | None = None
 
     __test__ = False  # no test of pytest's
+
+
+def share(found: Breach | Test) -> float | None:
+    """How much of the light of a lit surface a finding is about; None if not known.
+
+    What is off, times the cosine of the angle of incidence: so much of the light of a
+    source a surface gets. At 89 degrees a hundredth is off of next to nothing.
+    """
+    if found.off is None:
+        return None
+    if isinstance(found, Breach):
+        theta_i = found.theta_i
+    else:
+        theta_i = 0.0 if found.condition is None else found.condition.theta_i
+    return found.off * math.cos(math.radians(theta_i))
 
 
 @dataclass

@@ -41,6 +41,8 @@ def _check_dark(evidence: Evidence, drawn: Drawn, smooth: Flags) -> None:
         f"{drawn.condition}",
         f"{functions} 0 where `sample` scatters light",
         size=1 + float(dark.mean()),
+        off=float(dark.mean()),
+        theta_i=drawn.condition.theta_i,
     )
 
 
@@ -126,6 +128,8 @@ def _check_joint(evidence: Evidence, drawn: Drawn) -> None:
             f"{100 * wrong.mean():.3g} % of the samples at {drawn.condition}",
             "`eval_pdf_sample` draws other samples than `sample`",
             size=float(wrong.mean()),
+            off=float(wrong.mean()),
+            theta_i=drawn.condition.theta_i,
         )
 
 
@@ -155,4 +159,6 @@ def _unequal(
         mistake,
         size=float(wrong.mean()),
         effect=effect,
+        off=float(np.mean(np.where(usable, np.minimum(np.abs(ratio - 1), 1), wrong))),
+        theta_i=drawn.condition.theta_i,
     )

@@ -99,7 +99,10 @@ def validate(
         _stop(evidence, fault)
     properties = judge(evidence, alpha, allow)
     failed = {p.name: str(p.effect) for p in properties if p.status == FAILS}
-    function, mistake = diagnose(evidence, failed, bsdf) if failed else (None, None)
+    shares = {p.name: p.share for p in properties}
+    function, mistake = None, None
+    if failed:
+        function, mistake = diagnose(evidence, failed, shares, bsdf)
     settings = {
         "effort": effort,
         "seed": seed,

@@ -6,6 +6,8 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
+import numpy as np
+
 from .evidence import (
     BIAS,
     BREAKS,
@@ -15,9 +17,11 @@ from .evidence import (
     INTERFACE,
     PROPERTIES,
     WHERE,
+    Breach,
     Evidence,
     Test,
     harm,
+    share,
 )
 from .maps import FourMaps
 
@@ -65,6 +69,9 @@ class Property:
         How much and where else it fails, sample by sample, the worst first.
     near : str
         The smallest p-value and its level, if it does not fail but is near that.
+    share : float or None
+        How much of the light of a lit surface a failure is about: of its worst finding
+        what is off, times the cosine of the angle of incidence. None if not known.
     """
 
     name: str
@@ -76,6 +83,7 @@ class Property:
     effect: str | None = None
     places: tuple[str, ...] = ()
     near: str = ""
+    share: float | None = None
 
     @property
     def question(self) -> str:
@@ -84,9 +92,12 @@ class Property:
 
     @property
     def consequence(self) -> str | None:
-        """The effect, with the integrators that it reaches."""
+        """The effect, with the integrators that it reaches, and how large it is."""
         if self.effect in (BIAS, BREAKS) and self.name in WHERE:
-            return f"{self.effect} ({WHERE[self.name]})"
+            text = f"{self.effect} ({WHERE[self.name]})"
+            if self.share is not None and self.name != "ends":
+                text += f", {self.share:.2g} of the light of a lit surface"
+            return text
         return self.effect
 
     def __str__(self) -> str:
@@ -147,9 +158,18 @@ class Verdict:
 
     @property
     def failures(self) -> tuple[Property, ...]:
-        """Properties that fail, the worst effect first."""
-        failed = [p for p in self.properties if p.status == FAILS]
-        return tuple(sorted(failed, key=lambda one: EFFECTS.index(one.effect)))
+        """Properties that fail, the worst effect first.
+
+        Of one effect in the order of their share of the light, those of an unknown one
+        before.
+        """
+
+        def rank(one: Property) -> tuple[int, float]:
+            share = np.inf if one.share is None else one.share
+            return EFFECTS.index(str(one.effect)), -share
+
+        failed = [one for one in self.properties if one.status == FAILS]
+        return tuple(sorted(failed, key=rank))
 
     @property
     def headline(self) -> str:
@@ -210,8 +230,9 @@ class Verdict:
             ``settings`` (effort, seed, alpha, allow, strict, variant, numbers of tests
             and samples), and ``properties``: a list with ``name``, ``question``,
             ``status``, ``statistic``, ``mistake``, ``function``, ``p_value``,
-            ``effect`` and ``places`` of each. The command adds ``others``, the same of
-            other variants, and ``skipped``, by variant why it was not judged there.
+            ``effect``, ``share`` and ``places`` of each. The command adds ``others``,
+            the same of other variants, and ``skipped``, by variant why it was not
+            judged there.
         """
         return {
             "name": self.name,
@@ -229,6 +250,7 @@ class Verdict:
                     "function": p.function,
                     "p_value": p.p_value,
                     "effect": p.effect,
+                    "share": p.share,
                     "places": list(p.places),
                 }
                 for p in self.properties
@@ -271,6 +293,9 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
     if beyond or breaches:
         harms = [harm(b) for b in breaches] + [_harm_of(t) for t in beyond]
         effect = min(harms, key=EFFECTS.index)
+        found: list[Breach | Test] = [*breaches, *beyond]
+        known = [share(x) for x, its_harm in zip(found, harms) if its_harm == effect]
+        shares = [x for x in known if x is not None]
         # what does most harm, and of that what says most
         breaches = [b for b in breaches if harm(b) == effect] or breaches
         worst = max(breaches, key=lambda b: b.size, default=None)
@@ -288,6 +313,7 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
             p_value,
             effect,
             tuple(places[:MOST_PLACES]),
+            share=max(shares, default=None),
         )
     if name in evidence.declared:
         return Property(name, LACKS, evidence.declared[name], p_value=p_value)
@@ -316,8 +342,10 @@ def _harm_of(test: Test) -> str:
 
 def _of_tests(beyond: Sequence[Test]) -> str:
     """Statistic of the tests of a property that chance would not explain."""
-    # the whole before its components
-    worst = min(beyond, key=lambda t: (EFFECTS.index(_harm_of(t)), t.p))
+    # the whole before its components, and what is about most light
+    worst = min(
+        beyond, key=lambda t: (EFFECTS.index(_harm_of(t)), -(share(t) or 0.0), t.p)
+    )
     places = {str(t.condition) for t in beyond}
     where = "" if worst.condition is None else f" at {worst.condition}"
     more = f", and at {len(places) - 1} more" if len(places) > 1 else ""
