@@ -42,7 +42,7 @@ from .commands.arguments import (
     say,
     sentence,
 )
-from .errors import SettingError, frames, is_the_users
+from .errors import SettingError, is_the_users, own_frame
 
 __all__ = ["COMMANDS", "main", "parser"]
 
@@ -171,12 +171,13 @@ def _say_of_bug(error: Exception, arguments: Sequence[str]) -> None:
 
 
 def _place(error: BaseException, plugins: Sequence[str]) -> str:
-    """Where in the user's own plugin files an error arose; empty if it did not."""
+    """Where in the user's own code an error arose; empty if it did not.
+
+    That is in a plugin file, or in what it imports that is not installed.
+    """
+    frame = own_frame(error) if plugins else None
+    if frame is None:
+        return ""
     names = {os.path.abspath(plugin): os.fspath(plugin) for plugin in plugins}
-    place = ""
-    for frame in frames(error):
-        name = names.get(os.path.abspath(frame.file))
-        if name is not None:
-            place = f"{name}, line {frame.line}, in {frame.function}: "
-            place += f"{type(error).__name__}: "
-    return place
+    name = names.get(os.path.abspath(frame.file), os.path.basename(frame.file))
+    return f"{name}, line {frame.line}, in {frame.function}: {type(error).__name__}: "

@@ -5,8 +5,10 @@ import math
 import operator
 import os
 import re
+import sysconfig
 import traceback
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 __all__ = [
@@ -25,7 +27,10 @@ __all__ = [
     "checked_count",
     "checked_number",
     "frames",
+    "is_installed",
     "is_the_users",
+    "own_frame",
+    "own_place",
     "printable",
     "shortened",
     "shown",
@@ -180,6 +185,36 @@ def frames(error: BaseException) -> list[Frame]:
     for frame, line in traceback.walk_tb(error.__traceback__):
         here.append(Frame(frame.f_code.co_filename, line, frame.f_code.co_name))
     return here + getattr(error, "frames", [])
+
+
+# What an installer manages, and this package.
+_INSTALLED = (
+    Path(__file__).resolve().parent,
+    *(
+        Path(sysconfig.get_paths()[name]).resolve()
+        for name in ("stdlib", "platstdlib", "purelib", "platlib")
+    ),
+)
+
+
+def is_installed(path: Path) -> bool:
+    """Whether a file belongs to this package or to one that is installed."""
+    return any(path.is_relative_to(folder) for folder in _INSTALLED)
+
+
+def own_frame(error: BaseException) -> Frame | None:
+    """The innermost line of the user's own code that an error came through, if any."""
+    for frame in reversed(frames(error)):
+        path = Path(frame.file).resolve()
+        if path.is_file() and not is_installed(path):
+            return frame
+    return None
+
+
+def own_place(error: BaseException) -> str:
+    """File and line of :func:`own_frame`, in brackets behind a space; or nothing."""
+    frame = own_frame(error)
+    return f" ({os.path.basename(frame.file)}, line {frame.line})" if frame else ""
 
 
 def checked_count(

@@ -18,6 +18,7 @@ from ..errors import (
     SettingError,
     SpecimenError,
     VariantError,
+    own_place,
     shown,
     tells_of_our_bug,
 )
@@ -172,7 +173,9 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
     except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
         if tells_of_our_bug(error):
             raise  # a bug of ours in a plugin
-        raise SpecimenError(f"{what} cannot be loaded: {_one_line(error)}") from error
+        raise SpecimenError(
+            f"{what} cannot be loaded: {_one_line(error)}{own_place(error)}"
+        ) from error
 
 
 def with_own_tensors(node: Any) -> Any:
@@ -223,7 +226,7 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
     while _imported:
         sys.modules.pop(_imported.pop(), None)
     known = set(sys.modules)
-    scope = {"__name__": path.stem, "__file__": str(path)}
+    scope = {"__name__": path.stem, "__file__": str(path.resolve())}
     try:
         content = path.read_bytes()
         text = importlib.util.decode_source(content)
@@ -235,6 +238,7 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
         # a user's file may raise anything
         raise SpecimenError(
             f"plugin file {path} raised {type(error).__name__}: {_one_line(error)}"
+            f"{own_place(error)}"
         ) from error
     finally:
         _imported[:] = [

@@ -10,6 +10,8 @@ from ..array_types import Floats, Singles
 from ..collector import Subdivision
 from ..collector.directions import angles
 from ..errors import SpecimenError
+from ..transport.flat_rectangle import repeated
+from ..transport.plugin_digest import holds_foreign_plugins
 from ..transport.surface_events import flux_context
 from .cells import (
     BLIND,
@@ -47,11 +49,19 @@ class Evaluator:
     ----------
     n_evaluations : ndarray of int, shape (n_directions,)
         What was asked for so far.
+    by_ray : bool
+        As of :class:`~gonio_mi.transport.flat_rectangle.Plane`.
     """
 
     def __init__(self, bsdf: mi.BSDF, light: IncidentLight, pdf: bool) -> None:
         self.bsdf, self.light, self.pdf = bsdf, light, pdf
+        self.by_ray = holds_foreign_plugins(bsdf)
         self.n_evaluations = np.zeros(dr.width(light.wi), dtype=np.int64)
+
+    def _interactions(self, number: mi.UInt32) -> mi.SurfaceInteraction3f:
+        """Interaction with the light of that number in each lane."""
+        si = self.light.from_number(number)
+        return repeated(si, dr.width(number)) if self.by_ray else si
 
     def guides(self, cells: Cells, subdivision: Subdivision) -> Guides:
         """Sampled directions, without those of delta components."""
@@ -62,12 +72,14 @@ class Evaluator:
         n = len(self.n_evaluations)
         lane = dr.arange(mi.UInt32, n * N_GUIDES)
         number = lane // N_GUIDES
-        si = self.light.from_number(number)
+        si = self._interactions(number)
         same = lane - number * N_GUIDES
         one, two = (dr.gather(type(sample), sample, same) for sample in samples)
         bs, weight = self.bsdf.sample(flux_context(), si, one, two, mi.Bool(True))
         delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
-        lane_wise = np.broadcast_to((~delta & dr.any(weight > 0)).numpy(), len(lane))
+        lane_wise = np.broadcast_to(
+            (~delta & dr.any(mi.Spectrum(weight) > 0)).numpy(), len(lane)
+        )
         wo = np.broadcast_to(si.to_world(bs.wo).numpy(), (3, len(lane))).T
         wo = wo * [1, 1, self.light.side]
         of = np.repeat(np.arange(n), N_GUIDES)
@@ -171,7 +183,7 @@ class Evaluator:
         lower = dr.gather(mi.Bool, mi.Bool(cells.lower), number)
         wo = self.light.towards_sines(theta, phi, lower)
         direction = mi.UInt32(cells.direction.astype(np.uint32))
-        si = self.light.from_number(dr.gather(mi.UInt32, direction, number))
+        si = self._interactions(dr.gather(mi.UInt32, direction, number))
         function = self.bsdf.pdf if self.pdf else self.bsdf.eval
         value = function(flux_context(), si, wo, mi.Bool(True))
         return [value] if self.pdf else channels_of(value), theta[0]

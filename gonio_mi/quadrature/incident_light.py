@@ -12,6 +12,8 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from ..collector.directions import direction
+from ..transport.flat_rectangle import repeated
+from ..transport.plugin_digest import holds_foreign_plugins
 from ..transport.surface_events import flux_context
 
 __all__ = ["IncidentLight", "channels_of"]
@@ -96,6 +98,8 @@ class IncidentLight:
         first = dr.zeros(mi.UInt32, len(theta))
         wo = self.towards(theta, phi, lower)
         si = self.from_number(first)
+        if holds_foreign_plugins(bsdf):
+            si = repeated(si, len(theta))
         return channels_of(bsdf.eval(flux_context(), si, wo, mi.Bool(True)))
 
 

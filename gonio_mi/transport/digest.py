@@ -104,5 +104,5 @@ def _text(thing: Any) -> str:
     name = type(thing).__qualname__
     try:
         return f"{name} {thing}"
-    except RuntimeError:  # one of them is a plugin in Python without to_string
+    except Exception:  # one of them is a plugin in Python, which may raise anything
         return f"{name} {thing.class_name()}"

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..single_precision import FEW_ROUNDINGS
 
-__all__ = ["Plane"]
+__all__ = ["Plane", "repeated"]
 
 # Points at which a BSDF is compared with itself.
 N_POINTS = 2**12
@@ -20,11 +20,14 @@ N_POINTS = 2**12
 class Plane:
     """A single flat rectangle in z = const, the specimen that needs no ray tracing.
 
-    A point is ``centre + (u - 1/2) dp_du + (v - 1/2) dp_dv``.
+    A point is ``centre + (u - 1/2) dp_du + (v - 1/2) dp_dv``. Plugins that look into
+    their arguments, with NumPy or with a neural network, need what all rays share, such
+    as the direction of incidence, once for each ray: `by_ray`.
     """
 
     bsdf: mi.BSDF
     interaction: mi.SurfaceInteraction3f  # at the centre
+    by_ray: bool = False
 
     def interactions(
         self, uv: mi.Point2f, wi: mi.Vector3f, wavelengths: mi.Spectrum
@@ -58,7 +61,8 @@ class Plane:
         def values(uv: mi.Point2f) -> mi.Spectrum:
             si = self.interactions(uv, wi, wavelengths)
             wo_local, every = si.to_local(wo), mi.Bool(True)
-            return self.bsdf.eval(mi.BSDFContext(), si, wo_local, every)
+            si = repeated(si, N_POINTS) if self.by_ray else si
+            return mi.Spectrum(self.bsdf.eval(mi.BSDFContext(), si, wo_local, every))
 
         here, there = values(mi.Point2f(0.5)), values(sampler.next_2d())
         alike = dr.abs(there - here) <= dr.abs(here) * FEW_ROUNDINGS
@@ -72,6 +76,19 @@ class Plane:
         du, dv = centre.dp_du, centre.dp_dv
         area = _cross(du, dv)
         return mi.Point2f(_cross(offset, dv), _cross(du, offset)) / area + 0.5
+
+
+def repeated(si: mi.SurfaceInteraction3f, n: int) -> mi.SurfaceInteraction3f:
+    """Interactions of `n` rays that share nothing any more: each has its own copy.
+
+    The values keep their bits.
+    """
+    for name in ["wi", "uv", "p"] + ["wavelengths"] * mi.is_spectral:
+        value = getattr(si, name)
+        if dr.width(value) < n:
+            value = dr.gather(type(value), value, dr.zeros(mi.UInt32, n))
+            setattr(si, name, value)
+    return si
 
 
 def _cross(a: mi.Vector3f, b: mi.Vector3f) -> mi.Float:

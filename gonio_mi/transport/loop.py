@@ -10,7 +10,7 @@ import mitsuba as mi
 
 from ..results.tally import Fate
 from .beam import Beam
-from .flat_rectangle import Plane
+from .flat_rectangle import Plane, repeated
 from .flight import encounter, flight_from, proceed
 from .ray_offsets import START, intersect, leaves_by_a_side
 from .specimen import Specimen
@@ -98,9 +98,10 @@ def scatter_plane(
             mi.Bool(True) if beam.footprint == "full" else dr.all((uv >= 0) & (uv <= 1))
         )
     si = plane.interactions(uv, wi, wavelengths)
-    bs, bsdf_weight = plane.bsdf.sample(
-        flux_context(), si, sampler.next_1d(), sampler.next_2d(), lit & inside
-    )
+    u1, u2 = sampler.next_1d(), sampler.next_2d()
+    if plane.by_ray:
+        si = repeated(si, dr.width(u1))
+    bs, bsdf_weight = plane.bsdf.sample(flux_context(), si, u1, u2, lit & inside)
     wo = si.to_world(bs.wo)
     numbers = (sampler.next_1d(), sampler.next_1d()) if settings.analog else None
     exit_throughput, fate = after_event(throughput, bsdf_weight, bs, wo, numbers)

@@ -5,7 +5,6 @@ import hashlib
 import inspect
 import linecache
 import sys
-import sysconfig
 import weakref
 from collections.abc import Iterable, Iterator
 from importlib.machinery import PathFinder
@@ -15,7 +14,9 @@ from types import FunctionType
 
 import mitsuba as mi
 
-__all__ = ["file_digest", "plugins_digest"]
+from ..errors import is_installed
+
+__all__ = ["file_digest", "holds_foreign_plugins", "plugins_digest"]
 
 LENGTH = 16
 
@@ -25,15 +26,6 @@ VERSIONED = ("builtins", "drjit", "gonio_mi", "mitsuba", "nanobind")
 # Scripts and notebooks, also in a process that they started: they change for many
 # reasons, so only what a class says itself counts.
 SCRIPTS = ("__main__", "__mp_main__")
-
-# What an installer manages, and this package.
-INSTALLED = (
-    Path(__file__).resolve().parents[1],
-    *(
-        Path(sysconfig.get_paths()[name]).resolve()
-        for name in ("stdlib", "platstdlib", "purelib", "platlib")
-    ),
-)
 
 _known: weakref.WeakKeyDictionary[type, frozenset[str]] = weakref.WeakKeyDictionary()
 
@@ -63,6 +55,22 @@ def plugins_digest(things: Iterable[mi.Object]) -> str | None:
             _known[kind] = frozenset(_texts(kind))
         texts |= _known[kind]
     return _digest(texts) if texts else None
+
+
+def holds_foreign_plugins(thing: mi.Object) -> bool:
+    """Whether an object of a scene is, or holds, a plugin in Python that is not ours.
+
+    One that does not let itself be traversed is one.
+    """
+    try:
+        return any(_is_foreign(type(held)) for held in _held(thing))
+    except Exception:
+        # a plugin may raise anything
+        return True
+
+
+def _is_foreign(kind: type) -> bool:
+    return kind.__module__.split(".")[0] not in VERSIONED
 
 
 def file_digest(path: str | PathLike[str]) -> str:
@@ -96,7 +104,7 @@ def _held(thing: mi.Object) -> Iterator[mi.Object]:
 def _texts(kind: type) -> Iterator[str]:
     """Texts that define a class and its bases."""
     for base in kind.__mro__:
-        if base.__module__.split(".")[0] in VERSIONED:
+        if not _is_foreign(base):
             continue
         functions = [function for _, function in sorted(_functions(base))]
         if base.__module__ in SCRIPTS:
@@ -136,7 +144,7 @@ def _imported(text: str, path: Path) -> Iterator[str]:
         text, path = todo.pop()
         for name, folder in _imports(text, path):
             for found in _files(name, folder):
-                if found not in seen and not _is_installed(found):
+                if found not in seen and not is_installed(found):
                     seen.add(found)
                     content = found.read_text(errors="replace")
                     todo.append((content, found))
@@ -173,7 +181,3 @@ def _files(name: str, folder: list[str]) -> Iterator[Path]:
         yield Path(spec.origin).resolve()
     if rest and spec.submodule_search_locations:
         yield from _files(rest, list(spec.submodule_search_locations))
-
-
-def _is_installed(path: Path) -> bool:
-    return any(path.is_relative_to(folder) for folder in INSTALLED)

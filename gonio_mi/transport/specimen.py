@@ -20,6 +20,7 @@ from .flat_rectangle import Plane
 from .flight import escapes
 from .geometry import groups_of, scene_of, surfaces_of
 from .media import media_of
+from .plugin_digest import holds_foreign_plugins
 from .ray_offsets import START, intersect
 
 __all__ = ["Specimen"]
@@ -240,7 +241,8 @@ class Specimen:
         ray = mi.Ray3f(above, mi.Vector3f(0, 0, -1))
         si = intersect(self.scene, ray, mi.RayFlags.All, True)
         dr.make_opaque(si)
-        return Plane(shapes[0].bsdf(), si)
+        bsdf = shapes[0].bsdf()
+        return Plane(bsdf, si, by_ray=holds_foreign_plugins(bsdf))
 
 
 def _describe(shape: mi.Shape) -> str:
@@ -255,5 +257,5 @@ def _text(thing: Any) -> str:
     """Mitsuba's text of a shape or BSDF on one line, or the name of its class."""
     try:
         return " ".join(str(thing).split())
-    except RuntimeError:  # one of them is a plugin in Python without to_string
+    except Exception:  # one of them is a plugin in Python, which may raise anything
         return type(thing).__name__

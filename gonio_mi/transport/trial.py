@@ -3,45 +3,73 @@
 In the loop that follows rays through geometry, Dr.Jit would hide what it is.
 """
 
-import traceback
+import os
+import re
 from collections.abc import Iterable
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from ..errors import SpecimenError, abridged
+from ..errors import SpecimenError, abridged, own_frame
+from .plugin_answers import PluginFault, checked_answer, checked_sample
 from .variants import usable_variants
 
 __all__ = ["check_works", "class_of"]
+
+# What a method that a plugin in Python does not have raises.
+_PURE = re.compile(r"::(\w+)\(\)'\): tried to call a pure virtual function")
 
 
 def check_works(bsdfs: Iterable[Any], wavelengths: Any, estimator: str) -> None:
     """Raise what a BSDF raises in the methods that `estimator` needs.
 
-    One BSDF of each class is tried, with the `wavelengths` of a ray; what it answers is
-    not looked at.
+    One BSDF of each class is tried, with the `wavelengths` of a ray; of what it answers
+    only the form is looked at.
 
     Raises
     ------
     SpecimenError
-        For an error of Mitsuba's, which does not say whose it is. One of a plugin in
-        Python passes as it is: its traceback names the line.
+        For an error of Mitsuba's, which does not say whose it is, and for an answer
+        without the form of one. What a plugin in Python raises passes as it is: its
+        traceback names the line.
     """
     for bsdf in {class_of(bsdf): bsdf for bsdf in bsdfs}.values():
         try:
             _try(bsdf, wavelengths, estimator)
-        except RuntimeError as error:
-            if _in_python(error):
+        except PluginFault as fault:
+            raise _refused(bsdf, str(fault), _is_of_colours(str(fault))) from fault
+        except Exception as error:
+            # a plugin may raise anything
+            frame, text = own_frame(error), " ".join(str(error).split())
+            if missing := _PURE.search(text):
+                raise SpecimenError(
+                    f"the BSDF {class_of(bsdf)} must have the method {missing[1]}"
+                ) from error
+            if frame is None and isinstance(error, RuntimeError):
+                raise _refused(bsdf, text) from error
+            if frame is None or not _is_of_colours(text):
                 raise
-            said = abridged(" ".join(str(error).split()), 200)
-            kind = mi.variant().partition("_")[0]
-            others = [one for one in usable_variants() if one.startswith(kind)]
-            others = [one for one in others if one != mi.variant()]
-            raise SpecimenError(
-                f"the BSDF {class_of(bsdf)} fails in the variant {mi.variant()}: "
-                f"{said}; another variant may do ({', '.join(others)})"
-            ) from error
+            place = f"{os.path.basename(frame.file)}, line {frame.line}"
+            said = f"{type(error).__name__} in {place}: {text}"
+            raise _refused(bsdf, said) from error
+
+
+def _refused(bsdf: Any, text: str, elsewhere: bool = True) -> SpecimenError:
+    """Error of a BSDF, which may work `elsewhere`: in another variant."""
+    kind = mi.variant().partition("_")[0]
+    others = [one for one in usable_variants() if one.startswith(kind)]
+    others = [one for one in others if one != mi.variant()]
+    hint = f"; another variant may do ({', '.join(others)})" if elsewhere else ""
+    return SpecimenError(
+        f"the BSDF {class_of(bsdf)} fails in the variant {mi.variant()}: "
+        f"{abridged(text, 200).rstrip('.')}{hint}"
+    )
+
+
+def _is_of_colours(text: str) -> bool:
+    """Whether an error may be one of a variant without the plugin's colours."""
+    return not mi.is_rgb and mi.Spectrum.__name__ in text
 
 
 def _try(bsdf: Any, wavelengths: Any, estimator: str) -> None:
@@ -53,17 +81,11 @@ def _try(bsdf: Any, wavelengths: Any, estimator: str) -> None:
     ctx = mi.BSDFContext(mi.TransportMode.Importance)
     delta = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta)
     if delta or estimator != "quadrature":
-        bsdf.sample(ctx, si, mi.Float(0.5), mi.Point2f(0.5), mi.Bool(True))
+        random = mi.Float(0.5), mi.Point2f(0.5)
+        checked_sample("sample", bsdf.sample(ctx, si, *random, mi.Bool(True)), 1)
     if estimator in ("quadrature", "next_event"):
-        bsdf.eval(ctx, si, mi.Vector3f(0, 0.6, 0.8), mi.Bool(True))
-
-
-def _in_python(error: BaseException) -> bool:
-    """Whether an error comes from below `_try`, which Mitsuba's own do not show."""
-    frames = [
-        frame.f_code.co_name for frame, _ in traceback.walk_tb(error.__traceback__)
-    ]
-    return frames[-1] != "_try"
+        value = bsdf.eval(ctx, si, mi.Vector3f(0, 0.6, 0.8), mi.Bool(True))
+        checked_answer("eval", value, 1, mi.Spectrum)
 
 
 def class_of(plugin: Any) -> str:

@@ -6,10 +6,8 @@ Whatever a plugin does wrong there ends in a :class:`PluginFault`.
 from __future__ import annotations
 
 import contextlib
-import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -17,30 +15,19 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats, Numbers
+from ..errors import own_place
+from ..transport.plugin_answers import (
+    PluginFault,
+    checked_answer,
+    checked_parts,
+    checked_sample,
+)
 from .conditions import Condition
 
 __all__ = ["PluginFault", "Probe", "Sampled", "blamed", "numbers", "spectral"]
 
-PACKAGE = Path(__file__).parents[1]
-
 # Channels of a spectral variant, in nm.
 WAVELENGTHS_NM = (450.0, 520.0, 580.0, 650.0)
-
-
-class PluginFault(Exception):  # noqa: N818
-    """A function of the plugin gave no usable answer.
-
-    Attributes
-    ----------
-    function : str
-        Its name.
-    what : str
-        What it did, as the rest of a sentence.
-    """
-
-    def __init__(self, function: str, what: str) -> None:
-        super().__init__(f"`{function}` {what}")
-        self.function, self.what = function, what
 
 
 @dataclass
@@ -134,7 +121,7 @@ class Probe:
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Both answers of ``eval_pdf``."""
         answer = self._call("eval_pdf", wo, active=active)
-        value, pdf = self._parts("eval_pdf", answer, 2)
+        value, pdf = checked_parts("eval_pdf", answer, 2)
         n = dr.width(wo, active)
         return self._spectrum("eval_pdf", value, n), self._float("eval_pdf", pdf, n)
 
@@ -148,7 +135,7 @@ class Probe:
         """Value, density and :class:`Sampled` of ``eval_pdf_sample``."""
         name = "eval_pdf_sample"
         answer = self._call(name, wo, sample1, sample2, active=active)
-        value, pdf, bs, weight = self._parts(name, answer, 4)
+        value, pdf, bs, weight = checked_parts(name, answer, 4)
         n = dr.width(wo, sample1, sample2)
         sampled = self._sampled(name, (bs, weight), n)
         return self._spectrum(name, value, n), self._float(name, pdf, n), sampled
@@ -190,46 +177,13 @@ class Probe:
             return method(ctx or self.ctx, self.interaction(wi), *arguments, active)
 
     def _sampled(self, function: str, answer: Any, n: int) -> Sampled:
-        bs, weight = self._parts(function, answer, 2)
-        if not isinstance(bs, mi.BSDFSample3f):
-            raise PluginFault(function, f"must return a BSDFSample3f, got {_kind(bs)}")
-        weight = self._spectrum(function, weight, n)
-        self._check_width(function, bs, n)
-        return Sampled(bs, weight)
-
-    def _parts(self, function: str, answer: Any, n: int) -> tuple[Any, ...]:
-        if not isinstance(answer, tuple) or len(answer) != n:
-            raise PluginFault(
-                function, f"must return a tuple of {n} values, got {_kind(answer)}"
-            )
-        return answer
+        return Sampled(*checked_sample(function, answer, n))
 
     def _spectrum(self, function: str, value: Any, n: int) -> mi.Spectrum:
-        return self._of_type(function, value, n, mi.Spectrum)
+        return checked_answer(function, value, n, mi.Spectrum)
 
     def _float(self, function: str, value: Any, n: int) -> mi.Float:
-        return self._of_type(function, value, n, mi.Float)
-
-    def _of_type(self, function: str, value: Any, n: int, kind: Any) -> Any:
-        simple = isinstance(value, (int, float)) or dr.is_array_v(value)
-        depth = dr.depth_v(value) if dr.is_array_v(value) else 0
-        try:
-            if not simple or depth > dr.depth_v(kind):
-                raise TypeError
-            value = kind(value)
-        except (TypeError, RuntimeError):
-            raise PluginFault(
-                function, f"must return a {kind.__name__}, got {_kind(value)}"
-            ) from None
-        self._check_width(function, value, n)
-        return value
-
-    def _check_width(self, function: str, value: Any, n: int) -> None:
-        width = dr.width(value)
-        if width not in (1, n):
-            raise PluginFault(
-                function, f"must return one value per ray, {n} or 1, got {width}"
-            )
+        return checked_answer(function, value, n, mi.Float)
 
 
 @contextlib.contextmanager
@@ -243,23 +197,8 @@ def blamed(function: str) -> Iterator[None]:
         # a plugin may raise anything
         text = " ".join(str(error).split())
         raise PluginFault(
-            function, f"raised {type(error).__name__}: {text:.200}{_place(error)}"
+            function, f"raised {type(error).__name__}: {text:.200}{own_place(error)}"
         ) from error
-
-
-def _place(error: Exception) -> str:
-    """Where a plugin in Python raised it, in brackets; nothing for one in C++."""
-    for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        path = Path(frame.filename)
-        if not (PACKAGE in path.parents or "site-packages" in path.parts):
-            return f" ({path.name}, line {frame.lineno})"
-    return ""
-
-
-def _kind(value: Any) -> str:
-    if isinstance(value, tuple):
-        return f"a tuple of {len(value)}"
-    return type(value).__name__
 
 
 def numbers(value: Any, n: int) -> Numbers:

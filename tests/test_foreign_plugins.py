@@ -1,0 +1,217 @@
+"""Plugins in Python as others write them: what works in Mitsuba is measured.
+
+What does not is said in one sentence that is true, and never as a bug of ours.
+"""
+
+import pytest
+
+import gonio_mi as gonio
+from gonio_mi import cli
+from gonio_mi.instrument.loading import load_plugin_file
+from gonio_mi.quadrature import evaluator
+from gonio_mi.transport import specimen
+
+ALBEDO = 0.625  # exact in binary: so are its sums over rays of one weight
+
+# Lambertian BSDFs. The first looks into its arguments, the second has colours only;
+# others forget something, or answer without a form.
+PLUGINS = """
+import os
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+sys_path_entry = os.path.dirname(__file__)
+import sys
+sys.path.insert(0, sys_path_entry + "/helpers")
+from lookup import weight_of
+
+class Matte(mi.BSDF):
+    def __init__(self, props):
+        super().__init__(props)
+        self.m_flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
+        self.m_components = [self.m_flags]
+
+    def weight(self, si, wo):
+        return mi.Spectrum(0.625)
+
+    def sample(self, ctx, si, sample1, sample2, active):
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+        bs.pdf, bs.eta = mi.warp.square_to_cosine_hemisphere_pdf(bs.wo), 1.0
+        bs.sampled_type = mi.UInt32(+mi.BSDFFlags.DiffuseReflection)
+        return bs, self.weight(si, bs.wo)
+
+    def eval(self, ctx, si, wo, active):
+        return self.weight(si, wo) * dr.inv_pi * dr.maximum(wo.z, 0)
+
+    def pdf(self, ctx, si, wo, active):
+        return mi.warp.square_to_cosine_hemisphere_pdf(wo)
+
+    def to_string(self):
+        return "Matte[]"
+
+class Looked(Matte):
+    def weight(self, si, wo):
+        arrays = [np.array(one).T for one in (si.wi, wo, si.uv, si.p)]
+        return mi.Spectrum(mi.Float(weight_of(np.concatenate(arrays, axis=1))))
+
+class Coloured(Matte):
+    def weight(self, si, wo):
+        return mi.Color3f(0.625)
+
+class ColouredInside(Matte):
+    def weight(self, si, wo):
+        return mi.Spectrum([0.1, 0.2, 0.3])
+
+class Helped(Matte):
+    def weight(self, si, wo):
+        return weight_of(None)
+
+class Voiceless(Matte):
+    def to_string(self):
+        return nowhere
+
+class Listed(Matte):
+    def weight(self, si, wo):
+        return [mi.Float(0.625)] * 3
+
+    def eval(self, ctx, si, wo, active):
+        return [one * dr.inv_pi * dr.maximum(wo.z, 0) for one in self.weight(si, wo)]
+
+class Empty(Matte):
+    def sample(self, ctx, si, sample1, sample2, active):
+        return mi.BSDFSample3f(), 0.0
+
+class Untraversed(Matte):
+    def traverse(self, callback):
+        callback.put_old("weight", 0.625)
+
+class Lacking(mi.BSDF):
+    def to_string(self):
+        return "Lacking[]"
+
+for kind in (Matte, Looked, Coloured, ColouredInside, Helped, Voiceless, Listed, Empty,
+             Untraversed, Lacking):
+    mi.register_bsdf("foreign_" + kind.__name__.lower(), kind)
+"""
+
+LOOKUP = """
+def weight_of(array):
+    return 0 * array[:, 0] + 0.625
+"""
+
+
+@pytest.fixture
+def plugin(tmp_path):
+    """Path of a plugin file that finds a module of its own by its ``__file__``."""
+    (tmp_path / "helpers").mkdir()
+    (tmp_path / "helpers" / "lookup.py").write_text(LOOKUP)
+    path = tmp_path / "foreign.py"
+    path.write_text(PLUGINS)
+    return path
+
+
+@pytest.fixture
+def refusal(plugin, capsys, monkeypatch):
+    """Function that returns the sentence by which a plugin's measurement is refused."""
+
+    def refusal(name, *options):
+        monkeypatch.chdir(plugin.parent)  # its file is named without a folder
+        words = ["measure", f"foreign_{name}", "--theta-i", "30", "--rays", "1e4"]
+        assert cli.main([*words, "--plugin", plugin.name, *options]) == 1
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        assert "bug" not in err
+        return err
+
+    return refusal
+
+
+def dhr(specimen, **settings):
+    """Reflectance at one angle; exact where each ray has the same weight."""
+    settings = {"rays": 4096, "collector": "projected:2x4"} | settings
+    return gonio.measure(specimen, theta_i=30, **settings).dhr
+
+
+LOOKED = {"type": "foreign_looked"}
+
+
+@pytest.mark.parametrize("footprint", ["full", "point"])
+@pytest.mark.parametrize("estimator", ["weighted", "analog"])
+@pytest.mark.parametrize("of", [LOOKED, {"type": "twosided", "nested": LOOKED}])
+def test_plugins_may_look_into_their_arguments(of, estimator, footprint, plugin, rgb):  # noqa: ARG001
+    """Exact for weights; an analog count is that of its own rays."""
+    load_plugin_file(plugin)
+    found = dhr(of, estimator=estimator, footprint=footprint)
+    if estimator == "weighted":
+        assert found == pytest.approx(ALBEDO, rel=2**-40)
+    else:
+        assert (found > 0).all()
+
+
+def test_integrals_of_plugins_that_look_into_their_arguments(plugin, rgb):  # noqa: ARG001
+    """Rounding: single precision of values that are summed in double precision."""
+    load_plugin_file(plugin)
+    found = dhr(LOOKED, estimator="quadrature", rays=None)
+    assert found == pytest.approx(ALBEDO, rel=2**-20)
+
+
+def test_what_rays_share_would_be_too_short(plugin, rgb, monkeypatch):  # noqa: ARG001
+    """The twin: without copies for each ray the plugin's own code fails."""
+    load_plugin_file(plugin)
+    for module in (specimen, evaluator):
+        monkeypatch.setattr(module, "holds_foreign_plugins", lambda _: False)
+    with pytest.raises(ValueError, match="dimensions"):
+        dhr(LOOKED)
+
+
+@pytest.mark.parametrize("name", ["voiceless", "listed"])
+def test_what_mitsuba_renders_is_measured(name, plugin, rgb):  # noqa: ARG001
+    """No description is needed; a list of channels is a spectrum."""
+    load_plugin_file(plugin)
+    of = {"type": f"foreign_{name}"}
+    assert dhr(of) == pytest.approx(ALBEDO, rel=2**-40)
+    integral = dhr(of, estimator="quadrature", rays=None)
+    assert integral == pytest.approx(ALBEDO, rel=2**-20)
+
+
+@pytest.mark.parametrize("options", [(), ("--estimator", "quadrature"), ("--trace",)])
+@pytest.mark.parametrize("name", ["coloured", "colouredinside"])
+def test_plugins_of_other_variants_are_told_theirs(refusal, name, options):
+    said = refusal(name, *options)
+    assert "Color1f" in said
+    assert said.endswith("another variant may do (llvm_ad_rgb, llvm_ad_spectral)\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("helped", "lookup.py, line 3, in weight_of: TypeError: 'NoneType'"),
+        ("lacking", "the BSDF Lacking must have the method sample"),
+        ("empty", "`sample` must return one value per ray, 1, got 0\n"),
+        ("untraversed", "has no attribute 'put_old' (foreign.py, line "),
+    ],
+)
+def test_plugins_that_fail_are_named_with_their_line(refusal, name, words):
+    assert words in refusal(name)
+
+
+def test_plugins_that_look_into_recorded_arguments_are_named(refusal):
+    """In geometry rays are followed by recorded code, where NumPy has no values."""
+    assert "foreign.py, line " in refusal("looked", "--trace")
+
+
+def test_a_plugin_file_that_raises_tells_the_line(plugin, refusal):
+    plugin.write_text("import mitsuba\n\nraise RuntimeError('not here')\n")
+    assert "raised RuntimeError: not here (foreign.py, line 3)" in refusal("matte")
+
+
+def test_our_own_bugs_stay_ours(plugin, monkeypatch, capsys, tmp_path):
+    """The twin: an error of ours beside a plugin file that took no part in it."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))  # where what a report needs is kept
+    monkeypatch.setattr("tempfile.tempdir", None)
+    # what is called with it fails in a line of ours
+    monkeypatch.setattr("gonio_mi.instrument.instrument.check_works", None)
+    words = ["measure", "foreign_matte", "--theta-i", "30", "--plugin", str(plugin)]
+    assert cli.main(words) == 1
+    assert "this is a bug of gonio-mi" in capsys.readouterr().err
