@@ -124,6 +124,24 @@ def test_the_front_holds_what_nothing_beats():
     ]
 
 
+@pytest.mark.parametrize(
+    ("rays", "at_most"), [((2**12, 2**16), False), ((2**12,), True)]
+)
+def test_a_single_point_tells_no_more_than_a_limit_of_time(rays, at_most):
+    """Of launches that take 1 s and rays that take 1 ns: 256 s, at most, and 1.02 s."""
+    curved = curve("weighted", 0.5, 1e-8, rays=rays)
+    points = tuple(replace(p, cpu_seconds=1.0 + 1e-9 * p.rays) for p in curved.points)
+    method = replace(curved, points=points)
+    target = 2**-4 if at_most else 2**-6
+    cost = method.cost(target)
+    assert cost.at_most == at_most
+    assert not cost.measured
+    due = 256 * (1 + 1e-9 * 2**12) if at_most else 1 + 1e-9 * 2**24
+    assert cost.cpu_seconds == pytest.approx(due, rel=64 * EPS)  # some operations
+    row = synthetic(method).table(target).splitlines()[-1]
+    assert ("<" if at_most else "~") in row
+
+
 def test_advice_counts_independent_rays_by_theory():
     chart = synthetic(curve("weighted", 1.0, 1e-8, rays=(2**6, 2**9, 2**12)))
     # 64 / sqrt(n) is 1/8 for 2^18 rays, and the curve reaches it with 2^9

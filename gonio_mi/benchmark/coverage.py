@@ -175,7 +175,7 @@ def coverage(
 
 def print_coverage(most_rays: int, names: Sequence[str] = tuple(CASES)) -> None:
     """Print the coverage of all cases, up to so many rays."""
-    header = ("quantity", "order", "rays", "coverage", "+-", "warned")
+    header = ("quantity", "order", "rays", "coverage", "std_err", "warned")
     numbers = [rays for rays in REPEATS if rays <= most_rays]
     for name in names:
         for estimator, sampler in CASES[name].estimators:

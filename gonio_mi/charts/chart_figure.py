@@ -76,7 +76,7 @@ def plot_chart(
     _draw_expectation(by_rays, chart)
     _finish(by_rays, chart, target)
     by_time.set_xlabel("CPU seconds of one measurement")
-    by_time.set_ylabel("RMS error over the patches / mean BSDF")
+    by_time.set_ylabel("RMS error over the patches / mean BSDF; bars: 95 %")
     by_rays.set_xlabel("rays of one measurement")
     handles, labels = by_time.get_legend_handles_labels()
     by_time.legend(handles[:1], labels[:1], **LEGEND, loc="upper right")
@@ -145,7 +145,7 @@ def _draw_expectation(axes: Axes, chart: Chart) -> None:
         chart.independent / np.sqrt(ends),
         "k:",
         lw=1.2,
-        label=r"theory, counted rays: $p(1-p)/N$",
+        label=r"theory, counted rays: $\sqrt{p(1-p)/N}$",
     )
 
 
@@ -192,11 +192,12 @@ def _draw_table(
     rows = []
     for curve, cost in ranking:
         about = "" if cost.measured else "about "
+        limit = "below " if cost.at_most else ""
         rows.append(
             [
                 curve.label,
-                f"{about}{cost.cpu_seconds:.2g}",
-                f"{cost.cpu_seconds / best:.3g}",
+                f"{limit or about}{cost.cpu_seconds:.2g}",
+                f"{limit}{cost.cpu_seconds / best:.3g}",
                 f"{about}{cost.rays:.2g}" if cost.rays else "none",
                 _order(curve, chart),
                 _claim(curve, chart),

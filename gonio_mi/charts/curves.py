@@ -55,12 +55,15 @@ class Cost:
     """What it takes to reach an error: `rays`, `cpu_seconds`; whether it was measured.
 
     What was not reached is extrapolated: errors fall as for independent rays, time
-    grows as from the first point to the last.
+    grows as from the first point to the last. Where that tells nothing, for there is
+    one point or time did not grow, all of it is taken to grow with the rays: `at_most`
+    so many `cpu_seconds`.
     """
 
     rays: float
     cpu_seconds: float
     measured: bool
+    at_most: bool = False
 
 
 @dataclass(frozen=True)
@@ -148,9 +151,9 @@ class Curve:
         more = rays[-1] * ((self.error[-1] / target) ** 2 - 1)
         if seconds[-1] > seconds[0]:  # a fixed part of the time does not grow
             per_ray = (seconds[-1] - seconds[0]) / max(rays[-1] - rays[0], 1)
-        else:
-            per_ray = seconds[-1] / max(rays[-1], 1)
-        return Cost(rays[-1] + more, seconds[-1] + per_ray * more, False)
+            return Cost(rays[-1] + more, seconds[-1] + per_ray * more, False)
+        per_ray = seconds[-1] / max(rays[-1], 1)
+        return Cost(rays[-1] + more, seconds[-1] + per_ray * more, False, at_most=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +256,9 @@ class Chart:
             saved = self.independent_rays(target) / cost.rays
             if saved > 1:
                 text += f", 1/{saved:.3g} of independent ones"
-        return text if cost.measured else text + " (extrapolated)"
+        if cost.measured:
+            return text
+        return f"{text} (extrapolated{', at most' if cost.at_most else ''})"
 
     def table(self, target: float) -> str:
         """Lines for people: what each method needs for `target`, and its order."""
@@ -263,7 +268,7 @@ class Chart:
             order, std_err = curve.order(self.n_patches, self.least)
             fitted = f"{order:.3f} +- {std_err:.3f}" if order == order else "-"
             claim = curve.claim(self.least)
-            about = " " if cost.measured else "~"
+            about = " " if cost.measured else "<" if cost.at_most else "~"
             lines.append(
                 f"{curve.label:26s} {about}{cost.cpu_seconds:7.2g} {_rays(cost):>8s}   "
                 f"{fitted:16s} {'-' if np.isnan(claim) else f'{claim:.2f}'}"

@@ -25,10 +25,10 @@ CONVENTIONS = (
 MEANINGS = {
     "brdf": "BRDF of each patch, its standard error (NaN where unknown), counted rays",
     "btdf": "BTDF of each patch, its standard error (NaN where unknown), counted rays",
-    "brdf of integrals": "BRDF of each patch by integration, its estimated error, rays "
-    "of delta components",
-    "btdf of integrals": "BTDF of each patch by integration, its estimated error, rays "
-    "of delta components",
+    "brdf of integrals": "BRDF of each patch by integration, its largest error as "
+    "estimated, rays of delta components",
+    "btdf of integrals": "BTDF of each patch by integration, its largest error as "
+    "estimated, rays of delta components",
     "view": "picture of the BRDF, and of the BTDF to its right: seen along -z, radius "
     "is sin(theta), phi = 0 to the right, counter-clockwise, linear values in 1/sr",
     "tally": "received flux in units of 1/scale of a ray, one row per batch, "

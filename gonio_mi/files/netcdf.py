@@ -21,6 +21,10 @@ CONVENTIONS = (
 )
 
 
+# What a standard error is, for whoever reads the file.
+STD_ERR = "standard error (k = 1); of integrals the largest error, estimated"
+
+
 def dataset(record: Record) -> Any:
     """Labelled arrays of a record.
 
@@ -67,7 +71,7 @@ def dataset(record: Record) -> Any:
     return xarray.Dataset(
         {
             "bsdf": ((*patches, "channel"), values, unit),
-            "std_err": ((*patches, "channel"), errors, unit),
+            "std_err": ((*patches, "channel"), errors, unit | {"long_name": STD_ERR}),
             "counts": (patches, counts),
             "projected_solid_angle": (
                 patches[2:],

@@ -107,7 +107,7 @@ class MicroNormals:
         return f"<MicroNormals: {', '.join(alphas)}>"
 
     def __str__(self) -> str:
-        lines = ["facets          alpha along x         alpha along y      elsewhere"]
+        lines = ["facets          alpha_x +- std_err    alpha_y +- std_err   elsewhere"]
         for name in DISTRIBUTIONS:
             u, v = (
                 f"{_pair(alpha, error) if alpha > FLATTEST else 'flat':<21}"

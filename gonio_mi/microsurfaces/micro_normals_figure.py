@@ -61,7 +61,7 @@ def micro_normals_figure(found: Any, path: str | PathLike[str] | None = None) ->
             found.masking_std_err[own],
             fmt="o",
             c=colour,
-            label=f"phi {phi:g}°",
+            label=f"phi {phi:g}° +- std_err",
         )
         for name, style in MODELS.items():
             curve = found.model_masking(name)[own]
