@@ -1,6 +1,7 @@
 """The errors a caller would act on, and the checks that word them alike."""
 
 import builtins
+import difflib
 import math
 import operator
 import os
@@ -26,6 +27,7 @@ __all__ = [
     "checked_choice",
     "checked_count",
     "checked_number",
+    "did_you_mean",
     "frames",
     "is_installed",
     "is_the_users",
@@ -263,6 +265,15 @@ def checked_number(
     if not math.isfinite(number) or not low <= number < high:
         raise SettingError(f"{name} must be {condition}, got {shown(value)}")
     return number
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """End of a message on a word that is not `known`: the one that is most like it.
+
+    Empty if none is.
+    """
+    similar = difflib.get_close_matches(word, list(known), 1, 0.8)
+    return f"; did you mean {similar[0]}?" if similar else ""
 
 
 def unknown_channel(

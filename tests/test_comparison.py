@@ -3,8 +3,10 @@
 Statistical verdicts share the suite's false-alarm budget; each has a twin that fails.
 """
 
+import itertools
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import budget
 import mitsuba as mi
@@ -524,7 +526,7 @@ ROW = "45,0,30,180,0.3,0.001"
         (["# uncertainty: 0.5 %", HEADER, ROW], "line 1: uncertainty must be a finite"),
         (["# uncertainty: nan", HEADER, ROW], "uncertainty must be .*'nan'"),
         (["# uncertanty: 0.1", HEADER, ROW],
-         "line 1: unknown key 'uncertanty'; uncertainty is one"),
+         "line 1: unknown key 'uncertanty'; did you mean uncertainty"),
         (["# uncertainty: 1", "# uncertainty: 2", HEADER, ROW], "line 2: .* once"),
         (["# aperture_half_angle: 0", HEADER, ROW], "must be positive"),
         (["# aperture_half_angle: 1", "# aperture_solid_angle: 1", HEADER, ROW],
@@ -790,12 +792,36 @@ def test_commands_refuse_in_one_line(saved, capsys):
         ([a, right, "-o", "fig.txt"], "must end in .pdf or .png or .svg"),
         ([a, right, "--uncertainty", "-1"], "uncertainty must be"),
         ([right, a], "RECORD must be"),
-        (["diffuse", str(points)], "aperture_half_angle must be given"),
+        (["diffuse", str(points)], "(--aperture-half-angle) must be given"),
     ):
         assert main(["compare", *arguments]) == 1
         error = capsys.readouterr().err
         assert message in error
         assert error.count("\n") == 1
+
+
+@pytest.mark.usefixtures("mono")
+def test_all_that_a_table_leaves_open_is_asked_for_at_once(saved, capsys):
+    """Twin: with the answers it is read; and of a record no aperture is asked for."""
+    path = str(saved / "open.csv")
+    Path(path).write_text("theta_i,theta_o,550nm,650nm\n45,30,0.2,0.1\n45,40,0.2,0\n")
+    options = ("--channel", "--quantity", "--azimuth", "--aperture-half-angle")
+    answers = ("550nm", "brdf", "source", "2")
+
+    def asked(record, *more):
+        assert main(["compare", record, path, *more]) == 1
+        said = capsys.readouterr().err
+        return [one for one in options if f"say {one}" in said]
+
+    assert asked("diffuse") == list(options)
+    assert asked(str(saved / "a.npz")) == list(options[:3])
+    for n, option in enumerate(options):
+        pairs = [one for one in zip(options, answers) if one[0] != option]
+        if n < 3:
+            assert asked("diffuse", *itertools.chain(*pairs)) == [option]
+    answered = itertools.chain(*zip(options, answers))
+    loose = ("--uncertainty", "1", "--rays", "1e4")
+    assert main(["compare", "diffuse", path, *answered, *loose]) != 1
 
 
 @pytest.mark.usefixtures("mono")

@@ -13,7 +13,13 @@ from typing import Any, NoReturn
 import mitsuba as mi
 
 from .. import llvm
-from ..errors import SettingError, VariantError, printable, shortened
+from ..errors import (
+    SettingError,
+    VariantError,
+    did_you_mean,
+    printable,
+    shortened,
+)
 from ..instrument.loading import load_plugin_file, parse_specimen
 from ..transport.variants import usable_variants
 from .file_kinds import check_kind
@@ -73,12 +79,24 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: Any = None
     ) -> tuple[Any, list[str]]:
-        """Parse, whatever stands before or after the options."""
+        """Parse, whatever stands before or after the options.
+
+        An option that is none, but much like one, is told before what lacks without it.
+        """
         words = sys.argv[1:] if args is None else args
+        for word in () if self._subparsers else words:
+            name = word.partition("=")[0]
+            if name[:2] == "--" and name not in self._option_string_actions:
+                meant = did_you_mean(name, self._option_string_actions)
+                if meant:
+                    self.error(f"unrecognized arguments: {name}{meant}")
         return super().parse_known_args(with_positionals_first(self, words), namespace)
 
     def error(self, message: str) -> NoReturn:
         """Raise it."""
+        choice = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        if choice:
+            message += did_you_mean(choice[1], re.findall(r"[\w-]+", choice[2]))
         raise UsageError(re.sub(r"^argument (\S+): (?=must )", r"\1 ", message))
 
 

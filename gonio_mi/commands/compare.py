@@ -15,6 +15,7 @@ from typing import Any
 
 from .. import files
 from ..errors import SettingError
+from ..files.open_questions import OpenQuestionsError, check_nothing_open
 from .arguments import (
     DEFAULT_VARIANT,
     DONE,
@@ -147,7 +148,13 @@ def _other(options: Namespace) -> Any:
             if value is not None:
                 raise SettingError(f"--{name} goes with a table, got {word!r}")
         return record_of(word) if _is_record(word) else None
-    return table_of(word, options)
+    try:
+        return table_of(word, options)
+    except OpenQuestionsError as error:
+        if _is_record(options.record) or options.aperture_half_angle is not None:
+            raise
+        aperture = "unless its header tells the aperture, say --aperture-half-angle"
+        check_nothing_open(error.place, [*error.questions, aperture])
 
 
 def _record(options: Namespace, other: Any) -> tuple[Any, Any]:

@@ -156,7 +156,8 @@ def aperture_effect(
     half_angle = table.aperture_half_angle or aperture_half_angle
     if half_angle is None:
         raise SettingError(
-            f"aperture_half_angle must be given: {table.name} does not say it"
+            f"aperture_half_angle (--aperture-half-angle) must be given: {table.name} "
+            "does not say it"
         )
     narrow = replace(table, aperture_half_angle=HALF * half_angle)
     records = measure_like(specimen, narrow, **settings)

@@ -103,7 +103,8 @@ def measure_like(
     solid_angles = _own_patches(like) if half_angle is None else half_angle
     if solid_angles is None:
         raise SettingError(
-            f"aperture_half_angle must be given: {like.name} does not say it"
+            f"aperture_half_angle (--aperture-half-angle) must be given: {like.name} "
+            "does not say it"
         )
     return _like_table(specimen, like, solid_angles, seed or 0, settings)
 

@@ -99,12 +99,13 @@ def parsed_columns(
     if own:
         _check_own(place, text.names)
     questions: list[str] = []
-    picked, channels = _picked(text, known, constants, channel, questions)
-    questions += missing_columns(known, constants)
+    picked, channels, unclear = _picked(text, known, constants, channel, questions)
+    unclear += missing_columns(known, constants)
     values = [column for column in known if column and column.role == "value"]
-    if questions and not (quantity or own or quantity_said(text, values)):
-        questions.append(quantity_question())
-    check_nothing_open(place, questions)
+    if unclear and not (quantity or own or quantity_said(text, values)):
+        unclear.append(quantity_question())
+    if unclear:
+        check_nothing_open(place, questions + unclear)
     if "value" in constants:
         raise SettingError(f"columns must name a column of values of {text.place}")
     cells, n_missing = _numbers(text, picked, (quantity or "brdf") if own else None)
@@ -181,8 +182,11 @@ def _picked(
     constants: Mapping[str, float],
     channel: str | None,
     questions: list[str],
-) -> tuple[dict[str, Column], list[str]]:
-    """The one column of each role, and the channel of the values, or questions."""
+) -> tuple[dict[str, Column], list[str], list[str]]:
+    """The one column of each role, the channel of the values, and what is unclear.
+
+    Of several channels the first, beside a question: more may be open than that.
+    """
     by_role: dict[str, list[Column]] = {}
     for column in known:
         if column is not None and column.role not in constants:
@@ -191,7 +195,7 @@ def _picked(
     names = [column.channel for column in values if column.channel]
     if len(names) > 1 and channel is None:
         questions.append(channel_question(names))
-        del by_role["value"]
+        by_role["value"] = values[:1]
         by_role.pop("sigma", None)
         names = []
     elif names and channel is not None:
@@ -207,14 +211,16 @@ def _picked(
     if names:
         same = [c for c in by_role.get("sigma", []) if c.channel in ("", names[0])]
         by_role["sigma"] = same
+    unclear = []
     for role, columns in by_role.items():
         if len(columns) > 1:
             several = ", ".join(repr(column.name) for column in columns)
-            questions.append(
+            unclear.append(
                 f"several columns may be {role} ({several:.150}); say --columns "
                 f"{role}=NAME"
             )
-    return {role: columns[0] for role, columns in by_role.items() if columns}, names
+    picked = {role: columns[0] for role, columns in by_role.items() if columns}
+    return picked, names, unclear
 
 
 def _numbers(

@@ -1,11 +1,16 @@
 """Settings of a table of measured values in lines ``key: value``."""
 
-import difflib
 import math
 from collections.abc import Sequence
 from typing import Any
 
-from ..errors import FileFormatError, SettingError, checked_choice, checked_number
+from ..errors import (
+    FileFormatError,
+    SettingError,
+    checked_choice,
+    checked_number,
+    did_you_mean,
+)
 from ..errors import shown as shown_value
 from .measured_table import NUMBERS, QUANTITIES, TEXTS, UNITS
 from .numbers import is_decimal
@@ -60,11 +65,9 @@ def _read_key(
     if name in settings:
         raise FileFormatError(f"{place}: the key {key} must occur once, got it again")
     if name not in known:
-        similar = difflib.get_close_matches(name, known, 1, 0.8)
-        if similar:
-            raise FileFormatError(
-                f"{place}: unknown key {shown_value(key)}; {similar[0]} is one"
-            )
+        meant = did_you_mean(name, known)
+        if meant:
+            raise FileFormatError(f"{place}: unknown key {shown_value(key)}{meant}")
         header[key] = text
         return
     try:

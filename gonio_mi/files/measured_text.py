@@ -148,8 +148,8 @@ def _directions(
         if needed and azimuth in (None, "specimen"):
             what = "angles" if signed else "azimuths"
             parsed.open.append(
-                f"its {what} are relative to the plane of incidence: say --azimuth "
-                "source or --azimuth mirror, by whose side is 0 (or positive)"
+                f"its {what} are relative to incidence: say --azimuth source or "
+                "mirror, whose side is 0 (or positive)"
             )
         phi_o = phi_i + relative + (180 if azimuth == "mirror" else 0)
         notes.append(

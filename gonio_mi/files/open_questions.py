@@ -13,6 +13,7 @@ from .measured_table import QUANTITIES
 from .text_table import TextTable
 
 __all__ = [
+    "OpenQuestionsError",
     "angle_units",
     "channel_question",
     "check_nothing_open",
@@ -31,16 +32,26 @@ HINTS = (
 )
 
 
+class OpenQuestionsError(FileFormatError):
+    """A text that leaves questions open."""
+
+    def __init__(self, message: str, place: str, questions: Sequence[str]) -> None:
+        super().__init__(message)
+        self.place, self.questions = place, list(questions)
+
+
 def check_nothing_open(place: str, questions: Sequence[str]) -> None:
-    """Raise FileFormatError with all that is to be said of the text at `place`.
+    """Raise OpenQuestionsError with all that is to be said of the text at `place`.
 
     Several questions leave no room for the folder: a long message loses its middle.
     """
-    if len(questions) == 1:
-        raise FileFormatError(f"{place}: {questions[0]}")
-    if questions:
+    if not questions:
+        return
+    said = f"{place}: {questions[0]}"
+    if len(questions) > 1:
         each = "; ".join(f"({i}) {one}" for i, one in enumerate(questions, 1))
-        raise FileFormatError(f"{Path(place).name} leaves open: {each}")
+        said = f"{Path(place).name} leaves open: {each}"
+    raise OpenQuestionsError(said, place, questions)
 
 
 def titled_quantity(text: TextTable) -> str | None:

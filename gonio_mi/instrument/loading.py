@@ -18,6 +18,7 @@ from ..errors import (
     SettingError,
     SpecimenError,
     VariantError,
+    did_you_mean,
     own_place,
     shown,
     tells_of_our_bug,
@@ -173,9 +174,19 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
     except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
         if tells_of_our_bug(error):
             raise  # a bug of ours in a plugin
+        text = _one_line(error)
+        missing = re.search(r'Plugin "([^"]+)" not found', text)
+        if missing:
+            text = text.rstrip("!") + did_you_mean(missing[1], _plugin_names())
         raise SpecimenError(
-            f"{what} cannot be loaded: {_one_line(error)}{own_place(error)}"
+            f"{what} cannot be loaded: {text}{own_place(error)}"
         ) from error
+
+
+def _plugin_names() -> set[str]:
+    """Names of Mitsuba's own plugins and of ours, as their files have."""
+    folders = Path(mi.__file__).parent, Path(__file__).parents[1]
+    return {path.stem for one in folders for path in (one / "plugins").rglob("*.*")}
 
 
 def with_own_tensors(node: Any) -> Any:

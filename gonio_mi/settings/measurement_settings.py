@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ..collector import EqualProjectedSolidAngle, Subdivision, subdivision
-from ..errors import SettingTypeError
+from ..errors import SettingTypeError, did_you_mean
 from .declaration import Kind, declarations, setting
 from .orders import ALL_ORDERS, Order
 from .parsed import (
@@ -414,5 +414,6 @@ class MeasurementSettings:
             known = ", ".join(names)
             raise SettingTypeError(
                 f"measure has no setting {name!r}: take one of {known}"
+                f"{did_you_mean(name, names)}"
             )
         return replace(self, **{k: v for k, v in given.items() if v is not None})
