@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
 
@@ -884,10 +885,27 @@ def test_debug_shows_where_errors_of_users_arose(run):
 
 
 @pytest.mark.parametrize("command", cli.COMMANDS)
-def test_every_command_takes_debug(command, capsys):
+def test_every_command_has_help_for_a_terminal(command, capsys, monkeypatch):
+    """With `--debug`, no line beyond 80 columns, and one command a line."""
+    monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
         cli.main([command.__name__.rpartition(".")[2], "--help"])
-    assert "--debug" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "--debug" in said
+    assert max(map(len, said.splitlines())) <= 80
+    examples = said.partition("\nexamples:\n")[2].partition("\n\n")[0]
+    for line in examples.splitlines():
+        assert "\\" not in line.removesuffix(" \\")
+        assert "   " not in line.strip()  # of a line break that was lost
+
+
+def test_the_command_line_works_in_any_thread(tmp_path, capsys):
+    """Where signals cannot be answered; of a campaign too."""
+    folder = ("--folder", str(tmp_path), "-q")
+    with ThreadPoolExecutor(1) as thread:
+        for more in ((), folder):
+            assert thread.submit(cli.main, [*QUICK, *more]).result() == 0
+    assert capsys.readouterr().err == ""
 
 
 def test_console_script_is_this_one():

@@ -358,8 +358,15 @@ def test_other_variants_are_told_of_after_the_verdict(capsys):
     _print(verdict_of(), [other], {})
     *_, headline, last = capsys.readouterr().out.splitlines()
     assert headline.startswith("paint: nothing wrong was found")
-    assert last.startswith("in llvm_ad_mono: nothing that was not found in llvm_ad_rgb")
+    assert last.startswith("in llvm_ad_mono: nothing wrong was found either")
     assert "near the limit: sampling" in last
+    for p, said in (
+        (0.00023, "nothing wrong was found; near the limit"),
+        (0.00001, "nothing that was not found in llvm_ad_rgb too"),
+    ):
+        _print(verdict_of(0.00001), [verdict_of(p, variant="llvm_ad_mono")], {})
+        last = capsys.readouterr().out.splitlines()[-1]
+        assert last.startswith(f"in llvm_ad_mono: {said}")
 
 
 @pytest.mark.usefixtures("rgb")

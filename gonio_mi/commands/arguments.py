@@ -5,6 +5,7 @@ import contextlib
 import inspect
 import re
 import sys
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
@@ -59,12 +60,25 @@ DONE, USER_ERROR, INCOMPLETE, FAILED = 0, 1, 2, 3
 DEFAULT_VARIANT = "llvm_ad_mono"
 
 
+class _HelpFormatter(argparse.HelpFormatter):
+    """Wraps paragraphs to the terminal, but for those with indented lines: examples."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        blocks = []
+        for block in text.split("\n\n"):
+            if "\n  " in block:
+                blocks.append(textwrap.indent(block.rstrip(), indent))
+            else:
+                blocks.append(super()._fill_text(block, width, indent))
+        return "\n\n".join(blocks)
+
+
 class Parser(argparse.ArgumentParser):
     """Parser whose errors are exceptions, for one sentence and one exit code."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(
-            formatter_class=argparse.RawDescriptionHelpFormatter,
+            formatter_class=_HelpFormatter,
             allow_abbrev=False,
             **kwargs,
         )

@@ -46,9 +46,11 @@ examples:
   gonio-mi bsdf slat.obj --unit mm --up y --period 25,25 \\
       --bsdf diffuse:reflectance=0.7 -o blind.xml
   gonio-mi bsdf roughdielectric:alpha=0.1 --basis tensor3 -o film.xml
-  gonio-mi bsdf diffuse:reflectance=0.7 --solar diffuse:reflectance=0.6 -o both.xml
-  gonio-mi bsdf film.xml --variant llvm_ad_spectral --wavelengths 300 320 340 360 380 \
-      400 450 500 550 600 650 700 800 1000 1300 1600 2000 2500 -o film_klems.xml
+  gonio-mi bsdf diffuse:reflectance=0.7 --solar diffuse:reflectance=0.6 \\
+      -o both.xml
+  gonio-mi bsdf film.xml --variant llvm_ad_spectral --wavelengths 300 320 340 \\
+      360 380 400 450 500 550 600 650 700 800 1000 1300 1600 2000 2500 \\
+      -o film_klems.xml
 """
 
 

@@ -1,6 +1,7 @@
 """Options of the commands that measure in campaigns, and what Ctrl-C leaves of one."""
 
 import signal
+import threading
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,7 +10,7 @@ from typing import Any
 from ..errors import checked_count
 from .arguments import INCOMPLETE, add_number, add_text, say
 
-__all__ = ["add_campaign", "campaign_options", "kept_after_ctrl_c"]
+__all__ = ["add_campaign", "answered_by", "campaign_options", "kept_after_ctrl_c"]
 
 # Exit code of what SIGTERM has ended, as shells count: 128 and its number.
 TERMINATED = 143
@@ -45,6 +46,16 @@ def campaign_options(options: Namespace) -> dict[str, Any]:
     return {"executor": workers, "folder": folder, "plugins": options.plugin}
 
 
+def answered_by(answer: Any, number: int) -> Any:
+    """Let a function answer a signal; return what did before.
+
+    Only in the main thread, where alone Python allows it: elsewhere None.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return None
+    return signal.signal(number, answer)
+
+
 @contextmanager
 def kept_after_ctrl_c(folder: str | None) -> Iterator[None]:
     """Context of a campaign, that Ctrl-C leaves with a sentence on what is kept.
@@ -58,7 +69,7 @@ def kept_after_ctrl_c(folder: str | None) -> Iterator[None]:
         ended.append(TERMINATED)
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, end)
+    before = answered_by(end, signal.SIGTERM)
     try:
         yield
     except KeyboardInterrupt as pressed:
@@ -68,4 +79,4 @@ def kept_after_ctrl_c(folder: str | None) -> Iterator[None]:
         say(f"interrupted: {kept}")
         raise SystemExit(ended[0] if ended else INCOMPLETE) from None
     finally:
-        signal.signal(signal.SIGTERM, before)
+        answered_by(before, signal.SIGTERM)

@@ -46,8 +46,9 @@ examples:
   gonio-mi compare run.npz another.npz
   gonio-mi compare run.npz measured.csv --uncertainty 0.005 -o compared.png
   gonio-mi compare roughconductor:alpha=0.2 measured.csv --budget budget.csv
-  gonio-mi compare diffuse panel.txt --channel 550nm --quantity reflectance_factor \\
-      --columns theta_i=src_z theta_o=view_z --azimuth mirror --aperture-half-angle 1
+  gonio-mi compare diffuse panel.txt --channel 550nm \\
+      --quantity reflectance_factor --columns theta_i=src_z theta_o=view_z \\
+      --azimuth mirror --aperture-half-angle 1
   gonio-mi compare run.npz roughconductor:alpha=0.21
 
 The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005`,

@@ -17,6 +17,8 @@ from .file_kinds import record_of
 
 __all__ = ["add_options", "run"]
 
+USAGE = "%(prog)s RECORD [RECORD] -o OUT ... [options]"
+
 EXAMPLES = """\
 examples:
   gonio-mi export run.npz -o run.xml run.bsdf run.zemax.bsdf run.brdf

@@ -37,7 +37,12 @@ from .arguments import (
     specimen_of,
     tell,
 )
-from .campaign_options import add_campaign, campaign_options, kept_after_ctrl_c
+from .campaign_options import (
+    add_campaign,
+    answered_by,
+    campaign_options,
+    kept_after_ctrl_c,
+)
 from .campaign_parts import CampaignParts
 from .file_kinds import record_of
 from .setting_options import add_group, given_settings
@@ -63,7 +68,8 @@ examples:
   gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz
   gonio-mi measure scan.x3p --form plane --fill nearest --theta-i 30 -o scan.npz
   gonio-mi measure grooves.xml --theta-i 30 --order 1,2,3+ -o grooves.npz
-  gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz --resume run.npz
+  gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz \\
+      --resume run.npz
 
 Several orders give a file each: grooves_order_1.npz, grooves_order_2.npz, ...
 Options take their defaults from the scene file if that is a complete measurement
@@ -304,12 +310,12 @@ class _CtrlC:
         self.pressed = self.ignored = False
 
     def __enter__(self) -> _CtrlC:
-        self._previous = signal.signal(signal.SIGINT, self._press)
+        self._previous = answered_by(self._press, signal.SIGINT)
         return self
 
     def __exit__(self, *_: object) -> None:
         after = signal.SIG_IGN if self.pressed else self._previous
-        signal.signal(signal.SIGINT, after)
+        answered_by(after, signal.SIGINT)
 
     def _press(self, *_: object) -> None:
         if not (self.ignored or self.pressed):

@@ -164,8 +164,10 @@ def _print(
     for other in others:
         variant = other.settings["variant"]
         if _failed(other) <= _failed(verdict):
-            found = f"nothing that was not found in {here} too{other.near}"
-            no_more.append(f"in {variant}: {found}")
+            found = f"nothing that was not found in {here} too"
+            if not _failed(other):
+                found = "nothing wrong was found" + " either" * (not _failed(verdict))
+            no_more.append(f"in {variant}: {found}{other.near}")
         else:
             print(f"in {variant}:\n{other}\n")
     print("\n".join([str(verdict), *no_more]))
