@@ -734,7 +734,7 @@ def test_overlapping_and_transmitted_points():
     n = len(theta_o)
     columns = (np.full(n, 10.0), np.zeros(n), theta_o, np.full(n, 180.0))
     table = MeasuredTable(*columns, np.zeros(n), quantity="btdf", uncertainty=0.01)
-    with pytest.raises(ValueError, match="aperture_half_angle must be given"):
+    with pytest.raises(ValueError, match=r"aperture_half_angle .* must be given"):
         measure_like(DIFFUSE, table)
     with pytest.raises(TypeError, match="collector must come from the table"):
         measure_like(DIFFUSE, table, aperture_half_angle=4, collector="angle:2x2")
@@ -861,7 +861,7 @@ def test_command_measures_a_specimen_in_the_patches_of_a_table(tmp_path, capsys)
     table = read_measured(path)
     assert table.degrees_of_freedom == record.n_batches - 1
     unknown = replace(table, header={"collector": "a photodiode"})
-    with pytest.raises(ValueError, match="aperture_half_angle must be given"):
+    with pytest.raises(ValueError, match=r"aperture_half_angle .* must be given"):
         measure_like(specimen, unknown)
 
 
