@@ -148,6 +148,50 @@ def test_a_table_is_fitted_in_its_directions():
 
 
 @pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("quantity", ["brdf", "btdf"])
+def test_a_table_of_patch_means_is_fitted_as_such(quantity, tmp_path):
+    """Convergence: as the integrals it holds; twin: as points it is another alpha."""
+    model, bsdf = "roughconductor:distribution=ggx", METAL
+    if quantity == "btdf":
+        model = "roughdielectric:distribution=ggx"
+        bsdf = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.3}
+    record = measured(bsdf, estimator="quadrature", rays=None, hemispheres="both")
+    gonio.export(record, tmp_path / "a.csv")
+    (path,) = [
+        one
+        for one in sorted(tmp_path.iterdir())
+        if gonio.read_measured(one).quantity == quantity
+    ]
+    table = replace(gonio.read_measured(path), sigma=None)
+    alpha = gonio.fit(table, model).values[0]
+    assert np.isclose(alpha, 0.3, rtol=INTEGRALS, atol=0)
+    of_points = gonio.fit(replace(table, header={}), model).values[0]
+    assert not np.isclose(of_points, 0.3, rtol=10 * INTEGRALS, atol=0)
+
+
+@pytest.mark.usefixtures("mono")
+def test_uncertainties_of_few_repetitions_are_larger():
+    """By the variance of Student's t with 5 degrees of freedom, 5/3.
+
+    Rounding: of derivatives, by differences of values in single precision over a step;
+    and the floor of 1e-4 of the mean beside 5 % of the least value, squared.
+    """
+    exact = table_of(METAL)
+    noise = 0.05 * np.random.default_rng(5).standard_normal(len(exact))
+    table = replace(exact, value=exact.value * (1 + noise), sigma=0.05 * exact.value)
+    few, many = (
+        gonio.fit(
+            replace(table, degrees_of_freedom=n), "roughconductor:distribution=ggx"
+        )
+        for n in (5, None)
+    )
+    floor = 1e-4 * table.value.mean() / (0.05 * exact.value.min())
+    rounding = np.finfo(np.float32).eps / STEP + floor**2
+    assert np.isclose(few.chi2, many.chi2 * 3 / 5, rtol=rounding)
+    assert np.allclose(few.std_errs, many.std_errs * (5 / 3) ** 0.5, rtol=rounding)
+
+
+@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("stated", [True, False])
 def test_uncertainties_of_tables_are_honest(stated):
     """Normal scores over 30 tables with noise of 5 %; twin: 5 % off.

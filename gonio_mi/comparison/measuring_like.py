@@ -11,7 +11,6 @@ import numpy as np
 from ..array_types import Flags
 from ..collector.apertures import Apertures, disjoint_groups
 from ..collector.hemisphere import Subdivision
-from ..collector.parsing import subdivision
 from ..errors import SettingError, SettingTypeError, SpecimenError, shown
 from ..files.channels import wavelengths_nm
 from ..files.measured import MeasuredTable
@@ -100,7 +99,7 @@ def measure_like(
             )
         return (_like_record(specimen, like, seed, settings),)
     half_angle = like.aperture_half_angle or aperture_half_angle
-    solid_angles = _own_patches(like) if half_angle is None else half_angle
+    solid_angles = like.patches if half_angle is None else half_angle
     if solid_angles is None:
         raise SettingError(
             f"aperture_half_angle (--aperture-half-angle) must be given: {like.name} "
@@ -155,14 +154,6 @@ def _like_table(
                     )
             records.append(record)
     return tuple(records)
-
-
-def _own_patches(table: MeasuredTable) -> Subdivision | None:
-    """Patches that a table's values are means over, as our own files say."""
-    try:
-        return subdivision(table.header.get("collector", ""))
-    except SettingError:
-        return None
 
 
 def _collectors(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..array_types import Floats
+from ..collector import Subdivision, subdivision
 from ..errors import SettingError, checked_choice, checked_number
 from . import replacing
 
@@ -155,6 +156,19 @@ class MeasuredTable:
     def incident(self) -> list[tuple[float, float]]:
         """Distinct pairs (theta_i, phi_i) in degrees, in the order of the table."""
         return list(dict.fromkeys(zip(self.theta_i.tolist(), self.phi_i.tolist())))
+
+    @property
+    def patches(self) -> Subdivision | None:
+        """Patches that the values are means over, if the header's `collector` says it.
+
+        As in tables that `gonio_mi.export` wrote; an aperture goes before it.
+        """
+        if self.aperture_half_angle is not None:
+            return None
+        try:
+            return subdivision(self.header.get("collector", ""))
+        except SettingError:
+            return None
 
     @property
     def bsdf(self) -> Floats:

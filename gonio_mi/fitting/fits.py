@@ -54,8 +54,9 @@ def fit(
     ----------
     record : Record or MeasuredTable
         Of a collimated beam, with error bars. A table's values are means over its
-        aperture, or if it states none, the BSDF in its directions; without any
-        uncertainty they are taken for uncertain by one part of themselves.
+        aperture, or over its patches as in one that :func:`gonio_mi.export` wrote, or
+        if it states neither, the BSDF in its directions; without any uncertainty they
+        are taken for uncertain by one part of themselves.
     model : str or dict
         BSDF plugin with what is known of it: ``"roughconductor:distribution=ggx"``.
     free : sequence of str, optional

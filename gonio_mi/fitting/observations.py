@@ -7,7 +7,8 @@ from typing import Protocol
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats
+from ..array_types import Floats, Integers
+from ..collector.directions import direction
 from ..errors import SettingError
 from ..files.measured_table import MeasuredTable
 from ..results.record import Record
@@ -139,42 +140,31 @@ class TableObservations:
     Parameters
     ----------
     table : MeasuredTable
-        Where it states an aperture, its values are means over it. Without any
-        uncertainty all values are taken for uncertain by the same part of themselves.
+        Where it states an aperture, or else patches, its values are means over these.
+        Without any uncertainty all values are taken for uncertain by the same part of
+        themselves.
     """
 
     def __init__(self, table: MeasuredTable) -> None:
         self.table, self.values = table, table.bsdf
         self.stated = bool(table.bsdf_std_err.any())
-        lower = table.quantity == "btdf"
-        theta = 180 - table.theta_o if lower else table.theta_o
-        axes = np.stack([theta, table.phi_o], axis=-1)
         self._each = []
         for theta_i, phi_i in table.incident:
             (rows,) = np.nonzero((table.theta_i == theta_i) & (table.phi_i == phi_i))
-            cones = ConePredictions(
-                (theta_i, phi_i),
-                "front",
-                [table.channel or "Y"],
-                axes[rows],
-                lower=lower,
-                half_angle=table.aperture_half_angle or 0.0,
-                means=True,
-            )
-            self._each.append((cones, rows))
+            self._each.append((_means(table, (theta_i, phi_i), rows), rows))
 
     def begin(self) -> None:
         """See :class:`Observations`."""
-        for cones, _ in self._each:
-            cones.begin()
+        for means, _ in self._each:
+            means.begin()
 
     def adapt(self, bsdf: mi.BSDF) -> Floats:
         """See :class:`Observations`."""
-        return self._joined([cones.adapt(bsdf) for cones, _ in self._each])
+        return self._joined([means.adapt(bsdf) for means, _ in self._each])
 
     def of(self, bsdf: mi.BSDF) -> Floats:
         """See :class:`Observations`."""
-        return self._joined([cones.of(bsdf) for cones, _ in self._each])
+        return self._joined([means.of(bsdf) for means, _ in self._each])
 
     def _joined(self, parts: list[Floats]) -> Floats:
         """Values of the incident directions in the rows of the table."""
@@ -202,6 +192,10 @@ class TableObservations:
         # give it too much weight
         relative = self.table.uncertainty
         found = self.table.bsdf_std_err**2 - (relative * self.values) ** 2
+        if self.table.degrees_of_freedom is not None:
+            # of Student's t, from 3 on
+            dof = max(self.table.degrees_of_freedom, 3.0)
+            found = found * dof / (dof - 2)
         found = np.maximum(found, 0) + (relative * predicted) ** 2
         return found + (RELATIVE_FLOOR * (np.abs(self.values).mean())) ** 2
 
@@ -222,22 +216,70 @@ class TableObservations:
         return points + np.outer(common, common)
 
 
+class _PatchMeans:
+    """Means over patches that hold some rows of a table, in 1/sr."""
+
+    def __init__(self, predictions: PatchPredictions, places: Integers) -> None:
+        self._predictions, self._places = predictions, places
+        solid = predictions.subdivision.projected_solid_angles.ravel()
+        self._solid = np.tile(solid, predictions.hemispheres)[places]
+
+    def begin(self) -> None:
+        """See :class:`Observations`."""
+        self._predictions.begin()
+
+    def adapt(self, bsdf: mi.BSDF) -> Floats:
+        """See :class:`Observations`."""
+        return self._predictions.adapt(bsdf)[self._places] / self._solid
+
+    def of(self, bsdf: mi.BSDF) -> Floats:
+        """See :class:`Observations`."""
+        return self._predictions.of(bsdf)[self._places] / self._solid
+
+
+def _means(
+    table: MeasuredTable, incident: tuple[float, float], rows: Integers
+) -> _PatchMeans | ConePredictions:
+    """What predicts some rows of a table, of one incident direction."""
+    lower = table.quantity == "btdf"
+    theta = table.theta_o[rows]
+    theta, phi = 180 - theta if lower else theta, table.phi_o[rows]
+    light = incident, "front", [table.channel or "Y"]
+    patches = table.patches
+    if patches is not None:
+        number, held = patches.detectors(direction(np.radians(theta), np.radians(phi)))
+        if held.all():
+            predictions = PatchPredictions(*light, patches, 1 + lower)
+            return _PatchMeans(predictions, number + lower * patches.n_patches)
+    return ConePredictions(
+        *light,
+        np.stack([theta, phi], axis=-1),
+        lower=lower,
+        half_angle=table.aperture_half_angle or 0.0,
+        means=True,
+    )
+
+
 def _predictions(single: Record) -> list[PatchPredictions] | list[ConePredictions]:
     """What predicts the detectors of a record, hemisphere by hemisphere if cones."""
     patches = single.subdivision
     half_angle = patches.aperture_half_angle
+    incident = float(single.theta_i[0]), float(single.phi_i[0])
+    side = single.settings.get("side", "front")
+    hemispheres = 1 + single.has_lower
     if half_angle is None:
-        return [PatchPredictions(single)]
+        given = incident, side, single.channels
+        return [PatchPredictions(*given, patches, hemispheres)]
     axes = np.degrees(np.concatenate(patches.middles, axis=1))[: patches.n_detectors]
     return [
         ConePredictions(
-            (float(single.theta_i[0]), float(single.phi_i[0])),
-            single.settings.get("side", "front"),
+            incident,
+            side,
             single.channels,
             axes,
             lower=lower,
             half_angle=half_angle,
             means=False,
         )
-        for lower in (False, True)[: 1 + single.has_lower]
+        for lower in (False, True)[:hemispheres]
     ]

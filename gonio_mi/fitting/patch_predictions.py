@@ -10,13 +10,13 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats, Integers
+from ..collector import Subdivision
 from ..errors import SettingError
 from ..files.channels import wavelengths_nm
 from ..quadrature import integrate
 from ..quadrature.cells import NODES_PER_CELL, Cells
 from ..quadrature.incident_light import IncidentLight
 from ..quadrature.rule import Rule
-from ..results.record import Record
 from ..transport.surface_events import flux_context
 from ..transport.wavelengths import passes, wavelength_lanes
 
@@ -89,20 +89,27 @@ class Predictions:
 
 
 class PatchPredictions(Predictions):
-    """Flux fractions of the patches of one incident direction of a record.
+    """Flux fractions of the patches of one incident direction.
 
     Parameters
     ----------
-    single : Record
-        Of one incident direction.
+    incident, side, channels
+        As of :class:`Predictions`.
+    patches : Subdivision
+    hemispheres : {1, 2}
+        Reflection alone, or transmission too.
     """
 
-    def __init__(self, single: Record) -> None:
-        incident = float(single.theta_i[0]), float(single.phi_i[0])
-        side = single.settings.get("side", "front")
-        super().__init__(incident, side, single.channels)
-        self.subdivision = single.subdivision
-        self.hemispheres = 1 + single.has_lower
+    def __init__(
+        self,
+        incident: tuple[float, float],
+        side: str,
+        channels: Sequence[str],
+        patches: Subdivision,
+        hemispheres: int,
+    ) -> None:
+        super().__init__(incident, side, channels)
+        self.subdivision, self.hemispheres = patches, hemispheres
 
     def begin(self) -> None:
         """Take the same few nodes in each patch, which will do for a first search."""
