@@ -25,6 +25,9 @@ __all__ = [
 # Directions at which answers are looked at beside those of samples.
 EVERYWHERE = 2**12
 
+# What a type is, if all else agrees.
+AGREED = "as `eval` has it: a type or a side is declared wrongly"
+
 
 def check_answers(evidence: Evidence, drawn: Drawn) -> None:
     """All values are finite and at least 0."""
@@ -103,18 +106,17 @@ def check_directions(evidence: Evidence, drawn: Drawn) -> None:
     # on the horizon no side is wrong
     beside = np.abs(drawn.wo[:, 2]) < BSDF_ROUNDING
     beside |= abs(drawn.condition.wi[2]) < BSDF_ROUNDING
+    one_way = reflects & ~transmits & ~drawn.reflected & ~beside
+    other_way = transmits & ~reflects & drawn.reflected & ~beside
+    agreed = _agreed(drawn)
+    through = "a sample of a reflecting type leaves on the other side"
+    back = "a sample of a transmitting type leaves on the side of incidence"
     cases = [
         (np.abs(length - 1) > BSDF_ROUNDING, "directions are not of length 1", None),
-        (
-            reflects & ~transmits & ~drawn.reflected & ~beside,
-            "a sample of a reflecting type leaves on the other side",
-            None,
-        ),
-        (
-            transmits & ~reflects & drawn.reflected & ~beside,
-            "a sample of a transmitting type leaves on the side of incidence",
-            None,
-        ),
+        (one_way & ~agreed, through, None),
+        (one_way & agreed, f"{through}, {AGREED}", INTERFACE),
+        (other_way & ~agreed, back, None),
+        (other_way & agreed, f"{back}, {AGREED}", INTERFACE),
         (
             ~reflects & ~transmits,
             "sampled_type names neither reflection nor transmission",
@@ -138,6 +140,16 @@ def check_directions(evidence: Evidence, drawn: Drawn) -> None:
                 size=float(wrong.mean()),
                 effect=effect,
             )
+
+
+def _agreed(drawn: Drawn) -> Flags:
+    """Samples for which ``eval`` says what weight times pdf does, and not 0.
+
+    Then their type is a name only: integrators ask it for discrete lobes.
+    """
+    product = drawn.weight * drawn.sampled_pdf[:, None]
+    lit = (drawn.eval > 0).any(axis=1)
+    return lit & ~unequal(product, drawn.eval, drawn.eval_slack)
 
 
 def asked_after(probe: Probe, first: Drawn) -> tuple[Floats, Floats]:

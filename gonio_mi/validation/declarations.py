@@ -78,12 +78,16 @@ def _undeclared(bsdf: mi.BSDF, drawn: Drawn) -> tuple[int, tuple[Any, ...] | Non
             BIAS if unlit else None,
         )
     if components.max() >= n:
+        last = int(components.max())
+        # a larger number is no component that was added
         trap = "; m_components must be assigned, to append to it has no effect"
+        trap *= last < n + len(LOBES)
         return kinds, (
             EITHER,
-            f"component {int(components.max())}, of {n} that are declared",
-            f"`sample` names component {int(components.max())}, where `flags` declares "
-            + (f"{n} from 0 on: one of them is wrong" if n else f"none{trap}"),
+            f"component {last}, of {n} that are declared",
+            f"`sample` names component {last}, where `flags` declares "
+            + (f"{n} from 0 on: one of them is wrong" if n else "none")
+            + trap,
         )
     for i in set(components.tolist()):
         own = int(np.bitwise_or.reduce(types[components == i])) & ~int(bsdf.flags(i))

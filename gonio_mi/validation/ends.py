@@ -18,10 +18,10 @@ from .probe import PluginFault, Probe, numbers, spectral
 
 __all__ = ["check_ends", "check_roughness"]
 
-# Polar angles of incidence in degrees, and the ends of random numbers in [0, 1).
 # Part of an image that single pixels are.
 SINGLE = 1e-3
 
+# Polar angles of incidence in degrees, and the ends of random numbers in [0, 1).
 ANGLES = (0, 1e-3, 89.99, 90, 90.01, 120, 179.999, 180)
 LAST = float(np.nextafter(np.float32(1), np.float32(0)))
 NUMBERS = (0.0, 0.5, LAST)
@@ -37,37 +37,43 @@ def check_ends(evidence: Evidence, bsdf: mi.BSDF, where: str = "") -> None:
     Directions: sampled ones, and some at the normal, the horizon, the mirror direction
     and straight on.
     """
-    corners = np.array(list(product(NUMBERS, repeat=3)), dtype=np.float32)
-    sample1 = mi.Float(corners[:, 0])
-    sample2 = mi.Point2f(corners[:, 1:].T)
     for theta_i, phi_i in product(ANGLES, (0.0, 25.0)):
         condition = Condition(theta_i, phi_i)
-        probe = Probe(bsdf, condition)
-        wi = condition.wi
         place = f"at {condition}{where}"
-        one = probe.sample(sample1, sample2)
-        n = len(corners)
-        weight, wo = spectral(one.weight, n), spectral(one.bs.wo, n)
-        pdf = numbers(one.bs.pdf, n)
-        given = (weight != 0).any(axis=1)
-        _finite(evidence, "sample", "weight", weight, corners, place)
-        _finite(evidence, "sample", "pdf", pdf[given], corners[given], place)
-        _unit(evidence, wo, given, corners, place)
-        extra = [wi, -wi, wi * [-1, -1, 1], wi * [-1, -1, -1]]
-        extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
-        good = given & np.isfinite(wo).all(axis=1)
-        vectors = np.concatenate([wo[good], extra])
-        v = mi.Vector3f(np.ascontiguousarray(vectors.T, dtype=np.float32))
-        n = len(vectors)
-        joint, values = probe.eval_pdf(v), spectral(probe.eval(v), n)
-        black = (values == 0).all(axis=1)
-        for function, value in (
-            ("eval", values),
-            ("pdf", numbers(probe.pdf(v), n)),
-            ("eval_pdf", spectral(joint[0], n)),
-            ("eval_pdf", numbers(joint[1], n)),
-        ):
-            _finite(evidence, function, "value", value, vectors, place, "wo", black)
+        try:
+            _check_condition(evidence, Probe(bsdf, condition), place)
+        except PluginFault as fault:  # elsewhere it answers
+            mistake = f"`{fault.function}` {fault.what}, at an end of its domain"
+            evidence.breach("ends", fault.function, place, mistake, off=SINGLE)
+
+
+def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
+    """The same of one direction of incidence."""
+    corners = np.array(list(product(NUMBERS, repeat=3)), dtype=np.float32)
+    wi = probe.condition.wi
+    one = probe.sample(mi.Float(corners[:, 0]), mi.Point2f(corners[:, 1:].T))
+    n = len(corners)
+    weight, wo = spectral(one.weight, n), spectral(one.bs.wo, n)
+    pdf = numbers(one.bs.pdf, n)
+    given = (weight != 0).any(axis=1)
+    _finite(evidence, "sample", "weight", weight, corners, place)
+    _finite(evidence, "sample", "pdf", pdf[given], corners[given], place)
+    _unit(evidence, wo, given, corners, place)
+    extra = [wi, -wi, wi * [-1, -1, 1], wi * [-1, -1, -1]]
+    extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
+    good = given & np.isfinite(wo).all(axis=1)
+    vectors = np.concatenate([wo[good], extra])
+    v = mi.Vector3f(np.ascontiguousarray(vectors.T, dtype=np.float32))
+    n = len(vectors)
+    joint, values = probe.eval_pdf(v), spectral(probe.eval(v), n)
+    black = (values == 0).all(axis=1)
+    for function, value in (
+        ("eval", values),
+        ("pdf", numbers(probe.pdf(v), n)),
+        ("eval_pdf", spectral(joint[0], n)),
+        ("eval_pdf", numbers(joint[1], n)),
+    ):
+        _finite(evidence, function, "value", value, vectors, place, "wo", black)
 
 
 def check_roughness(evidence: Evidence, bsdf: mi.BSDF) -> None:

@@ -20,11 +20,11 @@ __all__ = [
     "MODEL",
     "NOISE",
     "PROPERTIES",
-    "WHERE",
     "Breach",
     "Evidence",
     "Test",
     "harm",
+    "where",
     "share",
 ]
 
@@ -100,6 +100,16 @@ WHERE = {
     "ends": "all, in single pixels",
     "parameters": "prb and all that change or differentiate parameters",
 }
+
+# Where a mode is wrong that cannot be that of light, it is that of sensors.
+WHERE_OF_SENSORS = "path and all that trace rays from the sensor"
+
+
+def where(name: str, effect: str | None) -> str | None:
+    """Integrators that a failure of a property reaches by its effect, if known."""
+    if name == "adjoint" and effect == BIAS:
+        return WHERE_OF_SENSORS
+    return WHERE.get(name) if effect in (BIAS, BREAKS) else None
 
 
 @dataclass(frozen=True)

@@ -94,6 +94,8 @@ def _not_reciprocal(
     forward: Floats, backward: Floats, drawn: Drawn, wrong: Flags
 ) -> str:
     """Likely mistake in ``eval``, by the ratio of both directions."""
+    if not backward[wrong].any():
+        return "`eval` lets light go one way only"
     ratio = forward[wrong].sum(axis=1) / np.maximum(backward[wrong].sum(axis=1), 1e-30)
     cosines = np.abs(drawn.wo[wrong, 2]) / abs(drawn.condition.wi[2])
     if drawn.reflected[wrong].all():

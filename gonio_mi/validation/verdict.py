@@ -16,12 +16,12 @@ from .evidence import (
     HARM,
     INTERFACE,
     PROPERTIES,
-    WHERE,
     Breach,
     Evidence,
     Test,
     harm,
     share,
+    where,
 )
 from .maps import FourMaps
 
@@ -93,8 +93,9 @@ class Property:
     @property
     def consequence(self) -> str | None:
         """The effect, with the integrators that it reaches, and how large it is."""
-        if self.effect in (BIAS, BREAKS) and self.name in WHERE:
-            text = f"{self.effect} ({WHERE[self.name]})"
+        reached = where(self.name, self.effect)
+        if reached is not None:
+            text = f"{self.effect} ({reached})"
             if self.share is not None and self.name != "ends":
                 text += f", {self.share:.2g} of the light of a lit surface"
             return text
@@ -347,6 +348,6 @@ def _of_tests(beyond: Sequence[Test]) -> str:
         beyond, key=lambda t: (EFFECTS.index(_harm_of(t)), -(share(t) or 0.0), t.p)
     )
     places = {str(t.condition) for t in beyond}
-    where = "" if worst.condition is None else f" at {worst.condition}"
+    place = "" if worst.condition is None else f" at {worst.condition}"
     more = f", and at {len(places) - 1} more" if len(places) > 1 else ""
-    return f"{worst.statistic}{where}{more}, p = {worst.p:.2g}"
+    return f"{worst.statistic}{place}{more}, p = {worst.p:.2g}"
