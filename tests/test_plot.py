@@ -206,6 +206,7 @@ def test_title_says_what_was_measured():
         "weighted estimator",
         "independent sampler",
         "dhr 0.60",
+        " % at worst (± std_err)",
     ):
         assert words in title.replace("\N{NO-BREAK SPACE}", " ")
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import SettingError, abridged, checked_count
 from ..files import check_output
 from ..results.integral_sums import sent_text, without_chance
+from ..results.precision import precision
 from ..results.record import Record
 from .drawable import FIGURE_ENDINGS, check_matplotlib, save_picture, set_title
 from .profile import draw_profiles
@@ -96,7 +97,7 @@ def plot(
 
 
 def _title(record: Record, index: int) -> str:
-    """Three lines: specimen, incident direction and settings, totals."""
+    """Four lines: specimen, incident direction, settings, totals."""
     single, settings = record[index], record.settings
     specimen = " ".join(str(settings.get("specimen", "specimen")).split())
     specimen = abridged(specimen, MAX_TITLE)
@@ -124,7 +125,10 @@ def _title(record: Record, index: int) -> str:
         totals.append(_total("dht", single.dht, single.dht_std_err))
     if single.ledger.direct:
         totals.append(_total("direct", single.direct, single.direct_std_err))
-    lines[-1] += "; " + ", ".join(totals)
+    worst, _ = precision(single)
+    if 0 < worst < math.inf:
+        totals.append(f"bright patches ±\N{NO-BREAK SPACE}{100 * worst:.2g} % at worst")
+    lines.append(", ".join(totals))
     if "±" in lines[-1]:
         of = "largest error" if without_chance(single.tallies) else "std_err"
         lines[-1] += f" (± {of})"
