@@ -19,6 +19,9 @@ BEGUN = 25
 COMMAND = ["measure", "roughconductor:alpha=0.5", "--tolerance", "0.2", "--theta-max"]
 COMMAND += ["60", "--collector", "projected:6x16", "--estimator", "weighted", "-q"]
 
+# Looks for mirror peaks, of few rays, before anything else: they are not kept.
+PROBES = 2
+
 # The command in a process of its own, killed as it begins a direction amid the work.
 KILLED = f"""
 import os, signal, sys
@@ -98,10 +101,11 @@ def test_ctrl_c(tmp_path, uninterrupted, monkeypatch, capsys):
     assert ended.value.code == 2
     said = "holds what was finished; the same command carries on\n"
     assert capsys.readouterr().err == f"gonio-mi: interrupted: {path}.parts {said}"
-    assert len(list(tmp_path.rglob("0*.npz"))) == len(calls) - 1 == BEGUN - 1
+    assert len(calls) == BEGUN
+    assert len(list(tmp_path.rglob("0*.npz"))) == BEGUN - 1 - PROBES
     same(path, whole)
     assert not capsys.readouterr().err
-    assert len(calls) - BEGUN == of_all - (BEGUN - 1)
+    assert len(calls) - BEGUN == of_all - (BEGUN - 1) + PROBES
 
 
 def test_what_sigterm_ends_says_so(tmp_path, monkeypatch, capsys):
@@ -112,7 +116,7 @@ def test_what_sigterm_ends_says_so(tmp_path, monkeypatch, capsys):
         cli.main([*COMMAND, "-o", str(path)])
     assert ended.value.code == 143
     assert f"gonio-mi: interrupted: {path}.parts holds" in capsys.readouterr().err
-    assert len(list(tmp_path.rglob("0*.npz"))) == 4
+    assert len(list(tmp_path.rglob("0*.npz"))) == 4 - PROBES
     assert signal.getsignal(signal.SIGTERM) == before
 
 
@@ -120,7 +124,7 @@ def test_a_kill(tmp_path, whole):
     path = tmp_path / "metal.npz"
     command = [sys.executable, "-c", KILLED, *COMMAND, "-o", path]
     assert subprocess.run(command).returncode == -signal.SIGKILL
-    assert len(list(tmp_path.rglob("0*.npz"))) == BEGUN - 1
+    assert len(list(tmp_path.rglob("0*.npz"))) == BEGUN - 1 - PROBES
     assert not path.exists()
     same(path, whole)
 
