@@ -1,5 +1,6 @@
 """A progress bar on standard error, or lines where that is no terminal."""
 
+import shutil
 import sys
 import threading
 import time
@@ -9,26 +10,40 @@ from typing import Any
 
 from tqdm import tqdm
 
+from .errors import abridged
+
 __all__ = ["bar"]
 
 # Seconds between two lines.
 PAUSE = 30.0
 
+# Columns of a terminal for the bar itself, counts and the time that is left.
+COUNTS = 31
+
 
 def bar(
-    shown: bool, **settings: Any
+    shown: bool, part: str = "", **settings: Any
 ) -> AbstractContextManager[Callable[[float], Any] | None]:
     """Context of the function to report progress to; of None if it is not `shown`.
 
     Where standard error is a file or a pipe, a line is written about every 30 seconds,
-    however many bars there are one after the other. `settings` are those of
-    :class:`tqdm.tqdm`.
+    however many bars there are one after the other; after the description `part` tells
+    there what is counted. `settings` are those of :class:`tqdm.tqdm`.
     """
     if not shown:
         return nullcontext()
     notebook = type(sys.stderr).__module__.startswith("ipykernel")
     in_place = sys.stderr.isatty() or notebook
-    return (_Bar if in_place else _Lines)(leave=False, **settings)
+    said = settings.get("desc")
+    if not in_place:
+        settings["desc"] = f"{said}; {part}" if said and part else said
+        return _Lines(leave=False, **settings)
+    if said and settings.get("total") is not None:
+        columns = shutil.get_terminal_size((80, 24)).columns
+        settings["desc"] = abridged(said, max(columns - COUNTS, COUNTS))
+        shape = "{desc}: |{bar}| {n_fmt}/{total_fmt}, {remaining} left"
+        settings.setdefault("bar_format", shape)
+    return _Bar(leave=False, **settings)
 
 
 class _Bar(tqdm):

@@ -1,6 +1,7 @@
 """What long work says of itself where nobody looks at a terminal. All is exact."""
 
 import io
+import re
 import sys
 import threading
 import time
@@ -70,3 +71,28 @@ def test_bars_only_where_they_are_drawn(monkeypatch, capsys):
     with progress.bar(True, total=1, unit="direction"):
         pass
     assert "0/1" in drawn.getvalue()
+
+
+class Terminal(io.StringIO):
+    """A terminal of 80 columns, and what was drawn in it."""
+
+    def isatty(self):
+        return True
+
+    def drawn(self):
+        """What stood in the line, one after the other."""
+        return [one for one in re.split(r"[\r\n]", self.getvalue()) if one.strip()]
+
+
+def test_a_bar_leaves_room_for_what_it_counts(monkeypatch):
+    """All that a campaign says, whole; and of a longer text what fits."""
+    for name, size in (("COLUMNS", "80"), ("LINES", "24")):
+        monkeypatch.setenv(name, size)
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    long = "roughconduct..., 120 measured, 12 of 24 legs open"
+    for said, shown in ((long, long), ("word " * 20, "word " * 9 + "...")):
+        with progress.bar(True, desc=said, total=120, unit="direction") as report:
+            report(3)
+        last = terminal.drawn()[-1]
+        assert re.match(rf"{shown}: \|.{{5,}}\| \d+/120, [\d:?]+ left$", last)
+        assert len(last) < 80

@@ -126,8 +126,8 @@ def _records(
     n_done = sum(len(record) for record in done.values())
     total = sum(len(task.incidents) for task in tasks)
     # a campaign of several rounds knows the time that is left of each only
-    said = said and f"{said}; this round"
     shown_as = {"total": total, "initial": n_done, "unit": "direction", "desc": said}
+    shown_as |= {"part": "this round"}
     with bar(where.progress, **shown_as) as report:
 
         def keep(task: _Task, record: Record) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ..collector import Subdivision
-from ..errors import SettingError, SpecimenError
+from ..errors import SettingError, SpecimenError, abridged
 from ..results.misplacement import misplaced
 from ..results.record import Record
 from .campaign_tasks import Surroundings, keep, records_of
@@ -130,7 +130,8 @@ class KnownDirections:
         if not new:
             return
         started = time.perf_counter()
-        said = f"{self.name}, {len(self.records)} directions measured, {said}"
+        # fits a terminal
+        said = f"{abridged(self.name, 16)}, {len(self.records)} measured, {said}"
         logger.info("%s: %d more", said, len(new))
         part = f"{self.estimators[0]}_{self.n_rounds:03d}"
         try:
@@ -175,7 +176,7 @@ class KnownDirections:
         if len(self.estimators) == 1 or self.estimators[0] != "quadrature":
             return
         settings = self.settings | {"estimator": "weighted", "rays": PROBE_RAYS}
-        said = f"{self.name}, whether sample() and eval() agree"
+        said = f"{abridged(self.name, 16)}, is sample() like eval()?"
         record = self._kept("functions", [incident], settings, said)
         integral = self.records[incident]
         error = misplaced(record, integral.flux_fraction)
@@ -217,7 +218,7 @@ class KnownDirections:
 
         With other `patches` they are measured here, and not kept.
         """
-        said = "whether patches resolve the lobes"
+        said = "are patches fine?"
         if patches is None:
             self.measure(incidents, said)
             return Record.stack(self.records[one] for one in incidents)

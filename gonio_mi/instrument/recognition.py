@@ -59,7 +59,7 @@ class Recognition:
             for theta in self.looked_at
             for sector in sectors
         ]
-        self.directions.measure(turned, "whether it is isotropic")
+        self.directions.measure(turned, "is it isotropic?")
         ring = Record.stack(known[theta, 0.0] for theta in self.angles)
         spared = SPARED * self.directions.tolerance
         prediction = Prediction(ring, self.n_points, spared)
@@ -86,7 +86,7 @@ class Recognition:
         """Whether at a direction a motion changes the specimen after all."""
         images = [(theta, motion.azimuth(phi)) for motion in motions]
         start = theta, phi
-        self.directions.measure([start, *images], "whether it is symmetric there")
+        self.directions.measure([start, *images], "is it symmetric?")
         return any(
             self._is_wrong(self._change(motion, start, image))
             for motion, image in zip(motions, images)

@@ -219,7 +219,7 @@ class WholeBsdf:
         """Errors in the middles of gaps between azimuths of rings."""
         self.directions.announce(self.rings.expected(self.limit) + UNSEEN)
         middles = [self.rings.azimuth(sector) for sector in middles]
-        said = f"{len(gaps)} of {len(self.rings.gaps.errors)} gaps of azimuth open"
+        said = f"{len(gaps)} of {len(self.rings.gaps.errors)} gaps open"
         new = [(gap.on, phi) for gap, phi in zip(gaps, middles)]
         self.directions.measure([*self.rings.directions(), *new], said)
         of_ring = defaultdict(list)
@@ -289,12 +289,12 @@ class WholeBsdf:
 
     def _errors_at(self, unseen: Sequence[tuple[float, float]]) -> list[Misplacement]:
         """What is wrong at directions, with less noise where they are large."""
-        said = "at random directions that only test it"
+        said = "random tests only"
         self.directions.measure([*self.rings.directions(), *unseen], said)
         prediction = self._prediction(self.rings.directions())
         found = {one: self._missed(prediction, *one) for one in unseen}
         large = [one for one in unseen if found[one].error > SURE * self.tolerance]
-        self.directions.measure(large, f"{said}, with less noise", CONFIRMING)
+        self.directions.measure(large, f"{said}, finer", CONFIRMING)
         found |= {one: self._missed(prediction, *one) for one in large}
         return list(found.values())
 
