@@ -127,8 +127,7 @@ def _records(
     total = sum(len(task.incidents) for task in tasks)
     # a campaign of several rounds knows the time that is left of each only
     shown_as = {"total": total, "initial": n_done, "unit": "direction", "desc": said}
-    shown_as |= {"part": "this round"}
-    with bar(where.progress, **shown_as) as report:
+    with bar(where.progress, "this round", **shown_as) as report:
 
         def keep(task: _Task, record: Record) -> None:
             if folder is not None:
