@@ -3,6 +3,7 @@
 What does not is said in one sentence that is true, and never as a bug of ours.
 """
 
+import mitsuba as mi
 import pytest
 
 import gonio_mi as gonio
@@ -10,6 +11,7 @@ from gonio_mi import cli
 from gonio_mi.instrument.loading import load_plugin_file
 from gonio_mi.quadrature import evaluator
 from gonio_mi.transport import specimen
+from gonio_mi.transport.traversal import traversed
 
 ALBEDO = 0.625  # exact in binary: so are its sums over rays of one weight
 
@@ -165,14 +167,24 @@ def test_what_rays_share_would_be_too_short(plugin, rgb, monkeypatch):  # noqa: 
         dhr(LOOKED)
 
 
-@pytest.mark.parametrize("name", ["voiceless", "listed"])
+@pytest.mark.parametrize("name", ["voiceless", "listed", "untraversed"])
 def test_what_mitsuba_renders_is_measured(name, plugin, rgb):  # noqa: ARG001
-    """No description is needed; a list of channels is a spectrum."""
+    """No description or traversal is needed; a list of channels is a spectrum."""
     load_plugin_file(plugin)
     of = {"type": f"foreign_{name}"}
     assert dhr(of) == pytest.approx(ALBEDO, rel=2**-40)
     integral = dhr(of, estimator="quadrature", rays=None)
     assert integral == pytest.approx(ALBEDO, rel=2**-20)
+
+
+def test_a_plugin_that_cannot_be_traversed_keeps_its_method(plugin, rgb):  # noqa: ARG001
+    """What a verdict tells of it, and Mitsuba, is not hidden."""
+    load_plugin_file(plugin)
+    bsdf = mi.load_dict({"type": "foreign_untraversed"})
+    held = mi.load_dict({"type": "twosided", "nested": bsdf})
+    assert traversed(held).hierarchy
+    with pytest.raises(AttributeError, match="put_old"):
+        mi.traverse(bsdf)
 
 
 @pytest.mark.parametrize("options", [(), ("--estimator", "quadrature"), ("--trace",)])
@@ -189,7 +201,6 @@ def test_plugins_of_other_variants_are_told_theirs(refusal, name, options):
         ("helped", "lookup.py, line 3, in weight_of: TypeError: 'NoneType'"),
         ("lacking", "the BSDF Lacking must have the method sample"),
         ("empty", "`sample` must return one value per ray, 1, got 0\n"),
-        ("untraversed", "has no attribute 'put_old' (foreign.py, line "),
     ],
 )
 def test_plugins_that_fail_are_named_with_their_line(refusal, name, words):

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
+from .traversal import traversed
 
 __all__ = ["encloses_medium", "refracts", "walls_in_sides"]
 
@@ -68,7 +69,7 @@ def _faces(shape: mi.Shape) -> list[Floats]:
     if shape.class_name() in ("Rectangle", "Disk"):
         box = shape.bbox()
         return [np.array([[box.min, box.max]], dtype=float).reshape(1, 2, 3)]
-    parameters: Any = mi.traverse(shape)
+    parameters: Any = traversed(shape)
     if "vertex_positions" not in parameters:
         return []
     points = np.array(parameters["vertex_positions"], dtype=float).reshape(-1, 3)

@@ -12,6 +12,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from .traversal import traversed
+
 __all__ = ["digest", "emitter_digest", "specimen_digest"]
 
 # Enough that no two specimens of anybody's share it.
@@ -75,7 +77,7 @@ def _digest_of(thing: Any, geometry: bool) -> str:
             for path in map(Path, FILE.findall(text)):
                 if path.is_file():
                     found.update(path.read_bytes())
-    parameters = mi.traverse(thing)
+    parameters = traversed(thing)
     # the order of keys is not that of another process
     for key in sorted(parameters.properties):
         handle, _, node, *_ = parameters.properties[key]

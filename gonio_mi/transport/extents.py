@@ -15,6 +15,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from .traversal import traversed
+
 __all__ = ["bounds"]
 
 Array = NDArray[np.float64]
@@ -57,7 +59,7 @@ def _grid(shape: mi.Shape) -> Corners | None:
     have both signs, and they lie on four edges along that axis. So a coordinate of the
     surface is extreme where an edge crosses zero.
     """
-    parameters = mi.traverse(shape)
+    parameters = traversed(shape)
     values = np.array(parameters["grid"], dtype=float)[..., 0]
     size = np.array(values.shape) - 1
     crossings = []
@@ -82,7 +84,7 @@ def _grid(shape: mi.Shape) -> Corners | None:
 
 def _curve(shape: mi.Shape) -> Corners:
     """Of all circles around a cubic B-spline, across its tangent."""
-    parameters = mi.traverse(shape)
+    parameters = traversed(shape)
     points = np.array(parameters["control_points"], dtype=float).reshape(-1, 4)
     first = np.array(parameters["segment_indices"], dtype=int)
     segments = points[first[:, None] + np.arange(4)]

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..single_precision import FEW_ROUNDINGS
+from .traversal import traversed
 
 __all__ = ["Plane", "repeated"]
 
@@ -51,7 +52,7 @@ class Plane:
         Flags do not tell, and not every plugin declares its textures; but a small
         detail of one is seen there only.
         """
-        parts = mi.traverse(self.bsdf).hierarchy
+        parts = traversed(self.bsdf).hierarchy
         if any(isinstance(part, mi.Texture) and _varies(part) for part in parts):
             return False
         sampler = mi.load_dict({"type": "independent"})
@@ -102,5 +103,5 @@ def _varies(texture: mi.Texture) -> bool:
         return False
     if not texture.class_name().startswith("BitmapTexture"):
         return True
-    texels = np.array(mi.traverse(texture)["data"])
+    texels = np.array(traversed(texture)["data"])
     return bool(np.any(texels != texels[:1, :1]))

@@ -9,6 +9,7 @@ from typing import Any
 import mitsuba as mi
 
 from .digest import digest
+from .traversal import traversed
 
 __all__ = ["WATERTIGHT", "groups_of", "remember", "scene_of", "surfaces_of"]
 
@@ -26,7 +27,7 @@ def groups_of(scene: mi.Scene) -> list[mi.Shape]:
         return []
     return [
         part
-        for part in mi.traverse(scene).hierarchy
+        for part in traversed(scene).hierarchy
         if isinstance(part, mi.Shape) and part.class_name().startswith("ShapeGroup")
     ]
 
@@ -37,7 +38,7 @@ def surfaces_of(
     """List of the `shapes` that are no instances, and of those in the `groups`."""
     surfaces = [shape for shape in shapes if not _is_instance(shape)]
     for group in groups:
-        parts = mi.traverse(group).hierarchy
+        parts = traversed(group).hierarchy
         surfaces += [p for p in parts if isinstance(p, mi.Shape) and p is not group]
     return surfaces
 

@@ -15,6 +15,7 @@ from types import FunctionType
 import mitsuba as mi
 
 from ..errors import is_installed
+from .traversal import traversed
 
 __all__ = ["file_digest", "holds_foreign_plugins", "plugins_digest"]
 
@@ -58,15 +59,8 @@ def plugins_digest(things: Iterable[mi.Object]) -> str | None:
 
 
 def holds_foreign_plugins(thing: mi.Object) -> bool:
-    """Whether an object of a scene is, or holds, a plugin in Python that is not ours.
-
-    One that does not let itself be traversed is one.
-    """
-    try:
-        return any(_is_foreign(type(held)) for held in _held(thing))
-    except Exception:
-        # a plugin may raise anything
-        return True
+    """Whether an object of a scene is, or holds, a plugin in Python of others."""
+    return any(_is_foreign(type(held)) for held in _held(thing))
 
 
 def _is_foreign(kind: type) -> bool:
@@ -94,7 +88,7 @@ def _held(thing: mi.Object) -> Iterator[mi.Object]:
             continue
         seen.add(id(held))
         yield held
-        todo += mi.traverse(held).hierarchy
+        todo += traversed(held).hierarchy
         if isinstance(held, mi.Shape):
             todo.append(held.bsdf())
         own = vars(held).values() if hasattr(held, "__dict__") else ()

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecimenError
+from .traversal import traversed
 from .trial import class_of
 
 __all__ = ["check_covered"]
@@ -34,7 +35,7 @@ def check_covered(things: Iterable[Any], nm: Sequence[float]) -> None:
         Wavelengths that are asked for.
     """
     for thing in {id(thing): thing for thing in things}.values():
-        scene = mi.traverse(thing)
+        scene = traversed(thing)
         # of one texture in another, such as a checkerboard's, the inner one has data
         outer = {id(parent) for parent, _ in scene.hierarchy.values()}
         for part in scene.hierarchy:
