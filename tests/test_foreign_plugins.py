@@ -212,6 +212,12 @@ def test_plugins_that_look_into_recorded_arguments_are_named(refusal):
     assert "foreign.py, line " in refusal("looked", "--trace")
 
 
+def test_a_verdict_names_the_method_that_is_missing(plugin, rgb):  # noqa: ARG001
+    load_plugin_file(plugin)
+    verdict = gonio.validate({"type": "foreign_lacking"}, effort="quick")
+    assert (verdict.function, verdict.mistake) == ("sample", "`sample` is missing")
+
+
 def test_a_plugin_file_that_raises_tells_the_line(plugin, refusal):
     plugin.write_text("import mitsuba\n\nraise RuntimeError('not here')\n")
     assert "raised RuntimeError: not here (foreign.py, line 3)" in refusal("matte")

@@ -1,11 +1,21 @@
 """The form of what the functions of a BSDF answer: types, and one value per ray."""
 
+import re
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-__all__ = ["PluginFault", "checked_answer", "checked_parts", "checked_sample"]
+__all__ = [
+    "PluginFault",
+    "checked_answer",
+    "checked_parts",
+    "checked_sample",
+    "missing_method",
+]
+
+# What a method that a plugin in Python does not have raises.
+_PURE = re.compile(r"::(\w+)\(\)'\): tried to call a pure virtual function")
 
 
 class PluginFault(Exception):  # noqa: N818
@@ -79,3 +89,9 @@ def _kind(value: Any) -> str:
     if isinstance(value, tuple):
         return f"a tuple of {len(value)}"
     return type(value).__name__
+
+
+def missing_method(error: BaseException) -> str | None:
+    """Name of the method that a plugin in Python lacks, if an error says so."""
+    found = _PURE.search(str(error))
+    return found[1] if found else None

@@ -4,7 +4,6 @@ In the loop that follows rays through geometry, Dr.Jit would hide what it is.
 """
 
 import os
-import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -12,13 +11,15 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import SpecimenError, abridged, own_frame
-from .plugin_answers import PluginFault, checked_answer, checked_sample
+from .plugin_answers import (
+    PluginFault,
+    checked_answer,
+    checked_sample,
+    missing_method,
+)
 from .variants import usable_variants
 
 __all__ = ["check_works", "class_of"]
-
-# What a method that a plugin in Python does not have raises.
-_PURE = re.compile(r"::(\w+)\(\)'\): tried to call a pure virtual function")
 
 
 def check_works(bsdfs: Iterable[Any], wavelengths: Any, estimator: str) -> None:
@@ -42,9 +43,9 @@ def check_works(bsdfs: Iterable[Any], wavelengths: Any, estimator: str) -> None:
         except Exception as error:
             # a plugin may raise anything
             frame, text = own_frame(error), " ".join(str(error).split())
-            if missing := _PURE.search(text):
+            if missing := missing_method(error):
                 raise SpecimenError(
-                    f"the BSDF {class_of(bsdf)} must have the method {missing[1]}"
+                    f"the BSDF {class_of(bsdf)} must have the method {missing}"
                 ) from error
             if frame is None and isinstance(error, RuntimeError):
                 raise _refused(bsdf, text) from error

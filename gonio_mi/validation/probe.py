@@ -21,6 +21,7 @@ from ..transport.plugin_answers import (
     checked_answer,
     checked_parts,
     checked_sample,
+    missing_method,
 )
 from .conditions import Condition
 
@@ -195,6 +196,8 @@ def blamed(function: str) -> Iterator[None]:
         raise
     except Exception as error:
         # a plugin may raise anything
+        if (missing := missing_method(error)) is not None:
+            raise PluginFault(missing, "is missing") from error
         text = " ".join(str(error).split())
         raise PluginFault(
             function, f"raised {type(error).__name__}: {text:.200}{own_place(error)}"
