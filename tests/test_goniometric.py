@@ -302,6 +302,19 @@ def test_grey_record_in_any_variant(plugin):
     assert (np.abs(seen - brdf) <= ROUNDING * brdf).all()
 
 
+def test_a_back_that_nothing_tells_of_is_told_once(plugin, tmp_path, capfd):
+    """Of what transmits; not with a back, nor of what reflects alone."""
+    record = isotropic(both=True)
+    plugin(isotropic())
+    plugin(record, back_filename=saved(record, tmp_path))
+    assert capfd.readouterr() == ("", "")
+    name = saved(record, tmp_path)
+    for said in (1, 0):
+        mi.load_dict({"type": "goniometric", "filename": name})
+        told = "".join(capfd.readouterr())
+        assert told.count("WARN") == told.count("as back_filename") == said
+
+
 @pytest.mark.parametrize("side", [1, -1])
 def test_radiance_mode_is_adjoint(plugin, tmp_path, side):
     """Its value is what was measured with light from `wo`, on either face."""

@@ -22,7 +22,8 @@ __all__ = ["LitFace"]
 class LitFace:
     """Lobe table as Dr.Jit arrays; double precision keeps pole and horizon.
 
-    Directions are seen from this face: light comes from z > 0.
+    Directions are seen from this face: light comes from z > 0. `transmits` tells
+    whether any leaves behind it.
 
     Parameters
     ----------
@@ -44,6 +45,7 @@ class LitFace:
         self.incident = IncidentPlaces(table.grid)
         self.lobes = MovingLobes(table, self.incident, ways)
         self.flux = doubles(table.flux.mean(axis=-1))
+        self.transmits = bool(table.flux[:, :, 1:].any())
 
     # -------------------------------------------------------------- value and density
 

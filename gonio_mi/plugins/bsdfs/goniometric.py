@@ -26,6 +26,9 @@ LUMINANCE = (0.212671, 0.715160, 0.072169)
 # Signs of z on the front and the back.
 SIDES = (1, -1)
 
+# Files of which it was told that they have one face alone.
+_told: set[str] = set()
+
 # Samples drawn by the cosine in radiance mode.
 EVEN = 0.1
 
@@ -109,6 +112,14 @@ class Goniometric(mi.BSDF):
         back = None
         if self.files[1] is not None:
             back = _face("goniometric.back_filename", self.files[1], "back")
+        elif front.transmits and self.files[0] not in _told:
+            _told.add(self.files[0])
+            mi.Log(
+                mi.LogLevel.Warn,
+                f"goniometric: {self.files[0]} transmits, but holds no light that "
+                "meets the other face, which is black: name a record measured with "
+                'side="back", or of equal faces the same file, as back_filename',
+            )
         self.faces = [front, back]
         self._declare()
 
