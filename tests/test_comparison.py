@@ -860,9 +860,27 @@ def test_command_measures_a_specimen_in_the_patches_of_a_table(tmp_path, capsys)
     assert "DIFFER" in capsys.readouterr().out
     table = read_measured(path)
     assert table.degrees_of_freedom == record.n_batches - 1
-    unknown = replace(table, header={"collector": "a photodiode"})
-    with pytest.raises(ValueError, match=r"aperture_half_angle .* must be given"):
-        measure_like(specimen, unknown)
+    for other in ("a photodiode", "apertures:5@30/180"):
+        unknown = replace(table, header={"collector": other})
+        with pytest.raises(ValueError, match=r"aperture_half_angle .* must be given"):
+            measure_like(specimen, unknown)
+    written = tmp_path / "budget.csv"
+    budgeted = ["--rays", "1e5", "--budget", str(written)]
+    assert main(["compare", "roughplastic:alpha=0.2", str(path), *budgeted]) != 1
+    assert "aperture" not in written.read_text()
+    assert len(written.read_text().splitlines()) == len(table) + 1
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("seed", [0, 5])
+def test_a_record_and_its_own_table_do_not_share_rays(seed):
+    """Exact: of one seed they would be the same; twin: the record measured again."""
+    how = {"rays": 2**14, "seed": seed}
+    record = gonio.measure(DIFFUSE, 45, collector="projected:4x4", **how)
+    again = gonio.measure(DIFFUSE, 45, collector="projected:4x4", **how)
+    assert np.array_equal(again.brdf, record.brdf)
+    anew = measure_like(DIFFUSE, table_of(record, record.brdf.ravel()), **how)
+    assert not np.array_equal(anew[0].brdf, record.brdf)
 
 
 # ---------------------------------------------- what is compared, and its name

@@ -212,7 +212,8 @@ def _tell_budget(
     aperture, scale = None, options.scale_uncertainty
     if isinstance(other, MeasuredTable):
         scale = other.scale_uncertainty if scale is None else scale
-        if specimen is not None:
+        in_patches = options.aperture_half_angle is None and other.patches is not None
+        if specimen is not None and not in_patches:
             aperture = aperture_effect(
                 specimen[0],
                 other,

@@ -70,7 +70,8 @@ def measure_like(
     aperture_half_angle : float, optional
         In degrees, if the table does not say it.
     seed : int, optional
-        By default 0; for a record the next one to its own, so that rays are others.
+        By default 0, from which others are derived; for a record the next one to its
+        own, so that rays are others.
     **settings
         Of :func:`measure`; `rays` are those of each record.
 
@@ -138,8 +139,11 @@ def _like_table(
         here = (table.theta_i == theta_i) & (table.phi_i == phi_i)
         for collector in _collectors(table, here, solid_angles):
             n = len(records)
-            own = np.random.SeedSequence((seed, n)).generate_state(1)[0] if n else seed
-            given = {"collector": collector, "seed": int(own)}
+            own = seed
+            if n or isinstance(solid_angles, Subdivision):
+                # a table of patches may be a record's, of rays with this seed
+                own = int(np.random.SeedSequence((seed, n)).generate_state(1)[0])
+            given = {"collector": collector, "seed": own}
             with _errors_speak(automatic):
                 try:
                     record = measure_whole(

@@ -161,14 +161,16 @@ class MeasuredTable:
     def patches(self) -> Subdivision | None:
         """Patches that the values are means over, if the header's `collector` says it.
 
-        As in tables that `gonio_mi.export` wrote; an aperture goes before it.
+        As in tables that `gonio_mi.export` wrote; an aperture goes before it. None for
+        a collector of apertures, too.
         """
         if self.aperture_half_angle is not None:
             return None
         try:
-            return subdivision(self.header.get("collector", ""))
+            patches = subdivision(self.header.get("collector", ""))
         except SettingError:
             return None
+        return patches if patches.aperture_half_angle is None else None
 
     @property
     def bsdf(self) -> Floats:

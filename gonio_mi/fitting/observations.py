@@ -247,10 +247,9 @@ def _means(
     light = incident, "front", [table.channel or "Y"]
     patches = table.patches
     if patches is not None:
-        number, held = patches.detectors(direction(np.radians(theta), np.radians(phi)))
-        if held.all():
-            predictions = PatchPredictions(*light, patches, 1 + lower)
-            return _PatchMeans(predictions, number + lower * patches.n_patches)
+        number = patches.patch(direction(np.radians(theta), np.radians(phi)))
+        predictions = PatchPredictions(*light, patches, 1 + lower)
+        return _PatchMeans(predictions, number + lower * patches.n_patches)
     return ConePredictions(
         *light,
         np.stack([theta, phi], axis=-1),
