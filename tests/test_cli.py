@@ -36,6 +36,7 @@ SCENE = """<scene version="3.0.0">
 # is interrupted, or waits to be, in its `at`-th sample().
 PLUGINS = """
 import signal, time
+from types import SimpleNamespace
 import drjit as dr
 import mitsuba as mi
 
@@ -81,14 +82,14 @@ class Raising(Diffuse):
 class Interrupted(Diffuse):
     def __init__(self, props):
         super().__init__(props)
-        self.at = props.get("at", 0)
-        self.wait = props.get("wait", False)
-        self.calls = 0
+        # no part of the specimen
+        self.control = SimpleNamespace(at=props.get("at", 0), calls=0)
+        self.control.wait = props.get("wait", False)
 
     def weight(self, sample1):
-        self.calls += 1
-        if self.calls == self.at:
-            if self.wait:
+        self.control.calls += 1
+        if self.control.calls == self.control.at:
+            if self.control.wait:
                 print("waiting", flush=True)
                 time.sleep(600)
             signal.raise_signal(signal.SIGINT)

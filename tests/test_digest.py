@@ -1,5 +1,6 @@
 """Records of different specimens are never mixed. All is exact."""
 
+import functools
 import os
 import subprocess
 import sys
@@ -209,6 +210,75 @@ def test_addresses_are_no_part_of_it():
     plugins = [{"type": "test_wordless", "word": word} for word in ("a", "a", "b")]
     scenes = [load_specimen(plugin) for plugin in plugins]
     digests = [digest(scene.shapes()) for scene in scenes]
+    assert digests[0] == digests[1] != digests[2]
+
+
+def secretive(kind):
+    """Maker of BSDFs in Python that tell Mitsuba nothing, but keep a reflectance."""
+
+    class Secretive(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            value = props.get("reflectance")
+            self.kept = {
+                "number": lambda: value,
+                "lists": lambda: [("a", 1.0), (value, None)],
+                "array": lambda: np.full((2, 2), value),
+                "jit": lambda: mi.Float(value),
+                "bsdf": lambda: None,
+                "texture": lambda: mi.load_dict({"type": "uniform", "value": value}),
+            }[kind]()
+            inner = {"type": "uniform", "value": value}
+            self.inner = mi.load_dict({"type": "diffuse", "reflectance": inner})
+            self.m_components = [self.inner.flags(0)]
+            self.m_flags = self.inner.flags()
+            if kind != "bsdf":  # not seen: what a function knows
+                self.inner = functools.partial(getattr, self.inner)
+
+        def sample(self, *arguments):
+            return self.function("sample")(*arguments)
+
+        def eval(self, *arguments):
+            return self.function("eval")(*arguments)
+
+        def pdf(self, *arguments):
+            return self.function("pdf")(*arguments)
+
+        def function(self, name):
+            return getattr(self.inner, name) if kind == "bsdf" else self.inner(name)
+
+        def to_string(self):
+            return "Secretive[]"
+
+    mi.register_bsdf(f"test_secretive_{kind}", Secretive)
+    return lambda value: {"type": f"test_secretive_{kind}", "reflectance": value}
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("kind", ["number", "lists", "array", "jit", "texture", "bsdf"])
+def test_what_a_plugin_in_python_keeps_is_seen(kind):
+    """Records of reflectances 0.5 and 0.8 were merged to 0.65 without a word."""
+    make = secretive(kind)
+    for nest in (lambda bsdf: bsdf, lambda bsdf: {"type": "twosided", "bsdf": bsdf}):
+        one, same, other = (
+            measured(nest(make(value)), seed)
+            for seed, value in enumerate((0.5, 0.5, 0.8))
+        )
+        assert one.merge(same).n_batches == 8
+        with pytest.raises(ValueError, match="agree in digest to be merged"):
+            one.merge(other)
+
+
+@pytest.mark.usefixtures("mono", "wordless")
+def test_a_file_that_a_plugin_keeps_is_what_it_holds(tmp_path):
+    """Wherever it is: it may be elsewhere on another machine."""
+    digests = []
+    for name, content in (("a", "1"), ("b", "1"), ("c", "2")):
+        path = tmp_path / name
+        path.write_text(content)
+        plugin = mi.load_dict({"type": "test_wordless"})
+        plugin.word, plugin.file = "", str(path)
+        digests.append(digest([plugin]))
     assert digests[0] == digests[1] != digests[2]
 
 

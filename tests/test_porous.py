@@ -375,7 +375,7 @@ def test_plot_says_order_and_period():
     record = measured(*SPECIMENS["grid"], rays=10_000)
     title = plot(record)._suptitle.get_text()
     assert "period 1.0,1.0" in title
-    assert "direct 0." in title
+    assert "direct\N{NO-BREAK SPACE}0." in title
     order = measured(*SPECIMENS["grid"], rays=10_000, order="2+")
     assert "order 2+" in plot(order)._suptitle.get_text()
 

@@ -24,7 +24,6 @@ import numpy as np
 from ..errors import SettingError, SpecimenError, frames, shown
 from ..progress import bar
 from ..results.record import Record
-from ..transport.digest import specimen_digest
 from ..transport.plugin_digest import file_digest, plugins_digest
 from ..transport.specimen import Specimen
 from .campaign_folder import CampaignFolder
@@ -185,7 +184,7 @@ class _Task:
             if emitter is not None:
                 things += emitter_scene(None, emitter, None, "front").emitters()
             return {
-                "digest": specimen_digest(Specimen(scene)),
+                "digest": Specimen(scene).digest,
                 "emitter_digest": described_digest(emitter),
                 "plugin_digest": plugins_digest(things),
             }

@@ -13,7 +13,7 @@ from ..results.tally import Fate
 from ..settings.orders import Order
 from .beam import Beam
 from .collector_sphere import CollectorSphere
-from .digest import emitter_digest, specimen_digest
+from .digest import emitter_digest
 from .layers import layers_of
 from .loop import Exits
 from .plugin_digest import plugins_digest
@@ -101,7 +101,7 @@ class Bench:
         """What tells the specimen and the emitter from others, for the settings."""
         things = [*self.specimen.scene.shapes(), self.beam.emitter]
         return {
-            "digest": specimen_digest(self.specimen),
+            "digest": self.specimen.digest,
             "emitter_digest": self.emitter_digest,
             "plugin_digest": plugins_digest(things),
         }

@@ -17,7 +17,12 @@ import mitsuba as mi
 from ..errors import is_installed
 from .traversal import traversed
 
-__all__ = ["file_digest", "holds_foreign_plugins", "plugins_digest"]
+__all__ = [
+    "file_digest",
+    "foreign_plugins",
+    "holds_foreign_plugins",
+    "plugins_digest",
+]
 
 LENGTH = 16
 
@@ -58,9 +63,14 @@ def plugins_digest(things: Iterable[mi.Object]) -> str | None:
     return _digest(texts) if texts else None
 
 
+def foreign_plugins(thing: mi.Object) -> list[mi.Object]:
+    """Plugins in Python of others that an object of a scene is, or holds."""
+    return [held for held in _held(thing) if _is_foreign(type(held))]
+
+
 def holds_foreign_plugins(thing: mi.Object) -> bool:
-    """Whether an object of a scene is, or holds, a plugin in Python of others."""
-    return any(_is_foreign(type(held)) for held in _held(thing))
+    """Whether there is one of :func:`foreign_plugins`."""
+    return bool(foreign_plugins(thing))
 
 
 def _is_foreign(kind: type) -> bool:

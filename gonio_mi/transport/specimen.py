@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import SpecimenError, abridged
 from ..settings.parsed import Period
 from .cell_walls import encloses_medium, refracts, walls_in_sides
+from .digest import digest
 from .extents import bounds
 from .flat_rectangle import Plane
 from .flight import escapes
@@ -73,6 +74,8 @@ class Specimen:
         Whether there is one.
     plane : Plane or None
         Set if the specimen is one flat rectangle, not periodic and without a medium.
+    digest : str
+        :func:`~gonio_mi.transport.digest.digest` of its shapes.
     name : str
         What its user calls it.
     description : str
@@ -124,6 +127,9 @@ class Specimen:
         self.transmits = self.plane is None or mi.has_flag(
             self.plane.bsdf.flags(), mi.BSDFFlags.Transmission
         )
+        # before anything is asked of plugins, which may count their calls
+        repeated = [*self.groups, *self.surfaces] if self.groups else []
+        self.digest = digest([*scene.shapes(), *repeated])
         self.name = "a scene"
         self.description = "; ".join(map(_describe, self.surfaces[:4])) + (
             f"; and {len(self.surfaces) - 4} more shapes"
