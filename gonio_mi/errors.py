@@ -189,7 +189,9 @@ def frames(error: BaseException) -> list[Frame]:
     return here + getattr(error, "frames", [])
 
 
-# What an installer manages, and this package.
+# What an installer manages, and this package; others' packages may be a user's own, or
+# those of the Python beneath a virtual environment.
+_PACKAGES = {"site-packages", "dist-packages"}
 _INSTALLED = (
     Path(__file__).resolve().parent,
     *(
@@ -201,7 +203,8 @@ _INSTALLED = (
 
 def is_installed(path: Path) -> bool:
     """Whether a file belongs to this package or to one that is installed."""
-    return any(path.is_relative_to(folder) for folder in _INSTALLED)
+    ours = any(path.is_relative_to(folder) for folder in _INSTALLED)
+    return ours or not _PACKAGES.isdisjoint(path.parts)
 
 
 def own_frame(error: BaseException) -> Frame | None:

@@ -207,6 +207,13 @@ def test_plugins_that_fail_are_named_with_their_line(refusal, name, words):
     assert words in refusal(name)
 
 
+def test_lines_of_installed_packages_are_not_the_users(plugin, refusal):
+    """Wherever these are: the line is that of the file which calls them."""
+    (plugin.parent / "helpers").rename(plugin.parent / "site-packages")
+    plugin.write_text(PLUGINS.replace("/helpers", "/site-packages"))
+    assert "foreign.py, line " in refusal("helped")
+
+
 def test_plugins_that_look_into_recorded_arguments_are_named(refusal):
     """In geometry rays are followed by recorded code, where NumPy has no values."""
     assert "foreign.py, line " in refusal("looked", "--trace")

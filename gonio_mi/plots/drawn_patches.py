@@ -22,8 +22,8 @@ ON_BORDER = 1e-6
 def sectors_beside(single: Record) -> list[tuple[float, float]]:
     """Sectors in which the profile runs, in degrees, if its plane is their border.
 
-    First that towards the source, then that beyond. None if a half-plane lies within a
-    sector, or patches have none.
+    First that towards the source, then that beyond. Empty if a half-plane lies within
+    a sector, or patches have none.
     """
     patches, phi = single.subdivision, np.radians(single.phi_i[0])
     if not isinstance(patches, RingsAndSectors) or np.isnan(phi):
