@@ -200,6 +200,7 @@ def test_plugins_of_other_variants_are_told_theirs(refusal, name, options):
     [
         ("helped", "lookup.py, line 3, in weight_of: TypeError: 'NoneType'"),
         ("lacking", "the BSDF Lacking must have the method sample"),
+        ("listed", "`sample` must return a Color1f, got a list of 3; another variant"),
         ("empty", "`sample` must return one value per ray, 1, got 0\n"),
     ],
 )

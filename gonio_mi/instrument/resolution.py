@@ -43,7 +43,7 @@ MOST_PATCHES = 10**5
 Incident = tuple[float, float]
 # A peak that no patches resolve holds so many times the light of any patch beside it,
 # of the finest, and at least so much of all: of a Gaussian lobe in the middle of a
-# patch, where its standard deviation is a third of the patch.
+# patch, where its standard deviation is about a third of the patch.
 STANDS_OUT, LEAST_PEAK = 10, 1e-3
 
 # What to do where no patches resolve the lobes.
@@ -137,8 +137,9 @@ def check_resolved(
 def check_peaks(tolerance: float, theta_i: float, probe: Callable[..., Record]) -> None:
     """Raise SpecimenError for more light than two tolerances in unresolvable peaks.
 
-    Moved by half a patch, half of it would be in the wrong place. Rays do not tell
-    whether they met delta components alone, and are looked at with the finest patches.
+    Moved by half a patch, half of it would be in the wrong place. Rays through geometry
+    do not tell whether they met delta components only: their light is looked at in the
+    finest patches.
 
     Parameters
     ----------

@@ -86,8 +86,8 @@ def _check_width(function: str, value: Any, n: int) -> None:
 
 
 def _kind(value: Any) -> str:
-    if isinstance(value, tuple):
-        return f"a tuple of {len(value)}"
+    if isinstance(value, (tuple, list)):
+        return f"a {type(value).__name__} of {len(value)}"
     return type(value).__name__
 
 

@@ -24,8 +24,8 @@ __all__ = [
     "Evidence",
     "Test",
     "harm",
-    "where",
     "share",
+    "where",
 ]
 
 # What a failure does to an image, the worst first.
