@@ -154,6 +154,35 @@ def test_what_raises_at_an_end_only_is_judged_elsewhere(mono):  # noqa: ARG001
     assert judged["sampling"].status == judged["answers"].status == "holds"
 
 
+class Undefined(Upwards):
+    """Its density is NaN in places."""
+
+    def pdf(self, ctx, si, wo, active):
+        pdf = Upwards.pdf(self, ctx, si, wo, active)
+        return dr.select(wo.z > 0.9, dr.nan, pdf)
+
+
+class Negative(Upwards):
+    def eval(self, ctx, si, wo, active):
+        return -Upwards.eval(self, ctx, si, wo, active)
+
+
+@pytest.mark.parametrize(
+    ("base", "mistake"),
+    [
+        (Undefined, "the value of `pdf` is nan in places"),
+        (Negative, "the value of `eval` is -0.1"),
+    ],
+)
+def test_values_that_are_none_are_told_first(mono, base, mistake):  # noqa: ARG001
+    """Integrals, symmetry and shares of the light go on without them."""
+    judged = verdict(base)
+    assert judged.mistake.startswith(mistake)
+    assert judged.failures[0].name == "answers"
+    shares = [one.share for one in judged.failures if one.share is not None]
+    assert np.isfinite(shares).all()
+
+
 def test_components_that_were_appended_are_told_how(mono):  # noqa: ARG001
     found = verdict(Appended)["flags"]
     assert "component 1, of 1 that are declared" in found.statistic

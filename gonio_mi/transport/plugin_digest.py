@@ -69,8 +69,11 @@ def foreign_plugins(thing: mi.Object) -> list[mi.Object]:
 
 
 def holds_foreign_plugins(thing: mi.Object) -> bool:
-    """Whether there is one of :func:`foreign_plugins`."""
-    return bool(foreign_plugins(thing))
+    """Whether there is one of :func:`foreign_plugins`.
+
+    What only has the methods of a BSDF, as a verdict's integrand, holds none.
+    """
+    return isinstance(thing, mi.Object) and bool(foreign_plugins(thing))
 
 
 def _is_foreign(kind: type) -> bool:

@@ -76,13 +76,14 @@ def _declared(drawn: Drawn, bsdf: mi.BSDF, eta2: Floats) -> Flags:
 
 def _ratio(a: Floats, b: Floats, wrong: Flags, drawn: Drawn) -> str:
     a, b = a[wrong].sum(axis=1), b[wrong].sum(axis=1)
-    one_way = np.mean((a > 0) != (b > 0))
-    if one_way > 0.5:
+    # also of negative values, which are wrong already
+    both = (a != 0) & (b != 0)
+    one_way = np.mean((a != 0) != (b != 0))
+    if one_way > 0.5 or not both.any():
         return (
             f"light goes one way only for {100 * one_way:.3g} % of the samples at "
             + str(drawn.condition)
         )
-    both = (a > 0) & (b > 0)
     low, high = np.quantile(a[both] / b[both], [0.05, 0.95])
     return (
         f"f(wi, wo) over f(wo, wi) is {low:.4g} to {high:.4g} for "
