@@ -883,6 +883,29 @@ def test_a_record_and_its_own_table_do_not_share_rays(seed):
     assert not np.array_equal(anew[0].brdf, record.brdf)
 
 
+@pytest.mark.usefixtures("mono")
+def test_a_table_of_a_wavelength_is_met_in_colour(tmp_path, capsys):
+    """Copper's at 450 nm, a file beside that of 550 nm; the twin is grey."""
+    copper = "roughconductor:material=Cu,alpha=0.3"
+    of_copper = ["measure", copper, "--rays", "1e5", "--collector", "projected:6x8"]
+    of_copper += ["--variant", "llvm_ad_spectral", "--wavelengths", "450", "550"]
+    assert main([*of_copper, "--theta-i", "30", "-o", str(tmp_path / "a.npz")]) == 0
+    capsys.readouterr()
+    outputs = str(tmp_path / "a.csv"), str(tmp_path / "a.zemax.bsdf")
+    assert main(["export", str(tmp_path / "a.npz"), "-o", *outputs]) == 0
+    out = capsys.readouterr().out
+    for number in (450, 550):
+        for ending in ("csv", "zemax.bsdf"):
+            path = tmp_path / f"a.brdf{number}nm.{ending}"
+            assert path.exists()
+            assert f"{path}\n" in out
+    assert sum(path.suffix in (".csv", ".bsdf") for path in tmp_path.iterdir()) == 4
+    arguments = ["compare", copper, str(tmp_path / "a.brdf450nm.csv")]
+    arguments += ["--alpha", str(budget.ALPHA)]
+    assert main(arguments) == 0
+    assert main([*arguments, "--variant", "llvm_ad_mono"]) == 3
+
+
 # ---------------------------------------------- what is compared, and its name
 
 

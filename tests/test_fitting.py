@@ -464,6 +464,7 @@ def test_variances_are_pooled():
         ({"divergence": 5}, "diffuse", None, "collimated"),
         ({"incident": "projected:2x2"}, "diffuse", None, "collimated"),
         ({}, "diffuse", ["colour"], "free must name parameters such as"),
+        ({}, "roughplastik", None, "only; did you mean roughplastic"),
         ({}, "diffuse", ["x=1:0"], "limits as in x=0:1"),
         ({}, "diffuse:reflectance=0.5", None, "got nothing"),
         ({}, "diffuse:reflectance=0.5", ["reflectance"], "got reflectance"),
@@ -552,7 +553,11 @@ def test_fits_of_one_table_are_drawn_together(mono, tmp_path):  # noqa: ARG001
     other = table_of({"type": "diffuse", "reflectance": 0.3})
     told = {"uncertainty": 0.01}
     fits = [gonio.fit(table, "diffuse", **told) for _ in range(2)]
-    fit_figure(fits, tmp_path / "fits.png")
+    figure = fit_figure(fits, tmp_path / "fits.png")
     assert (tmp_path / "fits.png").stat().st_size > 0
+    for axes in figure.axes[len(figure.axes) // 2 :]:
+        assert axes.get_xlabel().startswith("theta_o")
+        # 1 % beside a model that is right
+        assert 0.01 < axes.get_ylim()[1] < 0.02
     with pytest.raises(ValueError, match="of one record"):
         fit_figure([*fits, gonio.fit(other, "diffuse", **told)])

@@ -15,6 +15,7 @@ from typing import Any
 
 from .. import files
 from ..errors import SettingError
+from ..files.channels import wavelengths_nm
 from ..files.open_questions import OpenQuestionsError, check_nothing_open
 from .arguments import (
     DEFAULT_VARIANT,
@@ -53,7 +54,9 @@ examples:
 
 The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005`,
 `# aperture_half_angle: 0.75` and `# emitter_half_angle: 0.25`; angles are in degrees.
-Exit code 3: they differ by more than chance explains; 2: patches cannot decide it.
+For a table of a wavelength a specimen is loaded with llvm_ad_spectral, if no variant
+is said. Exit code 3: they differ by more than chance explains; 2: patches cannot
+decide it.
 """
 
 # What names a specimen, and no table.
@@ -96,6 +99,8 @@ def add_options(parser: ArgumentParser) -> None:
         add_setting(specimen, name)
     add_aperture(specimen)
     add_scene_options(specimen)
+    # that of the record, or what a table's channel needs
+    parser.set_defaults(variant=None)
 
 
 def run(options: Namespace) -> int:
@@ -166,11 +171,14 @@ def _record(options: Namespace, other: Any) -> tuple[Any, Any]:
             raise SettingError(
                 f"RECORD must be an .exr or .npz file if OTHER is one, got {word}"
             )
+        coloured = wavelengths_nm([other.channel or ""]) is not None
+        needed = "llvm_ad_spectral" if coloured else DEFAULT_VARIANT
+        options.variant = options.variant or needed
         return None, specimen_of(word, options)
     if other is None:
         record = record_of(word)
-        if options.variant == DEFAULT_VARIANT:
-            options.variant = record.settings.get("variant", DEFAULT_VARIANT)
+        own = record.settings.get("variant", DEFAULT_VARIANT)
+        options.variant = options.variant or own
         return record, specimen_of(options.other, options)
     for name in ("aperture_half_angle", "divergence", "rel_err"):
         if getattr(options, name) is not None:

@@ -63,6 +63,7 @@ def run(options: Namespace) -> int:
     # which need a renderer
     from ..exports.exporting import ENDINGS, export
     from ..exports.loss import in_words
+    from ..exports.part_names import written_files
 
     for path in options.output:
         files.check_output(path, ENDINGS)
@@ -74,8 +75,9 @@ def run(options: Namespace) -> int:
     spectral = wavelengths_nm(records[0].channels) is not None
     set_variant("llvm_ad_spectral" if spectral else "llvm_ad_rgb")
     for path in options.output:
-        tell(path)
         losses = export(records, path, options.basis or "klems")
+        for name in written_files(records[0], path):
+            tell(name)
         for line in losses if options.every else in_words(losses):
             tell(f"  {line}")
     return DONE

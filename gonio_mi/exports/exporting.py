@@ -22,6 +22,7 @@ from ..results.record import Record
 from ..results.summary import summarize
 from .loss import Loss, fractions_of, losses
 from .measured_export import write_measured
+from .part_names import ZEMAX, part_names
 from .radiance_export import BASES, write_radiance
 from .scatter_export import (
     write_anisotropic,
@@ -37,7 +38,6 @@ ENDINGS = (
     *(".csv", ".astm", ".xml", ".bsdf", ".nc", ".h5"),
     *(".brdf", ".anisotropicbsdf", ".json", ".xompt", ".binary"),
 )
-ZEMAX = ".zemax.bsdf"
 
 # Endings of files that have no place for transmitted light.
 REFLECTION_ONLY = (".astm", ".bsdf", ".binary")
@@ -175,20 +175,11 @@ def _warn_of_transmission(record: Record, ending: str) -> None:
 
 def _csv(record: Record, path: str | PathLike[str]) -> list[Loss]:
     """One table for each quantity and channel."""
-    tables = {
-        (quantity, number): _table(record, quantity, number)
-        for quantity in ("brdf", "btdf")[: 1 + record.has_lower]
-        for number in range(len(record.channels))
-    }
     fractions = np.zeros_like(fractions_of(record))
-    for (quantity, number), table in tables.items():
-        name = Path(path)
-        if len(tables) > 1:
-            channel = record.channels[number] if len(record.channels) > 1 else ""
-            name = name.with_suffix(f".{quantity}{channel}{name.suffix}")
-        table.save(name)
+    for (hemisphere, number), name in part_names(record, path).items():
+        _table(record, ("brdf", "btdf")[hemisphere], number).save(name)
         written = _in_patches(read_measured(name), record.subdivision)
-        fractions[:, int(quantity == "btdf"), ..., number] = written
+        fractions[:, hemisphere, ..., number] = written
     return losses(record, fractions)
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from os import PathLike
-from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
@@ -17,6 +16,7 @@ from ..files.scatter import Block, Scatter, total_of
 from ..files.scatter_files import read_scatter
 from ..results.record import Record
 from .loss import Loss, fractions_of, losses
+from .part_names import part_names
 from .resampling import Material
 
 __all__ = [
@@ -44,23 +44,15 @@ def write_zemax(record: Record, path: str | PathLike[str]) -> list[Loss]:
     """
     scatter = _scatter(record, specular=True)
     written = np.zeros_like(fractions_of(record))
-    several = record.has_lower or len(record.channels) > 1
-    for hemisphere in range(1 + record.has_lower):
-        for number, channel in enumerate(record.channels):
-            name = Path(path)
-            if several:
-                quantity = ("brdf", "btdf")[hemisphere]
-                said = channel if len(record.channels) > 1 else ""
-                stem = name.name[: -len(".zemax.bsdf")]
-                name = name.with_name(f"{stem}.{quantity}{said}.zemax.bsdf")
-            part = _part(scatter, hemisphere, number)
-            comment = f"gonio-mi: {_said(record)}, {channel}"
-            with replacing(name) as stream:
-                zemax.write(part, stream, comment)
-            again = scatter_means(read_scatter(name), record.subdivision)
-            written[:, hemisphere, ..., number] = _in_order(record, again)[
-                :, hemisphere, ..., 0
-            ]
+    for (hemisphere, number), name in part_names(record, path).items():
+        part = _part(scatter, hemisphere, number)
+        comment = f"gonio-mi: {_said(record)}, {record.channels[number]}"
+        with replacing(name) as stream:
+            zemax.write(part, stream, comment)
+        again = scatter_means(read_scatter(name), record.subdivision)
+        written[:, hemisphere, ..., number] = _in_order(record, again)[
+            :, hemisphere, ..., 0
+        ]
     return losses(record, written)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SettingError, shown
+from ..errors import SettingError, did_you_mean, shown
 
 __all__ = ["FittedModel", "Parameter"]
 
@@ -109,7 +109,13 @@ class FittedModel:
         channels: Sequence[str],
     ) -> None:
         if free is None:
-            free = [name for name in FREE.get(bsdf["type"], ()) if name not in bsdf]
+            kind = bsdf["type"]
+            if kind not in FREE:
+                raise SettingError(
+                    f"free must name what is to be found of {kind}: it is known of "
+                    f"{', '.join(FREE)} only{did_you_mean(kind, FREE)}"
+                )
+            free = [name for name in FREE[kind] if name not in bsdf]
         found = [Parameter.parse(text) for text in free]
         twice = [one.name for one in found if one.name in bsdf]
         if twice or not found:

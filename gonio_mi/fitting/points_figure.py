@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["points_figure"]
 
+# Part of the differences that is within the scale, which is at least so large.
+SHOWN, LEAST = 0.95, 1e-6
+
 # Incident directions that are drawn, evenly among all.
 MOST_DIRECTIONS = 4
 
@@ -51,7 +54,7 @@ def points_figure(fits: list[Any]) -> Figure:
     for (above, below), number in zip(axes.T, shown.astype(int)):
         _draw(fits, points, directions[number], above, below)
     axes[0, 0].set_ylabel("BSDF (1/sr)")
-    axes[1, 0].set_ylabel("model / points - 1\n(beyond 1: not drawn)")
+    axes[1, 0].set_ylabel("model / points - 1\n(what is beyond: not drawn)")
     axes[0, 0].legend(frameon=False, fontsize="small")
     return figure
 
@@ -86,7 +89,7 @@ def _draw(
     """One incident direction."""
     (own,) = np.nonzero((points.incident == incident).all(axis=1))
     theta_o, phi_o = points.exit[own].T
-    x, in_plane, label = points_in_profile(theta_o, phi_o, float(incident[1]))
+    x, in_plane, axis = points_in_profile(theta_o, phi_o, float(incident[1]))
     order = np.argsort(x[in_plane], kind="stable")
     x, own = x[in_plane][order], own[in_plane][order]
     value, errors = points.value[own], np.nan_to_num(points.std_err[own])
@@ -94,14 +97,20 @@ def _draw(
     label = "points +- std_err" if errors.any() else "points, uncertainty not stated"
     above.errorbar(x, value, errors, label=label, **style)
     below.axhline(0, color="0.5", linewidth=0.8)
+    some = np.where(value == 0, np.nan, value)
+    left = [errors / some]
+    below.errorbar(x, 0 * x, left[0], **style | {"markersize": 0})
     for fitted in fits:
         channels = fitted.predicted.size // len(points.value)
         model = fitted.predicted[::channels][own] / points.unit[own]
         above.plot(x, model, linewidth=1, label=fitted.label)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            below.plot(x, model / value - 1, linewidth=1)
+        left.append((model - value) / some)
+        below.plot(x, left[-1], linewidth=1)
     above.set_title(
         f"theta_i {incident[0]:.4g}°, phi_i {incident[1]:.4g}°", fontsize="small"
     )
-    below.set_ylim(-1, 1)
-    below.set_xlabel(label)
+    found = np.abs(np.stack(left))
+    reach = np.quantile(found[np.isfinite(found)], SHOWN) if some.any() else 1.0
+    reach = float(np.clip(1.5 * reach, LEAST, 1.0))
+    below.set_ylim(-reach, reach)
+    below.set_xlabel(axis)

@@ -74,8 +74,6 @@ class Specimen:
         Whether there is one.
     plane : Plane or None
         Set if the specimen is one flat rectangle, not periodic and without a medium.
-    digest : str
-        :func:`~gonio_mi.transport.digest.digest` of its shapes.
     name : str
         What its user calls it.
     description : str
@@ -127,15 +125,20 @@ class Specimen:
         self.transmits = self.plane is None or mi.has_flag(
             self.plane.bsdf.flags(), mi.BSDFFlags.Transmission
         )
-        # before anything is asked of plugins, which may count their calls
-        repeated = [*self.groups, *self.surfaces] if self.groups else []
-        self.digest = digest([*scene.shapes(), *repeated])
+        if any(map(holds_foreign_plugins, shapes)):
+            self.digest  # noqa: B018, before plugins are called, which may count that
         self.name = "a scene"
         self.description = "; ".join(map(_describe, self.surfaces[:4])) + (
             f"; and {len(self.surfaces) - 4} more shapes"
             if len(self.surfaces) > 4
             else ""
         )
+
+    @cached_property
+    def digest(self) -> str:
+        """:func:`~gonio_mi.transport.digest.digest` of its shapes, taken once."""
+        repeated = [*self.groups, *self.surfaces] if self.groups else []
+        return digest([*self.scene.shapes(), *repeated])
 
     @property
     def size(self) -> float:
