@@ -18,6 +18,7 @@ RIGHT = (
     "brushed",
     "glass",
     "frosted",
+    "facets",
 )
 
 # Where weight times pdf is one account and `eval` another, and nothing tells which of
@@ -86,6 +87,11 @@ MISTAKES = {
     "eval_ignores_component": "eval",
     "eval_pdf_of_one_lobe": "eval_pdf",
     "eval_pdf_sample_without_cosine": "eval_pdf_sample",
+    # of microfacets alone, with the weight that follows
+    "value_without_cosine": "eval",
+    "value_with_two_cosines": "eval",
+    "value_with_cosine_of_wi": "eval",
+    "density_without_cosine_of_h": "pdf",
     # of an anisotropic lobe
     "axes_swapped": "sample",
     "flags_isotropic": "flags",
@@ -424,6 +430,74 @@ def register():
         def weight(self, si, bs):
             along = dr.dot(bs.wo, si.wi)
             return super().weight(si, bs) * dr.power(along, self.exponent)
+
+    class Facets(Lambert):
+        """Their reflectance is small enough that no mistake below gains light."""
+
+        components = (glossy | front,)
+
+        def facets(self):
+            return mi.MicrofacetDistribution(mi.MicrofacetType.GGX, 0.3, False)
+
+        def value(self, si, wo):
+            h = dr.normalize(si.wi + wo)
+            masked = self.facets().eval(h) * self.facets().G(si.wi, wo, h)
+            return mi.Spectrum(0.3 * masked / (4 * cosine(si.wi)))
+
+        def density(self, si, wo):
+            h = dr.normalize(si.wi + wo)
+            return self.facets().pdf(si.wi, h) / (4 * dr.dot(wo, h))
+
+        def direction(self, si, sample1, sample2):
+            return mi.reflect(si.wi, self.facets().sample(si.wi, sample2)[0])
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs, weight = super().sample(ctx, si, sample1, sample2, active)
+            bs.sampled_type = mi.UInt32(glossy)
+            return bs, weight
+
+    class ValueWithoutCosine(Facets):
+        def value(self, si, wo):
+            return super().value(si, wo) / cosine(wo)
+
+    class BrightFacets(Facets):
+        def value(self, si, wo):
+            return 4 * super().value(si, wo)
+
+    class BrightValueWithoutCosine(ValueWithoutCosine):
+        def value(self, si, wo):
+            return 3 * super().value(si, wo)
+
+    class ValueWithTwoCosines(Facets):
+        def value(self, si, wo):
+            return super().value(si, wo) * cosine(wo)
+
+    class ValueWithCosineOfWi(Facets):
+        def value(self, si, wo):
+            return super().value(si, wo) * cosine(si.wi) / cosine(wo)
+
+    class ValueOverRootOfCosine(Facets):
+        """A law of its own."""
+
+        def value(self, si, wo):
+            return super().value(si, wo) / dr.sqrt(cosine(wo))
+
+    class ValueWithoutCosineIfSteep(Facets):
+        def value(self, si, wo):
+            steep = cosine(si.wi) > 0.5
+            return super().value(si, wo) / dr.select(steep, cosine(wo), 1)
+
+    class ValueWithoutCosineByDeclaration(ValueWithoutCosine):
+        components = (glossy | front | int(flags.NonSymmetric),)
+
+    class DensityWithoutCosineOfH(Facets):
+        def density(self, si, wo):
+            return super().density(si, wo) / cosine(dr.normalize(si.wi + wo))
+
+    class DensityTilted(Facets):
+        def density(self, si, wo):
+            h = dr.normalize(si.wi + wo)
+            return super().density(si, wo) * (1 + 0.3 * h.y)
 
     class TwoFaces(Lambert):
         components = (diffuse | front | back,)

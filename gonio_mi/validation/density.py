@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from itertools import product
 
+import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
-from ..collector import EqualSolidAngle
+from .collecting import collect
+from .damping import groups
+from .drawing import patch_of
 from .evidence import Evidence
 from .maps import FourMaps
+from .probe import numbers
 from .ratios import FACTORS, factor
 
 __all__ = ["explain_density"]
 
-# Patches on which reciprocals of the density are summed up, and samples each needs.
-COARSE = EqualSolidAngle(8, 12)
+# Samples whose factors are summed up by patch, and hits due of a group of patches.
+REDRAWN = 2**18
 ENOUGH = 200
+
+# Mean squared score of a factor that explains a density, where 1 is due; and by how
+# much the sum of squares must be less than without: chance gives a wrong one of the 16
+# factors an advantage of 50, a ratio of likelihoods of exp(25), hardly ever.
+EXPLAINED = 1.5
+BETTER = 50
 
 # Mean squared score, and the square of that of the sum, that chance explains.
 FITS = 16
@@ -24,14 +35,13 @@ FITS = 16
 # Part of the samples that is lost.
 LOST = 1e-3
 
-# Densities below that have no usable reciprocal.
-SMALLEST = 1e-30
-
 # What may distort a density.
 DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four")
 
 
-def explain_density(evidence: Evidence, failed: Collection[str]) -> tuple[str, str]:
+def explain_density(
+    evidence: Evidence, failed: Collection[str], bsdf: mi.BSDF
+) -> tuple[str, str]:
     """Return function and mistake, where counted directions contradict ``pdf``."""
     whole = [m for m in evidence.maps if m.condition.component is None]
     # one component says less, unless it is all that is wrong
@@ -57,7 +67,7 @@ def explain_density(evidence: Evidence, failed: Collection[str]) -> tuple[str, s
             f"`pdf` integrates to {never:.3g} on a side where `sample` never goes, "
             f"at {maps.condition}"
         )
-    distortion = _distortion(evidence)
+    distortion = _distortion(whole, bsdf)
     if distortion:
         return "pdf", f"`pdf` {distortion} ({sums})"
     integral = due.sum() + maps.due.unused.values.sum()
@@ -73,10 +83,16 @@ def explain_density(evidence: Evidence, failed: Collection[str]) -> tuple[str, s
             f"`pdf` is not the density of `sample`, whose weights are right ({sums})"
         )
     lobes = {int(c) for d in evidence.drawn for c in np.unique(d.component[d.smooth])}
+    where = f"{_worst_patch(maps)} ({sums})"
+    if len(lobes) == 1 and abs(integral - 1) > LOST:
+        # a density that is not complete may be the wrong one as well
+        return "pdf or sample", (
+            "`sample` or `pdf`: directions are drawn with another probability than "
+            f"`pdf` says: {where}"
+        )
     what = "lobes or directions" if len(lobes) > 1 else "directions"
     return "sample", (
-        f"`sample` draws {what} with another probability than `pdf` says: "
-        f"{_worst_patch(maps)} ({sums})"
+        f"`sample` draws {what} with another probability than `pdf` says: {where}"
     )
 
 
@@ -150,36 +166,37 @@ def _turned(maps: FourMaps) -> str:
     return best if np.abs(drawn - changes[best]).sum() < 0.4 * misfit else ""
 
 
-def _distortion(evidence: Evidence) -> str:
+def _distortion(whole: Sequence[FourMaps], bsdf: mi.BSDF) -> str:
     """Factor by which the density of ``pdf`` is distorted; empty if none fits.
 
-    The mean of 1 / density over samples in a patch is the patch's solid angle.
+    Over directions of the density ``pdf t``, the sum of 1 / t in a patch is the
+    integral of ``pdf`` there: within chance on all patches of all maps.
     """
-    found: dict[str, list[Floats]] = {name: [] for name in ("", *DISTORTIONS)}
-    best: dict[tuple[str, int], list[Floats]] = {}
-    for drawn in evidence.drawn:
-        ok = drawn.smooth & (drawn.pdf > 0) & np.isfinite(drawn.pdf)
-        if drawn.condition.component is not None or not ok.any():
+    scores: dict[tuple[str, int], list[Floats]] = {}
+    for i, maps in enumerate(whole):
+        drawn = collect(bsdf, maps.condition, REDRAWN, (i, 71))
+        ok = drawn.smooth
+        wo = mi.Vector3f(drawn.wo[ok].T)
+        patch = numbers(patch_of(maps.subdivision, maps.condition, wo), int(ok.sum()))
+        first = groups(REDRAWN * maps.pdf, ENOUGH)
+        if not first.size:
             continue
-        wo = drawn.wo[ok]
-        patch = COARSE.patch(wo) + COARSE.n_patches * (wo[:, 2] < 0)
-        enough = np.bincount(patch, minlength=2 * COARSE.n_patches) >= ENOUGH
-        solid = 2 * np.pi / COARSE.n_patches
-        for name in found:
-            t = 1.0 if not name else factor(name, drawn, ok)
-            for power in (1, -1):
-                density = np.maximum(drawn.pdf[ok] * t**power, SMALLEST)
-                sums = np.bincount(patch, 1 / density, minlength=2 * COARSE.n_patches)
-                off = np.abs(sums[enough] / drawn.n / solid - 1)
-                best.setdefault((name, power), []).append(off)
-    scores = {
-        key: float(np.median(np.concatenate(off)))
-        for key, off in best.items()
-        if sum(map(len, off)) > 10
-    }
+        due = REDRAWN * np.add.reduceat(maps.pdf, first)
+        for name, power in [("", 0), *product(DISTORTIONS, (1, -1))]:
+            t = factor(name, drawn, ok) ** -power if name else np.ones(len(patch))
+            sums, squares = (
+                np.add.reduceat(np.bincount(patch, x, len(maps.pdf)), first)
+                for x in (t, t**2)
+            )
+            variance = np.maximum(squares - sums**2 / REDRAWN, 1)
+            z_squared = (sums - due) ** 2 / variance
+            scores.setdefault((name, power), []).append(z_squared)
     if not scores:
         return ""
-    (name, power), score = min(scores.items(), key=lambda item: item[1])
-    if not name or score > 0.5 * scores["", 1] or score > 0.1:
+    misfit = {key: np.concatenate(z) for key, z in scores.items()}
+    name, power = min(misfit, key=lambda key: float(np.mean(misfit[key])))
+    least = misfit[name, power]
+    better = float(np.sum(misfit["", 0]) - np.sum(least))
+    if not name or np.mean(least) > EXPLAINED or better < BETTER:
         return ""
     return f"lacks {FACTORS[name]}" if power > 0 else f"has {FACTORS[name]} too much"

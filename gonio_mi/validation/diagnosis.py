@@ -144,7 +144,9 @@ def _of_densities(
             ratios_of(evidence, "pdf"), "pdf", "the density of `sample`"
         )
         return "pdf", text
-    return ("pdf", f"`pdf` {lobes}") if lobes else explain_density(evidence, failed)
+    if lobes:
+        return "pdf", f"`pdf` {lobes}"
+    return explain_density(evidence, failed, bsdf)
 
 
 def _of_sampled_pdf(evidence: Evidence) -> tuple[str, str]:

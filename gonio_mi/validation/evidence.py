@@ -94,6 +94,7 @@ WHERE = {
     "sampled_weight": SAMPLED,
     "eval_pdf": "path, direct, volpathmis, prb",
     "eval_pdf_sample": "path",
+    "reciprocity": "all",
     "adjoint": "ptracer and all that trace light from its source",
     "delta": SAMPLED,
     "flags": "path, direct, volpath, prb: no light is sampled without a smooth lobe",

@@ -160,6 +160,7 @@ def _examine(evidence: Evidence, bsdf: mi.BSDF, plan: Effort, seed: int) -> None
     radiance = [replace(one, mode="radiance") for one in plan.radiance(sides)]
     for i, condition in enumerate([*conditions, *radiance]):
         _check_samples(evidence, bsdf, condition, plan, (seed, 1, i))
+    symmetry.check_cosines(evidence)
     first = conditions[0], plan.checked, (seed, 1, 0)
     after = answers.asked_after(Probe(bsdf, first[0]), evidence.drawn[0])
     again = cost.check_compiled(evidence, bsdf, *first)
