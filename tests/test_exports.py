@@ -379,13 +379,19 @@ def test_command_prints_what_was_lost(tmp_path, capsys, glossy):
     assert cli.main(["export", str(tmp_path / "run.npz"), "-o", str(target)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == str(target)
-    assert len(lines) == 3
+    assert len(lines) == 3 + 1
     assert "of the light ended up in a neighbouring patch, at worst" in lines[1]
+    assert "--basis tensor3" in "".join(lines)
+    finer = ["--basis", "tensor3"]
+    assert (
+        cli.main(["export", str(tmp_path / "run.npz"), "-o", str(target), *finer]) == 0
+    )
+    assert "--basis" not in capsys.readouterr().out
     target.unlink()
     words = "--every", "-o", str(target)
     assert cli.main(["export", str(tmp_path / "run.npz"), *words]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 7
+    assert len(lines) == 7 + 1
     assert "of the light is in other patches" in lines[1]
     assert target.exists()
 

@@ -26,6 +26,9 @@ examples:
   gonio-mi export front.npz back.npz -o both.xml
 """
 
+# Part of the light in other patches above which a finer basis is named.
+COARSE = 0.05
+
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
@@ -80,4 +83,7 @@ def run(options: Namespace) -> int:
             tell(name)
         for line in losses if options.every else in_words(losses):
             tell(f"  {line}")
+        in_klems = Path(path).suffix.lower() == ".xml" and not options.basis
+        if in_klems and max(one.misplaced for one in losses) > COARSE:
+            tell("  --basis tensor3, or tensor4 of what is anisotropic, is finer")
     return DONE
