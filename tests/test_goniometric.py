@@ -9,7 +9,7 @@ from budget import agree, disagree, normal_scores, scores, single, verdict
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.materials.lobes import LobeTable
+from gonio_mi.materials.lobes import MeasuredLobes
 from gonio_mi.quadrature import integrate
 
 EPS = float(np.finfo(np.float32).eps)
@@ -513,7 +513,7 @@ def test_unfit_records_are_refused_in_a_sentence(plugin, record, message):
 def test_table_that_does_not_fit_is_refused(monkeypatch):
     monkeypatch.setattr("gonio_mi.materials.lobes.MOST_BYTES", 1000)
     with pytest.raises(ValueError, match=r"must need at most 1e\+03 bytes, got"):
-        LobeTable.of(isotropic())
+        MeasuredLobes(isotropic()).whole()
 
 
 def test_missing_and_foreign_files_are_refused(tmp_path):

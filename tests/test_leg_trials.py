@@ -15,15 +15,18 @@ import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.instrument.prediction import Prediction
 from gonio_mi.materials.azimuth_trials import tried_indices
-from gonio_mi.materials.leg_trials import best_face
+from gonio_mi.materials.leg_trials import best_ways
 from gonio_mi.materials.lit_face import LitFace
-from gonio_mi.materials.lobes import LobeTable
+from gonio_mi.materials.lobes import MeasuredLobes
 from gonio_mi.materials.moving_points import Way
 from gonio_mi.results.misplacement import misplaced
 
 pytestmark = pytest.mark.usefixtures("mono")
 
 ANGLES = (0, 20, 40, 60)
+
+# What double precision leaves of values that are found by one formula on two ways.
+DOUBLE = 1e-13
 
 
 def record_of(patches, angles, *hemispheres):
@@ -55,7 +58,7 @@ def test_records_say_how_their_lobes_move(eta):
         (fixed, fixed, []),
     ):
         record = record_of(patches, angles, reflected, transmitted)
-        ways = best_face(LobeTable.of(record)).lobes.normals.ways
+        ways = best_ways(MeasuredLobes(record))
         assert [way.hemisphere for way in ways if all(way.legs)] == moving
         if 1 in moving:
             assert (ways[-1].eta > 1) == (eta > 1)
@@ -68,7 +71,7 @@ def test_each_leg_moves_as_the_nearest_records_say():
     upper, _ = facets_both(patches, angles)
     upper[:5] = synthetic.specular(patches, 20, 90, 20) / 4
     record = record_of(patches, angles, upper)
-    ((way,),) = [best_face(LobeTable.of(record)).lobes.normals.ways]
+    ((way,),) = [best_ways(MeasuredLobes(record))]
     # the record at 40 degrees is between two that have nothing in common
     assert way.legs[:3] == (False,) * 3
     assert way.legs[5:] == (True,) * 2
@@ -80,7 +83,8 @@ def test_diffuse_light_is_as_bright_at_the_horizon_as_elsewhere(theta_i):
     patches = gonio.subdivision("projected:24x48")
     facets, _ = facets_both(patches, ANGLES)
     even = patches.projected_solid_angles / patches.projected_solid_angles.sum() / 4
-    table = LobeTable.of(record_of(patches, ANGLES, facets + even))
+    lobes = MeasuredLobes(record_of(patches, ANGLES, facets + even))
+    table, own = lobes.whole(), best_ways(lobes)
     every = Way(0, None, (True,) * 3)
     theta, phi = np.meshgrid(
         np.radians([83, 85, 87]), np.radians(np.arange(60, 301, 5))
@@ -90,7 +94,7 @@ def test_diffuse_light_is_as_bright_at_the_horizon_as_elsewhere(theta_i):
     # only the even light, of which the facets' is no part there, is looked at
     errors = [
         np.abs(face.values(wi, wo)[0][0].numpy() * 4 * np.pi - 1).mean()
-        for face in (best_face(table), LitFace(table, ways=[every]), LitFace(table))
+        for face in (LitFace(table, ways=ways) for ways in (own, [every], []))
     ]
     assert errors[0] <= errors[2] < errors[1] / 2
 
@@ -99,7 +103,7 @@ def test_too_few_angles_say_nothing():
     """Of two no one is between others."""
     patches = gonio.subdivision("projected:24x48")
     record = record_of(patches, ANGLES[:2], *facets_both(patches, ANGLES[:2]))
-    assert not best_face(LobeTable.of(record)).lobes.normals.ways
+    assert not best_ways(MeasuredLobes(record))
 
 
 def test_light_of_the_normal_alone_says_no_index():
@@ -123,7 +127,7 @@ def test_narrow_lobes_are_predicted_by_micro_normals(theta_i):
         record = record_of(patches, ANGLES, np.array(known))
         own = Prediction(record, 8)
         quantiles = Prediction(record, 8)
-        quantiles.face = LitFace(LobeTable.of(record))
+        quantiles.ways = []
         true = record_of(patches, (theta_i,), truth[None])
         errors.append(
             [misplaced(true, one.flux(theta_i, 0)).light for one in (own, quantiles)]
@@ -134,12 +138,36 @@ def test_narrow_lobes_are_predicted_by_micro_normals(theta_i):
     assert fine[0] < fine[1] / 2
 
 
+def test_predictions_need_only_what_lies_around():
+    """Of azimuths that differ by polar angle, past the last one and beyond the grid.
+
+    Twin: not what lies around another direction.
+    """
+    patches = gonio.subdivision("projected:8x16")
+    azimuths = {10: (0, 90, 180, 270), 30: range(0, 360, 45), 70: (0, 90, 180, 292.5)}
+    incidents = [(theta, phi) for theta, some in azimuths.items() for phi in some]
+    incidents = [(0, 0), *incidents]
+    theta_i, phi_i = np.transpose(incidents)
+    lobes = facet_lobes(patches, incidents, (0.2, 0.4))
+    weights = np.stack([lobes, lobes[::-1]], axis=1) / 2
+    record = synthetic.exact(weights, theta_i, str(patches), phi_i)
+    around, whole, elsewhere = (Prediction(record, 4) for _ in range(3))
+    table = LitFace(whole.lobes.whole(), ways=whole.ways)
+    whole.face = lambda *_: table
+    elsewhere.face = lambda *_: around.face(50, 140)
+    assert any(any(way.legs) for way in around.ways)
+    for one in ((5, 30), (29, 359), (50, 100), (70, 300), (80, 20), (0, 0)):
+        truth = whole.flux(*one)
+        assert np.allclose(around.flux(*one), truth, rtol=DOUBLE, atol=0)
+        assert np.abs(elsewhere.flux(*one) - truth).sum() > 0.1 * truth.sum()
+
+
 @pytest.mark.parametrize("theta_i", [30, 75])
 def test_samples_follow_the_values(theta_i, tmp_path):
     """Also beyond the last angle, where light stays; twin: of another direction."""
     patches = gonio.subdivision("projected:24x36")
     record = record_of(patches, ANGLES, *facets_both(patches, ANGLES))
-    assert len(best_face(LobeTable.of(record)).lobes.normals.ways) == 2
+    assert len(best_ways(MeasuredLobes(record))) == 2
     check_samples(record, theta_i, 40, tmp_path)
 
 
@@ -168,7 +196,8 @@ def test_samples_follow_values_where_lanes_move_in_different_ways(reflects, eta)
     lower = facet_lobes(patches, incidents, (0.2, 0.4), **how)
     theta_i, phi_i = np.transpose(incidents)
     weights = np.stack([upper / 2, lower / 2], axis=1)
-    table = LobeTable.of(synthetic.exact(weights, theta_i, str(patches), phi_i))
+    record = synthetic.exact(weights, theta_i, str(patches), phi_i)
+    table = MeasuredLobes(record).whole()
     table = replace(table, grid=replace(table.grid, reflects=reflects, eta=eta))
     ways = Way(0, None, (False, True, False)), Way(1, 1.5, (True, False, True))
     face, quantiles = LitFace(table, ways=ways), LitFace(table)

@@ -5,6 +5,7 @@ counts, and the plugin `goniometric` itself, sampled.
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -31,8 +32,9 @@ from gonio_mi.instrument.prediction import Prediction
 from gonio_mi.instrument.refinement import Axis, Interval, refined
 from gonio_mi.instrument.resolution import check_peaks, delta_share
 from gonio_mi.instrument.whole_bsdf import FIRST_ANGLES, UNSEEN, WholeBsdf
+from gonio_mi.materials import lobes
 from gonio_mi.materials.gradients import gradients
-from gonio_mi.materials.lobes import LobeTable, TooLargeError
+from gonio_mi.materials.lobes import MeasuredLobes, TooLargeError, check_table
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.misplacement import Misplacement, misplaced, noise_of
 from gonio_mi.results.tally import Fate, Tally
@@ -73,6 +75,29 @@ def test_intervals_are_split_where_a_chord_is_wrong(limit):
     assert np.all(errors[settled] <= 1.5 * limit)
     assert np.diff(levels)[0] < np.diff(levels)[-1]
     assert len(looked) == len(set(looked)), "no middle twice"
+
+
+def test_the_worst_intervals_are_split_as_far_as_they_may_be():
+    """Twin: with room for more, all that are wrong."""
+
+    def levels(most):
+        axis = Axis(lambda one: (one.low + one.high) / 2, left=0)
+        axis.errors = {Interval(n, n + 1): None for n in range(4)}
+
+        def check():
+            if len(axis.errors) > most:
+                raise TooLargeError("too many")
+
+        def errors_at(intervals, _):
+            return [3 * one.low % 4 for one in intervals]
+
+        with pytest.raises(TooLargeError) if most < 7 else nullcontext():
+            refined(axis, 0.5, errors_at, check)
+        return axis.levels()
+
+    # of errors 0, 3, 2 and 1
+    assert levels(6) == [0, 1, 1.5, 2, 2.5, 3, 4]
+    assert levels(7) == [0, 1, 1.5, 2, 2.5, 3, 3.5, 4]
 
 
 # -------------------------------------------------------------- light in wrong places
@@ -174,14 +199,15 @@ def test_points_are_spared_where_few_do():
     found, widths = [], []
     for spared in (0, 1e-4, 1):
         prediction = Prediction(record, 8, spared)
-        values = prediction.face.values
+        face = prediction.face(44, 31)
+        values = face.values
         evaluated = []
 
         def counted(wi, wo, values=values, evaluated=evaluated):
             evaluated.append(dr.width(wo))
             return values(wi, wo)
 
-        prediction.face.values = counted
+        face.values = counted
         found.append(prediction.flux(44, 31))
         widths.append(sum(evaluated))
     few, fewest = (
@@ -235,8 +261,8 @@ def turned(azimuths):
 def test_azimuths_that_were_not_measured_are_turned():
     """Of a lobe that turns with incidence nothing is lost; twin: of one that stays."""
     every = np.arange(0, 360, 22.5)
-    full = LobeTable.of(turned((every, every)))
-    some = LobeTable.of(turned((every[::4], every)))
+    full = MeasuredLobes(turned((every, every))).whole()
+    some = MeasuredLobes(turned((every[::4], every))).whole()
     assert np.allclose(some.brdf, full.brdf, rtol=DOUBLE, atol=0)
     assert not np.allclose(np.roll(some.brdf, 1, axis=0), full.brdf, rtol=0.01, atol=0)
 
@@ -377,6 +403,30 @@ def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
     looks[:] = [[]]
     with pytest.raises(TooLargeError, match="no memory"):
         whole._confirmed()
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_campaign_ends_with_the_table_that_fits(monkeypatch):
+    """With a warning, and what was measured; twin: no table of its first directions."""
+    brushed = {"type": "roughconductor", "alpha_u": 0.3, "alpha_v": 0.6}
+    how = {"tolerance": 0.03, "theta_max": 70, "collector": "angle:12x40"}
+
+    def material():
+        return gonio.campaign({"brushed": brushed}, **how)["brushed"]
+
+    def size(record):
+        n_azimuths, n_angles = MeasuredLobes(record).grid.index.shape
+        return check_table(n_azimuths, n_angles, record.flux_fraction.shape[1:])
+
+    full = size(material())
+    monkeypatch.setattr(lobes, "MOST_BYTES", 0.6 * full)
+    with pytest.warns(RuntimeWarning, match="further ones would outgrow memory"):
+        part = material()
+    assert size(part) <= 0.6 * full
+    assert part.settings["campaign"]["within"] < 0.95
+    monkeypatch.setattr(lobes, "MOST_BYTES", 0.05 * full)
+    with pytest.raises(TooLargeError, match="of 8 x 4 incident directions"):
+        material()
 
 
 @pytest.mark.usefixtures("mono")

@@ -18,8 +18,9 @@ from ..array_types import Floats
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
 from ..files.material_files import PatchMeans
-from ..materials.leg_trials import best_face
-from ..materials.lobes import LobeTable
+from ..materials.leg_trials import best_ways
+from ..materials.lit_face import LitFace
+from ..materials.lobes import MeasuredLobes
 from ..results.record import Record
 from .loss import fractions_of
 
@@ -68,7 +69,7 @@ class Material:
     Raises
     ------
     ValueError
-        If the incident directions are unknown or no grid; see `LobeTable.of`.
+        If the incident directions are unknown or no grid; see `MeasuredLobes`.
     """
 
     def __init__(self, record: Record, apart: bool = False) -> None:
@@ -84,10 +85,11 @@ class Material:
         rest: Any = PatchMeans(
             record.subdivision, record.theta_i, record.phi_i, record.channels, flux
         )
-        self.table = table = LobeTable.of(rest)
+        lobes = MeasuredLobes(rest)
+        self.table = table = lobes.whole()
         self.peaks = table.grid.filled(peaks) * apart
         self.theta_i, self.phi_i = table.grid.theta_i, table.grid.phi_i
-        self._face = best_face(table)
+        self._face = LitFace(table, ways=best_ways(lobes))
 
     def values(self, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> Floats:
         """BRDF or BTDF in 1/sr, shape ``(n, channels)``, without the `peaks`.

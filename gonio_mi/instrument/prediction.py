@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags, Floats, Integers
 from ..collector.directions import direction
-from ..materials.leg_trials import best_face
-from ..materials.lobes import LobeTable
+from ..materials.leg_trials import best_ways
+from ..materials.lit_face import LitFace
+from ..materials.lobes import MeasuredLobes
 from ..results.record import Record
 
 __all__ = ["SPARED", "Prediction"]
@@ -24,6 +29,9 @@ FEW = 2**20
 # differences that n points on a side may miss, times n: lobes are linear within patches
 # and jump between them, by up to a fourth of it, and where is known to half a step.
 FEWER, MISSED = 4, 1 / 8
+
+# Tables of few lobes each that are kept for more directions between the same records.
+KEPT = 64
 
 
 class Prediction:
@@ -42,13 +50,15 @@ class Prediction:
     """
 
     def __init__(self, record: Record, n_points: int, spared: float = 0) -> None:
-        self.face = best_face(LobeTable.of(record))
+        self.lobes = MeasuredLobes(record)
+        self.ways = best_ways(self.lobes)
         self.subdivision = record.subdivision
         self.n_hemispheres = 1 + record.has_lower
         self.n_points, self.spared = n_points, spared
         n_all = self.n_hemispheres * self.subdivision.n_patches
         self.sparing = spared > 0 and n_all * n_points**2 > FEW
         self.n_first = n_points // FEWER if self.sparing else n_points
+        self._face = lru_cache(KEPT)(self._between)
         self.every = np.arange(n_all)
         self.wo = self._points(self.every, self.n_first)
 
@@ -60,19 +70,24 @@ class Prediction:
         theta_i, phi_i : float
             In degrees, from the normal of the lit face.
         """
+        face = self.face(theta_i, phi_i)
         towards = direction(np.radians(theta_i), np.radians(phi_i))
         wi = mi.Vector3f(towards.tolist())
         dr.make_opaque(wi)
         shape = self.n_hemispheres, *self.subdivision.shape, -1
-        brdf = self._means(wi, self.wo, self.n_first)
+        brdf = self._means(face, wi, self.wo, self.n_first)
         if self.sparing:
             number = self.every[self._rough(brdf.reshape(shape)).ravel()]
             if len(number):
                 wo = self._points(number, self.n_points)
-                brdf[number] = self._means(wi, wo, self.n_points)
+                brdf[number] = self._means(face, wi, wo, self.n_points)
         solid = self.subdivision.projected_solid_angles[..., None]
         flux: Floats = brdf.reshape(shape) * solid
         return flux
+
+    def face(self, theta_i: float, phi_i: float) -> LitFace:
+        """The material, of what lies around a direction alone; the same there."""
+        return self._face(*self.lobes.grid.around(theta_i, phi_i))
 
     def _points(self, number: Integers, n: int) -> mi.Vector3f:
         """Directions of ``n x n`` points in patches of both hemispheres."""
@@ -83,9 +98,13 @@ class Prediction:
         dr.eval(wo)
         return wo
 
-    def _means(self, wi: mi.Vector3f, wo: mi.Vector3f, n: int) -> Floats:
+    def _between(self, azimuths: Sequence[int], angles: Sequence[int]) -> LitFace:
+        ways = [replace(way, legs=(True,)) for way in self.ways if way.legs[angles[0]]]
+        return LitFace(self.lobes.table(azimuths, angles), ways=ways)
+
+    def _means(self, face: LitFace, wi: mi.Vector3f, wo: mi.Vector3f, n: int) -> Floats:
         """Means over ``n x n`` points each, a column for each channel."""
-        values, _, wanted = self.face.values(wi, wo)
+        values, _, wanted = face.values(wi, wo)
         sums = [dr.block_sum(dr.select(wanted, value, 0.0), n * n) for value in values]
         dr.eval(sums)
         return np.stack([one.numpy() for one in sums], axis=-1) / (n * n)

@@ -82,11 +82,13 @@ def refined(
     axis: Axis,
     limit: float,
     errors_at: Callable[[Sequence[Interval], Iterable[float]], Sequence[float]],
+    check: Callable[[], None] = lambda: None,
 ) -> None:
     """Split intervals until the error in the middle of each is at most `limit`.
 
     An interval is looked at where nothing is known of it, or where what is expected
     from a wider one is too much; a middle that was predicted well enough is not needed.
+    Of those that are, the worst is split first.
 
     Parameters
     ----------
@@ -94,11 +96,21 @@ def refined(
     limit : float
     errors_at : callable
         Errors of the predictions in the middles of intervals.
+    check : callable
+        Raises an exception if there are more intervals than may be: the last split is
+        undone, and it is passed on.
     """
     while todo := axis.unsettled(limit):
         middles = [axis.middle(interval) or 0.0 for interval in todo]
-        for interval, error in zip(todo, errors_at(todo, middles)):
-            if error > limit:
-                axis.split(interval, error)
-            else:
-                axis.errors[interval] = error
+        found = dict(zip(todo, errors_at(todo, middles)))
+        axis.errors |= found
+        for interval in sorted(found, key=lambda one: found[one], reverse=True):
+            if found[interval] <= limit:
+                break
+            before = axis.errors.copy()
+            axis.split(interval, found[interval])
+            try:
+                check()
+            except Exception:
+                axis.errors = before
+                raise

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..collector import subdivision
 from ..errors import checked_number
-from ..materials.lobes import TooLargeError
+from ..materials.lobes import TooLargeError, check_table
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_text import LOOKS
 from ..results.misplacement import Misplacement, misplaced
@@ -176,10 +176,27 @@ class WholeBsdf:
         self.rings = IncidentRings(angles, self.symmetry, self.isotropic)
         # errors along both axes add up by their squares, about
         self.limit = self.tolerance * (1.0 if self.isotropic else 0.5**0.5)
-        refined(self.rings.legs, self.limit, self._errors_of_legs)
-        if not self.isotropic:
-            self.rings.begin_gaps()
-            refined(self.rings.gaps, self.limit, self._errors_of_gaps)
+        self._check()
+        try:
+            refined(self.rings.legs, self.limit, self._errors_of_legs, self._check)
+        except TooLargeError as error:
+            logger.info("%s: no more angles: %s", self.name, error)
+        if self.isotropic:
+            return
+        self.rings.begin_gaps()
+        try:
+            refined(self.rings.gaps, self.limit, self._errors_of_gaps, self._check)
+        except TooLargeError as error:
+            logger.info("%s: no more azimuths: %s", self.name, error)
+
+    def _check(self) -> None:
+        """Raise TooLargeError if the material's table would not fit into memory."""
+        levels = self.rings.legs.levels()
+        azimuths = {phi for theta in levels[1:] for _, phi in self.rings.ring(theta)}
+        azimuths |= set(self.rings.first_azimuths)
+        every = {one.azimuth(phi) for phi in azimuths for one in self.symmetry.motions}
+        lobes = self.known[0.0, 0.0].flux_fraction.shape[-4:]
+        check_table(len(every), len(levels), lobes)
 
     # ------------------------------------------------------------------- predicting
 
@@ -290,6 +307,7 @@ class WholeBsdf:
     def _errors_at(self, unseen: Sequence[tuple[float, float]]) -> list[Misplacement]:
         """What is wrong at directions, with less noise where they are large."""
         said = "random tests only"
+        self._check()
         self.directions.measure([*self.rings.directions(), *unseen], said)
         prediction = self._prediction(self.rings.directions())
         found = {one: self._missed(prediction, *one) for one in unseen}

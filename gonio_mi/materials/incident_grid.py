@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -107,42 +108,74 @@ class IncidentGrid:
             eta=trials.index_of_refraction(flux[:, 1]) if lower else None,
         )
 
-    def filled(self, values: Floats) -> Floats:
-        """Values of the stack at each azimuth and angle, shape ``(P, N, ...)``.
+    def filled(
+        self,
+        values: Floats,
+        azimuths: Sequence[int] | None = None,
+        angles: Sequence[int] | None = None,
+    ) -> Floats:
+        """Values of the stack at azimuths and angles, all of them unless some are said.
 
-        What was not measured is filled in: lobes ``(H, n_theta, n_phi, channels)`` as
-        they would be looked up, and totals of them by what is between the neighbours.
+        Shape ``(P, N, ...)``. What was not measured is filled in: lobes
+        ``(H, n_theta, n_phi, channels)`` as they would be looked up, and totals of them
+        by what is between the neighbours.
         """
-        lobes = values[self.index]
-        begin = int(self.normal.any())
-        for angle in range(begin, len(self.theta_i)):
-            self._fill(lobes[:, angle], angle)
-        if begin:
-            lobes[:, 0] = values[self.normal].mean(axis=0)
+        azimuths = range(len(self.phi_i)) if azimuths is None else azimuths
+        angles = range(len(self.theta_i)) if angles is None else angles
+        lobes = np.empty((len(azimuths), len(angles), *values.shape[1:]))
+        for column, angle in enumerate(angles):
+            if angle == 0 and self.normal.any():
+                lobes[:, column] = values[self.normal].mean(axis=0)
+                continue
+            for row, azimuth in enumerate(azimuths):
+                lobes[row, column] = self._filled(values, azimuth, angle)
         return lobes
 
-    def _fill(self, lobes: Floats, angle: int) -> None:
-        """Fill in what was not measured at one polar angle.
+    def _filled(self, values: Floats, azimuth: int, angle: int) -> Floats:
+        """Values at one direction; where it was not measured, of what is around it.
 
         That is the two neighbours, turned with incidence by whole sectors, or with
         their micro-normals where they are, and mixed.
-
-        Parameters
-        ----------
-        lobes : ndarray, shape (P, H, n_theta, n_phi, channels) or (P, H, channels)
-        angle : int
         """
-        measured = self.index[:, angle] >= 0
-        known = np.flatnonzero(measured)
-        for azimuth in np.flatnonzero(~measured).tolist():
-            last = np.searchsorted(known, azimuth) - 1
-            ends = int(known[last]), int(known[(last + 1) % len(known)])
-            past, left = distances(self.phi_i[[ends[0], azimuth, ends[1]]])
-            low, high = lobes[list(ends)]
-            if lobes.ndim == 5:
-                low = self._sent(low, angle, ends[0], azimuth)
-                high = self._sent(high, angle, ends[1], azimuth)
-            lobes[azimuth] = (left * low + past * high) / (past + left)
+        column = self.index[:, angle]
+        if column[azimuth] >= 0:
+            measured: Floats = values[column[azimuth]]
+            return measured
+        known = np.flatnonzero(column >= 0)
+        last = np.searchsorted(known, azimuth) - 1
+        ends = int(known[last]), int(known[(last + 1) % len(known)])
+        past, left = distances(self.phi_i[[ends[0], azimuth, ends[1]]])
+        low, high = values[column[list(ends)]]
+        if values.ndim == 5:
+            low = self._sent(low, angle, ends[0], azimuth)
+            high = self._sent(high, angle, ends[1], azimuth)
+        mixed: Floats = (left * low + past * high) / (past + left)
+        return mixed
+
+    def part(self, azimuths: Sequence[int], angles: Sequence[int]) -> IncidentGrid:
+        """Grid of some azimuths and polar angles, ascending, between which it moves."""
+        some, few = list(azimuths), list(angles)
+        return replace(
+            self,
+            theta_i=self.theta_i[few],
+            phi_i=self.phi_i[some],
+            index=self.index[np.ix_(some, few)],
+        )
+
+    def around(
+        self, theta_i: float, phi_i: float
+    ) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Azimuths and polar angles of the records that make the lobe of a direction.
+
+        Numbers, ascending: one or two of either.
+        """
+        n_azimuths, n_angles = self.index.shape
+        low = int(np.searchsorted(self.theta_i, theta_i, side="right")) - 1
+        low = min(max(low, 0), max(n_angles - 2, 0))
+        angles = tuple(range(low, min(low + 2, n_angles)))
+        past = int(np.searchsorted(self.phi_i, phi_i % 360, side="right")) - 1
+        ends = {past % n_azimuths, (past + 1) % n_azimuths}
+        return tuple(sorted(ends)), angles
 
     def _sent(self, lobes: Floats, angle: int, end: int, azimuth: int) -> Floats:
         """Lobes of one azimuth for another one, shape ``(H, n_theta, n_phi, ...)``."""

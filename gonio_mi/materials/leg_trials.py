@@ -9,14 +9,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats, Integers
+from ..array_types import Integers
 from ..collector.directions import direction
 from .azimuth_trials import BENT, tried_indices
 from .lit_face import LitFace
-from .lobes import LobeTable
+from .lobes import MeasuredLobes
 from .moving_points import Way
 
-__all__ = ["best_face"]
+__all__ = ["best_ways"]
 
 # Records that are predicted from their neighbours, at most, and the part of their
 # radiance that is looked at: on the patches that have most of it, or some of these.
@@ -29,27 +29,21 @@ N_POINTS = 4
 NEAR, FINELY = 0.05, {"xatol": 1e-3}
 
 
-def best_face(table: LobeTable, wavelengths: Floats | None = None) -> LitFace:
-    """Face whose lobes move between polar angles as its own records say.
+def best_ways(lobes: MeasuredLobes) -> list[Way]:
+    """How lobes move between polar angles, as a record's own directions say.
 
     On a leg by quantiles (:class:`.moving_points.Legs`), or with micro-normals that
     stay where these predict the nearest record better, as a camera sees it, from those
     of the next smaller and the next larger angle.
-
-    Parameters
-    ----------
-    table : LobeTable
-    wavelengths : sequence of float, optional
-        See :class:`.lit_face.LitFace`.
     """
-    n_angles = len(table.grid.theta_i)
+    n_angles = len(lobes.grid.theta_i)
     if n_angles < 3:
-        return LitFace(table, wavelengths)
+        return []
     angles = np.unique(np.linspace(1, n_angles - 2, TRIALS).round().astype(int))
-    trials = [_Trial(table, n / len(angles), k) for n, k in enumerate(angles.tolist())]
+    trials = [_Trial(lobes, n / len(angles), k) for n, k in enumerate(angles.tolist())]
     ways = []
-    for hemisphere in range(table.brdf.shape[2]):
-        eta = _index(table, trials) if hemisphere else None
+    for hemisphere in range(lobes.flux.shape[1]):
+        eta = _index(lobes, trials) if hemisphere else None
         if hemisphere and eta is None:
             continue
         errors = [
@@ -57,7 +51,7 @@ def best_face(table: LobeTable, wavelengths: Floats | None = None) -> LitFace:
             for keeps in (False, True)
         ]
         ways.append(Way(hemisphere, eta, _better(angles, *errors)))
-    return LitFace(table, wavelengths, [way for way in ways if any(way.legs)])
+    return [way for way in ways if any(way.legs)]
 
 
 def _better(
@@ -75,17 +69,20 @@ def _better(
     return tuple(legs)
 
 
-def _index(table: LobeTable, trials: Sequence[_Trial]) -> float | None:
+def _index(lobes: MeasuredLobes, trials: Sequence[_Trial]) -> float | None:
     """Refractive index of transmission that predicts a record best, or None.
 
     That of the ways between azimuths, if there is one.
     """
-    if table.grid.eta is not None:
-        return table.grid.eta
-    areas = table.patches.projected_solid_angles
-    theta_i, phi_i = np.meshgrid(table.grid.theta_i, table.grid.phi_i)
-    light = table.brdf[:, :, 1].mean(axis=-1).reshape(-1, *areas.shape) * areas
-    tried = tried_indices(light, theta_i.ravel(), phi_i.ravel(), table.patches)
+    grid = lobes.grid
+    if grid.eta is not None:
+        return grid.eta
+    azimuth, angle = np.nonzero(grid.index >= 0)
+    measured = zip(azimuth.tolist(), angle.tolist())
+    brdf = [lobes.brdf([n], [k])[0, 0, 1].mean(axis=-1) for n, k in measured]
+    light = np.array(brdf) * lobes.patches.projected_solid_angles
+    incidents = grid.theta_i[angle], grid.phi_i[azimuth]
+    tried = tried_indices(light, *incidents, lobes.patches)
     if not tried:
         return None
     error = partial(trials[len(trials) // 2].error, 1, True)
@@ -104,19 +101,20 @@ class _Trial:
 
     Parameters
     ----------
-    table : LobeTable
+    lobes : MeasuredLobes
     part : float
         Which of the azimuths: 0 for the first that were measured there, to 1.
     angle : int
         Number of its polar angle.
     """
 
-    def __init__(self, table: LobeTable, part: float, angle: int) -> None:
-        known = np.flatnonzero(table.grid.index[:, angle] >= 0)
+    def __init__(self, lobes: MeasuredLobes, part: float, angle: int) -> None:
+        grid = lobes.grid
+        known = np.flatnonzero(grid.index[:, angle] >= 0)
         azimuth = int(known[int(part * len(known))])
-        self.part = table.part(azimuth, (angle - 1, angle + 1))
-        self.lobes = table.brdf[azimuth, angle].mean(axis=-1)
-        incident = table.grid.theta_i[angle], table.grid.phi_i[azimuth]
+        self.part = lobes.table([azimuth], [angle - 1, angle + 1])
+        self.lobes = lobes.brdf([azimuth], [angle])[0, 0].mean(axis=-1)
+        incident = grid.theta_i[angle], grid.phi_i[azimuth]
         self.wi = direction(*np.radians(incident))
 
     def error(self, hemisphere: int, keeps: bool, eta: float | None = None) -> float:

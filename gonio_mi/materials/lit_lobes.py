@@ -35,11 +35,15 @@ class LitLobes:
             [doubles(along[..., channel]) for channel in channels]
             for along in table.gradients
         ]
-        self.means = doubles(table.brdf.mean(axis=-1))
-        self.mean_gradients = [doubles(along.mean(-1)) for along in table.gradients]
-        self.tilts = doubles(table.tilts)
-        self.sector_tilts = doubles(table.sector_tilts)
-        self.rings, self.sectors = doubles(table.rings), doubles(table.sectors)
+        self.means = self.brdf[0]
+        self.mean_gradients = [along[0] for along in self.gradients]
+        if self.n_channels > 1:
+            self.means = doubles(table.brdf.mean(axis=-1))
+            self.mean_gradients = [doubles(along.mean(-1)) for along in table.gradients]
+        drawing = table.drawing
+        self.tilts = doubles(drawing.tilts)
+        self.sector_tilts = doubles(drawing.sector_tilts)
+        self.rings, self.sectors = doubles(drawing.rings), doubles(drawing.sectors)
 
     def values(
         self, row: mi.UInt32, phi_i: mi.Float64, point: DiskPoint, active: mi.Bool

@@ -49,7 +49,7 @@ class MovingLobes:
             Way(n, grid.eta if n else None, every) for n in by_legs if n in moving
         ]
         self.azimuths = MicroNormals(between, moving)
-        # most of a table of coarse patches: none where nothing moves by them
+        # slow to find: none where nothing moves by them
         self.legs = Legs(table) if by_legs else None
         self.measured = LitLobes(table)
         self.n_channels = self.measured.n_channels

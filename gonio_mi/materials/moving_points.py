@@ -74,12 +74,13 @@ class Legs:
     """
 
     def __init__(self, table: LobeTable) -> None:
-        self.n_hemispheres, n = table.strips.shape[3:]
+        legs = table.legs
+        self.n_hemispheres, n = legs.strips.shape[3:]
         self.strips, self.cells = (
             _Pieces([doubles(end) for end in a], [doubles(end) for end in b], n)
             for a, b in (
-                (table.strips, table.strip_slopes),
-                (table.cells, table.cell_slopes),
+                (legs.strips, legs.strip_slopes),
+                (legs.cells, legs.cell_slopes),
             )
         )
 

@@ -15,9 +15,9 @@ from gonio_mi.errors import SettingError, abridged
 from gonio_mi.files.channels import wavelengths_nm
 from gonio_mi.files.material_files import PatchMeans, has_back, load_material
 from gonio_mi.materials import bsdf_functions
-from gonio_mi.materials.leg_trials import best_face
+from gonio_mi.materials.leg_trials import best_ways
 from gonio_mi.materials.lit_face import LitFace
-from gonio_mi.materials.lobes import LobeTable
+from gonio_mi.materials.lobes import MeasuredLobes
 from gonio_mi.results.record import Record
 from gonio_mi.settings.manual import example
 
@@ -279,7 +279,8 @@ def _face(label: str, name: str, side: str) -> LitFace:
     try:
         material: Any = load_material(_resolved(name), side)
         wavelengths = wavelengths_nm(material.channels)
-        return best_face(LobeTable.of(material, _mixture(material)), wavelengths)
+        lobes = MeasuredLobes(material, _mixture(material))
+        return LitFace(lobes.whole(), wavelengths, best_ways(lobes))
     except (ValueError, OSError) as error:
         raise type(error)(f"{label}: {error}") from None
 
