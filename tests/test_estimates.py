@@ -150,6 +150,23 @@ def test_all_rays_in_one_patch_may_hide_others(weight):
     close(np.ravel(one.total_interval(0, LEVEL)), limits)
 
 
+@pytest.mark.parametrize("weight", [0.3, 0.9, 1.0])
+def test_no_number_of_rays_tells_more_than_single_precision(weight):
+    """A weight that was rounded once is covered, however many rays carried it."""
+    few, n = tally([(RAYS, RAYS)]), np.uint64(10**6)
+    unit = np.uint64(float(np.float32(weight)) * RAYS * 10**6 * WEIGHT_SCALE)
+    many = {name: getattr(few, name) * n for name in ("hits", "incident", "fates")}
+    many = replace(few, sums=np.full_like(few.sums, unit), **many)
+    one = SampledEstimates(many, independent=False)
+    for low, high in (one.interval(0, LEVEL), one.total_interval(0, LEVEL)):
+        assert low <= weight <= high
+        # as wide as what a table shows in place of a standard error below it; all
+        # rays with their whole weight can only be lost
+        value = one.fraction(0).item()
+        above = value if weight == 1 else value * (1 + 2.0**-24)
+        close(np.ravel((low, high)), (value * (1 - 2.0**-24), above))
+
+
 @pytest.mark.parametrize("row", [Fate.MISSED, Fate.UNLIT])
 def test_rays_that_missed_are_not_incident(row):
     beside = tally()

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..array_types import Counts, Flags, Floats, Numbers
+from ..single_precision import ROUNDING
 from . import statistics
 from .integral_sums import Integrals
 from .tally import Tally
@@ -257,18 +258,20 @@ class SampledEstimates(Estimates):
         So many rays as would leave an empty patch empty may be of another kind, of
         which none was seen (Hanley and Lippman-Hand 1983, JAMA 249, 1743): rays that
         are lost, or received as well; and where all were received, which hits of unit
-        weight at most can exceed, rays of that weight.
+        weight at most can exceed, rays of that weight. However many the rays, they
+        leave open the rounding of what they carry.
         """
         unseen = statistics.upper_limit(self.rays, level)
         more = (hits < self.rays) | self.deposited
         above = np.where(more, weight, np.maximum(1 - weight, 0))
+        rounding = ROUNDING * value
         return statistics.student_interval(
             value,
             std_err,
             self.tally.n_batches,
             level,
-            below=unseen * weight,
-            above=unseen * above,
+            below=np.maximum(unseen * weight, rounding),
+            above=np.where(above > 0, np.maximum(unseen * above, rounding), 0.0),
         )
 
 

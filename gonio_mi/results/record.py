@@ -211,8 +211,9 @@ class Record:
         it empty with probability ``(1 - level) / 2``, at the larger of unit weight and
         the largest mean weight seen. All batches may give the same sum, and all rays
         may have been received: no interval by Student's t is narrower than what so
-        many rays of another kind, of which none was seen, would change. Where all rays
-        were received with weight 1 they can only be lost.
+        many rays of another kind, of which none was seen, would change, nor than the
+        rounding of single precision. Where all rays were received with weight 1 they
+        can only be lost.
 
         Deposits of `next_event` are of very unlike weights: below 300 of them the
         interval reaches at least to the limits for weighted counts (Fay and Feuer
