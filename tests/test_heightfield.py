@@ -203,7 +203,7 @@ def test_files(tmp_path):
         {"filename": str(tmp_path / "z.exr")},
     ]
     records = [
-        gonio.measure({"type": "heightfield", **source}, 30, rays=10_000)
+        gonio.measure({"type": "heightfield", "size": 2.0, **source}, 30, rays=10_000)
         for source in sources
     ]
     assert records[0].tallies == records[1].tallies == records[2].tallies

@@ -137,7 +137,7 @@ def png(tmp_path):
 
 
 def measured(**properties):
-    specimen = {"type": "heightfield", **properties}
+    specimen = {"type": "heightfield", "size": 2.0, **properties}
     return gonio.measure(specimen, 30, rays=10_000).tallies
 
 
@@ -171,7 +171,7 @@ def test_tiff_is_the_image(png, tmp_path):
 @pytest.mark.usefixtures("mono")
 def test_absurd_slopes_are_warned_of(png):
     """An image of whole numbers, taken for heights; not one of sensible range."""
-    specimen = {"type": "heightfield", "filename": str(png[0])}
+    specimen = {"type": "heightfield", "filename": str(png[0]), "size": 2.0}
     with pytest.warns(RuntimeWarning, match="absurdly steep, alpha .* in one unit"):
         mi.load_dict(specimen | {"scale": 1.0})
     mi.load_dict(specimen | {"range": 0.02})
@@ -258,6 +258,25 @@ def test_waves_are_warned_of():
     assert topography(HeightMap(rough * 0.01, "a", (0.1, 0.1))).concerns() == []
 
 
+def test_a_width_that_nobody_told_is_warned_of():
+    """Exact: 0.4 over the width of 2 that is taken, and the slope 0.1 over 4."""
+    given = HeightMap(RAMP / 50, "a.npy")
+    taken = {"periodic": False, "unit": "mm"}
+    for height in ({}, {"size_y": 4.0}):
+        surface = topography(given, **taken, **height)
+        (one,) = surface.concerns()
+        assert one.startswith("the width of a.npy is not known, and 2 mm was taken")
+        assert f"rms slopes {np.degrees(np.arctan(0.2)):.3g} x 0 degrees" in one
+        assert surface.described.endswith("in mm; width not given, 2 mm taken")
+    for known in (
+        topography(given, size=4.0, **taken),
+        topography(HeightMap(RAMP / 50, "a.sur", (0.04, 0.04)), **taken),
+        topography(HeightMap(np.ones((9, 9)), "flat.npy")),
+    ):
+        assert known.concerns() == []
+        assert "taken" not in known.described
+
+
 @pytest.mark.usefixtures("mono")
 def test_cells_need_not_be_square(tmp_path):
     """Exact: the mesh of a file has its extents, its unit and its heights."""
@@ -310,7 +329,8 @@ def test_a_file_is_a_finite_specimen(ramp, capfd):
 
 
 @pytest.mark.usefixtures("mono")
-def test_a_file_is_a_finite_specimen_when_it_is_measured(tmp_path):
+@pytest.mark.filterwarnings("ignore:the width of ramp.npy:RuntimeWarning")
+def test_a_file_is_a_finite_specimen_when_it_is_measured(tmp_path, capfd):
     """Exact: as the shape that is not joined, and in a cell as the one that is."""
     path = str(tmp_path / "ramp.npy")
     np.save(path, RAMP / 50)
@@ -324,8 +344,14 @@ def test_a_file_is_a_finite_specimen_when_it_is_measured(tmp_path):
     for period in ("none", "box"):
         normals = gonio.micro_normals(path, period=period, points=1000)
         assert (normals.density > 0).sum() == (1 if period == "none" else 2)
-    command = ["measure", path, "--size", "2", "--theta-i", "0", "--rays", "1000"]
+    command = ["measure", path, "--theta-i", "0", "--rays", "1000", "--size", "2"]
+    assert main(command[:-2]) == 0
+    said = capfd.readouterr()
+    width = "width of ramp.npy is not known, and 2 was taken"
+    assert f"warning: the {width}, which makes its rms slopes 11.3 x 0" in said.err
+    assert "width not given, 2 taken" in " ".join(said.out.split())
     assert main([*command, "-q", "-o", str(tmp_path / "a.npz")]) == 0
+    assert not capfd.readouterr().err
     plain = gonio.load(tmp_path / "a.npz")
     # a mirror at atan(0.2) sends all light to one direction
     (ring,) = np.unique(np.nonzero(plain.counts[0])[0])

@@ -76,7 +76,7 @@ def run(options: Namespace) -> int:
             say(f"warning: {concern}")
     period = options.period or ("box" if joined else "none")
     with warnings.catch_warnings():
-        told = "the (facets|heights|rms height) of"
+        told = "the (width|facets|heights|rms height) of"
         warnings.filterwarnings("ignore", told, RuntimeWarning)
         normals = micro_normals(
             specimen,

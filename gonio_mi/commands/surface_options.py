@@ -23,7 +23,7 @@ NUMBERS = {
         "X",
         "Extent in x, from the first point of a row to the last; with --period, from "
         "the first to where it comes again, a cell further. Default: what the file "
-        "says, else 2.",
+        "says, else 2, with a warning.",
     ),
     "size_y": ("Y", "Extent in y. Default: what the file says, else by square cells."),
     "scale": (

@@ -59,6 +59,8 @@ class Topography:
     step : float, optional
         What the heights were rounded to, see
         :func:`~gonio_mi.surfaces.height_steps.height_step`.
+    width_taken : bool
+        Whether neither file nor user said how wide it is.
     """
 
     heights: Floats
@@ -67,6 +69,7 @@ class Topography:
     source: str
     unit: str | None = None
     step: float | None = None
+    width_taken: bool = False
 
     def __repr__(self) -> str:
         n_y, n_x = self.heights.shape
@@ -92,10 +95,6 @@ class Topography:
             float(np.mean(centred**n)) / s.rms_height**n if s.rms_height else math.nan
             for n in (3, 4)
         )
-        degrees = [
-            math.degrees(math.atan(alpha / math.sqrt(2)))
-            for alpha in (s.alpha_u, s.alpha_v)
-        ]
         (n_y, n_x), (x, y), (dx, dy) = heights.shape, self.extent, self.spacing
         joined = "joined at its borders" if self.periodic else "not joined"
         lines = [
@@ -109,8 +108,8 @@ class Topography:
             ),
             (
                 "slopes",
-                f"rms {degrees[0]:.3g} x {degrees[1]:.3g} degrees, alpha "
-                f"{s.alpha_u:.4g} x {s.alpha_v:.4g}",
+                f"rms {_rms_slopes(s)} degrees, alpha {s.alpha_u:.4g} x "
+                f"{s.alpha_v:.4g}",
             ),
             (
                 "lengths",
@@ -130,6 +129,12 @@ class Topography:
         """
         s = self.statistics
         found = []
+        if self._width:
+            found.append(
+                f"the width of {self.source} is not known, and {self._width} was "
+                f"taken, which makes its rms slopes {_rms_slopes(s)} degrees: give "
+                "size, in the unit of the heights"
+            )
         steepest = max(s.alpha_u, s.alpha_v)
         if steepest > ABSURD:
             degrees = math.degrees(math.atan(steepest / math.sqrt(2)))
@@ -149,7 +154,15 @@ class Topography:
         steps = self._slope_steps()
         unit = "" if self.unit is None else f" in {self.unit}"
         coarse = "" if steps is None else f"; slopes in steps of {steps[1]}"
-        return f"{self.statistics}{unit}{coarse}"
+        width = f"; width not given, {self._width} taken" if self._width else ""
+        return f"{self.statistics}{unit}{width}{coarse}"
+
+    @property
+    def _width(self) -> str:
+        """The width that was taken; empty if it is known, or no matter in a plane."""
+        if not self.width_taken or not self.statistics.rms_height:
+            return ""
+        return f"{self.extent[0]:.4g}{'' if self.unit is None else f' {self.unit}'}"
 
     def _slope_steps(self) -> tuple[float, str] | None:
         """Steps of slopes, and what part of the rms slope they are; None if fine."""
@@ -218,6 +231,13 @@ class Topography:
         return alphas[0], alphas[1]
 
 
+def _rms_slopes(statistics: HeightStatistics) -> str:
+    """Slopes along x and y in degrees."""
+    alphas = statistics.alpha_u, statistics.alpha_v
+    degrees = (math.degrees(math.atan(alpha / math.sqrt(2))) for alpha in alphas)
+    return " x ".join(f"{one:.3g}" for one in degrees)
+
+
 def topography(
     given: HeightMap,
     *,
@@ -236,7 +256,8 @@ def topography(
     ----------
     given : HeightMap
     size, size_y : float, optional
-        Extent in x and y. Default: what the file says, else 2 with square cells.
+        Extent in x and y. Default: what the file says, else 2 with square cells,
+        which :meth:`Topography.concerns` tells.
     scale : float, optional
         Factor on the heights. Default: 1, but codes of an image have none.
     height_range : float, optional
@@ -275,6 +296,7 @@ def topography(
         ", ".join(done),
         _unit(given, unit),
         None if step is None else abs(factor) * step,
+        given.spacing is None and size is None,
     )
 
 

@@ -54,9 +54,10 @@ def heightfield(props: mi.Properties) -> mi.Mesh:
 
     Files of profilometers and AFMs (x3p, sur, plu, MetroPro, Wyko OPD, gwy, ...) are
     read by the library SurfaceTopography (``pip install "gonio-mi[surfaces]"``); their
-    own unit is that of the scene. What makes a measurement doubtful is warned of:
-    absurdly steep facets, heights in steps that are coarse for their slopes, and, where
-    the unit is known, heights and facets that are small against visible light.
+    own unit is that of the scene. What makes a measurement doubtful is warned of: a
+    width that nobody told, absurdly steep facets, heights in steps that are coarse for
+    their slopes, and, where the unit is known, heights and facets that are small
+    against visible light.
 
     .. pluginparameters::
 
@@ -105,7 +106,8 @@ def heightfield(props: mi.Properties) -> mi.Mesh:
      * - size
        - |float|
        - Extent in x: of n points in a row n cells where it is periodic, else n - 1.
-         (Default: what the file of an instrument says, for others 2)
+         (Default: what the file of an instrument says, for others 2, with a warning
+         that tells the slopes)
 
      * - size_y
        - |float|
