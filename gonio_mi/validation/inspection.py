@@ -17,6 +17,7 @@ from . import (
     answers,
     balance,
     components,
+    cosines,
     cost,
     declarations,
     delta,
@@ -160,7 +161,6 @@ def _examine(evidence: Evidence, bsdf: mi.BSDF, plan: Effort, seed: int) -> None
     radiance = [replace(one, mode="radiance") for one in plan.radiance(sides)]
     for i, condition in enumerate([*conditions, *radiance]):
         _check_samples(evidence, bsdf, condition, plan, (seed, 1, i))
-    symmetry.check_cosines(evidence)
     first = conditions[0], plan.checked, (seed, 1, 0)
     after = answers.asked_after(Probe(bsdf, first[0]), evidence.drawn[0])
     again = cost.check_compiled(evidence, bsdf, *first)
@@ -176,6 +176,7 @@ def _examine(evidence: Evidence, bsdf: mi.BSDF, plan: Effort, seed: int) -> None
     for side in sides:
         jumps.check_cutoffs(evidence, bsdf, Condition(45.0, 25.0, side), (seed, 51))
     parameters.check_parameters(evidence, bsdf, _brightest(evidence))
+    cosines.check_cosines(evidence, bsdf)
     ends.check_ends(evidence, bsdf)
     ends.check_roughness(evidence, bsdf)
     _check_maps(evidence, bsdf, plan, sides, lobes, seed)

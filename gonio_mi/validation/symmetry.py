@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags, Floats
 from .collecting import Drawn
 from .equality import BSDF_ROUNDING, is_many, unequal
-from .evidence import BIAS, Evidence
+from .evidence import Evidence
 
-__all__ = ["check_cosines", "check_symmetry"]
-
-# What ``eval`` is by the power k of which ``eval cos(theta_i)^k`` is the same with wi
-# and wo exchanged, but for eta^2; 1 is right.
-COSINES = {
-    0: "`eval` lacks the cosine of wo, or division by that of wi",
-    2: "`eval` has the cosine of wo twice, or is divided by that of wi once too often",
-    -1: "`eval` has the cosine of wi where that of wo is due",
-}
-
-# Part of the samples that must contradict reciprocity somewhere: an identity that few
-# of them tell from it says nothing.
-TELLING = 0.2
+__all__ = ["check_symmetry"]
 
 
 def check_symmetry(evidence: Evidence, drawn: Drawn, bsdf: mi.BSDF) -> None:
@@ -73,46 +59,6 @@ def check_symmetry(evidence: Evidence, drawn: Drawn, bsdf: mi.BSDF) -> None:
             _not_adjoint(forward, adjoint, drawn, wrong),
             size=float(wrong.mean()),
         )
-
-
-def check_cosines(evidence: Evidence) -> None:
-    """Whether a power of the cosines explains all that is not reciprocal.
-
-    If it does for all samples of the whole from all directions, within rounding, it is
-    a mistake in ``eval`` and no law of a model. One that means it so (Phong's, of 1975,
-    has no cosine) can declare NonSymmetric.
-    """
-    own = [b for b in evidence.breaches if b.property == "reciprocity"]
-    own = [b for b in own if b.effect is None]
-    if len(own) < 2 or max(b.size for b in own) < TELLING:
-        return
-    whole = [
-        drawn
-        for drawn in evidence.drawn
-        if drawn.condition.component is None and drawn.condition.mode == "importance"
-    ]
-    for power, mistake in COSINES.items():
-        if all(_is_symmetric(drawn, power) for drawn in whole):
-            evidence.breaches[:] = [
-                replace(b, effect=BIAS, mistake=mistake) if b in own else b
-                for b in evidence.breaches
-            ]
-            return
-
-
-def _is_symmetric(drawn: Drawn, power: int) -> bool:
-    """Whether ``eval cos(theta_i)^power`` is the same with wi and wo exchanged."""
-    cos_i, cos_o = abs(drawn.condition.wi[2]), np.abs(drawn.wo[:, 2])
-    smooth = drawn.smooth & (cos_o > 1e-4)
-    cos_o = np.where(smooth, cos_o, 1.0)[:, None]
-    eta2 = np.where(drawn.reflected, 1.0, drawn.eta**2)[:, None]
-    there, back = float(cos_i**power), eta2 * cos_o**power
-    slack = drawn.eval_slack * there + drawn.reverse_slack * back
-    # what is no number is unequal to all
-    same = ~unequal(drawn.eval * there, drawn.reverse * back, slack)
-    same &= np.isfinite(drawn.eval).all(axis=1)
-    same &= np.isfinite(drawn.reverse).all(axis=1)
-    return not is_many(smooth & ~same, drawn.n)
 
 
 def _declared(drawn: Drawn, bsdf: mi.BSDF, eta2: Floats) -> Flags:
