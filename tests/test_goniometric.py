@@ -9,6 +9,7 @@ from budget import agree, disagree, normal_scores, scores, single, verdict
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
+from gonio_mi.files.material_files import PatchMeans
 from gonio_mi.materials.lobes import MeasuredLobes
 from gonio_mi.quadrature import integrate
 
@@ -399,6 +400,26 @@ def test_the_back_face_is_a_mirror_image(plugin, tmp_path):
         fraction = record.flux_fraction[1, hemisphere, ..., 0]
         agree(verdict(scores(back, fraction, hemisphere)))
         disagree(verdict(scores(back, np.roll(fraction, 1, axis=1), hemisphere)))
+
+
+@pytest.mark.parametrize(
+    ("transmitted", "transmits"), [(0.0, False), (1e-17, False), (1e-9, True)]
+)
+def test_of_an_opaque_record_the_back_is_no_part(plugin, transmitted, transmits):
+    """Also if a few rays slipped through a mesh; twin: of a dark filter it is."""
+    record = isotropic(both=True)
+    flux = record.flux_fraction.copy()
+    flux[:, 1] = transmitted / flux[0, 1].size
+    means = PatchMeans(
+        record.subdivision, record.theta_i, record.phi_i, record.channels, flux
+    )
+    assert MeasuredLobes(means).flux.shape[1] == 1 + transmits
+    assert MeasuredLobes(means, keep_dark=True).flux.shape[1] == 2
+    if transmitted != 1e-17:  # less than a record's sums can hold
+        weights = flux[..., 0]
+        bsdf = plugin(synthetic.exact(weights, record.theta_i, "projected:6x8"))
+        assert mi.has_flag(bsdf.flags(), mi.BSDFFlags.Transmission) == transmits
+        assert bsdf.component_count() == 1 + transmits
 
 
 def test_disabled_components_are_absent(plugin):

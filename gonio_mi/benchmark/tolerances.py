@@ -17,8 +17,9 @@ import numpy as np
 from ..errors import SpecimenError
 from ..instrument.campaign_tasks import Surroundings, records_of
 from ..instrument.campaigns import campaign
-from ..instrument.known_directions import CONFIRMING
-from ..instrument.prediction import SPARED, Prediction
+from ..instrument.known_directions import CONFIRMING, NOISE
+from ..instrument.prediction import SPARED, Prediction, points_for
+from ..instrument.whole_bsdf import SURE
 from ..results.misplacement import Misplacement, misplaced
 from ..results.record import Record
 from .table import print_table
@@ -106,11 +107,18 @@ def _rows(
     chosen = campaign({"it": case.specimen}, progress=True, **settings)["it"]
     spent = cpu_seconds() - started
     found = chosen.settings["campaign"]
-    unseen = _unseen(case, chosen, theta_max)
+    incidents = _random_incidents(theta_max)
+    unseen = _measured(case, chosen, incidents, NOISE)
     errors = _errors(chosen, unseen, tolerance)
+    is_sampled = chosen.settings["estimator"] != "quadrature"
+    large = [n for n, one in enumerate(errors) if one.error > SURE * tolerance]
+    if is_sampled and large:
+        finer = _measured(case, chosen, [incidents[n] for n in large], CONFIRMING)
+        for n, one in zip(large, _errors(chosen, finer, tolerance)):
+            errors[n] = one
     counts = found["measured"], found["rays"], spent
     rows = [_row("chosen", chosen, counts, errors, tolerance)]
-    if not grids or chosen.settings["estimator"] != "quadrature":
+    if not grids or is_sampled:
         return rows
     enough = min(_within(errors, tolerance), 0.95)
     found_rows: dict[tuple[int, int], tuple[str, ...]] = {}
@@ -118,7 +126,7 @@ def _rows(
     def is_right(n_azimuths: int, steps: int) -> bool:
         """Whether a grid is as right; its row is kept."""
         started = cpu_seconds()
-        grid = _measured(case, chosen, _incidents(steps, n_azimuths, theta_max))
+        grid = _measured(case, chosen, _incidents(steps, n_azimuths, theta_max), NOISE)
         counts = len(grid), grid.ledger.emitted, cpu_seconds() - started
         errors = _errors(grid, unseen, tolerance)
         name = f"{steps} x {n_azimuths}"
@@ -158,30 +166,33 @@ def _incidents(
     return [(0.0, 0.0), *itertools.product(angles, azimuths)]
 
 
-def _unseen(case: Case, chosen: Record, theta_max: float) -> Record:
-    """Random directions, uniform in solid angle, measured as the campaign did."""
+def _random_incidents(theta_max: float) -> list[tuple[float, float]]:
+    """Random directions, uniform in solid angle."""
     generator = np.random.default_rng(SEED)
     least = np.cos(np.radians(theta_max))
     theta_i = np.degrees(np.arccos(1 - generator.random(UNSEEN) * (1 - least)))
     phi_i = 360 * generator.random(UNSEEN)
-    return _measured(case, chosen, list(zip(theta_i.tolist(), phi_i.tolist())))
+    return list(zip(theta_i.tolist(), phi_i.tolist()))
 
 
 def _measured(
-    case: Case, chosen: Record, incidents: Sequence[tuple[float, float]]
+    case: Case, chosen: Record, incidents: Sequence[tuple[float, float]], noise: float
 ) -> Record:
-    """Stack of incident directions, with the settings of the chosen ones."""
+    """Stack of incident directions, with the settings of the chosen ones.
+
+    `noise` is the part of the tolerance that it may misplace where they are sampled.
+    """
     names = ("estimator", "rel_err")
     own = {name: chosen.settings.get(name) for name in names}
     if own["rel_err"] is None:
-        own["noise"] = CONFIRMING * chosen.settings["campaign"]["tolerance"]
+        own["noise"] = noise * chosen.settings["campaign"]["tolerance"]
     settings = own | {"collector": chosen.subdivision} | case.settings
     return records_of({"it": case.specimen}, incidents, Surroundings(), settings)["it"]
 
 
 def _errors(record: Record, unseen: Record, tolerance: float) -> list[Misplacement]:
     """What the material of a record gets wrong at unseen directions."""
-    prediction = Prediction(record, 8, SPARED * tolerance)
+    prediction = Prediction(record, points_for(tolerance), SPARED * tolerance)
     return [
         misplaced(one, prediction.flux(float(one.theta_i[0]), float(one.phi_i[0])))
         for one in (unseen[number] for number in range(len(unseen)))

@@ -85,7 +85,7 @@ class Material:
         rest: Any = PatchMeans(
             record.subdivision, record.theta_i, record.phi_i, record.channels, flux
         )
-        lobes = MeasuredLobes(rest)
+        lobes = MeasuredLobes(rest, keep_dark=True)
         self.table = table = lobes.whole()
         self.peaks = table.grid.filled(peaks) * apart
         self.theta_i, self.phi_i = table.grid.theta_i, table.grid.phi_i

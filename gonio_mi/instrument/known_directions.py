@@ -13,6 +13,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..collector import Subdivision
 from ..errors import SettingError, SpecimenError, abridged
 from ..results.misplacement import misplaced
@@ -72,6 +74,8 @@ class KnownDirections:
         By polar angle and azimuth in degrees.
     rays : int
         That were sent for them, also for those that were too noisy.
+    light : ndarray, shape (2,)
+        Reflectances and transmittances, each summed over all of them.
     """
 
     def __init__(
@@ -98,6 +102,7 @@ class KnownDirections:
         self.rounds: list[tuple[str, Record, Sequence[Any], dict[str, Any]]] = []
         self.rays = self.n_rounds = self.n_timed = 0
         self.seconds, self.announced = 0.0, False
+        self.light = np.zeros(2)
 
     def start_anew(self, patches: Subdivision | None = None) -> None:
         """Forget all directions; take rays, or other patches if some are given."""
@@ -107,6 +112,7 @@ class KnownDirections:
             self.chosen = patches
             self.settings = self.settings | {"collector": patches}
         self.records.clear()
+        self.light[:] = 0
         self.rays = self.n_rounds = self.n_timed = 0
         self.seconds = 0.0
 
@@ -141,6 +147,8 @@ class KnownDirections:
                 raise
             raise NotIntegrableError(error) from error
         self.rays += stack.ledger.emitted
+        flux = stack.flux_fraction
+        self.light += flux[:, :1].sum(), flux[:, 1:].sum()
         self.records |= zip(new, (stack[number] for number in range(len(stack))))
         self.n_rounds, self.n_timed = self.n_rounds + 1, self.n_timed + len(new)
         self.seconds += time.perf_counter() - started

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..collector import subdivision
 from ..errors import checked_number
-from ..materials.lobes import TooLargeError, check_table
+from ..materials.lobes import TooLargeError, check_table, tells
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_text import LOOKS
 from ..results.misplacement import Misplacement, misplaced
@@ -21,7 +21,7 @@ from ..results.record import Record
 from .campaign_tasks import Surroundings
 from .incident_rings import IncidentRings
 from .known_directions import CONFIRMING, KnownDirections, NotIntegrableError
-from .prediction import SPARED, Prediction
+from .prediction import SPARED, Prediction, points_for
 from .recognition import Recognition
 from .refinement import Interval, refined
 from .resolution import (
@@ -31,7 +31,7 @@ from .resolution import (
     check_resolved,
 )
 
-__all__ = ["WholeBsdf", "checked_theta_max", "checked_tolerance"]
+__all__ = ["SURE", "WholeBsdf", "checked_theta_max", "checked_tolerance"]
 
 logger = logging.getLogger(__name__)
 
@@ -110,9 +110,7 @@ class WholeBsdf:
         self.settings = settings
         if settings.get("collector") is not None:
             check_equal_sectors(subdivision(settings["collector"]))
-        # on a side of each patch; the error of the mean over them is below a tenth of
-        # the tolerance where the collector resolves the lobes
-        self.n_points = 8 if tolerance >= 0.005 else 16 if tolerance >= 0.001 else 32
+        self.n_points = points_for(tolerance)
 
     @property
     def known(self) -> dict[tuple[float, float], Record]:
@@ -195,8 +193,10 @@ class WholeBsdf:
         azimuths = {phi for theta in levels[1:] for _, phi in self.rings.ring(theta)}
         azimuths |= set(self.rings.first_azimuths)
         every = {one.azimuth(phi) for phi in azimuths for one in self.symmetry.motions}
-        lobes = self.known[0.0, 0.0].flux_fraction.shape[-4:]
-        check_table(len(every), len(levels), lobes)
+        known = self.known[0.0, 0.0]
+        shape = *known.subdivision.shape, len(known.channels)
+        lower = tells(self.directions.light[1], self.directions.light.sum())
+        check_table(len(every), len(levels), (1 + lower, *shape))
 
     # ------------------------------------------------------------------- predicting
 

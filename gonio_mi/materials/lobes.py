@@ -23,7 +23,7 @@ from .incident_grid import IncidentGrid
 from .legs import N_CELLS, LegTable
 from .quantiles import cumulative
 
-__all__ = ["LobeTable", "MeasuredLobes", "TooLargeError", "check_table"]
+__all__ = ["LobeTable", "MeasuredLobes", "TooLargeError", "check_table", "tells"]
 
 # Of the whole table as Dr.Jit holds it: half of what a machine of 8 GiB has. While it
 # is made, it needs twice as much.
@@ -90,11 +90,17 @@ class MeasuredLobes:
     record : Record
     mixture : sequence of float, shape (channels,), optional
         Weights that make one channel of all.
+    keep_dark : bool
+        Whether a lower hemisphere is part of them in which there is no light, or less
+        of all the light than double precision can tell from none: of grazing rays that
+        slip through a mesh it is.
 
     Attributes
     ----------
     grid : IncidentGrid
     patches : RingsAndSectors
+    flux : ndarray, shape (n, H, rows, columns, channels)
+        Flux fractions as measured, in the record's patches.
 
     Raises
     ------
@@ -103,11 +109,18 @@ class MeasuredLobes:
         or if nothing was incident.
     """
 
-    def __init__(self, record: Record, mixture: ArrayLike | None = None) -> None:
+    def __init__(
+        self,
+        record: Record,
+        mixture: ArrayLike | None = None,
+        keep_dark: bool = False,
+    ) -> None:
         self.measured = record.subdivision
         flux = record.flux_fraction if record.stacked else record.flux_fraction[None]
         if not np.isfinite(flux).all():
             raise SettingError("the record must have incident light in all its stack")
+        if not (keep_dark or tells(flux[:, 1:].sum(), flux.sum())):
+            flux = flux[:, :1]
         self.grid = IncidentGrid.of(record, flux)
         self.flux, self.mixture = flux, mixture
         blank = np.zeros((*self.measured.shape, 1))
@@ -171,6 +184,11 @@ class Drawing:
     sectors: Floats
     tilts: Floats
     sector_tilts: Floats
+
+
+def tells(part: float, light: float) -> bool:
+    """Whether double precision tells a part of the light from none."""
+    return bool(part > np.finfo(float).eps * light)
 
 
 def check_table(n_azimuths: int, n_angles: int, lobes: tuple[int, ...]) -> float:

@@ -55,9 +55,9 @@ class Goniometric(mi.BSDF):
          lit from -z counts. (Default: an ``.xml`` that holds both sides itself, else
          none, and that face is black)
 
-    With a lower hemisphere in the record, component 0 is reflection and component 1
-    transmission. At an incident direction of the record, the BSDF is the record: its
-    means over patches are those measured, and within a patch it is linear, as the
+    Component 0 is reflection; of a record with light in the lower hemisphere, component
+    1 is transmission. At an incident direction of the record, the BSDF is the record:
+    its means over patches are those measured, and within a patch it is linear, as the
     patches around suggest (constant in a Klems file). Between two polar angles the
     lobes of both *move* to the place that lies between them, and are mixed linearly in
     :math:`\sin\theta_i`, and so are reflectance and transmittance. On each of these
