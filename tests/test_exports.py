@@ -235,11 +235,13 @@ def test_astm_is_what_compare_reads(tmp_path, channels, columns):
     assert all(loss.misplaced <= rounding for loss in losses)
     lines = path.read_text().splitlines()
     assert lines[1] == "ANGLE_UNITS radians"
-    assert lines[4:6] == [
+    assert lines[4:8] == [
+        "SEED 1",
+        "SAMPLER independent",
         "NUM_POINTS 64",
         f"VARS theta_i,phi_i,theta_s,phi_s,{columns}",
     ]
-    assert [len(line.split(",")) for line in lines[6:]] == 64 * [4 + len(channels)]
+    assert [len(line.split(",")) for line in lines[8:]] == 64 * [4 + len(channels)]
     table = gonio.read_measured(path, columns.split(",")[-1])
     assert np.array_equal(table.value[32:], record.brdf[1, ..., -1].ravel())
     assert (np.abs(table.theta_i - np.repeat([0, 30], 32)) <= 30 * rounding).all()

@@ -70,7 +70,8 @@ def compare(
         A record must have the same collector, channels and incident directions: there
         is no honest way from one set of patch means to another. Where only one has a
         lower hemisphere, no light may have come there. A note tells other conditions
-        that are not the same: side, footprint, divergence, order and so on. Of a table
+        that are not the same: side, footprint, divergence, order and so on; and a seed
+        that is the same, as then the rays are, too. Of a table
         each point is compared with the mean of the patch that holds it, within what
         the BRDF may do there; points of patches that are too coarse are left out.
     uncertainty : float, optional

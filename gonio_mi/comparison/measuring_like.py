@@ -140,8 +140,9 @@ def _like_table(
         for collector in _collectors(table, here, solid_angles):
             n = len(records)
             own = seed
-            if n or isinstance(solid_angles, Subdivision):
-                # a table of patches may be a record's, of rays with this seed
+            taken = isinstance(solid_angles, Subdivision) or table.rays
+            if n or taken:
+                # the table may be a record's, of rays with this seed
                 own = int(np.random.SeedSequence((seed, n)).generate_state(1)[0])
             given = {"collector": collector, "seed": own}
             with _errors_speak(automatic):

@@ -13,10 +13,11 @@ from ..collector.hemisphere import EDGE
 from ..errors import LABEL, SettingError, abridged
 from ..files.measured_table import MeasuredTable
 from ..results.copied_directions import sharing
+from ..results.ray_identity import ray_keys
 from ..results.record import Record
 from .agreement import PointSet, Readings, Variation
 from .patch_variation import MEASURED_ANEW, variation_within
-from .unlike_conditions import unlike_conditions, unlike_the_table
+from .unlike_conditions import same_rays, unlike_conditions, unlike_the_table
 
 __all__ = [
     "EXACT",
@@ -45,13 +46,8 @@ def pair_with_record(
                 f"the records must have the same {what} to be compared patch by patch, "
                 f"got {abridged(str(a), 60)} and {abridged(str(b), 60)}"
             )
-    seeds = [r.settings.get("seed") for r in (record, other)]
     notes = unlike_conditions(record, other)
-    if seeds[0] == seeds[1]:
-        notes.append(
-            f"both records have the seed {seeds[0]}: their rays are not independent; "
-            "measure one again with another seed"
-        )
+    notes += same_rays("both records", record, ray_keys(other.settings))
     both = record.has_lower and other.has_lower
     if not both:
         _check_dark_below(record, other, notes)
@@ -106,6 +102,7 @@ def pair_with_table(
             )
         channel = _channel(record, table, notes)
         notes += unlike_the_table(record, table)
+        notes += same_rays(f"{table.name} and the record", record, table.rays)
         patch, held = record.subdivision.detectors(v)
         in_patches = _stand_for_points(record.subdivision, table)
         for k in range(len(record)):

@@ -1,14 +1,15 @@
-"""Conditions of measurement that change what is measured, and in which two differ."""
+"""Conditions in which two measurements differ, and rays that they should not share."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from ..errors import abridged
 from ..files.measured_table import MeasuredTable
+from ..results.ray_identity import ray_keys, shared_seeds
 from ..results.record import Record
 from ..settings import MeasurementSettings, declarations
 
-__all__ = ["CONDITIONS", "unlike_conditions", "unlike_the_table"]
+__all__ = ["CONDITIONS", "same_rays", "unlike_conditions", "unlike_the_table"]
 
 # What is declared as a setting, or is known of the light. Estimators, samplers, rays
 # and Russian roulette change how well something is known, not what; wavelengths are
@@ -57,6 +58,25 @@ def unlike_the_table(record: Record, table: MeasuredTable) -> list[str]:
         "the conditions are not the same, and may change what is measured: the light "
         f"of {table.name} came within {told:g} degrees, that of "
         f"the record {said}"
+    ]
+
+
+def same_rays(both: str, record: Record, theirs: Mapping[str, str]) -> list[str]:
+    """A note if a record has the seed, and so the rays, of another one; or none.
+
+    Parameters
+    ----------
+    both : str
+        Subject of the sentence.
+    theirs : mapping of str
+        As of :func:`~gonio_mi.results.ray_identity.ray_keys`.
+    """
+    seeds = shared_seeds(ray_keys(record.settings), theirs)
+    if not seeds:
+        return []
+    return [
+        f"{both} have the seed {seeds}: their rays are not independent, so that they "
+        "agree too well; measure one again with another seed"
     ]
 
 

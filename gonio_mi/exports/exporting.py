@@ -18,6 +18,7 @@ from ..files.measured import MeasuredTable, read_measured
 from ..files.radiance_xml import Product
 from ..files.writing import takes_a_stream
 from ..results.doubts import exceeds_error
+from ..results.ray_identity import ray_keys
 from ..results.record import Record
 from ..results.summary import summarize
 from .loss import Loss, fractions_of, losses
@@ -73,8 +74,9 @@ def export(
     record : Record or sequence of Record
         Several for ``.xml``: of the front and of the back of a specimen.
     path : str or path
-        ``.csv``: values at the middles of patches, read by `read_measured`; for several
-        quantities or channels their names are put before the ending. ``.astm``: text
+        ``.csv``: values at the middles of patches, read by `read_measured`, with the
+        seed by which `compare` knows rays of its own; for several quantities or
+        channels their names are put before the ending. ``.astm``: text
         after ASTM E1392, of reflection; see :mod:`gonio_mi.files.astm`. ``.xml``: a
         Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only; needs a
         variant of rgb, or a spectral one for channels that are wavelengths. ``.nc``
@@ -201,6 +203,7 @@ def _astm(record: Record, path: str | PathLike[str]) -> list[Loss]:
             angle_units="radians",
             specimen=str(record.settings.get("specimen", "a record")),
             collector=str(record.subdivision),
+            **ray_keys(record.settings),
         )
     written = [
         _in_patches(read_measured(path, name), record.subdivision) for name in names
@@ -248,7 +251,7 @@ def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
         degrees_of_freedom=None if exact else record.n_batches - 1,
         aperture_half_angle=record.subdivision.aperture_half_angle,
         emitter_half_angle=record.settings.get("divergence") or 0.0,
-        header={"collector": str(record.subdivision)},
+        header={"collector": str(record.subdivision)} | ray_keys(record.settings),
         **columns,
     )
 

@@ -173,6 +173,18 @@ class MeasuredTable:
         return patches if patches.aperture_half_angle is None else None
 
     @property
+    def rays(self) -> dict[str, str]:
+        """What tells the rays of a record of which our own export made the table.
+
+        As of :func:`~gonio_mi.results.ray_identity.ray_keys`; empty if the header has
+        no `seed` beside a `collector`, as that of older files and of others' tables.
+        """
+        header = {key.lower(): text for key, text in self.header.items()}
+        if not {"collector", "seed"} <= header.keys():
+            return {}
+        return {key: header[key] for key in ("seed", "sampler") if key in header}
+
+    @property
     def bsdf(self) -> Floats:
         """BRDF or BTDF in 1/sr without cosine, shape (n,)."""
         return self.value / self._factor

@@ -12,7 +12,15 @@ from typing import Any
 from ..errors import SettingError, shown
 from .processors import joined_processors
 
-__all__ = ["DIGESTS", "MERGED", "STACKED", "check_alike", "merged", "stacked"]
+__all__ = [
+    "DIGESTS",
+    "MERGED",
+    "STACKED",
+    "check_alike",
+    "merged",
+    "seeds_of",
+    "stacked",
+]
 
 Settings = Mapping[str, Any]
 
@@ -54,7 +62,7 @@ def stacked(parts: Sequence[Settings]) -> dict[str, Any]:
 
 def merged(a: Settings, b: Settings) -> dict[str, Any]:
     """Settings of a record of the rays of two, or ValueError if both had one seed."""
-    seeds = [*_seeds(a), *_seeds(b)]
+    seeds = [*seeds_of(a), *seeds_of(b)]
     if len(set(seeds)) < len(seeds):
         raise SettingError(
             f"records must have different seeds to be merged, got {seeds}"
@@ -66,6 +74,7 @@ def merged(a: Settings, b: Settings) -> dict[str, Any]:
     return settings
 
 
-def _seeds(settings: Settings) -> list[Any]:
+def seeds_of(settings: Settings) -> list[Any]:
+    """Seeds of a record: several of one that was merged."""
     seed = settings.get("seed")
     return seed if isinstance(seed, list) else [seed]
