@@ -82,7 +82,7 @@ class Material:
             index = np.arange(len(flux))
             flux[index, :, rows, columns] -= peaks
             flux = np.maximum(flux, 0)  # up to rounding
-        rest: Any = PatchMeans(
+        rest = PatchMeans(
             record.subdivision, record.theta_i, record.phi_i, record.channels, flux
         )
         lobes = MeasuredLobes(rest, keep_dark=True)

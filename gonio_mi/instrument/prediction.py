@@ -12,6 +12,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers
 from ..collector.directions import direction
+from ..files.material_files import PatchMeans
 from ..materials.leg_trials import best_ways
 from ..materials.lit_face import LitFace
 from ..materials.lobes import MeasuredLobes
@@ -48,7 +49,7 @@ class Prediction:
 
     Parameters
     ----------
-    record : Record
+    record : Record or PatchMeans
         A stack that `goniometric` takes.
     n_points : int
         Points per side of each patch, at which its mean is taken.
@@ -58,11 +59,13 @@ class Prediction:
         get all points.
     """
 
-    def __init__(self, record: Record, n_points: int, spared: float = 0) -> None:
+    def __init__(
+        self, record: Record | PatchMeans, n_points: int, spared: float = 0
+    ) -> None:
         self.lobes = MeasuredLobes(record)
         self.ways = best_ways(self.lobes)
         self.subdivision = record.subdivision
-        self.n_hemispheres = 1 + record.has_lower
+        self.n_hemispheres = record.flux_fraction.shape[-4]
         self.n_points, self.spared = n_points, spared
         n_all = self.n_hemispheres * self.subdivision.n_patches
         self.sparing = spared > 0 and n_all * n_points**2 > FEW

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ..collector import subdivision
+from ..collector import Subdivision, subdivision
 from ..errors import checked_number
+from ..files.material_files import PatchMeans
 from ..materials.lobes import TooLargeError, check_table, tells
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_text import LOOKS
@@ -117,6 +118,10 @@ class WholeBsdf:
         """Records of the directions measured so far."""
         return self.directions.records
 
+    @property
+    def _patches(self) -> Subdivision:
+        return self.known[0.0, 0.0].subdivision
+
     def measured(self) -> Record:
         """Stack of the directions that the material needs, with its errors.
 
@@ -148,9 +153,8 @@ class WholeBsdf:
         self.directions.measure([(theta, 0.0) for theta in angles], "first directions")
         self.directions.check_functions((angles[1], 0.0))
         self.directions.announce(len(angles) + UNSEEN)  # at least
-        patches = self.known[0.0, 0.0].subdivision
-        check_equal_sectors(patches)
-        n_sectors = patches.shape[1]
+        check_equal_sectors(self._patches)
+        n_sectors = self._patches.shape[1]
         looked_at = self.tolerance, self.n_points, angles[2:], self.directions.stack
         check_resolved(*looked_at)
         self.recognition = Recognition(self.directions, angles, self.n_points)
@@ -193,16 +197,23 @@ class WholeBsdf:
         azimuths = {phi for theta in levels[1:] for _, phi in self.rings.ring(theta)}
         azimuths |= set(self.rings.first_azimuths)
         every = {one.azimuth(phi) for phi in azimuths for one in self.symmetry.motions}
-        known = self.known[0.0, 0.0]
-        shape = *known.subdivision.shape, len(known.channels)
+        shape = *self._patches.shape, len(self.known[0.0, 0.0].channels)
         lower = tells(self.directions.light[1], self.directions.light.sum())
         check_table(len(every), len(levels), (1 + lower, *shape))
 
     # ------------------------------------------------------------------- predicting
 
     def _prediction(self, incidents: Iterable[tuple[float, float]]) -> Prediction:
-        record = Record.stack(self.symmetry.whole(self.known, incidents))
-        return Prediction(record, self.n_points, SPARED * self.tolerance)
+        """Of directions and their images, of which no counts are copied."""
+        sources = self.symmetry.sources(self.known, incidents)
+        flux = [
+            motion.moved(self.known[source].flux_fraction, 2)
+            for source, motion in sources.values()
+        ]
+        theta_i, phi_i = np.array(list(sources)).T
+        patches, channels = self._patches, self.known[0.0, 0.0].channels
+        means = PatchMeans(patches, theta_i, phi_i, channels, np.array(flux))
+        return Prediction(means, self.n_points, SPARED * self.tolerance)
 
     def _missed(self, prediction: Prediction, theta: float, phi: float) -> Misplacement:
         """Error of a prediction of a known direction."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..collector import RingsAndSectors, Subdivision
 from ..errors import SettingError
+from ..files.material_files import PatchMeans
 from ..results.record import Record
 from .azimuth_trials import AzimuthTrials, distances
 from .half_vectors import predicted
@@ -56,7 +57,7 @@ class IncidentGrid:
     eta: float | None = None
 
     @classmethod
-    def of(cls, record: Record, flux: Floats) -> IncidentGrid:
+    def of(cls, record: Record | PatchMeans, flux: Floats) -> IncidentGrid:
         """Grid of a record, whose stack has these flux fractions.
 
         Raises

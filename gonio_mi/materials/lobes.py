@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from ..array_types import Floats
 from ..collector import RingsAndSectors
 from ..errors import SettingError
+from ..files.material_files import PatchMeans
 from ..memory import check_memory
 from ..results.record import Record
 from .gradients import gradients
@@ -87,7 +88,7 @@ class MeasuredLobes:
 
     Parameters
     ----------
-    record : Record
+    record : Record or PatchMeans
     mixture : sequence of float, shape (channels,), optional
         Weights that make one channel of all.
     keep_dark : bool
@@ -111,7 +112,7 @@ class MeasuredLobes:
 
     def __init__(
         self,
-        record: Record,
+        record: Record | PatchMeans,
         mixture: ArrayLike | None = None,
         keep_dark: bool = False,
     ) -> None:

@@ -152,14 +152,26 @@ class AzimuthSymmetry:
         incidents : iterable of (float, float)
             Some of these; along the normal there is one image.
         """
-        found: dict[tuple[float, float], Record] = {}
+        return [
+            known.get(image) or motion.copy(known[source])
+            for image, (source, motion) in self.sources(known, incidents).items()
+        ]
+
+    def sources(
+        self,
+        known: Mapping[tuple[float, float], Record],
+        incidents: Iterable[tuple[float, float]],
+    ) -> dict[tuple[float, float], tuple[tuple[float, float], Motion]]:
+        """Of all directions of :meth:`whole`, which is moved to there, and how."""
+        still = self.motions[0]
+        found = {}
         for theta, phi in incidents:
-            for motion in self.motions if theta else self.motions[:1]:
+            for motion in self.motions if theta else [still]:
                 image = (theta, motion.azimuth(phi)) if theta else (theta, phi)
                 if image not in found:
-                    own = known.get(image)
-                    found[image] = own or motion.copy(known[theta, phi])
-        return [found[one] for one in sorted(found)]
+                    own = image in known
+                    found[image] = (image, still) if own else ((theta, phi), motion)
+        return dict(sorted(found.items()))
 
     def described(self) -> dict[str, Any]:
         """What a record says of it: turns, and the azimuth of a mirror in degrees."""

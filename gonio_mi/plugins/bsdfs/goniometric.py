@@ -277,7 +277,7 @@ def _resolved(name: str) -> str:
 def _face(label: str, name: str, side: str) -> LitFace:
     """Face of the material in a file, in the variant's channels."""
     try:
-        material: Any = load_material(_resolved(name), side)
+        material = load_material(_resolved(name), side)
         wavelengths = wavelengths_nm(material.channels)
         lobes = MeasuredLobes(material, _mixture(material))
         return LitFace(lobes.whole(), wavelengths, best_ways(lobes))
