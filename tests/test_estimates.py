@@ -139,6 +139,33 @@ def test_nothing_received_has_an_upper_limit():
         close(high, limit)
 
 
+@pytest.mark.parametrize("deposited", [False, True])
+def test_a_channel_that_no_hit_carried_has_an_upper_limit(deposited):
+    """Rounding: the limit of a patch without a hit; the other channel's bits stay."""
+    one = tally()
+    nothing = np.zeros_like(one.sums)
+    both = {
+        "sums": np.concatenate([one.sums, nothing], axis=-1),
+        "incident": np.repeat(one.incident, 2, axis=-1),
+    }
+    alone, beside = (
+        SampledEstimates(each, independent=True, deposited=deposited)
+        for each in (one, replace(one, **both))
+    )
+    for of in ("interval", "total_interval"):
+        expected = getattr(alone, of)(0, LEVEL)
+        low, high = getattr(beside, of)(0, LEVEL)
+        np.testing.assert_array_equal(
+            (low[..., 0], high[..., 0]), np.array(expected)[..., 0]
+        )
+        assert not low[..., 1].any()
+        close(high[..., 1], statistics.upper_limit(2 * RAYS, LEVEL))
+    assert np.isnan(beside.std_err(0)[..., 1]).all()
+    dark = np.zeros((1, len(HITS), 2), bool)
+    dark[..., 1] = dark[:, -1] = True
+    np.testing.assert_array_equal(beside.dark(0), dark)
+
+
 @pytest.mark.parametrize("weight", [1.0, 0.5, 2.0])
 def test_all_rays_in_one_patch_may_hide_others(weight):
     """Some may be lost, or carry more than these, but no more than came."""

@@ -9,11 +9,11 @@ import synthetic
 
 pytest.importorskip("matplotlib")
 
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.colors import LogNorm, Normalize, to_hex
 from matplotlib.figure import Figure
 
 from gonio_mi.plots import plot
-from gonio_mi.plots.profile import MAX_POINTS, profile
+from gonio_mi.plots.profile import GREY, MAX_POINTS, profile
 
 NAN = float("nan")
 
@@ -45,7 +45,7 @@ def test_profile_follows_the_sectors_of_the_plane_of_incidence():
     for array, expected in ((cut.value, record.btdf), (cut.low, low), (cut.high, high)):
         np.testing.assert_array_equal(array[:6], expected[::-1, 0])
         np.testing.assert_array_equal(array[6:], expected[:, 4])
-    np.testing.assert_array_equal(cut.empty[6:], record.counts[1, :, 4] == 0)
+    np.testing.assert_array_equal(cut.empty[6:, 0], record.counts[1, :, 4] == 0)
     edges = np.degrees(record.subdivision.theta_edges)
     np.testing.assert_array_equal(cut.edges, [*-edges[:0:-1], *edges])
     assert np.all((cut.edges[:-1] < cut.theta) & (cut.theta < cut.edges[1:]))
@@ -148,11 +148,39 @@ def test_empty_patches_are_drawn_at_their_upper_limit():
     cut = profile(record)
     assert cut.empty.any()
     _, axes = panels(plot(record))
-    expected = np.stack([cut.theta, cut.high[:, 0]], axis=-1)[cut.empty]
+    empty = cut.empty[:, 0]
+    expected = np.stack([cut.theta, cut.high[:, 0]], axis=-1)[empty]
     np.testing.assert_array_equal(points(axes, "v"), expected)
-    expected = np.stack([cut.theta, cut.value[:, 0]], axis=-1)[~cut.empty]
+    expected = np.stack([cut.theta, cut.value[:, 0]], axis=-1)[~empty]
     np.testing.assert_array_equal(points(axes, "o"), expected)
     assert "upper limit, no hit" in labels(axes)
+
+
+def test_no_upper_limit_hides_another():
+    """Exact: what one channel lacks in its colour, what all lack in grey."""
+    channels = ("R", "G", "B")
+    record = synthetic.record("projected:10x8", rays=40, power=50, channels=channels)
+    ring = int(record.counts[:, 4].argmax())
+    tally = synthetic.writeable(record.tallies[0])
+    tally.sums[:, 0, ring, 4, 2] = 0  # no blue in the brightest patch of the profile
+    record = replace(record, tallies=(tally,))
+    cut = profile(record)
+    in_all = cut.empty.all(axis=1)
+    assert in_all.any()
+    np.testing.assert_array_equal(
+        np.argwhere(cut.empty & ~in_all[:, None]), [[10 + ring, 2]]
+    )
+    assert np.isnan(record.brdf_std_err[ring, 4]).tolist() == [False, False, True]
+    _, axes = panels(plot(record))
+    drawn = {
+        line.get_color(): line.get_xydata()
+        for line in axes.lines
+        if line.get_marker() == "v" and len(line.get_xydata())
+    }
+    limits = np.stack([cut.theta, cut.high[:, 2]], axis=-1)
+    assert set(drawn) == {GREY, to_hex("tab:blue")}
+    np.testing.assert_array_equal(drawn[GREY], limits[in_all])
+    np.testing.assert_array_equal(drawn[to_hex("tab:blue")], limits[[10 + ring]])
 
 
 def test_error_bars_are_the_intervals():

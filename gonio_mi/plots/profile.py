@@ -28,6 +28,8 @@ WIDE_RANGE = 100
 DEEPEST = 1e-9
 # Less than this, and it does not begin at zero.
 NARROW_RANGE = 1.5
+# What belongs to no curve alone.
+GREY = "0.4"
 # Part of the values that the axis spans at least: less is rounding.
 LEAST_RANGE = 0.01
 
@@ -44,8 +46,8 @@ class Profile:
         Middles of the patches in degrees.
     value, low, high : ndarray, shape (2 n_theta, channels)
         Patch means in 1/sr and their intervals.
-    empty : ndarray of bool, shape (2 n_theta,)
-        Where no ray arrived: `high` is an upper limit.
+    empty : ndarray of bool, shape (2 n_theta, channels)
+        Where nothing arrived: `high` is an upper limit.
     """
 
     edges: NDArray[np.float64]
@@ -79,8 +81,8 @@ def profile(single: Record, of: str = "brdf", level: float = LEVEL) -> Profile:
     low, high = single.interval(level, of=of)
     means = np.stack([getattr(single, of), low, high])
     patches, means = drawn_in_rings(single.subdivision, means)
-    hits = single.without_hit[of_lower, ..., None]
-    _, empty = drawn_in_rings(single.subdivision, hits)
+    dark = single.estimates[0].dark(of_lower)
+    _, empty = drawn_in_rings(single.subdivision, dark)
     phi_i = np.radians(np.nan_to_num(single.phi_i[0]))
     towards, beyond = (
         int(patches.patch([math.cos(phi), math.sin(phi), 1])) % patches.n_phi
@@ -98,7 +100,7 @@ def profile(single: Record, of: str = "brdf", level: float = LEVEL) -> Profile:
         value=value,
         low=low,
         high=high,
-        empty=cut(empty[..., 0]),
+        empty=cut(empty),
     )
 
 
@@ -117,25 +119,26 @@ def draw_profiles(
     shown : list of {"brdf", "btdf"}
     """
     several = len(record.channels) == 1 and 1 < len(record) <= MAX_CURVES
-    cuts = []
+    cuts, limits = [], []
     for number in range(len(record)) if several else [index]:
         single = record[number]
         colours = [f"C{number}"] if several else _colours(single.channels)
         if not np.isnan(single.theta_i[0]):
-            line = colours[0] if several else "0.4"
+            line = colours[0] if several else GREY
             axes.axvline(single.theta_i[0], c=line, ls=":", lw=1, zorder=0)
         for of in shown:
             cut = profile(single, of)
             cuts.append(cut)
             for channel, colour in enumerate(colours):
-                _draw_curve(axes, cut, channel, colour, of)
+                limits += _draw_curve(axes, cut, channel, colour, of)
         if several or len(colours) > 1:
             labels = [_direction(record, number)] if several else single.channels
             for colour, label in zip(colours, labels):
                 axes.plot([], [], c=colour, label=label)
+    _draw_limits(axes, limits)
     values = np.concatenate([cut.value.ravel() for cut in cuts])
-    limits = [cut.high[cut.empty].ravel() for cut in cuts]
-    _scale(axes, values[values > 0], np.concatenate(limits))
+    highs = [cut.high[cut.empty] for cut in cuts]
+    _scale(axes, values[values > 0], np.concatenate(highs))
     axes.set_xlim(-90, 90)
     axes.set_xticks(range(-90, 91, 30), [f"{theta}°" for theta in range(-90, 91, 30)])
     axes.set_xlabel(
@@ -148,20 +151,43 @@ def draw_profiles(
     _add_legend(axes, record[index], cuts, shown)
 
 
-def _draw_curve(axes: "Axes", cut: Profile, channel: int, colour: Any, of: str) -> None:
-    """Draw one channel: steps, points with intervals or a band, upper limits."""
+def _draw_curve(
+    axes: "Axes", cut: Profile, channel: int, colour: Any, of: str
+) -> list[tuple[float, float, Any]]:
+    """Draw one channel: steps, points with intervals or a band.
+
+    Returns the upper limits that are not in a band: theta, limit and colour of each.
+    """
     value, low, high = (a[:, channel] for a in (cut.value, cut.low, cut.high))
-    hit = ~cut.empty
+    hit = ~cut.empty[:, channel]
     steps = {"baseline": None, "color": colour, "ls": "-" if of == "brdf" else "--"}
     axes.stairs(np.where(hit, value, np.nan), cut.edges, lw=1, alpha=0.5, **steps)
     if cut.theta.size > MAX_POINTS:
         low = np.where(hit, low, np.nan)
         axes.stairs(high, cut.edges, baseline=low, fill=True, alpha=0.3, color=colour)
-        return
+        return []
     points = {"color": colour, "lw": 1, "ms": 3, "mfc": None if of == "brdf" else "w"}
     errors = np.maximum([value - low, high - value], 0)[:, hit]
     axes.errorbar(cut.theta[hit], value[hit], errors, fmt="o", **points)
-    axes.plot(cut.theta[~hit], high[~hit], "v", c=colour, ms=4, mfc="none", mew=0.7)
+    return [(theta, limit, colour) for theta, limit in zip(cut.theta[~hit], high[~hit])]
+
+
+def _draw_limits(axes: "Axes", limits: list[tuple[float, float, Any]]) -> None:
+    """Draw upper limits, those that several curves share in grey: none hides another.
+
+    Channels and directions without a hit have the same limit after as many rays.
+    """
+    from matplotlib.colors import to_hex
+
+    shared: dict[tuple[float, float], set[str]] = {}
+    for theta, limit, colour in limits:
+        shared.setdefault((theta, limit), set()).add(to_hex(colour))
+    places: dict[str, list[tuple[float, float]]] = {}
+    for place, colours in shared.items():
+        colour = min(colours) if len(colours) == 1 else GREY
+        places.setdefault(colour, []).append(place)
+    for colour, some in places.items():
+        axes.plot(*np.transpose(some), "v", c=colour, ms=4, mfc="none", mew=0.7)
 
 
 def _sectors_text(single: Record) -> str:
@@ -201,7 +227,7 @@ def _add_legend(
     axes: "Axes", single: Record, cuts: Sequence[Profile], shown: Sequence[str]
 ) -> None:
     """Explain curves and marks, beside the axes."""
-    grey = {"c": "0.4", "ls": "none"}
+    grey = {"c": GREY, "ls": "none"}
     if len(shown) > 1:
         axes.plot([], [], marker="o", ms=3, label="reflection", **grey)
         axes.plot([], [], marker="o", ms=3, mfc="w", label="transmission", **grey)
@@ -211,7 +237,7 @@ def _add_legend(
         label = "upper limit, no hit"
         axes.plot([], [], marker="v", ms=4, mfc="none", label=label, **grey)
     if not np.isnan(single.theta_i[0]):
-        axes.plot([], [], c="0.4", ls=":", lw=1, label="mirror direction")
+        axes.plot([], [], c=GREY, ls=":", lw=1, label="mirror direction")
     if axes.get_legend_handles_labels()[1]:
         axes.legend(
             fontsize="small", frameon=False, loc="center left", bbox_to_anchor=(1, 0.5)

@@ -256,8 +256,8 @@
     const { one, direction } = look;
     const cut = runs(one, state.azimuth, direction.phi_i ?? 0)
       .map((run) => ({ ...reading(look, hemisphere, run.patch), at: (run.from + run.to) / 2 }));
-    const known = cut.filter((r) => r.hits > 0 || r.mean !== 0);
-    const empty = cut.filter((r) => !(r.hits > 0 || r.mean !== 0) && r.high > 0);
+    const known = cut.filter((r) => r.mean !== 0);
+    const empty = cut.filter((r) => r.mean === 0 && r.high > 0);
     const x = (list) => list.map((r) => r.at);
     return [
       { type: "scatter", mode: "lines+markers", name, x: x(known), y: known.map((r) => r.mean),

@@ -62,6 +62,13 @@ class Estimates(ABC):
     def without_hit(self) -> Flags:
         """Whether a patch is known by an upper limit only, shaped like `hits`."""
 
+    @abstractmethod
+    def dark(self, hemisphere: int) -> Flags:
+        """Whether a value is known by an upper limit only, shaped like `fraction`.
+
+        Of several channels, one may be dark in a patch where others were received.
+        """
+
     @property
     @abstractmethod
     def binomial(self) -> bool:
@@ -141,6 +148,10 @@ class SampledEstimates(Estimates):
         """Whether no ray came."""
         return self.tally.hits == 0
 
+    def dark(self, hemisphere: int) -> Flags:
+        """Whether no ray carried anything."""
+        return ~self.tally.sums[:, hemisphere].any(axis=0)
+
     @property
     def binomial(self) -> bool:
         """Whether each patch counted independent rays of one channel, one by one."""
@@ -154,13 +165,13 @@ class SampledEstimates(Estimates):
         )
 
     def std_err(self, hemisphere: int) -> Floats:
-        """Standard error of :meth:`fraction`; NaN where there was no hit."""
-        hits = self.tally.hits[hemisphere][..., None]
+        """Standard error of :meth:`fraction`; NaN where it is :meth:`dark`."""
         if self.binomial:
+            hits = self.tally.hits[hemisphere][..., None]
             return statistics.binomial_std_err(hits, self._all_rays)
         sums = self.tally.sums[:, hemisphere]
         std_err = statistics.batch_std_err(sums, self._incident)
-        return np.where(hits > 0, std_err, np.nan)
+        return np.where(self.dark(hemisphere), np.nan, std_err)
 
     def total_std_err(self, hemisphere: int) -> Floats:
         """Standard error of :meth:`total`."""
@@ -193,8 +204,11 @@ class SampledEstimates(Estimates):
             few &= self.tally.scale > 1  # what is counted weighs 1
         low = np.where(few, np.fmin(low, unlike[0]), low)
         high = np.where(few, np.fmax(high, unlike[1]), high)
-        most = statistics.upper_limit(self.rays, level) * largest
-        return np.where(hits == 0, 0.0, low), np.where(hits == 0, most, high)
+        dark, most = (
+            self.dark(hemisphere),
+            statistics.upper_limit(self.rays, level) * largest,
+        )
+        return np.where(dark, 0.0, low), np.where(dark, most, high)
 
     def total_interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`total`."""
@@ -222,7 +236,11 @@ class SampledEstimates(Estimates):
             of_each = np.broadcast_to(hits, value.shape)
             return statistics.binomial_interval(of_each, self.rays, level)
         weight = value * self.rays / hits
-        return self._student(value, std_err, weight, hits, level)
+        limits = self._student(value, std_err, weight, hits, level)
+        # a channel that none of these hits carried is dark as without them
+        of_none = statistics.binomial_interval(0, self.rays, level)
+        low, high = (np.where(value > 0, *both) for both in zip(limits, of_none))
+        return low, high
 
     def _unlike_interval(
         self,
@@ -288,6 +306,10 @@ class IntegralEstimates(Estimates):
     def without_hit(self) -> Flags:
         """Nowhere: a patch needs no ray."""
         return np.zeros(self.tally.hits.shape, bool)
+
+    def dark(self, hemisphere: int) -> Flags:
+        """Nowhere: an integral of 0 is known by its error."""
+        return np.zeros(self.tally.sums[0, hemisphere].shape, bool)
 
     @property
     def binomial(self) -> bool:
