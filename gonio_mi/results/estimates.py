@@ -150,7 +150,7 @@ class SampledEstimates(Estimates):
 
     def dark(self, hemisphere: int) -> Flags:
         """Whether no ray carried anything."""
-        return ~self.tally.sums[:, hemisphere].any(axis=0)
+        return np.max(self.tally.sums[:, hemisphere], axis=0, initial=0) == 0
 
     @property
     def binomial(self) -> bool:
