@@ -9,9 +9,7 @@ import numpy as np
 
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.misplacement import Misplacement, misplaced
-from ..results.record import Record
-from .known_directions import KnownDirections
-from .prediction import SPARED, Prediction
+from .known_material import KnownMaterial
 
 __all__ = ["Recognition"]
 
@@ -34,25 +32,21 @@ class Recognition:
 
     Parameters
     ----------
-    directions : KnownDirections
-        With that along the normal, and `angles` at azimuth 0.
+    material : KnownMaterial
+        Its directions have that along the normal, and `angles` at azimuth 0.
     angles : sequence of float
         Polar angles in degrees, three or more from 0 upwards.
-    n_points : int
-        Of a prediction, per side of a patch.
     """
 
-    def __init__(
-        self, directions: KnownDirections, angles: Sequence[float], n_points: int
-    ) -> None:
-        self.directions, self.n_points = directions, n_points
+    def __init__(self, material: KnownMaterial, angles: Sequence[float]) -> None:
+        self.material, self.directions = material, material.directions
         self.angles, self.looked_at = angles, angles[1:3]
-        self.normal = directions.records[0.0, 0.0]
+        self.normal = self.directions.records[0.0, 0.0]
         self.n_sectors = self.normal.subdivision.shape[1]
 
     def is_isotropic(self) -> bool:
         """Whether turned by whole sectors the specimen is the same."""
-        name, known = self.directions.name, self.directions.records
+        name = self.directions.name
         sectors = {round(self.n_sectors * turn) for turn in TURNS} - {0}
         turned = [
             (theta, self._azimuth(sector))
@@ -60,10 +54,8 @@ class Recognition:
             for sector in sectors
         ]
         self.directions.measure(turned, "is it isotropic?")
-        ring = Record.stack(known[theta, 0.0] for theta in self.angles)
-        spared = SPARED * self.directions.tolerance
-        prediction = Prediction(ring, self.n_points, spared)
-        errors = [misplaced(known[one], prediction.flux(*one)) for one in turned]
+        line = self.material.prediction((theta, 0.0) for theta in self.angles)
+        errors = [self.material.missed(line, *one) for one in turned]
         isotropic = not any(self._is_wrong(one) for one in errors)
         found = "isotropic" if isotropic else "anisotropic"
         logger.info(

@@ -7,22 +7,22 @@ import logging
 import warnings
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ..collector import Subdivision, subdivision
+from ..collector import subdivision
 from ..errors import checked_number
-from ..files.material_files import PatchMeans
-from ..materials.lobes import TooLargeError, check_table, tells
+from ..materials.lobes import TooLargeError
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_text import LOOKS
-from ..results.misplacement import Misplacement, misplaced
+from ..results.misplacement import Misplacement
 from ..results.record import Record
 from .campaign_tasks import Surroundings
 from .incident_rings import IncidentRings
 from .known_directions import CONFIRMING, KnownDirections, NotIntegrableError
-from .prediction import SPARED, Prediction, points_for
+from .known_material import KnownMaterial
 from .recognition import Recognition
 from .refinement import Interval, refined
 from .resolution import (
@@ -111,16 +111,12 @@ class WholeBsdf:
         self.settings = settings
         if settings.get("collector") is not None:
             check_equal_sectors(subdivision(settings["collector"]))
-        self.n_points = points_for(tolerance)
+        self.material = KnownMaterial(self.directions)
 
     @property
     def known(self) -> dict[tuple[float, float], Record]:
         """Records of the directions measured so far."""
         return self.directions.records
-
-    @property
-    def _patches(self) -> Subdivision:
-        return self.known[0.0, 0.0].subdivision
 
     def measured(self) -> Record:
         """Stack of the directions that the material needs, with its errors.
@@ -153,11 +149,17 @@ class WholeBsdf:
         self.directions.measure([(theta, 0.0) for theta in angles], "first directions")
         self.directions.check_functions((angles[1], 0.0))
         self.directions.announce(len(angles) + UNSEEN)  # at least
-        check_equal_sectors(self._patches)
-        n_sectors = self._patches.shape[1]
-        looked_at = self.tolerance, self.n_points, angles[2:], self.directions.stack
+        patches = self.material.patches
+        check_equal_sectors(patches)
+        n_sectors = patches.shape[1]
+        looked_at = (
+            self.tolerance,
+            self.material.n_points,
+            angles[2:],
+            self.directions.stack,
+        )
         check_resolved(*looked_at)
-        self.recognition = Recognition(self.directions, angles, self.n_points)
+        self.recognition = Recognition(self.material, angles)
         self.isotropic = self.recognition.is_isotropic()
         self.symmetry = AzimuthSymmetry(n_sectors)
         quarter = azimuth_of(round(n_sectors / 4), n_sectors)
@@ -197,27 +199,9 @@ class WholeBsdf:
         azimuths = {phi for theta in levels[1:] for _, phi in self.rings.ring(theta)}
         azimuths |= set(self.rings.first_azimuths)
         every = {one.azimuth(phi) for phi in azimuths for one in self.symmetry.motions}
-        shape = *self._patches.shape, len(self.known[0.0, 0.0].channels)
-        lower = tells(self.directions.light[1], self.directions.light.sum())
-        check_table(len(every), len(levels), (1 + lower, *shape))
+        self.material.check_size(every, len(levels))
 
     # ------------------------------------------------------------------- predicting
-
-    def _prediction(self, incidents: Iterable[tuple[float, float]]) -> Prediction:
-        """Of directions and their images, of which no counts are copied."""
-        sources = self.symmetry.sources(self.known, incidents)
-        flux = [
-            motion.moved(self.known[source].flux_fraction, 2)
-            for source, motion in sources.values()
-        ]
-        theta_i, phi_i = np.array(list(sources)).T
-        patches, channels = self._patches, self.known[0.0, 0.0].channels
-        means = PatchMeans(patches, theta_i, phi_i, channels, np.array(flux))
-        return Prediction(means, self.n_points, SPARED * self.tolerance)
-
-    def _missed(self, prediction: Prediction, theta: float, phi: float) -> Misplacement:
-        """Error of a prediction of a known direction."""
-        return misplaced(self.known[theta, phi], prediction.flux(theta, phi))
 
     def _errors_of_legs(
         self, legs: Sequence[Interval], middles: Iterable[float]
@@ -234,10 +218,9 @@ class WholeBsdf:
         worst = np.zeros(len(legs))
         for phi in lines:
             ends = [(theta, phi if theta else 0.0) for theta in levels]
-            stack = Record.stack(self.known[one] for one in ends)
-            prediction = Prediction(stack, self.n_points, SPARED * self.tolerance)
+            prediction = self.material.prediction(ends)
             for number, middle in enumerate(middles):
-                error = self._missed(prediction, middle, phi)
+                error = self.material.missed(prediction, middle, phi)
                 worst[number] = max(worst[number], _beyond(error))
         return worst.tolist()
 
@@ -255,9 +238,10 @@ class WholeBsdf:
             of_ring[gap.on].append(number)
         errors = [0.0] * len(gaps)
         for theta, numbers in of_ring.items():
-            prediction = self._prediction(self.rings.ring(theta))
+            ring = self.rings.ring(theta)
+            prediction = self.material.prediction(ring, self.symmetry)
             for number in numbers:
-                error = self._missed(prediction, theta, middles[number])
+                error = self.material.missed(prediction, theta, middles[number])
                 errors[number] = _beyond(error)
         return errors
 
@@ -320,11 +304,13 @@ class WholeBsdf:
         said = "random tests only"
         self._check()
         self.directions.measure([*self.rings.directions(), *unseen], said)
-        prediction = self._prediction(self.rings.directions())
-        found = {one: self._missed(prediction, *one) for one in unseen}
+        own = self.rings.directions()
+        prediction = self.material.prediction(own, self.symmetry)
+        missed = partial(self.material.missed, prediction)
+        found = {one: missed(*one) for one in unseen}
         large = [one for one in unseen if found[one].error > SURE * self.tolerance]
         self.directions.measure(large, f"{said}, finer", CONFIRMING)
-        found |= {one: self._missed(prediction, *one) for one in large}
+        found |= {one: missed(*one) for one in large}
         return list(found.values())
 
     def _described(self, errors: Sequence[Misplacement]) -> Record:
