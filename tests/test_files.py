@@ -4,6 +4,7 @@ import json
 import os
 import re
 import struct
+import tracemalloc
 import zipfile
 from dataclasses import replace
 
@@ -69,6 +70,20 @@ def refused(path):
 
 
 # ------------------------------------------------------------------ exactness
+
+
+def test_writing_needs_no_second_copy(tmp_path):
+    """Of a large stack's sums; twin: of one direction's, it does."""
+    one, peaks = synthetic.record("projected:64x128"), []
+    for n in (1, 32):
+        stack = gonio.Record.stack(n * [one])
+        tracemalloc.start()
+        saved(tmp_path, stack, ".npz")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    size = one.tallies[0].sums.nbytes
+    assert size / 2 < peaks[0]
+    assert peaks[1] < 32 / 2 * size
 
 
 @pytest.mark.parametrize("name", [*RECORDS, "interrupted"])

@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from gonio_mi.array_types import Floats
 from gonio_mi.errors import SettingError, abridged
 from gonio_mi.files.channels import wavelengths_nm
 from gonio_mi.files.material_files import PatchMeans, has_back, load_material
@@ -277,12 +278,20 @@ def _resolved(name: str) -> str:
 def _face(label: str, name: str, side: str) -> LitFace:
     """Face of the material in a file, in the variant's channels."""
     try:
-        material = load_material(_resolved(name), side)
-        wavelengths = wavelengths_nm(material.channels)
-        lobes = MeasuredLobes(material, _mixture(material))
+        lobes, wavelengths = _lobes(_resolved(name), side)
         return LitFace(lobes.whole(), wavelengths, best_ways(lobes))
     except (ValueError, OSError) as error:
         raise type(error)(f"{label}: {error}") from None
+
+
+def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
+    """Lobes of a file, and the wavelengths of their channels.
+
+    A record itself is let go, whose batches need more memory than all that follows.
+    """
+    material = load_material(path, side)
+    lobes = MeasuredLobes(material, _mixture(material))
+    return lobes, wavelengths_nm(material.channels)
 
 
 def _mixture(material: Record | PatchMeans) -> tuple[float, ...] | None:
