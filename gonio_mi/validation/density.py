@@ -9,9 +9,10 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
-from .collecting import collect
+from .collecting import Drawn, collect
 from .damping import groups
 from .drawing import patch_of
+from .equality import BSDF_ROUNDING
 from .evidence import Evidence
 from .maps import FourMaps
 from .probe import numbers
@@ -34,6 +35,10 @@ FITS = 16
 
 # Part of the samples that is lost.
 LOST = 1e-3
+
+# Where nothing tells; and the part of the lost samples that must have a direction for
+# these to tell: of a right `sample` at most the rest are where `pdf` is not 0.
+BOTH, TOLD = "pdf or sample", 0.9
 
 # What may distort a density.
 DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four")
@@ -69,8 +74,8 @@ def explain_density(
         )
     distortion = _distortion(whole, bsdf)
     if distortion:
-        return "pdf", f"`pdf` {distortion} ({sums})"
-    integral = due.sum() + maps.due.unused.values.sum()
+        return _of_distortion(distortion, whole, bsdf, "weights" in failed, sums)
+    integral = _mass_of_pdf(maps)
     if abs(integral - 1) < LOST < 1 - drawn.sum() and maps.count_scores.total < -5:
         return "sample", (
             f"`sample` gives no direction for {1 - drawn.sum():.4g} of its numbers, "
@@ -86,7 +91,7 @@ def explain_density(
     where = f"{_worst_patch(maps)} ({sums})"
     if len(lobes) == 1 and abs(integral - 1) > LOST:
         # a density that is not complete may be the wrong one as well
-        return "pdf or sample", (
+        return BOTH, (
             "`sample` or `pdf`: directions are drawn with another probability than "
             f"`pdf` says: {where}"
         )
@@ -94,6 +99,65 @@ def explain_density(
     return "sample", (
         f"`sample` draws {what} with another probability than `pdf` says: {where}"
     )
+
+
+def _of_distortion(
+    distortion: tuple[str, int],
+    whole: Sequence[FourMaps],
+    bsdf: mi.BSDF,
+    weights_fail: bool,
+    sums: str,
+) -> tuple[str, str]:
+    """Which of ``pdf`` and ``sample`` has a factor that the other has not.
+
+    Right weights are those of the true density: then ``pdf`` is wrong. So it is if it
+    integrates to more than 1, or to less though every number gives a direction; where
+    it integrates to 1 and directions are lost, ``sample`` is. Else those that are lost
+    may tell, or either may be wrong.
+    """
+    name, power = distortion
+    words = (f"lacks {FACTORS[name]}", f"has {FACTORS[name]} too much")
+    of_pdf, of_sample = words if power > 0 else reversed(words)
+    by_pdf = np.array([_mass_of_pdf(maps) for maps in whole])
+    lost = any(1 - maps.totals.counts.sum() / maps.totals.n > LOST for maps in whole)
+    complete = bool((abs(by_pdf - 1) < LOST).all())
+    guilty = "pdf"
+    if weights_fail and complete and lost:
+        guilty = "sample"
+    elif weights_fail and (complete or lost) and (by_pdf < 1 + LOST).all():
+        guilty = _of_lost(
+            collect(bsdf, whole[0].condition, REDRAWN, (0, 71)), *distortion
+        )
+    return guilty, {
+        "pdf": f"`pdf` {of_pdf} ({sums})",
+        "sample": f"`sample`: its density {of_sample} ({sums})",
+        BOTH: f"`pdf` {of_pdf}, or the density of `sample` {of_sample} ({sums})",
+    }[guilty]
+
+
+def _of_lost(drawn: Drawn, name: str, power: int) -> str:
+    """Which of ``pdf`` and ``sample`` the directions of lost samples speak against.
+
+    `sample` should lose none where ``pdf`` is not 0; else the lost ones are drawn with
+    the same density as the others, by which ``pdf`` integrates to no more than 1.
+    """
+    length = np.linalg.norm(drawn.wo, axis=1)
+    lost = ~drawn.given
+    told = lost & (np.abs(length - 1) < BSDF_ROUNDING)
+    if np.count_nonzero(told) < TOLD * np.count_nonzero(lost):
+        return BOTH
+    if told.any() and np.mean(drawn.pdf[told] > 0) > 1 - TOLD:
+        return "sample"
+    by_pdf = np.zeros(drawn.n)
+    every = drawn.smooth | told
+    by_pdf[every] = factor(name, drawn, every) ** -power
+    std_err = np.std(by_pdf) / np.sqrt(drawn.n)
+    return "pdf" if np.mean(by_pdf) - 1 > max(LOST, 5 * std_err) else BOTH
+
+
+def _mass_of_pdf(maps: FourMaps) -> float:
+    """Integral of ``pdf``, also where ``eval`` is black."""
+    return float(maps.pdf.sum() + maps.due.unused.values.sum())
 
 
 def _misfit(maps: FourMaps) -> float:
@@ -166,8 +230,10 @@ def _turned(maps: FourMaps) -> str:
     return best if np.abs(drawn - changes[best]).sum() < 0.4 * misfit else ""
 
 
-def _distortion(whole: Sequence[FourMaps], bsdf: mi.BSDF) -> str:
-    """Factor by which the density of ``pdf`` is distorted; empty if none fits.
+def _distortion(whole: Sequence[FourMaps], bsdf: mi.BSDF) -> tuple[str, int] | None:
+    """Name and power of the factor by which ``pdf`` is less than the true density.
+
+    None if none fits.
 
     Over directions of the density ``pdf t``, the sum of 1 / t in a patch is the
     integral of ``pdf`` there: within chance on all patches of all maps.
@@ -192,11 +258,11 @@ def _distortion(whole: Sequence[FourMaps], bsdf: mi.BSDF) -> str:
             z_squared = (sums - due) ** 2 / variance
             scores.setdefault((name, power), []).append(z_squared)
     if not scores:
-        return ""
+        return None
     misfit = {key: np.concatenate(z) for key, z in scores.items()}
     name, power = min(misfit, key=lambda key: float(np.mean(misfit[key])))
     least = misfit[name, power]
     better = float(np.sum(misfit["", 0]) - np.sum(least))
     if not name or np.mean(least) > EXPLAINED or better < BETTER:
-        return ""
-    return f"lacks {FACTORS[name]}" if power > 0 else f"has {FACTORS[name]} too much"
+        return None
+    return name, power

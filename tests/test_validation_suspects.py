@@ -1,0 +1,98 @@
+# ruff: noqa: ARG002 (every method has Mitsuba's signature)
+"""Directions of which the density is `pdf` but for a factor: which of both is wrong."""
+
+import drjit as dr
+import mitsuba as mi
+import pytest
+
+from gonio_mi.validation import validate
+
+# Probability with which `sample` gives a direction that it has drawn, and the factor of
+# `pdf`.
+HALF, COSINE, ALL = "half", "cosine", "all"
+
+# What is wrong, the functions that may be guilty, and what is said of them.
+OF_SAMPLE = "`sample`: its density has the cosine of wo too much ("
+CASES = [
+    ({"kept": HALF}, "sample", "`sample`: its density lacks a factor 2 ("),
+    ({"kept": COSINE}, "sample", OF_SAMPLE),
+    ({"factor": COSINE}, "pdf", "`pdf` has the cosine of wo too much ("),
+    ({"kept": COSINE, "weighed": True}, "pdf", "`pdf` lacks the cosine of wo ("),
+    ({"kept": COSINE, "cut": True}, "sample", OF_SAMPLE),
+    (
+        {"kept": COSINE, "cut": True, "hidden": True},
+        "pdf or sample",
+        "`pdf` lacks the cosine of wo, or the density of `sample` has the cosine of wo",
+    ),
+]
+
+
+def register(kept=ALL, factor=ALL, cut=False, weighed=False, hidden=False):
+    """Define and register the plugin ``suspects``.
+
+    Some directions are `cut` off, where ``eval`` and ``pdf`` are 0, too; weights are
+    those of the true density if they are `weighed`; directions that are lost are not
+    told if they are `hidden`.
+    """
+    flags = mi.BSDFFlags
+    cosine = mi.Frame3f.cos_theta
+
+    def part(name, wo):
+        return {HALF: mi.Float(0.5), COSINE: cosine(wo), ALL: mi.Float(1)}[name]
+
+    class Suspects(mi.BSDF):
+        def __init__(self, props):
+            super().__init__(props)
+            self.m_flags = flags.DiffuseReflection | flags.FrontSide
+            self.m_components = [self.m_flags]
+
+        def above(self, si, wo):
+            seen = wo.x < 0.7 if cut else True
+            return (cosine(si.wi) > 0) & (cosine(wo) > 0) & seen
+
+        def sample(self, ctx, si, sample1, sample2, active):
+            bs = dr.zeros(mi.BSDFSample3f)
+            bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+            bs.pdf, bs.eta = self.pdf(ctx, si, bs.wo, active), 1.0
+            bs.sampled_type = mi.UInt32(+flags.DiffuseReflection)
+            weight = self.eval(ctx, si, bs.wo, active) / bs.pdf
+            weight /= part(kept, bs.wo) if weighed else 1
+            given = (bs.pdf > 0) & (sample1 < part(kept, bs.wo))
+            if hidden:
+                bs.wo = dr.select(given, bs.wo, 0)
+            return bs, dr.select(given, weight, 0)
+
+        def eval(self, ctx, si, wo, active):
+            value = mi.Spectrum(0.5 * dr.inv_pi * cosine(wo))
+            return value & (active & self.above(si, wo))
+
+        def pdf(self, ctx, si, wo, active):
+            density = dr.inv_pi * cosine(wo) * part(factor, wo)
+            return dr.select(active & self.above(si, wo), density, 0)
+
+        def eval_pdf(self, ctx, si, wo, active):
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+        def to_string(self):
+            return "Suspects[]"
+
+    mi.register_bsdf("suspects", Suspects)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(("changes", "function", "said"), CASES)
+def test_the_guilty_one_or_both_are_named(changes, function, said):
+    register(**changes)
+    verdict = validate({"type": "suspects"}, effort="quick")
+    assert not verdict.passed
+    assert verdict.function == function, str(verdict)
+    assert verdict.mistake.startswith(said)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_density_that_is_cut_off_is_right():
+    """The twin: what is lost is where `pdf` is 0."""
+    register(cut=True)
+    verdict = validate({"type": "suspects"}, effort="quick", allow="reciprocity")
+    assert verdict.passed, str(verdict)
+    assert verdict["sampling"].status == "holds"
