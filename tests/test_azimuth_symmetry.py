@@ -3,6 +3,8 @@
 Lobes are closed forms: of facets whose slopes are as symmetric as a test wants them.
 """
 
+from dataclasses import replace
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from gonio_mi.instrument.known_directions import KnownDirections
 from gonio_mi.instrument.recognition import Recognition
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.campaign_text import campaign_is_sound
+from gonio_mi.results.copied_directions import sources
 from gonio_mi.results.misplacement import misplaced, noise_of
 from gonio_mi.results.record import Record
 
@@ -176,6 +179,15 @@ def test_grooves_are_symmetric_and_blazed_ones_only_along(heights, turns):
 
 
 BRUSHED = {"type": "roughconductor", "alpha_u": 0.3, "alpha_v": 0.7}
+CAMPAIGN = {
+    "tolerance": 0.1,
+    "theta_max": 80,
+    "within": 1.0,
+    "measured": 9,
+    "rays": 0,
+    "isotropic": False,
+    "unseen": [[0.0] * 6],
+}
 COARSE = {"tolerance": 0.2, "collector": "projected:6x16", "theta_max": 60}
 
 
@@ -234,10 +246,72 @@ def test_a_material_holds_copies_and_says_so(tmp_path):
 def test_symmetries_of_files_are_checked(change, sound):
     """What a campaign writes is sound; nothing that would spoil a comparison is."""
     symmetry = AzimuthSymmetry(16, 2, 0).described() | {"copies": [[30.0, 180.0]]}
-    numbers = {"tolerance": 0.1, "theta_max": 80, "within": 1.0, "measured": 9}
-    found = numbers | {"rays": 0, "isotropic": False, "unseen": [[0.0] * 6]}
+    found = CAMPAIGN
     assert campaign_is_sound(found | {"symmetry": symmetry | change}) == sound
     assert campaign_is_sound(found), "as of older versions"
+
+
+def with_copies(turns, mirror):
+    """Record as of a campaign: the normal, two measured directions, and images."""
+    symmetry = AzimuthSymmetry(24, turns, mirror)
+    angles = {"theta_i": (0, 30, 60), "phi_i": (0, 15, 30)}
+    measured = synthetic.record("projected:6x24", both=True, **angles)
+    known = {(0.0, 0.0): measured[0], (30.0, 15.0): measured[1]}
+    known[60.0, 30.0] = measured[2]
+    stack = Record.stack(symmetry.whole(known, known))
+    every = zip(stack.theta_i.tolist(), stack.phi_i.tolist())
+    copies = [list(one) for one in every if one not in known]
+    found = {"symmetry": symmetry.described() | {"copies": copies}}
+    return stack.with_settings(campaign=CAMPAIGN | found)
+
+
+@pytest.mark.parametrize(("turns", "mirror"), [(2, None), (1, 7), (2, 0), (6, 3)])
+def test_files_leave_out_copies(tmp_path, turns, mirror):
+    """Nothing is lost; twin: one that a ray tells from its original is kept."""
+    record = with_copies(turns, mirror)
+    record.save(tmp_path / "left_out.npz")
+    assert gonio.load(tmp_path / "left_out.npz") == record
+    images = turns * (1 if mirror is None else 2)
+    assert len(record) == 1 + 2 * images
+    with np.load(tmp_path / "left_out.npz") as archive:
+        assert archive["hits"].shape[0] == 3
+    number = next(n for n, (source, _) in enumerate(sources(record)) if n != source)
+    tally = record.tallies[number]
+    hits = tally.hits.copy()
+    hits[0, 0, 0] += 1
+    tallies = list(record.tallies)
+    tallies[number] = replace(tally, hits=hits)
+    other = replace(record, tallies=tuple(tallies))
+    other.save(tmp_path / "other.npz")
+    with np.load(tmp_path / "other.npz") as archive:
+        assert archive["hits"].shape[0] == 4
+        assert (archive["hits"] == hits).all(axis=(1, 2, 3)).any()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda copies: copies[:-1], "not of its incident directions"),
+        (lambda copies: copies[:, :2], "does not fit its other entries"),
+        (lambda copies: copies * [0, 1, 1], "not of directions that it holds"),
+        (lambda copies: copies * [-1, 1, 1], "not of directions that it holds"),
+        (lambda copies: copies + [0, 24, 0], "moved in no way"),
+        (lambda copies: copies + [0, 0, 2], "moved in no way"),
+        (lambda _: None, "its arrays are not those of a record"),
+    ],
+)
+def test_copies_of_files_are_checked(tmp_path, change, message):
+    """Twin: rewritten as they are, they are read."""
+    record, path = with_copies(2, 0), tmp_path / "copies.npz"
+    record.save(path)
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    np.savez(path, **arrays)
+    assert gonio.load(path) == record
+    arrays["copies"] = change(arrays["copies"])
+    np.savez(path, **{name: a for name, a in arrays.items() if a is not None})
+    with pytest.raises(gonio.FileFormatError, match=message):
+        gonio.load(path)
 
 
 @pytest.mark.usefixtures("mono")

@@ -19,6 +19,7 @@ __all__ = [
     "FORMAT",
     "MAX_EXPANSION",
     "VERSION",
+    "VERSION_OF_COPIES",
     "check_format",
     "header_of",
     "json_of",
@@ -32,8 +33,11 @@ __all__ = [
 FORMAT = "gonio-mi record"
 VERSION = 4
 
+# Of files that leave out copies of incident directions.
+VERSION_OF_COPIES = 5
+
 # Rows of the ledger in each version: direct light came with 3, and media with 4.
-ROWS = {2: 11, 3: 12, VERSION: len(Fate)}
+ROWS = {2: 11, 3: 12, VERSION: len(Fate), VERSION_OF_COPIES: len(Fate)}
 
 # Deflate expands by at most 1032 (zlib's technical details). A file that announces more
 # than this many times its own size does not hold what it says.
@@ -80,7 +84,7 @@ def check_format(header: Any) -> None:
     )
     version = header.get("version")
     if version not in ROWS:
-        newer = isinstance(version, int) and version > VERSION
+        newer = isinstance(version, int) and version > VERSION_OF_COPIES
         raise FileFormatError(
             f"it has format version {version!r} and this gonio-mi reads "
             f"{', '.join(map(str, ROWS))}"

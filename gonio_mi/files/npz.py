@@ -4,21 +4,30 @@
 `fates` and `direct` hold the batches of all incident directions, `n_batches` of each,
 one after the other on their first axis. `errors`, of integrals only, is `hits` with
 channels. The rest is the header, `settings` as JSON.
+
+Where a campaign has copied directions by a symmetry of the specimen, their sums are
+left out, and `copies` has a row for each incident direction: the number of that which
+it copies (its own, if it was measured), by how many sectors it is turned, and whether
+it is mirrored at azimuth 0 before.
 """
 
 import io
 import math
 import zipfile
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import IO, Any, BinaryIO
 
 import numpy as np
 
-from ..array_types import Numbers
+from ..array_types import Integers, Numbers
 from ..memory import check_memory
+from ..results.azimuth_symmetry import Motion
+from ..results.copied_directions import sources
 from ..results.record import Record
 from .header import (
     MAX_EXPANSION,
+    VERSION_OF_COPIES,
     check_format,
     header_of,
     json_of,
@@ -53,6 +62,7 @@ TALLIES = {
 }
 DIRECT = {"direct": ("float64 uint64", 2)}
 INTEGRALS = {"errors": ("float64 uint64", 5)}
+COPIES = {"copies": ("int64", 2)}
 
 
 def write(record: Record, stream: BinaryIO) -> None:
@@ -60,7 +70,14 @@ def write(record: Record, stream: BinaryIO) -> None:
     header = header_of(record)
     header["settings"] = json_of(header["settings"])
     arrays = {name: np.array(header[name], HEADER[name][0]) for name in HEADER}
-    arrays["n_batches"] = np.array([tally.n_batches for tally in record.tallies])
+    origins = sources(record)
+    own = [n for n, (source, _) in enumerate(origins) if n == source]
+    tallies = [record.tallies[n] for n in own]
+    if len(own) < len(record):
+        arrays["version"] = np.array(VERSION_OF_COPIES)
+        rows = [(source, motion.by, motion.mirrored) for source, motion in origins]
+        arrays["copies"] = np.array(rows, np.int64)
+    arrays["n_batches"] = np.array([tally.n_batches for tally in tallies])
     content = io.BytesIO()
     # like np.savez_compressed, but level 1: as small for noisy sums, six times faster
     with zipfile.ZipFile(
@@ -70,8 +87,8 @@ def write(record: Record, stream: BinaryIO) -> None:
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
                 np.lib.format.write_array(file, array, allow_pickle=False)
-        for name in record.tallies[0].arrays:
-            parts = (getattr(tally, name) for tally in record.tallies)
+        for name in tallies[0].arrays:
+            parts = (getattr(tally, name) for tally in tallies)
             if name in ("hits", "errors"):
                 parts = (part[None] for part in parts)
             with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
@@ -121,6 +138,7 @@ def read(stream: BinaryIO) -> Record:
         check_format(header)
         expected = TALLIES | (INTEGRALS if "errors.npy" in members else {})
         expected |= DIRECT if header["version"] >= 3 else {}
+        expected |= COPIES if header["version"] == VERSION_OF_COPIES else {}
         known = {f"{name}.npy" for name in HEADER | expected}
         require(
             members.keys() == known and len(archive.infolist()) == len(known),
@@ -133,12 +151,56 @@ def read(stream: BinaryIO) -> Record:
             for name in expected
             if name != "n_batches"
         }
+    copies = arrays.pop("copies", None)
+    if copies is not None:
+        n_all = announced * len(copies) / len(n_batches)
+        check_memory("its content", n_all, "open it on a larger machine")
     single = [name for name in ("hits", "errors") if name in arrays]
     per_direction: dict[str, Iterable[Numbers]] = {k: arrays.pop(k) for k in single}
     edges = np.cumsum(n_batches)[:-1]
     per_direction |= {name: np.split(array, edges) for name, array in arrays.items()}
     tallies = zip(*per_direction.values())
-    return rebuilt(header, [dict(zip(per_direction, tally)) for tally in tallies])
+    content = [dict(zip(per_direction, tally)) for tally in tallies]
+    if copies is None:
+        return rebuilt(header, content)
+    return _with_copies(header, content, copies)
+
+
+def _with_copies(
+    header: dict[str, Any], content: Sequence[dict[str, Numbers]], copies: Integers
+) -> Record:
+    """Record of the directions in the file and of the copies that it leaves out."""
+    n, n_sectors = len(copies), parsed_subdivision(header).shape[1]
+    of_each = ("theta_i", "phi_i", "scales")
+    require(
+        all(len(header[name]) == n for name in of_each),
+        "its copies are not of its incident directions",
+    )
+    source, by, mirrored = copies.T
+    own = np.flatnonzero(source == np.arange(n))
+    require(
+        len(own) == len(content) and bool(np.isin(source, own).all()),
+        "its copies are not of directions that it holds",
+    )
+    require(
+        bool(((by >= 0) & (by < n_sectors) & (mirrored >= 0) & (mirrored < 2)).all()),
+        "its copies are moved in no way that there is",
+    )
+    held = {name: [header[name][number] for number in own] for name in of_each}
+    record = rebuilt(header | held, content)
+    place = np.searchsorted(own, source).tolist()
+    tallies = [
+        Motion(turn, bool(mirror), n_sectors).moved_tally(record.tallies[number])
+        for number, turn, mirror in zip(place, by.tolist(), mirrored.tolist())
+    ]
+    for number in own.tolist():
+        tallies[number] = record.tallies[place[number]]
+    return replace(
+        record,
+        theta_i=np.array(header["theta_i"], float),
+        phi_i=np.array(header["phi_i"], float),
+        tallies=tuple(tallies),
+    )
 
 
 def _shapes(
@@ -155,6 +217,7 @@ def _shapes(
         "incident": (total, channels),
         "direct": (total, channels),
         "fates": (total, None),
+        "copies": (None, 3),
     }
 
 

@@ -10,10 +10,14 @@ from typing import Any
 import numpy as np
 
 from ..array_types import Numbers
-from .integral_sums import Integrals
 from .record import Record
+from .tally import Tally
 
 __all__ = ["AzimuthSymmetry", "Motion", "azimuth_of"]
+
+
+# Along which axis the arrays of a tally have their sectors.
+SECTOR_AXES = {"hits": 2, "sums": 3, "errors": 2}
 
 
 def azimuth_of(sector: float, n_sectors: int) -> float:
@@ -55,16 +59,20 @@ class Motion:
     def copy(self, record: Record) -> Record:
         """What one incident direction's record is if light comes from its image."""
         (tally,) = record.tallies
-        changed: dict[str, Any] = {"hits": self.moved(tally.hits, 2)}
-        changed["sums"] = self.moved(tally.sums, 3)
-        if isinstance(tally, Integrals):
-            changed["errors"] = self.moved(tally.errors, 2)
         return replace(
             record,
             theta_i=record.theta_i.copy(),
             phi_i=np.array([self.azimuth(float(record.phi_i[0]))]),
-            tallies=(replace(tally, **changed),),
+            tallies=(self.moved_tally(tally),),
         )
+
+    def moved_tally(self, tally: Tally) -> Tally:
+        """Tally whose sectors are where they go."""
+        names = [name for name in tally.arrays if name in SECTOR_AXES]
+        moved: dict[str, Any] = {
+            name: self.moved(getattr(tally, name), SECTOR_AXES[name]) for name in names
+        }
+        return replace(tally, **moved)
 
 
 @dataclass(frozen=True)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from ..array_types import Flags
+from .azimuth_symmetry import AzimuthSymmetry, Motion
 from .record import Record
 
-__all__ = ["sharing", "without_copies"]
+__all__ = ["sharing", "sources", "without_copies"]
 
 
 def without_copies(record: Record) -> Record:
@@ -22,6 +24,33 @@ def without_copies(record: Record) -> Record:
     symmetry = _symmetry(record) | {"copies": []}
     measured = Record.stack(record[number] for number in own.tolist())
     return measured.with_settings(campaign={**campaign, "symmetry": symmetry})
+
+
+def sources(record: Record) -> list[tuple[int, Motion]]:
+    """Of each incident direction the number of that which it copies, and how.
+
+    What was measured, and what is no exact copy, is its own.
+    """
+    n, symmetry = record.subdivision.shape[1], _symmetry(record)
+    found = [(number, Motion(0, False, n)) for number in range(len(record))]
+    if not symmetry.get("copies"):
+        return found
+    mirror = symmetry.get("mirror")
+    mirror = None if mirror is None else round(mirror * n / 180)
+    motions = AzimuthSymmetry(n, int(symmetry.get("turns", 1)), mirror).motions
+    copied = _copied(record)
+    of_ring = defaultdict(list)
+    for number in np.flatnonzero(~copied).tolist():
+        of_ring[float(record.theta_i[number])].append(number)
+    for number in np.flatnonzero(copied).tolist():
+        phi = float(record.phi_i[number])
+        for source in of_ring[float(record.theta_i[number])]:
+            for motion in motions:
+                if motion.azimuth(float(record.phi_i[source])) == phi and (
+                    motion.moved_tally(record.tallies[source]) == record.tallies[number]
+                ):
+                    found[number] = source, motion
+    return found
 
 
 def sharing(record: Record) -> list[int]:
