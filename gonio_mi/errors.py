@@ -31,6 +31,7 @@ __all__ = [
     "frames",
     "is_installed",
     "is_the_users",
+    "no_file",
     "own_frame",
     "own_place",
     "printable",
@@ -83,6 +84,11 @@ def abridged(text: str, longest: int) -> str:
 def shown(value: object, longest: int = LONGEST_VALUE) -> str:
     """How a message repeats a value: its ``repr``, shortened."""
     return _without_middle(printable(repr(value)), longest)
+
+
+def no_file(path: str | os.PathLike[str]) -> str:
+    """What every command and plugin says of a file that is not there."""
+    return f"there is no file {printable(os.fspath(path))}"
 
 
 def _without_middle(text: str, longest: int) -> str:

@@ -194,9 +194,7 @@ def test_a_relative_path_is_found_from_elsewhere(tmp_path, monkeypatch):
 @pytest.mark.parametrize("where", [{}, {"folder": "missing/parent"}])
 def test_a_specimen_that_is_no_file(where, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    said = (
-        r"existing file or a dictionary such as \{'type': 'diffuse'\}, got '.*diffuse'"
-    )
+    said = r"there is no file .*diffuse; a BSDF is a dictionary such as \{.type.: .diff"
     with pytest.raises(gonio.SpecimenError, match=said):
         gonio.campaign({"b": "diffuse"}, **ANGLES, **SETTINGS, **where)
 

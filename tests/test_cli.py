@@ -329,12 +329,28 @@ def test_precision_that_is_reached_exits_with_0(run):
         (("measure", "--phi_i=5", *QUICK[2:]), "--phi_i; did you mean --phi-i?\n"),
         ((*QUICK, "--ior", "1"), "unrecognized arguments: --ior 1\n"),
         (("measure", "nothing", *QUICK[2:]), 'Plugin "nothing" not found\n'),
-        (("measure", "diffuse:rho=1", *QUICK[2:]), '"rho"'),
+        (("measure", "diffuse:rho=1", *QUICK[2:]), "diffuse has no use for rho\n"),
+        (
+            ("measure", "diffuse:rho=1,reflectence=0.3", *QUICK[2:]),
+            "no use for rho, reflectence; did you mean reflectance?\n",
+        ),
+        (
+            ("measure", "cosinelobe:expnent=3", *QUICK[2:]),
+            "cosinelobe has no use for expnent; did you mean exponent?\n",
+        ),
         (("measure", "diffuse:rho", *QUICK[2:]), "got 'diffuse:rho'"),
         (("measure", "point", *QUICK[2:]), "specimen must be a BSDF"),
-        (("measure", "missing.xml", *QUICK[2:]), "existing file, got 'missing.xml'"),
-        ((*QUICK, "--plugin", "missing.py"), "existing file, got 'missing.py'"),
+        (("measure", "missing.xml", *QUICK[2:]), "there is no file missing.xml"),
+        ((*QUICK, "--plugin", "missing.py"), "there is no file missing.py"),
         ((*QUICK, "--resume", "missing.npz"), "missing.npz"),
+        (("measure", "none.png", *QUICK[2:]), "there is no file none.png\n"),
+        (("measure", "no word", *QUICK[2:]), "no file no word; a BSDF in one word is"),
+        (
+            ("measure", "goniometric:filename=none.npz", *QUICK[2:]),
+            "goniometric.filename: there is no file none.npz\n",
+        ),
+        (("compare", "diffuse", "none.csv"), ": there is no file none.csv\n"),
+        (("fit", "none.csv", "diffuse"), ": there is no file none.csv\n"),
         (("show", "missing.npz"), "missing.npz"),
         (("show", "run.txt"), "there is no file run.txt"),
         (("plot", "missing.npz", "-o", "a.png"), "missing.npz"),
@@ -617,7 +633,8 @@ def start(*arguments, before="pass"):
 def test_other_settings_cannot_be_resumed(refuse, saved, tmp_path):
     path = tmp_path / "run.npz"
     assert cli.main([*QUICK, "-q", "-o", str(path)]) == 0
-    assert "its rays is 10000" in refuse(*DIFFUSE, "--rays", "2e4", "--resume", path)
+    said = refuse(*DIFFUSE, "--rays", "2e4", "--resume", path)
+    assert "but it was made with rays=10000 instead of 20000" in said
     assert "16 batches" in refuse(*QUICK, "--batches", "64", "--resume", path)
     assert "16 batches" in refuse(*QUICK, "--batches", "8", "--resume", path)
     assert "resume must" in refuse(*QUICK, "--resume", saved[0])

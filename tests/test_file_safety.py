@@ -695,6 +695,15 @@ def test_a_good_material_is_measured(material, form):
     assert load_specimen(form(material())).shapes()
 
 
+def test_the_variant_that_a_material_needs_is_named(material):
+    path = material()
+    mi.set_variant("llvm_ad_mono")
+    with pytest.raises(gonio.SpecimenError, match=r"such as llvm_ad_\w+$") as refused:
+        load_specimen(as_dict(path))
+    mi.set_variant(str(refused.value).split()[-1])
+    assert load_specimen(as_dict(path)).shapes()
+
+
 @pytest.mark.parametrize("form", [as_dict, as_scene, as_included])
 def test_a_material_ends_with_its_wavelengths(material, form):
     """Mitsuba goes on with the last ones: 900 nm were measured as 650."""

@@ -142,7 +142,7 @@ def test_heights_repeat_and_differ():
         ({"correlation": "linear"}, "must be one of gaussian, exponential"),
         ({"correlation_length": 1.5}, "from two grid spacings to a quarter"),
         ({"shortest": 3.0}, "shortest must leave wavelengths"),
-        ({"filename": "nowhere.exr"}, "must be an existing file"),
+        ({"filename": "nowhere.exr"}, "heightfield.filename: there is no file"),
         ({"heights": np.zeros((0, 4))}, "at least 2 x 2"),
         ({"heights": np.zeros(16)}, "at least 2 x 2"),
         ({"heights": np.full((4, 4), np.inf)}, "must be finite and below"),

@@ -145,7 +145,7 @@ def test_bad_arguments_are_refused(tmp_path, options, message):
     (tmp_path / "slat.obj").write_bytes(obj(CORNERS))
     with pytest.raises(ValueError, match=message):
         gonio.mesh(tmp_path / "slat.obj", **({"bsdf": MATT} | options))
-    with pytest.raises(ValueError, match="existing file"):
+    with pytest.raises(ValueError, match="there is no file"):
         gonio.mesh(tmp_path / "none.obj", MATT)
     with pytest.raises(ValueError, match="path must end in"):
         gonio.mesh(tmp_path / "slat.dae", MATT)

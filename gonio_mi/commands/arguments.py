@@ -18,6 +18,7 @@ from ..errors import (
     SettingError,
     VariantError,
     did_you_mean,
+    no_file,
     printable,
     shortened,
 )
@@ -296,6 +297,8 @@ def say(text: str) -> None:
 
 def sentence(error: BaseException) -> str:
     """One line on an error."""
+    if isinstance(error, FileNotFoundError) and error.filename is not None:
+        return no_file(error.filename)
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     return shortened(str(error))

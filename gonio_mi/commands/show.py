@@ -12,7 +12,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from .. import files
-from ..errors import SettingError
+from ..errors import SettingError, no_file
 from ..results.summary import summarize
 from ..results.summary_text import summary_text
 from .arguments import DONE, add_record, tell
@@ -48,7 +48,7 @@ def run(options: Namespace) -> int:
     path = options.record
     if Path(path).suffix.lower() not in files.ENDINGS:
         if not os.path.exists(path):
-            raise FileNotFoundError(f"there is no file {path}")
+            raise FileNotFoundError(no_file(path))
         if options.json:
             raise SettingError(f"--json goes with a record, got {path!r}")
         tell(table_text(table_of(path, options)))

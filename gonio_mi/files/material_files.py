@@ -10,7 +10,7 @@ from .. import files
 from ..collector import EqualAngle, EqualProjectedSolidAngle
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
-from ..errors import FileFormatError
+from ..errors import FileFormatError, no_file
 from ..results.record import Record
 from . import scatter_files
 from .header import require
@@ -98,10 +98,12 @@ def load_material(
         If it is damaged, something else, or lacks reflection from that side.
     """
     ending = Path(path).suffix.lower()
-    if ending in scatter_files.ENDINGS:
-        return _of_scatter(path)
-    if ending != ".xml":
+    if ending not in (".xml", *scatter_files.ENDINGS):
         return files.load(path)
+    if not Path(path).exists():
+        raise FileNotFoundError(no_file(path))
+    if ending != ".xml":
+        return _of_scatter(path)
     with open(path, "rb") as stream:
         try:
             bsdf = RadianceBSDF(stream)

@@ -3,7 +3,7 @@
 import os
 from os import PathLike
 
-from ..errors import FileFormatError
+from ..errors import FileFormatError, no_file
 from ..results.record import Record
 from . import exr, npz
 from .consistency import check_record
@@ -62,7 +62,7 @@ def load(path: str | PathLike[str]) -> Record:
     """
     ending = checked_ending(path, ENDINGS)
     if not os.path.exists(path):
-        raise FileNotFoundError(f"there is no file {path}")
+        raise FileNotFoundError(no_file(path))
     with open(path, "rb") as stream:
         try:
             record = FORMATS[ending].read(stream)

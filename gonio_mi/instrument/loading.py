@@ -19,6 +19,7 @@ from ..errors import (
     SpecimenError,
     VariantError,
     did_you_mean,
+    no_file,
     own_place,
     shown,
     tells_of_our_bug,
@@ -43,6 +44,10 @@ __all__ = [
 
 # Texts that may hold heights or measured values.
 TEXTS = (".txt", ".csv", ".tsv")
+
+# How Mitsuba tells of parameters that a plugin did not read, and endings of plugins.
+UNUSED = re.compile(r'Found \d+ unreferenced \w+ in \w+ plugin of type "([^"]+)":(.*)')
+PLUGINS = (".so", ".dylib", ".dll", ".py")
 
 # What Mitsuba puts before messages that say it all: its source positions, the root of
 # a dictionary, the search for a plugin, and the frame around our own plugins' errors.
@@ -82,11 +87,9 @@ def existing(specimen: str | os.PathLike[str]) -> Path:
     path = Path(specimen)
     if not path.is_file():
         here = path.parent in (Path(), Path.cwd())
-        bsdf = f" or a dictionary such as {{'type': {path.name!r}}}"
+        bsdf = f"; a BSDF is a dictionary such as {{'type': {path.name!r}}}"
         bsdf *= here and path.name.isidentifier()
-        raise SpecimenError(
-            f"specimen must be an existing file{bsdf}, got {str(path)!r}"
-        )
+        raise SpecimenError(no_file(path) + bsdf)
     return path
 
 
@@ -174,19 +177,46 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
     except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
         if tells_of_our_bug(error):
             raise  # a bug of ours in a plugin
-        text = _one_line(error)
-        missing = re.search(r'Plugin "([^"]+)" not found', text)
-        if missing:
-            text = text.rstrip("!") + did_you_mean(missing[1], _plugin_names())
+        text = _with_advice(_one_line(error))
         raise SpecimenError(
             f"{what} cannot be loaded: {text}{own_place(error)}"
         ) from error
 
 
-def _plugin_names() -> set[str]:
-    """Names of Mitsuba's own plugins and of ours, as their files have."""
+def _with_advice(text: str) -> str:
+    """Mitsuba's message with what would mend it, where that is known."""
+    if missing := re.search(r'Plugin "([^"]+)" not found', text):
+        return text.rstrip("!") + did_you_mean(missing[1], _plugin_files())
+    if variant := re.search(r"require the use of an? (RGB|spectral) variant", text):
+        return f"{text.rstrip('!')}, such as llvm_ad_{variant[1].lower()}"
+    if unused := UNUSED.search(text):
+        plugin, names = unused[1], re.findall(r'- \w+ "([^"]+)"', unused[2])
+        known = _words(plugin)
+        similar = [did_you_mean(name, known) for name in names if name not in known]
+        return (
+            f"{text[: unused.start()]}the plugin {plugin} has no use for "
+            f"{', '.join(names)}{next(filter(None, similar), '')}"
+        )
+    return text
+
+
+def _plugin_files() -> dict[str, Path]:
+    """Files of Mitsuba's own plugins and of ours, which have their names."""
     folders = Path(mi.__file__).parent, Path(__file__).parents[1]
-    return {path.stem for one in folders for path in (one / "plugins").rglob("*.*")}
+    files = (path for one in folders for path in (one / "plugins").rglob("*.*"))
+    return {path.stem: path for path in files if path.suffix in PLUGINS}
+
+
+def _words(plugin: str) -> set[str]:
+    """Words in the file of a plugin, where it names its parameters; none if unknown.
+
+    Of a library, its whole texts: others are no words.
+    """
+    path = _plugin_files().get(plugin)
+    if path is None:
+        return set()
+    word = rb"\b[a-z]\w{2,}\b" if path.suffix == ".py" else rb"(?<=\0)[a-z]\w{2,}(?=\0)"
+    return {found.decode() for found in re.findall(word, path.read_bytes())}
 
 
 def with_own_tensors(node: Any) -> Any:
@@ -230,7 +260,7 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
     check_variant()
     path = Path(path)
     if not path.is_file():
-        raise SpecimenError(f"plugin file must be an existing file, got {str(path)!r}")
+        raise SpecimenError(no_file(path))
     folder = str(path.resolve().parent)
     # another file may have imported a module of the same name from its own folder
     sys.path[:] = [folder, *(one for one in sys.path if one != folder)]
@@ -280,9 +310,8 @@ def parse_specimen(text: str) -> Any:
         return text
     name, _, settings = text.partition(":")
     if not re.fullmatch(r"[\w-]*", name):  # a name of no plugin, but of a file
-        raise SpecimenError(
-            f"specimen must be an existing file or a BSDF in one word, got {text!r}"
-        )
+        word = "; a BSDF in one word is like roughconductor:alpha=0.2"
+        raise SpecimenError(no_file(text) + (not Path(name).suffix) * word)
     specimen = {"type": name}
     for setting in filter(None, settings.split(",")):
         key, equals, value = setting.partition("=")

@@ -11,7 +11,14 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SettingError, SpecimenError, checked_choice, checked_number, shown
+from ..errors import (
+    SettingError,
+    SpecimenError,
+    checked_choice,
+    checked_number,
+    no_file,
+    shown,
+)
 from ..files.mesh_files import MESHES, is_mesh
 from .loading import check_variant, loaded
 
@@ -72,7 +79,7 @@ def mesh(
             f"path must end in {', '.join(MESHES)}, got {shown(str(path))}"
         )
     if not path.is_file():
-        raise SpecimenError(f"specimen must be an existing file, got {str(path)!r}")
+        raise SpecimenError(no_file(path))
     if not isinstance(bsdf, Mapping):
         raise SettingError(
             f"bsdf must say what the mesh {path.name} is made of, such as "

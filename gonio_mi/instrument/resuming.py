@@ -67,8 +67,8 @@ def check_resumable(
         for key in sorted(own.keys() - FREE - lacking):
             if own[key] != others.get(key) and own[key] == own[key]:
                 raise SettingError(
-                    f"resume must be a record of this measurement, but its {key} is "
-                    f"{shown(others.get(key))} instead of {shown(own[key])}"
+                    "resume must be a record of this measurement, but it was made with "
+                    f"{key}={shown(others.get(key))} instead of {shown(own[key])}"
                 )
     if resume.ledger.missed and resume.settings.get("period", "none") != "none":
         raise SettingError(
@@ -80,7 +80,7 @@ def check_resumable(
         ends = rounds(plan, instrument.round_rays(bench))
         if sent not in [end[: len(sent)] for end in ends]:
             raise SettingError(
-                "resume must be a record of this measurement, but it has "
+                "resume must be a record of this measurement, but it was made in "
                 f"{len(sent)} batches of up to {max(sent)} rays instead of "
                 f"{len(plan)} of up to {max(plan)}"
             )

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import Floats
-from ..errors import FileFormatError, PackageError, SpecimenError
+from ..errors import FileFormatError, PackageError, SpecimenError, no_file
 
 __all__ = ["ENDINGS", "HeightMap", "is_height_map", "read_apart", "read_height_map"]
 
@@ -132,9 +132,7 @@ def read_height_map(
         If the extra ``surfaces`` is not installed, and the file needs it.
     """
     if not path.is_file():
-        raise SpecimenError(
-            f"heightfield.filename must be an existing file, got {path}"
-        )
+        raise SpecimenError(f"heightfield.filename: {no_file(path)}")
     ending = path.suffix[1:].lower()
     if ending == "npy":
         return HeightMap(_grid(_npy(path)), path.name)

@@ -304,7 +304,7 @@ def _mixture(material: Record | PatchMeans) -> tuple[float, ...] | None:
         if not mi.is_spectral:
             raise SettingError(
                 f"a record of {said} must be used in a spectral variant, got "
-                f"{mi.variant()}"
+                f"{mi.variant()}: take llvm_ad_spectral"
             )
         return None
     if channels != ("R", "G", "B"):
@@ -314,7 +314,7 @@ def _mixture(material: Record | PatchMeans) -> tuple[float, ...] | None:
     if mi.is_spectral:
         raise SettingError(
             "a record of R, G, B must be used in an rgb or monochrome variant, "
-            f"got {mi.variant()}"
+            f"got {mi.variant()}: take llvm_ad_rgb"
         )
     return None if mi.is_rgb else LUMINANCE
 
