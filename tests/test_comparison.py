@@ -763,6 +763,17 @@ def saved(tmp_path):
     return tmp_path
 
 
+def test_azimuths_are_saved_in_one_turn(tmp_path):
+    """Exact: a table that counts from the mirror direction ends at 360, which is 0."""
+    phi = [0.0, -0.0, 360.0, 540.0, -90.0, -1e-15, 359.5]
+    n = len(phi)
+    table = MeasuredTable([30.0] * n, phi, [20.0] * n, phi, [0.1] * n)
+    table.save(tmp_path / "a.csv")
+    rows = [line.split(",") for line in (tmp_path / "a.csv").read_text().splitlines()]
+    saved = ["0.0", "0.0", "0.0", "180.0", "270.0", "0.0", "359.5"]
+    assert [row[1] for row in rows[-n:]] == [row[3] for row in rows[-n:]] == saved
+
+
 def test_commands(saved, capsys):
     picture = saved / "fig.png"
     a, b = str(saved / "a.npz"), str(saved / "b.npz")

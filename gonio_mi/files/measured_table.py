@@ -221,7 +221,10 @@ class MeasuredTable:
         return np.cos(np.radians(self.theta_o))
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the table as a CSV file that `read_measured` reads back."""
+        """Write the table as a CSV file that `read_measured` reads back.
+
+        Azimuths are written in [0, 360) degrees.
+        """
         lines = [f"# units: {UNITS[0]}", f"# quantity: {self.quantity}"]
         if self.quantity == "reflectance_factor":
             lines[0] = "# units: 1"
@@ -232,7 +235,12 @@ class MeasuredTable:
         lines += [f"# {key}: {value}" for key, value in self.header.items()]
         names = [*COLUMNS, *(() if self.sigma is None else ("sigma",))]
         lines.append(",".join(names))
-        for row in zip(*(getattr(self, name).tolist() for name in names)):
+        columns = [getattr(self, name) for name in names]
+        for i, name in enumerate(names):
+            if name.startswith("phi"):
+                turned = columns[i] % 360
+                columns[i] = np.where(turned < 360, turned, 0.0)  # of -1e-15
+        for row in zip(*(column.tolist() for column in columns)):
             lines.append(",".join(map(repr, row)))
         with replacing(path) as stream:
             stream.write(("\n".join(lines) + "\n").encode())
