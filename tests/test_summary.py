@@ -54,6 +54,15 @@ def test_shares_are_0_or_100_of_nothing_and_all_only(n, share):
         assert line(record, "sideways").split()[-1] == share
 
 
+@pytest.mark.parametrize("both", [False, True])
+def test_light_that_nothing_collected_is_told(both):
+    """Exact: of 80 000 rays 4000 are transmitted, or collected there."""
+    record = moved(synthetic.record(both=both), Fate.TRANSMITTED, 4000 * (not both))
+    said = summary_text(summarize(record))
+    told = "5.0000 % of the rays left on the other side, where nothing was collected\n"
+    assert (told in said) == ("nothing was collected" in said) == (not both)
+
+
 def test_standard_errors_have_two_digits():
     record = synthetic.record()
     (total,) = summarize(record)["directions"][0]["dhr"]

@@ -184,11 +184,18 @@ def _ledger_text(numbers: dict[str, Any]) -> str:
     }
     rows = [[name, grouped(n), _percent(n, emitted)] for name, n in shown.items()]
     rows.append(["sum", grouped(sum(shown.values())), _percent(emitted, emitted)])
-    table = _table(["ledger", "rays", "% of rays"], rows)
-    if numbers["settings"].get("estimator") == "analog":
-        return table
-    told = "rays are counted, whatever power they carry: shares of power stand above"
-    return f"{table}\n{told}"
+    lines = [_table(["ledger", "rays", "% of rays"], rows)]
+    beyond = shown["transmitted"] + shown.get("direct", 0)
+    if beyond and numbers["settings"].get("hemispheres") == "upper":
+        lines.append(
+            f"{_percent(beyond, emitted)} % of the rays left on the other side, where "
+            "nothing was collected"
+        )
+    if numbers["settings"].get("estimator") != "analog":
+        lines.append(
+            "rays are counted, whatever power they carry: shares of power stand above"
+        )
+    return "\n".join(lines)
 
 
 def _patches_text(numbers: dict[str, Any]) -> str:
