@@ -1,5 +1,7 @@
 """Settings and specimens that were measured wrongly, or crashed: one sentence each."""
 
+import warnings
+
 import gonio_mi as gonio
 
 # isort: split
@@ -12,6 +14,7 @@ from surfaces import diffuse_groove_dhr
 
 from gonio_mi.cli import main
 from gonio_mi.exports import export
+from gonio_mi.instrument.incidence import USUAL, incident_angles
 
 PLATE = {"type": "diffuse", "reflectance": 0.5}
 
@@ -293,6 +296,30 @@ def test_sampler_of_a_scene_file():
         RuntimeError, match=r"collector\.odd must be a sampler, got Smoo"
     ):
         mi.load_dict({"type": "collector", "film": {"type": "patches"}, "odd": PLATE})
+
+
+# ---------------------------------------------------------------- angles in radians
+
+
+@pytest.mark.parametrize("given", [0.785, 0.7854, [0, 0.785], np.radians([5, 45])])
+def test_angles_in_radians_are_warned_of(given):
+    said = "theta_i is in degrees, but 0.785.* looks like 45 degrees in radians"
+    with pytest.warns(RuntimeWarning, match=said):
+        incident_angles(given, 0)
+
+
+def test_small_angles_in_degrees_are_not_taken_for_radians():
+    """Exact: none of any step in hundredths; 18 in 1570 of thousandths."""
+    incident_angles(np.arange(158) / 100, 0)
+    for one in (0.2666, 1e-5, 1 / 3, 45.0, np.pi / 2, [0.785, 1.0], [0.785, 30], 0):
+        incident_angles(one, 0)
+    warned = 0
+    for one in np.arange(1, 1571) / 1000:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            incident_angles(round(float(one), 3), 0)
+        warned += len(caught)
+    assert warned == len(USUAL) - 1  # 55 degrees are 0.96
 
 
 # ---------------------------------------------------------------- words for specimens

@@ -1,5 +1,8 @@
 """Where light comes from: incident directions, and the emitter for each of them."""
 
+import math
+import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import mitsuba as mi
@@ -17,6 +20,11 @@ from ..transport.digest import emitter_digest
 from .loading import loaded
 
 __all__ = ["emitter_scene", "incident_angles", "incident_key", "described_digest"]
+
+# Degrees that are asked for, and decimals from which they are known again in radians:
+# of the angles below 90 degrees in radians that have three, one in 87 is any of these.
+USUAL = (*range(5, 90, 5), 22.5, 67.5)
+DECIMALS = 3
 
 
 def incident_angles(
@@ -40,6 +48,7 @@ def incident_angles(
         return [None], False
     stacked = np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0
     polar = [_theta(value) for value in _sequence("theta_i", theta_i)]
+    _warn_of_radians(polar)
     azimuths = [
         checked_number("phi_i", value, -np.inf, np.inf, "a finite angle in degrees")
         for value in _sequence("phi_i", phi_i)
@@ -65,8 +74,33 @@ def _sequence(name: str, value: Any) -> list[Any]:
     return values
 
 
-def _theta(value: Any) -> float | None:
+def _theta(value: Any) -> float:
     return checked_number("theta_i", value, 0, 90, "an angle in degrees in [0, 90)")
+
+
+def _warn_of_radians(polar: Sequence[float]) -> None:
+    """Warn if all angles but zeros are usual ones in radians, as far as they are said.
+
+    So many decimals of so small an angle are rare in degrees.
+    """
+    oblique = [value for value in polar if value]
+    meant = [_degrees_meant(value) for value in oblique]
+    if oblique and None not in meant:
+        warnings.warn(
+            f"theta_i is in degrees, but {oblique[-1]:.6g} looks like "
+            f"{meant[-1]:g} degrees in radians",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+
+
+def _degrees_meant(value: float) -> float | None:
+    """Which of the `USUAL` angles has these radians, to the decimals given; or None."""
+    decimals = min(len(repr(value).partition(".")[2]), 12)
+    for usual in USUAL if decimals >= DECIMALS else ():
+        if abs(round(math.radians(usual), decimals) - value) < 1e-11:
+            return usual
+    return None
 
 
 def emitter_scene(
