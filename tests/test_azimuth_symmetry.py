@@ -15,7 +15,10 @@ import gonio_mi as gonio
 from gonio_mi.instrument import whole_bsdf
 from gonio_mi.instrument.campaign_tasks import Surroundings
 from gonio_mi.instrument.known_directions import KnownDirections
+from gonio_mi.instrument.known_material import KnownMaterial
 from gonio_mi.instrument.recognition import Recognition
+from gonio_mi.materials.incident_grid import IncidentGrid
+from gonio_mi.materials.lobes import MeasuredLobes
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.campaign_text import campaign_is_sound
 from gonio_mi.results.copied_directions import sources
@@ -73,7 +76,7 @@ def test_symmetries_are_those_of_the_slopes(case):
     """Each of them, and none more; mirrors by twice their azimuth in sectors."""
     surfaces, turns, mirrors = CASES[case]
     directions = Facets(0.01, *surfaces)
-    found = Recognition(directions, ANGLES, 8).symmetry()
+    found = Recognition(KnownMaterial(directions), ANGLES).symmetry()
     assert found.turns == turns
     assert found.mirror in mirrors
     # few directions tell: two azimuths of two angles, for each turn or mirror tried
@@ -88,7 +91,9 @@ def test_nearly_symmetric_is_what_the_tolerance_says(tilt):
     lobes = lobes[::2] - np.roll(lobes[1::2], 12, axis=2)
     change = np.abs(lobes).sum(axis=(1, 2)).max()  # half of half the light
     for tolerance, turns in ((1.9 * change, 1), (4 * change, 2)):
-        found = Recognition(Facets(tolerance, surface), ANGLES, 8).symmetry()
+        found = Recognition(
+            KnownMaterial(Facets(tolerance, surface)), ANGLES
+        ).symmetry()
         assert found.turns == turns
 
 
@@ -100,7 +105,7 @@ def test_isotropic_is_not_what_eighths_of_a_turn_leave(parts, isotropic):
     tilts = 0.5 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     surfaces = [{"widths": (0.15, 0.15), "tilt": tilt} for tilt in tilts]
     directions = Facets(0.1, *surfaces)
-    assert Recognition(directions, ANGLES, 8).is_isotropic() == isotropic
+    assert Recognition(KnownMaterial(directions), ANGLES).is_isotropic() == isotropic
 
 
 @pytest.mark.parametrize("turn", [0, 7.5, 37.5])
@@ -173,7 +178,7 @@ def test_grooves_are_symmetric_and_blazed_ones_only_along(heights, turns):
     how = {"collector": "angle:6x16", "estimator": "weighted", "period": "box"}
     directions = KnownDirections("it", profile(heights), 0.1, Surroundings(), how)
     directions.measure([(theta, 0.0) for theta in ANGLES], "")
-    found = Recognition(directions, ANGLES, 8)
+    found = Recognition(KnownMaterial(directions), ANGLES)
     assert not found.is_isotropic()
     assert found.symmetry() == AzimuthSymmetry(16, turns, 0)
 
@@ -254,10 +259,10 @@ def test_symmetries_of_files_are_checked(change, sound):
 def with_copies(turns, mirror):
     """Record as of a campaign: the normal, two measured directions, and images."""
     symmetry = AzimuthSymmetry(24, turns, mirror)
-    angles = {"theta_i": (0, 30, 60), "phi_i": (0, 15, 30)}
+    angles = {"theta_i": (0, 30, 60), "phi_i": (0, 45, 60)}
     measured = synthetic.record("projected:6x24", both=True, **angles)
-    known = {(0.0, 0.0): measured[0], (30.0, 15.0): measured[1]}
-    known[60.0, 30.0] = measured[2]
+    known = {(0.0, 0.0): measured[0], (30.0, 45.0): measured[1]}
+    known[60.0, 60.0] = measured[2]
     stack = Record.stack(symmetry.whole(known, known))
     every = zip(stack.theta_i.tolist(), stack.phi_i.tolist())
     copies = [list(one) for one in every if one not in known]
@@ -286,6 +291,32 @@ def test_files_leave_out_copies(tmp_path, turns, mirror):
     with np.load(tmp_path / "other.npz") as archive:
         assert archive["hits"].shape[0] == 4
         assert (archive["hits"] == hits).all(axis=(1, 2, 3)).any()
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_what_is_filled_in_is_sought_once(told, monkeypatch):
+    """Images of it are the same; twin: not known to be, each is sought."""
+    record = with_copies(2, 0)
+    if not told:
+        record = record.with_settings(campaign=None)
+    sought, fill = [], IncidentGrid._filled
+
+    def counted(self, values, azimuth, angle):
+        sought.append((azimuth, angle))
+        return fill(self, values, azimuth, angle)
+
+    monkeypatch.setattr(IncidentGrid, "_filled", counted)
+    lobes = MeasuredLobes(record)
+    azimuths, angles = (range(n) for n in lobes.grid.index.shape)
+    found = lobes.brdf(azimuths, angles)
+    # rings of four azimuths each, none in common: of eight, four are not measured
+    assert found.shape[:2] == (8, 3)
+    assert len(sought) == 2 * (4 + (1 if told else 4))
+    for row, phi_i in enumerate(lobes.grid.phi_i.tolist()):
+        for motion in AzimuthSymmetry(24, 2, 0).motions:
+            image = int(np.argmin(np.abs(lobes.grid.phi_i - motion.azimuth(phi_i))))
+            moved = motion.moved(found[row, 1:], 3)
+            assert np.allclose(moved, found[image, 1:], rtol=1e-12, atol=0)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from ..collector import RingsAndSectors, Subdivision
 from ..errors import SettingError
 from ..files.material_files import PatchMeans
+from ..results.azimuth_symmetry import AzimuthSymmetry, Motion
+from ..results.copied_directions import symmetry_of
 from ..results.record import Record
 from .azimuth_trials import AzimuthTrials, distances
 from .half_vectors import predicted
@@ -24,6 +26,9 @@ WIDEST_GAP = 120
 
 # Angles of incidence that differ by less are the same, in degrees.
 SAME_ANGLE = 1e-3
+
+# Of azimuths in degrees that are compared after means over many were taken.
+DIGITS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +51,8 @@ class IncidentGrid:
         incidence.
     eta : float, optional
         The same for transmitted light, with this refractive index of the other side.
+    symmetry : AzimuthSymmetry, optional
+        By which a campaign copied directions.
     """
 
     theta_i: Floats
@@ -55,6 +62,7 @@ class IncidentGrid:
     patches: Subdivision
     reflects: bool
     eta: float | None = None
+    symmetry: AzimuthSymmetry | None = None
 
     @classmethod
     def of(cls, record: Record | PatchMeans, flux: Floats) -> IncidentGrid:
@@ -107,6 +115,7 @@ class IncidentGrid:
             found,
             reflects=trials.reflects(flux[:, 0]),
             eta=trials.index_of_refraction(flux[:, 1]) if lower else None,
+            symmetry=symmetry_of(record) if isinstance(record, Record) else None,
         )
 
     def filled(
@@ -128,9 +137,25 @@ class IncidentGrid:
             if angle == 0 and self.normal.any():
                 lobes[:, column] = values[self.normal].mean(axis=0)
                 continue
-            for row, azimuth in enumerate(azimuths):
-                lobes[row, column] = self._filled(values, azimuth, angle)
+            self._fill(lobes[:, column], values, azimuths, angle)
         return lobes
+
+    def _fill(
+        self, lobes: Floats, values: Floats, azimuths: Sequence[int], angle: int
+    ) -> None:
+        """Fill in one polar angle; images of what was found there are not sought."""
+        motions = self.symmetry.motions if self.symmetry and values.ndim == 5 else []
+        images: dict[float, tuple[int, Motion]] = {}
+        for row, azimuth in enumerate(azimuths):
+            phi_i = float(self.phi_i[azimuth])
+            source, motion = images.get(round(phi_i, DIGITS), (None, None))
+            if motion is not None and self.index[azimuth, angle] < 0:
+                lobes[row] = motion.moved(lobes[source], 2)
+                continue
+            lobes[row] = self._filled(values, azimuth, angle)
+            if self.index[azimuth, angle] < 0:
+                found = [(one.azimuth(phi_i), (row, one)) for one in motions]
+                images |= {round(phi, DIGITS): where for phi, where in found}
 
     def _filled(self, values: Floats, azimuth: int, angle: int) -> Floats:
         """Values at one direction; where it was not measured, of what is around it.

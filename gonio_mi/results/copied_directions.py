@@ -12,7 +12,7 @@ from ..array_types import Flags
 from .azimuth_symmetry import AzimuthSymmetry, Motion
 from .record import Record
 
-__all__ = ["sharing", "sources", "without_copies"]
+__all__ = ["sharing", "sources", "symmetry_of", "without_copies"]
 
 
 def without_copies(record: Record) -> Record:
@@ -31,14 +31,12 @@ def sources(record: Record) -> list[tuple[int, Motion]]:
 
     What was measured, and what is no exact copy, is its own.
     """
-    n, symmetry = record.subdivision.shape[1], _symmetry(record)
+    n = record.subdivision.shape[1]
     found = [(number, Motion(0, False, n)) for number in range(len(record))]
-    if not symmetry.get("copies"):
+    symmetry = symmetry_of(record)
+    if symmetry is None:
         return found
-    mirror = symmetry.get("mirror")
-    mirror = None if mirror is None else round(mirror * n / 180)
-    motions = AzimuthSymmetry(n, int(symmetry.get("turns", 1)), mirror).motions
-    copied = _copied(record)
+    motions, copied = symmetry.motions, _copied(record)
     of_ring = defaultdict(list)
     for number in np.flatnonzero(~copied).tolist():
         of_ring[float(record.theta_i[number])].append(number)
@@ -68,6 +66,16 @@ def _copied(record: Record) -> Flags:
     copies = {tuple(one) for one in _symmetry(record).get("copies", ())}
     directions = zip(record.theta_i.tolist(), record.phi_i.tolist())
     return np.array([one in copies for one in directions])
+
+
+def symmetry_of(record: Record) -> AzimuthSymmetry | None:
+    """The symmetry by which a campaign copied directions; None if it copied none."""
+    said, n = _symmetry(record), record.subdivision.shape[1]
+    if not said.get("copies"):
+        return None
+    mirror = said.get("mirror")
+    mirror = None if mirror is None else round(mirror * n / 180)
+    return AzimuthSymmetry(n, int(said.get("turns", 1)), mirror)
 
 
 def _symmetry(record: Record) -> dict[str, Any]:
