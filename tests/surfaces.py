@@ -111,8 +111,8 @@ def followed(specimen, beam, n, seed=0):
 
 
 def heightfield(z=None, *, bsdf=MIRROR, transform=None, **settings):
-    """Dictionary of a height field."""
-    shape = {"type": "heightfield", "bsdf": bsdf, **settings}
+    """Dictionary of a height field, 2 wide if nothing else is said."""
+    shape = {"type": "heightfield", "size": 2.0, "bsdf": bsdf, **settings}
     if z is not None:
         shape["heights"] = mi.TensorXf(np.asarray(z, np.float32))
     if transform is not None:

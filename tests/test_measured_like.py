@@ -115,7 +115,7 @@ def test_commands_compare_a_record_with_a_specimen(tmp_path, capsys):
     assert main(["compare", word.format(0.2), path]) == 1
     assert "RECORD must be an .exr or .npz file" in capsys.readouterr().err
     assert main(["compare", path, "absent.csv"]) == 1
-    assert "No such file" in capsys.readouterr().err
+    assert "there is no file" in capsys.readouterr().err
 
 
 # --------------------------------------------------------------------------- the budget

@@ -100,6 +100,7 @@ def _groove(bsdf: dict[str, Any]) -> dict[str, Any]:
     return {
         "type": "heightfield",
         "heights": mi.TensorXf(heights),
+        "size": 2.0,
         "bsdf": _two_sided(bsdf),
     }
 
