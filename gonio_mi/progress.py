@@ -98,6 +98,8 @@ class _Lines(_Bar):
             print(self, file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        """End; there is nothing to wipe out."""
+        """End; there is nothing to wipe out, and no place on a terminal is kept."""
+        if not self._ended.is_set():
+            self._decr_instances(self)
         self.disable = True
         self._ended.set()

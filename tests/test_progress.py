@@ -85,7 +85,13 @@ class Terminal(io.StringIO):
 
 
 def test_a_bar_leaves_room_for_what_it_counts(monkeypatch):
-    """All that a campaign says, whole; and of a longer text what fits."""
+    """All that a campaign says, whole; and of a longer text what fits.
+
+    Also after lines of something that is not forgotten.
+    """
+    ended = progress.bar(True, total=3, unit="direction")
+    with ended:
+        pass
     for name, size in (("COLUMNS", "80"), ("LINES", "24")):
         monkeypatch.setenv(name, size)
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
