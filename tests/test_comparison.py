@@ -266,6 +266,27 @@ def test_empty_patches_take_part():
     assert compare(record, table_of(record, values)).z[0] == 0
 
 
+@pytest.mark.parametrize("expected", [3, 30])
+def test_a_hit_that_weighs_nothing_tells_as_much_as_none(expected):
+    """Its own error, and what it weighs, would refute any value that is right.
+
+    Twin: where thirty hits of the usual weight were expected, one does.
+    """
+    record = gloss()
+    made = synthetic.writeable(record.tallies[0])
+    made.hits[0, 0, 0] = 1
+    made.sums[:, 0, 0, 0] = 0
+    made.sums[0, 0, 0, 0] = made.scale / 10**4
+    record = replace(record, tallies=(made,))
+    values = record.brdf[..., 0].ravel().copy()
+    solid = record.subdivision.projected_solid_angles[0, 0]
+    values[0] = expected / made.ledger.emitted / solid
+    (z, *_) = compare(record, table_of(record, values)).z
+    # as without a hit, but for what it weighs
+    assert z == pytest.approx(special.ndtri(np.exp(-expected)), rel=1e-3)
+    assert (z < -6) == (expected == 30)
+
+
 def test_empty_patch_of_one_of_two_records():
     """Given the sum of hits, those of one record are binomial: here a fair coin."""
     a, b = gloss(seed=1), gloss(seed=2)
@@ -288,6 +309,21 @@ def test_few_hits_and_an_uncertain_mean():
     # FEW_ROUNDINGS of the mean and of its variance
     expected = special.ndtri(stats.nbinom.cdf(0, 4, 1 / 6))
     assert comparison.z[0] == pytest.approx(expected, rel=2.0**-18)
+
+
+def test_a_hit_that_weighs_nothing_in_one_of_two_records():
+    """Given twelve in the other one; alone it would be worth all of them."""
+    a, b = gloss(seed=1), with_hits(gloss(seed=2), 12)
+    made = synthetic.writeable(a.tallies[0])
+    made.hits[0, 0, 0] = 1
+    made.sums[:, 0, 0, 0] = 0
+    made.sums[0, 0, 0, 0] = made.scale / 10**4
+    a = replace(a, tallies=(made,))
+    # one more hit of the other's weight makes means of 1 / 2 and 12 / 13, but for what
+    # it weighs: shares of 24 to 13
+    z = special.ndtri(special.betainc(12, 2, 13 / 37))
+    assert compare(a, b).z[0] == pytest.approx(z, rel=1e-3)
+    assert compare(b, a).z[0] == pytest.approx(-z, rel=1e-3)
 
 
 def test_empty_patch_of_the_shorter_of_two_records():

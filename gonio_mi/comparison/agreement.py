@@ -28,7 +28,8 @@ class Readings:
 
     `residual`, shape (n_batches, n), holds what its product with its own transpose is
     the covariance of the values, as the batches tell it; `exposure` is the number of
-    hits per unit of value, and `weight` the flux that came with a hit.
+    hits per unit of value, `weight` the flux that came with a hit, and `usual` that of
+    all hits in the hemisphere.
     """
 
     value: np.ndarray
@@ -37,6 +38,7 @@ class Readings:
     hits: np.ndarray
     exposure: np.ndarray
     weight: np.ndarray
+    usual: np.ndarray
     dof: float
 
     @classmethod
@@ -76,6 +78,7 @@ class Readings:
             hits.astype(float),
             rays * solid / weight,
             weight,
+            usual,
             1e9 if estimates.binomial else n - 1.0,
         )
 
@@ -317,18 +320,43 @@ def _hits_score(mine: Readings, other: Floats, variance: Floats) -> Floats:
             special.pdtrc(np.maximum(k - 1, 0), mean),
             special.betaincc(shape, np.maximum(k, 1), p),
         )
+    below = np.maximum(below, _fewer_by_chance(mine, other))
     score = two_sided_score(below, np.where(k == 0, 1.0, above))
     # without hits, nothing speaks against a value of 0 or less
     return np.where((other <= 0) & (k == 0), 0.0, score)
 
 
+def _fewer_by_chance(mine: Readings, other: Floats) -> Floats:
+    """Probability of no more light than there is, if hits of great weight are missing.
+
+    One of the `usual` weight may be, or as great as they are on average, each counted
+    by its weight (Fay and Feuer 1997, doi:10.1002/(SICI)1097-0258(19970415)16:7<791::
+    AID-SIM500>3.0.CO;2-#): a few that weigh next to nothing tell as little as none.
+    """
+    rays = mine.exposure * mine.weight  # times the solid angle
+    light, hits = rays * mine.value, np.maximum(mine.hits, 1)
+    squares = np.maximum(rays * mine.error, light / np.sqrt(hits)) ** 2
+    squares = np.where((mine.hits > 0) & (light > 0), squares, 0.0)
+    mean = np.divide(squares, light, where=light > 0, out=np.zeros_like(light))
+    missed = np.maximum(mine.usual, mean)
+    light = np.maximum(light, 0.0)
+    scale = (squares + missed**2) / (light + missed)
+    expected = np.maximum(other, 0) * rays
+    fewer: Floats = special.gammaincc((light + missed) / scale, expected / scale)
+    return fewer
+
+
 def _two_hits_score(mine: Readings, others: Readings) -> Floats:
     """Score of the hits of one record, given the sum of both: a binomial law."""
     a, b = mine.hits, others.hits
-    # where there was no hit, the other record tells what one is worth
+    # where there were few hits, the other record tells what one more is worth
     own, theirs = mine.exposure * mine.weight, others.exposure * others.weight
-    own = own / np.where((a == 0) & (b > 0), others.weight, mine.weight)
-    theirs = theirs / np.where((b == 0) & (a > 0), mine.weight, others.weight)
+    own = own / np.where(
+        b > 0, (a * mine.weight + others.weight) / (a + 1), mine.weight
+    )
+    theirs = theirs / np.where(
+        a > 0, (b * others.weight + mine.weight) / (b + 1), others.weight
+    )
     share = own / (own + theirs)
     below = np.where(b == 0, 1.0, special.betainc(np.maximum(b, 1), a + 1, 1 - share))
     above = np.where(a == 0, 1.0, special.betainc(np.maximum(a, 1), b + 1, share))
