@@ -23,7 +23,7 @@ from gonio_mi.collector import subdivision
 from gonio_mi.collector.apertures import Apertures, disjoint_groups
 from gonio_mi.collector.directions import direction
 from gonio_mi.comparison import compare, measure_like
-from gonio_mi.comparison.agreement import Readings
+from gonio_mi.comparison.agreement import Readings, _two_hits_score
 from gonio_mi.comparison.comparison_figure import comparison_figure
 from gonio_mi.comparison.findings import Comparison
 from gonio_mi.files.measured import MeasuredTable, read_measured
@@ -322,8 +322,12 @@ def test_a_hit_that_weighs_nothing_in_one_of_two_records():
     # one more hit of the other's weight makes means of 1 / 2 and 12 / 13, but for what
     # it weighs: shares of 24 to 13
     z = special.ndtri(special.betainc(12, 2, 13 / 37))
-    assert compare(a, b).z[0] == pytest.approx(z, rel=1e-3)
-    assert compare(b, a).z[0] == pytest.approx(-z, rel=1e-3)
+    zero = np.zeros(1, int)
+    one, two = (Readings.of(record, 0, zero, zero, zero) for record in (a, b))
+    assert _two_hits_score(one, two) == pytest.approx(z, rel=1e-3)
+    assert _two_hits_score(two, one) == pytest.approx(-z, rel=1e-3)
+    # Student's t, of twelve batches with one hit each and four without, says less
+    assert z < compare(a, b).z[0] < 0
 
 
 def test_empty_patch_of_the_shorter_of_two_records():

@@ -351,12 +351,10 @@ def _two_hits_score(mine: Readings, others: Readings) -> Floats:
     a, b = mine.hits, others.hits
     # where there were few hits, the other record tells what one more is worth
     own, theirs = mine.exposure * mine.weight, others.exposure * others.weight
-    own = own / np.where(
-        b > 0, (a * mine.weight + others.weight) / (a + 1), mine.weight
-    )
-    theirs = theirs / np.where(
-        a > 0, (b * others.weight + mine.weight) / (b + 1), others.weight
-    )
+    one_more = (a * mine.weight + others.weight) / (a + 1)
+    own = own / np.where(b > 0, one_more, mine.weight)
+    one_more = (b * others.weight + mine.weight) / (b + 1)
+    theirs = theirs / np.where(a > 0, one_more, others.weight)
     share = own / (own + theirs)
     below = np.where(b == 0, 1.0, special.betainc(np.maximum(b, 1), a + 1, 1 - share))
     above = np.where(a == 0, 1.0, special.betainc(np.maximum(a, 1), b + 1, share))
