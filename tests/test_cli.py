@@ -328,7 +328,10 @@ def test_precision_that_is_reached_exits_with_0(run):
         ((*QUICK, "--tolerence", "1"), ": --tolerence; did you mean --tolerance?\n"),
         (("measure", "--phi_i=5", *QUICK[2:]), "--phi_i; did you mean --phi-i?\n"),
         ((*QUICK, "--ior", "1"), "unrecognized arguments: --ior 1\n"),
-        (("measure", "nothing", *QUICK[2:]), 'Plugin "nothing" not found\n'),
+        (
+            ("measure", "nothing", *QUICK[2:]),
+            '"nothing" not found; one of your own is imported before, or',
+        ),
         (("measure", "diffuse:rho=1", *QUICK[2:]), "diffuse has no use for rho\n"),
         (
             ("measure", "diffuse:rho=1,reflectence=0.3", *QUICK[2:]),

@@ -85,5 +85,6 @@ def run(options: Namespace) -> int:
             tell(f"  {line}")
         in_klems = Path(path).suffix.lower() == ".xml" and not options.basis
         if in_klems and max(one.misplaced for one in losses) > COARSE:
-            tell("  --basis tensor3, or tensor4 of what is anisotropic, is finer")
+            rank = 4 if len(set(records[0].phi_i.tolist())) > 1 else 3
+            tell(f"  --basis tensor{rank} is finer")
     return DONE

@@ -240,11 +240,17 @@ def _channel(record: Record, table: MeasuredTable, notes: list[str]) -> int:
 
 def check_uncertainties(record: Record) -> None:
     """Raise ValueError for a record whose scatter is not known."""
-    if record.n_batches < 2 and not all(one.binomial for one in record.estimates):
+    if record.n_batches >= 2 or all(one.binomial for one in record.estimates):
+        return
+    if record.settings.get("estimator") == "quadrature":
         raise SettingError(
-            "the record must have at least 2 batches for its uncertainties to be "
-            f"known, got {record.n_batches}"
+            "the record must be of rays, whose scatter is known, got integrals: give "
+            "the specimen instead, or measure it with the estimator weighted"
         )
+    raise SettingError(
+        "the record must have at least 2 batches for its uncertainties to be "
+        f"known, got {record.n_batches}"
+    )
 
 
 def _check_incident(a: tuple[float, float], b: tuple[float, float]) -> None:

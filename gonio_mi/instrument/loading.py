@@ -186,7 +186,8 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
 def _with_advice(text: str) -> str:
     """Mitsuba's message with what would mend it, where that is known."""
     if missing := re.search(r'Plugin "([^"]+)" not found', text):
-        return text.rstrip("!") + did_you_mean(missing[1], _plugin_files())
+        own = "; one of your own is imported before, or named by --plugin FILE"
+        return text.rstrip("!") + (did_you_mean(missing[1], _plugin_files()) or own)
     if variant := re.search(r"require the use of an? (RGB|spectral) variant", text):
         return f"{text.rstrip('!')}, such as llvm_ad_{variant[1].lower()}"
     if unused := UNUSED.search(text):
