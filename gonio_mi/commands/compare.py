@@ -199,6 +199,7 @@ def _measured(specimen: tuple[Any, Any], like: Any, options: Namespace) -> Any:
         parameters=specimen[1],
         aperture_half_angle=options.aperture_half_angle,
         seed=options.seed,
+        progress=True,
         **_precision(options),
     )
 

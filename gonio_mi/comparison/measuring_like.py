@@ -2,7 +2,8 @@
 
 import contextlib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import mitsuba as mi
@@ -15,6 +16,7 @@ from ..errors import SettingError, SettingTypeError, SpecimenError, shown
 from ..files.channels import wavelengths_nm
 from ..files.measured import MeasuredTable
 from ..instrument.measurement import measure_whole
+from ..progress import bar
 from ..results.record import Record
 from .pairing import pole_angle
 
@@ -44,6 +46,7 @@ def measure_like(
     *,
     aperture_half_angle: float | None = None,
     seed: int | None = None,
+    progress: bool = False,
     **settings: Any,
 ) -> tuple[Record, ...]:
     """Measure at the solid angles of a table's points, or as a record was measured.
@@ -72,6 +75,8 @@ def measure_like(
     seed : int, optional
         By default 0, from which others are derived; for a record the next one to its
         own, so that rays are others.
+    progress : bool
+        Show a progress bar on standard error, of incident directions.
     **settings
         Of :func:`measure`; `rays` are those of each record.
 
@@ -98,7 +103,8 @@ def measure_like(
                 "aperture_half_angle goes with a table; a record has its collector, "
                 f"got {shown(aperture_half_angle)}"
             )
-        return (_like_record(specimen, like, seed, settings),)
+        with bar(progress, total=len(like), unit="direction") as report:
+            return (_like_record(specimen, like, seed, settings, report or _unheard),)
     half_angle = like.aperture_half_angle or aperture_half_angle
     solid_angles = like.patches if half_angle is None else half_angle
     if solid_angles is None:
@@ -106,7 +112,13 @@ def measure_like(
             f"aperture_half_angle (--aperture-half-angle) must be given: {like.name} "
             "does not say it"
         )
-    return _like_table(specimen, like, solid_angles, seed or 0, settings)
+    measured = partial(_like_table, specimen, like, solid_angles, seed or 0, settings)
+    with bar(progress, total=len(like.incident), unit="direction") as report:
+        return measured(report or _unheard)
+
+
+def _unheard(_: float) -> None:
+    """Progress that nobody asked for."""
 
 
 def _like_table(
@@ -115,6 +127,7 @@ def _like_table(
     solid_angles: Subdivision | float,
     seed: int,
     settings: dict[str, Any],
+    report: Callable[[float], Any],
 ) -> tuple[Record, ...]:
     """Records in the patches of a table, or in apertures of a half-angle."""
     if table.emitter_half_angle:
@@ -158,6 +171,7 @@ def _like_table(
                         specimen, theta_i, phi_i, **given, **settings
                     )
             records.append(record)
+        report(1)
     return tuple(records)
 
 
@@ -191,7 +205,11 @@ def _errors_speak(automatic: bool) -> Iterator[None]:
 
 
 def _like_record(
-    specimen: Any, record: Record, seed: int | None, settings: dict[str, Any]
+    specimen: Any,
+    record: Record,
+    seed: int | None,
+    settings: dict[str, Any],
+    report: Callable[[float], Any],
 ) -> Record:
     """Record of another specimen, measured as one was."""
     known = record.settings
@@ -212,10 +230,11 @@ def _like_record(
     again["hemispheres"] = "both" if record.has_lower else "upper"
     again |= {name: value for name, value in settings.items() if value is not None}
     again["seed"] = int(known.get("seed") or 0) + 1 if seed is None else seed
-    records = [
-        measure_whole(specimen, theta, phi, collector=record.subdivision, **again)
-        for theta, phi in zip(record.theta_i.tolist(), record.phi_i.tolist())
-    ]
+    records = []
+    for theta, phi in zip(record.theta_i.tolist(), record.phi_i.tolist()):
+        again["collector"] = record.subdivision
+        records.append(measure_whole(specimen, theta, phi, **again))
+        report(1)
     return Record.stack(records) if record.stacked else records[0]
 
 
