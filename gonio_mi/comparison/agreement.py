@@ -330,8 +330,8 @@ def _fewer_by_chance(mine: Readings, other: Floats) -> Floats:
     """Probability of no more light than there is, if hits of great weight are missing.
 
     One of the `usual` weight may be, or as great as they are on average, each counted
-    by its weight (Fay and Feuer 1997, doi:10.1002/(SICI)1097-0258(19970415)16:7<791::
-    AID-SIM500>3.0.CO;2-#): a few that weigh next to nothing tell as little as none.
+    by its weight (Fay and Feuer 1997, Statistics in Medicine 16, 791): a few that weigh
+    next to nothing tell as little as none.
     """
     rays = mine.exposure * mine.weight  # times the solid angle
     light, hits = rays * mine.value, np.maximum(mine.hits, 1)

@@ -189,12 +189,10 @@ def _with_copies(
     held = {name: [header[name][number] for number in own] for name in of_each}
     record = rebuilt(header | held, content)
     place = np.searchsorted(own, source).tolist()
-    tallies = [
-        Motion(turn, bool(mirror), n_sectors).moved_tally(record.tallies[number])
-        for number, turn, mirror in zip(place, by.tolist(), mirrored.tolist())
-    ]
-    for number in own.tolist():
-        tallies[number] = record.tallies[place[number]]
+    tallies = [record.tallies[number] for number in place]
+    for number in np.flatnonzero(source != np.arange(n)).tolist():
+        motion = Motion(int(by[number]), bool(mirrored[number]), n_sectors)
+        tallies[number] = motion.moved_tally(tallies[number])
     return replace(
         record,
         theta_i=np.array(header["theta_i"], float),

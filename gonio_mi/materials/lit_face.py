@@ -31,7 +31,7 @@ class LitFace:
     wavelengths : sequence of float, optional
         Of the table's channels in nm, for spectral variants.
     ways : sequence of Way, optional
-        Of :class:`.moving_lobes.MovingLobes`; see :func:`.leg_trials.best_face`.
+        Of :class:`.moving_lobes.MovingLobes`; see :func:`.leg_trials.best_ways`.
     """
 
     def __init__(
