@@ -5,11 +5,17 @@ instrument's Mitsuba plugins, before or after ``mi.set_variant``. It never sets 
 variant.
 """
 
-from . import llvm
+from . import interrupts
+
+interrupts.start_up()
+
+from . import llvm  # noqa: E402
 
 llvm.prepare()
 
 from . import plugins  # noqa: E402, F401
+from .campaigns.campaign import campaign  # noqa: E402
+from .campaigns.measuring import measure  # noqa: E402
 from .charts import Chart, chart  # noqa: E402
 from .collector import (  # noqa: E402
     Borders,
@@ -32,11 +38,11 @@ from .errors import (  # noqa: E402
 )
 from .exports import Loss, Product, bsdf, export  # noqa: E402
 from .files import load  # noqa: E402
-from .files.measured import MeasuredTable, read_measured  # noqa: E402
+from .files.measured_table import MeasuredTable  # noqa: E402
 from .fitting import Fit, fit  # noqa: E402
-from .instrument.campaigns import campaign  # noqa: E402
+from .formats.reading import read_measured  # noqa: E402
 from .instrument.exit_profile import ExitProfile, exit_profile  # noqa: E402
-from .instrument.measuring import measure, measure_orders  # noqa: E402
+from .instrument.measurement import measure_orders  # noqa: E402
 from .instrument.mesh_specimens import mesh  # noqa: E402
 from .microsurfaces import MicroNormals, micro_normals  # noqa: E402
 from .plots import plot  # noqa: E402

@@ -1,10 +1,11 @@
 """The command line: ``gonio-mi COMMAND ...``, and how it fails.
 
 Exit codes: 0 done, 1 an error, 2 the asked precision was not reached or the
-measurement was interrupted, 3 a validation or comparison failed, 143 a campaign was
-ended by SIGTERM.
+measurement was interrupted, 3 a validation or comparison failed, 4 a validation could
+not decide, 130 interrupted before it had begun, 143 a campaign was ended by SIGTERM.
 """
 
+import io
 import os
 import platform
 import shlex
@@ -43,6 +44,7 @@ from .commands.arguments import (
     sentence,
 )
 from .errors import SettingError, is_the_users, own_frame
+from .interrupts import end_start_up
 
 __all__ = ["COMMANDS", "main", "parser"]
 
@@ -60,7 +62,8 @@ examples:
 
 exit codes: 0 done, 1 an error (said in one line: yours, or a bug to report), 2
 interrupted, or the asked precision was not reached, 3 a validation or comparison
-failed, 143 a campaign was ended by SIGTERM
+failed, 4 a validation could not decide, 130 interrupted before it had begun, 143 a
+campaign was ended by SIGTERM
 """
 
 
@@ -79,6 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = _show_warning
         options = None
         try:
+            end_start_up()
             options = parser().parse_args(arguments)
             return options.run(options)
         except KeyboardInterrupt:
@@ -103,7 +107,7 @@ def _open_standard_streams() -> None:
     """Put nothing in place of the standard streams that were closed.
 
     Otherwise a file that is opened takes the number of a stream, and what a library
-    writes there would go into it.
+    writes there would go into it. Characters that the output cannot encode are escaped.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -112,6 +116,8 @@ def _open_standard_streams() -> None:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "r+"))  # noqa: SIM115
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def parser() -> Parser:

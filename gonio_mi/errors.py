@@ -2,21 +2,22 @@
 
 import builtins
 import difflib
+import itertools
 import math
 import operator
 import os
 import re
 import sysconfig
 import traceback
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 __all__ = [
     "FileFormatError",
     "Frame",
-    "LLVMError",
     "LABEL",
+    "LLVMError",
     "LostRaysError",
     "PackageError",
     "SettingError",
@@ -24,11 +25,14 @@ __all__ = [
     "SpecimenError",
     "VariantError",
     "abridged",
+    "abridged_apart",
+    "check_memory",
     "checked_choice",
     "checked_count",
     "checked_number",
     "did_you_mean",
     "frames",
+    "is_ctrl_c",
     "is_installed",
     "is_the_users",
     "no_file",
@@ -37,8 +41,8 @@ __all__ = [
     "printable",
     "shortened",
     "shown",
-    "unknown_channel",
     "tells_of_our_bug",
+    "unknown_channel",
 ]
 
 # Characters of a message, of a word in it, and of a value that it repeats.
@@ -79,6 +83,21 @@ def abridged(text: str, longest: int) -> str:
         if end > longest // 3:
             return f"{head[:end].rstrip()} ..."
     return f"{head}..."
+
+
+def abridged_apart(texts: Sequence[str], longest: int) -> list[str]:
+    """Texts of at most `longest` characters each, that differ where the texts do.
+
+    What all begin with is left out where their ends tell them apart.
+    """
+    short = [abridged(text, longest) for text in texts]
+    if len(set(short)) < len(set(texts)):
+        ends = zip(min(texts), max(texts))  # what these begin with, all do
+        alike = sum(1 for _ in itertools.takewhile(lambda pair: len({*pair}) < 2, ends))
+        # from the parameter, or the middle of a long name
+        start = max(texts[0].rfind(",", 0, alike) + 1, alike - longest // 2)
+        short = [abridged(f"... {text[start:]}", longest) for text in texts]
+    return short
 
 
 def shown(value: object, longest: int = LONGEST_VALUE) -> str:
@@ -160,6 +179,13 @@ def is_the_users(error: BaseException) -> bool:
     """
     refused = isinstance(error, RuntimeError) and _MITSUBA.search(str(error))
     return isinstance(error, _USERS) or bool(refused and not tells_of_our_bug(error))
+
+
+def is_ctrl_c(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is at the bottom of it: Dr.Jit wraps what a loop raises."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def tells_of_our_bug(error: BaseException) -> bool:
@@ -302,3 +328,20 @@ def checked_choice(name: str, value: Choice, choices: Iterable[Choice]) -> Choic
             f"{name} must be one of {', '.join(choices)}, got {shown(value)}"
         )
     return value
+
+
+def check_memory(what: str, needed: float, remedy: str) -> None:
+    """Raise ValueError if `what` needs more bytes than the machine has.
+
+    The message ends with `remedy`, in the imperative. Where the size of the memory
+    cannot be found out, nothing is refused.
+    """
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # not a POSIX system
+        return
+    if needed > memory:
+        raise SettingError(
+            f"{what} must fit into the {memory / 2**30:.3g} GiB of memory, "
+            f"got {needed / 2**30:.3g} GiB: {remedy}"
+        )

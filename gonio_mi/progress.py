@@ -4,15 +4,17 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from typing import Any, TypeVar
 
 from tqdm import tqdm
 
 from .errors import abridged
 
-__all__ = ["bar"]
+__all__ = ["bar", "counted"]
+
+T = TypeVar("T")
 
 # Seconds between two lines.
 PAUSE = 30.0
@@ -44,6 +46,15 @@ def bar(
         shape = "{desc}: |{bar}| {n_fmt}/{total_fmt}, {remaining} left"
         settings.setdefault("bar_format", shape)
     return _Bar(leave=False, **settings)
+
+
+def counted(items: Collection[T], shown: bool, **settings: Any) -> Iterator[T]:
+    """Items, one after the other, in a :func:`bar` of how many are done."""
+    with bar(shown, total=len(items), **settings) as report:
+        for item in items:
+            yield item
+            if report is not None:
+                report(1)
 
 
 class _Bar(tqdm):

@@ -19,6 +19,8 @@ RIGHT = (
     "glass",
     "frosted",
     "facets",
+    "dusty",
+    "grating",
 )
 
 # Where weight times pdf is one account and `eval` another, and nothing tells which of
@@ -115,6 +117,21 @@ MISTAKES = {
     "pdf_with_two_cosines": "pdf",
     "sample_below_the_horizon": "sample",
     "sample_with_eta_of_the_other_side": "sample",
+    # coordinates of the world where local ones are due, and the other way round
+    "sample_in_world_coordinates": "sample",
+    "eval_to_local_once_more": "eval",
+    "value_to_local_once_more": "eval",
+    "pdf_to_local_once_more": "pdf",
+    "eval_to_world": "eval",
+    # several directions in one discrete component
+    "grating_of_equal_pdf": "sample",
+    # directions rejected at random
+    "roulette_without_its_probability": "sample",
+    "roulette_of_another_probability": "sample",
+    # where samples never look
+    "eval_pdf_lit_below": "eval_pdf",
+    "eval_lit_from_behind": "eval",
+    "eval_nan_along_the_surface": "eval",
     # no usable answer
     "pdf_raises": "pdf",
     "eval_returns_a_direction": "eval",
@@ -939,6 +956,141 @@ def register():
             bs, weight = super().sample(ctx, si, sample1, sample2, active)
             bs.eta = 1 / bs.eta
             return bs, weight
+
+    class Noise(Lambert):
+        """So rough a function of wo that no patch of it can be integrated."""
+
+        components = (diffuse | front | int(flags.Anisotropic),)
+
+        def value(self, si, wo):
+            return super().value(si, wo) * self.noise(wo)
+
+        def density(self, si, wo):
+            return super().density(si, wo) * self.noise(wo)
+
+        def noise(self, wo):
+            number = 3e4 * dr.sin(1e4 * wo.x) + 3e4 * dr.cos(1e4 * wo.y)
+            return dr.select(number - dr.floor(number) < 0.01, 50.5, mi.Float(0.5))
+
+    class Grating(Plugin):
+        """Right: three orders in one discrete component, each of its probability."""
+
+        components = (int(flags.DeltaReflection) | front | int(flags.Anisotropic),)
+        efficiency = (0.2, 0.5, 0.2)
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs = dr.zeros(mi.BSDFSample3f)
+            order = dr.select(sample1 < 0.25, -1.0, dr.select(sample1 < 0.75, 0.0, 1.0))
+            x, y = 0.3 * order - si.wi.x, -si.wi.y
+            square = 1 - dr.square(x) - dr.square(y)
+            bs.wo = mi.Vector3f(x, y, dr.safe_sqrt(square))
+            bs.pdf = self.probability(dr.select(order == 0, 0.5, mi.Float(0.25)))
+            bs.eta = 1.0
+            bs.sampled_type = mi.UInt32(+flags.DeltaReflection)
+            value = dr.select(order == 0, self.efficiency[1], self.efficiency[0])
+            ok = active & (cosine(si.wi) > 0) & (square > 0)
+            return bs, mi.Spectrum(value / bs.pdf) & ok
+
+        def probability(self, pdf):
+            return pdf
+
+        def eval(self, ctx, si, wo, active=True):
+            return mi.Spectrum(0)
+
+        def pdf(self, ctx, si, wo, active=True):
+            return mi.Float(0)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return mi.Spectrum(0), mi.Float(0)
+
+    class Roulette(Mixture):
+        """Right, if noisy: rejects more of what is dimmer."""
+
+        def kept(self, wo):
+            return 0.3 + 0.6 * dr.abs(cosine(wo))
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs, weight = super().sample(ctx, si, sample1, sample2, active)
+            share, kept = self.glossy_share(ctx), self.kept(bs.wo)
+            rest = (sample1 - share) / max(1 - share, 1e-6)
+            # what the choice of the lobe leaves of the number is uniform
+            number = dr.select(sample1 < share, sample1 / max(share, 1e-6), rest)
+            return bs, dr.select(number < kept, weight / self.probability(kept), 0)
+
+        def probability(self, kept):
+            return kept
+
+    class RouletteWithoutItsProbability(Roulette):
+        def probability(self, kept):
+            return mi.Float(1)
+
+    class RouletteOfAnotherProbability(Roulette):
+        def probability(self, kept):
+            return mi.Float(0.7)
+
+    class GratingOfEqualPdf(Grating):
+        def probability(self, pdf):
+            return mi.Float(1 / 3)
+
+    # ---------------------------------------------------- Coordinates of the world
+
+    class SampleInWorldCoordinates(Mixture):
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs, weight = super().sample(ctx, si, sample1, sample2, active)
+            bs.wo = si.to_world(bs.wo)
+            return bs, weight
+
+    class EvalToLocalOnceMore(Lambert):
+        def eval(self, ctx, si, wo, active=True):
+            return super().eval(ctx, si, si.to_local(wo), active)
+
+    class ValueToLocalOnceMore(Lambert):
+        """The weight of samples follows."""
+
+        def value(self, si, wo):
+            return super().value(si, dr.abs(si.to_local(wo)))
+
+    class PdfToLocalOnceMore(Mixture):
+        def pdf(self, ctx, si, wo, active=True):
+            return super().pdf(ctx, si, si.to_local(wo), active)
+
+    class EvalToWorld(Mixture):
+        def eval(self, ctx, si, wo, active=True):
+            return super().eval(ctx, si, si.to_world(wo), active)
+
+    class Dusty(Lambert):
+        """Right: brighter where it looks up, and by its place in the world."""
+
+        def value(self, si, wo):
+            up = 0.5 + 0.5 * dr.abs(si.sh_frame.n.z) + 0.1 * dr.sin(si.p.x)
+            return super().value(si, wo) * dr.minimum(up, 1)
+
+    class FadingAbove(Lambert):
+        """Right, not reciprocal: high up it fades with the angle of incidence."""
+
+        def value(self, si, wo):
+            fade = 0.5 + 0.5 * dr.square(cosine(si.wi))
+            return super().value(si, wo) * dr.select(si.p.z > 1, fade, 1)
+
+    # ------------------------------------------------------- Where samples never look
+
+    class EvalPdfLitBelow(Lambert):
+        def eval_pdf(self, ctx, si, wo, active=True):
+            up = mi.Vector3f(wo.x, wo.y, dr.abs(wo.z))
+            return super().eval_pdf(ctx, si, up, active)
+
+    class EvalLitFromBehind(Lambert):
+        """It knows where wo is, and not where wi is."""
+
+        def eval(self, ctx, si, wo, active=True):
+            return self.value(si, wo) & (active & (cosine(wo) > 0))
+
+    class EvalNanAlongTheSurface(Lambert):
+        def value(self, si, wo):
+            return super().value(si, wo) * (si.wi.z / si.wi.z)
+
+        def above(self, si, wo):
+            return (cosine(si.wi) >= 0) & (cosine(wo) > 0)
 
     # --------------------------------------------------------------- No usable answer
 

@@ -38,6 +38,28 @@ def pytest_configure():
         mi.set_variant(before)
 
 
+# Files whose tests take most of the time: -m "not slow" leaves them out.
+SLOW = """
+    azimuth_symmetry benchmark bits bsdf_files campaign chart coverage created_light
+    dark_light daylight file_safety files_radiance fitting foreign_verdicts
+    goniometric handbook handbook_blocks heightfield llvm measured_like media
+    mesh_specimens micro_normals microgeometry next_event notebooks paper_bsdfs porous
+    quadrature rounds scenes slabs sobol spectral_coverage stock_bsdfs
+    tolerance_command validation validation_alarms validation_cosines
+    validation_integrals validation_lobes validation_order validation_stock
+    validation_suspects validation_tables versions where_methods_fail whole_bsdf
+    workers
+"""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark the tests of slow files."""
+    for item in items:
+        if item.path.stem.removeprefix("test_") in SLOW.split():
+            item.add_marker("slow")
+
+
 # The variants by the names of their fixtures.
 VARIANTS = {name: f"llvm_ad_{name}" for name in ("mono", "rgb", "spectral")}
 

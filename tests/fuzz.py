@@ -393,7 +393,7 @@ def kinds():
     from scatter_trials import scatter_kinds
 
     import gonio_mi as gonio
-    from gonio_mi.files.measured import read_measured
+    from gonio_mi.formats.reading import read_measured
 
     record = synthetic.record("projected:3x4", theta_i=(0, 40), phi_i=(0, 0), both=True)
     return {
@@ -427,7 +427,7 @@ def _write_csv(path):
 
 
 def _write_astm(path):
-    from gonio_mi.files import astm
+    from gonio_mi.formats import astm
 
     angles = np.random.default_rng(0).uniform(0, 1.5, (20, 4))
     with open(path, "wb") as stream:
@@ -435,31 +435,31 @@ def _write_astm(path):
 
 
 def _read_astm(path):
-    from gonio_mi.files.measured import read_measured
+    from gonio_mi.formats.reading import read_measured
 
     return read_measured(path, None)
 
 
 def _write_klems(path):
-    from gonio_mi.files import radiance_xml
+    from gonio_mi.formats import radiance
 
     blocks = {("Visible", "Reflection Back"): np.full((145, 145), 0.1)}
     with open(path, "wb") as stream:
-        radiance_xml.write(blocks, stream)
+        radiance.write(blocks, stream)
 
 
 def _write_tensor(path):
-    from gonio_mi.files import radiance_xml
-    from gonio_mi.files.tensor_tree import TensorTree
+    from gonio_mi.formats import radiance
+    from gonio_mi.formats.tensor_tree import TensorTree
 
     values = np.random.default_rng(0).uniform(0, 1, (4, 4, 4))
     blocks = {("Visible", "Reflection Back"): TensorTree.of(values)}
     with open(path, "wb") as stream:
-        radiance_xml.write(blocks, stream)
+        radiance.write(blocks, stream)
 
 
 def _read_radiance(path):
-    from gonio_mi.files.radiance_bsdf import RadianceBSDF
+    from gonio_mi.formats.radiance import RadianceBSDF
 
     with open(path, "rb") as stream:
         bsdf = RadianceBSDF(stream)
@@ -487,14 +487,14 @@ def measured_fields():
 
 
 def _write_bsdf(path):
-    from gonio_mi.files import tensor_file
+    from gonio_mi.formats import tensor_file
 
     with open(path, "wb") as stream:
         tensor_file.write(measured_fields(), stream)
 
 
 def _read_tensor_file(path):
-    from gonio_mi.files import tensor_file
+    from gonio_mi.formats import tensor_file
 
     with open(path, "rb") as stream:
         return tensor_file.read(stream)

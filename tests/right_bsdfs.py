@@ -123,8 +123,11 @@ def register():
     class Heavy(mi.BSDF):
         def __init__(self, props):
             super().__init__(props)
-            case = HEAVY[props["case"]]
-            self.alpha, self.diffuse, self.sampler, self.parameter = case
+            alpha, diffuse, self.sampler, parameter = HEAVY[props["case"]]
+            # no literals, so that cases of one sampler share kernels
+            self.alpha, self.diffuse, self.parameter = (
+                dr.opaque(mi.Float, x) for x in (alpha, diffuse, parameter)
+            )
             self.m_flags = int(flags.GlossyReflection) | int(flags.FrontSide)
             self.m_components = [self.m_flags]
 

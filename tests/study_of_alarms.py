@@ -11,6 +11,7 @@ of either sign and of too small values alone.
 
 import argparse
 import json
+import sys
 from collections import defaultdict
 from pathlib import Path
 
@@ -23,8 +24,11 @@ import numpy as np
 import right_bsdfs
 from scipy import stats
 
-from gonio_mi.validation import inspection, maps, verdict
+from gonio_mi.validation import maps, validate, verdict
 from gonio_mi.validation.integrals import integrals
+
+# The module, whose name the package gives to its function.
+EXAMINATION = sys.modules["gonio_mi.validation.validate"]
 
 # What a statistic is, by its first words.
 VIEWS = {
@@ -63,12 +67,12 @@ def judged(name, bsdf, effort, seed):
     """Line of the log on one verdict."""
     tests = []
 
-    def judge(evidence, *others):
+    def properties_of(evidence, *others):
         tests.extend(evidence.tests)
-        return verdict.judge(evidence, *others)
+        return verdict.properties_of(evidence, *others)
 
-    inspection.judge = judge
-    found = inspection.validate(bsdf, effort=effort, seed=seed, strict=True)
+    EXAMINATION.properties_of = properties_of
+    found = validate(bsdf, effort=effort, seed=seed, strict=True)
     return {
         "name": name,
         "seed": seed,
@@ -76,7 +80,7 @@ def judged(name, bsdf, effort, seed):
         "variant": mi.variant(),
         "failures": {one.name: [one.effect, one.statistic] for one in found.failures},
         "undecided": [p.name for p in found.properties if p.status == "undecided"],
-        "tests": [(one.property, _view(one.statistic), one.p) for one in tests],
+        "tests": [(one.name, _view(one.statistic), one.p) for one in tests],
     }
 
 

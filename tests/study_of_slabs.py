@@ -13,11 +13,11 @@ import gonio_mi as gonio
 # isort: split
 import mitsuba as mi
 import numpy as np
+from benchmark.discrete_ordinates import henyey_greenstein, theory
 from budget import normal_scores, scores, verdict
 from plates import plate, rings
 from slabs import medium, stack
 
-from gonio_mi.benchmark.discrete_ordinates import henyey_greenstein, theory
 from gonio_mi.collector.directions import direction
 
 PATCHES = "projected:6x8"

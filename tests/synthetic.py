@@ -1,14 +1,18 @@
 """Records built by hand from whole numbers, without a renderer."""
 
+import zipfile
 from dataclasses import replace
 
 import numpy as np
 
 from gonio_mi.collector import subdivision
 from gonio_mi.collector.directions import direction
+from gonio_mi.files import seal
 from gonio_mi.results.integral_sums import Integrals
+from gonio_mi.results.provenance import Provenance
 from gonio_mi.results.record import Record
 from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Tally
+from gonio_mi.settings import MeasurementSettings
 
 
 def specular(patches, theta_deg, phi_deg, power):
@@ -82,16 +86,16 @@ def record(
         phi_i=np.array(phi_i, dtype=float),
         channels=tuple(channels),
         tallies=tuple(tallies),
-        settings={
-            "specimen": "synthetic gloss",
-            "estimator": "analog" if analog else "weighted",
-            "sampler": "independent",
-            "seed": seed,
-            "rays": rays * n_batches,
-            "footprint": 0.1,
-            "versions": {"gonio_mi": "0.1.0", "numpy": "2.4"},
-            "nothing": None,
-        },
+        asked=MeasurementSettings(
+            estimator="analog" if analog else "weighted", footprint=0.1
+        ),
+        provenance=Provenance(
+            specimen="synthetic gloss",
+            sampler="independent",
+            seeds=(seed,),
+            rays=rays * n_batches,
+            versions={"gonio_mi": "0.1.0", "numpy": "2.4"},
+        ),
         stacked=len(theta_i) > 1 if stacked is None else stacked,
     )
 
@@ -134,7 +138,6 @@ def exact(weights, theta_i, collector, phi_i=0.0):
         phi_i=np.broadcast_to(np.asarray(phi_i, float), len(theta_i)),
         channels=("Y",),
         tallies=tuple(tallies),
-        settings={},
         stacked=True,
     )
 
@@ -188,7 +191,6 @@ def huge():
     rows = [Fate.REFLECTED, Fate.TRANSMITTED]
     fates[0, rows] += np.uint64(small.subdivision.n_patches * 2**32)
     incident = one.incident * np.uint64(2**20)
-    settings = small.settings | {"rays": int(fates.sum())}
     big = Tally(hits, sums, incident, fates, one.scale)
     return Record(
         small.subdivision,
@@ -196,8 +198,16 @@ def huge():
         small.phi_i,
         small.channels,
         (big,),
-        settings,
+        small.asked,
+        replace(small.provenance, rays=int(fates.sum())),
     )
+
+
+def telling(record, **settings):
+    """The record, of which files say these settings, whether they can be or not."""
+    told = replace(record)
+    told.__dict__["settings"] = {**record.settings, **settings}
+    return told
 
 
 def integrals(value=0.01):
@@ -208,3 +218,15 @@ def integrals(value=0.01):
     nothing = Tally.empty(1, patches.shape, 1, WEIGHT_SCALE)
     found = replace(made, tallies=(Integrals.beside(nothing, flux, 1e-7 * flux),))
     return found.with_settings(estimator="quadrature", rel_err=1e-4)
+
+
+def seal_again(path):
+    """Put the check sum after a file that was changed by hand, as gonio-mi does."""
+    data = path.read_bytes()
+    if seal.MARK in data:
+        data = data[: -seal.SEAL_LENGTH]
+    elif path.suffix == ".npz":
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.comment = bytes(seal.SEAL_LENGTH)
+        data = path.read_bytes()[: -seal.SEAL_LENGTH]
+    path.write_bytes(data + seal.seal_of(data))

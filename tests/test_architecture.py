@@ -16,8 +16,8 @@ PACKAGE = Path(__file__).parents[1] / "gonio_mi"
 ROOMS = (
     "array_types",
     "errors",
+    "interrupts",
     "llvm",
-    "memory",
     "progress",
     "properties",
     "single_precision",
@@ -25,11 +25,13 @@ ROOMS = (
     "settings",
     "results",
     "files",
+    "formats",
     "surfaces",
     "transport",
     "materials",
     "quadrature",
     "instrument",
+    "campaigns",
     "plugins",
     "exports",
     "plots",
@@ -40,7 +42,6 @@ ROOMS = (
     "charts",
     "validation",
     "versions",
-    "benchmark",
     "testing",
     "commands",
     "pytest_entry",
@@ -53,9 +54,10 @@ NUMPY_LAYER = (
     "collector",
     "errors",
     "files",
+    "formats",
+    "instrument.schedule",
     "materials.lobes",
     "microsurfaces.smith",
-    "memory",
     "quadrature.cells",
     "results",
     "single_precision",
@@ -246,9 +248,3 @@ def test_twin_sees_a_plugin_import():
     found = set(imports(source, PACKAGE / "not_a_file.py"))
     assert "gonio_mi.plugins.films.patches" in found
     assert "mitsuba" in found
-
-
-def test_no_two_files_share_a_name():
-    """A newcomer who knows a file's name has found it."""
-    names = [path.name for path in paths() if path.name != "__init__.py"]
-    assert sorted(names) == sorted(set(names))

@@ -12,11 +12,11 @@ import synthetic
 from synthetic import facet_lobes
 
 import gonio_mi as gonio
-from gonio_mi.instrument import whole_bsdf
-from gonio_mi.instrument.campaign_tasks import Surroundings
-from gonio_mi.instrument.known_directions import KnownDirections
-from gonio_mi.instrument.known_material import KnownMaterial
-from gonio_mi.instrument.recognition import Recognition
+from gonio_mi.campaigns import whole_bsdf
+from gonio_mi.campaigns.known_directions import KnownDirections
+from gonio_mi.campaigns.known_material import KnownMaterial
+from gonio_mi.campaigns.recognition import Recognition
+from gonio_mi.campaigns.tasks import Surroundings
 from gonio_mi.materials.incident_grid import IncidentGrid
 from gonio_mi.materials.lobes import MeasuredLobes
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
@@ -338,9 +338,11 @@ def test_copies_of_files_are_checked(tmp_path, change, message):
     with np.load(path) as archive:
         arrays = dict(archive)
     np.savez(path, **arrays)
+    synthetic.seal_again(path)
     assert gonio.load(path) == record
     arrays["copies"] = change(arrays["copies"])
     np.savez(path, **{name: a for name, a in arrays.items() if a is not None})
+    synthetic.seal_again(path)
     with pytest.raises(gonio.FileFormatError, match=message):
         gonio.load(path)
 

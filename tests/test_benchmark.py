@@ -3,17 +3,12 @@
 import itertools
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import budget
 import mitsuba as mi
 import numpy as np
 import pytest
-from budget import agree, count_verdict, disagree, normal_scores, scores, verdict
-from scipy import stats
-
-import gonio_mi as gonio
-from gonio_mi.benchmark import (
+from benchmark import (
     c_loop,
     diffuse_facets,
     groove,
@@ -21,7 +16,7 @@ from gonio_mi.benchmark import (
     round_trips,
     turbid_layer,
 )
-from gonio_mi.benchmark.baselines import (
+from benchmark.baselines import (
     PATCHES,
     THETA_I,
     Baseline,
@@ -31,17 +26,19 @@ from gonio_mi.benchmark.baselines import (
     numba_rays,
     numpy_rays,
 )
-from gonio_mi.benchmark.batch_designs import crossing
-from gonio_mi.benchmark.counting import SPECIMENS, baselines
-from gonio_mi.benchmark.equal_error import error, klems_groove_flux, search
-from gonio_mi.benchmark.tolerances import ANGLES_OF_AZIMUTHS, AZIMUTHS, _fewest
+from benchmark.batch_designs import crossing
+from benchmark.counting import SPECIMENS, baselines
+from benchmark.equal_error import error, klems_groove_flux, search
+from benchmark.tolerances import ANGLES_OF_AZIMUTHS, AZIMUTHS, _fewest
+from budget import agree, count_verdict, disagree, normal_scores, scores, verdict
+from scipy import stats
+
+import gonio_mi as gonio
 from gonio_mi.collector import subdivision
 from gonio_mi.collector.directions import direction
 from gonio_mi.quadrature import integrate
 
 RAYS = 2 * 10**6
-# of this checkout, if an installed package without it is tested
-c_loop.SOURCE = Path(__file__).parents[1] / "gonio_mi/benchmark/count_diffuse.c"
 
 WHITE = {
     "gonio-mi": lambda: gonio_rays(SPECIMENS["diffuse"], "analog", "independent"),
@@ -119,18 +116,6 @@ def test_what_is_compared():
 # ----------------------------------------------------------------------------- C loop
 
 
-def test_without_a_checkout_one_line_says_so(monkeypatch, tmp_path):
-    """What pip installs has no C."""
-    monkeypatch.setattr(c_loop, "SOURCE", tmp_path / "count_diffuse.c")
-    c_loop.library.cache_clear()
-    try:
-        _, absent = baselines_without_renderer(monkeypatch)
-    finally:
-        c_loop.library.cache_clear()
-    (line,) = (line for line in absent if "C loop" in line)
-    assert line.endswith("run the benchmark in a checkout of the repository")
-
-
 def test_c_loop_counts_are_the_same_in_any_number_of_threads():
     built(c_rays)
     # not a multiple of a chunk, nor of the lanes
@@ -161,7 +146,7 @@ def test_without_a_compiler_one_line_says_so(monkeypatch):
 
 
 def baselines_without_renderer(monkeypatch):
-    monkeypatch.setattr("gonio_mi.benchmark.counting.SPECIMENS", {})
+    monkeypatch.setattr("benchmark.counting.SPECIMENS", {})
     return baselines()
 
 

@@ -69,7 +69,7 @@ def executor(request):
 @pytest.mark.usefixtures("mono")
 def test_same_bits_wherever(executor, reference, monkeypatch):
     """One direction a task, so that they end in another order than they began."""
-    module = sys.modules["gonio_mi.instrument.campaign_tasks"]
+    module = sys.modules["gonio_mi.campaigns.tasks"]
     monkeypatch.setattr(module, "TASK_RAYS", 1)
     records = gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, executor=executor)
     assert same(records, reference)
@@ -107,7 +107,7 @@ def test_measure_takes_an_executor_and_a_folder(reference, tmp_path):
 
 @pytest.mark.usefixtures("mono")
 def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch):
-    module = sys.modules["gonio_mi.instrument.campaign_tasks"]
+    module = sys.modules["gonio_mi.campaigns.tasks"]
     monkeypatch.setattr(module, "TASK_RAYS", 1)
     gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, folder=tmp_path)
     files = sorted(tmp_path.glob("*.npz"))
@@ -156,7 +156,7 @@ def interrupted():
 
 @pytest.mark.usefixtures("mono")
 def test_ctrl_c_keeps_whole_directions_only(interrupted, tmp_path, monkeypatch):
-    module = sys.modules["gonio_mi.instrument.campaign_tasks"]
+    module = sys.modules["gonio_mi.campaigns.tasks"]
     monkeypatch.setattr(module, "TASK_RAYS", 1)
     specimen = {"type": "test_interrupted_once"}
     settings = ANGLES | SETTINGS | {"sampler": "independent"}

@@ -1,6 +1,7 @@
 """The command line: what it prints and writes, and one sentence for each bad input."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -15,10 +16,12 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi import cli, files
 from gonio_mi.collector import subdivision
+from gonio_mi.results.provenance import Provenance
 from gonio_mi.results.record import Record
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 from gonio_mi.results.tally import Fate, Tally
+from gonio_mi.settings import MeasurementSettings, declarations
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -332,14 +335,58 @@ def test_precision_that_is_reached_exits_with_0(run):
             ("measure", "nothing", *QUICK[2:]),
             '"nothing" not found; one of your own is imported before, or',
         ),
-        (("measure", "diffuse:rho=1", *QUICK[2:]), "diffuse has no use for rho\n"),
+        (
+            ("measure", "diffuse:rho=1", *QUICK[2:]),
+            "diffuse has no use for rho; it takes reflectance\n",
+        ),
+        (
+            ("measure", "roughdielectric:foo=1", *QUICK[2:]),
+            "no use for foo; it takes alpha, alpha_u, alpha_v, distribution, ext_ior, "
+            "int_ior, sample_visible, specular_reflectance, specular_transmittance\n",
+        ),
+        (
+            ("measure", "goniometric:filename=none.npz,foo=1", *QUICK[2:]),
+            "there is no file none.npz\n",
+        ),
         (
             ("measure", "diffuse:rho=1,reflectence=0.3", *QUICK[2:]),
-            "no use for rho, reflectence; did you mean reflectance?\n",
+            "no use for rho, reflectence; it takes reflectance; did you mean reflect",
         ),
         (
             ("measure", "cosinelobe:expnent=3", *QUICK[2:]),
-            "cosinelobe has no use for expnent; did you mean exponent?\n",
+            "cosinelobe has no use for expnent; it takes exponent, normalisation, "
+            "reflectance; did you mean exponent?\n",
+        ),
+        (("measure", "diffuse", "--angle", "3"), ": --angle; did you mean --theta-i?"),
+        (("measure", "diffuse", "--theta=3"), ": --theta; did you mean --theta-i?"),
+        ((*DIFFUSE, "--samples", "30"), ": --samples; did you mean --rays?\n"),
+        ((*DIFFUSE, "--spp", "30"), ": --spp; did you mean --rays?\n"),
+        ((*DIFFUSE, "--n_rays=3"), ": --n_rays; did you mean --rays?\n"),
+        (("plan", "--spp=30"), "unrecognized arguments: --spp=30\n"),
+        (
+            ("measure", "roughplastic,alpha=0.2", *QUICK[2:]),
+            "must have a colon before its parameters, as in roughplastic:alpha=0.2",
+        ),
+        (
+            ("measure", "principled:base_color=0.5,0.5,0.5", *QUICK[2:]),
+            "base_color must be a colour with slashes, such as 0.5/0.5/0.5, got 0.5,0.",
+        ),
+        (
+            ("measure", "roughplastic:alpha=0,2,nonlinear=true", *QUICK[2:]),
+            "alpha must be a number with a point, such as 0.2, got 0,2\n",
+        ),
+        (
+            ("measure", "roughplastic:alpha=a,b", *QUICK[2:]),
+            "alpha must be a value without commas, got a,b\n",
+        ),
+        (
+            ("measure", "roughconductor:material=gold", *QUICK[2:]),
+            "got 'gold'; gold is Au\n",
+        ),
+        (("measure", "conductor:material=Agg", *QUICK[2:]), "; did you mean Ag?\n"),
+        *(
+            ((*words, "--json", "a.json"), "--json takes no file, for it prints")
+            for words in (("validate", "diffuse"), ("validate",), ("plan",), ("show",))
         ),
         (("measure", "diffuse:rho", *QUICK[2:]), "got 'diffuse:rho'"),
         (("measure", "point", *QUICK[2:]), "specimen must be a BSDF"),
@@ -361,6 +408,25 @@ def test_precision_that_is_reached_exits_with_0(run):
 )
 def test_bad_arguments(refuse, arguments, words):
     assert words in refuse(*arguments)
+
+
+def test_a_json_file_that_exists_is_an_argument(refuse, tmp_path):
+    """A table of OpenMATERIAL may stand before ``--json``; a file to write may not."""
+    table = tmp_path / "panel.json"
+    words = ("show", str(table), "--json")
+    assert "--json takes no file" in refuse(*words)
+    table.write_text("{}")
+    assert "--json takes no file" not in refuse(*words)
+
+
+def test_spaces_around_parameters_are_none(run):
+    """A name with a space in it is shown as such, where a dictionary has it."""
+    words = ("--theta-i", "45", "--rays", "1e3")
+    for specimen in ("diffuse: reflectance = 0.5", "diffuse:reflectance=0.5,"):
+        code, out, _ = run("measure", specimen, *words)
+        assert (code, "diffuse:reflectance=0.5" in out) == (0, True)
+    with pytest.raises(gonio.SpecimenError, match="no use for ' reflectance'; it take"):
+        gonio.measure({"type": "diffuse", " reflectance": 0.5}, 45)
 
 
 @pytest.mark.parametrize(
@@ -452,6 +518,10 @@ def test_errors_in_plugins_name_the_line(refuse, plugins):
         ("file/run.npz", "there is no folder"),
         ("folder.npz", "is a folder"),
         ("run.txt", "must end in .exr or .npz"),
+        ("map.png", "save one, and gonio-mi plot makes"),
+        ("map.gif", "save one, and gonio-mi plot makes"),
+        ("map.HTML", "save one, and gonio-mi report makes"),
+        ("map.csv", "save one, and gonio-mi export makes"),
         ("run", "must end in .exr or .npz"),
     ],
 )
@@ -547,7 +617,7 @@ def test_ctrl_c_in_a_stack(run, plugins, tmp_path):
 @pytest.mark.usefixtures("sigint")
 def test_ctrl_c_keeps_whole_integrals(run, plugins, tmp_path, monkeypatch):
     """Of those that share kernels all or none: here each has its own."""
-    monkeypatch.setattr("gonio_mi.instrument.sending.TOGETHER", 1)
+    monkeypatch.setattr("gonio_mi.instrument.measurement.TOGETHER", 1)
     part = tmp_path / "part.npz"
     angles = ("--theta-i", "0", "30", "60", "--estimator", "quadrature", "-q")
     plate = ("measure", "test_interrupted:at=24", *plugins, *angles)
@@ -604,7 +674,7 @@ def test_ctrl_c_before_the_first_batch(run, plugins, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to others")
-def test_ctrl_c_from_outside(plugins, tmp_path):
+def test_ctrl_c_from_outside(run, plugins, tmp_path):
     part, rest, whole = (tmp_path / f"{name}.npz" for name in ("part", "rest", "whole"))
     with start(
         *interruptible(plugins, "at=4", "wait=true"), "-q", "-o", part
@@ -616,10 +686,56 @@ def test_ctrl_c_from_outside(plugins, tmp_path):
     assert err.startswith(f"gonio-mi: interrupted: {part} holds ")
     assert 0 < gonio.load(part).n_batches < 8
     for arguments in (("--resume", part, "-o", rest), ("-o", whole)):
-        with start(*interruptible(plugins), "-q", *arguments) as process:
-            assert process.communicate() == ("", "")
-        assert process.returncode == 0
+        assert run(*interruptible(plugins), "-q", *arguments) == (0, "", "")
     assert gonio.load(rest).tallies == gonio.load(whole).tallies
+
+
+STARTING = """
+import signal, sys
+from importlib.abc import MetaPathFinder
+signal.signal(signal.SIGINT, signal.default_int_handler)
+class Pressed(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Pressed())
+sys.argv = [{program!r}, "--version"]
+from gonio_mi.cli import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such exit codes")
+@pytest.mark.parametrize("module", ["drjit", "mitsuba", "scipy", "gonio_mi.charts"])
+def test_ctrl_c_while_starting_is_a_line(module):
+    program = STARTING.format(module=module, program="/usr/bin/gonio-mi")
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True)
+    said = (done.returncode, done.stdout, done.stderr)
+    assert said == (130, b"", b"gonio-mi: interrupted\n")
+
+
+def test_twin_another_program_that_imports_this_answers_ctrl_c_itself():
+    program = STARTING.format(module="gonio_mi.charts", program="/usr/bin/other")
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True)
+    assert b"KeyboardInterrupt" in done.stderr
+    assert done.returncode != 130
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437"])
+def test_output_that_is_not_utf_8_loses_no_numbers(encoding, write):
+    """What cannot be encoded is escaped: help, and the numbers of a measurement."""
+    scene = write("sc\u00e8ne \u0451.xml", SCENE)
+    program = "import sys; from gonio_mi.cli import main; sys.exit(main())"
+    for words in (["measure", "--help"], ["measure", str(scene), *QUICK[2:]]):
+        done = subprocess.run(
+            [sys.executable, "-c", program, *words],
+            capture_output=True,
+            env=os.environ | {"PYTHONIOENCODING": encoding},
+        )
+        assert (done.returncode, done.stderr) == (0, b"")
+        said = done.stdout.decode(encoding)
+        assert ("dhr" in said) == (words[1] != "--help")
+        assert "\\u0451" in said or words[1] == "--help"
 
 
 def start(*arguments, before="pass"):
@@ -712,7 +828,14 @@ def synthetic(hits_per_batch=100, batches=4, **fates):
         scale=1,
     )
     settings = {"sampler": "independent", "specimen": "synthetic", "batches": batches}
-    return Record(grid, np.array([45.0]), np.array([0.0]), ("Y",), (tally,), settings)
+    return Record(
+        grid,
+        np.array([45.0]),
+        np.array([0.0]),
+        ("Y",),
+        (tally,),
+        provenance=Provenance(**settings),
+    )
 
 
 @pytest.mark.parametrize(
@@ -840,7 +963,7 @@ def report_of_bug(refuse, tmp_path, monkeypatch):
 @pytest.fixture(params=FAULTS)
 def measure_with_bug(request, monkeypatch):
     """A function of ours that has a bug, which is where `measure` was."""
-    scope = {"__name__": "gonio_mi.instrument.measuring", "np": np}
+    scope = {"__name__": "gonio_mi.campaigns.measuring", "np": np}
     exec(f"def measure(*_, **__):\n    return {request.param}", scope)
     monkeypatch.setattr("gonio_mi.commands.measure.measure", scope["measure"])
 
@@ -920,6 +1043,27 @@ def test_every_command_has_help_for_a_terminal(command, capsys, monkeypatch):
         assert "   " not in line.strip()  # of a line break that was lost
 
 
+def test_short_help_of_measure_leads_to_all_of_it(capsys, monkeypatch):
+    """At 80 columns, 90 lines; the long one has every option and every sentence."""
+    monkeypatch.setenv("COLUMNS", "80")
+    said = {}
+    for option in ("--help", "--help-all", "-h"):
+        with pytest.raises(SystemExit) as caught:
+            cli.main(["measure", option])
+        assert caught.value.code == 0
+        said[option] = capsys.readouterr().out
+    assert said["--help"].count("\n") <= 90
+    assert said["--help"] == said["-h"]
+    assert "--help-all" in said["--help"]
+    assert "--rr-depth" not in said["--help"]
+    whole = " ".join(said["--help-all"].split())
+    for declared in declarations(MeasurementSettings).values():
+        if declared.group is not None:
+            assert declared.option in whole
+            plain = re.sub(r"[`*]", "", declared.sentence)
+            assert plain.replace("- ", "-") in whole.replace("- ", "-")
+
+
 def test_the_command_line_works_in_any_thread(tmp_path, capsys):
     """Where signals cannot be answered; of a campaign too."""
     folder = ("--folder", str(tmp_path), "-q")
@@ -927,6 +1071,22 @@ def test_the_command_line_works_in_any_thread(tmp_path, capsys):
         for more in ((), folder):
             assert thread.submit(cli.main, [*QUICK, *more]).result() == 0
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("package", "first"),
+    [
+        ("scipy", "1.13"),
+        ("matplotlib", "3.8.4"),
+        ("xarray", "2024.6"),
+        ("numba", "0.60"),
+    ],
+)
+def test_lowest_versions_are_those_that_numpy_2_loads_with(package, first):
+    """Tried one by one, each beside NumPy 2.0.2: the one before fails on import."""
+    text = (Path(__file__).parents[1] / "pyproject.toml").read_text()
+    assert '"numpy>=2"' in text
+    assert set(re.findall(f'"{package}>=([^"]+)"', text)) == {first}
 
 
 def test_console_script_is_this_one():

@@ -26,7 +26,9 @@ from gonio_mi.comparison import compare, measure_like
 from gonio_mi.comparison.agreement import Readings, _two_hits_score
 from gonio_mi.comparison.comparison_figure import comparison_figure
 from gonio_mi.comparison.findings import Comparison
-from gonio_mi.files.measured import MeasuredTable, read_measured
+from gonio_mi.files.measured_table import MeasuredTable
+from gonio_mi.formats.reading import read_measured
+from gonio_mi.results.provenance import Provenance
 from gonio_mi.results.record import Record
 from gonio_mi.transport.collector_sphere import CollectorSphere
 
@@ -107,7 +109,20 @@ def test_mirrored_azimuth_differs():
     record = gloss()
     values, _, phi = truth(record)
     mirrored = table_of(record, values, phi_o=-phi, uncertainty=0.005)
-    disagree(verdict_of(compare(record, mirrored)))
+    found = compare(record, mirrored)
+    disagree(verdict_of(found))
+    assert any("azimuths of exit clockwise would agree" in n for n in found.notes)
+    (incident,) = table_of(record, values).incident
+    image = table_of(record, values, phi_o=2 * incident[1] - phi, uncertainty=0.005)
+    notes = compare(record, image).notes
+    assert any("image at the plane of incidence would agree" in n for n in notes)
+    turned = compare(
+        record, table_of(record, values, phi_o=phi + 180, uncertainty=0.005)
+    )
+    assert any("180 degrees on would agree" in note for note in turned.notes)
+    # the twin: what is wrong in either way
+    wrong = compare(record, table_of(record, 1.5 * values, uncertainty=0.005))
+    assert not any("would agree" in note for note in wrong.notes)
     whole_turns = table_of(record, values, phi_o=phi + 720, uncertainty=0.005)
     agree(verdict_of(compare(record, whole_turns)))
 
@@ -220,7 +235,7 @@ def test_rms_is_that_of_the_paper():
     made = synthetic.tally(patches, weights, rays // 32, rng, 1, 32, analog=True)
     record = Record(
         patches, np.array([45.0]), np.array([0.0]), ("Y",), (made,),
-        {"sampler": "independent", "seed": 1},
+        provenance=Provenance(sampler="independent", seeds=(1,)),
     )  # fmt: skip
     comparison = compare(record, table_of(record, np.full(m, 1 / np.pi)))
     flat = record.brdf[..., 0].ravel()
@@ -346,7 +361,7 @@ def test_passes_of_the_same_rays_count_once():
     once = with_hits(gloss(analog=True), 0)
     (made,) = once.tallies
     doubled = replace(made, hits=made.hits * 2, fates=made.fates * np.uint64(2))
-    twice = replace(once, tallies=(doubled,), settings={**once.settings, "passes": 2})
+    twice = replace(once, tallies=(doubled,)).with_provenance(passes=2)
     patch = np.arange(once.subdivision.n_patches)
     zero = np.zeros_like(patch)
     one, two = (Readings.of(r, 0, zero, patch, zero) for r in (once, twice))
@@ -402,12 +417,20 @@ def test_a_total_of_few_hits_is_not_tested():
 def test_a_test_without_power_says_so(sampler, rays):
     """Evenly distributed rays with few hits only; the verdict as printed holds it."""
     pair = [synthetic.record(rays=rays, seed=seed) for seed in (1, 2)]
-    one, other = (
-        replace(record, settings=record.settings | {"sampler": sampler})
-        for record in pair
-    )
+    one, other = (record.with_provenance(sampler=sampler) for record in pair)
     noted = "next to no power" in str(compare(one, other))
     assert noted == (sampler == "sobol" and rays < 10**8)
+
+
+def test_a_difference_is_on_no_safe_side():
+    """A test without power that has found something needs no more of it."""
+    one = synthetic.record(rays=10_000, seed=1)
+    one = one.with_provenance(sampler="sobol")
+    other = synthetic.record(rays=10_000, seed=2, power=8)
+    comparison = compare(one, other)
+    assert comparison.verdict == "differ"
+    assert "safe side" not in str(comparison)
+    assert "next to no power" not in str(comparison)
 
 
 def test_a_record_agrees_with_itself_and_says_so():
@@ -459,7 +482,7 @@ def test_what_a_table_must_share_with_a_record():
         compare(record, below)
     alone = gloss()
     alone = Record(alone.subdivision, alone.theta_i, alone.phi_i, alone.channels,
-                   (synthetic.record(n_batches=1).tallies[0],), {})  # fmt: skip
+                   (synthetic.record(n_batches=1).tallies[0],))  # fmt: skip
     with pytest.raises(ValueError, match="at least 2 batches"):
         compare(alone, table_of(record, values))
 
@@ -768,6 +791,23 @@ def test_apertures_in_drjit_are_those_in_numpy():
 
 
 @pytest.mark.usefixtures("mono")
+def test_apertures_that_cross_the_horizon_are_left_out():
+    """And counted; if all do, nothing is left to compare."""
+    theta_o = np.array([0.0, 40.0, 86.0, 88.0])
+    same = np.full(4, 30.0), np.zeros(4), theta_o, np.full(4, 180.0)
+    table = MeasuredTable(*same, np.full(4, 0.7 / np.pi), aperture_half_angle=5)
+    records = measure_like(DIFFUSE, table, rays=20_000)
+    found = compare(records, table, uncertainty=0.05)
+    assert sorted(found.theta_o) == [0, 40]
+    assert any("2 of 4 points, whose apertures reach below" in n for n in found.notes)
+    low = replace(table, theta_o=np.full(4, 87.0))
+    with pytest.raises(ValueError, match=r"each aperture .* below the horizon"):
+        measure_like(DIFFUSE, low, rays=20_000)
+    with pytest.raises(ValueError, match="aperture around theta_o, phi_o"):
+        compare(records, low)
+
+
+@pytest.mark.usefixtures("mono")
 def test_overlapping_and_transmitted_points():
     """Groups of apertures join in one comparison; below the horizon too."""
     theta_o = np.arange(120.0, 180, 5)
@@ -1021,6 +1061,27 @@ def test_a_point_for_each_incidence_is_drawn_over_incidence():
         assert drawn == ([0, 30, 60] if k == 1 else [-40, -20])
         assert below.get_xlabel().startswith("theta_i" if k == 1 else "theta_o")
         assert k == 1 or below.get_xlabel().endswith("negative at phi_o 10°")
+
+
+def test_a_picture_says_what_it_leaves_out_and_parts_hemispheres():
+    """A panel for each, on one kind of axis, in the colours of what is drawn."""
+    theta_i = tuple(np.linspace(0, 80, 8))
+    both = {"theta_i": theta_i, "phi_i": (0,) * 8, "both": True, "power": 6}
+    records = [synthetic.record("projected:8x16", seed=seed, **both) for seed in (1, 2)]
+    figure = comparison_figure(compare(*records))
+    above, below = figure.get_axes()[:3], figure.get_axes()[3:6]
+    assert len(figure.get_axes()) == 12
+    assert len({one.get_yscale() for one in figure.get_axes()[::6]}) == 1
+    sides = [one.get_title().rpartition(", ")[2] for one in above]
+    assert set(sides) == {"reflection", "transmission"}
+    for one, scores in zip(above, below, strict=True):
+        drawn = np.asarray(one.containers[0][0].get_xdata())
+        assert np.abs(drawn).max() < 90  # from the pole of its own hemisphere
+        of_record = one.containers[1][0].get_color()
+        assert scores.lines[-1].get_color() != of_record
+    title = figure.get_suptitle()
+    assert "6 of 16 panels are shown; " in title
+    assert title.endswith(f"of {2 * 8 * 128} points")
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """Intervals cover the truth where it is hard: rare losses, few and unlike deposits.
 
 Each verdict takes a share of the suite's false-alarm budget. `python -m
-gonio_mi.benchmark --coverage` measures the whole table.
+tests.benchmark --coverage` measures the whole table.
 """
 
 from functools import cache
@@ -9,14 +9,15 @@ from functools import cache
 import mitsuba as mi
 import numpy as np
 import pytest
+from benchmark import coverage
+from benchmark.coverage import CASES, LEVEL, Coverage
 from budget import agree, disagree, often_enough
 from scipy import special
 
 import gonio_mi as gonio
-from gonio_mi.benchmark import coverage
-from gonio_mi.benchmark.coverage import CASES, LEVEL, Coverage
 from gonio_mi.quadrature import integrate
-from gonio_mi.results.statistics import binomial_interval
+from gonio_mi.results.estimates import SampledEstimates
+from gonio_mi.results.statistics import batch_std_err, binomial_interval
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -62,12 +63,11 @@ def test_all_received_is_no_proof_of_none_lost(name, sampler):
 
 
 @cache
-def glossy(order):
+def glossy(order, name="glossy"):
     """A glossy groove's flux fractions, from 4e6 rays that are waited for."""
     mi.set_variant("llvm_ad_mono")
-    case = CASES["glossy"]
     how = {"rays": 2**22, "seed": 2**20, "order": order}
-    return gonio.measure(case.specimen(), **case.settings, **how)
+    return gonio.measure(CASES[name].specimen(), **CASES["glossy"].settings, **how)
 
 
 @pytest.mark.parametrize(
@@ -105,6 +105,30 @@ def test_deposits_of_glossy_facets_cover(order, rays, points):
         disagree(often_enough(twin))
 
 
+def test_even_deposits_beside_lobes_cover():
+    """Patches that none of 25 rays a batch hits, though their points agree.
+
+    Twin: the interval by Student's t of their own deposits.
+    """
+    case, truth = CASES["lobes, 96 points"], glossy("all", "lobes, 96 points").brdf
+    off = (truth > 0) & (truth < 0.1 * truth.mean())
+    specimen, parts, twins = mi.load_dict(case.specimen()), [], []
+    for seed in range(SEEDS // 2):
+        record = gonio.measure(
+            specimen, **case.settings, rays=400, seed=seed, estimator="next_event"
+        )
+        low, high = record.interval(LEVEL)
+        parts.append(((low <= truth) & (truth <= high))[off].mean())
+        # of their own: where heavy hits are rare, the record's standard error is more
+        (tally,) = record.tallies
+        own = batch_std_err(tally.sums[:, 0], tally.incident[:, None, None])
+        half = special.stdtrit(15, (1 + LEVEL) / 2) * own
+        half = half / record.subdivision.projected_solid_angles[..., None]
+        twins.append((np.abs(record.brdf - truth) <= half)[off].mean())
+    agree(often_enough(parts))
+    disagree(often_enough(twins))
+
+
 def test_few_hits_of_unlike_weights_cover():
     """Patches of a dark groove: of few hits, some weigh a hundredth of the others.
 
@@ -125,6 +149,85 @@ def test_few_hits_of_unlike_weights_cover():
         twins.append(((low <= truth) & (truth <= high))[few].mean())
     agree(often_enough(parts))
     disagree(often_enough(twins))
+
+
+@pytest.mark.parametrize(
+    ("name", "rays"),
+    [
+        ("spots 0.01", 3000),
+        ("spots 0.01", 300_000),
+        ("spots 0.05", 10_000),
+        ("bright spots", 30_000),
+        ("glossy spots", 30_000),
+    ],
+)
+def test_rare_bright_spots_are_covered(name, rays):
+    """Patches whose spots were missed; twin: the interval of their own hits alone.
+
+    These tell too little of most patches that have some, and `pooled` says so.
+    """
+    case = CASES[name]
+    specimen, truth = mi.load_dict(case.specimen()), coverage.truth_of(name).brdf
+    parts, twins, pooled = [], [], []
+    for seed in range(SEEDS // 2):
+        record = gonio.measure(specimen, **case.settings, rays=rays, seed=seed)
+        pooled.append((record.pooled | record.without_hit).mean())
+        for heavy, found in ((True, parts), (False, twins)):
+            with pytest.MonkeyPatch.context() as patch:
+                if not heavy:
+                    patch.setattr(SampledEstimates, "_heavy", lambda *_: np.zeros(1))
+                low, high = record.interval(LEVEL)
+            found.append(((low <= truth) & (truth <= high)).mean())
+    agree(often_enough(parts))
+    disagree(often_enough(twins))
+    assert np.mean(pooled) > 0.5
+
+
+def test_standard_errors_know_of_spots_that_a_patch_missed():
+    """Mean square of all patches' scores: at most 1, but for Student's 15 of 13.
+
+    Twin: the scatter of their own batches, far too small of those without a spot.
+    """
+    case, truth = CASES["spots 0.01"], coverage.truth_of("spots 0.01").brdf
+    specimen, parts, twins = mi.load_dict(case.specimen()), [], []
+    for seed in range(SEEDS // 2):
+        record = gonio.measure(specimen, **case.settings, rays=30_000, seed=seed)
+        (estimates,) = record.estimates
+        solid = record.subdivision.projected_solid_angles[..., None]
+        own = estimates._scatter(0) / solid
+        for std_err, found in ((record.brdf_std_err, parts), (own, twins)):
+            known = std_err > 0
+            score = (record.brdf - truth)[known] / std_err[known]
+            found.append(np.mean(score**2))
+    assert np.mean(parts) < 15 / 13
+    assert np.mean(twins) > 1000
+
+
+@pytest.mark.parametrize("sampler", ["sobol", "independent"])
+@pytest.mark.parametrize(
+    "bsdf",
+    [
+        {"type": "diffuse"},
+        {"type": "roughconductor", "alpha": 0.2},
+        {"type": "roughplastic", "alpha": 0.2},
+        {"type": "roughdielectric", "alpha": 0.3},
+    ],
+    ids=lambda bsdf: bsdf["type"],
+)
+def test_plain_specimens_pay_nothing(monkeypatch, bsdf, sampler):
+    """Of 1e5 rays, intervals are as wide as those of a patch's own hits, within 5 %."""
+    record = gonio.measure(
+        bsdf, theta_i=45, collector="projected:30x30", rays=10**5, sampler=sampler
+    )
+    widths = []
+    for _ in range(2):
+        low, high = record.interval(LEVEL)
+        widths.append(high - low)
+        monkeypatch.setattr(SampledEstimates, "_heavy", lambda *_: np.zeros(1))
+    assert np.mean(widths[0] / widths[1]) < 1.05
+    assert widths[0].sum() < 1.05 * widths[1].sum()
+    if bsdf["type"] == "diffuse":
+        assert not record.pooled.any()
 
 
 def test_no_deposit_weighs_more_than_rays():

@@ -16,7 +16,7 @@ from gonio_mi import cli
 from gonio_mi.collector.klems import Klems
 from gonio_mi.exports import exporting
 from gonio_mi.exports.daylight import SOLAR, VISIBLE, VISIBLE_NM, of_daylight
-from gonio_mi.files import radiance_xml
+from gonio_mi.formats import radiance
 
 EPS = np.finfo(float).eps
 
@@ -132,7 +132,7 @@ def test_a_step_of_reflectance_is_in_both_blocks(tmp_path):
     records = gonio.bsdf(PAINT, path, **FILE, rays=64)
     assert list(records) == ["front", "back", "solar front", "solar back"]
     with open(path, "rb") as stream:
-        blocks = radiance_xml.read(stream)
+        blocks = radiance.read(stream)
     assert {name for name, _ in blocks} == {"Visible", "Solar"}
     projected = Klems("quarter").projected_solid_angles
     for name, light, other in (("Visible", VISIBLE, SOLAR), ("Solar", SOLAR, VISIBLE)):
@@ -151,7 +151,7 @@ def test_a_step_of_reflectance_is_in_both_blocks(tmp_path):
     ]
     exporting.export(sides, path, "klems-quarter")
     with open(path, "rb") as stream:
-        again = radiance_xml.read(stream)
+        again = radiance.read(stream)
     assert all(np.array_equal(again[key], blocks[key]) for key in blocks)
 
 
@@ -190,7 +190,7 @@ def test_wavelengths_of_visible_light_make_no_solar_block(tmp_path):
 @pytest.fixture
 def measured(monkeypatch):
     """Directions that campaigns measure; the 60th call is interrupted."""
-    module = sys.modules["gonio_mi.instrument.campaign_tasks"]
+    module = sys.modules["gonio_mi.campaigns.tasks"]
     measure, seen = module.measure_each, []
 
     def measure_each(specimen, incidents, **settings):

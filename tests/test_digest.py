@@ -86,11 +86,6 @@ def interrupted(record):
     return replace(record, tallies=(first,))
 
 
-def without_digests(record):
-    settings = {k: v for k, v in record.settings.items() if "digest" not in k}
-    return replace(record, settings=settings)
-
-
 @pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("make", SPECIMENS)
 def test_different_specimens_cannot_be_mixed(make):
@@ -100,7 +95,7 @@ def test_different_specimens_cannot_be_mixed(make):
         one.merge(other)
     with pytest.raises(ValueError, match="agree in digest to be stacked"):
         gonio.Record.stack(
-            [one, replace(other, settings=one.settings | {"digest": "0"})]
+            [one, replace(other, provenance=replace(one.provenance, digest="0"))]
         )
     resumed = measured(make(0.2), resume=interrupted(one))
     np.testing.assert_array_equal(resumed.brdf, one.brdf)
@@ -130,16 +125,6 @@ def test_a_turned_emitter_is_the_same_emitter():
     for key in ("digest", "emitter_digest"):
         assert stack.settings[key] == alone.settings[key]
     assert measured(matt).settings["emitter_digest"] is None
-
-
-@pytest.mark.usefixtures("mono")
-def test_records_without_a_digest_are_what_they_were():
-    one, other = (measured(blended(0.2), seed) for seed in (0, 1))
-    old = without_digests(one)
-    assert old.merge(other).tallies == one.merge(other).tallies
-    resumed = measured(blended(0.2), resume=interrupted(old))
-    np.testing.assert_array_equal(resumed.brdf, one.brdf)
-    assert len(gonio.Record.stack([old, one])) == 2
 
 
 SCRIPT = """

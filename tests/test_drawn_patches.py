@@ -6,7 +6,7 @@ import synthetic
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.plots.drawn_patches import drawn_in_rings
+from gonio_mi.plots.profile import drawn_in_rings
 
 COLLECTORS = [
     "klems",
@@ -50,7 +50,8 @@ def test_they_are_drawn(tmp_path, collector):
             record.phi_i,
             record.channels,
             (tally,),
-            record.settings,
+            record.asked,
+            record.provenance,
         )
     gonio.plot(record, tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 10_000

@@ -11,17 +11,26 @@ import pytest
 import synthetic
 
 import gonio_mi as gonio
-from gonio_mi import cli
+from gonio_mi import cli, progress
 from gonio_mi.collector import subdivision
 from gonio_mi.collector.directions import direction
 from gonio_mi.collector.klems import Klems
 from gonio_mi.errors import FileFormatError, VariantError
-from gonio_mi.exports import exporting, measured_export, radiance_export, resampling
-from gonio_mi.files import tensor_file
+from gonio_mi.exports import (
+    exporting,
+    loss,
+    measured_export,
+    radiance_export,
+    resampling,
+)
+from gonio_mi.formats import tensor_file
 from gonio_mi.transport.collector_sphere import CollectorSphere
 
-# Most records here are of one side, and their files say so.
-pytestmark = pytest.mark.filterwarnings("ignore:the file describes light from")
+# Most records here are of one side, with lobes that are not reciprocal: files say so.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:the file describes light from"),
+    pytest.mark.filterwarnings("ignore:the (front|back) is not reciprocal"),
+]
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -144,6 +153,55 @@ def test_light_that_measured_adds_is_a_loss_and_no_warning(tmp_path, monkeypatch
         losses = exporting.export(record, tmp_path / "metal.bsdf")
     assert max(loss.written for loss in losses) > 1.002
     assert not [one for one in caught if "creates light" in str(one.message)]
+
+
+@pytest.mark.filterwarnings("ignore:the BSDF creates light")
+@pytest.mark.usefixtures("rgb")
+def test_what_measured_holds_is_what_rays_find_in_it(tmp_path, monkeypatch, capsys):
+    """Mitsuba's `sample` is asked in the end where points of patches do not suffice.
+
+    Twin: light of the record turned by a sector.
+    """
+    metal = {"type": "roughconductor", "alpha_u": 0.3, "alpha_v": 0.2}
+    angles = {"theta_i": [0, 40, 70], "phi_i": [0, 90, 180, 270]}
+    record = gonio.measure(metal, **angles, collector="projected:9x12", rays=2**14)
+    monkeypatch.setattr(measured_export, "GRID", 32)
+    monkeypatch.setattr(progress, "PAUSE", 0.0)
+    by_points = exporting.export(record, tmp_path / "a.bsdf", progress=True)
+    assert "read back" in capsys.readouterr().err
+    apart = measured_export.APART  # what the points of a patch may leave unknown
+    monkeypatch.setattr(measured_export, "APART", -1.0)
+    monkeypatch.setattr(measured_export, "RAYS", 2**17)
+    by_rays = exporting.export(record, tmp_path / "a.bsdf")
+    measured = {"type": "measured", "filename": str(tmp_path / "a.bsdf")}
+    seen = gonio.measure(measured, **angles, collector="projected:9x12", rays=2**17)
+    fractions = seen.flux_fraction[:, :1]
+    # sums of 108 absolute errors are hardly ever twice as large as their mean
+    noise = [2 * one.noise for one in loss.losses(seen, fractions)]
+    for one, other, chance in zip(by_points, by_rays, noise, strict=True):
+        assert abs(one.written / other.written - 1) < apart + chance
+        assert abs(one.misplaced - other.misplaced) < apart + chance
+    turned = loss.losses(record, np.roll(fractions, 1, axis=-2))
+    for one, other, chance in zip(by_points, turned, noise, strict=True):
+        assert abs(one.misplaced - other.misplaced) > apart + chance or not one.theta_i
+
+
+@pytest.mark.usefixtures("rgb")
+def test_a_material_at_measured_incidence_is_read_as_between():
+    """To the rounding of directions in single precision; twin: a degree beside."""
+    theta_i, phi_i = np.meshgrid([0, 36, 72], [0, 120, 240])
+    angles = theta_i.ravel().tolist(), phi_i.ravel().tolist()
+    record = synthetic.record("projected:8x16", *angles, power=6, both=True)
+    material = resampling.Material(record)
+    points = record.subdivision.points(2).reshape(-1, 3)
+    wo = np.concatenate([points, points * [1, 1, -1]])
+    for theta, phi in ((0, 120), (36, 0), (36, -120), (72, 240)):
+        read = material.values(theta, phi, wo)
+        moved = material.values(np.full(len(wo), theta), np.full(len(wo), phi), wo)
+        same = np.isclose(read, moved, rtol=1e-4, atol=1e-5 * moved.max())
+        assert same.all()
+        beside = material.values(abs(theta - 1.0), phi, wo)
+        assert not np.isclose(beside, moved, rtol=1e-4, atol=1e-5 * moved.max()).all()
 
 
 @pytest.mark.usefixtures("mono")
@@ -320,7 +378,7 @@ def test_any_reader_of_hdf5_has_names_units_and_axes(tmp_path):
     pytest.importorskip("h5netcdf")
     # longer than the 64 KiB of an attribute that lies in the header of an object
     record = synthetic.record(channels=("400nm", "632.8nm")).with_settings(
-        remark="x" * 2**16
+        specimen="x" * 2**16
     )
     losses = exporting.export(record, tmp_path / "run.h5")
     assert all(loss.misplaced <= np.finfo(float).eps for loss in losses)
@@ -336,7 +394,7 @@ def test_any_reader_of_hdf5_has_names_units_and_axes(tmp_path):
         middles = np.degrees(record.subdivision.middles[0])
         assert np.array_equal(file["theta"][:], middles)
         assert file["wavelength"][:].tolist() == [400, 632.8]
-        assert json.loads(file.attrs["settings"])["remark"] == "x" * 2**16
+        assert json.loads(file.attrs["settings"])["specimen"] == "x" * 2**16
 
 
 def test_without_h5netcdf_a_sentence(tmp_path, monkeypatch):
@@ -381,7 +439,7 @@ def test_command_prints_what_was_lost(tmp_path, capsys, glossy):
     assert cli.main(["export", str(tmp_path / "run.npz"), "-o", str(target)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == str(target)
-    assert len(lines) == 3 + 1
+    assert len(lines) == 3 + 1 + 1  # losses, blocks, and the finer basis
     assert "of the light ended up in a neighbouring patch, at worst" in lines[1]
     assert "--basis tensor3" in "".join(lines)
     finer = ["--basis", "tensor3"]
@@ -393,7 +451,7 @@ def test_command_prints_what_was_lost(tmp_path, capsys, glossy):
     words = "--every", "-o", str(target)
     assert cli.main(["export", str(tmp_path / "run.npz"), *words]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 7 + 1
+    assert len(lines) == 7 + 1 + 1
     assert "of the light is in other patches" in lines[1]
     assert target.exists()
 

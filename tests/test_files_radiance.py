@@ -1,6 +1,7 @@
 """Radiance's files: read by Radiance itself, and by us when they are hostile."""
 
 import io
+import re
 import subprocess
 from pathlib import Path
 
@@ -14,12 +15,15 @@ from gonio_mi.collector.shirley_chiu import directions_of, square_of
 from gonio_mi.errors import FileFormatError
 from gonio_mi.exports import exporting, radiance_export
 from gonio_mi.exports.radiance_export import BASES
-from gonio_mi.files import radiance_xml, tensor_tree
-from gonio_mi.files.radiance_bsdf import XYZ, RadianceBSDF, matrices, trees
-from gonio_mi.files.tensor_tree import TensorTree
+from gonio_mi.formats import radiance, tensor_tree
+from gonio_mi.formats.radiance import XYZ, RadianceBSDF, matrices, trees
+from gonio_mi.formats.tensor_tree import TensorTree
 
-# Most records here are of one side, and their files say so.
-pytestmark = pytest.mark.filterwarnings("ignore:the file describes light from")
+# Most records here are of one side, with lobes that are not reciprocal: files say so.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:the file describes light from"),
+    pytest.mark.filterwarnings("ignore:the (front|back) is not reciprocal"),
+]
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -221,13 +225,60 @@ def test_twin_radiance_would_notice_a_turned_emitter(tmp_path, glossy):
         assert agrees == (turned == 0)
 
 
+@pytest.mark.parametrize("basis", ["klems", "tensor3"])
+@pytest.mark.usefixtures("mono", "coarse")
+def test_what_is_not_reciprocal_is_told_with_its_figure(tmp_path, basis):
+    """An albedo of 0.2 + 0.6 sin(theta_i): closed forms, and Radiance's own total.
+
+    Sines of directions that are even in projected solid angle have the density 2 s: the
+    light of pairs of rings of the coarsest Klems patches, with their mean albedos.
+    """
+    theta_i = np.array([0, 30, 60, 89.999])
+    albedo = 0.2 + 0.6 * np.sin(np.radians(theta_i))
+    share = synthetic.lambertian(reflectance=1.0).flux_fraction[0, 0, ..., 0]
+    weights = albedo[:, None, None, None] * share
+    record = synthetic.exact(weights, theta_i, "projected:9x16")
+    path = tmp_path / "dim.xml"
+    with pytest.warns(RuntimeWarning, match="is not reciprocal") as told:
+        exporting.export(record, path, basis)
+    (text,) = [str(one.message) for one in told if "reciprocal" in str(one.message)]
+    edges = np.sin(np.radians(Klems("quarter").theta_deg))
+    parts = np.diff(edges**2)
+    rings = 0.2 + 0.6 * np.diff(edges**3) * 2 / 3 / parts
+    pairs = np.abs(rings[:, None] - rings) * parts[:, None] * parts
+    share = float(re.findall("shows (.*)% of what", text)[0]) / 100
+    # whole per cents; patches of 15 degrees, and cells, round the rings
+    assert abs(share - pairs.sum() / 2 / 0.6) < 0.005 + 0.015
+    shown, true, theta = map(
+        float, re.findall("sky (.*) for (.*) as seen from theta (.*), phi", text)[0]
+    )
+    assert abs(true - 0.6) < 0.01  # the same roundings
+    pyradiance = pytest.importorskip("pyradiance")
+    bsdf = pyradiance.bsdf
+    theirs = bsdf.load_file(str(path))
+    assert theta == 0  # of the middle of a patch
+    x, y, z = Klems("quarter").points(3)[0].T
+    angles = np.degrees([np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)]).T
+    seen = [bsdf.direct_hemi(theirs, *one, bsdf.SAMPLE_ALL) for one in angles.tolist()]
+    assert abs(shown - np.mean(seen)) < 5e-4 + 2 * RADIANCE_NOISE  # three digits
+    assert abs(shown - true) > 0.3
+    assert "lit from the front, the face to +z: Reflection Back" in path.read_text()
+
+
+@pytest.mark.usefixtures("mono", "coarse")
+def test_twin_what_is_reciprocal_is_not_told_of(tmp_path, recwarn):
+    for number, basis in enumerate(("klems-quarter", "tensor3", "tensor4")):
+        exporting.export(synthetic.lambertian(), tmp_path / f"{number}.xml", basis)
+    assert not [one for one in recwarn if "reciprocal" in str(one.message)]
+
+
 @pytest.mark.usefixtures("mono", "coarse")
 def test_klems_light_is_all_there(tmp_path, glossy):
     bsdf = pytest.importorskip("pyradiance").bsdf
     exporting.export(glossy, tmp_path / "sum.xml")
     with open(tmp_path / "sum.xml", "rb") as stream:
-        blocks = radiance_xml.read(stream)
-    column = radiance_xml.incident_patch(30, 40)
+        blocks = radiance.read(stream)
+    column = radiance.incident_patch(30, 40)
     projected = Klems().projected_solid_angles
     flux = sum((block * projected)[:, column].sum() for block in blocks.values())
     theirs = bsdf.load_file(str(tmp_path / "sum.xml"))
@@ -247,7 +298,7 @@ def test_colours_come_back(kind):
     name = "Transmission Front"
     make = matrices if kind == "klems" else trees
     stream = io.BytesIO()
-    radiance_xml.write(make(values, name), stream)
+    radiance.write(make(values, name), stream)
     stream.seek(0)
     own = RadianceBSDF(stream)
     assert own.channels == ("R", "G", "B")
@@ -258,7 +309,7 @@ def test_colours_come_back(kind):
     theta_i, phi_i = rng.uniform(0, 89, 500), rng.uniform(0, 360, 500)
     seen = own.values("back", 1, theta_i, phi_i, v)
     if kind == "klems":
-        index = Klems().patch(v), radiance_xml.incident_patch(theta_i, phi_i)
+        index = Klems().patch(v), radiance.incident_patch(theta_i, phi_i)
     else:
         points = tensor_tree.coordinates(len(shape), theta_i, phi_i, v)
         index = tuple((points * 4).astype(int).T)
@@ -270,12 +321,12 @@ def test_radiance_matrices_come_back():
     rng = np.random.default_rng(4)
     blocks = {
         (wavelength, direction): rng.random((145, 145))
-        for wavelength in radiance_xml.DETECTORS
-        for direction in radiance_xml.DIRECTIONS.values()
+        for wavelength in radiance.DETECTORS
+        for direction in radiance.DIRECTIONS.values()
     }
     stream = io.BytesIO()
-    radiance_xml.write(blocks, stream, radiance_xml.Product("<a & b>"))
-    again = radiance_xml.read(io.BytesIO(stream.getvalue()))
+    radiance.write(blocks, stream, radiance.Product("<a & b>"))
+    again = radiance.read(io.BytesIO(stream.getvalue()))
     assert again.keys() == blocks.keys()
     for key, matrix in blocks.items():
         assert (np.abs(again[key] - matrix) <= 1e-6 * matrix).all()  # seven digits
@@ -299,12 +350,10 @@ def test_radiance_matrices_come_back():
 )
 def test_bad_radiance_files_are_refused(old, new, message):
     stream = io.BytesIO()
-    radiance_xml.write(
-        {("Visible", "Reflection Back"): np.full((145, 145), 0.25)}, stream
-    )
+    radiance.write({("Visible", "Reflection Back"): np.full((145, 145), 0.25)}, stream)
     data = stream.getvalue().replace(old, new)
     with pytest.raises(FileFormatError, match=message):
-        radiance_xml.read(io.BytesIO(data))
+        radiance.read(io.BytesIO(data))
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
@@ -313,7 +362,7 @@ def test_entities_are_not_expanded(encoding):
     bomb = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><x>&b;</x>'
     bomb = f'<?xml version="1.0" encoding="{encoding}"?>{bomb}'
     with pytest.raises(FileFormatError, match="it has a DTD"):
-        radiance_xml.read(io.BytesIO(bomb.encode(encoding)))
+        radiance.read(io.BytesIO(bomb.encode(encoding)))
 
 
 @pytest.mark.parametrize(
@@ -344,7 +393,7 @@ def test_a_colour_that_lacks_a_component_is_refused():
     del blocks["Visible", "Reflection Back"]
     blocks["Visible", "Transmission Back"] = np.ones((145, 145))
     stream = io.BytesIO()
-    radiance_xml.write(blocks, stream)
+    radiance.write(blocks, stream)
     stream.seek(0)
     with pytest.raises(FileFormatError, match="lacks Visible"):
         RadianceBSDF(stream)

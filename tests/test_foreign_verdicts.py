@@ -131,7 +131,7 @@ def test_a_wrong_type_biases_only_where_eval_is_another(mono, everywhere):  # no
     assert "leaves on the other side" in found.mistake
     assert ("as `eval` has it" in found.mistake) == everywhere
     assert found.effect == (
-        "a nicety of the interface" if everywhere else "biases images"
+        "interface only (no effect on images)" if everywhere else "biases images"
     )
     assert judged.passed == everywhere
     mistake = judged["reciprocity"].mistake

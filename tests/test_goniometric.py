@@ -9,8 +9,9 @@ from budget import agree, disagree, normal_scores, scores, single, verdict
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.files.material_files import PatchMeans
+from gonio_mi.formats.scatter import PatchMeans
 from gonio_mi.materials.lobes import MeasuredLobes
+from gonio_mi.materials.lookups import doubles
 from gonio_mi.quadrature import integrate
 
 EPS = float(np.finfo(np.float32).eps)
@@ -316,6 +317,18 @@ def test_a_back_that_nothing_tells_of_is_told_once(plugin, tmp_path, capfd):
         assert told.count("WARN") == told.count("as back_filename") == said
 
 
+def test_a_record_of_the_back_as_the_front_is_told(tmp_path, capfd):
+    """Twin: as the back it is what was measured, and nothing is said."""
+    record = isotropic()
+    back = record.with_settings(side="back")
+    name, front = saved(back, tmp_path), saved(record, tmp_path)
+    mi.load_dict({"type": "goniometric", "filename": front, "back_filename": name})
+    assert capfd.readouterr() == ("", "")
+    mi.load_dict({"type": "goniometric", "filename": name})
+    told = "".join(capfd.readouterr())
+    assert told.count("WARN") == told.count("was measured from the back") == 1
+
+
 @pytest.mark.parametrize("side", [1, -1])
 def test_radiance_mode_is_adjoint(plugin, tmp_path, side):
     """Its value is what was measured with light from `wo`, on either face."""
@@ -499,6 +512,24 @@ def test_another_angle_or_record_compiles_nothing(plugin):
         history = dr.kernel_history([dr.KernelType.JIT])
     assert history
     assert all(kernel["cache_hit"] for kernel in history)
+
+
+@pytest.mark.parametrize("size", [1, 64])
+def test_a_table_anywhere_in_memory_compiles_nothing(size):
+    """Twin: as Dr.Jit takes NumPy's memory, its place decides on the kernel."""
+    memory = np.arange(128.0)
+
+    def kernels(load):
+        factor = dr.opaque(mi.Float64, 3, 64)
+        dr.kernel_history_clear()
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            for place in range(8):
+                dr.eval(load(memory[place : place + size]) * factor + 0.25)
+            history = dr.kernel_history([dr.KernelType.JIT])
+        return {kernel["hash"] for kernel in history}
+
+    assert len(kernels(doubles)) == 1
+    assert len(kernels(mi.Float64)) == 2
 
 
 # ------------------------------------------------------------------------- refusals

@@ -1,6 +1,7 @@
 """Every command and Python block of README and handbook runs, word for word.
 
-Where one takes more than seconds it has fewer rays, or less effort, than it says.
+Where one takes more than seconds it has fewer rays or patches, or less effort, than it
+says.
 """
 
 import importlib.util
@@ -20,6 +21,7 @@ import pytest
 import surface_files
 
 from gonio_mi.cli import main
+from gonio_mi.surfaces import foreign_reader, height_maps
 from gonio_mi.surfaces.heights import gaussian_heights
 
 tomllib = pytest.importorskip("tomllib")
@@ -29,8 +31,8 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "notebooks").glob("*.md"))]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 
-# At most so many rays, and what else makes a command take seconds.
-RAYS = 1e5
+# At most so many rays, no smaller tolerance, and what else makes a command short.
+RAYS, TOLERANCE = 1e5, 0.05
 FAST = {
     "bsdf": ["--rays", "64"],
     "chart": ["--seconds", "2"],
@@ -131,13 +133,21 @@ PRECISE = {"--rel-err", "--tolerance", "quadrature"}
 
 
 def fast(words):
-    """Arguments of ``gonio-mi`` with few rays."""
+    """Arguments of ``gonio-mi`` with few rays and patches."""
     command, *rest = words
-    if "--rays" in rest:
-        at = rest.index("--rays") + 1
-        rest[at] = f"{min(float(rest[at]), RAYS):g}"
-    elif command == "measure" and not PRECISE & set(rest):
+    for option, limit in (("--rays", min), ("--tolerance", max)):
+        if option in rest:
+            at = rest.index(option) + 1
+            bound = RAYS if option == "--rays" else TOLERANCE
+            rest[at] = f"{limit(float(rest[at]), bound):g}"
+    if command == "measure" and not {"--rays", *PRECISE} & {*rest}:
         rest += ["--rays", f"{RAYS:g}"]
+    if command == "measure" and not {"--collector", "--points", "--tolerance"} & {
+        *rest
+    }:
+        rest += ["--collector", "projected:12x12"]
+    if command == "bsdf" and "--basis" not in rest:
+        rest += ["--basis", "klems-quarter"]
     return [command, *rest, *FAST.get(command, [])]
 
 
@@ -182,6 +192,8 @@ def test_page_runs_word_for_word(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "my_bsdf", raising=False)
+    # the libraries that read scans take seconds to be imported
+    monkeypatch.setattr(height_maps, "read_apart", foreign_reader.read)
     variant, known = mi.variant(), {}
     try:
         for language, text in blocks(page):

@@ -8,9 +8,8 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.surfaces.height_maps import HeightMap
-from gonio_mi.surfaces.height_steps import height_step
 from gonio_mi.surfaces.heights import gaussian_heights
-from gonio_mi.surfaces.topography import topography
+from gonio_mi.surfaces.topography import height_step, topography
 
 # isort: split
 import mitsuba as mi

@@ -3,15 +3,17 @@
 import gc
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from threading import Thread
 
 import drjit as dr
 import mitsuba as mi
 import pytest
 
 import gonio_mi as gonio
-from gonio_mi.errors import SpecimenError
+from gonio_mi.errors import SpecimenError, VariantError
+from gonio_mi.instrument import launcher
 from gonio_mi.instrument.loading import load_specimen
-from gonio_mi.transport.kernels import check_all_counted
+from gonio_mi.transport.kernels import check_all_counted, launches_kernels
 
 PLATE = {"type": "diffuse", "reflectance": 0.7}
 SMALL = {"rays": 2000, "batches": 2, "collector": "projected:3x4"}
@@ -60,6 +62,94 @@ def test_threads_of_a_campaign_do_not_wait_for_each_other(mono):  # noqa: ARG001
     with ThreadPoolExecutor(2) as pool:
         stack = gonio.measure(PLATE, [10, 20, 30], executor=pool, **SMALL)
     assert stack.tallies == gonio.measure(PLATE, [10, 20, 30], **SMALL).tallies
+
+
+def in_a_thread(do):
+    thread = Thread(target=do)
+    thread.start()
+    return thread
+
+
+def test_a_change_of_variant_waits_for_the_measurement(mono, monkeypatch):  # noqa: ARG001
+    """Of another thread; which sets it in the end, and this one's is no longer set."""
+    send, threads = launcher.launch, []
+
+    def changes(one):
+        threads.append(in_a_thread(lambda: mi.set_variant("llvm_ad_rgb")))
+        threads[0].join(0.05)
+        return send(one)
+
+    monkeypatch.setattr(launcher, "launch", changes)
+    assert gonio.measure(PLATE, 30, **SMALL).settings["variant"] == "llvm_ad_mono"
+    monkeypatch.undo()
+    for thread in threads:
+        thread.join()
+    refused = (
+        "this thread has set the variant llvm_ad_mono, and another one llvm_ad_rgb"
+    )
+    with pytest.raises(VariantError, match=refused):
+        gonio.measure(PLATE, 30, **SMALL)
+    mi.set_variant("llvm_ad_rgb")
+    assert gonio.measure(PLATE, 30, **SMALL).settings["variant"] == "llvm_ad_rgb"
+
+
+def test_a_change_of_variant_that_does_not_wait_is_noticed(mono, monkeypatch):  # noqa: ARG001
+    """By a function that was imported before gonio_mi."""
+    send = launcher.launch
+    set_variant = mi.set_variant.__wrapped__
+
+    def changes(one):
+        totals = send(one)
+        in_a_thread(lambda: set_variant("llvm_ad_rgb")).join()
+        return totals
+
+    monkeypatch.setattr(launcher, "launch", changes)
+    with pytest.raises(VariantError, match="llvm_ad_mono was changed to llvm_ad_rgb"):
+        gonio.measure(PLATE, 30, **SMALL)
+
+
+def test_a_thread_may_set_variants_by_either_function(mono):  # noqa: ARG001
+    """Both are this thread's; another thread's is refused, however it is set."""
+    bare = mi.set_variant.__wrapped__
+    bare("llvm_ad_rgb")
+    assert gonio.measure(PLATE, 30, **SMALL).settings["variant"] == "llvm_ad_rgb"
+    in_a_thread(lambda: bare("llvm_ad_mono")).join()
+    with pytest.raises(VariantError, match="has set the variant llvm_ad_rgb, and"):
+        gonio.measure(PLATE, 30, **SMALL)
+    mi.set_variant("llvm_ad_mono")  # the same as before, and now this thread's
+    assert gonio.measure(PLATE, 30, **SMALL).settings["variant"] == "llvm_ad_mono"
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])
+def test_an_error_comes_out_after_a_change_of_variant(mono, error):  # noqa: ARG001
+    @launches_kernels()
+    def changes(name, *errors):
+        mi.set_variant(name)
+        for one in errors:
+            raise one
+
+    with pytest.raises(error, match="the first"):
+        changes("llvm_ad_rgb", error("the first"))
+    changed = "changed to llvm_ad_mono during a measurement: all threads"
+    with pytest.raises(VariantError, match=changed):
+        changes("llvm_ad_mono")
+
+
+def test_threads_of_other_variants_get_their_own_numbers_or_none(mono):  # noqa: ARG001
+    """Of 48 jobs in four threads; once a third got another's numbers, or crashed."""
+    names = "llvm_ad_mono", "llvm_ad_rgb"
+
+    def job(i):
+        mi.set_variant(names[i % 2])
+        try:
+            record = gonio.measure(PLATE, 30, trace=i % 3 == 0, **SMALL)
+        except VariantError:
+            return True
+        return record.settings["variant"] == names[i % 2]
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(pool.map(job, range(48)))
+    mi.set_variant("llvm_ad_mono")
 
 
 def test_lost_rays_are_an_error():

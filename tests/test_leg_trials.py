@@ -12,13 +12,13 @@ from sampled_material import check_samples
 from synthetic import facet_lobes, facets_through
 
 import gonio_mi as gonio
+from gonio_mi.campaigns.prediction import Prediction
 from gonio_mi.collector.directions import direction
-from gonio_mi.instrument.prediction import Prediction
 from gonio_mi.materials.azimuth_trials import tried_indices
 from gonio_mi.materials.leg_trials import best_ways
 from gonio_mi.materials.lit_face import LitFace
 from gonio_mi.materials.lobes import MeasuredLobes
-from gonio_mi.materials.moving_points import Way
+from gonio_mi.materials.moving_lobes import Way
 from gonio_mi.results.misplacement import misplaced
 
 pytestmark = pytest.mark.usefixtures("mono")

@@ -9,6 +9,7 @@ import iadpython
 import mitsuba as mi
 import numpy as np
 import pytest
+from benchmark.discrete_ordinates import henyey_greenstein, theory
 from budget import (
     agree,
     difference_scores,
@@ -20,12 +21,11 @@ from budget import (
 )
 from slabs import NULL, medium, rectangle, stack
 
-from gonio_mi.benchmark.discrete_ordinates import henyey_greenstein, theory
 from gonio_mi.instrument import description
+from gonio_mi.instrument.launcher import Pace
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 from gonio_mi.transport import sampling
-from gonio_mi.transport.pace import Pace
 
 SCENES = Path(__file__).parents[1] / "scenes"
 PATCHES = "projected:5x6"

@@ -10,7 +10,7 @@ import pytest
 import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.errors import FileFormatError
-from gonio_mi.files.stl_triangles import read_stl
+from gonio_mi.formats.meshes import read_stl
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -67,7 +67,10 @@ def measured(path, phi_i=80, **options):
 @pytest.fixture
 def reference(tmp_path):
     (tmp_path / "slat.obj").write_bytes(obj(CORNERS))
-    return measured(tmp_path / "slat.obj")
+    record = measured(tmp_path / "slat.obj")
+    # not that of the dictionary, which all meshes have
+    assert record.settings["specimen"] == "slat.obj of diffuse:reflectance=0.6"
+    return record
 
 
 @pytest.mark.parametrize(
@@ -85,29 +88,50 @@ def test_formats_are_one_specimen(tmp_path, reference, name, content):
     assert reference.dht[0] > 0.2
 
 
-@pytest.mark.parametrize("up", ["z", "-z", "y", "-y", "x", "-x"])
-def test_the_axis_that_is_up_becomes_the_normal(tmp_path, reference, up):
+@pytest.mark.parametrize("normal", ["z", "-z", "y", "-y", "x", "-x"])
+def test_the_axis_that_is_said_becomes_the_normal(tmp_path, reference, normal):
     """Whatever way the mesh was turned before; and shifts are undone.
 
     They round the vertices by 1e-6 of 25. About 7 edges are crossed by a radian, or by
     the width of a cell, where a ray goes another way then: one of 4096 with a chance of
     3e-3, two with one of 5e-6. Twin: light from a degree beside.
     """
-    axis = "xyz".index(up[-1])
-    sign = -1 if up[0] == "-" else 1
+    axis = "xyz".index(normal[-1])
+    sign = -1 if normal[0] == "-" else 1
     path = tmp_path / "turned.obj"
-    matrix = np.array(gonio.instrument.mesh_specimens.UPS[up], dtype=float)
+    matrix = np.array(gonio.instrument.mesh_specimens.NORMALS[normal], dtype=float)
     assert np.linalg.det(matrix) == 1
     assert (matrix[2] == sign * np.eye(3)[axis]).all()
     path.write_bytes(obj(CORNERS @ matrix + [5, -3, 2]))
     for phi_i, same in ((80, True), (81, False)):
-        light = measured(path, phi_i, up=up).flux_fraction
+        light = measured(path, phi_i, normal=normal).flux_fraction
         off = np.abs(light - reference.flux_fraction).sum()
         assert (off <= 2 / RAYS) == same
-    plane = gonio.mesh(path, MATT, up=up, mean_plane=1.0)
+    plane = gonio.mesh(path, MATT, normal=normal, mean_plane=1.0)
     low, high = gonio.transport.extents.bounds(mi.load_dict(plane).shapes())
     middle = sign * [5, -3, 2][axis]
     assert np.isclose((low + high)[2] / 2, middle - 1, atol=1e-5)
+
+
+def test_what_stands_upright_is_warned_of(tmp_path, capsys):
+    """Unless it is said which axis is the normal; exactly, by how thick it lies."""
+    path = tmp_path / "upright.obj"
+    slat = np.array([[-9, -1, 0], [9, -1, 0], [9, 1, 1], [-9, 1, 1]])
+    above = obj(slat + [0, 0, 8]).replace(b"f 1 2 3\nf 1 3 4", b"f 5 6 7\nf 5 7 8")
+    path.write_bytes(obj(slat) + above)
+    with pytest.warns(RuntimeWarning, match="but only 2 along y.* such as --normal y"):
+        lying = gonio.mesh(path, MATT)
+    for specimen, thick in (
+        (lying, 9),
+        (gonio.mesh(path, MATT, normal="z"), 9),
+        (gonio.mesh(path, MATT, normal="-y"), 2),
+    ):
+        low, high = gonio.transport.extents.bounds(mi.load_dict(specimen).shapes())
+        assert (high - low)[2] == thick
+    words = ["measure", str(path), "--bsdf", "diffuse", "--theta-i", "0", "--rays"]
+    words += ["64", "--period", "18,16", "-q"]
+    assert cli.main([*words, "--normal", "-y"]) == 0
+    assert not capsys.readouterr().err
 
 
 def test_the_command_line_measures_a_mesh(tmp_path, monkeypatch, capsys):
@@ -125,7 +149,7 @@ def test_the_command_line_measures_a_mesh(tmp_path, monkeypatch, capsys):
         (["slat.obj", "--bsdf", "slat.obj"], "--bsdf must be a BSDF in one word"),
         (["slat.obj", "--bsdf", "rectangle"], "bsdf must be a BSDF, got 'rectangle'"),
         (["slat.obj", "--bsdf", "diffuse", "--form", "plane"], "--form goes with a"),
-        (["diffuse", "--up", "x"], "--up goes with a mesh"),
+        (["diffuse", "--normal", "x"], "--normal goes with a mesh"),
     ):
         assert cli.main(["measure", *words, "--theta-i", "30"]) == 1
         error = capsys.readouterr().err
@@ -136,7 +160,7 @@ def test_the_command_line_measures_a_mesh(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"up": "w"}, "up must be one of"),
+        ({"normal": "w"}, "normal must be one of"),
         ({"mean_plane": np.nan}, "mean_plane must be a finite number"),
         ({"bsdf": None}, "bsdf must say what the mesh slat.obj is made of"),
     ],

@@ -141,7 +141,7 @@ def test_leaks_are_said():
     assert f"{count} of 10 000 rays went to the other side through gaps" in said(gaps)
     dark = replace(
         gaps,
-        settings=gaps.settings | {"transmission": "none"},
+        provenance=replace(gaps.provenance, transmission="none"),
         tallies=tuple(without_direct(tally) for tally in gaps.tallies),
     )
     assert f"{count} of 10 000 rays leaked to the other side" in said(dark)
@@ -239,7 +239,7 @@ def test_twins_of_scale_and_shift():
 
 def test_benchmark_sends_the_same_paths():
     """The film of Mitsuba's `path` shows what our footprint is; every path ends."""
-    from gonio_mi.benchmark import micro_geometry as benchmark
+    from benchmark import micro_geometry as benchmark
 
     scene = mi.load_dict({"type": "scene", "surface": benchmark.surface(64)})
     film = benchmark._film(scene, 1)

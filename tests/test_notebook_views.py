@@ -10,7 +10,7 @@ import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.errors import SettingError
 from gonio_mi.plots import animation, sheet
-from gonio_mi.plots.stack_figure import MOST_MAPS
+from gonio_mi.plots.record_figure import MOST_MAPS
 
 pytest.importorskip("matplotlib")
 
@@ -48,6 +48,21 @@ def test_comparison_plan_and_verdict():
     assert "<img" in comparison._repr_html_()
     assert "chi-square" in comparison._repr_html_()
     assert "|error| &lt; " in gonio.plan()._repr_html_()
+
+
+def test_fit_and_table(tmp_path):
+    """A table shows what the command does; a name cannot be markup."""
+    path = tmp_path / "<b>.csv"
+    path.write_text("theta_i,phi_i,theta_o,phi_o,brdf\n" + "30,0,10,180,0.2\n" * 1)
+    table = gonio.read_measured(path)
+    assert "values      1 of brdf" in str(table)
+    assert "&lt;b&gt;.csv" in table._repr_html_()
+    assert "<b>" not in table._repr_html_()
+    fields = {"bsdf": {"type": "diffuse"}, "names": ("reflectance",), "dof": 9}
+    values = {"values": np.array([0.5]), "covariance": np.array([[1e-4]]), "chi2": 9.0}
+    fit = gonio.Fit(synthetic.record(), **fields, **values, misplaced=0, predicted=[])
+    shown = fit._repr_html_()
+    assert "reflectance  0.5 +- 0.01" in shown
 
 
 def test_record_plots_and_labels_itself():

@@ -18,7 +18,7 @@ from scipy import special, stats
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.materials import facets
-from gonio_mi.validation.declarations import LOBES
+from gonio_mi.validation.checks.flags import LOBES
 
 EPS = 2.0**-24  # largest relative rounding error of a float32 operation
 RAYS = 10**6

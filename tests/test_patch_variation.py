@@ -11,7 +11,7 @@ from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.comparison import compare, patch_variation
 from gonio_mi.comparison.comparison_figure import comparison_figure
-from gonio_mi.files.measured import MeasuredTable
+from gonio_mi.files.measured_table import MeasuredTable
 
 pytestmark = pytest.mark.usefixtures("mono")
 

@@ -24,7 +24,6 @@ from gonio_mi.results.tally import Tally
 pytestmark = pytest.mark.usefixtures("mono")
 
 SCENES = Path(__file__).parent.parent / "scenes"
-OLD = Path(__file__).parent / "records_of_version_2"
 
 # Parts, reflectance and incident angles.
 SPECIMENS = {
@@ -391,32 +390,6 @@ def test_files_keep_direct_light(tmp_path, ending):
     assert again.tallies[0] != Tally(
         tally.hits, tally.sums, tally.incident, tally.fates, tally.scale
     )
-
-
-@pytest.mark.parametrize("ending", ["npz", "exr"])
-def test_older_files(tmp_path, ending):
-    """They left out what passes a cell: they load, say so, and do not mix with others.
-
-    Each holds 4000 rays to a cell of which half is open.
-    """
-    old = gonio.load(OLD / f"screen.{ending}")
-    assert old.ledger.missed == 2000
-    assert abs(old.dhr[0] - 0.5) < 2.0**-22  # single precision
-    assert old.direct == 0
-    assert "an older gonio-mi" in said(old)
-    assert summarize(old)["directions"][0]["direct"] is None
-    old.save(tmp_path / f"again.{ending}")
-    assert gonio.load(tmp_path / f"again.{ending}") == old
-    scale = mi.ScalarTransform4f().scale([0.25, 0.5, 1])
-    bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.5}}
-    strip = {"type": "rectangle", "to_world": scale, "bsdf": bsdf}
-    settings = {"period": (1, 1), "batches": 4, "collector": "projected:2x4"}
-    new = gonio.measure(strip, 30, rays=4000, seed=1, **settings)
-    assert abs(new.dhr[0] - 0.25) < 2.0**-22
-    with pytest.raises(ValueError, match="agree in what is incident"):
-        new.merge(old)
-    with pytest.raises(ValueError, match="of an older gonio-mi"):
-        gonio.measure(strip, 30, rays=4000, resume=old, **settings)
 
 
 def test_exports_are_not_silent(tmp_path):

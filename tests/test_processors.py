@@ -6,11 +6,11 @@ import re
 import drjit as dr
 import numpy as np
 import pytest
+import synthetic
 
 import gonio_mi as gonio
 from gonio_mi import llvm
-from gonio_mi.instrument import processor
-from gonio_mi.results.processors import processors
+from gonio_mi.instrument import description
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 
@@ -31,7 +31,7 @@ def elsewhere(monkeypatch):
 
     def call(function, *args, **settings):
         with monkeypatch.context() as patch:
-            patch.setattr(processor, "target", lambda: OTHER)
+            patch.setattr(description, "target", lambda: OTHER)
             return function(*args, **settings)
 
     return call
@@ -49,7 +49,7 @@ def told(record):
 def test_the_record_names_it():
     """Exact: the name, the width of Dr.Jit's own packets, and LLVM's version."""
     [text] = measured().settings["processors"]
-    name, width = processor.target()
+    name, width = description.target()
     version = llvm.dotted(dr.detail.llvm_version())
     assert text == f"{name}, vectors of {width}, LLVM {version}"
     assert width in (2, 4, 8, 16, 32)
@@ -60,7 +60,7 @@ def test_the_record_names_it():
 
 def test_merged_resumed_and_stacked_parts_are_told(elsewhere):
     here, there = measured(), elsewhere(measured, 1)
-    both = [*processors(here.settings), *processors(there.settings)]
+    both = [*here.provenance.processors, *there.provenance.processors]
     assert "a-processor, vectors of 4" in both[1]
     assert told(there) == []
     merged = here.merge(there)
@@ -88,29 +88,23 @@ def test_a_campaign_that_moved_is_told(elsewhere, tmp_path):
 def test_old_records_load_and_are_unknown(tmp_path):
     """Merged with each other nothing is said, with a new one that one is unknown."""
     old, new = measured(), measured(1)
-    settings = {k: v for k, v in old.settings.items() if k != "processors"}
-    old = gonio.Record(
-        **{name: getattr(old, name) for name in ("subdivision", "theta_i", "phi_i")},
-        channels=old.channels,
-        tallies=old.tallies,
-        settings=settings,
-    )
+    old = old.with_provenance(processors=())
     old.save(tmp_path / "old.npz")
     loaded = gonio.load(tmp_path / "old.npz")
     assert "processors" not in loaded.settings
     assert told(loaded) == []
     assert "processors" not in loaded.merge(old.with_settings(seed=2)).settings
-    assert told(loaded.merge(new)) == ["unknown", *processors(new.settings)]
+    assert told(loaded.merge(new)) == ["unknown", *new.provenance.processors]
     assert json.dumps(summarize(loaded))
 
 
 @pytest.mark.parametrize("value", ["one", [1], {"a": "b"}, 3])
 def test_what_is_no_list_of_texts_is_refused(tmp_path, value):
-    measured().with_settings(processors=value).save(tmp_path / "x.npz")
+    synthetic.telling(measured(), processors=value).save(tmp_path / "x.npz")
     with pytest.raises(gonio.FileFormatError, match="processors"):
         gonio.load(tmp_path / "x.npz")
 
 
 def test_where_the_library_is_another_one(monkeypatch, tmp_path):
-    monkeypatch.setattr(processor.dr, "__file__", str(tmp_path / "__init__.py"))
-    assert "vectors of unknown width" in processor.processor()
+    monkeypatch.setattr(description.dr, "__file__", str(tmp_path / "__init__.py"))
+    assert "vectors of unknown width" in description.processor()

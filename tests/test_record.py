@@ -1,18 +1,13 @@
 """Records are composed and taken apart without losing a count, or refuse to be."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import synthetic
 
+from gonio_mi import load
 from gonio_mi.results.record import Record
 
 STACK = synthetic.record(theta_i=(0, 30, 60), phi_i=(0, 10, 20), both=True)
-
-
-def with_settings(record, **settings):
-    return replace(record, settings={**record.settings, **settings})
 
 
 def test_a_stack_is_its_directions():
@@ -67,8 +62,8 @@ def test_what_there_is_no_interval_of():
 
 def test_merged_records_have_the_rays_of_both():
     a, b = (
-        with_settings(
-            synthetic.record(theta_i=(0, 30), phi_i=(0, 10), seed=seed), batches=4
+        synthetic.record(theta_i=(0, 30), phi_i=(0, 10), seed=seed).with_settings(
+            batches=4
         )
         for seed in (1, 2)
     )
@@ -86,22 +81,77 @@ def test_merged_records_have_the_rays_of_both():
 
 def test_channels_of_a_grey_record_are_repeated():
     grey, tinted = synthetic.record(), synthetic.record(seed=2, channels="RGB")
-    grey, tinted = (with_settings(record, batches=4) for record in (grey, tinted))
+    grey, tinted = (record.with_settings(batches=4) for record in (grey, tinted))
     merged = grey.merge(tinted)
     assert merged.channels == ("R", "G", "B")
     assert merged.tallies[0].channels == 3
-    tinted = with_settings(tinted, seed=1)
+    tinted = tinted.with_settings(seed=1)
     stacked = Record.stack([grey, tinted])
     assert stacked.channels == ("R", "G", "B")
     assert stacked.brdf.shape == (2, 6, 8, 3)
     np.testing.assert_array_equal(stacked[0].brdf[..., 2], grey.brdf[..., 0])
 
 
+def test_what_records_of_unlike_origin_tell_together(tmp_path):
+    """Numbers of NumPy's are told like others, and can be written."""
+    a, b = (
+        synthetic.record(seed=seed).with_provenance(
+            seeds=(np.int64(seed),),
+            rays=np.int64(80_000),
+            batches=np.uint32(4),
+            reached=np.float32(0.5),
+            defects=("wrong by 0.2", f"wrong by 0.{seed}"),
+            interrupted=seed == 2,
+        )
+        for seed in (1, 2)
+    )
+    both = a.merge(b).provenance
+    assert both.defects == ("wrong by 0.2", "wrong by 0.1")
+    assert (both.interrupted, both.rays, both.batches) == (True, 160_000, 8)
+    assert not a.merge(b.with_provenance(interrupted=False)).provenance.interrupted
+    for name in ("rays", "batches"):
+        for merged in (
+            a.merge(b.with_provenance(**{name: None})),
+            b.merge(a.with_provenance(**{name: None})),
+        ):
+            assert getattr(merged.provenance, name) is None
+    stacked = Record.stack([a, a.with_provenance(defects=("wrong by 0.3",))])
+    assert stacked.provenance.defects == (
+        "wrong by 0.2",
+        "wrong by 0.1",
+        "wrong by 0.3",
+    )
+    a.save(tmp_path / "a.npz")
+    assert load(tmp_path / "a.npz").settings == a.settings
+    with pytest.raises(ValueError, match="rays must be a count, got"):
+        a.with_provenance(rays=np.bool_(True))
+
+
+def test_records_without_seeds_are_not_merged():
+    a, b = synthetic.record(), synthetic.record(seed=2)
+    unknown = a.with_provenance(seeds=())
+    for one, other in ((unknown, unknown), (unknown, b), (b, unknown)):
+        with pytest.raises(ValueError, match="know their seeds to be merged, got none"):
+            one.merge(other)
+
+
+def test_records_of_other_wavelengths_stay_apart():
+    one = synthetic.record(channels=("500nm", "600nm"))
+    for channels in (("510nm", "700nm"), ("500nm",), "RG"):
+        other = synthetic.record(seed=2, channels=channels)
+        with pytest.raises(ValueError, match="agree in channels to be merged, got"):
+            one.merge(other)
+        other = other.with_settings(seed=1)
+        with pytest.raises(ValueError, match="agree in channels to be stacked, got"):
+            Record.stack([one, other])
+    assert one.merge(one.with_settings(seed=2)).channels == one.channels
+
+
 def test_records_without_an_incident_direction_are_merged():
     """Those under a sky have none."""
     unknown = {"theta_i": (np.nan,), "phi_i": (np.nan,)}
     a, b = (
-        with_settings(synthetic.record(**unknown, seed=seed), batches=4)
+        synthetic.record(**unknown, seed=seed).with_settings(batches=4)
         for seed in (1, 2)
     )
     assert a.merge(b).n_batches == 8
@@ -139,8 +189,10 @@ def test_records_that_cannot_be_merged(other, message):
 def test_records_that_cannot_be_stacked():
     with pytest.raises(ValueError, match="at least one to be stacked, got none"):
         Record.stack([])
-    other = with_settings(synthetic.record(), side="back")
-    with pytest.raises(ValueError, match="agree in side to be stacked, got None and"):
+    other = synthetic.record().with_settings(side="back")
+    with pytest.raises(
+        ValueError, match="agree in side to be stacked, got 'front' and"
+    ):
         Record.stack([synthetic.record(), other])
 
 
@@ -153,7 +205,7 @@ def test_what_makes_two_records_equal():
         synthetic.record(phi_i=(21,)),
         synthetic.record(channels=("550nm",)),
         synthetic.record(stacked=True),
-        with_settings(synthetic.record(), side="back"),
+        synthetic.record().with_settings(side="back"),
         "a record",
     ):
         assert synthetic.record() != other

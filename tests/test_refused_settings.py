@@ -14,6 +14,7 @@ from surfaces import diffuse_groove_dhr
 
 from gonio_mi.cli import main
 from gonio_mi.exports import export
+from gonio_mi.instrument import loading
 from gonio_mi.instrument.incidence import USUAL, incident_angles
 
 PLATE = {"type": "diffuse", "reflectance": 0.5}
@@ -114,6 +115,46 @@ def test_hair_in_colour(variant):
     records = [gonio.measure(fibre(**each), **settings) for each in given]
     assert len({record.settings["digest"] for record in records}) == len(given)
     assert all((record.dhr > 0).all() for record in records)
+
+
+# ------------------------------------------------------ misspelt parameters
+
+
+@pytest.mark.parametrize(
+    ("specimen", "most", "advice"),
+    [
+        ({"type": "heightfield", "heights": np.zeros((4, 4))}, 0, False),
+        ({"type": "rectangle", "bsdf": {"type": "diffuse"}}, 0, False),
+        ({"type": "heightfield", "resolution": 32}, 1 + loading.TRIALS, False),
+        ({"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.05}}, 2, True),
+    ],
+)
+@pytest.mark.usefixtures("mono")
+def test_misspelt_parameters_take_few_loads(specimen, most, advice, monkeypatch):
+    """None of what may be large; and the trials warn of nothing."""
+    tried, unread = [], loading._unread
+
+    def counted(*args):
+        tried.append(args)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            found = unread(*args)
+        assert not said
+        return found
+
+    monkeypatch.setattr(loading, "_unread", counted)
+    if "heights" in specimen:
+        specimen = specimen | {"heights": mi.TensorXf(specimen["heights"]), "size": 2}
+    with pytest.raises(gonio.SpecimenError, match="no use for alpah") as refused:
+        loading.load_specimen(specimen | {"alpah": 0.1})
+    assert len(tried) <= most
+    assert ("; it takes reflectance" in str(refused.value)) == advice
+
+
+def test_colour_of_one_number():
+    grey = {"type": "rgb", "value": 0.05}
+    name = loading.specimen_name({"type": "diffuse", "reflectance": grey})
+    assert name == "diffuse:reflectance=0.05"
 
 
 # ---------------------------------------------------------- plugins that raise
@@ -340,3 +381,30 @@ def test_material_file_in_one_word(tmp_path, ending, monkeypatch, capsys):
     assert main(["measure", word, "--theta-i", "30", "--rays", "1000"]) == 0
     assert main(["measure", "metal_.xml", "--theta-i", "30"]) == 1
     assert "there is no file metal_.xml" in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------- whole numbers
+
+
+@pytest.mark.parametrize("name", ["rr_depth", "max_depth", "max_scatterings"])
+@pytest.mark.parametrize("trace", [False, True])
+@pytest.mark.usefixtures("mono")
+def test_whole_numbers_as_large_as_32_bits(name, trace, capsys):
+    """The largest is measured with; the next ones are refused in one sentence."""
+    settings = {"rays": 64, "batches": 2, "trace": trace}
+    record = gonio.measure(PLATE, 30, **settings, **{name: 2**31})
+    assert record.ledger.reflected + record.ledger.absorbed == 64
+    for value in (2**31 + 1, 2**32, 2**63, 10**30, -(2**31)):
+        with pytest.raises(ValueError, match=f"^{name} must be at (most|least) "):
+            gonio.measure(PLATE, 30, **settings, **{name: value})
+    option = "--" + name.replace("_", "-")
+    assert main(["measure", "diffuse", "--theta-i", "30", option, "4294967296"]) == 1
+    assert f"{name} must be at most 2.15e+09, got 4294967296" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["threads", "executor"])
+@pytest.mark.parametrize("value", [-1, 2**32, 2**63])
+@pytest.mark.usefixtures("mono")
+def test_workers_and_threads_that_cannot_be(name, value):
+    with pytest.raises(ValueError, match=f"^{name} must be at (most|least) "):
+        gonio.campaign({"plate": PLATE}, [0], rays=64, **{name: value})

@@ -7,6 +7,7 @@ import re
 import shutil
 import sys
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SettingError, SettingTypeError
-from gonio_mi.reports import packing, report
-from gonio_mi.reports.packing import packed_record
+from gonio_mi.reports import report, reporting
+from gonio_mi.reports.reporting import names_apart, packed_record
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 
@@ -64,8 +65,8 @@ def test_page_holds_the_record(collector):
 @pytest.mark.parametrize("collector", ["angle:5x4", "klems", "apertures:2@45/180,30/0"])
 def test_raster_knows_the_patch_of_a_direction(collector):
     patches = gonio.subdivision(collector)
-    known = packing.raster(patches)
-    steps = packing.RASTER
+    known = reporting.raster(patches)
+    steps = reporting.RASTER
     rows, columns = np.random.default_rng(1).integers(0, steps, (50, 2)).T
     theta, phi = (rows + 0.5) * 90 / steps[0], (columns + 0.5) * 360 / steps[1]
     expected = patches.patch(direction(np.radians(theta), np.radians(phi)))
@@ -74,11 +75,32 @@ def test_raster_knows_the_patch_of_a_direction(collector):
 
 def test_large_records_are_thinned_and_say_so(monkeypatch):
     record = synthetic.record(theta_i=(0, 10, 20, 30, 40), phi_i=(0,) * 5)
-    assert packed_record(record)["left_out"] == ""
-    monkeypatch.setattr(packing, "MOST_VALUES", 3 * 48)
+    assert "of the record's" not in str(packed_record(record)["notes"])
+    monkeypatch.setattr(reporting, "MOST_VALUES", 3 * 48)
     packed = packed_record(record)
     assert [d["theta_i"] for d in packed["directions"]] == [0, 20, 40]
-    assert "3 of the record's 5 incident directions" in packed["left_out"]
+    assert "3 of the record's 5 incident directions" in packed["notes"][0]
+
+
+def test_names_tell_records_apart():
+    base = synthetic.record().with_settings(specimen="a.xml", period="box")
+    order = [base.with_settings(order=k) for k in ("1", "2")]
+    free = order[1].with_settings(period="none")
+    assert names_apart(order) == ["a.xml, order 1", "a.xml, order 2"]
+    assert names_apart([*order, free]) == [
+        "a.xml, order 1",
+        "a.xml, order 2, period box",
+        "a.xml, order 2, period none",
+    ]
+    other = synthetic.record("klems").with_settings(specimen="a.xml", period="box")
+    assert names_apart([base, other])[1] == "a.xml, collector klems"
+    assert names_apart([base, base]) == ["a.xml", "a.xml"]  # alike, if all is
+    assert names_apart([base, base.with_settings(specimen="b.xml", seed=9)]) == [
+        "a.xml",
+        "b.xml",
+    ]
+    long = [base.with_settings(specimen=f"{100 * 'a'}{k}.xml") for k in range(3)]
+    assert [name[-5:] for name in names_apart(long)] == ["0.xml", "1.xml", "2.xml"]
 
 
 # ------------------------------------------------------------------------ bad input
@@ -223,6 +245,104 @@ def test_two_records_and_their_difference(opened):
     few = 2.0**-12 + 2.0**-23 * one.brdf[2, 4, 0] / (abs(expected) * both) + 1e-4
     assert apart == pytest.approx(expected, rel=few)
     assert apart != pytest.approx(1.01 * expected, rel=few)
+
+
+def darkened(record, *patch):
+    """The record with a patch that no ray reached."""
+    tally = synthetic.writeable(record.tallies[0])
+    tally.hits[(0, *patch)] = 0
+    tally.sums[(slice(None), 0, *patch)] = 0
+    return replace(record, tallies=(tally,))
+
+
+def test_difference_is_known_where_one_has_no_hit(opened):
+    """There it is largest: against the upper limit of what no ray reached."""
+    one, dark = synthetic.record(), darkened(synthetic.record(seed=2), 2, 4)
+    page = opened(one, dark)
+    theta, phi = one.subdivision.middles
+    text = pointed(page, "map-z-0", theta[2, 4], phi[2, 4])
+    apart = float(re.search(r"(\S+) standard errors", text)[1])
+    limit = dark.interval(0.95)[1][2, 4, 0]
+    assert dark.brdf[2, 4, 0] == 0 < limit
+    spread = np.hypot(one.brdf_std_err[2, 4, 0], limit / 1.96)
+    # errors of 12 bits, a limit of as many, five digits
+    assert apart == pytest.approx(one.brdf[2, 4, 0] / spread, rel=2.0**-12 + 1e-4)
+    assert apart > 5
+    colours = page.evaluate(
+        "document.querySelector('#map-z-0 .plot').data[0].z.flat()"
+        ".filter((v) => v !== null).length"
+    )
+    disc = page.evaluate(
+        "document.querySelector('#map-0-0 .plot').data[0].z.flat()"
+        ".filter((v) => v !== null).length"
+    )
+    assert colours == disc
+
+
+BOXES = """[...document.querySelectorAll('#maps .panel')].map((panel) => {
+    const { x, y, right, bottom } = panel.getBoundingClientRect();
+    return [panel.id, x, y, right, bottom];
+})"""
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_maps_stand_in_order_and_apart(opened, n):
+    """By hemisphere: a record, the other, their difference; also when one is added."""
+    records = [
+        synthetic.record(both=True, seed=i).with_settings(order=str(i + 1))
+        for i in range(n)
+    ]
+    page = opened(*records)
+    if n > 2:
+        page.locator("#beside").select_option("-1")
+        page.wait_for_function("document.querySelectorAll('#maps .panel').length === 2")
+        page.locator("#beside").select_option("2")
+    keys = [f"map-{which}-{h}" for h in (0, 1) for which in (0, 1, "z")]
+    keys = keys if n > 1 else keys[::3]
+    for width, columns in ((1280, 2 if n == 1 else 3), (500, 1)):
+        page.set_viewport_size({"width": width, "height": 900})
+        page.wait_for_function(
+            f"""() => {{
+                const panels = [...document.querySelectorAll('#maps .panel')];
+                const right = (one) => one?.getBoundingClientRect().right;
+                return innerWidth === {width} && panels.length === {len(keys)} &&
+                    panels.every((panel) =>
+                        right(panel.querySelector('.main-svg')) <= right(panel) + 1);
+            }}"""
+        )
+        boxes = page.evaluate(BOXES)
+        assert [key for key, *_ in boxes] == keys
+        assert len({x for _, x, *_ in boxes}) == columns
+        assert len({y for _, _, y, *_ in boxes}) == len(keys) // columns
+        for i, (_, _, _, right, bottom) in enumerate(boxes):
+            assert all(x >= right or y >= bottom for _, x, y, *_ in boxes[i + 1 :])
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_records_of_unlike_settings_have_unlike_names(opened):
+    """In menus, headings and legends."""
+    base = synthetic.record(both=True).with_settings(specimen="grooves.xml")
+    records = [base.with_settings(order=order) for order in ("1", "2", "3+")]
+    page = opened(*records)
+    names = [f"{i + 1}: grooves.xml, order {k}" for i, k in enumerate(("1", "2", "3+"))]
+    assert page.locator("#record option").all_text_contents() == names
+    assert page.locator("#beside option").all_text_contents() == ["none", *names]
+    assert page.locator("#title").text_content() == names[0]
+    assert page.locator("#maps h2").all_text_contents()[:2] == [
+        f"reflection: {name}" for name in names[:2]
+    ]
+    legend = page.locator("#cut .legendtext").all_text_contents()
+    assert legend[0] == f"{names[0]}, reflection"
+    assert legend[-1] == f"{names[1]}, transmission"
+
+
+def test_no_difference_of_unlike_patches_or_channels(opened):
+    one = synthetic.record()
+    for other in (synthetic.record("klems"), synthetic.record(channels=("R", "G"))):
+        page = opened(one, other)
+        assert "No difference is drawn" in page.locator("#notes").text_content()
+        assert page.locator("#map-z-0").count() == 0
+        assert page.locator("#map-1-0").count() == 1
 
 
 def test_csv_has_every_patch(opened, tmp_path):

@@ -13,9 +13,8 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi import cli
-from gonio_mi.instrument import launches
-from gonio_mi.instrument.batches import rounds
-from gonio_mi.transport import pace
+from gonio_mi.instrument import launcher
+from gonio_mi.instrument.schedule import rounds
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -27,11 +26,10 @@ LONG = {"theta_i": 40, "rays": 40_003, "batches": 4, "collector": "projected:6x8
 def short_rounds(monkeypatch):
     """Rounds of 1024 rays of each batch, on machines where launches hold as many."""
     for name in ("ROUND_TRACED", "ROUND_PLANE"):
-        monkeypatch.setattr(launches, name, 2**10)
-    for name in ("FIRST_OF_CURVE", "FIRST_TRACED", "FIRST_PLANE"):
-        monkeypatch.setattr(launches, name, 2**11)
-    monkeypatch.setattr(launches, "GROUP_SECONDS", 1)
-    monkeypatch.setattr(pace, "SECONDS", 1e-9)
+        monkeypatch.setattr(launcher, name, 2**10)
+    for name in ("FUSED_RAYS", "FIRST_TRACED", "FIRST_PLANE"):
+        monkeypatch.setattr(launcher, name, 2**11)
+    monkeypatch.setattr(launcher, "SECONDS", 1e-9)
 
 
 @pytest.fixture
@@ -41,7 +39,7 @@ def ctrl_c(monkeypatch):
     As Python takes it, even if a shell in the background ignores it.
     """
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    send = pace.launch
+    send = launcher.launch
 
     def press(at):
         number = iter(range(1, 10**9))
@@ -51,7 +49,7 @@ def ctrl_c(monkeypatch):
                 signal.raise_signal(signal.SIGINT)
             return send(*arguments)
 
-        monkeypatch.setattr(pace, "launch", pressed)
+        monkeypatch.setattr(launcher, "launch", pressed)
 
     yield press
     signal.signal(signal.SIGINT, before)
@@ -98,8 +96,7 @@ def test_rounds_lead_to_the_plan(plan):
     ("trace", "cuts"),
     [
         (False, ((2, 2, 1024), (7, 4, 1024), (30, 4, 7168))),
-        # the first launch is only for its speed
-        (True, ((4, 2, 1024), (8, 4, 1024), (31, 4, 7168))),
+        (True, ((3, 2, 1024), (7, 4, 1024), (31, 4, 7168))),
     ],
 )
 def test_ctrl_c_amid_long_batches(ctrl_c, trace, cuts):
@@ -124,16 +121,16 @@ def test_ctrl_c_amid_long_batches(ctrl_c, trace, cuts):
 def test_late_ctrl_c_loses_an_eighth(ctrl_c, monkeypatch):
     """Of the rays that were sent, or the launches of the first rounds."""
     sent = []
-    count = pace.launch
+    count = launcher.launch
 
-    def counted(bench, settings, keys, sizes, *others):
-        sent.append(sum(sizes))
-        return count(bench, settings, keys, sizes, *others)
+    def counted(one):
+        sent.append(sum(one.sizes))
+        return count(one)
 
-    monkeypatch.setattr(pace, "launch", counted)
+    monkeypatch.setattr(launcher, "launch", counted)
     gonio.measure(PLASTIC, **LONG)
     for at in (len(sent) // 2, len(sent)):
-        monkeypatch.setattr(pace, "launch", count)
+        monkeypatch.setattr(launcher, "launch", count)
         ctrl_c(at)
         part = interrupted(PLASTIC, **LONG)
         lost = sum(sent[: at - 1]) - part.ledger.emitted
@@ -141,18 +138,18 @@ def test_late_ctrl_c_loses_an_eighth(ctrl_c, monkeypatch):
 
 
 def test_bits_hold_where_sums_are_rounded(ctrl_c, monkeypatch):
-    """Beyond 53 bits; the twin rounds elsewhere."""
+    """Beyond 53 bits; the twin rounds elsewhere, which half of the sums show."""
     metal = {"type": "roughconductor", "alpha": 0.3}
-    settings = {"theta_i": 60, "collector": "projected:1x1", "batches": 2}
-    settings["rays"] = 2**21 + 2**19
-    monkeypatch.setattr(pace, "SECONDS", 1.0)
-    monkeypatch.setattr(launches, "ROUND_PLANE", 2**16)
+    settings = {"theta_i": 60, "collector": "projected:1x1", "batches": 16}
+    settings["rays"] = 16 * (2**20 + 2**18)
+    monkeypatch.setattr(launcher, "SECONDS", 1.0)
+    monkeypatch.setattr(launcher, "ROUND_PLANE", 2**16)
     whole = gonio.measure(metal, **settings)
     ctrl_c(10)
     part = interrupted(metal, **settings)
     ctrl_c(0)
     assert gonio.measure(metal, **settings, resume=part).tallies == whole.tallies
-    monkeypatch.setattr(launches, "ROUND_PLANE", 2**22)
+    monkeypatch.setattr(launcher, "ROUND_PLANE", 2**22)
     other = gonio.measure(metal, **settings)
     assert other.tallies != whole.tallies
     np.testing.assert_allclose(other.dhr, whole.dhr, rtol=1e-14)
@@ -199,12 +196,13 @@ def test_ctrl_c_while_rendering(ctrl_c):
     assert set(rays_of(record)) == {5120}
 
 
-def test_older_records_of_some_whole_batches():
-    """They were sent one after the other; the others come up to them."""
+def test_some_whole_batches_are_refused():
+    """Rounds send all batches alike."""
     whole = gonio.measure(PLASTIC, **LONG)
     shorter = gonio.measure(PLASTIC, **LONG | {"rays": 3 * 10_001, "batches": 3})
-    old = replace(whole, tallies=shorter.tallies)
-    assert gonio.measure(PLASTIC, **LONG, resume=old).tallies == whole.tallies
+    other = replace(whole, tallies=shorter.tallies)
+    with pytest.raises(ValueError, match="3 batches of up to 10001 rays instead of 4"):
+        gonio.measure(PLASTIC, **LONG, resume=other)
 
 
 def test_other_numbers_of_rays_are_refused():
@@ -229,3 +227,16 @@ def test_command_keeps_whole_rounds(ctrl_c, tmp_path, capsys):
     ctrl_c(0)
     assert cli.main([*command, "--resume", part, "-o", rest]) == 0
     assert gonio.load(rest).tallies == gonio.measure(PLASTIC, **LONG).tallies
+
+
+def test_other_wavelengths_are_refused(spectral):  # noqa: ARG001
+    """Twin: the same ones are carried on."""
+    few = {"theta_i": 40, "rays": 2000, "batches": 2, "collector": "projected:2x2"}
+    part = gonio.measure(PLASTIC, **few, wavelengths=[500, 600])
+    for nm in ([510, 700], [500], [500, 600, 700]):
+        with pytest.raises(
+            ValueError, match=r"made with channels=.*500nm.* instead of"
+        ):
+            gonio.measure(PLASTIC, **few, wavelengths=nm, resume=part)
+    again = gonio.measure(PLASTIC, **few, wavelengths=[500, 600], resume=part)
+    assert again.tallies == part.tallies

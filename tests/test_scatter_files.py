@@ -22,10 +22,10 @@ from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import FileFormatError
 from gonio_mi.exports import exporting, scatter_export
-from gonio_mi.files import fred, merl, open_material, zemax
-from gonio_mi.files import speos_writing as speos
-from gonio_mi.files.scatter import Block, Scatter, total_of
-from gonio_mi.files.scatter_files import read_scatter
+from gonio_mi.formats import fred, merl, open_material, reading, refused, speos, zemax
+from gonio_mi.formats.format import Format
+from gonio_mi.formats.reading import load_material, read_scatter
+from gonio_mi.formats.scatter import Block, Scatter, total_of
 from gonio_mi.results.misplacement import misplaced
 
 EPS = np.finfo(float).eps
@@ -395,14 +395,15 @@ def test_records_that_a_format_cannot_hold(tmp_path):
 
 @pytest.mark.usefixtures("rgb")
 @pytest.mark.filterwarnings("ignore:the file describes light from the front only")
+@pytest.mark.filterwarnings("ignore:the front is not reciprocal")  # made-up lobes
 def test_tensor_trees_are_materials(tmp_path, monkeypatch):
     from gonio_mi.exports import radiance_export
-    from gonio_mi.files import material_files
+    from gonio_mi.formats import radiance
 
     monkeypatch.setattr(radiance_export, "TREE_SIZES", {3: 32, 4: 16})
     monkeypatch.setattr(radiance_export, "CELL_POINTS", 1)
-    monkeypatch.setattr(material_files, "TREE_PATCHES", {3: (16, 32), 4: (12, 24)})
-    monkeypatch.setattr(material_files, "N_AZIMUTHS", 6)
+    monkeypatch.setattr(radiance, "TREE_PATCHES", {3: (16, 32), 4: (12, 24)})
+    monkeypatch.setattr(radiance, "N_AZIMUTHS", 6)
     record = synthetic.record(
         "projected:12x24", theta_i=(0, 20, 40, 60, 80), phi_i=(0,) * 5, power=3,
         rays=1_000_000,
@@ -575,6 +576,248 @@ def test_a_real_material_is_measured():
     assert record.dhr[::-1, 0] != pytest.approx(fine, abs=rule_error)  # the twin
 
 
+# ------------------------------------------------------- other texts of such programs
+
+VIAVI = """!!EDX5 10-0     RPC Photonics     10/28/2014
+!!BSDF Data
+10.000\t0.000
+0.0000\t0.0000\t0.6099
+15.0000\t0.0000\t26.66
+15.0000\t90.0000\t0.5
+"""
+
+
+def text_of(tmp_path, text, name="a.txt", mark=b""):
+    path = tmp_path / name
+    path.write_bytes(mark + text.encode())
+    return path
+
+
+def test_diffusers_of_viavi(tmp_path):
+    """Light from 10 degrees at the azimuth 0 flies on to 0: straight on is a peak."""
+    path = text_of(tmp_path, VIAVI)
+    with pytest.raises(ValueError, match=r"a\.txt: .* say --quantity brdf or btdf"):
+        gonio.read_measured(path)
+    table = gonio.read_measured(path, quantity="btdf")
+    assert table.incident == [(10, 0)]
+    assert table.theta_o.tolist() == [180, 165, 165]
+    assert (table.phi_o % 360).tolist() == [180, 180, 270]
+    assert table.bsdf.tolist() == [0.6099, 26.66, 0.5]
+    assert gonio.read_measured(path, quantity="brdf").theta_o.tolist() == [0, 15, 15]
+
+
+def test_texts_of_fred_say_angles_and_values_in_two_ways(tmp_path):
+    """In the plane, signed; as direction cosines; as logarithms; scaled."""
+    head = "type bsdf_data\nformat angles={} bsdf={} scale={}\n"
+    degrees = "30 0\n-60 0 0.01\n0 0 0.1\n60,0,1\n"
+    sine = np.sin(np.radians([30, 60])).tolist()
+    cosines = f"0 {sine[0]!r}\n0 -{sine[1]!r} -2\n0 0 -1\n0 {sine[1]!r} 0\n"
+    one, two = (
+        gonio.read_measured(text_of(tmp_path, head.format(*of) + rows))
+        for of, rows in (
+            (("deg", "value", 1), degrees),
+            (("sin", "log", 2), cosines),
+        )
+    )
+    assert one.theta_o.tolist() == [60, 0, 60]
+    assert (one.phi_o % 360).tolist() == [0, 180, 180]
+    assert one.value.tolist() == [0.01, 0.1, 1]
+    # arcsines of sines, at worst 1 / cos(60) times their rounding, a few times
+    assert two.theta_i == pytest.approx(one.theta_i, rel=16 * EPS)
+    assert two.theta_o == pytest.approx(one.theta_o, rel=16 * EPS)
+    assert (two.phi_o % 360)[[0, 2]].tolist() == [0, 180]
+    assert two.value == pytest.approx(2 * one.value, rel=16 * EPS)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("10 0\n5 0 0.1\n5 0 0.9\n", "the values 0.1 and 0.9: one is wrong"),
+        ("10 0\n5 0 0.1\n9 0 0.1\n20 0\n", "no values of the incidence 20, 0: it is"),
+        ("10 0\n5 0 0.1\n9 0 0.1\n20 0\n5 0 0.", "has 1 of 2 directions, and no end"),
+    ],
+)
+def test_what_is_wrong_with_a_text_of_fred(tmp_path, rows, message):
+    head = "type bsdf_data\nformat angles=deg bsdf=value scale=1\n"
+    with pytest.raises(FileFormatError, match=message):
+        gonio.read_measured(text_of(tmp_path, head + rows))
+    whole = f"{head}10 0\n5 0 0.1\n9 0 0.1\n20 0\n5 0 0.1\n"
+    notes = gonio.read_measured(text_of(tmp_path, whole)).notes
+    assert any("1 of 2 directions: the file may be cut" in note for note in notes)
+
+
+@pytest.mark.parametrize("mark", [b"\xef\xbb\xbf", "utf-16"])
+def test_byte_order_marks(tmp_path, mark):
+    """Before texts of FRED, VIAVI, Zemax, Speos, OpenMATERIAL and ASTM."""
+    files = {
+        ".bsdf": (zemax.write, True),
+        ".brdf": (speos.write_spectral, False),
+        ".json": (open_material.write, False),
+    }
+    texts = {"a.txt": "type bsdf_data\nformat angles=deg\n9 0\n9 0 1\n"}
+    texts["a.astm"] = "VARS theta_i,phi_i,theta_s,phi_s,Integrated\n0.5,0,1,0,0.3\n"
+    texts["v.txt"] = VIAVI
+    for ending, (write, specular) in files.items():
+        stream = io.BytesIO()
+        write(lobes(specular), stream, "a")
+        texts[f"a{ending}"] = stream.getvalue().decode()
+    for name, text in texts.items():
+        path = tmp_path / name
+        path.write_text(text)
+        bare = gonio.read_measured(path, quantity="brdf")
+        content = mark + text.encode() if isinstance(mark, bytes) else text.encode(mark)
+        path.write_bytes(content)
+        marked = gonio.read_measured(path, quantity="brdf")
+        assert np.array_equal(marked.value, bare.value)
+        assert np.array_equal(marked.phi_o, bare.phi_o)
+
+
+def test_an_azimuth_of_360_is_that_of_0(tmp_path):
+    """The first counts; one that says otherwise is told; and it is a material."""
+    first = lobes(specular=True)
+    turned = [
+        replace(b, phi_i=phi) for phi in (0, 90, 180, 270, 360) for b in first.blocks
+    ]
+    turned[-1] = replace(turned[-1], values=2 * turned[-1].values)
+    stream = io.BytesIO()
+    everything = Scatter.__new__(Scatter)  # as others write it, with both
+    object.__setattr__(everything, "blocks", turned)
+    zemax.write(everything, stream, "a")
+    path = tmp_path / "a.bsdf"
+    path.write_bytes(stream.getvalue())
+    read = read_scatter(path)
+    assert {b.phi_i for b in read.blocks} == {0, 90, 180, 270}
+    assert len(read.blocks) == 4 * len(first.blocks)
+    assert read.blocks[len(first.blocks) - 1].values == pytest.approx(
+        turned[len(first.blocks) - 1].values, rel=1e-5
+    )
+    note = "3 incidences are there a full turn on again, 1 of them with other values"
+    assert any(note in one for one in read.notes)
+    means = load_material(path)
+    assert sorted(set(means.phi_i.tolist())) == [0, 90, 180, 270]
+
+
+def test_rows_of_open_material_at_90_degrees_are_counted(tmp_path):
+    metadata = dict.fromkeys(open_material.REQUIRED, "1.0.0")
+    metadata["uuid"] = "42e8da0f-ba1d-4cc8-b07a-178819c894c0"
+    rows = [[5e-7, 0.5, theta, 0.0, 0.2] for theta in (0.1, 0.2, 1.570796)]
+    content = {"wavelengths": [5e-7], "lookupTable": rows}
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps({"metadata": metadata, "brdf": content}))
+    table = gonio.read_measured(path)
+    assert len(table) == 2
+    assert "1 of 3 rows, at 90 degrees, are left out" in table.notes
+
+
+ALTA = "#DIM 3 1\n#PARAM_IN RUSIN_TH_TD_PD\n#PARAM_OUT INV_STERADIAN\n0 0 0 0.3\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.dat", ALTA, "a data file of ALTA, whose parametrisations"),
+        (
+            "a.bsdf180",
+            "OPTIS - BSDF180 surface file v1.0\n0\n",
+            "names two other files",
+        ),
+        ("a.scattering", "OPTIS - Scattering v1.0\n", "parameters of a model"),
+        (
+            "a.simplescattering",
+            "OPTIS - Simple scattering v1.0\n",
+            "parameters of a model",
+        ),
+    ],
+)
+def test_what_nothing_reads_is_named(tmp_path, capsys, name, text, message):
+    """As a table, as a material, and by a command that takes something else."""
+    path = text_of(tmp_path, text, name)
+    for read in (gonio.read_measured, read_scatter):
+        with pytest.raises(FileFormatError, match=message) as caught:
+            read(path)
+        assert str(path) in str(caught.value)
+    for command in ("show", "surface"):
+        assert main([command, str(path)]) == 1
+        assert message in capsys.readouterr().err
+
+
+WRITTEN_OTHERWISE = {
+    "indented": lambda text: "\n".join(f" \t{line}" for line in text.split("\n")),
+    "carriage returns": lambda text: text.replace("\n", "\r"),
+    "long comments": lambda text: "# of the instrument\n" * 10_000 + text,
+}
+
+
+@pytest.mark.parametrize("change", WRITTEN_OTHERWISE)
+def test_a_file_of_zemax_is_none_of_mitsuba(tmp_path, change):
+    """Whatever its reader takes is read by its name, too."""
+    first = lobes(True)
+    stream = io.BytesIO()
+    zemax.write(first, stream, "x")
+    text = WRITTEN_OTHERWISE[change](stream.getvalue().decode())
+    read = read_scatter(text_of(tmp_path, text, "a.bsdf"))
+    assert len(read.blocks) == len(first.blocks)
+    if change != "long comments":
+        assert reading.format_of(text_of(tmp_path, text)).program == "Zemax OpticStudio"
+
+
+@pytest.mark.parametrize("text", ["", "Source Measured\nSymm"])
+def test_a_cut_file_of_zemax_is_none_of_mitsuba(tmp_path, text):
+    path = text_of(tmp_path, text, "a.bsdf")
+    with pytest.raises(FileFormatError, match=r"no line|keyword") as caught:
+        read_scatter(path)
+    assert "measured" not in str(caught.value)
+
+
+@pytest.mark.parametrize("comment", ["# ALTA's export", "# DIM light", "# PARAM_INS"])
+def test_comments_make_no_file_of_alta(tmp_path, comment):
+    text = f"{comment}\ntheta_i,phi_i,theta_o,phi_o,value\n45,0,30,180,0.4\n"
+    assert gonio.read_measured(text_of(tmp_path, text)).value.tolist() == [0.4]
+
+
+def test_each_format_is_in_one_file_and_says_what_it_is():
+    """Whatever lists FORMATS is found; endings that are written are written by one."""
+    written = [e for one in reading._all() if one.write for e in one.endings]
+    assert sorted(written) == sorted(set(written))
+    for one in reading._all():
+        does = one.scatter, one.points, one.material, one.refused
+        assert one.program
+        assert any(does)
+        assert one.endings or one.begins
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_format_that_is_added_is_read_written_and_named(tmp_path, monkeypatch):
+    """By one list, of one module: a table, a material and an export of it."""
+
+    def write(scatter, stream, _):
+        stream.write(f"plain {scatter.blocks[0].values.mean():.9g}".encode())
+
+    def read(stream):
+        value = float(stream.read().split()[1])
+        flat = [
+            replace(b, values=np.full_like(b.values, value)) for b in lobes().blocks
+        ]
+        return Scatter(flat, ("Y",))
+
+    plain = Format("Plain", (".plain",), scatter=read, write=write, loses="all else")
+    monkeypatch.setattr(refused, "FORMATS", (*refused.FORMATS, plain))
+    reading._all.cache_clear()
+    try:
+        path = tmp_path / "a.plain"
+        record = synthetic.record("projected:4x8", theta_i=(0, 30, 60), phi_i=(0,) * 3)
+        losses = scatter_export.write_grids(record, path)
+        assert [loss.theta_i for loss in losses] == [0, 30, 60]
+        table = gonio.read_measured(path)
+        assert np.ptp(table.value) == 0
+        assert f"plain {table.value[0]:.9g}" == path.read_text()
+        assert load_material(path).theta_i.tolist() == [0, 30, 60]
+        assert "  .plain             Plain: all else" in reading.lost_in_each()
+    finally:
+        monkeypatch.undo()
+        reading._all.cache_clear()
+
+
 # ------------------------------------------------------------------------ damaged files
 
 
@@ -603,7 +846,11 @@ def test_damaged_files_of_zemax(tmp_path, change):
 
 def test_files_of_others_by_these_names(tmp_path):
     for name, content, message in (
-        ("a.bsdf", b"tensor_file\0", "plugin measured: use measured:filename="),
+        (
+            "a.bsdf",
+            b"tensor_file\0",
+            "a material of Mitsuba: measure the specimen measured:filename=",
+        ),
         ("a.binary", b"\0" * 12, "12 bytes instead of 34992012"),
         ("a.brdf", b"OPTIS - brdf surface file v9.0\n1\0", "binary: save it as text"),
         ("a.brdf", b"OPTIS - a lamp v9.0\n0\n\n0\n\n", "it is a OPTIS - a lamp"),
@@ -632,7 +879,26 @@ def test_what_the_table_of_fred_cannot_be(tmp_path):
     table = gonio.read_measured(path, quantity="brdf")
     assert table.theta_o.tolist() == [10]
     assert "1 rows at or below the horizon are left out" in table.notes
-    for name in ("a.txt", "a.json", "a.astm"):
+    through = gonio.read_measured(path, quantity="btdf")
+    assert (through.quantity, through.theta_o.tolist()) == ("btdf", [170])
+    for name in ("a.json", "a.astm"):
         (tmp_path / name).write_text(text)
         with pytest.raises(ValueError, match=r"holds brdf, got the quantity 'btdf'"):
             gonio.read_measured(tmp_path / name, quantity="btdf")
+
+
+def test_tables_of_others_without_a_row(tmp_path):
+    empty = "NUM_POINTS 0\nVARS theta_i,phi_i,theta_s,phi_s,R\n"
+    with pytest.raises(FileFormatError, match="has no rows of values"):
+        gonio.read_measured(text_of(tmp_path, empty, "a.astm"))
+    below = "type bsdf_data\nformat angles=deg bsdf=value scale=1\n30 0\n120 0 0.4\n"
+    for quantity in ("brdf", "btdf"):
+        with pytest.raises(FileFormatError, match="all its directions are at or below"):
+            gonio.read_measured(text_of(tmp_path, below), quantity=quantity)
+
+
+def test_a_logarithm_of_fred_that_is_too_large(tmp_path, recwarn):
+    text = "type bsdf_data\nformat angles=deg bsdf=log scale=0\n30 0\n20 0 400\n"
+    with pytest.raises(FileFormatError, match=r"value .*finite"):
+        gonio.read_measured(text_of(tmp_path, text))
+    assert not recwarn

@@ -86,7 +86,7 @@ def test_plugins_have_the_declared_properties(name):
 def test_options_and_arguments_are_the_declared(capsys):
     """The command line has them where a group is declared, the function all."""
     with pytest.raises(SystemExit):
-        cli.main(["measure", "--help"])
+        cli.main(["measure", "--help-all"])
     shown = capsys.readouterr().out
     for name, declared in DECLARED.items():
         assert (declared.option in shown) == (declared.group is not None)

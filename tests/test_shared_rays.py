@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+import synthetic
 
 import gonio_mi as gonio
 from gonio_mi import cli, read_measured
 from gonio_mi.collector.apertures import Apertures
 from gonio_mi.comparison import compare, measure_like
-from gonio_mi.results.ray_identity import ray_keys, shared_seeds
+from gonio_mi.results.provenance import shared_seeds
 
 DIFFUSE = {"type": "diffuse"}
 SHARED = "have the seed {}: their rays are not independent"
@@ -92,4 +93,4 @@ def test_what_is_shared():
     assert shared_seeds({"seed": "1"}, {"seed": "12"}) == ""
     assert shared_seeds({}, {}) == ""
     assert shared_seeds({"seed": "1", "sampler": "sobol"}, {"seed": "1"}) == "1"
-    assert ray_keys({}) == {}
+    assert synthetic.record().with_provenance(seeds=()).ray_keys == {}

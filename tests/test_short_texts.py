@@ -46,28 +46,6 @@ def test_a_record_holds_the_description_of_a_nested_specimen():
     assert ", ... light " in shown
 
 
-def test_records_with_a_description_that_was_cut_short_are_merged():
-    common = {"rays": 20_000, "batches": 4}
-    one = synthetic.record().with_settings(**common, digest="1", surface="Dif", seed=1)
-    two = one.with_settings(surface="Diffuse", seed=2)
-    assert one.merge(two).ledger.emitted == 2 * one.ledger.emitted
-    with pytest.raises(ValueError, match="must agree in surface"):
-        one.with_settings(digest=None).merge(two.with_settings(digest=None))
-
-
-@pytest.mark.usefixtures("mono")
-def test_a_record_with_a_description_that_was_cut_short_is_carried_on():
-    """Twin: with another specimen's digest."""
-    how = {"specimen": {"type": "diffuse"}, "theta_i": 30, "rays": 2000}
-    record = gonio.measure(**how, collector="projected:4x4")
-    old = record.with_settings(surface=record.settings["surface"][:20])
-    again = gonio.measure(**how, collector="projected:4x4", resume=old)
-    assert again.tallies == record.tallies
-    other = old.with_settings(digest="0")
-    with pytest.raises(ValueError, match="it was made with digest="):
-        gonio.measure(**how, collector="projected:4x4", resume=other)
-
-
 def test_labels_of_specimens_that_differ_late():
     name = "principled:base_color=0.2/0.3/0.4,metallic=0.3,anisotropic=0.25,roughness="
     one, two = (

@@ -6,11 +6,11 @@ import gonio_mi as gonio
 import mitsuba as mi
 import numpy as np
 import pytest
+from benchmark.discrete_ordinates import henyey_greenstein, theory
 from budget import agree, difference_scores, disagree, normal_scores, scores, verdict
 from plates import plate, rings
 from slabs import chandrasekhar, medium, rectangle, stack
 
-from gonio_mi.benchmark.discrete_ordinates import henyey_greenstein, theory
 from gonio_mi.collector.directions import direction
 from gonio_mi.single_precision import ROUNDING
 

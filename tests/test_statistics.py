@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from budget import Verdict, agree, disagree
+from budget import Verdict, agree, disagree, single
 from scipy import stats
 
 from gonio_mi.results import statistics
@@ -106,6 +106,90 @@ def test_gamma_interval_of_equal_weights_is_that_of_their_count():
     low, high = statistics.gamma_interval(np.array([0.5]), np.array([0.0]), 1.0, 0.9)
     assert low == 0.5
     np.testing.assert_allclose(high, stats.gamma.ppf(0.95, 1.5**2) / 1.5, rtol=rtol)
+
+
+def test_gamma_interval_counts_the_heavy_hits_that_explain_the_scatter():
+    """Of a sum of 7.5 that scatters as 3 hits of 1/2, 6 are certain; or all, as one."""
+    hits, weight = np.array([3.0, 0.0]), 0.5
+    low, high = statistics.gamma_interval(
+        6 + hits * weight, np.sqrt(hits) * weight, weight, 0.9, weight
+    )
+    rtol = FUNCTIONS + 16 * EPS
+    limit = stats.chi2.ppf([0.05, 0.95], [6, 8]) / 2
+    np.testing.assert_allclose((low[0], high[0]), 6 + weight * limit, rtol=rtol)
+    limit = stats.chi2.ppf(0.95, 2) / 2
+    np.testing.assert_allclose((low[1], high[1]), (6, 6 + weight * limit), rtol=rtol)
+
+
+@pytest.mark.parametrize("n_batches", [10, 64])
+def test_one_hit_that_scatters_tells_its_weight(n_batches):
+    """Exact up to rounding, which is its sum.
+
+    A single hit in a patch may be one of many alike, and of few batches one may differ
+    by chance.
+    """
+    sums = np.zeros((n_batches, 2, 3, 1))
+    sums[1, 0, 1] = 8
+    incident = np.full((n_batches, 1, 1, 1), 100.0)
+    hits = np.full((2, 3, 1), 4)
+    found = statistics.scatter_weight(sums, incident, hits)
+    np.testing.assert_allclose(found, 8 / (100 * n_batches), rtol=64 * EPS)
+    assert statistics.scatter_weight(sums, incident, hits // 4) == 0
+    assert statistics.scatter_weight(sums[:2], incident[:2], hits) == 0
+    assert statistics.scatter_weight(0 * sums, incident, hits) == 0
+
+
+def test_weight_of_the_hits_that_scatter():
+    """Of independent hits, a hundredth of which weigh 1 and all others 0.05.
+
+    Of h hits, ``(h - 1) V`` and ``(h - 1) 3 m V + (h - 1/h) K`` are more than hits of
+    their mean weight m have, with V and K the second and third central moments of the
+    weight of one; the latter counts h / (h + 1) times. Twins: the mean weight, and
+    E[w^2] / E[w].
+    """
+    rng = np.random.default_rng(3)
+    means = np.geomspace(0.1, 1000, 100)[:, None, None]
+    weights, shares = np.array([0.05, 1.0]), np.array([0.99, 0.01])
+    mean = shares @ weights
+    second, third = (shares @ (weights - mean) ** power for power in (2, 3))
+    found, expected = [], []
+    for _ in range(60):
+        counts = rng.poisson(means * shares / 16, (16, 100, 1, 2))
+        hits = counts.sum(axis=(0, 3))[..., None]
+        incident = np.full((16, 1, 1, 1), 1 / 16)
+        sums = counts @ weights[:, None]
+        found.append(statistics.scatter_weight(sums, incident, hits)[0])
+        hits = np.maximum(hits, 1)
+        part = ((hits - 1) / (hits + 1)).sum() / (1 - 1 / hits).sum()
+        expected.append(third / second + 3 * mean * part)
+    std_err = np.std(found, ddof=1) / 60**0.5
+    agree(single((np.mean(found) - np.mean(expected)) / std_err))
+    for wrong in (mean, shares @ weights**2 / mean):
+        disagree(single((np.mean(found) - wrong) / std_err))
+
+
+def test_patches_that_differ_in_weight_do_not_scatter():
+    """As the lobe and the background of a blend; twin: both weights in each patch."""
+    rng = np.random.default_rng(8)
+    weights = np.where(np.arange(900) < 90, 1.0, 0.05)[:, None]
+    incident = np.full((16, 1, 1, 1), 1 / 16)
+
+    def _verdict(of_each_hit):
+        told = 0
+        for mean in np.geomspace(0.3, 1000, 60):
+            counts = rng.poisson(mean / 16, (16, 900, 1))
+            if of_each_hit:
+                heavy = rng.binomial(counts, 0.1)
+                sums = 0.05 * counts + 0.95 * heavy
+            else:
+                sums = counts * weights
+            hits = counts.sum(axis=0)[..., None]
+            told += statistics.scatter_weight(sums[..., None], incident, hits)[0] > 0
+        p = stats.binom.sf(told - 1, 60, stats.norm.sf(statistics.SKEWED))
+        return Verdict({"told": float(p)})
+
+    agree(_verdict(False))
+    disagree(_verdict(True))
 
 
 def test_gamma_interval_of_few_unlike_weights_covers():

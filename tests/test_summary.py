@@ -112,7 +112,7 @@ def test_rays_of_all_passes_are_asked_for():
     """An interrupted record of two passes says how many there should be."""
     record = synthetic.record()
     assert "80 000, batches" in line(record, "rays")
-    passes = replace(record, settings={**record.settings, "passes": 2})
+    passes = record.with_provenance(passes=2)
     assert "80 000 of 160 000 asked for" in line(passes, "rays")
 
 
@@ -213,3 +213,20 @@ def test_nothing_is_0():
     total |= {"value": 0.0, "std_err": 3e-15, "low": 0.0, "high": 6e-15}
     (row,) = (r for r in summary_text(numbers).splitlines() if " dhr " in r)
     assert row.split()[4:] == ["0", "3e-15", "0", "6e-15"]
+
+
+def test_patches_with_too_few_heavy_hits_are_counted():
+    """One heavy hit on one patch of many alike, whose uncertainty all others share."""
+    record = synthetic.record(n_batches=16)
+    tally = synthetic.writeable(record.tallies[0])
+    assert not record.pooled.any()
+    assert "heavy hits" not in summary_text(summarize(record))
+    tally.sums[:, 0] = tally.hits[0][..., None] * 1e3
+    tally.sums[1, 0, 2, 3] += tally.scale
+    tally.hits[0, 2, 3] += np.uint64(1)
+    record = replace(record, tallies=(tally,))
+    assert record.pooled.shape == record.counts.shape
+    n = np.count_nonzero(record.counts)
+    assert record.pooled.sum() == n == summarize(record)["directions"][0]["n_pooled"]
+    text = " ".join(summary_text(summarize(record)).split())
+    assert f"{n} with few or none of the heavy hits that scatter" in text

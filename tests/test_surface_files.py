@@ -360,6 +360,34 @@ def test_a_file_is_a_finite_specimen_when_it_is_measured(tmp_path, capfd):
     assert plain.ledger.reflected + plain.ledger.sideways == 1000
 
 
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\x93NUMPY\x01\x00v\x00" + b"}" * 117 + b"\n",
+        b"\x93NUMPY\x01\x00v\x00" + b"(" * 117 + b"\n",
+        b"PK\x03\x04",
+        b"PK\x05\x06" + 18 * b"\0",
+        b"no array",
+        b"",
+    ],
+    ids=["braces", "brackets", "archive", "empty archive", "text", "nothing"],
+)
+def test_a_damaged_array_is_a_sentence(tmp_path, content):
+    path = tmp_path / "a.npy"
+    path.write_bytes(content)
+    with pytest.raises(SpecimenError, match=r"a \.npy file or a file of a profilomet"):
+        gonio.measure(path, 0)
+
+
+@pytest.mark.usefixtures("mono")
+def test_an_archive_of_arrays_is_no_array(tmp_path):
+    np.savez(tmp_path / "a.npz", RAMP)
+    (tmp_path / "a.npz").rename(tmp_path / "a.npy")
+    with pytest.raises(SpecimenError, match="magic string"):
+        gonio.measure(tmp_path / "a.npy", 0)
+
+
 def test_one_command(tmp_path, capfd):
     """From a scan with tilt and gaps to a BRDF with error bars."""
     pytest.importorskip("SurfaceTopography")

@@ -12,7 +12,7 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi.cli import main
-from gonio_mi.files.column_names import recognised
+from gonio_mi.files.table_names import recognised
 
 EPS = np.finfo(float).eps
 DATA = Path(

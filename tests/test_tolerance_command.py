@@ -11,7 +11,7 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi import cli
-from gonio_mi.instrument import campaign_tasks
+from gonio_mi.campaigns import tasks
 
 # Directions that are begun before Ctrl-C: a part of all that the command measures.
 BEGUN = 25
@@ -26,9 +26,9 @@ PROBES = 2
 KILLED = f"""
 import os, signal, sys
 from gonio_mi.cli import main
-from gonio_mi.instrument import campaign_tasks
+from gonio_mi.campaigns import tasks
 
-measure, calls = campaign_tasks.measure_each, []
+measure, calls = tasks.measure_each, []
 
 def one(*args, **kwargs):
     calls.append(1)
@@ -36,7 +36,7 @@ def one(*args, **kwargs):
         os.kill(os.getpid(), signal.SIGKILL)
     return measure(*args, **kwargs)
 
-campaign_tasks.measure_each = one
+tasks.measure_each = one
 sys.exit(main())
 """
 
@@ -53,7 +53,7 @@ def sigint():
 
 def counted(monkeypatch, interrupted=None, by=signal.SIGINT):
     """List of the directions that are begun; the one of that number is interrupted."""
-    measure, calls = campaign_tasks.measure_each, []
+    measure, calls = tasks.measure_each, []
 
     def one(*args, **kwargs):
         calls.append(1)
@@ -61,7 +61,7 @@ def counted(monkeypatch, interrupted=None, by=signal.SIGINT):
             signal.raise_signal(by)
         return measure(*args, **kwargs)
 
-    monkeypatch.setattr(campaign_tasks, "measure_each", one)
+    monkeypatch.setattr(tasks, "measure_each", one)
     return calls
 
 

@@ -8,7 +8,7 @@ import synthetic
 import gonio_mi as gonio
 from gonio_mi.comparison import compare
 from gonio_mi.comparison.unlike_conditions import CONDITIONS
-from gonio_mi.files.measured import MeasuredTable
+from gonio_mi.files.measured_table import MeasuredTable
 from gonio_mi.results.tally import Fate
 from gonio_mi.settings import MeasurementSettings, declarations
 
@@ -57,7 +57,7 @@ def test_a_comparison_tells_each_condition(name):
         replace(one, tallies=(tally,)) for one, tally in zip((record, other), tallies)
     )
     if name == "max_scatterings":  # told where there are media only
-        record = record.with_settings(max_scatterings=10**7)
+        record, other = (one.with_provenance(media=("fog",)) for one in (record, other))
     other_way = other.with_settings(**{name: VALUES[name]})
     alike = record.with_settings(**{name: VALUES[name]})
     (note,) = said(record, other_way)

@@ -6,6 +6,7 @@ GONIO_EFFORT=normal (or thorough) examines the broken ones harder than quick.
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import broken_bsdfs
@@ -16,14 +17,16 @@ import pytest
 from broken_bsdfs import EITHER, MISTAKES, RIGHT
 
 from gonio_mi import SpecimenError, cli
+from gonio_mi.commands import validate as command
 from gonio_mi.commands.validate import _print
 from gonio_mi.testing import assert_bsdf_valid
-from gonio_mi.validation import PROPERTIES, cost, delta, save_report, validate
-from gonio_mi.validation.collecting import collect
+from gonio_mi.validation import PROPERTIES, save_report, validate
+from gonio_mi.validation.checks import cost, delta
 from gonio_mi.validation.conditions import Condition
 from gonio_mi.validation.evidence import Evidence
-from gonio_mi.validation.parameters import coloured
-from gonio_mi.validation.verdict import Verdict, judge
+from gonio_mi.validation.samples import samples_of
+from gonio_mi.validation.validate import coloured
+from gonio_mi.validation.verdict import Verdict, properties_of
 
 ALPHA = budget.ALPHA
 OBLIQUE = Condition(40.0, 25.0)
@@ -82,6 +85,29 @@ def test_declared_asymmetry_is_reported_and_no_failure():
     verdict = validate({"type": "cosinelobe"}, effort="quick")
     assert verdict["reciprocity"].status == "lacks"
     assert verdict.passed
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize(
+    ("specimen", "reason"),
+    [
+        ({"type": "diffuse", "reflectance": 0.0}, "nothing was lit"),
+        ({"type": "noise"}, "did not converge"),
+    ],
+)
+def test_nothing_lit_and_nothing_decided_are_no_pass(specimen, reason, capsys):
+    """The twins are all right plugins, which pass."""
+    verdict = validate(specimen, effort="quick")
+    assert reason in verdict.undecided
+    assert not verdict.failures
+    assert not verdict.passed
+    assert f"UNDECIDED: {verdict.undecided}" in verdict.headline
+    with pytest.raises(AssertionError, match="UNDECIDED"):
+        assert_bsdf_valid(specimen, effort="quick")
+    if specimen["type"] == "diffuse":
+        words = ["validate", "diffuse:reflectance=0", "--effort", "quick"]
+        assert cli.main(words) == 4
+        assert "UNDECIDED" in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("mono")
@@ -164,12 +190,13 @@ def test_for_ci():
         ("importance_with_eta2", "breaks some integrators", False),
         ("fresnel_not_reciprocal", "a property of the model", True),
         ("eval_gains_one_percent", "a property of the model", True),
-        ("sample_ignores_active", "a nicety of the interface", True),
-        ("flags_of_another_lobe", "a nicety of the interface", True),
-        ("pdf_below_the_horizon", "a nicety of the interface", True),
+        ("sample_ignores_active", "interface only (no effect on images)", True),
+        ("flags_of_another_lobe", "interface only (no effect on images)", True),
+        ("pdf_below_the_horizon", "interface only (no effect on images)", True),
         ("gradient_detached", "breaks some integrators", False),
-        ("traverse_raises", "a nicety of the interface", True),
+        ("traverse_raises", "interface only (no effect on images)", True),
         ("eta_of_a_reflection", "adds noise", True),
+        ("roulette", "adds noise", True),
     ],
 )
 def test_effect_decides(name, effect, passed):
@@ -228,7 +255,7 @@ def test_time_of_a_ray_is_a_ratio_in_turns(ns, told, monkeypatch):
 
     compared = cost.compared
     monkeypatch.setattr(cost, "compared", ratio)
-    cost.check_time(evidence := Evidence(), mi.load_dict({"type": "lambert"}), OBLIQUE)
+    cost.check_time(evidence := Evidence(mi.load_dict({"type": "lambert"})), OBLIQUE)
     assert (
         f"{ns / 1_000:.2g} times as long as those of `diffuse`"
         in (evidence.remarks["cost"])
@@ -259,13 +286,12 @@ def test_answers_as_wide_as_the_rays():
 def test_rare_discrete_lobes_are_counted(side):
     """Of an index of 1.01 a few reflect; a probability of 1 would allow none."""
     bsdf = mi.load_dict({"type": "dielectric", "int_ior": 1.01, "ext_ior": 1.0})
-    drawn = collect(bsdf, Condition(40.0, 140.0, side), 2**18, (0, 1))
-    evidence = Evidence()
-    delta.check_delta(evidence, drawn, bsdf, (0, 1))
+    samples = samples_of(bsdf, Condition(40.0, 140.0, side), 2**18, (0, 1))
+    delta.lobes_of(evidence := Evidence(bsdf), samples)
     assert min(test.p for test in evidence.tests) > ALPHA
     # the twin: a probability of 1, but for rounding, allows none of them
-    drawn.sampled_pdf[~drawn.reflected] = 1.0
-    delta.check_delta(twin := Evidence(), drawn, bsdf, (0, 1))
+    samples.sampled_pdf[~samples.reflected] = 1.0
+    delta.lobes_of(twin := Evidence(bsdf), samples)
     assert min(test.p for test in twin.tests) < ALPHA
 
 
@@ -332,7 +358,7 @@ def verdict_of(*p_values, effort="quick", variant="llvm_ad_rgb"):
         evidence.test("sampling", p, "z")
     settings = {"effort": effort, "seed": 0, "alpha": 1e-3, "strict": False}
     settings |= {"variant": variant, "n_tests": 10, "n_samples": 1}
-    found = tuple(judge(evidence, 1e-3))
+    found = tuple(properties_of(evidence, 1e-3))
     return Verdict("paint", found, "pdf", "a mistake", settings)
 
 
@@ -367,6 +393,23 @@ def test_other_variants_are_told_of_after_the_verdict(capsys):
         _print(verdict_of(0.00001), [verdict_of(p, variant="llvm_ad_mono")], {})
         last = capsys.readouterr().out.splitlines()[-1]
         assert last.startswith(f"in llvm_ad_mono: {said}")
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_what_fails_in_any_variant_decides(order, monkeypatch):
+    """Before what is undecided in another, in either order."""
+    failed, passed = verdict_of(0.00001), verdict_of()
+    undecided = replace(
+        passed,
+        properties=tuple(
+            replace(one, status="undecided") if one.name == "sampling" else one
+            for one in passed.properties
+        ),
+    )
+    for verdicts, code in (([undecided, failed], 3), ([undecided, passed], 4)):
+        found = verdicts[::order]
+        monkeypatch.setattr(command, "_verdicts", lambda _, found=found: (found, {}))
+        assert cli.main(["validate", "diffuse"]) == code
 
 
 @pytest.mark.usefixtures("rgb")
@@ -416,10 +459,12 @@ def test_command(tmp_path, capsys):
     assert "allow must name some of" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("mono")
+@pytest.mark.usefixtures("plugins")
 @pytest.mark.parametrize(
     ("specimen", "name", "note"),
     [
+        ({"type": "dusty"}, "answers", "`eval` depends on where the surface is"),
+        ({"type": "fading_above"}, "answers", "`eval` depends on where the surface is"),
         ({"type": "principledthin"}, "flags", "declared and never sampled"),
         (
             {"type": "diffuse", "reflectance": {"type": "checkerboard"}},

@@ -15,11 +15,12 @@ import pytest
 import right_bsdfs
 from scipy import stats
 
-from gonio_mi.validation import balance, drawing, identities, maps, validate
-from gonio_mi.validation.collecting import collect
+from gonio_mi.validation import maps, tally, validate
+from gonio_mi.validation.checks import sampled_pdf, sampled_weight, sampling, weights
 from gonio_mi.validation.conditions import Condition, Effort
 from gonio_mi.validation.evidence import Evidence
 from gonio_mi.validation.integrals import integrals
+from gonio_mi.validation.samples import samples_of
 
 SEEDS = int(os.environ.get("GONIO_SEEDS", "1"))
 
@@ -86,21 +87,23 @@ def test_rounding_is_no_fault(name, component, off):
     """Of a cosine that rounds to 1, and of indices that are nearly equal."""
     bsdf = mi.load_dict(right_bsdfs.RIGHT[name])
     condition = Condition(50.0, 25.0, component=component)
-    drawn = collect(bsdf, condition, 2**14, (0, 1))
-    drawn.weight, drawn.sampled_pdf = drawn.weight * off, drawn.sampled_pdf / off
-    identities.check_identities(evidence := Evidence(), drawn)
-    alone = {b.property for b in evidence.breaches if "sampled" in b.property}
-    assert bool(alone) == (off != 1)
+    samples = samples_of(bsdf, condition, 2**14, (0, 1))
+    samples.weight = samples.weight * off
+    samples.sampled_pdf = samples.sampled_pdf / off
+    evidence = Evidence()
+    for check in (sampled_pdf, sampled_weight):
+        check.check_samples(evidence, samples)
+    assert bool(evidence.breaches) == (off != 1)
 
 
 @pytest.mark.usefixtures("mono")
 def test_tails_too_heavy_to_judge_are_told():
     right_bsdfs.register()
     bsdf = mi.load_dict({"type": "heavy", "case": "lambert by cosine^10"})
-    weights = validate(bsdf, effort="quick")["weights"]
-    assert weights.status == "undecided"
-    assert weights.effect == "adds noise"
-    assert "tails are too heavy" in weights.statistic
+    found = validate(bsdf, effort="quick")["weights"]
+    assert found.status == "undecided"
+    assert found.effect == "adds noise"
+    assert "tails are too heavy" in found.statistic
 
 
 @pytest.mark.usefixtures("mono")
@@ -112,7 +115,8 @@ def test_a_density_that_underflows_has_no_hole():
     found = maps.four_maps(bsdf, Condition(89.0, 0.0), grid, 2**15, (0, 1))
     assert found.due.unreached.values.sum() > 1e-3 * found.smooth_flux[0]
     evidence = Evidence()
-    balance.check_maps(evidence, found)
+    for check in (sampling, weights):
+        check.check_maps(evidence, found)
     assert not evidence.breaches
     assert "tails are too heavy" in evidence.undecided["weights"]
 
@@ -122,7 +126,7 @@ def test_a_density_that_underflows_has_no_hole():
 def test_a_direction_that_rounds_to_the_pole_has_any_azimuth(sector, monkeypatch):
     """Some of a smooth lobe at normal incidence; of the twin all go to one sector."""
     if sector == "one":
-        monkeypatch.setattr(drawing, "_with_azimuth", lambda wo, _: wo)
+        monkeypatch.setattr(tally, "_with_azimuth", lambda wo, _: wo)
     bsdf = mi.load_dict(right_bsdfs.GGX | {"alpha": 0.004, "sample_visible": False})
     grid = Effort.named("quick").patches
     found = maps.four_maps(bsdf, Condition(0.0, 25.0), grid, 2**19, (0, 1))
@@ -196,7 +200,7 @@ def scored():
         for trial in range(TRIALS):
             key = (trial, len(found))
             one = maps.four_maps(bsdf, condition, effort.patches, 2**15, key)
-            plain = maps.count(bsdf, condition, effort.patches, 2**15, key)
+            plain = maps.patch_totals(bsdf, condition, effort.patches, 2**15, key)
             found.append((one, plain))
     return found
 

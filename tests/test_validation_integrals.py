@@ -7,11 +7,11 @@ import pytest
 
 from gonio_mi import SpecimenError
 from gonio_mi.collector import EqualAngle
-from gonio_mi.validation.collecting import rounding
 from gonio_mi.validation.conditions import Condition
-from gonio_mi.validation.drawing import count
-from gonio_mi.validation.integrals import SHARE, SUM_ERROR, WIDE, integrals
+from gonio_mi.validation.integrals import LATTICE_SHARE, SUM_ERROR, SUM_WIDTH, integrals
 from gonio_mi.validation.probe import Probe
+from gonio_mi.validation.samples import rounding
+from gonio_mi.validation.tally import patch_totals
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -24,7 +24,7 @@ KEY = (0, 1)
 def samples():
     """Cosine-distributed ones."""
     white = mi.load_dict({"type": "diffuse", "reflectance": 1.0})
-    return count(white, BEAM, GRID, N, KEY)
+    return patch_totals(white, BEAM, GRID, N, KEY)
 
 
 class Density:
@@ -65,7 +65,7 @@ def test_lambertian_is_exact():
     probe = Probe(mi.load_dict({"type": "diffuse", "reflectance": 0.5}), BEAM)
     due = integrals(probe, GRID, samples())
     pdf, (value,) = due.counts, due.channels
-    slack = WIDE * pdf.std_err + rounding(probe, KEY)[0] * exact
+    slack = SUM_WIDTH * pdf.std_err + rounding(probe, KEY)[0] * exact
     assert np.all(np.abs(pdf.values - exact) <= slack)
     assert abs(pdf.values.sum() - 1) <= pdf.sum_bound + rounding(probe, KEY)[0]
     assert pdf.sum_bound <= SUM_ERROR
@@ -78,7 +78,7 @@ def test_as_precise_as_samples_can_judge(function):
     drawn = samples()
     pdf = integrals(Density(function), GRID, drawn).counts
     noise = np.sqrt(np.maximum(pdf.values, 1 / N) / N)
-    assert np.all(pdf.std_err <= SHARE * noise)
+    assert np.all(pdf.std_err <= LATTICE_SHARE * noise)
 
 
 def test_errors_of_steps_are_as_they_say():
@@ -97,8 +97,8 @@ def test_errors_of_steps_are_as_they_say():
     values = values.reshape(wo.shape[1:]) * sine * (np.pi / 12 / n) * (np.pi / 4 / n)
     fine = values.reshape(6, n, 8, n).sum(axis=(1, 3), dtype=float).ravel()
     off = np.abs(pdf.values[:48] - fine)
-    # Student's t of 15 degrees of freedom is beyond twice WIDE in one of 1e6 cases
-    assert np.all(off <= 2 * WIDE * pdf.std_err[:48])
+    # Student's t of 15 degrees of freedom is beyond twice SUM_WIDTH in one of 1e6 cases
+    assert np.all(off <= 2 * SUM_WIDTH * pdf.std_err[:48])
     # the twin: without its errors, it would not agree
     assert np.any(off > rounding(Density(steps), KEY)[0] * fine)
 
@@ -108,7 +108,7 @@ def test_a_spike_that_a_lattice_misses_is_found_by_samples():
     sharp = mi.load_dict(
         {"type": "roughconductor", "alpha": 1e-3, "distribution": "ggx"}
     )
-    drawn = count(sharp, BEAM, GRID, N, KEY)
+    drawn = patch_totals(sharp, BEAM, GRID, N, KEY)
     pdf = integrals(Probe(sharp, BEAM), GRID, drawn).counts
     mass = drawn.counts.sum() / N
     # 6 sigma of the binomial, and rounding of so sharp a lobe

@@ -13,14 +13,15 @@ from gonio_mi.validation import validate
 LACKS = "`eval` lacks the cosine of wo, or division by that of wi, in "
 TWICE = "`eval` has the cosine of wo twice, or is divided by that of wi once too often"
 OF_WI = "`eval` has the cosine of wi where that of wo is due, in "
+OF_IT = "the part of it that the parameter "
 HORIZON = "one lobe of several: it does not fall to 0 as wo falls to the horizon"
 
 # How lobes are told, their wrong powers of the cosine, and what is said of it.
 WRONG = [
     ("components", {"diffuse_power": 0}, LACKS + "its component 0"),
     ("components", {"glossy_power": 2}, TWICE + ", in its component 1"),
-    ("parameters", {"glossy_power": 0}, LACKS + "what of it the parameter ks changes"),
-    ("parameters", {"diffuse_power": -1}, OF_WI + "what of it the parameter kd"),
+    ("parameters", {"glossy_power": 0}, LACKS + OF_IT + "ks changes"),
+    ("parameters", {"diffuse_power": -1}, OF_WI + OF_IT + "kd"),
     ("nothing", {"diffuse_power": 0}, LACKS + HORIZON),
     ("nothing", {"glossy_power": 0}, LACKS + HORIZON),
     ("nothing", {"diffuse_power": -1}, OF_WI + HORIZON),
@@ -68,8 +69,8 @@ def test_what_would_look_so_is_told(told, changes, alike):
         # components were asked one by one
         assert "cosine" not in verdict.mistake
     else:
-        assert f"a lobe among others that {alike}" in verdict.headline
-        assert "would look so, too: ask for each lobe alone" in verdict.headline
+        assert f"one of several lobes that {alike}" in verdict.headline
+        assert "; validate each lobe alone" in verdict.headline
 
 
 @pytest.mark.usefixtures("plugins")

@@ -11,7 +11,7 @@ import pytest
 
 from gonio_mi.validation import validate
 from gonio_mi.validation.conditions import EFFORTS, Condition
-from gonio_mi.validation.evidence import Breach, Test, share
+from gonio_mi.validation.evidence import Breach, Test
 
 # Fault, factor, function that may be named, and what the mistake has to say.
 PLANTED = [
@@ -102,8 +102,8 @@ def test_a_share_is_of_what_a_surface_gets():
     """By the cosine, exact at 0 and to rounding at 60 degrees."""
     steep, slanted = (Condition(theta) for theta in (0.0, 60.0))
     for condition, part in ((None, 1), (steep, 1), (slanted, 0.5)):
-        found = share(Test("weights", 0.0, "", condition, 0.3))
-        assert found == pytest.approx(0.3 * part, rel=1e-15)
-    breach = Breach("weights", "eval", "", "", off=0.3, theta_i=60.0)
-    assert share(breach) == pytest.approx(0.15, rel=1e-15)
-    assert share(Breach("answers", "eval", "", "")) is None
+        found = Test("weights", "", condition, 0.3)
+        assert found.share == pytest.approx(0.3 * part, rel=1e-15)
+    breach = Breach("weights", "", Condition(60.0), 0.3)
+    assert breach.share == pytest.approx(0.15, rel=1e-15)
+    assert Breach("answers", "").share is None

@@ -10,10 +10,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from benchmark.stock import coloured
 from scipy import stats
 
-from gonio_mi.benchmark.stock import coloured
-from gonio_mi.validation.equality import BSDF_ROUNDING
+from gonio_mi.validation.samples import BSDF_ROUNDING
 
 pytestmark = pytest.mark.usefixtures("mono")
 

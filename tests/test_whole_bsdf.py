@@ -18,26 +18,28 @@ import synthetic
 from budget import agree, disagree, single
 
 import gonio_mi as gonio
-from gonio_mi.instrument import (
-    campaign_tasks,
-    campaigns,
+from gonio_mi.campaigns import (
+    campaign,
     known_directions,
     resolution,
+    tasks,
     whole_bsdf,
 )
-from gonio_mi.instrument.campaign_tasks import Surroundings
-from gonio_mi.instrument.incident_rings import IncidentRings
-from gonio_mi.instrument.known_directions import KnownDirections
-from gonio_mi.instrument.prediction import Prediction
-from gonio_mi.instrument.refinement import Axis, Interval, refined
-from gonio_mi.instrument.resolution import check_peaks, delta_share
-from gonio_mi.instrument.whole_bsdf import FIRST_ANGLES, UNSEEN, WholeBsdf
+from gonio_mi.campaigns.incident_rings import IncidentRings
+from gonio_mi.campaigns.known_directions import KnownDirections
+from gonio_mi.campaigns.prediction import Prediction
+from gonio_mi.campaigns.refinement import Axis, Interval, refined
+from gonio_mi.campaigns.resolution import check_peaks, delta_share
+from gonio_mi.campaigns.tasks import Surroundings
+from gonio_mi.campaigns.whole_bsdf import FIRST_ANGLES, UNSEEN, WholeBsdf
 from gonio_mi.materials import lobes
 from gonio_mi.materials.gradients import gradients
 from gonio_mi.materials.lobes import MeasuredLobes, TooLargeError, check_table
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.misplacement import Misplacement, misplaced, noise_of
+from gonio_mi.results.provenance import Provenance
 from gonio_mi.results.tally import Fate, Tally
+from gonio_mi.settings import MeasurementSettings
 
 CONDUCTOR = {"type": "roughconductor", "alpha": 0.5}
 SETTINGS = {"tolerance": 0.03, "theta_max": 70, "collector": "projected:12x24"}
@@ -127,7 +129,8 @@ def counted(shares, rays, batches=16, seed=0):
         phi_i=np.array([0.0]),
         channels=("Y",),
         tallies=(tally,),
-        settings={"estimator": "analog", "sampler": "independent"},
+        asked=MeasurementSettings(estimator="analog"),
+        provenance=Provenance(sampler="independent"),
     )
 
 
@@ -254,7 +257,7 @@ def turned(azimuths):
         others = {name: getattr(tally, name) for name in ("incident", "fates", "scale")}
         tallies.append(Tally(**arrays, **others))
     return gonio.Record(
-        whole.subdivision, thetas, phis, whole.channels, tuple(tallies), {}, True
+        whole.subdivision, thetas, phis, whole.channels, tuple(tallies), stacked=True
     )
 
 
@@ -318,7 +321,7 @@ def test_same_bits_elsewhere_and_again(material, tmp_path, monkeypatch):
     def measured_again(*_, **__):
         raise AssertionError("it was finished")
 
-    monkeypatch.setattr(campaign_tasks, "measure_each", measured_again)
+    monkeypatch.setattr(tasks, "measure_each", measured_again)
     kept = gonio.campaign({"metal": CONDUCTOR}, **SETTINGS, folder=tmp_path)["metal"]
     assert kept.tallies == material.tallies
 
@@ -337,7 +340,7 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
         return measure(specimens, *asked)
 
     monkeypatch.setattr(known_directions, "records_of", counting)
-    monkeypatch.setattr(campaigns.tempfile, "mkdtemp", lambda **_: str(tmp_path))
+    monkeypatch.setattr(campaign.tempfile, "mkdtemp", lambda **_: str(tmp_path))
     whole = gonio.campaign({"a": plates["a"]}, **how)["a"]
     rounds = calls.count("a")
     measured = whole.settings["campaign"]["measured"]
@@ -349,7 +352,7 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
     def again(*_, **__):
         raise AssertionError("it was finished")
 
-    monkeypatch.setattr(campaign_tasks, "measure_each", again)
+    monkeypatch.setattr(tasks, "measure_each", again)
     kept = gonio.campaign({"a": plates["a"]}, **how, folder=tmp_path)["a"]
     assert kept.tallies == whole.tallies
     assert kept.settings["campaign"] == whole.settings["campaign"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Mapping
 from os import PathLike
 from typing import TYPE_CHECKING
@@ -10,14 +11,21 @@ import numpy as np
 from scipy import special
 
 from ..array_types import Floats
-from ..plots.drawable import check_matplotlib, check_picture, save_picture, set_title
-from .curves import Chart, Curve
+from ..plots.drawable import finished, new_figure
+from ..reports.page import (
+    check_page,
+    figure,
+    picture_and_text,
+    preformatted,
+    save_page,
+)
+from .curves import HEAD, Chart, Curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["draw_by_time", "plot_chart"]
+__all__ = ["chart_view", "draw_by_time", "plot_chart", "save_chart_page"]
 
 COLOURS = {"independent": "tab:orange", "sobol": "tab:blue", "": "tab:green"}
 OTHERS = ("tab:purple", "tab:brown", "tab:pink", "tab:cyan", "tab:olive")
@@ -57,15 +65,9 @@ def plot_chart(
     -------
     matplotlib.figure.Figure
     """
-    if path is None:
-        check_matplotlib()
-    else:
-        check_picture(path)
-    from ..plots.figure import NotebookFigure
-
     height = 0.25 * (1 + len(chart.curves))  # of the table, in inches
-    figure = NotebookFigure(figsize=(10, 4.8 + height), layout="constrained")
-    above, below = figure.subfigures(2, 1, height_ratios=(4.2, height))
+    drawn = new_figure(path, figsize=(10, 4.8 + height))
+    above, below = drawn.subfigures(2, 1, height_ratios=(4.2, height))
     by_time, by_rays = above.subplots(1, 2, sharey=True)
     colours = _colours(chart)
     draw_by_time(by_time, chart, target)
@@ -82,10 +84,31 @@ def plot_chart(
     by_time.legend(handles[:1], labels[:1], **LEGEND, loc="upper right")
     by_rays.legend(**LEGEND, loc="best")
     _draw_table(below.subplots(), chart, target, colours)
-    set_title(figure, _title(chart, target))
-    if path is not None:
-        save_picture(figure, path)
-    return figure
+    return finished(drawn, path, _title(chart, target))
+
+
+def save_chart_page(
+    chart: Chart, path: str | PathLike[str], *, target: float = 0.01
+) -> None:
+    """Write a page of the figure of a chart, its costs for `target`, and what to use.
+
+    Raises as :func:`~gonio_mi.reports.page.check_page`.
+    """
+    check_page(path)
+    body = [
+        f"<h1>{html.escape(chart.specimen)}</h1>",
+        figure(plot_chart(chart, target=target)),
+        *(f"<p>{html.escape(text)}</p>" for text in chart.findings(target)),
+        f"<h2>What a relative error of {target:g} costs</h2>",
+        preformatted(chart.table(target)),
+    ]
+    save_page(path, f"Chart of {chart.specimen}", body)
+
+
+def chart_view(chart: Chart, target: float = 0.01) -> str:
+    """Figure and numbers for notebooks; numbers alone without Matplotlib."""
+    numbers = "\n".join([chart.table(target), *chart.findings(target)])
+    return picture_and_text(lambda: plot_chart(chart, target=target), numbers)
 
 
 def draw_by_time(axes: Axes, chart: Chart, target: float = 0.01) -> None:
@@ -179,30 +202,9 @@ def _draw_table(
 ) -> None:
     """What each method needs for the target, cheapest first."""
     axes.axis("off")
-    head = [
-        f"to an RMS error of {target:g}",
-        "CPU s",
-        "times the best",
-        "rays",
-        "order in rays ± std_err",
-        "error bars / error",
-    ]
-    ranking = chart.ranking(target)
-    best = ranking[0][1].cpu_seconds
-    rows = []
-    for curve, cost in ranking:
-        about = "" if cost.measured else "about "
-        limit = "below " if cost.at_most else ""
-        rows.append(
-            [
-                curve.label,
-                f"{limit or about}{cost.cpu_seconds:.2g}",
-                f"{limit}{cost.cpu_seconds / best:.3g}",
-                f"{about}{cost.rays:.2g}" if cost.rays else "none",
-                _order(curve, chart),
-                _claim(curve, chart),
-            ]
-        )
+    head = (f"to an RMS error of {target:g}", *HEAD[1:])
+    rows = [[cell.replace("+-", "±") for cell in row] for row in chart.rows(target)]
+    samplers = [curve.sampler for curve, _ in chart.ranking(target)]
     table = axes.table(
         rows, colLabels=head, loc="upper center", cellLoc="left", edges="horizontal"
     )
@@ -212,19 +214,9 @@ def _draw_table(
     for (row, column), cell in table.get_celld().items():
         cell.set(linewidth=0.3)
         if row and column == 0:
-            cell.get_text().set_color(colours[ranking[row - 1][0].sampler])
+            cell.get_text().set_color(colours[samplers[row - 1]])
         if row == 1:
             cell.get_text().set_weight("bold")
-
-
-def _order(curve: Curve, chart: Chart) -> str:
-    order, std_err = curve.order(chart.n_patches, chart.least)
-    return "" if np.isnan(order) else f"{order:.3f} ± {std_err:.3f}"
-
-
-def _claim(curve: Curve, chart: Chart) -> str:
-    claim = curve.claim(chart.least)
-    return "" if np.isnan(claim) else f"{claim:.2f}"
 
 
 def _title(chart: Chart, target: float) -> str:

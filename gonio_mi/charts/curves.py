@@ -1,17 +1,21 @@
 """Error over cost: the curves of a chart, their orders, their Pareto front, a table."""
 
+from __future__ import annotations
+
 import csv
 import io
+from collections.abc import Callable
 from dataclasses import dataclass
 from os import PathLike
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ..array_types import Floats
 from ..files import check_output, replacing
+from ..results.summary_text import aligned
 
-__all__ = ["Chart", "Cost", "Curve", "Point", "Reference"]
+__all__ = ["HEAD", "Chart", "Cost", "Curve", "Point", "Reference"]
 
 # Fewer rays than this for each patch, and a curve is not yet at its order.
 ENOUGH_RAYS = 30
@@ -20,6 +24,8 @@ ABOVE_REFERENCE = 3.0
 # A straight line with an error needs a degree of freedom.
 FEWEST_POINTS = 3
 
+# Heads of a chart's table; the order is that in the rays, with its standard error.
+HEAD = ("method", "CPU s", "times the best", "rays", "order", "error bars / error")
 COLUMNS = ("estimator", "sampler", "rays", "cpu_seconds", "error", "error_std_err")
 
 
@@ -208,6 +214,11 @@ class Chart:
     reference: Reference
     independent: float
     settings: dict[str, Any]
+    viewer: ClassVar[Callable[[Chart], str]]
+
+    def _repr_html_(self) -> str:
+        """Picture and numbers, for notebooks."""
+        return Chart.viewer(self)
 
     @property
     def n_patches(self) -> int:
@@ -260,20 +271,42 @@ class Chart:
             return text
         return f"{text} (extrapolated{', at most' if cost.at_most else ''})"
 
-    def table(self, target: float) -> str:
-        """Lines for people: what each method needs for `target`, and its order."""
-        header = f"{'method':26s} {'CPU s':>8s} {'rays':>8s}   order +- std_err claimed"
-        lines = [f"{header} / true error"]
-        for curve, cost in self.ranking(target):
+    def findings(self, target: float) -> list[str]:
+        """What is taken for true, why it is no integral, and what to use."""
+        reference = self.reference
+        refused = [f"no quadrature: {reference.refused}"] if reference.refused else []
+        return [
+            f"reference: {reference.source}; its error is {reference.error:.2g}",
+            *refused,
+            f"use {self.advice(target)}",
+            f"use {self.advice(target / 10)}",
+        ]
+
+    def rows(self, target: float) -> list[list[str]]:
+        """What each method needs for `target`, cheapest first: texts as of `HEAD`."""
+        ranking = self.ranking(target)
+        best = ranking[0][1].cpu_seconds
+        rows = []
+        for curve, cost in ranking:
             order, std_err = curve.order(self.n_patches, self.least)
-            fitted = f"{order:.3f} +- {std_err:.3f}" if order == order else "-"
             claim = curve.claim(self.least)
-            about = " " if cost.measured else "<" if cost.at_most else "~"
-            lines.append(
-                f"{curve.label:26s} {about}{cost.cpu_seconds:7.2g} {_rays(cost):>8s}   "
-                f"{fitted:16s} {'-' if np.isnan(claim) else f'{claim:.2f}'}"
+            limit = "below " if cost.at_most else ""
+            about = "" if cost.measured else "about "
+            rows.append(
+                [
+                    curve.label,
+                    f"{limit or about}{cost.cpu_seconds:.2g}",
+                    f"{limit}{cost.cpu_seconds / best:.3g}",
+                    f"{about}{cost.rays:.2g}" if cost.rays else "none",
+                    "-" if np.isnan(order) else f"{order:.3f} +- {std_err:.3f}",
+                    "-" if np.isnan(claim) else f"{claim:.2f}",
+                ]
             )
-        return "\n".join(lines)
+        return rows
+
+    def table(self, target: float) -> str:
+        """Lines for people: :meth:`rows` under their heads."""
+        return aligned(HEAD, self.rows(target))
 
     def save_csv(self, path: str | PathLike[str]) -> None:
         """Write every point as a line of a CSV file; facts of the chart in comments.
@@ -309,7 +342,3 @@ class Chart:
                 )
         with replacing(path) as stream:
             stream.write(text.getvalue().encode())
-
-
-def _rays(cost: Cost) -> str:
-    return f"{cost.rays:.2g}" if cost.rays else "-"

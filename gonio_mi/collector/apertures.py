@@ -12,7 +12,7 @@ from ..errors import SettingError, checked_number
 from .directions import direction
 from .hemisphere import EDGE, RingsAndSectors, Subdivision
 
-__all__ = ["Apertures", "disjoint_groups"]
+__all__ = ["Apertures", "disjoint_groups", "is_above"]
 
 # The search grid has at most this many cells per side.
 MAX_CELLS = 1024
@@ -56,8 +56,7 @@ class Apertures(Subdivision):
         if not cones:
             raise SettingError("directions must hold at least one direction, got none")
         for theta, phi in cones:
-            whole = theta >= 0 and theta + half_angle <= 90 * (1 + EDGE)
-            if not (whole and np.isfinite(phi)):
+            if not (is_above(theta, half_angle) and np.isfinite(phi)):
                 raise SettingError(
                     f"the cone of half-angle {half_angle:g} degrees about (theta, phi) "
                     f"= ({theta:g}, {phi:g}) must lie above the horizon"
@@ -220,6 +219,11 @@ class Apertures(Subdivision):
         lists = np.full((place.max() + 1, n_cells**2), len(axes), np.float32)
         lists[place, cell] = cone
         return n_cells, lists, np.vstack([axes, [0, 0, -3]]).astype(np.float32).T.copy()
+
+
+def is_above(theta: Any, half_angle: float) -> Any:
+    """Whether cones about polar angles in degrees lie above the horizon."""
+    return (theta >= 0) & (theta + half_angle <= 90 * (1 + EDGE))
 
 
 def disjoint_groups(

@@ -31,6 +31,7 @@ __all__ = [
     "DEFAULT_VARIANT",
     "DONE",
     "FAILED",
+    "UNDECIDED",
     "INCOMPLETE",
     "PROGRAM",
     "USER_ERROR",
@@ -38,6 +39,7 @@ __all__ = [
     "UsageError",
     "add_command",
     "add_files",
+    "add_json",
     "add_number",
     "add_output",
     "add_record",
@@ -56,9 +58,17 @@ __all__ = [
 ]
 
 PROGRAM = "gonio-mi"
-DONE, USER_ERROR, INCOMPLETE, FAILED = 0, 1, 2, 3
+DONE, USER_ERROR, INCOMPLETE, FAILED, UNDECIDED = 0, 1, 2, 3, 4
 
 DEFAULT_VARIANT = "llvm_ad_mono"
+
+# Options of other programs, and ours for the same.
+ELSEWHERE = {
+    **dict.fromkeys(("--angle", "--angles", "--theta", "--incidence"), "--theta-i"),
+    **dict.fromkeys(("--azimuth", "--phi"), "--phi-i"),
+    **dict.fromkeys(("--samples", "--spp", "--n-rays", "--photons"), "--rays"),
+    **dict.fromkeys(("--out", "--file"), "--output"),
+}
 
 
 class _HelpFormatter(argparse.HelpFormatter):
@@ -88,8 +98,24 @@ class Parser(argparse.ArgumentParser):
             action="store_true",
             help="show where in the program an error arose",
         )
-        # -1e3 is a number too, before Python 3.14
-        self._negative_number_matcher = re.compile(r"-\.?\d")
+        # -1e3 is a number too, before Python 3.14, and -z is an axis
+        self._negative_number_matcher = re.compile(r"-(\.?\d|[xyz]$)")
+
+    rare: Sequence[str] = ()
+    """Options that ``--help-all`` shows and ``--help`` does not."""
+
+    def print_help(self, file: Any = None) -> None:
+        """Print the help, of rare options none and of the others a sentence each."""
+        if not self.rare:
+            return super().print_help(file)
+        texts = [action.help or "" for action in self._actions]
+        for action, text in zip(self._actions, texts):
+            rare = not {*action.option_strings}.isdisjoint(self.rare)
+            action.help = argparse.SUPPRESS if rare else _sentence_and_default(text)
+        super().print_help(file)
+        for action, text in zip(self._actions, texts):
+            action.help = text
+        return None
 
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: Any = None
@@ -102,10 +128,31 @@ class Parser(argparse.ArgumentParser):
         for word in () if self._subparsers else words:
             name = word.partition("=")[0]
             if name[:2] == "--" and name not in self._option_string_actions:
-                meant = did_you_mean(name, self._option_string_actions)
+                known = self._option_string_actions
+                ours = ELSEWHERE.get(name.lower().replace("_", "-"))
+                # by their likeness a word of another program leads astray
+                meant = did_you_mean(name, known)
+                if ours in known:
+                    meant = f"; did you mean {ours}?"
                 if meant:
                     self.error(f"unrecognized arguments: {name}{meant}")
-        return super().parse_known_args(with_positionals_first(self, words), namespace)
+        words = with_positionals_first(self, words)
+        found, rest = super().parse_known_args(words, namespace)
+        self._check_json(found, rest)
+        return found, rest
+
+    def _check_json(self, found: argparse.Namespace, rest: Sequence[str]) -> None:
+        """Say so if ``--json``, which prints, is given a file to write."""
+        if not getattr(found, "json", False):
+            return
+        alone = (getattr(found, a.dest, None) for a in self._get_positional_actions())
+        for word in (*alone, *rest):
+            if not isinstance(word, str) or not word.endswith(".json"):
+                continue
+            if word in rest or not Path(word).is_file():
+                self.error(
+                    f"--json takes no file, for it prints: write --json > {word}"
+                )
 
     def error(self, message: str) -> NoReturn:
         """Raise it."""
@@ -113,6 +160,21 @@ class Parser(argparse.ArgumentParser):
         if choice:
             message += did_you_mean(choice[1], re.findall(r"[\w-]+", choice[2]))
         raise UsageError(re.sub(r"^argument (\S+): (?=must )", r"\1 ", message))
+
+
+class _HelpAll(argparse.Action):
+    """Prints all of the help, and ends the program."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        print(parser.format_help(), end="")
+        parser.exit()
+
+
+def _sentence_and_default(text: str) -> str:
+    """The first sentence of a help text, and what it says of the default."""
+    first = re.split(r"(?<=\.) (?=[A-Z0-9`])", text)[0]
+    default = re.search(r"Default: .*", text)
+    return first if default is None or default[0] in first else f"{first} {default[0]}"
 
 
 class UsageError(SettingError):
@@ -134,6 +196,10 @@ def add_command(commands: Any, module: ModuleType) -> None:
         epilog=getattr(module, "EXAMPLES", None),
     )
     parser.set_defaults(run=module.run)
+    parser.rare = getattr(module, "RARE", ())
+    if parser.rare:
+        help_all = "show all options, and all about them, and exit"
+        parser.add_argument("--help-all", nargs=0, action=_HelpAll, help=help_all)
     module.add_options(parser)
 
 
@@ -147,9 +213,8 @@ def add_specimen(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "specimen",
         metavar="SPECIMEN",
-        help="a Mitsuba scene file, a file of heights (x3p, sur, ...), a mesh (obj, "
-        "ply, stl) with --bsdf, or a BSDF in one word such as "
-        "roughconductor:alpha=0.2,distribution=ggx",
+        help="a Mitsuba scene file, a file of heights (x3p, ...), a mesh (obj, ply, "
+        "stl) with --bsdf, or a BSDF such as roughconductor:alpha=0.2",
     )
 
 
@@ -180,6 +245,11 @@ def add_output(group: Any, text: str, quiet: str = "print nothing") -> None:
     group.add_argument("-q", "--quiet", action="store_true", help=quiet)
 
 
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add the option of printing JSON."""
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
 def add_scene_options(group: Any, variants: Sequence[str] = (DEFAULT_VARIANT,)) -> None:
     """Add the options that say what Mitsuba loads specimens with.
 
@@ -191,7 +261,7 @@ def add_scene_options(group: Any, variants: Sequence[str] = (DEFAULT_VARIANT,)) 
         metavar="V",
         help=f"Mitsuba variant (default: {' and '.join(variants)})",
     )
-    plugins = "Python files that register your own Mitsuba plugins; run first"
+    plugins = "Python files that register Mitsuba plugins"
     add_files(group, "--plugin", text=plugins)
     group.add_argument(
         "-D",

@@ -15,10 +15,10 @@ from ..errors import SettingError
 from ..exports.bsdf_file import RAYS, bsdf, hemispherical
 from ..exports.daylight import VISIBLE_NM, luminous
 from ..files import check_output
-from ..files.radiance_xml import Product
+from ..formats.radiance import BLOCKS, Product
 from ..instrument.loading import load_specimen, parse_specimen
 from ..results.record import Record
-from ..surfaces.length_units import metres
+from ..surfaces.topography import metres
 from ..transport.extents import bounds
 from .arguments import (
     DONE,
@@ -43,7 +43,7 @@ USAGE = "%(prog)s SPECIMEN -o FILE.xml [options]"
 EXAMPLES = """\
 examples:
   gonio-mi bsdf blind.xml --period box --rel-err 0.01 -o blind_klems.xml
-  gonio-mi bsdf slat.obj --unit mm --up y --period 25,25 \\
+  gonio-mi bsdf slat.obj --unit mm --normal y --period 25,25 \\
       --bsdf diffuse:reflectance=0.7 -o blind.xml
   gonio-mi bsdf roughdielectric:alpha=0.1 --basis tensor3 -o film.xml
   gonio-mi bsdf diffuse:reflectance=0.7 --solar diffuse:reflectance=0.6 \\
@@ -77,8 +77,8 @@ def add_options(parser: ArgumentParser) -> None:
     group.add_argument(
         "--solar",
         metavar="SPECIMEN",
-        help="the specimen with what it does to all sunlight, for the block Solar; not "
-        "needed with wavelengths from 300 to 2500 nm",
+        help="scene with solar-weighted material data, for the Solar block; not needed "
+        "with wavelengths from 300 to 2500 nm",
     )
     _add_product(parser.add_argument_group("product", "what else the file states"))
     method = parser.add_argument_group("method")
@@ -145,7 +145,7 @@ def run(options: Namespace) -> int:
         kind += "" if "solar front" in records else ", no block Solar"
         tell(
             f"{options.output}: {options.basis}{kind}, {rays:.3g} rays, "
-            f"{seconds:.0f} s; +- is one standard error"
+            f"{seconds:.0f} s; +- is one standard error\nblocks: {BLOCKS}"
         )
     return INCOMPLETE if any(map(_is_imprecise, records.values())) else DONE
 
@@ -181,5 +181,5 @@ def _pair(value: float, error: float) -> str:
 
 def _is_imprecise(record: Record) -> bool:
     """Whether a precision was asked for and not reached."""
-    asked = record.settings.get("rel_err")
-    return asked is not None and record.settings.get("reached", 0) > asked
+    asked = record.asked.precision
+    return asked is not None and (record.provenance.reached or 0) > asked

@@ -7,7 +7,7 @@ import shutil
 from argparse import Namespace
 from pathlib import Path
 
-from ..instrument.known_directions import folder_name
+from ..campaigns.known_directions import folder_name
 from .arguments import say
 
 __all__ = ["CampaignParts"]

@@ -89,10 +89,10 @@ def _add_methods(group: Any) -> None:
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     from ..charts import ESTIMATORS, SAMPLERS, Chart, chart
-    from ..charts.chart_figure import plot_chart
-    from ..charts.chart_page import PAGE_ENDINGS, check_page, save_page
+    from ..charts.chart_figure import plot_chart, save_chart_page
     from ..errors import checked_number
     from ..plots import check_picture
+    from ..reports.page import check_page
 
     writers = {}
     for path in options.output:
@@ -100,9 +100,9 @@ def run(options: Namespace) -> int:
         if ending == ".csv":
             files.check_output(path, (".csv",))
             writers[path] = Chart.save_csv
-        elif ending in PAGE_ENDINGS:
+        elif ending == ".html":
             check_page(path)
-            writers[path] = partial(save_page, target=options.target)
+            writers[path] = partial(save_chart_page, target=options.target)
         else:
             check_picture(path)
             writers[path] = partial(plot_chart, target=options.target)
@@ -126,13 +126,7 @@ def run(options: Namespace) -> int:
     for path, write in writers.items():
         write(result, path)
     if not options.quiet:
-        tell(result.table(target))
-        reference = result.reference
-        tell(f"reference: {reference.source}; its error is {reference.error:.2g}")
-        if reference.refused:
-            tell(f"no quadrature: {reference.refused}")
-        tell(f"use {result.advice(target)}")
-        tell(f"use {result.advice(target / 10)}")
+        tell("\n".join([result.table(target), *result.findings(target)]))
     if not any(cost.measured for _, cost in result.ranking(target)):
         say(f"warning: no method reached {target:g}; take more --seconds")
     return DONE

@@ -16,12 +16,13 @@ from typing import Any
 from .. import files
 from ..errors import SettingError
 from ..files.channels import wavelengths_nm
-from ..files.open_questions import OpenQuestionsError, check_nothing_open
+from ..files.table_reader import OpenQuestionsError, check_nothing_open
 from .arguments import (
     DEFAULT_VARIANT,
     DONE,
     FAILED,
     INCOMPLETE,
+    add_json,
     add_number,
     add_scene_options,
     add_text,
@@ -83,7 +84,7 @@ def add_options(parser: ArgumentParser) -> None:
     add_number(
         parser, "--alpha", "P", "probability with which a right model fails", 1e-3
     )
-    parser.add_argument("--json", action="store_true", help="for machines")
+    add_json(parser)
     parser.add_argument(
         "-o", "--output", metavar="FIG", help="picture of both curves, such as a.png"
     )
@@ -177,7 +178,7 @@ def _record(options: Namespace, other: Any) -> tuple[Any, Any]:
         return None, specimen_of(word, options)
     if other is None:
         record = record_of(word)
-        own = record.settings.get("variant", DEFAULT_VARIANT)
+        own = record.provenance.variant or DEFAULT_VARIANT
         options.variant = options.variant or own
         return record, specimen_of(options.other, options)
     for name in ("aperture_half_angle", "divergence", "rel_err"):
@@ -216,7 +217,7 @@ def _tell_budget(
 ) -> None:
     """Write the uncertainty budget, and print its sum."""
     from ..comparison import aperture_effect, uncertainty_budget
-    from ..files.measured import MeasuredTable
+    from ..files.measured_table import MeasuredTable
 
     aperture, scale = None, options.scale_uncertainty
     if isinstance(other, MeasuredTable):

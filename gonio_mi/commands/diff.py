@@ -18,6 +18,7 @@ from ..files.writing import check_output
 from .arguments import (
     DONE,
     FAILED,
+    add_json,
     add_number,
     add_scene_options,
     add_text,
@@ -81,7 +82,7 @@ def add_options(parser: ArgumentParser) -> None:
         "probability that equal albedos are said to differ",
         1e-3,
     )
-    parser.add_argument("--json", action="store_true", help="for machines")
+    add_json(parser)
     add_scene_options(parser.add_argument_group("scene"), (VARIANT,))
 
 
@@ -178,7 +179,7 @@ def _specimens(options: Namespace) -> Iterator[tuple[str, Any, dict[str, Any]]]:
         for word in options.specimens:
             yield (word, *specimen_of(word, options))
     else:
-        from ..benchmark.stock import cases
+        from ..versions.stock_bsdfs import cases
 
         set_variant(options.variant)
         for name, specimen in cases():

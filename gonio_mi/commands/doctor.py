@@ -1,7 +1,7 @@
-"""``gonio-mi doctor``: say whether this machine is able to measure.
+"""``gonio-mi doctor``: check the installation.
 
-Find out whether this machine is able to measure; if it is not, say the line that fixes
-it.
+Check the installation with a measurement whose result is known; if something is
+missing, print the line that fixes it.
 """
 
 import platform

@@ -12,6 +12,8 @@ from pathlib import Path
 from .. import files
 from ..errors import SettingError
 from ..files.channels import wavelengths_nm
+from ..formats.radiance import BLOCKS
+from ..formats.reading import endings_of, lost_in_each
 from .arguments import DONE, set_variant, tell
 from .file_kinds import record_of
 
@@ -25,6 +27,7 @@ examples:
   gonio-mi export run.npz -o run.xml --basis tensor3
   gonio-mi export front.npz back.npz -o both.xml
 """
+EXAMPLES += f"\nwhat a file cannot hold:\n{lost_in_each()}\n"
 
 # Part of the light in other patches above which a finer basis is named.
 COARSE = 0.05
@@ -45,7 +48,7 @@ def add_options(parser: ArgumentParser) -> None:
         nargs="+",
         metavar="OUT",
         help="files that end in .csv, .astm, .xml, .bsdf, .nc, .h5, .zemax.bsdf, "
-        ".brdf, .anisotropicbsdf, .json, .xompt or .binary",
+        f".binary or {', '.join(e for e in endings_of('write') if e != '.bsdf')}",
     )
     parser.add_argument(
         "--basis",
@@ -65,8 +68,7 @@ def run(options: Namespace) -> int:
     records = [record_of(path) for path in options.record]
     # which need a renderer
     from ..exports.exporting import ENDINGS, export
-    from ..exports.loss import in_words
-    from ..exports.part_names import written_files
+    from ..exports.loss import in_words, written_files
 
     for path in options.output:
         files.check_output(path, ENDINGS)
@@ -78,11 +80,13 @@ def run(options: Namespace) -> int:
     spectral = wavelengths_nm(records[0].channels) is not None
     set_variant("llvm_ad_spectral" if spectral else "llvm_ad_rgb")
     for path in options.output:
-        losses = export(records, path, options.basis or "klems")
+        losses = export(records, path, options.basis or "klems", progress=True)
         for name in written_files(records[0], path):
             tell(name)
         for line in losses if options.every else in_words(losses):
             tell(f"  {line}")
+        if Path(path).suffix.lower() == ".xml":
+            tell(f"  blocks: {BLOCKS}")
         in_klems = Path(path).suffix.lower() == ".xml" and not options.basis
         if in_klems and max(one.misplaced for one in losses) > COARSE:
             rank = 4 if len(set(records[0].phi_i.tolist())) > 1 else 3

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from .. import files
 from ..errors import SettingError
-from ..files import scatter_files, tensor_file
-from ..files.mesh_files import MESHES
+from ..formats.meshes import MESHES
+from ..formats.reading import endings_of, format_of
 from ..results.record import Record
 from ..surfaces import height_maps
 
@@ -22,7 +22,7 @@ KINDS: tuple[tuple[tuple[str, ...], str, str], ...] = (
         "is named as a record is: give it to gonio-mi show, plot or report",
     ),
     (
-        scatter_files.ENDINGS,
+        endings_of("scatter"),
         "table",
         "holds measured values: give it to gonio-mi show, compare or fit, or measure "
         "the material goniometric:filename={path}",
@@ -66,7 +66,6 @@ KINDS: tuple[tuple[tuple[str, ...], str, str], ...] = (
         "specimen",
     ),
 )
-OF_MITSUBA = "is a material of Mitsuba: measure the specimen measured:filename={path}"
 OF_RADIANCE = "is a BSDF of Radiance: measure the specimen goniometric:filename={path}"
 SCENE = "is a scene: give it to gonio-mi measure"
 
@@ -108,8 +107,9 @@ def _kind(path: Path) -> tuple[str, str]:
     with path.open("rb") as stream:
         head = stream.read(HEAD)
     name = path.name.lower()
-    if head.startswith(tensor_file.MAGIC):
-        return "material", OF_MITSUBA
+    known = format_of(path)
+    if known is not None and known.refused:
+        return "material", known.refused.removeprefix("it ")
     if name.endswith(".xml"):
         is_radiance = b"<WindowElement" in head
         return ("material", OF_RADIANCE) if is_radiance else ("specimen", SCENE)

@@ -19,6 +19,7 @@ from .arguments import (
     DEFAULT_VARIANT,
     DONE,
     add_files,
+    add_json,
     say,
     set_variant,
     tell,
@@ -80,7 +81,7 @@ def add_options(parser: ArgumentParser) -> None:
     add_table_options(table)
     add_uncertainties(table, "the table")
     add_aperture(table)
-    parser.add_argument("--json", action="store_true", help="for machines")
+    add_json(parser)
     text = "a picture of record and models (.png, .pdf, .svg); what the closest model "
     text += "predicts, a record (.npz, .exr) or a table (.csv)"
     add_files(parser, "-o", "--output", text=text)
@@ -104,7 +105,7 @@ def run(options: Namespace) -> int:
     if is_record:
         check_no_table_options(options.record, options, KNOWN)
         record = record_of(options.record)
-        set_variant(record.settings.get("variant", DEFAULT_VARIANT))
+        set_variant(record.provenance.variant or DEFAULT_VARIANT)
     else:
         record = table_of(options.record, options)
         is_wavelength = wavelengths_nm([record.channel or ""]) is not None

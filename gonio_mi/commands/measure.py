@@ -13,14 +13,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from .. import files
+from .. import exports, files
+from ..campaigns.campaign import campaign
+from ..campaigns.measuring import measure
 from ..errors import SettingError
-from ..instrument.campaigns import campaign
-from ..instrument.measuring import measure, measure_orders
+from ..instrument.measurement import measure_orders
+from ..plots import ANIMATION_ENDINGS, FIGURE_ENDINGS
 from ..results.record import Record
 from ..results.summary import summarize
 from ..results.summary_text import summary_text
-from ..settings.orders import Order
+from ..settings.orders import ALL_ORDERS, Order
 from .arguments import (
     DONE,
     INCOMPLETE,
@@ -52,6 +54,22 @@ __all__ = ["add_options", "run"]
 
 USAGE = "%(prog)s SPECIMEN [--theta-i DEG ...] [options]"
 
+# Options of some measurements only, for --help-all.
+RARE = (
+    *("--footprint", "--divergence", "--incident", "--emission", "--theta-max"),
+    *("--collector-radius", "--hemispheres", "--max-rays", "--points", "--batches"),
+    *("--max-depth", "--max-scatterings", "--rr-depth", "--trace"),
+    *("--size-y", "--scale", "--range", "--unit", "--form", "--fill", "--mean-plane"),
+    *("--normal", "--size", "--wavelengths", "--workers", "--folder", "--resume"),
+)
+
+# What makes other files of a record, by their endings.
+MAKERS = {
+    "plot": FIGURE_ENDINGS + ANIMATION_ENDINGS,
+    "report": (".html",),
+    "export": exports.ENDINGS,
+}
+
 # Part of the directions never used that must be within a tolerance.
 ENOUGH = 0.95
 
@@ -65,15 +83,13 @@ examples:
       --variant llvm_ad_rgb
   gonio-mi measure mybsdf:roughness=0.3 --plugin mybsdf.py --theta-i 45
   gonio-mi measure roughconductor:alpha=0.3 --tolerance 0.02 -o material.npz
-  gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz
   gonio-mi measure scan.x3p --form plane --fill nearest --theta-i 30 -o scan.npz
   gonio-mi measure grooves.xml --theta-i 30 --order 1,2,3+ -o grooves.npz
   gonio-mi measure scene.xml -D height=0.5 --theta-i 45 -o run.npz \\
       --resume run.npz
 
-Several orders give a file each: grooves_order_1.npz, grooves_order_2.npz, ...
-Options take their defaults from the scene file if that is a complete measurement
-(integrator `goniophotometer`, sensor `collector`). SPECIMEN comes first.
+Several orders give a file each: grooves_order_1.npz, grooves_order_2.npz, ... A scene
+file that is a complete measurement sets the defaults of all options.
 """
 
 
@@ -97,7 +113,7 @@ def _add_angles(group: Any) -> None:
         nargs="+",
         type=number,
         metavar="DEG",
-        help="angles of incidence from the normal, in degrees in [0, 90)",
+        help="angles of incidence in degrees in [0, 90)",
     )
     group.add_argument(
         "--phi-i",
@@ -105,15 +121,15 @@ def _add_angles(group: Any) -> None:
         type=number,
         default=[0],
         metavar="DEG",
-        help="azimuths of incidence in degrees, from +x counter-clockwise; each is "
-        "combined with each --theta-i (default: 0)",
+        help="azimuths of incidence in degrees, each combined with each --theta-i "
+        "(default: 0)",
     )
     add_number(
         group,
         "--tolerance",
         "X",
-        "instead of angles: choose incident directions until no more than this part of "
-        "the light is elsewhere than the material goniometric of the record predicts",
+        "instead of angles: choose incident directions adaptively until the "
+        "interpolated BSDF misplaces at most this fraction of the scattered flux",
     )
     add_number(
         group,
@@ -127,8 +143,8 @@ def _add_output(group: Any) -> None:
     """Add the options of what becomes of the record."""
     add_output(
         group,
-        "write the record to these .exr or .npz files; both keep everything",
-        "no numbers and no progress bar",
+        "write the record to .exr or .npz files; both keep all",
+        "suppress summary and progress bar",
     )
     add_text(
         group,
@@ -136,7 +152,7 @@ def _add_output(group: Any) -> None:
         "RECORD",
         "carry on this interrupted record of the very same measurement",
     )
-    kept = "with --tolerance, if not given: beside the file of -o until that is written"
+    kept = "with --tolerance the default is a temporary folder next to the output file"
     add_campaign(group, f" ({kept})")
 
 
@@ -174,6 +190,7 @@ def _of_order(path: str, order: str) -> str:
 def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
     """Measure what the options say, or several orders of it at once."""
     for path in options.output:
+        _check_kind(path)
         files.check_output(path, files.ENDINGS)
     specimen, parameters = specimen_of(options.specimen, options)
     check_not_read(specimen, options.specimen, options.output)
@@ -200,6 +217,17 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
             code = max(code, _finish(record, options, output, ctrl_c.pressed))
         parts.finished = code != USER_ERROR
     return code
+
+
+def _check_kind(path: str) -> None:
+    """Say which command makes a file of a record that is none itself."""
+    ending = Path(path).suffix.lower()
+    for command, endings in MAKERS.items():
+        if ending in endings:
+            raise SettingError(
+                f"measure writes records, .npz or .exr, got {path}: save one, and "
+                f"gonio-mi {command} makes {path} of it"
+            )
 
 
 def _finish(
@@ -266,11 +294,10 @@ def _save(record: Record, paths: Sequence[str]) -> list[str]:
 
 def _is_imprecise(record: Record) -> bool:
     """Whether a precision was asked for and not reached."""
-    settings = record.settings
-    asked = settings.get("rel_err")
-    if settings.get("campaign"):
-        return not settings["campaign"]["within"] >= ENOUGH
-    return asked is not None and settings.get("reached", 0) > asked
+    asked, campaign = record.asked.precision, record.provenance.campaign
+    if campaign:
+        return not campaign["within"] >= ENOUGH
+    return asked is not None and (record.provenance.reached or 0) > asked
 
 
 def _one_or_many(values: Any) -> Any:
@@ -288,10 +315,10 @@ def _remains(options: Namespace, output: Sequence[str], record: Record) -> str:
     if not output:
         return f"{kept} were finished and nothing was saved, for want of -o"
     kept = f"{' and '.join(output)} holds {kept}"
-    if record.settings["estimator"] == "quadrature" or options.rel_err is not None:
+    if record.asked.estimator.integrates or options.rel_err is not None:
         return kept
-    order = record.settings["order"]
-    again = "" if order == "all" else f"--order {order} "
+    order = record.asked.order
+    again = "" if order == ALL_ORDERS else f"--order {order} "
     return f"{kept}; {again}--resume {output[0]} carries it on"
 
 

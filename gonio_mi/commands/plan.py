@@ -8,7 +8,7 @@ import json
 from argparse import ArgumentParser, Namespace
 from dataclasses import asdict
 
-from .arguments import DONE, add_number, add_text, tell
+from .arguments import DONE, add_json, add_number, add_text, tell
 from .file_kinds import record_of
 
 __all__ = ["add_options", "run"]
@@ -60,7 +60,7 @@ def add_options(parser: ArgumentParser) -> None:
         "patches below this fraction of the mean are not worth reporting",
         0.1,
     )
-    parser.add_argument("--json", action="store_true", help="for machines")
+    add_json(parser)
 
 
 def run(options: Namespace) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+from collections.abc import Mapping
 from typing import Any
 
 from ..settings import Declaration, Kind, MeasurementSettings, declarations
@@ -23,7 +24,7 @@ READERS: dict[Kind, dict[str, Any]] = {
 
 
 @functools.cache
-def _declared() -> dict[str, Declaration]:
+def _declared() -> Mapping[str, Declaration]:
     return declarations(MeasurementSettings)
 
 

@@ -15,13 +15,12 @@ from .. import files
 from ..errors import SettingError, no_file
 from ..results.summary import summarize
 from ..results.summary_text import summary_text
-from .arguments import DONE, add_record, tell
+from .arguments import DONE, add_json, add_record, tell
 from .file_kinds import record_of
 from .table_options import (
     add_table_options,
     check_no_table_options,
     table_of,
-    table_text,
 )
 
 __all__ = ["add_options", "run"]
@@ -36,7 +35,7 @@ examples:
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     add_record(parser)
-    parser.add_argument("--json", action="store_true", help="for machines")
+    add_json(parser)
     parser.add_argument(
         "--all", action="store_true", help="the totals of all incident directions"
     )
@@ -51,7 +50,7 @@ def run(options: Namespace) -> int:
             raise FileNotFoundError(no_file(path))
         if options.json:
             raise SettingError(f"--json goes with a record, got {path!r}")
-        tell(table_text(table_of(path, options)))
+        tell(table_of(path, options))
         return DONE
     check_no_table_options(path, options)
     numbers = summarize(record_of(options.record))

@@ -1,4 +1,4 @@
-"""``gonio-mi surface``: tell what a surface is like, before light meets it.
+"""``gonio-mi surface``: print height, slope and micro-normal statistics.
 
 Of a file of heights, its units, heights, slopes and autocorrelation, and what would
 make a measurement doubtful; of that and any other micro-geometry, the distribution of

@@ -6,13 +6,13 @@ from argparse import Namespace
 from typing import Any
 
 from ..errors import SettingError
-from ..files.mesh_files import is_mesh
+from ..formats.meshes import is_mesh
 from ..instrument.loading import parse_specimen
-from ..instrument.mesh_specimens import UPS, mesh
+from ..instrument.mesh_specimens import NORMALS, mesh
 from ..instrument.surface_specimens import surface_specimen
 from ..surfaces.height_maps import is_height_map
-from ..surfaces.length_units import UNITS
 from ..surfaces.preparation import FILLS, FORMS
+from ..surfaces.topography import UNITS
 from .arguments import number
 
 __all__ = ["add_surface_options", "given_surface", "prepared_surface"]
@@ -60,8 +60,8 @@ def add_surface_options(parser: Any) -> None:
     """Add the options to a parser, in a group of their own."""
     group = parser.add_argument_group(
         "surface",
-        "where SPECIMEN is a file of heights: x3p, sur, plu, opd, png, npy...; or a "
-        "mesh: obj, ply, stl, which takes --unit, --bsdf, --up and --mean-plane",
+        "where SPECIMEN is a file of heights, or a mesh, which takes --unit, --bsdf, "
+        "--normal and --mean-plane",
     )
     for name, (metavar, sentence) in NUMBERS.items():
         group.add_argument(
@@ -76,17 +76,17 @@ def add_surface_options(parser: Any) -> None:
         "a mirror that reflects all light; for a mesh there is none.",
     )
     group.add_argument(
-        "--up",
-        choices=tuple(UPS),
-        help="Of a mesh: the axis of the file that is the specimen's normal, +z. "
-        "Default: z.",
+        "--normal",
+        choices=tuple(NORMALS),
+        help="Of a mesh: the axis of the file that is the specimen's normal, +z, and "
+        "not the vertical of what hangs upright. Default: z.",
     )
     group.add_argument(
         "--mean-plane",
         type=number,
         metavar="Z",
-        help="Of a mesh: where on that axis the mean surface is. Default: in the "
-        "middle.",
+        help="Of a mesh: height of the mean plane along the normal axis. Default: in "
+        "the middle.",
     )
 
 
@@ -111,7 +111,7 @@ def prepared_surface(specimen: Any, options: Namespace) -> Any:
     bsdf = None if options.bsdf is None else parse_specimen(options.bsdf)
     if isinstance(bsdf, str):
         raise SettingError(f"--bsdf must be a BSDF in one word, got {bsdf!r}")
-    lying = {"up": options.up, "mean_plane": options.mean_plane}
+    lying = {"normal": options.normal, "mean_plane": options.mean_plane}
     lying = {name: value for name, value in lying.items() if value is not None}
     if is_mesh(specimen):
         _check_of_mesh(given)

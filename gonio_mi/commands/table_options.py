@@ -4,10 +4,9 @@ from argparse import Namespace
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from ..errors import FileFormatError, SettingError
-from ..files.measured import MeasuredTable, read_measured
+from ..files.measured_table import MeasuredTable
+from ..formats.reading import read_measured
 from .arguments import add_number, add_text, pair
 from .file_kinds import check_kind
 
@@ -18,13 +17,9 @@ __all__ = [
     "add_uncertainties",
     "check_no_table_options",
     "table_of",
-    "table_text",
 ]
 
 TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth")
-
-# Incident directions that are listed.
-MOST_LISTED = 12
 
 
 def add_table_options(group: Any) -> None:
@@ -108,32 +103,3 @@ def table_of(path: str, options: Namespace) -> MeasuredTable:
     except FileFormatError:
         check_kind(path, "table")
         raise
-
-
-def table_text(table: MeasuredTable) -> str:
-    """Lines on what a table holds, and how it was understood."""
-    incident = table.incident
-    listed = [f"({theta:.5g}, {phi:.5g})" for theta, phi in incident[:MOST_LISTED]]
-    more = (
-        f" and {len(incident) - MOST_LISTED} more"
-        if len(incident) > MOST_LISTED
-        else ""
-    )
-    errors = table.bsdf_std_err
-    known = f"{np.median(errors):.3g} 1/sr (median)" if errors.any() else "not stated"
-    apertures = table.aperture_half_angle
-    low, high = np.round([table.theta_o.min(), table.theta_o.max()], 6)
-    lines = [
-        f"table       {table.name}",
-        f"values      {len(table)} of {table.quantity}"
-        + (f", channel {table.channel}" if table.channel else ""),
-        f"incident    {len(incident)} directions (theta_i, phi_i) in degrees: "
-        f"{' '.join(listed)}{more}",
-        f"exit        theta_o {low:.5g} to {high:.5g} degrees",
-        f"BSDF        {table.bsdf.min():.4g} to {table.bsdf.max():.4g} 1/sr, mean "
-        f"{table.bsdf.mean():.4g}",
-        f"uncertainty {known}; common to all {table.scale_uncertainty:.3g}",
-        "aperture    "
-        + (f"half-angle {apertures:.4g} degrees" if apertures else "not stated"),
-    ]
-    return "\n".join([*lines, *(f"note: {note}" for note in table.notes)])

@@ -15,7 +15,9 @@ from ..validation.verdict import Verdict
 from .arguments import (
     DONE,
     FAILED,
+    UNDECIDED,
     Parser,
+    add_json,
     add_number,
     add_scene_options,
     add_specimen,
@@ -40,7 +42,8 @@ examples:
   gonio-mi validate cosinelobe --allow reciprocity
 
 Exit code 3: something that --allow does not name biases images or breaks integrators
-(with --strict: anything that fails).
+(with --strict: anything that fails). Exit code 4: undecided, for nothing was lit, or
+no integral converged.
 """
 
 
@@ -74,7 +77,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "HTML",
         "write one file with verdict and maps",
     )
-    parser.add_argument("--json", action="store_true", help="for machines")
+    add_json(parser)
     add_scene_options(parser.add_argument_group("scene"), VARIANTS)
 
 
@@ -85,8 +88,8 @@ def run(options: argparse.Namespace) -> int:
     if options.report is not None:
         check_report(options.report)
     verdicts, skipped = _verdicts(options)
-    # what fails first, for that is what the user has to know
-    verdict = min(verdicts, key=lambda one: one.passed)
+    # FAILED before UNDECIDED before passed: the user has to know of failures first
+    verdict = min(verdicts, key=lambda one: (one.passed, bool(one.undecided)))
     others = [one for one in verdicts if one is not verdict]
     if options.report is not None:
         save_report(verdict, options.report)
@@ -97,6 +100,8 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps(answer, indent=2, allow_nan=False))
     else:
         _print(verdict, others, skipped)
+    if verdict.undecided:
+        return UNDECIDED
     return DONE if verdict.passed else FAILED
 
 

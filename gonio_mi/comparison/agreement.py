@@ -10,9 +10,8 @@ import numpy as np
 from scipy import special
 
 from ..array_types import Flags, Floats, Integers
-from ..results.normal_scores import student_score, two_sided_score
 from ..results.record import Record
-from ..results.statistics import ratio
+from ..results.statistics import ratio, student_score, two_sided_score
 from ..single_precision import FEW_ROUNDINGS
 
 __all__ = ["FEW_FOR_TAILS", "PointSet", "Readings", "Variation", "judge", "mostly_few"]

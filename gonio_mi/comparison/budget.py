@@ -9,7 +9,7 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import SettingError
 from ..files import check_output, replacing
-from ..files.measured import MeasuredTable
+from ..files.measured_table import MeasuredTable
 from ..single_precision import FEW_ROUNDINGS
 from .comparing import compare
 from .findings import Comparison

@@ -9,13 +9,13 @@ import numpy as np
 from ..collector.directions import azimuths_deg
 from ..errors import (
     LABEL,
+    SettingError,
     SettingTypeError,
     abridged,
     checked_number,
     shown,
 )
-from ..files.measured import MeasuredTable
-from ..files.measured_table import NUMBERS
+from ..files.measured_table import NUMBERS, MeasuredTable
 from ..results.record import Record
 from .agreement import FEW_FOR_TAILS, PointSet, judge, mostly_few
 from .findings import Comparison
@@ -105,13 +105,14 @@ def compare(
         records, other, uncertainty, scale_uncertainty
     )
     measured = [*records, other] if isinstance(other, Record) else records
-    if any(_is_even(one) for one in measured) and mostly_few(sets):
+    z, errors, statistics, p_values = judge(sets, scale)
+    agree = len(p_values) * min(p_values.values()) >= alpha
+    if agree and any(map(_is_even, measured)) and mostly_few(sets):
         notes.append(
             f"with quasi-Monte Carlo rays and fewer than {FEW_FOR_TAILS} hits in most "
-            "patches the chi-square has next to no power: it is on the safe side; take "
+            "patches the chi-square has next to no power to find a difference; take "
             "more rays, or the sampler independent"
         )
-    z, errors, statistics, p_values = judge(sets, scale)
     undecided = left_undecided(sets, scale, p_values, alpha, notes)
     columns = {
         name: np.concatenate([one.columns[name] for one in sets])
@@ -119,7 +120,7 @@ def compare(
     }
     for name in ("phi_i", "phi_o"):
         columns[name] = azimuths_deg(columns[name])
-    return Comparison(
+    found = Comparison(
         **columns,
         value=np.concatenate([one.readings.value for one in sets]),
         std_err=np.concatenate([one.readings.std_err for one in sets]),
@@ -133,6 +134,42 @@ def compare(
         labels=compared,
         undecided=undecided,
     )
+    if isinstance(other, MeasuredTable) and found.verdict == "differ":
+        given = uncertainty, scale_uncertainty, alpha
+        told = _told_otherwise(records, other, given)
+        found = replace(found, notes=(*found.notes, *told))
+    return found
+
+
+def _told_otherwise(
+    records: Sequence[Record],
+    table: MeasuredTable,
+    given: tuple[float | None, float | None, float],
+) -> list[str]:
+    """Note that a table would agree, were its azimuths counted in another way."""
+    ways = {
+        "its mirror image at the plane of incidence": 2 * table.phi_i - table.phi_o,
+        "the table with azimuths of exit clockwise": -table.phi_o,
+        "the table with azimuths of exit 180 degrees on": table.phi_o + 180,
+    }
+    uncertainty, scale_uncertainty, alpha = given
+    for way, azimuth in ways.items():
+        if np.allclose(*np.exp(1j * np.radians([table.phi_o, azimuth]))):
+            continue  # all in the plane of incidence
+        try:
+            sets, notes, _, scale = _paired(
+                records,
+                replace(table, phi_o=azimuth),
+                uncertainty,
+                scale_uncertainty,
+            )
+        except SettingError:  # apertures stand elsewhere
+            continue
+        p_values = judge(sets, scale)[3]
+        undecided = left_undecided(sets, scale, p_values, alpha, notes)
+        if not undecided and len(p_values) * min(p_values.values()) >= alpha:
+            return [f"{way} would agree"]
+    return []
 
 
 def _paired(
@@ -149,7 +186,7 @@ def _paired(
         }
         table = replace(other, **{k: v for k, v in given.items() if v is not None})
         sets, notes = pair_with_table(records, table)
-        names = str(records[0].settings.get("specimen")), table.name
+        names = records[0].provenance.name, table.name
         compared = abridged(names[0], LABEL), abridged(names[1], LABEL)
         return sets, notes, compared, table.scale_uncertainty
     if isinstance(other, Record):
@@ -173,6 +210,5 @@ def _paired(
 
 def _is_even(record: Record) -> bool:
     """Whether its rays are quasi-Monte Carlo: more even than independent ones."""
-    settings = record.settings
-    sampled = settings.get("estimator") != "quadrature"
-    return sampled and settings.get("sampler") != "independent"
+    sampled = not record.asked.estimator.integrates
+    return sampled and record.provenance.sampler != "independent"

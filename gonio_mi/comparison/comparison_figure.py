@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["comparison_figure", "points_in_profile"]
 
 
-MAX_PANELS = 6
+# Panels that are drawn, evenly among all, and in a row.
+MAX_PANELS, IN_A_ROW = 6, 3
 
 # Values whose largest is so many times the smallest are drawn on a logarithmic axis.
 DECADES = 100
@@ -26,15 +28,19 @@ DECADES = 100
 # Azimuths closer than this, in degrees, are the same.
 SAME = 1e-3
 
+# Of the record, of what it is compared with, and of scores.
+COLOURS = {"record": "C0", "other": "0.25", "z": "0.45"}
+
 
 def comparison_figure(comparison: Any) -> Figure:
     """Draw both curves of a comparison with error bars, and their scores below.
 
-    One panel per incident direction and channel, up to six, with the points of the two
-    half-planes next to the plane of incidence over the signed polar angle: positive on
-    the mirror direction's side. Points that do not line up are drawn over theta_o.
-    A table with hardly more than a point for each incident direction has one panel per
-    channel, over theta_i.
+    One panel per incident direction, channel and hemisphere, up to six, evenly among
+    all, with the points of the two half-planes next to the plane of incidence over the
+    signed polar angle: positive on the mirror direction's side. Points that do not line
+    up are drawn over theta_o. A table with hardly more than a point for each incident
+    direction has one panel per channel, over theta_i. All panels are linear, or all are
+    logarithmic; the title says what is left out.
 
     Raises ImportError without Matplotlib.
     """
@@ -43,27 +49,39 @@ def comparison_figure(comparison: Any) -> Figure:
     from matplotlib.figure import Figure
 
     panels = _panels(comparison)
-    shown = panels[:MAX_PANELS]
-    figure = Figure(figsize=(5.2 * len(shown) + 0.8, 5.6), layout="constrained")
+    even = np.linspace(0, len(panels) - 1, min(MAX_PANELS, len(panels)))
+    shown = [panels[number] for number in even.round().astype(int)]
+    columns = min(len(shown), IN_A_ROW)
+    rows = -(-len(shown) // columns)
+    size = 5.2 * columns + 0.8, 4.6 * rows + 1
+    figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(
-        2,
-        len(shown),
-        squeeze=False,
-        sharex="col",
-        height_ratios=(3, 1),
+        2 * rows, columns, squeeze=False, sharex=False, height_ratios=(3, 1) * rows
     )
-    for (above, below), panel in zip(axes.T, shown):
-        _draw(comparison, panel, above, below)
-    curves = axes[0, 0].get_legend_handles_labels()
-    columns = min(2, len(shown))
-    figure.legend(*curves, loc="outside lower center", ncols=columns, frameon=False)
-    axes[0, 0].set_ylabel("BSDF (1/sr)")
-    axes[1, 0].set_ylabel("z = difference\n/ std_err")
+    above, below = axes[::2].ravel(), axes[1::2].ravel()
+    for curves, scores, panel in zip(above, below, shown):
+        _draw(comparison, panel, curves, scores)
+    for left_over in (*above[len(shown) :], *below[len(shown) :]):
+        left_over.remove()
+    points = np.concatenate([panel.points for panel in shown])
+    drawn = np.concatenate([comparison.other[points], comparison.value[points]])
+    # what is not positive would be drawn nowhere
+    if drawn.min() > 0 and drawn.max() > DECADES * drawn.min():
+        for curves in above[: len(shown)]:
+            curves.set_yscale("log", nonpositive="clip")
+    handles = axes[0, 0].get_legend_handles_labels()
+    n_legends = min(2, columns)
+    figure.legend(*handles, loc="outside lower center", ncols=n_legends, frameon=False)
+    for row in range(rows):
+        axes[2 * row, 0].set_ylabel("BSDF (1/sr)")
+        axes[2 * row + 1, 0].set_ylabel("z = difference\n/ std_err")
     p_value, rms = comparison.p_value, comparison.rms
     title = f"{comparison.verdict}: p = {p_value:.2g}, rms {rms:.3g} 1/sr"
     if len(panels) > len(shown):
-        title += f"; {len(shown)} of {len(panels)} panels"
+        title += f"; {len(shown)} of {len(panels)} panels are shown"
+    if len(points) < len(comparison.z):
+        title += f"; {len(points)} of {len(comparison.z)} points"
     figure.suptitle(title, fontsize="medium")
     return figure
 
@@ -80,15 +98,17 @@ class _Panel:
 
 
 def _panels(comparison: Any) -> list[_Panel]:
-    """One for each incident direction and channel, in order, or for each channel."""
-    columns = (comparison.theta_i, comparison.phi_i, comparison.channel)
+    """One for each incident direction, channel and hemisphere, or for each channel."""
+    lower = comparison.theta_o > 90
+    columns = (comparison.theta_i, comparison.phi_i, comparison.channel, lower)
     distinct = list(dict.fromkeys(zip(*(column.tolist() for column in columns))))
     if len(distinct) > 1 and len(comparison.theta_i) < 2 * len(distinct):
         return [
             _over_incidence(comparison, channel)
             for channel in dict.fromkeys(comparison.channel.tolist())
         ]
-    return [_profile(comparison, *panel) for panel in distinct]
+    sides = ("reflection", "transmission") if lower.any() and not lower.all() else ()
+    return [_profile(comparison, sides, *one) for one in distinct]
 
 
 def _over_incidence(comparison: Any, channel: str) -> _Panel:
@@ -98,15 +118,25 @@ def _over_incidence(comparison: Any, channel: str) -> _Panel:
     return _Panel(points, comparison.theta_i[points], channel, label, line="")
 
 
-def _profile(comparison: Any, theta_i: float, phi_i: float, channel: str) -> _Panel:
-    """One incident direction and channel."""
+def _profile(
+    comparison: Any,
+    sides: Sequence[str],
+    theta_i: float,
+    phi_i: float,
+    channel: str,
+    lower: bool,
+) -> _Panel:
+    """One incident direction, channel and hemisphere, which is named if both are."""
     own = (comparison.theta_i == theta_i) & (comparison.phi_i == phi_i)
-    own &= comparison.channel == channel
+    own &= (comparison.channel == channel) & ((comparison.theta_o > 90) == lower)
     points = np.flatnonzero(own)
-    x, in_plane, label = points_in_profile(
-        comparison.theta_o[points], comparison.phi_o[points], phi_i
-    )
+    theta_o, phi_o = comparison.theta_o[points], comparison.phi_o[points]
+    if lower:
+        theta_o = 180 - theta_o
+    x, in_plane, label = points_in_profile(theta_o, phi_o, phi_i)
     title = f"theta_i {theta_i:.4g}°, phi_i {phi_i:.4g}°, {channel}"
+    title += f", {sides[lower]}" if sides else ""
+    label = f"180 - {label}" if lower else label
     return _Panel(points[in_plane], x[in_plane], title, label)
 
 
@@ -116,15 +146,16 @@ def _draw(comparison: Any, panel: _Panel, above: Axes, below: Axes) -> None:
     order = np.argsort(x, kind="stable")
     points, x = points[order], x[order]
     first, second = comparison.labels
-    for name, values, errors, style, face in (
-        (second, comparison.other, comparison.other_std_err, "s", "none"),
-        (first, comparison.value, comparison.std_err, "o", None),
+    for name, of, values, errors, style, face in (
+        (second, "other", comparison.other, comparison.other_std_err, "s", "none"),
+        (first, "record", comparison.value, comparison.std_err, "o", None),
     ):
         above.errorbar(
             x,
             values[points],
             np.nan_to_num(errors[points]),
             fmt=f"{panel.line}{style}",
+            color=COLOURS[of],
             markersize=3,
             linewidth=0.8,
             capsize=2,
@@ -132,14 +163,12 @@ def _draw(comparison: Any, panel: _Panel, above: Axes, below: Axes) -> None:
             mfc=face,
         )
     above.set_title(panel.title, fontsize="small")
-    drawn = np.concatenate([comparison.other[points], comparison.value[points]])
-    # what is not positive would be drawn nowhere
-    if drawn.min() > 0 and drawn.max() > DECADES * drawn.min():
-        above.set_yscale("log", nonpositive="clip")
+    above.tick_params(labelbottom=False)
     z = comparison.z[points]
     below.axhspan(-2, 2, color="0.9")
     below.axhline(0, color="0.5", linewidth=0.8)
-    below.plot(x, z, "o", markersize=3, color="C1")
+    below.plot(x, z, "o", markersize=3, color=COLOURS["z"])
+    below.set_xlim(above.get_xlim())
     reach = max(3.5, 1.1 * np.abs(z).max())
     below.set_ylim(-reach, reach)
     below.set_xlabel(panel.label)

@@ -1,15 +1,14 @@
 """What a comparison has found: point by point, in numbers, words and a picture."""
 
-import html
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from ..errors import PackageError
-from ..plots import check_picture, html_of_figure
-from ..plots.drawable import save_picture
+from ..plots import check_picture
+from ..plots.drawable import finished
+from ..reports.page import picture_and_text
 from .comparison_figure import comparison_figure
 from .pairing import EXACT
 
@@ -158,7 +157,7 @@ class Comparison:
             For another ending, or if the file cannot be written.
         """
         check_picture(path)
-        save_picture(comparison_figure(self), path)
+        finished(comparison_figure(self), path)
 
     def _point(self, i: int) -> dict[str, Any]:
         directions = ("theta_i", "phi_i", "theta_o", "phi_o")
@@ -168,11 +167,7 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         """Picture and numbers, for notebooks; numbers alone without Matplotlib."""
-        try:
-            picture = html_of_figure(comparison_figure(self))
-        except PackageError:
-            picture = ""
-        return f"{picture}<pre>{html.escape(str(self))}</pre>"
+        return picture_and_text(lambda: comparison_figure(self), self)
 
     def __repr__(self) -> str:
         said = f"{len(self.z)} points: {self.verdict}, p {self.p_value:.3g}"

@@ -10,11 +10,12 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags
-from ..collector.apertures import Apertures, disjoint_groups
+from ..collector.apertures import Apertures, disjoint_groups, is_above
+from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, SettingTypeError, SpecimenError, shown
 from ..files.channels import wavelengths_nm
-from ..files.measured import MeasuredTable
+from ..files.measured_table import MeasuredTable
 from ..instrument.measurement import measure_whole
 from ..progress import bar
 from ..results.record import Record
@@ -89,8 +90,9 @@ def measure_like(
     Raises
     ------
     TypeError, ValueError
-        If there is neither aperture's half-angle nor collector, or an aperture reaches
-        below the horizon; and as :func:`measure`.
+        If there is neither aperture's half-angle nor collector, or every aperture
+        reaches below the horizon, where those that do are left out; and as
+        :func:`measure`.
     """
     for key in {"theta_i", "phi_i", "collector"} & settings.keys():
         what = "record" if isinstance(like, Record) else "table"
@@ -144,8 +146,11 @@ def _like_table(
     settings.setdefault("hemispheres", lower)
     automatic = not {k for k in PRECISION & settings.keys() if settings[k] is not None}
     if automatic:
-        settings |= {"rel_err": _wanted(table), "max_rays": MOST_RAYS, "rays": None}
-        if not isinstance(solid_angles, Subdivision):
+        settings |= {"max_rays": MOST_RAYS, "rays": None}
+        if isinstance(solid_angles, Subdivision):
+            settings["noise"] = _noise(table, solid_angles)
+        else:
+            settings |= {"rel_err": _wanted(table)}
             settings |= {"estimator": "next_event", "trace": True}
     records: list[Record] = []
     for theta_i, phi_i in table.incident:
@@ -172,6 +177,11 @@ def _like_table(
                     )
             records.append(record)
         report(1)
+    if not records:
+        raise SettingError(
+            f"each aperture of half-angle {solid_angles:g} degrees of {table.name} "
+            "reaches below the horizon"
+        )
     return tuple(records)
 
 
@@ -181,10 +191,11 @@ def _collectors(
     """Collectors that hold the points of a table that are `here`."""
     if isinstance(solid_angles, Subdivision):
         return [solid_angles]
+    here = here & is_above(pole_angle(table.theta_o), solid_angles)
     theta_o = pole_angle(table.theta_o[here])
     # the same direction once, whatever the turn of its azimuth
     cones = dict.fromkeys(zip(theta_o.tolist(), (table.phi_o[here] % 360).tolist()))
-    groups = disjoint_groups(list(cones), solid_angles)
+    groups = disjoint_groups(list(cones), solid_angles) if cones else []
     return [Apertures(solid_angles, tuple(group)) for group in groups]
 
 
@@ -195,12 +206,28 @@ def _wanted(table: MeasuredTable) -> float:
     return float(np.clip(SHARE * typical, FINEST, COARSEST))
 
 
+def _noise(table: MeasuredTable, patches: Subdivision) -> float:
+    """Part of the light that rays may misplace in a table's patches, all together.
+
+    Its brightest patches are known best, and by rays, too: an error that is the same
+    for each would take many times the rays for the dim ones, of which it knows little.
+    """
+    theta_o, phi_o = np.radians(pole_angle(table.theta_o)), np.radians(table.phi_o)
+    solid = patches.projected_solid_angles.ravel()[
+        patches.patch(direction(theta_o, phi_o))
+    ]
+    light = np.abs(table.bsdf) @ solid
+    typical = table.bsdf_std_err @ solid / light if light else 0.0
+    # half the mean of the absolute value of a normal deviate
+    return float(np.clip(SHARE * typical, FINEST, COARSEST) / np.sqrt(2 * np.pi))
+
+
 @contextlib.contextmanager
 def _errors_speak(automatic: bool) -> Iterator[None]:
     """No warning of a precision that nobody asked for: the comparison knows it."""
     with warnings.catch_warnings():
         if automatic:
-            warnings.filterwarnings("ignore", "rel_err of .* was not reached")
+            warnings.filterwarnings("ignore", "(rel_err|noise) of .* was not reached")
         yield
 
 
@@ -212,14 +239,14 @@ def _like_record(
     report: Callable[[float], Any],
 ) -> Record:
     """Record of another specimen, measured as one was."""
-    known = record.settings
-    lit_by = str(known.get("emitter"))
-    if known.get("emitter_digest") or not lit_by.startswith("DirectionalEmitter"):
+    known, lit_by = record.settings, str(record.provenance.emitter)
+    lit_so = lit_by.startswith("DirectionalEmitter")
+    if record.provenance.emitter_digest or not lit_so:
         raise SettingError(
             f"the record was lit by {lit_by:.60}, which it does not hold: measure the "
             "specimen under that emitter too, and compare the two records"
         )
-    names = AGAIN if known.get("estimator") == "quadrature" else (*AGAIN, *SAMPLED)
+    names = AGAIN if record.asked.estimator.integrates else (*AGAIN, *SAMPLED)
     again = {name: known[name] for name in names if known.get(name) is not None}
     given = {name for name, value in settings.items() if value is not None}
     if given & {"rel_err", "noise", "rays"}:
@@ -229,7 +256,9 @@ def _like_record(
         again["wavelengths"] = nm.tolist()
     again["hemispheres"] = "both" if record.has_lower else "upper"
     again |= {name: value for name, value in settings.items() if value is not None}
-    again["seed"] = int(known.get("seed") or 0) + 1 if seed is None else seed
+    again["seed"] = (
+        max(record.provenance.seeds, default=0) + 1 if seed is None else seed
+    )
     records = []
     for theta, phi in zip(record.theta_i.tolist(), record.phi_i.tolist()):
         again["collector"] = record.subdivision

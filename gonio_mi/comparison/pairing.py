@@ -2,18 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import takewhile
 from typing import Any
 
 import numpy as np
 
 from ..array_types import Flags, Floats, Integers
+from ..collector.apertures import is_above
 from ..collector.directions import direction
 from ..collector.hemisphere import EDGE
-from ..errors import LABEL, SettingError, abridged
+from ..errors import LABEL, SettingError, abridged, abridged_apart
 from ..files.measured_table import MeasuredTable
 from ..results.copied_directions import sharing
-from ..results.ray_identity import ray_keys
 from ..results.record import Record
 from .agreement import PointSet, Readings, Variation
 from .patch_variation import MEASURED_ANEW, variation_within
@@ -47,7 +46,7 @@ def pair_with_record(
                 f"got {abridged(str(a), 60)} and {abridged(str(b), 60)}"
             )
     notes = unlike_conditions(record, other)
-    notes += same_rays("both records", record, ray_keys(other.settings))
+    notes += same_rays("both records", record, other.ray_keys)
     both = record.has_lower and other.has_lower
     if not both:
         _check_dark_below(record, other, notes)
@@ -118,6 +117,13 @@ def pair_with_table(
                 coarse[here], here[here] = ~known, known
             if here.any():
                 sets.append(side.points(table, here, errors, patch, variation))
+    beyond = left & _reach_below(records, table)
+    if beyond.any() and not beyond.all():
+        notes.append(
+            f"{beyond.sum()} of {len(table)} points, whose apertures reach below the "
+            "horizon, are left out"
+        )
+        left &= ~beyond
     if left.any():
         raise SettingError(_lacking(records, table, int(np.argmax(left))))
     _tell_coarse(records[0], table, coarse, notes)
@@ -169,6 +175,14 @@ def _stand_for_points(patches: Any, table: MeasuredTable) -> bool:
         _check_apertures(patches, table)
         return False
     return table.header.get("collector") != str(patches)
+
+
+def _reach_below(records: Sequence[Record], table: MeasuredTable) -> Flags:
+    """Points around which the apertures of records cannot stand."""
+    half_angle = records[0].subdivision.aperture_half_angle
+    if half_angle is None:
+        return np.zeros(len(table), bool)
+    return ~np.asarray(is_above(pole_angle(table.theta_o), half_angle))
 
 
 def _tell_coarse(
@@ -242,7 +256,7 @@ def check_uncertainties(record: Record) -> None:
     """Raise ValueError for a record whose scatter is not known."""
     if record.n_batches >= 2 or all(one.binomial for one in record.estimates):
         return
-    if record.settings.get("estimator") == "quadrature":
+    if record.asked.estimator.integrates:
         raise SettingError(
             "the record must be of rays, whose scatter is known, got integrals: give "
             "the specimen instead, or measure it with the estimator weighted"
@@ -286,22 +300,10 @@ def labels(record: Record, other: Record) -> tuple[str, str]:
         one, two = (str(r.settings.get(name)) for r in (record, other))
         if one != two:
             prefix = "" if name == "specimen" else f"{name} "
-            one, two = _abridged_apart(one, two)
+            one, two = abridged_apart([one, two], LABEL)
             return prefix + one, prefix + two
-    one, two = (f"seed {r.settings.get('seed')}" for r in (record, other))
+    one, two = (f"seed {r.ray_keys.get('seed')}" for r in (record, other))
     return (one, two) if one != two else ("record", "other")
-
-
-def _abridged_apart(one: str, two: str) -> tuple[str, str]:
-    """Two texts that differ, abridged such that they still do."""
-    if abridged(one, LABEL) == abridged(two, LABEL):
-        alike = sum(
-            1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(one, two))
-        )
-        # from the parameter, or the middle of a long name
-        start = max(one.rfind(",", 0, alike) + 1, alike - LABEL // 2)
-        one, two = f"... {one[start:]}", f"... {two[start:]}"
-    return abridged(one, LABEL), abridged(two, LABEL)
 
 
 def pole_angle(theta_o: Floats) -> Floats:

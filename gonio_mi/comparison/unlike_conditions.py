@@ -5,7 +5,7 @@ from typing import Any
 
 from ..errors import abridged
 from ..files.measured_table import MeasuredTable
-from ..results.ray_identity import ray_keys, shared_seeds
+from ..results.provenance import shared_seeds
 from ..results.record import Record
 from ..settings import MeasurementSettings, declarations
 
@@ -69,9 +69,9 @@ def same_rays(both: str, record: Record, theirs: Mapping[str, str]) -> list[str]
     both : str
         Subject of the sentence.
     theirs : mapping of str
-        As of :func:`~gonio_mi.results.ray_identity.ray_keys`.
+        As of `Record.ray_keys`.
     """
-    seeds = shared_seeds(ray_keys(record.settings), theirs)
+    seeds = shared_seeds(record.ray_keys, theirs)
     if not seeds:
         return []
     return [

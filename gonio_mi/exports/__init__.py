@@ -1,6 +1,6 @@
 """Records as files of other programs, some of which need new measurements."""
 
-from ..files.radiance_xml import Product
+from ..formats.radiance import Product
 from .bsdf_file import bsdf
 from .exporting import ENDINGS, export
 from .loss import Loss

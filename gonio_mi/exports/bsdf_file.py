@@ -10,12 +10,12 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..collector import EqualProjectedSolidAngle, subdivision
+from ..campaigns.campaign import campaign
+from ..collector import EqualProjectedSolidAngle
 from ..collector.directions import direction
 from ..errors import SettingError, checked_choice
 from ..files import check_output
-from ..files.radiance_xml import Product
-from ..instrument.campaigns import campaign
+from ..formats.radiance import Product
 from ..instrument.measurement import measure_whole
 from ..results.misplacement import misplaced
 from ..results.record import Record
@@ -185,7 +185,7 @@ def hemispherical(record: Record) -> tuple[tuple[float, float], ...]:
     Of a record of one channel whose light fills all patches of incidence: the mean
     over those, by their projected solid angle.
     """
-    patches = subdivision(record.settings["incident"])
+    patches: Any = record.asked.incident
     toward = direction(np.radians(record.theta_i), np.radians(record.phi_i))
     weight = patches.projected_solid_angles.ravel()[patches.patch(toward)]
     weight /= weight.sum()

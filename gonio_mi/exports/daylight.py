@@ -14,7 +14,7 @@ import numpy as np
 from ..array_types import Floats, Numbers
 from ..errors import SettingError
 from ..files.channels import wavelengths_nm
-from ..files.radiance_bsdf import XYZ
+from ..formats.radiance import XYZ
 from ..results.record import Record
 
 __all__ = ["SOLAR", "VISIBLE", "VISIBLE_NM", "Light", "luminous", "of_daylight"]

@@ -12,36 +12,31 @@ import numpy as np
 from ..array_types import Floats
 from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, checked_choice
-from ..files import astm, check_output, netcdf, replacing
+from ..files import check_output, netcdf, replacing
 from ..files.channels import wavelengths_nm
-from ..files.measured import MeasuredTable, read_measured
-from ..files.radiance_xml import Product
+from ..files.measured_table import MeasuredTable
 from ..files.writing import takes_a_stream
+from ..formats import astm
+from ..formats.radiance import Product
+from ..formats.reading import endings_of, read_measured
 from ..results.doubts import exceeds_error
-from ..results.ray_identity import ray_keys
 from ..results.record import Record
 from ..results.summary import summarize
-from .loss import Loss, fractions_of, losses
+from .loss import ZEMAX, Loss, fractions_of, losses, part_names
 from .measured_export import write_measured
-from .part_names import ZEMAX, part_names
 from .radiance_export import BASES, write_radiance
-from .scatter_export import (
-    write_anisotropic,
-    write_merl,
-    write_open_material,
-    write_spectral,
-    write_zemax,
-)
+from .scatter_export import write_grids, write_merl, write_zemax
 
 __all__ = ["BASES", "ENDINGS", "export"]
 
 ENDINGS = (
     *(".csv", ".astm", ".xml", ".bsdf", ".nc", ".h5"),
-    *(".brdf", ".anisotropicbsdf", ".json", ".xompt", ".binary"),
+    *(ending for ending in endings_of("write") if ending != ".bsdf"),
+    ".binary",
 )
 
 # Endings of files that have no place for transmitted light.
-REFLECTION_ONLY = (".astm", ".bsdf", ".binary")
+REFLECTION_ONLY = (".bsdf", *endings_of("reflection_only"))
 
 # Rays whose light no patch receives, and the part of all that is told.
 LOST = {
@@ -61,10 +56,11 @@ def export(
     *,
     product: Product | None = None,
     solar: Sequence[Record] = (),
+    progress: bool = False,
 ) -> list[Loss]:
     """Write a record to a file of another tool, and say what was lost.
 
-    What was written is read back, for Mitsuba's `measured` measured anew, and compared.
+    What was written is read back, by Mitsuba if it is for its `measured`, and compared.
     A warning tells of a specimen that was missed by a relevant part of the rays, of
     rays whose light is in no patch, and of light that a file .xml has no words for: a
     side, or angles of incidence.
@@ -77,7 +73,7 @@ def export(
         ``.csv``: values at the middles of patches, read by `read_measured`, with the
         seed by which `compare` knows rays of its own; for several quantities or
         channels their names are put before the ending. ``.astm``: text
-        after ASTM E1392, of reflection; see :mod:`gonio_mi.files.astm`. ``.xml``: a
+        after ASTM E1392, of reflection; see :mod:`gonio_mi.formats.astm`. ``.xml``: a
         Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only; needs a
         variant of rgb, or a spectral one for channels that are wavelengths. ``.nc``
         and ``.h5``: NetCDF and HDF5, by xarray. ``.zemax.bsdf``: for Zemax. ``.brdf``
@@ -90,6 +86,8 @@ def export(
         Of ``.xml``: name, manufacturer and sizes that the file states.
     solar : sequence of Record
         Of ``.xml``: records like the others, for all sunlight.
+    progress : bool
+        Show progress bars on standard error, of what takes long: ``.bsdf``, ``.xml``.
 
     Returns
     -------
@@ -120,7 +118,7 @@ def export(
         _warn_of_openings(one)
         _warn_of_lost_light(one)
     if ending == ".xml":
-        return write_radiance(records, path, basis, product, solar)
+        return write_radiance(records, path, basis, product, solar, progress)
     if len(records) > 1 or product is not None or solar:
         raise SettingError(
             "several records, a product and solar light go to a file .xml, got "
@@ -130,7 +128,9 @@ def export(
         return write_zemax(records[0], path)
     if ending in REFLECTION_ONLY:
         _warn_of_transmission(records[0], ending)
-    return _FORMATS[ending](records[0], path)
+    if ending == ".bsdf":
+        return write_measured(records[0], path, progress)
+    return _FORMATS.get(ending, write_grids)(records[0], path)
 
 
 def _warn_of_openings(record: Record) -> None:
@@ -201,9 +201,9 @@ def _astm(record: Record, path: str | PathLike[str]) -> list[Loss]:
             stream,
             source="gonio-mi",
             angle_units="radians",
-            specimen=str(record.settings.get("specimen", "a record")),
+            specimen=record.provenance.name,
             collector=str(record.subdivision),
-            **ray_keys(record.settings),
+            **record.ray_keys,
         )
     written = [
         _in_patches(read_measured(path, name), record.subdivision) for name in names
@@ -250,8 +250,8 @@ def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
         channel=record.channels[number] if len(record.channels) > 1 else None,
         degrees_of_freedom=None if exact else record.n_batches - 1,
         aperture_half_angle=record.subdivision.aperture_half_angle,
-        emitter_half_angle=record.settings.get("divergence") or 0.0,
-        header={"collector": str(record.subdivision)} | ray_keys(record.settings),
+        emitter_half_angle=record.asked.divergence,
+        header={"collector": str(record.subdivision)} | record.ray_keys,
         **columns,
     )
 
@@ -273,12 +273,7 @@ def _netcdf(
 _FORMATS: dict[str, Callable[[Record, str | PathLike[str]], list[Loss]]] = {
     ".csv": _csv,
     ".astm": _astm,
-    ".bsdf": write_measured,
     ".nc": _netcdf,
     ".h5": partial(_netcdf, engine="h5netcdf"),
-    ".brdf": write_spectral,
-    ".anisotropicbsdf": write_anisotropic,
-    ".json": write_open_material,
-    ".xompt": write_open_material,
     ".binary": write_merl,
 }

@@ -1,7 +1,9 @@
-"""What a file of another tool has lost of a record."""
+"""Files that a record is written to, by name, and what each has lost of it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,20 @@ import numpy as np
 from ..array_types import Floats
 from ..results.record import Record
 
-__all__ = ["Loss", "fractions_of", "in_words", "losses"]
+__all__ = [
+    "ZEMAX",
+    "Loss",
+    "fractions_of",
+    "in_words",
+    "losses",
+    "part_names",
+    "written_files",
+]
+
+ZEMAX = ".zemax.bsdf"
+
+# Of which each file holds one quantity and channel.
+IN_PARTS = (".csv", ZEMAX)
 
 WORDS = {"dhr": "reflected", "dht": "transmitted"}
 
@@ -101,7 +116,7 @@ def losses(
                 float(theirs.sum() / n),
                 float(np.abs(theirs - ours).sum() / 2 / most) if most else 0.0,
                 float(noise / 2 / total) if total else 0.0,
-                str(record.settings.get("side", "front")),
+                record.asked.side,
             )
         )
     return every
@@ -142,3 +157,32 @@ def in_words(every: Sequence[Loss]) -> list[str]:
 
 def _place(one: Loss) -> str:
     return f"theta_i {one.theta_i:.3g}, phi_i {one.phi_i:.3g}"
+
+
+def part_names(
+    record: Record, path: str | PathLike[str]
+) -> dict[tuple[int, int], Path]:
+    """Files by hemisphere (0 for reflection) and number of the channel.
+
+    Where there are several, what each holds is put before the ending of the path:
+    ``run.brdf450nm.csv``.
+    """
+    path = Path(path)
+    (ending,) = (one for one in IN_PARTS if path.name.lower().endswith(one))
+    stem, ending = path.name[: -len(ending)], path.name[-len(ending) :]
+    channels = record.channels if len(record.channels) > 1 else ("",)
+    parts = {
+        (hemisphere, number): f"{stem}.{quantity}{channel}{ending}"
+        for hemisphere, quantity in enumerate(("brdf", "btdf")[: 1 + record.has_lower])
+        for number, channel in enumerate(channels)
+    }
+    if len(parts) == 1:
+        return {(0, 0): path}
+    return {key: path.with_name(name) for key, name in parts.items()}
+
+
+def written_files(record: Record, path: str | PathLike[str]) -> list[Path]:
+    """All files that an export to a path writes."""
+    if str(path).lower().endswith(IN_PARTS):
+        return list(part_names(record, path).values())
+    return [Path(path)]

@@ -1,31 +1,44 @@
 """Records as material files of Mitsuba's plugin `measured`."""
 
+from __future__ import annotations
+
 import warnings
 from os import PathLike
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats, Numbers
+from ..collector.directions import direction
+from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, VariantError, abridged
-from ..files import replacing, tensor_file
+from ..files import replacing
 from ..files.channels import wavelengths_nm
-from ..instrument.measurement import measure_whole
+from ..formats import tensor_file
+from ..instrument.loading import loaded
+from ..instrument.measurement import measure_each, whole
+from ..progress import counted
 from ..results.record import Record
+from ..transport.surface_events import flux_context
+from ..transport.wavelengths import passes, wavelength_lanes
 from .loss import Loss, losses
-from .resampling import Material, half_vector_grid
+from .resampling import Material, half_vector_grids, vectors
 
 __all__ = ["write_measured"]
 
 # Vertices per side of the grid of half vectors.
 GRID = 128
 
-# With which what was written is measured again.
-RAYS = 2**20
+# Points at which what was written is asked for. Where the two halves of those of each
+# patch tell apart more than this part of the light, so many rays find it.
+POINTS, APART, RAYS = 2**16, 2e-3, 2**20
 
 
-def write_measured(record: Record, path: str | PathLike[str]) -> list[Loss]:
+def write_measured(
+    record: Record, path: str | PathLike[str], progress: bool = False
+) -> list[Loss]:
     """Write a record for Mitsuba's `measured`, and return its losses.
 
     Parameters
@@ -33,6 +46,7 @@ def write_measured(record: Record, path: str | PathLike[str]) -> list[Loss]:
     record : Record
         Of one channel, R, G, B or wavelengths; its reflection is written.
     path : str or path
+    progress : bool
 
     Raises
     ------
@@ -43,28 +57,82 @@ def write_measured(record: Record, path: str | PathLike[str]) -> list[Loss]:
     """
     spectral = _is_spectral(record)
     wavelengths: Any = wavelengths_nm(record.channels)
-    fields = _fields(Material(record), wavelengths, spectral)
+    fields = _fields(Material(record), wavelengths, spectral, progress)
     fields = {name: array.astype(np.float32) for name, array in fields.items()}
-    text = record.settings.get("specimen", "a record").encode()
+    text = record.provenance.name.encode()
     fields["description"] = np.frombuffer(text, np.uint8)
     fields["jacobian"] = np.zeros(1, np.uint8)
     with replacing(path) as stream:
         tensor_file.write(fields, stream)
     with open(path, "rb") as stream:
         tensor_file.read(stream)
-    settings = {"collector": record.subdivision, "rays": RAYS}
-    if spectral:
-        settings["wavelengths"] = wavelengths.tolist()
-    with warnings.catch_warnings():
-        # what Mitsuba's interpolation adds is told as a loss of the file
-        warnings.filterwarnings("ignore", "the BSDF creates light")
-        again = [
-            measure_whole(
-                {"type": "measured", "filename": str(path)}, *angles, **settings
-            )
-            for angles in zip(record.theta_i, record.phi_i)
-        ]
-    return losses(record, np.stack([one.flux_fraction[:1] for one in again]))
+    nm = wavelengths.tolist() if spectral else None
+    return losses(record, _written(str(path), record, nm, progress))
+
+
+def _written(
+    filename: str, record: Record, nm: list[float] | None, progress: bool
+) -> Floats:
+    """Flux fractions that a file has in the record's patches."""
+    material = {"type": "measured", "filename": filename}
+    bsdf = loaded("the file", mi.load_dict, material)
+    patches, incidents = record.subdivision, list(zip(record.theta_i, record.phi_i))
+    wo = vectors(_halved(patches))
+    halves = np.empty((len(incidents), len(record.channels), patches.n_patches, 2))
+    numbers = range(len(incidents))
+    for number in counted(numbers, progress, desc="read back", unit="direction"):
+        halves[number] = _asked(bsdf, incidents[number], wo, nm, halves.shape[1:])
+    halves *= patches.solid_angles.ravel()[:, None]
+    flux = np.moveaxis(halves.sum(axis=-1), 1, 2)
+    flux = flux.reshape(-1, 1, *patches.shape, len(record.channels))
+    apart = np.abs(np.diff(halves, axis=-1)).sum(axis=(1, 2, 3))
+    rough = np.flatnonzero(apart > APART * halves.sum(axis=(1, 2, 3)))
+    if rough.size:
+        settings = {"collector": patches, "rays": RAYS, "wavelengths": nm}
+        with warnings.catch_warnings():
+            # what Mitsuba's interpolation adds is told as a loss of the file
+            warnings.filterwarnings("ignore", "the BSDF creates light")
+            some = [incidents[i] for i in rough]
+            again = whole(measure_each, material, some, progress=progress, **settings)
+        flux[rough] = again.flux_fraction[:, :1]
+    return flux
+
+
+def _halved(patches: Subdivision) -> Floats:
+    """Points of all patches that stand for equal solid angles, ``(n, 3)``.
+
+    Every other one of a patch comes before the rest of it.
+    """
+    n = 2 * max(2, round(np.sqrt(POINTS / patches.n_patches) / 2))
+    low, high, left, right = patches.cells_about_pole().T[:, :, None]
+    step = (np.arange(n) + 0.5) / n
+    theta = np.arccos(np.cos(low) + step * (np.cos(high) - np.cos(low)))
+    phi = left + step * (right - left)
+    points = direction(theta[:, :, None], phi[:, None]).reshape(-1, n**2, 3)
+    parity = np.indices((n, n)).sum(axis=0).ravel() % 2
+    return points[:, np.argsort(parity, kind="stable")].reshape(-1, 3)
+
+
+def _asked(
+    bsdf: mi.BSDF,
+    incident: tuple[float, float],
+    wo: Any,
+    nm: list[float] | None,
+    shape: tuple[int, ...],
+) -> Floats:
+    """Halves of the mean light of a BSDF over each patch in 1/sr, of this `shape`."""
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.wi = mi.Vector3f(direction(*np.radians(incident)).tolist())
+    dr.make_opaque(si.wi)
+    sums = []
+    for some in passes(nm):
+        si.wavelengths = wavelength_lanes(some and tuple(some))
+        light = bsdf.eval(flux_context(), si, wo)
+        sums += list(light)[: some and len(some)]
+    size = dr.width(wo) // (shape[1] * shape[2])
+    sums = [dr.block_sum(one, size) for one in sums[: shape[0]]]
+    dr.eval(sums)
+    return np.reshape([one.numpy() for one in sums], shape) / (2 * size)
 
 
 def _is_spectral(record: Record) -> bool:
@@ -86,7 +154,9 @@ def _is_spectral(record: Record) -> bool:
     return spectral
 
 
-def _fields(material: Material, wavelengths: Any, spectral: bool) -> dict[str, Numbers]:
+def _fields(
+    material: Material, wavelengths: Any, spectral: bool, progress: bool
+) -> dict[str, Numbers]:
     """Arrays of the file, but for the texts."""
     theta_i, phi_i = material.theta_i, material.phi_i
     if len(phi_i) == 1:
@@ -95,12 +165,12 @@ def _fields(material: Material, wavelengths: Any, spectral: bool) -> dict[str, N
         turned = np.unique(np.mod(phi_i + 180, 360) - 180)
         azimuths = np.unique([-180, *turned, 180])
         origins, phi_i = np.zeros(len(azimuths)), azimuths
-    values = np.stack(
-        [
-            [half_vector_grid(material, theta, phi, origin, GRID) for theta in theta_i]
-            for phi, origin in zip(phi_i, origins)
-        ]
-    )
+    turns = list(zip(np.mod(phi_i, 360).tolist(), origins))  # the first may be the last
+    grids = {
+        turn: half_vector_grids(material, *turn, GRID)
+        for turn in counted(set(turns), progress, desc="write", unit="azimuth")
+    }
+    values = np.stack([grids[turn] for turn in turns])
     fields = {
         "theta_i": np.radians(theta_i),
         "phi_i": np.radians(azimuths),

@@ -13,11 +13,11 @@ from ..collector.hemisphere import Subdivision
 from ..collector.klems import Klems
 from ..collector.shirley_chiu import ShirleyChiu
 from ..errors import SettingError, abridged, checked_choice
-from ..files import radiance_bsdf, radiance_xml, replacing
+from ..files import replacing
 from ..files.channels import wavelengths_nm
-from ..files.radiance_bsdf import RadianceBSDF
-from ..files.radiance_xml import Product
-from ..files.tensor_tree import grid_directions
+from ..formats import radiance
+from ..formats.radiance import Product, RadianceBSDF
+from ..formats.tensor_tree import grid_directions
 from ..results.record import Record
 from .daylight import of_daylight
 from .loss import Loss, fractions_of, losses
@@ -41,6 +41,11 @@ CELL_POINTS = 2
 # average over.
 HALF_WEDGE = 0.05
 
+# Part of the light that reflection may send elsewhere if source and view are exchanged:
+# what reciprocal specimens of all kinds reach by the patches of their files is 0.015.
+# Means of pairs of patches are over this many points per side.
+EXCHANGED, POINTS_OF_PAIRS = 0.03, 3
+
 # Incident directions that are less apart have no lobes between them, in degrees.
 WIDE_GAP = 45
 
@@ -51,6 +56,7 @@ def write_radiance(
     basis: str = "klems",
     product: Product | None = None,
     solar: Sequence[Record] = (),
+    progress: bool = False,
 ) -> list[Loss]:
     """Write a specimen to an XML file of Radiance, and return its losses.
 
@@ -67,6 +73,7 @@ def write_radiance(
     solar : sequence of Record
         The same of one channel or of wavelengths, for all sunlight instead of what is
         visible. Default: of `records` of wavelengths that stand for it.
+    progress : bool
 
     Raises
     ------
@@ -80,23 +87,27 @@ def write_radiance(
     _check_sides(solar)
     records, solar = of_daylight(records, solar)
     blocks: dict[tuple[str, str], Any] = {}
-    sides = [Side(record, basis) for record in records]
+    sides = [Side(record, basis, progress) for record in records]
     _warn_of_missing_side(records)
     # a side that is black, or grey, has one channel
     colours = max(len(record.channels) for record in records)
     for side in sides:
         blocks |= side.blocks(colours)
     for record in solar:
-        only = Side(record, basis).blocks()
+        only = Side(record, basis, progress).blocks()
         blocks |= {("Solar", key): only["Visible", key] for _, key in only}
     if product is None:
-        name = records[0].settings.get("specimen", "a record")
-        product = Product(" ".join(str(name).split()))
+        name = records[0].provenance.name
+        product = Product(" ".join(name.split()))
     with replacing(path) as stream:
-        radiance_xml.write(blocks, stream, product)
+        radiance.write(blocks, stream, product)
     with open(path, "rb") as stream:
         written = RadianceBSDF(stream)
-    return [loss for side in sides for loss in side.losses(written)]
+    every = [side.losses(written) for side in sides]
+    for side, losses_of_side in zip(sides, every):
+        noise = max(loss.noise for loss in losses_of_side)
+        side.warn_if_exchanged(written, noise)
+    return [loss for losses_of_side in every for loss in losses_of_side]
 
 
 def _check_sides(records: Sequence[Record]) -> None:
@@ -109,25 +120,23 @@ def _check_sides(records: Sequence[Record]) -> None:
                 "Radiance's files take records of one channel, of R, G, B or of "
                 f"wavelengths, got {abridged(', '.join(record.channels), 80)}"
             )
-    sides = [record.settings.get("side", "front") for record in records]
+    sides = [record.asked.side for record in records]
     if len(set(sides)) < len(sides):
         raise SettingError(
             "a file takes one record of each side, front and back, got "
             f"{' and '.join(sides)}"
         )
-    digests = {record.settings.get("digest") for record in records}
+    digests = {record.provenance.digest for record in records}
     if len(digests) > 1:
         raise SettingError(
             "the records of a file must be of one specimen, got "
-            + " and ".join(
-                abridged(str(r.settings.get("specimen")), 60) for r in records
-            )
+            + " and ".join(abridged(r.provenance.name, 60) for r in records)
         )
 
 
 def _warn_of_missing_side(records: Sequence[Record]) -> None:
     """Warn if the file knows light from one side only."""
-    sides = {str(record.settings.get("side", "front")) for record in records}
+    sides = {record.asked.side for record in records}
     if len(sides) == 1:
         side = sides.pop()
         other = "back" if side == "front" else "front"
@@ -143,10 +152,10 @@ def _warn_of_missing_side(records: Sequence[Record]) -> None:
 class Side:
     """What a record of one lit face becomes in a file."""
 
-    def __init__(self, record: Record, basis: str) -> None:
-        self.record = record
+    def __init__(self, record: Record, basis: str, progress: bool = False) -> None:
+        self.record, self.progress = record, progress
         self.rank = RANKS.get(basis)
-        self.face = str(record.settings.get("side", "front"))
+        self.face = record.asked.side
         self.hemispheres = range(1 + record.has_lower)
         #: patches of exit of the file
         self.patches = _patches_of(record, basis)
@@ -160,42 +169,38 @@ class Side:
         blocks: dict[tuple[str, str], Any] = {}
         projected = self.patches.projected_solid_angles.reshape(-1, 1)
         for hemisphere in self.hemispheres:
-            name = radiance_xml.DIRECTIONS[self.face, hemisphere]
+            name = radiance.DIRECTIONS[self.face, hemisphere]
+            values = self._flux(hemisphere) / projected
+            values = np.repeat(values, colours // values.shape[-1] or 1, axis=-1)
             if self.rank is None:
-                values = self._columns(hemisphere) / projected
-                values = np.repeat(values, colours // values.shape[-1] or 1, axis=-1)
-                blocks |= radiance_bsdf.matrices(np.swapaxes(values, 0, 1), name)
+                blocks |= radiance.matrices(np.swapaxes(values, 0, 1), name)
             else:
-                grid = self._grid(hemisphere, self.rank) / projected[0, 0]
-                grid = np.repeat(grid, colours // grid.shape[-1] or 1, axis=-1)
-                blocks |= radiance_bsdf.trees(grid, name)
+                blocks |= radiance.trees(self._grid(values, self.rank), name)
         return blocks
 
-    def _columns(self, hemisphere: int) -> Floats:
-        """Flux fractions of a Klems matrix, incident times exit patches."""
+    def _flux(self, hemisphere: int) -> Floats:
+        """Flux fractions of the file's patches, incident times exit times channels."""
         if self.measured:
             return self._in_order(hemisphere)
-        x, y, z = np.moveaxis(self.patches.points(POINTS_IN), -1, 0)
-        theta_i = np.degrees(np.arctan2(np.hypot(x, y), z))
-        phi_i = np.degrees(np.arctan2(-y, -x))
-        return resampled(
-            self.material, hemisphere, theta_i, phi_i, self.patches, POINTS_OUT
-        )
+        points = CELL_POINTS
+        if self.rank is None:
+            points = POINTS_OUT
+            x, y, z = np.moveaxis(self.patches.points(POINTS_IN), -1, 0)
+            theta_i = np.degrees(np.arctan2(np.hypot(x, y), z))
+            phi_i = np.degrees(np.arctan2(-y, -x))
+        else:
+            size = self.patches.shape[0]
+            theta_i, phi_i, _ = grid_directions(self.rank, size, CELL_POINTS, 1)
+        args = self.material, hemisphere, theta_i, phi_i, self.patches, points
+        return resampled(*args, progress=self.progress)
 
-    def _grid(self, hemisphere: int, rank: int) -> Floats:
-        """Flux fractions of the cells of a tensor tree, ``(size, ..., channels)``.
+    def _grid(self, values: Floats, rank: int) -> Floats:
+        """Cells of a tensor tree, ``(size, ..., channels)``.
 
         The half that rank 3 does not use holds the mean of the other.
         """
         size = self.patches.shape[0]
-        if self.measured:
-            flux = self._in_order(hemisphere)
-        else:
-            theta_i, phi_i, _ = grid_directions(rank, size, CELL_POINTS, 1)
-            flux = resampled(
-                self.material, hemisphere, theta_i, phi_i, self.patches, CELL_POINTS
-            )
-        grid = flux.reshape(-1, *[size] * (rank - 1), flux.shape[-1])
+        grid = values.reshape(-1, *[size] * (rank - 1), values.shape[-1])
         if rank == 4:
             return grid
         unused = np.broadcast_to(grid.mean(axis=(0, 1, 2)), grid.shape)
@@ -210,6 +215,29 @@ class Side:
             order = np.argsort(_flight_patches(record, self.patches))
         flux = fractions_of(record)[order, hemisphere]
         return flux.reshape(len(flux), -1, flux.shape[-1])
+
+    def warn_if_exchanged(self, written: RadianceBSDF, noise: float) -> None:
+        """Warn of reflection that Radiance renders with source and view exchanged.
+
+        `noise` is the part of the light that the record's own misplaces.
+        """
+        patches = KLEMS["klems-quarter"]
+        elsewhere, shown, true = exchanged(written, self.face, patches)
+        # noise of both of a pair, which grows as the root of the number of patches
+        n_patches = self.record.subdivision.n_patches
+        chance = 2 * noise * np.sqrt(patches.n_patches / n_patches)
+        if elsewhere <= EXCHANGED + chance:
+            return
+        worst = int(np.argmax(np.abs(shown - true)))
+        theta, phi = (np.degrees(angle[worst, 0]) for angle in patches.middles)
+        warnings.warn(
+            f"the {self.face} is not reciprocal: Radiance takes the view for incident "
+            f"light, and so shows {elsewhere:.0%} of what is reflected in other "
+            f"directions; in a uniform sky {shown[worst]:.3f} for {true[worst]:.3f} as "
+            f"seen from theta {theta:.3g}, phi {phi:.3g}",
+            RuntimeWarning,
+            stacklevel=4,
+        )
 
     def losses(self, written: RadianceBSDF) -> list[Loss]:
         """What the file has lost at the record's own incident directions."""
@@ -234,16 +262,39 @@ class Side:
             return losses(record, np.reshape(theirs, fractions_of(record).shape))
         ours = [
             resampled(
-                self.material,
-                hemisphere,
-                theta[:, None],
-                phi[:, None],
-                patches,
-                POINTS_OUT,
+                self.material, h, theta[:, None], phi[:, None], patches, POINTS_OUT
             )
-            for hemisphere in self.hemispheres
+            for h in self.hemispheres
         ]
         return losses(record, np.array(theirs), np.stack(ours, axis=1))
+
+
+def exchanged(
+    written: RadianceBSDF, side: str, patches: Subdivision
+) -> tuple[float, Floats, Floats]:
+    """How reflection changes if source and view are exchanged.
+
+    Returns
+    -------
+    elsewhere : float
+        Part of the light of all pairs of patches, in [0, 1]; 0 if it is reciprocal.
+    shown, true : ndarray, shape (n_patches,)
+        Radiance of a uniform sky of 1 as Radiance shows it from each patch, which is
+        the reflectance of light from there, and as it is.
+    """
+    points = patches.points(POINTS_OF_PAIRS)
+    n, each, _ = points.shape
+    x, y, z = np.moveaxis(points.reshape(-1, 3), -1, 0)
+    angles = np.degrees([np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)])
+    theta, phi = np.repeat(angles, n * each, axis=1)
+    wo = np.tile(points.reshape(-1, 3), (n * each, 1))
+    values = written.values(side, 0, theta, phi, wo).mean(axis=-1)
+    means = values.reshape(n, each, n, each).mean(axis=(1, 3))
+    solid = patches.projected_solid_angles.ravel()
+    light = means * solid[:, None] * solid
+    total = light.sum()
+    elsewhere = np.abs(light - light.T).sum() / 2 / total if total else 0.0
+    return float(elsewhere), means @ solid, solid @ means
 
 
 def incidence(basis: str, cells: int) -> tuple[Subdivision, Subdivision]:
@@ -285,11 +336,11 @@ def _is_measured(record: Record, basis: str, patches: Subdivision) -> bool:
     ValueError
         If it was on one end only, or not in all of them.
     """
-    filled = record.settings.get("incident", "none")
-    if filled == "none":
+    filled = record.asked.incident
+    if filled is None:
         return False
     wanted, _ = incidence(basis, patches.shape[0])
-    if filled != str(wanted) or record.subdivision != patches:
+    if filled != wanted or record.subdivision != patches:
         raise SettingError(
             f"a record whose light fills patches of incidence goes to a file of the "
             f"same patches, got the incident {filled!s:.40}, the collector "
@@ -311,7 +362,7 @@ def _is_measured(record: Record, basis: str, patches: Subdivision) -> bool:
 
 def _flight_patches(record: Record, patches: Subdivision) -> Any:
     """Patches of the directions in which a record's incident light flies."""
-    return radiance_xml.incident_patch(record.theta_i, record.phi_i, patches)
+    return radiance.incident_patch(record.theta_i, record.phi_i, patches)
 
 
 def _check_resampled(record: Record, rank: int | None) -> None:

@@ -17,14 +17,16 @@ from numpy.typing import ArrayLike
 from ..array_types import Floats
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
-from ..files.material_files import PatchMeans
+from ..formats.scatter import PatchMeans
 from ..materials.leg_trials import best_ways
 from ..materials.lit_face import LitFace
 from ..materials.lobes import MeasuredLobes
+from ..materials.lookups import seen_from
+from ..progress import counted
 from ..results.record import Record
 from .loss import fractions_of
 
-__all__ = ["Material", "half_vector_grid", "resampled"]
+__all__ = ["Material", "half_vector_grids", "resampled", "vectors"]
 
 # Part of the light that values at points may miss before it is carried.
 MISSED = 0.01
@@ -101,18 +103,43 @@ class Material:
         wo : array_like, shape (n, 3)
             Unit vectors of exit; z > 0 is the lit side.
         """
-        wi = direction(np.radians(theta_i), np.radians(phi_i))
-        wi, wo = (_vectors(v) for v in np.broadcast_arrays(wi, wo))
-        values, _, wanted = self._face.values(wi, wo)
+        node = self._node(theta_i, phi_i)
+        if node is not None:
+            values, wanted = self._measured(node, vectors(wo))
+        else:
+            wi = direction(np.radians(theta_i), np.radians(phi_i))
+            wi, wo = (vectors(v) for v in np.broadcast_arrays(wi, wo))
+            values, _, wanted = self._face.values(wi, wo)
         dr.eval(values, wanted)
-        inside = np.broadcast_to(wanted.numpy(), dr.width(wo))
+        inside = np.broadcast_to(wanted.numpy(), dr.width(values))
         return np.stack([np.where(inside, v.numpy(), 0) for v in values], axis=-1)
+
+    def _node(self, theta_i: ArrayLike, phi_i: ArrayLike) -> tuple[int, int] | None:
+        """Numbers of a measured azimuth and polar angle; None between them."""
+        if np.ndim(theta_i) or np.ndim(phi_i):
+            return None
+        azimuth = np.flatnonzero(self.phi_i % 360 == np.mod(phi_i, 360))
+        angle = np.flatnonzero(self.theta_i == theta_i)
+        if not (azimuth.size and angle.size):
+            return None
+        return int(azimuth[0]), int(angle[0])
+
+    def _measured(self, node: tuple[int, int], wo: Any) -> tuple[list[Any], Any]:
+        """Values at measured incidence, where no lobe moves, and where they hold."""
+        row = mi.UInt32(node[0] * len(self.theta_i) + node[1])
+        phi_i = mi.Float64(np.radians(self.phi_i[node[0]]))
+        dr.make_opaque(row, phi_i)
+        lower = wo.z < 0
+        wanted = (wo.z != 0) & (self.has_lower | ~lower)
+        row = row * (1 + self.has_lower) + dr.select(lower, mi.UInt32(1), 0)
+        point = seen_from(wo, phi_i)
+        return self._face.lobes.measured.values(row, phi_i, point, wanted), wanted
 
     def totals(
         self, hemisphere: int, theta_i: Floats, phi_i: Floats
     ) -> tuple[Floats, Floats]:
         """Flux fractions without the peaks, and of these, ``(n, channels)`` each."""
-        wi = _vectors(direction(np.radians(theta_i), np.radians(phi_i)))
+        wi = vectors(direction(np.radians(theta_i), np.radians(phi_i)))
         flux, peaks = (
             a.reshape(-1, *a.shape[2:])[:, hemisphere]
             for a in (self.table.flux, self.peaks)
@@ -137,9 +164,7 @@ class Material:
         xy = mi.Point2f(np.ascontiguousarray(np.tile(points, (n, 1)).T, np.float32))
         bins, size = np.repeat(np.arange(n), each), n * patches.n_patches
         light = np.zeros((n, patches.n_patches, len(self.channels)))
-        parts = self._face.carried(
-            _vectors(np.repeat(wi, each, axis=0)), xy, hemisphere
-        )
+        parts = self._face.carried(vectors(np.repeat(wi, each, axis=0)), xy, hemisphere)
         for row, share, wo in parts:
             dr.eval(row, share, wo)
             row, share = (np.broadcast_to(a.numpy(), n * each) for a in (row, share))
@@ -170,7 +195,8 @@ class Material:
         return points.reshape(-1, 2), np.repeat(flux[:, lit] / n**2, n**2, axis=1)
 
 
-def _vectors(v: Floats) -> Any:
+def vectors(v: Floats) -> Any:
+    """Dr.Jit vectors of an array of the shape ``(n, 3)``."""
     return mi.Vector3f(np.ascontiguousarray(v.T, dtype=np.float32))
 
 
@@ -230,6 +256,7 @@ def resampled(
     phi_i: Floats,
     patches: Subdivision,
     points: int,
+    progress: bool = False,
 ) -> Floats:
     """Flux fractions in other patches, ``(n_in, n_patches, channels)``.
 
@@ -247,13 +274,15 @@ def resampled(
     patches : Subdivision
     points : int
         Points per side of a patch at which values are asked for.
+    progress : bool
     """
     n_in = theta_i.shape[1]
     projected = patches.projected_solid_angles.reshape(-1, 1)
     wo = patches.points(points)
     fluxes = []
     n_chunks = -(-theta_i.size * wo[..., 0].size // MOST_VALUES)
-    for chunk in zip(*(np.array_split(a, n_chunks) for a in (theta_i, phi_i))):
+    chunks = list(zip(*(np.array_split(a, n_chunks) for a in (theta_i, phi_i))))
+    for chunk in counted(chunks, progress, desc="resample", unit="part"):
         theta, phi = (angles.ravel() for angles in chunk)
         flux = projected * _evaluated(material, hemisphere, theta, phi, wo)
         total, peak = material.totals(hemisphere, theta, phi)
@@ -288,24 +317,19 @@ def _evaluated(
     return values.reshape(-1, n_out, n_points, values.shape[-1]).mean(axis=2)
 
 
-def half_vector_grid(
-    material: Material,
-    theta_i: float,
-    phi_i: float,
-    origin: float,
-    size: int,
-    n: int = 4,
+def half_vector_grids(
+    material: Material, phi_i: float, origin: float, size: int, n: int = 4
 ) -> Floats:
-    """BRDF times cosine on a grid of half vectors, ``(channels, size, size)``.
+    """BRDF times cosine on grids of half vectors, ``(N, channels, size, size)``.
 
-    Rows are azimuths of the half vector from `origin`, -pi to pi; columns its polar
-    angles, in equal steps of the square root. Each value is a mean over the grid's cell
-    about it.
+    One for each polar angle of incidence of the material. Rows are azimuths of the half
+    vector from `origin`, -pi to pi; columns its polar angles, in equal steps of the
+    square root. Each value is a mean over the grid's cell about it.
 
     Parameters
     ----------
     material : Material
-    theta_i, phi_i, origin : float
+    phi_i, origin : float
         In degrees.
     size : int
         Rows and columns.
@@ -318,12 +342,13 @@ def half_vector_grid(
     theta_m = u**2 * (np.pi / 2)
     phi_m = 2 * np.pi * (np.arange(size)[:, None] / (size - 1) + step).ravel() - np.pi
     theta_m, phi_m = np.meshgrid(theta_m, phi_m + np.radians(origin))
-    half = direction(theta_m, phi_m)
-    wi = direction(np.radians(theta_i), np.radians(phi_i))
-    wo = 2 * (half @ wi)[..., None] * half - wi
-    wo = wo.reshape(-1, 3)
-    above = wo[:, 2] > 0
-    values = np.zeros((len(wo), len(material.channels)))
-    values[above] = material.values(theta_i, phi_i, wo[above]) * wo[above, 2:]
-    values = values.reshape(size, n, size, n, -1).mean(axis=(1, 3))
-    return np.moveaxis(values, -1, 0)
+    half = direction(theta_m, phi_m).reshape(-1, 3)
+    grids = []
+    for theta_i in material.theta_i:
+        wi = direction(np.radians(theta_i), np.radians(phi_i))
+        wo = 2 * (half @ wi)[:, None] * half - wi
+        above = wo[:, 2] > 0
+        values = np.zeros((len(wo), len(material.channels)))
+        values[above] = material.values(theta_i, phi_i, wo[above]) * wo[above, 2:]
+        grids.append(values.reshape(size, n, size, n, -1).mean(axis=(1, 3)))
+    return np.moveaxis(np.stack(grids), -1, 1)

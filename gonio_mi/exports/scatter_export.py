@@ -1,31 +1,25 @@
 """Records in the scatter files of other programs: Zemax, Speos, OpenMATERIAL, MERL."""
 
-from collections.abc import Callable, Sequence
+from dataclasses import replace
 from os import PathLike
-from typing import BinaryIO
+from pathlib import Path
 
 import numpy as np
 
 from ..array_types import Floats
 from ..collector.directions import direction
 from ..errors import SettingError, abridged
-from ..files import merl, open_material, replacing, speos_writing, zemax
+from ..files import replacing
 from ..files.channels import wavelengths_nm
-from ..files.material_files import PatchMeans, scatter_means
-from ..files.scatter import Block, Scatter, total_of
-from ..files.scatter_files import read_scatter
+from ..formats import merl, zemax
+from ..formats.format import Format
+from ..formats.reading import format_named, read_scatter
+from ..formats.scatter import Block, PatchMeans, Scatter, scatter_means, total_of
 from ..results.record import Record
-from .loss import Loss, fractions_of, losses
-from .part_names import part_names
+from .loss import Loss, fractions_of, losses, part_names
 from .resampling import Material
 
-__all__ = [
-    "write_anisotropic",
-    "write_merl",
-    "write_open_material",
-    "write_spectral",
-    "write_zemax",
-]
+__all__ = ["write_grids", "write_merl", "write_zemax"]
 
 # Polar angles and azimuths about the specular direction, where lobes are narrow.
 RADIAL, AROUND = merl.RADIAL, np.arange(0.0, 361.0, 10.0)
@@ -56,26 +50,29 @@ def write_zemax(record: Record, path: str | PathLike[str]) -> list[Loss]:
     return losses(record, written)
 
 
-def write_spectral(record: Record, path: str | PathLike[str]) -> list[Loss]:
-    """Write an isotropic record for Speos, a distribution for each wavelength."""
-    _check_channels(record, ".brdf")
-    _check_isotropic(record, ".brdf")
-    if len(record) < 2:
-        raise SettingError("a .brdf file needs at least 2 angles of incidence, got 1")
-    return _written(record, path, speos_writing.write_spectral)
+def write_grids(record: Record, path: str | PathLike[str]) -> list[Loss]:
+    """Write blocks about the normal as the format of the name does, and compare.
 
-
-def write_anisotropic(record: Record, path: str | PathLike[str]) -> list[Loss]:
-    """Write a record for Speos: one distribution for all wavelengths."""
-    _check_channels(record, ".anisotropicbsdf")
-    return _written(record, path, speos_writing.write_anisotropic)
-
-
-def write_open_material(record: Record, path: str | PathLike[str]) -> list[Loss]:
-    """Write the reflection of an isotropic record as an OpenMATERIAL look-up table."""
-    _check_channels(record, "OpenMATERIAL")
-    _check_isotropic(record, "OpenMATERIAL")
-    return _written(record, path, open_material.write, hemispheres=(0,))
+    Raises
+    ------
+    ValueError
+        If the format cannot hold the record.
+    """
+    ending = Path(path).suffix.lower()
+    known = format_named(ending)
+    if len(record.channels) > 1 and wavelengths_nm(record.channels) is None:
+        raise SettingError(
+            f"{ending} takes records of one channel or of wavelengths, got "
+            f"{abridged(', '.join(record.channels), 80)}"
+        )
+    if known.isotropic:
+        _check_isotropic(record, ending)
+    if len(record) < known.n_incidences:
+        raise SettingError(
+            f"a {ending} file needs at least {known.n_incidences} angles of incidence, "
+            f"got {len(record)}"
+        )
+    return _written(record, path, known)
 
 
 def write_merl(record: Record, path: str | PathLike[str]) -> list[Loss]:
@@ -102,43 +99,25 @@ def write_merl(record: Record, path: str | PathLike[str]) -> list[Loss]:
         merl.write(value, stream)
     with open(path, "rb") as written:
         again = merl.read(written, tuple(record.theta_i.tolist()))
-    turned = [_turned(block, float(record.phi_i[0])) for block in again.blocks]
+    phi_i = float(record.phi_i[0])
+    turned = [replace(block, phi_i=phi_i) for block in again.blocks]
     means = scatter_means(Scatter(turned, again.channels), record.subdivision)
     fractions = _in_order(record, means)[..., : len(record.channels)]
     return losses(record, fractions)
 
 
-def _turned(block: Block, phi_i: float) -> Block:
-    """Block at another azimuth of incidence."""
-    return Block(
-        block.theta_i,
-        phi_i,
-        block.hemisphere,
-        block.polar,
-        block.azimuth,
-        block.values,
-        block.specular,
-    )
-
-
-def _written(
-    record: Record,
-    path: str | PathLike[str],
-    write: Callable[[Scatter, BinaryIO, str], None],
-    hemispheres: Sequence[int] = (0, 1),
-) -> list[Loss]:
+def _written(record: Record, path: str | PathLike[str], known: Format) -> list[Loss]:
     """Write blocks about the normal, read them back, and compare."""
-    scatter = _scatter(record, specular=False)
+    scatter = _scatter(record, specular=known.specular)
     with replacing(path) as stream:
-        write(scatter, stream, _said(record))
+        known.write(scatter, stream, _said(record))  # type: ignore[misc]
     again = read_scatter(path)
-    isotropic = len(set(record.phi_i.tolist())) == 1
-    if isotropic:  # files of these kinds do not tell one azimuth
-        turned = [_turned(block, float(record.phi_i[0])) for block in again.blocks]
+    if len(set(record.phi_i.tolist())) == 1:  # these files do not tell one azimuth
+        phi_i = float(record.phi_i[0])
+        turned = [replace(block, phi_i=phi_i) for block in again.blocks]
         again = Scatter(turned, again.channels)
     fractions = _in_order(record, scatter_means(again, record.subdivision))
-    held = [h for h in hemispheres if h <= record.has_lower]
-    fractions = fractions[:, held]
+    fractions = fractions[:, : 1 if known.reflection_only else 1 + record.has_lower]
     order = _channel_order(record)
     shape = (*fractions.shape[:-1], len(order))
     return losses(record, np.broadcast_to(fractions, shape)[..., order])
@@ -229,24 +208,18 @@ def _part(scatter: Scatter, hemisphere: int, number: int) -> Scatter:
     """One hemisphere and channel."""
     one = slice(number, number + 1)
     blocks = [
-        Block(b.theta_i, b.phi_i, b.hemisphere, b.polar, b.azimuth, b.values[..., one],
-              b.specular, None if b.total is None else b.total[one])
+        replace(
+            b,
+            values=b.values[..., one],
+            total=None if b.total is None else b.total[one],
+        )
         for b in scatter.of(hemisphere)
-    ]  # fmt: skip
+    ]
     return Scatter(blocks, ("Y",))
 
 
 def _said(record: Record) -> str:
-    return abridged(str(record.settings.get("specimen", "a record")), 200)
-
-
-def _check_channels(record: Record, what: str) -> None:
-    """Raise ValueError for colours, which these formats have no place for."""
-    if len(record.channels) > 1 and wavelengths_nm(record.channels) is None:
-        raise SettingError(
-            f"{what} takes records of one channel or of wavelengths, got "
-            f"{abridged(', '.join(record.channels), 80)}"
-        )
+    return abridged(record.provenance.name, 200)
 
 
 def _check_isotropic(record: Record, what: str) -> None:

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..array_types import Floats
+from ..errors import unknown_channel
 
-__all__ = ["wavelengths_nm"]
+__all__ = ["chosen_channel", "wavelengths_nm"]
 
 
 def wavelengths_nm(channels: Sequence[str]) -> Floats | None:
@@ -15,3 +16,19 @@ def wavelengths_nm(channels: Sequence[str]) -> Floats | None:
     matches = [re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)nm", name) for name in channels]
     found = [match[1] for match in matches if match]
     return np.array(found, dtype=float) if len(found) == len(channels) else None
+
+
+def chosen_channel(place: object, names: Sequence[str], channel: str | None) -> str:
+    """The channel that is asked for, ``550`` for ``550nm`` too, or the only one.
+
+    Raises
+    ------
+    SettingError
+        If there are several, or none is called so.
+    """
+    if channel is None and len(names) == 1:
+        return names[0]
+    for name in (channel, f"{channel}nm"):
+        if name in names:
+            return str(name)
+    raise unknown_channel(place, names, channel)

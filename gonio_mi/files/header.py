@@ -10,8 +10,9 @@ import numpy as np
 
 from ..array_types import Floats, Numbers
 from ..collector import Subdivision, subdivision
-from ..errors import FileFormatError
+from ..errors import FileFormatError, shown
 from ..results.integral_sums import Integrals
+from ..results.provenance import read_settings
 from ..results.record import Record
 from ..results.tally import Fate, Tally
 
@@ -36,8 +37,7 @@ VERSION = 4
 # Of files that leave out copies of incident directions.
 VERSION_OF_COPIES = 5
 
-# Rows of the ledger in each version: direct light came with 3, and media with 4.
-ROWS = {2: 11, 3: 12, VERSION: len(Fate), VERSION_OF_COPIES: len(Fate)}
+VERSIONS = (VERSION, VERSION_OF_COPIES)
 
 # Deflate expands by at most 1032 (zlib's technical details). A file that announces more
 # than this many times its own size does not hold what it says.
@@ -83,11 +83,11 @@ def check_format(header: Any) -> None:
         "it was not written by gonio-mi",
     )
     version = header.get("version")
-    if version not in ROWS:
+    if version not in VERSIONS:
         newer = isinstance(version, int) and version > VERSION_OF_COPIES
         raise FileFormatError(
             f"it has format version {version!r} and this gonio-mi reads "
-            f"{', '.join(map(str, ROWS))}"
+            f"{', '.join(map(str, VERSIONS))}"
             + (": install a newer gonio-mi" if newer else "")
         )
 
@@ -100,8 +100,8 @@ def rebuilt(header: dict[str, Any], tallies: Sequence[dict[str, Numbers]]) -> Re
     header : dict
         As :func:`header_of` made it, from a file: not to be trusted.
     tallies : list of dict
-        The arrays `hits`, `sums`, `incident`, `fates` and `direct` of :class:`Tally`
-        (the last not before version 3), and `errors` if it has some.
+        The arrays `hits`, `sums`, `incident`, `fates` and `direct` of :class:`Tally`,
+        and `errors` if it has some.
 
     Raises
     ------
@@ -118,11 +118,19 @@ def rebuilt(header: dict[str, Any], tallies: Sequence[dict[str, Numbers]]) -> Re
     require(len(channels) > 0, "it has no channels")
     require(isinstance(stacked, bool), "its entry stacked is not a truth value")
     require(isinstance(settings, dict), "its settings are not a dictionary")
+    try:
+        asked, provenance = read_settings(settings)
+    except (TypeError, ValueError) as error:
+        raise FileFormatError(f"its settings are wrong: {error}") from None
     require(stacked or n == 1, f"it holds {n} incident directions but is not a stack")
     require(len(scales) == n, f"it has {len(scales)} scales for {n} directions")
     patches = parsed_subdivision(header)
-    rows = ROWS[header["version"]]
-    tallies = [_with_all_rows(arrays, rows) for arrays in tallies]
+    collector = settings.get("collector")
+    require(
+        collector in (None, str(patches)),
+        f"its setting collector is {shown(collector)}, its patches are "
+        f"{shown(str(patches))}",
+    )
     for arrays, scale in zip(tallies, scales):
         require(0 < scale < 2**63, f"its scale {scale} is out of range")
         _check_shapes(arrays, patches.shape, len(channels))
@@ -132,7 +140,8 @@ def rebuilt(header: dict[str, Any], tallies: Sequence[dict[str, Numbers]]) -> Re
         phi_i=phi_i,
         channels=tuple(channels),
         tallies=tuple(map(_tally, tallies, scales)),
-        settings=settings,
+        asked=asked,
+        provenance=provenance,
         stacked=stacked,
     )
 
@@ -164,14 +173,6 @@ def _tally(arrays: dict[str, Numbers], scale: int) -> Tally:
     """Sums of the kind that the arrays are of."""
     kind = Integrals if "errors" in arrays else Tally
     return kind(**arrays, scale=scale)
-
-
-def _with_all_rows(arrays: dict[str, Numbers], rows: int) -> dict[str, Numbers]:
-    """Arrays of a tally, with nothing for the rows that its version does not have."""
-    fates, incident = arrays["fates"], arrays["incident"]
-    if fates.ndim == 2 and fates.shape[1] == rows:
-        fates = np.pad(fates, ((0, 0), (0, len(Fate) - rows)))
-    return {"direct": np.zeros_like(incident)} | arrays | {"fates": fates}
 
 
 def _check_shapes(

@@ -1,6 +1,9 @@
 """Tables of measured values: what they hold, and in which ranges."""
 
-from dataclasses import dataclass, field
+import html
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
 
@@ -9,8 +12,16 @@ from numpy.typing import ArrayLike
 
 from ..array_types import Floats
 from ..collector import Subdivision, subdivision
-from ..errors import SettingError, checked_choice, checked_number
+from ..errors import (
+    FileFormatError,
+    SettingError,
+    checked_choice,
+    checked_number,
+    did_you_mean,
+    shown,
+)
 from . import replacing
+from .numbers import is_decimal
 
 __all__ = [
     "COLUMNS",
@@ -20,9 +31,15 @@ __all__ = [
     "UNITS",
     "MeasuredTable",
     "fits",
+    "parsed_keys",
+    "repeats_noted",
 ]
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "value")
+# Incident directions that are listed where a table is shown.
+MOST_LISTED = 12
+UNSTATED = "not stated"
+
 QUANTITIES = ("brdf", "brdf_cos", "btdf", "reflectance_factor")
 UNITS = ("1/sr", "sr^-1")
 
@@ -41,6 +58,10 @@ NUMBERS = {
     "emitter_distance": (0, 1e15, "a finite distance of 0 or more, below 1e15"),
 }
 TEXTS = ("units", "quantity", "channel")
+
+# Digits of a degree by which directions are told apart, and standard errors by which
+# two values of one direction may differ.
+DIGITS, APART = 6, 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +167,33 @@ class MeasuredTable:
     def __len__(self) -> int:
         return len(self.value)
 
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
+
+    def __str__(self) -> str:
+        """Lines on what the table holds, and how it was understood."""
+        incident = self.incident
+        listed = [f"({theta:.5g}, {phi:.5g})" for theta, phi in incident[:MOST_LISTED]]
+        if len(incident) > MOST_LISTED:
+            listed.append(f"and {len(incident) - MOST_LISTED} more")
+        errors, aperture = self.bsdf_std_err, self.aperture_half_angle
+        known = f"{np.median(errors):.3g} 1/sr (median)" if errors.any() else UNSTATED
+        low, high = np.round([self.theta_o.min(), self.theta_o.max()], 6)
+        lines = [
+            f"table       {self.name}",
+            f"values      {len(self)} of {self.quantity}"
+            + (f", channel {self.channel}" if self.channel else ""),
+            f"incident    {len(incident)} directions (theta_i, phi_i) in degrees: "
+            f"{' '.join(listed)}",
+            f"exit        theta_o {low:.5g} to {high:.5g} degrees",
+            f"BSDF        {self.bsdf.min():.4g} to {self.bsdf.max():.4g} 1/sr, mean "
+            f"{self.bsdf.mean():.4g}",
+            f"uncertainty {known}; common to all {self.scale_uncertainty:.3g}",
+            "aperture    "
+            + (f"half-angle {aperture:.4g} degrees" if aperture else UNSTATED),
+        ]
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
+
     def __repr__(self) -> str:
         return (
             f"<MeasuredTable {self.name}: {len(self)} values of {self.quantity}, "
@@ -176,7 +224,7 @@ class MeasuredTable:
     def rays(self) -> dict[str, str]:
         """What tells the rays of a record of which our own export made the table.
 
-        As of :func:`~gonio_mi.results.ray_identity.ray_keys`; empty if the header has
+        As of `Record.ray_keys`; empty if the header has
         no `seed` beside a `collector`, as that of older files and of others' tables.
         """
         header = {key.lower(): text for key, text in self.header.items()}
@@ -259,3 +307,115 @@ def fits(name: str, value: Any, quantity: str) -> tuple[Any, str]:
     if name == "sigma":
         return (value >= 0) & (value < MOST), "a finite number of 0 or more"
     return np.abs(value) < MOST, "a finite number"
+
+
+def repeats_noted(table: MeasuredTable) -> MeasuredTable:
+    """Table with a note on directions that it holds more than once.
+
+    Raises
+    ------
+    FileFormatError
+        If two values of one direction contradict each other: they differ by more than
+        half of the larger one, the median of all, and their uncertainties.
+    """
+    pole = (table.theta_o == 0) | (table.theta_o == 180)
+    angles = [table.theta_i, table.phi_i % 360, table.theta_o]
+    angles.append(np.where(pole, 0, table.phi_o % 360))
+    keys = np.round(np.stack(angles, axis=1), DIGITS)
+    keys[:, [1, 3]] %= 360
+    order = np.lexsort((table.value, *keys.T[::-1]))
+    new = (np.diff(keys[order], axis=0) != 0).any(axis=1)
+    first = np.flatnonzero(np.concatenate([[True], new]))
+    counts = np.diff(first, append=len(keys))
+    low, high = order[first], order[first + counts - 1]
+    apart = table.value[high] - table.value[low]
+    if counts.max() == 1:
+        return table
+    largest = np.maximum(np.abs(table.value[high]), np.abs(table.value[low]))
+    sigma = table.bsdf_std_err * table._factor
+    noise = APART * np.hypot(sigma[high], sigma[low])
+    most = np.maximum(largest / 2, np.maximum(np.median(np.abs(table.value)), noise))
+    if (apart > most).any():
+        k = int(np.argmax(apart - most))
+        told = ", ".join(
+            f"{name} {angle:g}" for name, angle in zip(COLUMNS, keys[order][first[k]])
+        )
+        raise FileFormatError(
+            f"{table.name}: the direction {told} is there with the values "
+            f"{table.value[low[k]]:g} and {table.value[high[k]]:g}: one is wrong, or "
+            "no column tells in what they differ"
+        )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        spread = np.nanmax(np.where(apart > 0, apart / largest, 0.0))
+    note = (
+        f"{np.count_nonzero(counts > 1)} directions are there more than once, with "
+        f"values up to {spread:.2g} of the larger one apart"
+    )
+    return replace(table, notes=(*table.notes, note))
+
+
+def parsed_keys(
+    place: str, comments: Sequence[tuple[int, str]]
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Settings of a `MeasuredTable`, and other keys as text.
+
+    Parameters
+    ----------
+    place : str
+        The file, for messages.
+    comments : sequence of (int, str)
+        Line numbers, and lines without their mark.
+
+    Raises
+    ------
+    FileFormatError
+        If a key is out of its range, there twice, or looks misspelt.
+    """
+    settings: dict[str, Any] = {}
+    header: dict[str, str] = {}
+    for number, comment in comments:
+        _read_key(f"{place}, line {number}", comment, settings, header)
+    solid_angle = settings.pop("aperture_solid_angle", None)
+    if solid_angle is not None:
+        if "aperture_half_angle" in settings:
+            raise FileFormatError(
+                f"{place} must have either aperture_half_angle or aperture_solid_angle"
+            )
+        # solid angle of a cone: 4 pi sin^2(a / 2)
+        half = 2 * math.asin(math.sqrt(solid_angle / (4 * math.pi)))
+        settings["aperture_half_angle"] = math.degrees(half)
+    if settings.pop("units", None) == "1":
+        settings.setdefault("quantity", "reflectance_factor")
+    return settings, header
+
+
+def _read_key(
+    place: str, comment: str, settings: dict[str, Any], header: dict[str, str]
+) -> None:
+    """Take ``key: value`` from a comment line into `settings` or `header`."""
+    key, colon, text = (part.strip() for part in comment.partition(":"))
+    if not colon:
+        return
+    known = (*NUMBERS, *TEXTS)
+    name = key.lower().replace(" ", "_")
+    if name in settings:
+        raise FileFormatError(f"{place}: the key {key} must occur once, got it again")
+    if name not in known:
+        meant = did_you_mean(name, known)
+        if meant:
+            raise FileFormatError(f"{place}: unknown key {shown(key)}{meant}")
+        header[key] = text
+        return
+    try:
+        if name in NUMBERS:
+            if not is_decimal(text):
+                condition = NUMBERS[name][2]
+                raise SettingError(f"{name} must be {condition}, got {shown(text)}")
+            settings[name] = checked_number(name, text, *NUMBERS[name])
+            return
+        if name != "channel":
+            choices = (*UNITS, "1") if name == "units" else QUANTITIES
+            checked_choice(name, text, choices)
+    except ValueError as error:
+        raise FileFormatError(f"{place}: {error}") from None
+    settings[name] = text

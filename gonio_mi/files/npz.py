@@ -21,7 +21,7 @@ from typing import IO, Any, BinaryIO
 import numpy as np
 
 from ..array_types import Integers, Numbers
-from ..memory import check_memory
+from ..errors import check_memory
 from ..results.azimuth_symmetry import Motion
 from ..results.copied_directions import sources
 from ..results.record import Record
@@ -37,7 +37,7 @@ from .header import (
     require,
     size_of,
 )
-from .seal import LEAST_COMPRESSED, MOST_UNSEALED, SEAL_LENGTH, is_sealed, seal_of
+from .seal import SEAL_LENGTH, check_seal, seal_of
 
 __all__ = ["read", "write"]
 
@@ -59,8 +59,8 @@ TALLIES = {
     "sums": ("float64 uint64", 5),
     "incident": ("float64 uint64", 2),
     "fates": ("uint64", 2),
+    "direct": ("float64 uint64", 2),
 }
-DIRECT = {"direct": ("float64 uint64", 2)}
 INTEGRALS = {"errors": ("float64 uint64", 5)}
 COPIES = {"copies": ("int64", 2)}
 
@@ -117,18 +117,17 @@ def read(stream: BinaryIO) -> Record:
     Raises
     ------
     FileFormatError
-        If the file holds something else, or announces more than its size allows.
+        If the file holds something else, does not agree with its check sum, or
+        announces more than its size allows.
     """
     size = size_of(stream)
-    most = MAX_EXPANSION * size
-    if not is_sealed(stream):
-        most = max(MOST_UNSEALED, LEAST_COMPRESSED * size)
+    check_seal(stream)
     with zipfile.ZipFile(stream) as archive:
         members = {info.filename: info for info in archive.infolist()}
         require("format.npy" in members, "it was not written by gonio-mi")
         announced = sum(info.file_size for info in archive.infolist())
         require(
-            announced <= min(most, MAX_EXPANSION * size),
+            announced <= MAX_EXPANSION * size,
             f"it announces {announced} bytes, more than {size} bytes can hold",
         )
         check_memory("its content", announced, "open it on a larger machine")
@@ -137,7 +136,6 @@ def read(stream: BinaryIO) -> Record:
         header["settings"] = parsed_json(header["settings"])
         check_format(header)
         expected = TALLIES | (INTEGRALS if "errors.npy" in members else {})
-        expected |= DIRECT if header["version"] >= 3 else {}
         expected |= COPIES if header["version"] == VERSION_OF_COPIES else {}
         known = {f"{name}.npy" for name in HEADER | expected}
         require(

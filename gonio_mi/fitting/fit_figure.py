@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import SettingError
 from ..files.measured_table import MeasuredTable
-from ..plots.drawable import check_matplotlib, check_picture, save_picture
+from ..plots.drawable import finished, new_figure
 from ..results.record import Record
 from .points_figure import points_figure
 
@@ -37,35 +37,23 @@ def fit_figure(fits: Any, path: str | PathLike[str] | None = None) -> Figure:
     path : str or path, optional
         Ends in ``.pdf``, ``.png`` or ``.svg``.
     """
-    check_matplotlib()
-    from ..plots.figure import NotebookFigure
-
     fits = list(fits) if isinstance(fits, (list, tuple)) else [fits]
     record = fits[0].record
     if not all(_is_same(one.record, record) for one in fits):
         raise SettingError("fits must be of one record to be drawn together")
-    if path is not None:
-        check_picture(path)
     if isinstance(record, MeasuredTable) or record.subdivision.axes is not None:
-        figure = points_figure(fits)
-        if path is not None:
-            save_picture(figure, path)
-        return figure
+        return points_figure(fits, path)
     last = len(record) - 1
     shown = np.unique(np.linspace(0, last, min(MOST_DIRECTIONS, last + 1)).round())
     rows = ["brdf", *(["btdf"] if record.has_lower and record.btdf.any() else [])]
-    figure = NotebookFigure(
-        figsize=(5 * len(shown) + 1, 4.2 * len(rows)), layout="constrained"
-    )
+    figure = new_figure(path, figsize=(5 * len(shown) + 1, 4.2 * len(rows)))
     all_axes = figure.subplots(len(rows), len(shown), squeeze=False)
     for axes_of_row, of in zip(all_axes, rows):
         for axes, index in zip(axes_of_row, shown.astype(int)):
             _draw(axes, fits, int(index), of)
         axes_of_row[0].set_ylabel(f"{of.upper()} (1/sr)")
     all_axes[0, 0].legend(frameon=False, fontsize="small")
-    if path is not None:
-        save_picture(figure, path)
-    return figure
+    return finished(figure, path)
 
 
 def _is_same(one: Record | MeasuredTable, other: Record | MeasuredTable) -> bool:

@@ -14,6 +14,7 @@ from ..files.channels import wavelengths_nm
 from ..files.measured_table import MeasuredTable
 from ..instrument.loading import specimen_name
 from ..instrument.measurement import measure_here
+from ..reports.page import picture_and_text
 from ..results.record import Record
 
 __all__ = ["Fit"]
@@ -126,7 +127,7 @@ class Fit:
                 float(phi_i),
                 collector=self.record.subdivision,
                 estimator="quadrature",
-                side=self.record.settings.get("side", "front"),
+                side=self.record.asked.side,
                 hemispheres="both" if self.record.has_lower else "upper",
                 wavelengths=None if nm is None else nm.tolist(),
             )
@@ -156,6 +157,10 @@ class Fit:
             "at_limit": list(self.at_limit),
             "scatter": self.scatter,
         }
+
+    def _repr_html_(self) -> str:
+        """Picture and numbers, for notebooks; numbers alone without Matplotlib."""
+        return picture_and_text(self.plot, self)
 
     def __repr__(self) -> str:
         pairs = zip(self.names, self.values, self.std_errs)

@@ -199,13 +199,13 @@ def _check(record: Record) -> None:
     colours = len(record.channels) > 1 and not spectral
     if spectral != mi.is_spectral or (colours and not mi.is_rgb):
         raise SettingError(
-            f"the variant must be the record's, {record.settings.get('variant')}, got "
+            f"the variant must be the record's, {record.provenance.variant}, got "
             f"{mi.variant()}"
         )
     needs = {
         "a collimated beam": np.isfinite(record.theta_i).all()
-        and not record.settings.get("divergence")
-        and record.settings.get("incident", "none") == "none",
+        and not record.asked.divergence
+        and record.asked.incident is None,
         "light in its patches": record.flux_fraction.any(),
     }
     for need, holds in needs.items():

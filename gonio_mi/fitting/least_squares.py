@@ -9,8 +9,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from ..errors import SpecimenError
-from .fitted_models import FittedModel
-from .loaded_model import LoadedModel
+from .fitted_models import FittedModel, LoadedModel
 from .observations import Observations
 
 __all__ = ["Search"]

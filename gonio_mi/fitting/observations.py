@@ -14,9 +14,8 @@ from ..files.measured_table import MeasuredTable
 from ..results.record import Record
 from .cone_predictions import ConePredictions
 from .patch_predictions import PatchPredictions
-from .pooled_variances import pooled
 
-__all__ = ["Observations", "RecordObservations", "TableObservations"]
+__all__ = ["Observations", "RecordObservations", "TableObservations", "pooled"]
 
 # Relative error of the integrals of a model, in no error bar of a record of integrals;
 # and the part of the mean below which values are uncertain alike.
@@ -120,7 +119,7 @@ class RecordObservations:
     def _batches(self) -> Floats | None:
         """Flux fractions batch by batch, shape (n_batches, n); None for integrals."""
         (tally,) = self.single.tallies
-        integrated = self.single.settings.get("estimator") == "quadrature"
+        integrated = self.single.asked.estimator.integrates
         if integrated or tally.n_batches < 2:
             return None
         incident = tally.incident.astype(float)[:, None, None, None]
@@ -264,7 +263,7 @@ def _predictions(single: Record) -> list[PatchPredictions] | list[ConePrediction
     patches = single.subdivision
     half_angle = patches.aperture_half_angle
     incident = float(single.theta_i[0]), float(single.phi_i[0])
-    side = single.settings.get("side", "front")
+    side = single.asked.side
     hemispheres = 1 + single.has_lower
     if half_angle is None:
         given = incident, side, single.channels
@@ -282,3 +281,40 @@ def _predictions(single: Record) -> list[PatchPredictions] | list[ConePrediction
         )
         for lower in (False, True)[:hemispheres]
     ]
+
+
+# Patches that share a variance, and the hits that they must have together.
+LEAST_PATCHES, LEAST_HITS = 16, 100
+
+
+def pooled(variances: Floats, hits: Integers, brightness: Floats) -> Floats:
+    """Mean variance of the patches that are about as bright.
+
+    A variance from 16 batches is itself off by a third, and a patch that has by chance
+    received too little has too small a one as well: weights from single variances
+    would bias a fit, and make it look better than it is. Here they are shared by
+    patches of similar `brightness`, which is a model's and not the record's.
+
+    Parameters
+    ----------
+    variances, hits, brightness : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Positive, if any patch has a variance.
+    """
+    order = np.argsort(brightness, kind="stable")
+    starts, patches, total = [0], 0, 0
+    for i, n in enumerate(hits[order].tolist()):
+        if patches >= LEAST_PATCHES and total >= LEAST_HITS:
+            starts.append(i)
+            patches = total = 0
+        patches, total = patches + 1, total + n
+    if len(starts) > 1 and (patches < LEAST_PATCHES or total < LEAST_HITS):
+        starts.pop()
+    sizes = np.diff([*starts, len(order)])
+    means = np.add.reduceat(variances[order], starts) / sizes
+    found = np.empty_like(variances)
+    found[order] = np.repeat(means, sizes)
+    return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from ..array_types import Floats
 from ..comparison.comparison_figure import points_in_profile
 from ..files.measured_table import MeasuredTable
+from ..plots.drawable import finished, new_figure
 from ..results.record import Record
 
 if TYPE_CHECKING:
@@ -36,18 +38,16 @@ class _Points:
     unit: Floats
 
 
-def points_figure(fits: list[Any]) -> Figure:
+def points_figure(fits: list[Any], path: str | PathLike[str] | None = None) -> Figure:
     """Draw fits over the signed polar angle, and below what they leave.
 
     A column for each of up to four incident directions, of the first channel.
     """
-    from ..plots.figure import NotebookFigure
-
     points = _points(fits[0].record)
     directions = np.unique(points.incident, axis=0)
     last = len(directions) - 1
     shown = np.unique(np.linspace(0, last, min(MOST_DIRECTIONS, last + 1)).round())
-    figure = NotebookFigure(figsize=(5 * len(shown) + 1, 5.6), layout="constrained")
+    figure = new_figure(path, figsize=(5 * len(shown) + 1, 5.6))
     axes = figure.subplots(
         2, len(shown), squeeze=False, sharex="col", height_ratios=(3, 1)
     )
@@ -56,7 +56,7 @@ def points_figure(fits: list[Any]) -> Figure:
     axes[0, 0].set_ylabel("BSDF (1/sr)")
     axes[1, 0].set_ylabel("model / points - 1\n(what is beyond: not drawn)")
     axes[0, 0].legend(frameon=False, fontsize="small")
-    return figure
+    return finished(figure, path)
 
 
 def _points(record: Record | MeasuredTable) -> _Points:

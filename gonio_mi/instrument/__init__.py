@@ -1,1 +1,1 @@
-"""The instrument: loads a specimen, runs batches, returns records; campaigns."""
+"""The instrument: set-up, schedule, launcher, and the record of a measurement."""

@@ -11,15 +11,14 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import SettingError, checked_choice, checked_number, printable, shown
 from ..results.record import Record
-from ..results.tally import Ledger, Tally, batch_sizes
+from ..results.tally import Ledger, Tally
 from ..settings import MeasurementSettings
 from ..transport.kernels import launches_kernels
-from ..transport.specimen import Specimen
-from .incidence import emitter_scene, incident_angles, incident_key
-from .instrument import Instrument
+from .incidence import incident_angles
 from .loading import check_variant, load_specimen, specimen_name
-from .scene_settings import own_settings, sampler_of
-from .sending import send_all
+from .measurement import send_all
+from .recording import records_of
+from .setup import own_settings, set_up
 
 __all__ = ["ExitProfile", "exit_profile"]
 
@@ -54,6 +53,7 @@ class ExitProfile:
     dhr, dht : ndarray, shape (channels,)
         All that left, rings and `beyond`.
     ledger : Ledger
+    specimen : str
     settings : dict
         As of a record.
     """
@@ -67,13 +67,14 @@ class ExitProfile:
     dhr: Floats
     dht: Floats | None
     ledger: Ledger
+    specimen: str
     settings: dict[str, Any]
 
     def __repr__(self) -> str:
         n, (first, last) = len(self.radii) - 1, self.radii[[0, -1]]
         rays = f"{self.ledger.emitted:,} rays".replace(",", " ")
         return (
-            f"<ExitProfile of {printable(str(self.settings.get('specimen')))}: "
+            f"<ExitProfile of {printable(self.specimen)}: "
             f"{n} ring{'s' * (n > 1)} from {first:g} to {last:g}, {rays}, "
             f"dhr {np.array2string(self.dhr, precision=5)}>"
         )
@@ -130,20 +131,14 @@ def exit_profile(
     found = {k: v for k, v in own_settings(scene).items() if k not in NONE_OF_ITS}
     chosen = MeasurementSettings().changed(**found | given | fixed)
     checked_choice("the estimator of exit_profile", chosen.estimator, ESTIMATORS)
-    instrument = Instrument(chosen, sampler_of(chosen))
-    measured = Specimen(scene, chosen.period)
-    measured.name = specimen_name(specimen, parameters)
-    instrument.check(measured)
-    lit = emitter_scene(scene, None, incidents[0], chosen.side)
-    bench = instrument.bench(measured, lit.emitters(), incidents[0])
-    bench.collect_by_distance(edges)
-    tallies: list[Tally] = []
-    keys = [(chosen.seed, *incident_key(incidents[0]))]
-    plan = batch_sizes(chosen.rays, chosen.batches)
-    if not send_all(instrument, [bench], keys, plan, None, [tallies]):
+    name = specimen_name(specimen, parameters)
+    benches = set_up(scene, chosen, incidents, name=name)
+    benches[0].collect_by_distance(edges)
+    finished: list[list[Tally]] = [[]]
+    if not send_all(benches, finished):
         raise KeyboardInterrupt
-    record = instrument.record(bench, Tally.join(tallies), chosen.seed)
-    return _profile(record, edges)
+    (stack,) = records_of(benches, finished, complete=True)
+    return _profile(stack[0], edges)
 
 
 def _checked(radii: Sequence[float]) -> Floats:
@@ -177,5 +172,6 @@ def _profile(record: Record, edges: Floats) -> ExitProfile:
         dhr=record.dhr,
         dht=record.dht,
         ledger=record.ledger,
+        specimen=record.provenance.name,
         settings=dict(record.settings),
     )

@@ -12,14 +12,13 @@ from ..collector.directions import direction
 from ..errors import (
     SettingError,
     SettingTypeError,
-    SpecimenError,
     checked_number,
     shown,
 )
 from ..transport.digest import emitter_digest
 from .loading import loaded
 
-__all__ = ["emitter_scene", "incident_angles", "incident_key", "described_digest"]
+__all__ = ["emitter_scene", "incident_angles", "described_digest"]
 
 # Degrees that are asked for, and decimals from which they are known again in radians:
 # of the angles below 90 degrees in radians that have three, one in 87 is any of these.
@@ -54,17 +53,6 @@ def incident_angles(
         for value in _sequence("phi_i", phi_i)
     ]
     return [(theta, phi % 360.0) for theta in polar for phi in azimuths], stacked
-
-
-def incident_key(incident: tuple[float, float] | None) -> tuple[int, ...]:
-    """Whole numbers that tell a direction from others; they seed its random numbers.
-
-    A direction has the same bits alone and in any stack.
-    """
-    if incident is None:
-        return (0,)
-    # no minus zero
-    return tuple((np.array(incident, dtype=float) + 0.0).view(np.uint64).tolist())
 
 
 def _sequence(name: str, value: Any) -> list[Any]:
@@ -111,11 +99,6 @@ def emitter_scene(
 ) -> Any:
     """Scene that holds the one emitter to use."""
     if emitter is None and incident is None:
-        if not scene.emitters():
-            raise SpecimenError(
-                "the specimen has no emitter, so an incident angle must be given, "
-                "such as theta_i=45 or --theta-i 45"
-            )
         return scene
     if emitter is None:
         emitter = {"type": "directional", "direction": _beam_direction(incident, side)}

@@ -5,13 +5,15 @@ import linecache
 import os
 import re
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from .. import llvm
 from ..errors import (
@@ -24,7 +26,7 @@ from ..errors import (
     shown,
     tells_of_our_bug,
 )
-from ..files.mesh_files import is_mesh
+from ..formats.meshes import is_mesh
 from ..surfaces.height_maps import is_height_map
 from ..transport.geometry import WATERTIGHT, remember, scene_of
 from ..transport.kernels import launches_kernels
@@ -47,7 +49,29 @@ TEXTS = (".txt", ".csv", ".tsv")
 
 # How Mitsuba tells of parameters that a plugin did not read, and endings of plugins.
 UNUSED = re.compile(r'Found \d+ unreferenced \w+ in \w+ plugin of type "([^"]+)":(.*)')
+NAMED = re.compile(r'- \w+ "([^"]+)"')
 PLUGINS = (".so", ".dylib", ".dll", ".py")
+
+# Parameters whose names compilers put into the code of plugins, out of sight.
+INLINED = {"ext_ior", "flip_normals", "int_ior", "k"}
+
+# Loads at most, to find the parameters of a plugin: roughplastic needs 45.
+TRIALS = 64
+
+# Words for what Mitsuba knows by its symbol.
+METALS = {
+    "aluminium": "Al",
+    "aluminum": "Al",
+    "chromium": "Cr",
+    "copper": "Cu",
+    "gold": "Au",
+    "iridium": "Ir",
+    "mercury": "Hg",
+    "molybdenum": "Mo",
+    "nickel": "Ni_palik",
+    "silver": "Ag",
+    "tungsten": "W",
+}
 
 # What Mitsuba puts before messages that say it all: its source positions, the root of
 # a dictionary, the search for a plugin, and the frame around our own plugins' errors.
@@ -177,28 +201,47 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
     except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
         if tells_of_our_bug(error):
             raise  # a bug of ours in a plugin
-        text = _with_advice(_one_line(error))
+        text = _with_advice(_one_line(error), args)
         raise SpecimenError(
             f"{what} cannot be loaded: {text}{own_place(error)}"
         ) from error
 
 
-def _with_advice(text: str) -> str:
+def _with_advice(text: str, loaded_from: Any) -> str:
     """Mitsuba's message with what would mend it, where that is known."""
     if missing := re.search(r'Plugin "([^"]+)" not found', text):
         own = "; one of your own is imported before, or named by --plugin FILE"
         return text.rstrip("!") + (did_you_mean(missing[1], _plugin_files()) or own)
     if variant := re.search(r"require the use of an? (RGB|spectral) variant", text):
         return f"{text.rstrip('!')}, such as llvm_ad_{variant[1].lower()}"
+    if metal := re.search(r'"data/ior/([^"]+)\.eta\.spd": file does not exist', text):
+        return _no_metal(metal[1])
     if unused := UNUSED.search(text):
-        plugin, names = unused[1], re.findall(r'- \w+ "([^"]+)"', unused[2])
-        known = _words(plugin)
-        similar = [did_you_mean(name, known) for name in names if name not in known]
+        plugin, names = unused[1], NAMED.findall(unused[2])
+        known = _parameters(plugin, loaded_from)
+        has = f"; it takes {', '.join(known)}" if known else ""
+        similar = [did_you_mean(name, known) for name in names]
         return (
             f"{text[: unused.start()]}the plugin {plugin} has no use for "
-            f"{', '.join(names)}{next(filter(None, similar), '')}"
+            f"{', '.join(map(_quoted, names))}"
+            f"{has}{next(filter(None, similar), '')}"
         )
     return text
+
+
+def _quoted(name: str) -> str:
+    """A name, in quotes where spaces would go unseen."""
+    return name if name == name.strip() else shown(name)
+
+
+def _no_metal(word: str) -> str:
+    """Message on a material of conductors that Mitsuba has no data of."""
+    folder = Path(mi.__file__).parent / "data" / "ior"
+    metals = sorted(path.name.partition(".")[0] for path in folder.glob("*.eta.spd"))
+    symbol = METALS.get(word.lower())
+    meant = f"; {word} is {symbol}" if symbol else did_you_mean(word, metals)
+    few = [name for name in metals if name.removesuffix("_palik") in (name, symbol)]
+    return f"material must be one of {', '.join(few)}, got {shown(word)}{meant}"
 
 
 def _plugin_files() -> dict[str, Path]:
@@ -208,16 +251,63 @@ def _plugin_files() -> dict[str, Path]:
     return {path.stem: path for path in files if path.suffix in PLUGINS}
 
 
-def _words(plugin: str) -> set[str]:
-    """Words in the file of a plugin, where it names its parameters; none if unknown.
+def _parameters(plugin: str, loaded_from: Any) -> list[str]:
+    """Parameters of a plugin of Mitsuba's own or of ours; none if they are not known.
 
-    Of a library, its whole texts: others are no words.
+    Those words of its file that it does not leave unread when it is loaded with them.
+    A plugin that was given a file, an array or another plugin is not tried: it may be
+    large, and without them it may end the process.
     """
     path = _plugin_files().get(plugin)
-    if path is None:
-        return set()
+    node = _node(plugin, loaded_from)
+    if path is None or node is None or "filename" in node:
+        return []
+    if not all(map(_is_word, node.values())) or _unread(plugin, ()) != set():
+        return []
     word = rb"\b[a-z]\w{2,}\b" if path.suffix == ".py" else rb"(?<=\0)[a-z]\w{2,}(?=\0)"
-    return {found.decode() for found in re.findall(word, path.read_bytes())}
+    found = {one.decode() for one in re.findall(word, path.read_bytes())} | INLINED
+    return sorted(_read(plugin, sorted(found - {"type"})))
+
+
+def _node(plugin: str, within: Any) -> dict[str, Any] | None:
+    """The first dictionary of a plugin."""
+    if isinstance(within, dict) and within.get("type") == plugin:
+        return within
+    parts = within.values() if isinstance(within, dict) else within
+    nested = (_node(plugin, one) for one in parts if isinstance(one, dict))
+    return next(filter(None, nested), None)
+
+
+def _read(plugin: str, words: Sequence[str]) -> set[str]:
+    """Those of `words` that a plugin reads, whatever it then says of their value.
+
+    None of them if it takes more than `TRIALS` to tell.
+    """
+    read: set[str] = set()
+    waiting = [words]
+    for _ in range(TRIALS):
+        if not waiting:
+            return read
+        words = waiting.pop()
+        unread = _unread(plugin, words)
+        if unread is not None or len(words) == 1:
+            read |= {*words} - (unread or set())
+        else:
+            half = len(words) // 2
+            waiting += [words[:half], words[half:]]
+    return set() if waiting else read
+
+
+def _unread(plugin: str, words: Sequence[str]) -> set[str] | None:
+    """Parameters that a plugin leaves unread; None if it cannot be loaded."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            mi.load_dict({"type": plugin} | dict.fromkeys(words, 0))
+    except Exception as error:  # of whatever plugin
+        unused = UNUSED.search(_one_line(error))
+        return {*NAMED.findall(unused[2])} if unused else None
+    return set()
 
 
 def with_own_tensors(node: Any) -> Any:
@@ -306,22 +396,43 @@ def parse_specimen(text: str) -> Any:
     str or dict
         What :func:`load_specimen` takes.
     """
-    is_plugin = re.match(r"\w\w+:\w+=", text)  # whatever its last value ends in
+    is_plugin = re.match(r"\w\w+:\s*\w+\s*=", text)  # whatever its last value ends in
     if os.path.isfile(text) or (text.endswith(".xml") and not is_plugin):
         return text
     name, _, settings = text.partition(":")
     if not re.fullmatch(r"[\w-]*", name):  # a name of no plugin, but of a file
+        if re.match(r"\w+,\s*\w+\s*=", text):  # of a plugin, and a parameter
+            meant = text.replace(",", ":", 1)
+            raise SpecimenError(
+                f"specimen must have a colon before its parameters, as in {meant}, "
+                f"got {text}"
+            )
         word = "; a BSDF in one word is like roughconductor:alpha=0.2"
         raise SpecimenError(no_file(text) + (not Path(name).suffix) * word)
     specimen = {"type": name}
-    for setting in filter(None, settings.split(",")):
-        key, equals, value = setting.partition("=")
+    # a comma parts two parameters where a name and = follow it, and else two numbers
+    for setting in filter(None, re.split(r",(?=[^,]*=)|,$", settings)):
+        key, equals, value = (part.strip() for part in setting.partition("="))
         if not (key and equals):
             raise SpecimenError(
                 f"specimen must look like roughconductor:alpha=0.2, got {text!r}"
             )
+        if "," in value:
+            raise SpecimenError(_with_commas(key, value))
         specimen[key] = _value(value)
     return specimen
+
+
+def _with_commas(key: str, value: str) -> str:
+    """Message on a value with commas, which part parameters."""
+    number = re.fullmatch(r"([-+]?\d+),(\d+)", value)
+    if number:
+        like = f"a number with a point, such as {number[1]}.{number[2]}"
+    elif value.count(",") == 2:
+        like = f"a colour with slashes, such as {value.replace(',', '/')}"
+    else:
+        like = "a value without commas"
+    return f"{key} must be {like}, got {value}"
 
 
 def _value(text: str) -> Any:
@@ -341,9 +452,15 @@ def _value(text: str) -> Any:
 def specimen_name(specimen: Any, parameters: dict[str, Any] | None = None) -> str:
     """Short name of a specimen: its file, or its BSDF in one word where that fits.
 
-    The inverse of :func:`parse_specimen`, as far as there is one.
+    The inverse of :func:`parse_specimen`, as far as there is one. A scene of one mesh
+    has the name of its file and of what it is made of.
     """
     settings = {}
+    if mesh := _only_mesh(specimen):
+        bsdf = mesh["bsdf"]
+        if isinstance(bsdf, dict) and bsdf["type"] == "twosided":
+            bsdf = bsdf.get("bsdf", bsdf)
+        return f"{Path(mesh['filename']).name} of {specimen_name(bsdf)}"
     if isinstance(specimen, dict):
         name = specimen["type"]
         settings = {key: value for key, value in specimen.items() if key != "type"}
@@ -352,11 +469,22 @@ def specimen_name(specimen: Any, parameters: dict[str, Any] | None = None) -> st
     else:
         name = specimen.class_name()
     words = [
-        f"{key}={_word(value)}"
-        for key, value in settings.items()
-        if isinstance(value, (int, float, str)) or _is_colour(value)
+        f"{key}={_word(value)}" for key, value in settings.items() if _is_word(value)
     ]
     return f"{name}:{','.join(words)}" if words else name
+
+
+def _only_mesh(specimen: Any) -> dict[str, Any] | None:
+    """The shape of a scene that is a mesh in a file and nothing else."""
+    if not isinstance(specimen, dict) or specimen.get("type") != "scene":
+        return None
+    parts = [part for part in specimen.values() if isinstance(part, dict)]
+    alone = len(parts) == 1 and "filename" in parts[0] and "bsdf" in parts[0]
+    return parts[0] if alone else None
+
+
+def _is_word(value: Any) -> bool:
+    return isinstance(value, (int, float, str)) or _is_colour(value)
 
 
 def _is_colour(value: Any) -> bool:
@@ -365,5 +493,5 @@ def _is_colour(value: Any) -> bool:
 
 def _word(value: Any) -> str:
     if _is_colour(value):
-        return "/".join(f"{x:g}" for x in value["value"])
+        return "/".join(f"{x:g}" for x in np.ravel(value["value"]))
     return str(value).lower() if isinstance(value, bool) else str(value)

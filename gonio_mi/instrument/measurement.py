@@ -1,4 +1,4 @@
-"""One measurement, here and at once: loads, sends batches, and makes the record."""
+"""One measurement, here and at once: sets up, sends rays, and makes the record."""
 
 from __future__ import annotations
 
@@ -7,52 +7,55 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from typing import Any
 
 import mitsuba as mi
 
-from ..errors import SettingError, VariantError
-from ..memory import check_memory
-from ..results.processors import joined_processors
+from ..errors import SettingError, VariantError, check_memory, is_ctrl_c, shown
+from ..progress import bar
+from ..quadrature.plane import integrals
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
 from ..settings.orders import Order
-from ..settings.parsed import checked_incident
 from ..transport.bench import Bench
 from ..transport.kernels import launches_kernels
-from ..transport.specimen import Specimen
-from .batches import Target, rounds
-from .incidence import described_digest, emitter_scene, incident_angles, incident_key
-from .instrument import Instrument
+from .incidence import incident_angles
+from .launcher import Launcher, round_rays
 from .loading import check_variant, load_specimen, specimen_name
 from .named_files import check_named_files
-from .remarks import (
-    warn_of_created_light,
-    warn_of_interruption,
-    warn_unless_reached,
-)
+from .recording import record_of, records_of, warn_of_interruption
 from .resuming import check_resumable
-from .scene_settings import own_settings, sampler_of
-from .sending import send_all
+from .schedule import Target, rays_sent, rounds, schedule
+from .setup import own_settings, set_up
 
-__all__ = ["measure_each", "measure_here", "measure_stacks", "measure_whole", "whole"]
+__all__ = [
+    "measure_each",
+    "measure_here",
+    "measure_orders",
+    "measure_stacks",
+    "measure_whole",
+    "send_all",
+    "whole",
+]
 
 logger = logging.getLogger(__name__)
 
-# Estimators whose rays are each of the one order in which they leave.
-COUNTS_EXITS = ("weighted", "analog")
+# Incident directions whose integrals are found together: what Ctrl-C may cost.
+TOGETHER = 64
 
 
 def measure_here(
     specimen: Any, theta_i: Any = None, phi_i: Any = 0.0, **settings: Any
 ) -> Record:
-    """Record of a specimen; see :func:`~gonio_mi.instrument.measuring.measure`."""
+    """Record of a specimen; see :func:`~gonio_mi.campaigns.measuring.measure`."""
     check_variant()
-    patches = checked_incident("incident", settings.get("incident"))
+    patches = MeasurementSettings.among(settings).incident
     incidents, stacked = incident_angles(theta_i, phi_i, patches)
-    record = measure_each(specimen, incidents, **settings)
+    with launches_kernels():
+        (record,) = measure_stacks(specimen, incidents, (), **settings)
     return record if stacked else record[0]
 
 
@@ -61,13 +64,62 @@ def measure_each(
 ) -> Record:
     """Stack of the incident directions, each ``(theta_i, phi_i)`` in degrees or None.
 
-    All else as of :func:`~gonio_mi.instrument.measuring.measure`.
+    All else as of :func:`~gonio_mi.campaigns.measuring.measure`.
     """
-    (record,) = measure_stacks(specimen, incidents, (), **settings)
+    with launches_kernels():
+        (record,) = measure_stacks(specimen, incidents, (), **settings)
     return record
 
 
-@launches_kernels()
+def measure_orders(
+    specimen: Any,
+    theta_i: Any = None,
+    phi_i: Any = 0.0,
+    *,
+    orders: Sequence[int | str] = (1, 2, "3+"),
+    **settings: Any,
+) -> dict[str, Record]:
+    """Measure several scattering orders, each as `measure` does it.
+
+    The rays are traced once and sorted by their numbers of events, for about the time
+    of one measurement of all orders and with the same bits as one by one. With
+    `rel_err`, `noise` and the estimators `quadrature` and `next_event` one order is
+    measured after the other.
+
+    Parameters
+    ----------
+    specimen, theta_i, phi_i, **settings
+        As of `measure`, but for `order`, `resume`, `executor` and `folder`.
+    orders : sequence of int or str
+        Such as ``2`` and ``"3+"``, or ``"all"``; see the setting `order` of
+        :func:`~gonio_mi.measure`. Each needs sums of its own in memory.
+
+    Returns
+    -------
+    dict of Record
+        By the names of the orders, ``"2"`` and ``"3+"``.
+
+    Raises
+    ------
+    TypeError, ValueError, SpecimenError, VariantError, LostRaysError
+        As of :func:`~gonio_mi.measure`.
+    """
+    check_variant()
+    for name in sorted({"order", "resume"} & settings.keys()):
+        raise SettingError(f"{name} is no setting of measure_orders, got it")
+    parsed = list(dict.fromkeys(Order.parse("orders", one) for one in orders))
+    if not parsed:
+        raise SettingError(f"orders must hold at least one order, got {shown(orders)}")
+    patches = MeasurementSettings.among(settings).incident
+    incidents, stacked = incident_angles(theta_i, phi_i, patches)
+    with launches_kernels():
+        records = measure_stacks(specimen, incidents, parsed, **settings)
+    return {
+        str(order): record if stacked else record[0]
+        for order, record in zip(parsed, records)
+    }
+
+
 def measure_stacks(
     specimen: Any,
     incidents: Sequence[tuple[float, float] | None],
@@ -79,7 +131,11 @@ def measure_stacks(
     emitter: dict[str, Any] | None = None,
     **given: Any,
 ) -> list[Record]:
-    """Stacks of the incident directions: of each of the orders, if there are any."""
+    """Stacks of the incident directions: of each of the orders, if there are any.
+
+    It `launches_kernels`, of which the caller takes care: after an error, what this
+    function holds of a specimen is released.
+    """
     check_variant()
     given = {name: value for name, value in given.items() if value is not None}
     if orders:
@@ -87,93 +143,89 @@ def measure_stacks(
     asked = MeasurementSettings().changed(**given)  # refused before anything is loaded
     _check_together(given, asked, incidents, emitter)
     scene, settings = _prepared(specimen, parameters, given, resume)
-    one_by_one = Target.of(settings) or settings.estimator not in COUNTS_EXITS
+    one_by_one = Target.of(settings) or not settings.estimator.follows_exits
     if len(orders) > 1 and one_by_one:
         given |= {"progress": progress, "parameters": parameters, "emitter": emitter}
         records: list[Record] = []
         for one in orders:
             records += measure_stacks(specimen, incidents, [one], **given)
-            if records[-1].settings.get("interrupted"):
+            if records[-1].provenance.interrupted:
                 break
         return records
     if len(orders) == 1:
         settings, orders = replace(settings, order=orders[0]), ()
-    instrument = Instrument(settings, sampler_of(settings))
-    measured = Specimen(scene, settings.period)
-    measured.name = specimen_name(specimen, parameters)
-    instrument.check(measured)
-    described = described_digest(emitter)
-    # scenes are kept, for with them their emitters go; no comprehension, for its cells
-    # would keep the specimen as long as an error
-    scenes, benches = [], []
-    for incident in incidents:
-        scenes.append(emitter_scene(scene, emitter, incident, settings.side))
-        lit = scenes[-1].emitters()
-        benches.append(instrument.bench(measured, lit, incident, described, orders))
-    keys = [(settings.seed, *incident_key(incident)) for incident in incidents]
-    return _sent(instrument, benches, keys, resume, progress)
-
-
-def _sent(
-    instrument: Instrument,
-    benches: Sequence[Bench],
-    keys: Sequence[tuple[int, ...]],
-    resume: Record | None,
-    progress: bool,
-) -> list[Record]:
-    """Send all rays, and make of them a stack of records for each order."""
-    settings = instrument.settings
-    plan, target = batch_sizes(settings.rays, settings.batches), Target.of(settings)
-    _check_sums_fit(instrument, benches, plan)
+    name = specimen_name(specimen, parameters)
+    benches = set_up(scene, settings, incidents, emitter, name=name, orders=orders)
     finished: list[list[Tally]] = [[] for _ in benches]
     if resume is not None:
-        check_resumable(resume, instrument, benches, settings.seed, plan)
+        check_resumable(resume, benches, round_rays(benches[0]))
         finished[: len(resume)] = [[tally] for tally in resume.tallies]
-
     started = time.perf_counter()
-    complete = send_all(instrument, benches, keys, plan, target, finished, progress)
-    records = _records(instrument, benches, finished)
-    if resume is not None:
-        parts = joined_processors(resume.settings, records[0].settings)
-        records = [records[0].with_settings(**parts)]
-    seconds = time.perf_counter() - started
-    logger.info("measured for %.3g s: %r", seconds, records[0])
-    if target:
-        records = [records[0].with_settings(**target.reached(records[0]))]
-        if complete:
-            warn_unless_reached(records[0], target)
+    complete = send_all(benches, finished, progress)
+    records = records_of(benches, finished, complete, resume)
+    logger.info("measured for %.3g s: %r", time.perf_counter() - started, records[0])
     if not complete:
-        records = [record.with_settings(interrupted=True) for record in records]
-        warn_of_interruption(instrument, records[0], len(benches))
+        warn_of_interruption(benches, records[0])
     return records
 
 
-def _records(
-    instrument: Instrument,
-    benches: Sequence[Bench],
-    finished: Sequence[list[Tally]],
-) -> list[Record]:
-    """Record of each order, or the one of all rays: stacks of what was finished."""
-    done = [
-        (bench, Tally.join(tallies))
-        for bench, tallies in zip(benches, finished)
-        if tallies
-    ]
-    seed, orders, found = instrument.settings.seed, benches[0].orders, []
-    if not orders:
-        found.append([instrument.record(bench, tally, seed) for bench, tally in done])
-    for number, order in enumerate(orders):
-        found.append(
-            [
-                instrument.record(bench, tally.apart()[number], seed).with_settings(
-                    order=str(order)
-                )
-                for bench, tally in done
-            ]
-        )
-    for records in found:
-        warn_of_created_light(records)
-    return [Record.stack(records) for records in found]
+def send_all(
+    benches: Sequence[Bench], finished: list[list[Tally]], progress: bool = False
+) -> bool:
+    """Complete the tallies of all benches in `finished`; return whether they are.
+
+    Whenever it is interrupted by Ctrl-C, they hold all batches after a whole round, or
+    in the first round those that have finished it; it is raised if that is nothing.
+    """
+    settings, n_passes = benches[0].settings, len(benches[0].passes)
+    plan = batch_sizes(settings.rays, settings.batches)
+    _check_sums_fit(benches, plan)
+    launcher, step = Launcher(benches[0]), round_rays(benches[0])
+    rays = None
+    if Target.of(settings) is None:
+        before = sum(sum(rays_sent(tallies, n_passes)) for tallies in finished)
+        rays = (len(benches) * sum(plan) - before) * n_passes
+    waiting: list[tuple[Bench, list[Tally], list[Tally]]] = []
+    with bar(
+        progress, total=rays, unit="ray", unit_scale=True, delay=1, mininterval=0.2
+    ) as report:
+        try:
+            for bench, tallies in zip(benches, finished):
+                # without the integrals beside them rays are not enough
+                sent = [] if settings.estimator.integrates else tallies
+                if bench.samples:
+                    look = partial(record_of, bench)
+                    for part in schedule(settings, step, n_passes, sent, look):
+                        grown = launcher.tallies(bench, part, report)
+                        if part.start:
+                            more = Tally.join(list(grown))
+                            sent[:] = [Tally.join(sent).accumulate(more)]
+                            continue
+                        for tally in grown:
+                            sent.append(tally)
+                elif report is not None:
+                    report(sum(plan))
+                if settings.estimator.integrates:
+                    waiting.append((bench, sent, tallies))
+                if len(waiting) == TOGETHER:
+                    _integrate(waiting)
+            _integrate(waiting)
+        except (KeyboardInterrupt, RuntimeError) as error:
+            if not is_ctrl_c(error):
+                raise
+            if not any(finished):
+                raise KeyboardInterrupt from None
+            return False
+    return True
+
+
+def _integrate(waiting: list[tuple[Bench, list[Tally], list[Tally]]]) -> None:
+    """Finish the directions that wait for their integrals, which they share."""
+    if waiting:
+        benches, sent, tallies = zip(*waiting)
+        for kept, found in zip(tallies, integrals(benches, sent)):
+            kept[:] = [found]
+        waiting.clear()
 
 
 def measure_whole(specimen: Any, *args: Any, **settings: Any) -> Record:
@@ -186,7 +238,7 @@ def whole(measure: Callable[..., Record], *args: Any, **settings: Any) -> Record
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
         record = measure(*args, **settings)
-    if record.settings.get("interrupted"):
+    if record.provenance.interrupted:
         raise KeyboardInterrupt
     return record
 
@@ -240,7 +292,7 @@ def _settled(
 ) -> MeasurementSettings:
     """Settings that are `given`, else the scene's `own`, else the defaults."""
     settings = MeasurementSettings().changed(**own | given)
-    if settings.estimator == "quadrature":
+    if settings.estimator.integrates:
         if resume is not None:
             raise SettingError(
                 "resume is for sampled rays, got the estimator quadrature"
@@ -256,14 +308,12 @@ def _settled(
     return settings
 
 
-def _check_sums_fit(
-    instrument: Instrument, benches: Sequence[Bench], plan: Sequence[int]
-) -> None:
+def _check_sums_fit(benches: Sequence[Bench], plan: Sequence[int]) -> None:
     """Raise ValueError if the sums of all benches do not fit into memory."""
     n_orders = max(1, len(benches[0].orders))
     sums = n_orders * sum(bench.n_collected for bench in benches)
     # while they are joined; and beside those of the rounds before
-    n_rounds = len(rounds(plan, min(map(instrument.round_rays, benches))))
+    n_rounds = len(rounds(plan, round_rays(benches[0])))
     copies = 2 * min(n_rounds, 2)
     check_memory(
         f"{sums} patches in {len(plan)} batches",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,13 +20,13 @@ from ..errors import (
     no_file,
     shown,
 )
-from ..files.mesh_files import MESHES, is_mesh
+from ..formats.meshes import MESHES, is_mesh
 from .loading import check_variant, loaded
 
-__all__ = ["UPS", "mesh"]
+__all__ = ["NORMALS", "mesh"]
 
 # Rotations that turn an axis of the file to +z.
-UPS = {
+NORMALS = {
     "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
     "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
@@ -34,12 +35,15 @@ UPS = {
     "-x": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]],
 }
 
+# A mesh that is so many times thinner along another axis than z may stand upright.
+UPRIGHT = 2.0
+
 
 def mesh(
     path: str | os.PathLike[str],
     bsdf: Mapping[str, Any] | None,
     *,
-    up: str = "z",
+    normal: str | None = None,
     mean_plane: float | None = None,
 ) -> dict[str, Any]:
     """Specimen from a mesh of another program, for :func:`gonio_mi.measure`.
@@ -53,8 +57,10 @@ def mesh(
         Ends in ``.obj``, ``.ply`` or ``.stl``.
     bsdf : dict
         What it is made of, as Mitsuba loads it.
-    up : {"z", "-z", "y", "-y", "x", "-x"}
-        Axis of the file that becomes +z, the specimen's normal.
+    normal : {"z", "-z", "y", "-y", "x", "-x"}, optional
+        Axis of the file that becomes +z, the specimen's normal: of a blind that hangs
+        upright the horizontal one from it into the room. Default: z, with a warning if
+        the mesh is much thinner along another axis.
     mean_plane : float, optional
         Where on that axis the mean surface is, which is put at z = 0. Default: the
         middle of the mesh.
@@ -73,7 +79,8 @@ def mesh(
     """
     check_variant()
     path = Path(path)
-    checked_choice("up", up, tuple(UPS))
+    if normal is not None:
+        checked_choice("normal", normal, tuple(NORMALS))
     if not is_mesh(path):
         raise SettingError(
             f"path must end in {', '.join(MESHES)}, got {shown(str(path))}"
@@ -100,15 +107,31 @@ def mesh(
     if shape["type"] == "stl":
         del shape["face_normals"]
     lying = loaded(f"the mesh {path}", mi.load_dict, dict(shape))
-    shape["to_world"] = _lying(lying, np.array(UPS[up], dtype=float), mean_plane)
+    corners = np.array([lying.bbox().min, lying.bbox().max], dtype=float).reshape(2, 3)
+    if not np.isfinite(corners).all():
+        raise SpecimenError("the mesh must have triangles and finite vertices")
+    if normal is None:
+        _warn_if_upright(path.name, corners[1] - corners[0])
+    rotation = np.array(NORMALS[normal or "z"], dtype=float)
+    shape["to_world"] = _lying(corners, rotation, mean_plane)
     return {"type": "scene", "mesh": shape | {"bsdf": dict(bsdf)}}
 
 
-def _lying(shape: Any, rotation: Floats, mean_plane: float | None) -> Any:
+def _warn_if_upright(name: str, extents: Floats) -> None:
+    """Warn if z, which nobody said is the normal, is none by the mesh's extents."""
+    thin = int(extents.argmin())
+    if extents[2] > UPRIGHT * extents[thin]:
+        warnings.warn(
+            f"{name} extends {extents[2]:.3g} along z, its normal by default, but only "
+            f"{extents[thin]:.3g} along {'xyz'[thin]}, as if it stood upright: name "
+            f"its normal, such as --normal {'xyz'[thin]}, or --normal z",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+
+def _lying(corners: Floats, rotation: Floats, mean_plane: float | None) -> Any:
     """Transform of the file's coordinates to the specimen's."""
-    corners = np.array([shape.bbox().min, shape.bbox().max], dtype=float).reshape(2, 3)
-    if not np.isfinite(corners).all():
-        raise SpecimenError("the mesh must have triangles and finite vertices")
     middle = rotation @ corners.mean(axis=0)
     if mean_plane is not None:
         condition = "a finite number"

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
-from ..files.measured_file import check_measured
+from ..formats.tensor_file import check_measured
 
 __all__ = ["check_named_files"]
 

@@ -3,38 +3,31 @@
 from collections.abc import Sequence
 
 from ..errors import SettingError, SettingTypeError, shown
-from ..results.joined_settings import DIGESTS
+from ..results.provenance import told_settings
 from ..results.record import Record
-from ..settings import MeasurementSettings, declarations
+from ..results.tally import batch_sizes
 from ..transport.bench import Bench
-from .batches import rays_sent, rounds
-from .instrument import Instrument
+from ..transport.wavelengths import channel_names
+from .description import described
+from .schedule import rays_sent, rounds
 
 __all__ = ["check_resumable"]
 
 # Settings that say nothing of the rays.
-FREE = {"created", "versions", "processors", "specimen"}
+FREE = {"created", "defects", "versions", "processors", "specimen"}
 
 
-def check_resumable(
-    resume: Record,
-    instrument: Instrument,
-    benches: Sequence[Bench],
-    seed: int,
-    plan: Sequence[int],
-) -> None:
+def check_resumable(resume: Record, benches: Sequence[Bench], step: int) -> None:
     """Raise ValueError unless `resume` is the beginning of this measurement.
 
     Parameters
     ----------
     resume : Record
-    instrument : Instrument
     benches : sequence of Bench
         For each incident direction; the record may hold the first ones only.
-    seed : int
-    plan : sequence of int
-        Rays of each batch; the record may hold the first ones only, or those of whole
-        rounds (:func:`~.batches.rounds`).
+    step : int
+        Rays of each batch in the first rounds; the record may hold those of whole
+        :func:`~.schedule.rounds`, or of the first round the first batches only.
     """
     if not isinstance(resume, Record):
         raise SettingTypeError(f"resume must be a Record, got {shown(resume)}")
@@ -43,50 +36,36 @@ def check_resumable(
             f"resume must hold at most {len(benches)} incident directions, "
             f"got {len(resume)}"
         )
+    nm, n = benches[0].settings.wavelengths, len(resume.channels)
     for i, bench in enumerate(benches[: len(resume)]):
-        own = instrument.describe(bench, seed) | {
+        own = told_settings(*described(bench)) | {
+            "channels": channel_names(nm, n),
             "collector": str(bench.collector.subdivision),
             "theta_i": bench.theta_i,
             "phi_i": bench.phi_i,
             "hemispheres": "both" if bench.shape[0] == 2 else "upper",
         }
-        # a setting that is younger than the record was as its default is
-        others = (
-            _defaults()
-            | dict(resume.settings)
-            | {
-                "collector": str(resume.subdivision),
-                "theta_i": float(resume.theta_i[i]),
-                "phi_i": float(resume.phi_i[i]),
-                "hemispheres": "both" if resume.has_lower else "upper",
-            }
-        )
-        lacking = set(DIGESTS) - others.keys()
-        if others.get("digest"):
-            lacking.add("surface")  # which older records have cut short
-        for key in sorted(own.keys() - FREE - lacking):
+        others = dict(resume.settings) | {
+            "channels": resume.channels,
+            "collector": str(resume.subdivision),
+            "theta_i": float(resume.theta_i[i]),
+            "phi_i": float(resume.phi_i[i]),
+            "hemispheres": "both" if resume.has_lower else "upper",
+        }
+        for key in sorted(own.keys() - FREE):
             if own[key] != others.get(key) and own[key] == own[key]:
                 raise SettingError(
                     "resume must be a record of this measurement, but it was made with "
                     f"{key}={shown(others.get(key))} instead of {shown(own[key])}"
                 )
-    if resume.ledger.missed and resume.settings.get("period", "none") != "none":
-        raise SettingError(
-            "resume must be a record of this measurement, but it is of an older "
-            "gonio-mi, which left out the light that passes openings of the cell"
-        )
+    settings = benches[0].settings
+    plan = batch_sizes(settings.rays, settings.batches)
     for bench, tally in zip(benches, resume.tallies):
-        sent = rays_sent([tally], instrument.passes)
-        ends = rounds(plan, instrument.round_rays(bench))
-        if sent not in [end[: len(sent)] for end in ends]:
+        sent = rays_sent([tally], len(bench.passes))
+        ends = rounds(plan, step)
+        if sent not in ends and sent != ends[0][: len(sent)]:
             raise SettingError(
                 "resume must be a record of this measurement, but it was made in "
                 f"{len(sent)} batches of up to {max(sent)} rays instead of "
                 f"{len(plan)} of up to {max(plan)}"
             )
-
-
-def _defaults() -> dict[str, object]:
-    """Settings as records tell them, where nothing was asked for."""
-    declared = declarations(MeasurementSettings)
-    return {name: each.text(each.default) for name, each in declared.items()}

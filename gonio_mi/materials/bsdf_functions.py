@@ -1,7 +1,8 @@
-"""Functions that Mitsuba calls, for plugins to name in their classes.
+"""What our BSDF plugins share: functions that Mitsuba calls, and reflectances.
 
 They are no base class: that would belong to one variant, and Mitsuba's classes allow
-for no second base.
+for no second base. A plugin that reflects on its front side says how it draws a
+direction and what it scatters there, and names in its class what is here.
 """
 
 from __future__ import annotations
@@ -11,8 +12,23 @@ from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-__all__ = ["density", "evaluate", "name_component"]
+from ..errors import SettingError, SettingTypeError
+
+__all__ = [
+    "GLOSSY",
+    "above",
+    "density",
+    "eval_pdf",
+    "evaluate",
+    "glossy_enabled",
+    "glossy_sample",
+    "mean",
+    "name_component",
+    "reflectance",
+    "sample",
+]
 
 
 class Joint(Protocol):
@@ -54,3 +70,93 @@ def name_component(
     bs.eta = 1.0
     bs.sampled_type = dr.select(second, mi.UInt32(+kind_of_second), mi.UInt32(+kind))
     bs.sampled_component = dr.select(second, mi.UInt32(1), mi.UInt32(0))
+
+
+def reflectance(props: mi.Properties, name: str, default: float) -> mi.Texture:
+    """Return the texture property `name`, whose mean must lie in [0, 1]."""
+    try:
+        texture = props.get_texture(name, default)
+    except RuntimeError:
+        texture = None
+    label = f"{props.plugin_name()}.{name}"
+    if texture is None:
+        raise SettingTypeError(
+            f"{label} must be a number, a colour or a texture, got {props.get(name)!r}"
+        )
+    value = mean(texture)
+    if not 0 <= value <= 1:
+        raise SettingError(f"{label} must be a reflectance from 0 to 1, got {value:g}")
+    return texture
+
+
+def mean(texture: mi.Texture) -> float:
+    """Mean of a texture over its surface and channels, as a float."""
+    return float(np.mean(np.asarray(texture.mean())))
+
+
+GLOSSY = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
+
+
+class OneSided(Protocol):
+    """What a plugin says itself."""
+
+    def draw(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, u: mi.Point2f, on: Any
+    ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
+        """Sample and weight for the point `u` of the unit square, where `on` is set."""
+
+    def scattered(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, on: Any
+    ) -> tuple[mi.Spectrum, mi.Float]:
+        """BRDF times the cosine of `wo`, and its density in 1/sr, where `on` is set.
+
+        Both of the enabled components, and of any value elsewhere.
+        """
+
+
+def sample(
+    self: OneSided,
+    ctx: mi.BSDFContext,
+    si: mi.SurfaceInteraction3f,
+    sample1: mi.Float,
+    sample2: mi.Point2f,
+    active: Any = True,
+) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
+    """Draw `wo` by `sample2` alone: two dimensions suit low-discrepancy points best."""
+    del sample1
+    return self.draw(ctx, si, sample2, active & (mi.Frame3f.cos_theta(si.wi) > 0))
+
+
+def eval_pdf(
+    self: OneSided,
+    ctx: mi.BSDFContext,
+    si: mi.SurfaceInteraction3f,
+    wo: mi.Vector3f,
+    active: Any = True,
+) -> tuple[mi.Spectrum, mi.Float]:
+    """BRDF times the cosine of `wo`, and the density of `wo` in 1/sr.
+
+    Both 0 below the horizon: the density's integral is what stays above.
+    """
+    active = active & above(si.wi, wo)
+    value, pdf = self.scattered(ctx, si, wo, active)
+    return value & active, dr.select(active, pdf, 0)
+
+
+def glossy_enabled(ctx: mi.BSDFContext, component: int = 0) -> bool:
+    """Whether the context asks for the lobe."""
+    return ctx.is_enabled(mi.BSDFFlags.GlossyReflection, component)
+
+
+def above(wi: mi.Vector3f, wo: mi.Vector3f) -> mi.Bool:
+    """Whether both directions are above the horizon."""
+    return (mi.Frame3f.cos_theta(wi) > 0) & (mi.Frame3f.cos_theta(wo) > 0)
+
+
+def glossy_sample(wo: mi.Vector3f, pdf: mi.Float) -> mi.BSDFSample3f:
+    """Sample of a BSDF whose only component is the lobe."""
+    bs = dr.zeros(mi.BSDFSample3f)
+    bs.wo = wo
+    bs.pdf = pdf
+    name_component(bs, mi.Bool(False), mi.BSDFFlags.GlossyReflection)
+    return bs

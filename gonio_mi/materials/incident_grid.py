@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..collector import RingsAndSectors, Subdivision
 from ..errors import SettingError
-from ..files.material_files import PatchMeans
+from ..formats.scatter import PatchMeans
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion
 from ..results.copied_directions import symmetry_of
 from ..results.record import Record

@@ -14,7 +14,7 @@ from ..collector.directions import direction
 from .azimuth_trials import BENT, tried_indices
 from .lit_face import LitFace
 from .lobes import MeasuredLobes
-from .moving_points import Way
+from .moving_lobes import Way
 
 __all__ = ["best_ways"]
 
@@ -32,7 +32,7 @@ NEAR, FINELY = 0.05, {"xatol": 1e-3}
 def best_ways(lobes: MeasuredLobes) -> list[Way]:
     """How lobes move between polar angles, as a record's own directions say.
 
-    On a leg by quantiles (:class:`.moving_points.Legs`), or with micro-normals that
+    On a leg by quantiles (:class:`.moving_lobes.Legs`), or with micro-normals that
     stay where these predict the nearest record better, as a camera sees it, from those
     of the next smaller and the next larger angle.
     """

@@ -9,12 +9,9 @@ import drjit as dr
 import mitsuba as mi
 
 from ..array_types import Floats
-from .disk import seen_from, towards
-from .incident_places import IncidentPlaces, Place
 from .lobes import LobeTable
-from .moving_lobes import MovingLobes
-from .moving_points import Way
-from .table_reading import doubles, read
+from .lookups import IncidentPlaces, Place, doubles, read, seen_from, towards
+from .moving_lobes import MovingLobes, Way
 
 __all__ = ["LitFace"]
 

@@ -15,14 +15,12 @@ from numpy.typing import ArrayLike
 
 from ..array_types import Floats
 from ..collector import RingsAndSectors
-from ..errors import SettingError
-from ..files.material_files import PatchMeans
-from ..memory import check_memory
+from ..errors import SettingError, check_memory
+from ..formats.scatter import PatchMeans
 from ..results.record import Record
 from .gradients import gradients
 from .incident_grid import IncidentGrid
-from .legs import N_CELLS, LegTable
-from .quantiles import cumulative
+from .legs import N_CELLS, LegTable, cumulative
 
 __all__ = ["LobeTable", "MeasuredLobes", "TooLargeError", "check_table", "tells"]
 

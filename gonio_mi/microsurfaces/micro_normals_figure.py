@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..plots.drawable import check_matplotlib, check_picture, save_picture
+from ..plots.drawable import finished, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,12 +27,7 @@ def micro_normals_figure(found: Any, path: str | PathLike[str] | None = None) ->
     of the facets over the direction that looks at them, for each azimuth. Bars are
     standard errors, lines the models of largest likelihood.
     """
-    check_matplotlib()
-    from ..plots.figure import NotebookFigure
-
-    if path is not None:
-        check_picture(path)
-    figure = NotebookFigure(figsize=(11, 4.4), layout="constrained")
+    figure = new_figure(path, figsize=(11, 4.4))
     left, right = figure.subplots(1, 2)
     edges = found.theta_edges
     middles = (edges[:-1] + edges[1:]) / 2
@@ -69,6 +64,4 @@ def micro_normals_figure(found: Any, path: str | PathLike[str] | None = None) ->
     right.set(xlabel="theta (degrees)", ylabel="visible part G1, Smith: lines")
     right.set_ylim(0, 1.05)
     right.legend(frameon=False)
-    if path is not None:
-        save_picture(figure, path)
-    return figure
+    return finished(figure, path)

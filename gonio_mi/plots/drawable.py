@@ -1,10 +1,15 @@
-"""Whether a picture can be drawn and written: matplotlib is the extra ``plot``."""
+"""Figures: whether they can be drawn, how they begin, and how they are finished.
+
+matplotlib is the optional extra ``plot``; it is imported when a figure is drawn.
+"""
 
 from __future__ import annotations
 
+import functools
+import io
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..errors import PackageError
 from ..files import check_output, replacing
@@ -15,9 +20,10 @@ if TYPE_CHECKING:
 __all__ = [
     "ANIMATION_ENDINGS",
     "FIGURE_ENDINGS",
+    "new_figure",
     "check_matplotlib",
     "check_picture",
-    "save_picture",
+    "finished",
     "set_title",
 ]
 
@@ -83,7 +89,44 @@ def set_title(figure: Figure, text: str, size: str = "medium") -> None:
     figure.suptitle("\n".join(lines), size=size, parse_math=False)
 
 
-def save_picture(figure: Figure, path: str | PathLike[str]) -> None:
-    """Write a figure to a path that :func:`check_picture` found right."""
-    with replacing(path) as stream:
-        figure.savefig(stream, format=Path(path).suffix[1:].lower(), dpi=150)
+def new_figure(path: str | PathLike[str] | None, **settings: Any) -> Figure:
+    """Return an empty figure, for :func:`finished` to write to `path` if it is given.
+
+    Notebooks show it without ``%matplotlib inline``; pyplot does not know it, so that
+    it is shown once and needs no closing. `settings` are those of the class.
+
+    Raises
+    ------
+    ImportError, ValueError, OSError
+        As :func:`check_picture`, of which only the first concerns no file.
+    """
+    check_matplotlib()
+    if path is not None:
+        check_picture(path)
+    return _class()(**{"layout": "constrained"} | settings)
+
+
+@functools.cache
+def _class() -> type[Figure]:
+    from matplotlib.figure import Figure
+
+    class NotebookFigure(Figure):
+        def _repr_png_(self) -> bytes:
+            stream = io.BytesIO()
+            self.savefig(stream, format="png")
+            return stream.getvalue()
+
+    return NotebookFigure
+
+
+def finished(
+    figure: Figure, path: str | PathLike[str] | None, title: str = ""
+) -> Figure:
+    """The figure with its title, written if `path` is given."""
+    if title:
+        set_title(figure, title)
+    if path is not None:
+        with replacing(path) as stream:
+            ending = Path(path).suffix[1:].lower()
+            figure.savefig(stream, format=ending, dpi=150)
+    return figure

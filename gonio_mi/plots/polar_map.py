@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..collector import RingsAndSectors
 from ..results.record import Record
-from .drawn_patches import ON_BORDER, drawn_in_rings, sectors_beside
+from .profile import ON_BORDER, drawn_in_rings, sectors_beside
 
 __all__ = [
     "add_bar",

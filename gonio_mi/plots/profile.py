@@ -1,4 +1,7 @@
-"""The profile of a record: its patches in the plane of incidence, and their drawing."""
+"""The profile of a record: its patches in the plane of incidence, and their drawing.
+
+Here too are the rings and sectors that are drawn instead of patches that are none.
+"""
 
 import math
 from collections.abc import Sequence
@@ -8,14 +11,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..collector import Apertures, Borders, RingsAndSectors, Subdivision
+from ..collector.directions import direction
+from ..collector.shirley_chiu import ShirleyChiu
 from ..results.integral_sums import without_chance
 from ..results.record import Record
-from .drawn_patches import drawn_in_rings, sectors_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["LEVEL", "Profile", "bars_text", "draw_profiles", "profile"]
+__all__ = [
+    "LEVEL",
+    "ON_BORDER",
+    "Profile",
+    "bars_text",
+    "draw_profiles",
+    "drawn_in_rings",
+    "profile",
+    "sectors_beside",
+]
 
 LEVEL = 0.95
 # More patches than this, and their intervals are drawn as a band.
@@ -32,6 +46,11 @@ NARROW_RANGE = 1.5
 GREY = "0.4"
 # Part of the values that the axis spans at least: less is rounding.
 LEAST_RANGE = 0.01
+# Steps in degrees of the rings and sectors that stand for other patches.
+FINE = 1
+
+# Radians within which a direction is on a border of patches: those of 2^-20.
+ON_BORDER = 1e-6
 
 
 @dataclass(frozen=True)
@@ -261,3 +280,46 @@ def _colours(channels: Sequence[str]) -> list[Any]:
     from matplotlib import colormaps
 
     return list(colormaps["turbo"](np.linspace(0.1, 0.9, len(channels))))
+
+
+def sectors_beside(single: Record) -> list[tuple[float, float]]:
+    """Sectors in which the profile runs, in degrees, if its plane is their border.
+
+    First that towards the source, then that beyond. Empty if a half-plane lies within
+    a sector, or patches have none.
+    """
+    patches, phi = single.subdivision, np.radians(single.phi_i[0])
+    if not isinstance(patches, RingsAndSectors) or np.isnan(phi):
+        return []
+    edges, found = patches.phi_edges, []
+    for azimuth in (phi % (2 * np.pi), (phi + np.pi) % (2 * np.pi)):
+        away = np.abs(edges - azimuth)
+        if away.min() > ON_BORDER:
+            return []
+        first = int(np.argmin(away)) % patches.n_phi
+        begin, end = np.degrees(edges[first : first + 2])
+        found.append((float(begin), float(end)))
+    return found
+
+
+def drawn_in_rings(
+    patches: Subdivision, values: NDArray[Any]
+) -> tuple[RingsAndSectors, NDArray[Any]]:
+    """Rings and sectors, and `values` in them; fine ones where patches have none.
+
+    NaN, or true for flags, is what lies between apertures.
+
+    Parameters
+    ----------
+    patches : Subdivision
+    values : ndarray, shape (..., *patches.shape, channels)
+    """
+    if not isinstance(patches, (Apertures, ShirleyChiu)):
+        return patches.in_rings(values)
+    theta, phi = (tuple(map(float, range(0, end + FINE, FINE))) for end in (90, 360))
+    fine = Borders(theta, phi)
+    index = patches.patch(direction(*fine.middles))
+    flat = values.reshape(*values.shape[:-3], -1, values.shape[-1])[..., index, :]
+    between = index >= patches.n_detectors
+    flat[..., between, :] = True if flat.dtype == bool else np.nan
+    return fine, flat

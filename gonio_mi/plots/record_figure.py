@@ -1,37 +1,53 @@
-"""A record as one figure: polar maps, and the profile in the plane of incidence.
+"""Records as figures: one incident direction, or a stack on one colour scale.
 
 matplotlib is the optional extra ``plot``; it is imported when a figure is drawn.
 """
 
+from __future__ import annotations
+
 import math
 from os import PathLike
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SettingError, abridged, checked_count
-from ..files import check_output
+from ..errors import LABEL, SettingError, abridged, checked_count
+from ..files import check_output, replacing
+from ..progress import bar
 from ..results.integral_sums import sent_text, without_chance
 from ..results.precision import precision
 from ..results.record import Record
-from .drawable import FIGURE_ENDINGS, check_matplotlib, save_picture, set_title
+from .drawable import (
+    ANIMATION_ENDINGS,
+    check_matplotlib,
+    finished,
+    new_figure,
+    set_title,
+)
 from .profile import draw_profiles
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["plot"]
+__all__ = ["animation", "plot", "sheet"]
 
 MAX_TITLE = 80
 WORDS = ("estimator", "sampler")
 # Settings that are said where they are not the default.
 DEFAULTS = {"period": "none", "order": "all"}
+# Maps that a sheet has room for, and frames that make an animation long enough.
+MOST_MAPS, MOST_FRAMES = 24, 60
+FRAMES_PER_SECOND = 4
+# Inches at the right of a frame for the colour bar with its numbers and its name.
+BAR = 1.1
+NAMES = {"brdf": "Reflection", "btdf": "Transmission"}
+GRID = "circles: θₒ = 30°, 60°; φₒ = 0° to the right"
 
 
 def plot(
     record: Record, path: str | PathLike[str] | None = None, *, index: int = 0
-) -> "Figure":
+) -> Figure:
     """Draw one figure of a record, and write it if `path` is given.
 
     Above, the patches of one incident direction in orthographic projection, seen along
@@ -67,46 +83,32 @@ def plot(
     OSError
         If the file cannot be written.
     """
-    check_matplotlib()
-    from .figure import NotebookFigure
-    from .polar_map import draw_map
-
     index = checked_count("index", index, 0)
     if index >= len(record):
         raise SettingError(
             f"index must be below {len(record)}, the number of incident directions, "
             f"got {index}"
         )
-    if path is not None:
-        check_output(path, FIGURE_ENDINGS)
-    single = record[index]
-    shown = ["brdf"]
-    if single.btdf is not None and single.btdf.any():
-        shown.append("btdf")
+    shown = _received(record[index])
+    figure = new_figure(path, figsize=(7 if len(shown) == 1 else 10, 8))
+    from .polar_map import draw_map
 
-    size = 7 if len(shown) == 1 else 10, 8
-    figure = NotebookFigure(figsize=size, layout="constrained")
     above, below = figure.subfigures(2, 1, height_ratios=(1.3, 1))
     for axes, of in zip(above.subplots(1, len(shown), squeeze=False)[0], shown):
-        draw_map(axes, single, of)
+        draw_map(axes, record[index], of)
     draw_profiles(below.subplots(), record, index, shown)
-    set_title(figure, _title(record, index))
-    if path is not None:
-        save_picture(figure, path)
-    return figure
+    return finished(figure, path, _title(record, index))
 
 
 def _title(record: Record, index: int) -> str:
     """Four lines: specimen, incident direction, settings, totals."""
     single, settings = record[index], record.settings
-    specimen = " ".join(str(settings.get("specimen", "specimen")).split())
-    specimen = abridged(specimen, MAX_TITLE)
-    direction = f"θᵢ = {single.theta_i[0]:g}°, φᵢ = {single.phi_i[0]:g}°"
+    direction = _direction(record, index)
     if math.isnan(single.theta_i[0]):
         direction = "incident as the emitter"
     if len(record) > 1:
         direction += f" ({index + 1} of {len(record)} directions)"
-    facts = [direction, "back side" if settings.get("side") == "back" else ""]
+    facts = [direction, "back side" if record.asked.side == "back" else ""]
     rays = [sent_text(single.tallies)]
     words = WORDS if single.ledger.emitted else WORDS[:1]  # integrals draw no samples
     rays += [f"{settings[key]} {key}" for key in words if key in settings]
@@ -116,7 +118,7 @@ def _title(record: Record, index: int) -> str:
         if settings.get(key, default) != default
     ]
     lines = [
-        specimen,
+        _name(record, MAX_TITLE),
         ", ".join(filter(None, facts)) + ", " + str(record.subdivision),
         ", ".join(rays),
     ]
@@ -147,3 +149,143 @@ def _total(
     decimals = max(0, 1 - math.floor(math.log10(std_err)))
     words = f"{name} {value:.{decimals}f} ± {std_err:.{decimals}f}"
     return words.replace(" ", "\N{NO-BREAK SPACE}")
+
+
+def sheet(record: Record, path: str | PathLike[str] | None = None) -> Figure:
+    """Draw the maps of all incident directions of a stack, on one colour scale.
+
+    Reflection above, transmission below if any was received. Of more than 24
+    maps evenly chosen directions are drawn, and the title says so.
+
+    Parameters
+    ----------
+    record : Record
+    path : str or path, optional
+        Ends in ``.pdf``, ``.png`` or ``.svg``.
+
+    Returns the matplotlib figure, and raises as :func:`gonio_mi.plot`.
+    """
+    quantities = _received(record)
+    shown = _evenly(record, MOST_MAPS // len(quantities))
+    columns = min(len(shown), 6)
+    rows = math.ceil(len(shown) / columns)
+    size = 2.1 * columns + 1.2, 2.3 * rows * len(quantities) + 0.8
+    figure = new_figure(path, figsize=size)
+    from .polar_map import add_bar, add_legend, draw_patches
+
+    blocks = figure.subfigures(len(quantities), 1, squeeze=False)[:, 0]
+    for of, block in zip(quantities, blocks):
+        scale = _common_scale(record, of)
+        axes = block.subplots(rows, columns, squeeze=False).ravel()
+        for place, number in zip(axes, shown):
+            mesh = draw_patches(place, record[number], of, scale)
+            place.set_title(_direction(record, number), fontsize="small")
+        for place in axes[len(shown) :]:
+            place.set_axis_off()
+        place = axes[columns - 1].inset_axes((1.12, 0, 0.07, 1))
+        add_bar(block, mesh, place, record[0], of)
+        add_legend(block, axes, loc="outside lower center")
+        block.suptitle(f"{NAMES[of]} ({GRID})", fontsize="medium")
+    return finished(figure, path, _title_of_stack(record, len(shown)))
+
+
+def animation(
+    record: Record, path: str | PathLike[str], *, progress: bool = False
+) -> None:
+    """Write the maps of a stack one after the other, on one colour scale, as a GIF.
+
+    Of more than 60 incident directions evenly chosen ones are drawn.
+
+    Parameters
+    ----------
+    record : Record
+    path : str or path
+        Ends in ``.gif``.
+    progress : bool
+        Show a progress bar on standard error.
+
+    Raises as :func:`gonio_mi.plot`.
+    """
+    check_matplotlib()
+    check_output(path, ANIMATION_ENDINGS)
+    from PIL import Image  # matplotlib brings it
+
+    shown = _evenly(record, MOST_FRAMES)
+    scales = {of: _common_scale(record, of) for of in _received(record)}
+    images = []
+    with bar(progress, total=len(shown), desc="animation", unit="frame") as report:
+        for number in shown:
+            images.append(Image.fromarray(_frame(record, number, scales, len(shown))))
+            if report is not None:
+                report(1)
+    with replacing(path) as stream:
+        images[0].save(
+            stream,
+            format="GIF",
+            save_all=True,
+            append_images=images[1:],
+            duration=1000 // FRAMES_PER_SECOND,
+            loop=0,
+        )
+
+
+def _frame(record: Record, number: int, scales: dict[str, Any], n_shown: int) -> Any:
+    """Pixels of one incident direction, uint8, of the shape (rows, columns, 3)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from .polar_map import add_bar, draw_patches
+
+    width = 4.7 * len(scales)
+    figure = Figure(figsize=(width, 4.4), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    places = figure.subplots(1, len(scales), squeeze=False)[0]
+    for (of, scale), axes in zip(scales.items(), places):
+        mesh = draw_patches(axes, record[number], of, scale)
+        add_bar(figure, mesh, axes.inset_axes((1.05, 0.1, 0.05, 0.8)), record[0], of)
+        axes.set_title(NAMES[of], fontsize="small")
+    title = f"{_title_of_stack(record, n_shown)}\n{_direction(record, number)}"
+    set_title(figure, title, "small")
+    right = 1 - BAR / width
+    figure.subplots_adjust(left=0.02, right=right, top=0.82, bottom=0.03, wspace=0.5)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3]
+
+
+def _received(record: Record) -> list[str]:
+    """The quantities that are worth a map."""
+    return ["brdf"] if record.btdf is None or not record.btdf.any() else list(NAMES)
+
+
+def _evenly(record: Record, most: int) -> list[int]:
+    """Numbers of at most that many directions, evenly among those of the stack."""
+    n = min(len(record), most)
+    return np.unique(np.linspace(0, len(record) - 1, n).round().astype(int)).tolist()
+
+
+def _common_scale(record: Record, of: str) -> Any:
+    """Colour scale of the values of all directions."""
+    from .polar_map import scale_of, shown_values
+
+    looks = (record[number] for number in range(len(record)))
+    return scale_of(
+        np.concatenate([shown_values(one, of)[1].compressed() for one in looks])
+    )
+
+
+def _direction(record: Record, number: int) -> str:
+    theta, phi = record.theta_i[number], record.phi_i[number]
+    return f"θᵢ = {theta:g}°, φᵢ = {phi:g}°"
+
+
+def _name(record: Record, longest: int) -> str:
+    """The specimen in one line."""
+    name = " ".join(record.provenance.name.split())
+    return abridged(name, longest)
+
+
+def _title_of_stack(record: Record, n_shown: int) -> str:
+    name = _name(record, LABEL)
+    if n_shown < len(record):
+        name += f" ({n_shown} of {len(record)} incident directions)"
+    return name

@@ -9,6 +9,8 @@ import sys
 
 import mitsuba as mi
 
+from ..transport.kernels import know_own_variant, orderly
+
 __all__ = ["MODULES", "register"]
 
 # In the order of registration: a module comes after those whose plugins it looks up.
@@ -40,6 +42,13 @@ def register() -> None:
             importlib.import_module(qualified)
 
 
-mi.detail.add_variant_callback(lambda _old, _new: register())
+def _changed(_old: str, _new: str) -> None:
+    """Follow a change of variant, in the thread that makes it, however it does so."""
+    know_own_variant()
+    register()
+
+
+mi.set_variant = orderly(mi.set_variant)
+mi.detail.add_variant_callback(_changed)
 if mi.variant():
     register()

@@ -5,22 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import mitsuba as mi
+import numpy as np
 
 from ..array_types import Floats
 from ..errors import SpecimenError
-from ..settings.measurement_settings import MeasurementSettings
+from ..results.integral_sums import Integrals
+from ..results.tally import WEIGHT_SCALE, Tally
 from ..settings.orders import ALL_ORDERS
 from ..transport.bench import Bench
+from ..transport.wavelengths import wavelength_lanes
 
 __all__ = ["check_integrable", "integrals"]
 
 
-def check_integrable(
-    bench: Bench, settings: MeasurementSettings, wavelengths: mi.Spectrum
-) -> None:
+def check_integrable(bench: Bench) -> None:
     """Raise SpecimenError where the estimator `quadrature` does not apply."""
-    plane = bench.specimen.plane
+    plane, settings = bench.specimen.plane, bench.settings
     at_point = settings.footprint == "point"
+    lanes = wavelength_lanes(bench.passes[0])
     needs = {
         "a single flat rectangle": plane is not None and not settings.trace,
         "a collimated beam": bench.beam.collimated
@@ -30,7 +32,7 @@ def check_integrable(
         "the order all": settings.order == ALL_ORDERS,
         "the same BSDF all over the specimen": plane is None
         or at_point
-        or plane.is_uniform(wavelengths),
+        or plane.is_uniform(lanes),
     }
     for need, holds in needs.items():
         if not holds:
@@ -41,41 +43,50 @@ def check_integrable(
 
 
 def integrals(
-    benches: Sequence[Bench],
-    wavelengths: mi.Spectrum,
-    rel_err: float,
-    channels: int | None = None,
-) -> list[tuple[Floats, Floats]]:
-    """Flux fractions of all but delta components, and their errors, at each bench.
+    benches: Sequence[Bench], sampled: Sequence[Sequence[Tally]]
+) -> list[Integrals]:
+    """Integrals of all but the delta components, beside the tallies of those.
 
     Parameters
     ----------
     benches : sequence of Bench
-        Of one specimen, and alike but for the incident direction.
-    wavelengths : mi.Color0f or mi.Spectrum
-        As the surface interaction wants them.
-    rel_err : float
-    channels : int, optional
-        How many of them to keep.
+        Of one specimen, and alike but for the incident direction: they share kernels.
+    sampled : sequence of sequence of Tally
+        Of the delta components, at each bench; none without such components.
+    """
+    groups = [_of_pass(benches, nm) for nm in benches[0].passes]
+    found = []
+    for bench, tallies, parts in zip(benches, sampled, zip(*groups)):
+        flux, errors = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts))
+        if tallies:
+            beside = Tally.join(tallies).spread(flux.shape[-1])
+        else:
+            shape = bench.collector.subdivision.shape
+            beside = Tally.empty(bench.shape[0], shape, flux.shape[-1], WEIGHT_SCALE)
+        found.append(Integrals.beside(beside, flux, errors))
+    return found
 
-    Returns
-    -------
-    list of (flux, error)
-        Arrays of shape ``(n_hemispheres, n_theta, n_phi, channels)``.
+
+def _of_pass(
+    benches: Sequence[Bench], nm: tuple[float, ...] | None
+) -> list[tuple[Floats, Floats]]:
+    """Flux fractions of some wavelengths, and their errors, at each bench.
+
+    Arrays of shape ``(n_hemispheres, n_theta, n_phi, channels)``.
     """
     from . import integrate_each  # which stands on these helpers
 
     bench = benches[0]
     si = mi.SurfaceInteraction3f(bench.specimen.plane.interaction)
-    si.wavelengths = wavelengths
+    si.wavelengths = wavelength_lanes(nm)
     found = integrate_each(
         bench.specimen.plane.bsdf,
         [(one.theta_i, one.phi_i) for one in benches],
         bench.collector.subdivision,
-        rel_err=rel_err,
+        rel_err=bench.settings.integral_err,
         side="front" if bench.beam.side > 0 else "back",
         interaction=si,
         n_hemispheres=bench.shape[0],
     )
-    kept = ..., slice(0, channels)
+    kept = ..., slice(0, nm and len(nm))
     return [(one.flux[kept], one.error[kept]) for one in found]

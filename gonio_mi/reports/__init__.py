@@ -1,6 +1,9 @@
-"""Pages to look at records with: one self-contained HTML file, without a network."""
+"""Pages to look at results with: one self-contained HTML file, without a network."""
 
-from .page import html_page
-from .reporting import check_report, report
+from ..results.record import Record
+from .reporting import check_report, notebook_view, report
 
-__all__ = ["check_report", "html_page", "report"]
+# a record's own method shows it, and imports nothing of what is above it
+Record.viewer = notebook_view
+
+__all__ = ["check_report", "report"]

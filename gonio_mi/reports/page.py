@@ -1,47 +1,103 @@
-"""The frame that all our HTML pages share: title, style, body."""
+"""The one writer of HTML pages, and the pieces that pages and notebooks are made of."""
 
+import base64
 import html
-from collections.abc import Iterable
+import io
+from collections.abc import Callable, Iterable
+from importlib import resources
+from os import PathLike
+from typing import Any
 
-__all__ = ["html_page"]
+from ..errors import PackageError
+from ..files import check_output, replacing
+from ..plots.drawable import check_matplotlib
 
-STYLE = """
-:root { --ink: #222; --soft: #666; --line: #ddd; --accent: #1f5f9e;
-        color-scheme: only light; }
-body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); max-width: 78em;
-       margin: 1.5em auto; padding: 0 1em; }
-h1 { font-size: 1.4em; margin: 0 0 .3em; overflow-wrap: anywhere; }
-h2 { font-size: 1.1em; margin: 1.2em 0 .3em; }
-table { border-collapse: collapse; }
-td, th { padding: .25em .8em; vertical-align: top; text-align: left; }
-tr { border-top: 1px solid var(--line); }
-img { max-width: 100%; }
-small, .soft { color: var(--soft); }
-pre { overflow-x: auto; font-size: .85em; background: #f6f6f6; padding: .8em; }
-"""
+__all__ = [
+    "check_page",
+    "coded",
+    "figure",
+    "picture_and_text",
+    "preformatted",
+    "save_page",
+    "table",
+]
 
 
-def html_page(title: str, body: Iterable[str], style: str = "") -> str:
-    """Return a whole HTML page.
+def check_page(
+    path: str | PathLike[str], check_package: Callable[[], None] = check_matplotlib
+) -> None:
+    """Raise one clear sentence unless a page can be drawn and written to `path`.
 
-    Parameters
-    ----------
-    title : str
-        Plain text.
-    body : iterable of str
-        Pieces of HTML.
-    style : str
-        More rules of style, after those that all pages have.
+    Raises
+    ------
+    ImportError
+        Without the package that draws it.
+    ValueError, OSError
+        If the ending is not ``.html``, or the file cannot be written.
     """
-    return "\n".join(
-        [
-            "<!doctype html>",
-            '<html lang="en"><head><meta charset="utf-8">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            '<link rel="icon" href="data:,">',
-            f"<title>{html.escape(title)}</title>",
-            f"<style>{STYLE}{style}</style></head><body>",
-            *body,
-            "</body></html>",
-        ]
+    check_package()
+    check_output(path, (".html",))
+
+
+def save_page(path: str | PathLike[str], title: str, body: Iterable[str]) -> None:
+    """Write a whole page of pieces of HTML under a title of plain text."""
+    style = (resources.files(__package__) / "page.css").read_text("utf-8")
+    lines = [
+        "<!doctype html>",
+        '<html lang="en"><head><meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        '<link rel="icon" href="data:,">',
+        f"<title>{html.escape(title)}</title>",
+        f"<style>{style}</style></head><body>",
+        *body,
+        "</body></html>",
+    ]
+    with replacing(path) as stream:
+        stream.write("\n".join(lines).encode("utf-8", "backslashreplace"))
+
+
+def figure(drawn: Any) -> str:
+    """A matplotlib figure as an image within the page."""
+    stream = io.BytesIO()
+    drawn.savefig(stream, format="png", dpi=80)
+    data = base64.b64encode(stream.getvalue()).decode("ascii")
+    return f'<img alt="figure" src="data:image/png;base64,{data}">'
+
+
+def picture_and_text(draw: Callable[[], Any], text: object, heading: str = "") -> str:
+    """What a notebook shows: the figure that `draw` returns, and numbers.
+
+    Numbers alone without Matplotlib. They are folded under the `heading`, if there is
+    one.
+    """
+    try:
+        picture = figure(draw())
+    except PackageError:
+        picture = ""
+    numbers = preformatted(text)
+    if heading:
+        folded = f"<summary>{html.escape(heading)}</summary>{numbers}"
+        numbers = f"<details>{folded}</details>"
+    return picture + numbers
+
+
+def preformatted(text: object) -> str:
+    """Lines of text as they are."""
+    return f"<pre>{html.escape(str(text))}</pre>"
+
+
+def table(rows: Iterable[Iterable[str]]) -> str:
+    """Rows of cells, which are pieces of HTML; one may bring its own ``<td ...>``."""
+    lines = []
+    for cells in rows:
+        own = (c if c.startswith("<td") else f"<td>{c}</td>" for c in cells)
+        lines.append(f"<tr>{''.join(own)}</tr>")
+    return f"<table>{''.join(lines)}</table>"
+
+
+def coded(text: str) -> str:
+    """Escaped text, with what stands between backquotes as code."""
+    pieces = html.escape(text).split("`")
+    return "".join(
+        f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces)
     )

@@ -1,18 +1,49 @@
-"""One page of records that moves: maps, cuts, lobes, numbers; opened from disk."""
+"""Records as HTML: a page that moves, and what a notebook shows."""
 
+import base64
+import html
 import json
-from collections.abc import Sequence
+import zlib
+from collections.abc import Callable, Sequence
 from importlib import resources
+from itertools import groupby
 from os import PathLike
+from typing import Any
 
-from ..errors import PackageError, SettingError, SettingTypeError
-from ..files import check_output, replacing
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array_types import Floats
+from ..collector import Subdivision
+from ..collector.directions import direction
+from ..errors import LABEL, PackageError, SettingError, SettingTypeError, abridged_apart
+from ..plots import plot, sheet
 from ..progress import bar
+from ..results.doubts import grouped
 from ..results.record import Record
-from .packing import packed_record
-from .page import html_page
+from ..results.summary import summarize
+from ..results.summary_text import percent, summary_text, total_cells
+from .page import check_page, picture_and_text, save_page
 
-__all__ = ["check_report", "report"]
+__all__ = ["check_report", "names_apart", "notebook_view", "packed_record", "report"]
+
+# Patch values of one record, over all directions, hemispheres and channels, that a
+# browser still shows with ease: 1000 directions of two hemispheres of 30x90 patches.
+MOST_VALUES = 1000 * 2 * 30 * 90
+
+# Directions in polar angle and in azimuth at which the page knows the patch.
+RASTER = 720, 720
+
+# Bits of the mantissa of an uncertainty that are kept: 1e-4 of it.
+UNCERTAIN_BITS = 12
+
+
+# Settings that tell records of one specimen apart in their names, first to last.
+TELLING = (
+    *("order", "period", "side", "footprint", "divergence", "incident", "emission"),
+    *("emitter", "collector_radius", "max_depth", "max_scatterings", "variant"),
+    *("estimator", "sampler", "points", "rays", "batches", "seed"),
+)
 
 
 def report(
@@ -27,8 +58,10 @@ def report(
     value, standard error, 95 % interval, rays and solid angle; sliders over the
     incident polar angles and azimuths; one channel or another, linear or logarithmic;
     a cut through any azimuth with its intervals; the lobe in three dimensions; totals,
-    ledger and settings; and the numbers as CSV. Two records of one collector can stand
-    beside each other, with their difference in standard errors. Of a record with more
+    ledger and settings; and the numbers as CSV. Of several records, named by the
+    settings in which they differ, any two stand beside each other; if they have one
+    collector and the same channels, with their difference in standard errors. Where no
+    ray came, the upper limit over 1.96 is taken for one. Of a record with more
     than 5.4 million patch values evenly chosen incident directions are shown, and the
     page says so. The page knows the patches of 720 x 720 directions of a hemisphere:
     patches between these are in its CSV only.
@@ -66,8 +99,9 @@ def report(
 
     ours = resources.files(__package__)
     total = sum(map(len, records))
+    names = names_apart(records)
     with bar(progress, total=total, desc="report", unit="direction") as done:
-        packed = [packed_record(one, done) for one in records]
+        packed = [packed_record(one, name, done) for one, name in zip(records, names)]
     data = json.dumps({"records": packed})
     data = data.replace("<", "\\u003c")  # no text of a record ends the script
     body = [
@@ -76,10 +110,7 @@ def report(
         f'<script type="application/json" id="data">{data}</script>',
         f"<script>{(ours / 'record_page.js').read_text('utf-8')}</script>",
     ]
-    title = ", ".join(str(one.settings.get("specimen")) for one in records)
-    page = html_page(title, body, (ours / "record_page.css").read_text("utf-8"))
-    with replacing(path) as stream:
-        stream.write(page.encode("utf-8", "backslashreplace"))
+    save_page(path, "; ".join(names), body)
 
 
 def check_report(path: str | PathLike[str]) -> None:
@@ -92,10 +123,186 @@ def check_report(path: str | PathLike[str]) -> None:
     ValueError, OSError
         If the ending is not ``.html``, or the file cannot be written.
     """
+    check_page(path, _check_plotly)
+
+
+def _check_plotly() -> None:
     try:
         import plotly.offline  # noqa: F401
     except ImportError:
         raise PackageError(
             'reports need plotly: run pip install "gonio-mi[report]"'
         ) from None
-    check_output(path, (".html",))
+
+
+def notebook_view(record: Record) -> str:
+    """Return a record as HTML: its picture, a sheet of a stack, and its numbers.
+
+    Without matplotlib there are the numbers alone.
+    """
+    numbers = summarize(record)
+    warnings = "".join(
+        f"<p>Warning: {html.escape(one)}</p>" for one in numbers["warnings"]
+    )
+    shown = picture_and_text(
+        lambda: sheet(record) if len(record) > 1 else plot(record),
+        summary_text(numbers | {"warnings": []}),
+        "numbers",
+    )
+    return f"<p><code>{html.escape(repr(record))}</code></p>{warnings}{shown}"
+
+
+def names_apart(records: Sequence[Record]) -> list[str]:
+    """Short names of records that stand beside each other.
+
+    The specimens, with the settings in which records of the same name differ; alike
+    only if all of these are.
+    """
+    specimens = [one.provenance.name for one in records]
+    names = abridged_apart(specimens, LABEL)
+    texts: list[list[str]] = [[f"collector {one.subdivision}"] for one in records]
+    for text, one in zip(texts, records):
+        text += (f"{key} {one.settings.get(key, 'unknown')}" for key in TELLING)
+    for column in zip(*texts):
+        said = {*zip(names, column)}
+        unlike = {name for name in names if sum(n == name for n, _ in said) > 1}
+        names = [
+            f"{name}, {text}" if name in unlike else name
+            for name, text in zip(names, column)
+        ]
+    return names
+
+
+def packed_record(
+    record: Record, label: str = "", report: Callable[[float], Any] | None = None
+) -> dict[str, Any]:
+    """Return what the page shows of a record, in JSON's types.
+
+    Arrays are little-endian, deflated and in base 64. ``raster`` is the patch of
+    each direction, ``(polar angle, azimuth)`` at the middles of equal steps;
+    ``values`` has one block per incident direction with, one after the other, the
+    patch means in 1/sr, standard errors, distances from the mean to the lower and
+    upper end of the 95 % interval, each float32 of the shape ``(hemispheres, patches,
+    channels)``, and the rays per patch, uint32 of ``(hemispheres, patches)``. Of more
+    than `MOST_VALUES` values evenly chosen directions are kept, and ``notes`` says so.
+    `report` is told of each direction that is packed.
+    """
+    patches = record.subdivision
+    n_all = len(record)
+    kept = _kept(record)
+    numbers = summarize(record)
+    directions = [_direction(numbers, i) for i in kept]
+    blocks = []
+    for number in kept:
+        blocks.append(_block(record[number]))
+        if report is not None:
+            report(1)
+    middles = [np.degrees(np.ravel(angle)) for angle in patches.middles]
+    return {
+        "name": record.provenance.name,
+        "label": label,
+        "collector": str(patches),
+        "channels": list(record.channels),
+        "hemispheres": 2 if record.has_lower else 1,
+        "patches": patches.n_patches,
+        "detectors": patches.n_detectors,
+        "solid": _packed(patches.solid_angles.astype("<f4")),
+        "theta": _packed(middles[0].astype("<f4")),
+        "phi": _packed(middles[1].astype("<f4")),
+        "raster": _packed(raster(patches)),
+        "raster_shape": RASTER,
+        "integrals": numbers["integrals"],
+        "directions": directions,
+        "rings": _rings(directions),
+        "values": blocks,
+        "notes": _left_out(len(kept), n_all) + numbers["warnings"],
+        "text": summary_text(numbers),
+    }
+
+
+def _kept(record: Record) -> list[int]:
+    """Numbers of the incident directions that the page has."""
+    n_all = len(record)
+    hemispheres = 2 if record.has_lower else 1
+    each = hemispheres * record.subdivision.n_patches * len(record.channels)
+    n = min(n_all, max(1, MOST_VALUES // each))
+    return np.unique(np.linspace(0, n_all - 1, n).round().astype(int)).tolist()
+
+
+def _left_out(n: int, n_all: int) -> list[str]:
+    text = f"This page has {n} of the record's {n_all} incident directions, evenly."
+    return [text] * (n < n_all)
+
+
+def _direction(numbers: dict[str, Any], index: int) -> dict[str, Any]:
+    """Angles of an incident direction, and the rows of its totals and its ledger."""
+    found = numbers["directions"][index]
+    emitted = found["ledger"]["emitted"]
+    exact = numbers["integrals"] and not emitted
+    kinds = ("largest error", "limits") if exact else ("std_err", "95 % interval")
+    rows = [["", "value", *kinds]]
+    for name in ("dhr", "dht", "direct"):
+        for total in found[name] or []:
+            channel = total["channel"] if len(found[name]) > 1 else ""
+            value, error, low, high = total_cells(total)
+            rows.append([f"{name} {channel}", value, error, f"{low} to {high}"])
+    if exact:
+        rows.append(["rays", "none: integrals", "", ""])
+    else:
+        rows.append(["ledger, whatever power they carry", "rays", "share of rays", ""])
+    for name, n in found["ledger"].items():
+        if n:
+            rows.append([name, grouped(n), f"{percent(n, emitted)} %", ""])
+    return {"theta_i": found["theta_i"], "phi_i": found["phi_i"], "rows": rows}
+
+
+def _rings(directions: Sequence[dict[str, Any]]) -> list[list[int]]:
+    """Numbers of the directions, by polar angle and then by azimuth."""
+    angles = [(one["theta_i"], one["phi_i"]) for one in directions]
+    order = sorted(range(len(angles)), key=lambda i: [one or 0 for one in angles[i]])
+    return [list(ring) for _, ring in groupby(order, lambda i: angles[i][0])]
+
+
+def raster(patches: Subdivision) -> NDArray[Any]:
+    """Patch of each direction of a raster; uint32, of the shape `RASTER`.
+
+    Rows are equal steps of the polar angle, columns of the azimuth, at their middles.
+    """
+    n_theta, n_phi = RASTER
+    theta = (np.arange(n_theta) + 0.5) * np.pi / 2 / n_theta
+    phi = (np.arange(n_phi) + 0.5) * 2 * np.pi / n_phi
+    v = direction(*np.meshgrid(theta, phi, indexing="ij"))
+    return patches.patch(v).astype("<u4")
+
+
+def _block(single: Record) -> str:
+    """Patch means, their uncertainties and hits at one incident direction."""
+    shown = ("brdf", "btdf") if single.has_lower else ("brdf",)
+    n_channels = len(single.channels)
+
+    def flat(arrays: list[Any]) -> Floats:
+        return np.stack([np.reshape(one, (-1, n_channels)) for one in arrays])
+
+    mean = flat([getattr(single, of) for of in shown])
+    std_err = flat([getattr(single, f"{of}_std_err") for of in shown])
+    limits = [single.interval(0.95, of=of) for of in shown]
+    low, high = (flat([pair[end] for pair in limits]) for end in (0, 1))
+    arrays = [mean.astype("<f4")]
+    arrays += [_rounded(one) for one in (std_err, mean - low, high - mean)]
+    hits = np.minimum(single.counts, np.iinfo(np.uint32).max).astype("<u4")
+    return _packed(*arrays, hits)
+
+
+def _rounded(values: Floats) -> NDArray[np.float32]:
+    """Numbers of `UNCERTAIN_BITS` bits, which deflate well; NaN where not finite."""
+    mantissa, exponent = np.frexp(values)
+    mantissa = np.round(mantissa * 2**UNCERTAIN_BITS) / 2**UNCERTAIN_BITS
+    return np.where(np.isfinite(values), np.ldexp(mantissa, exponent), np.nan).astype(
+        "<f4"
+    )
+
+
+def _packed(*arrays: NDArray[Any]) -> str:
+    """The bytes of arrays, one after the other, deflated, in base 64."""
+    raw = b"".join(np.ascontiguousarray(one).tobytes() for one in arrays)
+    return base64.b64encode(zlib.compress(raw, 6)).decode("ascii")

@@ -20,10 +20,10 @@ def without_copies(record: Record) -> Record:
     own = np.flatnonzero(~_copied(record))
     if len(own) in (0, len(record)):
         return record
-    campaign = record.settings["campaign"]
+    campaign = record.provenance.campaign or {}
     symmetry = _symmetry(record) | {"copies": []}
     measured = Record.stack(record[number] for number in own.tolist())
-    return measured.with_settings(campaign={**campaign, "symmetry": symmetry})
+    return measured.with_provenance(campaign={**campaign, "symmetry": symmetry})
 
 
 def sources(record: Record) -> list[tuple[int, Motion]]:
@@ -80,5 +80,5 @@ def symmetry_of(record: Record) -> AzimuthSymmetry | None:
 
 def _symmetry(record: Record) -> dict[str, Any]:
     """What a campaign says of the specimen's symmetry; nothing in other records."""
-    campaign: Mapping[str, Any] = record.settings.get("campaign") or {}
+    campaign: Mapping[str, Any] = record.provenance.campaign or {}
     return dict(campaign.get("symmetry") or {})

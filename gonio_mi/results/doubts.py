@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from .processors import processors
 from .record import Record
 from .tally import Ledger
 
@@ -23,16 +22,12 @@ PASSED = {
     "as they should between threads or fibres but not in a closed surface",
 }
 
-# What `missed` rays ask for: of a finite specimen, and of a record that was made before
-# what passes a periodic cell was direct light.
-MISSED = {
-    False: "missed the specimen; they are not part of the incident flux: if it stands "
-    "for a larger surface with openings, give a period, which counts them as "
-    "transmitted; if these are its edges, take a smaller footprint",
-    True: "missed the specimen through openings of its cell; they are not part of the "
-    "incident flux, as an older gonio-mi had it: measure again, and they are "
-    "transmitted",
-}
+# What `missed` rays ask for.
+MISSED = (
+    "missed the specimen; they are not part of the incident flux: if it stands for a "
+    "larger surface with openings, give a period, which counts them as transmitted; if "
+    "these are its edges, take a smaller footprint"
+)
 
 
 def doubts(record: Record, directions: list[dict[str, Any]]) -> list[str]:
@@ -40,10 +35,10 @@ def doubts(record: Record, directions: list[dict[str, Any]]) -> list[str]:
 
     See :func:`~gonio_mi.results.summary.summarize`.
     """
-    ledger, sentences = record.ledger, []
-    media = "media" in record.settings
+    ledger, sentences = record.ledger, list(record.provenance.defects)
+    media = record.provenance.media
     called = "sample()"
-    if record.settings.get("estimator") == "next_event":
+    if record.asked.estimator.deposits:
         called += " or eval()"
     if ledger.invalid:
         sentences.append(
@@ -64,14 +59,14 @@ def doubts(record: Record, directions: list[dict[str, Any]]) -> list[str]:
         )
     rows = {
         "sideways": "left sideways, over the edge of the specimen, into no patch",
-        "missed": MISSED[record.settings.get("period", "none") != "none"],
+        "missed": MISSED,
         "direct": "passed openings of the periodic cell straight on and are "
         "transmitted, as they should between threads or slats but not in a closed "
         "surface",
     }
     if media:
         del rows["direct"]  # it passed a layer, as it should
-    transmission = record.settings.get("transmission")
+    transmission = record.provenance.transmission
     if ledger.direct and transmission == "none":
         transmission = "gaps"  # which the few thousand rays did not find
     passed = PASSED.get(str(transmission))
@@ -83,7 +78,7 @@ def doubts(record: Record, directions: list[dict[str, Any]]) -> list[str]:
                 f"{_share(getattr(ledger, row), ledger)} {sentence}: more than the "
                 "statistical error"
             )
-    several = processors(record.settings)
+    several = record.provenance.each_processor
     if len(several) > 1:
         sentences.append(
             "its parts were measured on unlike processors, or with other vectors or "

@@ -105,7 +105,7 @@ def misplaced(record: Record, predicted: Floats) -> Misplacement:
 def noise_of(record: Record) -> float:
     """Part of its light that a record's standard errors misplace on average.
 
-    Of one incident direction; the errors of patches are taken as normal. None where all
+    Of one incident direction; the errors of patches are taken as normal. 0 where all
     batches agree, as on a mirror, or no light left at all; infinite where no error is
     known, of a single batch.
     """

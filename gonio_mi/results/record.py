@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -20,13 +21,28 @@ from ..errors import (
     printable,
     shown,
 )
-from . import joined_settings, statistics
+from ..settings import MeasurementSettings
+from ..settings.measurement_settings import MOST_RAYS
+from . import statistics
 from .estimates import Estimates, IntegralEstimates, SampledEstimates
 from .integral_sums import Integrals, holds_integrals, sent_text
-from .read_only import read_only
+from .provenance import (
+    MERGED,
+    STACKED,
+    Provenance,
+    check_alike,
+    names_told,
+    read_only,
+    told_settings,
+    with_settings,
+)
 from .tally import Ledger, Tally
 
 __all__ = ["Record"]
+
+
+# Channels that are wavelengths, from 100 to 9999 nm.
+WAVELENGTH = re.compile(r"([1-9]\d{2,3}(?:\.\d+)?)nm")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +64,10 @@ class Record:
         ``("Y",)``, ``("R", "G", "B")`` or wavelengths such as ``"550nm"``.
     tallies : tuple of Tally
         One per incident direction.
-    settings : mapping, copied
-        All that is needed to repeat the measurement, in JSON's types; ``digest`` tells
-        the specimen from others, ``emitter_digest`` its emitter, None for a collimated
-        beam, and ``plugin_digest`` the text of what is written in Python of both.
-        ``task`` is what a campaign's folder asked for.
+    asked : MeasurementSettings
+        The settings that were asked for, as far as a record tells them.
+    provenance : Provenance
+        How it came about.
     stacked : bool
         Whether it was asked for as a stack.
     """
@@ -62,7 +77,8 @@ class Record:
     phi_i: Floats
     channels: tuple[str, ...]
     tallies: tuple[Tally, ...]
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    asked: MeasurementSettings = field(default_factory=MeasurementSettings)
+    provenance: Provenance = field(default_factory=Provenance)
     stacked: bool = False
 
     # what rooms above this one do with a record: files and plots set it
@@ -72,7 +88,7 @@ class Record:
     viewer: ClassVar[Callable[[Record], str]]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "settings", read_only(self.settings))
+        object.__setattr__(self, "asked", self._known(self.asked))
         _frozen(self.theta_i)
         _frozen(self.phi_i)
         for tally in self.tallies:
@@ -101,7 +117,9 @@ class Record:
     def brdf_std_err(self) -> Floats:
         """Standard error of `brdf`; NaN where nothing was received or known.
 
-        For integrals their estimated error, with that of the delta components.
+        From the scatter of the batches; where a patch is `pooled`, at least what the
+        mean square of a hit in all patches makes of its number of hits. For integrals
+        their estimated error, with that of the delta components.
         """
         return self._per_patch(lambda one: one.std_err(0))
 
@@ -171,9 +189,35 @@ class Record:
         return self._squeeze(np.stack([tally.hits for tally in self.tallies]))
 
     @property
+    def ray_keys(self) -> dict[str, str]:
+        """Texts by which a table names the rays: `seed` and `sampler`.
+
+        A merged record has several seeds, with commas in between. Empty if no seed is
+        known, or for integrals.
+        """
+        own = self.provenance
+        if not own.seeds or self.asked.estimator.integrates:
+            return {}
+        keys = {"seed": ", ".join(map(str, own.seeds))}
+        return keys | ({} if own.sampler is None else {"sampler": own.sampler})
+
+    @property
     def without_hit(self) -> Flags:
         """Whether a patch is known by an upper limit only, shaped like `counts`."""
         return self._squeeze(np.stack([one.without_hit for one in self.estimates]))
+
+    @cached_property
+    def pooled(self) -> Flags:
+        """Whether a patch's own hits tell too little of its scatter, like `counts`.
+
+        Hits more than twice as heavy as its mean one make the patches of its hemisphere
+        scatter, and it has scattered as by fewer than 30 of them: bright spots on a
+        dark specimen, of which it has seen none, or one too many. Its standard error
+        and interval take their weight from all patches; in some channel at least.
+        """
+        hemispheres = range(1 + self.has_lower)
+        flags = [[one.pooled(i) for i in hemispheres] for one in self.estimates]
+        return _frozen(self._squeeze(np.any(flags, axis=-1)))
 
     @property
     def ledger(self) -> Ledger:
@@ -216,9 +260,19 @@ class Record:
         rounding of single precision. Where all rays were received with weight 1 they
         can only be lost.
 
-        Deposits of `next_event` are of very unlike weights: below 300 of them the
-        interval reaches at least to the limits for weighted counts (Fay and Feuer
-        1997), of which one of unit weight may have been missed.
+        A patch that is `pooled` has few of the heavy hits that make all patches
+        scatter, or none. Their weight is the third over the second cumulant of sums
+        between batches, over all patches; as many of them as explain the patch's own
+        scatter count as Poisson's, and one more may have been missed (Fay and Feuer
+        1997): the interval reaches at least to these limits, and so do those of
+        totals. It takes at least three batches, and heavy hits that some patch
+        received: what is rarer than one in all rays, no interval of them knows.
+
+        Deposits of `next_event` are of very unlike weights: below 300 of them, where
+        they scatter more than half as many that are alike and independent, and in all
+        patches where three of four do so, the interval reaches at least to the limits
+        for weighted counts (Fay and Feuer 1997), of which one of unit weight may have
+        been missed.
 
         Integrals (estimator `quadrature`) may be wrong by their error, the largest that
         they are estimated to have, at any `level`; Student's t for delta components,
@@ -276,7 +330,7 @@ class Record:
         if not records:
             raise SettingError("records must hold at least one to be stacked, got none")
         for other in records[1:]:
-            records[0]._check_alike(other, joined_settings.STACKED, "stacked")
+            records[0]._check_alike(other, STACKED, "stacked")
         channels = max((record.channels for record in records), key=len)
         return replace(
             records[0],
@@ -288,7 +342,7 @@ class Record:
                 for record in records
                 for tally in record.tallies
             ),
-            settings=joined_settings.stacked([one.settings for one in records]),
+            provenance=Provenance.stacked([one.provenance for one in records]),
             stacked=True,
         )
 
@@ -323,7 +377,8 @@ class Record:
             and np.array_equal(self.theta_i, other.theta_i, equal_nan=True)
             and np.array_equal(self.phi_i, other.phi_i, equal_nan=True)
             and self.channels == other.channels
-            and self.settings == other.settings
+            and self.asked == other.asked
+            and self.provenance == other.provenance
             and self.stacked == other.stacked
             and self.tallies == other.tallies
         )
@@ -334,7 +389,7 @@ class Record:
             for theta, phi in zip(self.theta_i[:3], self.phi_i[:3])
         ) + (", ..." if len(self) > 3 else "")
         return (
-            f"<Record of {printable(str(self.settings.get('specimen')))}: "
+            f"<Record of {printable(self.provenance.name)}: "
             f"{abridged(str(self.subdivision), 60)}, "
             f"incident (theta_i, phi_i) = {angles} degrees, "
             f"{sent_text(self.tallies)}, dhr {np.array2string(self.dhr, precision=5)}>"
@@ -350,7 +405,7 @@ class Record:
             and emitters by their digests), were made with the same seed, whose rays
             would be counted twice, or hold integrals.
         """
-        self._check_alike(other, joined_settings.MERGED, "merged")
+        self._check_alike(other, MERGED, "merged")
         for key in ("theta_i", "phi_i"):
             a, b = getattr(self, key).tolist(), getattr(other, key).tolist()
             if not np.array_equal(a, b, equal_nan=True):
@@ -360,14 +415,34 @@ class Record:
                 )
         if holds_integrals((*self.tallies, *other.tallies)):
             raise SettingError("records of the estimator quadrature cannot be merged")
-        settings = joined_settings.merged(self.settings, other.settings)
+        provenance = self.provenance.merged(other.provenance)
         tallies = tuple(a + b for a, b in zip(self.tallies, other.tallies))
         channels = max(self.channels, other.channels, key=len)
-        return replace(self, tallies=tallies, channels=channels, settings=settings)
+        return replace(self, tallies=tallies, channels=channels, provenance=provenance)
+
+    @cached_property
+    def settings(self) -> Mapping[str, Any]:
+        """All that is needed to repeat the measurement, in JSON's types; read-only.
+
+        Of `asked` and `provenance`, what is known, by the names of :func:`measure`.
+        """
+        told: Mapping[str, Any] = read_only(told_settings(self.asked, self.provenance))
+        return told
 
     def with_settings(self, **changes: object) -> Record:
-        """Return the record with other values of some settings."""
-        return replace(self, settings={**self.settings, **changes})
+        """Return the record with other values of some `settings`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            For a name or a value that no setting of a record has.
+        """
+        asked, provenance = with_settings(self.asked, self.provenance, changes)
+        return replace(self, asked=asked, provenance=provenance)
+
+    def with_provenance(self, **changes: Any) -> Record:
+        """Return the record with other values of some attributes of `provenance`."""
+        return replace(self, provenance=replace(self.provenance, **changes))
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write to ``.npz`` or ``.exr``, both lossless; the file appears when complete.
@@ -400,30 +475,46 @@ class Record:
         return self.subdivision.projected_solid_angles[..., None]
 
     def _check_alike(self, other: Record, free: set[str], purpose: str) -> None:
-        """Raise ValueError if the collector or a setting that is not `free` differs."""
-        for a, b in ((self, other), (other, self)):
-            if a.ledger.missed and b.ledger.direct:
-                raise SettingError(
-                    f"records must agree in what is incident to be {purpose}: one, of "
-                    "an older gonio-mi, leaves out the light that passes the openings "
-                    "of its cell"
-                )
-        joined_settings.check_alike(self._told, other._told, free, purpose)
+        """Raise ValueError if collector, channels or a setting not in `free` differ."""
+        check_alike(self._told, other._told, free, purpose)
+        both = {self.channels, other.channels}
+        # of a grey specimen one channel stands for three
+        if len(both) > 1 and both != {("Y",), ("R", "G", "B")}:
+            raise SettingError(
+                f"records must agree in channels to be {purpose}, got "
+                f"{shown(self.channels)} and {shown(other.channels)}"
+            )
 
     @property
     def _told(self) -> dict[str, Any]:
         """The settings, and the collector as what it was resolved to."""
         return {**self.settings, "collector": str(self.subdivision)}
 
+    def _known(self, asked: MeasurementSettings) -> MeasurementSettings:
+        """Settings that were asked for, with what the record knows of the others."""
+        found = (WAVELENGTH.fullmatch(name) for name in self.channels)
+        nm = tuple(float(match[1]) for match in found if match)
+        default, own = MeasurementSettings(), self.provenance
+        return replace(
+            default,
+            **{name: getattr(asked, name) for name in names_told(asked, own)},
+            collector=self.subdivision,
+            hemispheres="both" if self.has_lower else "upper",
+            wavelengths=nm or default.wavelengths,
+            rays=min(own.rays or default.rays, MOST_RAYS),
+            seed=own.seeds[0] if own.seeds else default.seed,
+            sampler=own.sampler,
+        )
+
     def _estimates(self, tally: Tally) -> Estimates:
         """Estimates of one incident direction, by the kind of its tally."""
-        passes = self.settings.get("passes", 1)
+        passes = self.provenance.passes
         if isinstance(tally, Integrals):
             return IntegralEstimates(tally, passes=passes)
         return SampledEstimates(
             tally,
-            independent=self.settings.get("sampler") == "independent",
-            deposited=self.settings.get("estimator") == "next_event",
+            independent=self.provenance.sampler == "independent",
+            deposited=self.asked.estimator.deposits,
             passes=passes,
         )
 

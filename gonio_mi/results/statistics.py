@@ -1,10 +1,13 @@
-"""Estimates, standard errors and intervals from counts and from independent batches."""
+"""Estimates, standard errors and intervals from counts and from independent batches.
+
+Normal scores: the number of standard deviations that is as improbable as a finding.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special
 
-from ..array_types import Floats, Numbers
+from ..array_types import Counts, Floats, Numbers
 
 __all__ = [
     "batch_std_err",
@@ -12,9 +15,18 @@ __all__ = [
     "binomial_std_err",
     "gamma_interval",
     "ratio",
+    "scatter_weight",
     "student_interval",
+    "student_score",
+    "two_sided_score",
     "upper_limit",
 ]
+
+# A probability below counts as that, so that no score is infinite.
+LEAST = 1e-300
+
+# Standard deviations beyond which the skewness of sums is not taken for chance.
+SKEWED = 3.0
 
 
 def ratio(sums: Numbers, incident: Numbers) -> Floats:
@@ -53,6 +65,61 @@ def batch_std_err(sums: Numbers, incident: Numbers) -> Floats:
         return np.sqrt(square * (n / (n - 1))) / incident.sum(axis=0)
 
 
+def scatter_weight(sums: Numbers, incident: Numbers, hits: Counts) -> Floats:
+    """Weight of the hits that make sums scatter between batches, over `incident`.
+
+    A sum of independent hits has the cumulants ``n E[w**2]`` and ``n E[w**3]``. What
+    `n` hits of a patch's own mean weight would have of them is taken off, for patches
+    may well differ in that; the quotient of the rest, pooled over all patches per hit,
+    is the weight of the heavy hits where few heavy ones are among many light ones.
+    Sequences that spread hits evenly have less of both.
+
+    Parameters
+    ----------
+    sums : ndarray, shape (n_batches, n_theta, n_phi, channels)
+    incident : ndarray, broadcastable to `sums`
+    hits : ndarray, shape (n_theta, n_phi, 1)
+        Over all batches.
+
+    Returns
+    -------
+    ndarray of float64, shape (channels,)
+        As part of all incident flux, at most the largest sum; 0 for fewer than three
+        batches, which do not tell, and for sums that are no more skewed by chance
+        where all hits of a patch weigh the same.
+    """
+    n = len(sums)
+    if n < 3:
+        return np.zeros(sums.shape[-1])
+    square, cube = np.zeros((2, *sums.shape[1:]))
+    incident = np.asarray(incident, dtype=float)
+    fraction = ratio(sums, incident)
+    for batch_sum, batch_incident in zip(sums, incident):
+        deviation = batch_sum - fraction * batch_incident
+        square += (squared := deviation * deviation)
+        cube += squared * deviation  # a power of 3 is 30 times slower
+    count = np.maximum(hits, 1).astype(float)
+    mean = np.sum(sums, axis=0, dtype=float) / count
+    alike = mean * mean
+    # what is more than that of hits all alike, per hit
+    second = (square * (n / (n - 1)) / count - alike).sum(axis=(0, 1))
+    third = cube * (n**2 / ((n - 1) * (n - 2))) / count - alike * mean
+    # both lack hits to know the mean: 1 - 1/h of them, and 1 - 1/h**2
+    few = count / (count + 1)
+    third = (third * few).sum(axis=(0, 1))
+    # the third power that normal sums, and Poisson counts of hits alike, have by
+    # chance; a single hit has that of one alike in any case
+    normal = 6 * square * (square / (n * count)) ** 2
+    counted = 18 * alike**3 / n
+    chance = (normal + counted) * (1 - 1 / count) * few**2
+    chance = np.sqrt(chance.sum(axis=(0, 1)))
+    known = (third > SKEWED * chance) & (second > 0)
+    weight = np.divide(third, second, out=np.zeros(len(second)), where=known)
+    return np.minimum(weight, np.max(sums, axis=(0, 1, 2))) / incident.sum(
+        axis=(0, 1, 2)
+    )
+
+
 def binomial_std_err(hits: ArrayLike, rays: ArrayLike) -> Floats:
     """Standard error of ``hits / rays`` for independent rays; NaN without a hit."""
     p = np.asarray(hits, dtype=float) / np.asarray(rays)
@@ -79,7 +146,11 @@ def binomial_interval(
 
 
 def gamma_interval(
-    value: Floats, std_err: Floats, largest: Floats | float, level: float
+    value: Floats,
+    std_err: Floats,
+    largest: Floats | float,
+    level: float,
+    heavy: Floats | float = 0.0,
 ) -> tuple[Floats, Floats]:
     """Interval for a sum of few weights: Poisson counts, of weights unlike each other.
 
@@ -93,13 +164,18 @@ def gamma_interval(
         Of the sum, above 0; `std_err` may be 0.
     largest : float or ndarray
         Weight of a hit that may have been missed by chance, in the unit of `value`.
+    heavy : float or ndarray
+        Weight of the hits that scatter: as many as explain `std_err` are counts, and
+        the rest of `value` is certain.
     """
     tail, variance = (1 - level) / 2, np.square(std_err)
     with np.errstate(divide="ignore", invalid="ignore"):
-        low = variance / value * special.gammaincinv(value**2 / variance, tail)
-    more, value_of_more = variance + largest**2, value + largest
-    high = special.gammaincinv(value_of_more**2 / more, 1 - tail) * more / value_of_more
-    return np.where(std_err == 0, value, low), high
+        counted = np.where(heavy * value > variance, variance / heavy, value)
+        low = variance / counted * special.gammaincinv(counted**2 / variance, tail)
+    more, with_more = variance + largest**2, counted + largest
+    high = special.gammaincinv(with_more**2 / more, 1 - tail) * more / with_more
+    low = np.where(std_err == 0, counted, low)
+    return low + (value - counted), high + (value - counted)
 
 
 def student_interval(
@@ -122,3 +198,16 @@ def student_interval(
 def upper_limit(rays: ArrayLike, level: float) -> Floats:
     """Probability of a hit that leaves a patch empty with chance (1 - level) / 2."""
     return -np.expm1(np.log((1 - level) / 2) / np.asarray(rays, dtype=float))
+
+
+def student_score(t: ArrayLike, dof: ArrayLike) -> Floats:
+    """Normal score of the same probability as Student's t, with its sign."""
+    tail = special.stdtr(np.minimum(dof, 1e9), -np.abs(t))
+    return 0.0 - np.sign(t) * special.ndtri(np.maximum(tail, LEAST))
+
+
+def two_sided_score(below: ArrayLike, above: ArrayLike) -> Floats:
+    """Normal score from the probabilities of at most and at least what was seen."""
+    p = np.minimum(2 * np.minimum(below, above), 1.0)
+    size = -special.ndtri(np.maximum(p / 2, LEAST))
+    return np.where(np.less(below, above), -size, size)

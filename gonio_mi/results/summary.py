@@ -67,6 +67,7 @@ def _direction(look: Record) -> dict[str, Any]:
         "ledger": look.ledger.rows | {"emitted": look.ledger.emitted},
         "n_patches": look.counts.size,
         "n_without_hit": int(np.sum(look.without_hit)),
+        "n_pooled": int(np.sum(look.pooled)),
         "n_lobe": n_lobe,
         "rel_err_lobe": worst,
     }
@@ -74,13 +75,8 @@ def _direction(look: Record) -> dict[str, Any]:
 
 def _has_direct(look: Record) -> bool:
     """Whether direct light was collected, however little there was."""
-    settings = look.settings
-    collected = settings.get("order", "all") in ("all", "0")
-    return (
-        settings.get("period", "none") != "none"
-        and collected
-        and not (look.ledger.missed)
-    )
+    collected = look.asked.order.least == 0
+    return look.asked.period != "none" and collected
 
 
 def _totals(look: Record, quantity: str) -> list[dict[str, Any]]:

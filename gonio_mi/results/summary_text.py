@@ -10,9 +10,9 @@ from ..single_precision import ROUNDING
 from .campaign_text import campaign_text
 from .doubts import grouped
 from .precision import FLOOR
-from .processors import processors
+from .provenance import UNKNOWN
 
-__all__ = ["summary_text"]
+__all__ = ["aligned", "percent", "summary_text", "total_cells"]
 
 WIDTH = 88
 LONGEST_SURFACE = 400
@@ -83,7 +83,7 @@ def _settings_text(numbers: dict[str, Any]) -> str:
             f"{_shown('created')}, variant {_shown('variant')}, "
             + ", ".join(f"{k} {v}" for k, v in settings.get("versions", {}).items())
             + ", on "
-            + "; ".join(processors(settings)),
+            + "; ".join(settings.get("processors") or [UNKNOWN]),
         ),
     ]
     return "\n".join(_filled(f"{name:<10}", text) for name, text in lines)
@@ -131,26 +131,23 @@ def _totals_text(numbers: dict[str, Any], most_rows: int) -> str:
         shown = ["dhr", "dht", *(["direct"] if direction["ledger"]["direct"] else [])]
         for quantity in shown:
             for total in direction[quantity] or []:
-                decimals = _decimals(total["value"], total["std_err"])
-                rows.append(
-                    [
-                        *angles,
-                        quantity,
-                        total["channel"],
-                        _fixed(total["value"], decimals),
-                        _std_err(total, decimals),
-                        _fixed(total["low"], decimals),
-                        _fixed(total["high"], decimals),
-                    ]
-                )
+                cells = total_cells(total)
+                rows.append([*angles, quantity, total["channel"], *cells])
     left_out = len(numbers["directions"]) - len(measured)
     said = f"\n{left_out} copies of these are left out" if left_out else ""
-    lines = _table(header, rows).split("\n")
+    lines = aligned(header, rows).split("\n")
     if len(rows) > most_rows:
         half = most_rows // 2
         left = f"... {len(rows) - 2 * half} rows are left out: show --all has them ..."
         lines[1 + half : -half] = [left]
     return "\n".join(lines) + said
+
+
+def total_cells(total: dict[str, Any]) -> list[str]:
+    """Texts of a total, its standard error, and the ends of its interval."""
+    decimals = _decimals(total["value"], total["std_err"])
+    value, *ends = (_fixed(total[key], decimals) for key in ("value", "low", "high"))
+    return [value, _std_err(total, decimals), *ends]
 
 
 def _copies(numbers: dict[str, Any]) -> set[tuple[float, float]]:
@@ -182,13 +179,13 @@ def _ledger_text(numbers: dict[str, Any]) -> str:
         for name, n in ledger.items()
         if name != "emitted" and (n or name in MAIN_ROWS)
     }
-    rows = [[name, grouped(n), _percent(n, emitted)] for name, n in shown.items()]
-    rows.append(["sum", grouped(sum(shown.values())), _percent(emitted, emitted)])
-    lines = [_table(["ledger", "rays", "% of rays"], rows)]
+    rows = [[name, grouped(n), percent(n, emitted)] for name, n in shown.items()]
+    rows.append(["sum", grouped(sum(shown.values())), percent(emitted, emitted)])
+    lines = [aligned(["ledger", "rays", "% of rays"], rows)]
     beyond = shown["transmitted"] + shown.get("direct", 0)
     if beyond and numbers["settings"].get("hemispheres") == "upper":
         lines.append(
-            f"{_percent(beyond, emitted)} % of the rays left on the other side, where "
+            f"{percent(beyond, emitted)} % of the rays left on the other side, where "
             "nothing was collected"
         )
     if numbers["settings"].get("estimator") != "analog":
@@ -203,6 +200,7 @@ def _patches_text(numbers: dict[str, Any]) -> str:
     directions = numbers["directions"]
     n = sum(direction["n_patches"] for direction in directions)
     empty = sum(direction["n_without_hit"] for direction in directions)
+    pooled = sum(direction["n_pooled"] for direction in directions)
     lobe = sum(direction["n_lobe"] for direction in directions)
     errors = [direction["rel_err_lobe"] for direction in directions]
     text = f"{grouped(n)}, of which "
@@ -213,6 +211,11 @@ def _patches_text(numbers: dict[str, Any]) -> str:
         text += (
             f", {'error' if _without_rays(numbers) else 'std_err'} of these at most "
             f"{100 * max(errors):.3g} %"
+        )
+    if pooled:
+        text += (
+            f"; {grouped(pooled)} with few or none of the heavy hits that scatter: "
+            "their uncertainty comes from all patches"
         )
     worst = numbers["worst_patches"]
     if not worst:
@@ -237,11 +240,11 @@ def _patches_text(numbers: dict[str, Any]) -> str:
     if _without_rays(numbers):
         # no hits, nor the cells below, which no line of the table ends with
         header[-3:] = ["+- error", "%"]
-    table = _table(header, rows)
+    table = aligned(header, rows)
     return _filled("patches   ", text) + "\n\n" + table
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def aligned(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Columns aligned to the right, the first one to the left."""
     lines = [header, *(row[: len(header)] for row in rows)]
     widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
@@ -265,7 +268,7 @@ def _filled(label: str, text: str) -> str:
     )
 
 
-def _percent(n: int, total: int) -> str:
+def percent(n: int, total: int) -> str:
     """Share in per cent that is 0 or 100 for nothing and all only."""
     if not total:
         return "-"

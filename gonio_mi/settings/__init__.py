@@ -1,11 +1,18 @@
 """The settings of a measurement, each declared once and parsed at the entrance."""
 
 from .declaration import Declaration, Kind, declarations, numpydoc, plugin_table
-from .measurement_settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings
+from .measurement_settings import (
+    COLLECTOR,
+    FILM,
+    INTEGRATOR,
+    Estimator,
+    MeasurementSettings,
+)
 from .orders import Order
 
 __all__ = [
     "COLLECTOR",
+    "Estimator",
     "FILM",
     "INTEGRATOR",
     "Kind",

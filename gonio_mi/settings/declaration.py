@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
+from types import MappingProxyType
 from typing import Any
 
 __all__ = ["Declaration", "Kind", "declarations", "numpydoc", "plugin_table", "setting"]
@@ -116,14 +118,20 @@ def setting(
     )
 
 
-def declarations(settings: Any) -> dict[str, Declaration]:
+def declarations(settings: Any) -> Mapping[str, Declaration]:
     """Declarations of a dataclass of settings by name, in their order."""
+    return _declarations(settings)
+
+
+@cache
+def _declarations(settings: Any) -> Mapping[str, Declaration]:
+    """The same, which are put together once."""
     found = {}
     for field in dataclasses.fields(settings):
         data = dict(field.metadata)
         data["key"] = data["key"] or field.name
         found[field.name] = Declaration(field.name, field.default, **data)
-    return found
+    return MappingProxyType(found)
 
 
 def numpydoc(settings: Any) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import Any
 
 from ..collector import EqualProjectedSolidAngle, Subdivision, subdivision
-from ..errors import SettingTypeError, did_you_mean
+from ..errors import SettingTypeError, checked_choice, did_you_mean
 from .declaration import Kind, declarations, setting
 from .orders import ALL_ORDERS, Order
 from .parsed import (
@@ -24,6 +26,7 @@ from .parsed import (
 
 __all__ = [
     "COLLECTOR",
+    "Estimator",
     "FILM",
     "INTEGRATOR",
     "MOST_POINTS",
@@ -60,6 +63,46 @@ def _sampler(label: str, value: object) -> Any:  # noqa: ARG001
     return value
 
 
+class Estimator(str, Enum):
+    """How what a ray or an event tells becomes a sum over patches."""
+
+    WEIGHTED = "weighted"
+    ANALOG = "analog"
+    QUADRATURE = "quadrature"
+    NEXT_EVENT = "next_event"
+
+    @classmethod
+    def parse(cls, label: str, value: Any) -> Estimator:
+        """The estimator of a name; ValueError for any other."""
+        return cls(checked_choice(label, value, [str(one) for one in cls]))
+
+    @property
+    def counts(self) -> bool:
+        """Whether rays live or end, and are counted: all powers are whole numbers."""
+        return self is Estimator.ANALOG
+
+    @property
+    def integrates(self) -> bool:
+        """Whether ``eval`` is integrated, and rays are for delta components only."""
+        return self is Estimator.QUADRATURE
+
+    @property
+    def deposits(self) -> bool:
+        """Whether ``eval`` is deposited at every event."""
+        return self is Estimator.NEXT_EVENT
+
+    @property
+    def follows_exits(self) -> bool:
+        """Whether rays are collected where they leave, each of the one order it has."""
+        return not (self.integrates or self.deposits)
+
+    def __str__(self) -> str:
+        return self.value
+
+    def __repr__(self) -> str:
+        return repr(self.value)
+
+
 @dataclass(frozen=True, kw_only=True)
 class MeasurementSettings:
     """How a specimen is measured: parsed values, whatever form they were given in.
@@ -76,8 +119,8 @@ class MeasurementSettings:
         10**6,
         count(1, MOST_RAYS),
         Kind.COUNT,
-        "Rays for each incident direction, up to 1e15. In spectral variants so many "
-        "for every four wavelengths.",
+        "Rays for each incident direction. In spectral variants so many for every four "
+        "wavelengths; up to 1e15.",
         group=METHOD,
         plugin=INTEGRATOR,
         shown_default="1e6",
@@ -86,10 +129,11 @@ class MeasurementSettings:
         None,
         number(1e-9, 1, "a number in (0, 1)"),
         Kind.NUMBER,
-        "Instead of `rays`: go on until the relative standard error of every patch "
-        "worth reporting is at most this, for each incident direction. For "
-        "``quadrature`` the error to which every patch converges, relative to itself, "
-        "or to this part of the mean patch (at least a millionth), whichever is more.",
+        "Instead of `rays`: continue until the relative standard error of every patch "
+        "whose BRDF is at least 10 % of the mean is at most this, for each incident "
+        "direction. For ``quadrature`` the error to which every patch converges, "
+        "relative to itself, or to this part of the mean patch (at least a millionth), "
+        "whichever is more.",
         group=METHOD,
         metavar="X",
         plugin=INTEGRATOR,
@@ -108,7 +152,7 @@ class MeasurementSettings:
         10**9,
         count(PILOT_RAYS, MOST_RAYS),
         Kind.COUNT,
-        "Rays at which `rel_err` and `noise` stop at the latest, with a warning.",
+        "Upper limit of rays for `rel_err` and `noise`; warns if reached.",
         group=METHOD,
         shown_default="1e9",
     )
@@ -131,13 +175,14 @@ class MeasurementSettings:
 
     # -------------------------------------------------------------------------- method
 
-    estimator: str = setting(
-        "weighted",
-        choice("weighted", "analog", "quadrature", "next_event"),
+    estimator: Estimator = setting(
+        Estimator.WEIGHTED,
+        Estimator.parse,
         Kind.WORD,
-        "``weighted`` sums throughput. ``analog`` lets a ray survive or end at each "
-        "event and counts it (the paper's eq. 5). ``quadrature`` integrates ``eval`` "
-        "over the patches, for a flat specimen that is the same everywhere in a "
+        "``weighted`` sums throughput, ``analog`` counts rays that survive, "
+        "``quadrature`` integrates ``eval``, ``next_event`` deposits it. With "
+        "``analog`` a ray survives or ends at each event (the paper's equation 5). "
+        "``quadrature`` is for a flat specimen that is the same everywhere in a "
         "collimated beam, and samples delta components only. ``next_event`` deposits "
         "``eval`` at every event on geometry towards points in random patches that are "
         "in sight, and counts the rays as well, by the balance heuristic: for narrow "
@@ -146,13 +191,14 @@ class MeasurementSettings:
         metavar="E",
         form='{"weighted", "analog", "quadrature", "next_event"}',
         plugin=INTEGRATOR,
+        text=str,
     )
     points: int = setting(
         1,
         count(1, MOST_POINTS),
         Kind.COUNT,
-        "Points for each event, of the estimator ``next_event``: they are spread over "
-        "all patches, and one costs a fraction of a ray. For maps of diffuse facets "
+        "Points per event for the estimator ``next_event``, spread over all patches; "
+        "each costs a fraction of a ray. For maps of diffuse facets "
         "take as many as there are patches, and few rays.",
         group=METHOD,
         plugin=INTEGRATOR,
@@ -161,9 +207,8 @@ class MeasurementSettings:
         None,
         _sampler,
         Kind.WORD,
-        "Mitsuba sampler, by name or as a dictionary: ``sobol`` sends each batch along "
-        "one scrambled low-discrepancy sequence, ``independent`` sends independent "
-        "rays.",
+        "Mitsuba sampler, such as ``sobol`` (one scrambled low-discrepancy sequence "
+        "per batch) or ``independent``. By name, or as a dictionary.",
         group=METHOD,
         metavar="S",
         form="str or dict",
@@ -173,7 +218,7 @@ class MeasurementSettings:
         0,
         count(0),
         Kind.COUNT,
-        "Same seed, same bits on the same kind of processor, whatever the number of "
+        "Same seed, same bits. On the same kind of processor, whatever the number of "
         "threads.",
         group=METHOD,
         metavar="S",
@@ -231,9 +276,9 @@ class MeasurementSettings:
         "radiometric",
         choice("radiometric", "equal_power"),
         Kind.WORD,
-        "Weight of the rays of an emitter of finite size: ``radiometric`` (radiance, "
-        "cosines and distance, as light has them) or ``equal_power`` (the same power "
-        "for uniform points on emitter and specimen: the paper's section 2.2).",
+        "Weight of the rays of an emitter of finite size: ``radiometric`` (by "
+        "radiance, cosines and distance) or ``equal_power`` (the same power for "
+        "uniform points on emitter and specimen: the paper's section 2.2).",
         group=LIGHT,
         metavar="E",
         form='{"radiometric", "equal_power"}',
@@ -258,9 +303,8 @@ class MeasurementSettings:
         EqualProjectedSolidAngle(30, 30),
         lambda label, value: subdivision(value),  # noqa: ARG005
         Kind.WORD,
-        "Patches of equal solid angle (``solid``), projected solid angle "
-        "(``projected``), steps of angle (``angle``) or of its sine (``sine``), and "
-        "rings x sectors of one hemisphere; or ``klems``, "
+        "Patches: ``projected`` (of equal projected solid angle), ``solid``, ``angle`` "
+        "or ``sine`` with rings x sectors per hemisphere. The others are ``klems``, "
         "``borders:0,30,90x0,180,360`` or ``apertures:HALF_ANGLE@THETA/PHI,...``.",
         group=PATCHES,
         metavar="KIND:NTxNP",
@@ -316,7 +360,7 @@ class MeasurementSettings:
     )
     rr_depth: int = setting(
         -1,
-        count(-1),
+        count(-1, 2**31),
         Kind.COUNT,
         "Events after which Russian roulette sets in, for the weighted estimator; -1 "
         "for never. Inside of media, -1 lets one of four rays go on, with four times "
@@ -328,9 +372,9 @@ class MeasurementSettings:
         "none",
         checked_period,
         Kind.WORD_OR_NUMBER,
-        "``box`` makes the specimen's bounding box one cell of an infinite surface, so "
-        "that there are no edges; numbers such as ``2,3`` are the extents of that cell "
-        "in x and y, about the middle of the box. The cell is the specimen: light that "
+        "``box`` makes the specimen's bounding box one cell of an infinite surface, "
+        "without edges. Numbers such as ``2,3`` are the extents of that cell in x and "
+        "y, about the middle of the box. The cell is the specimen: light that "
         "passes its openings is incident and transmitted, straight on; beside a finite "
         "specimen, light is ``missed`` and not incident.",
         group=EVENTS,
@@ -343,10 +387,10 @@ class MeasurementSettings:
         ALL_ORDERS,
         Order.parse,
         Kind.WORD,
-        "Surface events of the rays that are collected: ``2`` for two, ``3+`` for "
-        "three or more, ``0`` for the direct light that passes a periodic specimen; "
-        "the others are in the ledger. Of a specimen with media the scatterings inside "
-        "of these are counted instead, and no surface: ``1`` is single scattering. "
+        "Collect only rays with N surface interactions, or at least N (``N+``). ``0`` "
+        "is the direct light that passes a periodic specimen; rays of other orders are "
+        "in the ledger. In a specimen with media, scattering events inside the media "
+        "count instead of surface interactions: ``1`` is single scattering. "
         "With one seed, orders 0, 1, 2 and ``3+`` add up to ``all``, to the bit.",
         group=EVENTS,
         metavar="N|N+",
@@ -388,6 +432,12 @@ class MeasurementSettings:
                 given[name] = declared.check(label, props[declared.key])
         return cls(**given)
 
+    @classmethod
+    def among(cls, arguments: Mapping[str, Any]) -> MeasurementSettings:
+        """Settings among the arguments of a measurement; defaults for the others."""
+        names = declarations(cls).keys()
+        return cls().changed(**{k: v for k, v in arguments.items() if k in names})
+
     def of_plugin(self, plugin: str) -> dict[str, Any]:
         """Values of the settings that are properties of `plugin`, by name."""
         return {
@@ -396,10 +446,24 @@ class MeasurementSettings:
             if declared.plugin == plugin
         }
 
+    # What a user may ask for has one word each inside: `precision` and `noise` of rays,
+    # `integral_err` of integrals, and the `tolerance` of a material, which a campaign
+    # has. The option `rel_err` is the first of rays and the third of integrals.
+
+    @property
+    def precision(self) -> float | None:
+        """Relative standard error of the patches worth reporting at which rays end."""
+        return None if self.estimator.integrates else self.rel_err
+
     @property
     def integral_err(self) -> float:
         """Relative error of each patch to which ``quadrature`` converges."""
         return INTEGRAL_ERR if self.rel_err is None else self.rel_err
+
+    @property
+    def n_looks(self) -> int:
+        """Directions that a ray looks into at each event."""
+        return self.points if self.estimator.deposits else 1
 
     def changed(self, **given: Any) -> MeasurementSettings:
         """These settings but for what is `given`; None stands for as it is.

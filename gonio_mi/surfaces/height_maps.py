@@ -143,9 +143,10 @@ def read_height_map(
 
 
 def _npy(path: Path) -> NDArray[np.generic]:
+    """Array of a ``.npy`` file, and of nothing else that NumPy loads by its content."""
     try:
-        return np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
+        return np.lib.format.open_memmap(path, mode="r")
+    except Exception as error:  # a damaged header is evaluated as Python
         raise SpecimenError(
             f"heightfield.filename must be an image, a .npy file or a file of a "
             f"profilometer, got {path}: {error}"
@@ -154,7 +155,7 @@ def _npy(path: Path) -> NDArray[np.generic]:
 
 def _grid(array: NDArray[np.generic]) -> Any:
     """First channel of an array of pixels."""
-    return array[..., 0] if array.ndim == 3 else array
+    return array[..., 0] if array.ndim == 3 and array.size else array
 
 
 def _codes(dtype: np.dtype[Any]) -> int | None:

@@ -8,11 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import (
     SettingError,
     SettingTypeError,
+    check_memory,
     checked_choice,
     checked_count,
     checked_number,
 )
-from ..memory import check_memory
 
 __all__ = [
     "CORRELATIONS",

@@ -9,14 +9,34 @@ from functools import cached_property
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SettingError, printable
+from ..errors import SettingError, printable, shown
 from .height_maps import HeightMap
-from .height_steps import height_step
 from .heights import LARGEST, HeightStatistics, checked_heights, height_statistics
-from .length_units import UNITS, metres
 from .preparation import filled, without_form
 
-__all__ = ["VISIBLE", "Topography", "topography"]
+__all__ = ["Topography", "UNITS", "VISIBLE", "height_step", "metres", "topography"]
+
+# The micro sign and the Greek letter are two characters.
+UNITS = {
+    "m": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "µm": 1e-6,
+    "μm": 1e-6,
+    "nm": 1e-9,
+    "Å": 1e-10,
+    "pm": 1e-12,
+    "in": 0.0254,
+}
+
+
+def metres(unit: str) -> float:
+    """Metres of one unit; ValueError for what is none."""
+    if unit not in UNITS:
+        raise SettingError(f"unit must be one of {', '.join(UNITS)}, got {shown(unit)}")
+    return UNITS[unit]
+
 
 # Metres: the middle of what is seen, for surfaces whose unit is known.
 VISIBLE = 550e-9
@@ -58,7 +78,7 @@ class Topography:
         The scene unit, if it is known.
     step : float, optional
         What the heights were rounded to, see
-        :func:`~gonio_mi.surfaces.height_steps.height_step`.
+        :func:`~gonio_mi.surfaces.topography.height_step`.
     width_taken : bool
         Whether neither file nor user said how wide it is.
     """
@@ -349,3 +369,48 @@ def _unit(given: HeightMap, unit: str | None) -> str | None:
             f"{given.unit}, got {unit}"
         )
     return unit
+
+
+# Levels up to which steps are made on purpose: gratings, diffractive optics.
+LEVELS = 16
+
+# Part of a step by which gaps between levels may miss a whole number of it: single
+# precision has 0.008 of 16 bits, and few levels stretched over 16 bits less.
+PLAY = 0.02
+
+# Share of points with a bend above which heights are rounded ones. Straight profiles
+# of more levels, whose slope is a whole number of steps on purpose, have less.
+BENT = 1 / 8
+
+
+def height_step(heights: Floats) -> float | None:
+    """Step to which heights are rounded, in their units.
+
+    Parameters
+    ----------
+    heights : ndarray, shape (n_y, n_x)
+        NaN where nothing was measured.
+
+    Returns
+    -------
+    float or None
+        None where heights do not come in equal steps, or where these look meant: at
+        most 16 levels, as of a lamellar grating, or flanks that are straight, as of
+        grooves. Terraces of more than 16 points look so, too.
+    """
+    levels = np.unique(heights[np.isfinite(heights)])
+    if levels.size <= LEVELS:
+        return None
+    gaps = np.diff(levels)
+    step = float(gaps[gaps < 1.5 * gaps.min()].mean())
+    if np.any(abs(gaps / step - np.rint(gaps / step)) > PLAY):
+        if not np.all(gaps == np.rint(gaps)):
+            return None
+        step = 1.0  # whole numbers, not all of which occur
+    for axis in (0, 1):
+        bends = np.diff(heights, 2, axis)
+        known = np.isfinite(bends)
+        bent = np.count_nonzero(abs(bends[known]) > step / 2)
+        if bent > BENT * np.count_nonzero(known):
+            return step
+    return None

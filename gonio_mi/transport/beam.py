@@ -13,6 +13,7 @@ from ..collector import Subdivision
 from ..collector.directions import angles
 from ..errors import SpecimenError
 from .arrays import DRJIT
+from .sampling import is_joint
 from .specimen import Specimen
 from .wavelengths import passes, wavelength_lanes
 
@@ -188,7 +189,7 @@ class Beam:
     def _point(self, sampler: mi.Sampler) -> mi.Point3f:
         """Points of the footprint."""
         if self.footprint == "point":
-            if hasattr(sampler, "skip"):
+            if is_joint(sampler):
                 # the best dimensions are those that come after the footprint's
                 sampler.skip(2)
             return mi.Point3f(self.middle.tolist())

@@ -7,9 +7,11 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from ..array_types import Floats
 from ..results.tally import Fate
+from ..settings.measurement_settings import MeasurementSettings
 from ..settings.orders import Order
 from .beam import Beam
 from .collector_sphere import CollectorSphere
@@ -19,6 +21,7 @@ from .loop import Exits
 from .plugin_digest import plugins_digest
 from .scattering_order import OrderClasses
 from .specimen import Specimen
+from .wavelengths import passes
 
 __all__ = ["Bench"]
 
@@ -29,15 +32,37 @@ USUAL_LEVELS = range(10, 15)
 FEW_BINS = 2**16
 
 
+def incident_key(incident: tuple[float, float] | None) -> tuple[int, ...]:
+    """Whole numbers that tell a direction from others; they seed its random numbers.
+
+    A direction has the same bits alone and in any stack.
+    """
+    if incident is None:
+        return (0,)
+    # no minus zero
+    return tuple((np.array(incident, dtype=float) + 0.0).view(np.uint64).tolist())
+
+
 class Bench:
     """One specimen, one beam and one collector, ready to be launched at.
 
-    `described` is the digest of the beam's emitter before it was turned, if it was;
-    None remains for a collimated beam, whose direction is all there is.
+    Parameters
+    ----------
+    settings : MeasurementSettings
+    specimen : Specimen
+    beam : Beam
+    collector : CollectorSphere
+    sampler : mi.Sampler
+    incident : (float, float), optional
+        Angles in degrees that the beam was made for.
+    described : str, optional
+        Digest of the beam's emitter before it was turned, if it was; None remains for a
+        collimated beam, whose direction is all there is.
     """
 
     def __init__(
         self,
+        settings: MeasurementSettings,
         specimen: Specimen,
         beam: Beam,
         collector: CollectorSphere,
@@ -45,8 +70,11 @@ class Bench:
         incident: tuple[float, float] | None = None,
         described: str | None = None,
     ) -> None:
+        self.settings = settings
         self.specimen = specimen
         self.beam = beam
+        # tells its rays from others of the same seed
+        self.key = (settings.seed, *incident_key(incident))
         # set if all that rays meet are infinite layers
         self.layers = layers_of(specimen, beam.side)
         # as asked for, or what single precision leaves of the emitter's direction
@@ -57,6 +85,7 @@ class Bench:
             self.emitter_digest = described or emitter_digest([beam.emitter])
         self.collector = collector
         self.sampler = sampler
+        self.source: Any = None  # what has to live as long as the beam's emitter
         subdivision = collector.subdivision
         both = collector.hemispheres == "both" or (
             collector.hemispheres == "auto" and specimen.transmits
@@ -70,6 +99,18 @@ class Bench:
         self.classes = OrderClasses()
         # of powers beyond the ordinary that sums have room for: what was met so far
         self.levels = USUAL_LEVELS if self.n_bins <= FEW_BINS else range(0)
+
+    @property
+    def passes(self) -> list[Any]:
+        """Wavelengths of each time that the rays are sent: four at most."""
+        return passes(self.settings.wavelengths)
+
+    @property
+    def samples(self) -> bool:
+        """Whether rays are needed: always, but for integrals without delta lobes."""
+        return not self.settings.estimator.integrates or mi.has_flag(
+            self.specimen.plane.bsdf.flags(), mi.BSDFFlags.Delta
+        )
 
     def collect_by_distance(self, radii: Floats) -> None:
         """Let ring `i` collect what leaves between ``radii[i - 1]`` and ``radii[i]``.

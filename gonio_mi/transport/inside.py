@@ -57,15 +57,15 @@ class Geometry:
         return flight_from(self.specimen, ray)
 
     def meet(
-        self, flight: Flight, active: mi.Bool, inside: mi.Bool, together: mi.Bool
+        self, flight: Flight, active: mi.Bool, inside: mi.Bool
     ) -> tuple[mi.SurfaceInteraction3f, Encounter, mi.Float]:
         """What rays meet next, and at what distance; nothing is infinitely far.
 
-        `inside`: whether they are in a medium. `together`: whether neighbouring rays
-        are alike.
+        `inside`: whether they are in a medium. In a relay no two rays share packets for
+        long: each is looked for by itself.
         """
         flags, ray = mi.RayFlags.All | mi.RayFlags.dNSdUV, flight.ray
-        si = intersect(self.specimen.scene, ray, flags, active, together)
+        si = intersect(self.specimen.scene, ray, flags, active)
         met = encounter(self.specimen, self.side, flight, si, active)
         across = mi.Vector2f(ray.d.x, ray.d.y)
         path = met.entry + met.step - ray.o
@@ -143,7 +143,6 @@ def trace_inside(
     counted = settings.analog
     analog, roulette = counted and not apart, settings.roulette
     n = len(mi.Spectrum())
-    together = beam.footprint != "point"
     passed = Fate.DIRECT if specimen.periodic else Fate.MISSED
 
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
@@ -181,9 +180,8 @@ def trace_inside(
             fate = dr.select(active, mi.UInt32(passed), mi.UInt32(Fate.UNLIT))
 
         ray = flight.ray
-        first = (depth == 0) & (scatterings == 0)
         inside = active & (medium != None)  # noqa: E711 (each lane)
-        si, met, free = path.meet(flight, active, inside, first & together)
+        si, met, free = path.meet(flight, active, inside)
 
         # ---------------- Rays that leave, or are where no medium should be -----------
         gone = met.missed & ~met.crosses

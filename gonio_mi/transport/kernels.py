@@ -4,20 +4,29 @@ import functools
 import threading
 import traceback
 from collections.abc import Callable, Iterator
-from typing import ParamSpec, TypeVar
+from contextlib import ContextDecorator
 
 import drjit as dr
+import mitsuba as mi
 
 from ..errors import LostRaysError, VariantError
 
-__all__ = ["check_all_counted", "launches_kernels"]
-
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
+__all__ = [
+    "check_all_counted",
+    "check_variant_kept",
+    "know_own_variant",
+    "launches_kernels",
+    "orderly",
+]
 
 # Dr.Jit records side effects, such as the sums of a tally, in one state for all
 # threads.
 _lock = threading.RLock()
+
+# Variants at the entrances of the contexts that are open, and the last that each thread
+# has set.
+_entered: list[str | None] = []
+_own = threading.local()
 
 # Flags without which Dr.Jit 1.5 ends the process, and those that only it itself sets.
 NEEDED = ("MergeFunctions",)
@@ -29,47 +38,89 @@ INTERNAL = (
 )
 
 
-def launches_kernels(
-    *, unless: tuple[str, ...] = ()
-) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """Decorator of what records and launches kernels: one thread at a time does.
+class launches_kernels(ContextDecorator):  # noqa: N801
+    """Context or decorator of what records and launches kernels, a thread at a time.
 
     What a plugin raises inside of a recorded loop comes out as it was raised, without
     the errors that Dr.Jit wraps it in. The variables of its traceback are released: a
     specimen that they kept would take part in all kernels from then on, for Dr.Jit
     records the calls of every BSDF that exists, and each measurement would fail like
-    the first.
-
-    Parameters
-    ----------
-    unless : tuple of str
-        Keyword arguments with which the function leaves the kernels to other threads.
+    the first. So what is set up must be held by functions that the context calls.
 
     Raises
     ------
     VariantError
-        By the function, if a flag of Dr.Jit is set with which no kernel works.
+        At the entrance, if a flag of Dr.Jit is set with which no kernel works, or if
+        another thread has set another variant than this one; in the end, if that has
+        happened meanwhile.
     """
 
-    def decorate(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-        @functools.wraps(function)
-        def entrance(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-            if any(kwargs.get(name) is not None for name in unless):
-                return function(*args, **kwargs)
-            with _lock:
-                _check_flags()
-                try:
-                    return function(*args, **kwargs)
-                except BaseException as error:
-                    # no variable of this very frame may hold what holds the frame
-                    _let_go(error)
-                    if not _is_wrapped(error):
-                        raise
-                    raise _first_cause(error) from None
+    def __enter__(self) -> None:
+        _lock.acquire()
+        try:
+            _check_flags()
+            if not _entered:
+                _check_own_variant()
+        except BaseException:
+            _lock.release()
+            raise
+        _entered.append(mi.variant())
 
-        return entrance
+    def __exit__(self, kind: object, error: BaseException | None, _: object) -> None:
+        try:
+            if error is not None:
+                _let_go(error)
+            else:
+                check_variant_kept()
+            if error is not None and _is_wrapped(error):
+                raise _first_cause(error) from None
+        finally:
+            _entered.pop()
+            # no variable of this very frame may hold what holds the frame
+            del error, _
+            _lock.release()
 
-    return decorate
+
+def check_variant_kept() -> None:
+    """Raise VariantError if the variant is no longer that of the entrance."""
+    if _entered and mi.variant() != _entered[-1]:
+        raise VariantError(
+            f"the variant {_entered[-1]} was changed to {mi.variant()} during a "
+            "measurement: all threads of a process share one variant; measure in one "
+            "process for each"
+        )
+
+
+def orderly(set_variant: Callable[..., None]) -> Callable[..., None]:
+    """``mi.set_variant`` that waits for measurements, and knows which thread set what.
+
+    Mitsuba has one variant for all threads. Without this, threads that set different
+    ones measure in each other's, or crash.
+    """
+
+    @functools.wraps(set_variant)
+    def in_turn(*variants: str) -> None:
+        with _lock:
+            set_variant(*variants)
+            know_own_variant()  # Mitsuba calls nobody if it is the same as before
+
+    return in_turn
+
+
+def know_own_variant() -> None:
+    """Remember that this thread has set the variant."""
+    _own.variant = mi.variant()
+
+
+def _check_own_variant() -> None:
+    """Raise VariantError if another thread has set another variant than this one."""
+    own = getattr(_own, "variant", None)
+    if own not in (None, mi.variant()):
+        raise VariantError(
+            f"this thread has set the variant {own}, and another one {mi.variant()} "
+            "since: all threads of a process share one variant; measure in one process "
+            "for each"
+        )
 
 
 def _check_flags() -> None:

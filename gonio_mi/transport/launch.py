@@ -2,62 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from ..settings.measurement_settings import MeasurementSettings
 from ..settings.orders import UNLIMITED
 from .bench import Bench
 from .inside import Geometry, trace_inside
+from .kernels import check_variant_kept
 from .loop import Exits, PathSettings, scatter_plane, trace
 from .next_event import Deposits
 from .sampling import Relay, apart, continues, in_turns, relay_turns, seeded, turns_of
 from .scattering_order import of_order
 from .sums import Sums, Totals
 
-__all__ = ["launch", "traces", "transport_of"]
+__all__ = ["Launch", "launch", "traces", "transport_of"]
 
 
-def launch(
-    bench: Bench,
-    settings: MeasurementSettings,
-    keys: Sequence[tuple[int, ...]],
-    sizes: Sequence[int],
-    begin: int,
-    wavelengths: mi.Spectrum,
-    capacity: int,
-    stretch: tuple[int, int] | None = None,
-) -> Totals:
-    """Send rays of several batches in one kernel and return the totals.
+@dataclass(frozen=True, eq=False)
+class Launch:
+    """Rays of several batches that one kernel sends.
 
-    Parameters
+    Attributes
     ----------
     bench : Bench
-    settings : MeasurementSettings
-    keys : list of tuple of int
-        What tells each batch from all others.
-    sizes : list of int
-        Rays of each batch, in descending order and alike within one ray.
-    begin : int
-        Rays of each batch that were sent before.
     wavelengths : mi.Spectrum or mi.Color0f
         Of the rays.
     capacity : int
         Batches that there is room for: the same for all launches at a bench.
+    keys : tuple of tuple of int
+        Each tells a batch from all others.
+    sizes : tuple of int
+        Rays of each batch, in descending order and alike within one ray.
+    begin : int
+        Rays of each batch that were sent before.
     stretch : (int, int), optional
         Along the curve that all batches walk together: only rays from there.
-
-    Returns
-    -------
-    Totals
-        Of as many batches as `keys`.
     """
-    counted = settings.estimator == "analog"
-    deposited = settings.estimator == "next_event"
-    traced = traces(bench, settings)
+
+    bench: Bench
+    wavelengths: Any
+    capacity: int
+    keys: tuple[tuple[int, ...], ...]
+    sizes: tuple[int, ...]
+    begin: int = 0
+    stretch: tuple[int, int] | None = None
+
+    @property
+    def rays(self) -> int:
+        """Rays in all, or points of the curve."""
+        first, end = self.stretch or (0, sum(self.sizes))
+        return end - first
+
+
+def launch(one: Launch) -> Totals:
+    """Send rays of several batches in one kernel; totals of as many batches."""
+    bench, sizes = one.bench, one.sizes
+    traced = traces(bench)
     inside = bool(bench.specimen.media)
     turns = 1 if traced else turns_of(bench.sampler, sizes[0])
     if inside and continues(bench.sampler):
@@ -66,18 +69,19 @@ def launch(
     if traced and len(sizes) * lanes == 1:
         lanes = 2  # in a single one Dr.Jit 1.5 takes a loop's variables for constants
     while True:
-        sums = Sums(bench, capacity, counted=counted, deposits=deposited)
-        sampler = seeded(bench.sampler, keys, begin, lanes)
-        if stretch is not None:
-            batch, ray = sampler.follow_curve(*stretch)
+        sums = Sums(bench, one.capacity)
+        sampler = seeded(bench.sampler, one.keys, one.begin, lanes)
+        if one.stretch is not None:
+            batch, ray = sampler.follow_curve(*one.stretch)
         else:
             # as many lanes as rays, even where none of them draws a number
             lane = dr.arange(mi.UInt32, len(sizes) * lanes)
-            batch, ray = (mi.UInt32(0), lane) if capacity == 1 else apart(lane, lanes)
+            alone = one.capacity == 1
+            batch, ray = (mi.UInt32(0), lane) if alone else apart(lane, lanes)
         # the last batches may be shorter by one ray
         full = dr.opaque(mi.UInt32, sizes.count(sizes[0]))
         size = dr.opaque(mi.UInt32, sizes[0]) - dr.select(batch < full, mi.UInt32(0), 1)
-        rays = _Rays(bench, settings, wavelengths, sums, batch, size)
+        rays = _Rays(one, sums, batch, size)
         if inside:
             rays.relay(sampler, ray, sizes[0])
         elif continues(sampler) and not traced:
@@ -85,6 +89,7 @@ def launch(
         else:
             rays.add(sampler, ray)
         sums.evaluate()
+        check_variant_kept()
         if not sums.lacking:
             break
         # fainter or brighter light than there was room for: once more, with room for it
@@ -92,16 +97,16 @@ def launch(
     return sums.totals(len(sizes))
 
 
-def traces(bench: Bench, settings: MeasurementSettings) -> bool:
+def traces(bench: Bench) -> bool:
     """Whether rays are traced: for geometry, or where that is asked for."""
-    return settings.trace or bench.specimen.plane is None
+    return bench.settings.trace or bench.specimen.plane is None
 
 
-def transport_of(bench: Bench, settings: MeasurementSettings) -> str:
+def transport_of(bench: Bench) -> str:
     """How rays are followed: on a ``plane``, through ``layers``, or ``traced``."""
-    if not traces(bench, settings):
+    if not traces(bench):
         return "plane"
-    return "traced" if settings.trace or bench.layers is None else "layers"
+    return "traced" if bench.settings.trace or bench.layers is None else "layers"
 
 
 class _Rays:
@@ -111,29 +116,31 @@ class _Rays:
     """
 
     def __init__(
-        self,
-        bench: Bench,
-        settings: MeasurementSettings,
-        wavelengths: mi.Spectrum,
-        sums: Sums,
-        batch: mi.UInt32,
-        size: mi.UInt32,
+        self, one: Launch, sums: Sums, batch: mi.UInt32, size: mi.UInt32
     ) -> None:
-        self.bench, self.settings, self.wavelengths = bench, settings, wavelengths
+        self.bench, self.wavelengths = one.bench, one.wavelengths
         self.sums, self.batch, self.size = sums, batch, size
         self.ray: Any = None
 
     def add(self, sampler: mi.Sampler, ray: mi.UInt32) -> None:
-        """Add to the sums what becomes of one ray per lane, number `ray` of a batch."""
-        active = ray < self.size
+        """Add to the sums what becomes of one ray per lane, number `ray` of a batch.
+
+        They are followed by the cheapest transport that is exact for the specimen.
+        """
+        bench, active = self.bench, ray < self.size
+        how, specimen = _path_settings(bench), bench.specimen
         deposits = None
         if self.sums.deposits:
-            order, points = self.settings.order, self.settings.points
-            deposits = Deposits(
-                self.bench, self.sums, points, order, active, self.batch
+            deposits = Deposits(bench, self.sums, active, self.batch)
+        if traces(bench):
+            exits = trace(
+                specimen, bench.beam, sampler, self.wavelengths, how, deposits
             )
-        exits = _exits(self.bench, self.settings, sampler, self.wavelengths, deposits)
-        bins = self.bench.bins(exits)
+        else:
+            plane = specimen.plane
+            exits = scatter_plane(plane, bench.beam, sampler, self.wavelengths, how)
+        exits = of_order(exits, bench.settings.order)
+        bins = bench.bins(exits)
         self.sums.add(bins, exits, active, self.batch)
         if deposits is not None:
             deposits.add_exits(bins, exits)
@@ -142,7 +149,7 @@ class _Rays:
         """Add to the sums what becomes of all rays, which scatter inside of media."""
         specimen, beam = self.bench.specimen, self.bench.beam
         path: Any = self.bench.layers
-        if transport_of(self.bench, self.settings) == "traced":
+        if transport_of(self.bench) == "traced":
             path = Geometry(specimen, beam.side)
         if not continues(sampler):
             rays = dr.width(ray)
@@ -158,13 +165,13 @@ class _Rays:
             beam,
             sampler,
             self.wavelengths,
-            _path_settings(self.bench, self.settings),
+            _path_settings(self.bench),
             Relay(sampler, rays, self._arrive),
         )
 
     def _arrive(self, number: mi.UInt32, exits: Exits) -> None:
         """Add to the sums what has become of some rays of a relay."""
-        exits = of_order(exits, self.settings.order)
+        exits = of_order(exits, self.bench.settings.order)
         ray, batch, size = number, self.batch, self.size
         if self.ray is not None:
             ray, batch, size = (
@@ -174,26 +181,9 @@ class _Rays:
         self.sums.add(self.bench.bins(exits), exits, ray < size, batch)
 
 
-def _exits(
-    bench: Bench,
-    settings: MeasurementSettings,
-    sampler: mi.Sampler,
-    wavelengths: mi.Spectrum,
-    deposits: Deposits | None,
-) -> Exits:
-    """Follow the rays by the cheapest transport that is exact for the specimen."""
-    how = _path_settings(bench, settings)
-    if traces(bench, settings):
-        exits = trace(bench.specimen, bench.beam, sampler, wavelengths, how, deposits)
-    else:
-        plane = bench.specimen.plane
-        exits = scatter_plane(plane, bench.beam, sampler, wavelengths, how)
-    return of_order(exits, settings.order)
-
-
-def _path_settings(bench: Bench, settings: MeasurementSettings) -> PathSettings:
+def _path_settings(bench: Bench) -> PathSettings:
     """How rays are followed."""
-    analog = settings.estimator == "analog"
+    settings, analog = bench.settings, bench.settings.estimator.counts
     rr_depth = settings.rr_depth
     # counted rays live or die at each event as it is, and stay whole
     roulette = rr_depth >= 0 and not analog
@@ -205,7 +195,7 @@ def _path_settings(bench: Bench, settings: MeasurementSettings) -> PathSettings:
         # nothing that comes later is collected
         max_depth=settings.max_depth if media else min(settings.max_depth, most),
         rr_depth=rr_depth if roulette else 2**32 - 1,
-        delta_only=settings.estimator == "quadrature",
+        delta_only=settings.estimator.integrates,
         max_scatterings=min(settings.max_scatterings, UNLIMITED if shared else most),
         roulette=roulette,
     )

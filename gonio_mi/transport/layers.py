@@ -84,10 +84,10 @@ class Layers:
         return LayerFlight(mi.Ray3f(ray), mi.Vector3f(0), mi.UInt32(self.first))
 
     def meet(
-        self, flight: LayerFlight, active: mi.Bool, inside: mi.Bool, together: mi.Bool
+        self, flight: LayerFlight, active: mi.Bool, inside: mi.Bool
     ) -> tuple[mi.SurfaceInteraction3f, Encounter, mi.Float]:
         """What rays meet next, and at what distance; nothing is infinitely far."""
-        del inside, together
+        del inside
         ray = flight.ray
         up = ray.d.z > 0
         found = active & (ray.d.z != 0)

@@ -147,7 +147,8 @@ def trace(
     density = mi.Float(dr.inf)  # Of the direction that it chose
     active = mi.Bool(lit)  # Still in flight?
 
-    # to which of the faces at an edge a ray goes depends on it: all of a point may
+    # to which of the faces at an edge a ray goes depends on its packet: all of a point
+    # may, and packets must be the same however rays are shared among launches
     together = beam.footprint != "point"
     while active:
         ray = flight.ray

@@ -7,8 +7,6 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
-from ..settings.measurement_settings import MeasurementSettings
-from ..settings.orders import Order
 from .bench import Bench
 from .flight import escapes
 from .loop import Exits
@@ -32,9 +30,9 @@ LOWER_IF_DARK = 1 / 16
 R2 = (0xC13FA9A9, 0x91E10DA6)
 
 
-def check_traced(bench: Bench, settings: MeasurementSettings) -> None:
+def check_traced(bench: Bench) -> None:
     """Raise SpecimenError for a flat specimen, which needs no points in patches."""
-    if bench.specimen.plane is not None and not settings.trace:
+    if bench.specimen.plane is not None and not bench.settings.trace:
         if bench.collector.subdivision.axes is None:
             remedy = "take quadrature, which integrates eval over all patches"
         else:
@@ -65,29 +63,21 @@ class Deposits:
     Parameters
     ----------
     bench : Bench
+        Its settings tell the points for each event. Their patches are chosen from equal
+        shares of the collector, and all of them by three random numbers, which a
+        low-discrepancy sequence distributes well: one point per patch leaves nothing to
+        chance but where in the patch it lies.
     sums : Sums
         Where deposits are added up.
-    points : int
-        Points for each event. Their patches are chosen from equal shares of the
-        collector, and all of them by three random numbers, which a low-discrepancy
-        sequence distributes well: one point per patch leaves nothing to chance but
-        where in the patch it lies.
-    order : Order
-        Surface events of what is collected.
     lanes, batch : mi.Bool, mi.UInt32
         Which lanes carry a ray, and its batch.
     """
 
     def __init__(
-        self,
-        bench: Bench,
-        sums: Sums,
-        points: int,
-        order: Order,
-        lanes: mi.Bool,
-        batch: mi.UInt32,
+        self, bench: Bench, sums: Sums, lanes: mi.Bool, batch: mi.UInt32
     ) -> None:
-        self.bench, self.sums, self.points, self.order = bench, sums, points, order
+        self.bench, self.sums = bench, sums
+        self.points, self.order = bench.settings.points, bench.settings.order
         self.lanes, self.batch = lanes, batch
         self.scatters = any(
             mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth)

@@ -67,6 +67,8 @@ def intersect(
 
     Mitsuba 3.9.1 turns the former alone over where a rectangle or mesh is mirrored.
     `coherent`: whether the rays of neighbouring lanes are alike; that is for speed.
+    Embree 3 then follows them in packets, and decides within rounding of an edge by
+    which rays are in a packet (10 of 1e7 on a mirror field); else one by one.
     """
     flags |= mi.RayFlags.ShadingFrame
     si = scene.ray_intersect(ray, flags, coherent, active)

@@ -17,6 +17,7 @@ __all__ = [
     "check_sampler",
     "continues",
     "in_turns",
+    "is_joint",
     "relay_turns",
     "sampler_name",
     "seeded",
@@ -57,6 +58,17 @@ FEWEST_RELAYING = 2**10
 FEWEST_IN_A_THREAD = 2**7
 
 
+def is_joint(sampler: mi.Sampler) -> bool:
+    """Whether all rays of a batch draw from one sequence, as the sampler declares.
+
+    Then their numbers are the same however launches share them. Such a sampler has
+    `start`, the point of the next wavefront's first ray; `points` and `go_to`, by which
+    a lane draws for another ray; `follow_curve`, by which rays start side by side on
+    the specimen; and `skip`, which leaves dimensions out.
+    """
+    return bool(getattr(sampler, "is_joint", False))
+
+
 def check_sampler(label: str, sampler: mi.Sampler) -> None:
     """Raise ValueError for a sampler that would measure wrongly."""
     name = sampler_name(sampler)
@@ -81,13 +93,13 @@ def seeded(
     Parameters
     ----------
     sampler : mi.Sampler
-        With an attribute `start`, it continues one sequence through all of each batch.
+        If it :func:`is_joint`, it continues one sequence through all of each batch.
         Samplers of fixed size get one sequence for these `n` rays, others a seed.
     keys : list of tuple of int
-        What tells each batch from all others; several only for a sampler with `start`.
+        What tells each batch from all others; several only for a joint one.
     """
     sampler = sampler.clone()
-    if hasattr(sampler, "start"):
+    if is_joint(sampler):
         # the index of a point has 32 bits
         begin, sampler.start = divmod(begin, 2**32)
     elif sampler_name(sampler) in OF_FIXED_SIZE:
@@ -151,7 +163,7 @@ class Relay:
         self._n = max(2, -(-rays // relay_turns(sampler, rays)))
         self._lane = dr.arange(mi.UInt32, self._n)
         self._points: Any = None
-        if hasattr(sampler, "go_to"):
+        if is_joint(sampler):
             self._points = sampler.points()
             dr.eval(self._points)
             sampler.go_to(*(dr.zeros(mi.UInt32, self._n) for _ in self._points))
@@ -175,7 +187,7 @@ class Relay:
 def relay_turns(sampler: mi.Sampler, rays: int) -> int:
     """Rays that a lane of a relay sends one after the other, of so many in all."""
     fewest = FEWEST_RELAYING
-    if hasattr(sampler, "go_to"):
+    if is_joint(sampler):
         fewest = FEWEST_IN_A_THREAD * dr.thread_count()
     elif not continues(sampler):
         return 1

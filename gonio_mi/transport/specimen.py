@@ -83,6 +83,8 @@ class Specimen:
         the specimen is a flat rectangle whose BSDF has no transmitting component.
     closed_to_light : bool
         Whether no shape's BSDF has one.
+    defects : list of str
+        Sentences on what is measured, but is not right: none before it is asked.
 
     Raises
     ------
@@ -128,6 +130,7 @@ class Specimen:
         if any(map(holds_foreign_plugins, shapes)):
             self.digest  # noqa: B018, before plugins are called, which may count that
         self.name = "a scene"
+        self.defects: list[str] = []
         self.description = "; ".join(map(_describe, self.surfaces[:4])) + (
             f"; and {len(self.surfaces) - 4} more shapes"
             if len(self.surfaces) > 4

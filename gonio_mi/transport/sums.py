@@ -40,25 +40,16 @@ class Sums:
     ----------
     bench : Bench
     n_batches : int
-    counted : bool
-        Whether all powers are whole numbers.
-    deposits : bool
     """
 
-    def __init__(
-        self,
-        bench: Bench,
-        n_batches: int = 1,
-        *,
-        counted: bool = False,
-        deposits: bool = False,
-    ) -> None:
+    def __init__(self, bench: Bench, n_batches: int = 1) -> None:
         self.bench = bench
-        self.counted = counted
-        self.one = 1 if counted else ONE
+        # all powers are whole numbers
+        self.counted = bench.settings.estimator.counts
+        self.one = 1 if self.counted else ONE
         self.capacity = n_batches
         self.n_batches = n_batches = len(bench.classes) * n_batches
-        self.deposits = deposits
+        self.deposits = bench.settings.estimator.deposits
         self.channels = len(mi.Spectrum())
         self.width = packet_width()
         self.levels = bench.levels

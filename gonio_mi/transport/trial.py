@@ -90,6 +90,7 @@ def _try(bsdf: Any, wavelengths: Any, estimator: str) -> None:
 
 
 def class_of(plugin: Any) -> str:
-    """Class of a BSDF or texture; one in Python has the class name of its base."""
+    """Class of a plugin; one in Python has the class name of its base."""
     name = plugin.class_name()
-    return type(plugin).__name__ if name in ("BSDF", "Texture", "Medium") else name
+    own = ("BSDF", "Texture", "Medium", "PhaseFunction")
+    return type(plugin).__name__ if name in own else name

@@ -14,7 +14,7 @@ from ..collector import Borders
 from ..collector.directions import direction
 from ..errors import checked_choice
 
-__all__ = ["EFFORTS", "Condition", "Effort", "LitFrom"]
+__all__ = ["EFFORTS", "PHI", "POSITION", "TURN", "Condition", "Effort", "LitFrom"]
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,9 @@ class Condition:
     mode : {"importance", "radiance"}
     component : int or None
         The only component that is enabled; None for all.
+    turned : bool
+        Whether the surface is turned and moved in the world, as by `TURN`: local
+        answers do not change.
     """
 
     theta_i: float
@@ -40,6 +43,7 @@ class Condition:
     uv: tuple[float, float] = (0.5, 0.5)
     mode: str = "importance"
     component: int | None = None
+    turned: bool = False
 
     @property
     def wi(self) -> Floats:
@@ -77,10 +81,17 @@ class LitFrom:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._condition, name)
 
+    def __str__(self) -> str:
+        return str(self._condition)
+
 
 # Azimuths and places that no symmetry of a model distinguishes.
 PHI = (25.0, 140.0, 260.0, 305.0, 0.0)
-PLACES = ((0.5, 0.5), (0.15, 0.7), (0.85, 0.35))
+PLACES = ((0.35, 0.6), (0.15, 0.7), (0.85, 0.35))
+
+# Axes of a turned surface, as columns, in world coordinates, and where it is.
+TURN = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3
+POSITION = np.array([1.3, -0.7, 2.1])
 
 
 @dataclass(frozen=True)
@@ -153,11 +164,11 @@ class Effort:
 
     @staticmethod
     def _spread(angles: Sequence[float], sides: Sequence[str]) -> Iterator[Condition]:
-        """Angles on both sides, each with an azimuth and a place of its own."""
+        """Angles on both sides, each with an azimuth and a place; half are turned."""
         for side in sides:
             for i, theta_i in enumerate(angles):
-                phi_i = PHI[i % len(PHI)]
-                yield Condition(theta_i, phi_i, side, PLACES[i % len(PLACES)])
+                phi_i, uv = PHI[i % len(PHI)], PLACES[i % len(PLACES)]
+                yield Condition(theta_i, phi_i, side, uv, turned=i % 2 == 1)
 
 
 EFFORTS = {

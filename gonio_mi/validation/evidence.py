@@ -1,4 +1,4 @@
-"""What the checks find: certain breaches, and tests that chance takes part in."""
+"""Findings of the checks: certain breaches, and statistical tests with p-values."""
 
 from __future__ import annotations
 
@@ -6,26 +6,28 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from .collecting import Drawn
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Flags, Floats
 from .conditions import Condition
 from .maps import FourMaps
+from .samples import Samples, is_many
 
 __all__ = [
     "BIAS",
     "BREAKS",
     "COST",
     "EFFECTS",
-    "HARM",
     "INTERFACE",
     "MODEL",
     "NOISE",
     "PROPERTIES",
     "Breach",
     "Evidence",
+    "Finding",
     "Test",
-    "harm",
-    "share",
-    "where",
+    "integrators",
 ]
 
 # What a failure does to an image, the worst first.
@@ -33,7 +35,7 @@ BIAS = "biases images"
 BREAKS = "breaks some integrators"
 NOISE = "adds noise"
 MODEL = "a property of the model"
-INTERFACE = "a nicety of the interface"
+INTERFACE = "interface only (no effect on images)"
 COST = "adds cost"  # never a failure
 EFFECTS = (BIAS, BREAKS, NOISE, MODEL, INTERFACE)
 
@@ -42,175 +44,160 @@ PROPERTIES = {
     "answers": "all functions answer, with finite values of at least 0",
     "directions": "sampled directions are unit vectors on the side of their type",
     "sampling": "directions are drawn with the density of `pdf`",
-    "weights": "sampled weights sum up to the integral of `eval`",
+    "weights": "the mean of sampled weights is the integral of `eval`",
     "sampled_pdf": "the pdf that `sample` returns is that of `pdf`",
     "sampled_weight": "weight times pdf is `eval`",
     "eval_pdf": "`eval_pdf` answers as `eval` and `pdf`",
     "eval_pdf_sample": "`eval_pdf_sample` answers as the separate functions",
-    "energy": "no more light leaves than came",
+    "energy": "no more flux leaves than arrives",
     "continuity": "no jump at normal incidence, nothing black before the horizon",
-    "reciprocity": "exchanging source and detector changes nothing, but by eta^2",
+    "reciprocity": "source and detector can be exchanged, with a factor eta^2",
     "adjoint": "radiance and importance mode are adjoint to each other",
     "delta": "discrete lobes have one direction, weight and probability",
-    "flags": "flags declare what is observed",
+    "flags": "flags declare the observed behaviour",
     "components": "components add up to the whole",
-    "masks": "inactive rays get 0, active ones what they get anyway",
+    "masks": "inactive rays get 0, active rays the same as without a mask",
     "ends": "finite at the ends: horizon, normal, random numbers, roughness",
     "parameters": "`traverse` answers; gradients of `eval` are its changes",
-    "cost": "what is asked again compiles nothing",
+    "cost": "repeated calls compile no kernel",
 }
 
-# What a failure of each does, if its breach does not say otherwise; and to which of
-# Mitsuba's integrators, by what they call.
-HARM = {
-    "answers": BIAS,
-    "directions": BIAS,
-    "sampling": BIAS,
-    "weights": BIAS,
-    "sampled_pdf": BIAS,
-    "sampled_weight": BIAS,
-    "eval_pdf": BIAS,
-    "eval_pdf_sample": BIAS,
-    "energy": MODEL,
-    "continuity": MODEL,
-    "reciprocity": MODEL,
-    "adjoint": BREAKS,
-    "delta": BIAS,
-    "flags": INTERFACE,
-    "components": INTERFACE,
-    "masks": INTERFACE,
-    "ends": BIAS,
-    "parameters": BREAKS,
-    "cost": INTERFACE,
-}
-COMBINED = "path, direct, volpathmis, prb: light and BSDF sampling are combined"
-SAMPLED = "all that sample the BSDF"
-WHERE = {
-    "answers": "all",
-    "directions": SAMPLED,
-    "sampling": COMBINED,
-    "weights": SAMPLED,
-    "sampled_pdf": COMBINED,
-    "sampled_weight": SAMPLED,
-    "eval_pdf": "path, direct, volpathmis, prb",
-    "eval_pdf_sample": "path",
-    "reciprocity": "all",
-    "adjoint": "ptracer and all that trace light from its source",
-    "delta": SAMPLED,
-    "flags": "path, direct, volpath, prb: no light is sampled without a smooth lobe",
-    "ends": "all, in single pixels",
-    "parameters": "prb and all that change or differentiate parameters",
+# Mitsuba's integrators that a failure reaches, by what they call.
+_COMBINED = "path, direct, volpathmis, prb: light and BSDF sampling are combined"
+_SAMPLED = "all that sample the BSDF"
+
+# Effect of a failure, unless its breach says otherwise, and integrators that it
+# reaches if that biases images or breaks integrators.
+_EFFECTS_OF = {
+    "answers": (BIAS, "all"),
+    "directions": (BIAS, _SAMPLED),
+    "sampling": (BIAS, _COMBINED),
+    "weights": (BIAS, _SAMPLED),
+    "sampled_pdf": (BIAS, _COMBINED),
+    "sampled_weight": (BIAS, _SAMPLED),
+    "eval_pdf": (BIAS, "path, direct, volpathmis, prb"),
+    "eval_pdf_sample": (BIAS, "path"),
+    "energy": (MODEL, None),
+    "continuity": (MODEL, None),
+    "reciprocity": (MODEL, "all"),
+    "adjoint": (BREAKS, "ptracer and all that trace light from its source"),
+    "delta": (BIAS, _SAMPLED),
+    "flags": (
+        INTERFACE,
+        "path, direct, volpath, prb: no light is sampled without a smooth lobe",
+    ),
+    "components": (INTERFACE, None),
+    "masks": (INTERFACE, None),
+    "ends": (BIAS, "all, in single pixels"),
+    "parameters": (BREAKS, "prb and all that change or differentiate parameters"),
+    "cost": (INTERFACE, None),
 }
 
-# Where a mode is wrong that cannot be that of light, it is that of sensors.
-WHERE_OF_SENSORS = "path and all that trace rays from the sensor"
+# A larger ratio has a denominator of 0.
+MAX_RATIO = 1e20
+
+# If importance mode is right and radiance mode is not.
+_FROM_SENSORS = "path and all that trace rays from the sensor"
 
 
-def where(name: str, effect: str | None) -> str | None:
+def integrators(name: str, effect: str | None) -> str | None:
     """Integrators that a failure of a property reaches by its effect, if known."""
     if name == "adjoint" and effect == BIAS:
-        return WHERE_OF_SENSORS
-    return WHERE.get(name) if effect in (BIAS, BREAKS) else None
+        return _FROM_SENSORS
+    return _EFFECTS_OF[name][1] if effect in (BIAS, BREAKS) else None
 
 
 @dataclass(frozen=True)
-class Breach:
+class Finding:
+    """A failed check, or the result of a statistical test.
+
+    Attributes
+    ----------
+    name : str
+        Property, a key of `PROPERTIES`.
+    statistic : str
+        How much and where.
+    condition : Condition or None
+        Where; None for one over all conditions.
+    off : float, optional
+        Fraction of the light, or of the samples, that is wrong; None if not known.
+    effect : str
+        On an image, one of `EFFECTS`; that of its property by default.
+    """
+
+    name: str
+    statistic: str
+    condition: Condition | None = None
+    off: float | None = None
+    effect: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "effect", self.effect or _EFFECTS_OF[self.name][0])
+
+    @property
+    def share(self) -> float | None:
+        """Fraction of the light of a lit surface that it is about; None if not known.
+
+        What is off, times the cosine of the angle of incidence, as the irradiance of a
+        surface: at 89 degrees a hundredth is off of next to nothing.
+        """
+        if self.off is None:
+            return None
+        theta_i = 0.0 if self.condition is None else self.condition.theta_i
+        return self.off * math.cos(math.radians(theta_i))
+
+
+@dataclass(frozen=True)
+class Breach(Finding):
     """A property that a BSDF certainly lacks.
 
     Attributes
     ----------
-    property : str
-        Key of `PROPERTIES`.
     function : str
         Of the plugin, the likely culprit.
-    statistic : str
-        How much and where.
     mistake : str
         What is likely wrong, as a sentence about the function.
     size : float
-        The larger, the more it says: the worst breach of a property is shown.
-    effect : str, optional
-        One of `EFFECTS`; that of its property by default.
-    off : float, optional
-        Part of the light, or of the samples, that it is about; None if not known.
-    theta_i : float
-        Where that is, in degrees.
+        Severity: the worst breach of a property is shown.
     """
 
-    property: str
-    function: str
-    statistic: str
-    mistake: str
+    function: str = ""
+    mistake: str = ""
     size: float = 1.0
-    effect: str | None = None
-    off: float | None = None
-    theta_i: float = 0.0
-
-
-def harm(breach: Breach) -> str:
-    """What a breach does to an image."""
-    return breach.effect or HARM[breach.property]
 
 
 @dataclass(frozen=True)
-class Test:
-    """A statistical test of a property, with its p-value.
+class Test(Finding):
+    """A statistical test of a property; `p` is the probability of so much by chance."""
 
-    Attributes
-    ----------
-    property : str
-    p : float
-        Probability of so much by chance.
-    statistic : str
-    condition : Condition or None
-        None for one over all conditions.
-    off : float, optional
-        Part of the light, or of the samples, that is not where it should be.
-    """
-
-    property: str
-    p: float
-    statistic: str
-    condition: Condition | None = None
-    off: float | None = None
+    p: float = 1.0
 
     __test__ = False  # no test of pytest's
 
 
-def share(found: Breach | Test) -> float | None:
-    """How much of the light of a lit surface a finding is about; None if not known.
-
-    What is off, times the cosine of the angle of incidence: so much of the light of a
-    source a surface gets. At 89 degrees a hundredth is off of next to nothing.
-    """
-    if found.off is None:
-        return None
-    if isinstance(found, Breach):
-        theta_i = found.theta_i
-    else:
-        theta_i = 0.0 if found.condition is None else found.condition.theta_i
-    return found.off * math.cos(math.radians(theta_i))
-
-
 @dataclass
 class Evidence:
-    """All that was found about a BSDF.
+    """All findings about a BSDF.
 
     Attributes
     ----------
+    bsdf : mi.BSDF
+    seed : int
     breaches, tests : list
     undecided : dict of str
         By property, why it could not be decided and what it would take.
     lesser : dict of str
-        By property, what it does though it does not fail: adds noise, or cost.
+        By property, its effect though it does not fail: adds noise, or cost.
     remarks : dict of str
-        By property, what is worth knowing though it holds.
+        By property, remarks on one that holds.
     declared : dict of str
         By property, why it is lacking with the plugin's own declaration.
     maps : list of FourMaps
-    drawn : list of Drawn
+    samples : list of Samples
     """
 
+    bsdf: mi.BSDF = None
+    seed: int = 0
     breaches: list[Breach] = field(default_factory=list)
     tests: list[Test] = field(default_factory=list)
     undecided: dict[str, str] = field(default_factory=dict)
@@ -218,17 +205,83 @@ class Evidence:
     remarks: dict[str, str] = field(default_factory=dict)
     declared: dict[str, str] = field(default_factory=dict)
     maps: list[FourMaps] = field(default_factory=list)
-    drawn: list[Drawn] = field(default_factory=list)
+    samples: list[Samples] = field(default_factory=list)
 
-    def breach(self, *args: Any, **kwargs: Any) -> None:
+    @property
+    def whole(self) -> list[Samples]:
+        """Samples of all components together."""
+        return [one for one in self.samples if one.condition.component is None]
+
+    def breach(
+        self,
+        name: str,
+        function: str,
+        statistic: str,
+        mistake: str,
+        condition: Condition | None = None,
+        **others: Any,
+    ) -> None:
         """Add a :class:`Breach`."""
-        self.breaches.append(Breach(*args, **kwargs))
+        others |= {"function": function, "mistake": mistake}
+        self.breaches.append(Breach(name, statistic, condition, **others))
+
+    def breach_of_ratio(
+        self,
+        name: str,
+        function: str,
+        samples: Samples,
+        wrong: Flags,
+        ratio: Floats,
+        what: str,
+        mistake: str,
+        effect: str = "",
+    ) -> None:
+        """Add a breach that tells how far a ratio is from 1, if of many samples."""
+        if not is_many(wrong):
+            return
+        usable = wrong & (np.abs(ratio) < MAX_RATIO)
+        spread = "infinite"
+        if usable.any():
+            low, middle, high = np.quantile(ratio[usable], [0.05, 0.5, 0.95])
+            spread = f"{low:.4g} to {high:.4g}, median {middle:.4g}"
+        off = np.mean(np.where(usable, np.minimum(np.abs(ratio - 1), 1), wrong))
+        self.breach(
+            name,
+            function,
+            f"{what} is {spread} for {samples.fraction(wrong)}",
+            mistake,
+            samples.condition,
+            size=float(wrong.mean()),
+            effect=effect,
+            off=float(off),
+        )
+
+    def of(self, name: str) -> list[Breach]:
+        """Breaches of a property."""
+        return [one for one in self.breaches if one.name == name]
+
+    def worst(self, name: str) -> Breach | None:
+        """The worst breach of a property; None without."""
+        return max(self.of(name), key=lambda one: one.size, default=None)
 
     def remark(self, name: str, text: str) -> None:
         """Note what says nothing against a property."""
         known = self.remarks.get(name)
-        self.remarks[name] = f"{known}; {text}" if known else text
+        if known is None or text not in known:
+            self.remarks[name] = f"{known}; {text}" if known else text
 
-    def test(self, *args: Any, **kwargs: Any) -> None:
-        """Add a :class:`Test`."""
-        self.tests.append(Test(*args, **kwargs))
+    def test(
+        self,
+        name: str,
+        p: float,
+        statistic: str,
+        condition: Condition | None = None,
+        off: float | None = None,
+    ) -> None:
+        """Add a :class:`Test`.
+
+        Of a single component it concerns the interface: no integrator asks for one.
+        """
+        component = None if condition is None else condition.component
+        effect = "" if component is None else INTERFACE
+        self.tests.append(Test(name, statistic, condition, off, effect, p))

@@ -20,43 +20,43 @@ from ..collector.hemisphere import RingsAndSectors
 from ..errors import SpecimenError
 from ..quadrature import integrate
 from .conditions import Condition
-from .drawing import Totals, patch_of
-from .probe import Probe
+from .probe import Probe, vectors
+from .tally import PatchTotals, patch_of
 
-__all__ = ["SUM_ERROR", "Due", "Integrals", "integrals"]
+__all__ = ["SUM_ERROR", "Due", "PatchIntegrals", "integrals"]
 
 # Numbers of points and generators of Fibonacci lattices, where patches need ever more,
 # and random shifts of each.
 LATTICES = (21, 13), (89, 55), (377, 233), (1597, 987), (6765, 4181)
 SHIFTS = 16
 
-# Standard error of a lattice, as part of what samples leave unknown of a patch: it
+# Standard error of a lattice, as part of the standard error of samples in a patch: it
 # widens a score by 2 %.
-SHARE = 0.2
+LATTICE_SHARE = 0.2
 
 # Standard errors within which a sum lies, of 16 shifts: in all but 1 of 1000 cases.
-WIDE = 4.0
+SUM_WIDTH = 4.0
 
 # What a sum must be known to: a tenth of the 1e-3, spread evenly, that must be seen.
 SUM_ERROR = 1e-4
 
 # A density that is larger by this where samples are than at all points of the patch
 # shows a lobe that was missed.
-MISSED = 3.0
+MISSED_PEAK = 3.0
 
 # Weights that are larger have no limit.
-HUGE = 1e15
+MAX_WEIGHT = 1e15
 
 # Of adaptive integrals: relative error of a patch, how many times its estimate kinks
 # may hide (see there), and evaluations for each sample.
 REL_ERR = 1e-3
 HIDDEN = 2
 EVALUATIONS = 4
-LEAST_EVALUATIONS = 2**21
+MIN_EVALUATIONS = 2**21
 
 
 @dataclass(frozen=True)
-class Integrals:
+class PatchIntegrals:
     """What a function sends into each patch, and how well that is known.
 
     Attributes
@@ -82,31 +82,31 @@ class Due:
 
     Attributes
     ----------
-    counts : Integrals
+    counts : PatchIntegrals
         Of ``pdf`` where ``eval`` is not black.
-    weights, squares, cubes : Integrals
+    weights, squares, cubes : PatchIntegrals
         Of damped weights, means over channels, and of their powers.
-    unreached : Integrals
+    unreached : PatchIntegrals
         Of ``eval`` where ``pdf`` is 0, a mean over channels.
-    unused : Integrals
+    unused : PatchIntegrals
         Of ``pdf`` where ``eval`` is black.
-    channels : list of Integrals
+    channels : list of PatchIntegrals
         Of each channel of ``eval``.
     least : float
         Smallest positive density that was seen; infinite where nobody looked.
     """
 
-    counts: Integrals
-    weights: Integrals
-    squares: Integrals
-    cubes: Integrals
-    unreached: Integrals
-    unused: Integrals
-    channels: list[Integrals]
+    counts: PatchIntegrals
+    weights: PatchIntegrals
+    squares: PatchIntegrals
+    cubes: PatchIntegrals
+    unreached: PatchIntegrals
+    unused: PatchIntegrals
+    channels: list[PatchIntegrals]
     least: float
 
     @staticmethod
-    def of(found: list[Integrals], least: float) -> Due:
+    def of(found: list[PatchIntegrals], least: float) -> Due:
         """What the integrals of :func:`_finite_values` are."""
         used, damped, squares, cubes, unreached, unused, *channels = found
         return Due(used, damped, squares, cubes, unreached, unused, channels, least)
@@ -115,7 +115,7 @@ class Due:
 def integrals(
     probe: Probe,
     subdivision: RingsAndSectors,
-    totals: Totals,
+    totals: PatchTotals,
     limits: Floats | None = None,
 ) -> Due:
     """Integrals of ``pdf``, damped weights, and of each channel of ``eval``.
@@ -124,7 +124,7 @@ def integrals(
     ----------
     probe : Probe
     subdivision : RingsAndSectors
-    totals : Totals
+    totals : PatchTotals
         Samples that are to be compared with them.
     limits : ndarray, optional
         Of weights by patch, as of :class:`Damping`.
@@ -141,7 +141,7 @@ def integrals(
     if limits is None:
         limits = np.full(2 * subdivision.n_patches, np.inf)
     # a number that single precision can multiply
-    limits = np.minimum(limits[: 2 * subdivision.n_patches], HUGE)
+    limits = np.minimum(limits[: 2 * subdivision.n_patches], MAX_WEIGHT)
     found = _lattice(probe, subdivision, totals, limits)
     return found or _adaptive(probe, subdivision, totals, limits)
 
@@ -150,7 +150,7 @@ def integrals(
 
 
 def _lattice(
-    probe: Probe, subdivision: RingsAndSectors, totals: Totals, limits: Floats
+    probe: Probe, subdivision: RingsAndSectors, totals: PatchTotals, limits: Floats
 ) -> Due | None:
     """Integrals by shifted lattices; None where that takes too many points."""
     m = 2 * subdivision.n_patches
@@ -173,7 +173,7 @@ def _lattice(
         density = values[..., 0] + values[..., 5]
         largest[refined] = density.max(axis=(1, 2))
         least = min(least, density.min(initial=np.inf, where=density > 0))
-        rough = _rough(means, totals, limits) | (totals.peaks > MISSED * largest)
+        rough = _rough(means, totals, limits) | (totals.peaks > MISSED_PEAK * largest)
         refined = np.flatnonzero(rough | _rough_in_sum(means))
         if not refined.size:
             break
@@ -181,16 +181,16 @@ def _lattice(
     return None if rough.any() else Due.of(_of_means(means), least)
 
 
-def _rough(means: Floats, totals: Totals, limits: Floats) -> Flags:
+def _rough(means: Floats, totals: PatchTotals, limits: Floats) -> Flags:
     """Patches that must be known better for the samples to judge."""
     values, n = means.mean(axis=1), totals.n
     std_err = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
     noise = np.sqrt(np.maximum(values[:, 0], 1 / n) / n)
-    rough = std_err[:, 0] > SHARE * noise
+    rough = std_err[:, 0] > LATTICE_SHARE * noise
     # one damped weight is a tenth of what a group leaves unknown
-    least = np.where(limits < HUGE, limits, 1.0)
+    least = np.where(limits < MAX_WEIGHT, limits, 1.0)
     weight_noise = np.sqrt(np.maximum(n * values[:, 2], least**2)) / n
-    return rough | (std_err[:, 1] > SHARE * weight_noise)
+    return rough | (std_err[:, 1] > LATTICE_SHARE * weight_noise)
 
 
 def _rough_in_sum(means: Floats) -> Flags:
@@ -199,17 +199,17 @@ def _rough_in_sum(means: Floats) -> Flags:
     values = means.mean(axis=1)
     std_err = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
     allowed = SUM_ERROR * np.maximum(values.sum(axis=0), 1)
-    off = WIDE * means.sum(axis=0).std(axis=0, ddof=1) / np.sqrt(SHIFTS) > allowed
-    return np.any((std_err * np.sqrt(len(means)) * WIDE > allowed) & off, axis=1)
+    off = SUM_WIDTH * means.sum(axis=0).std(axis=0, ddof=1) / np.sqrt(SHIFTS) > allowed
+    return np.any((std_err * np.sqrt(len(means)) * SUM_WIDTH > allowed) & off, axis=1)
 
 
-def _of_means(means: Floats) -> list[Integrals]:
+def _of_means(means: Floats) -> list[PatchIntegrals]:
     """Integrals from those of each shift, shape (2 n_patches, SHIFTS, functions)."""
     errors = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
     sum_errors = means.sum(axis=0).std(axis=0, ddof=1) / np.sqrt(SHIFTS)
     nothing = np.zeros(len(means))
     return [
-        Integrals(values, nothing, std_err, float(WIDE * sum_error))
+        PatchIntegrals(values, nothing, std_err, float(SUM_WIDTH * sum_error))
         for values, std_err, sum_error in zip(
             means.mean(axis=1).T, errors.T, sum_errors
         )
@@ -244,13 +244,12 @@ def _points(
 def _values(probe: Probe, wo: Floats, limit: Floats) -> list[Floats]:
     """Arrays of :func:`_finite_values` towards `wo`."""
     n = len(wo)
-    wo = mi.Vector3f(np.ascontiguousarray(wo.T))
-    values = _finite_values(probe, wo, mi.Float(limit))
+    values = _finite_values(probe, vectors(wo), mi.Float(limit))
     return [np.broadcast_to(value.numpy(), n).astype(float) for value in values]
 
 
 def _finite_values(probe: Probe, wo: mi.Vector3f, limit: mi.Float) -> list[mi.Float]:
-    """Values as of :class:`Due`; what is not finite, or negative, is another's."""
+    """Values as of :class:`Due`; negative ones and NaN are judged elsewhere."""
     value, pdf = probe.eval_and_pdf(wo)
     pdf, *channels = (
         dr.select(dr.isfinite(x), dr.maximum(x, 0.0), 0.0) for x in (pdf, *value)
@@ -268,7 +267,7 @@ def _finite_values(probe: Probe, wo: mi.Vector3f, limit: mi.Float) -> list[mi.Fl
 
 
 def _adaptive(
-    probe: Probe, subdivision: RingsAndSectors, totals: Totals, limits: Floats
+    probe: Probe, subdivision: RingsAndSectors, totals: PatchTotals, limits: Floats
 ) -> Due:
     """Integrals by cells that are split where that changes something."""
     condition = probe.condition
@@ -284,15 +283,15 @@ def _adaptive(
     error = HIDDEN * found.error.reshape(flux.shape)
     nothing = np.zeros(len(flux))
     several = [
-        Integrals(flux[:, c], error[:, c], nothing, float(error[:, c].sum()))
+        PatchIntegrals(flux[:, c], error[:, c], nothing, float(error[:, c].sum()))
         for c in range(flux.shape[1])
     ]
     return Due.of(several, np.inf)
 
 
-def _most_evaluations(totals: Totals) -> int:
+def _most_evaluations(totals: PatchTotals) -> int:
     """After which we give up."""
-    return max(EVALUATIONS * totals.n, LEAST_EVALUATIONS)
+    return max(EVALUATIONS * totals.n, MIN_EVALUATIONS)
 
 
 class _Integrand:
@@ -318,8 +317,7 @@ class _Integrand:
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Return record and weight."""
         del si, active
-        one = self.probe.sample(sample1, sample2)
-        return one.bs, one.weight
+        return self.probe.sample(sample1, sample2)
 
     def eval(
         self,

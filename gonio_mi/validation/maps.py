@@ -1,4 +1,4 @@
-"""Four maps of a BSDF on the same patches, and the scores of the drawn against the due.
+"""Four maps of a BSDF on the same patches, and scores of samples against integrals.
 
 Counted directions and summed weights come from ``sample``, the other two are integrals
 of ``pdf`` and ``eval``.
@@ -17,35 +17,37 @@ from scipy import special
 from ..array_types import Floats, Integers
 from ..collector import RingsAndSectors
 from ..errors import SpecimenError
-from ..results.normal_scores import two_sided_score
-from .collecting import rounding
+from ..results.statistics import two_sided_score
 from .conditions import Condition
-from .damping import SMALL, Damping, groups
-from .drawing import Totals, count, draw
-from .integrals import Due, Integrals, integrals
+from .integrals import Due, PatchIntegrals, integrals
 from .probe import Probe
+from .samples import rounding
+from .tally import SMALL_TERM, Damping, PatchTotals, batch_of, groups, patch_totals
 
-__all__ = ["FourMaps", "Scores", "four_maps"]
+__all__ = ["FourMaps", "Scores", "four_maps", "unexplained_fraction"]
 
 # Patches are merged until that many hits are due.
-ENOUGH_HITS = 100
+MIN_HITS = 100
 
 # One sample in that many is a pilot, which chooses groups and limits of weights.
 PILOT = 8
 
-# Of the variance of a sum, what its heaviest weight may have where weights are not
-# `eval` over `pdf`, so that nothing but samples says how heavy they may be.
-TAIL = 4 * SMALL
+# Fraction of the variance of a sum that its heaviest weight may have where weights are
+# not `eval` over `pdf`, so that only samples show how heavy they may be.
+HEAVIEST_TERM = 4 * SMALL_TERM
 
 # A random number has 2^23 values; at the two ends of three of them a formula may lose
 # a sample, though no density says so.
-GRAIN = 6 * 2.0**-23
+END_ROUNDING = 6 * 2.0**-23
 
 # Part of a variance below which nothing is left to chance: all samples are collected.
-FREE = 0.01
+MIN_VARIANCE = 0.01
 
-# Score of what chance cannot have done.
-FAR = 1e6
+# Score of a difference that chance cannot make.
+IMPOSSIBLE_SCORE = 1e6
+
+# Standard errors of a difference that are left to chance.
+CHANCE = 3.0
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Scores:
         z = self.z[np.isfinite(self.z)]
         n = len(z)
         views = {"total": 2 * special.ndtr(-abs(self.total))}
-        if n and self.mean_variance > FREE:
+        if n and self.mean_variance > MIN_VARIANCE:
             scale = np.sqrt(n / self.mean_variance)
             views["mean"] = 2 * special.ndtr(-abs(z.mean()) * scale)
         if n:
@@ -106,14 +108,14 @@ def _score(z: Any) -> str:
 
 @dataclass(frozen=True)
 class FourMaps:
-    """What is drawn and what is due, by patch of both hemispheres.
+    """Sums over samples and integrals, by patch of both hemispheres.
 
     Attributes
     ----------
     condition : Condition
     subdivision : RingsAndSectors
-    totals : Totals
-        Drawn; see there for the order of patches.
+    totals : PatchTotals
+        Of samples; see there for the order of patches.
     due : Due
         Integrals of ``pdf``, of damped weights, and of ``eval``.
     damping : Damping
@@ -124,7 +126,7 @@ class FourMaps:
 
     condition: Condition
     subdivision: RingsAndSectors
-    totals: Totals
+    totals: PatchTotals
     due: Due
     damping: Damping
     pdf_rounding: float
@@ -153,7 +155,11 @@ class FourMaps:
     @property
     def pdf_sum_bound(self) -> float:
         """Within which the sum of `pdf` is right."""
-        return self.due.counts.sum_bound + self.pdf_rounding * self.pdf.sum() + GRAIN
+        return (
+            self.due.counts.sum_bound
+            + self.pdf_rounding * self.pdf.sum()
+            + END_ROUNDING
+        )
 
     @property
     def judged(self) -> float:
@@ -166,7 +172,7 @@ class FourMaps:
         """Counted directions against the integral of ``pdf``."""
         drawn, n = self.totals, self.totals.n
         due, bound, variance = _uncertain(self.due.counts, self.pdf_rounding)
-        first = groups(n * due, ENOUGH_HITS)
+        first = groups(n * due, MIN_HITS)
         k, q, e, v = (_merged(x, first) for x in (drawn.counts, due, bound, variance))
         z = _binomial_score(k, n, q, e) / _widened(n * v, q * (1 - q))
         total = _binomial_score(drawn.counts.sum(), n, due.sum(), self.pdf_sum_bound)
@@ -187,12 +193,12 @@ class FourMaps:
         columns = drawn.sums, due, squares, cubes, bound, variance
         merged = [_merged(x, first) for x in columns]
         z = _sum_score(n, *merged)
-        left = np.maximum(merged[2] - n * merged[1] ** 2, merged[2] * FREE)
+        left = np.maximum(merged[2] - n * merged[1] ** 2, merged[2] * MIN_VARIANCE)
         share = merged[1] * np.sqrt(n / np.where(left > 0, left, np.inf))
         if not drawn.is_ratio and first.size:
             # how heavy tails are can only be seen in the samples themselves
             heaviest = np.maximum.reduceat(drawn.largest, first) ** 2
-            z[heaviest > TAIL * _merged(drawn.squares, first)] = np.nan
+            z[heaviest > HEAVIEST_TERM * _merged(drawn.squares, first)] = np.nan
         total = [float(column.sum()) for column in columns]
         total[4] = self.due.weights.sum_bound + self.eval_rounding * total[1]
         total[5] = 0.0  # in that bound
@@ -209,9 +215,9 @@ def four_maps(
     key: tuple[int, ...],
 ) -> FourMaps | None:
     """Draw, integrate and return :class:`FourMaps`, or None if it does not converge."""
-    pilot = draw(bsdf, condition, subdivision, n // PILOT, (*key, 3))
+    pilot = batch_of(bsdf, condition, subdivision, n // PILOT, (*key, 3))
     damping = Damping.of(pilot, 2 * subdivision.n_patches, n)
-    totals = count(bsdf, condition, subdivision, n, key, damping)
+    totals = patch_totals(bsdf, condition, subdivision, n, key, damping)
     probe = Probe(bsdf, condition)
     try:
         due = integrals(probe, subdivision, totals, damping.limits)
@@ -220,7 +226,46 @@ def four_maps(
     return FourMaps(condition, subdivision, totals, due, damping, *rounding(probe, key))
 
 
-def _uncertain(due: Integrals, relative: float) -> tuple[Floats, Floats, Floats]:
+def unexplained_fraction(maps: FourMaps, name: str) -> tuple[float, float]:
+    """Fraction of the whole that is wrong, and the relative surplus of samples.
+
+    Parameters
+    ----------
+    maps : FourMaps
+    name : {"sampling", "weights"}
+        Samples against ``pdf``, or sampled light against ``eval``.
+
+    Returns
+    -------
+    fraction : float
+        Too much or too little, or in other patches than is due, less what chance
+        explains.
+    surplus : float
+        Of samples over integrals, times the cosine of wi.
+    """
+    n, scores = maps.totals.n, maps.weight_scores
+    drawn, due = maps.totals.sums / n, maps.weights
+    if name == "sampling":
+        scores, drawn, due = maps.count_scores, maps.totals.counts / n, maps.pdf
+    whole = max(drawn.sum(), due.sum())
+    gain = (drawn - due).sum()
+    surplus = float(abs(maps.condition.wi[2]) * gain / max(whole, 1e-30))
+    if not whole > 0:
+        return 0.0, surplus
+    total = abs(drawn.sum() - due.sum()) * _certain(np.array(scores.total))
+    elsewhere = 0.0
+    if scores.first.size:
+        off = np.abs(np.add.reduceat(drawn - due, scores.first))
+        elsewhere = float(np.sum(off * _certain(scores.z))) / 2
+    return float(max(total, elsewhere) / whole), surplus
+
+
+def _certain(z: Floats) -> Floats:
+    """Part of a difference of this score that chance does not explain."""
+    return np.maximum(1 - CHANCE / np.maximum(np.abs(np.nan_to_num(z)), CHANCE), 0)
+
+
+def _uncertain(due: PatchIntegrals, relative: float) -> tuple[Floats, Floats, Floats]:
     """Values of integrals, bounds of their errors with those of rounding, variances."""
     return due.values, due.bound + relative * np.abs(due.values), due.std_err**2
 
@@ -282,10 +327,10 @@ def _sum_score(
     rounding = np.finfo(np.float32).eps * np.maximum(np.abs(w), n * np.abs(mean))
     sigma = np.sqrt(spread + n**2 * variance + rounding**2)
     rough = np.divide(w - n * mean, sigma, out=np.zeros_like(w), where=sigma > 0)
-    rough = np.where((sigma == 0) & (w != n * mean), FAR, rough)
+    rough = np.where((sigma == 0) & (w != n * mean), IMPOSSIBLE_SCORE, rough)
     skewness = np.divide(third, sigma**3, out=np.zeros_like(w), where=sigma > 0)
     # no weight is heavy enough for more; beyond, it is the rounding of nearly nothing
-    skewness = np.clip(skewness, -np.sqrt(TAIL), np.sqrt(TAIL))
+    skewness = np.clip(skewness, -np.sqrt(HEAVIEST_TERM), np.sqrt(HEAVIEST_TERM))
     return np.where(w == n * mean, 0.0, _skew_score(rough, skewness))
 
 

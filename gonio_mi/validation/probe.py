@@ -1,4 +1,4 @@
-"""The functions of a BSDF, called with care: what they answer is checked for its form.
+"""Asking a BSDF: its functions, called with care, and its parameters.
 
 Whatever a plugin does wrong there ends in a :class:`PluginFault`.
 """
@@ -6,9 +6,8 @@ Whatever a plugin does wrong there ends in a :class:`PluginFault`.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -23,25 +22,27 @@ from ..transport.plugin_answers import (
     checked_sample,
     missing_method,
 )
-from .conditions import Condition
+from .conditions import POSITION, TURN, Condition
 
-__all__ = ["PluginFault", "Probe", "Sampled", "blamed", "numbers", "spectral"]
+__all__ = [
+    "PluginFault",
+    "Probe",
+    "blamed",
+    "changed",
+    "is_delta",
+    "numbers",
+    "seed_of",
+    "spectral",
+    "traversed",
+    "uniform",
+    "vectors",
+]
 
 # Channels of a spectral variant, in nm.
 WAVELENGTHS_NM = (450.0, 520.0, 580.0, 650.0)
 
-
-@dataclass
-class Sampled:
-    """Answer of ``sample``: Mitsuba's record and the weight."""
-
-    bs: mi.BSDFSample3f
-    weight: mi.Spectrum
-
-    @property
-    def delta(self) -> mi.Bool:
-        """Whether in a discrete set of directions."""
-        return mi.has_flag(self.bs.sampled_type, mi.BSDFFlags.Delta)
+# Mitsuba's record of a sample, and its weight.
+Sample: TypeAlias = "tuple[mi.BSDFSample3f, mi.Spectrum]"
 
 
 class Probe:
@@ -62,17 +63,20 @@ class Probe:
         self.ctx = condition.context
         self.wi = mi.Vector3f(condition.wi.tolist())
         self.uv = mi.Point2f(list(condition.uv))
+        axes = TURN if condition.turned else np.eye(3)
+        self.axes = [mi.Vector3f(axis.tolist()) for axis in axes.T]
+        self.p = mi.Point3f((POSITION if condition.turned else 0 * POSITION).tolist())
+        # one kernel for all
+        dr.make_opaque(self.axes, self.p)
 
     def interaction(self, wi: mi.Vector3f | None = None) -> mi.SurfaceInteraction3f:
-        """Point of a flat surface in z = 0, of 2 x 2 scene units, lit from `wi`."""
+        """Point of a flat surface of 2 x 2 scene units, lit from `wi`."""
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.t = 1.0
-        si.uv = self.uv
-        si.n = mi.Normal3f(0, 0, 1)
-        si.sh_frame = mi.Frame3f(
-            mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1)
-        )
-        si.dp_du, si.dp_dv = mi.Vector3f(2, 0, 0), mi.Vector3f(0, 2, 0)
+        si.uv, si.p = self.uv, self.p
+        u, v, normal = self.axes
+        si.n, si.sh_frame = mi.Normal3f(normal), mi.Frame3f(u, v, normal)
+        si.dp_du, si.dp_dv = 2 * u, 2 * v
         if mi.is_spectral:
             si.wavelengths = mi.Spectrum(list(WAVELENGTHS_NM))
         si.wi = self.wi if wi is None else wi
@@ -84,10 +88,10 @@ class Probe:
         sample2: mi.Point2f,
         active: mi.Bool = True,
         wi: mi.Vector3f | None = None,
-    ) -> Sampled:
+    ) -> Sample:
         """Answer of ``sample``."""
         answer = self._call("sample", sample1, sample2, active=active, wi=wi)
-        return self._sampled(
+        return checked_sample(
             "sample", answer, self._width(wi, sample1, sample2, active)
         )
 
@@ -100,52 +104,54 @@ class Probe:
     ) -> mi.Spectrum:
         """Answer of ``eval``."""
         answer = self._call("eval", wo, active=active, wi=wi, ctx=ctx)
-        return self._spectrum("eval", answer, self._width(wi, wo, active))
+        return checked_answer("eval", answer, self._width(wi, wo, active), mi.Spectrum)
 
     def pdf(
         self, wo: mi.Vector3f, active: mi.Bool = True, wi: mi.Vector3f | None = None
     ) -> mi.Float:
         """Answer of ``pdf``."""
         answer = self._call("pdf", wo, active=active, wi=wi)
-        return self._float("pdf", answer, self._width(wi, wo, active))
+        return checked_answer("pdf", answer, self._width(wi, wo, active), mi.Float)
+
+    def values(self, wo: Floats, wi: Floats | None = None) -> Floats:
+        """``eval`` towards directions of shape (n, 3); shape ``(n, channels)``."""
+        return spectral(self.eval(vectors(wo), wi=_or_none(wi)), len(wo))
+
+    def densities(self, wo: Floats, wi: Floats | None = None) -> Floats:
+        """``pdf`` towards directions of shape (n, 3); shape ``(n,)``."""
+        return numbers(self.pdf(vectors(wo), wi=_or_none(wi)), len(wo)).astype(float)
 
     def eval_and_pdf(self, wo: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
         """Answers of ``eval`` and of ``pdf``, whose kernel shares their work."""
         answers = [self._asked(name, wo) for name in ("eval", "pdf")]
         with blamed("eval"):
             dr.eval(answers)
-        n = self._width(None, wo)
-        return self._spectrum("eval", answers[0], n), self._float("pdf", answers[1], n)
+        return self._pair(("eval", "pdf"), answers, self._width(None, wo))
 
     def eval_pdf(
         self, wo: mi.Vector3f, active: mi.Bool = True
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Both answers of ``eval_pdf``."""
         answer = self._call("eval_pdf", wo, active=active)
-        value, pdf = checked_parts("eval_pdf", answer, 2)
-        n = dr.width(wo, active)
-        return self._spectrum("eval_pdf", value, n), self._float("eval_pdf", pdf, n)
+        parts = checked_parts("eval_pdf", answer, 2)
+        return self._pair(("eval_pdf", "eval_pdf"), parts, dr.width(wo, active))
 
     def eval_pdf_sample(
-        self,
-        wo: mi.Vector3f,
-        sample1: mi.Float,
-        sample2: mi.Point2f,
-        active: mi.Bool = True,
-    ) -> tuple[mi.Spectrum, mi.Float, Sampled]:
-        """Value, density and :class:`Sampled` of ``eval_pdf_sample``."""
+        self, wo: mi.Vector3f, sample1: mi.Float, sample2: mi.Point2f
+    ) -> tuple[mi.Spectrum, mi.Float, Sample]:
+        """Value, density, and answer of ``sample``, of ``eval_pdf_sample``."""
         name = "eval_pdf_sample"
-        answer = self._call(name, wo, sample1, sample2, active=active)
-        value, pdf, bs, weight = checked_parts(name, answer, 4)
+        answer = self._call(name, wo, sample1, sample2)
+        value, pdf, *sample = checked_parts(name, answer, 4)
         n = dr.width(wo, sample1, sample2)
-        sampled = self._sampled(name, (bs, weight), n)
-        return self._spectrum(name, value, n), self._float(name, pdf, n), sampled
+        sampled = checked_sample(name, tuple(sample), n)
+        return *self._pair((name, name), (value, pdf), n), sampled
 
     def null_transmission(self) -> mi.Spectrum:
         """Answer of ``eval_null_transmission``."""
         with blamed("eval_null_transmission"):
             answer = self.bsdf.eval_null_transmission(self.interaction())
-        return self._spectrum("eval_null_transmission", answer, 1)
+        return checked_answer("eval_null_transmission", answer, 1, mi.Spectrum)
 
     def _width(self, wi: mi.Vector3f | None, *arguments: Any) -> int:
         """Number of rays of a call."""
@@ -166,7 +172,7 @@ class Probe:
         wi: mi.Vector3f | None = None,
         ctx: mi.BSDFContext | None = None,
     ) -> Any:
-        """The same before it is evaluated; what it is asked for is in memory."""
+        """The same before it is evaluated; its arguments are in memory."""
         n = self._width(wi, *arguments, active)
         # one direction of incidence for all lanes would be another kernel
         wi = mi.Vector3f(self.wi if wi is None else wi)
@@ -177,14 +183,13 @@ class Probe:
             method = getattr(self.bsdf, function)
             return method(ctx or self.ctx, self.interaction(wi), *arguments, active)
 
-    def _sampled(self, function: str, answer: Any, n: int) -> Sampled:
-        return Sampled(*checked_sample(function, answer, n))
-
-    def _spectrum(self, function: str, value: Any, n: int) -> mi.Spectrum:
-        return checked_answer(function, value, n, mi.Spectrum)
-
-    def _float(self, function: str, value: Any, n: int) -> mi.Float:
-        return checked_answer(function, value, n, mi.Float)
+    @staticmethod
+    def _pair(
+        names: tuple[str, str], answers: Any, n: int
+    ) -> tuple[mi.Spectrum, mi.Float]:
+        """A value and a density, checked for their form."""
+        value = checked_answer(names[0], answers[0], n, mi.Spectrum)
+        return value, checked_answer(names[1], answers[1], n, mi.Float)
 
 
 @contextlib.contextmanager
@@ -204,6 +209,56 @@ def blamed(function: str) -> Iterator[None]:
         ) from error
 
 
+# ------------------------------------------------------------------------- parameters
+
+
+def traversed(bsdf: mi.BSDF) -> Any:
+    """Parameters of a BSDF; raises PluginFault if the plugin does."""
+    with blamed("traverse"):
+        return mi.traverse(bsdf)
+
+
+@contextlib.contextmanager
+def changed(bsdf: mi.BSDF, values: Mapping[str, Any]) -> Iterator[None]:
+    """Give parameters other values, by name, until the end of the block."""
+    params = traversed(bsdf) if values else {}
+    before = {name: type(params[name])(params[name]) for name in values}
+    try:
+        _assign(params, values)
+        yield
+    finally:
+        _assign(params, before)
+
+
+def _assign(params: Any, values: Mapping[str, Any]) -> None:
+    for name, value in values.items():
+        params[name] = value
+    if values:
+        with blamed("parameters_changed"):
+            params.update()
+
+
+# ----------------------------------------------------------------------------- arrays
+
+
+def uniform(n: int, key: tuple[int, ...]) -> tuple[mi.Float, mi.Point2f]:
+    """Independent uniform numbers for ``sample``."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed_of(key), n)
+    return sampler.next_1d(), sampler.next_2d()
+
+
+def seed_of(key: tuple[int, ...]) -> mi.UInt32:
+    """32-bit seed from a tuple of whole numbers, well mixed, no literal of a kernel."""
+    seed = int(np.random.SeedSequence(key).generate_state(1)[0])
+    return dr.opaque(mi.UInt32, seed)
+
+
+def is_delta(bs: mi.BSDFSample3f) -> mi.Bool:
+    """Whether samples have a discrete direction."""
+    return mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+
+
 def numbers(value: Any, n: int) -> Numbers:
     """NumPy array of a scalar quantity, shape ``(n,)``."""
     return np.broadcast_to(np.ravel(np.array(value)), n)
@@ -213,3 +268,13 @@ def spectral(value: Any, n: int) -> Floats:
     """NumPy array of a vector or spectrum in float64, shape ``(n, channels)``."""
     array = np.array(value, dtype=float)
     return np.broadcast_to(array.reshape(len(array), -1).T, (n, len(array)))
+
+
+def vectors(rows: Numbers) -> mi.Vector3f:
+    """Mitsuba's vectors from an array of shape (n, 3), or (3,) of one."""
+    columns = np.reshape(rows, (-1, 3)).T
+    return mi.Vector3f(np.ascontiguousarray(columns, dtype=np.float32))
+
+
+def _or_none(rows: Numbers | None) -> mi.Vector3f | None:
+    return None if rows is None else vectors(rows)

@@ -13,26 +13,30 @@ from .evidence import (
     BREAKS,
     COST,
     EFFECTS,
-    HARM,
-    INTERFACE,
+    NOISE,
     PROPERTIES,
-    Breach,
     Evidence,
     Test,
-    harm,
-    share,
-    where,
+    integrators,
 )
 from .maps import FourMaps
 
-__all__ = ["FAILS", "HOLDS", "LACKS", "UNDECIDED", "Property", "Verdict", "judge"]
+__all__ = [
+    "FAILS",
+    "HOLDS",
+    "LACKS",
+    "UNDECIDED",
+    "Property",
+    "Verdict",
+    "properties_of",
+]
 
 # Places of a failure that are kept.
-MOST_PLACES = 10
+MAX_PLACES = 10
 
 # Times the level of a test, up to which a p-value is near it: of right plugins so many
 # times the false-alarm probability are.
-NEAR = 10
+MAX_NEAR = 10
 
 # What decides where a p-value is near its level.
 CLOSER = {
@@ -40,6 +44,18 @@ CLOSER = {
     "normal": "effort thorough looks closer",
     "thorough": "another seed decides",
 }
+
+# Attributes of a property as they stand in JSON.
+REPORTED = (
+    "name",
+    "status",
+    "statistic",
+    "mistake",
+    "function",
+    "p_value",
+    "effect",
+    "share",
+)
 
 HOLDS, FAILS, UNDECIDED, LACKS = "holds", "fails", "undecided", "lacks"
 
@@ -71,7 +87,7 @@ class Property:
         The smallest p-value and its level, if it does not fail but is near that.
     share : float or None
         How much of the light of a lit surface a failure is about: of its worst finding
-        what is off, times the cosine of the angle of incidence. None if not known.
+        the wrong fraction, times the cosine of the angle of incidence, or None.
     """
 
     name: str
@@ -93,7 +109,7 @@ class Property:
     @property
     def consequence(self) -> str | None:
         """The effect, with the integrators that it reaches, and how large it is."""
-        reached = where(self.name, self.effect)
+        reached = integrators(self.name, self.effect)
         if reached is not None:
             text = f"{self.effect} ({reached})"
             if self.share is not None and self.name != "ends":
@@ -143,13 +159,34 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing fails that biases images or breaks integrators.
+        """Whether it is decided, and nothing biases images or breaks integrators.
 
         If the verdict is strict, whether nothing fails at all.
         """
+        return not (self._failed or self.undecided)
+
+    @property
+    def undecided(self) -> str:
+        """Why nothing is known of any light, where nothing fails; empty if decided.
+
+        Light that is only too rare to judge adds noise, and is decided in so far.
+        """
+        if self._failed:
+            return ""
+        needed = [self[name] for name in ("sampling", "weights")]
+        open_questions = [
+            one.statistic
+            for one in needed
+            if one.status == UNDECIDED and one.effect != NOISE
+        ]
+        return next(iter(open_questions), "")
+
+    @property
+    def _failed(self) -> bool:
+        """Whether a failure counts."""
         grave = (BIAS, BREAKS)
         strict = self.settings["strict"]
-        return not any(strict or one.effect in grave for one in self.failures)
+        return any(strict or one.effect in grave for one in self.failures)
 
     @property
     def answered(self) -> bool:
@@ -176,6 +213,8 @@ class Verdict:
     def headline(self) -> str:
         """The verdict in one sentence."""
         failed = self.failures
+        if self.undecided:
+            return f"{self.name}: UNDECIDED: {self.undecided}"
         if not failed:
             undecided = sum(p.status == UNDECIDED for p in self.properties)
             rest = f", {undecided} could not be decided" if undecided else ""
@@ -226,8 +265,9 @@ class Verdict:
         Returns
         -------
         dict
-            ``name``, ``passed`` (whether the exit code is 0), ``function`` and
-            ``mistake`` (what is most likely wrong), ``effect`` (the worst),
+            ``name``, ``passed`` (whether the exit code is 0), ``undecided`` (why
+            nothing is known, else empty), ``function`` and ``mistake`` (what is most
+            likely wrong), ``effect`` (the worst),
             ``settings`` (effort, seed, alpha, allow, strict, variant, numbers of tests
             and samples), and ``properties``: a list with ``name``, ``question``,
             ``status``, ``statistic``, ``mistake``, ``function``, ``p_value``,
@@ -238,20 +278,14 @@ class Verdict:
         return {
             "name": self.name,
             "passed": self.passed,
+            "undecided": self.undecided,
             "function": self.function,
             "mistake": self.mistake,
             "effect": self.failures[0].effect if self.failures else None,
             "properties": [
                 {
-                    "name": p.name,
                     "question": p.question,
-                    "status": p.status,
-                    "statistic": p.statistic,
-                    "mistake": p.mistake,
-                    "function": p.function,
-                    "p_value": p.p_value,
-                    "effect": p.effect,
-                    "share": p.share,
+                    **{key: getattr(p, key) for key in REPORTED},
                     "places": list(p.places),
                 }
                 for p in self.properties
@@ -260,7 +294,7 @@ class Verdict:
         }
 
 
-def judge(
+def properties_of(
     evidence: Evidence, alpha: float, allow: Collection[str] = ()
 ) -> list[Property]:
     """Properties from evidence.
@@ -278,75 +312,57 @@ def judge(
     list of Property
     """
     level = alpha / max(len(evidence.tests), 1)
-    found = {
-        name: _property(evidence, name, level, name in allow) for name in PROPERTIES
-    }
-    return list(found.values())
+    return [_property(evidence, name, level, name in allow) for name in PROPERTIES]
 
 
 def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Property:
-    breaches = [b for b in evidence.breaches if b.property == name]
-    tests = [t for t in evidence.tests if t.property == name]
+    breaches = evidence.of(name)
+    tests = [t for t in evidence.tests if t.name == name]
     smallest = min((t.p for t in tests), default=None)
     p_value = None if smallest is None else float(min(1.0, smallest * len(tests)))
-    failure = LACKS if allowed else FAILS
     beyond = [t for t in tests if t.p < level]
     if beyond or breaches:
-        harms = [harm(b) for b in breaches] + [_harm_of(t) for t in beyond]
-        effect = min(harms, key=EFFECTS.index)
-        found: list[Breach | Test] = [*breaches, *beyond]
-        known = [share(x) for x, its_harm in zip(found, harms) if its_harm == effect]
-        shares = [x for x in known if x is not None]
+        found = [(b.effect, b.share) for b in breaches]
+        found += [(t.effect, t.share) for t in beyond]
+        effect = min((its_effect for its_effect, _ in found), key=EFFECTS.index)
+        shares = [share for its_effect, share in found if its_effect == effect]
         # what does most harm, and of that what says most
-        breaches = [b for b in breaches if harm(b) == effect] or breaches
+        breaches = [b for b in breaches if b.effect == effect] or breaches
         worst = max(breaches, key=lambda b: b.size, default=None)
-        mistake, function = (worst.mistake, worst.function) if worst else (None, None)
         text = worst.statistic if worst and not beyond else _of_tests(beyond)
         if not beyond and len(breaches) > 1:
             text += f"; {len(breaches) - 1} more like it"
         places = [b.statistic for b in sorted(breaches, key=lambda b: -b.size)]
         return Property(
             name,
-            failure,
+            LACKS if allowed else FAILS,
             text,
-            mistake,
-            function,
+            worst.mistake if worst else None,
+            worst.function if worst else None,
             p_value,
             effect,
-            tuple(places[:MOST_PLACES]),
-            share=max(shares, default=None),
+            tuple(places[:MAX_PLACES]),
+            share=max((x for x in shares if x is not None), default=None),
         )
     if name in evidence.declared:
         return Property(name, LACKS, evidence.declared[name], p_value=p_value)
+    lesser = evidence.lesser.get(name)
     if name in evidence.undecided:
-        lesser = evidence.lesser.get(name)
         text = evidence.undecided[name]
         return Property(name, UNDECIDED, text, p_value=p_value, effect=lesser)
-    text = evidence.remarks.get(name, "")
-    if tests:
+    text, near = evidence.remarks.get(name, ""), ""
+    if smallest is not None:
         least = f"smallest p of {len(tests)} tests {smallest:.2g}"
         text = f"{text}; {least}" if text else least
-    lesser = evidence.lesser.get(name)
-    near = ""
-    if smallest is not None and smallest < NEAR * level:
-        near = f"p = {smallest:.2g}, fails below {level:.2g}"
+        if smallest < MAX_NEAR * level:
+            near = f"p = {smallest:.2g}, fails below {level:.2g}"
     return Property(name, HOLDS, text, p_value=p_value, effect=lesser, near=near)
-
-
-def _harm_of(test: Test) -> str:
-    """What a failed test does; a single component is never asked for by itself."""
-    condition = test.condition
-    if condition is not None and condition.component is not None:
-        return INTERFACE
-    return HARM[test.property]
 
 
 def _of_tests(beyond: Sequence[Test]) -> str:
     """Statistic of the tests of a property that chance would not explain."""
     # the whole before its components, and what is about most light
-    worst = min(
-        beyond, key=lambda t: (EFFECTS.index(_harm_of(t)), -(share(t) or 0.0), t.p)
-    )
+    worst = min(beyond, key=lambda t: (EFFECTS.index(t.effect), -(t.share or 0.0), t.p))
     places = {str(t.condition) for t in beyond}
     place = "" if worst.condition is None else f" at {worst.condition}"
     more = f", and at {len(places) - 1} more" if len(places) > 1 else ""

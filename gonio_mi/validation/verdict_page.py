@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Iterator
 from os import PathLike
 
-from ..files import check_output, replacing
-from ..plots import html_of_figure
-from ..plots.drawable import check_matplotlib
-from ..reports import html_page
+from ..reports.page import check_page, coded, figure, save_page, table
 from .pictures import draw, draw_plane
-from .verdict import FAILS, Property, Verdict
+from .verdict import FAILS, HOLDS, Property, Verdict
 
 __all__ = ["check_report", "save_report", "verdict_view"]
 
-STYLE = """
-.fails td:first-child { background: #c33; color: white; }
-.holds td:first-child { background: #cec; }
-.lacks td:first-child, .undecided td:first-child { background: #fd8; }
-"""
+# Style of the word that says how a property fares; others are not certain.
+STYLES = {FAILS: "background: #c33; color: white", HOLDS: "background: #cec"}
+UNCERTAIN = "background: #fd8"
 
 LEGEND = (
     "Maps of both hemispheres in 1/sr, seen from the normal: the circle is the "
@@ -28,19 +24,7 @@ LEGEND = (
     "band is two standard errors wide on either side of what is due."
 )
 
-
-def check_report(path: str | PathLike[str]) -> None:
-    """Raise one clear sentence unless a report can be made and written to `path`.
-
-    Raises
-    ------
-    ImportError
-        Without Matplotlib.
-    ValueError, OSError
-        If the ending is not ``.html``, or the file cannot be written.
-    """
-    check_matplotlib()
-    check_output(path, (".html",))
+check_report = check_page
 
 
 def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
@@ -49,54 +33,37 @@ def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
     Raises as :func:`check_report`.
     """
     check_report(path)
-    parts = [f"<h1>{html.escape(verdict.name)}</h1>", *_table(verdict)]
+    parts = [f"<h1>{html.escape(verdict.name)}</h1>", verdict_view(verdict)]
     if verdict.maps:
         parts.append(f"<p>{LEGEND}</p>")
     for maps in verdict.maps:
         parts.append(f"<h2>{html.escape(str(maps.condition))}</h2>")
-        parts.append(html_of_figure(draw(maps)))
-        parts.append(html_of_figure(draw_plane(maps)))
-    with replacing(path) as stream:
-        stream.write(html_page(verdict.name, parts, STYLE).encode())
+        parts += [figure(draw(maps)), figure(draw_plane(maps))]
+    save_page(path, verdict.name, parts)
 
 
 def verdict_view(verdict: Verdict) -> str:
-    """Return a verdict as HTML for notebooks."""
-    return f"<style>{STYLE}</style>" + "".join(_table(verdict))
+    """Return headline and properties as HTML, for pages and notebooks."""
+    rest = (one for one in verdict.properties if one not in verdict.failures)
+    return (
+        f"<p><b>{coded(verdict.headline)}</b></p>"
+        + table(map(_cells, (*verdict.failures, *rest)))
+        + f"<p><small>{html.escape(str(verdict).splitlines()[-2])}</small></p>"
+    )
 
 
-def _table(verdict: Verdict) -> list[str]:
-    """Headline, and one row for each property, as pieces of HTML."""
-    return [
-        f"<p><b>{_code(verdict.headline)}</b></p>",
-        "<table>",
-        *(_row(one) for one in verdict.failures),
-        *(_row(one) for one in verdict.properties if one not in verdict.failures),
-        "</table>",
-        f"<p><small>{html.escape(str(verdict).splitlines()[-2])}</small></p>",
-    ]
-
-
-def _row(one: Property) -> str:
-    details = [_code(one.statistic)] if one.statistic else []
+def _cells(one: Property) -> Iterator[str]:
+    """Status, name and what was found, as cells of a table."""
+    details = [coded(one.statistic)] if one.statistic else []
     if one.status == FAILS:
         details.insert(0, html.escape(str(one.consequence)))
     if one.mistake and one.mistake != one.statistic:
-        details.append(f"<b>{_code(one.mistake)}</b>")
+        details.append(f"<b>{coded(one.mistake)}</b>")
     if len(one.places) > 1:
         details.append("also:")
-        places = [_code(place) for place in one.places]
+        places = [coded(place) for place in one.places]
         details += [place for place in places if place not in details]
-    text = "<br>".join([_code(one.question), *(f"<small>{d}</small>" for d in details)])
-    return (
-        f'<tr class="{one.status}"><td>{one.status}</td>'
-        f"<td>{one.name}</td><td>{text}</td></tr>"
-    )
-
-
-def _code(text: str) -> str:
-    """Escaped text, with what stands between backquotes as code."""
-    pieces = html.escape(text).split("`")
-    return "".join(
-        f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces)
-    )
+    style = STYLES.get(one.status, UNCERTAIN)
+    yield f'<td class="{one.status}" style="{style}">{one.status}</td>'
+    yield one.name
+    yield "<br>".join([coded(one.question), *(f"<small>{d}</small>" for d in details)])

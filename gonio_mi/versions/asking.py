@@ -18,7 +18,7 @@ import numpy as np
 
 from ..collector.directions import direction
 from ..errors import SettingError, SpecimenError, shown
-from ..validation.equality import ULPS
+from ..validation.samples import ULPS
 
 __all__ = ["Answers", "Question", "ask", "interpreter"]
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
@@ -14,11 +16,102 @@ from scipy import special
 from ..array_types import Flags, Floats
 from ..errors import checked_count, checked_number
 from ..instrument.loading import check_variant, specimen_name
-from ..validation.equality import BSDF_ROUNDING, SLACK, ULPS, is_many
+from ..validation.samples import BSDF_ROUNDING, SLACK, ULPS, is_many
 from .asking import Answers, Question, ask, interpreter
-from .differences import Difference, Differences
 
-__all__ = ["alike", "asked_of", "diff"]
+__all__ = ["Difference", "Differences", "alike", "asked_of", "diff"]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One function, as two versions have it.
+
+    Attributes
+    ----------
+    function : str
+        ``eval``, ``pdf``, ``sample``, ``weights``, ``albedo``, ``flags`` or
+        ``parameters``.
+    differs : bool
+        By more than errors explain.
+    size : float
+        In units of the error: for ``eval``, ``pdf`` and ``weights`` the most that
+        rounding may leave, for ``albedo`` standard errors; 0 without a number.
+    text : str
+        By how much, and where.
+    meaning : str
+        What it does to images and scenes, if it differs.
+    """
+
+    function: str
+    differs: bool
+    size: float
+    text: str
+    meaning: str
+
+    def __str__(self) -> str:
+        word = "differs" if self.differs else "same"
+        line = f"{word:<9}{self.function:<11} {self.text}"
+        if self.differs:
+            line += f"\n{'':<21}{self.meaning}"
+        return line
+
+
+@dataclass(frozen=True)
+class Differences:
+    """What two versions of Mitsuba say of one BSDF.
+
+    Attributes
+    ----------
+    name : str
+        Of the BSDF.
+    versions : tuple of str
+        Of Mitsuba: here, and there.
+    parts : tuple of Difference
+    """
+
+    name: str
+    versions: tuple[str, str]
+    parts: tuple[Difference, ...]
+
+    @property
+    def same(self) -> bool:
+        """Whether nothing differs."""
+        return not any(part.differs for part in self.parts)
+
+    def __getitem__(self, function: str) -> Difference:
+        return {part.function: part for part in self.parts}[function]
+
+    def __str__(self) -> str:
+        found = [part.function for part in self.parts if part.differs]
+        said = f"differs in {', '.join(found)}" if found else "the same"
+        title = (
+            f"{self.name}: Mitsuba {self.versions[0]} and {self.versions[1]}: {said}"
+        )
+        return "\n".join(
+            [title, *(f"  {part}".replace("\n", "\n  ") for part in self.parts)]
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: name, versions, ``same``, and the parts with their attributes.
+
+        A size is None where one version has no finite number.
+        """
+        return {
+            "name": self.name,
+            "versions": list(self.versions),
+            "same": self.same,
+            "parts": [
+                {
+                    "function": part.function,
+                    "differs": part.differs,
+                    "size": part.size if math.isfinite(part.size) else None,
+                    "text": part.text,
+                    "meaning": part.meaning if part.differs else None,
+                }
+                for part in self.parts
+            ],
+        }
+
 
 # Polar angles of incidence in degrees and transport modes, on either side.
 VIEWS = (
@@ -155,7 +248,7 @@ def _worst(
 ) -> Difference:
     """The place where values differ most, unless few do by more than rounding."""
     shares = [float((size > 1).mean()) if len(size) else 0.0 for size in sizes]
-    many = [is_many(size > 1, len(size)) for size in sizes]
+    many = [is_many(size > 1) for size in sizes]
     if not any(many):
         most = max((float(np.quantile(s, 0.999)) for s in sizes if len(s)), default=0.0)
         text = f"to rounding: up to {most:.2g} of what it may leave"
@@ -216,7 +309,7 @@ def _sample(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Differen
     moved = [_moved(a, b) for a, b in pairs]
     shares = [float(one.mean()) for one in moved]
     i = int(np.argmax(shares))
-    if not any(is_many(one, len(one)) for one in moved):
+    if not any(is_many(one) for one in moved):
         text = "the same directions for the same numbers"
         return Difference("sample", False, 0.0, text, "")
     share = f"{shares[i]:.2g} of the same random numbers"

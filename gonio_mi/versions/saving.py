@@ -19,10 +19,9 @@ import numpy as np
 from ..errors import FileFormatError, SettingError, checked_number
 from ..files.writing import replacing
 from ..instrument.loading import check_variant, specimen_name
-from ..validation.equality import SLACK, ULPS
+from ..validation.samples import SLACK, ULPS
 from .asking import Answers, Question, ask, interpreter
-from .differences import Differences
-from .differing import alike, asked_of
+from .differing import Differences, alike, asked_of
 
 __all__ = ["diff_saved", "save_answers", "saved"]
 

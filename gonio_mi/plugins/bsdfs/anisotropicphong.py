@@ -7,9 +7,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi.materials import bsdf_functions, facets, one_sided_glossy
+from gonio_mi.materials import bsdf_functions, facets
 from gonio_mi.materials import exponentiated_cosine as lobe
-from gonio_mi.materials.reflectance import reflectance
+from gonio_mi.materials.bsdf_functions import reflectance
 from gonio_mi.settings.manual import example
 
 
@@ -105,7 +105,7 @@ class AnisotropicPhong(mi.BSDF):
     <https://doi.org/10.1080/10867651.2000.10487522>`_.
     """
 
-    sample, eval_pdf = one_sided_glossy.sample, one_sided_glossy.eval_pdf
+    sample, eval_pdf = bsdf_functions.sample, bsdf_functions.eval_pdf
     eval, pdf = bsdf_functions.evaluate, bsdf_functions.density
 
     def __init__(self, props: mi.Properties) -> None:
@@ -129,7 +129,7 @@ class AnisotropicPhong(mi.BSDF):
         dr.make_opaque(self.exponent_u, self.exponent_v)
         e_u, e_v = self.exponent_u[0], self.exponent_v[0]
         anisotropic = mi.BSDFFlags.Anisotropic if e_u != e_v else mi.BSDFFlags.Empty
-        self.m_flags = one_sided_glossy.GLOSSY | anisotropic
+        self.m_flags = bsdf_functions.GLOSSY | anisotropic
         self.m_components = [self.m_flags]
         table = facets.averted_area_table(e_u, e_v)
         # hardware interpolation would round to 8 bits
@@ -141,7 +141,7 @@ class AnisotropicPhong(mi.BSDF):
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, u: mi.Point2f, on: Any
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Draw a facet and reflect at it."""
-        if not one_sided_glossy.glossy_enabled(ctx):
+        if not bsdf_functions.glossy_enabled(ctx):
             return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
         h = self._sample_facet(u)
         facing = dr.dot(h, si.wi) > 0
@@ -152,13 +152,13 @@ class AnisotropicPhong(mi.BSDF):
         weight = self._fresnel(si, cos_d, above) * (
             self._shadowing(si.wi, wo) * 4 * cos_d * mi.Frame3f.cos_theta(wo)
         )
-        return one_sided_glossy.glossy_sample(wo, pdf), weight & above
+        return bsdf_functions.glossy_sample(wo, pdf), weight & above
 
     def scattered(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, on: Any
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Reflect at the facets along the half vector; the density misses some."""
-        if not one_sided_glossy.glossy_enabled(ctx):
+        if not bsdf_functions.glossy_enabled(ctx):
             return mi.Spectrum(0), mi.Float(0)
         h, cos_d = _half_vector(si.wi, wo)
         density = self._density(h)

@@ -8,9 +8,9 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi import properties
-from gonio_mi.materials import bsdf_functions, one_sided_glossy
+from gonio_mi.materials import bsdf_functions
 from gonio_mi.materials import exponentiated_cosine as lobe
-from gonio_mi.materials.reflectance import reflectance
+from gonio_mi.materials.bsdf_functions import reflectance
 from gonio_mi.settings.manual import example
 
 
@@ -96,7 +96,7 @@ class CosineLobe(mi.BSDF):
     model for physically based rendering*, report CW 197, K.U. Leuven, 1994.
     """
 
-    sample, eval_pdf = one_sided_glossy.sample, one_sided_glossy.eval_pdf
+    sample, eval_pdf = bsdf_functions.sample, bsdf_functions.eval_pdf
     eval, pdf = bsdf_functions.evaluate, bsdf_functions.density
 
     def __init__(self, props: mi.Properties) -> None:
@@ -116,7 +116,7 @@ class CosineLobe(mi.BSDF):
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, u: mi.Point2f, on: Any
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Draw from the whole lobe; what falls below the horizon has no weight."""
-        if not one_sided_glossy.glossy_enabled(ctx):
+        if not bsdf_functions.glossy_enabled(ctx):
             return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
         mirror = mi.reflect(si.wi)
         wo = lobe.around(self.exponent, mirror, u)
@@ -124,13 +124,13 @@ class CosineLobe(mi.BSDF):
         above = on & (mi.Frame3f.cos_theta(wo) > 0)
         weight = lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
         weight = (self.reflectance.eval(si, above) * weight) & above
-        return one_sided_glossy.glossy_sample(wo, pdf), weight
+        return bsdf_functions.glossy_sample(wo, pdf), weight
 
     def scattered(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, on: Any
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Lobe and its density."""
-        if not one_sided_glossy.glossy_enabled(ctx):
+        if not bsdf_functions.glossy_enabled(ctx):
             return mi.Spectrum(0), mi.Float(0)
         pdf = lobe.density(self.exponent, mi.reflect(si.wi), wo)
         weight = lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)

@@ -9,9 +9,9 @@ import mitsuba as mi
 
 from gonio_mi import properties
 from gonio_mi.errors import SettingError
-from gonio_mi.materials import bsdf_functions, one_sided_glossy
+from gonio_mi.materials import bsdf_functions
 from gonio_mi.materials import exponentiated_cosine as lobe
-from gonio_mi.materials.reflectance import mean, reflectance
+from gonio_mi.materials.bsdf_functions import mean, reflectance
 from gonio_mi.settings.manual import example
 
 DIFFUSE = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
@@ -74,7 +74,7 @@ class GlossyMixture(mi.BSDF):
     model for physically based rendering*, report CW 197, K.U. Leuven, 1994.
     """
 
-    sample, eval_pdf = one_sided_glossy.sample, one_sided_glossy.eval_pdf
+    sample, eval_pdf = bsdf_functions.sample, bsdf_functions.eval_pdf
     eval, pdf = bsdf_functions.evaluate, bsdf_functions.density
 
     def __init__(self, props: mi.Properties) -> None:
@@ -146,7 +146,7 @@ class GlossyMixture(mi.BSDF):
         value = mi.Spectrum(0)
         if ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0):
             value += self.diffuse.eval(si, on) * cosine
-        if one_sided_glossy.glossy_enabled(ctx, 1):
+        if bsdf_functions.glossy_enabled(ctx, 1):
             glossy *= lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
             value += self.specular.eval(si, on) * glossy
         return value, pdf
@@ -163,7 +163,7 @@ class GlossyMixture(mi.BSDF):
     def _enabled_share(self, ctx: mi.BSDFContext) -> Any:
         """Probability of the glossy lobe among the enabled ones; None without any."""
         diffuse = ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0)
-        glossy = one_sided_glossy.glossy_enabled(ctx, 1)
+        glossy = bsdf_functions.glossy_enabled(ctx, 1)
         if diffuse and glossy:
             return self.glossy_share
         if diffuse or glossy:

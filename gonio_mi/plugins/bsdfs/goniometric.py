@@ -14,7 +14,9 @@ import numpy as np
 from gonio_mi.array_types import Floats
 from gonio_mi.errors import SettingError, abridged
 from gonio_mi.files.channels import wavelengths_nm
-from gonio_mi.files.material_files import PatchMeans, has_back, load_material
+from gonio_mi.formats.radiance import has_back
+from gonio_mi.formats.reading import load_material
+from gonio_mi.formats.scatter import PatchMeans
 from gonio_mi.materials import bsdf_functions
 from gonio_mi.materials.leg_trials import best_ways
 from gonio_mi.materials.lit_face import LitFace
@@ -290,6 +292,14 @@ def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
     A record itself is let go, whose batches need more memory than all that follows.
     """
     material = load_material(path, side)
+    from_back = isinstance(material, Record) and material.asked.side == "back"
+    if side == "front" and from_back and path not in _told:
+        _told.add(path)
+        mi.Log(
+            mi.LogLevel.Warn,
+            f"goniometric: {path} was measured from the back, and is the front of this "
+            "material: name it as back_filename if that is meant",
+        )
     lobes = MeasuredLobes(material, _mixture(material))
     return lobes, wavelengths_nm(material.channels)
 

@@ -7,16 +7,14 @@ from typing import Any
 import mitsuba as mi
 
 from gonio_mi.errors import SpecimenError
-from gonio_mi.instrument.batches import Target
-from gonio_mi.instrument.instrument import Instrument
 from gonio_mi.instrument.loading import check_variant
-from gonio_mi.instrument.scene_settings import own_settings, sampler_of
-from gonio_mi.instrument.sending import send_all
-from gonio_mi.results.tally import Tally, batch_sizes
+from gonio_mi.instrument.measurement import send_all
+from gonio_mi.instrument.recording import records_of
+from gonio_mi.instrument.setup import own_settings, set_up
+from gonio_mi.results.tally import Tally
 from gonio_mi.settings import INTEGRATOR, MeasurementSettings, plugin_table
 from gonio_mi.settings.manual import example
 from gonio_mi.transport.kernels import launches_kernels
-from gonio_mi.transport.specimen import Specimen
 
 
 @example("integrator", "goniophotometer", rays=1000000)
@@ -60,23 +58,11 @@ class Goniophotometer(mi.SamplingIntegrator):
         own = self.settings.of_plugin(INTEGRATOR) | own_settings(scene, sensor)
         here = {"seed": int(mi.UInt32(seed)[0]), "rays": spp or self.settings.rays}
         settings = MeasurementSettings().changed(**own | here)
-        instrument = Instrument(settings, sampler_of(settings))
-        specimen = Specimen(scene, settings.period)
-        instrument.check(specimen)
-        bench = instrument.bench(specimen, scene.emitters())
-        tallies: list[Any] = []
-        complete = send_all(
-            instrument,
-            [bench],
-            [(settings.seed, 0)],
-            batch_sizes(settings.rays, settings.batches),
-            Target.of(settings),
-            [tallies],
-        )
-        record = instrument.record(bench, Tally.join(tallies), settings.seed)
-        sensor.film().record = record.with_settings(
-            **{} if complete else {"interrupted": True}
-        )
+        benches = set_up(scene, settings)
+        finished: list[list[Tally]] = [[]]
+        complete = send_all(benches, finished)
+        (stack,) = records_of(benches, finished, complete)
+        sensor.film().record = stack[0]
         if not complete:
             raise KeyboardInterrupt
         return sensor.film().develop() if develop else None

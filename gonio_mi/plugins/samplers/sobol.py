@@ -12,7 +12,7 @@ import numpy as np
 
 from gonio_mi.errors import VariantError
 from gonio_mi.settings.manual import example
-from gonio_mi.transport.morton import block_bits, sorting_tables
+from gonio_mi.transport.morton import CHUNK, PACKET, block_bits, sorting_tables
 from gonio_mi.transport.sampling import apart
 
 # Primitive polynomial (its coefficients as bits) and initial direction numbers of each
@@ -290,6 +290,8 @@ class Sobol(mi.Sampler):
        - Added to the seed of each rendering or batch. (Default: 0)
     """
 
+    is_joint = True
+
     def __init__(self, props: mi.Properties) -> None:
         if not dr.is_jit_v(mi.Float):
             raise VariantError(
@@ -335,23 +337,29 @@ class Sobol(mi.Sampler):
         aligned block of points about theirs. They are the same points: only their order
         changes, and what is traced from them meets the same parts of memory.
 
+        What Embree says of a ray within rounding of an edge depends on the rays that
+        share its packet. Each chunk of `CHUNK` lanes therefore fills whole packets,
+        with points of nobody: wherever stretches are cut between such chunks, packets
+        hold the same points.
+
         Parameters
         ----------
         first, last : int
             The stretch of the curve to walk along, counted from the middle of the unit
             square on and around. Points before `start` or after the last one are left
-            out, unless nearly nothing remains.
+            out.
 
         Returns
         -------
         sequence, number : mi.UInt32
-            Of each lane, and number of its point in that sequence, from 0.
+            Of each lane, and number of its point in that sequence, from 0; at least as
+            many as it has for points of nobody.
         """
         bits = block_bits(self.start, self.per_sequence)
         last = self.sequences << bits if last is None else last
+        n = last - first
         shift = dr.opaque(mi.UInt32, first)
-        # a single lane would be another kernel, of which loops take parts for constants
-        lane = dr.arange(mi.UInt32, max(last - first, 2))
+        lane = dr.arange(mi.UInt32, -(-n // CHUNK) * CHUNK)
         place, sequence = apart(lane + shift, self.sequences)
         size = dr.opaque(mi.UInt32, 1 << bits)
         place = (place + dr.opaque(mi.UInt32, 3 << bits >> 2)) & (size - 1)
@@ -359,20 +367,23 @@ class Sobol(mi.Sampler):
         keys = dr.concat([self.keys, self.keys])
         base = self.start >> bits << bits
         index = along_curve(place, base, bits, dr.gather(mi.UInt32, keys, sequence))
-        start = dr.opaque(mi.UInt32, self.start)
-        wanted = index - start < dr.opaque(mi.UInt32, self.per_sequence)
-        dr.eval(index, wanted)
-        if self.per_sequence < 1 << bits:
-            kept = dr.compress(wanted)
-            lane = kept if len(kept) > 1 else lane
+        number = index - dr.opaque(mi.UInt32, self.start)
+        own = dr.opaque(mi.UInt32, self.per_sequence)
+        number = dr.select(lane < dr.opaque(mi.UInt32, n), number, own)
+        dr.eval(index, number)
+        if self.per_sequence < 1 << bits or n % CHUNK:
+            nobody = mi.UInt32(number >= own)
+            # of each chunk; the number of points is what is missing to CHUNK
+            missing = dr.block_sum(nobody, CHUNK) & (PACKET - 1)
+            filling = dr.block_prefix_sum(nobody, CHUNK)
+            filling = filling < dr.gather(mi.UInt32, missing, lane // CHUNK)
+            kept = dr.compress((number < own) | filling)
+            lane = kept if len(kept) else dr.arange(mi.UInt32, PACKET)
         dr.make_opaque(lane)
         _, sequence = apart(lane + shift, self.sequences)
         self.index = dr.gather(mi.UInt32, index, lane)
         self.key = dr.gather(mi.UInt32, keys, sequence)
-        number = self.index - start
-        if last - first < 2:
-            number = dr.select(lane == 0, number, self.per_sequence)  # of nobody
-        return sequence, number
+        return sequence, dr.gather(mi.UInt32, number, lane)
 
     def points(self) -> tuple[mi.UInt32, mi.UInt32]:
         """Index and key of the point of each lane, for :meth:`go_to`."""

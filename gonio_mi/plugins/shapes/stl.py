@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from gonio_mi.files.stl_triangles import read_stl
+from gonio_mi.formats.meshes import read_stl
 from gonio_mi.settings.manual import example
 
 

@@ -1,0 +1,153 @@
+"""Campaigns: specimens times directions, in this process or in others, resumable."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from ..errors import SettingError, SettingTypeError, checked_count, shown
+from ..instrument.incidence import incident_angles
+from ..instrument.loading import check_variant
+from ..results.record import Record
+from ..settings import MeasurementSettings
+from .tasks import Surroundings, records_of
+from .whole_bsdf import WholeBsdf, checked_theta_max, checked_tolerance
+
+__all__ = ["campaign"]
+
+# Workers, and threads of each.
+MOST_THREADS = 2**16
+
+
+def campaign(
+    specimens: Mapping[str, Any],
+    theta_i: Any = None,
+    phi_i: Any = 0.0,
+    *,
+    tolerance: float | None = None,
+    theta_max: float = 80.0,
+    executor: Any = None,
+    folder: str | PathLike[str] | None = None,
+    plugins: Sequence[str | PathLike[str]] = (),
+    threads: int | None = None,
+    retries: int = 3,
+    progress: bool = False,
+    **settings: Any,
+) -> dict[str, Record]:
+    """Measure specimens at many incident directions, here or elsewhere.
+
+    Every direction has the bits that :func:`measure` gives it: whatever the executor,
+    the number of its workers and their order.
+
+    Parameters
+    ----------
+    specimens : mapping of str to specimen
+        By name, what :func:`measure` takes; for other processes a dictionary or a path.
+    theta_i, phi_i : float or sequence of float
+        In degrees: all azimuths for the first angle, then for the second, and so on.
+        None for all patches of the setting `incident`, or with `tolerance`.
+    tolerance : float, optional
+        The campaign chooses its own directions: as few as make the material
+        `goniometric` right everywhere, up to `theta_max`. From few directions it
+        predicts others, measures them, and goes on where the difference is above the
+        tolerance and beyond the error bars, until new directions hold. The error is
+        that of :class:`~gonio_mi.results.misplacement.Misplacement`: light in another
+        patch than predicted, or of reflectance or transmittance, as a part of all that
+        leaves. Isotropic specimens are recognised; others get azimuths, in whole
+        sectors, where each polar angle needs them. Of a specimen that may be turned by
+        a part of a whole turn, or mirrored, which is recognised too, the record holds
+        copies of what was measured instead, and says which. Integrals are measured
+        where the specimen allows it, unless there is an `estimator`, and refused where
+        samples contradict them by more than the tolerance; else as many rays as noise
+        of half the tolerance needs, and of a quarter where directions that are never
+        used are near it. The record's setting ``campaign`` holds the errors of these.
+    theta_max : float
+        Largest angle of incidence of such a campaign in degrees; beyond, the material
+        is what it is there.
+    executor : concurrent.futures.Executor or int, optional
+        Where to measure: that many processes on this machine (scripts need the usual
+        ``if __name__ == "__main__":``), or any executor such as Dask's
+        ``client.get_executor()``. Default: this process.
+    folder : path, optional
+        Where finished tasks are kept, as records. Started again with the same
+        arguments, a campaign that was killed or interrupted measures only what is
+        missing. What was measured otherwise is refused: with other settings, versions
+        or plugin files, or specimens whose files or data have changed since, as far as
+        their ``digest`` shows it (:func:`gonio_mi.transport.digest.digest`).
+    plugins : sequence of path
+        Python files that register plugins, to be run in each worker first.
+    threads : int, optional
+        Threads of each worker. Default: all cores, or for `executor` an int its share.
+    retries : int
+        How often tasks are sent again whose worker died.
+    progress : bool
+        Show a progress bar on standard error.
+    **settings
+        All other arguments of :func:`measure`.
+
+    Returns
+    -------
+    dict of Record
+        A stack of all incident directions for each name.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a setting is out of its range, `folder` holds another campaign or one is at
+        work in it, or a specimen cannot be sent to another process.
+    KeyboardInterrupt
+        After Ctrl-C, at once: `folder` holds the tasks that were finished. With a
+        `tolerance` and no folder its message names a new one, which holds the last
+        whole round of directions and all before.
+    concurrent.futures.BrokenExecutor
+        If workers keep dying. What is finished is in `folder`.
+    """
+    check_variant()
+    if not isinstance(specimens, Mapping) or not specimens:
+        raise SettingTypeError(
+            "specimens must be a dictionary with at least one entry, "
+            f"got {shown(specimens)}"
+        )
+    if isinstance(executor, int):
+        checked_count("executor", executor, 1, MOST_THREADS)
+        threads = threads or max(1, (os.cpu_count() or 1) // executor)
+    if threads is not None:
+        checked_count("threads", threads, 0, MOST_THREADS)
+    where = Surroundings(executor, folder, plugins, threads, retries, progress)
+    asked = MeasurementSettings.among(settings)
+    if tolerance is None:
+        incidents, _ = incident_angles(theta_i, phi_i, asked.incident)
+        if None in incidents:
+            raise SettingError(
+                "theta_i must be given for a campaign without tolerance, got None"
+            )
+        return records_of(specimens, incidents, where, settings)
+    tolerance, theta_max = checked_tolerance(tolerance), checked_theta_max(theta_max)
+    others = {
+        "theta_i": theta_i,
+        "phi_i": phi_i if np.any(phi_i) else None,
+        "incident": asked.incident,
+    }
+    for other, value in others.items():
+        if value is not None:
+            raise SettingError(f"tolerance and {other} exclude each other, got both")
+    materials = [
+        WholeBsdf(str(name), specimen, tolerance, theta_max, where, settings)
+        for name, specimen in specimens.items()
+    ]
+    try:
+        return {material.name: material.measured() for material in materials}
+    except KeyboardInterrupt:
+        if folder is not None or not materials[0].directions.rounds:
+            raise
+        kept = tempfile.mkdtemp(prefix="gonio_mi_")
+        n_kept = sum(material.directions.keep_in(kept) for material in materials)
+        raise KeyboardInterrupt(
+            f"{kept} holds the {n_kept} directions that were finished: with it as "
+            "folder the same campaign carries on"
+        ) from None

@@ -1,0 +1,115 @@
+"""The function `measure`: here and at once, or a campaign of one specimen."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import numpy as np
+
+from ..errors import SettingError
+from ..instrument.measurement import measure_here
+from ..results.record import Record
+from ..settings import MeasurementSettings, declarations, numpydoc
+from .campaign import campaign
+
+__all__ = ["measure"]
+
+
+def measure(
+    specimen: Any,
+    theta_i: Any = None,
+    phi_i: Any = 0.0,
+    *,
+    emitter: dict[str, Any] | None = None,
+    parameters: dict[str, Any] | None = None,
+    resume: Record | None = None,
+    executor: Any = None,
+    folder: Any = None,
+    progress: bool = False,
+    **settings: Any,
+) -> Record:
+    """Measure how a specimen scatters light.
+
+    A setting that is None comes from the specimen's scene file, if that is a complete
+    measurement (integrator `goniophotometer`, sensor `collector`), else from the
+    defaults below.
+
+    Parameters
+    ----------
+    specimen : dict, mi.BSDF, mi.Scene, str or path
+        A BSDF, a shape or a scene: a dictionary, an object or an XML file.
+    theta_i, phi_i : float or sequence of float, optional
+        Incident direction in degrees: ``0 <= theta_i < 90`` from the normal of the lit
+        face, `phi_i` from +x counter-clockwise seen from +z. Sequences give a stack of
+        records: all azimuths for the first angle, then for the second, and so on.
+        Without `theta_i` the scene's own emitter is used.
+    {settings}
+    emitter : dict, optional
+        Mitsuba emitter, or shape with one, instead of a collimated beam. With `theta_i`
+        it is described for incidence along the normal, above the specimen on +z, and
+        turned about the origin.
+    parameters : dict, optional
+        Values for the ``$name`` parameters of an XML file.
+    resume : Record, optional
+        An interrupted record of this very measurement, which is carried on: the result
+        has the bits of an uninterrupted one.
+    executor, folder : optional
+        Where to measure the incident directions, and where to keep what is finished:
+        see :func:`campaign`, of which this is the case of one specimen.
+    progress : bool
+        Show a progress bar on standard error.
+
+    Returns
+    -------
+    Record
+        After Ctrl-C, of the rays that all batches had sent alike: all but the last
+        eighth at most once a measurement is long; with a warning and the setting
+        ``interrupted``. A BSDF that creates light, as a reflectance above 1 does, gives
+        a warning.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a setting is out of its range; the message names it.
+    SpecimenError
+        If the specimen cannot be loaded or measured, or an integral not be converged.
+    VariantError
+        If no variant is set, or one that cannot be used, or `wavelengths` are given in
+        one that is not spectral, or a flag of Dr.Jit is set with which it cannot work.
+    LostRaysError
+        If the ledger does not hold all rays that were sent.
+    """
+    others: dict[str, Any] = {
+        "emitter": emitter,
+        "parameters": parameters,
+        "progress": progress,
+    }
+    if executor is None and folder is None:
+        return measure_here(
+            specimen, theta_i, phi_i, resume=resume, **others, **settings
+        )
+    if resume is not None:
+        raise SettingError("resume and folder exclude each other, got both")
+    where: dict[str, Any] = {"executor": executor, "folder": folder}
+    done = campaign(
+        {"specimen": specimen}, theta_i, phi_i, **where, **others, **settings
+    )
+    stacked = theta_i is None or np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0
+    return done["specimen"] if stacked else done["specimen"][0]
+
+
+def _with_settings(signature: inspect.Signature) -> inspect.Signature:
+    """Signature with each declared setting in the place of ``**settings``."""
+    given = [p for p in signature.parameters.values() if p.name != "settings"]
+    declared = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None)
+        for name in declarations(MeasurementSettings)
+    ]
+    return signature.replace(parameters=given + declared)
+
+
+measure.__doc__ = (measure.__doc__ or "").replace(
+    "{settings}", numpydoc(MeasurementSettings)
+)
+measure.__signature__ = _with_settings(inspect.signature(measure))  # type: ignore[attr-defined]

@@ -1,0 +1,351 @@
+"""A campaign that chooses its incident directions, until their material is right."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import warnings
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..errors import checked_number
+from ..materials.lobes import TooLargeError
+from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
+from ..results.campaign_text import LOOKS
+from ..results.misplacement import Misplacement
+from ..results.record import Record
+from ..settings import MeasurementSettings
+from .incident_rings import IncidentRings
+from .known_directions import CONFIRMING, KnownDirections, NotIntegrableError
+from .known_material import KnownMaterial
+from .recognition import Recognition
+from .refinement import Interval, refined
+from .resolution import (
+    TooCoarseError,
+    check_equal_sectors,
+    check_peaks,
+    check_resolved,
+)
+from .tasks import Surroundings
+
+__all__ = ["SURE", "WholeBsdf", "checked_theta_max", "checked_tolerance"]
+
+logger = logging.getLogger(__name__)
+
+# What single precision and the points of a prediction leave of a tolerance.
+LEAST_TOLERANCE = 1e-4
+
+# Polar angles to begin with.
+FIRST_ANGLES = 4
+
+# Directions never used that confirm the material, and how many may miss it in
+# two looks together if any does in the last: two in a single look would let one
+# material in three pass that misses a twelfth of all directions. It is refined where
+# any did, and looked at anew, LOOKS times at most.
+UNSEEN, MISSES = 40, 2
+
+# What helps where directions never used go on missing the tolerance, and why.
+OUTGROWN = (
+    "further ones would outgrow memory: a collector of fewer patches, or a larger "
+    "tolerance, helps"
+)
+CLOSEST = "its directions are as close to each other as they may be: "
+TOLERANT = "a larger tolerance helps, another collector does not"
+MORE_SECTORS = "a collector of more sectors, or a larger tolerance, helps"
+LOOKED = f"it was refined for them {LOOKS - 1} times: a larger tolerance helps"
+
+# Part of the tolerance above which errors are measured again with less noise. Below it,
+# noise hides no error as large as the tolerance.
+SURE = 3 / 4
+
+
+def checked_tolerance(value: Any) -> float:
+    """Tolerance of a whole BSDF, or a ValueError that says what it must be."""
+    condition = (
+        f"a number from {LEAST_TOLERANCE:g}, below which single precision shows, "
+        "to below 0.5"
+    )
+    return checked_number("tolerance", value, LEAST_TOLERANCE, 0.5, condition)
+
+
+def checked_theta_max(value: Any) -> float:
+    """Largest angle of incidence, or a ValueError that says what it must be."""
+    return checked_number("theta_max", value, 10, 89.5, "degrees from 10 to below 89.5")
+
+
+class WholeBsdf:
+    """All incident directions that the material of one specimen needs.
+
+    The directions depend on what was measured, and that on the seed: they are the same
+    wherever it is measured, and what a folder holds is not measured again.
+
+    Parameters
+    ----------
+    name : str
+    specimen : object
+        What :func:`~gonio_mi.campaigns.measuring.measure` takes.
+    tolerance : float
+        Part of the light; see :class:`~gonio_mi.results.misplacement.Misplacement`.
+    theta_max : float
+        In degrees, up to where the material shall be right.
+    where : Surroundings
+    settings : dict
+        All other settings of a measurement.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        specimen: Any,
+        tolerance: float,
+        theta_max: float,
+        where: Surroundings,
+        settings: dict[str, Any],
+    ) -> None:
+        self.name, self.tolerance, self.theta_max = name, tolerance, theta_max
+        self.directions = KnownDirections(name, specimen, tolerance, where, settings)
+        asked = MeasurementSettings.among(settings)
+        self.seed = asked.seed
+        given = {name for name, value in settings.items() if value is not None}
+        self.has_own_collector = "collector" in given
+        if self.has_own_collector:
+            check_equal_sectors(asked.collector)
+        self.material = KnownMaterial(self.directions)
+
+    @property
+    def known(self) -> dict[tuple[float, float], Record]:
+        """Records of the directions measured so far."""
+        return self.directions.records
+
+    def measured(self) -> Record:
+        """Stack of the directions that the material needs, with its errors.
+
+        Integrals where the specimen allows it, else rays; where no collector is asked
+        for, and the default is too coarse, one whose patches resolve the lobes.
+
+        Raises
+        ------
+        SpecimenError
+            If lobes are narrower than the patches that were asked for.
+        """
+        while True:
+            try:
+                return self._measured()
+            except NotIntegrableError as error:
+                logger.info("%s: rays instead of integrals: %s", self.name, error)
+                self.directions.start_anew()
+            except TooCoarseError as error:
+                if self.has_own_collector:
+                    raise
+                logger.info("%s: the collector is %s", self.name, error.enough)
+                self.directions.start_anew(error.enough)
+
+    def _measured(self) -> Record:
+        """Recognise the specimen, and choose directions until they hold."""
+        if not self.directions.estimators[0].integrates:
+            check_peaks(self.tolerance, self.theta_max, self.directions.probe)
+        angles = np.linspace(0, self.theta_max, FIRST_ANGLES).tolist()
+        self.directions.measure([(theta, 0.0) for theta in angles], "first directions")
+        self.directions.check_functions((angles[1], 0.0))
+        self.directions.announce(len(angles) + UNSEEN)  # at least
+        patches = self.material.patches
+        check_equal_sectors(patches)
+        n_sectors = patches.shape[1]
+        looked_at = (
+            self.tolerance,
+            self.material.n_points,
+            angles[2:],
+            self.directions.stack,
+        )
+        check_resolved(*looked_at)
+        self.recognition = Recognition(self.material, angles)
+        self.isotropic = self.recognition.is_isotropic()
+        self.symmetry = AzimuthSymmetry(n_sectors)
+        quarter = azimuth_of(round(n_sectors / 4), n_sectors)
+        if not self.isotropic:
+            # lobes that are wide along this azimuth may be narrow along the other
+            check_resolved(*looked_at, quarter)
+            self.symmetry = self.recognition.symmetry()
+        self._refine(angles)
+        while (errors := self._confirmed()) is None:
+            if self.isotropic:
+                check_resolved(*looked_at, quarter)
+            self.isotropic, self.symmetry = False, AzimuthSymmetry(n_sectors)
+            self._refine(angles)
+        return self._described(errors)
+
+    def _refine(self, angles: Sequence[float]) -> None:
+        """Refine polar angles, then azimuths, as far as middles of intervals tell."""
+        self.rings = IncidentRings(angles, self.symmetry, self.isotropic)
+        # errors along both axes add up by their squares, about
+        self.limit = self.tolerance * (1.0 if self.isotropic else 0.5**0.5)
+        self._check()
+        try:
+            refined(self.rings.legs, self.limit, self._errors_of_legs, self._check)
+        except TooLargeError as error:
+            logger.info("%s: no more angles: %s", self.name, error)
+        if self.isotropic:
+            return
+        self.rings.begin_gaps()
+        try:
+            refined(self.rings.gaps, self.limit, self._errors_of_gaps, self._check)
+        except TooLargeError as error:
+            logger.info("%s: no more azimuths: %s", self.name, error)
+
+    def _check(self) -> None:
+        """Raise TooLargeError if the material's table would not fit into memory."""
+        levels = self.rings.legs.levels()
+        azimuths = {phi for theta in levels[1:] for _, phi in self.rings.ring(theta)}
+        azimuths |= set(self.rings.first_azimuths)
+        every = {one.azimuth(phi) for phi in azimuths for one in self.symmetry.motions}
+        self.material.check_size(every, len(levels))
+
+    # ------------------------------------------------------------------- predicting
+
+    def _errors_of_legs(
+        self, legs: Sequence[Interval], middles: Iterable[float]
+    ) -> list[float]:
+        """Errors in the middles of legs: the largest of all first azimuths."""
+        self.directions.announce(self.rings.expected(self.limit) + UNSEEN)
+        middles = list(middles)
+        lines = self.rings.first_azimuths
+        levels = self.rings.legs.levels()
+        said = f"{len(legs)} of {len(levels) - 1} legs open"
+        needed = [(theta, phi) for theta in [*levels, *middles] for phi in lines]
+        needed = [(theta, phi if theta else 0.0) for theta, phi in needed]
+        self.directions.measure(needed, said)
+        worst = np.zeros(len(legs))
+        for phi in lines:
+            ends = [(theta, phi if theta else 0.0) for theta in levels]
+            prediction = self.material.prediction(ends)
+            for number, middle in enumerate(middles):
+                error = self.material.missed(prediction, middle, phi)
+                worst[number] = max(worst[number], _beyond(error))
+        return worst.tolist()
+
+    def _errors_of_gaps(
+        self, gaps: Sequence[Interval], middles: Iterable[float]
+    ) -> list[float]:
+        """Errors in the middles of gaps between azimuths of rings."""
+        self.directions.announce(self.rings.expected(self.limit) + UNSEEN)
+        middles = [self.rings.azimuth(sector) for sector in middles]
+        said = f"{len(gaps)} of {len(self.rings.gaps.errors)} gaps open"
+        new = [(gap.on, phi) for gap, phi in zip(gaps, middles)]
+        self.directions.measure([*self.rings.directions(), *new], said)
+        of_ring = defaultdict(list)
+        for number, gap in enumerate(gaps):
+            of_ring[gap.on].append(number)
+        errors = [0.0] * len(gaps)
+        for theta, numbers in of_ring.items():
+            ring = self.rings.ring(theta)
+            prediction = self.material.prediction(ring, self.symmetry)
+            for number in numbers:
+                error = self.material.missed(prediction, theta, middles[number])
+                errors[number] = _beyond(error)
+        return errors
+
+    # ------------------------------------------------------------------- confirming
+
+    def _confirmed(self) -> list[Misplacement] | None:
+        """Errors at directions never used, few of which miss the tolerance.
+
+        Where they do, the material is refined, as long as it can be and its table fits
+        into memory. None if the specimen is not as symmetric there as it seemed.
+        """
+        before = MISSES
+        errors: list[Misplacement] = []
+        fitting, self.helps = self.rings, LOOKED
+        for number in range(LOOKS):
+            generator = np.random.default_rng([self.seed, number])
+            cosines = 1 - generator.random(UNSEEN) * (
+                1 - np.cos(np.radians(self.theta_max))
+            )
+            theta = np.degrees(np.arccos(cosines))
+            unseen = list(
+                zip(theta.tolist(), (360 * generator.random(UNSEEN)).tolist())
+            )
+            try:
+                errors = self._errors_at(unseen)
+            except TooLargeError as error:
+                if not errors:
+                    raise
+                logger.info("%s: not refined further: %s", self.name, error)
+                self.rings, self.helps = fitting, OUTGROWN
+                break
+            missed = [one for one in errors if one.exceeds(self.tolerance)]
+            worst = [f"{one.error:.2g} at {one.theta_i:.1f}" for one in missed]
+            logger.info(
+                "%s: %d of %d missed: %s", self.name, len(missed), UNSEEN, worst
+            )
+            enough = not missed or len(missed) + before <= MISSES
+            if enough or number == LOOKS - 1:
+                break
+            before = len(missed)
+            worst_one = max(missed, key=lambda one: one.error)
+            if self._is_refuted_at(worst_one.theta_i, worst_one.phi_i):
+                return None
+            fitting = copy.deepcopy(self.rings)
+            if not self.rings.split_at(missed):
+                self.helps = CLOSEST + (TOLERANT if self.isotropic else MORE_SECTORS)
+                break
+        return errors
+
+    def _is_refuted_at(self, theta: float, phi: float) -> bool:
+        """Whether the specimen is not as symmetric at a direction as it seemed."""
+        motions = self.symmetry.generators
+        if self.isotropic:  # turned to about the azimuth of the material
+            n = self.symmetry.n_sectors
+            motions = [Motion(n - round(phi * n / 360), False, n)]
+        return self.recognition.refuted(motions, theta, phi)
+
+    def _errors_at(self, unseen: Sequence[tuple[float, float]]) -> list[Misplacement]:
+        """What is wrong at directions, with less noise where they are large."""
+        said = "random tests only"
+        self._check()
+        self.directions.measure([*self.rings.directions(), *unseen], said)
+        own = self.rings.directions()
+        prediction = self.material.prediction(own, self.symmetry)
+        missed = partial(self.material.missed, prediction)
+        found = {one: missed(*one) for one in unseen}
+        large = [one for one in unseen if found[one].error > SURE * self.tolerance]
+        self.directions.measure(large, f"{said}, finer", CONFIRMING)
+        found |= {one: missed(*one) for one in large}
+        return list(found.values())
+
+    def _described(self, errors: Sequence[Misplacement]) -> Record:
+        """The material's record, with what is known of its errors."""
+        record = Record.stack(self.symmetry.whole(self.known, self.rings.directions()))
+        directions = zip(record.theta_i.tolist(), record.phi_i.tolist())
+        within = np.mean([not one.exceeds(self.tolerance) for one in errors])
+        found = {
+            "tolerance": self.tolerance,
+            "theta_max": self.theta_max,
+            "isotropic": self.isotropic,
+            "symmetry": self.symmetry.described()
+            | {"copies": [list(one) for one in directions if one not in self.known]},
+            "measured": len(self.known),
+            "rays": self.directions.rays,
+            "within": float(within),
+            "unseen": [
+                [one.theta_i, one.phi_i, one.light, one.std_err, one.dhr, one.dht]
+                for one in errors
+            ],
+        }
+        if sum(one.exceeds(self.tolerance) for one in errors) > MISSES:
+            warnings.warn(
+                f"tolerance of {self.tolerance:g} was not reached for {self.name}: of "
+                f"{UNSEEN} random directions that only test it {within:.0%} are within "
+                f"it, and {self.helps}",
+                RuntimeWarning,
+                stacklevel=4,
+            )
+        return record.with_provenance(campaign=found)
+
+
+def _beyond(error: Misplacement) -> float:
+    """What is certain of an error, beyond two standard errors."""
+    return max(error.error - 2 * error.std_err, 0.0)

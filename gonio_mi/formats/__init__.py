@@ -1,0 +1,1 @@
+"""Files of other programs and instruments, read and written without a renderer."""

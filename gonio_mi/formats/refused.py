@@ -1,0 +1,19 @@
+"""Formats that are known by sight, and that nothing here reads."""
+
+import re
+
+from .format import Format
+
+__all__ = ["FORMATS"]
+
+FORMATS = (
+    Format(
+        "ALTA",
+        (),
+        begins=re.compile(
+            r"^#[ \t]*(DIM[ \t]+\d+[ \t]+\d+|PARAM_(IN|OUT)[ \t])", re.MULTILINE
+        ),
+        refused="it is a data file of ALTA, whose parametrisations of directions have "
+        "no reader here: write it as a table of theta_i, phi_i, theta_o, phi_o, value",
+    ),
+)

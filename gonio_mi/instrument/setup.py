@@ -1,0 +1,195 @@
+"""Settings, a specimen and emitters become benches, ready for rays."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..errors import SettingTypeError, SpecimenError, shown
+from ..quadrature.plane import check_integrable
+from ..settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings, Order
+from ..transport.beam import Beam
+from ..transport.bench import Bench
+from ..transport.collector_sphere import CollectorSphere
+from ..transport.media import check_media
+from ..transport.next_event import check_traced
+from ..transport.phase_functions import defect
+from ..transport.plugin_digest import foreign_plugins
+from ..transport.sampling import check_sampler
+from ..transport.specimen import Specimen
+from ..transport.spectral_coverage import check_covered
+from ..transport.trial import check_works
+from ..transport.wavelengths import passes, wavelength_lanes
+from .incidence import described_digest, emitter_scene
+from .loading import loaded
+
+__all__ = ["own_settings", "set_up"]
+
+# Of specimens with media: by variant, wavelengths, digest and classes in Python.
+_defects: dict[tuple[Any, ...], list[str]] = {}
+
+
+def own_settings(scene: mi.Scene, sensor: mi.Sensor | None = None) -> dict[str, Any]:
+    """Settings of a scene's integrator `goniophotometer` and sensor `collector`.
+
+    Of the first such sensor, unless `sensor` is given; empty without either.
+    """
+    own: dict[str, Any] = {}
+    settings = getattr(scene.integrator(), "settings", None)
+    if isinstance(settings, MeasurementSettings):
+        own |= settings.of_plugin(INTEGRATOR)
+    sensors = scene.sensors() if sensor is None else [sensor]
+    for sensor in sensors:
+        if isinstance(getattr(sensor, "settings", None), MeasurementSettings):
+            own |= sensor.settings.of_plugin(COLLECTOR)
+            own |= sensor.film().settings.of_plugin(FILM)
+            own["sampler"] = sensor.sampler()
+            break
+    return own
+
+
+def set_up(
+    scene: mi.Scene,
+    settings: MeasurementSettings,
+    incidents: Sequence[tuple[float, float] | None] = (None,),
+    emitter: dict[str, Any] | None = None,
+    *,
+    name: str = "a scene",
+    orders: Sequence[Order] = (),
+) -> list[Bench]:
+    """Set up a :class:`Bench` for each incident direction.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        Of the specimen.
+    settings : MeasurementSettings
+    incidents : sequence of (float, float) or None
+        In degrees; None for an emitter as it is.
+    emitter : dict, optional
+        Instead of that of the scene, or of a collimated beam.
+    name : str
+        Of the specimen.
+    orders : sequence of Order
+        To be collected apart.
+
+    Raises
+    ------
+    TypeError, ValueError, SpecimenError, LookupError
+        If a specimen, emitter, collector or sampler does not go with the others, and
+        whatever a BSDF of the specimen raises.
+    """
+    sampler = _sampler_of(settings)
+    radius = settings.collector_radius
+    collector = CollectorSphere(settings.collector, settings.hemispheres, radius)
+    specimen = Specimen(scene, settings.period)
+    specimen.name = name
+    _check_specimen(specimen, settings)
+    _check_enclosed(specimen, radius)
+    described = described_digest(emitter)
+    benches = []
+    for incident in incidents:
+        source = emitter_scene(scene, emitter, incident, settings.side)
+        beam = _beam(specimen, settings, source.emitters())
+        bench = Bench(settings, specimen, beam, collector, sampler, incident, described)
+        bench.source = source  # with it its emitters would go
+        bench.collect_orders(orders)
+        if settings.estimator.integrates:
+            check_integrable(bench)
+        if settings.estimator.deposits:
+            check_traced(bench)
+        benches.append(bench)
+    return benches
+
+
+def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
+    """Raise what a BSDF of the specimen raises, or SpecimenError beyond its data."""
+    lanes = [wavelength_lanes(nm) for nm in passes(settings.wavelengths)]
+    bsdfs = [surface.bsdf() for surface in specimen.surfaces]
+    check_works(bsdfs, lanes[0], settings.estimator)
+    if mi.is_spectral:
+        check_covered([*bsdfs, *specimen.media], settings.wavelengths)
+    if specimen.media:
+        check_media(specimen, lanes, settings.estimator)
+        _find_defects(specimen, settings.wavelengths[:4], lanes[0])
+
+
+def _find_defects(specimen: Specimen, nm: tuple[float, ...], lanes: Any) -> None:
+    """Set its defects, with a warning when this specimen is asked for the first time.
+
+    A campaign sets it up again for each direction.
+    """
+    phases = [medium.phase_function() for medium in specimen.media]
+    written = (type(one) for phase in phases for one in foreign_plugins(phase))
+    key = mi.variant(), nm, specimen.digest, frozenset(written)
+    if key not in _defects:
+        box = specimen.low, specimen.high
+        found = filter(None, (defect(phase, lanes, *box) for phase in phases))
+        sentences = list(dict.fromkeys(found))
+        for sentence in sentences:
+            warnings.warn(sentence, RuntimeWarning, stacklevel=4)
+        _defects[key] = sentences
+    specimen.defects = _defects[key]
+
+
+def _check_enclosed(specimen: Specimen, radius: float) -> None:
+    """Raise SpecimenError if the specimen reaches beyond a collector of that radius."""
+    corner = np.abs([specimen.low, specimen.high]).max(axis=0)
+    if 0 < radius <= np.linalg.norm(corner):
+        raise SpecimenError(
+            "collector.radius must enclose the specimen, whose corner is at "
+            f"{corner}, got {radius}"
+        )
+
+
+def _beam(
+    specimen: Specimen, settings: MeasurementSettings, emitters: Sequence[mi.Emitter]
+) -> Beam:
+    """Light of the one emitter, at wavelengths that it has."""
+    if any(emitter.get_medium() is not None for emitter in emitters):
+        raise SpecimenError("the emitter must stand in air, got one inside of a medium")
+    if len(emitters) != 1:
+        raise SpecimenError(
+            "the scene must have one emitter, or an incident angle be given, such as "
+            f"theta_i=45 or --theta-i 45, got {len(emitters)} emitters"
+        )
+    (emitter,), emission = emitters, settings.emission
+    collimated = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaDirection)
+    by_shape = emission == "equal_power" and emitter.get_shape() is not None
+    # of the other two, no power is asked for
+    if mi.is_spectral and not collimated and not by_shape:
+        check_covered([emitter], settings.wavelengths)
+    nm = settings.wavelengths if mi.is_spectral else None
+    return Beam(
+        specimen,
+        emitter,
+        settings.footprint,
+        emission,
+        nm,
+        settings.divergence,
+        settings.incident,
+    )
+
+
+def _sampler_of(settings: MeasurementSettings) -> mi.Sampler:
+    """Sampler of the settings; one that would measure wrongly is refused."""
+    return loaded("the sampler", _sampler, settings.sampler or {"type": "sobol"})
+
+
+def _kind(thing: object) -> str:
+    """What a thing is, in a word."""
+    return str(thing.class_name() if isinstance(thing, mi.Object) else shown(thing))
+
+
+def _sampler(given: object) -> mi.Sampler:
+    sampler = mi.load_dict(given) if isinstance(given, dict) else given
+    if not isinstance(sampler, mi.Sampler):
+        raise SettingTypeError(
+            f"sampler must be a Mitsuba sampler, got {_kind(sampler)}"
+        )
+    check_sampler("sampler", sampler)
+    return sampler

@@ -1,0 +1,366 @@
+"""How a record came about, and what becomes of that when records are put together.
+
+Records of the same rays' conditions are merged; those of one specimen that are lit from
+several directions are stacked. Files and users have it as settings: a dictionary.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from numbers import Integral, Real
+from typing import Any, NoReturn
+
+from ..errors import SettingError, SettingTypeError, shown
+from ..settings import MeasurementSettings, declarations
+
+__all__ = [
+    "MERGED",
+    "STACKED",
+    "Provenance",
+    "Settings",
+    "check_alike",
+    "names_told",
+    "ReadOnlyDict",
+    "ReadOnlyList",
+    "read_only",
+    "read_settings",
+    "shared_seeds",
+    "told_settings",
+    "with_settings",
+]
+
+Settings = Mapping[str, Any]
+
+# What a record tells of the settings that were asked for. It knows the others better:
+# by its patches, channels and batches, and by how it came about.
+ASKED = (
+    *("estimator", "points", "footprint", "divergence", "incident", "emission"),
+    *("max_depth", "max_scatterings", "rr_depth", "period", "order", "side"),
+    *("collector_radius", "rel_err", "noise", "floor"),
+)
+
+# In what records may differ and still be stacked or merged. An emitter that was moved,
+# not turned, has another digest.
+STACKED = {"created", "processors", "batches", "defects", "emitter_digest", "task"}
+STACKED |= {"reached", "n_lobe"}  # of the worst direction
+MERGED = {"rays", "batches", "seed", "created", "versions", "specimen"}
+MERGED |= {"defects", "interrupted", "task", "processors"}
+
+# Of records that do not tell it.
+UNKNOWN = "unknown"
+
+
+def _refuse(*_: object, **__: object) -> NoReturn:
+    raise TypeError(
+        "settings of a record cannot be changed: Record.with_settings returns another"
+    )
+
+
+_refused: Any = _refuse
+
+
+class ReadOnlyDict(dict[str, Any]):
+    """Dictionary that cannot change; equal to any dictionary of the same content."""
+
+    __setitem__ = __delitem__ = __ior__ = _refused
+    clear = pop = popitem = setdefault = update = _refused
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return ReadOnlyDict, (dict(self),)
+
+
+class ReadOnlyList(list[Any]):
+    """List that cannot change; equal to any list of the same content."""
+
+    __setitem__ = __delitem__ = __iadd__ = __imul__ = _refused
+    append = extend = insert = remove = pop = clear = sort = reverse = _refused
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return ReadOnlyList, (list(self),)
+
+
+def read_only(value: Any) -> Any:
+    """Copy of a value of JSON's types whose dictionaries and lists cannot change."""
+    if isinstance(value, Mapping):
+        return ReadOnlyDict({key: read_only(one) for key, one in value.items()})
+    if isinstance(value, list):
+        return ReadOnlyList(map(read_only, value))
+    return value
+
+
+def _each(kind: type, values: Any) -> bool:
+    """Whether it is a list or tuple of values of a kind."""
+    return isinstance(values, (list, tuple)) and all(
+        isinstance(value, kind) and not isinstance(value, bool) for value in values
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Number as JSON knows it, of NumPy's too; anything else as it is."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return value
+    return int(value) if isinstance(value, Integral) else float(value)
+
+
+# Types of what is known, in words, and whether a value is of them: files may say
+# anything.
+KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "str | None": ("a text", lambda value: isinstance(value, str)),
+    "int": ("a positive count", lambda value: _each(Integral, [value]) and value > 0),
+    "int | None": (
+        "a count",
+        lambda value: _each(Integral, [value]) and 0 <= value < 2**63,
+    ),
+    "float | None": ("a number", lambda value: _each(Real, [value]) and value == value),
+    "bool": ("true or false", lambda value: isinstance(value, bool)),
+    "tuple[str, ...]": ("a list of texts", partial(_each, str)),
+    "tuple[int, ...]": (
+        "a list of whole numbers of at least 0",
+        lambda value: _each(Integral, value) and all(one >= 0 for one in value),
+    ),
+    "Mapping[str, str]": (
+        "a dictionary of texts",
+        lambda value: isinstance(value, Mapping) and _each(str, [*value.values()]),
+    ),
+    "Mapping[str, Any] | None": (
+        "a dictionary",
+        lambda value: isinstance(value, Mapping),
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """How a record came about; None where it is not known.
+
+    Attributes
+    ----------
+    specimen, surface : str
+        Name of the specimen, and what its surface is.
+    media : tuple of str
+        A line on each.
+    defects : tuple of str
+        Sentences on what is wrong with functions of the specimen.
+    digest, emitter_digest, plugin_digest : str
+        Of the specimen; of its emitter, None for a collimated beam; and of the text of
+        what is written in Python of both.
+    transmission : str
+        What the specimen lets through, as far as its BSDFs and straight rays tell.
+    emitter : str
+        Class of the emitter.
+    transport : str
+        How rays were followed: on a ``plane``, through ``layers``, or ``traced``.
+    sampler : str
+    seeds : tuple of int
+        Several of a record that was merged.
+    rays : int
+        Asked for at each incident direction, and in each pass; 0 for integrals.
+    batches : int
+    passes : int
+        How often the rays were sent: once for every four wavelengths.
+    variant : str
+    versions : mapping of str to str
+    processors : tuple of str
+        That sent the rays; see :func:`gonio_mi.instrument.description.processor`.
+    created : str
+        Date and time.
+    interrupted : bool
+    reached : float
+        Of the precision that was asked for, in the worst incident direction.
+    n_lobe, paper_rays : int
+        Patches worth reporting, and the rays that the paper's bound asks for.
+    campaign : mapping
+        How the directions were chosen, and how right the material is.
+    task : mapping
+        What a campaign's folder asked for.
+    """
+
+    specimen: str | None = None
+    surface: str | None = None
+    media: tuple[str, ...] = ()
+    defects: tuple[str, ...] = ()
+    digest: str | None = None
+    emitter_digest: str | None = None
+    plugin_digest: str | None = None
+    transmission: str | None = None
+    emitter: str | None = None
+    transport: str | None = None
+    sampler: str | None = None
+    seeds: tuple[int, ...] = ()
+    rays: int | None = None
+    batches: int | None = None
+    passes: int = 1
+    variant: str | None = None
+    versions: Mapping[str, str] = field(default_factory=dict)
+    processors: tuple[str, ...] = ()
+    created: str | None = None
+    interrupted: bool = False
+    reached: float | None = None
+    n_lobe: int | None = None
+    paper_rays: int | None = None
+    campaign: Mapping[str, Any] | None = None
+    task: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            kind, holds = KINDS[str(one.type)]
+            if not (value is None and "None" in str(one.type)) and not holds(value):
+                raise SettingTypeError(f"{one.name} must be {kind}, got {shown(value)}")
+            if isinstance(value, Mapping):
+                object.__setattr__(self, one.name, read_only(value))
+            elif isinstance(value, (list, tuple)):
+                object.__setattr__(self, one.name, tuple(map(_plain, value)))
+            else:
+                object.__setattr__(self, one.name, _plain(value))
+
+    @property
+    def name(self) -> str:
+        """Name of the specimen, or ``a record``."""
+        return self.specimen or "a record"
+
+    @property
+    def each_processor(self) -> tuple[str, ...]:
+        """Processors, or that none is known."""
+        return self.processors or (UNKNOWN,)
+
+    def joined(self, parts: Iterable[Provenance]) -> Provenance:
+        """Return it with the processors and defects of all parts, each once.
+
+        A number in a defect may be rounded otherwise on another processor.
+        """
+        parts = list(parts)
+        found = dict.fromkeys(text for part in parts for text in part.defects)
+        both = replace(self, defects=tuple(found))
+        if not any(part.processors for part in parts):
+            return both
+        each = (name for part in parts for name in part.each_processor)
+        return replace(both, processors=tuple(dict.fromkeys(each)))
+
+    @classmethod
+    def stacked(cls, parts: Sequence[Provenance]) -> Provenance:
+        """Of a stack of records."""
+        worst: dict[str, Any] = {}
+        for name in ("reached", "n_lobe"):
+            if getattr(parts[0], name) is not None:
+                worst[name] = max(getattr(part, name) for part in parts)
+        return replace(parts[0], task=None, **worst).joined(parts)
+
+    def merged(self, other: Provenance) -> Provenance:
+        """Of a record of the rays of two, or ValueError unless seeds are unlike."""
+        if not (self.seeds and other.seeds):
+            raise SettingError("records must know their seeds to be merged, got none")
+        seeds = (*self.seeds, *other.seeds)
+        if len(set(seeds)) < len(seeds):
+            raise SettingError(
+                f"records must have different seeds to be merged, got {list(seeds)}"
+            )
+        sums: dict[str, Any] = {}
+        for name in ("rays", "batches"):
+            each = getattr(self, name), getattr(other, name)
+            sums[name] = None if None in each else sum(each)
+        sums["interrupted"] = self.interrupted or other.interrupted
+        both = replace(self, seeds=seeds, task=None, **sums)
+        return both.joined([self, other])
+
+
+def check_alike(a: Settings, b: Settings, free: Collection[str], purpose: str) -> None:
+    """Raise ValueError unless all settings agree, but for those that are `free`."""
+    for key in sorted((a.keys() | b.keys()) - set(free)):
+        if a.get(key) != b.get(key):
+            raise SettingError(
+                f"records must agree in {key} to be {purpose}, got "
+                f"{shown(a.get(key))} and {shown(b.get(key))}"
+            )
+
+
+def shared_seeds(one: Mapping[str, str], other: Mapping[str, str]) -> str:
+    """Seeds that both have, of their `ray_keys`, as text; empty if none.
+
+    Different samplers make other rays of the same seed.
+    """
+    samplers = {keys["sampler"] for keys in (one, other) if "sampler" in keys}
+    if len(samplers) > 1:
+        return ""
+    mine, theirs = (
+        [seed.strip() for seed in keys.get("seed", "").split(",")]
+        for keys in (one, other)
+    )
+    return ", ".join(seed for seed in mine if seed and seed in theirs)
+
+
+# ---------------------------------------------------------------- the border of files
+
+
+def names_told(asked: MeasurementSettings, provenance: Provenance) -> list[str]:
+    """Names of the settings that were asked for, and mean something here."""
+    senseless = {
+        "points": not asked.estimator.deposits,
+        "max_scatterings": not provenance.media,
+        "rel_err": asked.rel_err is None,
+        "noise": asked.noise is None,
+        "floor": provenance.n_lobe is None,
+    }
+    return [name for name in ASKED if not senseless.get(name)]
+
+
+def told_settings(asked: MeasurementSettings, provenance: Provenance) -> dict[str, Any]:
+    """Settings as files and users have them, in JSON's types.
+
+    `points`, `rel_err` and `noise` are among them where they mean something,
+    `max_scatterings` where there are media; what is not known is left out.
+    """
+    declared = declarations(MeasurementSettings)
+    told = {
+        name: declared[name].text(getattr(asked, name))
+        for name in names_told(asked, provenance)
+    }
+    own = {one.name: getattr(provenance, one.name) for one in fields(provenance)}
+    seeds = own.pop("seeds")
+    if seeds:
+        own["seed"] = seeds[0] if len(seeds) == 1 else list(seeds)
+    for name in ("media", "defects", "processors"):
+        own[name] = list(own[name])
+    known = {"passes"}
+    if own["digest"] is not None:
+        known |= {"emitter_digest", "plugin_digest"}
+    for name, value in own.items():
+        empty = value is None or value is False or value in ([], {})
+        if name in known or not empty:
+            told[name] = value
+    return told
+
+
+def read_settings(told: Settings) -> tuple[MeasurementSettings, Provenance]:
+    """What :func:`told_settings` told; other keys are not known.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a setting is out of its range.
+    """
+    asked = {name: told[name] for name in ASKED if told.get(name) is not None}
+    names = {one.name for one in fields(Provenance)} - {"seeds"}
+    own = {name: told[name] for name in names if told.get(name) is not None}
+    seed = told.get("seed")
+    if seed is not None:
+        own["seeds"] = tuple(seed) if isinstance(seed, (list, tuple)) else (seed,)
+    return MeasurementSettings(**asked), Provenance(**own)
+
+
+def with_settings(
+    asked: MeasurementSettings, provenance: Provenance, changes: Settings
+) -> tuple[MeasurementSettings, Provenance]:
+    """Both with other values of some settings.
+
+    Raises
+    ------
+    TypeError
+        For a name that no record tells.
+    """
+    known = {*ASKED, "seed", *(one.name for one in fields(Provenance))} - {"seeds"}
+    for name in sorted(changes.keys() - known):
+        raise SettingTypeError(f"a record has no setting {name!r}")
+    return read_settings({**told_settings(asked, provenance), **changes})

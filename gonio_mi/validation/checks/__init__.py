@@ -1,0 +1,1 @@
+"""One module for each property of a verdict, named after it."""

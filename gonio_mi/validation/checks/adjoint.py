@@ -1,0 +1,95 @@
+"""Radiance and importance mode are adjoint to each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+
+from ...array_types import Flags
+from ..evidence import BIAS, BREAKS, Evidence
+from ..samples import is_many, samples_of, unequal
+from .delta import Lobe
+from .reciprocity import BothWays, is_constant, ratio_text
+
+__all__ = ["check_lobe", "check_ways"]
+
+
+def check_ways(evidence: Evidence, ways: BothWays) -> None:
+    """``f(wi, wo)`` of one mode is ``f(wo, wi)`` of the other (Veach 1997, 5.2).
+
+    A model that is not reciprocal is so in either mode: where the ratio of the modes is
+    eta^2, there is nothing to add.
+    """
+    samples, eta2 = ways.samples, ways.eta2
+    slack = samples.eval_slack * (1 + eta2)
+    differs = unequal(samples.eval, eta2 * samples.other_mode, slack)
+    wrong = unequal(ways.forward, ways.adjoint, ways.slack * (1 + eta2))
+    wrong &= ways.smooth & differs
+    if is_many(wrong):
+        evidence.breach(
+            "adjoint",
+            "eval",
+            ratio_text(ways.forward, ways.adjoint, wrong, samples),
+            _mistake(ways, wrong),
+            size=float(wrong.mean()),
+        )
+
+
+def _mistake(ways: BothWays, wrong: Flags) -> str:
+    """Likely mistake between the modes."""
+    if not ways.samples.reflected[wrong].any():
+        ratio = ways.ratio(ways.adjoint, wrong)
+        eta2 = np.median(ways.samples.eta[wrong]) ** 2
+        if is_constant(ratio):
+            middle = np.median(ratio)
+            if abs(middle * eta2 - 1) < 1e-3 or abs(middle / eta2 - 1) < 1e-3:
+                return (
+                    "`eval` is the same in both modes: 1/eta^2 is missing in radiance "
+                    "mode, or there in importance mode"
+                )
+            return f"`eval` of the modes has the ratio {middle:.4g}, where 1 is due"
+    return (
+        "`eval` of radiance mode is not that of importance mode with wi and wo swapped"
+    )
+
+
+def check_lobe(
+    evidence: Evidence, lobe: Lobe, key: tuple[int, ...], returns: bool
+) -> None:
+    """Radiance that crosses an interface is divided by eta^2.
+
+    If light `returns` as it went in importance mode, it is radiance mode that is wrong.
+    """
+    samples = lobe.samples
+    if samples.condition.mode != "importance":
+        return
+    radiance = replace(samples.condition, mode="radiance")
+    same = samples_of(evidence.bsdf, radiance, samples.n, key)
+    both = lobe.own & same.given & (same.type == samples.type)
+    reflected = samples.reflected | ((samples.type & int(mi.BSDFFlags.Null)) != 0)
+    eta2 = np.where(reflected, 1.0, samples.eta**2)[:, None]
+    wrong = unequal(same.weight * eta2, samples.weight, 0.0) & both
+    if is_many(wrong):
+        ratio = np.median(same.weight[wrong] / samples.weight[wrong])
+        due = 1 / np.median(eta2[wrong])
+        if returns and abs(ratio - 1) < 1e-3:
+            mistake = "`sample` weight lacks 1/eta^2 in radiance mode"
+        elif abs(ratio * due - 1) < 1e-3:
+            mistake = (
+                "`sample` gives the eta of the other side, or its weight in radiance "
+                "mode is multiplied by eta^2, which divides it"
+            )
+        else:
+            mistake = (
+                f"`sample` weight in radiance mode is {ratio:.4g} times the other one"
+            )
+        evidence.breach(
+            "adjoint",
+            "sample",
+            f"radiance over importance is {ratio:.4g} where 1/eta^2 = {due:.4g} "
+            f"at {samples.condition}",
+            mistake,
+            effect=BIAS if returns else BREAKS,
+        )

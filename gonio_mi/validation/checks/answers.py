@@ -1,0 +1,230 @@
+"""Answers by themselves: finite, at least 0, and the same each time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ...array_types import Flags, Floats, Numbers
+from ...collector.directions import direction
+from ..conditions import TURN
+from ..evidence import BIAS, INTERFACE, Evidence
+from ..probe import Probe, spectral
+from ..samples import Samples, is_many, unequal
+
+__all__ = [
+    "asked_after",
+    "check_frames",
+    "check_lattice",
+    "check_memory",
+    "check_samples",
+    "example",
+    "improper",
+    "lattice",
+]
+
+# Properties that hold unless two functions contradict each other.
+AGREEMENTS = (
+    "directions",
+    "sampling",
+    "weights",
+    "sampled_pdf",
+    "sampled_weight",
+    "eval_pdf",
+    "eval_pdf_sample",
+)
+
+# Directions of the lattice on the sphere.
+N_LATTICE = 2**12
+
+# What a function does whose answers change for no reason that is known.
+MIXED = "mixes local and world coordinates"
+
+# Distance of two directions that are the same, however they round.
+MAX_DISPLACEMENT = 1e-3
+
+
+def check_samples(evidence: Evidence, samples: Samples) -> None:
+    """All answers about samples are finite and at least 0."""
+    given = samples.given
+    smooth = given & ~samples.delta
+    everywhere = np.ones_like(given)
+    cases: list[tuple[str, str, Floats, Flags]] = [
+        ("sample", "weight", samples.weight, everywhere),
+        ("sample", "pdf", samples.sampled_pdf, given),
+        # components of a vector may be negative
+        ("sample", "direction", np.abs(samples.wo), given),
+        ("eval", "value", samples.eval, smooth),
+        ("eval", "value", samples.reverse, smooth),
+        ("pdf", "value", samples.pdf, smooth),
+    ]
+    for name in ("eval_pdf", "eval_pdf_sample"):
+        cases += [(name, "value", x, smooth) for x in samples.joint[name]]
+    for function, what, value, where in cases:
+        wrong = improper(value) & where
+        if wrong.any():
+            evidence.breach(
+                "answers",
+                function,
+                samples.fraction(wrong),
+                f"the {what} of `{function}` is {example(value[wrong])} in places",
+                samples.condition,
+                size=float(wrong.mean()),
+            )
+
+
+def lattice() -> Floats:
+    """Directions on the sphere, evenly spread, shape (n, 3)."""
+    z = (np.arange(N_LATTICE) + 0.5) / N_LATTICE * 2 - 1
+    return direction(np.arccos(z), np.arange(N_LATTICE) * np.pi * (5**0.5 - 1))
+
+
+def check_lattice(evidence: Evidence, probe: Probe) -> None:
+    """The same for a lattice of directions on the sphere, sampled or not."""
+    wo = lattice()
+    value, density = probe.values(wo), probe.densities(wo)
+    for function, answer in (("eval", value), ("pdf", density)):
+        wrong = improper(answer)
+        if wrong.any():
+            i = int(wrong.argmax())
+            x, y, z = wo[i]
+            theta, phi = np.degrees([np.arccos(z), np.arctan2(y, x)])
+            black = np.isfinite(answer[wrong]).all() and not value[wrong].any()
+            evidence.breach(
+                "answers",
+                function,
+                f"{wrong.mean():.3g} of all directions at {probe.condition}, such as "
+                f"theta_o {theta:.0f}, phi_o {phi % 360:.0f}",
+                f"the value of `{function}` is {example(answer[wrong])} in places",
+                probe.condition,
+                size=float(wrong.mean()),
+                effect=INTERFACE if black else "",
+            )
+
+
+def check_frames(evidence: Evidence) -> None:
+    """Local answers are the same wherever the surface is turned in the world.
+
+    A model may depend on its place in the world, if its functions agree: only if they
+    contradict each other on a turned surface, and on no other, or if a transform that
+    is applied once too often explains all, it is a mistake.
+    """
+    flat, turned = (
+        {
+            (b.name, b.function)
+            for b in evidence.breaches
+            if b.name in AGREEMENTS and b.effect == BIAS
+            if b.condition is not None and b.condition.turned == is_turned
+        }
+        for is_turned in (False, True)
+    )
+    for samples in evidence.whole:
+        found = None
+        if samples.condition.turned and samples.usable.any():
+            found = _turned_answer(evidence.bsdf, samples)
+        if found is None:
+            continue
+        function, wrong, mistake = found
+        if turned - flat or not mistake.startswith(MIXED):
+            evidence.breach(
+                "answers",
+                function,
+                f"{samples.fraction(wrong)}, where the surface is turned",
+                f"`{function}` {mistake}",
+                samples.condition,
+                size=2.0,
+            )
+        else:
+            text = f"`{function}` depends on where the surface is in the world"
+            evidence.remark("answers", text)
+        return
+
+
+def _turned_answer(bsdf: mi.BSDF, samples: Samples) -> tuple[str, Flags, str] | None:
+    """Function that answers otherwise where the surface is not turned, if one does.
+
+    With the samples that tell, and the mistake. What `sample` returns may follow from
+    the others.
+    """
+    probe = Probe(bsdf, replace(samples.condition, turned=False))
+    usable, wo = samples.usable, samples.wo
+    mixed = MIXED
+    for function, ask, here, slack in (
+        ("eval", probe.values, samples.eval, samples.eval_slack),
+        ("pdf", probe.densities, samples.pdf, samples.pdf_slack),
+    ):
+        wrong = unequal(ask(wo), here, slack) & usable
+        if is_many(wrong):
+            for name, axes in (("to_local", TURN), ("to_world", TURN.T)):
+                # a mask may ask for the side of either
+                alike = usable & ((wo @ axes)[:, 2] * wo[:, 2] > 0)
+                other = unequal(ask(wo @ axes), here, slack)
+                if is_many(alike & wrong) and not is_many(other & alike):
+                    return function, wrong, f"applies `{name}` to wo, which is local"
+            return function, wrong, mixed
+    bs, weight = probe.sample(*samples.random)
+    flat = spectral(bs.wo, samples.n)
+    wrong = _displaced(flat, wo) & samples.smooth
+    if is_many(wrong):
+        if not is_many(_displaced(flat @ TURN.T, wo) & samples.smooth):
+            mixed = "returns directions in world coordinates, where local ones are due"
+        return "sample", wrong, mixed
+    wrong = unequal(spectral(weight, samples.n), samples.weight, 0.0) & samples.smooth
+    return ("sample", wrong, f"{mixed} in its weight") if is_many(wrong) else None
+
+
+def _displaced(a: Floats, b: Floats) -> Flags:
+    """Which directions differ by more than rounding, also at the horizon."""
+    return np.abs(a - b).max(axis=1) > MAX_DISPLACEMENT
+
+
+def improper(value: Numbers) -> Flags:
+    """Mask of rows that are negative or not finite, shape ``(n,)``."""
+    wrong: Any = ~np.isfinite(value) | (value < 0)
+    return wrong if wrong.ndim == 1 else wrong.any(axis=1)
+
+
+def example(improper_rows: Numbers) -> str:
+    """The first number of the first row that is negative or not finite."""
+    row = np.ravel(improper_rows[0])
+    return f"{row[improper(row)][0]:g}"
+
+
+def asked_after(probe: Probe, first: Samples) -> tuple[Floats, Floats]:
+    """``eval`` and ``pdf`` of samples, when others were drawn since."""
+    pdf = probe.densities(first.wo)
+    return probe.values(first.wo), pdf
+
+
+def check_memory(
+    evidence: Evidence,
+    first: Samples,
+    after: tuple[Floats, Floats],
+    again: Samples,
+) -> None:
+    """The same samples after all other calls: no answer depends on those before.
+
+    `after` are the answers of :func:`asked_after` in between.
+    """
+    for function, before, after_all in (
+        ("eval", first.eval, after[0]),
+        ("pdf", first.pdf, after[1]),
+        ("sample", first.weight, again.weight),
+        ("sample", first.sampled_pdf, again.sampled_pdf),
+        ("eval", first.eval, again.eval),
+        ("pdf", first.pdf, again.pdf),
+    ):
+        usable: Any = np.isfinite(before) & np.isfinite(after_all)
+        usable = usable if usable.ndim == 1 else usable.all(axis=1)
+        wrong = unequal(before, after_all, 0.0) & usable
+        if is_many(wrong):
+            evidence.breach(
+                "answers",
+                function,
+                first.fraction(wrong),
+                f"`{function}` returns different values when called again",
+            )
+            return

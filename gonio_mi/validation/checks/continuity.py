@@ -1,0 +1,101 @@
+"""No jump at normal incidence, and nothing black before the horizon."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+
+from ...collector.directions import direction
+from ..conditions import PHI, Condition
+from ..evidence import Evidence
+from ..probe import Probe, spectral, uniform, vectors
+from ..samples import ULPS, Samples
+
+__all__ = ["check_cutoffs", "check_normal"]
+
+# Tilt from the normal, in radians, and the part of all values that may change by it: a
+# lobe ten times as wide changes by so much.
+MAX_TILT = 2.0**-16
+MAX_JUMP = 0.1
+
+# Cosines of directions that come near to the horizon, to within 0.06 degrees.
+COSINES = 2.0 ** np.arange(-2, -10.5, -0.5)
+
+# Azimuths and samples that are looked at for each of them.
+N_AZIMUTHS = 16
+N_SAMPLES = 2**6
+
+
+def check_normal(evidence: Evidence, samples: Samples) -> None:
+    """``eval`` and ``pdf`` at normal incidence are those of incidence nearby.
+
+    Parameters
+    ----------
+    samples : Samples
+        At normal incidence; of others nothing is said.
+    """
+    usable = samples.smooth & np.isfinite(samples.eval).all(axis=1)
+    if samples.condition.theta_i != 0 or not usable.any():
+        return
+    probe = Probe(evidence.bsdf, samples.condition)
+    nearby = [
+        direction(np.array(MAX_TILT), np.array(phi))
+        * np.sign([1, 1, samples.condition.wi[2]])
+        for phi in np.radians(PHI)
+    ]
+    for function, ask, here, slack in (
+        ("eval", probe.values, samples.eval, samples.eval_slack),
+        ("pdf", probe.densities, samples.pdf, samples.pdf_slack),
+    ):
+        # a tilt changes as many times more than rounding as it is larger than 4 ulp
+        steep = slack[usable].sum() * MAX_TILT / ULPS
+        whole = here[usable].sum()
+        changes = [np.abs(ask(samples.wo, wi) - here)[usable].sum() for wi in nearby]
+        # near normal incidence, and nowhere else, all azimuths are one direction
+        jump = min(changes) / whole if whole > 0 else 0.0
+        if jump > MAX_JUMP and min(changes) > 4 * steep:
+            evidence.breach(
+                "continuity",
+                function,
+                f"`{function}` changes by {jump:.3g} of itself within "
+                f"{np.degrees(MAX_TILT):.1g} degrees of normal incidence, "
+                f"{samples.condition.side}",
+                f"`{function}` jumps at normal incidence",
+                size=float(jump),
+            )
+
+
+def check_cutoffs(evidence: Evidence, condition: Condition) -> None:
+    """No direction is black because it is near the horizon.
+
+    Light comes from there, and goes where ``sample`` sends it; and it comes from where
+    that is, and goes there. All azimuths count, so that a tilted normal hides no more
+    than one side.
+    """
+    n = N_AZIMUTHS * N_SAMPLES
+    azimuths = 2 * np.pi * (np.arange(N_AZIMUTHS) + 0.3) / N_AZIMUTHS
+    azimuths = np.repeat(azimuths, N_SAMPLES)
+    face = np.sign(condition.wi[2])
+    probe = Probe(evidence.bsdf, condition)
+    random = uniform(n, (evidence.seed, 51))
+    lit: dict[str, list[bool]] = {"wi": [], "wo": []}
+    for cosine in COSINES:
+        ring = direction(np.full(n, np.arccos(cosine)), azimuths) * [1, 1, face]
+        near = vectors(ring)
+        bs, weight = probe.sample(*random, wi=near)
+        far = mi.Vector3f(bs.wo)
+        there = [spectral(x, n) for x in (weight, probe.eval(far, wi=near))]
+        lit["wi"].append(any((x > 0).any() for x in there))
+        lit["wo"].append(bool((spectral(probe.eval(near, wi=far), n) > 0).any()))
+    for name, ones in lit.items():
+        if not any(ones) or ones[-1]:
+            continue
+        last = COSINES[np.flatnonzero(ones)[-1]]
+        theta = np.degrees(np.arccos(last))
+        evidence.breach(
+            "continuity",
+            "eval",
+            f"black for theta_{name[1]} beyond {theta:.4g} degrees, {condition.side}",
+            f"`eval` is black where {name} is near the horizon, and lit above",
+            size=float(last),
+        )

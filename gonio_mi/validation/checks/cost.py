@@ -1,0 +1,129 @@
+"""What a call costs: kernels that are compiled anew, and the time of a ray.
+
+Neither is ever a failure. A kernel that is not found in memory is compiled, which takes
+thousands of times as long as to run it on a small batch: so it is with a plugin that
+turns a Python number that changes into a literal.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..conditions import Condition
+from ..evidence import COST, Evidence
+from ..probe import Probe, uniform
+from ..samples import Samples, samples_of
+
+__all__ = ["check_compiled", "check_time", "compared"]
+
+# Rays of a call, and turns in which a plugin and one of Mitsuba's own take it.
+N_RAYS = 2**19
+N_TURNS = 7
+
+# How many times as long a plugin may take; its author knows of less.
+MAX_RATIO = 10.0
+
+
+def check_compiled(
+    evidence: Evidence, condition: Condition, n: int, key: tuple[int, ...]
+) -> Samples:
+    """Ask again what was asked before, with all kernels in memory.
+
+    Returns
+    -------
+    Samples
+        The same, once more.
+    """
+    for _ in range(2):
+        # the second time, objects that are made once exist
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            again = samples_of(evidence.bsdf, condition, n, key)
+            kernels = [k for k in dr.kernel_history() if "cache_hit" in k]
+            dr.kernel_history_clear()
+        n_new = sum(not k["cache_hit"] or bool(k["cache_disk"]) for k in kernels)
+        if not n_new:
+            return again
+    evidence.lesser["cost"] = COST
+    evidence.remark(
+        "cost",
+        f"adds cost: {n_new} of {len(kernels)} kernels are compiled anew whenever the "
+        "same is asked; a number of Python that changes is a literal of the kernel, "
+        "which dr.opaque makes a variable",
+    )
+    return again
+
+
+def check_time(evidence: Evidence, condition: Condition) -> None:
+    """Time of a ray beside the closest of Mitsuba's own: a remark."""
+    name, other = _closest(int(evidence.bsdf.flags()))
+    own, ratio = compared(_call(evidence.bsdf, condition), _call(other, condition))
+    text = (
+        f"`sample`, `eval` and `pdf` of a ray take {own / N_RAYS:.2g} ns, {ratio:.2g} "
+        f"times as long as those of `{name}`"
+    )
+    if ratio > MAX_RATIO:
+        evidence.lesser["cost"] = COST
+        text = f"adds cost: {text}"
+    evidence.remark("cost", text)
+
+
+def compared(
+    first: Callable[[], None],
+    second: Callable[[], None],
+    clock: Callable[[], int] = time.perf_counter_ns,
+) -> tuple[float, float]:
+    """Time of the first in ns, and how many times that of the second it is.
+
+    Medians over turns: what else a machine does then hits both, or few of them.
+    """
+    first()
+    second()
+    times = np.zeros((N_TURNS, 2))
+    for turn in times:
+        for i, call in enumerate((first, second)):
+            start = clock()
+            call()
+            turn[i] = clock() - start
+    return float(np.median(times[:, 0])), float(np.median(times[:, 0] / times[:, 1]))
+
+
+def _call(bsdf: mi.BSDF, condition: Condition) -> Callable[[], None]:
+    """Function that samples, and asks for value and density of the samples."""
+    probe = Probe(bsdf, condition)
+    ctx, si = probe.ctx, probe.interaction()
+    sample1, sample2 = uniform(N_RAYS, (71,))
+    dr.make_opaque(sample1, sample2, si.wi)
+
+    def call() -> None:
+        # all in one kernel, as an integrator has it
+        bs, weight = bsdf.sample(ctx, si, sample1, sample2)
+        dr.eval(weight, bs, bsdf.eval(ctx, si, bs.wo), bsdf.pdf(ctx, si, bs.wo))
+        dr.sync_thread()
+
+    return call
+
+
+def _closest(flags: int) -> tuple[str, mi.BSDF]:
+    """Name and BSDF of Mitsuba's own with the same kinds of lobes."""
+    kind = mi.BSDFFlags
+
+    def has(what: Any) -> bool:
+        return bool(flags & int(what))
+
+    if not has(kind.Smooth):
+        name = "dielectric" if has(kind.Transmission) else "conductor"
+    elif has(kind.Transmission):
+        name = "roughdielectric"
+    elif has(kind.GlossyReflection):
+        name = "roughplastic" if has(kind.DiffuseReflection) else "roughconductor"
+    else:
+        name = "diffuse"
+    rough = {"distribution": "ggx"} if name.startswith("rough") else {}
+    return name, mi.load_dict({"type": name, **rough})

@@ -1,0 +1,168 @@
+"""Discrete lobes: one direction each, one weight, and their own probability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+from scipy import special
+
+from ...array_types import Flags, Floats
+from ..evidence import MODEL, Evidence
+from ..probe import Probe
+from ..samples import BSDF_ROUNDING, Samples, is_many
+
+__all__ = ["DIRECTION_ROUNDING", "Lobe", "check_null", "lobes_of"]
+
+# Directions that are the same differ by that at the horizon, where single precision
+# finds a cosine from a sine.
+DIRECTION_ROUNDING = 2 * 2.0**-11.5
+
+# Known error of a probability: rounding of 1 minus a number, and the steps of sample1.
+PROBABILITY_ROUNDING = 2.0**-22
+
+
+# Directions of one component and type, as of the orders of a grating.
+MAX_DIRECTIONS = 32
+
+
+@dataclass(frozen=True)
+class Lobe:
+    """A discrete lobe: its samples, `own` of all, and their direction and type.
+
+    Of several directions of one component and type, each is a lobe.
+    """
+
+    samples: Samples
+    own: Flags
+    wo: Floats
+    kind: int
+    alone: bool
+
+
+def lobes_of(evidence: Evidence, samples: Samples) -> list[Lobe]:
+    """Discrete lobes of one direction and weight, whose laws others check.
+
+    Direction, weight and probability of each are checked here.
+    """
+    delta = samples.given & samples.delta & np.isfinite(samples.wo).all(axis=1)
+    pairs = set(zip(samples.component[delta], samples.type[delta]))
+    lobes = []
+    for component, kind in sorted(pairs):
+        own = delta & (samples.component == component) & (samples.type == kind)
+        if is_many(own):
+            for part, wo, alone in _split(evidence, samples, own):
+                lobe = Lobe(samples, part, wo, int(kind), alone)
+                if _check_lobe(evidence, lobe):
+                    lobes.append(lobe)
+    return lobes
+
+
+def _split(
+    evidence: Evidence, samples: Samples, own: Flags
+) -> list[tuple[Flags, Floats, bool]]:
+    """Samples and direction of each lobe, and whether it is the only one.
+
+    A few directions may be those of a grating; more are a breach.
+    """
+    wo = np.median(samples.wo[own], axis=0)
+    spread = np.abs(samples.wo[own] - wo).max()
+    if spread <= DIRECTION_ROUNDING:
+        return [(own, wo, True)]
+    parts: list[tuple[Flags, Floats, bool]] = []
+    rest = own
+    while rest.any() and len(parts) < MAX_DIRECTIONS:
+        off = np.abs(samples.wo - samples.wo[rest.argmax()]).max(axis=1)
+        part = rest & (off < 2 * DIRECTION_ROUNDING)
+        parts.append((part, np.median(samples.wo[part], axis=0), False))
+        rest = rest & ~part
+    if not is_many(rest):
+        return [one for one in parts if is_many(one[0])]
+    evidence.breach(
+        "delta",
+        "sample",
+        f"directions differ by up to {spread:.3g} at {samples.condition}",
+        "`sample` gives many directions to a lobe whose sampled_type is discrete",
+        size=spread,
+    )
+    return []
+
+
+def _check_lobe(evidence: Evidence, lobe: Lobe) -> bool:
+    """Whether it has one weight; with a breach and a test of it."""
+    samples = lobe.samples
+    weight = samples.weight[lobe.own]
+    if lobe.alone:
+        _check_direction(evidence, lobe)
+    _check_probability(evidence, lobe)
+    if np.ptp(weight, axis=0).max() > BSDF_ROUNDING * np.abs(weight).max():
+        evidence.breach(
+            "delta",
+            "sample",
+            f"weights from {weight.min():.4g} to {weight.max():.4g} at "
+            f"{samples.condition}",
+            "`sample` gives one discrete lobe different weights",
+        )
+        return False
+    return True
+
+
+def _check_direction(evidence: Evidence, lobe: Lobe) -> None:
+    """Mirrored, refracted by eta or straight, about one normal of the surface."""
+    wi, wo, flags = lobe.samples.condition.wi, lobe.wo, mi.BSDFFlags
+    if lobe.kind & int(flags.Null):
+        off, law = np.abs(wo + wi).max(), "straight on"
+    elif lobe.kind & int(flags.DeltaReflection):
+        off, law = np.abs(wo - wi * [-1, -1, 1]).max(), "that of a mirror"
+    else:
+        eta = float(np.median(lobe.samples.eta[lobe.own]))
+        off = np.abs(wi[:2] + eta * wo[:2]).max()
+        law = "that of Snell's law for its eta"
+    if off > DIRECTION_ROUNDING:
+        evidence.breach(
+            "delta",
+            "sample",
+            f"the direction is off by {off:.3g} at {lobe.samples.condition}",
+            f"the direction of a discrete lobe of `sample` is not {law}",
+            size=off,
+            effect=MODEL,
+        )
+
+
+def _check_probability(evidence: Evidence, lobe: Lobe) -> None:
+    """The pdf of a discrete sample is the probability of its lobe."""
+    p = float(np.median(lobe.samples.sampled_pdf[lobe.own]))
+    k, n = int(lobe.own.sum()), lobe.samples.n
+    # the probability within its error that suits best
+    low, high = max(p - PROBABILITY_ROUNDING, 0.0), min(p + PROBABILITY_ROUNDING, 1.0)
+    due = float(np.clip(k / n, low, high))
+    if not 0 <= p <= 1 + BSDF_ROUNDING:
+        tail = 0.0
+    else:
+        at_most = 1.0 if k >= n else special.bdtr(k, n, due)
+        at_least = 1.0 if k <= 0 else special.bdtrc(k - 1, n, due)
+        tail = min(1.0, 2 * min(at_most, at_least))
+    text = f"a discrete lobe of pdf {p:.5g} is drawn {k / n:.5g} of the time"
+    evidence.test("delta", tail, text, lobe.samples.condition)
+
+
+def check_null(evidence: Evidence, samples: Samples) -> None:
+    """``eval_null_transmission`` is what passes undeviated."""
+    if samples.condition.component is not None:
+        return
+    null = samples.given & ((samples.type & int(mi.BSDFFlags.Null)) != 0)
+    if not null.any():
+        return
+    flux = samples.weight[null] * samples.sampled_pdf[null][:, None]
+    sampled = flux.mean(axis=0)
+    probe = Probe(evidence.bsdf, samples.condition)
+    reported = np.ravel(np.array(probe.null_transmission(), dtype=float))
+    if np.abs(sampled - reported).max() > BSDF_ROUNDING:
+        evidence.breach(
+            "delta",
+            "eval_null_transmission",
+            f"says {reported.max():.4g}, sampled is {sampled.max():.4g} "
+            f"at {samples.condition}",
+            "`eval_null_transmission` is not the share that `sample` lets pass",
+        )

@@ -1,0 +1,144 @@
+"""Ends of the domain: horizon and normal, first and last random numbers, limits."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ...array_types import Flags, Floats, Numbers
+from ...collector.directions import direction
+from ..conditions import Condition, LitFrom
+from ..evidence import INTERFACE, Evidence
+from ..probe import PluginFault, Probe, changed, numbers, spectral, traversed, vectors
+from ..samples import BSDF_ROUNDING
+from .answers import example, improper
+
+__all__ = ["check_bsdf", "check_roughness"]
+
+# Fraction of an image that single pixels are.
+PIXELS = 1e-3
+
+# Polar angles of incidence in degrees, and the ends of random numbers in [0, 1).
+ANGLES = (0, 1e-3, 89.99, 90, 90.01, 120, 179.999, 180)
+LAST = float(np.nextafter(np.float32(1), np.float32(0)))
+NUMBERS = (0.0, 0.5, LAST)
+
+# Names of parameters that are a roughness, and the limits to try.
+ROUGHNESSES = ("alpha", "alpha_u", "alpha_v", "roughness")
+LIMITS = (1e-3, 1.0)
+
+
+def check_bsdf(evidence: Evidence, where: str = "") -> None:
+    """All functions are finite and at least 0 at the ends.
+
+    Directions: sampled ones, and some at the normal, the horizon, the mirror direction
+    and straight on.
+    """
+    angles = product(ANGLES, (0.0, 25.0))
+    conditions: list[Any] = [Condition(theta_i, phi_i) for theta_i, phi_i in angles]
+    # a cosine of exactly 0, which no angle has
+    conditions.append(LitFrom(Condition(90.0), np.array([1.0, 0.0, 0.0])))
+    for condition in conditions:
+        place = f"at {condition}{where}"
+        try:
+            _check_condition(evidence, Probe(evidence.bsdf, condition), place)
+        except PluginFault as fault:  # elsewhere it answers
+            mistake = f"`{fault.function}` {fault.what}, at an end of its domain"
+            evidence.breach("ends", fault.function, place, mistake, off=PIXELS)
+
+
+def check_roughness(evidence: Evidence) -> None:
+    """The ends again at the limits of roughness, if the plugin has such parameters."""
+    try:
+        params = traversed(evidence.bsdf)
+    except PluginFault:
+        return  # a property of its own
+    names = [
+        key
+        for key in params.keys()  # noqa: SIM118
+        if key.removesuffix(".value").split(".")[-1] in ROUGHNESSES
+        and isinstance(params[key], (float, mi.Float))
+    ]
+    for limit in LIMITS if names else ():
+        with changed(evidence.bsdf, {key: type(params[key])(limit) for key in names}):
+            check_bsdf(evidence, f", roughness {limit:g}")
+
+
+def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
+    """The same of one direction of incidence."""
+    corners = np.array(list(product(NUMBERS, repeat=3)), dtype=np.float32)
+    wi = probe.condition.wi
+    bs, sampled = probe.sample(mi.Float(corners[:, 0]), mi.Point2f(corners[:, 1:].T))
+    n = len(corners)
+    weight, wo, pdf = spectral(sampled, n), spectral(bs.wo, n), numbers(bs.pdf, n)
+    given = (weight != 0).any(axis=1)
+    _check_finite(evidence, "sample", "weight", weight, corners, place)
+    _check_finite(evidence, "sample", "pdf", pdf[given], corners[given], place)
+    length = np.linalg.norm(wo, axis=1)
+    wrong = given & ~(np.abs(length - 1) < BSDF_ROUNDING)
+    if wrong.any():
+        evidence.breach(
+            "ends",
+            "sample",
+            f"direction {_text(wo[wrong][0])} {place}, "
+            f"sample {_text(corners[wrong][0])}",
+            "`sample` gives a direction of another length than 1 at an end",
+            off=PIXELS,
+        )
+    extra = [wi, -wi, wi * [-1, -1, 1], wi * [-1, -1, -1]]
+    extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
+    good = given & np.isfinite(wo).all(axis=1)
+    directions = np.concatenate([wo[good], extra])
+    n = len(directions)
+    joint, values = probe.eval_pdf(vectors(directions)), probe.values(directions)
+    black = (values == 0).all(axis=1)
+    densities = [probe.densities(directions), numbers(joint[1], n).astype(float)]
+    if wi[2] == 0 and np.isnan([x[black] for x in densities]).any():
+        # of a set of measure zero, and dark: Mitsuba's own do it
+        text = "`pdf` is NaN for light exactly along the surface, where `eval` is black"
+        evidence.remark("ends", text)
+        densities = [np.where(black & np.isnan(x), 0.0, x) for x in densities]
+    for function, value in (
+        ("eval", values),
+        ("pdf", densities[0]),
+        ("eval_pdf", spectral(joint[0], n)),
+        ("eval_pdf", densities[1]),
+    ):
+        _check_finite(evidence, function, "value", value, directions, place, black)
+
+
+def _check_finite(
+    evidence: Evidence,
+    function: str,
+    what: str,
+    value: Numbers,
+    inputs: Numbers,
+    place: str,
+    black: Flags | None = None,
+) -> None:
+    """Values at `inputs`: directions of which some are `black`, or random numbers.
+
+    Where it is black, a negative density does no harm.
+    """
+    wrong = improper(value)
+    if wrong.any():
+        text = example(value[wrong])
+        name = "sample" if black is None else "wo"
+        harmless = black is not None and black[wrong].all()
+        harmless = harmless and np.isfinite(value[wrong]).all()
+        evidence.breach(
+            "ends",
+            function,
+            f"{what} {text} {place}, {name} {_text(inputs[wrong][0])}",
+            f"`{function}` gives {text} at an end of its domain",
+            size=float(wrong.sum()),
+            effect=INTERFACE if harmless else "",
+            off=PIXELS,
+        )
+
+
+def _text(values: Floats) -> str:
+    return "(" + ", ".join(f"{x:.8g}" for x in values) + ")"

@@ -1,0 +1,67 @@
+"""``eval_pdf`` against the separate functions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..evidence import Evidence
+from ..probe import Probe, numbers, spectral, vectors
+from ..samples import BSDF_ROUNDING, Samples, is_many, unequal
+from .answers import lattice
+
+__all__ = ["check_joint", "check_lattice", "check_samples"]
+
+# Differences on a lattice that may be rounding of a sharp lobe: of a value, and of the
+# largest of all.
+MAX_RELATIVE, MAX_OF_PEAK = 0.01, 1e-4
+
+
+def check_samples(evidence: Evidence, samples: Samples) -> None:
+    """Value and density are those of ``eval`` and ``pdf``."""
+    check_joint(evidence, samples, "eval_pdf")
+
+
+def check_lattice(evidence: Evidence, probe: Probe) -> None:
+    """The same where no sample may be: light and density on both sides, roughly."""
+    wo = lattice()
+    n = len(wo)
+    value, pdf = probe.eval_pdf(vectors(wo))
+    for alone, joint, due in (
+        ("eval", spectral(value, n), probe.values(wo)),
+        ("pdf", numbers(pdf, n)[:, None], probe.densities(wo)[:, None]),
+    ):
+        off, size = np.abs(joint - due), np.maximum(np.abs(joint), np.abs(due))
+        limit = np.maximum(MAX_RELATIVE * size, MAX_OF_PEAK * size.max())
+        wrong = (off > limit).any(axis=1)
+        if is_many(wrong):
+            light = float(4 * np.pi * off.sum(axis=1)[wrong].sum() / n)
+            evidence.breach(
+                "eval_pdf",
+                "eval_pdf",
+                f"integral of the difference {light:.3g} over {wrong.mean():.3g} of "
+                f"all directions at {probe.condition}",
+                f"`eval_pdf` answers otherwise than `{alone}`",
+                probe.condition,
+                size=float(wrong.mean()),
+                off=min(light, 1.0),
+            )
+
+
+def check_joint(evidence: Evidence, samples: Samples, function: str) -> None:
+    """The same for each function that answers both."""
+    usable = np.isfinite(samples.wo).all(axis=1) & ~samples.delta
+    usable &= np.abs(np.linalg.norm(samples.wo, axis=1) - 1) < BSDF_ROUNDING
+    value, pdf = samples.joint[function]
+    for alone, joint, due, slack in (
+        ("eval", value, samples.eval, samples.eval_slack),
+        ("pdf", pdf[:, None], samples.pdf[:, None], samples.pdf_slack[:, None]),
+    ):
+        evidence.breach_of_ratio(
+            function,
+            function,
+            samples,
+            unequal(joint, due, slack) & usable,
+            joint.sum(axis=1) / np.maximum(due.sum(axis=1), 1e-30),
+            f"its value over `{alone}`",
+            f"`{function}` answers otherwise than `{alone}`",
+        )

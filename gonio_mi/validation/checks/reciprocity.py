@@ -1,0 +1,204 @@
+"""Source and detector exchanged: of ``eval``, and of each discrete lobe."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ...array_types import Flags, Floats
+from ..conditions import LitFrom
+from ..evidence import BREAKS, Evidence
+from ..probe import Probe, numbers, spectral
+from ..samples import BSDF_ROUNDING, Samples, is_many, samples_of, unequal
+from .delta import DIRECTION_ROUNDING, Lobe
+
+__all__ = [
+    "BothWays",
+    "both_ways",
+    "check_lobe",
+    "check_ways",
+    "is_constant",
+    "ratio_text",
+]
+
+# Rounding of a squared cosine that is found from sines: of four products.
+SQUARE_ROUNDING = 2.0**-22
+
+
+@dataclass(frozen=True)
+class BothWays:
+    """``f = eval / |cos theta_o|`` in importance mode, and with wi and wo exchanged.
+
+    Attributes
+    ----------
+    samples : Samples
+    smooth : ndarray
+        Where all are finite.
+    forward, backward, adjoint, slack : ndarray, shape (n, channels)
+        f there, back, and back in radiance mode.
+    eta2 : ndarray, shape (n, 1)
+        Square of the sample's relative index of refraction; 1 for a reflection.
+    """
+
+    samples: Samples
+    smooth: Flags
+    forward: Floats
+    backward: Floats
+    adjoint: Floats
+    slack: Floats
+    eta2: Floats
+
+    def ratio(self, other: Floats, mask: Flags) -> Floats:
+        """Ratio of f there to another one, for some samples."""
+        below = np.maximum(other[mask].sum(axis=1), 1e-30)
+        return self.forward[mask].sum(axis=1) / below
+
+
+def both_ways(samples: Samples) -> BothWays | None:
+    """Values both ways; None where there are none, or in radiance mode."""
+    if samples.condition.mode != "importance":
+        return None
+    cos_i, cos_o = abs(samples.condition.wi[2]), np.abs(samples.wo[:, 2])
+    smooth = samples.smooth & (cos_o > 1e-4)
+    for value in (samples.eval, samples.reverse, samples.reverse_other_mode):
+        smooth = smooth & np.isfinite(value).all(axis=1)
+    if not smooth.any():
+        return None
+    cos_o = np.where(smooth, cos_o, 1.0)[:, None]
+    return BothWays(
+        samples,
+        smooth,
+        samples.eval / cos_o,
+        samples.reverse / cos_i,
+        samples.reverse_other_mode / cos_i,
+        samples.eval_slack / cos_o + samples.reverse_slack / cos_i,
+        # reflection has no index, whatever a plugin says
+        np.where(samples.reflected, 1.0, samples.eta**2)[:, None],
+    )
+
+
+def check_ways(evidence: Evidence, ways: BothWays) -> None:
+    """``f(wi, wo)`` is ``eta^2 f(wo, wi)`` (Veach 1997, section 5.2)."""
+    samples, due = ways.samples, ways.eta2 * ways.backward
+    slack = ways.slack * (1 + ways.eta2)
+    wrong = unequal(ways.forward, due, slack) & ways.smooth
+    if is_many(wrong):
+        text = ratio_text(ways.forward, due, wrong, samples)
+        if np.all(_declared(evidence.bsdf, ways)[wrong]):
+            evidence.declared["reciprocity"] = f"{text}, declared as NonSymmetric"
+        else:
+            size = float(wrong.mean())
+            evidence.breach(
+                "reciprocity",
+                "eval",
+                text,
+                _mistake(ways, wrong),
+                samples.condition,
+                size=size,
+            )
+
+
+def _declared(bsdf: mi.BSDF, ways: BothWays) -> Flags:
+    """Samples for whose side a component is NonSymmetric, not just for its eta^2."""
+    flags, n = mi.BSDFFlags, bsdf.component_count()
+    only = ways.samples.condition.component
+    wanted = range(n) if only is None else [only]
+    own = [int(bsdf.flags(i)) for i in wanted] or [int(bsdf.flags())]
+    reflects, transmits = (
+        any(f & int(flags.NonSymmetric) and f & int(side) for f in own)
+        for side in (flags.Reflection, flags.Transmission)
+    )
+    straight = np.abs(ways.eta2[:, 0] - 1) < BSDF_ROUNDING
+    return np.where(ways.samples.reflected, reflects, transmits & straight)
+
+
+def _mistake(ways: BothWays, wrong: Flags) -> str:
+    """Likely mistake in ``eval``, by the ratio of both directions."""
+    if not ways.backward[wrong].any():
+        return "`eval` lets light go one way only"
+    if ways.samples.reflected[wrong].all():
+        return "`eval` is not symmetric in wi and wo, in a Fresnel term perhaps"
+    ratio = ways.ratio(ways.backward, wrong)
+    if is_constant(ratio):
+        return (
+            f"`eval` transmits {np.median(ratio):.4g} times what it does the other "
+            "way, where eta^2 is due"
+        )
+    return "`eval` is not symmetric in wi and wo, apart from eta^2, in transmission"
+
+
+def ratio_text(a: Floats, b: Floats, wrong: Flags, samples: Samples) -> str:
+    """Sentence on f one way over f the other way."""
+    a, b = a[wrong].sum(axis=1), b[wrong].sum(axis=1)
+    # also of negative values, which are wrong already
+    both = (a != 0) & (b != 0)
+    one_way = np.mean((a != 0) != (b != 0))
+    if one_way > 0.5 or not both.any():
+        return (
+            f"light goes one way only for {100 * one_way:.3g} % of the samples at "
+            + str(samples.condition)
+        )
+    low, high = np.quantile(a[both] / b[both], [0.05, 0.95])
+    return (
+        f"f(wi, wo) over f(wo, wi) is {low:.4g} to {high:.4g} for "
+        f"{samples.fraction(wrong)}"
+    )
+
+
+def is_constant(ratio: Floats) -> bool:
+    """Whether nearly all values of a ratio are one."""
+    low, high = np.quantile(ratio, [0.02, 0.98])
+    return high - low < 0.01 * abs(high)
+
+
+def check_lobe(evidence: Evidence, lobe: Lobe, key: tuple[int, ...]) -> bool:
+    """Light sent back along a discrete lobe returns with the same share, or a breach.
+
+    Whether it returns; also if it was not sent.
+    """
+    samples = lobe.samples
+    if samples.condition.mode != "importance" or abs(lobe.wo[2]) < 1e-3:
+        return True
+    reverse: Any = LitFrom(samples.condition, lobe.wo)
+    back = samples_of(evidence.bsdf, reverse, samples.n, (*key, 7))
+    returned = back.given & (back.type == lobe.kind)
+    off = np.abs(back.wo - samples.condition.wi).max(axis=1)
+    returned &= off < DIRECTION_ROUNDING
+    there, again = (
+        (x.weight[mask] * x.sampled_pdf[mask][:, None]).mean(axis=0)
+        if mask.any()
+        else np.zeros(samples.weight.shape[1])
+        for x, mask in ((samples, lobe.own), (back, returned))
+    )
+    known = BSDF_ROUNDING + _sensitivity(evidence.bsdf, lobe)
+    if not np.abs(there - again).max() > known:
+        return True
+    evidence.breach(
+        "reciprocity",
+        "sample",
+        f"a discrete lobe has {there.max():.4g} of the light, "
+        f"{again.max():.4g} on the way back, at {samples.condition}",
+        "`sample` gives a discrete lobe another share than its reverse in "
+        "importance mode: 1/eta^2 belongs to radiance mode only",
+        effect=BREAKS,
+    )
+    return False
+
+
+def _sensitivity(bsdf: mi.BSDF, lobe: Lobe) -> float:
+    """Change of the share of the way back where rounding tilts its direction."""
+    wo, n = lobe.wo, lobe.samples.n
+    cosine = abs(wo[2])
+    tilt = min(SQUARE_ROUNDING / (2 * cosine), np.sqrt(SQUARE_ROUNDING))
+    shares = []
+    for change in (-2 * tilt, -tilt, 0.0, tilt, 2 * tilt):
+        z = max(cosine + change, tilt / 2) * np.sign(wo[2])
+        tilted: Any = LitFrom(lobe.samples.condition, np.array([wo[0], wo[1], z]))
+        bs, weight = Probe(bsdf, tilted).sample(*lobe.samples.random)
+        share = spectral(weight, n) * numbers(bs.pdf, n)[:, None]
+        same = numbers(bs.sampled_type, n) == lobe.kind
+        shares.append(share[same].mean(axis=0) if same.any() else 0 * share[0])
+    return np.max(np.abs(np.array(shares) - shares[2]))

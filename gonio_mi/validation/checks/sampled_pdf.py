@@ -1,0 +1,26 @@
+"""The pdf that ``sample`` returns, against ``pdf``."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..evidence import Evidence
+from ..samples import Samples, unequal
+
+__all__ = ["check_samples"]
+
+
+def check_samples(evidence: Evidence, samples: Samples) -> None:
+    """Densities of both are equal, sample by sample, where there is light."""
+    lit = samples.usable & (samples.eval != 0).any(axis=1)
+    if not lit.any():
+        return
+    evidence.breach_of_ratio(
+        "sampled_pdf",
+        "sample",
+        samples,
+        unequal(samples.sampled_pdf, samples.pdf, samples.pdf_slack) & lit,
+        samples.sampled_pdf / np.maximum(samples.pdf, 1e-30),
+        "its pdf over `pdf`",
+        "`sample` returns another pdf than `pdf`",
+    )

@@ -1,0 +1,49 @@
+"""Weight times pdf, against ``eval``."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...array_types import Flags
+from ..evidence import INTERFACE, Evidence
+from ..samples import Samples, is_many, unequal
+
+__all__ = ["check_samples"]
+
+# Standard errors beyond which two means differ.
+MAX_SCORE = 5
+
+
+def check_samples(evidence: Evidence, samples: Samples) -> None:
+    """They are equal, sample by sample, with either of both densities."""
+    lit = samples.usable & (samples.eval != 0).any(axis=1)
+    if not lit.any():
+        return
+    products = [samples.weight * p[:, None] for p in (samples.sampled_pdf, samples.pdf)]
+    # where a density is badly conditioned, so is the product
+    relative = (samples.pdf_slack / np.maximum(samples.pdf, 1e-30))[:, None]
+    wrong = [
+        unequal(x, samples.eval, samples.eval_slack + np.abs(x) * relative) & lit
+        for x in products
+    ]
+    if all(is_many(one) for one in wrong):
+        evidence.breach_of_ratio(
+            "sampled_weight",
+            "sample",
+            samples,
+            wrong[1],
+            products[1].sum(axis=1) / np.maximum(samples.eval.sum(axis=1), 1e-30),
+            "weight times pdf over `eval`",
+            "the weight of `sample` is not `eval` over pdf",
+            effect="" if _is_biased(samples, lit) else INTERFACE,
+        )
+
+
+def _is_biased(samples: Samples, lit: Flags) -> bool:
+    """Whether weights have another mean than ``eval`` over ``pdf``, beyond chance."""
+    usable = lit & (samples.pdf > 0)
+    ratio = samples.eval[usable].mean(axis=1) / samples.pdf[usable]
+    off = samples.weight[usable].mean(axis=1) - ratio
+    if len(off) < 2:
+        return True
+    return abs(off.mean()) > MAX_SCORE * off.std() / np.sqrt(len(off))

@@ -1,0 +1,117 @@
+"""Sampled weights against the integral of ``eval``, by patch and in total."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import special
+
+from ..conditions import Condition
+from ..evidence import NOISE, Evidence
+from ..integrals import SUM_ERROR
+from ..maps import FourMaps, Scores, unexplained_fraction
+from ..probe import Probe
+from ..samples import Samples, is_many
+from .answers import lattice
+
+__all__ = [
+    "check_maps",
+    "check_pooled",
+    "check_samples",
+    "check_scores",
+    "check_unsampled_side",
+]
+
+# Density that no sample ever meets: where `pdf` falls below it before it is 0 (as that
+# of Mitsuba's facets does), the light of `eval` is a matter of tails, not of a hole.
+UNDERFLOW = 1e-12
+
+# Fraction of the light that must be judged for a verdict on weights.
+MIN_JUDGED = 0.9
+
+
+def check_scores(evidence: Evidence, maps: FourMaps, name: str, scores: Scores) -> None:
+    """Test scores of all patches in four views."""
+    texts, (off, _) = scores.statistics, unexplained_fraction(maps, name)
+    for view, p in scores.p_values.items():
+        evidence.test(name, p, texts[view], maps.condition, off)
+
+
+def check_samples(evidence: Evidence, samples: Samples) -> None:
+    """``eval`` and ``pdf`` are not 0 where ``sample`` scatters light."""
+    usable = samples.usable
+    dark = usable & (samples.eval == 0).all(axis=1)
+    if is_many(dark):
+        both = is_many(dark & (samples.pdf == 0))
+        functions = "`eval` and `pdf` are" if both else "`eval` is"
+        evidence.breach(
+            "weights",
+            "eval",
+            f"{100 * dark.sum() / usable.sum():.3g} % of the samples with light at "
+            f"{samples.condition}",
+            f"{functions} 0 where `sample` scatters light",
+            samples.condition,
+            size=1 + float(dark.mean()),
+            off=float(dark.mean()),
+        )
+
+
+def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
+    """``eval`` is black from a side where ``sample`` gives no light."""
+    value = np.nan_to_num(Probe(evidence.bsdf, condition).values(lattice()), nan=0)
+    light = 4 * np.pi * float(value.mean(axis=0).max())
+    if light > 0:
+        evidence.breach(
+            "weights",
+            "eval",
+            f"{light:.3g} of the light at {condition}",
+            "`eval` scatters light from a side that `flags` does not declare, and "
+            "`sample` none",
+            condition,
+            size=light,
+            off=min(light, 1.0),
+        )
+
+
+def check_maps(evidence: Evidence, maps: FourMaps) -> None:
+    """Sums of weights, in four views; and all light of ``eval`` is where samples go.
+
+    What samples meet too rarely to judge is told.
+    """
+    check_scores(evidence, maps, "weights", maps.weight_scores)
+    due, flux = maps.due, maps.smooth_flux.mean()
+    lost = due.unreached.values.sum()
+    bound = max(due.unreached.sum_bound, SUM_ERROR * max(flux, 1))
+    if lost > bound and due.least > UNDERFLOW:
+        evidence.breach(
+            "weights",
+            "pdf",
+            f"{lost / flux:.3g} of the light at {maps.condition}",
+            f"`eval` sends {lost / flux:.3g} of its light where `pdf` is 0",
+            maps.condition,
+            size=lost,
+            off=min(lost / flux, 1.0),
+        )
+    elif maps.judged < MIN_JUDGED:
+        evidence.lesser["weights"] = NOISE
+        evidence.undecided["weights"] = (
+            f"tails are too heavy: {1 - maps.judged:.2g} of the light at "
+            f"{maps.condition} is in weights that {maps.totals.n} samples meet too "
+            "rarely, a noise that a sampler nearer to `eval` has not"
+        )
+
+
+def check_pooled(evidence: Evidence) -> None:
+    """Sums of all patches over all conditions: a small error that is everywhere."""
+    for name in ("sampling", "weights"):
+        scores = [
+            (m.count_scores if name == "sampling" else m.weight_scores).total
+            for m in evidence.maps
+        ]
+        # those that cannot vary are judged one by one
+        scores = [z for z in scores if 0 < abs(z) < 8]
+        if len(scores) > 1:
+            z = float(np.sum(scores) / np.sqrt(len(scores)))
+            p = float(2 * special.ndtr(-abs(z)))
+            gains = [unexplained_fraction(m, name)[1] for m in evidence.maps]
+            off = abs(float(np.mean(gains)))
+            evidence.test(name, p, f"z of all sums together {z:+.1f}", off=off)

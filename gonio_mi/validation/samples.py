@@ -1,0 +1,318 @@
+"""Samples of a BSDF one by one, answers about their directions, and rounding."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Flags, Floats, Integers, Numbers
+from .conditions import Condition
+from .probe import Probe, is_delta, numbers, seed_of, spectral, uniform
+
+__all__ = [
+    "BSDF_ROUNDING",
+    "SLACK",
+    "SPOILED",
+    "ULPS",
+    "Samples",
+    "is_many",
+    "rounding",
+    "samples_of",
+    "unequal",
+]
+
+# Relative difference that single precision may leave between two ways to compute a
+# value: 1024 operations, each off by half an ulp. Of Mitsuba's own functions those of
+# `hair` have most, 962; those of `principled` up to 376.
+BSDF_ROUNDING = 1024 * 2.0**-24
+
+# Where operations are badly conditioned more is left: so many times the change under a
+# displacement of both directions by 4 ulp of 1. Beyond that, of 77 right BSDFs one was
+# seen to need more than 2^-18, GGX of roughness 0.05 with all normals: 1 sample in 2^16
+# needs more than `BSDF_ROUNDING`.
+SLACK = 16
+ULPS = 2.0**-21
+
+# Fraction of samples that may differ by any amount, for they are as near to a jump,
+# where two functions may take different sides: six jumps of a BSDF, at its horizons,
+# along each of which there is at most one sample a radian.
+SPOILED = 6 * SLACK * ULPS
+
+# Samples that tell how well integrals can be known.
+N_ROUNDED = 2**12
+
+# Rounding of a cosine that is found by four operations.
+COSINE_ROUNDING = 2.0**-22
+
+
+def unequal(a: Numbers, b: Numbers, slack: Numbers | float) -> Flags:
+    """Mask of samples whose values differ by more than rounding, shape ``(n,)``."""
+    tolerance = BSDF_ROUNDING * np.maximum(np.abs(a), np.abs(b)) + SLACK * slack
+    differs = np.abs(a - b) > tolerance
+    return differs if differs.ndim == 1 else differs.any(axis=1)
+
+
+def is_many(mask: Flags) -> bool:
+    """Whether more samples than rounding may spoil."""
+    return mask.sum() > max(2, SPOILED * len(mask))
+
+
+@dataclass
+class Samples:
+    """Samples one by one, with the answers of all functions at their directions.
+
+    Arrays of ``(n,)``, or ``(n, channels)`` for weights and values; a slack is the
+    largest change of a value when both directions are displaced by rounding errors, and
+    relative to its value no less than that of half of the samples.
+
+    Attributes
+    ----------
+    condition : Condition
+    wo, weight, sampled_pdf, type, component, eta : ndarray
+        Answer of ``sample``.
+    sample1, sample2 : ndarray
+        Its random numbers.
+    eval, pdf, eval_slack, pdf_slack : ndarray
+        Of ``eval`` and ``pdf`` at `wo`.
+    joint : dict of ndarray
+        Of ``eval_pdf`` and ``eval_pdf_sample``.
+    other_mode : ndarray
+        ``eval`` in the other transport mode.
+    reverse, reverse_other_mode : ndarray
+        ``eval`` with incident and outgoing directions exchanged.
+    """
+
+    condition: Condition
+    wo: Floats
+    weight: Floats
+    sampled_pdf: Floats
+    type: Integers
+    component: Integers
+    eta: Floats
+    sample1: Floats
+    sample2: Floats
+    eval: Floats
+    pdf: Floats
+    eval_slack: Floats
+    pdf_slack: Floats
+    joint: dict[str, Any]
+    other_mode: Floats
+    reverse: Floats
+    reverse_slack: Floats
+    reverse_other_mode: Floats
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return len(self.pdf)
+
+    @property
+    def delta(self) -> Flags:
+        """Which samples have a discrete direction."""
+        return (self.type & int(mi.BSDFFlags.Delta)) != 0
+
+    @property
+    def given(self) -> Flags:
+        """Which samples did not fail."""
+        return (self.weight != 0).any(axis=1)
+
+    @property
+    def smooth(self) -> Flags:
+        """Which samples did not fail and have a density."""
+        return self.given & ~self.delta & np.isfinite(self.wo).all(axis=1)
+
+    @property
+    def usable(self) -> Flags:
+        """Which of these got finite values of ``eval`` and densities."""
+        finite = np.isfinite(self.eval).all(axis=1) & np.isfinite(self.pdf)
+        return self.smooth & finite & np.isfinite(self.sampled_pdf)
+
+    @property
+    def reflected(self) -> Flags:
+        """Which directions are on the lit side."""
+        return self.wo[:, 2] * self.condition.wi[2] > 0
+
+    @property
+    def random(self) -> tuple[mi.Float, mi.Point2f]:
+        """Random numbers as ``sample`` takes them."""
+        return mi.Float(self.sample1), mi.Point2f(self.sample2.T)
+
+    def fraction(self, mask: Flags) -> str:
+        """Text on which part of the samples, and under which condition."""
+        return f"{100 * mask.mean():.3g} % of the samples at {self.condition}"
+
+
+def samples_of(
+    bsdf: mi.BSDF, condition: Condition, n: int, key: tuple[int, ...]
+) -> Samples:
+    """Draw `n` samples and ask all functions about each direction.
+
+    Parameters as of :func:`~gonio_mi.validation.tally.patch_totals`.
+    """
+    probe = Probe(bsdf, condition)
+    sample1, sample2 = uniform(n, key)
+    bs, weight = probe.sample(sample1, sample2)
+    wo = mi.Vector3f(bs.wo)
+    value, pdf = probe.eval(wo), probe.pdf(wo)
+    joint = _joint(probe, wo, sample1, sample2)
+    other = probe.condition.context
+    other.reverse()
+    other_mode = probe.eval(wo, ctx=other)
+    wi = mi.Vector3f(probe.wi) + dr.zeros(mi.Vector3f, n)
+    reverse = probe.eval(wi, wi=wo)
+    reverse_other_mode = probe.eval(wi, wi=wo, ctx=other)
+    eval_slack, pdf_slack, reverse_slack = _changes(
+        (*_displaced(wi, wo, key), *_tilted(wi, wo)),
+        (lambda wi, wo: probe.eval(wo, wi=wi), value),
+        (lambda wi, wo: probe.pdf(wo, wi=wi), pdf),
+        (lambda wi, wo: probe.eval(wi, wi=wo), reverse),
+    )
+    return Samples(
+        condition=condition,
+        wo=spectral(wo, n),
+        weight=spectral(weight, n),
+        sampled_pdf=numbers(bs.pdf, n).astype(float),
+        type=numbers(bs.sampled_type, n),
+        component=numbers(bs.sampled_component, n),
+        eta=numbers(bs.eta, n).astype(float),
+        sample1=numbers(sample1, n),
+        sample2=spectral(sample2, n),
+        eval=spectral(value, n),
+        pdf=numbers(pdf, n).astype(float),
+        eval_slack=_no_less(spectral(eval_slack, n), spectral(value, n)),
+        pdf_slack=_no_less(numbers(pdf_slack, n), numbers(pdf, n)),
+        joint=joint,
+        other_mode=spectral(other_mode, n),
+        reverse=spectral(reverse, n),
+        reverse_slack=_no_less(spectral(reverse_slack, n), spectral(reverse, n)),
+        reverse_other_mode=spectral(reverse_other_mode, n),
+    )
+
+
+def _no_less(slack: Numbers, value: Numbers) -> Floats:
+    """Slack of at least the relative one of half of the samples.
+
+    Where a difference of nearly equal numbers has few steps left, displacements may
+    happen to change nothing.
+    """
+    size = np.abs(value).astype(float)
+    usable = (size > 0) & np.isfinite(size) & np.isfinite(slack)
+    if not usable.any():
+        return slack.astype(float)
+    half = np.median(slack[usable] / size[usable])
+    return np.maximum(slack, half * np.where(np.isfinite(size), size, 0.0))
+
+
+def _joint(
+    probe: Probe, wo: mi.Vector3f, sample1: mi.Float, sample2: mi.Point2f
+) -> dict[str, Any]:
+    """Answers of ``eval_pdf`` and ``eval_pdf_sample``, and the latter's samples."""
+    n = dr.width(wo)
+    value, pdf = probe.eval_pdf(wo)
+    other_value, other_pdf, (bs, weight) = probe.eval_pdf_sample(wo, sample1, sample2)
+    return {
+        "eval_pdf": (spectral(value, n), numbers(pdf, n).astype(float)),
+        "eval_pdf_sample": (
+            spectral(other_value, n),
+            numbers(other_pdf, n).astype(float),
+        ),
+        "wo": spectral(bs.wo, n),
+        "weight": spectral(weight, n),
+        "pdf": numbers(bs.pdf, n).astype(float),
+    }
+
+
+def rounding(probe: Probe, key: tuple[int, ...]) -> list[float]:
+    """Relative error that single precision may leave in integrals.
+
+    A value in single precision is the true one at directions that are displaced by a
+    few ulp; if that went the same way everywhere, an integral would be off by the mean
+    of the changes.
+
+    Returns
+    -------
+    pdf, eval : float
+    """
+    n = N_ROUNDED
+    bs, _ = probe.sample(*uniform(n, (*key, 2)))
+    wo = mi.Vector3f(bs.wo)
+    wi = mi.Vector3f(probe.wi) + dr.zeros(mi.Vector3f, n)
+    value, pdf = probe.eval(wo), probe.pdf(wo)
+    slacks = _changes(
+        _displaced(wi, wo, key),
+        (lambda wi, wo: probe.pdf(wo, wi=wi), pdf),
+        (lambda wi, wo: probe.eval(wo, wi=wi), value),
+    )
+    density = numbers(pdf, n)
+    usable = ~numbers(is_delta(bs), n) & (density > 0) & np.isfinite(density)
+    relative = []
+    for function, slack in zip((pdf, value), slacks):
+        sums = [
+            np.nan_to_num(spectral_or_flat[usable] / density[usable]).sum()
+            for spectral_or_flat in (_mean(slack, n), _mean(function, n))
+        ]
+        relative.append(float(sums[0] / sums[1]) if sums[1] > 0 else 0.0)
+    return relative
+
+
+def _mean(value: Any, n: int) -> Numbers:
+    """Number for each sample: the mean over channels."""
+    return numbers(value, n) if dr.depth_v(value) == 1 else spectral(value, n).mean(1)
+
+
+def _changes(
+    displaced: Iterable[tuple[mi.Vector3f, mi.Vector3f, float]],
+    *functions: tuple[Callable[[mi.Vector3f, mi.Vector3f], Any], Any],
+) -> list[Any]:
+    """Largest changes of functions (with their values), times the weight of each."""
+    largest = [0 * value for _, value in functions]
+    for moved_wi, moved_wo, weight in displaced:
+        for i, (function, value) in enumerate(functions):
+            change = weight * dr.abs(function(moved_wi, moved_wo) - value)
+            largest[i] = dr.maximum(largest[i], change)
+        dr.eval(largest)
+    return largest
+
+
+def _displaced(
+    wi: mi.Vector3f, wo: mi.Vector3f, key: tuple[int, ...]
+) -> Iterator[tuple[mi.Vector3f, mi.Vector3f, float]]:
+    """Both directions, displaced by rounding errors into six random directions."""
+    n = dr.width(wo)
+    signs = mi.load_dict({"type": "independent"})
+    signs.seed(seed_of((*key, 1)), n)
+
+    def _move(v: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f]:
+        step = mi.Vector3f(*(2 * signs.next_1d() - 1 for _ in range(3)))
+        # of a unit vector only to within rounding, as all are in single precision
+        return v + ULPS * step, v - ULPS * step
+
+    for _ in range(3):
+        yield from ((*moved, 1.0) for moved in zip(_move(wi), _move(wo)))
+
+
+def _tilted(
+    wi: mi.Vector3f, wo: mi.Vector3f
+) -> Iterator[tuple[mi.Vector3f, mi.Vector3f, float]]:
+    """Outgoing directions whose half vector has another cosine by rounding.
+
+    A plugin that draws the cosine of a facet finds its sine from that: near the normal,
+    the angle is off by the rounding of the cosine over the sine.
+    """
+    h = dr.normalize(wi + wo)
+    h = dr.select(dr.abs(wi.z + wo.z) > 1e-4, h, mi.Vector3f(0, 0, 1))
+    sine = dr.sqrt(dr.square(h.x) + dr.square(h.y))
+    # a cosine that rounds to 1 leaves no azimuth
+    off = sine > 0
+    x, y = dr.select(off, h.x / sine, 1.0), dr.select(off, h.y / sine, 0.0)
+    down = mi.Vector3f(x * h.z, y * h.z, -sine)
+    angle = COSINE_ROUNDING / dr.maximum(sine, np.sqrt(COSINE_ROUNDING))
+    for sign in (1.0, -1.0):
+        moved = dr.normalize(h + sign * angle * down)
+        # the change counts as it is, those of a displacement SLACK times
+        yield wi, mi.reflect(wi, moved), 1 / SLACK

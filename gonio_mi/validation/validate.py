@@ -1,0 +1,342 @@
+"""The examination of one BSDF: all checks in turn, ending in a verdict."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
+from ..instrument.loading import (
+    check_variant,
+    load_specimen,
+    loaded,
+    specimen_name,
+    with_own_tensors,
+)
+from ..transport.kernels import launches_kernels
+from .checks import (
+    adjoint,
+    answers,
+    continuity,
+    cost,
+    delta,
+    directions,
+    ends,
+    energy,
+    eval_pdf,
+    eval_pdf_sample,
+    flags,
+    masks,
+    parameters,
+    reciprocity,
+    sampled_pdf,
+    sampled_weight,
+    sampling,
+    weights,
+)
+from .checks import components as components_check
+from .conditions import Condition, Effort
+from .cosines import explain_reciprocity
+from .diagnosis import likely_mistake
+from .evidence import INTERFACE, PROPERTIES, Evidence
+from .maps import four_maps
+from .probe import PluginFault, Probe
+from .samples import Samples, samples_of, unequal
+from .verdict import FAILS, Verdict, properties_of
+
+__all__ = ["coloured", "validate"]
+
+# Polar angle of incidence, in degrees, from which on incidence is grazing.
+GRAZING = 60
+
+# Factor of a grey parameter in each channel; none gains.
+TINT = (1.0, 0.8, 0.6)
+
+# Names of parameters that are a colour.
+COLOURS = re.compile("reflectance|transmittance|colou?r|albedo|tint")
+
+
+@launches_kernels()
+def validate(
+    specimen: Any,
+    *,
+    effort: str = "normal",
+    seed: int = 0,
+    alpha: float = 1e-3,
+    allow: str | Iterable[str] = (),
+    strict: bool = False,
+) -> Verdict:
+    """Whether a BSDF is right, and if not, which of its functions is wrong.
+
+    In a variant of rgb, grey parameters of a dictionary get a colour.
+
+    Parameters
+    ----------
+    specimen : dict, mi.BSDF, mi.Scene, str or path
+        As of :func:`gonio_mi.measure`; of a scene, the BSDF of its only shape.
+    effort : {"quick", "normal", "thorough"}
+        Seconds, some ten seconds, or minutes.
+    seed : int
+        Same seed, same verdict, except for times, which `quick` does not measure.
+    alpha : float
+        Probability that a right BSDF fails, shared by all statistical tests.
+    allow : sequence of str
+        Names of properties that the model knowingly lacks, such as ``"energy"``.
+    strict : bool
+        Whether anything that fails counts, and not only what biases images or breaks
+        integrators.
+
+    Returns
+    -------
+    Verdict
+
+    Raises
+    ------
+    SpecimenError
+        If Mitsuba cannot load the specimen, or it is no BSDF.
+    ValueError, TypeError
+        If an argument is out of range.
+    """
+    plan = Effort.named(effort)
+    seed = checked_count("seed", seed, 0)
+    alpha = checked_number("alpha", alpha, 1e-12, 1, "a probability in [1e-12, 1)")
+    allow = (allow,) if isinstance(allow, str) else tuple(allow)
+    for name in allow:
+        if name not in PROPERTIES:
+            raise SettingError(
+                f"allow must name some of {', '.join(PROPERTIES)}, got {shown(name)}"
+            )
+    bsdf, name = _bsdf(specimen)
+    evidence = Evidence(bsdf, seed)
+    try:
+        _examine(evidence, plan)
+    except PluginFault as fault:
+        _stop(evidence, fault)
+    properties = properties_of(evidence, alpha, allow)
+    failed = {p.name: str(p.effect) for p in properties if p.status == FAILS}
+    shares = {p.name: p.share for p in properties}
+    function, mistake = None, None
+    if failed:
+        function, mistake = likely_mistake(evidence, failed, shares)
+    settings = {
+        "effort": effort,
+        "seed": seed,
+        "alpha": alpha,
+        "allow": list(allow),
+        "strict": bool(strict),
+        "variant": mi.variant(),
+        "n_tests": len(evidence.tests),
+        "n_samples": sum(m.totals.n for m in evidence.maps)
+        + sum(one.n for one in evidence.samples),
+    }
+    return Verdict(
+        name, tuple(properties), function, mistake, settings, tuple(evidence.maps)
+    )
+
+
+def _bsdf(specimen: Any) -> tuple[mi.BSDF, str]:
+    """BSDF of a specimen, and its name."""
+    check_variant()
+    name: str | None
+    if isinstance(specimen, dict):
+        name, grey = specimen_name(specimen), specimen
+        specimen = loaded("the specimen", mi.load_dict, specimen)
+        if isinstance(specimen, mi.BSDF):
+            specimen = coloured(specimen, grey)
+    else:
+        name = str(specimen) if isinstance(specimen, (str, os.PathLike)) else None
+    if not isinstance(specimen, mi.BSDF):
+        scene = load_specimen(specimen)
+        shapes = [s for s in scene.shapes() if not s.is_emitter()]
+        if any(shape.is_medium_transition() for shape in shapes):
+            raise SpecimenError(
+                "validate judges BSDFs, got a shape with a medium: measure it, or "
+                "validate the BSDF of its boundary alone"
+            )
+        if len(shapes) != 1:
+            raise SpecimenError(
+                "a scene to validate must have one shape, whose BSDF is meant, "
+                f"got {len(shapes)}"
+            )
+        specimen = shapes[0].bsdf()
+    return specimen, name or specimen.class_name()
+
+
+def _examine(evidence: Evidence, plan: Effort) -> None:
+    """All checks, from those that explain most."""
+    bsdf, seed = evidence.bsdf, evidence.seed
+    n = bsdf.component_count()
+    components, sides = range(n) if n > 1 else (), _sides(int(bsdf.flags()))
+    conditions = list(plan.checks(sides, components))
+    radiance = [replace(one, mode="radiance") for one in plan.radiance(sides)]
+    for i, condition in enumerate([*conditions, *radiance]):
+        _check_samples(evidence, condition, plan.checked, (seed, 1, i))
+    first = evidence.samples[0]
+    after = answers.asked_after(Probe(bsdf, first.condition), first)
+    again = cost.check_compiled(evidence, first.condition, plan.checked, (seed, 1, 0))
+    answers.check_memory(evidence, first, after, again)
+    answers.check_frames(evidence)
+    flags.check_bsdf(evidence)
+    flags.check_sides(evidence)
+    for samples in evidence.samples[:: max(1, len(plan.angles) // 3)]:
+        components_check.check_samples(evidence, samples)
+    masks.check_bsdf(evidence)
+    for samples in evidence.whole:
+        if samples.condition.mode == "importance":
+            continuity.check_normal(evidence, samples)
+    for side in sides:
+        continuity.check_cutoffs(evidence, Condition(45.0, 25.0, side))
+    parameters.check_samples(evidence, _brightest(evidence))
+    explain_reciprocity(evidence)
+    ends.check_bsdf(evidence)
+    ends.check_roughness(evidence)
+    _check_maps(evidence, plan, sides, components)
+    if plan is not Effort.named("quick"):
+        # it takes a second
+        cost.check_time(evidence, Condition(40.0, 25.0, sides[0]))
+
+
+def _sides(declared: int) -> tuple[str, ...]:
+    """Sides that flags declare, the front first."""
+    kinds = mi.BSDFFlags
+    through = declared & int(kinds.Transmission)
+    back = through or declared & int(kinds.BackSide)
+    if not (through or declared & int(kinds.FrontSide)) and back:
+        return ("back",)
+    return ("front", "back") if back else ("front",)
+
+
+def _check_samples(
+    evidence: Evidence, condition: Condition, n: int, key: tuple[int, ...]
+) -> None:
+    """All that is asked of samples of one condition."""
+    samples = samples_of(evidence.bsdf, condition, n, key)
+    evidence.samples.append(samples)
+    known = len(evidence.breaches)
+    answers.check_samples(evidence, samples)
+    answers.check_lattice(evidence, Probe(evidence.bsdf, condition))
+    eval_pdf.check_lattice(evidence, Probe(evidence.bsdf, condition))
+    for check in (
+        directions,
+        weights,
+        sampled_pdf,
+        sampled_weight,
+        eval_pdf,
+        eval_pdf_sample,
+    ):
+        check.check_samples(evidence, samples)
+    ways = reciprocity.both_ways(samples)
+    if ways is not None:
+        reciprocity.check_ways(evidence, ways)
+        adjoint.check_ways(evidence, ways)
+    for lobe in delta.lobes_of(evidence, samples):
+        returns = reciprocity.check_lobe(evidence, lobe, key)
+        adjoint.check_lobe(evidence, lobe, key, returns)
+    delta.check_null(evidence, samples)
+    if condition.component is not None:
+        # no integrator asks for one component only
+        evidence.breaches[known:] = [
+            replace(breach, effect=INTERFACE) for breach in evidence.breaches[known:]
+        ]
+
+
+def _check_maps(
+    evidence: Evidence, plan: Effort, sides: Sequence[str], components: Sequence[int]
+) -> None:
+    """Statistics of samples by patch."""
+    conditions = list(plan.maps(sides, components))
+    if any(_depends_on_mode(samples) for samples in evidence.samples):
+        conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]
+    failed = 0
+    for i, condition in enumerate(conditions):
+        key = (evidence.seed, 2, i)
+        maps = four_maps(evidence.bsdf, condition, plan.patches, plan.samples, key)
+        if maps is None:
+            failed += 1
+            continue
+        evidence.maps.append(maps)
+        for check in (sampling, weights, energy):
+            check.check_maps(evidence, maps)
+    weights.check_pooled(evidence)
+    sampling.check_roulette(evidence)
+    lit = any(samples.given.any() for samples in evidence.samples)
+    lit = lit or any(m.smooth_flux.any() for m in evidence.maps)
+    if not (lit or failed):
+        for name in ("sampling", "weights", "energy"):
+            evidence.undecided[name] = "nothing was lit, so that nothing was compared"
+    if failed:
+        text = (
+            f"the integrals of {failed} of {len(conditions)} incident directions did "
+            "not converge: it would take more effort, or a smoother lobe"
+        )
+        for name in ("sampling", "weights", "energy"):
+            if failed == len(conditions):
+                evidence.undecided[name] = text
+            else:
+                evidence.remark(name, text)
+
+
+def _brightest(evidence: Evidence) -> Samples:
+    """Samples of which most have a density, not at grazing incidence if possible."""
+    return max(
+        evidence.whole,
+        key=lambda samples: (
+            samples.smooth.any() and samples.condition.theta_i < GRAZING,
+            np.count_nonzero(samples.smooth),
+        ),
+    )
+
+
+def _depends_on_mode(samples: Samples) -> bool:
+    return bool((unequal(samples.eval, samples.other_mode, 0) & samples.smooth).any())
+
+
+def _stop(evidence: Evidence, fault: PluginFault) -> None:
+    """A fault is the last thing that is known."""
+    mistake = f"`{fault.function}` {fault.what}"
+    evidence.breach("answers", fault.function, str(fault), mistake, size=10.0)
+    for name in PROPERTIES:
+        evidence.undecided[name] = f"`{fault.function}` must answer first"
+
+
+# ------------------------------------------------------------------- the BSDF in colour
+
+
+def coloured(bsdf: mi.BSDF, specimen: dict[str, Any]) -> mi.BSDF:
+    """BSDF of the dictionary `specimen`, with its grey parameters tinted, in rgb.
+
+    `bsdf` is the same as it is; it is returned where there is nothing to tint.
+    """
+    tints = _tints(bsdf) if mi.is_rgb else {}
+    if not tints:
+        return bsdf
+    try:
+        return mi.load_dict(with_own_tensors(specimen | tints))
+    except Exception:
+        return bsdf  # what such a parameter may be is up to the plugin
+
+
+def _tints(bsdf: mi.BSDF) -> dict[str, Any]:
+    """Tinted colours by name, as in a dictionary; none without ``traverse``."""
+    try:
+        params = mi.traverse(bsdf)
+    except Exception:
+        return {}  # `answers` says so
+    tints = {}
+    for key in params.keys():  # noqa: SIM118
+        name, value = key.removesuffix(".value"), params[key]
+        # a texture may be grey; what a plugin keeps as one number stays one
+        colour = mi.Color3f if key == name else (mi.Float, mi.Color3f)
+        if not COLOURS.search(name) or not isinstance(value, colour):
+            continue
+        value = np.ravel(value)
+        if "." not in name and np.ptp(value) == 0 and 0 < value[0] <= 1:
+            tint = [float(value[0]) * share for share in TINT]
+            tints[name] = {"type": "rgb", "value": tint}
+    return tints

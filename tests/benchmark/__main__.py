@@ -1,0 +1,144 @@
+"""Command line of the benchmark."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import mitsuba as mi
+
+from . import reference_cases, round_trips, stock, windows
+from .batch_designs import print_ratios
+from .counting import print_rates
+from .coverage import CASES, print_coverage
+from .diffuse_facets import facet_contests
+from .endurance import print_growth
+from .equal_error import print_contests, print_costs
+from .micro_geometry import print_speeds
+from .stacked_integrals import print_integrals
+from .tolerances import print_campaigns
+from .turbid_layer import layer_contests, print_layer_speeds
+
+__all__ = ["main"]
+
+# Tables of their own, each with its own options.
+TABLES = {
+    "reference_cases": reference_cases.main,
+    "round_trips": round_trips.main,
+    "stock": stock.main,
+    "windows": windows.main,
+}
+
+
+def main(argv: Sequence[str]) -> None:
+    """Compare with others, or run one part of the benchmark, and print tables."""
+    if argv and argv[0] in TABLES:
+        TABLES[argv[0]](argv[1:])
+        return
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.benchmark",
+        description="Compare the instrument with what a user would pick instead: raw "
+        "speed, and the cost of a map of equal error. Ratios of medians in turns. "
+        f"Other tables: {', '.join(TABLES)}, each as the first word.",
+    )
+    part = parser.add_mutually_exclusive_group()
+    part.add_argument("--counting", action="store_true", help="raw speed only")
+    part.add_argument("--equal-error", action="store_true", help="equal error only")
+    part.add_argument(
+        "--geometry",
+        action="store_true",
+        help="paths on a rough mirror, and equal error on diffuse facets, instead",
+    )
+    part.add_argument(
+        "--media",
+        action="store_true",
+        help="rays through a layer of a medium, and equal error beside volpath, "
+        "instead",
+    )
+    part.add_argument(
+        "--integrals", action="store_true", help="a stack of them and each, instead"
+    )
+    part.add_argument(
+        "--error", action="store_true", help="sobol against independent rays, instead"
+    )
+    part.add_argument(
+        "--coverage", action="store_true", help="of intervals of 95 %%, instead"
+    )
+    part.add_argument(
+        "--long",
+        nargs="?",
+        type=float,
+        const=1e9,
+        metavar="RAYS",
+        help="memory and time per ray from 1e7 to RAYS (1e9), instead",
+    )
+    _add_tolerance(parser, part)
+    parser.add_argument(
+        "--rays",
+        type=float,
+        help="for raw speed 1.7e7, for --error 1e8, for --geometry 4.2e6, for --media "
+        "2.1e6, and the most for --coverage 1e6, if not given",
+    )
+    parser.add_argument("--repeats", type=int, default=7)
+    parser.add_argument("--seeds", type=int, default=6, help="for --error (6)")
+    parser.add_argument(
+        "--target", type=float, default=0.01, help="RMS error to reach (0.01)"
+    )
+    parser.add_argument(
+        "--limit",
+        type=float,
+        default=10.0,
+        help="CPU seconds of one run, beyond which costs are extrapolated (10)",
+    )
+    parser.add_argument("--variant", default="llvm_ad_mono")
+    options = parser.parse_args(argv)
+    mi.set_variant(options.variant)
+    _run(options)
+
+
+def _add_tolerance(parser: argparse.ArgumentParser, part: Any) -> None:
+    """Add the options of the study of whole materials."""
+    part.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="X",
+        help="what campaigns of this tolerance cost, beside grids; hours below 0.01",
+    )
+    parser.add_argument(
+        "--only", nargs="+", default=(), help="specimens of --tolerance, or --coverage"
+    )
+    parser.add_argument("--theta-max", type=float, default=80.0, help="of --tolerance")
+    parser.add_argument(
+        "--no-grids", action="store_true", help="--tolerance without grids beside it"
+    )
+
+
+def _run(options: argparse.Namespace) -> None:
+    """Print what was asked for."""
+    cost = options.target, options.repeats, options.limit
+    if options.error:
+        print_ratios(int(options.rays or 1e8), options.seeds, options.repeats)
+    elif options.geometry:
+        print_speeds(int(options.rays or 2**22), options.repeats)
+        print_contests(*facet_contests(), *cost)
+    elif options.integrals:
+        print_integrals(options.repeats)
+    elif options.tolerance:
+        asked = options.tolerance, options.only, options.theta_max
+        print_campaigns(*asked, not options.no_grids)
+    elif options.media:
+        print_layer_speeds(int(options.rays or 2**21), options.repeats)
+        print_contests(*layer_contests(), *cost)
+    elif options.coverage:
+        print_coverage(int(options.rays or 1e6), options.only or tuple(CASES))
+    elif options.long:
+        print_growth(int(options.long))
+    else:
+        if not options.equal_error:
+            print_rates(int(options.rays or 2**24), options.repeats)
+        if not options.counting:
+            print_costs(*cost)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

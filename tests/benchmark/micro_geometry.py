@@ -1,0 +1,244 @@
+"""Speed on geometry: a random rough mirror, every bounce, beside Mitsuba's `path`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from gonio_mi.collector.directions import direction
+from gonio_mi.instrument.launcher import Launcher
+from gonio_mi.instrument.recording import record_of
+from gonio_mi.instrument.schedule import Round
+from gonio_mi.instrument.setup import set_up
+from gonio_mi.results.tally import Tally, batch_sizes
+from gonio_mi.settings import MeasurementSettings
+from gonio_mi.transport.beam import Beam
+from gonio_mi.transport.ray_offsets import SURFACE_OFFSET
+from gonio_mi.transport.specimen import Specimen
+
+from .table import print_table
+from .timing import in_turns, speeds
+
+__all__ = ["bare_paths", "film_paths", "gonio_paths", "print_speeds"]
+
+THETA_I = 30.0  # degrees
+
+# No path on such a surface has as many events.
+MAX_DEPTH = 1000
+
+
+def surface(resolution: int, alpha: float = 0.5) -> dict[str, Any]:
+    """Height field of ``resolution x resolution`` cells as a Mitsuba dictionary."""
+    mirror = {"type": "twosided", "bsdf": {"type": "conductor"}}
+    return {
+        "type": "heightfield",
+        "alpha": alpha,
+        "resolution": resolution,
+        "bsdf": mirror,
+    }
+
+
+def gonio_paths(
+    resolution: int, sampler: str, batches: int, period: str = "none"
+) -> Callable[[int, int], float]:
+    """Our instrument: a function that measures as `measure` does with loaded scenes.
+
+    Returns
+    -------
+    callable
+        ``send(rays, seed)`` gives the share of the rays that were reflected; the error
+        bars of the record are computed too.
+    """
+    scene = mi.load_dict({"type": "scene", "surface": surface(resolution)})
+    given = {"max_depth": MAX_DEPTH, "batches": batches, "period": period}
+    settings = MeasurementSettings().changed(sampler={"type": sampler}, **given)
+    (bench,) = set_up(scene, settings, [(THETA_I, 0.0)])
+
+    def _send(rays: int, seed: int) -> float:
+        # anew, for it learns how many rays a launch takes
+        launcher, bench.key = Launcher(bench), (seed, 0)
+        tallies = launcher.tallies(bench, Round(tuple(batch_sizes(rays, batches))))
+        record = record_of(bench, Tally.join(list(tallies)))
+        if batches > 1:
+            record.interval(0.95)
+        return record.tallies[0].ledger.reflected / rays
+
+    return _send
+
+
+def bare_paths(resolution: int, rows: bool) -> Callable[[int, int], float]:
+    """The same paths with nothing but Embree: hit after hit, no sampling, no sums.
+
+    Rays are as watertight as ours, and the first ones are said to be coherent; a mirror
+    turns them. What is faster than that traces less.
+
+    Parameters
+    ----------
+    resolution : int
+    rows : bool
+        Rays start on a square grid, row by row, about as many as asked for; else where
+        those of a batch of ours do, in the same order.
+
+    Returns
+    -------
+    callable
+        ``send(rays, seed)`` gives the mean number of events.
+    """
+    specimen = Specimen(mi.load_dict({"type": "scene", "surface": surface(resolution)}))
+    towards = direction(np.radians(THETA_I), 0.0)
+    emitter = mi.load_dict({"type": "directional", "direction": (-towards).tolist()})
+    beam = Beam(specimen, emitter, "full", "radiometric")
+    offset = specimen.reach * SURFACE_OFFSET
+
+    def _send(rays: int, seed: int) -> float:
+        if rows:
+            sampler = _Grid(round(rays**0.5))
+        else:
+            sampler = mi.load_dict({"type": "sobol"})
+            sampler.seed(seed, rays)
+            sampler.follow_curve()
+        p, wi, _, _ = beam.sample(sampler, mi.Color0f())
+        ray = mi.Ray3f(p + offset * wi, -wi)
+        depth, d = _bounced(specimen.scene, ray, mi.Float(offset))
+        # the directions are asked for, so that the last of them are computed too
+        return float(np.mean(dr.select(d.z > 0, depth, 0).numpy()))
+
+    return _send
+
+
+class _Grid:
+    """What a beam draws from, as a sampler: the centres of a square grid, in rows."""
+
+    def __init__(self, side: int) -> None:
+        self.side = side
+
+    def next_2d(self) -> mi.Point2f:
+        """Centres of all cells, in the unit square."""
+        number = dr.arange(mi.UInt32, self.side**2)
+        side = dr.opaque(mi.UInt32, self.side)
+        x, y = number % side, number // side
+        return (mi.Point2f(mi.Float(x), mi.Float(y)) + 0.5) / mi.Float(side)
+
+
+@dr.syntax
+def _bounced(
+    scene: mi.Scene, ray: mi.Ray3f, offset: mi.Float
+) -> tuple[mi.UInt32, mi.Vector3f]:
+    """Number of reflections of rays, and where they go in the end."""
+    active = mi.Bool(True)
+    depth = mi.UInt32(0)
+    while active:
+        si = scene.ray_intersect(ray, mi.RayFlags.Minimal, depth == 0, active)
+        active &= si.is_valid()
+        d = ray.d - 2 * dr.dot(ray.d, si.n) * si.n
+        ray.d[active] = d
+        ray.o[active] = si.p + dr.copysign(offset, dr.dot(si.n, d)) * si.n
+        depth[active] += 1
+    return depth, ray.d
+
+
+def film_paths(resolution: int, coherent: bool) -> Callable[[int, int], float]:
+    """Mitsuba's `path` along the same directions, from an orthographic film.
+
+    The film is what the specimen's top looks like from the emitter, so that its paths
+    begin as our rays do; they end in light of radiance 1 from everywhere. `coherent`:
+    one path for each pixel of a square film, in the order of its rows; else all paths
+    from random positions on a film of one pixel.
+
+    Returns
+    -------
+    callable
+        ``send(paths, seed)`` gives the mean radiance that the film received.
+    """
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {
+                "type": "path",
+                "max_depth": MAX_DEPTH,
+                "rr_depth": MAX_DEPTH,
+            },
+            "light": {"type": "constant", "radiance": 1.0},
+            "surface": surface(resolution),
+        }
+    )
+
+    def _send(paths: int, seed: int) -> float:
+        side = round(paths**0.5) if coherent else 1
+        image = mi.render(
+            scene, sensor=_film(scene, side), spp=paths // side**2, seed=seed
+        )
+        return float(np.mean(image.numpy()))
+
+    return _send
+
+
+@lru_cache(maxsize=2)
+def _film(scene: mi.Scene, side: int) -> mi.Sensor:
+    """Orthographic sensor of ``side x side`` pixels that shows the specimen's top."""
+    top = np.array([0, 0, scene.shapes()[0].bbox().max.z])
+    towards = direction(np.radians(THETA_I), 0.0)
+    to_world = mi.ScalarTransform4f().look_at(
+        (top + 4 * towards).tolist(), top.tolist(), [0, 1, 0]
+    )
+    film = {
+        "type": "hdrfilm",
+        "width": side,
+        "height": side,
+        "pixel_format": "luminance",
+    }
+    return mi.load_dict(
+        {
+            "type": "orthographic",
+            "to_world": to_world.scale([np.cos(np.radians(THETA_I)), 1, 1]),
+            "film": film | {"rfilter": {"type": "box"}},
+        }
+    )
+
+
+def print_speeds(
+    rays: int, repeats: int, resolutions: Sequence[int] = (256, 512, 1024)
+) -> None:
+    """Print paths per second, relative to random starts of our own."""
+    for resolution in resolutions:
+        _print_speeds(rays, repeats, resolution)
+
+
+def _print_speeds(rays: int, repeats: int, resolution: int) -> None:
+    """Print paths per second on one surface."""
+    ways = {
+        ("gonio-mi, 16 batches", "random origins (independent)"): gonio_paths(
+            resolution, "independent", 16
+        ),
+        ("gonio-mi, 16 batches", "along a curve (sobol)"): gonio_paths(
+            resolution, "sobol", 16
+        ),
+        ("gonio-mi, one batch", "along a curve (sobol)"): gonio_paths(
+            resolution, "sobol", 1
+        ),
+        ("gonio-mi, 16 batches", "the same, one periodic cell"): gonio_paths(
+            resolution, "sobol", 16, period="box"
+        ),
+        ("Embree alone", "along a curve (sobol)"): bare_paths(resolution, rows=False),
+        ("Embree alone", "in rows"): bare_paths(resolution, rows=True),
+        ("Mitsuba path", "random film positions, one pixel"): film_paths(
+            resolution, coherent=False
+        ),
+        ("Mitsuba path", "one path per pixel, in rows"): film_paths(
+            resolution, coherent=True
+        ),
+    }
+    times = in_turns(
+        {key: partial(send, rays, 0) for key, send in ways.items()}, repeats
+    )
+    print_table(
+        f"Mirror height field of {resolution}^2 cells, alpha 0.5, at {THETA_I:g} "
+        f"degrees, every bounce: {rays:g} paths, medians of {repeats} runs in turns",
+        ("method", "paths start", "core-ns per path", "Mpath/s", "speed"),
+        speeds(times, rays),
+    )
