@@ -58,6 +58,11 @@ class Verdict:
         return f"{self.n} scores: {views}; each must be above {ALPHA / len(self.p):.2g}"
 
 
+def of_comparison(comparison):
+    """Return the verdict of a comparison, whose p-value is its one view."""
+    return Verdict({"comparison": comparison.p_value}, len(comparison.z))
+
+
 def agree(verdict):
     """Assert that a comparison is within statistics, at the cost of one share."""
     global _spent

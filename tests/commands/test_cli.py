@@ -1,0 +1,1134 @@
+"""The command line: what it prints and writes, and one sentence for each bad input."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gonio_mi as gonio
+from gonio_mi import cli, files
+from gonio_mi.collector import subdivision
+from gonio_mi.results.provenance import Provenance
+from gonio_mi.results.record import Record
+from gonio_mi.results.summary import summarize
+from gonio_mi.results.summary_text import summary_text
+from gonio_mi.results.tally import Fate, Tally
+from gonio_mi.settings import MeasurementSettings, declarations
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+DIFFUSE = ("measure", "diffuse", "--theta-i", "45")
+QUICK = (*DIFFUSE, "--rays", "1e4")
+
+SCENE = """<scene version="3.0.0">
+    <default name="alpha" value="0.3"/>
+    <shape type="rectangle">
+        <bsdf type="roughconductor"><float name="alpha" value="$alpha"/></bsdf>
+    </shape>
+</scene>"""
+
+# Lambertian BSDFs: with a quarter of the weights invalid; one that raises; and one that
+# is interrupted, or waits to be, in its `at`-th sample().
+PLUGINS = """
+import signal, time
+from types import SimpleNamespace
+import drjit as dr
+import mitsuba as mi
+
+class Diffuse(mi.BSDF):
+    def __init__(self, props):
+        super().__init__(props)
+        self.m_components = [mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide]
+        self.m_flags = self.m_components[0]
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        bs = mi.BSDFSample3f()
+        bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+        bs.pdf = mi.warp.square_to_cosine_hemisphere_pdf(bs.wo)
+        bs.eta = 1.0
+        bs.sampled_type = +mi.BSDFFlags.DiffuseReflection
+        bs.sampled_component = 0
+        return bs, mi.Spectrum(self.weight(sample1)) & active
+
+    def weight(self, sample1):
+        return 0.5
+
+    def eval(self, ctx, si, wo, active=True):
+        above = (si.wi.z > 0) & (wo.z > 0)
+        return mi.Spectrum(self.weight(0.5) * wo.z * dr.inv_pi) & above & active
+
+    def to_string(self):
+        return type(self).__name__
+
+class Invalid(Diffuse):
+    WEIGHTS = {"not_a_number": dr.nan, "endless": dr.inf, "negative": -1.0}
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.invalid = self.WEIGHTS[props["weight"]]
+
+    def weight(self, sample1):
+        return dr.select(sample1 < 0.25, self.invalid, 0.5)
+
+class Raising(Diffuse):
+    def weight(self, sample1):
+        raise ZeroDivisionError("no weight")
+
+class Interrupted(Diffuse):
+    def __init__(self, props):
+        super().__init__(props)
+        # no part of the specimen
+        self.control = SimpleNamespace(at=props.get("at", 0), calls=0)
+        self.control.wait = props.get("wait", False)
+
+    def weight(self, sample1):
+        self.control.calls += 1
+        if self.control.calls == self.control.at:
+            if self.control.wait:
+                print("waiting", flush=True)
+                time.sleep(600)
+            signal.raise_signal(signal.SIGINT)
+        return 0.5
+
+class Nameless(mi.BSDF):
+    def __init__(self, props):
+        super().__init__(props)
+        self.m_components = [mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide]
+        self.m_flags = self.m_components[0]
+
+    sample, weight = Diffuse.sample, Diffuse.weight
+
+for plugin in (Diffuse, Invalid, Raising, Interrupted, Nameless):
+    mi.register_bsdf("test_" + plugin.__name__.lower(), plugin)
+"""
+
+
+@pytest.fixture
+def run(capsys):
+    """Function that runs the command line: exit code, standard output and error."""
+
+    def run(*arguments):
+        code = cli.main([str(argument) for argument in arguments])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def refuse(run):
+    """Function that returns the one sentence by which bad input is refused."""
+
+    def refuse(*arguments):
+        code, out, err = run(*arguments)
+        assert code == 1
+        assert out == ""
+        assert err.startswith("gonio-mi: ")
+        assert err.count("\n") == 1
+        return err
+
+    return refuse
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Function that writes a file and returns its path."""
+
+    def write(name, content):
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write
+
+
+@pytest.fixture
+def plugins(write):
+    """Arguments that load `PLUGINS`."""
+    return ("--plugin", write("my_bsdfs.py", PLUGINS))
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """Paths of one record as NPZ and as EXR; two directions, both hemispheres."""
+    folder = tmp_path_factory.mktemp("saved")
+    paths = folder / "run.npz", folder / "run.exr"
+    arguments = ["measure", "roughdielectric:alpha=0.2", "--theta-i", "0", "60"]
+    arguments += ["--rays", "1e4", "--collector", "solid:6x8", "-q"]
+    assert cli.main([*arguments, "-o", *map(str, paths)]) == 0
+    return paths
+
+
+@pytest.fixture
+def sigint():
+    """React to Ctrl-C as Python does, even if a shell in the background ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+# ------------------------------------------------------------------------- measuring
+
+
+def test_measure_equals_the_python_call(run, tmp_path):
+    path = tmp_path / "run.npz"
+    arguments = ["--theta-i", "45", "--phi-i", "-30", "--rays", "1e4", "--seed", "3"]
+    arguments += ["--estimator", "analog", "--collector", "angle:4x6", "--batches", "5"]
+    code, out, err = run(
+        "measure", "roughconductor:alpha=0.3", *arguments, "-q", "-o", path
+    )
+    assert (code, out, err) == (0, "", "")
+    expected = gonio.measure(
+        {"type": "roughconductor", "alpha": 0.3},
+        theta_i=45,
+        phi_i=-30,
+        rays=10**4,
+        seed=3,
+        estimator="analog",
+        collector="angle:4x6",
+        batches=5,
+    )
+    record = gonio.load(path)
+    assert record.tallies == expected.tallies
+    assert record.brdf.shape == (4, 6, 1)
+    own = {"created"}
+    assert {k: v for k, v in record.settings.items() if k not in own} == {
+        k: v for k, v in expected.settings.items() if k not in own
+    }
+
+
+def test_several_angles_are_a_stack(saved):
+    record = gonio.load(saved[0])
+    assert record.brdf.shape == (2, 6, 8, 1)
+    np.testing.assert_array_equal(np.round(record.theta_i, 3), [0, 60])
+
+
+def test_all_outputs_hold_the_same_record(saved):
+    npz, exr = saved
+    assert gonio.load(npz) == gonio.load(exr)
+
+
+def test_without_output_the_numbers_are_shown_and_nothing_is_written(
+    run, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(*QUICK)
+    assert (code, err) == (0, "")
+    assert "dhr" in out
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_scene_parameters(run, write, tmp_path):
+    scene = write("scene.xml", SCENE)
+    path = tmp_path / "run.npz"
+    arguments = ("measure", scene, "--theta-i", "60", "--rays", "1e3", "-q", "-o", path)
+    assert run(*arguments, "-D", "alpha=0.1")[0] == 0
+    assert (
+        "alpha_u = UniformSpectrum[value=[0.1]]" in gonio.load(path).settings["surface"]
+    )
+
+
+def test_spectral_channels(run, tmp_path):
+    path = tmp_path / "run.npz"
+    spectral = ("--variant", "llvm_ad_spectral", "--wavelengths", "450", "550.5")
+    assert run(*QUICK, *spectral, "-q", "-o", path)[0] == 0
+    assert gonio.load(path).channels == ("450nm", "550.5nm")
+
+
+@pytest.mark.parametrize("weight", ["not_a_number", "endless", "negative"])
+@pytest.mark.parametrize("estimator", ["weighted", "analog"])
+def test_invalid_weights_are_measured_around(run, plugins, tmp_path, weight, estimator):
+    path = tmp_path / "run.npz"
+    code, out, err = run(
+        "measure",
+        f"test_invalid:weight={weight}",
+        *(*QUICK[2:], *plugins, "--estimator", estimator, "-o", path),
+    )
+    ledger = gonio.load(path).ledger
+    assert code == 0
+    assert err.startswith("gonio-mi: warning: the BSDF's sample() returned")
+    assert err.count("\n") == 1
+    assert 0 < ledger.invalid < ledger.emitted == 10**4
+    assert ledger.invalid + ledger.reflected + ledger.absorbed == ledger.emitted
+    assert np.isfinite(gonio.load(path).brdf).all()
+    assert "warning" in out
+    assert "invalid" in out
+
+
+def test_precision_that_is_not_reached_exits_with_2(run, tmp_path):
+    path = tmp_path / "run.npz"
+    code, _, err = run(
+        *DIFFUSE, "--rel-err", "1e-6", "--max-rays", 2**18, "-q", "-o", path
+    )
+    assert code == 2
+    assert err.startswith("gonio-mi: warning: rel_err of 1e-06 was not reached")
+    assert gonio.load(path).ledger.emitted == 2**18
+
+
+def test_precision_that_is_reached_exits_with_0(run):
+    assert run(*DIFFUSE, "--rel-err", "0.5", "-q") == (0, "", "")
+
+
+# ------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "COMMAND"),
+        (("fly",), "'fly'"),
+        (("measure",), "SPECIMEN"),
+        ((*QUICK, "--spp", "3"), "--spp"),
+        ((*DIFFUSE, "--rays"), "--rays"),
+        ((*DIFFUSE, "--rays", "many"), "--rays must be a number such as 45 or 1e7"),
+        (("measure", "diffuse", "--theta-i", "abc"), "--theta-i must be a number"),
+        (("measure", "diffuse", "--theta-i", "90"), "[0, 90), got 90"),
+        (("measure", "diffuse", "--theta-i", "-1"), "[0, 90), got -1"),
+        (("measure", "diffuse", "--theta-i", "-1e-3"), "[0, 90), got -0.001"),
+        (("measure", "diffuse", "--theta-i", "nan"), "[0, 90), got nan"),
+        (("measure", "diffuse"), "--theta-i 45"),
+        ((*DIFFUSE, "--phi-i", "inf"), "phi_i must be a finite angle"),
+        ((*DIFFUSE, "--rays", "0"), "rays must be at least 1, got 0"),
+        ((*DIFFUSE, "--rays", "-5"), "rays must be at least 1, got -5"),
+        ((*DIFFUSE, "--rays", "1.5"), "rays must be a whole number, got 1.5"),
+        ((*DIFFUSE, "--rays", "1e30"), "rays must be at most 1e+15, got 1e+30"),
+        ((*DIFFUSE, "--rays", "nan"), "rays must be a whole number, got nan"),
+        ((*DIFFUSE, "--rays", "5", "--rel-err", "0.1"), "exclude each other"),
+        ((*DIFFUSE, "--rel-err", "2"), "rel_err must be a number in (0, 1)"),
+        ((*QUICK, "--max-rays", "1e6"), "max_rays goes with rel_err"),
+        ((*QUICK, "--collector", "projected:0x30"), "at least 1, got 0"),
+        ((*QUICK, "--collector", "foo:1x1"), "must look like projected:30x30"),
+        ((*QUICK, "--collector-radius", "-1"), "radius must be"),
+        ((*QUICK, "--hemispheres", "left"), "got 'left'"),
+        ((*QUICK, "--estimator", "guess"), "estimator must be one of"),
+        (
+            (*QUICK, "--sampler", "guess"),
+            'the sampler cannot be loaded: Plugin "guess"',
+        ),
+        ((*QUICK, "--seed", "-1"), "seed must be at least 0, got -1"),
+        ((*QUICK, "--side", "left"), "side must be one of front, back, got 'left'"),
+        ((*QUICK, "--footprint", "-1"), "'full' or a positive radius, got -1"),
+        ((*QUICK, "--footprint", "wide"), "'full' or a positive radius, got 'wide'"),
+        ((*QUICK, "--emission", "x"), "emission must be one of"),
+        ((*QUICK, "--max-depth", "0"), "max_depth must be at least 1, got 0"),
+        ((*QUICK, "--rr-depth", "-2"), "rr_depth must be at least -1, got -2"),
+        ((*QUICK, "--batches", "0"), "batches must be at least 1, got 0"),
+        ((*QUICK, "--variant", "scalar_rgb"), "got 'scalar_rgb'"),
+        ((*QUICK, "--variant", "llvm_ad_mono_polarized"), "--variant must be one of"),
+        ((*QUICK, "--variant", "foo"), "--variant must be one of"),
+        ((*QUICK, "--wavelengths", "500"), "wavelengths need a spectral variant"),
+        ((*QUICK, "-D", "alpha"), "-D must look like key=value, got 'alpha'"),
+        ((*QUICK, "-D", "alpha=1"), "-D goes with a scene file, got 'diffuse'"),
+        (("measure", "difuse", *QUICK[2:]), "not found; did you mean diffuse?\n"),
+        (("mesure", *QUICK[1:]), "'doctor'); did you mean measure?\n"),
+        ((*QUICK, "--tolerence", "1"), ": --tolerence; did you mean --tolerance?\n"),
+        (("measure", "--phi_i=5", *QUICK[2:]), "--phi_i; did you mean --phi-i?\n"),
+        ((*QUICK, "--ior", "1"), "unrecognized arguments: --ior 1\n"),
+        (
+            ("measure", "nothing", *QUICK[2:]),
+            '"nothing" not found; one of your own is imported before, or',
+        ),
+        (
+            ("measure", "diffuse:rho=1", *QUICK[2:]),
+            "diffuse has no use for rho; it takes reflectance\n",
+        ),
+        (
+            ("measure", "roughdielectric:foo=1", *QUICK[2:]),
+            "no use for foo; it takes alpha, alpha_u, alpha_v, distribution, ext_ior, "
+            "int_ior, sample_visible, specular_reflectance, specular_transmittance\n",
+        ),
+        (
+            ("measure", "goniometric:filename=none.npz,foo=1", *QUICK[2:]),
+            "there is no file none.npz\n",
+        ),
+        (
+            ("measure", "diffuse:rho=1,reflectence=0.3", *QUICK[2:]),
+            "no use for rho, reflectence; it takes reflectance; did you mean reflect",
+        ),
+        (
+            ("measure", "cosinelobe:expnent=3", *QUICK[2:]),
+            "cosinelobe has no use for expnent; it takes exponent, normalisation, "
+            "reflectance; did you mean exponent?\n",
+        ),
+        (("measure", "diffuse", "--angle", "3"), ": --angle; did you mean --theta-i?"),
+        (("measure", "diffuse", "--theta=3"), ": --theta; did you mean --theta-i?"),
+        ((*DIFFUSE, "--samples", "30"), ": --samples; did you mean --rays?\n"),
+        ((*DIFFUSE, "--spp", "30"), ": --spp; did you mean --rays?\n"),
+        ((*DIFFUSE, "--n_rays=3"), ": --n_rays; did you mean --rays?\n"),
+        (("plan", "--spp=30"), "unrecognized arguments: --spp=30\n"),
+        (
+            ("measure", "roughplastic,alpha=0.2", *QUICK[2:]),
+            "must have a colon before its parameters, as in roughplastic:alpha=0.2",
+        ),
+        (
+            ("measure", "principled:base_color=0.5,0.5,0.5", *QUICK[2:]),
+            "base_color must be a colour with slashes, such as 0.5/0.5/0.5, got 0.5,0.",
+        ),
+        (
+            ("measure", "roughplastic:alpha=0,2,nonlinear=true", *QUICK[2:]),
+            "alpha must be a number with a point, such as 0.2, got 0,2\n",
+        ),
+        (
+            ("measure", "roughplastic:alpha=a,b", *QUICK[2:]),
+            "alpha must be a value without commas, got a,b\n",
+        ),
+        (
+            ("measure", "roughconductor:material=gold", *QUICK[2:]),
+            "got 'gold'; gold is Au\n",
+        ),
+        (("measure", "conductor:material=Agg", *QUICK[2:]), "; did you mean Ag?\n"),
+        *(
+            ((*words, "--json", "a.json"), "--json takes no file, for it prints")
+            for words in (("validate", "diffuse"), ("validate",), ("plan",), ("show",))
+        ),
+        (("measure", "diffuse:rho", *QUICK[2:]), "got 'diffuse:rho'"),
+        (("measure", "point", *QUICK[2:]), "specimen must be a BSDF"),
+        (("measure", "missing.xml", *QUICK[2:]), "there is no file missing.xml"),
+        ((*QUICK, "--plugin", "missing.py"), "there is no file missing.py"),
+        ((*QUICK, "--resume", "missing.npz"), "missing.npz"),
+        (("measure", "none.png", *QUICK[2:]), "there is no file none.png\n"),
+        (("measure", "no word", *QUICK[2:]), "no file no word; a BSDF in one word is"),
+        (
+            ("measure", "goniometric:filename=none.npz", *QUICK[2:]),
+            "goniometric.filename: there is no file none.npz\n",
+        ),
+        (("compare", "diffuse", "none.csv"), ": there is no file none.csv\n"),
+        (("fit", "none.csv", "diffuse"), ": there is no file none.csv\n"),
+        (("show", "missing.npz"), "missing.npz"),
+        (("show", "run.txt"), "there is no file run.txt"),
+        (("plot", "missing.npz", "-o", "a.png"), "missing.npz"),
+    ],
+)
+def test_bad_arguments(refuse, arguments, words):
+    assert words in refuse(*arguments)
+
+
+def test_a_json_file_that_exists_is_an_argument(refuse, tmp_path):
+    """A table of OpenMATERIAL may stand before ``--json``; a file to write may not."""
+    table = tmp_path / "panel.json"
+    words = ("show", str(table), "--json")
+    assert "--json takes no file" in refuse(*words)
+    table.write_text("{}")
+    assert "--json takes no file" not in refuse(*words)
+
+
+def test_spaces_around_parameters_are_none(run):
+    """A name with a space in it is shown as such, where a dictionary has it."""
+    words = ("--theta-i", "45", "--rays", "1e3")
+    for specimen in ("diffuse: reflectance = 0.5", "diffuse:reflectance=0.5,"):
+        code, out, _ = run("measure", specimen, *words)
+        assert (code, "diffuse:reflectance=0.5" in out) == (0, True)
+    with pytest.raises(gonio.SpecimenError, match="no use for ' reflectance'; it take"):
+        gonio.measure({"type": "diffuse", " reflectance": 0.5}, 45)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "No document element"),
+        ("<scene version='3.0.0'><shape type='rectangle'></scene>", "mismatch"),
+        ("<scene version='3.0.0'><bsdf type='diffuse'/></scene>", "shape to measure"),
+        ("<scene version='3.0.0'><shape type='rectangel'/></scene>", "rectangel"),
+        (
+            "<scene version='3.0.0'><shape type='cube'>"
+            "<medium type='homogeneous' name='interior'/></shape></scene>",
+            "must be behind a BSDF that transmits",
+        ),
+        (SCENE.replace("$alpha", "$beta"), "$beta"),
+    ],
+)
+def test_bad_scene_files(refuse, write, content, words):
+    path = write("scene.xml", content)
+    assert words in refuse("measure", path, *QUICK[2:])
+
+
+def test_bad_scene_parameters(refuse, write):
+    path = write("scene.xml", SCENE)
+    assert "$beta=1" in refuse("measure", path, *QUICK[2:], "-D", "beta=1")
+    assert '"x"' in refuse("measure", path, *QUICK[2:], "-D", "alpha=x")
+    assert "--theta-i 45" in refuse("measure", path)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("raise RuntimeError('first\\nsecond')", "raised RuntimeError: first second"),
+        ("raise SystemExit(3)", "raised SystemExit: 3"),
+        ("def (", "raised SyntaxError: invalid syntax"),
+        ("import nowhere_to_be_found", "raised ModuleNotFoundError"),
+        (b"\xff\x00", "raised SyntaxError"),
+    ],
+)
+def test_bad_plugin_files(refuse, write, content, words):
+    assert words in refuse(*QUICK, "--plugin", write("mine.py", content))
+
+
+def test_what_mitsuba_refuses_while_measuring_is_a_sentence(refuse):
+    said = refuse("measure", "hair", "--theta-i", "45")
+    assert "non-spectral color type" in said
+    assert "another variant may do (llvm_ad_rgb, llvm_ad_spectral)" in said
+
+
+def test_workers_are_called_so(refuse):
+    arguments = ("measure", "diffuse", "--theta-i", "0", "--workers", "0")
+    assert "workers must be at least 1, got 0" in refuse(*arguments)
+
+
+def test_a_folder_says_only_which_settings_differ(run, refuse, tmp_path):
+    arguments = ("measure", "diffuse", "--theta-i", "0", "-q", "--folder", tmp_path)
+    assert run(*arguments, "--rays", "5000")[0] == 0
+    err = refuse(*arguments, "--rays", "6000")
+    assert "with rays 5000, not 6000: take another folder" in err
+
+
+def test_an_aperture_goes_with_what_is_measured(run, refuse, write, tmp_path):
+    record = tmp_path / "run.npz"
+    assert run(*QUICK, "-q", "-o", record)[0] == 0
+    table = write("table.csv", "theta_i,phi_i,theta_o,phi_o,value\n45,0,30,180,0.3\n")
+    arguments = ("compare", record, table, "--aperture-half-angle", "2")
+    assert "--aperture-half-angle goes with a specimen" in refuse(*arguments)
+
+
+def test_a_plugin_without_to_string(run, plugins):
+    code, out, _ = run("measure", "test_nameless", *QUICK[2:], *plugins)
+    assert code == 0
+    assert "Nameless" in out
+
+
+def test_errors_in_plugins_name_the_line(refuse, plugins):
+    line = 1 + PLUGINS.splitlines().index(
+        '        raise ZeroDivisionError("no weight")'
+    )
+    message = refuse("measure", "test_raising", *QUICK[2:], *plugins)
+    place = f"{plugins[1]}, line {line}, in weight: ZeroDivisionError: no weight\n"
+    assert message == f"gonio-mi: {place}"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("none/run.npz", "there is no folder"),
+        ("file/run.npz", "there is no folder"),
+        ("folder.npz", "is a folder"),
+        ("run.txt", "must end in .exr or .npz"),
+        ("map.png", "save one, and gonio-mi plot makes"),
+        ("map.gif", "save one, and gonio-mi plot makes"),
+        ("map.HTML", "save one, and gonio-mi report makes"),
+        ("map.csv", "save one, and gonio-mi export makes"),
+        ("run", "must end in .exr or .npz"),
+    ],
+)
+def test_bad_outputs_are_refused_before_measuring(
+    refuse, write, tmp_path, monkeypatch, name, words
+):
+    write("file", "")
+    (tmp_path / "folder.npz").mkdir()
+    before = sorted(tmp_path.iterdir())
+
+    def measure(*_, **__):
+        raise AssertionError("it has measured")
+
+    monkeypatch.setattr("gonio_mi.commands.measure.measure", measure)
+    good = tmp_path / "good.npz"
+    assert words in refuse(*QUICK, "-o", good, tmp_path / name)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_failure_leaves_the_older_file(refuse, saved):
+    before = saved[0].read_bytes()
+    refuse("measure", "difuse", *QUICK[2:], "-o", saved[0])
+    assert saved[0].read_bytes() == before
+
+
+def test_a_file_that_cannot_be_saved_costs_no_other(run, tmp_path, monkeypatch):
+    paths = tmp_path / "a.npz", tmp_path / "b.npz"
+    save = files.save
+
+    def save_all_but_one(record, path):
+        if path == str(paths[0]):
+            raise OSError(28, "No space left on device", path)
+        save(record, path)
+
+    monkeypatch.setattr(gonio.Record, "writer", save_all_but_one)
+    code, out, err = run(*QUICK, "-o", *paths)
+    assert (code, err) == (1, f"gonio-mi: {paths[0]}: No space left on device\n")
+    assert "dhr" in out
+    assert gonio.load(paths[1]).ledger.emitted == 10**4
+
+
+@pytest.mark.parametrize("ending", ["npz", "exr"])
+@pytest.mark.parametrize("command", [("show",), ("plot", "-o", "never.png")])
+def test_truncated_records(refuse, write, saved, ending, command):
+    content = next(path for path in saved if path.suffix == f".{ending}").read_bytes()
+    path = write(f"cut.{ending}", content[: len(content) // 2])
+    assert f"cannot load {path}" in refuse(*command, path)
+
+
+# ---------------------------------------------------------------------------- Ctrl-C
+
+
+def interruptible(plugins, *settings):
+    """Arguments of a measurement in eight batches with the BSDF `test_interrupted`.
+
+    With independent rays, whose small batches share no launch.
+    """
+    specimen = ":".join(["test_interrupted", ",".join(settings)])
+    batches = ("--batches", "8", "--sampler", "independent")
+    return ("measure", specimen, *QUICK[2:], *batches, *plugins)
+
+
+@pytest.mark.usefixtures("sigint")
+def test_ctrl_c_keeps_what_was_measured(run, plugins, tmp_path):
+    part, rest, whole = (tmp_path / f"{name}.npz" for name in ("part", "rest", "whole"))
+    code, out, err = run(*interruptible(plugins, "at=4"), "-o", part)
+    kept = gonio.load(part)
+    rays = kept.ledger.emitted
+    assert code == 2
+    assert 0 < kept.n_batches < 8
+    assert f"{rays // 1000} {rays % 1000:03} of 10 000 asked for" in out
+    assert err == (
+        f"gonio-mi: interrupted: {part} holds {rays // 1000} {rays % 1000:03} rays; "
+        f"--resume {part} carries it on\n"
+    )
+    assert run(*interruptible(plugins), "-q", "--resume", part, "-o", rest)[0] == 0
+    assert run(*interruptible(plugins), "-q", "-o", whole)[0] == 0
+    assert gonio.load(rest).tallies == gonio.load(whole).tallies
+
+
+@pytest.mark.usefixtures("sigint")
+def test_ctrl_c_in_a_stack(run, plugins, tmp_path):
+    part, rest, whole = (tmp_path / f"{name}.npz" for name in ("part", "rest", "whole"))
+    angles = ("--theta-i", "0", "30", "60", "-q")
+    assert run(*interruptible(plugins, "at=20"), *angles, "-o", part)[0] == 2
+    assert 1 < len(gonio.load(part)) < 3
+    resume = ("--resume", part, "-o", rest)
+    assert run(*interruptible(plugins), *angles, *resume)[0] == 0
+    assert run(*interruptible(plugins), *angles, "-o", whole)[0] == 0
+    assert gonio.load(rest).tallies == gonio.load(whole).tallies
+
+
+@pytest.mark.usefixtures("sigint")
+def test_ctrl_c_keeps_whole_integrals(run, plugins, tmp_path, monkeypatch):
+    """Of those that share kernels all or none: here each has its own."""
+    monkeypatch.setattr("gonio_mi.instrument.measurement.TOGETHER", 1)
+    part = tmp_path / "part.npz"
+    angles = ("--theta-i", "0", "30", "60", "--estimator", "quadrature", "-q")
+    plate = ("measure", "test_interrupted:at=24", *plugins, *angles)
+    code, _, err = run(*plate, "-o", part)
+    n = len(gonio.load(part))
+    assert code == 2
+    assert 0 < n < 3
+    assert err == (
+        f"gonio-mi: interrupted: {part} holds {n} of 3 incident directions\n"
+    )
+
+
+@pytest.mark.usefixtures("sigint")
+def test_ctrl_c_while_saving_does_not_lose_the_file(
+    run, tmp_path, plugins, monkeypatch
+):
+    path = tmp_path / "run.npz"
+    write = files.FORMATS[".npz"].write
+
+    def write_interrupted(record, stream):
+        signal.raise_signal(signal.SIGINT)
+        write(record, stream)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(files.FORMATS[".npz"], "write", write_interrupted)
+    assert run(*QUICK, "-q", "-o", path)[0] == 0
+    assert gonio.load(path).n_batches == 16
+    # the second one, and the third
+    assert run(*interruptible(plugins, "at=4"), "-q", "-o", path)[0] == 2
+    assert 0 < gonio.load(path).n_batches < 8
+
+
+@pytest.mark.usefixtures("sigint")
+def test_ctrl_c_gives_no_verdict(run, plugins, write):
+    """Neither of a part of what is compared, nor of a chart with time to spare."""
+    table = "theta_i,phi_i,theta_o,phi_o,value\n45,0,30,180,0.9\n"
+    compared = ("compare", "test_interrupted:at=4", write("table.csv", table))
+    compared += ("--aperture-half-angle", "5", "--rays", "2e7", *plugins)
+    drawn = ("chart", "test_interrupted:at=40", "--theta-i", "45", *plugins)
+    drawn += ("--estimator", "analog", "--sampler", "independent", "--seconds", "600")
+    for arguments in (compared, drawn):
+        code, out, err = run(*arguments)
+        assert (code, out) == (2, ""), err
+        assert err == "gonio-mi: interrupted: there is nothing to keep\n"
+
+
+@pytest.mark.usefixtures("sigint")
+def test_ctrl_c_before_the_first_batch(run, plugins, tmp_path):
+    path = tmp_path / "run.npz"
+    code, out, err = run(*interruptible(plugins, "at=1"), "-o", path)
+    assert (code, out) == (2, "")
+    assert err == "gonio-mi: interrupted: there is nothing to keep\n"
+    assert not path.exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to others")
+def test_ctrl_c_from_outside(run, plugins, tmp_path):
+    part, rest, whole = (tmp_path / f"{name}.npz" for name in ("part", "rest", "whole"))
+    with start(
+        *interruptible(plugins, "at=4", "wait=true"), "-q", "-o", part
+    ) as process:
+        assert process.stdout.readline() == "waiting\n"
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate()
+    assert (process.returncode, out) == (2, "")
+    assert err.startswith(f"gonio-mi: interrupted: {part} holds ")
+    assert 0 < gonio.load(part).n_batches < 8
+    for arguments in (("--resume", part, "-o", rest), ("-o", whole)):
+        assert run(*interruptible(plugins), "-q", *arguments) == (0, "", "")
+    assert gonio.load(rest).tallies == gonio.load(whole).tallies
+
+
+STARTING = """
+import signal, sys
+from importlib.abc import MetaPathFinder
+signal.signal(signal.SIGINT, signal.default_int_handler)
+class Pressed(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r}:
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Pressed())
+sys.argv = [{program!r}, "--version"]
+from gonio_mi.cli import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such exit codes")
+@pytest.mark.parametrize("module", ["drjit", "mitsuba", "scipy", "gonio_mi.charts"])
+def test_ctrl_c_while_starting_is_a_line(module):
+    program = STARTING.format(module=module, program="/usr/bin/gonio-mi")
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True)
+    said = (done.returncode, done.stdout, done.stderr)
+    assert said == (130, b"", b"gonio-mi: interrupted\n")
+
+
+def test_twin_another_program_that_imports_this_answers_ctrl_c_itself():
+    program = STARTING.format(module="gonio_mi.charts", program="/usr/bin/other")
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True)
+    assert b"KeyboardInterrupt" in done.stderr
+    assert done.returncode != 130
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp437"])
+def test_output_that_is_not_utf_8_loses_no_numbers(encoding, write):
+    """What cannot be encoded is escaped: help, and the numbers of a measurement."""
+    scene = write("sc\u00e8ne \u0451.xml", SCENE)
+    program = "import sys; from gonio_mi.cli import main; sys.exit(main())"
+    for words in (["measure", "--help"], ["measure", str(scene), *QUICK[2:]]):
+        done = subprocess.run(
+            [sys.executable, "-c", program, *words],
+            capture_output=True,
+            env=os.environ | {"PYTHONIOENCODING": encoding},
+        )
+        assert (done.returncode, done.stderr) == (0, b"")
+        said = done.stdout.decode(encoding)
+        assert ("dhr" in said) == (words[1] != "--help")
+        assert "\\u0451" in said or words[1] == "--help"
+
+
+def start(*arguments, before="pass"):
+    """Start the command line in a process of its own, after a line of Python."""
+    program = f"import sys; {before}; from gonio_mi.cli import main; sys.exit(main())"
+    return subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_other_settings_cannot_be_resumed(refuse, saved, tmp_path):
+    path = tmp_path / "run.npz"
+    assert cli.main([*QUICK, "-q", "-o", str(path)]) == 0
+    said = refuse(*DIFFUSE, "--rays", "2e4", "--resume", path)
+    assert "but it was made with rays=10000 instead of 20000" in said
+    assert "16 batches" in refuse(*QUICK, "--batches", "64", "--resume", path)
+    assert "16 batches" in refuse(*QUICK, "--batches", "8", "--resume", path)
+    assert "resume must" in refuse(*QUICK, "--resume", saved[0])
+
+
+# ------------------------------------------------------------------------ the numbers
+
+
+def test_show_is_what_measure_shows(run, tmp_path):
+    path = tmp_path / "run.npz"
+    code, shown, _ = run(*QUICK, "-o", path)
+    assert code == 0
+    assert run("show", path) == (0, shown, "")
+
+
+def test_show_json_holds_the_records_numbers(run, saved):
+    code, out, err = run("show", saved[1], "--json")
+    assert (code, err) == (0, "")
+    numbers = json.loads(out)
+    record = gonio.load(saved[1])
+    for i, direction in enumerate(numbers["directions"]):
+        assert direction["theta_i"] == record.theta_i[i]
+        for of in ("dhr", "dht"):
+            low, high = record.interval(0.95, of=of)
+            (total,) = direction[of]
+            assert total["value"] == getattr(record, of)[i, 0]
+            assert total["std_err"] == getattr(record, f"{of}_std_err")[i, 0]
+            assert (total["low"], total["high"]) == (low[i, 0], high[i, 0])
+        assert direction["n_without_hit"] == np.sum(record.counts[i] == 0)
+    ledger = numbers["ledger"]
+    assert ledger.pop("emitted") == sum(ledger.values()) == 2 * 10**4
+    assert numbers["settings"]["collector"] == "solid:6x8"
+
+
+def test_worst_patches_have_the_largest_relative_error(saved):
+    record = gonio.load(saved[0])
+    patches = summarize(record)["worst_patches"]
+    value = np.stack([record.brdf, record.btdf], axis=1)
+    std_err = np.stack([record.brdf_std_err, record.btdf_std_err], axis=1)
+    # of those that reach a tenth of the mean over both hemispheres, direction by
+    # direction
+    weights = np.broadcast_to(
+        record.subdivision.projected_solid_angles[..., None], value.shape[1:]
+    )
+    mean = [np.average(one, weights=weights) for one in value]
+    inside = value >= 0.1 * np.reshape(mean, (-1, 1, 1, 1, 1))
+    relative = std_err[inside] / value[inside]
+    worst = np.sort(relative)[::-1][: len(patches)]
+    np.testing.assert_array_equal([patch["rel_err"] for patch in patches], worst)
+    for patch in patches:
+        theta_o, phi_o = np.radians([patch["theta_o"], patch["phi_o"]])
+        wo = [np.sin(theta_o) * f(phi_o) for f in (np.cos, np.sin)] + [np.cos(theta_o)]
+        i, j = np.unravel_index(record.subdivision.patch(wo), record.subdivision.shape)
+        look = record[int(np.argmin(np.abs(record.theta_i - patch["theta_i"])))]
+        assert (theta_o > np.pi / 2) == (patch["of"] == "btdf")
+        assert patch["value"] == getattr(look, patch["of"])[i, j, 0]
+        assert patch["std_err"] == getattr(look, f"{patch['of']}_std_err")[i, j, 0]
+
+
+def synthetic(hits_per_batch=100, batches=4, **fates):
+    """Record of counted rays: equal patches, equal batches, and `fates` per batch."""
+    grid = subdivision("projected:2x3")
+    counts = np.zeros((batches, len(Fate)), np.uint64)
+    counts[:, Fate.REFLECTED] = hits_per_batch * grid.n_patches
+    for name, n in fates.items():
+        counts[:, Fate[name.upper()]] = n
+    tally = Tally(
+        hits=np.full((1, *grid.shape), hits_per_batch * batches, np.uint64),
+        sums=np.full((batches, 1, *grid.shape, 1), hits_per_batch, np.uint64),
+        incident=counts.sum(axis=1, keepdims=True) - counts[:, [Fate.MISSED]],
+        fates=counts,
+        scale=1,
+    )
+    settings = {"sampler": "independent", "specimen": "synthetic", "batches": batches}
+    return Record(
+        grid,
+        np.array([45.0]),
+        np.array([0.0]),
+        ("Y",),
+        (tally,),
+        provenance=Provenance(**settings),
+    )
+
+
+@pytest.mark.parametrize(
+    ("fates", "words"),
+    [
+        ({}, []),
+        ({"absorbed": 600, "rejected": 3}, []),
+        ({"invalid": 1}, ["are invalid"]),
+        ({"truncated": 1}, ["were truncated by max_depth"]),
+        ({"sideways": 600}, ["left sideways"]),
+        ({"missed": 600}, ["missed the specimen"]),
+        ({"invalid": 1, "sideways": 600}, ["are invalid", "left sideways"]),
+        ({"transmitted": 600}, ["leaked to the other side"]),
+    ],
+)
+def test_warnings(fates, words):
+    record = synthetic(**fates).with_settings(transmission="none")
+    sentences = summarize(record)["warnings"]
+    assert len(sentences) == len(words)
+    for sentence, word in zip(sentences, words):
+        assert word in sentence
+
+
+def test_declared_transmission_is_no_leak():
+    record = synthetic(transmitted=600).with_settings(transmission="declared")
+    assert summarize(record)["warnings"] == []
+
+
+def test_losses_within_the_statistical_error_are_no_warning():
+    # dhr of 480 / 960 is known to +- 0.03, and 4 of 960 rays are 0.004
+    record = synthetic(20, absorbed=119, sideways=1)
+    low, high = record.interval(0.95, of="dhr")
+    assert (high - low) / 2 > 4 / 960
+    assert summarize(record)["warnings"] == []
+
+
+def test_unknown_errors_are_null_and_dashes():
+    record = synthetic(batches=1)
+    numbers = summarize(record)
+    assert json.loads(json.dumps(numbers, allow_nan=False)) == numbers
+    assert numbers["directions"][0]["dhr"][0]["std_err"] is None
+    assert " -" in summary_text(numbers)
+
+
+def test_text_fits_and_holds_the_ledger():
+    text = summary_text(summarize(synthetic(absorbed=600, invalid=1)))
+    assert max(map(len, text.splitlines())) <= 88
+    words = [line.split() for line in text.splitlines()]
+    assert ["reflected", "2", "400", "49.9584"] in words
+    assert ["absorbed", "2", "400", "49.9584"] in words
+    assert ["invalid", "4", "0.0833"] in words
+    assert ["sum", "4", "804", "100.0000"] in words
+    assert not any(line[:1] == ["truncated"] for line in words)
+
+
+# --------------------------------------------------------------------- other commands
+
+
+def test_help_and_version(capsys):
+    for arguments in (["--help"], ["measure", "--help"], ["--version"]):
+        with pytest.raises(SystemExit) as caught:
+            cli.main(arguments)
+        assert caught.value.code == 0
+    assert capsys.readouterr().out.endswith("gonio-mi 0.1.0\n")
+
+
+def test_commands_are_quick_to_import():
+    slow = "{'matplotlib', 'scipy.stats', 'scipy.optimize'}"
+    code = f"import sys, gonio_mi.cli; print({slow} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("set()\n", "")
+
+
+def test_plot(run, saved, tmp_path):
+    pytest.importorskip("matplotlib")
+    path = tmp_path / "fig.png"
+    assert run("plot", saved[0], "-o", path, "--index", "1") == (0, "", "")
+    assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_plot_refuses_bad_arguments(refuse, saved, tmp_path):
+    pytest.importorskip("matplotlib")
+    assert "2" in refuse("plot", saved[0], "-o", tmp_path / "a.png", "--index", "2")
+    assert "no folder" in refuse("plot", saved[0], "-o", tmp_path / "none" / "a.png")
+    assert "must end in" in refuse("plot", saved[0], "-o", tmp_path / "a.xyz")
+
+
+def test_plot_without_matplotlib(saved, tmp_path):
+    with start(
+        *("plot", saved[0], "-o", tmp_path / "a.png"),
+        before="sys.modules['matplotlib'] = None",
+    ) as process:
+        out, err = process.communicate()
+    assert (process.returncode, out) == (1, "")
+    assert err.startswith("gonio-mi: ")
+    assert err.count("\n") == 1
+    assert "gonio-mi[plot]" in err
+
+
+def test_doctor(run):
+    code, out, _ = run("doctor")
+    assert code == 0
+    assert "able to measure" in out
+
+
+# Faults whose classes Python gives to a user's errors too.
+FAULTS = ["float('ours')", "len(1)", "np.zeros(2) + np.zeros(3)", "{}['rays']"]
+
+
+@pytest.fixture
+def report_of_bug(refuse, tmp_path, monkeypatch):
+    """Function that returns what a command keeps of a bug that it meets."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+    def report_of_bug(*arguments):
+        said = refuse(*arguments)
+        assert "this is a bug of gonio-mi and not an error of yours" in said
+        place = Path(re.search(r"with the file (\S+\.txt)", said)[1])
+        assert place.parent == tmp_path
+        return place.read_text()
+
+    return report_of_bug
+
+
+@pytest.fixture(params=FAULTS)
+def measure_with_bug(request, monkeypatch):
+    """A function of ours that has a bug, which is where `measure` was."""
+    scope = {"__name__": "gonio_mi.campaigns.measuring", "np": np}
+    exec(f"def measure(*_, **__):\n    return {request.param}", scope)
+    monkeypatch.setattr("gonio_mi.commands.measure.measure", scope["measure"])
+
+
+@pytest.mark.usefixtures("measure_with_bug")
+def test_bugs_of_ours_are_reported(report_of_bug):
+    report = report_of_bug(*QUICK, "-o", "my file.npz")
+    assert f"gonio-mi {metadata.version('gonio-mi')}, mitsuba " in report
+    assert "'my file.npz'" in report
+    assert "Traceback (most recent call last)" in report
+
+
+@pytest.mark.usefixtures("measure_with_bug")
+def test_bugs_are_shown_where_no_file_can_be(run, monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "absent"))
+    code, out, err = run(*QUICK)
+    assert (code, out) == (1, "")
+    assert "Traceback (most recent call last)" in err
+    assert "report it to its maintainers with what is above" in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("fault", [*FAULTS, "np.linalg.inv(np.zeros(2))"])
+def test_bugs_of_ours_in_plugins_are_reported(report_of_bug, monkeypatch, fault):
+    """Although only the text of an error survives the loading of a plugin."""
+    field = {"type": "heightfield", "resolution": 16}
+    gonio.measure(field, 0, rays=10)  # imports the plugin
+    plugin = sys.modules["gonio_mi.plugins.shapes.heightfield"]
+    code = f"def gaussian_heights(*_, **__):\n    return {fault}"
+    exec(compile(code, plugin.__file__, "exec"), scope := {"np": np})
+    monkeypatch.setattr(plugin, "gaussian_heights", scope["gaussian_heights"])
+    report = report_of_bug("measure", "heightfield:resolution=16", *QUICK[2:])
+    assert "in gaussian_heights" in report
+
+
+def test_bugs_of_users_plugins_are_theirs(refuse, write):
+    """Also where a library raises what they have caused."""
+    code = "import numpy as np\nimport mitsuba as mi\n"
+    code += "class Bad(mi.BSDF):\n"
+    code += "    def __init__(self, props):\n"
+    code += "        np.linalg.inv(np.zeros(2))\n"
+    code += "mi.register_bsdf('test_bad', Bad)\n"
+    plugin = write("bad.py", code)
+    message = refuse("measure", "test_bad", *QUICK[2:], "--plugin", plugin)
+    assert "this is a bug of" not in message
+    assert "LinAlgError" in message
+
+
+def test_scenes_that_are_no_text_are_the_users(refuse, write):
+    """Mitsuba reads them, and hands their words to our plugins."""
+    word = b'<integrator type="goniophotometer"><string name="estimator" value="\xef"/>'
+    scene = SCENE.encode().replace(b"<shape", word + b"</integrator><shape", 1)
+    message = refuse("measure", write("scene.xml", scene), *QUICK[2:])
+    assert "this is a bug of" not in message
+
+
+def test_debug_shows_where_errors_of_users_arose(run):
+    message = "gonio-mi: rays must be at least 1, got 0\n"
+    code, out, err = run(*DIFFUSE, "--rays", "0", "--debug")
+    assert (code, out) == (1, "")
+    assert err.startswith("Traceback (most recent call last)")
+    assert err.endswith(message)
+    assert run(*DIFFUSE, "--rays", "0") == (1, "", message)
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS)
+def test_every_command_has_help_for_a_terminal(command, capsys, monkeypatch):
+    """With `--debug`, no line beyond 80 columns, and one command a line."""
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        cli.main([command.__name__.rpartition(".")[2], "--help"])
+    said = capsys.readouterr().out
+    assert "--debug" in said
+    assert max(map(len, said.splitlines())) <= 80
+    examples = said.partition("\nexamples:\n")[2].partition("\n\n")[0]
+    for line in examples.splitlines():
+        assert "\\" not in line.removesuffix(" \\")
+        assert "   " not in line.strip()  # of a line break that was lost
+
+
+def test_short_help_of_measure_leads_to_all_of_it(capsys, monkeypatch):
+    """At 80 columns, 90 lines; the long one has every option and every sentence."""
+    monkeypatch.setenv("COLUMNS", "80")
+    said = {}
+    for option in ("--help", "--help-all", "-h"):
+        with pytest.raises(SystemExit) as caught:
+            cli.main(["measure", option])
+        assert caught.value.code == 0
+        said[option] = capsys.readouterr().out
+    assert said["--help"].count("\n") <= 90
+    assert said["--help"] == said["-h"]
+    assert "--help-all" in said["--help"]
+    assert "--rr-depth" not in said["--help"]
+    whole = " ".join(said["--help-all"].split())
+    for declared in declarations(MeasurementSettings).values():
+        if declared.group is not None:
+            assert declared.option in whole
+            plain = re.sub(r"[`*]", "", declared.sentence)
+            assert plain.replace("- ", "-") in whole.replace("- ", "-")
+
+
+def test_the_command_line_works_in_any_thread(tmp_path, capsys):
+    """Where signals cannot be answered; of a campaign too."""
+    folder = ("--folder", str(tmp_path), "-q")
+    with ThreadPoolExecutor(1) as thread:
+        for more in ((), folder):
+            assert thread.submit(cli.main, [*QUICK, *more]).result() == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("package", "first"),
+    [
+        ("scipy", "1.13"),
+        ("matplotlib", "3.8.4"),
+        ("xarray", "2024.6"),
+        ("numba", "0.60"),
+    ],
+)
+def test_lowest_versions_are_those_that_numpy_2_loads_with(package, first):
+    """Tried one by one, each beside NumPy 2.0.2: the one before fails on import."""
+    text = (Path(__file__).parents[2] / "pyproject.toml").read_text()
+    assert '"numpy>=2"' in text
+    assert set(re.findall(f'"{package}>=([^"]+)"', text)) == {first}
+
+
+def test_console_script_is_this_one():
+    text = (Path(__file__).parents[2] / "pyproject.toml").read_text()
+    assert 'gonio-mi = "gonio_mi.cli:main"' in text
+
+
+def test_plan_prints_the_papers_numbers(run):
+    code, out, err = run("plan", "--json")
+    assert (code, err) == (0, "")
+    plan = json.loads(out)
+    assert plan["chebyshev"] == 105_967
+    assert plan["paper"] == 900 * 105_967
+
+
+def test_plan_from_a_pilot(run, tmp_path):
+    path = tmp_path / "pilot.npz"
+    assert run(*QUICK, "-q", "-o", path)[0] == 0
+    code, out, _ = run("plan", path, "--rel-err", "0.1")
+    assert code == 0
+    assert "a pilot of" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--rel-err", "2"], "rel_err must be a number in (0, 1), got 2"),
+        (["--epsilon", "0"], "epsilon must be a number in (0, 1), got 0"),
+        (["--delta", "abc"], "--delta must be a number such as 45 or 1e7, got 'abc'"),
+        (["--collector", "projected:0x3"], "n_theta must be at least 1, got 0"),
+        (["nowhere.npz"], "there is no file nowhere.npz"),
+    ],
+)
+def test_plan_bad_input(run, arguments, message):
+    code, out, err = run("plan", *arguments)
+    assert (code, out, err) == (1, "", f"gonio-mi: {message}\n")
+
+
+@pytest.mark.parametrize("option", [("--side", "back"), ("--phi-i", "90")])
+def test_what_the_scenes_emitter_decides_is_refused(run, option):
+    scene = Path(__file__).parents[2] / "scenes" / "lambertian.xml"
+    code, _, err = run("measure", scene, *option)
+    assert code == 1
+    name = option[0].removeprefix("--").replace("-", "_")
+    assert err.startswith(f"gonio-mi: {name} goes with theta_i: ")

@@ -1,0 +1,54 @@
+"""The handbook is built without a warning, and its reference leaves nothing out."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import gonio_mi as gonio
+from gonio_mi.cli import COMMANDS
+
+ROOT = Path(__file__).parents[2]
+PAGES = ROOT / "notebooks"
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """Folder of the pages; notebooks, executed by their own test, are not here."""
+    pytest.importorskip("sphinx_book_theme")
+    pytest.importorskip("myst_nb")
+    folder = tmp_path_factory.mktemp("handbook")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q"]
+    done = subprocess.run(
+        [*command, "-d", str(folder / "trees"), str(PAGES), str(folder / "pages")],
+        env={**os.environ, "GONIO_HANDBOOK": "pages", "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return folder / "pages"
+
+
+def test_every_page_is_built(built):
+    """Sphinx itself warns of a page that no table of contents holds."""
+    for page in (*PAGES.glob("*.md"), *PAGES.glob("*.ipynb")):
+        assert (built / f"{page.stem}.html").is_file()
+
+
+def test_reference_shows_what_the_code_says(built):
+    plugins = (built / "reference" / "plugins.html").read_text()
+    assert "pluginparameters" not in plugins
+    assert "rr_depth" in plugins
+    for path in (ROOT / "gonio_mi" / "plugins").glob("*/*.py"):
+        assert path.stem == "__init__" or f'<section id="{path.stem}">' in plugins
+    commands = (built / "reference" / "command_line.html").read_text()
+    assert commands.count("usage: gonio-mi") == len(COMMANDS)
+
+
+def test_reference_of_python_is_complete():
+    page = (PAGES / "reference" / "python.md").read_text()
+    kinds = ("function", "class", "exception")
+    for name in gonio.__all__:
+        assert any(f".. auto{kind}:: {name}\n" in page for kind in kinds), name

@@ -1,0 +1,237 @@
+"""Every command and Python block of README and handbook runs, word for word.
+
+Where one takes more than seconds it has fewer rays or patches, or less effort, than it
+says.
+"""
+
+import importlib.util
+import json
+import os
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import surface_files
+
+from gonio_mi.cli import main
+from gonio_mi.surfaces import foreign_reader, height_maps
+from gonio_mi.surfaces.heights import gaussian_heights
+
+tomllib = pytest.importorskip("tomllib")
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "notebooks").glob("*.md"))]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+
+# At most so many rays, no smaller tolerance, and what else makes a command short.
+RAYS, TOLERANCE = 1e5, 0.05
+FAST = {
+    "bsdf": ["--rays", "64"],
+    "chart": ["--seconds", "2"],
+    "surface": ["--points", "1e4"],
+    "validate": ["--effort", "quick"],
+}
+# Commands that may find that something is not as it should be.
+VERDICTS = {"compare": (0, 3), "validate": (0, 3)}
+
+# What a page says that its reader has.
+PLUGIN = """
+import mitsuba as mi
+
+
+class MyBSDF(mi.BSDF):
+    def __init__(self, props):
+        mi.BSDF.__init__(self, props)
+        self.inner = mi.load_dict(
+            {"type": "roughconductor", "alpha": props.get("roughness", 0.3)}
+        )
+        self.m_components = [self.inner.flags(i) for i in range(1)]
+        self.m_flags = self.inner.flags()
+
+    def sample(self, *arguments):
+        return self.inner.sample(*arguments)
+
+    def eval(self, *arguments):
+        return self.inner.eval(*arguments)
+
+    def pdf(self, *arguments):
+        return self.inner.pdf(*arguments)
+
+    def eval_pdf(self, *arguments):
+        return self.inner.eval_pdf(*arguments)
+
+    def to_string(self):
+        return "MyBSDF[]"
+
+
+mi.register_bsdf("my_bsdf", MyBSDF)
+"""
+TABLE = "theta_i,phi_i,theta_o,phi_o,value,sigma\n" + "".join(
+    f"45,0,{theta},180,0.15,0.01\n" for theta in range(0, 80, 10)
+)
+
+
+def measured(path, *options):
+    command = ["measure", "roughplastic:alpha=0.2", "--theta-i", "45", "--rays", "1e5"]
+    assert main([*command, "-o", str(path), *options]) == 0
+
+
+def scanned(path):
+    """A rough surface of half a millimetre, as a profilometer has it."""
+    heights = gaussian_heights((64, 64), 2e-6, 0.3, 0.3, 1.6e-5)
+    surface_files.write_x3p(path, heights)
+
+
+def imaged(path):
+    """The same as a 16-bit image."""
+    heights = gaussian_heights((64, 64), 1.5, 0.3, 0.3, 12.0)
+    codes = np.interp(heights, [heights.min(), heights.max()], [0, 65535])
+    mi.Bitmap(codes.astype(np.uint16)[..., None]).write(str(path))
+
+
+PANEL = (
+    "BRF Values\n"
+    "src_z\tsrc_a\tview_z\tview_a\t450nm\t550nm\tu(550nm) [%]\n"
+    "0,0\t0,0\t45,0\t180,0\t1,004\t1,009\t0,5\n"
+)
+GIVEN = {
+    "panel.txt": lambda path: path.write_text(PANEL),
+    "scan.x3p": scanned,
+    "heights.png": imaged,
+    "my_bsdf.py": lambda path: path.write_text(PLUGIN),
+    "measured.csv": lambda path: path.write_text(TABLE),
+    "pilot.npz": measured,
+    "a.npz": measured,
+    "b.npz": lambda path: measured(path, "--seed", "2"),
+}
+
+
+def blocks(page):
+    """Language and text of the blocks of a page, in their order."""
+    found = re.findall(r"^( *)```(\w+)\n(.*?)^\1```", page.read_text(), re.M | re.S)
+    return [(language, textwrap.dedent(text)) for _, language, text in found]
+
+
+def lines(text):
+    """Commands of a block of them, comments left out, as lists of words."""
+    for line in text.replace("\\\n", " ").splitlines():
+        words = shlex.split(line, comments=True)
+        if words:
+            yield words
+
+
+# What says how many rays there are, if any.
+PRECISE = {"--rel-err", "--tolerance", "quadrature"}
+
+
+def fast(words):
+    """Arguments of ``gonio-mi`` with few rays and patches."""
+    command, *rest = words
+    for option, limit in (("--rays", min), ("--tolerance", max)):
+        if option in rest:
+            at = rest.index(option) + 1
+            bound = RAYS if option == "--rays" else TOLERANCE
+            rest[at] = f"{limit(float(rest[at]), bound):g}"
+    if command == "measure" and not {"--rays", *PRECISE} & {*rest}:
+        rest += ["--rays", f"{RAYS:g}"]
+    if command == "measure" and not {"--collector", "--points", "--tolerance"} & {
+        *rest
+    }:
+        rest += ["--collector", "projected:12x12"]
+    if command == "bsdf" and "--basis" not in rest:
+        rest += ["--basis", "klems-quarter"]
+    return [command, *rest, *FAST.get(command, [])]
+
+
+def run_command(words, folder):
+    """Run one command of a page; what is not ours is looked at only."""
+    if words[0] == "gonio-mi":
+        for name in GIVEN.keys() & set(words):
+            if not (folder / name).exists():
+                GIVEN[name](folder / name)
+        assert main(fast(words[1:])) in VERDICTS.get(words[1], (0,)), words
+    elif words[:2] == ["pip", "install"]:
+        extras = re.findall(r"\[(.*)\]", words[2])
+        assert set(",".join(extras).split(",")) <= EXTRAS.keys(), words
+    elif words[:2] == ["python", "-m"]:
+        assert importlib.util.find_spec(words[2]), words
+    elif words[0] == "python":
+        assert (ROOT / words[1]).exists(), words
+    else:
+        assert words[0] in ("pytest", "jupyter", "cd", "git"), words
+
+
+def run_python(text, folder, known):
+    """Run one block, which knows what those before it on the page have defined.
+
+    Workers of a campaign are started from a file of its own.
+    """
+    path = folder / "block.py"
+    path.write_text(text)
+    if "__main__" not in text:
+        known |= runpy.run_path(str(path), known)
+        return
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, str(path)], check=True, env=environment)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_page_runs_word_for_word(page, tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("plotly")
+    (tmp_path / "scenes").symlink_to(ROOT / "scenes")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "my_bsdf", raising=False)
+    # the libraries that read scans take seconds to be imported
+    monkeypatch.setattr(height_maps, "read_apart", foreign_reader.read)
+    variant, known = mi.variant(), {}
+    try:
+        for language, text in blocks(page):
+            if language in ("bash", "sh"):
+                for words in lines(text):
+                    run_command(words, tmp_path)
+            elif language == "python":
+                for name in GIVEN:
+                    said = name in text or f"import {Path(name).stem}" in text
+                    if said and not (tmp_path / name).exists():
+                        GIVEN[name](tmp_path / name)
+                run_python(text, tmp_path, known)
+    finally:
+        if variant is not None:
+            mi.set_variant(variant)
+
+
+def test_twin_a_wrong_command_is_found(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(AssertionError):
+        run_command(["gonio-mi", "measure", "difuse"], tmp_path)
+    with pytest.raises(AssertionError):
+        run_command(["pip", "install", ".[reports]"], tmp_path)
+    with pytest.raises(NameError):
+        run_python("record.dhr", tmp_path, {})
+
+
+def test_the_extra_docs_brings_what_the_notebooks_import():
+    """The handbook runs its notebooks, in an environment that has this extra alone."""
+    lines = PROJECT["dependencies"] + EXTRAS["docs"]
+    brought = {re.match(r"[\w-]+", line)[0].lower() for line in lines}
+    brought |= {"drjit", "gonio_mi", "ipython", *sys.stdlib_module_names}
+    pages = sorted((ROOT / "notebooks").glob("*.ipynb"))
+    assert pages
+    for page in pages:
+        cells = json.loads(page.read_text())["cells"]
+        code = "\n".join(
+            "".join(x["source"]) for x in cells if x["cell_type"] == "code"
+        )
+        names = re.findall(r"^ *(?:from|import) (\w+)", code, re.MULTILINE)
+        assert {name.lower() for name in names} <= brought, page.name

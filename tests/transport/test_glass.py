@@ -1,0 +1,149 @@
+"""Smooth glass against Fresnel's formulas, from both sides, as surface and as slab."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import agree, disagree, single
+from closed_forms import fresnel, slab
+
+import gonio_mi as gonio
+from gonio_mi.collector.directions import direction
+from gonio_mi.transport.surface_events import flux_context
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+ETA = 1.5
+ULP = 2.0**-23
+GLASS = {"type": "dielectric", "int_ior": ETA, "ext_ior": 1.0}
+
+
+def wide_slab():
+    """Slab of thickness 1 whose sides no ray reaches."""
+    transform = mi.ScalarTransform4f().scale([1000, 1000, 0.5])
+    return {"type": "cube", "to_world": transform, "bsdf": GLASS}
+
+
+def measure(specimen, theta_i, **settings):
+    settings = {"rays": 10**6, "sampler": "independent"} | settings
+    return gonio.measure(specimen, theta_i, **settings)
+
+
+def z_of(count, rays, p):
+    """Score of a binomial count."""
+    return (count - rays * p) / np.sqrt(rays * p * (1 - p))
+
+
+def test_flux_context_is_importance():
+    """In radiance mode transmitted weights carry 1 / eta^2: R + T is 0.47 or 2.2."""
+    assert flux_context().mode == mi.TransportMode.Importance
+
+
+@pytest.mark.parametrize("trace", [False, True])
+@pytest.mark.parametrize("side", ["front", "back"])
+@pytest.mark.parametrize("theta_i", [0, 30, 60, 85, 89.9])
+def test_surface_keeps_all_light(theta_i, side, trace):
+    record = measure(GLASS, theta_i, side=side, trace=trace, rays=10**6)
+    ledger = record.ledger
+    # exact: nothing else can happen to a ray
+    assert ledger.reflected + ledger.transmitted + ledger.missed == ledger.emitted
+    # rounding: each ray carries 1, to an ulp at each event
+    assert abs(record.dhr[0] + record.dht[0] - 1) <= ULP
+    met = ledger.emitted - ledger.missed
+    eta = ETA if side == "front" else 1 / ETA
+    r = fresnel(np.cos(np.radians(theta_i)), eta)
+    if r == 1:
+        assert ledger.reflected == met  # total internal reflection
+        return
+    agree(single(z_of(ledger.reflected, met, r)))
+    disagree(single(z_of(ledger.reflected, met, r - 0.1 * min(r, 1 - r))))
+
+
+@pytest.mark.parametrize("theta_i", [41.7, 41.9])
+def test_critical_angle(theta_i):
+    """arcsin(1 / 1.5) = 41.81 degrees: just inside some light passes, beyond none."""
+    record = measure(GLASS, theta_i, side="back")
+    r = fresnel(np.cos(np.radians(theta_i)), 1 / ETA)
+    if theta_i > np.degrees(np.arcsin(1 / ETA)):
+        assert abs(record.dhr[0] - 1) <= ULP
+        assert record.dht[0] == 0
+    else:
+        agree(single(z_of(record.ledger.reflected, record.ledger.emitted, r)))
+        disagree(single(z_of(record.ledger.reflected, record.ledger.emitted, 1 - r)))
+
+
+def test_refracted_beam_is_in_its_patch():
+    """Snell's law, for two borders: the beam leaves in one patch of the lower map."""
+    for side, eta in (("front", ETA), ("back", 1 / ETA)):
+        record = measure(GLASS, 20, phi_i=33, side=side, rays=10**5)
+        theta_t = np.arcsin(np.sin(np.radians(20)) / eta)
+        v = direction(theta_t, np.radians(33 + 180))
+        expected = record.subdivision.patch(v)
+        np.testing.assert_array_equal(np.flatnonzero(record.counts[1]), [expected])
+
+
+@pytest.mark.parametrize("side", ["front", "back"])
+@pytest.mark.parametrize("theta_i", [0, 45, 75])
+@pytest.mark.parametrize("estimator", ["analog", "weighted"])
+def test_slab(theta_i, side, estimator):
+    """All internal reflections: R = 2 r / (1 + r) and T = 1 - R."""
+    # clear of the sides, which would reflect as well
+    record = measure(
+        wide_slab(), theta_i, side=side, estimator=estimator, footprint=400.0
+    )
+    ledger = record.ledger
+    r = slab(np.cos(np.radians(theta_i)), ETA)
+    # rounding: an ulp at each of the few events; see the expected failure below for
+    # the rays that are lost
+    lost = ledger.sideways + ledger.truncated
+    assert ledger.reflected + ledger.transmitted + lost == ledger.emitted
+    assert abs(record.dhr[0] + record.dht[0] - 1 + lost / ledger.emitted) <= 8 * ULP
+    met = ledger.emitted
+    agree(single(z_of(ledger.reflected, met, r)))
+    # twin: one internal reflection less
+    single_surface = fresnel(np.cos(np.radians(theta_i)), ETA)
+    disagree(single(z_of(ledger.reflected, met, single_surface)))
+    # what passes goes straight on, what does not is mirrored: one patch each
+    v = direction(np.radians(theta_i), np.pi)
+    if theta_i:
+        expected = record.subdivision.patch(v)
+        for hemisphere in (0, 1):
+            hit = np.flatnonzero(record.counts[hemisphere])
+            np.testing.assert_array_equal(hit, [expected])
+
+
+def slab_times(scale):
+    """The wide slab, so many times as large."""
+    size = [1000 * scale, 1000 * scale, 0.5 * scale]
+    return wide_slab() | {"to_world": mi.ScalarTransform4f().scale(size)}
+
+
+def test_slab_of_any_size():
+    """The same bits for a slab 1e-6 to 2e6 times as large: nothing has a length."""
+    small, *others = (
+        measure(slab_times(scale), 45, rays=10**5)
+        for scale in (2.0**-20, 1.0, 2.0**20, 2.0**21)
+    )
+    assert all(small.tallies == other.tallies for other in others)
+
+
+def test_slab_too_large():
+    """Measured all the same, it does not end within a minute."""
+    with pytest.raises(gonio.SpecimenError, match=r"within 2\.14748e\+09 of the orig"):
+        measure(slab_times(2.0**22), 45, rays=1)
+
+
+def test_russian_roulette_is_unbiased():
+    """A mirror-walled path of many bounces, cut short by chance or not at all."""
+    dim = {"type": "dielectric", "int_ior": 4.0, "ext_ior": 1.0}
+    specimen = wide_slab() | {"bsdf": dim}
+    r = slab(np.cos(np.radians(30)), 4.0)
+    for estimator in ("analog", "weighted"):
+        record = measure(specimen, 30, rr_depth=0, estimator=estimator)
+        z = (record.dhr[0] - r) / record.dhr_std_err[0]
+        agree(single(z))
+        disagree(single((0.95 * record.dhr[0] - r) / record.dhr_std_err[0]))
+
+
+def test_small_footprint_on_large_triangles():
+    record = measure(wide_slab(), 45, footprint=1.0)
+    assert record.ledger.truncated == 0

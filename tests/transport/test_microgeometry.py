@@ -1,0 +1,420 @@
+"""Surfaces made of shape: exact counts, energy, scale, closed geometry, reciprocity."""
+
+import functools
+from dataclasses import replace
+
+import gonio_mi as gonio
+
+# isort: split
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import ALPHA, agree, count_verdict, disagree, normal_scores, single, verdict
+from scipy import stats
+from specimens import (
+    MIRROR,
+    Aimed,
+    aimed_at_edges,
+    as_it_is,
+    diffuse_groove_dhr,
+    followed,
+    groove_shares,
+    grooves,
+    heightfield,
+    resumed_in_line,
+    specimen_of,
+    traced,
+)
+
+from gonio_mi.collector.directions import direction
+from gonio_mi.results.summary import summarize
+from gonio_mi.results.tally import Fate
+from gonio_mi.transport import flight
+from gonio_mi.transport.ray_offsets import RETREAT
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+RAYS = 100_000
+
+GREY = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.8}}
+
+
+def transform():
+    return mi.ScalarTransform4f()
+
+
+# ------------------------------------------------------------------------ V-grooves
+
+
+@functools.cache
+def shares_of(half_angle, theta_i):
+    return groove_shares(half_angle, theta_i)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("theta_i", [3, 35, 80])
+@pytest.mark.parametrize("half_angle", [20, 45, 65])
+def test_mirror_grooves_are_counted_exactly(half_angle, theta_i, scale):
+    """Shares of orders and exit directions against rays in two dimensions."""
+    shares = shares_of(half_angle, theta_i)
+    rays = traced(grooves(half_angle, 1, scale), theta_i, n=RAYS)
+    assert rays.reflected.all()
+    # rounding: each reflection turns a direction by a few units of 2^-23
+    angle = np.arctan2(rays.d[:, 0], rays.d[:, 2])
+    orders = np.array([order for order, _ in shares])
+    angles = np.array([angle for _, angle in shares])
+    error = np.abs(np.exp(1j * angle)[:, None] - np.exp(1j * angles))
+    matches = (error < 16 * 2.0**-23 * (orders + 1)) & (rays.depth[:, None] == orders)
+    # only where a wall is met so close to one of its two crests that the start of the
+    # next ray may lie beyond, could a ray be of no kind
+    lost = np.count_nonzero(~matches.any(axis=1))
+    most = stats.binom.isf(ALPHA, RAYS, 2 * RETREAT)
+    assert lost <= most, f"{lost} rays of no kind"
+    counts = matches.sum(axis=0)
+    expected = np.array(list(shares.values()))
+    if len(expected) > 1:
+        agree(count_verdict(counts, expected))
+        disagree(count_verdict(counts, np.roll(expected, 1)))
+    assert counts[0] > 0
+
+
+@pytest.mark.parametrize("theta_i", [0, 30, 60, 80])
+def test_no_light_leaks_through_closed_grooves(theta_i):
+    """Exact: of a finite mirror mesh, nothing is transmitted, at crests and valleys."""
+    rays = traced(grooves(45, 40, 0.7), theta_i, n=10**6, period="none")
+    assert not rays.transmitted.any()
+    assert not rays.fate_is(Fate.ABSORBED).any()
+
+
+def test_no_light_leaks_at_an_edge(monkeypatch):
+    """Exact: of rays aimed at the edges of a mesh, none ends up below.
+
+    Rounding shows some of them the far wall of a crest, from behind. Twin: what is met
+    from behind is looked at again from nearby, but not from beside.
+    """
+    field = specimen_of(heightfield(alpha=0.5, resolution=32), "box")
+    n = 4 * 10**5
+    beam = aimed_at_edges(field, direction(np.radians(85), 1.0), n)
+    assert followed(field, beam, n).reflected.all()
+    monkeypatch.setattr(flight, "resume", resumed_in_line)
+    assert followed(field, beam, n).transmitted.any()
+
+
+def test_no_light_leaks_at_the_side_of_a_cell(monkeypatch):
+    """Exact: grazing rays may start above the next cell, whose crest is no wall.
+
+    Twin: they are not taken back into their cell, and met crests are not passed above.
+    """
+    groove = specimen_of(grooves(30, 1, bsdf=GREY), "box")
+    n = 10**5
+    p = np.zeros((n, 3), np.float32)
+    p[:, 0] = np.random.default_rng(0).uniform(0.4995, 0.5, n)
+    beam = Aimed(p, direction(np.radians(89.9), 0.0))
+    assert followed(groove, beam, n).reflected.all()
+    monkeypatch.setattr(flight, "into_cell", as_it_is)
+    monkeypatch.setattr(flight, "resume", resumed_in_line)
+    assert followed(groove, beam, n).transmitted.any()
+
+
+def without_direct(tally):
+    fates = tally.fates.copy()
+    fates[:, Fate.ABSORBED] += fates[:, Fate.DIRECT]
+    fates[:, Fate.DIRECT] = 0
+    return replace(tally, fates=fates)
+
+
+def said(record):
+    return " ".join(summarize(record)["warnings"])
+
+
+def test_leaks_are_said():
+    """Light passes between packed balls, and one sentence says so.
+
+    It is another one where straight rays saw no gap, and no ray passed straight on. Of
+    a hole of one in 2^17 facets the rays tell that did, however few. A closed surface
+    has none.
+    """
+    ball = {"type": "sphere", "bsdf": MIRROR}
+    gaps = gonio.measure(ball, 30, period="box", rays=10_000)
+    assert gaps.ledger.transmitted > 0
+    count = f"{gaps.ledger.transmitted:,}".replace(",", " ")
+    assert f"{count} of 10 000 rays went to the other side through gaps" in said(gaps)
+    dark = replace(
+        gaps,
+        provenance=replace(gaps.provenance, transmission="none"),
+        tallies=tuple(without_direct(tally) for tally in gaps.tallies),
+    )
+    assert f"{count} of 10 000 rays leaked to the other side" in said(dark)
+    hole = mi.load_dict(heightfield(alpha=0.5, resolution=256))
+    parameters = mi.traverse(hole)
+    faces = np.array(parameters["faces"]).reshape(-1, 3)
+    faces[12345] = faces[12345, 0]
+    parameters["faces"] = mi.UInt32(faces.ravel())
+    parameters.update()
+    leaky = gonio.measure(hole, 30, period="box", rays=2 * 10**6)
+    assert leaky.ledger.direct > 0
+    assert f"{leaky.ledger.direct} of 2 000 000 rays passed openings" in said(leaky)
+    closed = gonio.measure(grooves(45, 1), 30, period="box", rays=10_000)
+    assert said(closed) == ""
+
+
+# ------------------------------------------------------------------------ height fields
+
+
+@pytest.mark.parametrize("theta_i", [0, 60, 89.9])
+@pytest.mark.parametrize("alpha", [0.1, 1.0])
+def test_white_mirror_fields_reflect_all(alpha, theta_i):
+    """Exact: each ray leaves upwards with weight 1; a finite field has edges."""
+    field = heightfield(alpha=alpha, resolution=64)
+    rays = traced(field, theta_i, 20.0, n=2 * RAYS)
+    assert rays.reflected.all()
+    assert (rays.weight == 1).all()
+    finite = traced(field, 60, 20.0, n=10**5, period="none")
+    assert finite.fate_is(Fate.SIDEWAYS).any()
+
+
+@pytest.mark.parametrize("theta_i", [0, 60])
+def test_clear_fields_lose_nothing(theta_i):
+    """Exact: a smooth dielectric on rough geometry reflects or transmits each ray."""
+    field = heightfield(alpha=0.5, resolution=64, bsdf={"type": "dielectric"})
+    rays = traced(field, theta_i, n=2 * 10**5)
+    assert (rays.reflected | rays.transmitted).all()
+    assert rays.reflected.any()
+    assert rays.transmitted.any()
+    # rounding: two units of 2^-24 for each of the events
+    assert (np.abs(rays.weight - 1) <= 2.0**-23 * rays.depth).all()
+
+
+SURFACE = {"alpha": 0.6, "resolution": 64}
+
+
+def histogram(rays):
+    """Counts of 96 patches by order: first, or later."""
+    patches = gonio.subdivision("projected:8x12")
+    index = patches.patch(rays.d[rays.reflected])
+    single = rays.depth[rays.reflected] == 1
+    n = patches.n_patches
+    return np.bincount(np.where(single, index, index + n), minlength=2 * n)
+
+
+def two_sample(a, b):
+    """Verdict on two independent histograms of equally many rays."""
+    keep = a + b > 100
+    a, b = a[keep], b[keep]
+    return verdict((a - b) / np.sqrt(a + b))
+
+
+@functools.cache
+def reference_histogram():
+    return histogram(traced(heightfield(**SURFACE), 70, 20.0, n=RAYS))
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e-3, 1e3, 1e6])
+def test_scale_changes_nothing(scale):
+    field = heightfield(transform=transform().scale(scale), **SURFACE)
+    other = traced(field, 70, 20.0, n=RAYS, seed=1)
+    assert other.reflected.all()
+    agree(two_sample(reference_histogram(), histogram(other)))
+
+
+# further out the bound of rounding is worth a warning, and it is not reached
+@pytest.mark.filterwarnings("ignore:the specimen lies up to 100")
+@pytest.mark.parametrize("shift", [[1, -2, 3], [30, 20, -100]])
+def test_shift_changes_nothing(shift):
+    field = heightfield(transform=transform().translate(shift), **SURFACE)
+    other = traced(field, 70, 20.0, n=RAYS, seed=2)
+    assert other.reflected.all()
+    agree(two_sample(reference_histogram(), histogram(other)))
+
+
+def test_twins_of_scale_and_shift():
+    """Heights that are scaled alone, or another direction, are seen."""
+    scaled = heightfield(transform=transform().scale([1, 1, 1.05]), **SURFACE)
+    for rays in (
+        traced(scaled, 70, 20.0, n=RAYS, seed=1),
+        traced(heightfield(**SURFACE), 69, 20.0, n=RAYS, seed=1),
+    ):
+        disagree(two_sample(reference_histogram(), histogram(rays)))
+
+
+def test_benchmark_sends_the_same_paths():
+    """The film of Mitsuba's `path` shows what our footprint is; every path ends."""
+    from benchmark import micro_geometry as benchmark
+
+    scene = mi.load_dict({"type": "scene", "surface": benchmark.surface(64)})
+    film = benchmark._film(scene, 1)
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(0, RAYS)
+    draws = sampler.next_1d(), sampler.next_2d(), sampler.next_2d()
+    ray, _ = film.sample_ray(0, *draws)
+    hits = np.count_nonzero(np.array(scene.ray_test(ray)))
+    ours = traced(benchmark.surface(64), benchmark.THETA_I, n=RAYS, period="none")
+    mine = RAYS - np.count_nonzero(ours.fate_is(Fate.MISSED))
+    share = (hits + mine) / (2 * RAYS)
+    error = np.sqrt(2 * RAYS * share * (1 - share))
+    agree(single((hits - mine) / error))
+    disagree(single((hits - mine + 0.01 * RAYS) / error))
+    events = ours.depth * (ours.d[:, 2] > 0)
+    # evenly distributed points have no larger error than independent ones
+    error = events.std() * np.sqrt(2 / RAYS)
+    for rows in (False, True):
+        bare = benchmark.bare_paths(64, rows)(RAYS, 0)
+        agree(single((bare - events.mean()) / error))
+        disagree(single((bare + 0.05 - events.mean()) / error))
+    for coherent in (False, True):
+        assert benchmark.film_paths(64, coherent)(2**14, 0) == 1
+    for batches in (1, 4):
+        reflected = benchmark.gonio_paths(64, "sobol", batches)(2**14, 0)
+        assert 0.8 < reflected < mine / RAYS
+
+
+# ------------------------------------------------------------------------ cavities
+
+
+@pytest.mark.parametrize("estimator", ["weighted", "next_event"])
+@pytest.mark.parametrize("theta_i", [0, 75])
+@pytest.mark.parametrize("half_angle", [20, 60])
+def test_diffuse_grooves(half_angle, theta_i, estimator):
+    """Reflectance against the radiosity of two strips; rho is 0.8.
+
+    The reference has converged to far below the statistical error.
+    """
+    truth, coarse, white = (
+        diffuse_groove_dhr(half_angle, theta_i, *rest)
+        for rest in ((0.8, 32), (0.8, 16), (1 - 1e-9,))
+    )
+    # nearly white walls absorb 1e-9 at each of some events, fewer than ten in the mean
+    assert 0 < 1 - white < 1e-8
+    wall = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.8}}
+    record = gonio.measure(
+        grooves(half_angle, 1, bsdf=wall),
+        theta_i,
+        period="box",
+        collector="projected:6x8",
+        estimator=estimator,
+        rays=2 * RAYS,
+    )
+    error = record.dhr_std_err[0]
+    assert abs(truth - coarse) < error / 100
+    degrees = record.n_batches - 1
+    agree(single(normal_scores((record.dhr[0] - truth) / error, degrees)))
+    disagree(single(normal_scores((record.dhr[0] - 0.98 * truth) / error, degrees)))
+
+
+@pytest.mark.parametrize("rho", [0.3, 0.9])
+@pytest.mark.parametrize("theta_i", [0, 20])
+def test_hemispherical_cavity(theta_i, rho):
+    """It reflects rho / (2 - rho) of what enters, wherever that lands.
+
+    Every point of the wall sees the aperture under the form factor 1/2. The cavity is
+    the lower half of a sphere; a mask lets light through the upper half.
+    """
+    lower = {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(np.array([[[0.0]], [[1.0]]], np.float32)),
+        "filter_type": "nearest",
+        "wrap_mode": "clamp",
+        "raw": True,
+    }
+    wall = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": rho}}
+    cavity = {
+        "type": "sphere",
+        "bsdf": {"type": "mask", "opacity": lower, "bsdf": wall},
+    }
+    rays = traced(cavity, theta_i, n=RAYS, period="none", footprint=0.3)
+    up = rays.d[:, 2] > 0
+    out = rays.weight * (up & (rays.fate_is(Fate.REFLECTED) | rays.fate_is(4)))
+    # the walls' weights are rho^n; all that is not reflected was absorbed
+    z = (out.mean() - rho / (2 - rho)) / (out.std() / np.sqrt(RAYS))
+    agree(single(z))
+    disagree(
+        single((out.mean() - 0.98 * rho / (2 - rho)) / (out.std() / np.sqrt(RAYS)))
+    )
+
+
+# ------------------------------------------------------------------------ reciprocity
+
+
+def test_periodic_field_is_reciprocal():
+    """f(a, b) and f(b, a) of 20 random pairs, for grey diffuse facets.
+
+    A detector is a cone of 5 degrees; the mean over it differs from the value in its
+    middle by the square of 0.09, times a curvature that both directions nearly share.
+    """
+    grey = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.7}}
+    field = heightfield(bsdf=grey, alpha=0.7, resolution=32)
+    rng = np.random.default_rng(3)
+    cosines, azimuths = rng.uniform(0.35, 0.9, (20, 2)), rng.uniform(0, 360, (20, 2))
+    n, half = 100_000, np.cos(np.radians(5))
+    scores, twins = [], []
+    for (cos_a, cos_b), (phi_a, phi_b) in zip(cosines, azimuths):
+        values = []
+        for i, o, phi_i, phi_o in (
+            (cos_a, cos_b, phi_a, phi_b),
+            (cos_b, cos_a, phi_b, phi_a),
+        ):
+            rays = traced(field, np.degrees(np.arccos(i)), phi_i, n=n, seed=len(scores))
+            s, phi = np.sqrt(1 - o**2), np.radians(phi_o)
+            axis = np.array([s * np.cos(phi), s * np.sin(phi), o])
+            got = rays.weight * (rays.reflected & (rays.d @ axis > half))
+            values.append((got.mean() / o, got.std() / np.sqrt(n) / o, o))
+        (f, df, o), (g, dg, p) = values
+        scores.append((f - g) / np.hypot(df, dg))
+        twins.append((f * o - g * p) / np.hypot(df * o, dg * p))
+    agree(verdict(scores))
+    disagree(verdict(twins))
+
+
+# ---------------------------------------------------------------------- single scatter
+
+
+def smith_albedo(alpha, theta_i, n=200_000):
+    """Order-1 albedo of Beckmann-rough mirrors: Smith, height-correlated.
+
+    The mean of G2 / G1 over visible normals, by inverting the marginal slopes.
+    """
+
+    def lam(cosine):
+        tan = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.abs(cosine)
+        a = 1 / np.maximum(alpha * tan, 1e-30)
+        value = stats.norm.pdf(a * np.sqrt(2)) / np.sqrt(2) / a
+        value = value - stats.norm.sf(a * np.sqrt(2))
+        return np.where(cosine > 0, value, np.inf)
+
+    rng = np.random.default_rng(0)
+    slope = rng.normal(0, alpha / np.sqrt(2), (n, 2))
+    m = np.c_[-slope, np.ones(n)] / np.sqrt(1 + (slope**2).sum(axis=1))[:, None]
+    t = np.radians(theta_i)
+    wi = np.array([np.sin(t), 0, np.cos(t)])
+    # visible area of each facet per projected area
+    visible = np.maximum(m @ wi, 0) / m[:, 2]
+    wo = 2 * (m @ wi)[:, None] * m - wi
+    up = wo[:, 2] > 0
+    ratio = np.where(
+        up, (1 + lam(wi[2])) / (1 + lam(wi[2]) + lam(np.where(up, wo[:, 2], 1))), 0
+    )
+    return np.sum(visible * ratio) / np.sum(visible)
+
+
+def test_single_scattering_follows_smith():
+    """Convergence: of one surface at finer grids, order 1 settles, near Smith's value.
+
+    Facets of a grid are its chords: their slopes, and with them the share of rays that
+    scatter once, change at second order of the spacing.
+    """
+    from gonio_mi.surfaces.heights import gaussian_heights, height_statistics
+
+    n = 512
+    z = gaussian_heights((n, n), 2 / n, 0.5, 0.5, 0.1, seed=1)
+    shares = []
+    for step in (16, 8, 4, 2):
+        coarse = z[::step, ::step]
+        rays = traced(heightfield(coarse), 30, n=RAYS)
+        assert rays.reflected.all()
+        shares.append(np.mean(rays.depth == 1))
+    steps = np.abs(np.diff(shares))
+    assert steps[-1] < steps[-2] < steps[-3], f"{shares}"
+    statistics = height_statistics(z, 2 / n)
+    alpha = np.sqrt(statistics.alpha_u * statistics.alpha_v)
+    biases = np.abs(np.array(shares) - smith_albedo(alpha, 30))
+    assert biases[-1] < biases[1] < biases[0], f"{biases}"

@@ -1,0 +1,715 @@
+"""Owen-scrambled Sobol' points: their net, their randomness, and what they measure.
+
+Verdicts share the suite's budget of false alarms (`budget`). Nets, sequences and
+bits are exact. Evenly distributed counts scatter less than random ones, so that their
+chi-square is tested on the upper side alone.
+"""
+
+import importlib
+import time
+from functools import cache
+from itertools import combinations, pairwise
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from budget import (
+    Verdict,
+    agree,
+    count_verdict,
+    difference_scores,
+    disagree,
+    normal_scores,
+    single,
+    verdict,
+)
+from closed_forms import fresnel
+from scipy import stats
+from scipy.stats import qmc
+
+import gonio_mi as gonio
+from gonio_mi.instrument import launcher
+from gonio_mi.instrument.launcher import Pace, segments
+from gonio_mi.transport import sampling
+from gonio_mi.transport.morton import block_bits
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+SEEDS = 2**18
+PLASTIC = {"type": "roughplastic", "alpha": 0.2}
+
+
+@pytest.fixture
+def sobol():
+    return importlib.import_module("gonio_mi.plugins.samplers.sobol")
+
+
+def numbers(sobol, index, seed, draw):
+    """Scrambled numbers as uint32, for scalars or arrays that broadcast."""
+    index, seed = np.broadcast_arrays(np.uint32(index), np.uint32(seed))
+    bits = sobol.sobol_number(
+        mi.UInt32(index.ravel()), mi.UInt32(seed.ravel()), mi.UInt32(draw)
+    )
+    return bits.numpy().reshape(index.shape)
+
+
+def draw_all(sampler, pattern=(2, 1, 2, 1, 1)):
+    """Array of the numbers of one ray a column, drawn in 2D and 1D."""
+    rows = []
+    for n in pattern:
+        drawn = sampler.next_2d() if n == 2 else [sampler.next_1d()]
+        rows += [x.numpy() for x in drawn]
+    return np.array(rows)
+
+
+# ------------------------------------------------------------------ the points
+
+
+def test_unscrambled_points_are_scipys(sobol):
+    n = 2**16
+    points = qmc.Sobol(sobol.BLOCK, scramble=False, bits=32).random(n) * 2.0**32
+    # SciPy's order is that of the Gray code
+    gray = np.arange(n) ^ np.arange(n) >> 1
+    index = dr.arange(mi.UInt32, n)
+    for draw, dimension in enumerate(sobol.ORDER):
+        ours = dr.brev(sobol.sobol_known(index, draw)).numpy()
+        assert np.array_equal(ours[gray], points[:, dimension].astype(np.uint32))
+
+
+def test_both_ways_to_a_coordinate_agree(sobol):
+    """In all 32 bits: a matrix when tracing, tables for a draw known to the kernel."""
+    index = np.random.default_rng(1).integers(2**32, size=4096, dtype=np.uint32)
+    for draw in range(sobol.BLOCK):
+        known = sobol.sobol_known(mi.UInt32(index), draw)
+        table = sobol.sobol_any(mi.UInt32(index), mi.UInt32(draw))
+        assert dr.all(known == table)
+
+
+def quality(x, y, m):
+    """Parameter t of the net of 2**m points in base 2: 0 is best, m says nothing."""
+    for t in range(m + 1):
+        for i in range(m - t + 1):
+            j = m - t - i
+            cell = (x >> np.uint64(32 - i) << np.uint64(j)) + (y >> np.uint64(32 - j))
+            counts = np.bincount(cell, minlength=2 ** (m - t))
+            if not np.all(counts == 2**t):
+                break
+        else:
+            return t
+    return None
+
+
+def test_scrambling_keeps_the_net(sobol):
+    """Every pair of numbers, in any aligned stretch of the sequence and any block."""
+    m = 9
+    index = 37 * 2**m + np.arange(2**m)
+    plain = [
+        dr.brev(sobol.sobol_known(mi.UInt32(index), draw)).numpy().astype(np.uint64)
+        for draw in range(sobol.BLOCK)
+    ]
+    qualities = {}
+    for block in (0, 3):
+        first = block * sobol.BLOCK
+        mixed = [
+            numbers(sobol, index, 5, first + draw).astype(np.uint64)
+            for draw in range(sobol.BLOCK)
+        ]
+        for a, b in combinations(range(sobol.BLOCK), 2):
+            t = quality(mixed[a], mixed[b], m)
+            qualities[block, a, b] = t
+            assert t == quality(plain[a], plain[b], m)
+    # the direction of scattering, and the lobe with either of its coordinates
+    assert qualities[0, 3, 4] == 0
+    assert max(qualities[0, 2, 3], qualities[0, 2, 4]) <= 1
+    # twins: random numbers, and a bijection of each coordinate that is not nested
+    rng = np.random.default_rng(2)
+    assert quality(*rng.integers(2**32, size=(2, 2**m), dtype=np.uint64), m) > 5
+    shuffled = sobol._hash(mi.UInt32(plain[3].astype(np.uint32))).numpy()
+    assert quality(shuffled.astype(np.uint64), plain[4], m) > 5
+
+
+# ------------------------------------------------------------------ their randomness
+
+
+def cells(*rows):
+    """Joint histogram of 32-bit numbers in 256 cells, equally many a dimension."""
+    bits = 8 // len(rows)
+    cell = np.zeros(len(rows[0]), np.int64)
+    for row in rows:
+        cell = cell << bits | (row >> np.uint32(32 - bits)).astype(np.int64)
+    return np.bincount(cell, minlength=2 ** (bits * len(rows)))
+
+
+def flat(*rows):
+    """Verdict on random numbers being jointly uniform."""
+    counts = cells(*rows)
+    return count_verdict(counts, np.ones(counts.size))
+
+
+@pytest.mark.parametrize("index", [0, 1, 31_250, 2**24 - 1, 2**31 + 77])
+def test_each_point_is_uniform_over_seeds(sobol, index):
+    """Unbiased, for any number of rays: in its leading and in its further digits."""
+    seeds = np.arange(SEEDS)
+    rows = {d: numbers(sobol, index, seeds, d) for d in (0, 2, 3, 4, 7, 20, 37)}
+    for draw in (0, 3, 4, 37):
+        agree(flat(rows[draw]))
+        agree(flat(rows[draw] << np.uint32(16)))
+    for pair in [(2, 3), (2, 4), (3, 4), (0, 7), (3, 20), (4, 37), (20, 37)]:
+        agree(flat(*(rows[d] for d in pair)))
+    agree(flat(rows[2], rows[3], rows[4], rows[20]))
+    # seeds in a row are unrelated
+    for draw in (3, 4, 20):
+        agree(flat(rows[draw][:-1:2], rows[draw][1::2]))
+    # twin: one key for two numbers
+    key = sobol.key(mi.UInt32(seeds), mi.UInt32(2))
+    same = dr.brev(sobol.owen(sobol.sobol_known(mi.UInt32(index), 3), key)).numpy()
+    disagree(flat(rows[2], same))
+
+
+def after_the_split(x, y):
+    """Binary digits of pairs of numbers that follow the first in which they differ."""
+    shift = 32 - np.floor(np.log2((x ^ y).astype(float))).astype(np.uint32)
+    assert np.all(shift == shift[0]), "the first different digit depends on the seed"
+    return x << shift[0], y << shift[0]
+
+
+@pytest.mark.parametrize("pair", [(0, 1), (0, 2), (5, 7), (17, 4242), (40, 2**20 + 40)])
+def test_two_points_are_independent_after_they_part(sobol, pair):
+    """What Owen's scrambling promises of each pair, and his variance follows from."""
+    seeds = np.random.default_rng(3).integers(2**32, size=SEEDS, dtype=np.uint32)
+    for draw in (0, 3, 4):
+        x, y = after_the_split(*(numbers(sobol, i, seeds, draw) for i in pair))
+        agree(flat(x, y))
+    # twin: a digital shift, the same for all points
+    x, y = (np.uint32(i * 0x9E3779B1 % 2**32) ^ seeds for i in pair)
+    disagree(flat(*after_the_split(x, y)))
+
+
+def variances(means, groups=32):
+    """Logarithm of the variance within each of several groups of replications."""
+    return np.log(means.reshape(groups, -1).var(axis=1, ddof=1))
+
+
+def test_variance_is_that_of_scipys_scrambled_points(sobol):
+    """For integrands that are smooth, of two dimensions, and a step."""
+    n, repeats = 64, 4096
+    index, seeds = np.arange(n), np.arange(repeats)[:, None] + 10**6
+    ours = np.stack([numbers(sobol, index, seeds, d) for d in (2, 3, 4)], axis=-1)
+    ours = ours / 2.0**32
+    rng = np.random.default_rng(4)
+    order = [sobol.ORDER[draw] for draw in (2, 3, 4)]
+    theirs = np.stack(
+        [qmc.Sobol(3, seed=rng).random(n)[:, order] for _ in range(repeats)]
+    )
+    random = rng.random(ours.shape)
+    integrands = {
+        "smooth": lambda x: np.exp(x.sum(axis=-1)),
+        "product": lambda x: (x[..., 1] - 0.3) * x[..., 2] ** 2,
+        "step": lambda x: (x[..., 1] ** 2 + x[..., 2] ** 2 < x[..., 0]) * 1.0,
+    }
+    for f in integrands.values():
+        of = [variances(f(x).mean(axis=1)) for x in (ours, theirs, random)]
+        difference = stats.ttest_ind(of[0], of[1], equal_var=False)
+        agree(single(normal_scores(difference.statistic, difference.df)))
+        difference = stats.ttest_ind(of[2], of[1], equal_var=False)
+        disagree(single(normal_scores(difference.statistic, difference.df)))
+
+
+# ------------------------------------------------------------------ the curve
+
+
+def test_scrambling_is_undone(sobol):
+    """Exact, in the lowest 16 bits, of which no place along a curve has more."""
+    x, key = np.random.default_rng(2).integers(2**32, size=(2, 4096), dtype=np.uint32)
+    found = sobol.owen_inverse(mi.UInt32(x), mi.UInt32(key))
+    again = sobol.owen(found, mi.UInt32(key)).numpy()
+    assert np.array_equal(again & 0xFFFF, x & 0xFFFF)
+    assert not np.array_equal(found.numpy() & 0xFFFF, x & 0xFFFF)
+
+
+@pytest.mark.parametrize(
+    ("base", "bits"),
+    [(0, 0), (0, 14), (7, 0), (8, 2), (2**20, 9), (2**32 - 2**12, 12)],
+)
+def test_the_curve_meets_each_point_once(sobol, base, bits):
+    """Exact, of any aligned block."""
+    for seed in (1, 99):
+        place = dr.arange(mi.UInt32, 2**bits)
+        index = sobol.along_curve(place, base, bits, mi.UInt32(seed))
+        met = np.sort(index.numpy().astype(np.int64))
+        assert np.array_equal(met, np.arange(base, base + 2**bits))
+
+
+@pytest.mark.parametrize(
+    ("start", "n"),
+    [(0, 1), (0, 2**10), (0, 1000), (7, 1), (12_345, 3210), (2**20 - 100, 300)],
+)
+def test_stretches_of_the_curve_meet_each_point_once(start, n):
+    """Exact, wherever a wavefront begins and ends in the sequences."""
+    length = 3 << block_bits(start, n)
+    bounds = [*range(0, length, length // 3), length]
+    met = []
+    for first, last in pairwise(bounds):
+        sampler = loaded(seed=mi.UInt32([5, 6, 7]), n=3 * n, start=start)
+        sequence, number = (
+            x.numpy().astype(int) for x in sampler.follow_curve(first, last)
+        )
+        wanted = (number >= 0) & (number < n)
+        met += list(zip(sequence[wanted].tolist(), number[wanted].tolist()))
+    assert len(met) == 3 * n
+    assert set(met) == {(i, j) for i in range(3) for j in range(n)}
+
+
+@pytest.mark.parametrize(
+    ("begin", "end"), [(0, 1), (0, 2**20), (5, 6), (4096, 125_000), (2**32 - 9, 2**33)]
+)
+def test_segments_are_worth_a_block_about_them(begin, end):
+    """Exact; blocks about what straddles their borders would be mostly empty."""
+    found = list(segments(begin, end, 2**27))
+    assert [a for a, _ in found] == [begin, *(b for _, b in found[:-1])]
+    assert found[-1][1] == end
+    for a, b in found:
+        assert 1 << block_bits(a, b - a) < 2 * (b - a)
+        assert b - a <= 2**27
+
+
+def test_sequences_walk_along_one_curve():
+    """Exact: neighbouring lanes, of other sequences, share boxes of 2**-8 by 2**-8.
+
+    Twin: points of the same numbers do not.
+    """
+    n, seeds = 2**16, [1, 2, 3]
+    for start in (0, 5 * n):
+        one, other = (
+            loaded(seed=mi.UInt32(seeds), n=len(seeds) * n, start=start)
+            for _ in range(2)
+        )
+        sequence, number = other.follow_curve()
+        apart, together = ((draw_all(x, (2,)) * 2**8).astype(int) for x in (one, other))
+        together = together.reshape(2, n, len(seeds))
+        assert np.all(np.ptp(together, axis=2) == 0)
+        assert np.mean(np.ptp(apart.reshape(2, -1, n), axis=1) == 0) < 0.1
+        # and nearly all steps of the curve lead to the box beside
+        steps = np.abs(np.diff(together[:, :, 0], axis=1)).sum(axis=0)
+        assert np.median(steps) <= 1
+        assert np.array_equal(sequence.numpy(), np.tile(np.arange(3), n))
+        for i in range(len(seeds)):
+            mine = np.sort(number.numpy()[i :: len(seeds)])
+            assert np.array_equal(mine, np.arange(n))
+
+
+# ------------------------------------------------------------------ the sampler
+
+
+def loaded(name="sobol", seed=0, n=64, start=0):
+    sampler = mi.load_dict({"type": name})
+    sampler.start = start
+    sampler.seed(seed, n)
+    return sampler
+
+
+def test_numbers_stay_below_one(sobol):
+    assert sobol.fraction(mi.UInt32(2**32 - 1))[0] == 1 - 2.0**-24
+    assert sobol.fraction(mi.UInt32(0))[0] == 0
+
+
+def test_a_sequence_continues():
+    whole = draw_all(loaded(n=1000))
+    parts = [draw_all(loaded(n=n, start=s)) for s, n in ((0, 300), (300, 700))]
+    assert np.array_equal(np.hstack(parts), whole)
+    advanced = loaded(n=500)
+    first = draw_all(advanced)
+    advanced.advance()
+    assert np.array_equal(np.hstack([first, draw_all(advanced)]), whole)
+    assert not np.array_equal(draw_all(loaded(n=1000, seed=1)), whole)
+
+
+def test_the_samplers_own_seed_is_added():
+    sampler = mi.load_dict({"type": "sobol", "seed": 3}).fork()
+    sampler.seed(4, 64)
+    assert np.array_equal(draw_all(sampler), draw_all(loaded(seed=7)))
+
+
+def test_clone_and_fork():
+    sampler = loaded()
+    sampler.next_2d()
+    clone = sampler.clone()
+    assert clone.wavefront_size() == 64
+    assert np.array_equal(draw_all(clone), draw_all(sampler))
+    fork = sampler.fork()
+    assert fork.wavefront_size() == 0
+    fork.seed(0, 64)
+    assert np.array_equal(draw_all(fork), draw_all(loaded()))
+
+
+@dr.syntax
+def sum_in_loop(sampler, events):
+    """Sum of 4 numbers of each of several events, differently weighted."""
+    i = mi.UInt32(0)
+    total = mi.Float(0)
+    while i < events:
+        x = sampler.next_1d()
+        p = sampler.next_2d()
+        total += (x + 2 * p.x + 4 * p.y + 8 * sampler.next_1d()) * mi.Float(i + 1)
+        i += 1
+    return total
+
+
+@pytest.mark.parametrize("symbolic", [True, False])
+def test_loops_draw_the_same_numbers(symbolic):
+    events = dr.arange(mi.UInt32, 64) % 9
+    with dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, symbolic):
+        total = sum_in_loop(loaded(), events).numpy()
+    rows = draw_all(loaded(), (1, 2, 1) * 8).reshape(8, 4, 64)
+    weights = np.array([1, 2, 4, 8])[:, None]
+    terms = (rows * weights).sum(axis=1) * np.arange(1, 9)[:, None]
+    expected = [terms[:k, i].sum() for i, k in enumerate(events.numpy())]
+    # four roundings an event of sums of at most 540
+    np.testing.assert_allclose(total, expected, atol=32 * 540 * 2.0**-24)
+
+
+def brightness(sampler, seeds=16):
+    """Mean radiance of a scene of many bounces by Mitsuba's path tracer, each seed."""
+    white = {"type": "diffuse", "reflectance": 0.9}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 12, "rr_depth": 4},
+            "sensor": {
+                "type": "perspective",
+                "to_world": mi.ScalarTransform4f().look_at(
+                    [0, -0.9, 0], [0, 0, -0.2], [0, 0, 1]
+                ),
+                "film": {"type": "hdrfilm", "width": 8, "height": 8},
+                "sampler": sampler,
+            },
+            "room": {"type": "cube", "flip_normals": True, "bsdf": white},
+            "ball": {"type": "sphere", "radius": 0.4, "bsdf": {"type": "dielectric"}},
+            "emitter": {
+                "type": "sphere",
+                "center": [0.5, 0.2, 0.6],
+                "radius": 0.2,
+                "emitter": {"type": "area", "radiance": 1.0},
+            },
+        }
+    )
+    images = [mi.render(scene, spp=256, seed=seed) for seed in range(seeds)]
+    return np.array([np.mean(np.array(image)) for image in images])
+
+
+def test_mitsubas_path_tracer_renders_the_same(sobol):
+    class Stuck(sobol.Sobol):
+        """Twin: draws the same two numbers again at each event."""
+
+        def next_1d(self, active=True):
+            self.draw = 0 * self.draw
+            return super().next_1d(active)
+
+    mi.register_sampler("stuck", Stuck)
+    reference = brightness({"type": "independent"})
+    for name, judge in (("sobol", agree), ("stuck", disagree)):
+        t = stats.ttest_ind(brightness({"type": name}), reference, equal_var=False)
+        judge(single(normal_scores(t.statistic, t.df)))
+
+
+# ------------------------------------------------------------------ any sampler
+
+
+def at_most_random(rows):
+    """Verdict on the joint distribution of each three of `rows` in [0, 1)."""
+    n_cells, p = 8, []
+    for three in combinations(rows, 3):
+        cell = np.ravel_multi_index([(x * n_cells).astype(int) for x in three], [8] * 3)
+        counts = np.bincount(cell, minlength=n_cells**3)
+        p.append(stats.chisquare(counts).pvalue)
+    return Verdict({"worst of three": min(1.0, min(p) * len(p))}, len(p))
+
+
+def wavefront(name, n):
+    return draw_all(sampling.seeded(mi.load_dict({"type": name}), [(1, 2)], 0, n))
+
+
+SAMPLERS = ["independent", "stratified", "multijitter", "orthogonal", "sobol"]
+
+
+@pytest.mark.parametrize("n", [2**18, 200_001])
+@pytest.mark.parametrize("name", SAMPLERS)
+def test_numbers_of_a_ray_are_jointly_uniform(name, n):
+    rows = wavefront(name, n)
+    assert rows.max() < 1
+    agree(at_most_random(rows))
+
+
+@pytest.mark.parametrize("name", ["stratified", "multijitter", "ldsampler"])
+def test_short_sequences_are_not_jointly_uniform(name):
+    """Twin: Mitsuba's default, one sequence of four points for each ray."""
+    sampler = mi.load_dict({"type": name})
+    sampler.seed(0, 2**18)
+    disagree(at_most_random(draw_all(sampler)))
+
+
+def test_ldsampler_is_not_jointly_uniform_as_one_sequence(monkeypatch):
+    """The reason why it is refused."""
+    monkeypatch.setattr(sampling, "OF_FIXED_SIZE", ("ldsampler",))
+    disagree(at_most_random(wavefront("ldsampler", 2**18)))
+
+
+@pytest.mark.parametrize(
+    ("sampler", "reason"),
+    [
+        ("ldsampler", "must not be ldsampler: it repeats one pattern"),
+        ({"type": "stratified", "jitter": False}, "must have jitter on"),
+        ({"type": "multijitter", "jitter": False}, "must have jitter on"),
+        ({"type": "orthogonal", "jitter": False}, "must have jitter on"),
+    ],
+)
+def test_samplers_that_measure_wrongly_are_refused(sampler, reason):
+    with pytest.raises(gonio.SpecimenError, match=reason):
+        gonio.measure({"type": "diffuse"}, 30, rays=1000, sampler=sampler)
+
+
+# ------------------------------------------------------------------ measurements
+
+
+def test_launches_of_a_batch_are_one_sequence(monkeypatch):
+    settings = {"theta_i": 30, "rays": 40_000, "batches": 3}
+    whole = gonio.measure(PLASTIC, **settings)
+    random = gonio.measure(PLASTIC, **settings, sampler="independent")
+    assert whole.settings["sampler"] == "sobol"
+    monkeypatch.setattr(launcher, "LAUNCH", 1000)
+    assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
+    other = gonio.measure(PLASTIC, **settings, sampler="independent")
+    assert other.tallies != random.tallies
+
+
+def test_the_best_dimensions_go_to_the_scattering_with_any_footprint():
+    """Exact: where light lands is of no importance to a BSDF without textures."""
+    settings = {"theta_i": 30, "rays": 10_000}
+    full, point = (
+        gonio.measure(PLASTIC, **settings, footprint=f) for f in ("full", "point")
+    )
+    assert full.tallies == point.tallies
+
+
+@pytest.mark.parametrize("trace", [False, True])
+def test_batches_that_share_a_launch_have_the_bits_of_their_own(monkeypatch, trace):
+    """Exact, with batches of unequal size, and several launches of a few batches."""
+    settings = {"theta_i": [0, 60], "rays": 10_021, "batches": 7, "trace": trace}
+    whole = gonio.measure(PLASTIC, **settings)
+    monkeypatch.setattr(launcher, "FUSED_RAYS", 5000)
+    assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
+    monkeypatch.setattr(launcher, "FUSED_SUMS", 0)
+    assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
+
+
+@pytest.mark.filterwarnings("ignore:the specimen lies up to 1001 scene units")
+def test_the_clock_decides_about_no_bit(monkeypatch):
+    """Exact: rays of a mirror field on a machine that is idle, and under load.
+
+    Launches are cut elsewhere; rays within rounding of an edge, of which there are many
+    far from the origin, stay in their packets. The twin cuts launches anywhere.
+    """
+    bsdf = {"type": "twosided", "bsdf": {"type": "conductor"}}
+    hills = {"type": "heightfield", "alpha": 0.5, "resolution": 64, "bsdf": bsdf}
+    hills["to_world"] = mi.ScalarTransform4f().translate([1000, 1000, 0])
+    settings = {"theta_i": 60, "rays": 299_998, "period": "box"}
+    send, rate, sent = launcher.launch, [], []
+
+    def timed(*arguments):
+        totals = send(*arguments)
+        sent.append(totals.emitted)
+        totals.started = time.perf_counter() - totals.emitted / rate[0]
+        return totals
+
+    def hits(speed):
+        rate[:], sent[:] = [speed], []
+        record = gonio.measure(hills, **settings)
+        return len(sent), record.tallies[0]
+
+    monkeypatch.setattr(launcher, "launch", timed)
+    n_whole, whole = hits(1e8)
+    for speed in (9999, 60_000):
+        n_parts, parts = hits(speed)
+        assert n_parts >= n_whole + 2
+        assert parts == whole
+    monkeypatch.setattr(launcher, "CHUNK", 1)
+    monkeypatch.setattr(Pace, "next_part", lambda _, at, *ab: min(9999, ab[0] - at))
+    assert hits(9999)[1] != whole
+
+
+@pytest.mark.parametrize("trace", [False, True])
+def test_launches_as_short_as_can_be_have_the_bits_of_long_ones(monkeypatch, trace):
+    """Exact; the slowest machine there is, on which a launch is of 1024 rays."""
+    settings = {"theta_i": 60, "rays": 20_003, "batches": 2, "trace": trace}
+    sent = []
+    send = launcher.launch
+
+    def heard(*arguments):
+        totals = send(*arguments)
+        sent.append(totals.emitted)
+        return totals
+
+    monkeypatch.setattr(launcher, "launch", heard)
+    whole = gonio.measure(PLASTIC, **settings)
+    assert sent == [20_003]
+    monkeypatch.setattr(launcher, "FUSED_RAYS", 2048)
+    monkeypatch.setattr(launcher, "FIRST_TRACED", 2000)
+    monkeypatch.setattr(launcher, "FIRST_PLANE", 2000)
+    monkeypatch.setattr(launcher, "SECONDS", 1e-9)
+    sent.clear()
+    assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
+    assert sum(sent) == 20_003
+    assert sent[0] <= (2048 if trace else 2000)
+    assert max(sent[1:]) <= 1024
+
+
+@pytest.mark.parametrize("rate", [1e2, 1e5, 3e6, 1e9])
+def test_ctrl_c_is_heard_after_a_second(monkeypatch, rate):
+    """By a clock of our own, at `rate` rays a second; but for the first launches."""
+    clock = [0.0]
+
+    monkeypatch.setattr(launcher.time, "perf_counter", lambda: clock[0])
+    ours, begin, end = Pace(2**18), 2**32 - 10**6, 2**32 + int(20 * rate)
+    parts, ends = [], []
+    while begin < end:
+        parts.append(ours.next_part(begin, end, 2**40))
+        begin += parts[-1]
+        clock[0] += 60  # it is compiled
+        started = clock[0]
+        clock[0] += 1e-6 + parts[-1] / rate
+        ours.learn(parts[-1], started)
+        ends.append(clock[0] - started)
+    assert sum(parts) == end - (2**32 - 10**6)
+    assert 2**32 in np.cumsum(parts) + 2**32 - 10**6
+    assert max(ends[6:]) <= max(1.001, 1024 / rate + 1e-6)
+
+
+def difference_to_independent(sampler, **settings):
+    """Verdict on a BSDF of two lobes, measured with `sampler`."""
+    settings |= {"theta_i": 50, "collector": "projected:10x10"}
+    even = gonio.measure(PLASTIC, **settings, sampler=sampler)
+    random = gonio.measure(PLASTIC, **settings, sampler="independent", seed=1)
+    return verdict(difference_scores(even, random))
+
+
+@pytest.mark.parametrize("name", ["stratified", "multijitter", "orthogonal", "sobol"])
+def test_two_lobes_as_with_independent_rays(name):
+    agree(difference_to_independent(name, estimator="analog", rays=10**6))
+
+
+@pytest.mark.parametrize("estimator", ["weighted", "analog"])
+def test_two_lobes_traced(estimator):
+    settings = {"estimator": estimator, "rays": 2**18, "trace": True}
+    agree(difference_to_independent("sobol", **settings))
+
+
+def test_short_sequences_measure_two_lobes_wrongly(monkeypatch):
+    """Twin: Mitsuba's default of one sequence of four points for each ray."""
+    monkeypatch.setattr(sampling, "OF_FIXED_SIZE", ())
+    settings = {"estimator": "analog", "rays": 10**6}
+    disagree(difference_to_independent("stratified", **settings))
+
+
+def rms_error(sampler, rays):
+    diffuse = {"type": "diffuse"}
+    record = gonio.measure(diffuse, 30, rays=rays, sampler=sampler, batches=4)
+    reference = 0.5 / np.pi
+    return np.sqrt(np.mean((record.brdf / reference - 1) ** 2))
+
+
+FEW, MANY = 2**14, 2**22
+
+
+@cache
+def slope(sampler):
+    """Order of convergence: the root mean square error falls as rays**-slope."""
+    ratio = rms_error(sampler, FEW) / rms_error(sampler, MANY)
+    return np.log(ratio) / np.log(MANY / FEW)
+
+
+def test_error_falls_faster_than_that_of_independent_rays():
+    """The order of independent rays is 1/2; twin: that of even ones is not.
+
+    A root mean square over 900 patches is certain to 1 / sqrt(1800), and so is the
+    logarithm of each of two.
+    """
+    std_err = np.sqrt(2 / 1800) / np.log(MANY / FEW)
+    agree(single((slope("independent") - 0.5) / std_err))
+    disagree(single((slope("sobol") - 0.5) / std_err))
+    assert slope("sobol") > 0.5
+
+
+def coverage(specimen, truth, rays, estimator, theta_i, shrink=1.0, seeds=24):
+    """Score of the covered fraction of patches against 95 %, from that of each run."""
+    fractions = []
+    for seed in range(seeds):
+        record = gonio.measure(
+            specimen,
+            theta_i,
+            collector="projected:10x10",
+            rays=rays,
+            estimator=estimator,
+            seed=seed,
+        )
+        low, high = record.interval(0.95)
+        middle, half = (low + high) / 2, shrink * (high - low) / 2
+        fractions.append(np.mean(np.abs(truth - middle) <= half))
+    fractions = np.array(fractions)
+    print(f"coverage {fractions.mean():.4f}")
+    std_err = fractions.std(ddof=1) / np.sqrt(seeds)
+    return normal_scores((fractions.mean() - 0.95) / std_err, seeds - 1)
+
+
+def enough(z):
+    """Verdict on intervals not being too narrow: those of few hits may be too wide."""
+    return Verdict({"coverage": float(stats.norm.cdf(z))})
+
+
+@pytest.mark.parametrize(
+    ("estimator", "rays"),
+    [("analog", 300), ("weighted", 5000), ("weighted", 100_000), ("analog", 100_000)],
+)
+def test_intervals_cover(rays, estimator):
+    """With few hits a patch, some, and many; and not a power of two of rays."""
+    diffuse = {"type": "diffuse", "reflectance": 0.5}
+    z = coverage(diffuse, 0.5 / np.pi, rays, estimator, 30)
+    agree(enough(z))
+    if rays == 100_000:
+        agree(single(z))
+
+
+def test_narrow_intervals_are_caught():
+    diffuse = {"type": "diffuse", "reflectance": 0.5}
+    disagree(enough(coverage(diffuse, 0.5 / np.pi, 100_000, "weighted", 30, 0.8)))
+
+
+def test_intervals_cover_at_grazing_incidence():
+    """Where most patches are empty or nearly so; the truth from 200 times the rays."""
+    specimen = {"type": "roughconductor", "alpha": 0.1}
+    truth = gonio.measure(
+        specimen, 85, collector="projected:10x10", rays=2**23, seed=12345
+    )
+    agree(enough(coverage(specimen, truth.brdf, 40_000, "weighted", 85)))
+    assert np.mean(truth.counts[0] < 2**23 / 40_000) > 0.5
+
+
+def test_batches_that_agree_are_not_certain():
+    """A share of nearly whole rays a batch gives all batches the same sum."""
+    agreeing = 0
+    for theta_i in np.linspace(5, 80, 40):
+        record = gonio.measure(
+            {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0},
+            theta_i,
+            collector="projected:2x2",
+            rays=2**20,
+            seed=int(theta_i * 10),
+        )
+        if record.dhr_std_err[0] == 0:
+            agreeing += 1
+            truth = fresnel(np.cos(np.radians(theta_i)), 1.5)
+            low, high = record.interval(0.95, of="dhr")
+            assert low[0] <= truth <= high[0]
+            # the twin, without the least width
+            assert record.dhr[0] != pytest.approx(truth, rel=1e-9)
+    assert agreeing > 0

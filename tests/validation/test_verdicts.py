@@ -1,0 +1,484 @@
+"""Verdicts on right and on broken BSDFs: the power of `validate`, and its answers.
+
+GONIO_EFFORT=normal (or thorough) examines the broken ones harder than quick.
+"""
+
+import json
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import broken_bsdfs
+import budget
+import mitsuba as mi
+import numpy as np
+import pytest
+from broken_bsdfs import EITHER, MISTAKES, RIGHT
+
+from gonio_mi import SpecimenError, cli
+from gonio_mi.commands import validate as command
+from gonio_mi.commands.validate import _print
+from gonio_mi.testing import assert_bsdf_valid
+from gonio_mi.validation import PROPERTIES, save_report, validate
+from gonio_mi.validation.checks import cost, delta
+from gonio_mi.validation.conditions import Condition
+from gonio_mi.validation.evidence import Evidence
+from gonio_mi.validation.samples import samples_of
+from gonio_mi.validation.validate import coloured
+from gonio_mi.validation.verdict import Verdict, properties_of
+
+ALPHA = budget.ALPHA
+OBLIQUE = Condition(40.0, 25.0)
+EFFORT = os.environ.get("GONIO_EFFORT", "quick")
+
+
+@pytest.fixture
+def plugins(mono):
+    broken_bsdfs.register()
+    return mono
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize("name", RIGHT)
+def test_right_plugin_passes(name):
+    verdict = validate({"type": name}, effort=EFFORT, alpha=ALPHA)
+    assert verdict.passed, str(verdict)
+    assert verdict.function is None
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize("name", MISTAKES)
+def test_mistake_is_seen_and_its_function_named(name):
+    """The twins of the test above; the budget of a verdict is that of the user."""
+    verdict = validate({"type": name}, effort=EFFORT, strict=True)
+    assert not verdict.passed, str(verdict)
+    named = verdict.function.split(" or ")
+    assert MISTAKES[name] in named, str(verdict)
+    if EFFORT == "quick" or name not in EITHER:
+        # harder looks may tell more
+        assert len(named) == 1 + (name in EITHER), str(verdict)
+    assert f"`{MISTAKES[name]}`" in verdict.mistake or "pdf" in verdict.mistake
+    assert verdict.headline.startswith(f"{name}: FAILS: {verdict.failures[0].effect}")
+
+
+@pytest.mark.usefixtures("plugins")
+def test_verdict_is_deterministic():
+    first, second = (validate({"type": "mixture"}, effort="quick") for _ in range(2))
+    assert first.to_dict() == second.to_dict()
+    other = validate({"type": "mixture"}, effort="quick", seed=1)
+    assert other["sampling"].statistic != first["sampling"].statistic
+
+
+@pytest.mark.usefixtures("plugins")
+def test_property_may_be_lacking():
+    verdict = validate(
+        {"type": "eval_gains_one_percent"}, effort="quick", allow=["energy"]
+    )
+    assert verdict.passed
+    assert verdict["energy"].status == "lacks"
+    assert "1.01" in verdict["energy"].statistic
+
+
+@pytest.mark.usefixtures("mono")
+def test_declared_asymmetry_is_reported_and_no_failure():
+    verdict = validate({"type": "cosinelobe"}, effort="quick")
+    assert verdict["reciprocity"].status == "lacks"
+    assert verdict.passed
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize(
+    ("specimen", "reason"),
+    [
+        ({"type": "diffuse", "reflectance": 0.0}, "nothing was lit"),
+        ({"type": "noise"}, "did not converge"),
+    ],
+)
+def test_nothing_lit_and_nothing_decided_are_no_pass(specimen, reason, capsys):
+    """The twins are all right plugins, which pass."""
+    verdict = validate(specimen, effort="quick")
+    assert reason in verdict.undecided
+    assert not verdict.failures
+    assert not verdict.passed
+    assert f"UNDECIDED: {verdict.undecided}" in verdict.headline
+    with pytest.raises(AssertionError, match="UNDECIDED"):
+        assert_bsdf_valid(specimen, effort="quick")
+    if specimen["type"] == "diffuse":
+        words = ["validate", "diffuse:reflectance=0", "--effort", "quick"]
+        assert cli.main(words) == 4
+        assert "UNDECIDED" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(
+    ("changes", "error", "text"),
+    [
+        ({"effort": "huge"}, ValueError, "effort must be one of"),
+        ({"seed": -1}, ValueError, "seed must be at least 0"),
+        ({"alpha": 0}, ValueError, "alpha must be a probability"),
+        ({"allow": ["energy", "magic"]}, ValueError, "allow must name some of"),
+        ({"specimen": {"type": "no_such"}}, SpecimenError, "cannot be loaded"),
+        (
+            {"specimen": {"type": "scene", "a": {"type": "sphere"}}},
+            None,
+            None,
+        ),
+        (
+            {
+                "specimen": {
+                    "type": "scene",
+                    "a": {"type": "sphere"},
+                    "b": {"type": "cube"},
+                }
+            },
+            SpecimenError,
+            "must have one shape",
+        ),
+    ],
+    ids=lambda v: next(iter(v)) if isinstance(v, dict) else None,
+)
+def test_arguments(changes, error, text):
+    arguments = {"specimen": {"type": "diffuse"}, "effort": "quick"} | changes
+    specimen = arguments.pop("specimen")
+    if error is None:
+        assert validate(specimen, **arguments).passed
+    else:
+        with pytest.raises(error, match=text):
+            validate(specimen, **arguments)
+
+
+@pytest.mark.usefixtures("rgb")
+def test_colours():
+    specimen = {"type": "roughconductor", "alpha": 0.3, "distribution": "ggx"}
+    verdict = validate(specimen | {"material": "Cu"}, effort="quick", alpha=ALPHA)
+    assert verdict.passed, str(verdict)
+
+
+@pytest.mark.usefixtures("plugins")
+def test_report_is_one_file(tmp_path):
+    verdict = validate({"type": "phi_with_wrong_sign"}, effort="quick")
+    path = tmp_path / "report.html"
+    save_report(verdict, path)
+    text = path.read_text()
+    assert text.count("data:image/png;base64,") == 2 * len(verdict.maps)
+    assert "mirrored in phi" in text
+    assert "the circle is the direction to the source" in text
+    # what fails comes first, with all its places
+    assert text.index('class="fails"') < text.index('class="holds"')
+    path.unlink()
+    save_report(validate({"type": "weight_with_cosine"}, effort="quick"), path)
+    assert path.read_text().count("weight times pdf over") > 3
+    assert 'src="http' not in text
+    with pytest.raises(ValueError, match="html"):
+        save_report(verdict, tmp_path / "report.pdf")
+
+
+@pytest.mark.usefixtures("plugins")
+def test_for_ci():
+    assert assert_bsdf_valid({"type": "lambert"}, effort="quick").passed
+    with pytest.raises(AssertionError, match="`eval` lacks the cosine of wo"):
+        assert_bsdf_valid({"type": "eval_without_cosine"}, effort="quick")
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize(
+    ("name", "effect", "passed"),
+    [
+        ("pdf_half_a_percent_off", "biases images", False),
+        ("flags_smooth_missing", "biases images", False),
+        ("importance_with_eta2", "breaks some integrators", False),
+        ("fresnel_not_reciprocal", "a property of the model", True),
+        ("eval_gains_one_percent", "a property of the model", True),
+        ("sample_ignores_active", "interface only (no effect on images)", True),
+        ("flags_of_another_lobe", "interface only (no effect on images)", True),
+        ("pdf_below_the_horizon", "interface only (no effect on images)", True),
+        ("gradient_detached", "breaks some integrators", False),
+        ("traverse_raises", "interface only (no effect on images)", True),
+        ("eta_of_a_reflection", "adds noise", True),
+        ("roulette", "adds noise", True),
+    ],
+)
+def test_effect_decides(name, effect, passed):
+    """What biases images or breaks integrators fails; the rest if one is strict."""
+    verdict = validate({"type": name}, effort="quick")
+    assert verdict.failures[0].effect == effect, str(verdict)
+    if name in ("gradient_detached", "traverse_raises", "eta_of_a_reflection"):
+        assert len(verdict.failures) == 1, str(verdict)
+    assert verdict.passed == passed
+    assert effect in verdict.headline
+    assert not validate({"type": name}, effort="quick", strict=True).passed
+
+
+@pytest.mark.usefixtures("plugins")
+def test_causes_come_before_consequences_and_places_are_named():
+    zero = validate({"type": "eval_and_pdf_are_zero"}, effort="quick")
+    assert zero.mistake == "`eval` and `pdf` are 0 where `sample` scatters light"
+    assert "e+2" not in str(zero)  # a ratio to 1e-30
+    half = validate({"type": "eval_half_below_a_line"}, effort="quick")
+    assert "everywhere" not in half.mistake
+    assert "phi_i 2" in half.mistake or "phi_i 3" in half.mistake
+    constant = validate({"type": "pdf_half_a_percent_off"}, effort="quick")
+    assert "everywhere" in constant.mistake
+    gain = validate({"type": "cats_eye_gains_light"}, effort="quick")
+    assert "gains light" in gain.mistake
+
+
+@pytest.mark.usefixtures("plugins")
+def test_kernels_that_are_compiled_anew_are_told():
+    """Its twin, the same with a constant, is `lambert`."""
+    verdict = validate({"type": "compiles_anew"}, effort="quick", strict=True)
+    assert verdict.passed
+    assert verdict["cost"].effect == "adds cost"
+    assert "compiled anew" in verdict["cost"].statistic
+    assert verdict.headline.endswith("but it adds cost")
+    lambert = validate({"type": "lambert"}, effort="quick")
+    assert lambert["cost"].effect is None
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize(("ns", "told"), [(5_000, False), (80_000, True)])
+def test_time_of_a_ray_is_a_ratio_in_turns(ns, told, monkeypatch):
+    """By a clock of its own, on a machine that now and then does something else."""
+    now = [0]
+
+    def call(own):
+        def advance():
+            other_work = 10**6 if len(now) % 5 == 0 else 0
+            now.append(now[-1] + own + other_work)
+
+        return advance
+
+    def ratio(first, second):
+        del first, second
+        return compared(call(ns), call(1_000), lambda: now[-1])
+
+    compared = cost.compared
+    monkeypatch.setattr(cost, "compared", ratio)
+    cost.check_time(evidence := Evidence(mi.load_dict({"type": "lambert"})), OBLIQUE)
+    assert (
+        f"{ns / 1_000:.2g} times as long as those of `diffuse`"
+        in (evidence.remarks["cost"])
+    )
+    assert ("cost" in evidence.lesser) == told
+
+
+@pytest.mark.usefixtures("plugins")
+def test_not_reciprocal_is_one_fact():
+    """Both modes are the same, so that adjointness has nothing to add."""
+    verdict = validate({"type": "fresnel_not_reciprocal"}, effort="quick")
+    assert [one.name for one in verdict.failures] == ["reciprocity"]
+
+
+@pytest.mark.usefixtures("mono")
+def test_answers_as_wide_as_the_rays():
+    """Nested maps turn single incident directions into as many as there are rays."""
+    heights = np.linspace(0, 0.3, 16, dtype=np.float32).reshape(4, 4, 1)
+    heights = {"type": "bitmap", "bitmap": mi.Bitmap(heights), "raw": True}
+    bumps = {"type": "bumpmap", "arbitrary": heights, "nested": {"type": "diffuse"}}
+    blend = {"type": "blendbsdf", "weight": 0.5, "a": bumps, "b": bumps}
+    verdict = validate(blend, effort="quick")
+    assert verdict.answered, str(verdict)
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("side", ["front", "back"])
+def test_rare_discrete_lobes_are_counted(side):
+    """Of an index of 1.01 a few reflect; a probability of 1 would allow none."""
+    bsdf = mi.load_dict({"type": "dielectric", "int_ior": 1.01, "ext_ior": 1.0})
+    samples = samples_of(bsdf, Condition(40.0, 140.0, side), 2**18, (0, 1))
+    delta.lobes_of(evidence := Evidence(bsdf), samples)
+    assert min(test.p for test in evidence.tests) > ALPHA
+    # the twin: a probability of 1, but for rounding, allows none of them
+    samples.sampled_pdf[~samples.reflected] = 1.0
+    delta.lobes_of(twin := Evidence(bsdf), samples)
+    assert min(test.p for test in twin.tests) < ALPHA
+
+
+ONE_VARIANT = """
+import mitsuba as mi
+from own_part import Lambertian
+mi.register_bsdf("knows_rgb", Lambertian)
+"""
+OWN_PART = """
+import drjit as dr
+import mitsuba as mi
+
+class Lambertian(mi.BSDF):
+    def __init__(self, props):
+        super().__init__(props)
+        self.m_flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
+        self.m_components = [self.m_flags]
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+        bs.pdf, bs.eta = dr.inv_pi * bs.wo.z, 1.0
+        bs.sampled_type = mi.UInt32(+mi.BSDFFlags.DiffuseReflection)
+        return bs, mi.Color3f(0.2, 0.5, 0.8) & (active & (si.wi.z > 0) & (bs.pdf > 0))
+
+    def eval(self, ctx, si, wo, active=True):
+        ok = active & (si.wi.z > 0) & (wo.z > 0)
+        return mi.Color3f(0.2, 0.5, 0.8) * (dr.inv_pi * wo.z) & ok
+
+    def pdf(self, ctx, si, wo, active=True):
+        return dr.select(active & (si.wi.z > 0) & (wo.z > 0), dr.inv_pi * wo.z, 0)
+
+    def to_string(self):
+        return "Lambertian[]"
+"""
+
+
+@pytest.mark.usefixtures("mono")
+def test_command_judges_where_a_plugin_answers(tmp_path, capsys, monkeypatch):
+    """In rgb and in mono; its own modules are found beside it, in either."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    plugin = tmp_path / "one_variant.py"
+    plugin.write_text(ONE_VARIANT)
+    (tmp_path / "own_part.py").write_text(OWN_PART)
+    arguments = ["validate", "knows_rgb", "--plugin", str(plugin), "--effort", "quick"]
+    assert cli.main([*arguments, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["settings"]["variant"] == "llvm_ad_rgb"
+    assert "got Color3f" in answer["skipped"]["llvm_ad_mono"]
+    assert answer["others"] == []
+    both = (tmp_path / "own_part.py").read_text().replace("Color3f", "Spectrum")
+    both = both.replace("0.2, 0.5, 0.8", "0.5")
+    (tmp_path / "own_part.py").write_text(both)
+    assert cli.main([*arguments, "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert [one["settings"]["variant"] for one in answer["others"]] == ["llvm_ad_mono"]
+    assert answer["skipped"] == {}
+
+
+def verdict_of(*p_values, effort="quick", variant="llvm_ad_rgb"):
+    """Verdict of ten tests of a probability of 0.1 %: a level of 0.01 % for each."""
+    evidence = Evidence()
+    for p in (*p_values, *[0.5] * (10 - len(p_values))):
+        evidence.test("sampling", p, "z")
+    settings = {"effort": effort, "seed": 0, "alpha": 1e-3, "strict": False}
+    settings |= {"variant": variant, "n_tests": 10, "n_samples": 1}
+    found = tuple(properties_of(evidence, 1e-3))
+    return Verdict("paint", found, "pdf", "a mistake", settings)
+
+
+def test_what_is_near_its_limit_is_told_without_an_alarm():
+    """Within a factor of ten; twins: further, and beyond the limit."""
+    near = verdict_of(0.3, 0.00023)
+    told = "sampling (p = 0.00023, fails below 0.0001)"
+    assert near.headline.endswith(
+        f"; near the limit: {told}, effort normal looks closer"
+    )
+    assert near.passed
+    assert not near.failures
+    assert "effort thorough" in verdict_of(0.00099, effort="normal").headline
+    assert "another seed" in verdict_of(0.00099, effort="thorough").headline
+    assert "near" not in verdict_of(0.00101).headline
+    failed = verdict_of(0.00009)
+    assert not failed.passed
+    assert "near" not in failed.headline
+
+
+def test_other_variants_are_told_of_after_the_verdict(capsys):
+    other = verdict_of(0.00023, variant="llvm_ad_mono")
+    _print(verdict_of(), [other], {})
+    *_, headline, last = capsys.readouterr().out.splitlines()
+    assert headline.startswith("paint: nothing wrong was found")
+    assert last.startswith("in llvm_ad_mono: nothing wrong was found either")
+    assert "near the limit: sampling" in last
+    for p, said in (
+        (0.00023, "nothing wrong was found; near the limit"),
+        (0.00001, "nothing that was not found in llvm_ad_rgb too"),
+    ):
+        _print(verdict_of(0.00001), [verdict_of(p, variant="llvm_ad_mono")], {})
+        last = capsys.readouterr().out.splitlines()[-1]
+        assert last.startswith(f"in llvm_ad_mono: {said}")
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_what_fails_in_any_variant_decides(order, monkeypatch):
+    """Before what is undecided in another, in either order."""
+    failed, passed = verdict_of(0.00001), verdict_of()
+    undecided = replace(
+        passed,
+        properties=tuple(
+            replace(one, status="undecided") if one.name == "sampling" else one
+            for one in passed.properties
+        ),
+    )
+    for verdicts, code in (([undecided, failed], 3), ([undecided, passed], 4)):
+        found = verdicts[::order]
+        monkeypatch.setattr(command, "_verdicts", lambda _, found=found: (found, {}))
+        assert cli.main(["validate", "diffuse"]) == code
+
+
+@pytest.mark.usefixtures("rgb")
+def test_grey_parameters_get_a_colour():
+    """So that channels that are mixed up show."""
+    grey = {"type": "roughplastic", "diffuse_reflectance": 0.5, "alpha": 0.1}
+    params = mi.traverse(coloured(mi.load_dict(grey), grey))
+    tinted = np.ravel(params["diffuse_reflectance.value"])
+    assert tinted.max() == 0.5
+    assert len(set(tinted.tolist())) == 3
+    assert params["alpha"] == np.float32(0.1)
+
+
+@pytest.mark.usefixtures("rgb")
+def test_what_a_plugin_keeps_as_one_number_stays_one():
+    """A tint would give it three, which are no reflectances of so many rays."""
+    broken_bsdfs.register()
+    verdict = validate({"type": "grey"}, effort="quick", alpha=ALPHA)
+    assert verdict.answered, str(verdict)
+    assert verdict.passed, str(verdict)
+
+
+PLUGIN = """
+import sys
+sys.path.insert(0, {folder!r})
+import broken_bsdfs
+broken_bsdfs.register()
+"""
+
+
+@pytest.mark.usefixtures("mono")
+def test_command(tmp_path, capsys):
+    plugin = tmp_path / "mine.py"
+    plugin.write_text(
+        PLUGIN.format(folder=str(Path(__file__).parents[1] / "references"))
+    )
+    common = ["--effort", "quick", "--plugin", str(plugin)]
+    assert cli.main(["validate", "lambert", *common]) == 0
+    assert "nothing wrong was found" in capsys.readouterr().out
+    report = tmp_path / "r.html"
+    arguments = ["validate", "pdf_raises", *common, "--json", "--report", str(report)]
+    assert cli.main(arguments) == 3
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["function"] == "pdf"
+    assert "(broken_bsdfs.py, line " in answer["mistake"]
+    assert [p["name"] for p in answer["properties"]] == list(PROPERTIES)
+    assert report.is_file()
+    assert cli.main(["validate", "diffuse", "--allow", "magic"]) == 1
+    assert "allow must name some of" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize(
+    ("specimen", "name", "note"),
+    [
+        ({"type": "dusty"}, "answers", "`eval` depends on where the surface is"),
+        ({"type": "fading_above"}, "answers", "`eval` depends on where the surface is"),
+        ({"type": "principledthin"}, "flags", "declared and never sampled"),
+        (
+            {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
+            "flags",
+            "without SpatiallyVarying",
+        ),
+        ({"type": "diffuse"}, "masks", "`pdf` gives inactive rays a value"),
+        ({"type": "conductor"}, "masks", None),
+    ],
+)
+def test_what_does_no_harm_is_noted(specimen, name, note):
+    """Mitsuba's own BSDFs do it."""
+    found = validate(specimen, effort="quick")[name]
+    assert found.status == "holds"
+    assert found.statistic == "" if note is None else note in found.statistic
