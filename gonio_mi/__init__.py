@@ -44,12 +44,12 @@ from .formats.reading import read_measured  # noqa: E402
 from .instrument.exit_profile import ExitProfile, exit_profile  # noqa: E402
 from .instrument.measurement import measure_orders  # noqa: E402
 from .instrument.mesh_specimens import mesh  # noqa: E402
-from .microsurfaces import MicroNormals, micro_normals  # noqa: E402
 from .plots import plot  # noqa: E402
 from .reports import report  # noqa: E402
 from .results.planning import Plan, plan  # noqa: E402
 from .results.record import Record  # noqa: E402
 from .results.tally import Ledger  # noqa: E402
+from .surfaces.micro_normals import MicroNormals, micro_normals  # noqa: E402
 from .validation import Verdict, validate  # noqa: E402
 
 __all__ = [

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..collector import Subdivision
 from ..formats.scatter import PatchMeans
-from ..materials.lobes import check_table, tells
+from ..interpolation.lobes import check_table, tells
 from ..results.azimuth_symmetry import AzimuthSymmetry
 from ..results.misplacement import Misplacement, misplaced
 from .known_directions import KnownDirections

@@ -13,9 +13,9 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers
 from ..collector.directions import direction
 from ..formats.scatter import PatchMeans
-from ..materials.leg_trials import best_ways
-from ..materials.lit_face import LitFace
-from ..materials.lobes import MeasuredLobes
+from ..interpolation.interpolated_bsdf import InterpolatedBSDF
+from ..interpolation.lobes import MeasuredLobes
+from ..interpolation.polar_cross_validation import best_ways
 from ..results.record import Record
 
 __all__ = ["SPARED", "Prediction", "points_for"]
@@ -97,7 +97,7 @@ class Prediction:
         flux: Floats = brdf.reshape(shape) * solid
         return flux
 
-    def face(self, theta_i: float, phi_i: float) -> LitFace:
+    def face(self, theta_i: float, phi_i: float) -> InterpolatedBSDF:
         """The material, of what lies around a direction alone; the same there."""
         return self._face(*self.lobes.grid.around(theta_i, phi_i))
 
@@ -110,11 +110,15 @@ class Prediction:
         dr.eval(wo)
         return wo
 
-    def _between(self, azimuths: Sequence[int], angles: Sequence[int]) -> LitFace:
+    def _between(
+        self, azimuths: Sequence[int], angles: Sequence[int]
+    ) -> InterpolatedBSDF:
         ways = [replace(way, legs=(True,)) for way in self.ways if way.legs[angles[0]]]
-        return LitFace(self.lobes.table(azimuths, angles), ways=ways)
+        return InterpolatedBSDF(self.lobes.table(azimuths, angles), ways=ways)
 
-    def _means(self, face: LitFace, wi: mi.Vector3f, wo: mi.Vector3f, n: int) -> Floats:
+    def _means(
+        self, face: InterpolatedBSDF, wi: mi.Vector3f, wo: mi.Vector3f, n: int
+    ) -> Floats:
         """Means over ``n x n`` points each, a column for each channel."""
         values, _, wanted = face.values(wi, wo)
         sums = [dr.block_sum(dr.select(wanted, value, 0.0), n * n) for value in values]

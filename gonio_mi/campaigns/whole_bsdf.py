@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import checked_number
-from ..materials.lobes import TooLargeError
+from ..interpolation.lobes import TooLargeError
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_text import LOOKS
 from ..results.misplacement import Misplacement

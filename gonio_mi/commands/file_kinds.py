@@ -4,10 +4,10 @@ from pathlib import Path
 
 from .. import files
 from ..errors import SettingError
+from ..formats import height_maps
 from ..formats.meshes import MESHES
 from ..formats.reading import endings_of, format_of
 from ..results.record import Record
-from ..surfaces import height_maps
 
 __all__ = ["check_kind", "record_of"]
 

@@ -53,10 +53,10 @@ def add_options(parser: ArgumentParser) -> None:
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    from ..microsurfaces import micro_normals
+    from ..formats.height_maps import is_height_map, read_height_map
     from ..plots import check_picture
-    from ..surfaces.height_maps import is_height_map, read_height_map
     from ..surfaces.images import image_heights
+    from ..surfaces.micro_normals import micro_normals
     from ..surfaces.topography import topography
 
     if options.output is not None:

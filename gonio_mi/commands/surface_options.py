@@ -6,11 +6,11 @@ from argparse import Namespace
 from typing import Any
 
 from ..errors import SettingError
+from ..formats.height_maps import is_height_map
 from ..formats.meshes import is_mesh
 from ..instrument.loading import parse_specimen
 from ..instrument.mesh_specimens import NORMALS, mesh
 from ..instrument.surface_specimens import surface_specimen
-from ..surfaces.height_maps import is_height_map
 from ..surfaces.preparation import FILLS, FORMS
 from ..surfaces.topography import UNITS
 from .arguments import number

@@ -26,8 +26,8 @@ from ..errors import (
     shown,
     tells_of_our_bug,
 )
+from ..formats.height_maps import is_height_map
 from ..formats.meshes import is_mesh
-from ..surfaces.height_maps import is_height_map
 from ..transport.geometry import WATERTIGHT, remember, scene_of
 from ..transport.kernels import launches_kernels
 from ..transport.variants import is_usable

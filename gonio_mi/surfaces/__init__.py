@@ -1,1 +1,1 @@
-"""Surfaces made of shape, as arrays of heights."""
+"""Surfaces: heights, their statistics, micro-normals, masking and shadowing."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import SettingError, printable, shown
-from .height_maps import HeightMap
+from ..formats.height_maps import HeightMap
 from .heights import LARGEST, HeightStatistics, checked_heights, height_statistics
 from .preparation import filled, without_form
 

@@ -17,8 +17,8 @@ from gonio_mi.campaigns.known_directions import KnownDirections
 from gonio_mi.campaigns.known_material import KnownMaterial
 from gonio_mi.campaigns.recognition import Recognition
 from gonio_mi.campaigns.tasks import Surroundings
-from gonio_mi.materials.incident_grid import IncidentGrid
-from gonio_mi.materials.lobes import MeasuredLobes
+from gonio_mi.interpolation.incident_grid import IncidentGrid
+from gonio_mi.interpolation.lobes import MeasuredLobes
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.campaign_text import campaign_is_sound
 from gonio_mi.results.copied_directions import sources

@@ -32,9 +32,9 @@ from gonio_mi.campaigns.refinement import Axis, Interval, refined
 from gonio_mi.campaigns.resolution import check_peaks, delta_share
 from gonio_mi.campaigns.tasks import Surroundings
 from gonio_mi.campaigns.whole_bsdf import FIRST_ANGLES, UNSEEN, WholeBsdf
-from gonio_mi.materials import lobes
-from gonio_mi.materials.gradients import gradients
-from gonio_mi.materials.lobes import MeasuredLobes, TooLargeError, check_table
+from gonio_mi.interpolation import lobes
+from gonio_mi.interpolation.gradients import gradients
+from gonio_mi.interpolation.lobes import MeasuredLobes, TooLargeError, check_table
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.misplacement import Misplacement, misplaced, noise_of
 from gonio_mi.results.provenance import Provenance

@@ -21,7 +21,7 @@ import pytest
 import surface_files
 
 from gonio_mi.cli import main
-from gonio_mi.surfaces import foreign_reader, height_maps
+from gonio_mi.formats import height_map_reader, height_maps
 from gonio_mi.surfaces.heights import gaussian_heights
 
 tomllib = pytest.importorskip("tomllib")
@@ -193,7 +193,7 @@ def test_page_runs_word_for_word(page, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "my_bsdf", raising=False)
     # the libraries that read scans take seconds to be imported
-    monkeypatch.setattr(height_maps, "read_apart", foreign_reader.read)
+    monkeypatch.setattr(height_maps, "read_apart", height_map_reader.read)
     variant, known = mi.variant(), {}
     try:
         for language, text in blocks(page):

@@ -8,8 +8,8 @@ from synthetic import facet_lobes, facets_through
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.materials.half_vectors import predicted, sent
-from gonio_mi.materials.incident_grid import IncidentGrid
+from gonio_mi.interpolation.half_vectors import predicted, sent
+from gonio_mi.interpolation.incident_grid import IncidentGrid
 
 # Of the sums of some ten numbers of double precision.
 DOUBLE = 1e-14

@@ -17,7 +17,11 @@ from scipy import special, stats
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.materials import facets
+from gonio_mi.plugins.phong_facets import (
+    averted_area,
+    averted_area_table,
+    mean_cosine,
+)
 from gonio_mi.validation.checks.flags import LOBES
 
 EPS = 2.0**-24  # largest relative rounding error of a float32 operation
@@ -256,9 +260,7 @@ def model_flux(name, wi, wo):
         e_u, e_v = values["exponent_u"], values["exponent_v"]
 
         def area(k):
-            return k[..., 2] * facets.mean_cosine(e_u, e_v) + facets.averted_area(
-                k, e_u, e_v
-            )
+            return k[..., 2] * mean_cosine(e_u, e_v) + averted_area(k, e_u, e_v)
 
         return facets_brdf(wi, wo, e_u, e_v, values["f0"], area)[0] * cos_o
     flux = lobe_flux(values["normalisation"], values["exponent"], wi, wo)
@@ -444,8 +446,8 @@ def test_area_of_facets(e_u, e_v):
     phi = np.radians([0, 1, 40, 90])
     k = direction(theta[:, None], phi).reshape(-1, 3)
     exact = facing_area(k, e_u, e_v)
-    mean = facets.mean_cosine(e_u, e_v)
-    area = k[:, 2] * mean + facets.averted_area(k, e_u, e_v)
+    mean = mean_cosine(e_u, e_v)
+    area = k[:, 2] * mean + averted_area(k, e_u, e_v)
     # convergence: 5e-7 of the helper's 32 nodes, as much of the brute force, whose
     # values change by less than that with twice the azimuths
     np.testing.assert_allclose(area, exact, rtol=1e-6)
@@ -455,11 +457,11 @@ def test_area_of_facets(e_u, e_v):
     assert np.abs(k[:, 2] * mean / exact - 1).max() > 0.9
 
     # random points of a bilinear interpolation as the plugin makes it
-    table = facets.averted_area_table(e_u, e_v).astype(float)
+    table = averted_area_table(e_u, e_v).astype(float)
     a, q = np.random.default_rng(5).random((2, 4000))
     a[:1000] **= 8
     stretched = (1 - a) * (1 - q) * np.sqrt(e_u + 1), (1 - a) * q * np.sqrt(e_v + 1), a
-    exact = facets.averted_area(np.stack(stretched, axis=-1), e_u, e_v, 100)
+    exact = averted_area(np.stack(stretched, axis=-1), e_u, e_v, 100)
     row, column = np.floor(q * 256).astype(int), np.floor(a * 256).astype(int)
     down, right = q * 256 - row, a * 256 - column
     upper = table[row, column] * (1 - right) + table[row, column + 1] * right
@@ -481,8 +483,8 @@ def test_facets_are_the_formula(e_u, e_v, f0):
     bsdf = mi.load_dict(plugin | {"f0": f0})
 
     def area(k):
-        away = facets.averted_area(k, e_u, e_v)
-        return k[..., 2] * facets.mean_cosine(e_u, e_v) + away
+        away = averted_area(k, e_u, e_v)
+        return k[..., 2] * mean_cosine(e_u, e_v) + away
 
     wi, wo = pairs(500)
     # outgoing directions in the lobe
@@ -576,7 +578,7 @@ def test_facets_conserve_energy(e_u, e_v):
         assert (albedo[:, 0] <= 1 + 1e-6 + 30 * EPS + albedo[:, 1]).all()
         # twin: without the mean cosine of smooth facets light would be gained
         if min(e_u, e_v) >= 50:
-            mean = facets.mean_cosine(e_u, e_v)
+            mean = mean_cosine(e_u, e_v)
             assert (albedo[:, 0] / mean > 1 + 1e-3).any()
 
 

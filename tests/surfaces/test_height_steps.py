@@ -7,7 +7,7 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi.cli import main
-from gonio_mi.surfaces.height_maps import HeightMap
+from gonio_mi.formats.height_maps import HeightMap
 from gonio_mi.surfaces.heights import gaussian_heights
 from gonio_mi.surfaces.topography import height_step, topography
 

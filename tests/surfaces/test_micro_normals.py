@@ -8,7 +8,7 @@ from scipy import integrate
 import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.errors import SpecimenError
-from gonio_mi.microsurfaces import smith
+from gonio_mi.surfaces import smith
 from gonio_mi.surfaces.heights import gaussian_heights, height_statistics
 
 # isort: split

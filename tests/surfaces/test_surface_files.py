@@ -10,8 +10,8 @@ import surface_files
 import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.errors import FileFormatError, SpecimenError
-from gonio_mi.surfaces import foreign_reader, height_maps
-from gonio_mi.surfaces.height_maps import HeightMap
+from gonio_mi.formats import height_map_reader, height_maps
+from gonio_mi.formats.height_maps import HeightMap
 from gonio_mi.surfaces.preparation import filled, without_form
 from gonio_mi.surfaces.topography import topography
 
@@ -25,7 +25,7 @@ EPS32, EPS = np.finfo(np.float32).eps, np.finfo(float).eps
 @pytest.fixture(autouse=True)
 def _here(monkeypatch):
     """Files are read in this process: the libraries take seconds to be imported."""
-    monkeypatch.setattr(height_maps, "read_apart", foreign_reader.read)
+    monkeypatch.setattr(height_maps, "read_apart", height_map_reader.read)
 
 
 def read(path):
@@ -118,9 +118,9 @@ def test_a_process_of_its_own_reads(tmp_path, monkeypatch):
     apart = read(tmp_path / "a.sur")
     assert np.array_equal(apart.heights, here.heights)
     assert (apart.spacing, apart.source) == (here.spacing, here.source)
-    dying = tmp_path / "foreign_reader.py"
+    dying = tmp_path / "height_map_reader.py"
     dying.write_text("import os; os.abort()")
-    monkeypatch.setattr("gonio_mi.surfaces.height_maps.__file__", str(dying))
+    monkeypatch.setattr("gonio_mi.formats.height_maps.__file__", str(dying))
     with pytest.raises(FileFormatError, match="its reader broke down"):
         read(tmp_path / "a.sur")
 
@@ -448,4 +448,4 @@ def test_reader_says_what_is_wrong():
     """In its own process too, where the library's words are all there is."""
     pytest.importorskip("SurfaceTopography")
     with pytest.raises(ValueError, match="no format"):
-        foreign_reader.read("absent", [])
+        height_map_reader.read("absent", [])

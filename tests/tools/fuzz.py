@@ -522,9 +522,9 @@ def _write_stack(path):
 
 def _read_heights(path):
     """Heights of an instrument's file, read in this process of limited memory."""
-    from gonio_mi.surfaces import foreign_reader, height_maps
+    from gonio_mi.formats import height_map_reader, height_maps
 
-    height_maps.read_apart = foreign_reader.read
+    height_maps.read_apart = height_map_reader.read
     return height_maps.read_height_map(path, None).heights
 
 

@@ -7,9 +7,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi.materials import bsdf_functions, facets
-from gonio_mi.materials import exponentiated_cosine as lobe
-from gonio_mi.materials.bsdf_functions import reflectance
+from gonio_mi.plugins import bsdf_functions, phong_facets
+from gonio_mi.plugins import exponentiated_cosine as lobe
+from gonio_mi.plugins.bsdf_functions import reflectance
 from gonio_mi.settings.manual import example
 
 
@@ -131,10 +131,10 @@ class AnisotropicPhong(mi.BSDF):
         anisotropic = mi.BSDFFlags.Anisotropic if e_u != e_v else mi.BSDFFlags.Empty
         self.m_flags = bsdf_functions.GLOSSY | anisotropic
         self.m_components = [self.m_flags]
-        table = facets.averted_area_table(e_u, e_v)
+        table = phong_facets.averted_area_table(e_u, e_v)
         # hardware interpolation would round to 8 bits
         self.averted_area = mi.Texture2f(mi.TensorXf(table[..., None]), use_accel=False)
-        self.mean_cosine = mi.Float(float(facets.mean_cosine(e_u, e_v)))
+        self.mean_cosine = mi.Float(float(phong_facets.mean_cosine(e_u, e_v)))
         dr.make_opaque(self.mean_cosine)
 
     def draw(

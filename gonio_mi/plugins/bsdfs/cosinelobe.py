@@ -8,9 +8,9 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi import properties
-from gonio_mi.materials import bsdf_functions
-from gonio_mi.materials import exponentiated_cosine as lobe
-from gonio_mi.materials.bsdf_functions import reflectance
+from gonio_mi.plugins import bsdf_functions
+from gonio_mi.plugins import exponentiated_cosine as lobe
+from gonio_mi.plugins.bsdf_functions import reflectance
 from gonio_mi.settings.manual import example
 
 

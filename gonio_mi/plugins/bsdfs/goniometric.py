@@ -17,10 +17,10 @@ from gonio_mi.files.channels import wavelengths_nm
 from gonio_mi.formats.radiance import has_back
 from gonio_mi.formats.reading import load_material
 from gonio_mi.formats.scatter import PatchMeans
-from gonio_mi.materials import bsdf_functions
-from gonio_mi.materials.leg_trials import best_ways
-from gonio_mi.materials.lit_face import LitFace
-from gonio_mi.materials.lobes import MeasuredLobes
+from gonio_mi.interpolation.interpolated_bsdf import InterpolatedBSDF
+from gonio_mi.interpolation.lobes import MeasuredLobes
+from gonio_mi.interpolation.polar_cross_validation import best_ways
+from gonio_mi.plugins import bsdf_functions
 from gonio_mi.results.record import Record
 from gonio_mi.settings.manual import example
 
@@ -237,7 +237,7 @@ class Goniometric(mi.BSDF):
 
     def _guides(
         self, ctx: mi.BSDFContext
-    ) -> Iterator[tuple[int, LitFace, tuple[bool, bool]]]:
+    ) -> Iterator[tuple[int, InterpolatedBSDF, tuple[bool, bool]]]:
         """Sides of `wi`, the face to sample there, and hemispheres that hold `wo`."""
         enabled = self._enabled(ctx)
         for number, side in enumerate(SIDES):
@@ -277,11 +277,11 @@ def _resolved(name: str) -> str:
     return str(mi.file_resolver().resolve(name))
 
 
-def _face(label: str, name: str, side: str) -> LitFace:
+def _face(label: str, name: str, side: str) -> InterpolatedBSDF:
     """Face of the material in a file, in the variant's channels."""
     try:
         lobes, wavelengths = _lobes(_resolved(name), side)
-        return LitFace(lobes.whole(), wavelengths, best_ways(lobes))
+        return InterpolatedBSDF(lobes.whole(), wavelengths, best_ways(lobes))
     except (ValueError, OSError) as error:
         raise type(error)(f"{label}: {error}") from None
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from gonio_mi import properties
 from gonio_mi.array_types import Floats
 from gonio_mi.errors import SpecimenError, check_memory
+from gonio_mi.formats.height_maps import HeightMap, read_height_map
 from gonio_mi.settings.manual import example
-from gonio_mi.surfaces.height_maps import HeightMap, read_height_map
 from gonio_mi.surfaces.heights import (
     CORRELATIONS,
     LARGEST,

@@ -27,7 +27,13 @@ from .lookups import (
     turned,
 )
 
-__all__ = ["Legs", "LitLobes", "MicroNormals", "MovingLobes", "Way"]
+__all__ = [
+    "QuantileTransport",
+    "LobeArrays",
+    "HalfVectorTransport",
+    "InterpolatedLobes",
+    "Way",
+]
 
 
 @dataclass(frozen=True)
@@ -78,7 +84,7 @@ class _OnPiece:
     slope: mi.Float64
 
 
-class Legs:
+class QuantileTransport:
     """Ways of points between polar angles, strip by strip and cell by cell.
 
     Parameters
@@ -143,7 +149,7 @@ class Way:
     legs: tuple[bool, ...]
 
 
-class MicroNormals:
+class HalfVectorTransport:
     """Ways of points by micro-normals that stay, whose light comes from elsewhere.
 
     Parameters
@@ -212,7 +218,7 @@ class MicroNormals:
         return place.past if hemisphere in self.with_azimuth else mi.Float64(0)
 
 
-class LitLobes:
+class LobeArrays:
     """Lobes as measured, one for each row: azimuth, polar angle and hemisphere.
 
     Points of the disk are in the frame of incidence, whose azimuth is that of the row.
@@ -311,7 +317,7 @@ class LitLobes:
         return DiskPoint(x, dr.select(across > 0, y / across, 0))
 
 
-class MovingLobes:
+class InterpolatedLobes:
     """Lobes of a table, each moved to where it is for other incident light.
 
     What is sent to a point is asked for by :meth:`values`, and where a point is sent to
@@ -325,7 +331,7 @@ class MovingLobes:
         Of the table's grid.
     ways : sequence of Way, optional
         Where light keeps its micro-normals between polar angles; elsewhere it moves by
-        :class:`.moving_lobes.Legs`.
+        :class:`.interpolated_lobes.QuantileTransport`.
     """
 
     def __init__(
@@ -335,17 +341,17 @@ class MovingLobes:
         self.incident = incident
         grid, number = table.grid, range(self.n_hemispheres)
         moving = [n for n in number if incident.n_azimuths > 1 and grid.moves(n)]
-        self.normals = MicroNormals(ways, moving)
+        self.normals = HalfVectorTransport(ways, moving)
         by_normals = [way.hemisphere for way in ways if all(way.legs)]
         by_legs = [n for n in number if n not in by_normals]
         every = (True,) * incident.n_legs
         between = [
             Way(n, grid.eta if n else None, every) for n in by_legs if n in moving
         ]
-        self.azimuths = MicroNormals(between, moving)
+        self.azimuths = HalfVectorTransport(between, moving)
         # slow to find: none where nothing moves by them
-        self.legs = Legs(table) if by_legs else None
-        self.measured = LitLobes(table)
+        self.legs = QuantileTransport(table) if by_legs else None
+        self.measured = LobeArrays(table)
         self.n_channels = self.measured.n_channels
 
     # ------------------------------------------------------- what is sent to a point

@@ -14,11 +14,11 @@ from synthetic import facet_lobes, facets_through
 import gonio_mi as gonio
 from gonio_mi.campaigns.prediction import Prediction
 from gonio_mi.collector.directions import direction
-from gonio_mi.materials.azimuth_trials import tried_indices
-from gonio_mi.materials.leg_trials import best_ways
-from gonio_mi.materials.lit_face import LitFace
-from gonio_mi.materials.lobes import MeasuredLobes
-from gonio_mi.materials.moving_lobes import Way
+from gonio_mi.interpolation.azimuth_cross_validation import tried_indices
+from gonio_mi.interpolation.interpolated_bsdf import InterpolatedBSDF
+from gonio_mi.interpolation.interpolated_lobes import Way
+from gonio_mi.interpolation.lobes import MeasuredLobes
+from gonio_mi.interpolation.polar_cross_validation import best_ways
 from gonio_mi.results.misplacement import misplaced
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -94,7 +94,7 @@ def test_diffuse_light_is_as_bright_at_the_horizon_as_elsewhere(theta_i):
     # only the even light, of which the facets' is no part there, is looked at
     errors = [
         np.abs(face.values(wi, wo)[0][0].numpy() * 4 * np.pi - 1).mean()
-        for face in (LitFace(table, ways=ways) for ways in (own, [every], []))
+        for face in (InterpolatedBSDF(table, ways=ways) for ways in (own, [every], []))
     ]
     assert errors[0] <= errors[2] < errors[1] / 2
 
@@ -152,7 +152,7 @@ def test_predictions_need_only_what_lies_around():
     weights = np.stack([lobes, lobes[::-1]], axis=1) / 2
     record = synthetic.exact(weights, theta_i, str(patches), phi_i)
     around, whole, elsewhere = (Prediction(record, 4) for _ in range(3))
-    table = LitFace(whole.lobes.whole(), ways=whole.ways)
+    table = InterpolatedBSDF(whole.lobes.whole(), ways=whole.ways)
     whole.face = lambda *_: table
     elsewhere.face = lambda *_: around.face(50, 140)
     assert any(any(way.legs) for way in around.ways)
@@ -200,7 +200,7 @@ def test_samples_follow_values_where_lanes_move_in_different_ways(reflects, eta)
     table = MeasuredLobes(record).whole()
     table = replace(table, grid=replace(table.grid, reflects=reflects, eta=eta))
     ways = Way(0, None, (False, True, False)), Way(1, 1.5, (True, False, True))
-    face, quantiles = LitFace(table, ways=ways), LitFace(table)
+    face, quantiles = InterpolatedBSDF(table, ways=ways), InterpolatedBSDF(table)
     lights = direction(*np.radians([[30, 50, 75], [14, 200, 355]]))
     rays, generator = 2**16, np.random.default_rng(1)
     wi = mi.Vector3f(np.repeat(lights, rays, axis=0).T.astype(np.float32))

@@ -10,7 +10,7 @@ from ..array_types import Floats, Integers
 from ..collector import RingsAndSectors
 from .half_vectors import predicted
 
-__all__ = ["AzimuthTrials", "distances", "tried_indices"]
+__all__ = ["AzimuthCrossValidation", "distances", "tried_indices"]
 
 # Records that are predicted from their neighbours; azimuths below which none is.
 TRIALS, FEW = 4, 4
@@ -59,7 +59,7 @@ class _Trial:
     numbers: list[int]
 
 
-class AzimuthTrials:
+class AzimuthCrossValidation:
     """Lobes predicted in both ways: as they turn, and by micro-normals that stay.
 
     Parameters

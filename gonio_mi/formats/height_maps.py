@@ -24,7 +24,7 @@ __all__ = ["ENDINGS", "HeightMap", "is_height_map", "read_apart", "read_height_m
 # Endings of the files of instruments, and the formats in which the library
 # SurfaceTopography may read each. Left out are containers of anything (HDF5, NetCDF,
 # MATLAB, zip), and tables that may be a measured BSDF.
-FORMATS = {
+READERS = {
     "001": "di",
     "al3d": "al3d",
     "apx": "plu",
@@ -73,7 +73,7 @@ FORMATS = {
 }
 
 # Files that are a specimen by their name alone: heights and nothing else.
-ENDINGS = tuple(f".{name}" for name in (*FORMATS, "npy", "png"))
+ENDINGS = tuple(f".{name}" for name in (*READERS, "npy", "png"))
 
 # Seconds that reading a file may take.
 PATIENCE = 300
@@ -120,7 +120,7 @@ def read_height_map(
     Parameters
     ----------
     path : Path
-        A ``.npy`` file, a file of an instrument (:data:`FORMATS`), or else an image.
+        A ``.npy`` file, a file of an instrument (:data:`READERS`), or else an image.
     read_image : callable
         Returns the pixels of an image in their own type, shape ``(n_y, n_x)``.
 
@@ -136,8 +136,8 @@ def read_height_map(
     ending = path.suffix[1:].lower()
     if ending == "npy":
         return HeightMap(_grid(_npy(path)), path.name)
-    if ending in FORMATS:
-        return _foreign(path, FORMATS[ending])
+    if ending in READERS:
+        return _foreign(path, READERS[ending])
     pixels = read_image(path)
     return HeightMap(_grid(pixels), path.name, codes=_codes(pixels.dtype))
 
@@ -184,8 +184,8 @@ def _foreign(path: Path, formats: str) -> HeightMap:
 
 
 def read_apart(path: str, formats: Sequence[str]) -> tuple[dict[str, Any], Floats]:
-    """:func:`~gonio_mi.surfaces.foreign_reader.read` in a process of its own."""
-    program = Path(__file__).with_name("foreign_reader.py")
+    """:func:`~gonio_mi.formats.height_map_reader.read` in a process of its own."""
+    program = Path(__file__).with_name("height_map_reader.py")
     # threads of a linear algebra that is not needed take address space
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as folder:

@@ -9,14 +9,14 @@ import drjit as dr
 import mitsuba as mi
 
 from ..array_types import Floats
+from .interpolated_lobes import InterpolatedLobes, Way
 from .lobes import LobeTable
 from .lookups import IncidentPlaces, Place, doubles, read, seen_from, towards
-from .moving_lobes import MovingLobes, Way
 
-__all__ = ["LitFace"]
+__all__ = ["InterpolatedBSDF"]
 
 
-class LitFace:
+class InterpolatedBSDF:
     """Lobe table as Dr.Jit arrays; double precision keeps pole and horizon.
 
     Directions are seen from this face: light comes from z > 0. `transmits` tells
@@ -28,7 +28,7 @@ class LitFace:
     wavelengths : sequence of float, optional
         Of the table's channels in nm, for spectral variants.
     ways : sequence of Way, optional
-        Of :class:`.moving_lobes.MovingLobes`; see :func:`.leg_trials.best_ways`.
+        Of :class:`.InterpolatedLobes`, as :func:`.best_ways` chooses them.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class LitFace:
         self.wavelengths = wavelengths
         self.n_azimuths, _, self.n_hemispheres = table.brdf.shape[:3]
         self.incident = IncidentPlaces(table.grid)
-        self.lobes = MovingLobes(table, self.incident, ways)
+        self.lobes = InterpolatedLobes(table, self.incident, ways)
         self.flux = doubles(table.flux.mean(axis=-1))
         self.transmits = bool(table.flux[:, :, 1:].any())
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from ..array_types import Integers
 from ..collector.directions import direction
-from .azimuth_trials import BENT, tried_indices
-from .lit_face import LitFace
+from .azimuth_cross_validation import BENT, tried_indices
+from .interpolated_bsdf import InterpolatedBSDF
+from .interpolated_lobes import Way
 from .lobes import MeasuredLobes
-from .moving_lobes import Way
 
 __all__ = ["best_ways"]
 
@@ -32,9 +32,9 @@ NEAR, FINELY = 0.05, {"xatol": 1e-3}
 def best_ways(lobes: MeasuredLobes) -> list[Way]:
     """How lobes move between polar angles, as a record's own directions say.
 
-    On a leg by quantiles (:class:`.moving_lobes.Legs`), or with micro-normals that
-    stay where these predict the nearest record better, as a camera sees it, from those
-    of the next smaller and the next larger angle.
+    On a leg by quantiles (:class:`.QuantileTransport`), or with micro-normals that stay
+    where these predict the nearest record better, as a camera sees it, from those of
+    the next smaller and the next larger angle.
     """
     n_angles = len(lobes.grid.theta_i)
     if n_angles < 3:
@@ -137,7 +137,7 @@ class _Trial:
         wi = mi.Vector3f(self.wi.tolist())
         dr.make_opaque(wi, wo)
         ways = [Way(hemisphere, eta, (True,))] if keeps else []
-        values, _, wanted = LitFace(self.part, ways=ways).values(wi, wo)
+        values, _, wanted = InterpolatedBSDF(self.part, ways=ways).values(wi, wo)
         mean = dr.select(wanted, sum(values) / len(values), 0.0)
         means = dr.block_sum(mean, N_POINTS**2).numpy() / N_POINTS**2
         areas = patches.solid_angles.ravel()[number]

@@ -1,6 +1,6 @@
 """Reads a file of a profilometer or an AFM; a program of its own, and a module.
 
-``python foreign_reader.py FILE FORMATS OUT`` tries the FORMATS (``metropro,asc``),
+``python height_map_reader.py FILE FORMATS OUT`` tries the FORMATS (``metropro,asc``),
 writes the heights to OUT as ``.npy``, and a line of JSON that says the rest. The
 library that reads them brings many others, and what a damaged file makes of all these
 stays in a process of its own: a crash, or the memory that a wrong size in a header

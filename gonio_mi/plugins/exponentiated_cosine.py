@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi import properties
-from gonio_mi.materials.bsdf_functions import GLOSSY
+from gonio_mi.plugins.bsdf_functions import GLOSSY
 
 __all__ = [
     "FORMS",

@@ -1,7 +1,7 @@
 """A stack of records as tables of lobes: what is looked up in them, and drawn of them.
 
-How lobes move between polar angles is in :mod:`.legs` and :mod:`.leg_trials`; how they
-change with the azimuth, in :mod:`.half_vectors`.
+How they move between polar angles is in :mod:`.quantile_transport`, how they change
+with the azimuth in :mod:`.half_vectors`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..formats.scatter import PatchMeans
 from ..results.record import Record
 from .gradients import gradients
 from .incident_grid import IncidentGrid
-from .legs import N_CELLS, LegTable, cumulative
+from .quantile_transport import N_CELLS, TransportTable, cumulative
 
 __all__ = ["LobeTable", "MeasuredLobes", "TooLargeError", "check_table", "tells"]
 
@@ -76,9 +76,9 @@ class LobeTable:
         )
 
     @property
-    def legs(self) -> LegTable:
+    def legs(self) -> TransportTable:
         """Ways of light that moves by its quantiles."""
-        return LegTable.of(self.brdf, self.patches, self.grid.phi_i)
+        return TransportTable.of(self.brdf, self.patches, self.grid.phi_i)
 
 
 class MeasuredLobes:

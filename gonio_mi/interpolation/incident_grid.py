@@ -14,7 +14,7 @@ from ..formats.scatter import PatchMeans
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion
 from ..results.copied_directions import symmetry_of
 from ..results.record import Record
-from .azimuth_trials import AzimuthTrials, distances
+from .azimuth_cross_validation import AzimuthCrossValidation, distances
 from .half_vectors import predicted
 
 __all__ = ["IncidentGrid"]
@@ -109,7 +109,9 @@ class IncidentGrid:
         if not isinstance(found.patches, RingsAndSectors) or len(phi_i) == 1:
             return found
         begin = int(normal.any())
-        trials = AzimuthTrials(theta_i[begin:], phi_i, grid[:, begin:], found.patches)
+        trials = AzimuthCrossValidation(
+            theta_i[begin:], phi_i, grid[:, begin:], found.patches
+        )
         lower = flux.shape[1] > 1
         return replace(
             found,

@@ -22,7 +22,7 @@ import numpy as np
 from ..array_types import Floats, Integers
 from ..collector import RingsAndSectors
 
-__all__ = ["LegTable", "N_CELLS", "cumulative", "merged"]
+__all__ = ["TransportTable", "N_CELLS", "cumulative", "merged"]
 
 # Cells per side of the histograms; points per side and cell, to fill them.
 N_CELLS = 32
@@ -34,7 +34,7 @@ EVEN = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class LegTable:
+class TransportTable:
     """Ways between the polar angles of a table.
 
     A *leg* leads from one polar angle to the next; there are ``K = max(N - 1, 1)``.
@@ -57,7 +57,9 @@ class LegTable:
     cell_slopes: Floats
 
     @classmethod
-    def of(cls, brdf: Floats, patches: RingsAndSectors, phi_i: Floats) -> LegTable:
+    def of(
+        cls, brdf: Floats, patches: RingsAndSectors, phi_i: Floats
+    ) -> TransportTable:
         """Strips and cells of all legs of a table's lobes."""
         n_azimuths, n_angles, n_hemispheres = brdf.shape[:3]
         shape = 2, n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1

@@ -1,0 +1,1 @@
+"""Interpolation of measured lobes between incident directions."""

@@ -1,1 +1,0 @@
-"""What BSDF plugins share."""
