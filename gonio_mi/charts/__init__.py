@@ -1,8 +1,8 @@
 """Speed against accuracy for a specimen."""
 
-from .chart_figure import chart_view
-from .charting import ESTIMATORS, SAMPLERS, chart
+from .chart import ESTIMATORS, SAMPLERS, chart
 from .curves import Chart
+from .figure import chart_view
 
 # a chart's own method shows it, and imports nothing of what is above it
 Chart.viewer = chart_view

@@ -1,16 +1,28 @@
-"""Options of the commands that measure in campaigns, and what Ctrl-C leaves of one."""
+"""Options of commands that measure in campaigns; their temporary folder and signals."""
 
+from __future__ import annotations
+
+import contextlib
+import shutil
 import signal
 import threading
 from argparse import Namespace
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
+from ..campaigns.known_directions import folder_name
 from ..errors import checked_count
 from .arguments import INCOMPLETE, add_number, add_text, say
 
-__all__ = ["add_campaign", "answered_by", "campaign_options", "kept_after_ctrl_c"]
+__all__ = [
+    "CampaignParts",
+    "add_campaign",
+    "answered_by",
+    "campaign_options",
+    "kept_after_ctrl_c",
+]
 
 # Exit code of what SIGTERM has ended, as shells count: 128 and its number.
 TERMINATED = 143
@@ -80,3 +92,48 @@ def kept_after_ctrl_c(folder: str | None) -> Iterator[None]:
         raise SystemExit(ended[0] if ended else INCOMPLETE) from None
     finally:
         answered_by(before, signal.SIGTERM)
+
+
+class CampaignParts:
+    """Folder beside the first output of a campaign that chooses its directions.
+
+    It is there while the campaign is at work, and stays if that was interrupted or
+    killed, so that the same command carries on. In its context the options name it,
+    unless they name another, or there is nothing to write. Parts of other specimens
+    stay, and the user is told.
+
+    Attributes
+    ----------
+    finished : bool
+        To be set when nothing of it is needed any more.
+    """
+
+    def __init__(self, options: Namespace) -> None:
+        self.folder: Path | None = None
+        if options.tolerance is not None and not options.folder and options.output:
+            self.folder = Path(f"{options.output[0]}.parts")
+        self.options = options
+        self.name = folder_name(options.specimen)
+        self.finished = False
+
+    def __enter__(self) -> CampaignParts:
+        self._was_there = self.folder is not None and self.folder.exists()
+        if self.folder is not None:
+            self.options.folder = str(self.folder)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self.folder is None:
+            return
+        interrupted = kind is not None and not issubclass(kind, Exception)
+        refused = kind is not None and not interrupted and not self._was_there
+        if self.finished or refused:
+            shutil.rmtree(self.folder / self.name, ignore_errors=True)
+            with contextlib.suppress(OSError):  # what else is in it is not ours
+                self.folder.rmdir()
+        others = sorted(path for path in self.folder.glob("*") if path.is_dir())
+        if self.finished and others:
+            say(
+                f"{others[0]} holds parts of another specimen, whose "
+                "campaign was not finished: remove it if they are not needed"
+            )

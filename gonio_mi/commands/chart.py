@@ -89,7 +89,7 @@ def _add_methods(group: Any) -> None:
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     from ..charts import ESTIMATORS, SAMPLERS, Chart, chart
-    from ..charts.chart_figure import plot_chart, save_chart_page
+    from ..charts.figure import plot_chart, save_chart_page
     from ..errors import checked_number
     from ..plots import check_picture
     from ..reports.page import check_page

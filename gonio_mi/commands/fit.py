@@ -90,9 +90,9 @@ def add_options(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     from ..fitting import fit
-    from ..fitting.fit_figure import fit_figure
+    from ..fitting.figure import fit_figure
     from ..instrument.loading import load_plugin_file
-    from ..plots.drawable import FIGURE_ENDINGS, check_picture
+    from ..plots.figure import FIGURE_ENDINGS, check_picture
 
     pictures = [path for path in options.output if path.endswith(FIGURE_ENDINGS)]
     predictions = [path for path in options.output if path not in pictures]

@@ -40,12 +40,12 @@ from .arguments import (
     tell,
 )
 from .campaign_options import (
+    CampaignParts,
     add_campaign,
     answered_by,
     campaign_options,
     kept_after_ctrl_c,
 )
-from .campaign_parts import CampaignParts
 from .file_kinds import record_of
 from .setting_options import add_group, given_settings
 from .surface_options import add_surface_options, prepared_surface

@@ -1,9 +1,9 @@
 """Comparison of a record with another record or with measured values."""
 
 from .budget import Budget, aperture_effect, uncertainty_budget
-from .comparing import ALPHA, compare
-from .findings import Comparison
-from .measuring_like import measure_like
+from .compare import ALPHA, compare
+from .comparison import Comparison
+from .measure_like import measure_like
 
 __all__ = [
     "ALPHA",

@@ -11,9 +11,9 @@ from ..errors import SettingError
 from ..files import check_output, replacing
 from ..files.measured_table import MeasuredTable
 from ..single_precision import FEW_ROUNDINGS
-from .comparing import compare
-from .findings import Comparison
-from .measuring_like import measure_like
+from .compare import compare
+from .comparison import Comparison
+from .measure_like import measure_like
 
 __all__ = ["Budget", "aperture_effect", "uncertainty_budget"]
 

@@ -1,6 +1,5 @@
 """From a record to the parameters of a BSDF, with uncertainties."""
 
-from .fit_result import Fit
-from .fits import fit
+from .fit import Fit, fit
 
 __all__ = ["Fit", "fit"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from ..errors import SpecimenError
-from .fitted_models import FittedModel, LoadedModel
+from .fitted_model import FittedModel, LoadedModel
 from .observations import Observations
 
 __all__ = ["Search"]

@@ -12,8 +12,7 @@ from ..collector.directions import direction
 from ..errors import SettingError
 from ..files.measured_table import MeasuredTable
 from ..results.record import Record
-from .cone_predictions import ConePredictions
-from .patch_predictions import PatchPredictions
+from .predictions import ConePredictions, PatchPredictions
 
 __all__ = ["Observations", "RecordObservations", "TableObservations", "pooled"]
 

@@ -1,8 +1,8 @@
 """Figures of records. matplotlib, the extra ``plot``, is imported when one is drawn."""
 
 from ..results.record import Record
-from .drawable import ANIMATION_ENDINGS, FIGURE_ENDINGS, check_picture
-from .record_figure import animation, plot, sheet
+from .figure import ANIMATION_ENDINGS, FIGURE_ENDINGS, check_picture
+from .plot import animation, plot, sheet
 
 # a record's own method draws it, and imports nothing of what is above it
 Record.plotter = plot

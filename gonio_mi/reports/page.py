@@ -10,7 +10,7 @@ from typing import Any
 
 from ..errors import PackageError
 from ..files import check_output, replacing
-from ..plots.drawable import check_matplotlib
+from ..plots.figure import check_matplotlib
 
 __all__ = [
     "check_page",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..plots.drawable import finished, new_figure
+from ..plots.figure import finished, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

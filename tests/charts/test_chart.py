@@ -16,12 +16,12 @@ from budget import agree, disagree, single
 
 import gonio_mi as gonio
 from gonio_mi import cli
-from gonio_mi.charts.chart_figure import plot_chart, save_chart_page
 from gonio_mi.charts.curves import Chart, Curve, Point, Reference
+from gonio_mi.charts.figure import plot_chart, save_chart_page
 from gonio_mi.results.ray_bounds import rms_expectation
 
 # the package has functions of these names
-charting = importlib.import_module("gonio_mi.charts.charting")
+charting = importlib.import_module("gonio_mi.charts.chart")
 
 DIFFUSE = {"type": "diffuse", "reflectance": 0.5}
 GLASS = {"type": "dielectric"}

@@ -24,8 +24,8 @@ from gonio_mi.collector.apertures import Apertures, disjoint_groups
 from gonio_mi.collector.directions import direction
 from gonio_mi.comparison import compare, measure_like
 from gonio_mi.comparison.agreement import Readings, _two_hits_score
-from gonio_mi.comparison.comparison_figure import comparison_figure
-from gonio_mi.comparison.findings import Comparison
+from gonio_mi.comparison.comparison import Comparison
+from gonio_mi.comparison.figure import comparison_figure
 from gonio_mi.files.measured_table import MeasuredTable
 from gonio_mi.formats.reading import read_measured
 from gonio_mi.results.provenance import Provenance

@@ -10,7 +10,7 @@ import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.comparison import compare, patch_variation
-from gonio_mi.comparison.comparison_figure import comparison_figure
+from gonio_mi.comparison.figure import comparison_figure
 from gonio_mi.files.measured_table import MeasuredTable
 
 pytestmark = pytest.mark.usefixtures("mono")

@@ -7,7 +7,7 @@ import synthetic
 
 import gonio_mi as gonio
 from gonio_mi.comparison import compare
-from gonio_mi.comparison.unlike_conditions import CONDITIONS
+from gonio_mi.comparison.pairing import CONDITIONS
 from gonio_mi.files.measured_table import MeasuredTable
 from gonio_mi.results.tally import Fate
 from gonio_mi.settings import MeasurementSettings, declarations

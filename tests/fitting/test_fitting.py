@@ -13,11 +13,11 @@ from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SettingError, SpecimenError
 from gonio_mi.files.measured_table import MeasuredTable
-from gonio_mi.fitting.fit_figure import fit_figure
-from gonio_mi.fitting.fitted_models import FREE, FittedModel, LoadedModel
+from gonio_mi.fitting.figure import fit_figure
+from gonio_mi.fitting.fitted_model import FREE, FittedModel, LoadedModel
 from gonio_mi.fitting.least_squares import STEP
 from gonio_mi.fitting.observations import pooled
-from gonio_mi.fitting.patch_predictions import REL_ERR
+from gonio_mi.fitting.predictions import REL_ERR
 from gonio_mi.instrument.loading import parse_specimen
 
 # isort: split

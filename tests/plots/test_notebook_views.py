@@ -10,7 +10,7 @@ import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.errors import SettingError
 from gonio_mi.plots import animation, sheet
-from gonio_mi.plots.record_figure import MOST_MAPS
+from gonio_mi.plots.plot import MOST_MAPS
 
 pytest.importorskip("matplotlib")
 

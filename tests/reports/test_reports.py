@@ -17,8 +17,8 @@ import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SettingError, SettingTypeError
-from gonio_mi.reports import report, reporting
-from gonio_mi.reports.reporting import names_apart, packed_record
+from gonio_mi.reports import report
+from gonio_mi.reports.report import RASTER, names_apart, packed_record, raster
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 
@@ -65,8 +65,8 @@ def test_page_holds_the_record(collector):
 @pytest.mark.parametrize("collector", ["angle:5x4", "klems", "apertures:2@45/180,30/0"])
 def test_raster_knows_the_patch_of_a_direction(collector):
     patches = gonio.subdivision(collector)
-    known = reporting.raster(patches)
-    steps = reporting.RASTER
+    known = raster(patches)
+    steps = RASTER
     rows, columns = np.random.default_rng(1).integers(0, steps, (50, 2)).T
     theta, phi = (rows + 0.5) * 90 / steps[0], (columns + 0.5) * 360 / steps[1]
     expected = patches.patch(direction(np.radians(theta), np.radians(phi)))
@@ -76,7 +76,7 @@ def test_raster_knows_the_patch_of_a_direction(collector):
 def test_large_records_are_thinned_and_say_so(monkeypatch):
     record = synthetic.record(theta_i=(0, 10, 20, 30, 40), phi_i=(0,) * 5)
     assert "of the record's" not in str(packed_record(record)["notes"])
-    monkeypatch.setattr(reporting, "MOST_VALUES", 3 * 48)
+    monkeypatch.setattr(sys.modules[report.__module__], "MOST_VALUES", 3 * 48)
     packed = packed_record(record)
     assert [d["theta_i"] for d in packed["directions"]] == [0, 20, 40]
     assert "3 of the record's 5 incident directions" in packed["notes"][0]

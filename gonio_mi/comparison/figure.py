@@ -10,7 +10,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers
 from ..errors import LABEL, abridged
-from ..plots.drawable import check_matplotlib
+from ..plots.figure import check_matplotlib
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

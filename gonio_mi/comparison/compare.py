@@ -18,7 +18,7 @@ from ..errors import (
 from ..files.measured_table import NUMBERS, MeasuredTable
 from ..results.record import Record
 from .agreement import FEW_FOR_TAILS, PointSet, judge, mostly_few
-from .findings import Comparison
+from .comparison import Comparison
 from .pairing import (
     check_uncertainties,
     labels,

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import special
 
 from ..array_types import Floats
-from ..plots.drawable import finished, new_figure
+from ..plots.figure import finished, new_figure
 from ..reports.page import (
     check_page,
     figure,

@@ -18,7 +18,7 @@ from ..progress import bar
 from ..results.integral_sums import sent_text, without_chance
 from ..results.precision import precision
 from ..results.record import Record
-from .drawable import (
+from .figure import (
     ANIMATION_ENDINGS,
     check_matplotlib,
     finished,

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from ..plots import check_picture
-from ..plots.drawable import finished
+from ..plots.figure import finished
 from ..reports.page import picture_and_text
-from .comparison_figure import comparison_figure
+from .figure import comparison_figure
 from .pairing import EXACT
 
 __all__ = ["Comparison"]

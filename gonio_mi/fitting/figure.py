@@ -1,30 +1,103 @@
-"""Picture of fits to a table or to apertures: the points, the models, what is left."""
+"""Picture of fits: values with error bars, the models, and the residuals of points."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..array_types import Floats
-from ..comparison.comparison_figure import points_in_profile
+from ..comparison.figure import points_in_profile
+from ..errors import SettingError
 from ..files.measured_table import MeasuredTable
-from ..plots.drawable import finished, new_figure
+from ..plots.figure import finished, new_figure
 from ..results.record import Record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["points_figure"]
-
-# Part of the differences that is within the scale, which is at least so large.
-SHOWN, LEAST = 0.95, 1e-6
+__all__ = ["fit_figure"]
 
 # Incident directions that are drawn, evenly among all.
-MOST_DIRECTIONS = 4
+MAX_DIRECTIONS = 4
+
+# Quantile of the relative residuals that the lower axis shows; its least half-range.
+RESIDUAL_QUANTILE, MIN_HALF_RANGE = 0.95, 1e-6
+
+
+def fit_figure(fits: Any, path: str | PathLike[str] | None = None) -> Figure:
+    """Draw fits of one record in the plane of incidence, and write it if `path` is.
+
+    A row for reflection and one for transmission, if the record has any; a column for
+    each of up to four incident directions. Points are patches of the record with 95 %
+    intervals, lines the models.
+
+    Parameters
+    ----------
+    fits : Fit or sequence of Fit
+    path : str or path, optional
+        Ends in ``.pdf``, ``.png`` or ``.svg``.
+    """
+    fits = list(fits) if isinstance(fits, (list, tuple)) else [fits]
+    record = fits[0].record
+    if not all(_is_same(one.record, record) for one in fits):
+        raise SettingError("fits must be of one record to be drawn together")
+    if isinstance(record, MeasuredTable) or record.subdivision.axes is not None:
+        return _points_figure(fits, path)
+    last = len(record) - 1
+    shown = np.unique(np.linspace(0, last, min(MAX_DIRECTIONS, last + 1)).round())
+    rows = ["brdf", *(["btdf"] if record.has_lower and record.btdf.any() else [])]
+    figure = new_figure(path, figsize=(5 * len(shown) + 1, 4.2 * len(rows)))
+    all_axes = figure.subplots(len(rows), len(shown), squeeze=False)
+    for axes_of_row, of in zip(all_axes, rows):
+        for axes, index in zip(axes_of_row, shown.astype(int)):
+            _draw_patches(axes, fits, int(index), of)
+        axes_of_row[0].set_ylabel(f"{of.upper()} (1/sr)")
+    all_axes[0, 0].legend(frameon=False, fontsize="small")
+    return finished(figure, path)
+
+
+def _is_same(one: Record | MeasuredTable, other: Record | MeasuredTable) -> bool:
+    """Whether both hold the same; a table that was told something is another object."""
+    if not (isinstance(one, MeasuredTable) and isinstance(other, MeasuredTable)):
+        return one is other or one == other
+    pairs = [(getattr(one, f.name), getattr(other, f.name)) for f in fields(one)]
+    return all(
+        np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind == "f")
+        for a, b in pairs
+    )
+
+
+def _draw_patches(axes: Axes, fits: list[Any], index: int, of: str) -> None:
+    """One incident direction: the first channel of record and models."""
+    from ..plots.profile import bars_text, profile
+
+    single = fits[0].record[index]
+    points = profile(single, of)
+    value = points.value[:, 0]
+    errors = np.abs([value - points.low[:, 0], points.high[:, 0] - value])
+    axes.errorbar(
+        points.theta,
+        value,
+        errors,
+        fmt="ok",
+        markersize=3,
+        capsize=2,
+        label=f"record, {bars_text(single)}",
+    )
+    for fitted in fits:
+        model = profile(fitted.prediction[index], of)
+        line = np.append(model.value[:, 0], model.value[-1, 0])
+        axes.step(model.edges, line, where="post", label=fitted.label)
+    axes.set_title(
+        f"theta_i {single.theta_i[0]:.4g}°, phi_i {single.phi_i[0]:.4g}°, "
+        f"{single.channels[0]}",
+        fontsize="small",
+    )
+    axes.set_xlabel("theta_o (degrees; negative: towards the source)")
 
 
 @dataclass
@@ -38,7 +111,7 @@ class _Points:
     unit: Floats
 
 
-def points_figure(fits: list[Any], path: str | PathLike[str] | None = None) -> Figure:
+def _points_figure(fits: list[Any], path: str | PathLike[str] | None = None) -> Figure:
     """Draw fits over the signed polar angle, and below what they leave.
 
     A column for each of up to four incident directions, of the first channel.
@@ -46,13 +119,13 @@ def points_figure(fits: list[Any], path: str | PathLike[str] | None = None) -> F
     points = _points(fits[0].record)
     directions = np.unique(points.incident, axis=0)
     last = len(directions) - 1
-    shown = np.unique(np.linspace(0, last, min(MOST_DIRECTIONS, last + 1)).round())
+    shown = np.unique(np.linspace(0, last, min(MAX_DIRECTIONS, last + 1)).round())
     figure = new_figure(path, figsize=(5 * len(shown) + 1, 5.6))
     axes = figure.subplots(
         2, len(shown), squeeze=False, sharex="col", height_ratios=(3, 1)
     )
     for (above, below), number in zip(axes.T, shown.astype(int)):
-        _draw(fits, points, directions[number], above, below)
+        _draw_points(fits, points, directions[number], above, below)
     axes[0, 0].set_ylabel("BSDF (1/sr)")
     axes[1, 0].set_ylabel("model / points - 1\n(what is beyond: not drawn)")
     axes[0, 0].legend(frameon=False, fontsize="small")
@@ -83,7 +156,7 @@ def _points(record: Record | MeasuredTable) -> _Points:
     return _Points(*(np.concatenate(columns) for columns in zip(*parts)))
 
 
-def _draw(
+def _draw_points(
     fits: list[Any], points: _Points, incident: Floats, above: Axes, below: Axes
 ) -> None:
     """One incident direction."""
@@ -110,7 +183,9 @@ def _draw(
         f"theta_i {incident[0]:.4g}°, phi_i {incident[1]:.4g}°", fontsize="small"
     )
     found = np.abs(np.stack(left))
-    reach = np.quantile(found[np.isfinite(found)], SHOWN) if some.any() else 1.0
-    reach = float(np.clip(1.5 * reach, LEAST, 1.0))
+    reach = (
+        np.quantile(found[np.isfinite(found)], RESIDUAL_QUANTILE) if some.any() else 1.0
+    )
+    reach = float(np.clip(1.5 * reach, MIN_HALF_RANGE, 1.0))
     below.set_ylim(-reach, reach)
     below.set_xlabel(axis)
