@@ -28,7 +28,7 @@ from ..instrument.measurement import measure_each, whole
 from ..progress import bar
 from ..results.record import Record
 from ..settings import MeasurementSettings
-from ..transport.plugin_digest import file_digest, plugins_digest
+from ..transport.digest import file_digest, plugins_digest
 from ..transport.specimen import Specimen
 from .folder import CampaignFolder
 from .workers import workers

@@ -19,7 +19,7 @@ from ..formats.radiance import BLOCKS, Product
 from ..instrument.loading import load_specimen, parse_specimen
 from ..results.record import Record
 from ..surfaces.topography import metres
-from ..transport.extents import bounds
+from ..transport.shapes import bounds
 from .arguments import (
     DONE,
     INCOMPLETE,

@@ -21,7 +21,7 @@ from ..settings import MeasurementSettings
 from ..transport.bench import Bench
 from ..transport.launch import transport_of
 from ..transport.sampling import sampler_name
-from ..transport.trial import class_of
+from ..transport.scene_objects import class_of
 
 __all__ = ["described", "processor", "target"]
 

@@ -28,8 +28,8 @@ from ..errors import (
 )
 from ..formats.height_maps import is_height_map
 from ..formats.meshes import is_mesh
-from ..transport.geometry import WATERTIGHT, remember, scene_of
 from ..transport.kernels import launches_kernels
+from ..transport.shapes import WATERTIGHT, remember, scene_of
 from ..transport.variants import is_usable
 from .named_files import check_named_files
 from .surface_specimens import surface_specimen

@@ -14,16 +14,15 @@ from ..quadrature.plane import check_integrable
 from ..settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings, Order
 from ..transport.beam import Beam
 from ..transport.bench import Bench
+from ..transport.bsdf_trial import check_works
 from ..transport.collector_sphere import CollectorSphere
 from ..transport.media import check_media
 from ..transport.next_event import check_traced
 from ..transport.phase_functions import defect
-from ..transport.plugin_digest import foreign_plugins
 from ..transport.sampling import check_sampler
+from ..transport.scene_objects import foreign_plugins
 from ..transport.specimen import Specimen
-from ..transport.spectral_coverage import check_covered
-from ..transport.trial import check_works
-from ..transport.wavelengths import passes, wavelength_lanes
+from ..transport.wavelengths import check_covered, passes, wavelength_lanes
 from .incidence import described_digest, emitter_scene
 from .loading import loaded
 

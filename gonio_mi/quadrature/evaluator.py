@@ -10,8 +10,8 @@ from ..array_types import Floats, Singles
 from ..collector import Subdivision
 from ..collector.directions import angles
 from ..errors import SpecimenError
-from ..transport.flat_rectangle import repeated
-from ..transport.plugin_digest import holds_foreign_plugins
+from ..transport.plane import repeated
+from ..transport.scene_objects import holds_foreign_plugins
 from ..transport.surface_events import flux_context
 from .cells import (
     BLIND,
@@ -50,7 +50,7 @@ class Evaluator:
     n_evaluations : ndarray of int, shape (n_directions,)
         What was asked for so far.
     by_ray : bool
-        As of :class:`~gonio_mi.transport.flat_rectangle.Plane`.
+        As of :class:`~gonio_mi.transport.plane.Plane`.
     """
 
     def __init__(self, bsdf: mi.BSDF, light: IncidentLight, pdf: bool) -> None:

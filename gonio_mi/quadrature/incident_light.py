@@ -12,8 +12,8 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from ..collector.directions import direction
-from ..transport.flat_rectangle import repeated
-from ..transport.plugin_digest import holds_foreign_plugins
+from ..transport.plane import repeated
+from ..transport.scene_objects import holds_foreign_plugins
 from ..transport.surface_events import flux_context
 
 __all__ = ["IncidentLight", "channels_of"]

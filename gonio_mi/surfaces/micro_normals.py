@@ -17,9 +17,8 @@ from ..errors import SpecimenError, checked_count, checked_number
 from ..instrument.loading import load_specimen
 from ..settings.parsed import checked_period
 from ..single_precision import FEW_ROUNDINGS
-from ..transport.flight import unobstructed
 from ..transport.kernels import launches_kernels
-from ..transport.ray_offsets import departure, intersect
+from ..transport.rays import departure, intersect, unobstructed
 from ..transport.specimen import Specimen
 from .smith import (
     DISTRIBUTIONS,

@@ -12,7 +12,7 @@ from ..array_types import Floats, Numbers
 from ..collector import Subdivision
 from ..collector.directions import angles
 from ..errors import SpecimenError
-from .arrays import DRJIT
+from .collector_sphere import DRJIT
 from .sampling import is_joint
 from .specimen import Specimen
 from .wavelengths import passes, wavelength_lanes

@@ -15,17 +15,15 @@ from ..settings.measurement_settings import MeasurementSettings
 from ..settings.orders import Order
 from .beam import Beam
 from .collector_sphere import CollectorSphere
-from .digest import emitter_digest
+from .digest import emitter_digest, plugins_digest
+from .exits import Exits, OrderClasses
 from .layers import layers_of
-from .loop import Exits
-from .plugin_digest import plugins_digest
-from .scattering_order import OrderClasses
 from .specimen import Specimen
 from .wavelengths import passes
 
 __all__ = ["Bench"]
 
-# Levels of `exact_powers` for powers from 2**-47 on, which one sample of a glossy BSDF
+# Levels of rare powers for those from 2**-47 on, which one sample of a glossy BSDF
 # in a million carries: a launch that met them without room would be repeated. In large
 # collectors the room is made when it is needed.
 USUAL_LEVELS = range(10, 15)

@@ -1,22 +1,36 @@
-"""Digests that tell specimens, emitters and their geometry from others."""
+"""Digests of specimens, emitters, geometry, and the code of plugins in Python."""
 
 from __future__ import annotations
 
+import ast
 import hashlib
+import inspect
+import linecache
 import os
 import re
+import sys
+import weakref
 from collections.abc import Iterable, Iterator
+from importlib.machinery import PathFinder
+from os import PathLike
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .plugin_digest import foreign_plugins
-from .traversal import traversed
+from ..errors import is_installed
+from .scene_objects import foreign_plugins, held_objects, is_foreign, traversed
 
-__all__ = ["digest", "emitter_digest"]
+__all__ = [
+    "digest",
+    "emitter_digest",
+    "file_digest",
+    "geometry_digest",
+    "plugins_digest",
+]
 
 # Enough that no two specimens of anybody's share it.
 LENGTH = 16
@@ -31,7 +45,7 @@ def emitter_digest(emitters: Iterable[mi.Emitter]) -> str:
     return digest(emitter.get_shape() or emitter for emitter in emitters)
 
 
-def digest(things: Iterable[Any], geometry: bool = False) -> str:
+def digest(things: Iterable[Any]) -> str:
     """Digest of shapes or other objects of a scene, in any order.
 
     Of their Mitsuba texts, all parameters that ``mi.traverse`` gives (geometry, the
@@ -44,46 +58,49 @@ def digest(things: Iterable[Any], geometry: bool = False) -> str:
     Parameters
     ----------
     things : iterable of mi.Object
-    geometry : bool
-        Only the shapes' own parameters, in this order, without texts, BSDFs and
-        emitters.
 
     Returns
     -------
     str
         Of 16 hexadecimal digits.
     """
-    each = [_digest_of(thing, geometry) for thing in things]
-    if not geometry:
-        each.sort()
+    each = sorted(map(_object_digest, things))
     return hashlib.sha256("".join(each).encode()).hexdigest()[:LENGTH]
 
 
-def _digest_of(thing: Any, geometry: bool) -> str:
+def geometry_digest(shapes: Iterable[mi.Shape]) -> str:
+    """Digest of the shapes' own parameters, in this order, without BSDF and emitter."""
+    found = hashlib.sha256()
+    for shape in shapes:
+        for part in _parameters(shape, mi.Shape):
+            found.update(part)
+    return found.hexdigest()
+
+
+def _object_digest(thing: Any) -> str:
     """SHA-256 of one object, hexadecimal."""
     found = hashlib.sha256()
-    if not geometry:
-        for text in _texts(thing):
-            found.update(ADDRESS.sub("", text).encode())
-            for path in map(Path, FILE.findall(text)):
-                if path.is_file():
-                    found.update(path.read_bytes())
-        for plugin in foreign_plugins(thing):
-            for name, value in sorted(vars(plugin).items()):
-                found.update(name.encode() + b"".join(_state(value)))
-    for part in _parameters(thing, geometry):
+    for text in _texts(thing):
+        found.update(ADDRESS.sub("", text).encode())
+        for path in map(Path, FILE.findall(text)):
+            if path.is_file():
+                found.update(path.read_bytes())
+    for plugin in foreign_plugins(thing):
+        for name, value in sorted(vars(plugin).items()):
+            found.update(name.encode() + b"".join(_state(value)))
+    for part in _parameters(thing):
         found.update(part)
     return found.hexdigest()
 
 
-def _parameters(thing: Any, geometry: bool = False) -> Iterator[bytes]:
-    """Names and values of all that ``mi.traverse`` gives, or of the shapes' own."""
+def _parameters(thing: Any, kind: type = object) -> Iterator[bytes]:
+    """Names and values of what ``mi.traverse`` gives of objects of some `kind`."""
     parameters = traversed(thing)
     # the order of keys is not that of another process
     for key in sorted(parameters.properties):
         handle, _, node, *_ = parameters.properties[key]
         # a parameter that was not given has no value to ask for
-        if handle is not None and (not geometry or isinstance(node, mi.Shape)):
+        if handle is not None and isinstance(node, kind):
             value = parameters[key]
             array = np.ascontiguousarray(getattr(value, "matrix", value))
             if array.dtype == object:
@@ -133,3 +150,130 @@ def _text(thing: Any) -> str:
         return f"{name} {thing}"
     except Exception:  # one of them is a plugin in Python, which may raise anything
         return f"{name} {thing.class_name()}"
+
+
+# Scripts and notebooks, also in a process that they started: they change for many
+# reasons, so only what a class says itself counts.
+SCRIPTS = ("__main__", "__mp_main__")
+
+_known: weakref.WeakKeyDictionary[type, frozenset[str]] = weakref.WeakKeyDictionary()
+
+
+def plugins_digest(things: Iterable[mi.Object]) -> str | None:
+    """Digest of the plugins in Python among objects of a scene and what they hold.
+
+    Of the files that define their classes and of the local files that these import by
+    an import statement, as they were when a class was first met; for a class of a
+    script or a notebook of the texts of its methods and its plain values. What is not
+    seen: modules imported under computed names, data files, and a module that was
+    edited after it was imported.
+
+    Parameters
+    ----------
+    things : iterable of mi.Object
+
+    Returns
+    -------
+    str or None
+        16 hexadecimal digits; None if there is no such plugin, or none whose text can
+        be found.
+    """
+    texts: set[str] = set()
+    for kind in {type(held) for thing in things for held in held_objects(thing)}:
+        if kind not in _known:
+            _known[kind] = frozenset(_class_texts(kind))
+        texts |= _known[kind]
+    return _text_digest(texts) if texts else None
+
+
+def file_digest(path: str | PathLike[str]) -> str:
+    """Digest of a Python file and of the local files that it imports."""
+    path = Path(path)
+    return _text_digest({path.read_text(), *_imported(path.read_text(), path)})
+
+
+def _text_digest(texts: Iterable[str]) -> str:
+    each = sorted(hashlib.sha256(text.encode()).hexdigest() for text in texts)
+    return hashlib.sha256("".join(each).encode()).hexdigest()[:LENGTH]
+
+
+def _class_texts(kind: type) -> Iterator[str]:
+    """Texts that define a class and its bases."""
+    for base in kind.__mro__:
+        if not is_foreign(base):
+            continue
+        functions = [function for _, function in sorted(_functions(base))]
+        if base.__module__ in SCRIPTS:
+            plain = (bool, int, float, str, tuple)
+            yield repr([v for v in vars(base).items() if isinstance(v[1], plain)])
+            for function in functions:
+                yield from _source(function)
+            continue
+        for name in {function.__code__.co_filename for function in functions}:
+            # as it was when it was first read, by a traceback or for a digest
+            text = "".join(linecache.getlines(name))
+            if text:
+                yield text
+                yield from _imported(text, Path(name))
+
+
+def _functions(kind: type) -> Iterator[tuple[str, FunctionType]]:
+    """Names and functions that the body of a class defines."""
+    for name, value in vars(kind).items():
+        wrapped = (getattr(value, key, None) for key in ("__func__", "fget"))
+        for function in (value, *wrapped):
+            if isinstance(function, FunctionType):
+                yield name, function
+
+
+def _source(function: FunctionType) -> Iterator[str]:
+    try:
+        yield inspect.getsource(function)
+    except (OSError, TypeError):  # typed into a console
+        return
+
+
+def _imported(text: str, path: Path) -> Iterator[str]:
+    """Texts of the local files that a Python text imports, directly or not."""
+    todo, seen = [(text, path)], {path.resolve()}
+    while todo:
+        text, path = todo.pop()
+        for name, folder in _imports(text, path):
+            for found in _files(name, folder):
+                if found not in seen and not is_installed(found):
+                    seen.add(found)
+                    content = found.read_text(errors="replace")
+                    todo.append((content, found))
+                    yield content
+
+
+def _imports(text: str, path: Path) -> Iterator[tuple[str, list[str]]]:
+    """Dotted names that a text imports, and where to look for the first of them."""
+    try:
+        tree = ast.parse(text)
+    except (SyntaxError, ValueError):
+        return
+    anywhere = [str(path.resolve().parent), *sys.path]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, anywhere) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            folder = [str(path.parents[node.level - 1])] if node.level else anywhere
+            module = [node.module] if node.module else []
+            for alias in node.names:
+                yield ".".join([*module, alias.name]), folder
+
+
+def _files(name: str, folder: list[str]) -> Iterator[Path]:
+    """Files of a module and of the packages it is in; of as many as there are."""
+    first, _, rest = name.partition(".")
+    try:
+        spec = PathFinder.find_spec(first, folder)
+    except (ImportError, ValueError):
+        return
+    if spec is None:
+        return
+    if spec.origin and spec.origin.endswith(".py"):
+        yield Path(spec.origin).resolve()
+    if rest and spec.submodule_search_locations:
+        yield from _files(rest, list(spec.submodule_search_locations))

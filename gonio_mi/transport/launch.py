@@ -10,13 +10,13 @@ import mitsuba as mi
 
 from ..settings.orders import UNLIMITED
 from .bench import Bench
-from .inside import Geometry, trace_inside
+from .exits import Exits, of_order
 from .kernels import check_variant_kept
-from .loop import Exits, PathSettings, scatter_plane, trace
+from .media_loop import Geometry, trace_inside
 from .next_event import Deposits
 from .sampling import Relay, apart, continues, in_turns, relay_turns, seeded, turns_of
-from .scattering_order import of_order
 from .sums import Sums, Totals
+from .surface_loop import PathSettings, scatter_plane, trace
 
 __all__ = ["Launch", "launch", "traces", "transport_of"]
 

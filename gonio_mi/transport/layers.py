@@ -2,7 +2,7 @@
 
 What stands in for geometry in the loop through media: where rays start, what surface
 they meet next, and how they go on from there. :class:`Layers` finds it without any
-intersection; :class:`~.inside.Geometry` traces.
+intersection; :class:`~.media_loop.Geometry` traces.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .flat_rectangle import Plane
-from .flight import Encounter
+from .plane import Plane
+from .rays import Encounter
 
 __all__ = ["Layers", "layers_of"]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import SpecimenError, abridged
 from ..single_precision import FEW_ROUNDINGS
-from .trial import class_of
+from .scene_objects import class_of
 
 __all__ = ["check_media", "differ_by_channel", "media_of"]
 

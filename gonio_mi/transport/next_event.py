@@ -8,9 +8,8 @@ import numpy as np
 
 from ..errors import SpecimenError
 from .bench import Bench
-from .flight import escapes
-from .loop import Exits
-from .ray_offsets import departure
+from .exits import Exits
+from .rays import departure, escapes
 from .sums import Sums
 from .surface_events import (
     LARGEST_POWER,

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..array_types import Floats, Integers
 from ..errors import is_ctrl_c
-from .trial import class_of
+from .scene_objects import class_of
 
 __all__ = ["Answers", "answers", "defect"]
 

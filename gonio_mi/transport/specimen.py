@@ -14,15 +14,20 @@ import numpy as np
 
 from ..errors import SpecimenError, abridged
 from ..settings.parsed import Period
-from .cell_walls import encloses_medium, refracts, walls_in_sides
 from .digest import digest
-from .extents import bounds
-from .flat_rectangle import Plane
-from .flight import escapes
-from .geometry import groups_of, scene_of, surfaces_of
 from .media import media_of
-from .plugin_digest import holds_foreign_plugins
-from .ray_offsets import START, intersect
+from .plane import Plane
+from .rays import START, escapes, intersect
+from .scene_objects import holds_foreign_plugins
+from .shapes import (
+    bounds,
+    encloses_medium,
+    groups_of,
+    refracts,
+    scene_of,
+    surfaces_of,
+    walls_in_sides,
+)
 
 __all__ = ["Specimen"]
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..array_types import Floats, Numbers
 from ..errors import own_place
-from ..transport.plugin_answers import (
+from ..transport.bsdf_trial import (
     PluginFault,
     checked_answer,
     checked_parts,

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers, Numbers
 from ..collector.hemisphere import RingsAndSectors
-from ..transport.arrays import DRJIT
+from ..transport.collector_sphere import DRJIT
 from .conditions import Condition
 from .probe import Probe, is_delta, numbers, spectral, uniform
 from .samples import SPOILED, unequal

@@ -18,7 +18,7 @@ from gonio_mi.instrument.setup import set_up
 from gonio_mi.results.tally import Tally, batch_sizes
 from gonio_mi.settings import MeasurementSettings
 from gonio_mi.transport.beam import Beam
-from gonio_mi.transport.ray_offsets import SURFACE_OFFSET
+from gonio_mi.transport.rays import SURFACE_OFFSET
 from gonio_mi.transport.specimen import Specimen
 
 from .table import print_table

@@ -77,8 +77,8 @@ MOST_LINES = 60
 
 # Functions of more lines: the reason for each.
 LONG = {
-    "transport/inside.py trace_inside": "a loop that Dr.Jit has to see whole",
-    "transport/loop.py trace": "a loop that Dr.Jit has to see whole",
+    "transport/media_loop.py trace_inside": "a loop that Dr.Jit has to see whole",
+    "transport/surface_loop.py trace": "a loop that Dr.Jit has to see whole",
 }
 
 

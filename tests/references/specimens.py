@@ -9,10 +9,10 @@ import numpy as np
 from gonio_mi.collector.directions import direction
 from gonio_mi.results.tally import Fate
 from gonio_mi.settings.parsed import checked_period
-from gonio_mi.transport import ray_offsets
 from gonio_mi.transport.beam import Beam
-from gonio_mi.transport.loop import PathSettings, trace
+from gonio_mi.transport.rays import NEARBY
 from gonio_mi.transport.specimen import Specimen
+from gonio_mi.transport.surface_loop import PathSettings, trace
 
 MIRROR = {"type": "twosided", "bsdf": {"type": "conductor"}}
 
@@ -77,13 +77,13 @@ def aimed_at_edges(specimen, wi, n):
 
 
 def as_it_is(specimen, p):  # noqa: ARG001
-    """A point, not taken into the cell: `ray_offsets.into_cell` broken."""
+    """A point, not taken into the cell: `rays.into_cell` broken."""
     return mi.Point3f(p), mi.Vector3f(0)
 
 
 def resumed_in_line(specimen, si, d, behind):
     """Where a ray would look again from, if not from beside: `resume` broken."""
-    back = dr.minimum(si.t / 2, specimen.reach * ray_offsets.NEARBY)
+    back = dr.minimum(si.t / 2, specimen.reach * NEARBY)
     return si.p - dr.select(behind, back, 0.0) * d
 
 

@@ -12,7 +12,7 @@ import gonio_mi as gonio
 from gonio_mi.instrument.launcher import Pace
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.tally import WEIGHT_SCALE
-from gonio_mi.transport.exact_powers import LEVELS, ONE, Digits, Exact, unit_of
+from gonio_mi.transport.sums import LEVELS, ONE, Digits, Exact, unit_of
 from gonio_mi.transport.surface_events import RARE, whole_number
 
 EPS32 = float(np.finfo(np.float32).eps)

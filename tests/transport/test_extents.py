@@ -9,8 +9,8 @@ import pytest
 from budget import agree, disagree, single
 from scipy.interpolate import BSpline
 
-from gonio_mi.transport import extents
-from gonio_mi.transport.extents import bounds
+from gonio_mi.transport import shapes
+from gonio_mi.transport.shapes import bounds
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -125,6 +125,6 @@ def test_one_surface_is_measured_as_another_shape_of_it(name, tmp_path, monkeypa
     shape, other = same_geometry(name, tmp_path)
     for z in scores(shape, other):
         agree(single(z))
-    monkeypatch.setattr(extents, "SURFACES", {})
+    monkeypatch.setattr(shapes, "SURFACES", {})
     for z in scores(shape, other):
         disagree(single(z))

@@ -108,7 +108,7 @@ def test_the_axis_that_is_said_becomes_the_normal(tmp_path, reference, normal):
         off = np.abs(light - reference.flux_fraction).sum()
         assert (off <= 2 / RAYS) == same
     plane = gonio.mesh(path, MATT, normal=normal, mean_plane=1.0)
-    low, high = gonio.transport.extents.bounds(mi.load_dict(plane).shapes())
+    low, high = gonio.transport.shapes.bounds(mi.load_dict(plane).shapes())
     middle = sign * [5, -3, 2][axis]
     assert np.isclose((low + high)[2] / 2, middle - 1, atol=1e-5)
 
@@ -126,7 +126,7 @@ def test_what_stands_upright_is_warned_of(tmp_path, capsys):
         (gonio.mesh(path, MATT, normal="z"), 9),
         (gonio.mesh(path, MATT, normal="-y"), 2),
     ):
-        low, high = gonio.transport.extents.bounds(mi.load_dict(specimen).shapes())
+        low, high = gonio.transport.shapes.bounds(mi.load_dict(specimen).shapes())
         assert (high - low)[2] == thick
     words = ["measure", str(path), "--bsdf", "diffuse", "--theta-i", "0", "--rays"]
     words += ["64", "--period", "18,16", "-q"]

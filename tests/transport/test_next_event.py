@@ -28,7 +28,7 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SpecimenError
 from gonio_mi.results.statistics import batch_std_err
 from gonio_mi.settings.measurement_settings import PILOT_RAYS
-from gonio_mi.transport import flight
+from gonio_mi.transport.rays import escapes
 from gonio_mi.transport.specimen import Specimen
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -223,8 +223,8 @@ def test_light_that_starts_beside_the_cell(mended, monkeypatch):
     )
     ray = mi.Ray3f(mi.Point3f(start), dr.normalize(mi.Vector3f(0.1, -1e-4, -1)))
     if not mended:
-        monkeypatch.setattr(flight, "into_cell", as_it_is)
-    free = flight.escapes(specimen, 1, ray, mi.Normal3f(0), mi.Float(0), mi.Bool(True))
+        monkeypatch.setattr("gonio_mi.transport.rays.into_cell", as_it_is)
+    free = escapes(specimen, 1, ray, mi.Normal3f(0), mi.Float(0), mi.Bool(True))
     assert np.array(free).any() != mended
 
 

@@ -10,7 +10,7 @@ from gonio_mi.cli import main
 from gonio_mi.errors import SettingError
 from gonio_mi.results.tally import Fate, Ledger
 from gonio_mi.settings.orders import Order
-from gonio_mi.transport.scattering_order import OrderClasses
+from gonio_mi.transport.exits import OrderClasses
 
 pytestmark = pytest.mark.usefixtures("mono")
 

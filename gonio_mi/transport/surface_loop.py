@@ -10,9 +10,9 @@ import mitsuba as mi
 
 from ..results.tally import Fate
 from .beam import Beam
-from .flat_rectangle import Plane, repeated
-from .flight import encounter, flight_from, proceed
-from .ray_offsets import START, intersect, leaves_by_a_side
+from .exits import Exits, exits_of
+from .plane import Plane, repeated
+from .rays import START, encounter, flight_from, intersect, leaves_by_a_side, proceed
 from .specimen import Specimen
 from .surface_events import (
     after_event,
@@ -25,9 +25,7 @@ from .surface_events import (
 )
 
 __all__ = [
-    "Exits",
     "PathSettings",
-    "exits_of",
     "scatter_plane",
     "sent",
     "trace",
@@ -44,39 +42,6 @@ class PathSettings:
     delta_only: bool = False  # on a plane: all else is integrated
     max_scatterings: int = 0  # inside of media
     roulette: bool = False  # inside of media: as `rr_depth` says, not by default
-
-
-@dataclass
-class Exits:
-    """What became of each ray.
-
-    Attributes
-    ----------
-    p, d : mi.Point3f, mi.Vector3f
-        Last point on the specimen and direction of flight, where `fate` is REFLECTED.
-    throughput : mi.Spectrum
-        Power left; a whole number for the analog estimator.
-    fate : mi.UInt32
-        :class:`Fate`; REFLECTED stands for having left in any direction after an event,
-        DIRECT for having left without any.
-    incident : mi.Spectrum
-        Power that met the specimen.
-    depth : mi.UInt32
-        Surface events, the one among them that ended the ray.
-    left, density : mi.Point3f, mi.Float
-        Where the last of them was, and the density in 1/sr of the direction that it
-        chose: infinite for delta components, and without any event. None for all
-        estimators but `next_event`.
-    """
-
-    p: Any
-    d: Any
-    throughput: Any
-    fate: Any
-    incident: Any
-    depth: Any
-    left: Any = None
-    density: Any = None
 
 
 def scatter_plane(
@@ -218,22 +183,3 @@ def sent(
     ray = mi.Ray3f(p + start * wi, -wi)
     ray.wavelengths = wavelengths
     return ray, β
-
-
-def exits_of(
-    flight: Any,
-    by_a_side: mi.Bool,
-    throughput: mi.Spectrum,
-    fate: mi.UInt32,
-    incident: mi.Spectrum,
-    depth: mi.UInt32,
-    left: Any = None,
-    density: Any = None,
-) -> Exits:
-    """Exits of rays at the end of their flight, whether by a side of the box or not."""
-    ray = flight.ray
-    incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
-    sideways = (fate == mi.UInt32(Fate.REFLECTED)) & by_a_side
-    fate = dr.select(sideways, mi.UInt32(Fate.SIDEWAYS), fate)
-    p = ray.o + flight.shift
-    return Exits(p, ray.d, throughput, fate, incident, depth, left, density)

@@ -1,9 +1,10 @@
-"""Scattering orders: which rays are collected, by their number of surface events."""
+"""Exits: what became of rays, and which are collected by their scattering order."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,9 +13,60 @@ import numpy as np
 from ..array_types import Flags, Integers
 from ..results.tally import Fate
 from ..settings.orders import ALL_ORDERS, UNLIMITED, Order
-from .loop import Exits
 
-__all__ = ["OrderClasses", "of_order"]
+__all__ = ["Exits", "OrderClasses", "exits_of", "of_order"]
+
+
+@dataclass
+class Exits:
+    """What became of each ray.
+
+    Attributes
+    ----------
+    p, d : mi.Point3f, mi.Vector3f
+        Last point on the specimen and direction of flight, where `fate` is REFLECTED.
+    throughput : mi.Spectrum
+        Power left; a whole number for the analog estimator.
+    fate : mi.UInt32
+        :class:`Fate`; REFLECTED stands for having left in any direction after an event,
+        DIRECT for having left without any.
+    incident : mi.Spectrum
+        Power that met the specimen.
+    depth : mi.UInt32
+        Surface events, the one among them that ended the ray.
+    left, density : mi.Point3f, mi.Float
+        Where the last of them was, and the density in 1/sr of the direction that it
+        chose: infinite for delta components, and without any event. None for all
+        estimators but `next_event`.
+    """
+
+    p: Any
+    d: Any
+    throughput: Any
+    fate: Any
+    incident: Any
+    depth: Any
+    left: Any = None
+    density: Any = None
+
+
+def exits_of(
+    flight: Any,
+    by_a_side: mi.Bool,
+    throughput: mi.Spectrum,
+    fate: mi.UInt32,
+    incident: mi.Spectrum,
+    depth: mi.UInt32,
+    left: Any = None,
+    density: Any = None,
+) -> Exits:
+    """Exits of rays at the end of their flight, whether by a side of the box or not."""
+    ray = flight.ray
+    incident = dr.select(fate == mi.UInt32(Fate.MISSED), 0.0, incident)
+    sideways = (fate == mi.UInt32(Fate.REFLECTED)) & by_a_side
+    fate = dr.select(sideways, mi.UInt32(Fate.SIDEWAYS), fate)
+    p = ray.o + flight.shift
+    return Exits(p, ray.d, throughput, fate, incident, depth, left, density)
 
 
 def of_order(exits: Exits, order: Order) -> Exits:

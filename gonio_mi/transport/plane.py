@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..single_precision import FEW_ROUNDINGS
-from .traversal import traversed
+from .scene_objects import traversed
 
 __all__ = ["Plane", "repeated"]
 

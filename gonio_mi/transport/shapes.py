@@ -1,0 +1,288 @@
+"""Shapes of a scene: their boxes, cell walls, groups, and acceleration structure.
+
+Light that leaves through a side of the specimen's box is in no patch: the box counts.
+Mitsuba 3.9.1 bounds an `sdfgrid` by its grid and a `bsplinecurve` by its control
+points; these are bounded here by their surfaces. All other boxes are Mitsuba's: tight
+for spheres, disks, cylinders, rectangles, meshes, ellipsoids and linear curves, loose
+for a turned `instance`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..array_types import Floats
+from .digest import geometry_digest
+from .scene_objects import traversed
+
+__all__ = [
+    "WATERTIGHT",
+    "bounds",
+    "encloses_medium",
+    "groups_of",
+    "refracts",
+    "remember",
+    "scene_of",
+    "surfaces_of",
+    "walls_in_sides",
+]
+
+# Option of a scene, without which rays slip between the triangles of a mesh.
+WATERTIGHT = {"embree_use_robust_intersections": True}
+
+# The shapes that were built last, a digest of their geometry, and their scene: what is
+# measured again is found here, and nothing else is kept alive.
+_last: list[Any] = []
+
+
+def groups_of(scene: mi.Scene) -> list[mi.Shape]:
+    """List of the shape groups of `scene`, without which no instance can be built."""
+    if not any(map(_is_instance, scene.shapes())):
+        return []
+    return [
+        part
+        for part in traversed(scene).hierarchy
+        if isinstance(part, mi.Shape) and part.class_name().startswith("ShapeGroup")
+    ]
+
+
+def surfaces_of(
+    shapes: Sequence[mi.Shape], groups: Sequence[mi.Shape]
+) -> list[mi.Shape]:
+    """List of the `shapes` that are no instances, and of those in the `groups`."""
+    surfaces = [shape for shape in shapes if not _is_instance(shape)]
+    for group in groups:
+        parts = traversed(group).hierarchy
+        surfaces += [p for p in parts if isinstance(p, mi.Shape) and p is not group]
+    return surfaces
+
+
+def _is_instance(shape: mi.Shape) -> bool:
+    return shape.class_name() == "Instance"
+
+
+def scene_of(shapes: Sequence[mi.Shape], groups: Sequence[mi.Shape] = ()) -> mi.Scene:
+    """Scene of `shapes`, and of the shape `groups` of their instances, to be traced.
+
+    That of the call before, if these are the same objects and no parameter of their
+    geometry has changed since.
+    """
+    shapes = [*groups, *shapes]
+    geometry = geometry_digest(shapes)
+    if _last and _same(_last[0], shapes) and _last[1] == geometry:
+        return _last[2]
+    # the old one is freed before the new one is built
+    _last.clear()
+    scene = mi.load_dict(
+        {"type": "scene"} | WATERTIGHT | dict(zip(_names(shapes), shapes)),
+        optimize=False,
+    )
+    _last[:] = list(shapes), geometry, scene
+    return scene
+
+
+def remember(scene: mi.Scene) -> None:
+    """Let :func:`scene_of` find a scene that was loaded with `WATERTIGHT`.
+
+    Its emitters may be no shapes; else the specimen is built without them.
+    """
+    shapes = [*groups_of(scene), *scene.shapes()]
+    _last[:] = shapes, geometry_digest(shapes), scene
+
+
+def _names(shapes: Sequence[mi.Shape]) -> list[str]:
+    """Names for a scene, which become the shapes' own: those that they have, if any."""
+    names = [shape.id() for shape in shapes]
+    usable = all(re.fullmatch(r"\w+", name) for name in names) and "type" not in names
+    if usable and len(set(names)) == len(names):
+        return names
+    return [f"shape_{i}" for i in range(len(shapes))]
+
+
+def _same(shapes: Sequence[mi.Shape], others: Sequence[mi.Shape]) -> bool:
+    """Whether both hold the same objects, in the same order."""
+    return len(shapes) == len(others) and all(a is b for a, b in zip(shapes, others))
+
+
+Array = NDArray[np.float64]
+Corners = tuple[Array, Array]
+
+# Coefficients of powers of t by the four control points of a uniform cubic B-spline.
+SPLINE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6
+
+# Points of a segment at which its extent is looked for, how often around the best of
+# them again, each time 16 times as near: to 1e-10 of the extent, and segments at once.
+POINTS, ROUNDS, SEGMENTS = 33, 5, 4096
+
+
+def bounds(shapes: Sequence[mi.Shape]) -> Corners:
+    """Lower and upper corner of the box of all `shapes`, each of shape ``(3,)``.
+
+    Exact for the shapes that are named above, to the rounding of single precision; a
+    grid that is turned, which Mitsuba cannot trace, is within its box.
+    """
+    low, high = np.transpose([_box(shape) for shape in shapes], (1, 0, 2))
+    return low.min(axis=0), high.max(axis=0)
+
+
+def _box(shape: mi.Shape) -> Array:
+    """Corners of the box of one shape, shape ``(2, 3)``."""
+    box = shape.bbox()
+    loose = np.array([box.min, box.max], dtype=float).reshape(2, 3)
+    surface = SURFACES.get(shape.class_name(), lambda _: None)(shape)
+    if surface is None:
+        return loose
+    return np.array(
+        [np.maximum(loose[0], surface[0]), np.minimum(loose[1], surface[1])]
+    )
+
+
+def _grid(shape: mi.Shape) -> Corners | None:
+    """Of the points where edges of the grid cross zero; None if there is none.
+
+    A slice of a cell, across one axis, is bilinear: it is zero somewhere if its corners
+    have both signs, and they lie on four edges along that axis. So a coordinate of the
+    surface is extreme where an edge crosses zero.
+    """
+    parameters = traversed(shape)
+    values = np.array(parameters["grid"], dtype=float)[..., 0]
+    size = np.array(values.shape) - 1
+    crossings = []
+    for axis in range(3):
+        ends = np.moveaxis(values, axis, 0)
+        a, b = ends[:-1], ends[1:]
+        crosses = np.minimum(a, b) * np.maximum(a, b) <= 0
+        drop = (a - b)[crosses]
+        place = np.argwhere(crosses).astype(float)
+        place[:, 0] += a[crosses] / np.where(drop == 0, 1, drop)
+        crossings.append(np.insert(place[:, 1:], axis, place[:, 0], axis=1) / size)
+    points = np.concatenate(crossings)
+    if not len(points):
+        return None
+    # the first axis of the grid is z
+    x, y, z = np.transpose([points.min(axis=0), points.max(axis=0)])[::-1]
+    corners = np.array(np.meshgrid(x, y, z)).reshape(3, -1)
+    to_world = np.array(parameters["to_world"].matrix, dtype=float).reshape(4, 4)
+    corners = to_world[:3, :3] @ corners + to_world[:3, 3:]
+    return corners.min(axis=1), corners.max(axis=1)
+
+
+def _curve(shape: mi.Shape) -> Corners:
+    """Of all circles around a cubic B-spline, across its tangent."""
+    parameters = traversed(shape)
+    points = np.array(parameters["control_points"], dtype=float).reshape(-1, 4)
+    first = np.array(parameters["segment_indices"], dtype=int)
+    segments = points[first[:, None] + np.arange(4)]
+    high = [_furthest(segments, axis, 1) for axis in range(3)]
+    low = [-_furthest(segments, axis, -1) for axis in range(3)]
+    return np.array(low), np.array(high)
+
+
+def _furthest(segments: Array, axis: int, sign: int) -> float:
+    """Largest coordinate of curves of shape ``(n, 4, 4)``, along an axis."""
+    # no point of a segment is beyond the balls about its control points
+    within = (sign * segments[..., axis] + segments[..., 3]).max(axis=1)
+    best = _reach(segments, np.full((len(segments), 1), 0.5), axis, sign).max()
+    for part in np.array_split(segments[within > best], len(segments) // SEGMENTS + 1):
+        middle, half = np.full((len(part), 1), 0.5), 0.5
+        for _ in range(ROUNDS):
+            offsets = np.linspace(-half, half, POINTS)
+            t = np.clip(middle + offsets, 0, 1)
+            reach = _reach(part, t, axis, sign)
+            best = max(best, reach.max(initial=best))
+            middle = np.take_along_axis(t, reach.argmax(axis=1)[:, None], axis=1)
+            half *= 2 / (POINTS - 1)
+    return best
+
+
+def _reach(segments: Array, t: Array, axis: int, sign: int) -> Array:
+    """How far the circles at `t`, of shape ``(n, m)``, reach along an axis."""
+    t = t[..., None]
+    powers = SPLINE @ segments
+    c0, c1, c2, c3 = (powers[:, None, i] for i in range(4))
+    p = c0 + t * (c1 + t * (c2 + t * c3))
+    along = (c1 + t * (2 * c2 + t * 3 * c3))[..., :3]
+    # where control points coincide there is no tangent: a ball
+    length = np.linalg.norm(along, axis=-1)
+    cosine = along[..., axis] / np.where(length == 0, 1, length)
+    return sign * p[..., axis] + p[..., 3] * np.sqrt(np.maximum(1 - cosine**2, 0))
+
+
+SURFACES: dict[str, Callable[[mi.Shape], Corners | None]] = {
+    "SDFGrid": _grid,
+    "BSplineCurve": _curve,
+}
+
+
+# How near to the side of the cell a wall is in it, in units of the cell.
+NEAR = 1e-5
+
+
+def walls_in_sides(
+    shapes: Sequence[mi.Shape],
+    low: Floats,
+    high: Floats,
+    which: Callable[[mi.Shape], bool],
+) -> list[str]:
+    """Names of the shapes, of those `which`, with faces in the sides of the cell.
+
+    Parameters
+    ----------
+    shapes : sequence of mi.Shape
+    low, high : ndarray, shape (3,)
+        Corners of the cell.
+    which : callable
+        Such as :func:`refracts` and :func:`encloses_medium`.
+    """
+    return [
+        f"{shape.class_name()} {shape.id()!r}"
+        for shape in filter(which, shapes)
+        if _has_walls(shape, low, high)
+    ]
+
+
+def refracts(shape: mi.Shape) -> bool:
+    """Whether light that passes is bent: no mask, and no thin sheet."""
+    flags = shape.bsdf().flags()
+    bent = mi.BSDFFlags.DeltaTransmission, mi.BSDFFlags.GlossyTransmission
+    refracted = any(mi.has_flag(flags, flag) for flag in bent)
+    return refracted and not mi.has_flag(flags, mi.BSDFFlags.Null)
+
+
+def encloses_medium(shape: mi.Shape) -> bool:
+    """Whether light may pass it into a medium, or out of one."""
+    flags = shape.bsdf().flags()
+    return shape.is_medium_transition() and mi.has_flag(
+        flags, mi.BSDFFlags.Transmission
+    )
+
+
+def _has_walls(shape: mi.Shape, low: Floats, high: Floats) -> bool:
+    """Whether a face of the shape is in a side of the cell."""
+    near = NEAR * (high - low)[:2]
+    for triangle in _faces(shape):
+        for axis in (0, 1):
+            along = triangle[..., axis]
+            for side in (low[axis], high[axis]):
+                if (np.abs(along - side) <= near[axis]).all(axis=-1).any():
+                    return True
+    return False
+
+
+def _faces(shape: mi.Shape) -> list[Floats]:
+    """Triangles of a mesh ``(n, 3, 3)``, or the box of what is flat."""
+    if shape.class_name() in ("Rectangle", "Disk"):
+        box = shape.bbox()
+        return [np.array([[box.min, box.max]], dtype=float).reshape(1, 2, 3)]
+    parameters: Any = traversed(shape)
+    if "vertex_positions" not in parameters:
+        return []
+    points = np.array(parameters["vertex_positions"], dtype=float).reshape(-1, 3)
+    faces = np.array(parameters["faces"], dtype=int).reshape(-1, 3)
+    return [points[faces]]
