@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from ..results.azimuth_symmetry import AzimuthSymmetry, azimuth_of
-from ..results.misplacement import Misplacement
+from ..results.campaign_outcome import PredictionError
 from .refinement import Axis, Interval
 
 __all__ = ["IncidentRings"]
@@ -85,7 +85,7 @@ class IncidentRings:
             n_azimuths = parts(self.gaps) / (len(self.legs.levels()) - 1)
         return n_rings * n_azimuths
 
-    def split_at(self, missed: Iterable[Misplacement]) -> bool:
+    def split_at(self, missed: Iterable[PredictionError]) -> bool:
         """Split what holds the directions that were missed; whether anything was.
 
         Each leg or gap once, for the worst of them.
@@ -109,7 +109,7 @@ class IncidentRings:
                     break
         return before != (len(self.legs.errors), len(self.gaps.errors))
 
-    def _around(self, one: Misplacement) -> tuple[Interval, list[Interval]]:
+    def _around(self, one: PredictionError) -> tuple[Interval, list[Interval]]:
         """Leg that holds a direction, and the gaps of azimuth on both its ends."""
         leg = self.legs.around(one.theta_i)
         symmetry = self.symmetry

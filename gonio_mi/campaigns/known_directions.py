@@ -17,7 +17,7 @@ import numpy as np
 
 from ..collector import Subdivision
 from ..errors import SettingError, SpecimenError, abridged
-from ..results.misplacement import misplaced
+from ..results.prediction_error import prediction_error
 from ..results.record import Record
 from ..settings import Estimator, MeasurementSettings
 from .tasks import Surroundings, keep, records_of
@@ -189,11 +189,11 @@ class KnownDirections:
         said = f"{abridged(self.name, 16)}, is sample() like eval()?"
         record = self._kept("functions", [incident], settings, said)
         integral = self.records[incident]
-        error = misplaced(record, integral.flux_fraction)
+        error = prediction_error(record, integral.flux_fraction)
         if error.exceeds(self.tolerance):
             settings = settings | {"rays": AGAIN * PROBE_RAYS}
             record = self._kept("functions_again", [incident], settings, said)
-            error = misplaced(record, integral.flux_fraction)
+            error = prediction_error(record, integral.flux_fraction)
         if error.error - CERTAIN * error.std_err > self.tolerance:
             totals = [f"{one.flux_fraction.sum():.3g}" for one in (record, integral)]
             raise SpecimenError(

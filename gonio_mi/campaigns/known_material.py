@@ -10,7 +10,8 @@ from ..collector import Subdivision
 from ..formats.scatter import PatchMeans
 from ..interpolation.lobes import check_table, tells
 from ..results.azimuth_symmetry import AzimuthSymmetry
-from ..results.misplacement import Misplacement, misplaced
+from ..results.campaign_outcome import PredictionError
+from ..results.prediction_error import prediction_error
 from .known_directions import KnownDirections
 from .prediction import SPARED, Prediction, points_for
 
@@ -52,10 +53,12 @@ class KnownMaterial:
         means = PatchMeans(self.patches, theta_i, phi_i, self._channels, np.array(flux))
         return Prediction(means, self.n_points, SPARED * self.directions.tolerance)
 
-    def missed(self, prediction: Prediction, theta: float, phi: float) -> Misplacement:
+    def missed(
+        self, prediction: Prediction, theta: float, phi: float
+    ) -> PredictionError:
         """Error of a prediction at a known direction."""
         known = self.directions.records[theta, phi]
-        return misplaced(known, prediction.flux(theta, phi))
+        return prediction_error(known, prediction.flux(theta, phi))
 
     def check_size(self, azimuths: Iterable[float], n_angles: int) -> None:
         """Raise TooLargeError if the table of such a material is too large.

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
-from ..results.misplacement import Misplacement, misplaced
+from ..results.campaign_outcome import PredictionError
+from ..results.prediction_error import prediction_error
 from .known_material import KnownMaterial
 
 __all__ = ["Recognition"]
@@ -59,8 +60,8 @@ class Recognition:
         isotropic = not any(self._is_wrong(one) for one in errors)
         found = "isotropic" if isotropic else "anisotropic"
         logger.info(
-            "%s is %s: turned by %d azimuths, %.2g of its light is elsewhere",
-            *(name, found, len(sectors), max(one.light for one in errors)),
+            "%s is %s: turned by %d azimuths, total variation distance %.2g",
+            *(name, found, len(sectors), max(one.total_variation for one in errors)),
         )
         return isotropic
 
@@ -71,7 +72,7 @@ class Recognition:
         turns = (one for one in parts if self._holds(Motion(n // one, False, n)))
         mirrors = (one for one in self._mirrors() if self._holds(Motion(one, True, n)))
         found = AzimuthSymmetry(n, next(turns, 1), next(mirrors, None))
-        logger.info("%s is the same in %s", self.directions.name, found.described())
+        logger.info("%s has the symmetry %s", self.directions.name, found)
         return found
 
     def refuted(self, motions: Sequence[Motion], theta: float, phi: float) -> bool:
@@ -111,12 +112,14 @@ class Recognition:
 
     def _change(
         self, motion: Motion, start: tuple[float, float], image: tuple[float, float]
-    ) -> Misplacement:
+    ) -> PredictionError:
         """What is wrong if a known direction is the image of another one."""
         known = self.directions.records
-        return misplaced(known[image], motion.moved(known[start].flux_fraction, 2))
+        return prediction_error(
+            known[image], motion.moved(known[start].flux_fraction, 2)
+        )
 
-    def _is_wrong(self, change: Misplacement) -> bool:
+    def _is_wrong(self, change: PredictionError) -> bool:
         return change.exceeds(self.directions.tolerance / 2)
 
     def _azimuth(self, sector: float) -> float:

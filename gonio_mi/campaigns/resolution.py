@@ -13,7 +13,7 @@ import numpy as np
 from ..array_types import Floats
 from ..collector import EqualAngle, RingsAndSectors, Subdivision
 from ..errors import SettingError, SpecimenError
-from ..results.misplacement import misplaced
+from ..results.prediction_error import prediction_error
 from ..results.record import Record
 from .prediction import SPARED, Prediction
 
@@ -245,8 +245,10 @@ def _lost(
         """Light in the wrong place in a direction, as the mean of `stacks` tells."""
         around = [Record.stack(known[one] for one in stack) for stack in stacks]
         ways = [Prediction(one, n_points, SPARED * tolerance) for one in around]
-        error = misplaced(known[to], np.mean([one.flux(*to) for one in ways], axis=0))
-        return max(error.light - 2 * error.std_err, 0.0)
+        error = prediction_error(
+            known[to], np.mean([one.flux(*to) for one in ways], axis=0)
+        )
+        return max(error.total_variation - 2 * error.std_err, 0.0)
 
     each = [[lost_by(to, stacks) for to, stacks in both] for both in moved]
     return tuple(map(max, zip(*each)))

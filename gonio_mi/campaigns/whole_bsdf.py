@@ -15,8 +15,7 @@ import numpy as np
 from ..errors import checked_number
 from ..interpolation.lobes import TooLargeError
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
-from ..results.campaign_text import LOOKS
-from ..results.misplacement import Misplacement
+from ..results.campaign_outcome import MAX_LOOKS, CampaignOutcome, PredictionError
 from ..results.record import Record
 from ..settings import MeasurementSettings
 from .incident_rings import IncidentRings
@@ -45,7 +44,7 @@ FIRST_ANGLES = 4
 # Directions never used that confirm the material, and how many may miss it in
 # two looks together if any does in the last: two in a single look would let one
 # material in three pass that misses a twelfth of all directions. It is refined where
-# any did, and looked at anew, LOOKS times at most.
+# any did, and looked at anew, MAX_LOOKS times at most.
 UNSEEN, MISSES = 40, 2
 
 # What helps where directions never used go on missing the tolerance, and why.
@@ -56,7 +55,7 @@ OUTGROWN = (
 CLOSEST = "its directions are as close to each other as they may be: "
 TOLERANT = "a larger tolerance helps, another collector does not"
 MORE_SECTORS = "a collector of more sectors, or a larger tolerance, helps"
-LOOKED = f"it was refined for them {LOOKS - 1} times: a larger tolerance helps"
+LOOKED = f"it was refined for them {MAX_LOOKS - 1} times: a larger tolerance helps"
 
 # Part of the tolerance above which errors are measured again with less noise. Below it,
 # noise hides no error as large as the tolerance.
@@ -89,7 +88,8 @@ class WholeBsdf:
     specimen : object
         What :func:`~gonio_mi.campaigns.measuring.measure` takes.
     tolerance : float
-        Part of the light; see :class:`~gonio_mi.results.misplacement.Misplacement`.
+        Fraction of the flux that leaves; see
+        :class:`~gonio_mi.results.campaign_outcome.PredictionError`.
     theta_max : float
         In degrees, up to where the material shall be right.
     where : Surroundings
@@ -224,7 +224,7 @@ class WholeBsdf:
             prediction = self.material.prediction(ends)
             for number, middle in enumerate(middles):
                 error = self.material.missed(prediction, middle, phi)
-                worst[number] = max(worst[number], _beyond(error))
+                worst[number] = max(worst[number], error.significant)
         return worst.tolist()
 
     def _errors_of_gaps(
@@ -245,21 +245,21 @@ class WholeBsdf:
             prediction = self.material.prediction(ring, self.symmetry)
             for number in numbers:
                 error = self.material.missed(prediction, theta, middles[number])
-                errors[number] = _beyond(error)
+                errors[number] = max(error.significant, 0.0)
         return errors
 
     # ------------------------------------------------------------------- confirming
 
-    def _confirmed(self) -> list[Misplacement] | None:
+    def _confirmed(self) -> list[PredictionError] | None:
         """Errors at directions never used, few of which miss the tolerance.
 
         Where they do, the material is refined, as long as it can be and its table fits
         into memory. None if the specimen is not as symmetric there as it seemed.
         """
         before = MISSES
-        errors: list[Misplacement] = []
+        errors: list[PredictionError] = []
         fitting, self.helps = self.rings, LOOKED
-        for number in range(LOOKS):
+        for number in range(MAX_LOOKS):
             generator = np.random.default_rng([self.seed, number])
             cosines = 1 - generator.random(UNSEEN) * (
                 1 - np.cos(np.radians(self.theta_max))
@@ -282,7 +282,7 @@ class WholeBsdf:
                 "%s: %d of %d missed: %s", self.name, len(missed), UNSEEN, worst
             )
             enough = not missed or len(missed) + before <= MISSES
-            if enough or number == LOOKS - 1:
+            if enough or number == MAX_LOOKS - 1:
                 break
             before = len(missed)
             worst_one = max(missed, key=lambda one: one.error)
@@ -302,7 +302,9 @@ class WholeBsdf:
             motions = [Motion(n - round(phi * n / 360), False, n)]
         return self.recognition.refuted(motions, theta, phi)
 
-    def _errors_at(self, unseen: Sequence[tuple[float, float]]) -> list[Misplacement]:
+    def _errors_at(
+        self, unseen: Sequence[tuple[float, float]]
+    ) -> list[PredictionError]:
         """What is wrong at directions, with less noise where they are large."""
         said = "random tests only"
         self._check()
@@ -316,25 +318,23 @@ class WholeBsdf:
         found |= {one: missed(*one) for one in large}
         return list(found.values())
 
-    def _described(self, errors: Sequence[Misplacement]) -> Record:
+    def _described(self, errors: Sequence[PredictionError]) -> Record:
         """The material's record, with what is known of its errors."""
         record = Record.stack(self.symmetry.whole(self.known, self.rings.directions()))
         directions = zip(record.theta_i.tolist(), record.phi_i.tolist())
         within = np.mean([not one.exceeds(self.tolerance) for one in errors])
-        found = {
-            "tolerance": self.tolerance,
-            "theta_max": self.theta_max,
-            "isotropic": self.isotropic,
-            "symmetry": self.symmetry.described()
-            | {"copies": [list(one) for one in directions if one not in self.known]},
-            "measured": len(self.known),
-            "rays": self.directions.rays,
-            "within": float(within),
-            "unseen": [
-                [one.theta_i, one.phi_i, one.light, one.std_err, one.dhr, one.dht]
-                for one in errors
-            ],
-        }
+        outcome = CampaignOutcome(
+            tolerance=self.tolerance,
+            theta_max=self.theta_max,
+            isotropic=self.isotropic,
+            turns=self.symmetry.turns,
+            mirror=self.symmetry.mirror_azimuth,
+            copies=tuple(one for one in directions if one not in self.known),
+            measured=len(self.known),
+            rays=self.directions.rays,
+            within=float(within),
+            unseen=tuple(errors),
+        )
         if sum(one.exceeds(self.tolerance) for one in errors) > MISSES:
             warnings.warn(
                 f"tolerance of {self.tolerance:g} was not reached for {self.name}: of "
@@ -343,9 +343,4 @@ class WholeBsdf:
                 RuntimeWarning,
                 stacklevel=4,
             )
-        return record.with_provenance(campaign=found)
-
-
-def _beyond(error: Misplacement) -> float:
-    """What is certain of an error, beyond two standard errors."""
-    return max(error.error - 2 * error.std_err, 0.0)
+        return record.with_provenance(campaign=outcome)

@@ -295,8 +295,8 @@ def _save(record: Record, paths: Sequence[str]) -> list[str]:
 def _is_imprecise(record: Record) -> bool:
     """Whether a precision was asked for and not reached."""
     asked, campaign = record.asked.precision, record.provenance.campaign
-    if campaign:
-        return not campaign["within"] >= ENOUGH
+    if campaign is not None:
+        return campaign.within < ENOUGH
     return asked is not None and (record.provenance.reached or 0) > asked
 
 

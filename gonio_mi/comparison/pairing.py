@@ -12,7 +12,7 @@ from ..collector.directions import direction
 from ..collector.hemisphere import EDGE
 from ..errors import LABEL, SettingError, abridged, abridged_apart
 from ..files.measured_table import MeasuredTable
-from ..results.copied_directions import sharing
+from ..results.azimuth_symmetry import sharing
 from ..results.provenance import shared_seeds
 from ..results.record import Record
 from ..settings import MeasurementSettings, declarations

@@ -17,7 +17,7 @@ from ..errors import SettingError, checked_choice
 from ..files import check_output
 from ..formats.radiance import Product
 from ..instrument.measurement import measure_whole
-from ..results.misplacement import misplaced
+from ..results.prediction_error import prediction_error
 from ..results.record import Record
 from ..settings.parsed import checked_wavelengths
 from .daylight import SOLAR, VISIBLE, VISIBLE_NM, of_daylight
@@ -142,7 +142,7 @@ def _warn_unless_isotropic(specimen: Any, settings: dict[str, Any]) -> None:
         found = measure_whole(specimen, 40, azimuths, **given)
         for k in (1, 2):
             turned = np.roll(found.flux_fraction[0], k * n // 8, axis=2)
-            missed = misplaced(found[k], turned)
+            missed = prediction_error(found[k], turned)
             if missed.exceeds(ANISOTROPIC):
                 warnings.warn(
                     "the specimen is not isotropic, as the basis tensor3 takes it: "

@@ -4,11 +4,8 @@ import math
 
 import numpy as np
 
-from ..errors import shown
-from ..results.campaign_text import campaign_is_sound
-from ..results.integral_sums import Integrals
 from ..results.record import Record
-from ..results.tally import Tally
+from ..results.tally import Integrals, Tally
 from .header import require
 
 __all__ = ["check_record"]
@@ -22,11 +19,6 @@ MOST_TURNED = 1e6
 
 def check_record(record: Record) -> None:
     """Raise FileFormatError unless the parts of a record can be what they are."""
-    campaign = record.provenance.campaign
-    require(
-        campaign is None or campaign_is_sound(campaign),
-        f"its setting campaign is {shown(campaign)}",
-    )
     _check_angles(record.theta_i, record.phi_i)
     for tally in record.tallies:
         _check_tally(tally, record)

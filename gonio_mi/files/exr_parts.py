@@ -8,8 +8,8 @@ import numpy as np
 import OpenEXR
 
 from ..array_types import Counts, Floats, Numbers
-from ..results.integral_sums import Integrals
 from ..results.record import Record
+from ..results.tally import Integrals
 from .header import json_of
 
 __all__ = ["attributes", "bits", "layer_names", "layers"]

@@ -11,10 +11,9 @@ import numpy as np
 from ..array_types import Floats, Numbers
 from ..collector import Subdivision, subdivision
 from ..errors import FileFormatError, shown
-from ..results.integral_sums import Integrals
 from ..results.provenance import read_settings
 from ..results.record import Record
-from ..results.tally import Fate, Tally
+from ..results.tally import Fate, Integrals, Tally
 
 __all__ = [
     "FORMAT",

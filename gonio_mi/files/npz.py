@@ -22,8 +22,7 @@ import numpy as np
 
 from ..array_types import Integers, Numbers
 from ..errors import check_memory
-from ..results.azimuth_symmetry import Motion
-from ..results.copied_directions import sources
+from ..results.azimuth_symmetry import Motion, sources
 from ..results.record import Record
 from .header import (
     MAX_EXPANSION,

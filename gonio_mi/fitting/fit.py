@@ -19,7 +19,7 @@ from ..instrument.loading import parse_specimen, specimen_name
 from ..instrument.measurement import measure_here
 from ..progress import bar
 from ..reports.page import picture_and_text
-from ..results.copied_directions import without_copies
+from ..results.azimuth_symmetry import without_copies
 from ..results.record import Record
 from ..transport.kernels import launches_kernels
 from .fitted_model import FittedModel

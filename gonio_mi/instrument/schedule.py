@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..results.misplacement import noise_of
 from ..results.precision import precision
+from ..results.prediction_error import expected_noise
 from ..results.ray_bounds import paper_rays
 from ..results.record import Record
 from ..results.tally import Fate, Tally, batch_sizes
@@ -186,7 +186,11 @@ class Target:
 
     def found(self, record: Record) -> float:
         """How precise a record of one incident direction is."""
-        return noise_of(record) if self.of_noise else precision(record, self.floor)[0]
+        return (
+            expected_noise(record)
+            if self.of_noise
+            else precision(record, self.floor)[0]
+        )
 
     def next_goal(self, record: Record, sent: int) -> int:
         """Rays in all that the record predicts; `sent` if it is good enough."""
@@ -202,7 +206,9 @@ class Target:
     def reached(self, record: Record) -> dict[str, Any]:
         """What the record's provenance says of the target, for the worst direction."""
         if self.of_noise:
-            return {"reached": max(noise_of(record[i]) for i in range(len(record)))}
+            return {
+                "reached": max(expected_noise(record[i]) for i in range(len(record)))
+            }
         looks = [precision(record[i], self.floor) for i in range(len(record))]
         n_lobe = max(n for _, n in looks)
         n_patches = record.subdivision.n_patches * (1 + record.has_lower)

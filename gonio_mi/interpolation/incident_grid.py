@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from ..collector import RingsAndSectors, Subdivision
 from ..errors import SettingError
 from ..formats.scatter import PatchMeans
-from ..results.azimuth_symmetry import AzimuthSymmetry, Motion
-from ..results.copied_directions import symmetry_of
+from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, symmetry_of
 from ..results.record import Record
 from .azimuth_cross_validation import AzimuthCrossValidation, distances
 from .half_vectors import predicted

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from ..errors import LABEL, SettingError, abridged, checked_count
 from ..files import check_output, replacing
 from ..progress import bar
-from ..results.integral_sums import sent_text, without_chance
 from ..results.precision import precision
 from ..results.record import Record
+from ..results.tally import sent_text, without_chance
 from .figure import (
     ANIMATION_ENDINGS,
     check_matplotlib,

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ..collector import Apertures, Borders, RingsAndSectors, Subdivision
 from ..collector.directions import direction
 from ..collector.shirley_chiu import ShirleyChiu
-from ..results.integral_sums import without_chance
 from ..results.record import Record
+from ..results.tally import without_chance
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,8 +9,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import SpecimenError
-from ..results.integral_sums import Integrals
-from ..results.tally import WEIGHT_SCALE, Tally
+from ..results.tally import WEIGHT_SCALE, Integrals, Tally
 from ..settings.orders import ALL_ORDERS
 from ..transport.bench import Bench
 from ..transport.wavelengths import wavelength_lanes

@@ -1,20 +1,31 @@
-"""Specimens that look the same when turned about their normal, or mirrored."""
+"""Specimens that look the same when turned about their normal, or mirrored.
+
+And the incident directions of their records that copy others, whose noise they share.
+"""
 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ..array_types import Numbers
+from ..array_types import Flags, Numbers
 from .record import Record
 from .tally import Tally
 
-__all__ = ["AzimuthSymmetry", "Motion", "azimuth_of"]
-
+__all__ = [
+    "AzimuthSymmetry",
+    "Motion",
+    "azimuth_of",
+    "sharing",
+    "sources",
+    "symmetry_of",
+    "without_copies",
+]
 
 # Along which axis the arrays of a tally have their sectors.
 SECTOR_AXES = {"hits": 2, "sums": 3, "errors": 2}
@@ -181,7 +192,72 @@ class AzimuthSymmetry:
                     found[image] = (image, still) if own else ((theta, phi), motion)
         return dict(sorted(found.items()))
 
-    def described(self) -> dict[str, Any]:
-        """What a record says of it: turns, and the azimuth of a mirror in degrees."""
-        mirror = None if self.mirror is None else self.mirror * 180 / self.n_sectors
-        return {"turns": self.turns, "mirror": mirror}
+    @property
+    def mirror_azimuth(self) -> float | None:
+        """Azimuth of a mirror plane in degrees."""
+        return None if self.mirror is None else self.mirror * 180 / self.n_sectors
+
+
+# ---------------------------------------------------------------- directions of records
+
+
+def without_copies(record: Record) -> Record:
+    """The record of what was measured; as it is if nothing in it was."""
+    campaign = record.provenance.campaign
+    own = np.flatnonzero(~_copied(record))
+    if campaign is None or len(own) in (0, len(record)):
+        return record
+    measured = Record.stack(record[number] for number in own.tolist())
+    return measured.with_provenance(campaign=replace(campaign, copies=()))
+
+
+def sources(record: Record) -> list[tuple[int, Motion]]:
+    """Of each incident direction the number of that which it copies, and how.
+
+    What was measured, and what is no exact copy, is its own.
+    """
+    n = record.subdivision.shape[1]
+    found = [(number, Motion(0, False, n)) for number in range(len(record))]
+    symmetry = symmetry_of(record)
+    if symmetry is None:
+        return found
+    motions, copied = symmetry.motions, _copied(record)
+    of_ring = defaultdict(list)
+    for number in np.flatnonzero(~copied).tolist():
+        of_ring[float(record.theta_i[number])].append(number)
+    for number in np.flatnonzero(copied).tolist():
+        phi = float(record.phi_i[number])
+        for source in of_ring[float(record.theta_i[number])]:
+            for motion in motions:
+                if motion.azimuth(float(record.phi_i[source])) == phi and (
+                    motion.moved_tally(record.tallies[source]) == record.tallies[number]
+                ):
+                    found[number] = source, motion
+    return found
+
+
+def sharing(record: Record) -> list[int]:
+    """Of each incident direction how many may have one noise, itself included."""
+    symmetry = symmetry_of(record)
+    if symmetry is None:
+        return [1] * len(record)
+    shared = np.isin(record.theta_i, record.theta_i[_copied(record)])
+    return np.where(shared, len(symmetry.motions), 1).tolist()
+
+
+def symmetry_of(record: Record) -> AzimuthSymmetry | None:
+    """The symmetry by which a campaign copied directions; None if it copied none."""
+    campaign, n = record.provenance.campaign, record.subdivision.shape[1]
+    if campaign is None or not campaign.copies:
+        return None
+    mirror = campaign.mirror
+    mirror = None if mirror is None else round(mirror * n / 180)
+    return AzimuthSymmetry(n, campaign.turns, mirror)
+
+
+def _copied(record: Record) -> Flags:
+    """Which incident directions are copies, shape ``(N,)``."""
+    campaign = record.provenance.campaign
+    copies = set() if campaign is None else set(campaign.copies)
+    directions = zip(record.theta_i.tolist(), record.phi_i.tolist())
+    return np.array([one in copies for one in directions])

@@ -8,8 +8,7 @@ import numpy as np
 from ..array_types import Counts, Flags, Floats, Numbers
 from ..single_precision import ROUNDING
 from . import statistics
-from .integral_sums import Integrals
-from .tally import Tally
+from .tally import Integrals, Tally
 
 __all__ = ["Estimates", "IntegralEstimates", "SampledEstimates"]
 

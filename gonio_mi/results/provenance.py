@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 from ..errors import SettingError, SettingTypeError, shown
 from ..settings import MeasurementSettings, declarations
+from .campaign_outcome import CampaignOutcome
 
 __all__ = [
     "MERGED",
@@ -124,6 +125,10 @@ KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
         "a dictionary of texts",
         lambda value: isinstance(value, Mapping) and _each(str, [*value.values()]),
     ),
+    "CampaignOutcome | None": (
+        "the outcome of a campaign",
+        lambda value: isinstance(value, CampaignOutcome),
+    ),
     "Mapping[str, Any] | None": (
         "a dictionary",
         lambda value: isinstance(value, Mapping),
@@ -171,7 +176,7 @@ class Provenance:
         Of the precision that was asked for, in the worst incident direction.
     n_lobe, paper_rays : int
         Patches worth reporting, and the rays that the paper's bound asks for.
-    campaign : mapping
+    campaign : CampaignOutcome
         How the directions were chosen, and how right the material is.
     task : mapping
         What a campaign's folder asked for.
@@ -200,7 +205,7 @@ class Provenance:
     reached: float | None = None
     n_lobe: int | None = None
     paper_rays: int | None = None
-    campaign: Mapping[str, Any] | None = None
+    campaign: CampaignOutcome | None = None
     task: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
@@ -323,6 +328,8 @@ def told_settings(asked: MeasurementSettings, provenance: Provenance) -> dict[st
         own["seed"] = seeds[0] if len(seeds) == 1 else list(seeds)
     for name in ("media", "defects", "processors"):
         own[name] = list(own[name])
+    if provenance.campaign is not None:
+        own["campaign"] = provenance.campaign.as_mapping()
     known = {"passes"}
     if own["digest"] is not None:
         known |= {"emitter_digest", "plugin_digest"}
@@ -347,6 +354,8 @@ def read_settings(told: Settings) -> tuple[MeasurementSettings, Provenance]:
     seed = told.get("seed")
     if seed is not None:
         own["seeds"] = tuple(seed) if isinstance(seed, (list, tuple)) else (seed,)
+    if "campaign" in own:
+        own["campaign"] = CampaignOutcome.from_mapping(own["campaign"])
     return MeasurementSettings(**asked), Provenance(**own)
 
 

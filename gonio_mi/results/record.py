@@ -25,7 +25,6 @@ from ..settings import MeasurementSettings
 from ..settings.measurement_settings import MOST_RAYS
 from . import statistics
 from .estimates import Estimates, IntegralEstimates, SampledEstimates
-from .integral_sums import Integrals, holds_integrals, sent_text
 from .provenance import (
     MERGED,
     STACKED,
@@ -36,7 +35,7 @@ from .provenance import (
     told_settings,
     with_settings,
 )
-from .tally import Ledger, Tally
+from .tally import Integrals, Ledger, Tally, holds_integrals, sent_text
 
 __all__ = ["Record"]
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from .doubts import doubts
-from .integral_sums import holds_integrals
 from .precision import FLOOR, lobe, patch_values, precision
 from .record import Record
+from .tally import holds_integrals
 
 __all__ = ["LEVEL", "summarize"]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..errors import abridged
 from ..single_precision import ROUNDING
-from .campaign_text import campaign_text
+from .campaign_outcome import CampaignOutcome
 from .doubts import grouped
 from .precision import FLOOR
 from .provenance import UNKNOWN
@@ -42,7 +42,8 @@ def summary_text(numbers: dict[str, Any], most_rows: int = MOST_ROWS) -> str:
     if numbers["settings"].get("campaign"):
         # what decides, below a table that may be long
         used = len(numbers["directions"]) - len(_copies(numbers))
-        blocks.append(campaign_text(numbers["settings"]["campaign"], used, WIDTH))
+        outcome = CampaignOutcome.from_mapping(numbers["settings"]["campaign"])
+        blocks.append(outcome.text(used, WIDTH))
     return "\n\n".join(blocks)
 
 

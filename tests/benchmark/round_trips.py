@@ -18,7 +18,8 @@ import numpy as np
 from gonio_mi.campaigns.measuring import measure
 from gonio_mi.exports.exporting import export
 from gonio_mi.instrument.loading import parse_specimen
-from gonio_mi.results.misplacement import Misplacement, misplaced
+from gonio_mi.results.campaign_outcome import PredictionError
+from gonio_mi.results.prediction_error import prediction_error
 
 __all__ = ["round_trips"]
 
@@ -40,7 +41,7 @@ COLLECTOR = "projected:30x60"
 
 def round_trips(
     specimen: Any, rays: int = 10**6, formats: Any = FORMATS
-) -> Iterator[tuple[str, list[float], list[Misplacement]]]:
+) -> Iterator[tuple[str, list[float], list[PredictionError]]]:
     """Name of each format, the losses that are stated, and those that are found.
 
     Parameters
@@ -65,7 +66,8 @@ def round_trips(
             material = {"type": "goniometric", "filename": str(path)}
             back = measure(material, list(THETA_I), rays=rays, **how)
             found = [
-                misplaced(back[i], record[i].flux_fraction) for i in range(len(THETA_I))
+                prediction_error(back[i], record[i].flux_fraction)
+                for i in range(len(THETA_I))
             ]
             yield f"{name[1:]} {basis}".strip(), stated, found
 
@@ -77,7 +79,7 @@ def main(words: Sequence[str]) -> None:
     print("| file | stated, mean and worst | found, mean and worst |\n|---|---|---|")
     for specimen in words or ["roughconductor:alpha=0.3"]:
         for name, stated, found in round_trips(parse_specimen(specimen)):
-            columns = stated, [one.light for one in found]
+            columns = stated, [one.total_variation for one in found]
             shown = [
                 f"{np.mean(one):.1%}, {np.max(one):.1%}" if one else "-"
                 for one in columns

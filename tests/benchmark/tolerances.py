@@ -20,7 +20,8 @@ from gonio_mi.campaigns.prediction import SPARED, Prediction, points_for
 from gonio_mi.campaigns.tasks import Surroundings, records_of
 from gonio_mi.campaigns.whole_bsdf import SURE
 from gonio_mi.errors import SpecimenError
-from gonio_mi.results.misplacement import Misplacement, misplaced
+from gonio_mi.results.campaign_outcome import PredictionError
+from gonio_mi.results.prediction_error import prediction_error
 from gonio_mi.results.record import Record
 
 from .table import print_table
@@ -191,16 +192,18 @@ def _measured(
     return records_of({"it": case.specimen}, incidents, Surroundings(), settings)["it"]
 
 
-def _errors(record: Record, unseen: Record, tolerance: float) -> list[Misplacement]:
+def _errors(record: Record, unseen: Record, tolerance: float) -> list[PredictionError]:
     """What the material of a record gets wrong at unseen directions."""
     prediction = Prediction(record, points_for(tolerance), SPARED * tolerance)
     return [
-        misplaced(one, prediction.flux(float(one.theta_i[0]), float(one.phi_i[0])))
+        prediction_error(
+            one, prediction.flux(float(one.theta_i[0]), float(one.phi_i[0]))
+        )
         for one in (unseen[number] for number in range(len(unseen)))
     ]
 
 
-def _within(errors: Sequence[Misplacement], tolerance: float) -> float:
+def _within(errors: Sequence[PredictionError], tolerance: float) -> float:
     return float(np.mean([not one.exceeds(tolerance) for one in errors]))
 
 
@@ -208,7 +211,7 @@ def _row(
     name: str,
     record: Record,
     counts: tuple[int, int, float],
-    errors: Sequence[Misplacement],
+    errors: Sequence[PredictionError],
     tolerance: float,
 ) -> tuple[str, ...]:
     """Cells of a row; `counts` are directions, rays and core-seconds."""

@@ -19,10 +19,9 @@ from gonio_mi.campaigns.recognition import Recognition
 from gonio_mi.campaigns.tasks import Surroundings
 from gonio_mi.interpolation.incident_grid import IncidentGrid
 from gonio_mi.interpolation.lobes import MeasuredLobes
-from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
-from gonio_mi.results.campaign_text import campaign_is_sound
-from gonio_mi.results.copied_directions import sources
-from gonio_mi.results.misplacement import misplaced, noise_of
+from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry, sources
+from gonio_mi.results.campaign_outcome import CampaignOutcome
+from gonio_mi.results.prediction_error import expected_noise, prediction_error
 from gonio_mi.results.record import Record
 
 PATCHES = gonio.subdivision("projected:8x24")
@@ -204,7 +203,7 @@ def test_a_material_holds_copies_and_says_so(tmp_path):
     found = record.settings["campaign"]
     assert not found["isotropic"]
     assert (found["symmetry"]["turns"], found["symmetry"]["mirror"]) == (2, 0)
-    noise = [noise_of(record[number]) for number in range(len(record))]
+    noise = [expected_noise(record[number]) for number in range(len(record))]
     assert max(noise) <= how["tolerance"] / 2
     assert record.settings["noise"] == how["tolerance"] / 2
     copies = {tuple(one) for one in found["symmetry"]["copies"]}
@@ -232,7 +231,7 @@ def test_a_material_holds_copies_and_says_so(tmp_path):
     plugin = {"type": "goniometric", "filename": str(tmp_path / "m.npz")}
     how = {"collector": COARSE["collector"], "rays": 2**16}
     seen, truth = (gonio.measure(bsdf, 30, 200, **how) for bsdf in (plugin, BRUSHED))
-    assert not misplaced(seen, truth.flux_fraction).exceeds(COARSE["tolerance"])
+    assert not prediction_error(seen, truth.flux_fraction).exceeds(COARSE["tolerance"])
 
 
 @pytest.mark.parametrize(
@@ -250,10 +249,20 @@ def test_a_material_holds_copies_and_says_so(tmp_path):
 )
 def test_symmetries_of_files_are_checked(change, sound):
     """What a campaign writes is sound; nothing that would spoil a comparison is."""
-    symmetry = AzimuthSymmetry(16, 2, 0).described() | {"copies": [[30.0, 180.0]]}
-    found = CAMPAIGN
-    assert campaign_is_sound(found | {"symmetry": symmetry | change}) == sound
-    assert campaign_is_sound(found), "as of older versions"
+    symmetry = {"turns": 2, "mirror": 0, "copies": [[30.0, 180.0]]}
+    found = CAMPAIGN | {"symmetry": symmetry | change}
+    if sound:
+        assert CampaignOutcome.from_mapping(found).as_mapping() == found
+    else:
+        with pytest.raises(ValueError, match="campaign must be"):
+            CampaignOutcome.from_mapping(found)
+    assert CampaignOutcome.from_mapping(CAMPAIGN).copies == (), "without a symmetry"
+
+
+def described(symmetry, copies):
+    """A symmetry and the copies made by it, as files hold them."""
+    mirror = symmetry.mirror_azimuth
+    return {"turns": symmetry.turns, "mirror": mirror, "copies": copies}
 
 
 def with_copies(turns, mirror):
@@ -266,7 +275,7 @@ def with_copies(turns, mirror):
     stack = Record.stack(symmetry.whole(known, known))
     every = zip(stack.theta_i.tolist(), stack.phi_i.tolist())
     copies = [list(one) for one in every if one not in known]
-    found = {"symmetry": symmetry.described() | {"copies": copies}}
+    found = {"symmetry": described(symmetry, copies)}
     return stack.with_settings(campaign=CAMPAIGN | found)
 
 
@@ -359,8 +368,8 @@ def test_the_noise_of_copies_counts_once(told):
         stack = Record.stack(symmetry.whole({start: one}, [start]))
         copies = [[30.0, phi] for phi in stack.phi_i.tolist() if phi != start[1]]
         assert len(copies) == 3
-        found = {"symmetry": symmetry.described() | {"copies": told * copies}}
-        records.append(stack.with_settings(campaign=found))
+        found = {"symmetry": described(symmetry, copies if told else [])}
+        records.append(stack.with_settings(campaign=CAMPAIGN | found))
         measured.append(one)
     many, one = gonio.compare(*records), gonio.compare(*measured)
     # rounding: sums of some hundred scores in other orders
@@ -381,7 +390,7 @@ def test_a_symmetry_that_does_not_hold_is_given_up(isotropic, believed, monkeypa
     askew = AzimuthSymmetry(16, 2, 4)
     monkeypatch.setattr(Recognition, "symmetry", lambda _: askew)
     monkeypatch.setattr(Recognition, "is_isotropic", lambda _: isotropic)
-    for name, number in (("UNSEEN", 10), ("LOOKS", 2), ("MISSES", 0)):
+    for name, number in (("UNSEEN", 10), ("MAX_LOOKS", 2), ("MISSES", 0)):
         monkeypatch.setattr(whole_bsdf, name, number)
     if believed:
         monkeypatch.setattr(Recognition, "refuted", lambda *_: False)

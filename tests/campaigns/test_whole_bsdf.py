@@ -36,7 +36,8 @@ from gonio_mi.interpolation import lobes
 from gonio_mi.interpolation.gradients import gradients
 from gonio_mi.interpolation.lobes import MeasuredLobes, TooLargeError, check_table
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
-from gonio_mi.results.misplacement import Misplacement, misplaced, noise_of
+from gonio_mi.results.campaign_outcome import PredictionError
+from gonio_mi.results.prediction_error import expected_noise, prediction_error
 from gonio_mi.results.provenance import Provenance
 from gonio_mi.results.tally import Fate, Tally
 from gonio_mi.settings import MeasurementSettings
@@ -145,22 +146,22 @@ def test_noise_is_no_misplaced_light():
     shares = lobe(60)
     record = counted(shares, 2000)
     right = shares.reshape(record.flux_fraction.shape)
-    error = misplaced(record, right)
-    agree(single(error.light / error.std_err))
+    error = prediction_error(record, right)
+    agree(single(error.total_variation / error.std_err))
     plain = np.abs(record.flux_fraction - right).sum() / 2 / 0.5
     disagree(single(plain / error.std_err))
     # what was predicted of the noise is what there is: means of absolute values of
     # 120 normal deviates scatter by sqrt(pi/2 - 1) / sqrt(120) of it
     scatter = np.sqrt((np.pi / 2 - 1) / 120)
-    agree(single((plain / noise_of(record) - 1) / scatter))
+    agree(single((plain / expected_noise(record) - 1) / scatter))
 
 
 def test_where_all_batches_agree_there_is_no_noise():
     """All light in one patch, as of a mirror, or none at all: that is enough rays."""
     for share in (1, 0):
         record = counted(share * (np.arange(120) == 7), 2000)
-        assert noise_of(record) == 0
-    assert noise_of(counted(lobe(60), 2000, batches=1)) == np.inf
+        assert expected_noise(record) == 0
+    assert expected_noise(counted(lobe(60), 2000, batches=1)) == np.inf
 
 
 def test_a_lobe_in_another_place_is_misplaced_light():
@@ -168,16 +169,16 @@ def test_a_lobe_in_another_place_is_misplaced_light():
     record = counted(lobe(60), 20000)
     wrong = lobe(70).reshape(record.flux_fraction.shape)
     truth = np.abs(lobe(70) - lobe(60)).sum() / 2 / 0.5
-    error = misplaced(record, wrong)
-    agree(single((error.light - truth) / error.std_err))
-    disagree(single((error.light - truth / 2) / error.std_err))
+    error = prediction_error(record, wrong)
+    agree(single((error.total_variation - truth) / error.std_err))
+    disagree(single((error.total_variation - truth / 2) / error.std_err))
     assert error.exceeds(truth / 2)
     assert not error.exceeds(2 * truth)
 
 
 def test_light_that_is_missing_is_an_error_of_the_reflectance():
     record = counted(lobe(60), 20000)
-    error = misplaced(record, 0.9 * record.flux_fraction)
+    error = prediction_error(record, 0.9 * record.flux_fraction)
     assert abs(error.dhr + 0.1) <= DOUBLE
     assert error.dht == 0
     assert error.error >= 0.1 - DOUBLE
@@ -297,7 +298,7 @@ def test_it_is_what_it_says(material, tmp_path):
         plugin = {"type": "goniometric", "filename": str(tmp_path / name)}
         seen = gonio.measure(plugin, 33, 77, **how)
         truth = gonio.measure(CONDUCTOR, 33, 77, **how)
-        errors.append(misplaced(seen, truth.flux_fraction))
+        errors.append(prediction_error(seen, truth.flux_fraction))
     assert not errors[0].exceeds(SETTINGS["tolerance"])
     assert errors[1].exceeds(SETTINGS["tolerance"])
     text = gonio.results.summary_text.summary_text(
@@ -371,7 +372,7 @@ def test_two_looks_together_decide(missed, monkeypatch):
         looks.append(len(unseen))
         wrong = missed[len(looks) - 1]
         return [
-            Misplacement(*one, float(number < wrong), 0, 0, 0)
+            PredictionError(*one, float(number < wrong), 0, 0, 0)
             for number, one in enumerate(unseen)
         ]
 
@@ -393,7 +394,7 @@ def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
         looks.append(whole.rings.directions())
         if len(looks[-1]) > len(looks[0]):
             raise TooLargeError("no memory")
-        return [Misplacement(*one, 1.0, 0, 0, 0) for one in unseen]
+        return [PredictionError(*one, 1.0, 0, 0, 0) for one in unseen]
 
     monkeypatch.setattr(whole, "_errors_at", look)
     monkeypatch.setattr(whole, "_is_refuted_at", lambda *_: False)
@@ -447,7 +448,7 @@ def test_noisy_directions_are_measured_again(estimator):
         (sampled, True, True)
     )
     if sampled:
-        assert noise_of(found[1]) <= 0.005
+        assert expected_noise(found[1]) <= 0.005
         assert known.rays == found[0].ledger.emitted + found[1].ledger.emitted
 
 

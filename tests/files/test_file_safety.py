@@ -29,10 +29,9 @@ from gonio_mi.errors import FileFormatError, printable, shortened, shown
 from gonio_mi.files import seal, writing
 from gonio_mi.formats import radiance, tensor_file
 from gonio_mi.instrument.loading import load_specimen
-from gonio_mi.results.integral_sums import Integrals
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
-from gonio_mi.results.tally import Fate
+from gonio_mi.results.tally import Fate, Integrals
 
 RECORD = synthetic.record(channels=("R", "G", "B"), both=True)
 POSIX = pytest.mark.skipif(os.name != "posix", reason="needs POSIX")

@@ -26,7 +26,7 @@ from gonio_mi.formats import fred, merl, open_material, reading, refused, speos,
 from gonio_mi.formats.format import Format
 from gonio_mi.formats.reading import load_material, read_scatter
 from gonio_mi.formats.scatter import Block, Scatter, total_of
-from gonio_mi.results.misplacement import misplaced
+from gonio_mi.results.prediction_error import prediction_error
 
 EPS = np.finfo(float).eps
 POLAR, AZIMUTH = np.arange(0, 91, 5.0), np.arange(0, 361, 15.0)
@@ -249,8 +249,8 @@ def check_what_comes_back(one, recorded, loss):
     assert abs(one.dhr[0] / loss.written - 1) <= loss.misplaced
     turned = np.roll(recorded, 1, axis=-2)
     for expected, passes in ((recorded, agree), (turned, disagree)):
-        error = misplaced(one, expected)
-        t = (error.light - 2 * loss.misplaced) / error.std_err
+        error = prediction_error(one, expected)
+        t = (error.total_variation - 2 * loss.misplaced) / error.std_err
         p = stats.norm.sf(normal_scores(t, one.n_batches - 1))
         passes(Verdict({"light": float(p)}))
 
@@ -326,7 +326,10 @@ def test_a_record_goes_there_and_comes_back_as_a_material(
                 np.roll(one.flux_fraction, 1, axis=-2),
             )
             assert loss.misplaced <= most
-            assert loss.theta_i == 0 or misplaced(one, turned).light > most
+            assert (
+                loss.theta_i == 0
+                or prediction_error(one, turned).total_variation > most
+            )
         # exact: sums differ by no more than what they are sums of
         assert abs(loss.written / loss.recorded - 1) <= 2 * loss.misplaced
     material = {"type": "goniometric", "filename": str(path)}

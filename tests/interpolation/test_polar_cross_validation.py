@@ -19,7 +19,7 @@ from gonio_mi.interpolation.interpolated_bsdf import InterpolatedBSDF
 from gonio_mi.interpolation.interpolated_lobes import Way
 from gonio_mi.interpolation.lobes import MeasuredLobes
 from gonio_mi.interpolation.polar_cross_validation import best_ways
-from gonio_mi.results.misplacement import misplaced
+from gonio_mi.results.prediction_error import prediction_error
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -130,7 +130,10 @@ def test_narrow_lobes_are_predicted_by_micro_normals(theta_i):
         quantiles.ways = []
         true = record_of(patches, (theta_i,), truth[None])
         errors.append(
-            [misplaced(true, one.flux(theta_i, 0)).light for one in (own, quantiles)]
+            [
+                prediction_error(true, one.flux(theta_i, 0)).total_variation
+                for one in (own, quantiles)
+            ]
         )
     coarse, fine = np.array(errors)
     assert fine[0] < coarse[0] / 2

@@ -8,10 +8,9 @@ import numpy as np
 from gonio_mi.collector import subdivision
 from gonio_mi.collector.directions import direction
 from gonio_mi.files import seal
-from gonio_mi.results.integral_sums import Integrals
 from gonio_mi.results.provenance import Provenance
 from gonio_mi.results.record import Record
-from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Tally
+from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Integrals, Tally
 from gonio_mi.settings import MeasurementSettings
 
 

@@ -15,8 +15,7 @@ from gonio_mi.results.estimates import (
     IntegralEstimates,
     SampledEstimates,
 )
-from gonio_mi.results.integral_sums import Integrals
-from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Tally
+from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Integrals, Tally
 
 EPS = np.finfo(float).eps
 LEVEL = 0.9

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import synthetic
 
-from gonio_mi.results.integral_sums import Integrals
 from gonio_mi.results.provenance import ReadOnlyDict, ReadOnlyList, read_only
-from gonio_mi.results.tally import Tally
+from gonio_mi.results.tally import Integrals, Tally
 
 SETTINGS = {"seed": [1, 2], "versions": {"numpy": "2"}, "task": {"a": [3]}}
 COPIES = {

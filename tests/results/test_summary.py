@@ -8,12 +8,11 @@ import synthetic
 
 from gonio_mi.cli import main
 from gonio_mi.files.exr_parts import attributes
-from gonio_mi.results.integral_sums import Integrals
 from gonio_mi.results.precision import precision
 from gonio_mi.results.record import Record
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
-from gonio_mi.results.tally import Fate
+from gonio_mi.results.tally import Fate, Integrals
 
 
 def moved(record, row, n):

@@ -7,8 +7,7 @@ import pytest
 import synthetic
 
 from gonio_mi.collector import subdivision
-from gonio_mi.results.integral_sums import Integrals
-from gonio_mi.results.tally import Fate, Ledger, Tally, batch_sizes
+from gonio_mi.results.tally import Fate, Integrals, Ledger, Tally, batch_sizes
 
 PATCHES = subdivision("angle:2x3")
 

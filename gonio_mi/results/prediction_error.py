@@ -1,56 +1,18 @@
-"""Light in the wrong place: how far a prediction is from what was measured."""
+"""How far a prediction is from what was measured, and how much of that is noise."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..array_types import Floats
-from .integral_sums import Integrals
+from .campaign_outcome import PredictionError
 from .record import Record
-from .tally import Tally
+from .tally import Integrals, Tally
 
-__all__ = ["Misplacement", "misplaced", "noise_of"]
-
-
-@dataclass(frozen=True)
-class Misplacement:
-    """What a prediction gets wrong at one incident direction.
-
-    All are parts of the light that leaves there, of all channels together.
-
-    Attributes
-    ----------
-    theta_i, phi_i : float
-        In degrees.
-    light : float
-        Light that is in another patch than predicted: half the sum of the absolute
-        differences of the flux fractions.
-    std_err : float
-        Of `light`, by what the measurement is wrong.
-    dhr, dht : float
-        Predicted less measured reflectance, and transmittance.
-    """
-
-    theta_i: float
-    phi_i: float
-    light: float
-    std_err: float
-    dhr: float
-    dht: float
-
-    @property
-    def error(self) -> float:
-        """The largest of all three, without sign."""
-        return max(self.light, abs(self.dhr), abs(self.dht))
-
-    def exceeds(self, tolerance: float) -> bool:
-        """Whether the error is above the tolerance, beyond two standard errors."""
-        return self.error - 2 * self.std_err > tolerance
+__all__ = ["expected_noise", "prediction_error"]
 
 
-def misplaced(record: Record, predicted: Floats) -> Misplacement:
+def prediction_error(record: Record, predicted: Floats) -> PredictionError:
     r"""How far a prediction is from a record of one incident direction.
 
     The sum of absolute differences from a noisy record is too large: noise adds to it
@@ -83,39 +45,41 @@ def misplaced(record: Record, predicted: Floats) -> Misplacement:
     total = flux.sum()
     difference = predicted - flux
     if not total > 0:
-        light, std_err, total = float(np.abs(difference).sum() / 2 > 0), 0.0, 1.0
+        distance, std_err, total = float(np.abs(difference).sum() / 2 > 0), 0.0, 1.0
     elif isinstance(tally, Integrals) or tally.n_batches < 2:
-        light = np.abs(difference).sum() / 2 / total
-        std_err = _stated(record) / total
+        distance = np.abs(difference).sum() / 2 / total
+        std_err = _stated_error(record) / total
     else:
         each = _cross_fitted(tally, predicted) / total
-        light, std_err = each.mean(), each.std(ddof=1) / np.sqrt(len(each))
+        distance, std_err = each.mean(), each.std(ddof=1) / np.sqrt(len(each))
     totals = difference.sum(axis=(1, 2, 3)) / total
     dhr, dht = (*totals, 0.0)[:2]
-    return Misplacement(
+    return PredictionError(
         float(record.theta_i[0]),
         float(record.phi_i[0]),
-        float(light),
+        float(distance),
         float(std_err),
         float(dhr),
         float(dht),
     )
 
 
-def noise_of(record: Record) -> float:
-    """Part of its light that a record's standard errors misplace on average.
+def expected_noise(record: Record) -> float:
+    """Total variation distance that a record's standard errors make on average.
 
-    Of one incident direction; the errors of patches are taken as normal. 0 where all
-    batches agree, as on a mirror, or no light left at all; infinite where no error is
-    known, of a single batch.
+    Of one incident direction, as a fraction of the flux that leaves; the errors of
+    patches are taken as normal. 0 where all batches agree, as on a mirror, or nothing
+    left at all; infinite where no error is known, of a single batch.
     """
     total = record.flux_fraction.sum()
     if record.n_batches < 2:
         return float(np.inf)
-    return float(np.sqrt(2 / np.pi) * _stated(record) / total) if total > 0 else 0.0
+    return (
+        float(np.sqrt(2 / np.pi) * _stated_error(record) / total) if total > 0 else 0.0
+    )
 
 
-def _stated(record: Record) -> float:
+def _stated_error(record: Record) -> float:
     """Half the sum of what flux fractions are stated to be wrong by."""
     errors = [record.brdf_std_err, record.btdf_std_err][: 1 + record.has_lower]
     solid = record.subdivision.projected_solid_angles[..., None]

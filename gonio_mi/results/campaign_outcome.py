@@ -1,0 +1,214 @@
+"""How a campaign chose a record's incident directions, and how right its material is.
+
+A mapping in files and in ``record.settings``, elsewhere a :class:`CampaignOutcome`.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping
+from dataclasses import astuple, dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import SettingError, shown
+from .statistics import binomial_interval
+
+__all__ = ["MAX_LOOKS", "CampaignOutcome", "PredictionError"]
+
+# A campaign looks at new directions at most so often, and ends when few are missed: the
+# confidence in their share holds for all looks together (Bonferroni).
+MAX_LOOKS, CONFIDENCE = 10, 0.95
+
+# Equal parts of a whole turn that a specimen may be turned by: no more than degrees.
+MAX_TURNS = 360
+
+# Numbers of a mapping are smaller.
+MAX_NUMBER = 1e15
+
+
+@dataclass(frozen=True)
+class PredictionError:
+    """What a prediction gets wrong at one incident direction.
+
+    All but the angles are fractions of the flux that leaves there, of all channels
+    together.
+
+    Attributes
+    ----------
+    theta_i, phi_i : float
+        In degrees.
+    total_variation : float
+        Total variation distance of both distributions over the patches, half the sum
+        of the absolute differences of their flux fractions: what is in another patch
+        than predicted.
+    std_err : float
+        Of `total_variation`, by what the measurement is wrong.
+    dhr, dht : float
+        Predicted less measured reflectance, and transmittance.
+    """
+
+    theta_i: float
+    phi_i: float
+    total_variation: float
+    std_err: float
+    dhr: float
+    dht: float
+
+    @property
+    def error(self) -> float:
+        """The largest of all three, without sign."""
+        return max(self.total_variation, abs(self.dhr), abs(self.dht))
+
+    @property
+    def significant(self) -> float:
+        """What of the error is beyond two standard errors; may be negative."""
+        return self.error - 2 * self.std_err
+
+    def exceeds(self, tolerance: float) -> bool:
+        """Whether the error is above the tolerance, beyond two standard errors."""
+        return self.significant > tolerance
+
+
+@dataclass(frozen=True)
+class CampaignOutcome:
+    """What a campaign of a tolerance found.
+
+    Attributes
+    ----------
+    tolerance : float
+        Largest error that was asked for, of a :class:`PredictionError`.
+    theta_max : float
+        In degrees, up to where the material shall be right.
+    isotropic : bool
+        Whether one azimuth of incidence is enough.
+    turns : int
+        Equal parts of a whole turn, by each of which the specimen may be turned.
+    mirror : float, optional
+        Azimuth of a mirror plane in degrees.
+    copies : tuple of (float, float)
+        Incident directions in degrees that copy others by this symmetry.
+    measured, rays : int
+        Incident directions that were measured in all, and rays that were sent.
+    within : float
+        Fraction of the test directions whose errors are within the tolerance.
+    unseen : tuple of PredictionError
+        At the random directions that only test the material.
+    """
+
+    tolerance: float
+    theta_max: float
+    isotropic: bool
+    turns: int
+    mirror: float | None
+    copies: tuple[tuple[float, float], ...]
+    measured: int
+    rays: int
+    within: float
+    unseen: tuple[PredictionError, ...]
+
+    @classmethod
+    def from_mapping(cls, found: Any) -> CampaignOutcome:
+        """What :meth:`as_mapping` wrote.
+
+        Raises
+        ------
+        ValueError
+            For anything that no campaign writes.
+        """
+        try:
+            return cls._from_mapping(found)
+        except (AttributeError, KeyError, TypeError, ValueError):
+            raise SettingError(
+                f"campaign must be what a campaign writes, got {shown(found)}"
+            ) from None
+
+    @classmethod
+    def _from_mapping(cls, found: Mapping[str, Any]) -> CampaignOutcome:
+        symmetry = found.get("symmetry") or {"turns": 1, "mirror": None, "copies": []}
+        turns, mirror = symmetry["turns"], symmetry["mirror"]
+        if type(turns) is not int or not 1 <= turns <= MAX_TURNS:
+            raise ValueError
+        if type(found["isotropic"]) is not bool or not found["unseen"]:
+            raise ValueError
+        return cls(
+            _number(found["tolerance"]),
+            _number(found["theta_max"]),
+            found["isotropic"],
+            turns,
+            None if mirror is None else _number(mirror),
+            tuple((_number(theta), _number(phi)) for theta, phi in symmetry["copies"]),
+            _number(found["measured"]),
+            _number(found["rays"]),
+            _number(found["within"]),
+            tuple(PredictionError(*map(_number, row)) for row in found["unseen"]),
+        )
+
+    def as_mapping(self) -> dict[str, Any]:
+        """The outcome in JSON's types."""
+        return {
+            "tolerance": self.tolerance,
+            "theta_max": self.theta_max,
+            "isotropic": self.isotropic,
+            "symmetry": {
+                "turns": self.turns,
+                "mirror": self.mirror,
+                "copies": [list(one) for one in self.copies],
+            },
+            "measured": self.measured,
+            "rays": self.rays,
+            "within": self.within,
+            "unseen": [list(astuple(one)) for one in self.unseen],
+        }
+
+    def text(self, n_used: int, width: int) -> str:
+        """Tolerance, and the errors at directions that only test the material.
+
+        `n_used`: measured incident directions that the record holds.
+        """
+        distances = [one.total_variation for one in self.unseen]
+        reflected = [max(abs(one.dhr), abs(one.dht)) for one in self.unseen]
+        worst = max(self.unseen, key=lambda one: one.error)
+        n_unseen = len(self.unseen)
+        within = np.clip(round(self.within * n_unseen), 0, n_unseen)
+        chance = (1 - CONFIDENCE) / MAX_LOOKS
+        fraction, _ = binomial_interval(within, n_unseen, 1 - 2 * chance)
+        kind = "isotropic" if self.isotropic else "anisotropic"
+        text = (
+            f"tolerance {self.tolerance:.3g} up to theta_i {self.theta_max:g}, "
+            f"{kind} by measurement{self._symmetry_text()}. "
+            f"{self.measured} incident directions were measured: {n_used} of them are "
+            f"this record, {n_unseen} at random only test it, the rest only served the "
+            f"choice. Of the {n_unseen} tests, {within:.0f} are within the tolerance "
+            f"(of all directions at least {fraction:.0%}, with a confidence of "
+            f"{CONFIDENCE:.0%}): of the flux, {np.mean(distances):.2g} is in other "
+            "patches than predicted (total variation distance) on average and "
+            f"{worst.total_variation:.2g} +- {worst.std_err:.1g} (std_err) at the "
+            f"worst, theta_i {worst.theta_i:.1f}, phi_i {worst.phi_i:.1f}; dhr and dht "
+            f"are off by up to {max(reflected):.2g}."
+        )
+        return textwrap.fill(
+            text, width, initial_indent=f"{'material':<10}", subsequent_indent=" " * 10
+        )
+
+    def _symmetry_text(self) -> str:
+        """How a specimen may be turned and mirrored, and what was copied for it."""
+        if not self.copies:
+            return ""
+        ways = []
+        if self.turns > 1:
+            ways.append(f"turned by {360 / self.turns:g} degrees")
+        if self.mirror is not None:
+            ways.append(f"mirrored at the azimuth {self.mirror:g}")
+        return (
+            f" and the same if {' or '.join(ways)} ({len(self.copies)} of its "
+            "directions are copies, with the noise of what they copy)"
+        )
+
+
+def _number(value: Any) -> Any:
+    """The value if it is a number as JSON has it, else ValueError."""
+    if type(value) not in (int, float) or not -MAX_NUMBER < value < MAX_NUMBER:
+        raise ValueError
+    return value
