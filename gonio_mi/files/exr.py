@@ -21,16 +21,17 @@ content; after the last image there is one of all bytes.
 
 import hashlib
 import io
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, BinaryIO
 
 import numpy as np
 import OpenEXR
 
-from ..array_types import Counts, Numbers
+from ..array_types import Counts, Floats, Numbers
 from ..results.record import Record
-from ..results.tally import Tally
-from . import exr_parts
+from ..results.tally import Integrals, Tally
+from .checks import check_seal, require, seal_of
 from .header import (
     check_format,
     header_of,
@@ -38,13 +39,37 @@ from .header import (
     parsed_json,
     parsed_subdivision,
     rebuilt,
-    require,
 )
-from .seal import check_seal, seal_of
 
-__all__ = ["read", "write"]
+__all__ = ["attributes", "layer_names", "pixels", "read", "write"]
 
 MAGIC = b"\x76\x2f\x31\x01"
+
+# Width and height of the picture of a hemisphere, in pixels.
+VIEW_SIZE = 512
+
+CONVENTIONS = (
+    "Values are patch means in 1/sr, without cosine. Angles are in degrees: theta_i "
+    "from the normal of the lit face, phi from +x counter-clockwise seen from +z; the "
+    "mirror direction has phi = phi_i + 180. Rows are rings of theta from the pole to "
+    "the horizon, columns are sectors of phi from 0 to 360."
+)
+MEANINGS = {
+    "brdf": "BRDF of each patch, its standard error (NaN where unknown), counted rays",
+    "btdf": "BTDF of each patch, its standard error (NaN where unknown), counted rays",
+    "brdf of integrals": "BRDF of each patch by integration, its largest error as "
+    "estimated, rays of delta components",
+    "btdf of integrals": "BTDF of each patch by integration, its largest error as "
+    "estimated, rays of delta components",
+    "view": "picture of the BRDF, and of the BTDF to its right: seen along -z, radius "
+    "is sin(theta), phi = 0 to the right, counter-clockwise, linear values in 1/sr",
+    "tally": "received flux in units of 1/scale of a ray, one row per batch, "
+    "hemisphere and ring, one column per sector: whole numbers if scale is 1, else the "
+    "bits of numbers in double precision; the high layers hold the upper 32 bits",
+    "integral": "what the integrals may be wrong by in units of 1/scale of a ray, one "
+    "row per hemisphere and ring: the bits of numbers in double precision; the high "
+    "layers hold the upper 32 bits",
+}
 
 
 def write(record: Record, stream: BinaryIO) -> None:
@@ -54,8 +79,8 @@ def write(record: Record, stream: BinaryIO) -> None:
     exact = {"gonio.record": text, "gonio.sha256": _digest(text, arrays)}
     parts: list[Any] = []
     for index in range(len(record)):
-        for name, layers in exr_parts.layers(record[index]).items():
-            header = exr_parts.attributes(record, index, name)
+        for name, layers in pixels(record[index]).items():
+            header = attributes(record, index, name)
             if not parts:
                 header |= exact
             full_name = _part_name(name, index, len(record))
@@ -85,9 +110,7 @@ def read(stream: BinaryIO) -> Record:
     header = parsed_json(text)
     check_format(header)
     parts = {part.name(): part.channels for part in image.parts}
-    per_batch = {"fates": _integers(header, "fates")}
-    for key in ("incident", "direct"):
-        per_batch[key] = _numbers(header, key)
+    per_batch = {key: _tables(header, key) for key in ("fates", "incident", "direct")}
     fates, incident = per_batch["fates"], per_batch["incident"]
     require(
         all(len(arrays) == len(fates) > 0 for arrays in per_batch.values()),
@@ -95,7 +118,7 @@ def read(stream: BinaryIO) -> Record:
     )
     channels = header.get("channels")
     require(isinstance(channels, list), "its entry channels is not a list")
-    names = exr_parts.layer_names([str(channel) for channel in channels])
+    names = layer_names([str(channel) for channel in channels])
     tallies = []
     for index in range(len(fates)):
         kind = incident[index].dtype
@@ -134,11 +157,148 @@ def _digest(text: str, arrays: Iterable[Iterable[Numbers]]) -> str:
     """Check sum of the description and of the arrays of all tallies."""
     digest = hashlib.sha256(text.encode())
     for array in (array for pair in arrays for array in pair):
-        digest.update(np.ascontiguousarray(exr_parts.bits(array), dtype="<u8").data)
+        digest.update(np.ascontiguousarray(bits(array), dtype="<u8").data)
     return digest.hexdigest()
 
 
-# ------------------------------------------------------------------ what is read
+# -------------------------------------------------------------------------- parts
+
+
+def pixels(single: Record) -> dict[str, dict[str, Numbers]]:
+    """Pixels of the parts of one incident direction.
+
+    Parameters
+    ----------
+    single : Record
+        Of one incident direction.
+
+    Returns
+    -------
+    dict of dict of ndarray
+        float32 or uint32 pixels by the names of part and layer.
+    """
+    names = layer_names(single.channels)
+    tally = single.tallies[0]
+    hemispheres = [("brdf", single.brdf, single.brdf_std_err)]
+    if single.btdf is not None and single.btdf_std_err is not None:
+        hemispheres.append(("btdf", single.btdf, single.btdf_std_err))
+    parts = {}
+    for (part, values, std_errs), hits in zip(hemispheres, tally.hits):
+        parts[part] = _halves("count", "", hits)
+        for number, name in enumerate(names):
+            parts[part][f"{part}.{name}"] = _float32(values[..., number])
+            parts[part][f"std_err.{name}"] = _float32(std_errs[..., number])
+    parts["view"] = _view(single, [values for _, values, _ in hemispheres])
+    exact = {("tally", "sum"): tally.sums}
+    if isinstance(tally, Integrals):
+        exact["integral", "error"] = tally.errors
+    for (part, layer), array in exact.items():
+        rows = bits(array).reshape(-1, single.subdivision.shape[1], len(names))
+        parts[part] = {}
+        for number, name in enumerate(names):
+            parts[part] |= _halves(layer, f".{name}", rows[..., number])
+    return parts
+
+
+def attributes(record: Record, index: int, part: str) -> dict[str, Any]:
+    """Header of one part, for people: what it is and how it was made."""
+    tally = record.tallies[index]
+    integrals = isinstance(tally, Integrals)
+    kind = f"{part} of integrals" if integrals else part
+    n_views = max(len(tally.hits) for tally in record.tallies)
+    rows = {
+        "meaning": MEANINGS.get(kind, MEANINGS[part]),
+        "conventions": CONVENTIONS,
+        "units": "1/sr",
+        "collector": str(record.subdivision),
+        "channels": ", ".join(record.channels),
+        "theta_i_deg": float(record.theta_i[index]),
+        "phi_i_deg": float(record.phi_i[index]),
+        "batches": str(tally.n_batches),
+        "scale": str(tally.scale),
+    }
+    rows |= {key: _text(value) for key, value in record.settings.items()}
+    if integrals and not tally.ledger.emitted:
+        rows["ledger"] = "empty: integrals send no rays"
+    else:
+        ledger = tally.ledger.rows | {"emitted": tally.ledger.emitted}
+        rows |= {f"ledger.{fate}": str(n) for fate, n in ledger.items()}
+    return {f"gonio.{key}": value for key, value in rows.items()} | {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        # OpenEXR wants one display window for all parts: that of the picture
+        "displayWindow": ((0, 0), (n_views * VIEW_SIZE - 1, VIEW_SIZE - 1)),
+    }
+
+
+def layer_names(channels: Sequence[str]) -> list[str]:
+    """Channel names that EXR readers sort as the channels are, wavelengths padded.
+
+    ``380nm`` and ``1064.5nm`` become ``0380,0nm`` and ``1064,5nm``: a dot would end a
+    layer's name (the comma as in Fichet et al. 2021, *An OpenEXR layout for spectral
+    images*).
+    """
+    found = (re.fullmatch(r"([0-9]+)(?:\.([0-9]+))?nm", name) for name in channels)
+    parsed = [match for match in found if match]
+    if len(parsed) == len(channels):
+        whole = max(len(match[1]) for match in parsed)
+        decimals = max(len(match[2] or "") for match in parsed)
+        comma = "," if decimals else ""
+        names = [
+            match[1].zfill(whole) + comma + (match[2] or "").ljust(decimals, "0") + "nm"
+            for match in parsed
+        ]
+    else:
+        names = [channel.replace(".", ",") for channel in channels]
+    if len(set(names)) < len(names):
+        width = len(str(len(names) - 1))
+        names = [f"{number:0{width}d}_{name}" for number, name in enumerate(names)]
+    return names
+
+
+def _view(single: Record, hemispheres: Sequence[Floats]) -> dict[str, Numbers]:
+    """Layers R, G, B, A of the picture."""
+    axis = (np.arange(VIEW_SIZE) + 0.5) * (2 / VIEW_SIZE) - 1
+    x, y = np.meshgrid(axis, -axis)
+    inside = x**2 + y**2 < 1
+    x, y = x[inside], y[inside]
+    patch = single.subdivision.patch(np.stack([x, y, np.sqrt(1 - x**2 - y**2)], -1))
+    disks = np.zeros((len(hemispheres), VIEW_SIZE, VIEW_SIZE, 4), np.float32)
+    for disk, values in zip(disks, hemispheres):
+        if single.channels != ("R", "G", "B"):
+            values = values.mean(axis=-1, keepdims=True)
+        values = np.nan_to_num(values).reshape(single.subdivision.n_patches, -1)
+        disk[inside, :3] = values[patch]
+        disk[inside, 3] = 1
+    picture = np.concatenate(disks, axis=1)
+    return {name: _float32(picture[..., number]) for number, name in enumerate("RGBA")}
+
+
+def bits(array: Numbers) -> Counts:
+    """Whole numbers as they are, and floats as the 64 bits that they consist of."""
+    if array.dtype == np.uint64:
+        return array
+    return np.ascontiguousarray(array, dtype=float).view(np.uint64)
+
+
+def _halves(layer: str, channel: str, integers: Counts) -> dict[str, Numbers]:
+    """Layer of the low 32 bits and, if any is set, one of the high 32 bits."""
+    halves = {f"{layer}{channel}": integers.astype(np.uint32)}
+    if integers.max() > 0xFFFFFFFF:
+        halves[f"{layer}_high{channel}"] = (integers >> 32).astype(np.uint32)
+    return halves
+
+
+def _text(value: Any) -> str:
+    """Readable UTF-8, also of file names that are not."""
+    text = value if isinstance(value, str) else json_of(value)
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def _float32(values: Numbers) -> Numbers:
+    return np.ascontiguousarray(values, dtype=np.float32)
+
+
+# ------------------------------------------------------------------------ reading
 
 
 def _sums(
@@ -155,50 +315,42 @@ def _sums(
     The latter two are of the type `kind`.
     """
     shape = parsed_subdivision(header).shape
-    hits = []
-    for part in ("brdf", "btdf"):
+
+    def channels(part: str, layer: str, n_rows: int) -> Numbers:
+        """Layers of all channels of a part, channels last."""
         layers = parts.get(_part_name(part, index, n))
-        if layers is not None or part == "brdf":
-            hits.append(_joined(layers, "count", "", part, shape))
-    rows = n_batches * len(hits) * shape[0], shape[1]
-    layers = parts.get(_part_name("tally", index, n))
-    sums = [_joined(layers, "sum", f".{name}", "tally", rows) for name in names]
+        size = n_rows, shape[1]
+        found = [_joined(layers, f"{layer}.{name}", part, size) for name in names]
+        return np.stack(found, axis=-1).view(kind)
+
+    hits = [
+        _joined(parts.get(_part_name(part, index, n)), "count", part, shape)
+        for part in ("brdf", "btdf")
+        if part == "brdf" or _part_name(part, index, n) in parts
+    ]
+    sums = channels("tally", "sum", n_batches * len(hits) * shape[0])
     arrays = {
         "hits": np.stack(hits),
-        "sums": np.stack(sums, axis=-1).reshape(n_batches, len(hits), *shape, -1),
+        "sums": sums.reshape(n_batches, len(hits), *shape, -1),
     }
-    arrays["sums"] = arrays["sums"].view(kind)
-    layers = parts.get(_part_name("integral", index, n))
-    if layers is not None:
-        rows = len(hits) * shape[0], shape[1]
-        errors = [
-            _joined(layers, "error", f".{name}", "integral", rows) for name in names
-        ]
-        stacked = np.stack(errors, axis=-1).reshape(len(hits), *shape, -1)
-        arrays["errors"] = stacked.view(kind)
+    if _part_name("integral", index, n) in parts:
+        errors = channels("integral", "error", len(hits) * shape[0])
+        arrays["errors"] = errors.reshape(len(hits), *shape, -1)
     return arrays
 
 
-def _joined(
-    layers: Any,
-    layer: str,
-    channel: str,
-    part: str,
-    shape: tuple[int, int],
-) -> Counts:
-    """uint64 numbers from their two halves."""
+def _joined(layers: Any, layer: str, part: str, shape: tuple[int, int]) -> Counts:
+    """uint64 numbers from their two halves; `layer` with its channel."""
     require(
-        layers is not None and f"{layer}{channel}" in layers,
-        f"its part {part} is missing or damaged",
+        layers is not None and layer in layers, f"its part {part} is missing or damaged"
     )
-    halves = [layers[f"{layer}{channel}"].pixels]
-    if f"{layer}_high{channel}" in layers:
-        halves.append(layers[f"{layer}_high{channel}"].pixels)
+    stem, dot, channel = layer.partition(".")
+    high = f"{stem}_high{dot}{channel}"
+    halves = [layers[name].pixels for name in (layer, high) if name in layers]
     for half in halves:
         require(
             half.shape == shape and half.dtype == np.uint32,
-            f"its layer {layer}{channel} is {half.dtype} {half.shape} instead of "
-            f"uint32 {shape}",
+            f"its layer {layer} is {half.dtype} {half.shape} instead of uint32 {shape}",
         )
     joined = halves[0].astype(np.uint64)
     if len(halves) == 2:
@@ -206,33 +358,18 @@ def _joined(
     return joined
 
 
-def _numbers(header: dict[str, Any], key: str) -> list[Numbers]:
-    """As :func:`_integers`, but float64 where a list holds floats."""
+def _tables(header: dict[str, Any], key: str) -> list[Numbers]:
+    """Two-dimensional arrays of lists: float64 if one holds floats, else uint64."""
     entry: Any = header.get(key)
     try:
-        arrays = [np.array(rows) for rows in entry]
+        kinds = {np.array(rows).dtype for rows in entry}
+        kind = np.float64 if np.dtype(np.float64) in kinds else np.uint64
+        arrays = [np.array(rows, dtype=kind) for rows in entry]
     except (TypeError, ValueError, OverflowError):
         arrays = []
-    if not any(array.dtype == np.float64 for array in arrays):
-        return _integers(header, key)
     require(
-        all(array.ndim == 2 and array.dtype == np.float64 for array in arrays),
+        [array.tolist() for array in arrays] == entry
+        and all(array.ndim == 2 for array in arrays),
         f"its entry {key} does not hold numbers",
-    )
-    return arrays
-
-
-def _integers(header: dict[str, Any], key: str) -> list[Numbers]:
-    """List of two-dimensional uint64 arrays from lists of whole numbers."""
-    entry: Any = header.get(key)
-    try:
-        arrays: Any = [np.array(rows, dtype=np.uint64) for rows in entry]
-    except (TypeError, ValueError, OverflowError):
-        arrays = None
-    require(
-        arrays is not None
-        and all(array.ndim == 2 for array in arrays)
-        and [array.tolist() for array in arrays] == header[key],
-        f"its entry {key} does not hold whole numbers",
     )
     return arrays

@@ -2,9 +2,8 @@
 
 import json
 import math
-import os
 from collections.abc import Sequence
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from ..errors import FileFormatError, shown
 from ..results.provenance import read_settings
 from ..results.record import Record
 from ..results.tally import Fate, Integrals, Tally
+from .checks import require
 
 __all__ = [
     "FORMAT",
@@ -26,8 +26,6 @@ __all__ = [
     "parsed_json",
     "parsed_subdivision",
     "rebuilt",
-    "require",
-    "size_of",
 ]
 
 FORMAT = "gonio-mi record"
@@ -152,20 +150,6 @@ def parsed_subdivision(header: dict[str, Any]) -> Subdivision:
         return subdivision(name)
     except (TypeError, ValueError):
         raise FileFormatError(f"its subdivision {name!r:.80} is unknown") from None
-
-
-def require(condition: object, reason: str) -> None:
-    """Raise FileFormatError with `reason`, a clause about the file, unless it holds."""
-    if not condition:
-        raise FileFormatError(reason)
-
-
-def size_of(stream: BinaryIO) -> int:
-    """Size of an open file in bytes; the position is kept."""
-    position = stream.tell()
-    size = stream.seek(0, os.SEEK_END)
-    stream.seek(position)
-    return size
 
 
 def _tally(arrays: dict[str, Numbers], scale: int) -> Tally:

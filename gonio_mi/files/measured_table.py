@@ -21,7 +21,7 @@ from ..errors import (
     shown,
 )
 from . import replacing
-from .numbers import is_decimal
+from .table_text import is_decimal
 
 __all__ = [
     "COLUMNS",

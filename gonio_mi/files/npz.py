@@ -24,6 +24,7 @@ from ..array_types import Integers, Numbers
 from ..errors import check_memory
 from ..results.azimuth_symmetry import Motion, sources
 from ..results.record import Record
+from .checks import SEAL_LENGTH, check_seal, require, seal_of, size_of
 from .header import (
     MAX_EXPANSION,
     VERSION_OF_COPIES,
@@ -33,10 +34,7 @@ from .header import (
     parsed_json,
     parsed_subdivision,
     rebuilt,
-    require,
-    size_of,
 )
-from .seal import SEAL_LENGTH, check_seal, seal_of
 
 __all__ = ["read", "write"]
 

@@ -6,7 +6,7 @@ from os import PathLike
 from ..errors import FileFormatError, no_file
 from ..results.record import Record
 from . import exr, npz
-from .consistency import check_record
+from .checks import check_record
 from .writing import checked_ending, replacing
 
 __all__ = ["ENDINGS", "FORMATS", "load", "save"]

@@ -19,9 +19,8 @@ from ..errors import (
 )
 from .channels import chosen_channel
 from .measured_table import COLUMNS, QUANTITIES, MeasuredTable, fits, parsed_keys
-from .numbers import decimal, is_decimal
 from .table_names import ANGLES, COLOURS, ROLES, Column, recognised, unit_of
-from .table_text import TextTable, split_text
+from .table_text import TextTable, decimal, is_decimal, split_text
 
 __all__ = ["AZIMUTHS", "OpenQuestionsError", "check_nothing_open", "read_text"]
 

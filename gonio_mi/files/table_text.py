@@ -12,11 +12,18 @@ from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 
-from ..errors import FileFormatError, shown
-from .numbers import is_decimal
+from ..errors import FileFormatError, SettingError, shown
 from .table_names import is_unit
 
-__all__ = ["Line", "TextTable", "split_text"]
+__all__ = ["TextTable", "decimal", "is_decimal", "split_text"]
+
+DECIMAL = re.compile(
+    r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?(nan|inf|infinity)",
+    re.ASCII | re.IGNORECASE,
+)
+
+# More characters than any number needs.
+LONGEST_NUMBER = 100
 
 # Characters of a line; no table has more, and an image in text has.
 LONGEST_LINE = 10_000
@@ -205,3 +212,24 @@ def has_decimal_commas(rows: Sequence[Line], delimiter: str) -> bool:
     cells = [cell.strip() for _, line in rows for cell in cut(line, delimiter)]
     written = [c for c in cells if "," in c and is_decimal(c.replace(",", ".", 1))]
     return bool(written) and not any("." in c for c in cells if is_decimal(c))
+
+
+def is_decimal(text: str) -> bool:
+    """Whether `text` is a number as :func:`decimal` takes it."""
+    word = text.strip()
+    return len(word) <= LONGEST_NUMBER and DECIMAL.fullmatch(word) is not None
+
+
+def decimal(text: str) -> float:
+    """Return the number that `text` is, as instruments and spreadsheets write them.
+
+    Python's ``float`` takes ``0_3`` for 3, and digits of other scripts.
+
+    Raises
+    ------
+    ValueError
+        If it is no number.
+    """
+    if not is_decimal(text):
+        raise SettingError(f"must be a number, got {shown(text)}")
+    return float(text)

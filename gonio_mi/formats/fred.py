@@ -18,7 +18,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import SettingError
-from ..files.header import require
+from ..files.checks import require
 from .format import Format
 from .lines import Lines
 from .scatter import Points

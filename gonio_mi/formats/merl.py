@@ -15,7 +15,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..collector.directions import direction
-from ..files.header import require, size_of
+from ..files.checks import require, size_of
 from .format import Format
 from .scatter import Block, Scatter
 

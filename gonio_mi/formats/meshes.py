@@ -9,8 +9,8 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import FileFormatError
-from ..files.header import require
-from ..files.numbers import decimal
+from ..files.checks import require
+from ..files.table_text import decimal
 
 __all__ = ["MESHES", "is_mesh", "read_stl"]
 

@@ -18,7 +18,7 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import FileFormatError, abridged
 from ..files.channels import wavelengths_nm
-from ..files.header import require
+from ..files.checks import require
 from .format import Format
 from .lines import MOST_NUMBERS, without_mark
 from .scatter import Block, Points, Scatter

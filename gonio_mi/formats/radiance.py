@@ -23,8 +23,8 @@ from ..collector.directions import direction as unit_vectors
 from ..collector.hemisphere import Subdivision
 from ..collector.klems import Klems
 from ..errors import FileFormatError
-from ..files.header import require, size_of
-from ..files.numbers import decimal
+from ..files.checks import require, size_of
+from ..files.table_text import decimal
 from .format import Format
 from .scatter import PatchMeans
 from .tensor_tree import TensorTree, coordinates

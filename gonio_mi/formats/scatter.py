@@ -14,7 +14,7 @@ from ..array_types import Floats
 from ..collector import EqualAngle
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
-from ..files.header import require
+from ..files.checks import require
 
 __all__ = [
     "Block",

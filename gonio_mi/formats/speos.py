@@ -24,8 +24,8 @@ import numpy as np
 
 from ..array_types import Floats
 from ..files.channels import wavelengths_nm
-from ..files.header import require
-from ..files.numbers import decimal
+from ..files.checks import require
+from ..files.table_text import decimal
 from .format import Format
 from .lines import Lines, check_size
 from .scatter import Block, Scatter, total_of

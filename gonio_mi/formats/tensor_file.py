@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..array_types import Numbers
 from ..errors import FileFormatError
-from ..files.header import require, size_of
+from ..files.checks import require, size_of
 from .format import Format
 
 __all__ = ["FORMATS", "MAGIC", "check_measured", "read", "write"]

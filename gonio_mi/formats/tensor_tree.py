@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike
 from ..array_types import Floats
 from ..collector.shirley_chiu import directions_of, square_of
 from ..errors import FileFormatError
-from ..files.header import require
-from ..files.numbers import decimal
+from ..files.checks import require
+from ..files.table_text import decimal
 
 __all__ = ["TensorTree", "coordinates", "grid_directions"]
 

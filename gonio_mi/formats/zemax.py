@@ -21,7 +21,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import FileFormatError, abridged
-from ..files.header import require
+from ..files.checks import require
 from .format import Format
 from .lines import Lines, check_size
 from .scatter import Block, Scatter, total_of

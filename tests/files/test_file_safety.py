@@ -26,7 +26,7 @@ import gonio_mi as gonio
 from gonio_mi import cli, files
 from gonio_mi.collector import subdivision
 from gonio_mi.errors import FileFormatError, printable, shortened, shown
-from gonio_mi.files import seal, writing
+from gonio_mi.files import checks, writing
 from gonio_mi.formats import radiance, tensor_file
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.summary import summarize
@@ -56,7 +56,7 @@ def refused(path):
 
 def test_a_file_without_a_check_sum_is_refused(path):
     """Whether it was cut there or is another program's, nothing of it is read."""
-    path.write_bytes(path.read_bytes()[: -seal.SEAL_LENGTH])
+    path.write_bytes(path.read_bytes()[: -checks.SEAL_LENGTH])
     assert "ends in no check sum" in refused(path)
     synthetic.seal_again(path)
     assert gonio.load(path) == RECORD

@@ -15,7 +15,7 @@ import synthetic
 
 import gonio_mi as gonio
 from gonio_mi import files
-from gonio_mi.files import exr_parts, npz
+from gonio_mi.files import exr, npz
 from gonio_mi.results.tally import Tally
 
 NAN = float("nan")
@@ -536,7 +536,7 @@ def test_view_is_seen_from_above(tmp_path, sector):
     record = replace(record, tallies=(tally,))
     layers = parts_of(saved(tmp_path, record, ".exr"))["view"].channels
     picture = {name: layers[name].pixels for name in "RGBA"}
-    n = exr_parts.VIEW_SIZE
+    n = exr.VIEW_SIZE
     assert picture["A"].shape == (n, 2 * n)
     np.testing.assert_array_equal(picture["R"], picture["G"])
     np.testing.assert_array_equal(picture["R"], picture["B"])
@@ -567,12 +567,12 @@ def test_view_is_seen_from_above(tmp_path, sector):
     ],
 )
 def test_layer_names(channels, names):
-    assert exr_parts.layer_names(channels) == names
+    assert exr.layer_names(channels) == names
 
 
 def test_wavelengths_sort_as_numbers():
     nm = [100.0, 99.5, 380.0, 1064.5, 10000.0, 550.25]
-    names = exr_parts.layer_names([f"{x:g}nm" for x in nm])
+    names = exr.layer_names([f"{x:g}nm" for x in nm])
     assert [nm[i] for i in np.argsort(names)] == sorted(nm)
 
 
@@ -584,7 +584,7 @@ def test_mitsuba_reads_the_map(tmp_path):
     bitmap = mi.Bitmap(str(saved(tmp_path, record, ".exr")))
     names = [field.name for field in bitmap.struct_()]
     pixels = np.array(bitmap)
-    layers = exr_parts.layers(record)["brdf"]
+    layers = exr.pixels(record)["brdf"]
     assert sorted(names) == sorted(layers)
     for number, name in enumerate(names):
         np.testing.assert_array_equal(pixels[..., number], layers[name])
@@ -594,9 +594,7 @@ def test_openimageio_reads_every_layer(tmp_path):
     oiio = pytest.importorskip("OpenImageIO")
     record = RECORDS["stack"]
     image = oiio.ImageInput.open(str(saved(tmp_path, record, ".exr")))
-    expected = [
-        layers for i in range(3) for layers in exr_parts.layers(record[i]).values()
-    ]
+    expected = [layers for i in range(3) for layers in exr.pixels(record[i]).values()]
     for subimage, layers in enumerate(expected):
         assert image.seek_subimage(subimage, 0)
         spec = image.spec()

@@ -7,7 +7,7 @@ import numpy as np
 
 from gonio_mi.collector import subdivision
 from gonio_mi.collector.directions import direction
-from gonio_mi.files import seal
+from gonio_mi.files import checks
 from gonio_mi.results.provenance import Provenance
 from gonio_mi.results.record import Record
 from gonio_mi.results.tally import WEIGHT_SCALE, Fate, Integrals, Tally
@@ -222,10 +222,10 @@ def integrals(value=0.01):
 def seal_again(path):
     """Put the check sum after a file that was changed by hand, as gonio-mi does."""
     data = path.read_bytes()
-    if seal.MARK in data:
-        data = data[: -seal.SEAL_LENGTH]
+    if checks.SEAL_MARK in data:
+        data = data[: -checks.SEAL_LENGTH]
     elif path.suffix == ".npz":
         with zipfile.ZipFile(path, "a") as archive:
-            archive.comment = bytes(seal.SEAL_LENGTH)
-        data = path.read_bytes()[: -seal.SEAL_LENGTH]
-    path.write_bytes(data + seal.seal_of(data))
+            archive.comment = bytes(checks.SEAL_LENGTH)
+        data = path.read_bytes()[: -checks.SEAL_LENGTH]
+    path.write_bytes(data + checks.seal_of(data))

@@ -7,7 +7,7 @@ import pytest
 import synthetic
 
 from gonio_mi.cli import main
-from gonio_mi.files.exr_parts import attributes
+from gonio_mi.files.exr import attributes
 from gonio_mi.results.precision import precision
 from gonio_mi.results.record import Record
 from gonio_mi.results.summary import summarize

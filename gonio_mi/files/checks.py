@@ -1,20 +1,83 @@
-"""What must hold of any record, so that a file that says otherwise is no record."""
+"""Checks on what is read from a file: its size, its check sum, and that it is a record.
 
+The check sum, over all bytes, is at the very end of a file: what follows the last image
+of an EXR file is read by nobody, and a ZIP archive may end in a comment.
+"""
+
+import hashlib
 import math
+import os
+from typing import BinaryIO
 
 import numpy as np
 
+from ..errors import FileFormatError
 from ..results.record import Record
 from ..results.tally import Integrals, Tally
-from .header import require
 
-__all__ = ["check_record"]
+__all__ = ["SEAL_LENGTH", "check_record", "check_seal", "require", "seal_of", "size_of"]
+
+SEAL_MARK = b"gonio-mi sha256 "
+SEAL_LENGTH = len(SEAL_MARK) + 2 * hashlib.sha256().digest_size
+
+# Bytes that are read at once.
+PIECE = 2**20
 
 # A polar angle of incidence that was computed may be this much below 0 degrees.
 BELOW_NORMAL = 1e-4
 
 # Azimuths are taken modulo a turn; beyond this nothing is left of them.
 MOST_TURNED = 1e6
+
+
+def require(condition: object, reason: str) -> None:
+    """Raise FileFormatError with `reason`, a clause about the file, unless it holds."""
+    if not condition:
+        raise FileFormatError(reason)
+
+
+def size_of(stream: BinaryIO) -> int:
+    """Size of an open file in bytes; the position is kept."""
+    position = stream.tell()
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(position)
+    return size
+
+
+# -------------------------------------------------------------------------- seal
+
+
+def seal_of(content: bytes | memoryview) -> bytes:
+    """What is put after the content of a file."""
+    return SEAL_MARK + hashlib.sha256(content).hexdigest().encode()
+
+
+def check_seal(stream: BinaryIO) -> None:
+    """Raise FileFormatError unless a file ends in a seal that agrees with its content.
+
+    The position is at the beginning afterwards.
+    """
+    size = size_of(stream)
+    stream.seek(max(size - 2 * SEAL_LENGTH, 0))
+    _, mark, seal = stream.read().rpartition(SEAL_MARK)
+    stream.seek(0)
+    require(
+        bool(mark),
+        "it ends in no check sum: it is truncated or was not written by gonio-mi",
+    )
+    require(len(mark + seal) == SEAL_LENGTH, "it is truncated or longer than it was")
+    length = size - SEAL_LENGTH
+    digest = hashlib.sha256()
+    while piece := stream.read(min(PIECE, length - stream.tell())):
+        digest.update(piece)
+    stream.seek(0)
+    require(
+        seal == digest.hexdigest().encode(),
+        "it is damaged: its content does not agree with its check sum",
+    )
+
+
+# ------------------------------------------------------------------------ records
 
 
 def check_record(record: Record) -> None:
