@@ -53,10 +53,10 @@ def run(options: Namespace) -> int:
         tell(table_of(path, options))
         return DONE
     check_no_table_options(path, options)
-    numbers = summarize(record_of(options.record))
+    summary = summarize(record_of(options.record))
     if options.json:
-        print(json.dumps(numbers, indent=2, allow_nan=False))
+        print(json.dumps(summary.as_mapping(), indent=2, allow_nan=False))
     else:
         rows = {"most_rows": sys.maxsize} if options.all else {}
-        tell(summary_text(numbers, **rows))
+        tell(summary_text(summary, **rows))
     return DONE

@@ -19,7 +19,6 @@ from ..files.writing import takes_a_stream
 from ..formats import astm
 from ..formats.radiance import Product
 from ..formats.reading import endings_of, read_measured
-from ..results.doubts import exceeds_error
 from ..results.record import Record
 from ..results.summary import summarize
 from .loss import ZEMAX, Loss, fractions_of, losses, part_names
@@ -138,8 +137,8 @@ def _warn_of_openings(record: Record) -> None:
     ledger = record.ledger
     if not ledger.missed:
         return
-    directions = summarize(record)["directions"]
-    if any(exceeds_error(direction, "missed") for direction in directions):
+    directions = summarize(record).directions
+    if any(direction.exceeds_error("missed") for direction in directions):
         warnings.warn(
             f"{ledger.missed / ledger.emitted:.2%} of the rays missed the specimen, "
             "and the file describes it as if it had neither openings nor edges: "

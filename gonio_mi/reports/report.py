@@ -5,6 +5,7 @@ import html
 import json
 import zlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib import resources
 from itertools import groupby
 from os import PathLike
@@ -19,9 +20,8 @@ from ..collector.directions import direction
 from ..errors import LABEL, PackageError, SettingError, SettingTypeError, abridged_apart
 from ..plots import plot, sheet
 from ..progress import bar
-from ..results.doubts import grouped
 from ..results.record import Record
-from ..results.summary import summarize
+from ..results.summary import Summary, grouped, summarize
 from ..results.summary_text import percent, summary_text, total_cells
 from .page import check_page, picture_and_text, save_page
 
@@ -140,13 +140,13 @@ def notebook_view(record: Record) -> str:
 
     Without matplotlib there are the numbers alone.
     """
-    numbers = summarize(record)
+    summary = summarize(record)
     warnings = "".join(
-        f"<p>Warning: {html.escape(one)}</p>" for one in numbers["warnings"]
+        f"<p>Warning: {html.escape(one)}</p>" for one in summary.warnings
     )
     shown = picture_and_text(
         lambda: sheet(record) if len(record) > 1 else plot(record),
-        summary_text(numbers | {"warnings": []}),
+        summary_text(replace(summary, warnings=[])),
         "numbers",
     )
     return f"<p><code>{html.escape(repr(record))}</code></p>{warnings}{shown}"
@@ -190,8 +190,8 @@ def packed_record(
     patches = record.subdivision
     n_all = len(record)
     kept = _kept(record)
-    numbers = summarize(record)
-    directions = [_direction(numbers, i) for i in kept]
+    summary = summarize(record)
+    directions = [_direction(summary, i) for i in kept]
     blocks = []
     for number in kept:
         blocks.append(_block(record[number]))
@@ -211,12 +211,12 @@ def packed_record(
         "phi": _packed(middles[1].astype("<f4")),
         "raster": _packed(raster(patches)),
         "raster_shape": RASTER,
-        "integrals": numbers["integrals"],
+        "integrals": summary.integrals,
         "directions": directions,
         "rings": _rings(directions),
         "values": blocks,
-        "notes": _left_out(len(kept), n_all) + numbers["warnings"],
-        "text": summary_text(numbers),
+        "notes": _left_out(len(kept), n_all) + summary.warnings,
+        "text": summary_text(summary),
     }
 
 
@@ -234,26 +234,27 @@ def _left_out(n: int, n_all: int) -> list[str]:
     return [text] * (n < n_all)
 
 
-def _direction(numbers: dict[str, Any], index: int) -> dict[str, Any]:
+def _direction(summary: Summary, index: int) -> dict[str, Any]:
     """Angles of an incident direction, and the rows of its totals and its ledger."""
-    found = numbers["directions"][index]
-    emitted = found["ledger"]["emitted"]
-    exact = numbers["integrals"] and not emitted
+    found = summary.directions[index]
+    emitted = found.ledger["emitted"]
+    exact = summary.integrals and not emitted
     kinds = ("largest error", "limits") if exact else ("std_err", "95 % interval")
     rows = [["", "value", *kinds]]
-    for name in ("dhr", "dht", "direct"):
-        for total in found[name] or []:
-            channel = total["channel"] if len(found[name]) > 1 else ""
+    totals = {"dhr": found.dhr, "dht": found.dht, "direct": found.direct}
+    for name, of_channels in totals.items():
+        for total in of_channels or []:
+            channel = total.channel if len(found.dhr) > 1 else ""
             value, error, low, high = total_cells(total)
             rows.append([f"{name} {channel}", value, error, f"{low} to {high}"])
     if exact:
         rows.append(["rays", "none: integrals", "", ""])
     else:
         rows.append(["ledger, whatever power they carry", "rays", "share of rays", ""])
-    for name, n in found["ledger"].items():
+    for name, n in found.ledger.items():
         if n:
             rows.append([name, grouped(n), f"{percent(n, emitted)} %", ""])
-    return {"theta_i": found["theta_i"], "phi_i": found["phi_i"], "rows": rows}
+    return {"theta_i": found.theta_i, "phi_i": found.phi_i, "rows": rows}
 
 
 def _rings(directions: Sequence[dict[str, Any]]) -> list[list[int]]:

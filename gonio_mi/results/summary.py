@@ -1,96 +1,222 @@
-"""The numbers of a record, as a dictionary for machines."""
+"""The numbers of a record, and sentences on what makes them doubtful."""
+
+from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from .doubts import doubts
 from .precision import FLOOR, lobe, patch_values, precision
 from .record import Record
-from .tally import holds_integrals
+from .tally import Ledger, holds_integrals
 
-__all__ = ["LEVEL", "summarize"]
+__all__ = [
+    "LEVEL",
+    "DirectionSummary",
+    "PatchSummary",
+    "Summary",
+    "Total",
+    "grouped",
+    "summarize",
+]
 
 LEVEL = 0.95
 N_WORST = 5
 
+# A smaller share of rays beside the patches is rounding: `diffuse` alone sends 2 in 1e7
+# along the horizon.
+STRAY = 1e-6
 
-def summarize(record: Record) -> dict[str, Any]:
-    """Return the numbers of `record` in JSON's types.
+# How light gets to the other side of a specimen whose BSDFs declare no transmission: by
+# what a few thousand straight rays found.
+PASSED = {
+    "none": "leaked to the other side, where straight rays find no gap and no BSDF "
+    "declares transmission: the geometry is not closed",
+    "gaps": "went to the other side through gaps of the geometry or around its edges, "
+    "as they should between threads or fibres but not in a closed surface",
+}
 
-    Parameters
+# What `missed` rays ask for.
+MISSED = (
+    "missed the specimen; they are not part of the incident flux: if it stands for a "
+    "larger surface with openings, give a period, which counts them as transmitted; if "
+    "these are its edges, take a smaller footprint"
+)
+
+
+@dataclass(frozen=True)
+class Total:
+    """A hemisphere's total in one channel, with the limits of its interval."""
+
+    channel: str
+    value: float | None
+    std_err: float | None
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True)
+class DirectionSummary:
+    """Numbers of one incident direction.
+
+    Attributes
+    ----------
+    theta_i, phi_i : float or None
+        In degrees.
+    dhr, dht, direct : list of Total
+        For each channel. None without a lower hemisphere; `direct` but for periodic
+        specimens whose direct light is collected.
+    ledger : dict of int
+        Rows of the ledger, and ``emitted``.
+    n_patches, n_without_hit, n_pooled, n_lobe : int
+        Patches in all, those known by an upper limit only, those that are judged by
+        the hits of all, and those that reach a tenth of the mean.
+    rel_err_lobe : float or None
+        Largest relative standard error of the latter.
+    """
+
+    theta_i: float | None
+    phi_i: float | None
+    dhr: list[Total]
+    dht: list[Total] | None
+    direct: list[Total] | None
+    ledger: dict[str, int]
+    n_patches: int
+    n_without_hit: int
+    n_pooled: int
+    n_lobe: int
+    rel_err_lobe: float | None
+
+    def exceeds_error(self, row: str) -> bool:
+        """Whether a row of the ledger is above the totals' statistical error."""
+        totals = self.dhr + (self.dht or [])
+        # half the interval, where it is known
+        errors = [
+            (one.high - one.low) / 2
+            for one in totals
+            if one.high is not None and one.low is not None
+        ]
+        return self.ledger[row] > max([STRAY, *errors]) * self.ledger["emitted"]
+
+
+@dataclass(frozen=True)
+class PatchSummary:
+    """A patch, angles in degrees, and its BRDF or BTDF; no hits of an integral."""
+
+    theta_i: float | None
+    phi_i: float | None
+    of: str
+    channel: str
+    theta_o: float
+    phi_o: float
+    value: float
+    std_err: float
+    rel_err: float
+    hits: int | None
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The numbers of a record; None for what is not known.
+
+    Attributes
     ----------
     record : Record
-
-    Returns
-    -------
-    dict
-        ``integrals``, whether these stand for rays, but for delta components;
-        ``settings``, with ``collector`` and ``channels``; ``level`` of the intervals;
-        one entry per incident direction in ``directions``, where ``direct`` is None but
-        for periodic specimens whose direct light is collected; ``ledger`` over all,
-        ``worst_patches``, of the largest relative standard error among those that
-        reach a tenth of the mean; ``warnings``, a list of sentences. Angles are in
-        degrees, ``brdf`` and ``btdf`` in 1/sr. What is not known is None, and the
-        ``hits`` of a patch that is an integral.
+    directions : list of DirectionSummary
+    worst_patches : list of PatchSummary
+        Of the largest relative standard error among those that reach a tenth of the
+        mean.
+    warnings : list of str
+        Sentences on what makes the record doubtful, or its bits hard to repeat.
     """
+
+    record: Record
+    directions: list[DirectionSummary]
+    worst_patches: list[PatchSummary]
+    warnings: list[str]
+
+    @property
+    def integrals(self) -> bool:
+        """Whether integrals stand for rays, but for those of delta components."""
+        return holds_integrals(self.record.tallies)
+
+    @property
+    def ledger(self) -> dict[str, int]:
+        """Rows of the ledger over all incident directions, and ``emitted``."""
+        return _ledger(self.record)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """The numbers in JSON's types, with ``settings``, and the intervals' ``level``.
+
+        The settings have the collector, hemispheres and channels beside the record's.
+        """
+        record = self.record
+        settings = {key: _known(value) for key, value in record.settings.items()}
+        return {
+            "integrals": self.integrals,
+            "settings": settings
+            | {
+                "collector": str(record.subdivision),
+                "hemispheres": "both" if record.has_lower else "upper",
+                "channels": list(record.channels),
+            },
+            "level": LEVEL,
+            "directions": [asdict(one) for one in self.directions],
+            "ledger": self.ledger,
+            "worst_patches": [asdict(one) for one in self.worst_patches],
+            "warnings": self.warnings,
+        }
+
+
+def summarize(record: Record) -> Summary:
+    """Return the numbers of `record`, and what makes them doubtful."""
     looks = [record[i] for i in range(len(record))]
     directions = [_direction(look) for look in looks]
     patches = [patch for look in looks for patch in _worst_patches(look)]
-    patches.sort(key=lambda patch: -patch["rel_err"])
-    numbers = {
-        "integrals": holds_integrals(record.tallies),
-        "settings": dict(record.settings)
-        | {
-            "collector": str(record.subdivision),
-            "hemispheres": "both" if record.has_lower else "upper",
-            "channels": list(record.channels),
-        },
-        "level": LEVEL,
-        "directions": directions,
-        "ledger": record.ledger.rows | {"emitted": record.ledger.emitted},
-        "worst_patches": patches[:N_WORST],
-    }
-    return _known(numbers | {"warnings": doubts(record, directions)})
+    patches.sort(key=lambda patch: -patch.rel_err)
+    warnings = _warnings(record, directions)
+    return Summary(record, directions, patches[:N_WORST], warnings)
 
 
-def _direction(look: Record) -> dict[str, Any]:
+def _direction(look: Record) -> DirectionSummary:
     """Numbers of one incident direction."""
     worst, n_lobe = precision(look, FLOOR)
-    return {
-        "theta_i": float(look.theta_i[0]),
-        "phi_i": float(look.phi_i[0]),
-        "dhr": _totals(look, "dhr"),
-        "dht": _totals(look, "dht") if look.has_lower else None,
-        "direct": _totals(look, "direct") if _has_direct(look) else None,
-        "ledger": look.ledger.rows | {"emitted": look.ledger.emitted},
-        "n_patches": look.counts.size,
-        "n_without_hit": int(np.sum(look.without_hit)),
-        "n_pooled": int(np.sum(look.pooled)),
-        "n_lobe": n_lobe,
-        "rel_err_lobe": worst,
-    }
+    # direct light was collected, however little there was
+    has_direct = look.asked.period != "none" and look.asked.order.least == 0
+    return DirectionSummary(
+        theta_i=_known(float(look.theta_i[0])),
+        phi_i=_known(float(look.phi_i[0])),
+        dhr=_totals(look, "dhr"),
+        dht=_totals(look, "dht") if look.has_lower else None,
+        direct=_totals(look, "direct") if has_direct else None,
+        ledger=_ledger(look),
+        n_patches=look.counts.size,
+        n_without_hit=int(np.sum(look.without_hit)),
+        n_pooled=int(np.sum(look.pooled)),
+        n_lobe=n_lobe,
+        rel_err_lobe=_known(worst),
+    )
 
 
-def _has_direct(look: Record) -> bool:
-    """Whether direct light was collected, however little there was."""
-    collected = look.asked.order.least == 0
-    return look.asked.period != "none" and collected
+def _ledger(record: Record) -> dict[str, int]:
+    return record.ledger.rows | {"emitted": record.ledger.emitted}
 
 
-def _totals(look: Record, quantity: str) -> list[dict[str, Any]]:
+def _totals(look: Record, quantity: str) -> list[Total]:
     """One hemisphere's total, per channel."""
     low, high = look.interval(LEVEL, of=quantity)
     std_err = getattr(look, f"{quantity}_std_err")
     columns = zip(look.channels, getattr(look, quantity), std_err, low, high)
-    keys = ("channel", "value", "std_err", "low", "high")
     return [
-        dict(zip(keys, [channel, *map(float, floats)])) for channel, *floats in columns
+        Total(channel, *(_known(float(one)) for one in values))
+        for channel, *values in columns
     ]
 
 
-def _worst_patches(look: Record) -> list[dict[str, Any]]:
+def _worst_patches(look: Record) -> list[PatchSummary]:
     """Patches worth reporting with the largest relative standard error."""
     quantities = ("brdf", "btdf") if look.has_lower else ("brdf",)
     value = patch_values(look, "brdf", "btdf")
@@ -109,31 +235,90 @@ def _worst_patches(look: Record) -> list[dict[str, Any]]:
             break
         hemisphere, i, j, channel = index
         hits = int(look.counts[hemisphere, i, j])
-        integral = holds_integrals(look.tallies) and not hits
         theta_o, phi_o = (np.degrees(a[i, j]) for a in look.subdivision.middles)
         worst.append(
-            {
-                "theta_i": float(look.theta_i[0]),
-                "phi_i": float(look.phi_i[0]),
-                "of": quantities[hemisphere],
-                "channel": look.channels[channel],
-                "theta_o": float(180 - theta_o if hemisphere else theta_o),
-                "phi_o": float(phi_o),
-                "value": float(value[index]),
-                "std_err": float(std_err[index]),
-                "rel_err": float(relative[index]),
-                "hits": None if integral else hits,
-            }
+            PatchSummary(
+                theta_i=_known(float(look.theta_i[0])),
+                phi_i=_known(float(look.phi_i[0])),
+                of=quantities[hemisphere],
+                channel=look.channels[channel],
+                theta_o=float(180 - theta_o if hemisphere else theta_o),
+                phi_o=float(phi_o),
+                value=float(value[index]),
+                std_err=float(std_err[index]),
+                rel_err=float(relative[index]),
+                hits=None if holds_integrals(look.tallies) and not hits else hits,
+            )
         )
     return worst
 
 
 def _known(value: Any) -> Any:
-    """`value` with None in place of NaN and infinity, which JSON does not have."""
-    if isinstance(value, dict):
-        return {key: _known(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_known(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    """None in place of NaN and infinity, which JSON does not have."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+# ---------------------------------------------------------------------------- warnings
+
+
+def _warnings(record: Record, directions: Sequence[DirectionSummary]) -> list[str]:
+    """Sentences on what makes a record doubtful, or its bits hard to repeat."""
+    ledger, provenance = record.ledger, record.provenance
+    sentences, media = list(provenance.defects), provenance.media
+    called = "sample()"
+    if record.asked.estimator.deposits:
+        called += " or eval()"
+    if ledger.invalid:
+        sentences.append(
+            f"{_share(ledger.invalid, ledger)} are invalid: the BSDF's {called} "
+            "returned a weight that is negative, infinite or NaN, or no unit "
+            "direction; their flux is in no patch"
+        )
+    if ledger.truncated:
+        limits = "max_depth or max_scatterings" if media else "max_depth"
+        sentences.append(
+            f"{_share(ledger.truncated, ledger)} were truncated by {limits}; their "
+            "flux is in no patch"
+        )
+    if ledger.astray:
+        sentences.append(
+            f"{_share(ledger.astray, ledger)} went astray: a shape with a medium is "
+            "open or overlaps another; their flux is in no patch"
+        )
+    rows = {
+        "sideways": "left sideways, over the edge of the specimen, into no patch",
+        "missed": MISSED,
+    }
+    if not media:  # else it passed a layer, as it should
+        rows["direct"] = (
+            "passed openings of the periodic cell straight on and are transmitted, as "
+            "they should between threads or slats but not in a closed surface"
+        )
+    transmission = provenance.transmission
+    if ledger.direct and transmission == "none":
+        transmission = "gaps"  # which the few thousand rays did not find
+    if transmission in PASSED:
+        rows["transmitted"] = PASSED[transmission]
+    for row, sentence in rows.items():
+        if any(direction.exceeds_error(row) for direction in directions):
+            sentences.append(
+                f"{_share(getattr(ledger, row), ledger)} {sentence}: more than the "
+                "statistical error"
+            )
+    several = provenance.each_processor
+    if len(several) > 1:
+        sentences.append(
+            "its parts were measured on unlike processors, or with other vectors or "
+            f"LLVM ({'; '.join(several)}): the statistics hold, but no single one "
+            "of them repeats these bits"
+        )
+    return sentences
+
+
+def _share(n: int, ledger: Ledger) -> str:
+    return f"{grouped(n)} of {grouped(ledger.emitted)} rays"
+
+
+def grouped(n: int) -> str:
+    """Whole number with its digits in groups of three."""
+    return f"{n:,}".replace(",", " ")

@@ -1,140 +1,136 @@
-"""The numbers of a record, as text for people."""
+"""The summary of a record as text for people."""
 
 import math
 import textwrap
 from collections.abc import Sequence
-from typing import Any
 
 from ..errors import abridged
+from ..settings.parsed import joined
 from ..single_precision import ROUNDING
-from .campaign_outcome import CampaignOutcome
-from .doubts import grouped
 from .precision import FLOOR
-from .provenance import UNKNOWN
+from .summary import LEVEL, Summary, Total, grouped
+from .tally import without_chance
 
 __all__ = ["aligned", "percent", "summary_text", "total_cells"]
 
 WIDTH = 88
-LONGEST_SURFACE = 400
+MAX_SURFACE = 400
 MAIN_ROWS = ("reflected", "transmitted", "absorbed")
 
 # Decimals of a total, below which numbers are written with a power of ten.
-MOST_DECIMALS = 12
+MAX_DECIMALS = 12
 
 # Rows of totals that are shown, in halves from both ends.
-MOST_ROWS = 40
+MAX_ROWS = 40
 
 
-def summary_text(numbers: dict[str, Any], most_rows: int = MOST_ROWS) -> str:
-    """Return what :func:`~gonio_mi.results.summary.summarize` found, for people.
+def summary_text(summary: Summary, most_rows: int = MAX_ROWS) -> str:
+    """Return a summary as text for people.
 
     Of more totals than `most_rows`, those in the middle are left out.
     """
     blocks = [
-        _settings_text(numbers),
-        _totals_text(numbers, most_rows),
-        _ledger_text(numbers),
-        _patches_text(numbers),
+        _settings_text(summary),
+        _totals_text(summary, most_rows),
+        _ledger_text(summary),
+        _patches_text(summary),
     ]
-    warnings = [_filled("warning   ", text) for text in numbers["warnings"]]
+    warnings = [_filled("warning   ", text) for text in summary.warnings]
     if warnings:
         blocks.append("\n".join(warnings))
-    if numbers["settings"].get("campaign"):
+    if campaign := summary.record.provenance.campaign:
         # what decides, below a table that may be long
-        used = len(numbers["directions"]) - len(_copies(numbers))
-        outcome = CampaignOutcome.from_mapping(numbers["settings"]["campaign"])
-        blocks.append(outcome.text(used, WIDTH))
+        n_used = len(summary.directions) - len(_copies(summary))
+        blocks.append(campaign.text(n_used, WIDTH))
     return "\n\n".join(blocks)
 
 
-def _settings_text(numbers: dict[str, Any]) -> str:
+def _settings_text(summary: Summary) -> str:
     """What was measured, and how."""
-    settings = numbers["settings"]
-
-    def _shown(key: str) -> Any:
-        return settings.get(key, "?")
-
-    radius = settings.get("collector_radius")
+    record = summary.record
+    asked, own = record.asked, record.provenance
+    surface = abridged(_or_unknown(own.surface), MAX_SURFACE)
+    emitter = (
+        f"{_or_unknown(own.emitter)} on the {asked.side}, footprint {asked.footprint}, "
+        f"emission {asked.emission}"
+    )
+    radius = asked.collector_radius
+    distance = f"radius {radius:g}" if radius else "far field"
+    collector = f"{record.subdivision}, hemispheres {asked.hemispheres}, {distance}"
+    points = f"points {asked.points}, " if asked.estimator.deposits else ""
+    method = (
+        f"estimator {asked.estimator}, {points}sampler {_or_unknown(own.sampler)}, "
+        f"transport {_or_unknown(own.transport)}, period {joined(asked.period)}, "
+        f"order {asked.order}, max_depth {asked.max_depth}, rr_depth {asked.rr_depth}"
+    )
+    versions = ", ".join(f"{name} {number}" for name, number in own.versions.items())
+    made = (
+        f"{_or_unknown(own.created)}, variant {_or_unknown(own.variant)}, {versions}, "
+        f"on {'; '.join(own.each_processor)}"
+    )
     lines = [
-        ("specimen", _shown("specimen")),
-        ("surface", abridged(str(_shown("surface")), LONGEST_SURFACE)),
-        *(("medium", medium) for medium in settings.get("media", [])),
-        (
-            "light",
-            f"{_shown('emitter')} on the {_shown('side')}, "
-            f"footprint {_shown('footprint')}, emission {_shown('emission')}",
-        ),
-        (
-            "collector",
-            f"{_shown('collector')}, hemispheres {_shown('hemispheres')}, "
-            + (f"radius {radius:g}" if radius else "far field"),
-        ),
-        ("rays", _rays_text(numbers)),
-        (
-            "method",
-            f"estimator {_shown('estimator')}, "
-            + (f"points {settings['points']}, " if "points" in settings else "")
-            + f"sampler {_shown('sampler')}, transport "
-            f"{_shown('transport')}, period {_shown('period')}, "
-            f"order {_shown('order')}, max_depth {_shown('max_depth')}, "
-            f"rr_depth {_shown('rr_depth')}",
-        ),
-        (
-            "made",
-            f"{_shown('created')}, variant {_shown('variant')}, "
-            + ", ".join(f"{k} {v}" for k, v in settings.get("versions", {}).items())
-            + ", on "
-            + "; ".join(settings.get("processors") or [UNKNOWN]),
-        ),
+        ("specimen", _or_unknown(own.specimen)),
+        ("surface", surface),
+        *(("medium", medium) for medium in own.media),
+        ("light", emitter),
+        ("collector", collector),
+        ("rays", _rays_text(summary)),
+        ("method", method),
+        ("made", made),
     ]
     return "\n".join(_filled(f"{name:<10}", text) for name, text in lines)
 
 
-def _rays_text(numbers: dict[str, Any]) -> str:
+def _or_unknown(value: object) -> str:
+    return "?" if value is None else str(value)
+
+
+def _rays_text(summary: Summary) -> str:
     """How many rays were sent, or what stands for them."""
-    settings, emitted = numbers["settings"], numbers["ledger"]["emitted"]
-    n_directions = len(numbers["directions"])
+    asked, own = summary.record.asked, summary.record.provenance
+    emitted, n_directions = summary.ledger["emitted"], len(summary.directions)
     over = f" over {n_directions} incident directions" if n_directions > 1 else ""
-    named = "rel_err" if settings.get("rel_err") is not None else "noise"
-    goal = settings.get(named)
-    wanted = f", {named} {goal:g} asked for" if goal is not None else ""
-    if numbers["integrals"] and not emitted:
-        return (
-            f"none: the BSDF is integrated over each patch{over and ','}{over}{wanted}"
-        )
-    rays = settings.get("rays", 0) if goal is None else 0
-    asked = n_directions * rays * settings.get("passes", 1)
+    named = "noise" if asked.rel_err is None else "rel_err"
+    goal = asked.noise if asked.rel_err is None else asked.rel_err
+    wanted = "" if goal is None else f", {named} {goal:g} asked for"
+    if without_chance(summary.record.tallies):
+        comma = "," if over else ""
+        return f"none: the BSDF is integrated over each patch{comma}{over}{wanted}"
+    rays = (own.rays or 0) if goal is None else 0
+    expected = n_directions * rays * own.passes
+    text = grouped(emitted)
+    if emitted < expected:
+        text += f" of {grouped(expected)} asked for"
+    if summary.integrals:
+        text += " for delta components, all else integrated"
+    seed = own.seeds[0] if len(own.seeds) == 1 else list(own.seeds) or None
     return (
-        grouped(emitted)
-        + (f" of {grouped(asked)} asked for" if emitted < asked else "")
-        + (" for delta components, all else integrated" * numbers["integrals"])
-        + f"{over}, batches {settings.get('batches', '?')}"
-        + f", seed {settings.get('seed', '?')}{wanted}"
+        f"{text}{over}, batches {_or_unknown(own.batches)}, seed {_or_unknown(seed)}"
+        f"{wanted}"
     )
 
 
-def _totals_text(numbers: dict[str, Any], most_rows: int) -> str:
+def _totals_text(summary: Summary, most_rows: int) -> str:
     """Reflectance and transmittance with their intervals; of copies no line."""
-    level = f"{numbers['level']:.0%} "
+    level = f"{LEVEL:.0%} "
     ends = ["error", "low", "high"]
-    if not _without_rays(numbers):
+    if not without_chance(summary.record.tallies):
         ends = ["std_err", level + "low", level + "high"]
     header = ["theta_i", "phi_i", "of", "channel", "value", *ends]
     rows = []
-    copies = _copies(numbers)
+    copies = _copies(summary)
     measured = [
-        one
-        for one in numbers["directions"]
-        if (one["theta_i"], one["phi_i"]) not in copies
-    ] or numbers["directions"]
-    for direction in measured:
-        angles = [_angle(direction["theta_i"]), _angle(direction["phi_i"])]
-        shown = ["dhr", "dht", *(["direct"] if direction["ledger"]["direct"] else [])]
-        for quantity in shown:
-            for total in direction[quantity] or []:
-                cells = total_cells(total)
-                rows.append([*angles, quantity, total["channel"], *cells])
-    left_out = len(numbers["directions"]) - len(measured)
+        one for one in summary.directions if (one.theta_i, one.phi_i) not in copies
+    ] or summary.directions
+    for one in measured:
+        totals = {"dhr": one.dhr, "dht": one.dht}
+        if one.ledger["direct"]:
+            totals["direct"] = one.direct
+        for quantity, of_channels in totals.items():
+            for total in of_channels or []:
+                angles = [_angle(one.theta_i), _angle(one.phi_i)]
+                rows.append([*angles, quantity, total.channel, *total_cells(total)])
+    left_out = len(summary.directions) - len(measured)
     said = f"\n{left_out} copies of these are left out" if left_out else ""
     lines = aligned(header, rows).split("\n")
     if len(rows) > most_rows:
@@ -144,31 +140,27 @@ def _totals_text(numbers: dict[str, Any], most_rows: int) -> str:
     return "\n".join(lines) + said
 
 
-def total_cells(total: dict[str, Any]) -> list[str]:
+def total_cells(total: Total) -> list[str]:
     """Texts of a total, its standard error, and the ends of its interval."""
-    decimals = _decimals(total["value"], total["std_err"])
-    value, *ends = (_fixed(total[key], decimals) for key in ("value", "low", "high"))
-    return [value, _std_err(total, decimals), *ends]
+    decimals = _decimals(total.value, total.std_err)
+    value, low, high = (
+        _fixed(one, decimals) for one in (total.value, total.low, total.high)
+    )
+    return [value, _std_err(total, decimals), low, high]
 
 
-def _copies(numbers: dict[str, Any]) -> set[tuple[float, float]]:
+def _copies(summary: Summary) -> set[tuple[float | None, float | None]]:
     """Incident directions that a campaign copied from others."""
-    symmetry = (numbers["settings"].get("campaign") or {}).get("symmetry") or {}
-    copies = {tuple(copy) for copy in symmetry.get("copies", ())}
-    held = {(one["theta_i"], one["phi_i"]) for one in numbers["directions"]}
-    return copies & held
+    campaign = summary.record.provenance.campaign
+    held = {(one.theta_i, one.phi_i) for one in summary.directions}
+    return held.intersection(campaign.copies if campaign else ())
 
 
-def _without_rays(numbers: dict[str, Any]) -> bool:
-    """Whether all values are integrals, whose errors are none of chance."""
-    return bool(numbers["integrals"] and not numbers["ledger"]["emitted"])
-
-
-def _ledger_text(numbers: dict[str, Any]) -> str:
+def _ledger_text(summary: Summary) -> str:
     """Where the rays went: all rows but those that are zero."""
-    ledger = numbers["ledger"]
+    ledger = summary.ledger
     emitted = ledger["emitted"]
-    if _without_rays(numbers):
+    if without_chance(summary.record.tallies):
         text = (
             "empty, for integrals send no rays; error is the largest that the "
             "integrals are estimated to have, no standard error: low and high are the "
@@ -184,61 +176,57 @@ def _ledger_text(numbers: dict[str, Any]) -> str:
     rows.append(["sum", grouped(sum(shown.values())), percent(emitted, emitted)])
     lines = [aligned(["ledger", "rays", "% of rays"], rows)]
     beyond = shown["transmitted"] + shown.get("direct", 0)
-    if beyond and numbers["settings"].get("hemispheres") == "upper":
+    if beyond and not summary.record.has_lower:
         lines.append(
             f"{percent(beyond, emitted)} % of the rays left on the other side, where "
             "nothing was collected"
         )
-    if numbers["settings"].get("estimator") != "analog":
+    if not summary.record.asked.estimator.counts:
         lines.append(
             "rays are counted, whatever power they carry: shares of power stand above"
         )
     return "\n".join(lines)
 
 
-def _patches_text(numbers: dict[str, Any]) -> str:
+def _patches_text(summary: Summary) -> str:
     """How well the patches are known, and the worst of them."""
-    directions = numbers["directions"]
-    n = sum(direction["n_patches"] for direction in directions)
-    empty = sum(direction["n_without_hit"] for direction in directions)
-    pooled = sum(direction["n_pooled"] for direction in directions)
-    lobe = sum(direction["n_lobe"] for direction in directions)
-    errors = [direction["rel_err_lobe"] for direction in directions]
+    directions = summary.directions
+    only_integrals = without_chance(summary.record.tallies)
+    n = sum(direction.n_patches for direction in directions)
+    empty = sum(direction.n_without_hit for direction in directions)
+    pooled = sum(direction.n_pooled for direction in directions)
+    lobe = sum(direction.n_lobe for direction in directions)
+    errors = [direction.rel_err_lobe for direction in directions]
     text = f"{grouped(n)}, of which "
-    if not numbers["integrals"]:
+    if not summary.integrals:
         text += f"{grouped(empty)} without a hit and "
     text += f"{grouped(lobe)} brighter than {FLOOR:g} of the mean"
-    if None not in errors:
-        text += (
-            f", {'error' if _without_rays(numbers) else 'std_err'} of these at most "
-            f"{100 * max(errors):.3g} %"
-        )
+    known = [error for error in errors if error is not None]
+    if len(known) == len(errors):
+        kind = "error" if only_integrals else "std_err"
+        text += f", {kind} of these at most {100 * max(known):.3g} %"
     if pooled:
         text += (
             f"; {grouped(pooled)} with few or none of the heavy hits that scatter: "
             "their uncertainty comes from all patches"
         )
-    worst = numbers["worst_patches"]
-    if not worst:
+    if not summary.worst_patches:
         return _filled("patches   ", text + "; their standard errors are not known")
     header = ["worst of", "channel", "theta_i", "phi_i", "theta_o", "phi_o"]
     rows = [
         [
-            patch["of"],
-            patch["channel"],
-            *(
-                _angle(patch[angle])
-                for angle in ("theta_i", "phi_i", "theta_o", "phi_o")
-            ),
-            f"{patch['value']:.4g}",
-            f"{patch['std_err']:.2g}",
-            f"{100 * patch['rel_err']:.3g}",
-            "-" if patch["hits"] is None else grouped(patch["hits"]),
+            patch.of,
+            patch.channel,
+            *map(_angle, (patch.theta_i, patch.phi_i, patch.theta_o, patch.phi_o)),
+            f"{patch.value:.4g}",
+            f"{patch.std_err:.2g}",
+            f"{100 * patch.rel_err:.3g}",
+            "-" if patch.hits is None else grouped(patch.hits),
         ]
-        for patch in worst
+        for patch in summary.worst_patches
     ]
     header += ["value", "+- std_err", "%", "hits"]
-    if _without_rays(numbers):
+    if only_integrals:
         # no hits, nor the cells below, which no line of the table ends with
         header[-3:] = ["+- error", "%"]
     table = aligned(header, rows)
@@ -283,23 +271,23 @@ def _angle(degrees: float | None) -> str:
     return "-" if degrees is None else f"{round(degrees, 6) + 0.0:.4g}"
 
 
-def _decimals(value: float, std_err: float | None) -> int:
+def _decimals(value: float | None, std_err: float | None) -> int:
     """Decimals that show two digits of a standard error, but no more than are known.
 
     Mitsuba computes in single precision, which carries some seven digits of the value.
     """
-    if not std_err:
+    if not std_err or value is None:
         return 6
     least = max(std_err, ROUNDING * abs(value))
-    return min(max(1 - math.floor(math.log10(least)), 2), MOST_DECIMALS)
+    return min(max(1 - math.floor(math.log10(least)), 2), MAX_DECIMALS)
 
 
-def _std_err(total: dict[str, Any], decimals: int) -> str:
+def _std_err(total: Total, decimals: int) -> str:
     """Text of a standard error, or of the rounding in which it is lost."""
-    rounding = ROUNDING * abs(total["value"] or 0)
-    if total["std_err"] and total["std_err"] < rounding:
+    rounding = ROUNDING * abs(total.value or 0)
+    if total.std_err and total.std_err < rounding:
         return f"<{rounding:.{decimals}f}"
-    return _fixed(total["std_err"], decimals)
+    return _fixed(total.std_err, decimals)
 
 
 def _fixed(value: float | None, decimals: int) -> str:
@@ -307,6 +295,6 @@ def _fixed(value: float | None, decimals: int) -> str:
     if value is None:
         return "-"
     text = f"{value:.{decimals}f}"
-    if value == 0 or (decimals == MOST_DECIMALS and not float(text)):
+    if value == 0 or (decimals == MAX_DECIMALS and not float(text)):
         return f"{value + 0.0:.2g}"
     return text

@@ -231,7 +231,7 @@ def coverage(
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             record = measure(specimen, rays=rays, seed=seed, order=order, **settings)
-        warned = bool(caught or summarize(record)["warnings"])
+        warned = bool(caught or summarize(record).warnings)
         found.add(record, truth, warned)
     return found
 

@@ -790,7 +790,7 @@ def test_show_json_holds_the_records_numbers(run, saved):
 
 def test_worst_patches_have_the_largest_relative_error(saved):
     record = gonio.load(saved[0])
-    patches = summarize(record)["worst_patches"]
+    patches = summarize(record).worst_patches
     value = np.stack([record.brdf, record.btdf], axis=1)
     std_err = np.stack([record.brdf_std_err, record.btdf_std_err], axis=1)
     # of those that reach a tenth of the mean over both hemispheres, direction by
@@ -802,15 +802,15 @@ def test_worst_patches_have_the_largest_relative_error(saved):
     inside = value >= 0.1 * np.reshape(mean, (-1, 1, 1, 1, 1))
     relative = std_err[inside] / value[inside]
     worst = np.sort(relative)[::-1][: len(patches)]
-    np.testing.assert_array_equal([patch["rel_err"] for patch in patches], worst)
+    np.testing.assert_array_equal([patch.rel_err for patch in patches], worst)
     for patch in patches:
-        theta_o, phi_o = np.radians([patch["theta_o"], patch["phi_o"]])
+        theta_o, phi_o = np.radians([patch.theta_o, patch.phi_o])
         wo = [np.sin(theta_o) * f(phi_o) for f in (np.cos, np.sin)] + [np.cos(theta_o)]
         i, j = np.unravel_index(record.subdivision.patch(wo), record.subdivision.shape)
-        look = record[int(np.argmin(np.abs(record.theta_i - patch["theta_i"])))]
-        assert (theta_o > np.pi / 2) == (patch["of"] == "btdf")
-        assert patch["value"] == getattr(look, patch["of"])[i, j, 0]
-        assert patch["std_err"] == getattr(look, f"{patch['of']}_std_err")[i, j, 0]
+        look = record[int(np.argmin(np.abs(record.theta_i - patch.theta_i)))]
+        assert (theta_o > np.pi / 2) == (patch.of == "btdf")
+        assert patch.value == getattr(look, patch.of)[i, j, 0]
+        assert patch.std_err == getattr(look, f"{patch.of}_std_err")[i, j, 0]
 
 
 def synthetic(hits_per_batch=100, batches=4, **fates):
@@ -853,7 +853,7 @@ def synthetic(hits_per_batch=100, batches=4, **fates):
 )
 def test_warnings(fates, words):
     record = synthetic(**fates).with_settings(transmission="none")
-    sentences = summarize(record)["warnings"]
+    sentences = summarize(record).warnings
     assert len(sentences) == len(words)
     for sentence, word in zip(sentences, words):
         assert word in sentence
@@ -861,7 +861,7 @@ def test_warnings(fates, words):
 
 def test_declared_transmission_is_no_leak():
     record = synthetic(transmitted=600).with_settings(transmission="declared")
-    assert summarize(record)["warnings"] == []
+    assert summarize(record).warnings == []
 
 
 def test_losses_within_the_statistical_error_are_no_warning():
@@ -869,15 +869,16 @@ def test_losses_within_the_statistical_error_are_no_warning():
     record = synthetic(20, absorbed=119, sideways=1)
     low, high = record.interval(0.95, of="dhr")
     assert (high - low) / 2 > 4 / 960
-    assert summarize(record)["warnings"] == []
+    assert summarize(record).warnings == []
 
 
 def test_unknown_errors_are_null_and_dashes():
     record = synthetic(batches=1)
-    numbers = summarize(record)
+    summary = summarize(record)
+    numbers = summary.as_mapping()
     assert json.loads(json.dumps(numbers, allow_nan=False)) == numbers
     assert numbers["directions"][0]["dhr"][0]["std_err"] is None
-    assert " -" in summary_text(numbers)
+    assert " -" in summary_text(summary)
 
 
 def test_text_fits_and_holds_the_ledger():

@@ -10,8 +10,8 @@ from gonio_mi.cli import main
 from gonio_mi.files.exr import attributes
 from gonio_mi.results.precision import precision
 from gonio_mi.results.record import Record
-from gonio_mi.results.summary import summarize
-from gonio_mi.results.summary_text import summary_text
+from gonio_mi.results.summary import Total, summarize
+from gonio_mi.results.summary_text import summary_text, total_cells
 from gonio_mi.results.tally import Fate, Integrals
 
 
@@ -64,20 +64,17 @@ def test_light_that_nothing_collected_is_told(both):
 
 def test_standard_errors_have_two_digits():
     record = synthetic.record()
-    (total,) = summarize(record)["directions"][0]["dhr"]
+    (total,) = summarize(record).directions[0].dhr
     std_err = line(record, "30 ").split()[5]
     assert len(std_err.lstrip("0.")) == 2
     # rounded to the last of its digits
-    assert abs(float(std_err) - total["std_err"]) <= 10.0 ** -(len(std_err) - 2) / 2
+    assert abs(float(std_err) - total.std_err) <= 10.0 ** -(len(std_err) - 2) / 2
 
 
 def test_no_more_digits_than_single_precision_has():
-    numbers = summarize(synthetic.record())
-    (total,) = numbers["directions"][0]["dhr"]
-    total |= {"value": 0.8, "std_err": 3e-11, "low": 0.8 - 6e-11, "high": 0.8 + 6e-11}
-    (row,) = (r for r in summary_text(numbers).splitlines() if " dhr " in r)
+    total = Total("Y", value=0.8, std_err=3e-11, low=0.8 - 6e-11, high=0.8 + 6e-11)
     # 2^-24 of the value
-    assert row.split()[4:] == ["0.800000000", "<0.000000048", *["0.800000000"] * 2]
+    assert total_cells(total) == ["0.800000000", "<0.000000048", *["0.800000000"] * 2]
 
 
 @pytest.mark.parametrize("of", ["brdf", "btdf"])
@@ -86,13 +83,13 @@ def test_theta_o_counts_from_one_pole_in_both_hemispheres(of):
     theta, phi = (np.degrees(a) for a in record.subdivision.middles)
     if of == "btdf":
         theta = 180 - theta
-    worst = summarize(record)["worst_patches"]
-    found = [patch for patch in worst if patch["of"] == of]
+    worst = summarize(record).worst_patches
+    found = [patch for patch in worst if patch.of == of]
     assert found
     for patch in found:
-        here = getattr(record, of)[..., 0] == patch["value"]
-        here &= record.counts[int(of == "btdf")] == patch["hits"]
-        assert (patch["theta_o"], patch["phi_o"]) in zip(theta[here], phi[here])
+        here = getattr(record, of)[..., 0] == patch.value
+        here &= record.counts[int(of == "btdf")] == patch.hits
+        assert (patch.theta_o, patch.phi_o) in zip(theta[here], phi[here])
 
 
 @pytest.mark.parametrize("share", [1, 100])
@@ -103,8 +100,8 @@ def test_faint_patches_are_not_worth_reporting(share):
     tally.sums[:] = 100
     tally.sums[::2, 0, 0, 0], tally.sums[1::2, 0, 0, 0] = 0, 2 * share
     uneven = replace(record, tallies=(tally,))
-    worst = summarize(uneven)["worst_patches"][0]
-    assert (worst["value"] == uneven.brdf[0, 0, 0]) == (share == 100)
+    worst = summarize(uneven).worst_patches[0]
+    assert (worst.value == uneven.brdf[0, 0, 0]) == (share == 100)
 
 
 def test_rays_of_all_passes_are_asked_for():
@@ -133,7 +130,7 @@ def test_a_ray_in_a_million_is_rounding(n, warned):
     stray = synthetic.writeable(tally)
     stray.fates[0, Fate.REFLECTED] -= np.uint64(n)
     stray.fates[0, Fate.SIDEWAYS] += np.uint64(n)
-    warnings = summarize(replace(record, tallies=(stray,)))["warnings"]
+    warnings = summarize(replace(record, tallies=(stray,))).warnings
     assert bool(warnings) == warned
 
 
@@ -142,8 +139,8 @@ def test_losses_beyond_the_statistical_error_are_warned_of(row):
     record = synthetic.record()
     low, high = record.interval(of="dhr")
     few, many = (round(f * (high - low)[0] / 2 * 80_000) for f in (0.9, 1.1))
-    assert not summarize(moved(record, row, few))["warnings"]
-    (warning,) = summarize(moved(record, row, many))["warnings"]
+    assert not summarize(moved(record, row, few)).warnings
+    (warning,) = summarize(moved(record, row, many)).warnings
     assert "more than the statistical error" in warning
 
 
@@ -151,10 +148,10 @@ def test_what_is_not_known_is_none():
     """No standard error, and so no precision, of a single batch of even rays."""
     record = synthetic.record(n_batches=1).with_settings(sampler="sobol")
     assert precision(record) == (np.inf, precision(synthetic.record())[1])
-    (direction,) = summarize(record)["directions"]
-    assert direction["rel_err_lobe"] is None
-    assert direction["dhr"][0]["std_err"] is None
-    assert summarize(record)["worst_patches"] == []
+    (direction,) = summarize(record).directions
+    assert direction.rel_err_lobe is None
+    assert direction.dhr[0].std_err is None
+    assert summarize(record).worst_patches == []
     text = " ".join(summary_text(summarize(record)).split())
     assert "their standard errors are not known" in text
 
@@ -170,7 +167,7 @@ def test_integrals_say_what_stands_for_rays():
     assert "std_err" not in text
     assert "no standard error" in " ".join(text.split())
     assert "hit" not in text
-    assert numbers["worst_patches"][0]["hits"] is None
+    assert numbers.worst_patches[0].hits is None
     assert "integrals" in repr(record)
     assert "ray" not in repr(record)
     maps = attributes(record, 0, "brdf")
@@ -207,11 +204,8 @@ def test_totals_of_many_directions_are_left_out_in_the_middle(tmp_path, capsys):
 
 
 def test_nothing_is_0():
-    numbers = summarize(synthetic.record())
-    (total,) = numbers["directions"][0]["dhr"]
-    total |= {"value": 0.0, "std_err": 3e-15, "low": 0.0, "high": 6e-15}
-    (row,) = (r for r in summary_text(numbers).splitlines() if " dhr " in r)
-    assert row.split()[4:] == ["0", "3e-15", "0", "6e-15"]
+    total = Total("Y", value=0.0, std_err=3e-15, low=0.0, high=6e-15)
+    assert total_cells(total) == ["0", "3e-15", "0", "6e-15"]
 
 
 def test_patches_with_too_few_heavy_hits_are_counted():
@@ -226,6 +220,6 @@ def test_patches_with_too_few_heavy_hits_are_counted():
     record = replace(record, tallies=(tally,))
     assert record.pooled.shape == record.counts.shape
     n = np.count_nonzero(record.counts)
-    assert record.pooled.sum() == n == summarize(record)["directions"][0]["n_pooled"]
+    assert record.pooled.sum() == n == summarize(record).directions[0].n_pooled
     text = " ".join(summary_text(summarize(record)).split())
     assert f"{n} with few or none of the heavy hits that scatter" in text

@@ -223,7 +223,7 @@ def test_scatterings_may_be_limited():
     told = "HomogeneousMedium with IsotropicPhaseFunction: scale 1, albedo 1, sigma_t 5"
     assert record.settings["media"] == [told]
     assert told in " ".join(summary_text(summarize(record)).split())
-    (sentence,) = summarize(record)["warnings"]  # none of the direct light
+    (sentence,) = summarize(record).warnings  # none of the direct light
     assert "truncated by max_depth or max_scatterings" in sentence
     assert "max_scatterings" not in measured({"type": "diffuse"}, rays=100).settings
 
@@ -385,4 +385,4 @@ def test_rays_astray_are_told():
             record = measured(scene)
         ledger = record.ledger
         assert 0 < ledger.astray < ledger.emitted == RAYS
-        assert any("went astray" in text for text in summarize(record)["warnings"])
+        assert any("went astray" in text for text in summarize(record).warnings)

@@ -123,7 +123,7 @@ def without_direct(tally):
 
 
 def said(record):
-    return " ".join(summarize(record)["warnings"])
+    return " ".join(summarize(record).warnings)
 
 
 def test_leaks_are_said():

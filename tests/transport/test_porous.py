@@ -346,15 +346,15 @@ def test_intervals_cover_what_is_known(estimator, sampler):
 
 
 def said(record):
-    return " ".join(summarize(record)["warnings"])
+    return " ".join(summarize(record).warnings)
 
 
 def test_show_tells_direct_light_apart():
     record = measured(*SPECIMENS["grid"])
     numbers = summarize(record)
-    (direct,) = numbers["directions"][0]["direct"]
-    assert direct["value"] == record.direct
-    assert direct["low"] < record.direct < direct["high"]
+    (direct,) = numbers.directions[0].direct
+    assert direct.value == record.direct
+    assert direct.low < record.direct < direct.high
     text = summary_text(numbers)
     lines = [line.split() for line in text.splitlines()]
     assert any(line[2:3] == ["direct"] for line in lines)
@@ -362,7 +362,7 @@ def test_show_tells_direct_light_apart():
     assert "period 1.0,1.0, order all" in " ".join(text.split())
     assert "passed openings of the periodic cell" in said(record)
     finite = measured(*SPECIMENS["grid"], period="none")
-    assert summarize(finite)["directions"][0]["direct"] is None
+    assert summarize(finite).directions[0].direct is None
     assert finite.direct == 0
     assert finite.ledger.missed > 0
     assert "give a period" in said(finite)
