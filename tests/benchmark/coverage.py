@@ -72,15 +72,19 @@ class Coverage:
         Whether a measurement came with a warning, in words.
     pooled : list of float
         Part of the patches whose own hits tell too little of their scatter.
+    widths : list of float
+        Median width of the intervals of patches, over the mean of the truth.
     """
 
     covered: dict[str, list[float]] = field(default_factory=dict)
     warned: list[bool] = field(default_factory=list)
     pooled: list[float] = field(default_factory=list)
+    widths: list[float] = field(default_factory=list)
 
     def add(self, record: Record, truth: Record, warned: bool) -> None:
         """Count what the intervals of a record cover of the truth."""
         found: dict[str, list[np.ndarray]] = {"patches": []}
+        widths, exact_values = [], []
         for values, total in (("brdf", "dhr"), ("btdf", "dht")):
             if total == "dht" and not truth.has_lower:
                 continue
@@ -88,6 +92,8 @@ class Coverage:
             low, high = record.interval(LEVEL, of=values)
             lit = exact > 0
             found["patches"].append(((low <= exact) & (exact <= high))[lit])
+            widths.append((high - low)[lit])
+            exact_values.append(exact[lit])
             low, high = record.interval(LEVEL, of=total)
             exact = getattr(truth, total)
             if np.all(exact > 0):
@@ -96,6 +102,8 @@ class Coverage:
             self.covered.setdefault(name, []).append(np.concatenate(parts).mean())
         self.warned.append(warned)
         self.pooled.append(float(record.pooled.mean()))
+        typical = np.median(np.concatenate(widths))
+        self.widths.append(float(typical / np.concatenate(exact_values).mean()))
 
     def mean(self, quantity: str) -> tuple[float, float]:
         """Covered part and its standard error, from the scatter of measurements.
@@ -144,7 +152,7 @@ def _spots(share: float, bright: float, dark: float, bsdf: str = "diffuse") -> C
     return Case(
         _plate,
         {"theta_i": 30, "collector": "projected:30x30", "footprint": "full"},
-        SAMPLED[:2],
+        (*SAMPLED[:2], SAMPLED[3]),
         ("all",),
         kind | {name: float(texels.mean(dtype=float))},
     )
@@ -170,6 +178,13 @@ CASES = {
         (*SAMPLED, ("quadrature", "sobol")),
         ("all",),
         {"type": "glossymixture", "diffuse_reflectance": 0.5},
+    ),
+    "plain": Case(
+        lambda: {"type": "diffuse", "reflectance": 0.5},
+        {"theta_i": 30, "collector": "projected:30x30"},
+        (*SAMPLED[:2], SAMPLED[3]),
+        ("all",),
+        {"type": "diffuse", "reflectance": 0.5},
     ),
     "spots 0.001": _spots(0.001, 1.0, 0.001),
     "spots 0.01": _spots(0.01, 1.0, 0.001),
@@ -238,7 +253,8 @@ def coverage(
 
 def print_coverage(most_rays: int, names: Sequence[str] = tuple(CASES)) -> None:
     """Print the coverage of all cases, up to so many rays."""
-    header = ("quantity", "order", "rays", "coverage", "std_err", "pooled", "warned")
+    quantities = ("quantity", "order", "rays", "coverage", "std_err")
+    header = (*quantities, "pooled", "warned", "width")
     for name in names:
         most = min(most_rays, CASES[name].most_rays)
         numbers = [rays for rays in REPEATS if rays <= most]
@@ -249,5 +265,7 @@ def print_coverage(most_rays: int, names: Sequence[str] = tuple(CASES)) -> None:
                 shares = [f"{np.mean(x):.2f}" for x in (found.pooled, found.warned)]
                 for quantity in found.covered:
                     values = (f"{x:.3f}" for x in found.mean(quantity))
-                    rows.append((quantity, order, f"{rays:.0e}", *values, *shares))
+                    width = f"{np.mean(found.widths):.3g}"
+                    row = (quantity, order, f"{rays:.0e}", *values, *shares, width)
+                    rows.append(row)
             print_table(f"{name}: {estimator}, {sampler}", header, rows)
