@@ -32,7 +32,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 
 # At most so many rays, no smaller tolerance, and what else makes a command short.
-RAYS, TOLERANCE = 1e5, 0.05
+RAYS, TOLERANCE = 1e5, 0.15
 FAST = {
     "bsdf": ["--rays", "64"],
     "chart": ["--seconds", "2"],
