@@ -5,6 +5,9 @@ instrument's Mitsuba plugins, before or after ``mi.set_variant``. It never sets 
 variant.
 """
 
+from importlib import metadata
+from typing import Any
+
 from . import interrupts
 
 interrupts.start_up()
@@ -15,7 +18,7 @@ llvm.prepare()
 
 from . import plugins  # noqa: E402, F401
 from .campaigns.campaign import campaign  # noqa: E402
-from .campaigns.measuring import measure  # noqa: E402
+from .campaigns.measure import measure  # noqa: E402
 from .charts import Chart, chart  # noqa: E402
 from .collector import (  # noqa: E402
     Borders,
@@ -42,8 +45,8 @@ from .files.measured_table import MeasuredTable  # noqa: E402
 from .fitting import Fit, fit  # noqa: E402
 from .formats.reading import read_measured  # noqa: E402
 from .instrument.exit_profile import ExitProfile, exit_profile  # noqa: E402
-from .instrument.measurement import measure_orders  # noqa: E402
-from .instrument.mesh_specimens import mesh  # noqa: E402
+from .instrument.measure import measure_orders  # noqa: E402
+from .instrument.mesh import mesh  # noqa: E402
 from .plots import plot  # noqa: E402
 from .reports import report  # noqa: E402
 from .results.planning import Plan, plan  # noqa: E402
@@ -98,3 +101,10 @@ __all__ = [
     "subdivision",
     "validate",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Look up ``__version__``, of the installed package, when it is asked for."""
+    if name == "__version__":
+        return metadata.version("gonio-mi")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

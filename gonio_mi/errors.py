@@ -7,8 +7,10 @@ import math
 import operator
 import os
 import re
+import sys
 import sysconfig
 import traceback
+import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -18,6 +20,7 @@ __all__ = [
     "Frame",
     "LABEL",
     "LLVMError",
+    "LostLightWarning",
     "LostRaysError",
     "PackageError",
     "SettingError",
@@ -43,6 +46,7 @@ __all__ = [
     "shown",
     "tells_of_our_bug",
     "unknown_channel",
+    "warn",
 ]
 
 # Characters of a message, of a word in it, and of a value that it repeats.
@@ -131,6 +135,10 @@ class LLVMError(RuntimeError):
 
 class LostRaysError(RuntimeError):
     """A measurement whose ledger does not hold all rays that were sent."""
+
+
+class LostLightWarning(RuntimeWarning):
+    """More light than chance would take is in no patch, or missed the specimen."""
 
 
 class SettingError(ValueError):
@@ -252,6 +260,17 @@ def own_place(error: BaseException) -> str:
     """File and line of :func:`own_frame`, in brackets behind a space; or nothing."""
     frame = own_frame(error)
     return f" ({os.path.basename(frame.file)}, line {frame.line})" if frame else ""
+
+
+def warn(message: str, category: type[Warning] = RuntimeWarning) -> None:
+    """Warn at the line that called this package."""
+    package = os.path.dirname(__file__) + os.sep
+    frame, level, outermost = sys._getframe(1), 2, 2
+    while frame.f_back is not None:
+        frame, level = frame.f_back, level + 1
+        if frame.f_code.co_filename.startswith(package):
+            outermost = level
+    warnings.warn(message, category, stacklevel=outermost + 1)
 
 
 def checked_count(

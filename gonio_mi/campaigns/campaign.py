@@ -12,9 +12,9 @@ import numpy as np
 
 from ..errors import SettingError, SettingTypeError, checked_count, shown
 from ..instrument.incidence import incident_angles
-from ..instrument.loading import check_variant
 from ..results.record import Record
 from ..settings import MeasurementSettings
+from ..transport.variants import check_variant
 from .tasks import Surroundings, records_of
 from .whole_bsdf import WholeBsdf, checked_theta_max, checked_tolerance
 

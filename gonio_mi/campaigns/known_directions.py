@@ -63,7 +63,7 @@ class KnownDirections:
     ----------
     name : str
     specimen : object
-        What :func:`~gonio_mi.campaigns.measuring.measure` takes.
+        What :func:`~gonio_mi.campaigns.measure.measure` takes.
     tolerance : float
     where : Surroundings
     settings : dict

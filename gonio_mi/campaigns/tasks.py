@@ -23,8 +23,9 @@ import numpy as np
 
 from ..errors import SettingError, SpecimenError, frames, shown
 from ..instrument.incidence import described_digest, emitter_scene
-from ..instrument.loading import load_plugin_file, load_specimen, specimen_name
-from ..instrument.measurement import measure_each, whole
+from ..instrument.loading import load_plugin_file, load_specimen
+from ..instrument.measure import measure_each, whole
+from ..instrument.specimen_text import specimen_name
 from ..progress import bar
 from ..results.record import Record
 from ..settings import MeasurementSettings

@@ -86,7 +86,7 @@ class WholeBsdf:
     ----------
     name : str
     specimen : object
-        What :func:`~gonio_mi.campaigns.measuring.measure` takes.
+        What :func:`~gonio_mi.campaigns.measure.measure` takes.
     tolerance : float
         Fraction of the flux that leaves; see
         :class:`~gonio_mi.results.campaign_outcome.PredictionError`.

@@ -13,10 +13,11 @@ import numpy as np
 from tqdm import tqdm
 
 from ..array_types import Floats
+from ..campaigns.measure import measure_whole
 from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
-from ..instrument.loading import load_specimen, specimen_name
-from ..instrument.measurement import measure_whole
+from ..instrument.loading import load_specimen
+from ..instrument.specimen_text import specimen_name
 from ..results.ray_bounds import rms_expectation
 from ..results.record import Record
 from ..transport.kernels import launches_kernels

@@ -22,7 +22,8 @@ from ..errors import (
     printable,
     shortened,
 )
-from ..instrument.loading import load_plugin_file, parse_specimen
+from ..instrument.loading import load_plugin_file
+from ..instrument.specimen_text import parse_specimen
 from ..transport.variants import usable_variants
 from .file_kinds import check_kind
 from .positionals import with_positionals_first

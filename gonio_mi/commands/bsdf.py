@@ -16,7 +16,8 @@ from ..exports.bsdf_file import RAYS, bsdf, hemispherical
 from ..exports.daylight import VISIBLE_NM, luminous
 from ..files import check_output
 from ..formats.radiance import BLOCKS, Product
-from ..instrument.loading import load_specimen, parse_specimen
+from ..instrument.loading import load_specimen
+from ..instrument.specimen_text import parse_specimen
 from ..results.record import Record
 from ..surfaces.topography import metres
 from ..transport.shapes import bounds

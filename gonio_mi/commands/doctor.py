@@ -15,8 +15,8 @@ import mitsuba as mi
 import numpy as np
 
 from .. import llvm
+from ..campaigns.measure import measure_whole
 from ..errors import LLVMError
-from ..instrument.measurement import measure_whole
 from ..results.record import Record
 from ..transport.variants import usable_variants
 

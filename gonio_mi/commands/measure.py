@@ -15,9 +15,9 @@ from typing import Any
 
 from .. import exports, files
 from ..campaigns.campaign import campaign
-from ..campaigns.measuring import measure
+from ..campaigns.measure import measure
 from ..errors import SettingError
-from ..instrument.measurement import measure_orders
+from ..instrument.measure import measure_orders
 from ..plots import ANIMATION_ENDINGS, FIGURE_ENDINGS
 from ..results.record import Record
 from ..results.summary import summarize

@@ -8,9 +8,9 @@ from typing import Any
 from ..errors import SettingError
 from ..formats.height_maps import is_height_map
 from ..formats.meshes import is_mesh
-from ..instrument.loading import parse_specimen
-from ..instrument.mesh_specimens import NORMALS, mesh
-from ..instrument.surface_specimens import surface_specimen
+from ..instrument.loading import surface_specimen
+from ..instrument.mesh import NORMALS, mesh
+from ..instrument.specimen_text import parse_specimen
 from ..surfaces.preparation import FILLS, FORMS
 from ..surfaces.topography import UNITS
 from .arguments import number

@@ -10,13 +10,13 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags
+from ..campaigns.measure import measure_whole
 from ..collector.apertures import Apertures, disjoint_groups, is_above
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, SettingTypeError, SpecimenError, shown
 from ..files.channels import wavelengths_nm
 from ..files.measured_table import MeasuredTable
-from ..instrument.measurement import measure_whole
 from ..progress import bar
 from ..results.record import Record
 from .pairing import pole_angle

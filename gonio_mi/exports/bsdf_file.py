@@ -11,12 +11,12 @@ import mitsuba as mi
 import numpy as np
 
 from ..campaigns.campaign import campaign
+from ..campaigns.measure import measure_whole
 from ..collector import EqualProjectedSolidAngle
 from ..collector.directions import direction
 from ..errors import SettingError, checked_choice
 from ..files import check_output
 from ..formats.radiance import Product
-from ..instrument.measurement import measure_whole
 from ..results.prediction_error import prediction_error
 from ..results.record import Record
 from ..settings.parsed import checked_wavelengths

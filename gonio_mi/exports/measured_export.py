@@ -18,7 +18,7 @@ from ..files import replacing
 from ..files.channels import wavelengths_nm
 from ..formats import tensor_file
 from ..instrument.loading import loaded
-from ..instrument.measurement import measure_each, whole
+from ..instrument.measure import measure_each, whole
 from ..progress import counted
 from ..results.record import Record
 from ..transport.surface_events import flux_context

@@ -15,8 +15,8 @@ from ..array_types import Floats
 from ..errors import SettingError
 from ..files.channels import wavelengths_nm
 from ..files.measured_table import MeasuredTable
-from ..instrument.loading import parse_specimen, specimen_name
-from ..instrument.measurement import measure_here
+from ..instrument.measure import measure_each
+from ..instrument.specimen_text import parse_specimen, specimen_name
 from ..progress import bar
 from ..reports.page import picture_and_text
 from ..results.azimuth_symmetry import without_copies
@@ -319,20 +319,16 @@ class Fit:
                 scale_uncertainty=0.0,
             )
         nm = wavelengths_nm(self.record.channels)
-        singles = [
-            measure_here(
-                self.bsdf,
-                float(theta_i),
-                float(phi_i),
-                collector=self.record.subdivision,
-                estimator="quadrature",
-                side=self.record.asked.side,
-                hemispheres="both" if self.record.has_lower else "upper",
-                wavelengths=None if nm is None else nm.tolist(),
-            )
-            for theta_i, phi_i in zip(self.record.theta_i, self.record.phi_i)
-        ]
-        return Record.stack(singles) if self.record.stacked else singles[0]
+        stack = measure_each(
+            self.bsdf,
+            list(zip(self.record.theta_i.tolist(), self.record.phi_i.tolist())),
+            collector=self.record.subdivision,
+            estimator="quadrature",
+            side=self.record.asked.side,
+            hemispheres="both" if self.record.has_lower else "upper",
+            wavelengths=None if nm is None else nm.tolist(),
+        )
+        return stack if self.record.stacked else stack[0]
 
     def plot(self, path: str | PathLike[str] | None = None) -> Any:
         """Figure of record and prediction in the plane of incidence."""

@@ -15,10 +15,11 @@ from ..results.tally import Ledger, Tally
 from ..settings import MeasurementSettings
 from ..transport.kernels import launches_kernels
 from .incidence import incident_angles
-from .loading import check_variant, load_specimen, specimen_name
-from .measurement import send_all
+from .loading import load_specimen
+from .measure import send_all
 from .recording import records_of
 from .setup import own_settings, set_up
+from .specimen_text import specimen_name
 
 __all__ = ["ExitProfile", "exit_profile"]
 
@@ -118,10 +119,9 @@ def exit_profile(
     TypeError, ValueError, SpecimenError
         As of :func:`gonio_mi.measure`.
     """
-    check_variant()
     edges = _checked(radii)
     for name in sorted(NONE_OF_ITS & settings.keys()):
-        raise SettingError(f"{name} is no setting of exit_profile, got it")
+        raise SettingError(f"exit_profile does not accept {name}")
     given = {name: value for name, value in settings.items() if value is not None}
     MeasurementSettings().changed(**given)  # refused before anything is loaded
     incidents, _ = incident_angles(float(theta_i), float(phi_i))

@@ -1,7 +1,6 @@
 """Where light comes from: incident directions, and the emitter for each of them."""
 
 import math
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,12 +8,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..collector.directions import direction
-from ..errors import (
-    SettingError,
-    SettingTypeError,
-    checked_number,
-    shown,
-)
+from ..errors import SettingError, SettingTypeError, checked_number, shown, warn
+from ..settings.parsed import checked_incident
 from ..transport.digest import emitter_digest
 from .loading import loaded
 
@@ -27,12 +22,14 @@ DECIMALS = 3
 
 
 def incident_angles(
-    theta_i: Any, phi_i: Any, patches: Any = None
+    theta_i: Any, phi_i: Any, incident: Any = None
 ) -> tuple[list[Any], bool]:
     """List of ``(theta_i, phi_i)`` in degrees, or ``[None]``; whether it is a stack.
 
-    Without `theta_i` they are the middles of `patches`, a Subdivision, if there are.
+    Without `theta_i` they are the middles of the patches of the setting `incident`, if
+    there are any.
     """
+    patches = checked_incident("incident", incident)
     if theta_i is None and patches is not None:
         if np.any(phi_i):
             raise SettingError(f"phi_i goes with theta_i, got {shown(phi_i)} without")
@@ -74,11 +71,9 @@ def _warn_of_radians(polar: Sequence[float]) -> None:
     oblique = [value for value in polar if value]
     meant = [_degrees_meant(value) for value in oblique]
     if oblique and None not in meant:
-        warnings.warn(
+        warn(
             f"theta_i is in degrees, but {oblique[-1]:.6g} looks like "
-            f"{meant[-1]:g} degrees in radians",
-            RuntimeWarning,
-            stacklevel=4,
+            f"{meant[-1]:g} degrees in radians"
         )
 
 

@@ -13,13 +13,10 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from .. import llvm
 from ..errors import (
     SettingError,
     SpecimenError,
-    VariantError,
     did_you_mean,
     no_file,
     own_place,
@@ -30,17 +27,17 @@ from ..formats.height_maps import is_height_map
 from ..formats.meshes import is_mesh
 from ..transport.kernels import launches_kernels
 from ..transport.shapes import WATERTIGHT, remember, scene_of
-from ..transport.variants import is_usable
+from ..transport.variants import check_variant
 from .named_files import check_named_files
-from .surface_specimens import surface_specimen
+from .specimen_text import is_word, parse_specimen
 
 __all__ = [
+    "MIRROR",
     "existing",
     "load_plugin_file",
     "load_specimen",
     "loaded",
-    "parse_specimen",
-    "specimen_name",
+    "surface_specimen",
     "with_own_tensors",
 ]
 
@@ -83,37 +80,25 @@ FRAMES = re.compile(
     r'"(goniophotometer|collector|patches|heightfield)": \w+: '
 )
 
+# What a map of heights is made of, unless it is said: every facet reflects all light,
+# so that the record tells the shape alone.
+MIRROR = {"type": "conductor"}
+
 # Modules that plugin files have imported from their own folder.
 _imported: list[str] = []
-
-
-def check_variant() -> None:
-    """Raise :class:`VariantError` if no variant is set that the instrument can use.
-
-    And :class:`LLVMError` if Dr.Jit would abort the process at its first kernel.
-    """
-    if not mi.variant():
-        raise VariantError(
-            "a Mitsuba variant must be set first, "
-            "such as mi.set_variant('llvm_ad_mono')"
-        )
-    if not is_usable(mi.variant()):
-        raise VariantError(
-            "gonio_mi needs an unpolarised llvm or cuda variant, such as "
-            f"mi.set_variant('llvm_ad_mono'), got {mi.variant()}"
-        )
-    if mi.variant().startswith("llvm"):
-        llvm.check()
 
 
 def existing(specimen: str | os.PathLike[str]) -> Path:
     """Path of a specimen that is a file; SpecimenError if there is none."""
     path = Path(specimen)
     if not path.is_file():
-        here = path.parent in (Path(), Path.cwd())
-        bsdf = f"; a BSDF is a dictionary such as {{'type': {path.name!r}}}"
-        bsdf *= here and path.name.isidentifier()
-        raise SpecimenError(no_file(path) + bsdf)
+        word = os.fspath(specimen)
+        if path.parent == Path.cwd():
+            word = path.name
+        hint = ""
+        if re.fullmatch(r"[A-Za-z_]\w+(:\s*\w+\s*=.*)?", word):
+            hint = f"; a BSDF is a dictionary such as {parse_specimen(word)!r}"
+        raise SpecimenError(no_file(path) + hint)
     return path
 
 
@@ -145,7 +130,6 @@ def load_specimen(
     FileFormatError
         If a file that it names is damaged, and Mitsuba would not notice.
     """
-    check_variant()
     if isinstance(specimen, (str, os.PathLike)):
         path = existing(specimen)
         if is_height_map(path):
@@ -262,7 +246,7 @@ def _parameters(plugin: str, loaded_from: Any) -> list[str]:
     node = _node(plugin, loaded_from)
     if path is None or node is None or "filename" in node:
         return []
-    if not all(map(_is_word, node.values())) or _unread(plugin, ()) != set():
+    if not all(map(is_word, node.values())) or _unread(plugin, ()) != set():
         return []
     word = rb"\b[a-z]\w{2,}\b" if path.suffix == ".py" else rb"(?<=\0)[a-z]\w{2,}(?=\0)"
     found = {one.decode() for one in re.findall(word, path.read_bytes())} | INLINED
@@ -381,117 +365,32 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
         ]
 
 
-def parse_specimen(text: str) -> Any:
-    """Specimen from a word of the command line.
+def surface_specimen(
+    path: str | os.PathLike[str],
+    bsdf: dict[str, Any] | None = None,
+    period: Any = None,
+    **settings: Any,
+) -> dict[str, Any]:
+    """Mitsuba dictionary of the plugin `heightfield` for a file of heights.
 
     Parameters
     ----------
-    text : str
-        Path of an existing file or one that ends in ``.xml``; or a BSDF in one word:
-        ``diffuse``, ``roughconductor:alpha=0.2,distribution=ggx``. A value is a number,
-        ``true``, ``false``, a colour ``0.2/0.5/0.1``, or else a text.
-
-    Returns
-    -------
-    str or dict
-        What :func:`load_specimen` takes.
+    path : str or path
+    bsdf : dict, optional
+        What the surface is made of. Default: a mirror.
+    period : {"box", "none"} or (float, float), optional
+        As of :func:`gonio_mi.measure`. Without one the surface is finite, whatever its
+        file says; in a cell its last row and column are joined to the first, so that
+        there is no step.
+    settings : optional
+        Properties of the plugin; None for its default.
     """
-    is_plugin = re.match(r"\w\w+:\s*\w+\s*=", text)  # whatever its last value ends in
-    if os.path.isfile(text) or (text.endswith(".xml") and not is_plugin):
-        return text
-    name, _, settings = text.partition(":")
-    if not re.fullmatch(r"[\w-]*", name):  # a name of no plugin, but of a file
-        if re.match(r"\w+,\s*\w+\s*=", text):  # of a plugin, and a parameter
-            meant = text.replace(",", ":", 1)
-            raise SpecimenError(
-                f"specimen must have a colon before its parameters, as in {meant}, "
-                f"got {text}"
-            )
-        word = "; a BSDF in one word is like roughconductor:alpha=0.2"
-        raise SpecimenError(no_file(text) + (not Path(name).suffix) * word)
-    specimen = {"type": name}
-    # a comma parts two parameters where a name and = follow it, and else two numbers
-    for setting in filter(None, re.split(r",(?=[^,]*=)|,$", settings)):
-        key, equals, value = (part.strip() for part in setting.partition("="))
-        if not (key and equals):
-            raise SpecimenError(
-                f"specimen must look like roughconductor:alpha=0.2, got {text!r}"
-            )
-        if "," in value:
-            raise SpecimenError(_with_commas(key, value))
-        specimen[key] = _value(value)
-    return specimen
-
-
-def _with_commas(key: str, value: str) -> str:
-    """Message on a value with commas, which part parameters."""
-    number = re.fullmatch(r"([-+]?\d+),(\d+)", value)
-    if number:
-        like = f"a number with a point, such as {number[1]}.{number[2]}"
-    elif value.count(",") == 2:
-        like = f"a colour with slashes, such as {value.replace(',', '/')}"
-    else:
-        like = "a value without commas"
-    return f"{key} must be {like}, got {value}"
-
-
-def _value(text: str) -> Any:
-    """Number, boolean, colour or text."""
-    if text in ("true", "false"):
-        return text == "true"
-    if re.fullmatch(r"[-+]?\d+", text):
-        return int(text)
-    try:
-        if text.count("/") == 2:
-            return {"type": "rgb", "value": [float(x) for x in text.split("/")]}
-        return float(text)
-    except ValueError:
-        return text
-
-
-def specimen_name(specimen: Any, parameters: dict[str, Any] | None = None) -> str:
-    """Short name of a specimen: its file, or its BSDF in one word where that fits.
-
-    The inverse of :func:`parse_specimen`, as far as there is one. A scene of one mesh
-    has the name of its file and of what it is made of.
-    """
-    settings = {}
-    if mesh := _only_mesh(specimen):
-        bsdf = mesh["bsdf"]
-        if isinstance(bsdf, dict) and bsdf["type"] == "twosided":
-            bsdf = bsdf.get("bsdf", bsdf)
-        return f"{Path(mesh['filename']).name} of {specimen_name(bsdf)}"
-    if isinstance(specimen, dict):
-        name = specimen["type"]
-        settings = {key: value for key, value in specimen.items() if key != "type"}
-    elif isinstance(specimen, (str, os.PathLike)):
-        name, settings = str(specimen), parameters or {}
-    else:
-        name = specimen.class_name()
-    words = [
-        f"{key}={_word(value)}" for key, value in settings.items() if _is_word(value)
-    ]
-    return f"{name}:{','.join(words)}" if words else name
-
-
-def _only_mesh(specimen: Any) -> dict[str, Any] | None:
-    """The shape of a scene that is a mesh in a file and nothing else."""
-    if not isinstance(specimen, dict) or specimen.get("type") != "scene":
-        return None
-    parts = [part for part in specimen.values() if isinstance(part, dict)]
-    alone = len(parts) == 1 and "filename" in parts[0] and "bsdf" in parts[0]
-    return parts[0] if alone else None
-
-
-def _is_word(value: Any) -> bool:
-    return isinstance(value, (int, float, str)) or _is_colour(value)
-
-
-def _is_colour(value: Any) -> bool:
-    return isinstance(value, dict) and value.get("type") == "rgb"
-
-
-def _word(value: Any) -> str:
-    if _is_colour(value):
-        return "/".join(f"{x:g}" for x in np.ravel(value["value"]))
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    given = {name: value for name, value in settings.items() if value is not None}
+    finite = period is None or (isinstance(period, str) and period == "none")
+    shape = {
+        "type": "heightfield",
+        "filename": os.fspath(path),
+        "periodic": not finite,
+        "bsdf": MIRROR if bsdf is None else bsdf,
+    }
+    return shape | given

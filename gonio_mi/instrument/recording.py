@@ -1,23 +1,39 @@
-"""From tallies to records, and warnings about what was measured."""
+"""From tallies to records: their provenance, warnings, and whether one carries on."""
 
 from __future__ import annotations
 
-import warnings
+import datetime
+import platform
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
+from importlib.metadata import version
+from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SpecimenError
+from ..errors import SettingError, SettingTypeError, SpecimenError, shown, warn
+from ..results.provenance import Provenance, told_settings
 from ..results.record import Record
-from ..results.tally import Ledger, Tally
+from ..results.tally import Ledger, Tally, batch_sizes
+from ..settings import MeasurementSettings
 from ..transport.bench import Bench
+from ..transport.launch import transport_of
+from ..transport.sampling import sampler_name
+from ..transport.scene_objects import class_of
+from ..transport.variants import processor
 from ..transport.wavelengths import channel_names
-from .description import described
-from .schedule import Target
+from .schedule import Target, rays_sent, rounds
 
-__all__ = ["record_of", "records_of", "warn_of_interruption"]
+__all__ = [
+    "check_resumable",
+    "settings_and_provenance",
+    "record_of",
+    "records_of",
+    "warn_of_interruption",
+]
 
 # Light is said to be created where the intervals of this level begin above all that
 # came, and by more than what a path of so many events loses to single precision.
@@ -39,7 +55,7 @@ def record_of(bench: Bench, tally: Tally) -> Record:
     _warn_of_astray(ledger)
     if not mi.is_spectral and tally.achromatic:
         tally = tally.first(1)
-    asked, provenance = described(bench)
+    asked, provenance = settings_and_provenance(bench)
     return Record(
         subdivision=bench.collector.subdivision,
         theta_i=np.array([bench.theta_i]),
@@ -97,11 +113,9 @@ def _warn_unless_reached(record: Record, target: Target) -> None:
     reached = record.provenance.reached or 0.0
     if not reached <= target.goal:
         where = "" if target.of_noise else " in the worst patch"
-        warnings.warn(
+        warn(
             f"{target.name} of {target.goal:g} was not reached with "
-            f"{target.max_rays:g} rays: it is {reached:.3g}{where}",
-            RuntimeWarning,
-            stacklevel=3,
+            f"{target.max_rays:g} rays: it is {reached:.3g}{where}"
         )
 
 
@@ -115,7 +129,7 @@ def warn_of_interruption(benches: Sequence[Bench], record: Record) -> None:
     else:
         asked = settings.rays * n_incident * len(benches[0].passes)
         kept = f"{record.ledger.emitted} of {asked} rays; resume= carries it on"
-    warnings.warn(f"interrupted: the record holds {kept}", RuntimeWarning, stacklevel=3)
+    warn(f"interrupted: the record holds {kept}")
 
 
 def _warn_of_created_light(records: Sequence[Record]) -> None:
@@ -129,11 +143,9 @@ def _warn_of_created_light(records: Sequence[Record]) -> None:
             low = low + record.interval(SURE, "dht")[0]
         if np.any(low > 1 + PATH_ROUNDING):
             theta_i, phi_i = record.theta_i[0], record.phi_i[0]
-            warnings.warn(
+            warn(
                 f"the BSDF creates light: {np.max(total):.6g} of what came leaves for "
-                f"incidence at theta_i {theta_i:g}, phi_i {phi_i:g}",
-                RuntimeWarning,
-                stacklevel=3,
+                f"incidence at theta_i {theta_i:g}, phi_i {phi_i:g}"
             )
             return
 
@@ -141,12 +153,10 @@ def _warn_of_created_light(records: Sequence[Record]) -> None:
 def _warn_of_invalid(ledger: Ledger, functions: str, collimated: bool) -> None:
     if ledger.invalid:
         near = "" if collimated else " or the emitter is too near for single rays,"
-        warnings.warn(
+        warn(
             f"the BSDF's {functions} returned a negative, infinite or NaN weight, or "
             f"no unit direction,{near} for {ledger.invalid} of {ledger.emitted} "
-            "rays; they are in the ledger's row invalid and in no patch",
-            RuntimeWarning,
-            stacklevel=3,
+            "rays; they are in the ledger's row invalid and in no patch"
         )
 
 
@@ -164,12 +174,134 @@ def _check_arrived(ledger: Ledger) -> None:
 
 def _warn_of_astray(ledger: Ledger) -> None:
     if ledger.astray:
-        warnings.warn(
+        warn(
             "a shape with a medium must be closed, and overlap no other, but "
             f"{ledger.astray} of {ledger.emitted} rays left the scene inside of a "
             "medium or met a surface that is said to lie in another one; they are in "
             "the ledger's row astray and in no patch; layers that are open at their "
-            "sides are measured with --period box",
-            RuntimeWarning,
-            stacklevel=3,
+            "sides are measured with --period box"
         )
+
+
+# A parameter of a medium that has more, such as a grid, is told by its size.
+MOST_NUMBERS = 4
+
+
+@cache
+def _own_version() -> str:
+    """Version of the installed package, which is looked up in its files."""
+    return version("gonio-mi")
+
+
+def settings_and_provenance(bench: Bench) -> tuple[MeasurementSettings, Provenance]:
+    """What was asked for of a measurement, and how it came about."""
+    settings, specimen = bench.settings, bench.specimen
+    goals: dict[str, Any] = {}
+    digests: dict[str, Any] = bench.digests
+    if settings.estimator.integrates:
+        goals = {"rel_err": settings.integral_err, "noise": None}
+    side = "front" if bench.beam.side > 0 else "back"
+    provenance = Provenance(
+        specimen=specimen.name,
+        surface=specimen.description,
+        media=tuple(map(_medium_text, specimen.media)),
+        defects=tuple(specimen.defects),
+        **digests,
+        transmission=specimen.transmission,
+        emitter=bench.beam.emitter.class_name(),
+        transport=transport_of(bench),
+        sampler=sampler_name(bench.sampler),
+        seeds=(settings.seed,),
+        rays=settings.rays if bench.samples else 0,
+        passes=len(bench.passes),
+        variant=mi.variant(),
+        versions={
+            "gonio_mi": _own_version(),
+            "mitsuba": mi.__version__,
+            "drjit": dr.__version__,
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
+        processors=(processor(),),
+        created=datetime.datetime.now(datetime.timezone.utc).isoformat("T", "seconds"),
+    )
+    return replace(settings, side=side, **goals), provenance
+
+
+def _medium_text(medium: Any) -> str:
+    """One line on a medium: its classes and numbers; of large arrays, their size.
+
+    What is no number, of a plugin of somebody's own, is left out.
+    """
+    numbers = {}
+    for name, value in mi.traverse(medium):
+        try:
+            flat = np.ravel(np.array(value, dtype=float))
+        except (TypeError, ValueError):
+            continue
+        name = name.removesuffix(".value").removesuffix(".value")
+        few = "/".join(f"{number:g}" for number in flat)
+        if mi.is_spectral and flat.size == 3:
+            few = "of a colour"  # the numbers are coefficients of its spectrum
+        numbers[name] = few if flat.size <= MOST_NUMBERS else f"{flat.size} numbers"
+    phase = class_of(medium.phase_function())
+    told = ", ".join(f"{name} {value}" for name, value in numbers.items())
+    return f"{class_of(medium)} with {phase}: {told}"
+
+
+# Settings that say nothing of the rays.
+FREE = {"created", "defects", "versions", "processors", "specimen"}
+
+
+def check_resumable(resume: Record, benches: Sequence[Bench], step: int) -> None:
+    """Raise ValueError unless `resume` is the beginning of this measurement.
+
+    Parameters
+    ----------
+    resume : Record
+    benches : sequence of Bench
+        For each incident direction; the record may hold the first ones only.
+    step : int
+        Rays of each batch in the first rounds; the record may hold those of whole
+        :func:`~.schedule.rounds`, or of the first round the first batches only.
+    """
+    if not isinstance(resume, Record):
+        raise SettingTypeError(f"resume must be a Record, got {shown(resume)}")
+    if len(resume) > len(benches):
+        raise SettingError(
+            f"resume must hold at most {len(benches)} incident directions, "
+            f"got {len(resume)}"
+        )
+    nm, n = benches[0].settings.wavelengths, len(resume.channels)
+    for i, bench in enumerate(benches[: len(resume)]):
+        own = told_settings(*settings_and_provenance(bench)) | {
+            "channels": channel_names(nm, n),
+            "collector": str(bench.collector.subdivision),
+            "theta_i": bench.theta_i,
+            "phi_i": bench.phi_i,
+            "hemispheres": "both" if bench.shape[0] == 2 else "upper",
+        }
+        others = dict(resume.settings) | {
+            "channels": resume.channels,
+            "collector": str(resume.subdivision),
+            "theta_i": float(resume.theta_i[i]),
+            "phi_i": float(resume.phi_i[i]),
+            "hemispheres": "both" if resume.has_lower else "upper",
+        }
+        for key in sorted(own.keys() - FREE):
+            if own[key] != others.get(key) and own[key] == own[key]:
+                raise SettingError(
+                    "resume must be a record of this measurement, but it was made with "
+                    f"{key}={shown(others.get(key))} instead of {shown(own[key])}"
+                )
+    settings = benches[0].settings
+    plan = batch_sizes(settings.rays, settings.batches)
+    for bench, tally in zip(benches, resume.tallies):
+        sent = rays_sent([tally], len(bench.passes))
+        ends = rounds(plan, step)
+        if sent not in ends and sent != ends[0][: len(sent)]:
+            raise SettingError(
+                "resume must be a record of this measurement, but it was made in "
+                f"{len(sent)} batches of up to {max(sent)} rays instead of "
+                f"{len(plan)} of up to {max(plan)}"
+            )

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SettingTypeError, SpecimenError, shown
+from ..errors import SettingTypeError, SpecimenError, shown, warn
 from ..quadrature.plane import check_integrable
 from ..settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings, Order
 from ..transport.beam import Beam
 from ..transport.bench import Bench
-from ..transport.bsdf_trial import check_works
+from ..transport.bsdf_trial import check_works, warn_of_roughness
 from ..transport.collector_sphere import CollectorSphere
 from ..transport.media import check_media
 from ..transport.next_event import check_traced
@@ -110,6 +109,7 @@ def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:
     lanes = [wavelength_lanes(nm) for nm in passes(settings.wavelengths)]
     bsdfs = [surface.bsdf() for surface in specimen.surfaces]
     check_works(bsdfs, lanes[0], settings.estimator)
+    warn_of_roughness(bsdfs)
     if mi.is_spectral:
         check_covered([*bsdfs, *specimen.media], settings.wavelengths)
     if specimen.media:
@@ -130,7 +130,7 @@ def _find_defects(specimen: Specimen, nm: tuple[float, ...], lanes: Any) -> None
         found = filter(None, (defect(phase, lanes, *box) for phase in phases))
         sentences = list(dict.fromkeys(found))
         for sentence in sentences:
-            warnings.warn(sentence, RuntimeWarning, stacklevel=4)
+            warn(sentence)
         _defects[key] = sentences
     specimen.defects = _defects[key]
 

@@ -344,13 +344,13 @@ class SampledEstimates(Estimates):
         which none was seen (Hanley and Lippman-Hand 1983, JAMA 249, 1743): rays that
         are lost, or received as well; and where all were received, which hits of unit
         weight at most can exceed, rays of that weight. However many the rays, they
-        leave open the rounding of what they carry.
+        leave open the rounding of what they carry. No flux is negative.
         """
         unseen = statistics.upper_limit(self.rays, level)
         more = (hits < self.rays) | self.deposited
         above = np.where(more, weight, np.maximum(1 - weight, 0))
         rounding = ROUNDING * value
-        return statistics.student_interval(
+        low, high = statistics.student_interval(
             value,
             std_err,
             self.tally.n_batches,
@@ -358,6 +358,7 @@ class SampledEstimates(Estimates):
             below=np.maximum(unseen * weight, rounding),
             above=np.where(above > 0, np.maximum(unseen * above, rounding), 0.0),
         )
+        return np.maximum(low, 0.0), high
 
 
 @dataclass(frozen=True, eq=False)

@@ -168,7 +168,7 @@ class Provenance:
     variant : str
     versions : mapping of str to str
     processors : tuple of str
-        That sent the rays; see :func:`gonio_mi.instrument.description.processor`.
+        That sent the rays; see :func:`gonio_mi.transport.variants.processor`.
     created : str
         Date and time.
     interrupted : bool

@@ -48,6 +48,12 @@ MOST_POINTS = 1024
 # Relative error of each patch to which `quadrature` integrates, if none is asked for.
 INTEGRAL_ERR = 1e-4
 
+# Arguments of `measure` that are no settings.
+ARGUMENTS = (
+    *("specimen", "theta_i", "phi_i", "emitter", "parameters"),
+    *("resume", "executor", "folder", "progress"),
+)
+
 LIGHT, PATCHES, METHOD, EVENTS = (
     "light",
     "collector",
@@ -478,6 +484,6 @@ class MeasurementSettings:
             known = ", ".join(names)
             raise SettingTypeError(
                 f"measure has no setting {name!r}: take one of {known}"
-                f"{did_you_mean(name, names)}"
+                f"{did_you_mean(name, (*ARGUMENTS, *names))}"
             )
         return replace(self, **{k: v for k, v in given.items() if v is not None})

@@ -10,9 +10,10 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-from ..errors import SpecimenError, abridged, own_frame
-from .scene_objects import class_of
+from ..errors import SpecimenError, abridged, own_frame, warn
+from .scene_objects import class_of, traversed
 from .variants import usable_variants
 
 __all__ = [
@@ -22,7 +23,16 @@ __all__ = [
     "checked_parts",
     "checked_sample",
     "missing_method",
+    "warn_of_roughness",
 ]
+
+# Ranges of the parameters of Mitsuba's BSDFs that say how rough a surface is.
+ROUGHNESS_RANGES = {
+    "alpha": (0.0, np.inf),
+    "alpha_u": (0.0, np.inf),
+    "alpha_v": (0.0, np.inf),
+    "roughness": (0.0, 1.0),
+}
 
 # What a method that a plugin in Python does not have raises.
 _PURE = re.compile(r"::(\w+)\(\)'\): tried to call a pure virtual function")
@@ -139,6 +149,26 @@ def check_works(bsdfs: Iterable[Any], wavelengths: Any, estimator: str) -> None:
             place = f"{os.path.basename(frame.file)}, line {frame.line}"
             said = f"{type(error).__name__} in {place}: {text}"
             raise _refused(bsdf, said) from error
+
+
+def warn_of_roughness(bsdfs: Iterable[Any]) -> None:
+    """Warn of roughnesses out of their range, which Mitsuba takes without a word."""
+    found: dict[str, None] = {}
+    for bsdf in bsdfs:
+        for key, value in traversed(bsdf):
+            name = key.removesuffix(".value").removesuffix(".data")
+            low, high = ROUGHNESS_RANGES.get(name.rpartition(".")[2], (-np.inf, np.inf))
+            numbers = np.ravel(np.array(value, dtype=float)) if low == 0 else []
+            for number in [x for x in numbers if not low <= x <= high][:1]:
+                limits = f"from 0 to {high:g}" if high < np.inf else "0 or more"
+                sentence = (
+                    f"{name} of the BSDF {class_of(bsdf)} must be {limits}, got "
+                    f"{number:g}: Mitsuba puts another number in its place, which is "
+                    "what is measured"
+                )
+                found[sentence] = None
+    for sentence in found:
+        warn(sentence)
 
 
 def _refused(bsdf: Any, text: str, elsewhere: bool = True) -> SpecimenError:

@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import LostRaysError, VariantError
+from .variants import check_variant
 
 __all__ = [
     "check_all_counted",
@@ -50,12 +51,15 @@ class launches_kernels(ContextDecorator):  # noqa: N801
     Raises
     ------
     VariantError
-        At the entrance, if a flag of Dr.Jit is set with which no kernel works, or if
-        another thread has set another variant than this one; in the end, if that has
-        happened meanwhile.
+        At the entrance, if no usable variant is set, or a flag of Dr.Jit with which no
+        kernel works, or if another thread has set another variant than this one; in
+        the end, if that has happened meanwhile.
+    LLVMError
+        At the entrance, if Dr.Jit would abort the process.
     """
 
     def __enter__(self) -> None:
+        check_variant()
         _lock.acquire()
         try:
             _check_flags()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -12,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SpecimenError, abridged
+from ..errors import SpecimenError, abridged, warn
 from ..settings.parsed import Period
 from .digest import digest
 from .media import media_of
@@ -204,12 +203,10 @@ class Specimen:
         """Warn of what single precision does to geometry far from the origin."""
         error = (self.reach - self.size) * OFF_BY / self.detail
         if error > WORTH_A_WARNING:
-            warnings.warn(
+            warn(
                 f"the specimen lies up to {self.reach:g} scene units from the origin, "
                 f"where rounding changes results by up to {error:.1g} of their value: "
-                "move it to the origin",
-                RuntimeWarning,
-                stacklevel=4,
+                "move it to the origin"
             )
 
     def _check_walls(self) -> None:
@@ -224,12 +221,10 @@ class Specimen:
             )
         walls = walls_in_sides(self.surfaces, self.low, self.high, refracts)
         if walls:
-            warnings.warn(
+            warn(
                 f"{walls[0]} refracts light at walls in the sides of the periodic "
                 "cell: if the specimen is one piece, such as a film, leave out these "
-                "walls, for they send light astray and back",
-                RuntimeWarning,
-                stacklevel=4,
+                "walls, for they send light astray and back"
             )
 
     def _set_cell(self, period: Period) -> None:

@@ -12,14 +12,10 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
-from ..instrument.loading import (
-    check_variant,
-    load_specimen,
-    loaded,
-    specimen_name,
-    with_own_tensors,
-)
+from ..instrument.loading import load_specimen, loaded, with_own_tensors
+from ..instrument.specimen_text import specimen_name
 from ..transport.kernels import launches_kernels
+from ..transport.variants import check_variant
 from .checks import (
     adjoint,
     answers,

@@ -15,7 +15,8 @@ from scipy import special
 
 from ..array_types import Flags, Floats
 from ..errors import checked_count, checked_number
-from ..instrument.loading import check_variant, specimen_name
+from ..instrument.specimen_text import specimen_name
+from ..transport.variants import check_variant
 from ..validation.samples import BSDF_ROUNDING, SLACK, ULPS, is_many
 from .asking import Answers, Question, ask, interpreter
 

@@ -18,7 +18,8 @@ import numpy as np
 
 from ..errors import FileFormatError, SettingError, checked_number
 from ..files.writing import replacing
-from ..instrument.loading import check_variant, specimen_name
+from ..instrument.specimen_text import specimen_name
+from ..transport.variants import check_variant
 from ..validation.samples import SLACK, ULPS
 from .asking import Answers, Question, ask, interpreter
 from .differing import Differences, alike, asked_of

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.array_types import Floats, Integers
-from gonio_mi.campaigns.measuring import measure
+from gonio_mi.campaigns.measure import measure
 from gonio_mi.collector import EqualProjectedSolidAngle, EqualSolidAngle, Subdivision
 from gonio_mi.collector.directions import direction
 from gonio_mi.quadrature import integrate

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.array_types import Floats
-from gonio_mi.campaigns.measuring import measure
+from gonio_mi.campaigns.measure import measure
 from gonio_mi.quadrature import integrate
 
 from .baselines import PATCHES

@@ -10,7 +10,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from gonio_mi.campaigns.measuring import measure
+from gonio_mi.campaigns.measure import measure
 from gonio_mi.results.record import Record
 from gonio_mi.results.summary import summarize
 

@@ -1,6 +1,6 @@
 """Memory and time per ray, as the rays grow: neither may."""
 
-from gonio_mi.campaigns.measuring import measure
+from gonio_mi.campaigns.measure import measure
 
 from .baselines import PATCHES, THETA_I
 from .table import print_table

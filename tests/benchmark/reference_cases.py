@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 from scipy import stats
 
-from gonio_mi.campaigns.measuring import measure
+from gonio_mi.campaigns.measure import measure
 from gonio_mi.collector import subdivision
 from gonio_mi.quadrature import integrate
 from gonio_mi.results.ray_bounds import rms_expectation

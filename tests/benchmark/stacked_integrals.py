@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from gonio_mi.campaigns.measuring import measure
+from gonio_mi.campaigns.measure import measure
 
 from .baselines import PATCHES
 from .table import print_table

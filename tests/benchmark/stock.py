@@ -6,7 +6,7 @@ from pathlib import Path
 
 import mitsuba as mi
 
-from gonio_mi.campaigns.measuring import measure
+from gonio_mi.campaigns.measure import measure
 from gonio_mi.exports.exporting import export
 from gonio_mi.validation.validate import validate
 from gonio_mi.validation.verdict import Verdict

@@ -7,7 +7,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from gonio_mi.campaigns.measuring import measure
+from gonio_mi.campaigns.measure import measure
 
 from .baselines import PATCHES, THETA_I, gonio_rays
 from .discrete_ordinates import henyey_greenstein, theory

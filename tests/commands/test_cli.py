@@ -617,7 +617,7 @@ def test_ctrl_c_in_a_stack(run, plugins, tmp_path):
 @pytest.mark.usefixtures("sigint")
 def test_ctrl_c_keeps_whole_integrals(run, plugins, tmp_path, monkeypatch):
     """Of those that share kernels all or none: here each has its own."""
-    monkeypatch.setattr("gonio_mi.instrument.measurement.TOGETHER", 1)
+    monkeypatch.setattr("gonio_mi.instrument.measure.TOGETHER", 1)
     part = tmp_path / "part.npz"
     angles = ("--theta-i", "0", "30", "60", "--estimator", "quadrature", "-q")
     plate = ("measure", "test_interrupted:at=24", *plugins, *angles)
@@ -964,7 +964,7 @@ def report_of_bug(refuse, tmp_path, monkeypatch):
 @pytest.fixture(params=FAULTS)
 def measure_with_bug(request, monkeypatch):
     """A function of ours that has a bug, which is where `measure` was."""
-    scope = {"__name__": "gonio_mi.campaigns.measuring", "np": np}
+    scope = {"__name__": "gonio_mi.campaigns.measure", "np": np}
     exec(f"def measure(*_, **__):\n    return {request.param}", scope)
     monkeypatch.setattr("gonio_mi.commands.measure.measure", scope["measure"])
 

@@ -19,7 +19,7 @@ from gonio_mi.exports import exporting, radiance_export, resampling
 from gonio_mi.exports.loss import Loss, in_words
 from gonio_mi.formats import radiance, tensor_tree
 from gonio_mi.formats.radiance import RadianceBSDF
-from gonio_mi.instrument.loading import parse_specimen
+from gonio_mi.instrument.specimen_text import parse_specimen
 
 KLEMS = Klems()
 OMEGA = KLEMS.projected_solid_angles

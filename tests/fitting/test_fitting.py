@@ -18,7 +18,7 @@ from gonio_mi.fitting.fitted_model import FREE, FittedModel, LoadedModel
 from gonio_mi.fitting.least_squares import STEP
 from gonio_mi.fitting.observations import pooled
 from gonio_mi.fitting.predictions import REL_ERR
-from gonio_mi.instrument.loading import parse_specimen
+from gonio_mi.instrument.specimen_text import parse_specimen
 
 # isort: split
 import drjit as dr

@@ -10,9 +10,9 @@ import synthetic
 
 import gonio_mi as gonio
 from gonio_mi import llvm
-from gonio_mi.instrument import description
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
+from gonio_mi.transport import variants
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -31,7 +31,7 @@ def elsewhere(monkeypatch):
 
     def call(function, *args, **settings):
         with monkeypatch.context() as patch:
-            patch.setattr(description, "target", lambda: OTHER)
+            patch.setattr(variants, "target", lambda: OTHER)
             return function(*args, **settings)
 
     return call
@@ -49,7 +49,7 @@ def told(record):
 def test_the_record_names_it():
     """Exact: the name, the width of Dr.Jit's own packets, and LLVM's version."""
     [text] = measured().settings["processors"]
-    name, width = description.target()
+    name, width = variants.target()
     version = llvm.dotted(dr.detail.llvm_version())
     assert text == f"{name}, vectors of {width}, LLVM {version}"
     assert width in (2, 4, 8, 16, 32)
@@ -106,5 +106,5 @@ def test_what_is_no_list_of_texts_is_refused(tmp_path, value):
 
 
 def test_where_the_library_is_another_one(monkeypatch, tmp_path):
-    monkeypatch.setattr(description.dr, "__file__", str(tmp_path / "__init__.py"))
-    assert "vectors of unknown width" in description.processor()
+    monkeypatch.setattr(variants.dr, "__file__", str(tmp_path / "__init__.py"))
+    assert "vectors of unknown width" in variants.processor()

@@ -153,7 +153,7 @@ def test_misspelt_parameters_take_few_loads(specimen, most, advice, monkeypatch)
 
 def test_colour_of_one_number():
     grey = {"type": "rgb", "value": 0.05}
-    name = loading.specimen_name({"type": "diffuse", "reflectance": grey})
+    name = specimen_text.specimen_name({"type": "diffuse", "reflectance": grey})
     assert name == "diffuse:reflectance=0.05"
 
 

@@ -90,9 +90,9 @@ def test_no_radii(radii, words):
 
 
 def test_settings_that_it_has_not():
-    with pytest.raises(ValueError, match="footprint is no setting of exit_profile"):
+    with pytest.raises(ValueError, match="exit_profile does not accept footprint"):
         gonio.exit_profile(stack(medium()), RADII, footprint=1.0)
-    with pytest.raises(ValueError, match="noise is no setting of exit_profile"):
+    with pytest.raises(ValueError, match="exit_profile does not accept noise"):
         gonio.exit_profile(stack(medium()), RADII, noise=0.01)
 
 

@@ -21,7 +21,7 @@ from budget import (
 )
 from slabs import NULL, medium, rectangle, stack
 
-from gonio_mi.instrument import description
+from gonio_mi.instrument import recording
 from gonio_mi.instrument.launcher import Pace
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
@@ -232,7 +232,7 @@ def test_scatterings_may_be_limited():
 def test_what_is_no_number_costs_no_record(monkeypatch):
     odd = [("name", object()), ("words", "grey"), ("sigma_t", 5.0)]
     monkeypatch.setattr(mi, "traverse", lambda _: odd)
-    told = description._of_medium(mi.load_dict({"type": "homogeneous"}))
+    told = recording._medium_text(mi.load_dict({"type": "homogeneous"}))
     assert told == "HomogeneousMedium with IsotropicPhaseFunction: sigma_t 5"
 
 

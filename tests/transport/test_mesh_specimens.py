@@ -99,7 +99,7 @@ def test_the_axis_that_is_said_becomes_the_normal(tmp_path, reference, normal):
     axis = "xyz".index(normal[-1])
     sign = -1 if normal[0] == "-" else 1
     path = tmp_path / "turned.obj"
-    matrix = np.array(gonio.instrument.mesh_specimens.NORMALS[normal], dtype=float)
+    matrix = np.array(gonio.instrument.mesh.NORMALS[normal], dtype=float)
     assert np.linalg.det(matrix) == 1
     assert (matrix[2] == sign * np.eye(3)[axis]).all()
     path.write_bytes(obj(CORNERS @ matrix + [5, -3, 2]))

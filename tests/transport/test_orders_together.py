@@ -93,8 +93,8 @@ def test_rows_of_the_ledger_by_classes():
     [
         ({"orders": ()}, "orders must hold at least one order, got"),
         ({"orders": ("x",)}, "orders must be 'all', a number"),
-        ({"order": "1"}, "order is no setting of measure_orders"),
-        ({"resume": None}, "resume is no setting of measure_orders"),
+        ({"order": "1"}, "measure_orders does not accept order"),
+        ({"resume": None}, "measure_orders does not accept resume"),
     ],
 )
 def test_bad_orders_are_refused(settings, message):

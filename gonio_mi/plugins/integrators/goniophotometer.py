@@ -7,14 +7,14 @@ from typing import Any
 import mitsuba as mi
 
 from gonio_mi.errors import SpecimenError
-from gonio_mi.instrument.loading import check_variant
-from gonio_mi.instrument.measurement import send_all
+from gonio_mi.instrument.measure import send_all
 from gonio_mi.instrument.recording import records_of
 from gonio_mi.instrument.setup import own_settings, set_up
 from gonio_mi.results.tally import Tally
 from gonio_mi.settings import INTEGRATOR, MeasurementSettings, plugin_table
 from gonio_mi.settings.manual import example
 from gonio_mi.transport.kernels import launches_kernels
+from gonio_mi.transport.variants import check_variant
 
 
 @example("integrator", "goniophotometer", rays=1000000)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from gonio_mi import properties
 from gonio_mi.array_types import Floats
-from gonio_mi.errors import SpecimenError, check_memory
+from gonio_mi.errors import SpecimenError, check_memory, warn
 from gonio_mi.formats.height_maps import HeightMap, read_height_map
 from gonio_mi.settings.manual import example
 from gonio_mi.surfaces.heights import (
@@ -155,7 +154,7 @@ def heightfield(props: mi.Properties) -> mi.Mesh:
     """
     name, ready = _topography(props)
     for concern in ready.concerns():
-        warnings.warn(concern, RuntimeWarning, stacklevel=2)
+        warn(concern)
     if "face_normals" not in props:
         props["face_normals"] = True
     smooth = not props["face_normals"]

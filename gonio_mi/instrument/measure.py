@@ -1,4 +1,4 @@
-"""One measurement, here and at once: sets up, sends rays, and makes the record."""
+"""Measure here and at once: set up, send rays, and make the records."""
 
 from __future__ import annotations
 
@@ -24,19 +24,17 @@ from ..transport.bench import Bench
 from ..transport.kernels import launches_kernels
 from .incidence import incident_angles
 from .launcher import Launcher, round_rays
-from .loading import check_variant, load_specimen, specimen_name
+from .loading import load_specimen
 from .named_files import check_named_files
-from .recording import record_of, records_of, warn_of_interruption
-from .resuming import check_resumable
+from .recording import check_resumable, record_of, records_of, warn_of_interruption
 from .schedule import Target, rays_sent, rounds, schedule
 from .setup import own_settings, set_up
+from .specimen_text import specimen_name
 
 __all__ = [
     "measure_each",
-    "measure_here",
     "measure_orders",
     "measure_stacks",
-    "measure_whole",
     "send_all",
     "whole",
 ]
@@ -47,27 +45,14 @@ logger = logging.getLogger(__name__)
 TOGETHER = 64
 
 
-def measure_here(
-    specimen: Any, theta_i: Any = None, phi_i: Any = 0.0, **settings: Any
-) -> Record:
-    """Record of a specimen; see :func:`~gonio_mi.campaigns.measuring.measure`."""
-    check_variant()
-    patches = MeasurementSettings.among(settings).incident
-    incidents, stacked = incident_angles(theta_i, phi_i, patches)
-    with launches_kernels():
-        (record,) = measure_stacks(specimen, incidents, (), **settings)
-    return record if stacked else record[0]
-
-
 def measure_each(
     specimen: Any, incidents: Sequence[tuple[float, float] | None], **settings: Any
 ) -> Record:
     """Stack of the incident directions, each ``(theta_i, phi_i)`` in degrees or None.
 
-    All else as of :func:`~gonio_mi.campaigns.measuring.measure`.
+    All else as of :func:`~gonio_mi.campaigns.measure.measure`.
     """
-    with launches_kernels():
-        (record,) = measure_stacks(specimen, incidents, (), **settings)
+    (record,) = measure_stacks(specimen, incidents, **settings)
     return record
 
 
@@ -104,39 +89,35 @@ def measure_orders(
     TypeError, ValueError, SpecimenError, VariantError, LostRaysError
         As of :func:`~gonio_mi.measure`.
     """
-    check_variant()
     for name in sorted({"order", "resume"} & settings.keys()):
-        raise SettingError(f"{name} is no setting of measure_orders, got it")
+        raise SettingError(f"measure_orders does not accept {name}")
     parsed = list(dict.fromkeys(Order.parse("orders", one) for one in orders))
     if not parsed:
         raise SettingError(f"orders must hold at least one order, got {shown(orders)}")
-    patches = MeasurementSettings.among(settings).incident
-    incidents, stacked = incident_angles(theta_i, phi_i, patches)
-    with launches_kernels():
-        records = measure_stacks(specimen, incidents, parsed, **settings)
+    incidents, stacked = incident_angles(theta_i, phi_i, settings.get("incident"))
+    records = measure_stacks(specimen, incidents, orders=parsed, **settings)
     return {
         str(order): record if stacked else record[0]
         for order, record in zip(parsed, records)
     }
 
 
+@launches_kernels()
 def measure_stacks(
     specimen: Any,
     incidents: Sequence[tuple[float, float] | None],
-    orders: Sequence[Order],
     *,
+    orders: Sequence[Order] = (),
     progress: bool = False,
     resume: Record | None = None,
     parameters: dict[str, Any] | None = None,
     emitter: dict[str, Any] | None = None,
     **given: Any,
 ) -> list[Record]:
-    """Stacks of the incident directions: of each of the orders, if there are any.
+    """Stacks of the incident directions: of each of the orders, or one of all rays.
 
-    It `launches_kernels`, of which the caller takes care: after an error, what this
-    function holds of a specimen is released.
+    The other arguments are those of :func:`~gonio_mi.campaigns.measure.measure`.
     """
-    check_variant()
     given = {name: value for name, value in given.items() if value is not None}
     if orders:
         given["order"] = Order(most=max(order.most for order in orders))
@@ -148,7 +129,7 @@ def measure_stacks(
         given |= {"progress": progress, "parameters": parameters, "emitter": emitter}
         records: list[Record] = []
         for one in orders:
-            records += measure_stacks(specimen, incidents, [one], **given)
+            records += measure_stacks(specimen, incidents, orders=[one], **given)
             if records[-1].provenance.interrupted:
                 break
         return records
@@ -226,11 +207,6 @@ def _integrate(waiting: list[tuple[Bench, list[Tally], list[Tally]]]) -> None:
         for kept, found in zip(tallies, integrals(benches, sent)):
             kept[:] = [found]
         waiting.clear()
-
-
-def measure_whole(specimen: Any, *args: Any, **settings: Any) -> Record:
-    """Like :func:`measure_here`; after Ctrl-C KeyboardInterrupt instead of a part."""
-    return whole(measure_here, specimen, *args, **settings)
 
 
 def whole(measure: Callable[..., Record], *args: Any, **settings: Any) -> Record:

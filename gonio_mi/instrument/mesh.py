@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,11 @@ from ..errors import (
     checked_number,
     no_file,
     shown,
+    warn,
 )
 from ..formats.meshes import MESHES, is_mesh
-from .loading import check_variant, loaded
+from ..transport.variants import check_variant
+from .loading import loaded
 
 __all__ = ["NORMALS", "mesh"]
 
@@ -121,12 +122,10 @@ def _warn_if_upright(name: str, extents: Floats) -> None:
     """Warn if z, which nobody said is the normal, is none by the mesh's extents."""
     thin = int(extents.argmin())
     if extents[2] > UPRIGHT * extents[thin]:
-        warnings.warn(
+        warn(
             f"{name} extends {extents[2]:.3g} along z, its normal by default, but only "
             f"{extents[thin]:.3g} along {'xyz'[thin]}, as if it stood upright: name "
-            f"its normal, such as --normal {'xyz'[thin]}, or --normal z",
-            RuntimeWarning,
-            stacklevel=3,
+            f"its normal, such as --normal {'xyz'[thin]}, or --normal z"
         )
 
 

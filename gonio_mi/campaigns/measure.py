@@ -5,15 +5,14 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
-import numpy as np
-
 from ..errors import SettingError
-from ..instrument.measurement import measure_here
+from ..instrument.incidence import incident_angles
+from ..instrument.measure import measure_stacks, whole
 from ..results.record import Record
 from ..settings import MeasurementSettings, declarations, numpydoc
 from .campaign import campaign
 
-__all__ = ["measure"]
+__all__ = ["measure", "measure_whole"]
 
 
 def measure(
@@ -80,23 +79,29 @@ def measure(
     LostRaysError
         If the ledger does not hold all rays that were sent.
     """
+    incidents, stacked = incident_angles(theta_i, phi_i, settings.get("incident"))
     others: dict[str, Any] = {
         "emitter": emitter,
         "parameters": parameters,
         "progress": progress,
     }
     if executor is None and folder is None:
-        return measure_here(
-            specimen, theta_i, phi_i, resume=resume, **others, **settings
+        (record,) = measure_stacks(
+            specimen, incidents, resume=resume, **others, **settings
         )
-    if resume is not None:
+    elif resume is not None:
         raise SettingError("resume and folder exclude each other, got both")
-    where: dict[str, Any] = {"executor": executor, "folder": folder}
-    done = campaign(
-        {"specimen": specimen}, theta_i, phi_i, **where, **others, **settings
-    )
-    stacked = theta_i is None or np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0
-    return done["specimen"] if stacked else done["specimen"][0]
+    else:
+        where: dict[str, Any] = {"executor": executor, "folder": folder}
+        specimens = {"specimen": specimen}
+        done = campaign(specimens, theta_i, phi_i, **where, **others, **settings)
+        record = done["specimen"]
+    return record if stacked else record[0]
+
+
+def measure_whole(specimen: Any, *args: Any, **settings: Any) -> Record:
+    """Like :func:`measure`; after Ctrl-C KeyboardInterrupt instead of a part."""
+    return whole(measure, specimen, *args, **settings)
 
 
 def _with_settings(signature: inspect.Signature) -> inspect.Signature:
