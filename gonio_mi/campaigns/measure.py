@@ -5,10 +5,11 @@ from __future__ import annotations
 import inspect
 from typing import Any
 
-from ..errors import SettingError
+from ..errors import LostLightWarning, SettingError, warn
 from ..instrument.incidence import incident_angles
 from ..instrument.measure import measure_stacks, whole
 from ..results.record import Record
+from ..results.summary import lost_light
 from ..settings import MeasurementSettings, declarations, numpydoc
 from .campaign import campaign
 
@@ -65,7 +66,8 @@ def measure(
         After Ctrl-C, of the rays that all batches had sent alike: all but the last
         eighth at most once a measurement is long; with a warning and the setting
         ``interrupted``. A BSDF that creates light, as a reflectance above 1 does, gives
-        a warning.
+        a warning, and so does light that is in no patch or misses the specimen, beyond
+        the statistical error.
 
     Raises
     ------
@@ -96,6 +98,8 @@ def measure(
         specimens = {"specimen": specimen}
         done = campaign(specimens, theta_i, phi_i, **where, **others, **settings)
         record = done["specimen"]
+    for sentence in lost_light(record):
+        warn(sentence, LostLightWarning)
     return record if stacked else record[0]
 
 

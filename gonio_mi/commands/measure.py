@@ -16,7 +16,7 @@ from typing import Any
 from .. import exports, files
 from ..campaigns.campaign import campaign
 from ..campaigns.measure import measure
-from ..errors import SettingError
+from ..errors import LostLightWarning, SettingError
 from ..instrument.measure import measure_orders
 from ..plots import ANIMATION_ENDINGS, FIGURE_ENDINGS
 from ..results.record import Record
@@ -201,8 +201,9 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
 
     code = DONE
     with _CtrlC() as ctrl_c, CampaignParts(options) as parts:
-        # said below, with the files' names
+        # said below, with the files' names, and with the numbers
         warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
+        warnings.simplefilter("ignore", LostLightWarning)
         measured = _measure(options, orders)(
             specimen,
             _one_or_many(options.theta_i),
@@ -235,8 +236,12 @@ def _finish(
 ) -> int:
     """Save and show a record; return the exit code."""
     unsaved = _save(record, output)
-    if not options.quiet:
-        tell(summary_text(summarize(record)))
+    numbers = summarize(record)
+    if options.quiet:
+        for text in numbers.warnings:
+            say(f"warning: {text}")
+    else:
+        tell(summary_text(numbers))
     if pressed:
         say(f"interrupted: {_remains(options, output, record)}")
     if unsaved:

@@ -13,7 +13,14 @@ from typing import Any
 
 import mitsuba as mi
 
-from ..errors import SettingError, VariantError, check_memory, is_ctrl_c, shown
+from ..errors import (
+    LostLightWarning,
+    SettingError,
+    VariantError,
+    check_memory,
+    is_ctrl_c,
+    shown,
+)
 from ..progress import bar
 from ..quadrature.plane import integrals
 from ..results.record import Record
@@ -213,6 +220,7 @@ def whole(measure: Callable[..., Record], *args: Any, **settings: Any) -> Record
     """Return what is measured, or raise KeyboardInterrupt if it is a part."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
+        warnings.simplefilter("ignore", LostLightWarning)
         record = measure(*args, **settings)
     if record.provenance.interrupted:
         raise KeyboardInterrupt

@@ -20,6 +20,7 @@ __all__ = [
     "Summary",
     "Total",
     "grouped",
+    "lost_light",
     "summarize",
 ]
 
@@ -264,7 +265,7 @@ def _known(value: Any) -> Any:
 def _warnings(record: Record, directions: Sequence[DirectionSummary]) -> list[str]:
     """Sentences on what makes a record doubtful, or its bits hard to repeat."""
     ledger, provenance = record.ledger, record.provenance
-    sentences, media = list(provenance.defects), provenance.media
+    sentences = list(provenance.defects)
     called = "sample()"
     if record.asked.estimator.deposits:
         called += " or eval()"
@@ -274,22 +275,14 @@ def _warnings(record: Record, directions: Sequence[DirectionSummary]) -> list[st
             "returned a weight that is negative, infinite or NaN, or no unit "
             "direction; their flux is in no patch"
         )
-    if ledger.truncated:
-        limits = "max_depth or max_scatterings" if media else "max_depth"
-        sentences.append(
-            f"{_share(ledger.truncated, ledger)} were truncated by {limits}; their "
-            "flux is in no patch"
-        )
     if ledger.astray:
         sentences.append(
             f"{_share(ledger.astray, ledger)} went astray: a shape with a medium is "
             "open or overlaps another; their flux is in no patch"
         )
-    rows = {
-        "sideways": "left sideways, over the edge of the specimen, into no patch",
-        "missed": MISSED,
-    }
-    if not media:  # else it passed a layer, as it should
+    sentences += _lost_light(record, directions)
+    rows = {}
+    if not provenance.media:  # else it passed a layer, as it should
         rows["direct"] = (
             "passed openings of the periodic cell straight on and are transmitted, as "
             "they should between threads or slats but not in a closed surface"
@@ -299,12 +292,7 @@ def _warnings(record: Record, directions: Sequence[DirectionSummary]) -> list[st
         transmission = "gaps"  # which the few thousand rays did not find
     if transmission in PASSED:
         rows["transmitted"] = PASSED[transmission]
-    for row, sentence in rows.items():
-        if any(direction.exceeds_error(row) for direction in directions):
-            sentences.append(
-                f"{_share(getattr(ledger, row), ledger)} {sentence}: more than the "
-                "statistical error"
-            )
+    sentences += _excessive_rows(ledger, directions, rows)
     several = provenance.each_processor
     if len(several) > 1:
         sentences.append(
@@ -313,6 +301,45 @@ def _warnings(record: Record, directions: Sequence[DirectionSummary]) -> list[st
             "of them repeats these bits"
         )
     return sentences
+
+
+def lost_light(record: Record) -> list[str]:
+    """Sentences on light that is in no patch, or missed the specimen.
+
+    Beside that which a BSDF or a medium has lost by a mistake.
+    """
+    ledger = record.ledger
+    if not (ledger.truncated or ledger.sideways or ledger.missed):
+        return []
+    return _lost_light(record, [_direction(record[i]) for i in range(len(record))])
+
+
+def _lost_light(record: Record, directions: Sequence[DirectionSummary]) -> list[str]:
+    ledger, sentences = record.ledger, []
+    if ledger.truncated:
+        media = record.provenance.media
+        limits = "max_depth or max_scatterings" if media else "max_depth"
+        sentences.append(
+            f"{_share(ledger.truncated, ledger)} were truncated by {limits}; their "
+            "flux is in no patch"
+        )
+    rows = {
+        "sideways": "left sideways, over the edge of the specimen, into no patch",
+        "missed": MISSED,
+    }
+    return sentences + _excessive_rows(ledger, directions, rows)
+
+
+def _excessive_rows(
+    ledger: Ledger, directions: Sequence[DirectionSummary], rows: dict[str, str]
+) -> list[str]:
+    """Sentences on those of the `rows` that exceed the statistical error."""
+    return [
+        f"{_share(getattr(ledger, row), ledger)} {sentence}: more than the "
+        "statistical error"
+        for row, sentence in rows.items()
+        if any(direction.exceeds_error(row) for direction in directions)
+    ]
 
 
 def _share(n: int, ledger: Ledger) -> str:

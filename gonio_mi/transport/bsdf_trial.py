@@ -26,13 +26,13 @@ __all__ = [
     "warn_of_roughness",
 ]
 
-# Ranges of the parameters of Mitsuba's BSDFs that say how rough a surface is.
-ROUGHNESS_RANGES = {
-    "alpha": (0.0, np.inf),
-    "alpha_u": (0.0, np.inf),
-    "alpha_v": (0.0, np.inf),
-    "roughness": (0.0, 1.0),
+# Parameters of Mitsuba's BSDFs that say how rough a surface is, and the largest value
+# that each may have; and what `roughplastic` puts in place of smaller ones.
+LARGEST_ROUGHNESS = {
+    **dict.fromkeys(("alpha", "alpha_u", "alpha_v"), np.inf),
+    "roughness": 1.0,
 }
+CLAMPED = np.float32(1e-4)
 
 # What a method that a plugin in Python does not have raises.
 _PURE = re.compile(r"::(\w+)\(\)'\): tried to call a pure virtual function")
@@ -153,22 +153,32 @@ def check_works(bsdfs: Iterable[Any], wavelengths: Any, estimator: str) -> None:
 
 def warn_of_roughness(bsdfs: Iterable[Any]) -> None:
     """Warn of roughnesses out of their range, which Mitsuba takes without a word."""
-    found: dict[str, None] = {}
+    said = set()
     for bsdf in bsdfs:
         for key, value in traversed(bsdf):
             name = key.removesuffix(".value").removesuffix(".data")
-            low, high = ROUGHNESS_RANGES.get(name.rpartition(".")[2], (-np.inf, np.inf))
-            numbers = np.ravel(np.array(value, dtype=float)) if low == 0 else []
-            for number in [x for x in numbers if not low <= x <= high][:1]:
-                limits = f"from 0 to {high:g}" if high < np.inf else "0 or more"
+            largest = LARGEST_ROUGHNESS.get(name.rpartition(".")[2])
+            if largest is None:
+                continue
+            numbers = np.ravel(np.array(value, dtype=np.float32))
+            if key == name and np.any(numbers == CLAMPED):
+                sentence = (
+                    f"{name} of the BSDF {class_of(bsdf)} is {CLAMPED:g}: Mitsuba puts "
+                    "that in place of any smaller number, negative ones too"
+                )
+            elif np.all((numbers >= 0) & (numbers <= largest)):
+                continue
+            else:
+                limits = "0 or more" if largest == np.inf else f"from 0 to {largest:g}"
+                wrong = numbers[~((numbers >= 0) & (numbers <= largest))][0]
                 sentence = (
                     f"{name} of the BSDF {class_of(bsdf)} must be {limits}, got "
-                    f"{number:g}: Mitsuba puts another number in its place, which is "
-                    "what is measured"
+                    f"{wrong:g}: Mitsuba does not refuse it, and what is measured has "
+                    "another roughness"
                 )
-                found[sentence] = None
-    for sentence in found:
-        warn(sentence)
+            if sentence not in said:
+                said.add(sentence)
+                warn(sentence)
 
 
 def _refused(bsdf: Any, text: str, elsewhere: bool = True) -> SpecimenError:

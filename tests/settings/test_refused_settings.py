@@ -14,7 +14,7 @@ from specimens import diffuse_groove_dhr
 
 from gonio_mi.cli import main
 from gonio_mi.exports import export
-from gonio_mi.instrument import loading
+from gonio_mi.instrument import loading, specimen_text
 from gonio_mi.instrument.incidence import USUAL, incident_angles
 
 PLATE = {"type": "diffuse", "reflectance": 0.5}
