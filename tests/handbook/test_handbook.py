@@ -1,6 +1,7 @@
 """The handbook is built without a warning, and its reference leaves nothing out."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -52,3 +53,19 @@ def test_reference_of_python_is_complete():
     kinds = ("function", "class", "exception")
     for name in gonio.__all__:
         assert any(f".. auto{kind}:: {name}\n" in page for kind in kinds), name
+
+
+def test_modules_that_the_handbook_names_exist():
+    """In backquotes, of the package or of the tests, such as ``files/exr.py``."""
+    for page in (*PAGES.glob("*.md"), ROOT / "README.md"):
+        for name in re.findall(r"[` ](\w[\w/]*/\w+\.py)\b", page.read_text()):
+            found = ROOT / name, ROOT / "gonio_mi" / name
+            assert any(path.is_file() for path in found), f"{page.name}: {name}"
+
+
+def test_how_it_is_built_lists_every_room():
+    text = (PAGES / "how_it_is_built.md").read_text()
+    table = text.partition("| room |")[2].partition("## One path")[0]
+    listed = re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\|([^|]*)", table, re.M)))
+    rooms = [path.parent.name for path in (ROOT / "gonio_mi").glob("*/__init__.py")]
+    assert sorted(listed) == sorted(rooms)

@@ -42,43 +42,8 @@ FAST = {
 # Commands that may find that something is not as it should be.
 VERDICTS = {"compare": (0, 3), "validate": (0, 3)}
 
-# What a page says that its reader has.
-PLUGIN = """
-import mitsuba as mi
 
-
-class MyBSDF(mi.BSDF):
-    def __init__(self, props):
-        mi.BSDF.__init__(self, props)
-        self.inner = mi.load_dict(
-            {"type": "roughconductor", "alpha": props.get("roughness", 0.3)}
-        )
-        self.m_components = [self.inner.flags(i) for i in range(1)]
-        self.m_flags = self.inner.flags()
-
-    def sample(self, *arguments):
-        return self.inner.sample(*arguments)
-
-    def eval(self, *arguments):
-        return self.inner.eval(*arguments)
-
-    def pdf(self, *arguments):
-        return self.inner.pdf(*arguments)
-
-    def eval_pdf(self, *arguments):
-        return self.inner.eval_pdf(*arguments)
-
-    def to_string(self):
-        return "MyBSDF[]"
-
-
-mi.register_bsdf("my_bsdf", MyBSDF)
-"""
-TABLE = "theta_i,phi_i,theta_o,phi_o,value,sigma\n" + "".join(
-    f"45,0,{theta},180,0.15,0.01\n" for theta in range(0, 80, 10)
-)
-
-
+# What pages assume their reader has, beside the files that they show.
 def measured(path, *options):
     command = ["measure", "roughplastic:alpha=0.2", "--theta-i", "45", "--rays", "1e5"]
     assert main([*command, "-o", str(path), *options]) == 0
@@ -106,8 +71,6 @@ GIVEN = {
     "panel.txt": lambda path: path.write_text(PANEL),
     "scan.x3p": scanned,
     "heights.png": imaged,
-    "my_bsdf.py": lambda path: path.write_text(PLUGIN),
-    "measured.csv": lambda path: path.write_text(TABLE),
     "pilot.npz": measured,
     "a.npz": measured,
     "b.npz": lambda path: measured(path, "--seed", "2"),
@@ -118,6 +81,12 @@ def blocks(page):
     """Language and text of the blocks of a page, in their order."""
     found = re.findall(r"^( *)```(\w+)\n(.*?)^\1```", page.read_text(), re.M | re.S)
     return [(language, textwrap.dedent(text)) for _, language, text in found]
+
+
+def shown_file(text):
+    """Name of the file that a block shows, which its first line states, or None."""
+    found = re.match(r"# (\w+\.(?:py|csv|txt))$", text.partition("\n")[0])
+    return found and found[1]
 
 
 def lines(text):
@@ -197,18 +166,24 @@ def test_page_runs_word_for_word(page, tmp_path, monkeypatch):
     variant, known = mi.variant(), {}
     try:
         for language, text in blocks(page):
-            if language in ("bash", "sh"):
+            if name := shown_file(text):
+                (tmp_path / name).write_text(text)
+            elif language in ("bash", "sh"):
                 for words in lines(text):
                     run_command(words, tmp_path)
             elif language == "python":
                 for name in GIVEN:
-                    said = name in text or f"import {Path(name).stem}" in text
-                    if said and not (tmp_path / name).exists():
+                    if name in text and not (tmp_path / name).exists():
                         GIVEN[name](tmp_path / name)
                 run_python(text, tmp_path, known)
     finally:
         if variant is not None:
             mi.set_variant(variant)
+
+
+def test_a_block_that_shows_a_file_is_told_from_others():
+    assert shown_file("# my_bsdf.py\nimport mitsuba as mi\n") == "my_bsdf.py"
+    assert shown_file("import mitsuba as mi\n# my_bsdf.py\n") is None
 
 
 def test_twin_a_wrong_command_is_found(tmp_path, monkeypatch):
