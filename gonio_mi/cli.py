@@ -5,9 +5,11 @@ measurement was interrupted, 3 a validation or comparison failed, 4 a validation
 not decide, 130 interrupted before it had begun, 143 a campaign was ended by SIGTERM.
 """
 
+import argparse
+import importlib
+import inspect
 import io
 import os
-import platform
 import shlex
 import sys
 import tempfile
@@ -15,43 +17,32 @@ import traceback
 import warnings
 from argparse import Namespace
 from collections.abc import Sequence
-from importlib import metadata
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from .commands import (
-    bsdf,
-    chart,
-    compare,
-    diff,
-    doctor,
-    export,
-    fit,
-    measure,
-    plan,
-    plot,
-    report,
-    show,
-    surface,
-    validate,
-)
-from .commands.arguments import (
-    INCOMPLETE,
-    PROGRAM,
-    USER_ERROR,
-    Parser,
-    add_command,
-    say,
-    sentence,
-)
+from .commands.arguments import INCOMPLETE, PROGRAM, USER_ERROR, say, sentence
+from .commands.parser import Parser
 from .errors import SettingError, is_the_users, own_frame
 from .interrupts import end_start_up
 
 __all__ = ["COMMANDS", "main", "parser"]
 
-COMMANDS = (
-    *(measure, show, plot, report, validate, diff, compare, fit, surface, bsdf),
-    *(export, plan, chart, doctor),
-)
+# Each command is the module of this name in `commands`, imported when it is used.
+COMMANDS = {
+    "measure": "Measure how a specimen scatters light.",
+    "show": "Show the numbers of a record, or how a table is understood.",
+    "plot": "Draw a record.",
+    "report": "Write an interactive page of records.",
+    "validate": "Examine a BSDF plugin, and say which function is wrong.",
+    "diff": "Compare what two Mitsuba versions say of the same BSDF.",
+    "compare": "Compare a record with another one or with measured values.",
+    "fit": "Find the parameters of a BSDF from a record or a measured table.",
+    "surface": "Print height, slope and micro-normal statistics.",
+    "bsdf": "Write the BSDF file of a window layer, blind or film.",
+    "export": "Write a record for other tools.",
+    "plan": "Estimate how many rays a measurement needs.",
+    "chart": "Chart speed against accuracy for a specimen.",
+    "doctor": "Check the installation.",
+}
 
 EXAMPLES = """\
 examples:
@@ -60,10 +51,10 @@ examples:
   gonio-mi show run.npz
   gonio-mi plot run.npz -o run.png
 
-exit codes: 0 done, 1 an error (said in one line: yours, or a bug to report), 2
-interrupted, or the asked precision was not reached, 3 a validation or comparison
-failed, 4 a validation could not decide, 130 interrupted before it had begun, 143 a
-campaign was ended by SIGTERM
+exit codes: 0 done, 1 an error (in one line: yours, or a bug to report), 2
+interrupted, or the requested precision was not reached, 3 a validation or comparison
+failed, 4 a validation could not decide, 130 interrupted during start-up, 143 a campaign
+was ended by SIGTERM
 """
 
 
@@ -82,11 +73,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = _show_warning
         options = None
         try:
+            options = parser(_command_of(arguments)).parse_args(arguments)
             end_start_up()
-            options = parser().parse_args(arguments)
             return options.run(options)
         except KeyboardInterrupt:
-            say("interrupted: there is nothing to keep")
+            say("interrupted: nothing was finished, nothing is kept")
             return INCOMPLETE
         except Exception as error:
             if isinstance(error, BrokenPipeError) and error.filename is None:
@@ -120,27 +111,75 @@ def _open_standard_streams() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def parser() -> Parser:
-    """Parser of the whole command line."""
+def _command_of(arguments: Sequence[str]) -> str:
+    """The first word that is no option; empty if there is none."""
+    return next((word for word in arguments if not word.startswith("-")), "")
+
+
+def parser(command: str | None = None) -> Parser:
+    """Parser of the command line.
+
+    Parameters
+    ----------
+    command : str, optional
+        The command whose options are added; no other one is imported. Default: all.
+    """
     whole = Parser(
         prog=PROGRAM,
         description="A virtual goniophotometer for Mitsuba 3.",
         epilog=EXAMPLES,
     )
-    version = metadata.version("gonio-mi")
-    whole.add_argument("--version", action="version", version=f"{PROGRAM} {version}")
-    commands = whole.add_subparsers(metavar="COMMAND")
+    text = "Show the version."
+    whole.add_argument("--version", action=_Version, nargs=0, help=text)
+    commands = whole.add_subparsers(metavar="COMMAND", title="Commands")
     whole.set_defaults(run=_without_command)
-    for command in COMMANDS:
-        add_command(commands, command)
+    for name, summary in COMMANDS.items():
+        if command is None or command == name:
+            _add_command(commands, name)
+        else:
+            commands.add_parser(name, help=summary)
     return whole
 
 
+def _add_command(commands: Any, name: str) -> None:
+    """Add the parser of one command.
+
+    The docstring of its module is the help, after a first line. ``USAGE``,
+    ``EXAMPLES`` and ``RARE`` are the module's own, if it has them.
+    """
+    module = importlib.import_module(f".commands.{name}", __package__)
+    _, _, description = inspect.cleandoc(module.__doc__ or "").partition("\n")
+    own = commands.add_parser(
+        name,
+        help=COMMANDS[name],
+        usage=getattr(module, "USAGE", None),
+        description=description.strip(),
+        epilog=getattr(module, "EXAMPLES", None),
+        rare=getattr(module, "RARE", ()),
+    )
+    own.set_defaults(run=module.run)
+    module.add_options(own)
+
+
+class _Version(argparse.Action):
+    """Prints the version, and ends the program."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        print(_versions(PROGRAM))
+        parser.exit()
+
+
+def _versions(*packages: str) -> str:
+    """Installed versions of packages."""
+    from importlib import metadata  # slow to import
+
+    return ", ".join(f"{package} {metadata.version(package)}" for package in packages)
+
+
 def _without_command(_: Namespace) -> NoReturn:
-    names = ", ".join(command.__name__.rpartition(".")[2] for command in COMMANDS)
     raise SettingError(
-        f"a command must be given, one of {names}: {PROGRAM} --help tells what each "
-        f"does, and {PROGRAM} COMMAND --help its options"
+        f"a command must be given, one of {', '.join(COMMANDS)}: {PROGRAM} --help says "
+        f"what each does, and {PROGRAM} COMMAND --help lists its options"
     )
 
 
@@ -150,23 +189,18 @@ def _show_warning(message: object, *_: object, **__: object) -> None:
 
 def _say_of_bug(error: Exception, arguments: Sequence[str]) -> None:
     """Say that an error is a bug of ours, and keep in a file what a report needs."""
-    packages = (PROGRAM, "mitsuba", "drjit", "numpy")
-    versions = [f"{package} {metadata.version(package)}" for package in packages]
+    import platform
+
+    versions = _versions(PROGRAM, "mitsuba", "drjit", "numpy")
     python = f"Python {platform.python_version()} on {platform.platform()}"
     words = shlex.join([PROGRAM, *arguments])
     trace = "".join(traceback.format_exception(error))
-    report = "\n".join([", ".join([*versions, python]), words, "", trace])
+    report = "\n".join([f"{versions}, {python}", words, "", trace])
     try:
-        with tempfile.NamedTemporaryFile(
-            "w",
-            prefix=f"{PROGRAM}-",
-            suffix=".txt",
-            delete=False,
-            encoding="utf-8",
-            errors="backslashreplace",
-        ) as stream:
-            stream.write(report)
-        place = f"the file {stream.name}"
+        handle, path = tempfile.mkstemp(".txt", f"{PROGRAM}-")
+        with open(handle, "wb") as stream:
+            stream.write(report.encode("utf-8", "backslashreplace"))
+        place = f"the file {path}"
     except OSError:  # nowhere to write
         print(report, file=sys.stderr)
         place = "what is above"

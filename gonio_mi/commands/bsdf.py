@@ -22,22 +22,28 @@ from ..results.record import Record
 from ..surfaces.topography import metres
 from ..transport.shapes import bounds
 from .arguments import (
+    BASES,
     DONE,
     INCOMPLETE,
+    add_number,
+    add_quiet,
     add_scene_options,
+    add_setting,
     add_specimen,
+    add_text,
     check_not_read,
-    number,
+    given_settings,
     specimen_of,
     tell,
 )
 from .campaign_options import add_campaign, campaign_options, kept_after_ctrl_c
-from .setting_options import add_setting, given_settings
-from .surface_options import add_surface_options, prepared_surface
+from .surface import add_surface_options, prepared_surface
 
 __all__ = ["add_options", "run"]
 
 WAVELENGTHS = f"{VISIBLE_NM[0]} to {VISIBLE_NM[-1]} by {VISIBLE_NM[1] - VISIBLE_NM[0]}"
+
+SIZES = ("thickness", "width", "height")
 
 USAGE = "%(prog)s SPECIMEN -o FILE.xml [options]"
 
@@ -58,59 +64,53 @@ examples:
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     add_specimen(parser)
-    group = parser.add_argument_group("file")
-    group.add_argument(
-        "-o", "--output", required=True, metavar="FILE", help="ends in .xml"
-    )
+    group = parser.add_argument_group("File")
+    text = "A file that ends in .xml."
+    group.add_argument("-o", "--output", required=True, metavar="FILE", help=text)
     group.add_argument(
         "--basis",
         default="klems",
-        choices=("klems", "klems-half", "klems-quarter", "tensor3", "tensor4"),
-        help="145, 77 or 41 patches of Klems in each hemisphere, or a tensor tree, of "
-        "rank 3 for isotropic specimens (default: klems)",
+        choices=BASES,
+        metavar="BASIS",
+        help="klems, klems-half or klems-quarter: 145, 77 or 41 patches in each "
+        "hemisphere; or a tensor tree, tensor3 for isotropic or tensor4 for any "
+        "specimens. Default: klems.",
     )
-    group.add_argument(
-        "--cells",
-        type=number,
-        metavar="N",
-        help="cells per axis of a tensor tree, a power of two (default: 32 or 16)",
-    )
-    group.add_argument(
+    text = "Cells per axis of a tensor tree, a power of two. Default: 32 or 16."
+    add_number(group, "--cells", "N", text)
+    add_text(
+        group,
         "--solar",
-        metavar="SPECIMEN",
-        help="scene with solar-weighted material data, for the Solar block; not needed "
-        "with wavelengths from 300 to 2500 nm",
+        "SPECIMEN",
+        "Scene with solar-weighted material data, for the Solar block; not needed "
+        "with wavelengths from 300 to 2500 nm.",
     )
-    _add_product(parser.add_argument_group("product", "what else the file states"))
-    method = parser.add_argument_group("method")
+    product = parser.add_argument_group("Product")
+    text = "Name of the product. Default: the specimen's."
+    add_text(product, "--name", "NAME", text)
+    text = "Manufacturer of the product. Default: gonio-mi."
+    add_text(product, "--manufacturer", "NAME", text, default="gonio-mi")
+    for name in SIZES:
+        text = f"{name.capitalize()} of the product in metres."
+        add_number(product, f"--{name}", "M", text)
+    method = parser.add_argument_group("Method")
     add_setting(method, "rays", f"{RAYS}")
-    for name in ("rel_err", "max_rays", "batches", "sampler", "seed"):
+    for name in ("rel_err", "max_rays", "batches", "sampler", "seed", "estimator"):
         add_setting(method, name)
-    add_setting(method, "estimator")
-    light = parser.add_argument_group("light and events on the surface")
+    light = parser.add_argument_group("Light and surface interactions")
     for name in ("footprint", "wavelengths", "max_depth", "rr_depth", "period"):
         add_setting(light, name, WAVELENGTHS if name == "wavelengths" else None)
     add_surface_options(parser)
-    add_scene_options(parser.add_argument_group("scene"))
-    add_campaign(parser.add_argument_group("campaign"))
-    parser.add_argument(
-        "-q", "--quiet", action="store_true", help="no numbers and no progress bar"
-    )
-
-
-def _add_product(group: object) -> None:
-    """Add the options of the product."""
-    add = group.add_argument  # type: ignore[attr-defined]
-    add("--name", help="of the product (default: the specimen's)")
-    add("--manufacturer", default="gonio-mi", help="default: gonio-mi")
-    for name in ("thickness", "width", "height"):
-        add(f"--{name}", type=number, metavar="M", help="in metres")
+    add_scene_options(parser)
+    group = parser.add_argument_group("Campaign")
+    add_campaign(group)
+    add_quiet(group)
 
 
 def run(options: Namespace) -> int:
     """Measure, write, and return the exit code."""
     check_output(options.output, (".xml",))
-    sizes = {name: _size(options, name) for name in ("thickness", "width", "height")}
+    sizes = {name: _size(options, name) for name in SIZES}
     specimen, parameters = specimen_of(options.specimen, options)
     check_not_read(specimen, options.specimen, [options.output])
     specimen = prepared_surface(specimen, options)
@@ -142,11 +142,14 @@ def run(options: Namespace) -> int:
         sent = records if options.solar is not None else ("front", "back")
         rays = sum(records[name].ledger.emitted for name in sent)
         channels = records["front"].channels
-        kind = f" as at {channels[0]}" if mi.is_spectral and channels != ("Y",) else ""
-        kind += "" if "solar front" in records else ", no block Solar"
+        basis = options.basis
+        if mi.is_spectral and channels != ("Y",):
+            basis += f" as at {channels[0]}"
+        if "solar front" not in records:
+            basis += ", no block Solar"
         tell(
-            f"{options.output}: {options.basis}{kind}, {rays:.3g} rays, "
-            f"{seconds:.0f} s; +- is one standard error\nblocks: {BLOCKS}"
+            f"{options.output}: {basis}, {rays:.3g} rays, {seconds:.0f} s; +- is one "
+            f"standard error\nblocks: {BLOCKS}"
         )
     return INCOMPLETE if any(map(_is_imprecise, records.values())) else DONE
 
@@ -162,16 +165,16 @@ def _size(options: Namespace, name: str) -> float | None:
 def _line(name: str, record: Record) -> str:
     """What a side does to light from about the normal and to diffuse light."""
     normal = record[int(record.theta_i.argmin())]
-    words = f"{name}: from about the normal reflected {_told(normal, 'dhr')}"
+    words = f"{name}: from about the normal reflected {_total(normal, 'dhr')}"
     if record.has_lower:
-        words += f", transmitted {_told(normal, 'dht')}"
+        words += f", transmitted {_total(normal, 'dht')}"
     if record.ledger.direct:
-        words += f" ({_told(normal, 'direct')} directly)"
+        words += f" ({_total(normal, 'direct')} directly)"
     totals = " and ".join(_pair(*total) for total in hemispherical(record))
     return f"{words}; of diffuse light {totals}"
 
 
-def _told(record: Record, name: str) -> str:
+def _total(record: Record, name: str) -> str:
     value, error = getattr(record, name), getattr(record, f"{name}_std_err")
     return _pair(float(value[0]), float(error[0]))
 

@@ -28,23 +28,16 @@ __all__ = [
 TERMINATED = 143
 
 
-def add_campaign(group: Any, kept: str = "") -> None:
-    """Add where to measure, and where to keep what is finished.
-
-    `kept` tells where that is without a folder.
-    """
-    add_number(
-        group,
-        "--workers",
-        "N",
-        "measure the incident directions in that many processes",
-    )
+def add_campaign(group: Any, default: str = "none") -> None:
+    """Add where to measure, and where to keep what is finished."""
+    text = "Measure the incident directions in this many processes."
+    add_number(group, "--workers", "N", text)
     add_text(
         group,
         "--folder",
         "DIR",
-        "keep finished incident directions there: the same command carries on, also"
-        f" after a crash{kept}",
+        "Folder of finished incident directions, from which the same command resumes, "
+        f"also after a crash. Default: {default}.",
     )
 
 
@@ -112,14 +105,12 @@ class CampaignParts:
         self.folder: Path | None = None
         if options.tolerance is not None and not options.folder and options.output:
             self.folder = Path(f"{options.output[0]}.parts")
-        self.options = options
+            self._was_there = self.folder.exists()
+            options.folder = str(self.folder)
         self.name = folder_name(options.specimen)
         self.finished = False
 
     def __enter__(self) -> CampaignParts:
-        self._was_there = self.folder is not None and self.folder.exists()
-        if self.folder is not None:
-            self.options.folder = str(self.folder)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

@@ -1,4 +1,4 @@
-"""``gonio-mi chart``: speed against accuracy for a specimen: what to use.
+"""``gonio-mi chart``: chart speed against accuracy for a specimen.
 
 Measure a specimen by every method with more and more rays, and chart the error over
 rays and over CPU seconds.
@@ -8,7 +8,6 @@ import sys
 from argparse import ArgumentParser, Namespace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from .. import files
 from .arguments import (
@@ -16,13 +15,13 @@ from .arguments import (
     add_number,
     add_output,
     add_scene_options,
+    add_setting,
     add_specimen,
     add_text,
     say,
     specimen_of,
     tell,
 )
-from .setting_options import add_setting
 
 __all__ = ["add_options", "run"]
 
@@ -43,47 +42,26 @@ is that of the process, all threads together, without compilation. SPECIMEN come
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     add_specimen(parser)
-    add_number(
-        parser,
-        "--theta-i",
-        "DEG",
-        "angle of incidence in degrees in [0, 90); the scene's own emitter if it is "
-        "not given",
-    )
-    add_number(parser, "--phi-i", "DEG", "azimuth of incidence in degrees", 0)
+    text = "Angle of incidence in [0, 90). Default: the scene's own emitter."
+    add_number(parser, "--theta-i", "DEG", text)
+    add_number(parser, "--phi-i", "DEG", "Azimuth of incidence.", 0)
     for name in ("side", "collector"):
         add_setting(parser, name)
-    _add_methods(parser.add_argument_group("methods"))
-    add_scene_options(parser.add_argument_group("scene"))
-    output = parser.add_argument_group("output")
-    add_output(output, "write the chart to these .png, .pdf, .svg, .html or .csv files")
-
-
-def _add_methods(group: Any) -> None:
-    """Add the options that say what is compared, and for how long."""
-    add_text(
-        group,
-        "--estimator",
-        "E",
-        "estimators to compare (default: all that apply)",
-        nargs="+",
-    )
-    add_text(
-        group,
-        "--sampler",
-        "S",
-        "samplers to compare (default: independent sobol)",
-        nargs="+",
-    )
-    add_number(group, "--seconds", "T", "about how long all of it may take", 60)
-    add_number(
-        group, "--target", "X", "relative error for which costs are compared", 0.01
-    )
-    add_number(
-        group, "--repeats", "N", "measurements of different seeds for each point", 4
-    )
+    group = parser.add_argument_group("Methods")
+    text = "Estimators to compare. Default: all that apply."
+    add_text(group, "--estimator", "E", text, nargs="+")
+    text = "Samplers to compare. Default: independent and sobol."
+    add_text(group, "--sampler", "S", text, nargs="+")
+    add_number(group, "--seconds", "T", "Approximate time for the whole chart.", 60)
+    text = "Relative error for which costs are compared."
+    add_number(group, "--target", "X", text, 0.01)
+    text = "Measurements with different seeds for each point."
+    add_number(group, "--repeats", "N", text, 4)
     for name in ("batches", "seed"):
         add_setting(group, name)
+    add_scene_options(parser)
+    text = "Write the chart to these .png, .pdf, .svg, .html or .csv files."
+    add_output(parser.add_argument_group("Output"), text)
 
 
 def run(options: Namespace) -> int:

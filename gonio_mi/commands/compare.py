@@ -25,17 +25,18 @@ from .arguments import (
     add_json,
     add_number,
     add_scene_options,
+    add_setting,
     add_text,
+    given_options,
     specimen_of,
     tell,
 )
 from .file_kinds import record_of
-from .setting_options import add_setting
 from .table_options import (
-    TABLE_OPTIONS,
     add_aperture,
     add_table_options,
     add_uncertainties,
+    check_no_table_options,
     table_of,
 )
 
@@ -55,10 +56,12 @@ examples:
 
 The table's header holds lines such as `# quantity: brdf`, `# uncertainty: 0.005`,
 `# aperture_half_angle: 0.75` and `# emitter_half_angle: 0.25`; angles are in degrees.
-For a table of a wavelength a specimen is loaded with llvm_ad_spectral, if no variant
-is said. Exit code 3: they differ by more than chance explains; 2: patches cannot
-decide it.
+For a table of a wavelength the default variant is llvm_ad_spectral. Exit code 3: they
+differ by more than chance explains; 2: patches cannot decide it.
 """
+
+# Settings with which a specimen is measured.
+MEASURED = ("rays", "rel_err", "divergence")
 
 # What names a specimen, and no table.
 SCENES = (".xml", ".obj", ".ply", ".stl")
@@ -67,39 +70,29 @@ SPECIMEN = re.compile(r"[A-Za-z_]\w*(:.*)?")
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    add_text(
-        parser,
-        "record",
-        "RECORD",
-        "an .exr or .npz file, or a specimen as of `measure`, if OTHER is a table",
-    )
-    add_text(
-        parser,
-        "other",
-        "OTHER",
-        "an .exr or .npz file, a table, or a specimen, if RECORD is a file",
-    )
+    text = "An .exr or .npz file, or a specimen to be measured as OTHER was."
+    add_text(parser, "record", "RECORD", text)
+    text = "An .exr or .npz file, a table, or a specimen, if RECORD is a file."
+    add_text(parser, "other", "OTHER", text)
     add_table_options(parser)
     add_uncertainties(parser, "OTHER")
-    add_number(
-        parser, "--alpha", "P", "probability with which a right model fails", 1e-3
-    )
+    text = "Probability with which equal values are reported to differ."
+    add_number(parser, "--alpha", "P", text, 1e-3)
     add_json(parser)
-    parser.add_argument(
-        "-o", "--output", metavar="FIG", help="picture of both curves, such as a.png"
-    )
+    text = "Picture of both curves, such as a.png."
+    parser.add_argument("-o", "--output", metavar="FIG", help=text)
     add_text(
         parser,
         "--budget",
         "CSV",
-        "write what each point is uncertain by: rays, single precision, "
-        "instrument, calibration and, of a specimen with a table, aperture",
+        "Write the uncertainty of each point by source: rays, single precision, "
+        "instrument, calibration and, of a specimen with a table, aperture.",
     )
-    specimen = parser.add_argument_group("for a specimen")
+    specimen = parser.add_argument_group("Specimen")
     for name in ("rays", "rel_err", "divergence", "seed"):
         add_setting(specimen, name)
     add_aperture(specimen)
-    add_scene_options(specimen)
+    add_scene_options(parser)
     # that of the record, or what a table's channel needs
     parser.set_defaults(variant=None)
 
@@ -145,22 +138,19 @@ def _is_record(path: str) -> bool:
 
 def _other(options: Namespace) -> Any:
     """Record or table that OTHER is; None if it is a specimen."""
-    told = {name: getattr(options, name) for name in TABLE_OPTIONS}
     word = options.other
     names_specimen = Path(word).suffix.lower() in SCENES or (
         SPECIMEN.fullmatch(word) and not Path(word).exists()
     )
     if _is_record(word) or (names_specimen and _is_record(options.record)):
-        for name, value in told.items():
-            if value is not None:
-                raise SettingError(f"--{name} goes with a table, got {word!r}")
+        check_no_table_options(word, options)
         return record_of(word) if _is_record(word) else None
     try:
         return table_of(word, options)
     except OpenQuestionsError as error:
         if _is_record(options.record) or options.aperture_half_angle is not None:
             raise
-        aperture = "unless its header tells the aperture, say --aperture-half-angle"
+        aperture = "unless its header states the aperture, say --aperture-half-angle"
         check_nothing_open(error.place, [*error.questions, aperture])
 
 
@@ -181,12 +171,11 @@ def _record(options: Namespace, other: Any) -> tuple[Any, Any]:
         own = record.provenance.variant or DEFAULT_VARIANT
         options.variant = options.variant or own
         return record, specimen_of(options.other, options)
-    for name in ("aperture_half_angle", "divergence", "rel_err"):
-        if getattr(options, name) is not None:
-            raise SettingError(
-                f"--{name.replace('_', '-')} goes with a specimen, which is measured; "
-                f"{word} was"
-            )
+    for name in given_options(options, ("aperture_half_angle", *MEASURED)):
+        raise SettingError(
+            f"--{name.replace('_', '-')} applies to a specimen that is to be measured, "
+            f"got the record {word}"
+        )
     return record_of(word), None
 
 
@@ -201,15 +190,8 @@ def _measured(specimen: tuple[Any, Any], like: Any, options: Namespace) -> Any:
         aperture_half_angle=options.aperture_half_angle,
         seed=options.seed,
         progress=True,
-        **_precision(options),
+        **given_options(options, MEASURED),
     )
-
-
-def _precision(options: Namespace) -> dict[str, Any]:
-    """Settings of a measurement that are given."""
-    names = ("rays", "rel_err", "divergence")
-    given = {name: getattr(options, name) for name in names}
-    return {name: value for name, value in given.items() if value is not None}
 
 
 def _tell_budget(
@@ -231,7 +213,7 @@ def _tell_budget(
                 parameters=specimen[1],
                 aperture_half_angle=options.aperture_half_angle,
                 seed=options.seed,
-                **_precision(options),
+                **given_options(options, MEASURED),
             )
     budget = uncertainty_budget(comparison, scale or 0.0, aperture)
     budget.save(options.budget)

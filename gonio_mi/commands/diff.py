@@ -1,4 +1,4 @@
-"""``gonio-mi diff``: what another Mitsuba version says of the same BSDF.
+"""``gonio-mi diff``: compare what two Mitsuba versions say of the same BSDF.
 
 Compare what two installed versions of Mitsuba say of the same BSDFs, function by
 function, in units of their errors, with what a difference means. Without a BSDF, all of
@@ -58,32 +58,19 @@ def add_options(parser: ArgumentParser) -> None:
         parser,
         "specimens",
         "BSDF",
-        "BSDFs in one word, or scene files with one shape; none for Mitsuba's own; "
-        "or two files of --save",
+        "BSDFs in one word, or scene files with one shape, or two files of --save. "
+        "Default: Mitsuba's own BSDFs.",
         nargs="*",
     )
-    add_text(
-        parser,
-        "--against",
-        "VENV",
-        "the other virtual environment, or its Python",
-    )
-    add_text(
-        parser,
-        "--save",
-        "JSON",
-        "compare nothing: save what --against says, or else this environment",
-    )
-    add_number(parser, "--seed", "S", "of the random numbers", 0)
-    add_number(
-        parser,
-        "--alpha",
-        "P",
-        "probability that equal albedos are said to differ",
-        1e-3,
-    )
+    text = "The other virtual environment, or its Python."
+    add_text(parser, "--against", "VENV", text)
+    text = "Save the answers of --against, or of this environment; compare nothing."
+    add_text(parser, "--save", "JSON", text)
+    add_number(parser, "--seed", "S", "Seed of the random numbers.", 0)
+    text = "Probability that equal albedos are reported to differ."
+    add_number(parser, "--alpha", "P", text, 1e-3)
     add_json(parser)
-    add_scene_options(parser.add_argument_group("scene"), (VARIANT,))
+    add_scene_options(parser, (VARIANT,))
 
 
 def run(options: Namespace) -> int:
@@ -99,14 +86,16 @@ def run(options: Namespace) -> int:
                 f"{', '.join(map(shown, options.specimens))}"
             )
         if options.against is not None or options.save is not None:
-            raise SettingError("two files of --save go without --against and --save")
-        return _told(diff_saved(*files, alpha=options.alpha), options)
+            raise SettingError(
+                "two files of --save cannot be combined with --against or --save"
+            )
+        return _reported(diff_saved(*files, alpha=options.alpha), options)
     if options.save is not None:
         return _save(options)
     if options.against is None:
         raise SettingError("diff needs --against, two files of --save, or --save")
     interpreter(options.against)  # before anything else takes time
-    return _told(_compared(options), options)
+    return _reported(_compared(options), options)
 
 
 def _is_answers(word: str) -> bool:
@@ -114,7 +103,7 @@ def _is_answers(word: str) -> bool:
     return word.endswith(".json") and "=" not in word
 
 
-def _told(found: Iterable[Any], options: Namespace) -> int:
+def _reported(found: Iterable[Any], options: Namespace) -> int:
     """Print what was found, and return the exit code."""
     answers: list[dict[str, Any]] = []
     for one in found:

@@ -35,9 +35,8 @@ def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command: it has none of its own."""
 
 
-def run(options: Namespace) -> int:
+def run(_: Namespace) -> int:
     """Run the command and return the exit code."""
-    del options
     return report()
 
 
@@ -96,7 +95,7 @@ def report(write: Callable[[str], Any] = print) -> int:
     width = max(len(row.name) for row in rows)
     for row in rows:
         write(f"{'ok ' if row.ok else 'BAD'}  {row.name:{width}}  {row.value}")
-    write(f"this machine is {'' if able else 'not '}able to measure")
+    write(f"this machine is {'able' if able else 'not able'} to measure")
     return 0 if able else 1
 
 

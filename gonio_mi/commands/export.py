@@ -14,7 +14,7 @@ from ..errors import SettingError
 from ..files.channels import wavelengths_nm
 from ..formats.radiance import BLOCKS
 from ..formats.reading import endings_of, lost_in_each
-from .arguments import DONE, set_variant, tell
+from .arguments import BASES, DONE, add_text, set_variant, tell
 from .file_kinds import record_of
 
 __all__ = ["add_options", "run"]
@@ -29,38 +29,32 @@ examples:
 """
 EXAMPLES += f"\nwhat a file cannot hold:\n{lost_in_each()}\n"
 
-# Part of the light in other patches above which a finer basis is named.
-COARSE = 0.05
+# Fraction of the flux in other patches above which a finer basis is named.
+MAX_MISPLACED = 0.05
 
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    parser.add_argument(
-        "record",
-        nargs="+",
-        metavar="RECORD",
-        help=".exr or .npz files; two of them, of the front and of the back, for .xml",
-    )
+    text = "An .exr or .npz file; two for .xml, of the front and of the back."
+    add_text(parser, "record", "RECORD", text, nargs="+")
     parser.add_argument(
         "-o",
         "--output",
         required=True,
         nargs="+",
         metavar="OUT",
-        help="files that end in .csv, .astm, .xml, .bsdf, .nc, .h5, .zemax.bsdf, "
-        f".binary or {', '.join(e for e in endings_of('write') if e != '.bsdf')}",
+        help="Files that end in .csv, .astm, .xml, .bsdf, .nc, .h5, .zemax.bsdf, "
+        f".binary or {', '.join(e for e in endings_of('write') if e != '.bsdf')}.",
     )
     parser.add_argument(
         "--basis",
-        choices=("klems", "klems-half", "klems-quarter", "tensor3", "tensor4"),
-        help="of .xml: a Klems basis (default: the full one), or a tensor tree for "
-        "isotropic (3) or any (4) materials",
+        choices=BASES,
+        metavar="BASIS",
+        help="Basis of .xml: klems, klems-half, klems-quarter, or a tensor tree, "
+        "tensor3 for isotropic or tensor4 for any materials. Default: klems.",
     )
-    parser.add_argument(
-        "--every",
-        action="store_true",
-        help="say what was lost of every incident direction",
-    )
+    text = "Report the loss at every incident direction."
+    parser.add_argument("--every", action="store_true", help=text)
 
 
 def run(options: Namespace) -> int:
@@ -75,7 +69,7 @@ def run(options: Namespace) -> int:
     endings = {Path(path).suffix.lower() for path in options.output}
     if options.basis and ".xml" not in endings:
         raise SettingError(
-            f"--basis goes with a file .xml, got {', '.join(options.output)}"
+            f"--basis applies to .xml files only, got {', '.join(options.output)}"
         )
     spectral = wavelengths_nm(records[0].channels) is not None
     set_variant("llvm_ad_spectral" if spectral else "llvm_ad_rgb")
@@ -88,7 +82,7 @@ def run(options: Namespace) -> int:
         if Path(path).suffix.lower() == ".xml":
             tell(f"  blocks: {BLOCKS}")
         in_klems = Path(path).suffix.lower() == ".xml" and not options.basis
-        if in_klems and max(one.misplaced for one in losses) > COARSE:
+        if in_klems and max(one.misplaced for one in losses) > MAX_MISPLACED:
             rank = 4 if len(set(records[0].phi_i.tolist())) > 1 else 3
             tell(f"  --basis tensor{rank} is finer")
     return DONE

@@ -1,47 +1,39 @@
 """What a file is that was given to the wrong command, and which command takes it."""
 
-from pathlib import Path
+from __future__ import annotations
 
-from .. import files
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 from ..errors import SettingError
-from ..formats import height_maps
-from ..formats.meshes import MESHES
-from ..formats.reading import endings_of, format_of
-from ..results.record import Record
+
+if TYPE_CHECKING:
+    from ..results.record import Record
 
 __all__ = ["check_kind", "record_of"]
 
 # Bytes in which an XML file names its root.
 HEAD = 4096
 
-# Endings of names, what commands take such files as, and a sentence on them.
-KINDS: tuple[tuple[tuple[str, ...], str, str], ...] = (
-    (
-        files.ENDINGS,
-        "record",
-        "is named as a record is: give it to gonio-mi show, plot or report",
-    ),
-    (
-        endings_of("scatter"),
-        "table",
-        "holds measured values: give it to gonio-mi show, compare or fit, or measure "
-        "the material goniometric:filename={path}",
-    ),
+# Endings of names, what commands take such files as, and a sentence on them; those of
+# records, tables, meshes and heights are listed where they are read.
+RECORD = ("record", "is named as a record is: give it to gonio-mi show, plot or report")
+MEASURED = (
+    "table",
+    "holds measured values: give it to gonio-mi show, compare or fit, or measure the "
+    "material goniometric:filename={path}",
+)
+MESH = ("specimen", "is a mesh: give it to gonio-mi measure or surface, with --bsdf")
+HEIGHTS = (
+    "specimen",
+    "is read as heights of a surface: give it to gonio-mi surface or measure",
+)
+OTHERS: tuple[tuple[tuple[str, ...], str, str], ...] = (
     (
         (".csv", ".tsv", ".txt", ".astm", ".rtd"),
         "table",
         "is named as a table is: give it to gonio-mi show, compare or fit (heights in "
         "text are known by the ending .asc)",
-    ),
-    (
-        tuple(MESHES),
-        "specimen",
-        "is a mesh: give it to gonio-mi measure or surface, with --bsdf",
-    ),
-    (
-        height_maps.ENDINGS,
-        "specimen",
-        "is read as heights of a surface: give it to gonio-mi surface or measure",
     ),
     (
         (".jpg", ".jpeg", ".gif", ".pdf", ".svg", ".webp", ".bmp"),
@@ -98,12 +90,20 @@ def record_of(path: str) -> Record:
     SettingError, OSError
         As of :func:`gonio_mi.load`, and of :func:`check_kind`.
     """
-    check_kind(path, "record")
+    from .. import files
+
+    if not path.lower().endswith(files.ENDINGS):
+        check_kind(path, "record")
     return files.load(path)
 
 
 def _kind(path: Path) -> tuple[str, str]:
     """What commands take a file as, and a sentence on it."""
+    from .. import files
+    from ..formats import height_maps
+    from ..formats.meshes import MESHES
+    from ..formats.reading import endings_of, format_of
+
     with path.open("rb") as stream:
         head = stream.read(HEAD)
     name = path.name.lower()
@@ -113,7 +113,14 @@ def _kind(path: Path) -> tuple[str, str]:
     if name.endswith(".xml"):
         is_radiance = b"<WindowElement" in head
         return ("material", OF_RADIANCE) if is_radiance else ("specimen", SCENE)
-    for endings, kind, sentence in KINDS:
+    kinds = (
+        (files.ENDINGS, *RECORD),
+        (endings_of("scatter"), *MEASURED),
+        *OTHERS,
+        (tuple(MESHES), *MESH),
+        (height_maps.ENDINGS, *HEIGHTS),
+    )
+    for endings, kind, sentence in kinds:
         if name.endswith(endings):
             return kind, sentence
     return "unknown", ""

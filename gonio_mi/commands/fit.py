@@ -20,6 +20,8 @@ from .arguments import (
     DONE,
     add_files,
     add_json,
+    add_text,
+    given_options,
     say,
     set_variant,
     tell,
@@ -35,7 +37,7 @@ from .table_options import (
 
 __all__ = ["add_options", "run"]
 
-USAGE = "%(prog)s RECORD MODEL ... [options]"
+USAGE = "%(prog)s RECORD|TABLE MODEL ... [options]"
 
 EXAMPLES = """\
 examples:
@@ -47,8 +49,8 @@ examples:
   gonio-mi fit run.npz mybsdf:tint=0.5 --free weight=0:1 --plugin mybsdf.py
 """
 
-# What may be known of a table beside how it is read.
-KNOWN = ("uncertainty", "scale_uncertainty", "aperture_half_angle")
+# What may be stated of a table beside how it is read.
+STATED = ("uncertainty", "scale_uncertainty", "aperture_half_angle")
 
 # Models that have a distribution of micro-normals to choose.
 ROUGH = ("roughconductor", "roughdielectric", "roughplastic")
@@ -56,34 +58,32 @@ ROUGH = ("roughconductor", "roughdielectric", "roughplastic")
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    parser.add_argument(
-        "record",
-        metavar="RECORD",
-        help="an .exr or .npz file, or a table of measured values, in any of the "
-        "formats of gonio-mi compare",
-    )
-    parser.add_argument(
+    text = "An .exr or .npz file, or a table in any format of gonio-mi compare."
+    add_text(parser, "record", "RECORD|TABLE", text)
+    add_text(
+        parser,
         "models",
-        metavar="MODEL",
+        "MODEL",
+        "A BSDF in one word with its known parameters, such as roughconductor, "
+        "roughdielectric:int_ior=1.5, roughplastic, diffuse or principled.",
         nargs="+",
-        help="a BSDF in one word with what is known of it, such as roughconductor, "
-        "roughdielectric:int_ior=1.5, roughplastic, diffuse or principled",
     )
-    parser.add_argument(
+    add_text(
+        parser,
         "--free",
+        "NAME",
+        "Parameters to be found, or NAME=LOW:HIGH. Default: the usual ones of the "
+        "model.",
         nargs="+",
-        metavar="NAME",
-        help="parameters to be found, or NAME=LOW:HIGH (default: the usual ones of "
-        "the model)",
     )
-    add_files(parser, "--plugin", text="Python files that register your own plugins")
-    table = parser.add_argument_group("table")
+    add_files(parser, "--plugin", text="Python files that register Mitsuba plugins.")
+    table = parser.add_argument_group("Table")
     add_table_options(table)
     add_uncertainties(table, "the table")
     add_aperture(table)
     add_json(parser)
-    text = "a picture of record and models (.png, .pdf, .svg); what the closest model "
-    text += "predicts, a record (.npz, .exr) or a table (.csv)"
+    text = "A picture of record and models (.png, .pdf, .svg); the prediction of the "
+    text += "closest model, a record (.npz, .exr) or a table (.csv)."
     add_files(parser, "-o", "--output", text=text)
 
 
@@ -103,7 +103,7 @@ def run(options: Namespace) -> int:
         files.check_output(path, files.ENDINGS if is_record else (".csv",))
     record: Record | MeasuredTable
     if is_record:
-        check_no_table_options(options.record, options, KNOWN)
+        check_no_table_options(options.record, options, STATED)
         record = record_of(options.record)
         set_variant(record.provenance.variant or DEFAULT_VARIANT)
     else:
@@ -112,9 +112,9 @@ def run(options: Namespace) -> int:
         set_variant("llvm_ad_spectral" if is_wavelength else DEFAULT_VARIANT)
     for path in options.plugin:
         load_plugin_file(path)
-    told = {name: getattr(options, name) for name in KNOWN}
+    stated = given_options(options, STATED)
     fits = [
-        fit(record, model, options.free, progress=True, **told)
+        fit(record, model, options.free, progress=True, **stated)
         for given in options.models
         for model in _distributions(given)
     ]
@@ -125,8 +125,9 @@ def run(options: Namespace) -> int:
     else:
         for one in fits:
             tell(one)
-    for note in () if isinstance(record, Record) else record.notes:
-        (say if options.json else tell)(f"note: {note}")
+    write = say if options.json else tell
+    for note in record.notes if isinstance(record, MeasuredTable) else ():
+        write(f"note: {note}")
     for path in pictures:
         fit_figure(fits, path)
     for path in predictions:
@@ -142,5 +143,6 @@ def _distributions(model: str) -> Iterator[str]:
     if name not in ROUGH or "distribution=" in rest:
         yield model
         return
+    parameters = f"{rest}," if rest else ""
     for distribution in ("beckmann", "ggx"):
-        yield f"{name}:{rest}{',' * bool(rest)}distribution={distribution}"
+        yield f"{name}:{parameters}distribution={distribution}"

@@ -30,9 +30,12 @@ from .arguments import (
     add_number,
     add_output,
     add_scene_options,
+    add_settings_group,
     add_specimen,
     add_text,
     check_not_read,
+    given_options,
+    given_settings,
     number,
     say,
     sentence,
@@ -47,8 +50,7 @@ from .campaign_options import (
     kept_after_ctrl_c,
 )
 from .file_kinds import record_of
-from .setting_options import add_group, given_settings
-from .surface_options import add_surface_options, prepared_surface
+from .surface import add_surface_options, prepared_surface
 
 __all__ = ["add_options", "run"]
 
@@ -70,8 +72,8 @@ MAKERS = {
     "export": exports.ENDINGS,
 }
 
-# Part of the directions never used that must be within a tolerance.
-ENOUGH = 0.95
+# Fraction of the directions never used that must be within a tolerance.
+MIN_WITHIN = 0.95
 
 EXAMPLES = """\
 examples:
@@ -96,14 +98,18 @@ file that is a complete measurement sets the defaults of all options.
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     add_specimen(parser)
-
-    beam = "a collimated beam, or the scene's own emitter if no angle is given"
-    _add_angles(add_group(parser, "light", beam))
+    beam = "A collimated beam, or the scene's own emitter if no angle is given."
+    _add_angles(add_settings_group(parser, "light", beam))
     for title in ("collector", "method", "events on the surface"):
-        add_group(parser, title)
+        add_settings_group(parser, title)
     add_surface_options(parser)
-    add_scene_options(parser.add_argument_group("scene"))
-    _add_output(parser.add_argument_group("output"))
+    add_scene_options(parser)
+    group = parser.add_argument_group("Output")
+    add_output(group, "Write the record to .exr or .npz files; both hold all of it.")
+    text = "Resume this interrupted record of the same measurement."
+    add_text(group, "--resume", "RECORD", text)
+    folder = "none; with --tolerance a temporary folder next to the output file"
+    add_campaign(group, folder)
 
 
 def _add_angles(group: Any) -> None:
@@ -113,7 +119,7 @@ def _add_angles(group: Any) -> None:
         nargs="+",
         type=number,
         metavar="DEG",
-        help="angles of incidence in degrees in [0, 90)",
+        help="Angles of incidence in [0, 90).",
     )
     group.add_argument(
         "--phi-i",
@@ -121,39 +127,17 @@ def _add_angles(group: Any) -> None:
         type=number,
         default=[0],
         metavar="DEG",
-        help="azimuths of incidence in degrees, each combined with each --theta-i "
-        "(default: 0)",
+        help="Azimuths of incidence, each combined with each --theta-i. Default: 0.",
     )
     add_number(
         group,
         "--tolerance",
         "X",
-        "instead of angles: choose incident directions adaptively until the "
-        "interpolated BSDF misplaces at most this fraction of the scattered flux",
+        "Instead of angles: choose incident directions adaptively until the "
+        "interpolated BSDF misplaces at most this fraction of the scattered flux.",
     )
-    add_number(
-        group,
-        "--theta-max",
-        "DEG",
-        "largest angle of incidence for --tolerance (default: 80)",
-    )
-
-
-def _add_output(group: Any) -> None:
-    """Add the options of what becomes of the record."""
-    add_output(
-        group,
-        "write the record to .exr or .npz files; both keep all",
-        "suppress summary and progress bar",
-    )
-    add_text(
-        group,
-        "--resume",
-        "RECORD",
-        "carry on this interrupted record of the very same measurement",
-    )
-    kept = "with --tolerance the default is a temporary folder next to the output file"
-    add_campaign(group, f" ({kept})")
+    text = "Largest angle of incidence for --tolerance. Default: 80."
+    add_number(group, "--theta-max", "DEG", text)
 
 
 def run(options: Namespace) -> int:
@@ -166,7 +150,7 @@ def run(options: Namespace) -> int:
     if len(orders) == 1:
         return _run(options)
     if options.resume is not None or options.folder is not None:
-        raise SettingError("--resume and --folder go with one order, got several")
+        raise SettingError("--resume and --folder apply to one order, got several")
     for order in orders:
         Order.parse("order", order)
     if options.workers is None and options.tolerance is None:
@@ -254,10 +238,9 @@ def _measure(options: Namespace, orders: Sequence[str]) -> Callable[..., Any]:
 
     Of several orders it gives a dictionary.
     """
-    chosen = {"tolerance": options.tolerance, "theta_max": options.theta_max}
-    chosen = {name: value for name, value in chosen.items() if value is not None}
+    chosen = given_options(options, ("tolerance", "theta_max"))
     if "theta_max" in chosen and "tolerance" not in chosen:
-        raise SettingError("--theta-max goes with --tolerance")
+        raise SettingError("--theta-max applies with --tolerance only")
     if orders:
         return partial(measure_orders, orders=orders)
     where = campaign_options(options)
@@ -265,7 +248,9 @@ def _measure(options: Namespace, orders: Sequence[str]) -> Callable[..., Any]:
         resume = None if options.resume is None else record_of(options.resume)
         return partial(measure, resume=resume)
     if options.resume is not None:
-        raise SettingError("--resume goes without --workers, --folder and --tolerance")
+        raise SettingError(
+            "--resume cannot be combined with --workers, --folder or --tolerance"
+        )
     where = where or {"plugins": options.plugin}
 
     def _by_campaign(
@@ -301,7 +286,7 @@ def _is_imprecise(record: Record) -> bool:
     """Whether a precision was asked for and not reached."""
     asked, campaign = record.asked.precision, record.provenance.campaign
     if campaign is not None:
-        return campaign.within < ENOUGH
+        return campaign.within < MIN_WITHIN
     return asked is not None and (record.provenance.reached or 0) > asked
 
 

@@ -1,7 +1,8 @@
-"""``gonio-mi plan``: how many rays for which reliability.
+"""``gonio-mi plan``: estimate how many rays a measurement needs.
 
-Say how many rays a measurement needs: by the bounds of Krishnaswamy and others (2004)
-on the absolute error of the flux, and for a relative error of all patches at once.
+Estimate how many rays a measurement needs: by the bounds of Krishnaswamy and others
+(2004) on the absolute error of the flux, and for a relative error of all patches at
+once.
 """
 
 import json
@@ -31,35 +32,25 @@ def add_options(parser: ArgumentParser) -> None:
         parser,
         "pilot",
         "PILOT",
-        "a first record of the specimen at one incident direction",
+        "A first record of the specimen at one incident direction.",
         nargs="?",
     )
     add_text(
         parser,
         "--collector",
         "KIND:NTxNP",
-        "patches, without a pilot (default: projected:30x30)",
+        "Patches, without a pilot. Default: projected:30x30.",
         default="projected:30x30",
     )
-    add_number(
-        parser,
-        "--epsilon",
-        "E",
-        "absolute error of a flux fraction, for the bounds",
-        0.005,
-    )
-    add_number(parser, "--delta", "D", "probability of exceeding it", 0.01)
-    add_number(
-        parser, "--rel-err", "X", "relative error of every patch worth reporting", 0.01
-    )
-    add_number(parser, "--level", "P", "probability that no patch exceeds it", 0.95)
-    add_number(
-        parser,
-        "--floor",
-        "F",
-        "patches below this fraction of the mean are not worth reporting",
-        0.1,
-    )
+    text = "Absolute error of a flux fraction, for the bounds."
+    add_number(parser, "--epsilon", "E", text, 0.005)
+    add_number(parser, "--delta", "D", "Probability of exceeding --epsilon.", 0.01)
+    text = "Relative error of every patch of at least --floor times the mean BRDF."
+    add_number(parser, "--rel-err", "X", text, 0.01)
+    text = "Probability that no such patch exceeds --rel-err."
+    add_number(parser, "--level", "P", text, 0.95)
+    text = "Fraction of the mean BRDF below which patches are left out."
+    add_number(parser, "--floor", "F", text, 0.1)
     add_json(parser)
 
 

@@ -9,7 +9,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from ..errors import SettingError
-from .arguments import DONE, add_record, number
+from .arguments import DONE, add_number, add_record
 from .file_kinds import record_of
 
 __all__ = ["add_options", "run"]
@@ -29,14 +29,10 @@ def add_options(parser: ArgumentParser) -> None:
         "--output",
         required=True,
         metavar="FIG",
-        help="a .png, .pdf or .svg file, or a .gif: an animation of a stack",
+        help="A .png, .pdf or .svg file, or a .gif: an animation of a stack.",
     )
-    parser.add_argument(
-        "--index",
-        type=number,
-        metavar="J",
-        help="number of the incident direction of a stack, from 0 (default: all)",
-    )
+    text = "Number of the incident direction of a stack, from 0. Default: all."
+    add_number(parser, "--index", "J", text)
 
 
 def run(options: Namespace) -> int:

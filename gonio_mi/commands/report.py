@@ -1,13 +1,14 @@
-"""``gonio-mi report``: make a page to look at records with.
+"""``gonio-mi report``: write an interactive page of records.
 
-Make one HTML page that opens from disk, without a network: maps with the value under
+Write one HTML page that opens from disk, without a network: maps with the value under
 the pointer, sliders over incident directions, cuts, lobes, totals and ledger; two
-records beside each other, with their difference in standard errors.
+records beside each other, with their difference in standard errors. Needs plotly: pip
+install "gonio-mi[report]".
 """
 
 from argparse import ArgumentParser, Namespace
 
-from .arguments import DONE
+from .arguments import DONE, add_text
 from .file_kinds import record_of
 
 __all__ = ["add_options", "run"]
@@ -21,12 +22,9 @@ examples:
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    parser.add_argument(
-        "records", nargs="+", metavar="RECORD", help=".exr or .npz files"
-    )
-    parser.add_argument(
-        "-o", "--output", required=True, metavar="PAGE", help="an .html file"
-    )
+    add_text(parser, "records", "RECORD", "An .exr or .npz file.", nargs="+")
+    text = "An .html file."
+    parser.add_argument("-o", "--output", required=True, metavar="PAGE", help=text)
 
 
 def run(options: Namespace) -> int:

@@ -6,22 +6,14 @@ columns or a file of another program, show what it holds and what was inferred.
 """
 
 import json
-import os
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from .. import files
 from ..errors import SettingError, no_file
-from ..results.summary import summarize
-from ..results.summary_text import summary_text
-from .arguments import DONE, add_json, add_record, tell
+from .arguments import DONE, add_json, add_text, tell
 from .file_kinds import record_of
-from .table_options import (
-    add_table_options,
-    check_no_table_options,
-    table_of,
-)
+from .table_options import add_table_options, check_no_table_options, table_of
 
 __all__ = ["add_options", "run"]
 
@@ -34,26 +26,30 @@ examples:
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    add_record(parser)
+    text = "An .exr or .npz file, or a table in any format of gonio-mi compare."
+    add_text(parser, "record", "RECORD|TABLE", text)
     add_json(parser)
-    parser.add_argument(
-        "--all", action="store_true", help="the totals of all incident directions"
-    )
-    add_table_options(parser.add_argument_group("for a table"))
+    text = "Show the totals of all incident directions."
+    parser.add_argument("--all", action="store_true", help=text)
+    add_table_options(parser.add_argument_group("Table"))
 
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
+    from .. import files
+    from ..results.summary import summarize
+    from ..results.summary_text import summary_text
+
     path = options.record
-    if Path(path).suffix.lower() not in files.ENDINGS:
-        if not os.path.exists(path):
+    if not path.lower().endswith(files.ENDINGS):
+        if not Path(path).exists():
             raise FileNotFoundError(no_file(path))
         if options.json:
-            raise SettingError(f"--json goes with a record, got {path!r}")
+            raise SettingError(f"--json applies to records only, got {path!r}")
         tell(table_of(path, options))
         return DONE
     check_no_table_options(path, options)
-    summary = summarize(record_of(options.record))
+    summary = summarize(record_of(path))
     if options.json:
         print(json.dumps(summary.as_mapping(), indent=2, allow_nan=False))
     else:

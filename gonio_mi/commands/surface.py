@@ -1,7 +1,7 @@
 """``gonio-mi surface``: print height, slope and micro-normal statistics.
 
-Of a file of heights, its units, heights, slopes and autocorrelation, and what would
-make a measurement doubtful; of that and any other micro-geometry, the distribution of
+Of a height map: its units, heights, slopes and autocorrelation, and what would make a
+measurement doubtful. Of that and any other micro-geometry: the distribution of
 micro-normals, masking and shadowing with error bars, beside Beckmann's and GGX's.
 """
 
@@ -10,20 +10,30 @@ from __future__ import annotations
 import warnings
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
+from typing import Any
 
+from ..errors import SettingError
+from ..formats.height_maps import is_height_map
+from ..formats.meshes import is_mesh
+from ..instrument.loading import surface_specimen
+from ..instrument.mesh import NORMALS, mesh
+from ..instrument.specimen_text import parse_specimen
+from ..surfaces.preparation import FILLS, FORMS
+from ..surfaces.topography import UNITS
 from .arguments import (
     DONE,
     add_number,
     add_scene_options,
+    add_setting,
     add_specimen,
+    add_text,
+    given_options,
     say,
     specimen_of,
     tell,
 )
-from .setting_options import add_setting
-from .surface_options import add_surface_options, given_surface, prepared_surface
 
-__all__ = ["add_options", "run"]
+__all__ = ["add_options", "add_surface_options", "prepared_surface", "run"]
 
 USAGE = "%(prog)s SPECIMEN [options]"
 
@@ -34,26 +44,130 @@ examples:
   gonio-mi surface scenes/crossed_threads.xml
 """
 
+# Options that are properties of the plugin `heightfield`.
+HEIGHT_MAP = ("size", "size_y", "scale", "range", "unit", "form", "fill")
+
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     add_specimen(parser)
     add_surface_options(parser)
-    group = parser.add_argument_group("micro-normals")
+    group = parser.add_argument_group("Micro-normals")
     add_setting(group, "period")
-    add_number(group, "--points", "N", "random points of the surface", 2**18)
-    add_number(
-        group, "--blocks", "N", "rows and columns of blocks that give the errors", 4
+    add_number(group, "--points", "N", "Random points of the surface.", 2**18)
+    text = "Rows, and columns, of blocks for the standard errors."
+    add_number(group, "--blocks", "N", text, 4)
+    text = "Picture of the micro-normals, such as a.png."
+    group.add_argument("-o", "--output", metavar="FIG", help=text)
+    add_scene_options(parser)
+
+
+def add_surface_options(parser: ArgumentParser) -> None:
+    """Add the options that say what a height map or a mesh is, in a group."""
+    about = "For a height map, or a mesh (--bsdf, --unit, --normal, --mean-plane)."
+    group = parser.add_argument_group("Surface", about)
+    _add_height_map(group)
+    add_text(
+        group,
+        "--bsdf",
+        "BSDF",
+        "BSDF of the surface in one word, such as conductor:material=Al. Default: a "
+        "perfect mirror; a mesh has no default.",
     )
     group.add_argument(
-        "-o", "--output", metavar="FIG", help="picture of them, such as a.png"
+        "--normal",
+        choices=tuple(NORMALS),
+        metavar="AXIS",
+        help="Axis of a mesh file that becomes the specimen's normal, +z "
+        f"({', '.join(NORMALS)}): the specimen's normal, not the vertical. Default: z.",
     )
-    add_scene_options(parser.add_argument_group("scene"))
+    text = "Height of the mean plane of a mesh along the normal axis. Default: middle."
+    add_number(group, "--mean-plane", "Z", text)
+
+
+def _add_height_map(group: Any) -> None:
+    """Add the options of :data:`HEIGHT_MAP`."""
+    add_number(
+        group,
+        "--size",
+        "X",
+        "Extent in x, from the first point of a row to the last; with --period, from "
+        "the first to its repetition, one cell further. Default: as the file states, "
+        "else 2, with a warning.",
+    )
+    text = "Extent in y. Default: as the file states, else by square cells."
+    add_number(group, "--size-y", "Y", text)
+    add_number(
+        group,
+        "--scale",
+        "Z",
+        "Factor on the heights; of an image of integers, the height of a step of 1. "
+        "Default: 1; such images have none.",
+    )
+    text = "Height from black to white of an image of integers, instead of --scale."
+    add_number(group, "--range", "Z", text)
+    group.add_argument(
+        "--unit",
+        choices=tuple(UNITS),
+        metavar="UNIT",
+        help="Unit of all lengths, if the file does not state it "
+        f"({', '.join(filter(str.isascii, UNITS))}). It scales nothing, but lengths "
+        "can be compared with wavelengths.",
+    )
+    group.add_argument(
+        "--form",
+        choices=tuple(FORMS),
+        metavar="FORM",
+        help=f"Form to remove: {', '.join(FORMS)}. Default: none.",
+    )
+    group.add_argument(
+        "--fill",
+        choices=FILLS,
+        metavar="FILL",
+        help=f"Interpolation of points that were not measured: {', '.join(FILLS)} "
+        "(planes through three points). Default: none, which refuses them.",
+    )
+
+
+def prepared_surface(specimen: Any, options: Namespace) -> Any:
+    """The specimen, or the shape of a height map or a mesh with what is given.
+
+    A surface of heights is finite, unless a period joins its last row and column to the
+    first.
+
+    Raises
+    ------
+    ValueError
+        If something is given, and it is no such file.
+    """
+    given = given_options(options, HEIGHT_MAP)
+    bsdf = None if options.bsdf is None else parse_specimen(options.bsdf)
+    if isinstance(bsdf, str):
+        raise SettingError(f"--bsdf must be a BSDF in one word, got {bsdf!r}")
+    of_mesh = given_options(options, ("normal", "mean_plane"))
+    if is_mesh(specimen):
+        for name in given.keys() - {"unit"}:
+            raise SettingError(f"{_option(name)} applies to height maps, got a mesh")
+        if bsdf is None:
+            return specimen  # which is refused in the words of all commands
+        return mesh(specimen, bsdf, **of_mesh)
+    for name in of_mesh:
+        raise SettingError(f"{_option(name)} applies to meshes, got {specimen!r}")
+    if isinstance(specimen, str) and is_height_map(specimen):
+        period = getattr(options, "period", None)
+        return surface_specimen(specimen, bsdf, period, **given)
+    for name in [*given, *(["bsdf"] if bsdf is not None else [])]:
+        raise SettingError(f"{_option(name)} applies to height maps, got {specimen!r}")
+    return specimen
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
-    from ..formats.height_maps import is_height_map, read_height_map
+    from ..formats.height_maps import read_height_map
     from ..plots import check_picture
     from ..surfaces.images import image_heights
     from ..surfaces.micro_normals import micro_normals
@@ -61,12 +175,11 @@ def run(options: Namespace) -> int:
 
     if options.output is not None:
         check_picture(options.output)
-    specimen, parameters = specimen_of(options.specimen, options)
-    name = specimen
-    specimen = prepared_surface(specimen, options)
+    name, parameters = specimen_of(options.specimen, options)
+    specimen = prepared_surface(name, options)
     joined = True
     if isinstance(name, str) and is_height_map(name):
-        given = given_surface(options)
+        given = given_options(options, HEIGHT_MAP)
         given["height_range"] = given.pop("range", None)
         source = read_height_map(Path(name), image_heights)
         found = topography(source, periodic=specimen["periodic"], **given)
@@ -76,8 +189,8 @@ def run(options: Namespace) -> int:
             say(f"warning: {concern}")
     period = options.period or ("box" if joined else "none")
     with warnings.catch_warnings():
-        told = "the (width|facets|heights|rms height) of"
-        warnings.filterwarnings("ignore", told, RuntimeWarning)
+        concerns = "the (width|facets|heights|rms height) of"
+        warnings.filterwarnings("ignore", concerns, RuntimeWarning)
         normals = micro_normals(
             specimen,
             parameters=parameters,

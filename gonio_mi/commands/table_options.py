@@ -1,17 +1,19 @@
 """Options on how a table of measured values is read, and what it says."""
 
+from __future__ import annotations
+
 from argparse import Namespace
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import FileFormatError, SettingError
-from ..files.measured_table import MeasuredTable
-from ..formats.reading import read_measured
-from .arguments import add_number, add_text, pair
+from .arguments import add_number, add_text, given_options, pair
 from .file_kinds import check_kind
 
+if TYPE_CHECKING:
+    from ..files.measured_table import MeasuredTable
+
 __all__ = [
-    "TABLE_OPTIONS",
     "add_aperture",
     "add_table_options",
     "add_uncertainties",
@@ -23,14 +25,14 @@ TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth")
 
 
 def add_table_options(group: Any) -> None:
-    """Add the options on what a table of measured values leaves unsaid."""
-    add_text(group, "--channel", "NAME", "of a table that has several, such as 550nm")
+    """Add the options on what a table of measured values leaves open."""
+    add_text(group, "--channel", "NAME", "Channel of a table of several: 550nm.")
     add_text(
         group,
         "--quantity",
         "Q",
-        "what the values of the table are, if it does not say it: brdf, brdf_cos, "
-        "btdf or reflectance_factor",
+        "Quantity of the values, if the table does not state it: brdf, brdf_cos, btdf "
+        "or reflectance_factor.",
     )
     group.add_argument(
         "--columns",
@@ -38,16 +40,16 @@ def add_table_options(group: Any) -> None:
         action="extend",
         type=pair,
         metavar="ROLE=NAME",
-        help="which column of the table is theta_i, phi_i, theta_o, phi_o, delta_phi, "
-        "value, sigma or wavelength; ROLE=NAME:rad if an angle is in radians, and "
-        "ROLE=0 for a number in its place",
+        help="Column of theta_i, phi_i, theta_o, phi_o, delta_phi, value, sigma or "
+        "wavelength. ROLE=NAME:rad for an angle in radians, ROLE=0 for a number that "
+        "holds for all rows, such as theta_i=30.",
     )
     add_text(
         group,
         "--azimuth",
         "FROM",
-        "where azimuths of exit in the table are 0, if relative to incidence: on "
-        "the side of the source or of the mirror direction (source, mirror)",
+        "Zero of azimuths of exit that are relative to incidence: source or mirror "
+        "(the side of the mirror direction).",
     )
 
 
@@ -57,40 +59,41 @@ def add_uncertainties(group: Any, name: str) -> None:
         group,
         "--uncertainty",
         "X",
-        f"relative standard uncertainty of each value of {name}, 0.005 for 0.5 %%, "
-        "independent between points (default: what the table says)",
+        f"Relative standard uncertainty of each value of {name}, independent between "
+        "points: 0.005 is 0.5 %%. Default: as the table states.",
     )
     add_number(
         group,
         "--scale-uncertainty",
         "X",
-        "the same of a factor common to all values: calibration",
+        "Relative standard uncertainty of a factor common to all values: calibration. "
+        "Default: as the table states.",
     )
 
 
 def add_aperture(group: Any) -> None:
-    """Add the option on the detector of a table that does not say it."""
+    """Add the option on the detector of a table that does not state it."""
     add_number(
         group,
         "--aperture-half-angle",
         "DEG",
-        "of the detector, if the table does not say it",
+        "Half-angle of the detector's aperture, if the table does not state it.",
     )
 
 
 def check_no_table_options(
     path: str, options: Namespace, more: Sequence[str] = ()
 ) -> None:
-    """Raise ValueError for an option of tables, or one `more`, that goes with none."""
-    names = (*TABLE_OPTIONS, *more)
-    told = [name for name in names if getattr(options, name) is not None]
-    if told:
-        option = told[0].replace("_", "-")
-        raise SettingError(f"--{option} goes with a table, got {path!r}")
+    """Raise ValueError for an option of tables, or one `more`, of another file."""
+    for name in given_options(options, (*TABLE_OPTIONS, *more)):
+        option = name.replace("_", "-")
+        raise SettingError(f"--{option} applies to tables only, got {path!r}")
 
 
 def table_of(path: str, options: Namespace) -> MeasuredTable:
     """Table of a file, read as the options say."""
+    from ..formats.reading import read_measured
+
     columns = dict(options.columns) if options.columns else None
     try:
         return read_measured(

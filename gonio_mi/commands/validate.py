@@ -16,16 +16,15 @@ from .arguments import (
     DONE,
     FAILED,
     UNDECIDED,
-    Parser,
     add_json,
     add_number,
     add_scene_options,
     add_specimen,
     add_text,
-    number,
     sentence,
     specimen_of,
 )
+from .parser import Parser
 
 __all__ = ["add_options", "examined", "run"]
 
@@ -50,35 +49,18 @@ no integral converged.
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     add_specimen(parser)
-    add_text(
-        parser,
-        "--effort",
-        "E",
-        "quick (seconds), normal (default), thorough (minutes)",
-        default="normal",
-    )
-    add_text(
-        parser,
-        "--allow",
-        "NAMES",
-        "properties that the model knowingly lacks: energy,reciprocity",
-        default="",
-    )
-    parser.add_argument(
-        "--strict", action="store_true", help="exit code 3 for whatever fails"
-    )
-    parser.add_argument("--seed", type=number, default=0, metavar="S")
-    add_number(
-        parser, "--alpha", "P", "probability with which a right plugin fails", 1e-3
-    )
-    add_text(
-        parser,
-        "--report",
-        "HTML",
-        "write one file with verdict and maps",
-    )
+    text = "quick (seconds), normal, thorough (minutes). Default: normal."
+    add_text(parser, "--effort", "E", text, default="normal")
+    text = "Properties that the model knowingly lacks: energy,reciprocity."
+    add_text(parser, "--allow", "NAMES", text, default="")
+    text = "Exit with code 3 for any failure."
+    parser.add_argument("--strict", action="store_true", help=text)
+    add_number(parser, "--seed", "S", "Seed of the random numbers.", 0)
+    text = "Probability with which a correct plugin fails."
+    add_number(parser, "--alpha", "P", text, 1e-3)
+    add_text(parser, "--report", "HTML", "Write a page with verdict and maps.")
     add_json(parser)
-    add_scene_options(parser.add_argument_group("scene"), VARIANTS)
+    add_scene_options(parser, VARIANTS)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -170,8 +152,10 @@ def _print(
         variant = other.settings["variant"]
         if _failed(other) <= _failed(verdict):
             found = f"nothing that was not found in {here} too"
-            if not _failed(other):
-                found = "nothing wrong was found" + " either" * (not _failed(verdict))
+            if not _failed(verdict):
+                found = "nothing wrong was found either"
+            elif not _failed(other):
+                found = "nothing wrong was found"
             no_more.append(f"in {variant}: {found}{other.near}")
         else:
             print(f"in {variant}:\n{other}\n")

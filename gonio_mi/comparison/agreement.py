@@ -20,6 +20,9 @@ __all__ = ["FEW_FOR_TAILS", "PointSet", "Readings", "Variation", "judge", "mostl
 # two-sided tail at 1e-5 is 1.3 times too heavy at 1000 hits, 4.4 times at 100.
 FEW_FOR_TAILS = 1000
 
+# Exact probabilities below about 1e-295 are not told apart.
+MAX_EXACT_SCORE = 36.7
+
 
 @dataclass(eq=False)
 class Readings:
@@ -293,6 +296,10 @@ def _scores(one: PointSet, factor: float) -> tuple[Floats, Floats]:
         exact = np.full(z.shape, np.nan)
     else:
         exact = _two_hits_score(mine, others)
+    # an exact probability that is too small for a score says only that z is large
+    known = np.abs(exact) < MAX_EXACT_SCORE
+    larger = np.where(np.abs(z) > np.abs(exact), z, exact)
+    exact = np.where(known | np.isnan(exact), exact, larger)
     smaller = np.where(empty | (np.abs(exact) < np.abs(z)), exact, z)
     return np.where(few & np.isfinite(exact), smaller, z), np.sqrt(sigma2)
 

@@ -35,8 +35,9 @@ class Comparison:
         The same of what it is compared with.
     z : ndarray of float64
         Difference in units of its standard error, as the normal score of the same
-        probability: positive where the record is larger, at most about 37. A common
-        scale uncertainty has no part in it: `other` counts times ``scale``, see below.
+        probability: positive where the record is larger; approximate beyond 37. A
+        common scale uncertainty has no part in it: `other` counts times ``scale``, see
+        below.
     statistics : dict of float
         ``chi2``, the sum of the squares of `z`; ``chi2_dof``, its effective degrees of
         freedom (correlated points count less); ``scale``, the most likely common factor

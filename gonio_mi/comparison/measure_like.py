@@ -102,8 +102,8 @@ def measure_like(
     if isinstance(like, Record):
         if aperture_half_angle is not None:
             raise SettingError(
-                "aperture_half_angle goes with a table; a record has its collector, "
-                f"got {shown(aperture_half_angle)}"
+                "aperture_half_angle applies to tables only, for a record has its "
+                f"collector, got {shown(aperture_half_angle)}"
             )
         with bar(progress, total=len(like), unit="direction") as report:
             return (_like_record(specimen, like, seed, settings, report or _unheard),)
@@ -135,7 +135,7 @@ def _like_table(
     if table.emitter_half_angle:
         if settings.get("divergence"):
             raise SettingError(
-                f"divergence goes with a collimated beam, but {table.name} has an "
+                f"divergence applies to a collimated beam, but {table.name} has an "
                 f"emitter_half_angle of {table.emitter_half_angle:g} degrees"
             )
         settings.setdefault("emitter", _round_source(table))

@@ -97,7 +97,7 @@ def read_text(
         settings["quantity"] = checked_choice("quantity", quantity, QUANTITIES)
     if azimuth is not None:
         checked_choice("azimuth", azimuth, AZIMUTHS)
-    arrays, picked, chosen = reading.columns(channel, settings.get("quantity"))
+    arrays, picked, chosen = reading.columns(channel, settings.get("quantity"), azimuth)
     reading.convert_angles(arrays, picked)
     settings["quantity"] = reading.quantity(picked["value"], settings.get("quantity"))
     value, sigma = reading.values(arrays, picked, settings)
@@ -195,7 +195,7 @@ class _Reading:
     # ------------------------------------------------------------------------- columns
 
     def columns(
-        self, channel: str | None, quantity: str | None
+        self, channel: str | None, quantity: str | None, azimuth: str | None
     ) -> tuple[dict[str, Floats], dict[str, Column], str | None]:
         """Numbers by role, the columns that they are of, and the channel."""
         picked, chosen, unclear = self._picked(channel)
@@ -204,6 +204,8 @@ class _Reading:
         titled = any(column.quantity for column in values) or self._titled()
         if unclear and not (quantity or self.own or titled):
             unclear.append(_quantity_question())
+        if unclear and azimuth is None and self._has_relative_azimuths():
+            unclear.append(_azimuth_question("azimuths"))
         if unclear:
             check_nothing_open(self.here, self.open + unclear)
         if "value" in self.constants:
@@ -261,6 +263,11 @@ class _Reading:
         ]
         return {r: of[0] for r, of in by_role.items() if of}, chosen, unclear
 
+    def _has_relative_azimuths(self) -> bool:
+        """Whether azimuths of exit stand without those of incidence."""
+        there = {column.role for column in self.known if column} | set(self.constants)
+        return "delta_phi" in there or ("phi_o" in there and "phi_i" not in there)
+
     def _missing(self) -> list[str]:
         """Question for the columns that no text can do without."""
         own = {column.role for column in self.known if column} - set(self.constants)
@@ -278,7 +285,10 @@ class _Reading:
             what = f"the columns {names} are missing; if other names stand for them"
         other = [n.strip() for n, c in zip(self.text.names, self.known) if n and not c]
         seen = f" ({abridged(', '.join(map(repr, other)), 80)})" if other else ""
-        return [f"{what}{seen}, say --columns {said}"]
+        question = f"{what}{seen}, say --columns {said}"
+        if lacks[0] in ANGLES:
+            question += f", or a number for all rows, such as {lacks[0]}=30"
+        return [question]
 
     def _numbers(self, picked: Mapping[str, Column]) -> dict[str, Floats]:
         """Numbers of the picked columns in rows with a value, and lines of the rows."""
@@ -498,10 +508,7 @@ class _Reading:
             needed = (theta_o != 0).any() and (theta_i != 0).any()
             if needed and azimuth in (None, "specimen"):
                 what = "angles" if signed else "azimuths"
-                self.open.append(
-                    f"its {what} are relative to incidence: say --azimuth source or "
-                    "mirror, whose side is 0 (or positive)"
-                )
+                self.open.append(_azimuth_question(what))
             phi_o = phi_i + relative + (180 if azimuth == "mirror" else 0)
             self.notes.append(
                 f"azimuths count from {azimuth or 'nothing that matters'}"
@@ -546,6 +553,14 @@ def _quantity_question(name: str = "") -> str:
     return (
         f"it does not say what its values{called} are: say --quantity "
         f"{', '.join(QUANTITIES[:-1])} or {QUANTITIES[-1]}"
+    )
+
+
+def _azimuth_question(what: str) -> str:
+    """Question where azimuths, or signed angles, are 0."""
+    return (
+        f"its {what} are relative to incidence: say --azimuth source or mirror, whose "
+        "side is 0 (or positive), or --columns phi_i=0 if azimuths are the specimen's"
     )
 
 

@@ -148,8 +148,8 @@ def _as_told(
         name: value for name, value in told.items() if value is not None
     }
     if isinstance(record, Record):
-        if given:
-            raise SettingError(f"{next(iter(given))} goes with a table, got a record")
+        for name in given:
+            raise SettingError(f"{name} applies to tables only, got a record")
         return without_copies(record)
     if record.aperture_half_angle is not None:
         given.pop("aperture_half_angle", None)

@@ -201,9 +201,17 @@ def upper_limit(rays: ArrayLike, level: float) -> Floats:
 
 
 def student_score(t: ArrayLike, dof: ArrayLike) -> Floats:
-    """Normal score of the same probability as Student's t, with its sign."""
-    tail = special.stdtr(np.minimum(dof, 1e9), -np.abs(t))
-    return 0.0 - np.sign(t) * special.ndtri(np.maximum(tail, LEAST))
+    """Normal score of the same probability as Student's t, with its sign.
+
+    Beyond probabilities of 1e-300 it is approximate (Wallace 1959, Annals of
+    Mathematical Statistics 30, 1124), so that scores keep their order.
+    """
+    dof, size = np.minimum(dof, 1e9), np.abs(t)
+    tail = special.stdtr(dof, -size)
+    score = -special.ndtri(np.maximum(tail, LEAST))
+    root = np.sqrt(dof * np.log1p(np.square(size) / dof))
+    beyond = np.maximum(score, root * (8 * dof + 1) / (8 * dof + 3))
+    return 0.0 + np.sign(t) * np.where(tail < LEAST, beyond, score)
 
 
 def two_sided_score(below: ArrayLike, above: ArrayLike) -> Floats:

@@ -19,6 +19,7 @@ from ..transport.variants import check_variant
 from .checks import (
     adjoint,
     answers,
+    components as components_check,
     continuity,
     cost,
     delta,
@@ -36,7 +37,6 @@ from .checks import (
     sampling,
     weights,
 )
-from .checks import components as components_check
 from .conditions import Condition, Effort
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake

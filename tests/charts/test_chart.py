@@ -451,7 +451,7 @@ def test_command(tmp_path, capsys):
         (["--target", "2"], "target must be a number in (0, 1), got 2"),
         (["--seconds", "soon"], "--seconds must be a number"),
         (["--sampler", "ldsampler"], "must not be ldsampler"),
-        (["-D", "a=1"], "-D goes with a scene file"),
+        (["-D", "a=1"], "-D applies to scene files"),
     ],
 )
 def test_command_says_what_is_wrong(arguments, message, capsys):

@@ -325,7 +325,7 @@ def test_precision_that_is_reached_exits_with_0(run):
         ((*QUICK, "--variant", "foo"), "--variant must be one of"),
         ((*QUICK, "--wavelengths", "500"), "wavelengths need a spectral variant"),
         ((*QUICK, "-D", "alpha"), "-D must look like key=value, got 'alpha'"),
-        ((*QUICK, "-D", "alpha=1"), "-D goes with a scene file, got 'diffuse'"),
+        ((*QUICK, "-D", "alpha=1"), "-D applies to scene files only, got 'diffuse'"),
         (("measure", "difuse", *QUICK[2:]), "not found; did you mean diffuse?\n"),
         (("mesure", *QUICK[1:]), "'doctor'); did you mean measure?\n"),
         ((*QUICK, "--tolerence", "1"), ": --tolerence; did you mean --tolerance?\n"),
@@ -493,7 +493,7 @@ def test_an_aperture_goes_with_what_is_measured(run, refuse, write, tmp_path):
     assert run(*QUICK, "-q", "-o", record)[0] == 0
     table = write("table.csv", "theta_i,phi_i,theta_o,phi_o,value\n45,0,30,180,0.3\n")
     arguments = ("compare", record, table, "--aperture-half-angle", "2")
-    assert "--aperture-half-angle goes with a specimen" in refuse(*arguments)
+    assert "--aperture-half-angle applies to a specimen" in refuse(*arguments)
 
 
 def test_a_plugin_without_to_string(run, plugins):
@@ -661,7 +661,7 @@ def test_ctrl_c_gives_no_verdict(run, plugins, write):
     for arguments in (compared, drawn):
         code, out, err = run(*arguments)
         assert (code, out) == (2, ""), err
-        assert err == "gonio-mi: interrupted: there is nothing to keep\n"
+        assert err == "gonio-mi: interrupted: nothing was finished, nothing is kept\n"
 
 
 @pytest.mark.usefixtures("sigint")
@@ -669,7 +669,7 @@ def test_ctrl_c_before_the_first_batch(run, plugins, tmp_path):
     path = tmp_path / "run.npz"
     code, out, err = run(*interruptible(plugins, "at=1"), "-o", path)
     assert (code, out) == (2, "")
-    assert err == "gonio-mi: interrupted: there is nothing to keep\n"
+    assert err == "gonio-mi: interrupted: nothing was finished, nothing is kept\n"
     assert not path.exists()
 
 
@@ -699,14 +699,14 @@ class Pressed(MetaPathFinder):
         if name == {module!r}:
             signal.raise_signal(signal.SIGINT)
 sys.meta_path.insert(0, Pressed())
-sys.argv = [{program!r}, "--version"]
+sys.argv = [{program!r}, "measure", "--help"]
 from gonio_mi.cli import main
 sys.exit(main())
 """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such exit codes")
-@pytest.mark.parametrize("module", ["drjit", "mitsuba", "scipy", "gonio_mi.charts"])
+@pytest.mark.parametrize("module", ["drjit", "mitsuba", "scipy", "gonio_mi.campaigns"])
 def test_ctrl_c_while_starting_is_a_line(module):
     program = STARTING.format(module=module, program="/usr/bin/gonio-mi")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True)
@@ -715,7 +715,7 @@ def test_ctrl_c_while_starting_is_a_line(module):
 
 
 def test_twin_another_program_that_imports_this_answers_ctrl_c_itself():
-    program = STARTING.format(module="gonio_mi.charts", program="/usr/bin/other")
+    program = STARTING.format(module="mitsuba", program="/usr/bin/other")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True)
     assert b"KeyboardInterrupt" in done.stderr
     assert done.returncode != 130
@@ -1034,7 +1034,7 @@ def test_every_command_has_help_for_a_terminal(command, capsys, monkeypatch):
     """With `--debug`, no line beyond 80 columns, and one command a line."""
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit):
-        cli.main([command.__name__.rpartition(".")[2], "--help"])
+        cli.main([command, "--help"])
     said = capsys.readouterr().out
     assert "--debug" in said
     assert max(map(len, said.splitlines())) <= 80

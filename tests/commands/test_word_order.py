@@ -3,7 +3,7 @@
 import pytest
 
 from gonio_mi.cli import parser
-from gonio_mi.commands.arguments import UsageError
+from gonio_mi.commands.parser import UsageError
 
 AFTER = "measure diffuse --theta-i 0 30 --rays 1e4 -o a.npz b.exr"
 

@@ -92,7 +92,7 @@ def test_divergence_of_the_beam_belongs_to_the_comparison():
     assert abs(record.brdf[0, 0, 0] - expected(divergence)) < 5 * error
     assert abs(record.brdf[0, 0, 0] - expected(divergence + 0.5)) > 5 * error
     lamp = table(np.array([30.0]), [1.0], aperture_half_angle=0.5, emitter_half_angle=1)
-    with pytest.raises(ValueError, match="divergence goes with a collimated beam"):
+    with pytest.raises(ValueError, match="divergence applies to a collimated beam"):
         measure_like(DIFFUSE, lamp, divergence=2)
 
 
@@ -118,7 +118,7 @@ def test_a_specimen_is_measured_as_a_record_was():
     assert again.settings["noise"] == 0.1
     with pytest.raises(TypeError, match="collector must come from the record"):
         measure_like(ROUGH, record, collector="angle:2x2")
-    with pytest.raises(ValueError, match="aperture_half_angle goes with a table"):
+    with pytest.raises(ValueError, match="aperture_half_angle applies to tables"):
         measure_like(ROUGH, record, aperture_half_angle=1)
     above = mi.ScalarTransform4f().translate([0, 0, 5]).rotate([1, 0, 0], 180)
     lamp = {"type": "disk", "to_world": above, "emitter": {"type": "area"}}

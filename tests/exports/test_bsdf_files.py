@@ -398,7 +398,7 @@ def test_command_writes_the_product_and_solar_light(tmp_path, capsys):
         (["-o", "x.xml", "--cells", "8"], "cells goes with the basis tensor3"),
         (["-o", "x.xml", "--basis", "tensor4", "--cells", "6"], "a power of two"),
         (["-o", "x.xml", "--width", "0"], "--width must be a positive number"),
-        (["-o", "x.xml", "--normal", "y"], "--normal goes with a mesh"),
+        (["-o", "x.xml", "--normal", "y"], "--normal applies to meshes"),
     ],
 )
 @pytest.mark.usefixtures("mono")

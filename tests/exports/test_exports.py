@@ -322,7 +322,7 @@ def test_compare_takes_a_channel_of_an_astm_file(tmp_path, capsys):
     assert cli.main(command) == 1
     assert "channel must be one of R, G, B" in capsys.readouterr().err
     assert cli.main(["compare", str(record), str(record), "--channel", "G"]) == 1
-    assert "--channel goes with a table" in capsys.readouterr().err
+    assert "--channel applies to tables" in capsys.readouterr().err
 
 
 ASTM = "KEY words\nNUM_POINTS 1\nVARS theta_i,phi_i,theta_s,phi_s,R\n0,0,1,2,0.5\n"

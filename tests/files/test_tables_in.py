@@ -301,7 +301,7 @@ def test_show_says_how_a_table_is_understood(tmp_path, capsys):
     assert main(["show", f"{path}.no"]) == 1
     assert "there is no file" in capsys.readouterr().err
     assert main(["show", str(tmp_path / "a.npz"), "--channel", "x"]) == 1
-    assert "--channel goes with a table" in capsys.readouterr().err
+    assert "--channel applies to tables" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("spectral")

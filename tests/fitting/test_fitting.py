@@ -308,7 +308,7 @@ def test_what_is_told_of_a_table_is_as_if_it_said_it():
     assert not np.array_equal(says.values, gonio.fit(table_of(METAL), model).values)
     again = gonio.fit(says.record, model, aperture_half_angle=1.0)
     assert np.array_equal(again.values, says.values)
-    with pytest.raises(SettingError, match="uncertainty goes with a table, got a rec"):
+    with pytest.raises(SettingError, match="uncertainty applies to tables only"):
         gonio.fit(measured({"type": "diffuse"}, rays=2000), "diffuse", uncertainty=0.1)
 
 
@@ -540,7 +540,7 @@ def test_command(tmp_path, capfd, mono):  # noqa: ARG001
     agree(single(normal_scores(score, 15)))
     assert found["dof"] == 32 - 1
     assert main([*command, "--quantity", "brdf"]) == 1
-    assert "--quantity goes with a table" in capfd.readouterr().err
+    assert "--quantity applies to tables" in capfd.readouterr().err
     assert main(["fit", str(tmp_path / "a.npz"), "scenes/lambertian.xml"]) == 1
     assert "must be a BSDF in one word" in capfd.readouterr().err
 

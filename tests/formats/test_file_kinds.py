@@ -76,4 +76,4 @@ def test_without_a_command_all_are_named(capsys):
     line = said(capsys)
     assert "gonio-mi --help" in line
     for command in COMMANDS:
-        assert command.__name__.rpartition(".")[2] in line
+        assert command in line

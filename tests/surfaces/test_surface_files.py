@@ -441,7 +441,7 @@ def test_text_is_told_from_heights_by_its_ending(tmp_path):
 
 def test_options_go_with_a_file_of_heights(capfd):
     assert main(["measure", "diffuse", "--theta-i", "0", "--form", "plane"]) == 1
-    assert "--form goes with a file of heights, got" in capfd.readouterr().err
+    assert "--form applies to height maps, got" in capfd.readouterr().err
 
 
 def test_reader_says_what_is_wrong():

@@ -148,8 +148,8 @@ def test_the_command_line_measures_a_mesh(tmp_path, monkeypatch, capsys):
         (["slat.obj"], "must come with what it is made of, such as --bsdf"),
         (["slat.obj", "--bsdf", "slat.obj"], "--bsdf must be a BSDF in one word"),
         (["slat.obj", "--bsdf", "rectangle"], "bsdf must be a BSDF, got 'rectangle'"),
-        (["slat.obj", "--bsdf", "diffuse", "--form", "plane"], "--form goes with a"),
-        (["diffuse", "--normal", "x"], "--normal goes with a mesh"),
+        (["slat.obj", "--bsdf", "diffuse", "--form", "plane"], "--form applies to"),
+        (["diffuse", "--normal", "x"], "--normal applies to meshes"),
     ):
         assert cli.main(["measure", *words, "--theta-i", "30"]) == 1
         error = capsys.readouterr().err

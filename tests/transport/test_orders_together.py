@@ -104,4 +104,4 @@ def test_bad_orders_are_refused(settings, message):
 
 def test_theta_max_needs_a_tolerance_with_orders_too(capfd):
     assert main(["measure", "diffuse", "--order", "1,2", "--theta-max", "50"]) == 1
-    assert "--theta-max goes with --tolerance" in capfd.readouterr().err
+    assert "--theta-max applies with --tolerance" in capfd.readouterr().err

@@ -162,7 +162,7 @@ def test_files_that_cannot_be_compared(tmp_path, capsys):
     Path(empty).write_text("[]")
     for words, message in (
         ([empty, empty], "holds no answers"),
-        ([own, own, "--against", sys.prefix], "go without --against"),
+        ([own, own, "--against", sys.prefix], "cannot be combined with --against"),
         (["mine:filename=a.json", "--against", "nowhere"], "must be a virtual"),
         ([own, seeded], "ask diffuse with the same seed, got 0 and 1"),
         ([own, two], "the same BSDFs, got another in one"),

@@ -7,8 +7,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi.plugins import bsdf_functions, phong_facets
-from gonio_mi.plugins import exponentiated_cosine as lobe
+from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe, phong_facets
 from gonio_mi.plugins.bsdf_functions import reflectance
 from gonio_mi.settings.manual import example
 

@@ -8,8 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi import properties
-from gonio_mi.plugins import bsdf_functions
-from gonio_mi.plugins import exponentiated_cosine as lobe
+from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe
 from gonio_mi.plugins.bsdf_functions import reflectance
 from gonio_mi.settings.manual import example
 

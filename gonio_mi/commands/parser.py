@@ -1,0 +1,231 @@
+"""The parser of a command: its help, its errors, and arguments in any order."""
+
+import argparse
+import re
+import sys
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+from ..errors import SettingError, did_you_mean
+
+__all__ = ["Parser", "UsageError"]
+
+# Options of other programs, and ours for the same.
+ELSEWHERE = {
+    **dict.fromkeys(("--angle", "--angles", "--theta", "--incidence"), "--theta-i"),
+    **dict.fromkeys(("--azimuth", "--phi"), "--phi-i"),
+    **dict.fromkeys(("--samples", "--spp", "--n-rays", "--photons"), "--rays"),
+    **dict.fromkeys(("--out", "--file"), "--output"),
+}
+
+
+class UsageError(SettingError):
+    """Arguments that cannot be parsed."""
+
+
+class _HelpFormatter(argparse.HelpFormatter):
+    """Wraps paragraphs to the terminal, except those with indented lines: examples."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        blocks = []
+        for block in text.split("\n\n"):
+            if "\n  " in block:
+                blocks.append(textwrap.indent(block.rstrip(), indent))
+            else:
+                blocks.append(super()._fill_text(block, width, indent))
+        return "\n\n".join(blocks)
+
+
+class Parser(argparse.ArgumentParser):
+    """Parser whose errors are exceptions, for one sentence and one exit code.
+
+    Parameters
+    ----------
+    rare : sequence of str
+        Options that ``--help-all`` shows and ``--help`` does not.
+    **kwargs
+        Of :class:`argparse.ArgumentParser`.
+    """
+
+    def __init__(self, rare: Sequence[str] = (), **kwargs: Any) -> None:
+        super().__init__(
+            formatter_class=_HelpFormatter,
+            allow_abbrev=False,
+            add_help=False,
+            **kwargs,
+        )
+        self.rare = rare
+        self._positionals.title, self._optionals.title = "Arguments", "Options"
+        self.add_argument("-h", "--help", action="help", help="Show this help.")
+        if rare:
+            text = "Show the help of all options."
+            self.add_argument("--help-all", nargs=0, action=_HelpAll, help=text)
+        text = "Show the traceback of an error."
+        self.add_argument("--debug", action="store_true", help=text)
+        # -1e3 is a number too, before Python 3.14, and -z is an axis
+        self._negative_number_matcher = re.compile(r"-(\.?\d|[xyz]$)")
+
+    def print_help(self, file: Any = None) -> None:
+        """Print the help, of rare options none and of the others a sentence each."""
+        if not self.rare:
+            return super().print_help(file)
+        texts = [action.help or "" for action in self._actions]
+        for action, text in zip(self._actions, texts):
+            rare = not {*action.option_strings}.isdisjoint(self.rare)
+            action.help = argparse.SUPPRESS if rare else _sentence_and_default(text)
+        super().print_help(file)
+        for action, text in zip(self._actions, texts):
+            action.help = text
+        return None
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: Any = None
+    ) -> tuple[Any, list[str]]:
+        """Parse, whatever stands before or after the options."""
+        words = sys.argv[1:] if args is None else args
+        if not self._subparsers:
+            self._check_options(words)
+        words = _with_positionals_first(self, words)
+        found, rest = super().parse_known_args(words, namespace)
+        self._check_json(found, rest)
+        return found, rest
+
+    def _check_options(self, words: Sequence[str]) -> None:
+        """Name the option that an unknown one resembles, before missing arguments."""
+        known = self._option_string_actions
+        for word in words:
+            name = word.partition("=")[0]
+            if name[:2] != "--" or name in known:
+                continue
+            ours = ELSEWHERE.get(name.lower().replace("_", "-"))
+            # the likeness of another program's word would mislead
+            meant = did_you_mean(name, known)
+            if ours in known:
+                meant = f"; did you mean {ours}?"
+            role = (ours or name).removeprefix("--").replace("-", "_")
+            if role in ("theta_i", "phi_i") and "--columns" in known:
+                meant = f"; for a table without this angle say --columns {role}=30"
+            if meant:
+                self.error(f"unrecognized arguments: {name}{meant}")
+
+    def _check_json(self, found: argparse.Namespace, rest: Sequence[str]) -> None:
+        """Say so if ``--json``, which prints, is given a file to write."""
+        if not getattr(found, "json", False):
+            return
+        alone = (getattr(found, a.dest, None) for a in self._get_positional_actions())
+        for word in (*alone, *rest):
+            if not isinstance(word, str) or not word.endswith(".json"):
+                continue
+            if word in rest or not Path(word).is_file():
+                self.error(
+                    f"--json takes no file, for it prints: write --json > {word}"
+                )
+
+    def error(self, message: str) -> NoReturn:
+        """Raise it."""
+        choice = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
+        if choice:
+            message += did_you_mean(choice[1], re.findall(r"[\w-]+", choice[2]))
+        raise UsageError(re.sub(r"^argument (\S+): (?=must )", r"\1 ", message))
+
+
+class _HelpAll(argparse.Action):
+    """Prints the help of all options, and ends the program."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> NoReturn:
+        print(parser.format_help(), end="")
+        parser.exit()
+
+
+def _sentence_and_default(text: str) -> str:
+    """The first sentence of a help text, and what it says of the default."""
+    first = re.split(r"(?<=\.) (?=[A-Z0-9`])", text)[0]
+    default = re.search(r"Default: .*", text)
+    return first if default is None or default[0] in first else f"{first} {default[0]}"
+
+
+# ------------------------------------------- arguments before and after the options
+#
+# argparse gives an option of several values all words up to the next option. Where an
+# argument is missing then, as in ``--theta-i 0 30 diffuse``, the last word of one of
+# them is meant for it.
+
+
+@dataclass
+class _Run:
+    """Option that takes several values, and the place of the last of them."""
+
+    action: argparse.Action
+    last: int
+    words: Sequence[str]
+
+    @property
+    def is_misplaced(self) -> bool:
+        """Whether the last word cannot be a value of the option."""
+        if not callable(self.action.type):
+            return False
+        try:
+            self.action.type(self.words[-1])
+        except (ValueError, TypeError, argparse.ArgumentTypeError):
+            return True
+        return False
+
+
+def _with_positionals_first(
+    parser: argparse.ArgumentParser, words: Sequence[str]
+) -> list[str]:
+    """Arguments in an order that argparse understands.
+
+    If fewer than the required arguments stand alone, the word that an option of several
+    values cannot take, or else the last word of the last option that takes any, goes to
+    the front. Values that convert stay with their option.
+    """
+    required = sum(
+        not action.option_strings and action.nargs not in ("?", "*")
+        for action in parser._actions
+    )
+    alone, runs = _words_alone_and_runs(parser, words)
+    if alone >= required or not runs:
+        return list(words)
+    misplaced = [run for run in runs if run.is_misplaced]
+    free = [run for run in runs if run.action.type is None]
+    if not (misplaced or free):
+        return list(words)
+    at = (misplaced or free)[-1].last
+    return [words[at], *words[:at], *words[at + 1 :]]
+
+
+def _words_alone_and_runs(
+    parser: argparse.ArgumentParser, words: Sequence[str]
+) -> tuple[int, list[_Run]]:
+    """Number of words that belong to no option, and options of at least two words."""
+    alone, runs = 0, []
+    for action, start, end in _pieces(parser, words):
+        n = end - start
+        if action is None:
+            alone += n
+        elif action.nargs == "+":
+            if n > 1:
+                runs.append(_Run(action, end - 1, words[start:end]))
+        else:
+            takes = {None: 1, "?": 1, 0: 0}.get(action.nargs, n)
+            alone += max(0, n - takes)
+    return alone, runs
+
+
+def _pieces(
+    parser: argparse.ArgumentParser, words: Sequence[str]
+) -> Iterator[tuple[argparse.Action | None, int, int]]:
+    """Options and the places of the words up to the next one; None at the beginning."""
+    action, start = None, 0
+    for number, word in enumerate(words):
+        name, sign, _ = word.partition("=")
+        found = parser._option_string_actions.get(name)
+        if found is not None:
+            yield action, start, number
+            # a value after = leaves none to be taken from behind
+            action, start = (None if sign else found), number + 1
+    yield action, start, len(words)
