@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,13 +18,14 @@ from ..instrument.incidence import incident_angles
 from ..results.record import Record
 from ..settings import MeasurementSettings
 from ..transport.variants import check_variant
+from .known_directions import KnownDirections
 from .tasks import Surroundings, records_of
 from .whole_bsdf import WholeBsdf, checked_theta_max, checked_tolerance
 
 __all__ = ["campaign"]
 
 # Workers, and threads of each.
-MOST_THREADS = 2**16
+MAX_THREADS = 2**16
 
 
 def campaign(
@@ -103,8 +107,7 @@ def campaign(
         work in it, or a specimen cannot be sent to another process.
     KeyboardInterrupt
         After Ctrl-C, at once: `folder` holds the tasks that were finished. With a
-        `tolerance` and no folder its message names a new one, which holds the last
-        whole round of directions and all before.
+        `tolerance` and no folder they are in a temporary one, which the message names.
     concurrent.futures.BrokenExecutor
         If workers keep dying. What is finished is in `folder`.
     """
@@ -115,11 +118,12 @@ def campaign(
             f"got {shown(specimens)}"
         )
     if isinstance(executor, int):
-        checked_count("executor", executor, 1, MOST_THREADS)
+        checked_count("executor", executor, 1, MAX_THREADS)
         threads = threads or max(1, (os.cpu_count() or 1) // executor)
     if threads is not None:
-        checked_count("threads", threads, 0, MOST_THREADS)
-    where = Surroundings(executor, folder, plugins, threads, retries, progress)
+        checked_count("threads", threads, 0, MAX_THREADS)
+    kept_in = None if folder is None else Path(folder)
+    where = Surroundings(executor, kept_in, plugins, threads, retries, progress)
     asked = MeasurementSettings.among(settings)
     if tolerance is None:
         incidents, _ = incident_angles(theta_i, phi_i, asked.incident)
@@ -137,18 +141,24 @@ def campaign(
     for other, value in others.items():
         if value is not None:
             raise SettingError(f"tolerance and {other} exclude each other, got both")
-    materials = [
-        WholeBsdf(str(name), specimen, tolerance, theta_max, where, settings)
-        for name, specimen in specimens.items()
-    ]
+    temporary = folder is None
+    if temporary:
+        where = replace(where, folder=Path(tempfile.mkdtemp(prefix="gonio_mi_")))
+    materials = []
     try:
+        for name, specimen in specimens.items():
+            known = KnownDirections(str(name), specimen, tolerance, where, settings)
+            materials.append(WholeBsdf(known, theta_max))
         return {material.name: material.measured() for material in materials}
     except KeyboardInterrupt:
-        if folder is not None or not materials[0].directions.rounds:
+        n_kept = sum(material.directions.n_kept for material in materials)
+        if not (temporary and n_kept):
             raise
-        kept = tempfile.mkdtemp(prefix="gonio_mi_")
-        n_kept = sum(material.directions.keep_in(kept) for material in materials)
+        temporary = False  # it stays
         raise KeyboardInterrupt(
-            f"{kept} holds the {n_kept} directions that were finished: with it as "
-            "folder the same campaign carries on"
+            f"{where.folder} holds the {n_kept} directions that were finished: with it "
+            "as folder the same campaign carries on"
         ) from None
+    finally:
+        if temporary and where.folder is not None:
+            shutil.rmtree(where.folder, ignore_errors=True)

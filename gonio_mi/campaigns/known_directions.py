@@ -1,4 +1,4 @@
-"""Directions that a campaign has measured, as precisely as its tolerance asks."""
+"""Directions that a campaign has measured, and the material that they make."""
 
 from __future__ import annotations
 
@@ -9,18 +9,21 @@ import time
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..collector import Subdivision
 from ..errors import SettingError, SpecimenError, abridged
+from ..formats.scatter import PatchMeans
+from ..interpolation.lobes import check_table, is_significant
+from ..results.azimuth_symmetry import AzimuthSymmetry
+from ..results.campaign_outcome import PredictionError
 from ..results.prediction_error import prediction_error
 from ..results.record import Record
 from ..settings import Estimator, MeasurementSettings
-from .tasks import Surroundings, keep, records_of
+from .prediction import SPARED, Prediction, points_for
+from .tasks import Surroundings, records_of
 
 __all__ = [
     "CONFIRMING",
@@ -46,10 +49,10 @@ NOISE, CONFIRMING, INTEGRAL = 1 / 2, 1 / 4, 1 / 10
 # and up to 2.2 times too small, and those of the light in all may be twice as large: a
 # right plugin of spiky weights is not beyond 3.6 of its own.
 PROBE_RAYS = 2**18
-AGAIN, CERTAIN = 16, 16
+REPEAT_FACTOR, N_STD_ERRS_REFUSED = 16, 16
 
 # Seconds of further measuring that are announced.
-LONG = 600
+MIN_ANNOUNCED = 600
 
 
 class NotIntegrableError(Exception):
@@ -57,7 +60,9 @@ class NotIntegrableError(Exception):
 
 
 class KnownDirections:
-    """Records of a specimen by incident direction; the same wherever it is measured.
+    """Records of a specimen by incident direction, and the material that they make.
+
+    They are the same wherever they are measured, and as precise as the tolerance asks.
 
     Parameters
     ----------
@@ -65,6 +70,8 @@ class KnownDirections:
     specimen : object
         What :func:`~gonio_mi.campaigns.measure.measure` takes.
     tolerance : float
+        Fraction of the flux that leaves; see
+        :class:`~gonio_mi.results.campaign_outcome.PredictionError`.
     where : Surroundings
     settings : dict
         All other settings of a measurement.
@@ -75,8 +82,10 @@ class KnownDirections:
         By polar angle and azimuth in degrees.
     rays : int
         That were sent for them, also for those that were too noisy.
-    light : ndarray, shape (2,)
+    flux : ndarray, shape (2,)
         Reflectances and transmittances, each summed over all of them.
+    n_kept : int
+        How many the folder of `where` holds of the specimen.
     """
 
     def __init__(
@@ -100,11 +109,10 @@ class KnownDirections:
             self.estimators = [MeasurementSettings.among(settings).estimator]
         self.chosen: Subdivision | None = None  # where no collector was asked for
         self.records: dict[tuple[float, float], Record] = {}
-        # for `keep_in`, where there is no folder: arguments of `keep` but for where
-        self.rounds: list[tuple[str, Record, Sequence[Any], dict[str, Any]]] = []
-        self.rays = self.n_rounds = self.n_timed = 0
+        self.rays = self.n_rounds = self.n_timed = self.n_kept = 0
         self.seconds, self.announced = 0.0, False
-        self.light = np.zeros(2)
+        self.flux = np.zeros(2)
+        self.n_points = points_for(tolerance)
 
     def start_anew(self, patches: Subdivision | None = None) -> None:
         """Forget all directions; take rays, or other patches if some are given."""
@@ -114,19 +122,20 @@ class KnownDirections:
             self.chosen = patches
             self.settings = self.settings | {"collector": patches}
         self.records.clear()
-        self.light[:] = 0
+        self.flux[:] = 0
         self.rays = self.n_rounds = self.n_timed = 0
         self.seconds = 0.0
 
     def measure(
         self,
         incidents: Iterable[tuple[float, float]],
-        said: str,
+        purpose: str,
         noise: float = NOISE,
     ) -> None:
         """Measure the directions that are not known yet, or not as precisely.
 
-        `noise`: the part of the tolerance that it may misplace where they are sampled.
+        `purpose` stands beside the progress bar; `noise` is the total variation
+        distance that it may make where directions are sampled, over the tolerance.
 
         Raises
         ------
@@ -139,18 +148,18 @@ class KnownDirections:
             return
         started = time.perf_counter()
         # fits a terminal
-        said = f"{abridged(self.name, 16)}, {len(self.records)} measured, {said}"
-        logger.info("%s: %d more", said, len(new))
+        label = f"{abridged(self.name, 16)}, {len(self.records)} measured, {purpose}"
+        logger.info("%s: %d more", label, len(new))
         part = f"{self.estimators[0]}_{self.n_rounds:03d}"
         try:
-            stack = self._kept(part, new, self.settings | self._goals(goal), said)
+            stack = self._kept(part, new, self.settings | self._goals(goal), label)
         except SpecimenError as error:
             if len(self.estimators) == 1:
                 raise
             raise NotIntegrableError(error) from error
         self.rays += stack.ledger.emitted
         flux = stack.flux_fraction
-        self.light += flux[:, :1].sum(), flux[:, 1:].sum()
+        self.flux += flux[:, :1].sum(), flux[:, 1:].sum()
         self.records |= zip(new, (stack[number] for number in range(len(stack))))
         self.n_rounds, self.n_timed = self.n_rounds + 1, self.n_timed + len(new)
         self.seconds += time.perf_counter() - started
@@ -165,18 +174,28 @@ class KnownDirections:
         part: str,
         incidents: Sequence[tuple[float, float]],
         settings: dict[str, Any],
-        said: str,
+        label: str,
     ) -> Record:
-        """Stack of directions that is kept: in the folder, or for one."""
-        if self.chosen is not None:
-            part += f"_{self.chosen}".replace(":", "_")
-        where, specimens = self.where, {self.name: self.specimen}
+        """Stack of directions that is kept in a part of the folder, if there is one."""
+        where = self.where
         if where.folder is not None:
-            where = self._where(where.folder, part)
-        stack = records_of(specimens, incidents, where, settings, said)[self.name]
-        if self.where.folder is None:
-            self.rounds.append((part, stack, incidents, settings))
+            if self.chosen is not None:
+                part += f"_{self.chosen}".replace(":", "_")
+            where = replace(where, folder=where.folder / folder_name(self.name) / part)
+        stack = self._stack(incidents, where, settings, label)
+        self.n_kept += len(stack)
         return stack
+
+    def _stack(
+        self,
+        incidents: Sequence[tuple[float, float]],
+        where: Surroundings,
+        settings: dict[str, Any],
+        label: str | None = None,
+    ) -> Record:
+        """Stack of directions, measured anew or found in the folder of `where`."""
+        specimens = {self.name: self.specimen}
+        return records_of(specimens, incidents, where, settings, label)[self.name]
 
     def check_functions(self, incident: tuple[float, float]) -> None:
         """Raise SpecimenError if samples contradict the integral of a known direction.
@@ -186,38 +205,23 @@ class KnownDirections:
         if len(self.estimators) == 1 or not self.estimators[0].integrates:
             return
         settings = self.settings | {"estimator": Estimator.WEIGHTED, "rays": PROBE_RAYS}
-        said = f"{abridged(self.name, 16)}, is sample() like eval()?"
-        record = self._kept("functions", [incident], settings, said)
+        label = f"{abridged(self.name, 16)}, is sample() like eval()?"
+        record = self._kept("functions", [incident], settings, label)
         integral = self.records[incident]
         error = prediction_error(record, integral.flux_fraction)
         if error.exceeds(self.tolerance):
-            settings = settings | {"rays": AGAIN * PROBE_RAYS}
-            record = self._kept("functions_again", [incident], settings, said)
+            settings = settings | {"rays": REPEAT_FACTOR * PROBE_RAYS}
+            record = self._kept("functions_again", [incident], settings, label)
             error = prediction_error(record, integral.flux_fraction)
-        if error.error - CERTAIN * error.std_err > self.tolerance:
+        if error.error - N_STD_ERRS_REFUSED * error.std_err > self.tolerance:
             totals = [f"{one.flux_fraction.sum():.3g}" for one in (record, integral)]
             raise SpecimenError(
                 f"sample() and eval() of {self.name:.60} disagree: at theta_i "
-                f"{incident[0]:.3g}, {totals[0]} of the light leaves by one and "
+                f"{incident[0]:.3g}, {totals[0]} of the flux leaves by one and "
                 f"{totals[1]} by the other, in part elsewhere; gonio-mi validate tells "
                 "which is wrong, and an estimator (weighted or quadrature) says which "
                 "to take"
             )
-
-    def keep_in(self, folder: str) -> int:
-        """Write all rounds of directions to a folder, from which a campaign carries on.
-
-        Returns how many directions these are.
-        """
-        for part, stack, incidents, settings in self.rounds:
-            where = self._where(folder, part)
-            keep(stack, self.name, self.specimen, incidents, where, settings)
-        return sum(len(stack) for _, stack, *_ in self.rounds)
-
-    def _where(self, folder: str | PathLike[str], part: str) -> Surroundings:
-        """Where a round is measured, which is kept in a folder."""
-        own = Path(folder) / folder_name(self.name)
-        return replace(self.where, folder=own / part)
 
     def stack(
         self,
@@ -228,35 +232,32 @@ class KnownDirections:
 
         With other `patches` they are measured here, and not kept.
         """
-        said = "are patches fine?"
+        purpose = "are patches fine?"
         if patches is None:
-            self.measure(incidents, said)
+            self.measure(incidents, purpose)
             return Record.stack(self.records[one] for one in incidents)
-        where = replace(self.where, folder=None)
-        settings = (
-            self.settings | self._goals(NOISE * self.tolerance) | {"collector": patches}
+        settings = self.settings | self._goals(NOISE * self.tolerance)
+        return self._stack(
+            incidents,
+            replace(self.where, folder=None),
+            settings | {"collector": patches},
+            purpose,
         )
-        specimens = {self.name: self.specimen}
-        return records_of(specimens, incidents, where, settings, said)[self.name]
 
     def probe(
         self, incident: tuple[float, float], patches: Subdivision | None = None
     ) -> Record:
         """Record of a direction, of a few rays, which is not kept."""
-        where = replace(self.where, folder=None, progress=False)
-        settings = self.settings | {
-            "estimator": self.estimators[0],
-            "rays": PROBE_RAYS,
-        }
+        settings = {"estimator": self.estimators[0], "rays": PROBE_RAYS}
         settings |= {} if patches is None else {"collector": patches}
-        specimens = {self.name: self.specimen}
-        return records_of(specimens, [incident], where, settings)[self.name][0]
+        where = replace(self.where, folder=None, progress=False)
+        return self._stack([incident], where, self.settings | settings)[0]
 
     def announce(self, expected: float) -> None:
         """Warn, once, if so many directions in all will take long."""
         more = expected - len(self.records)
         left = more * self.seconds / max(self.n_timed, 1)
-        if left > LONG and not self.announced:
+        if left > MIN_ANNOUNCED and not self.announced:
             self.announced = True
             warnings.warn(
                 f"{self.name}: {self.n_timed} directions took {self.seconds:.0f} s; at "
@@ -272,6 +273,57 @@ class KnownDirections:
             rel_err = INTEGRAL * self.tolerance
             return {"estimator": self.estimators[0], "rel_err": rel_err}
         return {"estimator": self.estimators[0], "noise": noise}
+
+    # ------------------------------------------------------------------- the material
+
+    @property
+    def patches(self) -> Subdivision:
+        """What all directions are measured in."""
+        return next(iter(self.records.values())).subdivision
+
+    def prediction(
+        self,
+        incidents: Iterable[tuple[float, float]],
+        symmetry: AzimuthSymmetry | None = None,
+    ) -> Prediction:
+        """Of some known directions, and their images, of which no counts are copied."""
+        symmetry = symmetry or AzimuthSymmetry(self.patches.shape[1])
+        sources = symmetry.sources(self.records, incidents)
+        flux = [
+            motion.moved(self.records[source].flux_fraction, 2)
+            for source, motion in sources.values()
+        ]
+        theta_i, phi_i = np.array(list(sources)).T
+        means = PatchMeans(self.patches, theta_i, phi_i, self._channels, np.array(flux))
+        return self.material(means)
+
+    def material(self, stack: Record | PatchMeans) -> Prediction:
+        """Prediction of a stack's material, as right as the tolerance asks."""
+        return Prediction(stack, self.n_points, SPARED * self.tolerance)
+
+    def error(
+        self, prediction: Prediction, theta: float, phi: float
+    ) -> PredictionError:
+        """Error of a prediction at a known direction."""
+        return prediction_error(self.records[theta, phi], prediction.flux(theta, phi))
+
+    def check_size(self, azimuths: Iterable[float], n_angles: int) -> None:
+        """Raise TooLargeError if the table of such a material is too large.
+
+        Parameters
+        ----------
+        azimuths : iterable of float
+            Of all its directions, images included, in degrees.
+        n_angles : int
+            Polar angles.
+        """
+        n_hemispheres = 1 + is_significant(self.flux[1], self.flux.sum())
+        lobes = n_hemispheres, *self.patches.shape, len(self._channels)
+        check_table(len(set(azimuths)), n_angles, lobes)
+
+    @property
+    def _channels(self) -> tuple[str, ...]:
+        return next(iter(self.records.values())).channels
 
 
 def folder_name(name: str) -> str:

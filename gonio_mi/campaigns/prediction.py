@@ -24,15 +24,15 @@ __all__ = ["SPARED", "Prediction", "points_for"]
 SPARED = 1 / 100
 
 # Points of all patches together that cost less than the choice of those that matter.
-FEW = 2**20
+MAX_FULL_POINTS = 2**20
 
 # How many times fewer points on a side other patches get, and the part of their second
 # differences that n points on a side may miss, times n: lobes are linear within patches
 # and jump between them, by up to a fourth of it, and where is known to half a step.
-FEWER, MISSED = 4, 1 / 8
+POINT_REDUCTION, MISSED_FRACTION = 4, 1 / 8
 
 # Tables of few lobes each that are kept for more directions between the same records.
-KEPT = 64
+MAX_CACHED = 64
 
 
 def points_for(tolerance: float) -> int:
@@ -68,9 +68,9 @@ class Prediction:
         self.n_hemispheres = record.flux_fraction.shape[-4]
         self.n_points, self.spared = n_points, spared
         n_all = self.n_hemispheres * self.subdivision.n_patches
-        self.sparing = spared > 0 and n_all * n_points**2 > FEW
-        self.n_first = n_points // FEWER if self.sparing else n_points
-        self._face = lru_cache(KEPT)(self._between)
+        self.sparing = spared > 0 and n_all * n_points**2 > MAX_FULL_POINTS
+        self.n_first = n_points // POINT_REDUCTION if self.sparing else n_points
+        self._face = lru_cache(MAX_CACHED)(self._between)
         self.every = np.arange(n_all)
         self.wo = self._points(self.every, self.n_first)
 
@@ -132,7 +132,7 @@ class Prediction:
         second = np.abs(np.diff(inner, axis=1))
         around = np.roll(brdf, 1, axis=2) + np.roll(brdf, -1, axis=2) - 2 * brdf
         missed = ((second + np.abs(around)) * solid).sum(axis=-1)
-        missed *= MISSED / self.n_first
+        missed *= MISSED_FRACTION / self.n_first
         order = np.sort(missed, axis=None)
         allowed = self.spared * (brdf * solid).sum()
         spared = np.searchsorted(np.cumsum(order), allowed)

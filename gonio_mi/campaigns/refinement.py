@@ -1,11 +1,28 @@
-"""Where a campaign measures next: intervals of directions, split or settled."""
+"""Which incident directions a campaign measures next: intervals, split or settled.
+
+Polar angles first, and azimuths on the ring of each.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
-__all__ = ["Axis", "Interval", "refined"]
+import numpy as np
+
+from ..results.azimuth_symmetry import AzimuthSymmetry, azimuth_of
+from ..results.campaign_outcome import PredictionError
+
+__all__ = ["Axis", "IncidentRings", "Interval", "refined"]
+
+# Azimuths of an anisotropic specimen to begin with.
+N_FIRST_AZIMUTHS = 8
+
+# Legs are not split into parts below so many degrees. What a split leaves of the error
+# of a leg: more than a fourth, since lobes change faster towards grazing incidence.
+MIN_LEG_WIDTH = 0.25
+ERROR_LEFT_BY_SPLIT = 1 / 2
 
 
 @dataclass(frozen=True)
@@ -114,3 +131,147 @@ def refined(
             except Exception:
                 axis.errors = before
                 raise
+
+
+class IncidentRings:
+    """Directions that a material is made of, and the intervals between them.
+
+    Parameters
+    ----------
+    angles : sequence of float
+        Polar angles to begin with, in degrees.
+    symmetry : AzimuthSymmetry
+        Azimuths are chosen in its domain only.
+    isotropic : bool
+        Whether one azimuth is enough.
+
+    Attributes
+    ----------
+    legs : Axis
+        Between polar angles, in degrees.
+    gaps : Axis
+        Between azimuths of each polar angle, in sectors.
+    """
+
+    def __init__(
+        self, angles: Sequence[float], symmetry: AzimuthSymmetry, isotropic: bool
+    ) -> None:
+        self.symmetry, self.isotropic = symmetry, isotropic
+        self.legs = Axis(
+            _middle_angle, ERROR_LEFT_BY_SPLIT, dict.fromkeys(_intervals(angles))
+        )
+        self.gaps = Axis(_middle_sector)
+
+    def begin_gaps(self) -> None:
+        """Give every ring the azimuths to begin with."""
+        for theta in self.legs.levels()[1:]:
+            self.gaps.errors |= dict.fromkeys(_intervals(self._first_sectors(), theta))
+
+    def azimuth(self, sector: float) -> float:
+        """Azimuth of a sector's edge in degrees."""
+        return azimuth_of(sector, self.symmetry.n_sectors)
+
+    @property
+    def first_azimuths(self) -> list[float]:
+        """Azimuths to begin with, in degrees."""
+        return [self.azimuth(sector) for sector in self._own(self._first_sectors())]
+
+    def ring(self, theta: float) -> list[tuple[float, float]]:
+        """Directions of one polar angle that the material is made of."""
+        sectors = self._own(self.gaps.levels(theta)) or [0.0]
+        return [(theta, self.azimuth(sector)) for sector in sectors]
+
+    def directions(self) -> list[tuple[float, float]]:
+        """All directions that the material is made of."""
+        return [one for theta in self.legs.levels() for one in self.ring(theta)]
+
+    def expected(self, limit: float) -> float:
+        """How many directions an error of `limit` will need, by the errors known."""
+
+        def parts(axis: Axis) -> float:
+            errors = [4 * limit if e is None else e for e in axis.errors.values()]
+            return float(np.sqrt(np.maximum(np.divide(errors, limit), 1)).sum())
+
+        n_rings = 1 + parts(self.legs)
+        n_azimuths = float(len(self._own(self._first_sectors())))
+        if self.gaps.errors:
+            n_azimuths = parts(self.gaps) / (len(self.legs.levels()) - 1)
+        return n_rings * n_azimuths
+
+    def split_at(self, missed: Iterable[PredictionError]) -> bool:
+        """Split what holds the directions that were missed; whether anything was.
+
+        Each leg or gap once, for the worst of them.
+        """
+        before = len(self.legs.errors), len(self.gaps.errors)
+        worst = sorted(missed, key=lambda one: one.error, reverse=True)
+        done: set[Interval] = set()
+        for one, (leg, gaps) in [(one, self._around(one)) for one in worst]:
+            if done & {leg, *gaps}:
+                continue
+            of_gaps = max((self.gaps.errors[gap] or 0.0 for gap in gaps), default=0.0)
+            by_angle = (self.legs.errors[leg] or 0.0) >= of_gaps
+            for split_leg in (by_angle, not by_angle):
+                middles: list[float | None]
+                if split_leg:
+                    middles = [self._split_leg(leg, one.error)]
+                else:
+                    middles = [self.gaps.split(gap, one.error) for gap in gaps]
+                if any(middle is not None for middle in middles):
+                    done |= {leg} if split_leg else set(gaps)
+                    break
+        return before != (len(self.legs.errors), len(self.gaps.errors))
+
+    def _around(self, one: PredictionError) -> tuple[Interval, list[Interval]]:
+        """Leg that holds a direction, and the gaps of azimuth on both its ends."""
+        leg = self.legs.around(one.theta_i)
+        symmetry = self.symmetry
+        sector = symmetry.home(one.phi_i * symmetry.n_sectors / 360)
+        sector = min(max(sector, symmetry.domain[0]), symmetry.domain[1])
+        rings = [theta for theta in (leg.low, leg.high) if self.gaps.levels(theta)]
+        return leg, [self.gaps.around(sector, theta) for theta in rings]
+
+    def _split_leg(self, leg: Interval, error: float) -> float | None:
+        """Split a leg; its new ring has the azimuths of both its neighbours."""
+        middle = self.legs.split(leg, error)
+        levels = {s for end in (leg.low, leg.high) for s in self.gaps.levels(end)}
+        if middle is not None and levels:
+            for gap in _intervals(sorted(levels), middle):
+                self.gaps.errors[gap] = max(
+                    self.gaps.errors[self.gaps.around((gap.low + gap.high) / 2, end)]
+                    or 0.0
+                    for end in (leg.low, leg.high)
+                    if self.gaps.levels(end)
+                )
+        return middle
+
+    def _first_sectors(self) -> list[float]:
+        """Azimuths to begin with, in sectors, and the end of what they are part of.
+
+        Of an isotropic specimen one, and no end.
+        """
+        if self.isotropic:
+            return [0.0]
+        return self.symmetry.spread(N_FIRST_AZIMUTHS)
+
+    def _own(self, levels: list[float]) -> list[float]:
+        """Azimuths without the last one where it is the first one's image."""
+        of_all = self.isotropic or self.symmetry.mirror is not None
+        return levels if of_all else levels[:-1]
+
+
+def _intervals(levels: Sequence[float], on: float = 0.0) -> list[Interval]:
+    """Intervals between ascending levels."""
+    return [Interval(low, high, on) for low, high in itertools.pairwise(levels)]
+
+
+def _middle_angle(leg: Interval) -> float | None:
+    """Middle of a leg in degrees; None for one that is narrow enough."""
+    if leg.high - leg.low < 2 * MIN_LEG_WIDTH:
+        return None
+    return (leg.low + leg.high) / 2
+
+
+def _middle_sector(gap: Interval) -> float | None:
+    """Sector in the middle of a gap; None if there is none."""
+    return float((gap.low + gap.high) // 2) if gap.high - gap.low >= 2 else None

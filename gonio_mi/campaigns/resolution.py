@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,41 +13,39 @@ from ..collector import EqualAngle, RingsAndSectors, Subdivision
 from ..errors import SettingError, SpecimenError
 from ..results.prediction_error import prediction_error
 from ..results.record import Record
-from .prediction import SPARED, Prediction
+from .known_directions import KnownDirections
 
 __all__ = [
     "TooCoarseError",
-    "check_equal_sectors",
+    "checked_sectors",
     "check_peaks",
     "check_resolved",
-    "delta_share",
+    "delta_fraction",
 ]
 
 # By which power of their width finer patches are better, where they nearly resolve a
 # lobe, and up to which part of the light in the wrong place they do; above which part
 # the finest patches of all are tried before those in between.
-ORDER, NEARLY, FAR = 1.7, 0.05, 0.4
+ORDER, NEARLY_RESOLVED, FAR_FROM_RESOLVED = 1.7, 0.05, 0.4
 
 # Part of what coarse patches lose that fine ones lose of mirrors too; of the rough
 # conductor 0.1 on 6x16 patches half is left after one doubling.
 LIKE_MIRRORS = 3 / 4
 
 # Part of the tolerance that patches may take of it.
-SHARE = 1 / 2
+MAX_OF_TOLERANCE = 1 / 2
 
 # Patches of a collector that is tried to find the one that would do.
-MOST_PATCHES = 10**5
+MAX_PATCHES = 10**5
 
 Incident = tuple[float, float]
 # A peak that no patches resolve holds so many times the light of any patch beside it,
 # of the finest, and at least so much of all: of a Gaussian lobe in the middle of a
 # patch, where its standard deviation is about a third of the patch.
-STANDS_OUT, LEAST_PEAK = 10, 1e-3
+STANDS_OUT, MIN_PEAK = 10, 1e-3
 
 # What to do where no patches resolve the lobes.
 INSTEAD = "name angles (theta_i) instead of a tolerance"
-
-Records = Callable[[Sequence[Incident], Subdivision | None], Record]
 
 
 class TooCoarseError(SpecimenError):
@@ -60,129 +56,123 @@ class TooCoarseError(SpecimenError):
         self.enough = enough
 
 
-def check_equal_sectors(patches: Subdivision) -> None:
-    """Raise ValueError unless patches are of rings of equal sectors, at least eight."""
-    edges = patches.phi_edges if isinstance(patches, RingsAndSectors) else np.zeros(2)
-    if len(edges) < 9 or not np.allclose(np.diff(edges), edges[-1] / (len(edges) - 1)):
-        raise SettingError(
-            "tolerance needs a collector of rings with at least 8 equal sectors, such "
-            f"as projected:30x90, got {patches!s:.60}"
-        )
+def checked_sectors(patches: Subdivision) -> RingsAndSectors:
+    """Return patches if they are rings of eight equal sectors or more, else raise."""
+    if isinstance(patches, RingsAndSectors):
+        edges = patches.phi_edges
+        n = len(edges) - 1
+        if n >= 8 and np.allclose(np.diff(edges), edges[-1] / n):
+            return patches
+    raise SettingError(
+        "tolerance needs a collector of rings with at least 8 equal sectors, such as "
+        f"projected:30x90, got {patches!s:.60}"
+    )
 
 
 def check_resolved(
-    tolerance: float,
-    n_points: int,
-    angles: Sequence[float],
-    records: Records,
-    phi_i: float = 0.0,
+    directions: KnownDirections, angles: Sequence[float], phi_i: float = 0.0
 ) -> None:
     """Raise SpecimenError if patches are too coarse to say what is between directions.
 
-    Where they are, and more of the light than the tolerance is in delta lobes, no
+    Where they are, and more of the flux than the tolerance is in delta lobes, no
     others would do either. Otherwise a :class:`TooCoarseError` names a collector that
     would, from what finer ones would measure: of equal steps of angle, which resolve
     lobes at grazing incidence with the fewest patches.
 
     Parameters
     ----------
-    tolerance : float
-    n_points : int
-        Points per side of a patch.
+    directions : KnownDirections
     angles : sequence of float
         Of incidence in degrees, where it is looked at.
-    records : callable
-        Stack of incident directions in degrees, with another collector if one is given.
     phi_i : float
         Azimuth in degrees, where it is looked at.
     """
+    tolerance = directions.tolerance
     incidents = [(theta_i, phi_i) for theta_i in angles]
-    first = records(incidents, None)
-    asked = patches = first.subdivision
-    lost_at = partial(_lost, tolerance, n_points, records)
-    lost = at_first = lost_at(incidents, patches, own=True)
+    first = directions.stack(incidents)
+    own = patches = first.subdivision
+    lost = lost_at_first = _lost(directions, incidents)
     if max(lost) <= tolerance:
         return
     _check_delta(tolerance, first, max(angles))
-    said = (
+    finding = (
         f"the lobes of {first.provenance.name:.60} are too narrow for "
-        f"{asked!s:.40}: moved by half a patch, {max(at_first):.2g} of the light would "
-        f"be in the wrong place at an angle up to {max(angles):.3g}"
+        f"{own!s:.40}: moved by half a patch, {max(lost_at_first):.2g} of the flux "
+        f"would be in other patches at an angle up to {max(angles):.3g}"
     )
-    nearly = max(NEARLY, tolerance)
-    if max(lost) > FAR and min(lost) > nearly:
+    nearly = max(NEARLY_RESOLVED, tolerance)
+    if max(lost) > FAR_FROM_RESOLVED and min(lost) > nearly:
         # rings and sectors would be doubled each time, for mirrors to the end
         finest = _finest(patches)
-        of_finest = lost_at(incidents[:1], finest)
+        of_finest = _lost(directions, incidents[:1], finest)
         if min(of_finest) > nearly:
             patches, lost = finest, of_finest
     while max(lost) > nearly:
-        sizes = [n * (1 + (one > nearly)) for n, one in zip(patches.shape, lost)]
-        if math.prod(sizes) > MOST_PATCHES:
-            mirrors = max(lost) > LIKE_MIRRORS * max(at_first)
+        sizes = [n * 2 if one > nearly else n for n, one in zip(patches.shape, lost)]
+        if math.prod(sizes) > MAX_PATCHES:
+            mirrors = max(lost) > LIKE_MIRRORS * max(lost_at_first)
             as_of = ", as of smooth mirrors" if mirrors else ""
             raise SpecimenError(
-                f"{said}, and {max(lost):.2g} with {patches!s:.40}{as_of}; {INSTEAD}"
+                f"{finding}, and {max(lost):.2g} with {patches!s:.40}{as_of}; {INSTEAD}"
             )
         patches = EqualAngle(*sizes)
-        lost = lost_at(incidents, patches)
-    factors = [max(1.0, (one / (SHARE * tolerance)) ** (1 / ORDER)) for one in lost]
+        lost = _lost(directions, incidents, patches)
+    factors = [
+        max(1.0, (one / (MAX_OF_TOLERANCE * tolerance)) ** (1 / ORDER)) for one in lost
+    ]
     sizes = [math.ceil(n * f / 4) * 4 for n, f in zip(patches.shape, factors)]
     enough = EqualAngle(*sizes)
     raise TooCoarseError(
-        f"{said}; take a smaller theta_max or a collector such as {enough}", enough
+        f"{finding}; take a smaller theta_max or a collector such as {enough}", enough
     )
 
 
-def check_peaks(tolerance: float, theta_i: float, probe: Callable[..., Record]) -> None:
-    """Raise SpecimenError for more light than two tolerances in unresolvable peaks.
+def check_peaks(directions: KnownDirections, theta_i: float) -> None:
+    """Raise SpecimenError for more flux than two tolerances in unresolvable peaks.
 
-    Moved by half a patch, half of it would be in the wrong place. Rays through geometry
-    do not tell whether they met delta components only: their light is looked at in the
+    Moved by half a patch, half of it would be in other patches. Rays through geometry
+    do not tell whether they met delta components only: their flux is looked at in the
     finest patches.
 
     Parameters
     ----------
-    tolerance : float
+    directions : KnownDirections
     theta_i : float
         Angle of incidence in degrees, where mirrors are brightest: the largest.
-    probe : callable
-        Record of a few rays from a direction, with another collector if one is given.
     """
-    own = probe((theta_i, 0.0)).subdivision
-    check_equal_sectors(own)
+    own = checked_sectors(directions.probe((theta_i, 0.0)).subdivision)
     finest = _finest(own)
     # the mirror image is in the middle of a patch
     edges = np.degrees(finest.theta_edges)
     ring = int(np.searchsorted(edges, theta_i).clip(1, len(edges) - 1))
     middle = float(edges[ring - 1 : ring + 1].mean())
-    record = probe((middle, 180 + 180 / finest.n_phi), finest)
-    share = _peak_share(record)
-    if share > 2 * tolerance:
-        raise _delta_error(share, record, theta_i)
+    record = directions.probe((middle, 180 + 180 / finest.n_phi), finest)
+    fraction = _peak_fraction(record)
+    if fraction > 2 * directions.tolerance:
+        raise _delta_error(fraction, record, theta_i)
 
 
-def _peak_share(record: Record) -> float:
-    """Part of the light of one incident direction that stands out of its patches."""
+def _peak_fraction(record: Record) -> float:
+    """Fraction of the flux of one incident direction that stands out of its patches."""
     flux = record.flux_fraction.sum(axis=-1)
     total = flux.sum()
-    stands_out = flux > np.maximum(STANDS_OUT * _beside(flux), LEAST_PEAK * total)
+    stands_out = flux > np.maximum(STANDS_OUT * _beside(flux), MIN_PEAK * total)
     return float(flux[stands_out].sum() / total) if total > 0 else 0.0
 
 
 def _check_delta(tolerance: float, record: Record, theta_i: float) -> None:
-    """Raise SpecimenError for more of the light than the tolerance in delta lobes."""
-    delta = max(map(delta_share, (record[number] for number in range(len(record)))))
+    """Raise SpecimenError for more of the flux than the tolerance in delta lobes."""
+    delta = max(map(delta_fraction, (record[number] for number in range(len(record)))))
     if delta > tolerance:
         raise _delta_error(delta, record, theta_i)
 
 
-def _delta_error(share: float, record: Record, theta_i: float) -> SpecimenError:
-    """Error for a share of the light in delta lobes."""
+def _delta_error(fraction: float, record: Record, theta_i: float) -> SpecimenError:
+    """Error for a fraction of the flux in delta lobes."""
     window = "make a window file of it (gonio-mi bsdf)"
     other = window if record.has_lower and np.any(record.dht) else "take a rough BSDF"
     return SpecimenError(
-        f"{share:.2g} of the light of {record.provenance.name:.60} leaves in "
+        f"{fraction:.2g} of the flux of {record.provenance.name:.60} leaves in "
         "delta lobes (mirror images, or straight on) at an angle up to "
         f"{theta_i:.3g}, and no patches tell where these are between directions: "
         f"{INSTEAD}, or {other}"
@@ -191,12 +181,12 @@ def _delta_error(share: float, record: Record, theta_i: float) -> SpecimenError:
 
 def _finest(patches: Subdivision) -> EqualAngle:
     """Patches whose rings and sectors are doubled as often as may be."""
-    doublings = max(int(math.log(MOST_PATCHES / patches.n_patches, 4)), 0)
+    doublings = max(int(math.log(MAX_PATCHES / patches.n_patches, 4)), 0)
     return EqualAngle(*(n << doublings for n in patches.shape))
 
 
-def delta_share(record: Record) -> float:
-    """Part of the light of one incident direction that is seen to be in delta lobes.
+def delta_fraction(record: Record) -> float:
+    """Fraction of the flux of one incident direction that is seen to be in delta lobes.
 
     What passed openings straight on; and beside integrals what was sampled, of which
     patches hold more than those around them.
@@ -218,44 +208,42 @@ def _beside(flux: Floats) -> Floats:
 
 
 def _lost(
-    tolerance: float,
-    n_points: int,
-    records: Records,
-    looked_at: Sequence[Incident],
-    patches: Subdivision,
-    own: bool = False,
+    directions: KnownDirections,
+    incidents: Sequence[Incident],
+    patches: Subdivision | None = None,
 ) -> tuple[float, ...]:
-    """Light in the wrong place where only the patches are in the way: at the worst.
+    """Error of predictions where only the patches are in the way: the worst.
 
     By rings and by sectors: lobes are moved by half a ring, and by half a sector, from
-    directions next to them. `own`: whether records have these patches anyway.
+    directions next to them. In other `patches` directions are measured anew.
     """
-    moved = [_moved(*incident, patches) for incident in looked_at]
+    rings = checked_sectors(directions.patches if patches is None else patches)
+    moved = [_moved(*one, rings) for one in incidents]
     every = {
         incident
         for both in moved
         for to, stacks in both
         for incident in itertools.chain([to], *stacks)
     }
-    incidents = sorted(every)
-    record = records(incidents, None if own else patches)
-    known = {one: record[number] for number, one in enumerate(incidents)}
+    needed = sorted(every)
+    record = directions.stack(needed, patches)
+    known = {one: record[number] for number, one in enumerate(needed)}
 
-    def lost_by(to: Incident, stacks: Sequence[Sequence[Incident]]) -> float:
-        """Light in the wrong place in a direction, as the mean of `stacks` tells."""
+    def distance(to: Incident, stacks: Sequence[Sequence[Incident]]) -> float:
+        """Total variation distance in a direction from the mean of `stacks`."""
         around = [Record.stack(known[one] for one in stack) for stack in stacks]
-        ways = [Prediction(one, n_points, SPARED * tolerance) for one in around]
+        ways = [directions.material(one) for one in around]
         error = prediction_error(
             known[to], np.mean([one.flux(*to) for one in ways], axis=0)
         )
         return max(error.total_variation - 2 * error.std_err, 0.0)
 
-    each = [[lost_by(to, stacks) for to, stacks in both] for both in moved]
+    each = [[distance(to, stacks) for to, stacks in both] for both in moved]
     return tuple(map(max, zip(*each)))
 
 
 def _moved(
-    theta_i: float, phi_i: float, patches: Any
+    theta_i: float, phi_i: float, patches: RingsAndSectors
 ) -> list[tuple[Incident, list[list[Incident]]]]:
     """Directions half a ring and half a sector from one, in degrees.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copyreg
-import itertools
 import logging
 import os
 import pickle
@@ -34,7 +33,7 @@ from ..transport.specimen import Specimen
 from .folder import CampaignFolder
 from .workers import workers
 
-__all__ = ["Surroundings", "keep", "records_of"]
+__all__ = ["Surroundings", "records_of"]
 
 logger = logging.getLogger(__name__)
 
@@ -57,7 +56,7 @@ class Surroundings:
     """
 
     executor: Any = None
-    folder: str | PathLike[str] | None = None
+    folder: Path | None = None
     plugins: Sequence[str | PathLike[str]] = ()
     threads: int | None = None
     retries: int = 3
@@ -88,27 +87,6 @@ def records_of(
         )
         for name in specimens
     }
-
-
-def keep(
-    stack: Record,
-    name: str,
-    specimen: Any,
-    incidents: Sequence[tuple[float, float]],
-    where: Surroundings,
-    arguments: dict[str, Any],
-) -> None:
-    """Write what :func:`records_of` gave for one specimen into the folder of `where`.
-
-    There it is as if it had been measured with that folder.
-    """
-    specimens = {name: specimen}
-    tasks = _tasks(specimens, incidents, where.plugins, where.threads, arguments)
-    records = (stack[number] for number in range(len(stack)))
-    with CampaignFolder(where.folder or ".", tasks, incidents) as folder:
-        for task in tasks:
-            some = itertools.islice(records, len(task.incidents))
-            folder.save(task, Record.stack(some))
 
 
 def _records(

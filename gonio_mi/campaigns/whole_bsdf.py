@@ -18,34 +18,31 @@ from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_outcome import MAX_LOOKS, CampaignOutcome, PredictionError
 from ..results.record import Record
 from ..settings import MeasurementSettings
-from .incident_rings import IncidentRings
 from .known_directions import CONFIRMING, KnownDirections, NotIntegrableError
-from .known_material import KnownMaterial
-from .recognition import Recognition
-from .refinement import Interval, refined
+from .refinement import IncidentRings, Interval, refined
 from .resolution import (
     TooCoarseError,
-    check_equal_sectors,
     check_peaks,
     check_resolved,
+    checked_sectors,
 )
-from .tasks import Surroundings
+from .symmetry_recognition import SymmetryRecognition
 
-__all__ = ["SURE", "WholeBsdf", "checked_theta_max", "checked_tolerance"]
+__all__ = ["MAX_NOISY_ERROR", "WholeBsdf", "checked_theta_max", "checked_tolerance"]
 
 logger = logging.getLogger(__name__)
 
 # What single precision and the points of a prediction leave of a tolerance.
-LEAST_TOLERANCE = 1e-4
+MIN_TOLERANCE = 1e-4
 
 # Polar angles to begin with.
-FIRST_ANGLES = 4
+N_FIRST_ANGLES = 4
 
 # Directions never used that confirm the material, and how many may miss it in
 # two looks together if any does in the last: two in a single look would let one
 # material in three pass that misses a twelfth of all directions. It is refined where
 # any did, and looked at anew, MAX_LOOKS times at most.
-UNSEEN, MISSES = 40, 2
+N_UNSEEN, MAX_MISSES = 40, 2
 
 # What helps where directions never used go on missing the tolerance, and why.
 OUTGROWN = (
@@ -59,16 +56,16 @@ LOOKED = f"it was refined for them {MAX_LOOKS - 1} times: a larger tolerance hel
 
 # Part of the tolerance above which errors are measured again with less noise. Below it,
 # noise hides no error as large as the tolerance.
-SURE = 3 / 4
+MAX_NOISY_ERROR = 3 / 4
 
 
 def checked_tolerance(value: Any) -> float:
     """Tolerance of a whole BSDF, or a ValueError that says what it must be."""
     condition = (
-        f"a number from {LEAST_TOLERANCE:g}, below which single precision shows, "
+        f"a number from {MIN_TOLERANCE:g}, below which single precision shows, "
         "to below 0.5"
     )
-    return checked_number("tolerance", value, LEAST_TOLERANCE, 0.5, condition)
+    return checked_number("tolerance", value, MIN_TOLERANCE, 0.5, condition)
 
 
 def checked_theta_max(value: Any) -> float:
@@ -84,37 +81,20 @@ class WholeBsdf:
 
     Parameters
     ----------
-    name : str
-    specimen : object
-        What :func:`~gonio_mi.campaigns.measure.measure` takes.
-    tolerance : float
-        Fraction of the flux that leaves; see
-        :class:`~gonio_mi.results.campaign_outcome.PredictionError`.
+    directions : KnownDirections
+        Of which none is measured yet.
     theta_max : float
         In degrees, up to where the material shall be right.
-    where : Surroundings
-    settings : dict
-        All other settings of a measurement.
     """
 
-    def __init__(
-        self,
-        name: str,
-        specimen: Any,
-        tolerance: float,
-        theta_max: float,
-        where: Surroundings,
-        settings: dict[str, Any],
-    ) -> None:
-        self.name, self.tolerance, self.theta_max = name, tolerance, theta_max
-        self.directions = KnownDirections(name, specimen, tolerance, where, settings)
-        asked = MeasurementSettings.among(settings)
+    def __init__(self, directions: KnownDirections, theta_max: float) -> None:
+        self.directions, self.theta_max = directions, theta_max
+        self.name, self.tolerance = directions.name, directions.tolerance
+        asked = MeasurementSettings.among(directions.settings)
         self.seed = asked.seed
-        given = {name for name, value in settings.items() if value is not None}
-        self.has_own_collector = "collector" in given
+        self.has_own_collector = directions.settings.get("collector") is not None
         if self.has_own_collector:
-            check_equal_sectors(asked.collector)
-        self.material = KnownMaterial(self.directions)
+            checked_sectors(asked.collector)
 
     @property
     def known(self) -> dict[tuple[float, float], Record]:
@@ -147,33 +127,25 @@ class WholeBsdf:
     def _measured(self) -> Record:
         """Recognise the specimen, and choose directions until they hold."""
         if not self.directions.estimators[0].integrates:
-            check_peaks(self.tolerance, self.theta_max, self.directions.probe)
-        angles = np.linspace(0, self.theta_max, FIRST_ANGLES).tolist()
+            check_peaks(self.directions, self.theta_max)
+        angles = np.linspace(0, self.theta_max, N_FIRST_ANGLES).tolist()
         self.directions.measure([(theta, 0.0) for theta in angles], "first directions")
         self.directions.check_functions((angles[1], 0.0))
-        self.directions.announce(len(angles) + UNSEEN)  # at least
-        patches = self.material.patches
-        check_equal_sectors(patches)
-        n_sectors = patches.shape[1]
-        looked_at = (
-            self.tolerance,
-            self.material.n_points,
-            angles[2:],
-            self.directions.stack,
-        )
-        check_resolved(*looked_at)
-        self.recognition = Recognition(self.material, angles)
+        self.directions.announce(len(angles) + N_UNSEEN)  # at least
+        n_sectors = checked_sectors(self.directions.patches).n_phi
+        check_resolved(self.directions, angles[2:])
+        self.recognition = SymmetryRecognition(self.directions, angles)
         self.isotropic = self.recognition.is_isotropic()
         self.symmetry = AzimuthSymmetry(n_sectors)
         quarter = azimuth_of(round(n_sectors / 4), n_sectors)
         if not self.isotropic:
             # lobes that are wide along this azimuth may be narrow along the other
-            check_resolved(*looked_at, quarter)
+            check_resolved(self.directions, angles[2:], quarter)
             self.symmetry = self.recognition.symmetry()
         self._refine(angles)
         while (errors := self._confirmed()) is None:
             if self.isotropic:
-                check_resolved(*looked_at, quarter)
+                check_resolved(self.directions, angles[2:], quarter)
             self.isotropic, self.symmetry = False, AzimuthSymmetry(n_sectors)
             self._refine(angles)
         return self._described(errors)
@@ -202,7 +174,7 @@ class WholeBsdf:
         azimuths = {phi for theta in levels[1:] for _, phi in self.rings.ring(theta)}
         azimuths |= set(self.rings.first_azimuths)
         every = {one.azimuth(phi) for phi in azimuths for one in self.symmetry.motions}
-        self.material.check_size(every, len(levels))
+        self.directions.check_size(every, len(levels))
 
     # ------------------------------------------------------------------- predicting
 
@@ -210,7 +182,7 @@ class WholeBsdf:
         self, legs: Sequence[Interval], middles: Iterable[float]
     ) -> list[float]:
         """Errors in the middles of legs: the largest of all first azimuths."""
-        self.directions.announce(self.rings.expected(self.limit) + UNSEEN)
+        self.directions.announce(self.rings.expected(self.limit) + N_UNSEEN)
         middles = list(middles)
         lines = self.rings.first_azimuths
         levels = self.rings.legs.levels()
@@ -221,9 +193,9 @@ class WholeBsdf:
         worst = np.zeros(len(legs))
         for phi in lines:
             ends = [(theta, phi if theta else 0.0) for theta in levels]
-            prediction = self.material.prediction(ends)
+            prediction = self.directions.prediction(ends)
             for number, middle in enumerate(middles):
-                error = self.material.missed(prediction, middle, phi)
+                error = self.directions.error(prediction, middle, phi)
                 worst[number] = max(worst[number], error.significant)
         return worst.tolist()
 
@@ -231,7 +203,7 @@ class WholeBsdf:
         self, gaps: Sequence[Interval], middles: Iterable[float]
     ) -> list[float]:
         """Errors in the middles of gaps between azimuths of rings."""
-        self.directions.announce(self.rings.expected(self.limit) + UNSEEN)
+        self.directions.announce(self.rings.expected(self.limit) + N_UNSEEN)
         middles = [self.rings.azimuth(sector) for sector in middles]
         said = f"{len(gaps)} of {len(self.rings.gaps.errors)} gaps open"
         new = [(gap.on, phi) for gap, phi in zip(gaps, middles)]
@@ -242,9 +214,9 @@ class WholeBsdf:
         errors = [0.0] * len(gaps)
         for theta, numbers in of_ring.items():
             ring = self.rings.ring(theta)
-            prediction = self.material.prediction(ring, self.symmetry)
+            prediction = self.directions.prediction(ring, self.symmetry)
             for number in numbers:
-                error = self.material.missed(prediction, theta, middles[number])
+                error = self.directions.error(prediction, theta, middles[number])
                 errors[number] = max(error.significant, 0.0)
         return errors
 
@@ -256,17 +228,17 @@ class WholeBsdf:
         Where they do, the material is refined, as long as it can be and its table fits
         into memory. None if the specimen is not as symmetric there as it seemed.
         """
-        before = MISSES
+        before = MAX_MISSES
         errors: list[PredictionError] = []
         fitting, self.helps = self.rings, LOOKED
         for number in range(MAX_LOOKS):
             generator = np.random.default_rng([self.seed, number])
-            cosines = 1 - generator.random(UNSEEN) * (
+            cosines = 1 - generator.random(N_UNSEEN) * (
                 1 - np.cos(np.radians(self.theta_max))
             )
             theta = np.degrees(np.arccos(cosines))
             unseen = list(
-                zip(theta.tolist(), (360 * generator.random(UNSEEN)).tolist())
+                zip(theta.tolist(), (360 * generator.random(N_UNSEEN)).tolist())
             )
             try:
                 errors = self._errors_at(unseen)
@@ -279,9 +251,9 @@ class WholeBsdf:
             missed = [one for one in errors if one.exceeds(self.tolerance)]
             worst = [f"{one.error:.2g} at {one.theta_i:.1f}" for one in missed]
             logger.info(
-                "%s: %d of %d missed: %s", self.name, len(missed), UNSEEN, worst
+                "%s: %d of %d missed: %s", self.name, len(missed), N_UNSEEN, worst
             )
-            enough = not missed or len(missed) + before <= MISSES
+            enough = not missed or len(missed) + before <= MAX_MISSES
             if enough or number == MAX_LOOKS - 1:
                 break
             before = len(missed)
@@ -310,10 +282,12 @@ class WholeBsdf:
         self._check()
         self.directions.measure([*self.rings.directions(), *unseen], said)
         own = self.rings.directions()
-        prediction = self.material.prediction(own, self.symmetry)
-        missed = partial(self.material.missed, prediction)
+        prediction = self.directions.prediction(own, self.symmetry)
+        missed = partial(self.directions.error, prediction)
         found = {one: missed(*one) for one in unseen}
-        large = [one for one in unseen if found[one].error > SURE * self.tolerance]
+        large = [
+            one for one in unseen if found[one].error > MAX_NOISY_ERROR * self.tolerance
+        ]
         self.directions.measure(large, f"{said}, finer", CONFIRMING)
         found |= {one: missed(*one) for one in large}
         return list(found.values())
@@ -335,11 +309,11 @@ class WholeBsdf:
             within=float(within),
             unseen=tuple(errors),
         )
-        if sum(one.exceeds(self.tolerance) for one in errors) > MISSES:
+        if sum(one.exceeds(self.tolerance) for one in errors) > MAX_MISSES:
             warnings.warn(
                 f"tolerance of {self.tolerance:g} was not reached for {self.name}: of "
-                f"{UNSEEN} random directions that only test it {within:.0%} are within "
-                f"it, and {self.helps}",
+                f"{N_UNSEEN} random directions that only test it {within:.0%} are "
+                f"within it, and {self.helps}",
                 RuntimeWarning,
                 stacklevel=4,
             )

@@ -22,7 +22,13 @@ from .gradients import gradients
 from .incident_grid import IncidentGrid
 from .quantile_transport import N_CELLS, TransportTable, cumulative
 
-__all__ = ["LobeTable", "MeasuredLobes", "TooLargeError", "check_table", "tells"]
+__all__ = [
+    "LobeTable",
+    "MeasuredLobes",
+    "TooLargeError",
+    "check_table",
+    "is_significant",
+]
 
 # Of the whole table as Dr.Jit holds it: half of what a machine of 8 GiB has. While it
 # is made, it needs twice as much.
@@ -118,7 +124,7 @@ class MeasuredLobes:
         flux = record.flux_fraction if record.stacked else record.flux_fraction[None]
         if not np.isfinite(flux).all():
             raise SettingError("the record must have incident light in all its stack")
-        if not (keep_dark or tells(flux[:, 1:].sum(), flux.sum())):
+        if not (keep_dark or is_significant(flux[:, 1:].sum(), flux.sum())):
             flux = flux[:, :1]
         self.grid = IncidentGrid.of(record, flux)
         self.flux, self.mixture = flux, mixture
@@ -185,9 +191,9 @@ class Drawing:
     sector_tilts: Floats
 
 
-def tells(part: float, light: float) -> bool:
-    """Whether double precision tells a part of the light from none."""
-    return bool(part > np.finfo(float).eps * light)
+def is_significant(part: float, total: float) -> bool:
+    """Whether double precision distinguishes a part of the total from none."""
+    return bool(part > np.finfo(float).eps * total)
 
 
 def check_table(n_azimuths: int, n_angles: int, lobes: tuple[int, ...]) -> float:

@@ -18,7 +18,7 @@ from gonio_mi.campaigns.campaign import campaign
 from gonio_mi.campaigns.known_directions import CONFIRMING, NOISE
 from gonio_mi.campaigns.prediction import SPARED, Prediction, points_for
 from gonio_mi.campaigns.tasks import Surroundings, records_of
-from gonio_mi.campaigns.whole_bsdf import SURE
+from gonio_mi.campaigns.whole_bsdf import MAX_NOISY_ERROR
 from gonio_mi.errors import SpecimenError
 from gonio_mi.results.campaign_outcome import PredictionError
 from gonio_mi.results.prediction_error import prediction_error
@@ -30,7 +30,7 @@ from .timing import cpu_seconds
 __all__ = ["print_campaigns"]
 
 # Random directions that no campaign has seen.
-UNSEEN, SEED = 200, 12345
+N_UNSEEN, SEED = 200, 12345
 
 # Polar angles of the grids that are tried, in equal steps; and of those of anisotropic
 # specimens, with the azimuths of each.
@@ -113,7 +113,9 @@ def _rows(
     unseen = _measured(case, chosen, incidents, NOISE)
     errors = _errors(chosen, unseen, tolerance)
     is_sampled = chosen.settings["estimator"] != "quadrature"
-    large = [n for n, one in enumerate(errors) if one.error > SURE * tolerance]
+    large = [
+        n for n, one in enumerate(errors) if one.error > MAX_NOISY_ERROR * tolerance
+    ]
     if is_sampled and large:
         finer = _measured(case, chosen, [incidents[n] for n in large], CONFIRMING)
         for n, one in zip(large, _errors(chosen, finer, tolerance)):
@@ -172,8 +174,8 @@ def _random_incidents(theta_max: float) -> list[tuple[float, float]]:
     """Random directions, uniform in solid angle."""
     generator = np.random.default_rng(SEED)
     least = np.cos(np.radians(theta_max))
-    theta_i = np.degrees(np.arccos(1 - generator.random(UNSEEN) * (1 - least)))
-    phi_i = 360 * generator.random(UNSEEN)
+    theta_i = np.degrees(np.arccos(1 - generator.random(N_UNSEEN) * (1 - least)))
+    phi_i = 360 * generator.random(N_UNSEEN)
     return list(zip(theta_i.tolist(), phi_i.tolist()))
 
 

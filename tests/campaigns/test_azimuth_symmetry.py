@@ -14,8 +14,7 @@ from synthetic import facet_lobes
 import gonio_mi as gonio
 from gonio_mi.campaigns import whole_bsdf
 from gonio_mi.campaigns.known_directions import KnownDirections
-from gonio_mi.campaigns.known_material import KnownMaterial
-from gonio_mi.campaigns.recognition import Recognition
+from gonio_mi.campaigns.symmetry_recognition import SymmetryRecognition
 from gonio_mi.campaigns.tasks import Surroundings
 from gonio_mi.interpolation.incident_grid import IncidentGrid
 from gonio_mi.interpolation.lobes import MeasuredLobes
@@ -39,7 +38,7 @@ class Facets(KnownDirections):
         self.surfaces = surfaces
         self.measure([(theta, 0.0) for theta in ANGLES], "")
 
-    def measure(self, incidents, said):  # noqa: ARG002
+    def measure(self, incidents, purpose):  # noqa: ARG002
         for one in set(incidents) - self.records.keys():
             lobes = [facet_lobes(PATCHES, [one], **how) for how in self.surfaces]
             lobe = np.mean(lobes, axis=0)[:, None]
@@ -75,7 +74,7 @@ def test_symmetries_are_those_of_the_slopes(case):
     """Each of them, and none more; mirrors by twice their azimuth in sectors."""
     surfaces, turns, mirrors = CASES[case]
     directions = Facets(0.01, *surfaces)
-    found = Recognition(KnownMaterial(directions), ANGLES).symmetry()
+    found = SymmetryRecognition(directions, ANGLES).symmetry()
     assert found.turns == turns
     assert found.mirror in mirrors
     # few directions tell: two azimuths of two angles, for each turn or mirror tried
@@ -90,9 +89,7 @@ def test_nearly_symmetric_is_what_the_tolerance_says(tilt):
     lobes = lobes[::2] - np.roll(lobes[1::2], 12, axis=2)
     change = np.abs(lobes).sum(axis=(1, 2)).max()  # half of half the light
     for tolerance, turns in ((1.9 * change, 1), (4 * change, 2)):
-        found = Recognition(
-            KnownMaterial(Facets(tolerance, surface)), ANGLES
-        ).symmetry()
+        found = SymmetryRecognition(Facets(tolerance, surface), ANGLES).symmetry()
         assert found.turns == turns
 
 
@@ -104,7 +101,7 @@ def test_isotropic_is_not_what_eighths_of_a_turn_leave(parts, isotropic):
     tilts = 0.5 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     surfaces = [{"widths": (0.15, 0.15), "tilt": tilt} for tilt in tilts]
     directions = Facets(0.1, *surfaces)
-    assert Recognition(KnownMaterial(directions), ANGLES).is_isotropic() == isotropic
+    assert SymmetryRecognition(directions, ANGLES).is_isotropic() == isotropic
 
 
 @pytest.mark.parametrize("turn", [0, 7.5, 37.5])
@@ -177,7 +174,7 @@ def test_grooves_are_symmetric_and_blazed_ones_only_along(heights, turns):
     how = {"collector": "angle:6x16", "estimator": "weighted", "period": "box"}
     directions = KnownDirections("it", profile(heights), 0.1, Surroundings(), how)
     directions.measure([(theta, 0.0) for theta in ANGLES], "")
-    found = Recognition(KnownMaterial(directions), ANGLES)
+    found = SymmetryRecognition(directions, ANGLES)
     assert not found.is_isotropic()
     assert found.symmetry() == AzimuthSymmetry(16, turns, 0)
 
@@ -209,7 +206,7 @@ def test_a_material_holds_copies_and_says_so(tmp_path):
     copies = {tuple(one) for one in found["symmetry"]["copies"]}
     every = set(zip(record.theta_i.tolist(), record.phi_i.tolist()))
     assert copies < every
-    assert found["measured"] >= len(every - copies) + whole_bsdf.UNSEEN
+    assert found["measured"] >= len(every - copies) + whole_bsdf.N_UNSEEN
     for theta in set(record.theta_i) - {0}:
         azimuths = record.phi_i[record.theta_i == theta]
         assert len(azimuths) >= 8
@@ -388,12 +385,12 @@ def test_the_noise_of_copies_counts_once(told):
 def test_a_symmetry_that_does_not_hold_is_given_up(isotropic, believed, monkeypatch):
     """Where directions never used miss; twin: believed, it spoils the material."""
     askew = AzimuthSymmetry(16, 2, 4)
-    monkeypatch.setattr(Recognition, "symmetry", lambda _: askew)
-    monkeypatch.setattr(Recognition, "is_isotropic", lambda _: isotropic)
-    for name, number in (("UNSEEN", 10), ("MAX_LOOKS", 2), ("MISSES", 0)):
+    monkeypatch.setattr(SymmetryRecognition, "symmetry", lambda _: askew)
+    monkeypatch.setattr(SymmetryRecognition, "is_isotropic", lambda _: isotropic)
+    for name, number in (("N_UNSEEN", 10), ("MAX_LOOKS", 2), ("MAX_MISSES", 0)):
         monkeypatch.setattr(whole_bsdf, name, number)
     if believed:
-        monkeypatch.setattr(Recognition, "refuted", lambda *_: False)
+        monkeypatch.setattr(SymmetryRecognition, "refuted", lambda *_: False)
         helps = "was not reached.*a larger tolerance helps"
         with pytest.warns(RuntimeWarning, match=helps):
             record = gonio.campaign({"brushed": BRUSHED}, **COARSE)["brushed"]

@@ -25,13 +25,12 @@ from gonio_mi.campaigns import (
     tasks,
     whole_bsdf,
 )
-from gonio_mi.campaigns.incident_rings import IncidentRings
 from gonio_mi.campaigns.known_directions import KnownDirections
 from gonio_mi.campaigns.prediction import Prediction
-from gonio_mi.campaigns.refinement import Axis, Interval, refined
-from gonio_mi.campaigns.resolution import check_peaks, delta_share
+from gonio_mi.campaigns.refinement import Axis, IncidentRings, Interval, refined
+from gonio_mi.campaigns.resolution import check_peaks, delta_fraction
 from gonio_mi.campaigns.tasks import Surroundings
-from gonio_mi.campaigns.whole_bsdf import FIRST_ANGLES, UNSEEN, WholeBsdf
+from gonio_mi.campaigns.whole_bsdf import N_FIRST_ANGLES, N_UNSEEN, WholeBsdf
 from gonio_mi.interpolation import lobes
 from gonio_mi.interpolation.gradients import gradients
 from gonio_mi.interpolation.lobes import MeasuredLobes, TooLargeError, check_table
@@ -345,7 +344,7 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
     whole = gonio.campaign({"a": plates["a"]}, **how)["a"]
     rounds = calls.count("a")
     measured = whole.settings["campaign"]["measured"]
-    finished = measured + 1 + FIRST_ANGLES  # and whether sample() is as eval()
+    finished = measured + 1 + N_FIRST_ANGLES  # and whether sample() is as eval()
     with pytest.raises(KeyboardInterrupt, match=f"^{tmp_path} holds the {finished} "):
         gonio.campaign(plates, **how)
     assert len(list(tmp_path.glob("*/*"))) == rounds + 1
@@ -359,13 +358,18 @@ def test_ctrl_c_without_a_folder_makes_one(monkeypatch, tmp_path):
     assert kept.settings["campaign"] == whole.settings["campaign"]
 
 
+def plate():
+    """Directions of a diffuse plate, of which none is measured yet."""
+    return KnownDirections("plate", {"type": "diffuse"}, 0.1, Surroundings(), {})
+
+
 @pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize(
     "missed", [[0], [1, 1], [1, 0], [2, 0], [2, 1, 1], [5, 0], [9, 3, 1, 1], [1] * 2]
 )
 def test_two_looks_together_decide(missed, monkeypatch):
     """Few misses refine the material too; none of the first look is enough."""
-    whole = WholeBsdf("plate", {"type": "diffuse"}, 0.1, 80, Surroundings(), {})
+    whole = WholeBsdf(plate(), 80)
     looks, split = [], []
 
     def look(unseen):
@@ -380,14 +384,14 @@ def test_two_looks_together_decide(missed, monkeypatch):
     whole.rings = SimpleNamespace(split_at=lambda some: split.append(len(some)) or True)
     monkeypatch.setattr(whole, "_is_refuted_at", lambda *_: False)
     errors = whole._confirmed()
-    assert looks == [UNSEEN] * len(missed)
+    assert looks == [N_UNSEEN] * len(missed)
     assert split == missed[:-1]
     assert sum(one.exceeds(0.1) for one in errors) == missed[-1]
 
 
 def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
     """With the directions of the last look; at the first one it is an error."""
-    whole = WholeBsdf("plate", {"type": "diffuse"}, 0.1, 80, Surroundings(), {})
+    whole = WholeBsdf(plate(), 80)
     symmetry, looks = AzimuthSymmetry(16), []
 
     def look(unseen):
@@ -534,13 +538,13 @@ def test_samples_that_contradict_integrals_are_told():
             return bsdf
 
     mi.register_bsdf("sample_alone", SampleAlone)
-    with pytest.raises(gonio.SpecimenError, match=r"0\.8 of the light .* and 0 by the"):
+    with pytest.raises(gonio.SpecimenError, match=r"0\.8 of the flux .* and 0 by the"):
         checked(0.1, "sample_alone")
 
 
 @pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("lost", [0.0, 0.03])
-def test_spiky_weights_contradict_nothing(lost):
+def test_spiky_weights_contradict_nothing(lost, monkeypatch):
     """Of a lobe drawn as a diffuse one; twin: if they lose a part of the light.
 
     By a seed whose 2**18 rays are off by more than two of their stated errors.
@@ -565,13 +569,20 @@ def test_spiky_weights_contradict_nothing(lost):
     settings = {"collector": "angle:30x60", "sampler": "independent", "seed": 3}
     bsdf = {"type": "diffusely_sampled"}
     known = KnownDirections("x", bsdf, 0.001, Surroundings(), settings)
+    measure, sent = known_directions.records_of, []
+
+    def counted(*asked):
+        found = measure(*asked)
+        sent.append(found["x"].ledger.emitted)
+        return found
+
+    monkeypatch.setattr(known_directions, "records_of", counted)
     known.measure([(27.0, 0.0)], "one")
     if lost:
         with pytest.raises(gonio.SpecimenError, match=r"eval\(\) of x disagree"):
             known.check_functions((27.0, 0.0))
     else:
         known.check_functions((27.0, 0.0))
-    sent = [stack.ledger.emitted for _, stack, *_ in known.rounds]
     assert sent == [0, 2**18, 2**22]
 
 
@@ -619,7 +630,7 @@ def test_mirrors_are_told_with_one_finer_collector(looked, monkeypatch):
     grooves = {"type": "heightfield", "heights": heights, "size": 1.0}
     mirrors = grooves | {"bsdf": {"type": "conductor"}}
     how = {"tolerance": 0.1, "theta_max": 60, "period": "box"}
-    with pytest.raises(gonio.SpecimenError, match=r"^1 of the light .* delta lobes"):
+    with pytest.raises(gonio.SpecimenError, match=r"^1 of the flux .* delta lobes"):
         gonio.campaign({"mirrors": mirrors}, **how)
     # integrals are refused; the collector's own patches, and the finest
     assert looked == [("None", 4), ("None", 1), ("angle:240x240", 1)]
@@ -644,11 +655,15 @@ def test_a_mirror_peak_beside_scattered_light_is_told_at_once(looked, theta_max)
     s = (np.sin(theta - inside) / np.sin(theta + inside)) ** 2
     p = (np.tan(theta - inside) / np.tan(theta + inside)) ** 2
     reflected = (s + p) / 2
-    known = KnownDirections("glass", glass, 0.01, Surroundings(), {})
-    del known.estimators[0]  # of integrals, which are refused
-    check_peaks(0.6 * reflected, theta_max, known.probe)
-    with pytest.raises(gonio.SpecimenError, match=r"^0\.\d+ of the light") as e:
-        check_peaks(0.4 * reflected, theta_max, known.probe)
+    low, high = (
+        KnownDirections("glass", glass, n * reflected, Surroundings(), {})
+        for n in (0.4, 0.6)
+    )
+    for known in (low, high):
+        del known.estimators[0]  # of integrals, which are refused
+    check_peaks(high, theta_max)
+    with pytest.raises(gonio.SpecimenError, match=r"^0\.\d+ of the flux") as e:
+        check_peaks(low, theta_max)
     share = float(str(e.value).split()[0])
     # what is scattered into the patch is below a thousandth: 1 / 57600 of each
     # hemisphere, thrice at most; statistics as of independent rays, or rounding to two
@@ -664,7 +679,7 @@ def test_patches_within_the_tolerance_are_enough(monkeypatch):
 
     And rough lobes are not told as mirrors.
     """
-    monkeypatch.setattr(resolution, "MOST_PATCHES", 500)
+    monkeypatch.setattr(resolution, "MAX_PATCHES", 500)
     gloss = {"gloss": {"type": "roughconductor", "alpha": 0.1}}
     how = {"theta_max": 60, "collector": "projected:6x16"}
     with pytest.raises(gonio.SpecimenError, match=r"a collector such as angle:\d+x64$"):
@@ -680,12 +695,12 @@ def test_deltas_are_told_at_once(looked):
     # of the half that meets nothing all is left, of the other one the half
     mask = {"type": "mask", "opacity": 0.5, "bsdf": plate}
     record = gonio.measure(mask, 50, estimator="quadrature", rays=2**14)
-    share = delta_share(record)
+    share = delta_fraction(record)
     # a patch beside has the same smooth light but for a part of one in 900, of a third;
     # the rays for deltas are of low discrepancy
     assert abs(share - 2 / 3) < 1 / 900
-    assert delta_share(gonio.measure(plate, 50, estimator="quadrature")) == 0
-    with pytest.raises(gonio.SpecimenError, match=r"^0.67 of the light .* delta"):
+    assert delta_fraction(gonio.measure(plate, 50, estimator="quadrature")) == 0
+    with pytest.raises(gonio.SpecimenError, match=r"^0.67 of the flux .* delta"):
         gonio.campaign({"mask": mask}, tolerance=0.05)
     assert {collector for collector, _ in looked} == {"None"}
 
@@ -710,7 +725,7 @@ def test_hours_are_announced(monkeypatch):
     how = {"tolerance": 0.3, "collector": "projected:4x12", "estimator": "weighted"}
     plate = {"plate": {"type": "diffuse"}}
     gonio.campaign(plate, **how)
-    monkeypatch.setattr(known_directions, "LONG", 0)
+    monkeypatch.setattr(known_directions, "MIN_ANNOUNCED", 0)
     with pytest.warns(RuntimeWarning, match=r"took \d+ s; at least some \d+ more are"):
         gonio.campaign(plate, **how)
 

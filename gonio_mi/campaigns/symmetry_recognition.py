@@ -10,9 +10,9 @@ import numpy as np
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_outcome import PredictionError
 from ..results.prediction_error import prediction_error
-from .known_material import KnownMaterial
+from .known_directions import KnownDirections
 
-__all__ = ["Recognition"]
+__all__ = ["SymmetryRecognition"]
 
 logger = logging.getLogger(__name__)
 
@@ -26,21 +26,21 @@ TURNS, IMAGED = (0.125, 0.25, 0.7), (0.125, 0.25)
 PARTS, MIRRORS = (6, 4, 3, 2), (0, 0.25, 0.125, 0.375)
 
 
-class Recognition:
+class SymmetryRecognition:
     """Symmetries of a specimen, as far as its tolerance tells.
 
-    Light in the wrong place may be half the tolerance, beyond the error bars.
+    What is moved may be wrong by half the tolerance, beyond the error bars.
 
     Parameters
     ----------
-    material : KnownMaterial
-        Its directions have that along the normal, and `angles` at azimuth 0.
+    directions : KnownDirections
+        Of them that along the normal, and `angles` at azimuth 0.
     angles : sequence of float
         Polar angles in degrees, three or more from 0 upwards.
     """
 
-    def __init__(self, material: KnownMaterial, angles: Sequence[float]) -> None:
-        self.material, self.directions = material, material.directions
+    def __init__(self, directions: KnownDirections, angles: Sequence[float]) -> None:
+        self.directions = directions
         self.angles, self.looked_at = angles, angles[1:3]
         self.normal = self.directions.records[0.0, 0.0]
         self.n_sectors = self.normal.subdivision.shape[1]
@@ -55,8 +55,8 @@ class Recognition:
             for sector in sectors
         ]
         self.directions.measure(turned, "is it isotropic?")
-        line = self.material.prediction((theta, 0.0) for theta in self.angles)
-        errors = [self.material.missed(line, *one) for one in turned]
+        line = self.directions.prediction((theta, 0.0) for theta in self.angles)
+        errors = [self.directions.error(line, *one) for one in turned]
         isotropic = not any(self._is_wrong(one) for one in errors)
         found = "isotropic" if isotropic else "anisotropic"
         logger.info(
