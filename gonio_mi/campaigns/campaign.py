@@ -8,7 +8,6 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -122,8 +121,7 @@ def campaign(
         threads = threads or max(1, (os.cpu_count() or 1) // executor)
     if threads is not None:
         checked_count("threads", threads, 0, MAX_THREADS)
-    kept_in = None if folder is None else Path(folder)
-    where = Surroundings(executor, kept_in, plugins, threads, retries, progress)
+    where = Surroundings(executor, folder, plugins, threads, retries, progress)
     asked = MeasurementSettings.among(settings)
     if tolerance is None:
         incidents, _ = incident_angles(theta_i, phi_i, asked.incident)
@@ -141,10 +139,24 @@ def campaign(
     for other, value in others.items():
         if value is not None:
             raise SettingError(f"tolerance and {other} exclude each other, got both")
-    temporary = folder is None
+    return _with_chosen_directions(specimens, tolerance, theta_max, where, settings)
+
+
+def _with_chosen_directions(
+    specimens: Mapping[str, Any],
+    tolerance: float,
+    theta_max: float,
+    where: Surroundings,
+    settings: dict[str, Any],
+) -> dict[str, Record]:
+    """Records of the directions that each specimen needs.
+
+    They are kept in a temporary folder if there is no other, which stays after Ctrl-C.
+    """
+    temporary = where.folder is None
     if temporary:
-        where = replace(where, folder=Path(tempfile.mkdtemp(prefix="gonio_mi_")))
-    materials = []
+        where = replace(where, folder=tempfile.mkdtemp(prefix="gonio_mi_"))
+    materials: list[WholeBsdf] = []
     try:
         for name, specimen in specimens.items():
             known = KnownDirections(str(name), specimen, tolerance, where, settings)

@@ -9,6 +9,7 @@ import time
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -181,7 +182,8 @@ class KnownDirections:
         if where.folder is not None:
             if self.chosen is not None:
                 part += f"_{self.chosen}".replace(":", "_")
-            where = replace(where, folder=where.folder / folder_name(self.name) / part)
+            own = Path(where.folder) / folder_name(self.name)
+            where = replace(where, folder=own / part)
         stack = self._stack(incidents, where, settings, label)
         self.n_kept += len(stack)
         return stack

@@ -56,7 +56,7 @@ class Surroundings:
     """
 
     executor: Any = None
-    folder: Path | None = None
+    folder: str | PathLike[str] | None = None
     plugins: Sequence[str | PathLike[str]] = ()
     threads: int | None = None
     retries: int = 3

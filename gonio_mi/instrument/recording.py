@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SettingError, SettingTypeError, SpecimenError, shown, warn
-from ..results.provenance import Provenance, told_settings
+from ..results.provenance import Provenance, settings_mapping
 from ..results.record import Record
 from ..results.tally import Ledger, Tally, batch_sizes
 from ..settings import MeasurementSettings
@@ -274,7 +274,7 @@ def check_resumable(resume: Record, benches: Sequence[Bench], step: int) -> None
         )
     nm, n = benches[0].settings.wavelengths, len(resume.channels)
     for i, bench in enumerate(benches[: len(resume)]):
-        own = told_settings(*settings_and_provenance(bench)) | {
+        own = settings_mapping(*settings_and_provenance(bench)) | {
             "channels": channel_names(nm, n),
             "collector": str(bench.collector.subdivision),
             "theta_i": bench.theta_i,

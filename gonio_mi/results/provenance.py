@@ -1,4 +1,4 @@
-"""How a record came about, and what becomes of that when records are put together.
+"""The provenance of a record, and what becomes of it when records are put together.
 
 Records of the same rays' conditions are merged; those of one specimen that are lit from
 several directions are stacked. Files and users have it as settings: a dictionary.
@@ -17,39 +17,43 @@ from ..settings import MeasurementSettings, declarations
 from .campaign_outcome import CampaignOutcome
 
 __all__ = [
-    "MERGED",
-    "STACKED",
+    "FREE_WHEN_MERGED",
+    "FREE_WHEN_STACKED",
     "Provenance",
     "Settings",
     "check_alike",
-    "names_told",
+    "reported_names",
     "ReadOnlyDict",
     "ReadOnlyList",
     "read_only",
     "read_settings",
     "shared_seeds",
-    "told_settings",
+    "settings_mapping",
     "with_settings",
 ]
 
 Settings = Mapping[str, Any]
 
-# What a record tells of the settings that were asked for. It knows the others better:
-# by its patches, channels and batches, and by how it came about.
-ASKED = (
+# Specified settings that a record reports. It knows the others better: by its patches,
+# channels and batches, and by its provenance.
+REPORTED = (
     *("estimator", "points", "footprint", "divergence", "incident", "emission"),
     *("max_depth", "max_scatterings", "rr_depth", "period", "order", "side"),
     *("collector_radius", "rel_err", "noise", "floor"),
 )
 
-# In what records may differ and still be stacked or merged. An emitter that was moved,
-# not turned, has another digest.
-STACKED = {"created", "processors", "batches", "defects", "emitter_digest", "task"}
-STACKED |= {"reached", "n_lobe"}  # of the worst direction
-MERGED = {"rays", "batches", "seed", "created", "versions", "specimen"}
-MERGED |= {"defects", "interrupted", "task", "processors"}
+# Settings in which records may differ and still be stacked or merged. An emitter that
+# was moved, not turned, has another digest.
+FREE_WHEN_STACKED = {
+    *("created", "processors", "batches", "defects", "emitter_digest", "task"),
+    *("reached", "n_lobe"),  # of the worst direction
+}
+FREE_WHEN_MERGED = {
+    *("rays", "batches", "seed", "created", "versions", "specimen"),
+    *("defects", "interrupted", "task", "processors"),
+}
 
-# Of records that do not tell it.
+# Processor of records that do not report it.
 UNKNOWN = "unknown"
 
 
@@ -299,28 +303,30 @@ def shared_seeds(one: Mapping[str, str], other: Mapping[str, str]) -> str:
 # ---------------------------------------------------------------- the border of files
 
 
-def names_told(asked: MeasurementSettings, provenance: Provenance) -> list[str]:
-    """Names of the settings that were asked for, and mean something here."""
-    senseless = {
+def reported_names(asked: MeasurementSettings, provenance: Provenance) -> list[str]:
+    """Names of the specified settings that a record reports: those with an effect."""
+    without_effect = {
         "points": not asked.estimator.deposits,
         "max_scatterings": not provenance.media,
         "rel_err": asked.rel_err is None,
         "noise": asked.noise is None,
         "floor": provenance.n_lobe is None,
     }
-    return [name for name in ASKED if not senseless.get(name)]
+    return [name for name in REPORTED if not without_effect.get(name)]
 
 
-def told_settings(asked: MeasurementSettings, provenance: Provenance) -> dict[str, Any]:
-    """Settings as files and users have them, in JSON's types.
+def settings_mapping(
+    asked: MeasurementSettings, provenance: Provenance
+) -> dict[str, Any]:
+    """Settings and provenance as files and users have them, in JSON's types.
 
     `points`, `rel_err` and `noise` are among them where they mean something,
     `max_scatterings` where there are media; what is not known is left out.
     """
     declared = declarations(MeasurementSettings)
-    told = {
+    mapping = {
         name: declared[name].text(getattr(asked, name))
-        for name in names_told(asked, provenance)
+        for name in reported_names(asked, provenance)
     }
     own = {one.name: getattr(provenance, one.name) for one in fields(provenance)}
     seeds = own.pop("seeds")
@@ -336,22 +342,22 @@ def told_settings(asked: MeasurementSettings, provenance: Provenance) -> dict[st
     for name, value in own.items():
         empty = value is None or value is False or value in ([], {})
         if name in known or not empty:
-            told[name] = value
-    return told
+            mapping[name] = value
+    return mapping
 
 
-def read_settings(told: Settings) -> tuple[MeasurementSettings, Provenance]:
-    """What :func:`told_settings` told; other keys are not known.
+def read_settings(mapping: Settings) -> tuple[MeasurementSettings, Provenance]:
+    """What :func:`settings_mapping` wrote; other keys are ignored.
 
     Raises
     ------
     TypeError, ValueError
         If a setting is out of its range.
     """
-    asked = {name: told[name] for name in ASKED if told.get(name) is not None}
+    asked = {name: mapping[name] for name in REPORTED if mapping.get(name) is not None}
     names = {one.name for one in fields(Provenance)} - {"seeds"}
-    own = {name: told[name] for name in names if told.get(name) is not None}
-    seed = told.get("seed")
+    own = {name: mapping[name] for name in names if mapping.get(name) is not None}
+    seed = mapping.get("seed")
     if seed is not None:
         own["seeds"] = tuple(seed) if isinstance(seed, (list, tuple)) else (seed,)
     if "campaign" in own:
@@ -367,9 +373,9 @@ def with_settings(
     Raises
     ------
     TypeError
-        For a name that no record tells.
+        For a name that no record reports.
     """
-    known = {*ASKED, "seed", *(one.name for one in fields(Provenance))} - {"seeds"}
+    known = {*REPORTED, "seed", *(one.name for one in fields(Provenance))} - {"seeds"}
     for name in sorted(changes.keys() - known):
         raise SettingTypeError(f"a record has no setting {name!r}")
-    return read_settings({**told_settings(asked, provenance), **changes})
+    return read_settings({**settings_mapping(asked, provenance), **changes})
