@@ -22,7 +22,7 @@ from ..plots import ANIMATION_ENDINGS, FIGURE_ENDINGS
 from ..results.record import Record
 from ..results.summary import summarize
 from ..results.summary_text import summary_text
-from ..settings.orders import ALL_ORDERS, Order
+from ..settings.values import ALL_ORDERS, Order
 from .arguments import (
     DONE,
     INCOMPLETE,

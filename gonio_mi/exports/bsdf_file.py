@@ -19,7 +19,7 @@ from ..files import check_output
 from ..formats.radiance import Product
 from ..results.prediction_error import prediction_error
 from ..results.record import Record
-from ..settings.parsed import checked_wavelengths
+from ..settings.values import checked_wavelengths
 from .daylight import SOLAR, VISIBLE, VISIBLE_NM, of_daylight
 from .exporting import export
 from .radiance_export import BASES, incidence

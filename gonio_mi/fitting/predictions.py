@@ -17,7 +17,7 @@ from ..files.channels import wavelengths_nm
 from ..quadrature import integrate
 from ..quadrature.cells import NODES_PER_CELL, Cells
 from ..quadrature.incident_light import IncidentLight
-from ..quadrature.rule import Rule
+from ..quadrature.integrate import Rule
 from ..transport.surface_events import flux_context
 from ..transport.wavelengths import passes, wavelength_lanes
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..collector.directions import direction
 from ..errors import SettingError, SettingTypeError, checked_number, shown, warn
-from ..settings.parsed import checked_incident
+from ..settings.values import checked_incident
 from ..transport.digest import emitter_digest
 from .loading import loaded
 

@@ -22,11 +22,11 @@ from ..errors import (
     shown,
 )
 from ..progress import bar
-from ..quadrature.plane import integrals
+from ..quadrature.estimator import integrals
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
-from ..settings.orders import Order
+from ..settings.values import Order
 from ..transport.bench import Bench
 from ..transport.kernels import launches_kernels
 from .incidence import incident_angles

@@ -48,9 +48,9 @@ def check_named_files(
         If its data do not cover the wavelengths.
     """
     if isinstance(specimen, Mapping):
-        names = _of_dictionary(specimen)
+        names = _dictionary_names(specimen)
     else:
-        names = _of_scene(Path(specimen), dict(parameters or {}), DEEPEST)
+        names = _scene_names(Path(specimen), dict(parameters or {}), DEEPEST)
     for name in names:
         path = Path(str(mi.file_resolver().resolve(str(name))))
         if path.is_file():
@@ -69,16 +69,16 @@ def _holds(covered: tuple[float, float], nm: float) -> bool:
     return covered[0] <= float(np.float32(nm)) <= covered[1]
 
 
-def _of_dictionary(node: Mapping[str, Any]) -> Iterator[str | Path]:
+def _dictionary_names(node: Mapping[str, Any]) -> Iterator[str | Path]:
     """File names in a dictionary and all that it holds."""
     if node.get("type") == "measured" and isinstance(node.get("filename"), str):
         yield node["filename"]
     for value in node.values():
         if isinstance(value, Mapping):
-            yield from _of_dictionary(value)
+            yield from _dictionary_names(value)
 
 
-def _of_scene(
+def _scene_names(
     path: Path, parameters: dict[str, str], depth: int
 ) -> Iterator[str | Path]:
     """File names in a scene file and those that it includes, beside it if there."""
@@ -96,7 +96,7 @@ def _of_scene(
     for include in root.iter("include"):
         other = _beside(path, include.get("filename", ""), parameters)
         if depth:
-            yield from _of_scene(Path(other), parameters, depth - 1)
+            yield from _scene_names(Path(other), parameters, depth - 1)
 
 
 def _beside(path: Path, name: str, parameters: Mapping[str, str]) -> str | Path:

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SettingTypeError, SpecimenError, shown, warn
-from ..quadrature.plane import check_integrable
+from ..quadrature.estimator import check_integrable
 from ..settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings, Order
 from ..transport.beam import Beam
 from ..transport.bench import Bench
@@ -81,7 +81,7 @@ def set_up(
         If a specimen, emitter, collector or sampler does not go with the others, and
         whatever a BSDF of the specimen raises.
     """
-    sampler = _sampler_of(settings)
+    sampler = _loaded_sampler(settings)
     radius = settings.collector_radius
     collector = CollectorSphere(settings.collector, settings.hemispheres, radius)
     specimen = Specimen(scene, settings.period)
@@ -174,21 +174,14 @@ def _beam(
     )
 
 
-def _sampler_of(settings: MeasurementSettings) -> mi.Sampler:
+def _loaded_sampler(settings: MeasurementSettings) -> mi.Sampler:
     """Sampler of the settings; one that would measure wrongly is refused."""
-    return loaded("the sampler", _sampler, settings.sampler or {"type": "sobol"})
-
-
-def _kind(thing: object) -> str:
-    """What a thing is, in a word."""
-    return str(thing.class_name() if isinstance(thing, mi.Object) else shown(thing))
-
-
-def _sampler(given: object) -> mi.Sampler:
-    sampler = mi.load_dict(given) if isinstance(given, dict) else given
+    sampler = settings.sampler or {"type": "sobol"}
+    if isinstance(sampler, dict):
+        sampler = loaded("the sampler", mi.load_dict, sampler)
     if not isinstance(sampler, mi.Sampler):
-        raise SettingTypeError(
-            f"sampler must be a Mitsuba sampler, got {_kind(sampler)}"
-        )
+        is_object = isinstance(sampler, mi.Object)
+        kind = sampler.class_name() if is_object else shown(sampler)
+        raise SettingTypeError(f"sampler must be a Mitsuba sampler, got {kind}")
     check_sampler("sampler", sampler)
     return sampler

@@ -1,5 +1,5 @@
 """Integrals of ``eval`` over the collector's patches, to an error of their own."""
 
-from .rule import integrate, integrate_each
+from .integrate import integrate, integrate_each
 
 __all__ = ["integrate", "integrate_each"]

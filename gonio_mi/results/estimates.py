@@ -306,6 +306,7 @@ class SampledEstimates(Estimates):
         rare = self._rare(value, std_err, hits, heavy)
         low = np.where(rare, np.fmin(low, unlike[0]), low)
         high = np.where(rare, np.fmax(high, unlike[1]), high)
+        low = np.maximum(low, 0.0)  # no flux is negative
         # a channel that none of these hits carried is dark as without them
         none = statistics.binomial_interval(0, self.rays, level)
         return np.where(value > 0, low, none[0]), np.where(value > 0, high, none[1])
@@ -344,13 +345,13 @@ class SampledEstimates(Estimates):
         which none was seen (Hanley and Lippman-Hand 1983, JAMA 249, 1743): rays that
         are lost, or received as well; and where all were received, which hits of unit
         weight at most can exceed, rays of that weight. However many the rays, they
-        leave open the rounding of what they carry. No flux is negative.
+        leave open the rounding of what they carry.
         """
         unseen = statistics.upper_limit(self.rays, level)
         more = (hits < self.rays) | self.deposited
         above = np.where(more, weight, np.maximum(1 - weight, 0))
         rounding = ROUNDING * value
-        low, high = statistics.student_interval(
+        return statistics.student_interval(
             value,
             std_err,
             self.tally.n_batches,
@@ -358,7 +359,6 @@ class SampledEstimates(Estimates):
             below=np.maximum(unseen * weight, rounding),
             above=np.where(above > 0, np.maximum(unseen * above, rounding), 0.0),
         )
-        return np.maximum(low, 0.0), high
 
 
 @dataclass(frozen=True, eq=False)

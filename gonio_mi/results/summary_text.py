@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Sequence
 
 from ..errors import abridged
-from ..settings.parsed import joined
+from ..settings.values import joined
 from ..single_precision import ROUNDING
 from .precision import FLOOR
 from .summary import LEVEL, Summary, Total, grouped

@@ -8,7 +8,7 @@ from .measurement_settings import (
     Estimator,
     MeasurementSettings,
 )
-from .orders import Order
+from .values import Order
 
 __all__ = [
     "COLLECTOR",

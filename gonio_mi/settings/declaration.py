@@ -41,8 +41,6 @@ class Declaration:
 
     Attributes
     ----------
-    name : str
-        In Python and in records; on the command line with dashes.
     default : object
         What it is if nobody says anything; parsed.
     check : callable
@@ -56,66 +54,52 @@ class Declaration:
     metavar : str
         What stands for the value in the command line's help.
     form : str
-        Type in Python if `kind` does not tell it.
+        Type in Python; that of `kind`, unless another one is given.
     plugin : str
         Mitsuba plugin that has it as a property, None for none.
     key : str
-        Name of that property.
+        Name of that property; that of the setting, unless another one is given.
     text : callable
         Parsed value as a number or text, for properties and records.
     shown_default : str
         How documentation writes the default.
+    name : str
+        In Python and in records; on the command line with dashes.
     """
 
-    name: str
     default: Any
     check: Callable[[str, Any], Any]
     kind: Kind
     sentence: str
-    group: str | None
-    metavar: str
-    form: str
-    plugin: str | None
-    key: str
-    text: Callable[[Any], Any]
-    shown_default: str
+    group: str | None = None
+    metavar: str = "N"
+    form: str = ""
+    plugin: str | None = None
+    key: str = ""
+    text: Callable[[Any], Any] = lambda value: value
+    shown_default: str = ""
+    name: str = ""
 
     @property
     def option(self) -> str:
         """Option of the command line."""
         return "--" + self.name.replace("_", "-")
 
+    def named(self, name: str) -> Declaration:
+        """Declaration of the field `name`, with all that follows from it."""
+        return dataclasses.replace(
+            self,
+            name=name,
+            form=self.form or self.kind.python,
+            key=self.key or name,
+            shown_default=self.shown_default or str(self.default),
+        )
 
-def setting(
-    default: Any,
-    check: Callable[[str, Any], Any],
-    kind: Kind,
-    sentence: str,
-    *,
-    group: str | None = None,
-    metavar: str = "N",
-    form: str = "",
-    plugin: str | None = None,
-    key: str = "",
-    text: Callable[[Any], Any] = lambda value: value,
-    shown_default: str = "",
-) -> Any:
-    """Field of a dataclass of settings; see :class:`Declaration`."""
-    return dataclasses.field(
-        default=default,
-        metadata={
-            "check": check,
-            "kind": kind,
-            "sentence": sentence,
-            "group": group,
-            "metavar": metavar,
-            "form": form or kind.python,
-            "plugin": plugin,
-            "key": key,
-            "text": text,
-            "shown_default": shown_default or str(default),
-        },
-    )
+
+def setting(default: Any, *declared: Any, **more: Any) -> Any:
+    """Field of a dataclass of settings; arguments as of :class:`Declaration`."""
+    declaration = Declaration(default, *declared, **more)
+    return dataclasses.field(default=default, metadata={"declared": declaration})
 
 
 def declarations(settings: Any) -> Mapping[str, Declaration]:
@@ -126,12 +110,12 @@ def declarations(settings: Any) -> Mapping[str, Declaration]:
 @cache
 def _declarations(settings: Any) -> Mapping[str, Declaration]:
     """The same, which are put together once."""
-    found = {}
-    for field in dataclasses.fields(settings):
-        data = dict(field.metadata)
-        data["key"] = data["key"] or field.name
-        found[field.name] = Declaration(field.name, field.default, **data)
-    return MappingProxyType(found)
+    return MappingProxyType(
+        {
+            field.name: field.metadata["declared"].named(field.name)
+            for field in dataclasses.fields(settings)
+        }
+    )
 
 
 def numpydoc(settings: Any) -> str:

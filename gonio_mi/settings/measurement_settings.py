@@ -10,8 +10,9 @@ from typing import Any
 from ..collector import EqualProjectedSolidAngle, Subdivision, subdivision
 from ..errors import SettingTypeError, checked_choice, did_you_mean
 from .declaration import Kind, declarations, setting
-from .orders import ALL_ORDERS, Order
-from .parsed import (
+from .values import (
+    ALL_ORDERS,
+    Order,
     Period,
     checked_flag,
     checked_footprint,

@@ -15,7 +15,7 @@ from ..array_types import Floats, Integers
 from ..collector.directions import direction
 from ..errors import SpecimenError, checked_count, checked_number
 from ..instrument.loading import load_specimen
-from ..settings.parsed import checked_period
+from ..settings.values import checked_period
 from ..single_precision import FEW_ROUNDINGS
 from ..transport.kernels import launches_kernels
 from ..transport.rays import departure, intersect, unobstructed

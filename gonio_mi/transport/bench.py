@@ -12,7 +12,7 @@ import numpy as np
 from ..array_types import Floats
 from ..results.tally import Fate
 from ..settings.measurement_settings import MeasurementSettings
-from ..settings.orders import Order
+from ..settings.values import Order
 from .beam import Beam
 from .collector_sphere import CollectorSphere
 from .digest import emitter_digest, plugins_digest

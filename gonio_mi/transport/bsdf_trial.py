@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError, abridged, own_frame, warn
+from ..settings import Estimator
 from .scene_objects import class_of, traversed
 from .variants import usable_variants
 
@@ -117,7 +118,7 @@ def missing_method(error: BaseException) -> str | None:
     return found[1] if found else None
 
 
-def check_works(bsdfs: Iterable[Any], wavelengths: Any, estimator: str) -> None:
+def check_works(bsdfs: Iterable[Any], wavelengths: Any, estimator: Estimator) -> None:
     """Raise what a BSDF raises in the methods that `estimator` needs.
 
     One BSDF of each class is tried, with the `wavelengths` of a ray; of what it answers
@@ -155,12 +156,13 @@ def warn_of_roughness(bsdfs: Iterable[Any]) -> None:
     """Warn of roughnesses out of their range, which Mitsuba takes without a word."""
     said = set()
     for bsdf in bsdfs:
-        for key, value in traversed(bsdf):
+        parameters = traversed(bsdf)
+        for key in parameters.properties:
             name = key.removesuffix(".value").removesuffix(".data")
             largest = LARGEST_ROUGHNESS.get(name.rpartition(".")[2])
             if largest is None:
                 continue
-            numbers = np.ravel(np.array(value, dtype=np.float32))
+            numbers = np.ravel(np.array(parameters[key], dtype=np.float32))
             if key == name and np.any(numbers == CLAMPED):
                 sentence = (
                     f"{name} of the BSDF {class_of(bsdf)} is {CLAMPED:g}: Mitsuba puts "
@@ -198,7 +200,7 @@ def _is_of_colours(text: str) -> bool:
     return not mi.is_rgb and mi.Spectrum.__name__ in text
 
 
-def _try(bsdf: Any, wavelengths: Any, estimator: str) -> None:
+def _try(bsdf: Any, wavelengths: Any, estimator: Estimator) -> None:
     """Call the methods once, as in a launch."""
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.uv = mi.Point2f(0.5)
@@ -206,9 +208,9 @@ def _try(bsdf: Any, wavelengths: Any, estimator: str) -> None:
     si.wavelengths = wavelengths
     ctx = mi.BSDFContext(mi.TransportMode.Importance)
     delta = mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta)
-    if delta or estimator != "quadrature":
+    if delta or not estimator.integrates:
         random = mi.Float(0.5), mi.Point2f(0.5)
         checked_sample("sample", bsdf.sample(ctx, si, *random, mi.Bool(True)), 1)
-    if estimator in ("quadrature", "next_event"):
+    if estimator.integrates or estimator.deposits:
         value = bsdf.eval(ctx, si, mi.Vector3f(0, 0.6, 0.8), mi.Bool(True))
         checked_answer("eval", value, 1, mi.Spectrum)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..array_types import Flags, Integers
 from ..results.tally import Fate
-from ..settings.orders import ALL_ORDERS, UNLIMITED, Order
+from ..settings.values import ALL_ORDERS, UNLIMITED, Order
 
 __all__ = ["Exits", "OrderClasses", "exits_of", "of_order"]
 
@@ -57,8 +57,6 @@ def exits_of(
     fate: mi.UInt32,
     incident: mi.Spectrum,
     depth: mi.UInt32,
-    left: Any = None,
-    density: Any = None,
 ) -> Exits:
     """Exits of rays at the end of their flight, whether by a side of the box or not."""
     ray = flight.ray
@@ -66,7 +64,7 @@ def exits_of(
     sideways = (fate == mi.UInt32(Fate.REFLECTED)) & by_a_side
     fate = dr.select(sideways, mi.UInt32(Fate.SIDEWAYS), fate)
     p = ray.o + flight.shift
-    return Exits(p, ray.d, throughput, fate, incident, depth, left, density)
+    return Exits(p, ray.d, throughput, fate, incident, depth)
 
 
 def of_order(exits: Exits, order: Order) -> Exits:

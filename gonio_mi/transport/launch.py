@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..settings.orders import UNLIMITED
+from ..settings.values import UNLIMITED
 from .bench import Bench
 from .exits import Exits, of_order
 from .kernels import check_variant_kept

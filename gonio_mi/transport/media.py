@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError, abridged
+from ..settings import Estimator
 from ..single_precision import FEW_ROUNDINGS
 from .scene_objects import class_of
 
@@ -23,14 +24,14 @@ def media_of(surfaces: Sequence[mi.Shape]) -> list[mi.Medium]:
     """List of the media on either side of `surfaces`, each of them once."""
     found = {}
     for shape in surfaces:
-        for medium in (shape.interior_medium(), shape.exterior_medium()):
+        for medium in _sides(shape):
             if medium is not None:
                 found[medium.ptr] = medium
     return list(found.values())
 
 
 def check_media(
-    specimen: Any, wavelengths: Sequence[mi.Spectrum], estimator: str
+    specimen: Any, wavelengths: Sequence[mi.Spectrum], estimator: Estimator
 ) -> None:
     """Raise SpecimenError for media that light cannot reach, or that are no media.
 
@@ -39,17 +40,23 @@ def check_media(
     specimen : Specimen
     wavelengths : sequence of mi.Spectrum or mi.Color0f
         Of each pass.
-    estimator : str
-        `weighted` or `analog`; others have nothing to say of media.
+    estimator : Estimator
+        One that collects rays where they leave; others say nothing of media.
     """
     surfaces = specimen.surfaces
-    if estimator not in ("weighted", "analog"):
+    if not estimator.follows_exits:
         raise SpecimenError(
             "a specimen with a medium must be measured by the estimator weighted or "
             f"analog, got {estimator}"
         )
     for medium in specimen.media:
-        borders = [s for s in surfaces if medium.ptr in map(_pointer, _sides(s))]
+        borders = [
+            shape
+            for shape in surfaces
+            if any(
+                side is not None and side.ptr == medium.ptr for side in _sides(shape)
+            )
+        ]
         flags = [shape.bsdf().flags() for shape in borders]
         if not any(mi.has_flag(f, mi.BSDFFlags.Transmission) for f in flags):
             shape = borders[0]
@@ -90,10 +97,6 @@ def differ_by_channel(media: Sequence[mi.Medium], wavelengths: mi.Spectrum) -> b
 
 def _sides(shape: mi.Shape) -> tuple[Any, Any]:
     return shape.interior_medium(), shape.exterior_medium()
-
-
-def _pointer(medium: Any) -> Any:
-    return None if medium is None else medium.ptr
 
 
 def _interactions(wavelengths: mi.Spectrum) -> mi.MediumInteraction3f:

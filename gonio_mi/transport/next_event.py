@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import SpecimenError
 from .bench import Bench
 from .exits import Exits
-from .rays import departure, escapes
+from .rays import Flight, departure, escapes
 from .sums import Sums
 from .surface_events import (
     LARGEST_POWER,
@@ -99,10 +99,9 @@ class Deposits:
         self,
         si: mi.SurfaceInteraction3f,
         bsdf: mi.BSDF,
-        ray: mi.Ray3f,
+        flight: Flight,
         β: mi.Spectrum,
         depth: mi.UInt32,
-        shift: mi.Vector3f,
         sampler: mi.Sampler,
         active: mi.Bool,
     ) -> mi.Bool:
@@ -114,13 +113,11 @@ class Deposits:
         ----------
         si : mi.SurfaceInteraction3f
         bsdf : mi.BSDF
-        ray : mi.Ray3f
-            That came.
+        flight : Flight
+            That came here.
         β : mi.Spectrum
         depth : mi.UInt32
             Events before this one.
-        shift : mi.Vector3f
-            How far this is from where it would be without a periodic cell.
         sampler : mi.Sampler
         active : mi.Bool
 
@@ -136,6 +133,8 @@ class Deposits:
         i = mi.UInt32(0)
         n_points = dr.opaque(mi.UInt32, self.points)
         specimen = self.bench.specimen
+        # variables of the loop, which a whole flight would make another one
+        ray, shift = flight.ray, flight.shift
         part = dr.rcp(mi.Float(n_points))  # of the collector, for each point
         first, place = sampler.next_1d(active), sampler.next_2d()
         while i < n_points:

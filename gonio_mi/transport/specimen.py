@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError, abridged, warn
-from ..settings.parsed import Period
+from ..settings.values import Period
 from .digest import digest
 from .media import media_of
 from .plane import Plane

@@ -131,7 +131,7 @@ def trace(
 
         bsdf = si.bsdf(ray)
         if deposits is not None and deposits.scatters:
-            sound = deposits.add(si, bsdf, ray, β, depth, flight.shift, sampler, active)
+            sound = deposits.add(si, bsdf, flight, β, depth, sampler, active)
             fate[active & ~sound] = mi.UInt32(Fate.INVALID)
             active &= sound
 
@@ -159,10 +159,11 @@ def trace(
         proceed(specimen, flight, si, met, active, wo)
         active |= met.goes_on
 
-    if deposits is None:
-        left = density = None
     by_a_side = leaves_by_a_side(specimen, flight.ray.o, flight.ray.d)
-    return exits_of(flight, by_a_side, β, fate, incident, depth, left, density)
+    exits = exits_of(flight, by_a_side, β, fate, incident, depth)
+    if deposits is not None:
+        exits.left, exits.density = left, density
+    return exits
 
 
 def sent(

@@ -309,7 +309,7 @@ def test_no_such_precision():
 
 @pytest.mark.usefixtures("mono")
 def test_what_does_not_converge_is_refused(monkeypatch):
-    monkeypatch.setattr("gonio_mi.quadrature.rule.MAX_EVALUATIONS", 10**3)
+    monkeypatch.setattr("gonio_mi.quadrature.integrate.MAX_EVALUATIONS", 10**3)
     with pytest.raises(
         gonio.SpecimenError, match=r"must converge to 1e-05, but .* gave"
     ):

@@ -8,7 +8,7 @@ import numpy as np
 
 from gonio_mi.collector.directions import direction
 from gonio_mi.results.tally import Fate
-from gonio_mi.settings.parsed import checked_period
+from gonio_mi.settings.values import checked_period
 from gonio_mi.transport.beam import Beam
 from gonio_mi.transport.rays import NEARBY
 from gonio_mi.transport.specimen import Specimen

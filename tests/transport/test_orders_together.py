@@ -9,7 +9,7 @@ import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.errors import SettingError
 from gonio_mi.results.tally import Fate, Ledger
-from gonio_mi.settings.orders import Order
+from gonio_mi.settings.values import Order
 from gonio_mi.transport.exits import OrderClasses
 
 pytestmark = pytest.mark.usefixtures("mono")

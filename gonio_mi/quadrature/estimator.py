@@ -10,9 +10,10 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import SpecimenError
 from ..results.tally import WEIGHT_SCALE, Integrals, Tally
-from ..settings.orders import ALL_ORDERS
+from ..settings.values import ALL_ORDERS
 from ..transport.bench import Bench
 from ..transport.wavelengths import wavelength_lanes
+from .integrate import integrate_each
 
 __all__ = ["check_integrable", "integrals"]
 
@@ -53,7 +54,7 @@ def integrals(
     sampled : sequence of sequence of Tally
         Of the delta components, at each bench; none without such components.
     """
-    groups = [_of_pass(benches, nm) for nm in benches[0].passes]
+    groups = [_pass_integrals(benches, nm) for nm in benches[0].passes]
     found = []
     for bench, tallies, parts in zip(benches, sampled, zip(*groups)):
         flux, errors = (np.concatenate(arrays, axis=-1) for arrays in zip(*parts))
@@ -66,15 +67,13 @@ def integrals(
     return found
 
 
-def _of_pass(
+def _pass_integrals(
     benches: Sequence[Bench], nm: tuple[float, ...] | None
 ) -> list[tuple[Floats, Floats]]:
     """Flux fractions of some wavelengths, and their errors, at each bench.
 
     Arrays of shape ``(n_hemispheres, n_theta, n_phi, channels)``.
     """
-    from . import integrate_each  # which stands on these helpers
-
     bench = benches[0]
     si = mi.SurfaceInteraction3f(bench.specimen.plane.interaction)
     si.wavelengths = wavelength_lanes(nm)

@@ -1,9 +1,11 @@
-"""Checks of settings that are neither plain numbers nor words: what they become."""
+"""Values of settings that are neither plain numbers nor words, and their checks."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,10 @@ from ..errors import (
 )
 
 __all__ = [
+    "ALL_ORDERS",
+    "Order",
     "Period",
+    "UNLIMITED",
     "WORST_WAVELENGTHS",
     "checked_flag",
     "checked_footprint",
@@ -31,6 +36,42 @@ __all__ = [
     "joined",
     "number",
 ]
+
+# More events than any `max_depth` admits.
+UNLIMITED = 2**31
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """Numbers of surface events from `least` to `most`, both included."""
+
+    least: int = 0
+    most: int = UNLIMITED
+
+    @classmethod
+    def parse(cls, label: str, value: object) -> Order:
+        """Orders of ``"all"``, ``2`` or ``"3+"``; ValueError for anything else."""
+        if isinstance(value, cls):
+            return value
+        text = str(value)
+        if text == "all":
+            return ALL_ORDERS
+        if not re.fullmatch(r"0|[1-9]\d{0,8}\+?", text):
+            raise SettingError(
+                f"{label} must be 'all', a number of surface events such as 2 (0 "
+                f"for direct light), or '3+' for three or more, got {shown(value)}"
+            )
+        least = int(text.rstrip("+"))
+        return cls(least, UNLIMITED if text.endswith("+") else least)
+
+    def __str__(self) -> str:
+        if self == ALL_ORDERS:
+            return "all"
+        return f"{self.least}+" if self.most == UNLIMITED else str(self.least)
+
+
+ALL_ORDERS = Order()
+
 
 # No period, the bounding box, or extents in x and y.
 Period = str | tuple[float, float]
