@@ -72,8 +72,8 @@ def add_options(parser: ArgumentParser) -> None:
         default="klems",
         choices=BASES,
         metavar="BASIS",
-        help="klems, klems-half or klems-quarter: 145, 77 or 41 patches in each "
-        "hemisphere; or a tensor tree, tensor3 for isotropic or tensor4 for any "
+        help="Basis: klems, klems-half or klems-quarter, of 145, 77 or 41 patches in "
+        "each hemisphere, or a tensor tree, tensor3 for isotropic or tensor4 for any "
         "specimens. Default: klems.",
     )
     text = "Cells per axis of a tensor tree, a power of two. Default: 32 or 16."

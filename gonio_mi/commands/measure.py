@@ -186,7 +186,8 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
     code = DONE
     with _CtrlC() as ctrl_c, CampaignParts(options) as parts:
         # said below, with the files' names, and with the numbers
-        warnings.filterwarnings("ignore", "interrupted: ", RuntimeWarning)
+        for text in ("interrupted: ", r"sample\(\) and eval\(\) of the phase function"):
+            warnings.filterwarnings("ignore", text, RuntimeWarning)
         warnings.simplefilter("ignore", LostLightWarning)
         measured = _measure(options, orders)(
             specimen,

@@ -49,7 +49,7 @@ no integral converged.
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of the command to its parser."""
     add_specimen(parser)
-    text = "quick (seconds), normal, thorough (minutes). Default: normal."
+    text = "Effort: quick (seconds), normal, thorough (minutes). Default: normal."
     add_text(parser, "--effort", "E", text, default="normal")
     text = "Properties that the model knowingly lacks: energy,reciprocity."
     add_text(parser, "--allow", "NAMES", text, default="")

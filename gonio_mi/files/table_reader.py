@@ -286,8 +286,8 @@ class _Reading:
         other = [n.strip() for n, c in zip(self.text.names, self.known) if n and not c]
         seen = f" ({abridged(', '.join(map(repr, other)), 80)})" if other else ""
         question = f"{what}{seen}, say --columns {said}"
-        if lacks[0] in ANGLES:
-            question += f", or a number for all rows, such as {lacks[0]}=30"
+        if lacks[0] == "theta_i":
+            question += ", or a number for all rows, such as theta_i=30"
         return [question]
 
     def _numbers(self, picked: Mapping[str, Column]) -> dict[str, Floats]:

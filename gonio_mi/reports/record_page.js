@@ -118,7 +118,7 @@
 
   function colours(values, name) {
     const positive = values.filter((v) => v > 0), top = most(positive) || 1;
-    const colorbar = { title: { text: name } };
+    const colorbar = { title: { text: name, side: "right" } };
     if (!by("logarithmic").checked) return { shown: (v) => v, zmin: 0, zmax: top, colorbar };
     const least = positive.reduce((a, b) => Math.min(a, b), top), zmax = Math.log10(top);
     const zmin = Math.floor(Math.log10(Math.max(least, DEEPEST * top)));
@@ -153,7 +153,7 @@
     const map = { type: "heatmap", x: axis, y: axis, z, hoverinfo: "none", zsmooth: false,
                   colorscale: "Viridis", ...picture, colorbar: { thickness: 14, ...picture.colorbar } };
     await Plotly.react(plot, [map, ...marks(from.direction, hemisphere)], {
-      width, height: width - BAR + 40, margin: { l: 5, r: BAR, t: 32, b: 5 },
+      width, height: width - BAR + 40, margin: { l: 5, r: BAR, t: 32, b: 5, autoexpand: false },
       shapes: [0.5, Math.sqrt(0.75), 1].map(circle), plot_bgcolor: "#fff", hovermode: "closest",
       xaxis: plain(), yaxis: { ...plain(), scaleanchor: "x" } }, { displaylogo: false });
     const tell = (patch) => { output.textContent = told(known[patch], patch, apart); };
@@ -181,7 +181,8 @@
         key: `map-z-${hemisphere}`, from: has[0], hemisphere, known: of[0], apart,
         heading: `${FATES[hemisphere]}: difference`, zmin: -5, zmax: 5, colorscale: "RdBu",
         shown: (_, patch) => (Number.isFinite(apart[patch]) ? apart[patch] : null),
-        colorbar: { title: { text: "std. errors" } } });
+        colorbar: { title: { text: "std. errors", side: "right" }, tickvals: [-5, 0, 5],
+                    ticktext: ["\u2264 -5", "0", "\u2265 5"] } });
     }
     return maps;
   }
@@ -233,14 +234,29 @@
     by("cut-value").textContent = `${state.azimuth}\u00b0`;
     by("azimuth").value = state.azimuth;
     await Plotly.react(by("cut"), traces, {
-      width: by("cut").clientWidth, height: 320 + 10 * traces.length, margin: { l: 60, r: 10, t: 10, b: 40 },
-      legend: { orientation: several ? "v" : "h", x: 0, y: 1.02, yanchor: "bottom" },
+      width: by("cut").clientWidth, height: 340 + 10 * traces.length, margin: { l: 60, r: 10, t: 30, b: 40 },
+      legend: { orientation: several ? "v" : "h", x: 0, y: -0.22, yanchor: "top" }, // clear of the toolbar
       xaxis: { range: [-93, 93], dtick: 30, ticksuffix: "\u00b0", title: { text: "\u03b8\u2092" } },
       yaxis: { type, title: { text: "1/sr" }, exponentformat: "e",
                rangemode: type === "log" ? "normal" : "tozero" } }, { displaylogo: false });
   }
 
-  async function drawLobe(from) {
+  // One lobe for each record that is looked at, with its name if there are two.
+  async function drawLobes(looks) {
+    const place = by("lobes"), wanted = looks.map((_, i) => `lobe-${i}`);
+    while (place.children.length > wanted.length) place.lastElementChild.remove();
+    for (const id of wanted.slice(place.children.length)) {
+      const figure = document.createElement("figure");
+      figure.append(document.createElement("figcaption"), Object.assign(document.createElement("div"), { id }));
+      place.append(figure);
+    }
+    for (const [i, from] of looks.entries()) {
+      place.children[i].firstElementChild.textContent = looks.length > 1 ? from.one.title : "";
+      await drawLobe(by(wanted[i]), from, looks.length > 1 ? 260 : 380);
+    }
+  }
+
+  async function drawLobe(place, from, height) {
     const { one, direction } = from, logarithmic = by("logarithmic").checked;
     const grid = times(61, (i) => times(121, (k) => [(i * 90) / 60, (k * 360) / 120]));
     const of = times(one.hemispheres, (h) => readings(from, h));
@@ -262,8 +278,8 @@
                     x, y, z, line: { color: "#d62728", width: 5 } });
     }
     const none = { showticklabels: false, title: { text: "" }, range: [-1, 1] }, both = one.hemispheres === 2;
-    await Plotly.react(by("lobe"), traces, {
-      width: by("lobe").clientWidth, height: 380, uirevision: "turned", showlegend: false,
+    await Plotly.react(place, traces, {
+      width: place.clientWidth, height, uirevision: "turned", showlegend: false,
       margin: { l: 0, r: 0, t: 0, b: 0 },
       scene: { camera: { eye: { x: 0.9, y: -1.3, z: 0.8 } }, xaxis: none, yaxis: none,
                zaxis: { ...none, range: [both ? -1 : 0, 1] },
@@ -330,7 +346,7 @@
       tellNumbers(current, more);
       await drawMaps(looks);
       await drawCut(looks);
-      await drawLobe(current);
+      await drawLobes(looks);
     }
     busy = false;
     document.body.dataset.drawn = `${state.record}/${state.theta}/${state.phi}`;

@@ -137,6 +137,8 @@ def _totals_text(summary: Summary, most_rows: int) -> str:
         half = most_rows // 2
         left = f"... {len(rows) - 2 * half} rows are left out: show --all has them ..."
         lines[1 + half : -half] = [left]
+    if any(error.startswith("<") for *_, error, _low, _high in rows):
+        said += "\n< is the rounding of single precision, in which the error is lost"
     return "\n".join(lines) + said
 
 

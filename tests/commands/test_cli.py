@@ -895,6 +895,34 @@ def test_text_fits_and_holds_the_ledger():
 # --------------------------------------------------------------------- other commands
 
 
+@pytest.mark.parametrize("command", ["", *cli.COMMANDS])
+def test_help_is_sentences_of_ascii(command):
+    """Sentence case and a full stop, and no escapes where there is no UTF-8."""
+    whole = cli.parser(command)
+    if command:
+        (commands,) = (one for one in whole._actions if one.nargs == "A...")
+        whole = commands.choices[command]
+    assert whole.format_help().isascii()
+    for action in whole._actions:
+        if action.help is not None:
+            assert action.help.endswith("."), action.option_strings
+            # a few begin with a value of the option
+            assert re.match("[A-Z]|both,|weighted |box ", action.help)
+
+
+def test_a_command_imports_no_other():
+    """The whole program is loaded by none of `--help`, `show --help` and an import."""
+    parts = {"gonio_mi.transport.loop", "gonio_mi.commands.measure", "scipy"}
+    for words in ("--help", "show --help", "--version"):
+        program = (
+            "import sys; from gonio_mi.cli import main\n"
+            f"try: main({words.split()!r})\n"
+            f"except SystemExit: sys.exit(str({parts!r} & set(sys.modules)))"
+        )
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True)
+        assert done.stderr == b"set()\n"
+
+
 def test_help_and_version(capsys):
     for arguments in (["--help"], ["measure", "--help"], ["--version"]):
         with pytest.raises(SystemExit) as caught:

@@ -101,6 +101,26 @@ def test_one_percent_shows_in_the_total():
     agree(of_comparison(compare(record, table_of(record, values))))
 
 
+def test_the_worst_points_are_those_that_differ_most():
+    """Scores keep their order where no probability is that small, as JSON has them."""
+    record = gloss(analog=True)
+    values, _, _ = truth(record)
+    wrong = values * np.linspace(20, 200, len(values))
+    found = compare(record, table_of(record, wrong, uncertainty=0.001))
+    apart = np.abs(found.value - found.other)
+    apart /= np.hypot(np.nan_to_num(found.std_err), found.other_std_err)
+    hit = np.isfinite(found.std_err)
+    assert np.abs(found.z).max() > 100
+    order = np.argsort(-apart[hit])
+    sizes = np.abs(found.z[hit][order])
+    assert np.all(np.diff(sizes[sizes > 40]) < 0)
+    worst = [abs(point["z"]) for point in found.to_dict()["worst"]]
+    assert worst == sorted(np.abs(found.z), reverse=True)[:5]
+    drawn = comparison_figure(found).axes
+    _, high = drawn[1].get_ylim()
+    assert high > 37.1
+
+
 def test_mirrored_azimuth_differs():
     record = gloss()
     values, _, phi = truth(record)

@@ -253,6 +253,11 @@ def test_units_below_the_names_colours_and_gaps(tmp_path):
             "theta_o=NAME value=NAME; .2. .* say --quantity brdf,",
         ),
         (
+            "theta_r,phi_r,brdf\n30,0,1\n",
+            "theta_i is missing.* such as theta_i=30; .2. its azimuths .* say "
+            "--azimuth source or mirror, .* or --columns phi_i=0",
+        ),
+        (
             "theta_i,b,450nm,550nm\n45,0,1,2\n",
             "channel must be one of 450nm, 550nm: .*theta_o is missing.*--quantity",
         ),
@@ -288,6 +293,21 @@ def test_commands_take_what_the_table_leaves_open(tmp_path, capsys):
     # the same values as a BRDF are pi times as bright
     rest[1] = "brdf"
     assert main([*command, *columns, *rest, "--uncertainty", "0.01"]) == 3
+
+
+@pytest.mark.usefixtures("mono")
+def test_what_was_asked_for_can_be_said(tmp_path, capsys):
+    """The answers that the questions name are enough; --theta-i leads to them."""
+    path = written(tmp_path, "theta_r,phi_r,brdf\n30,0,0.3183\n40,90,0.3183\n")
+    command = ["compare", "diffuse:reflectance=1", str(path), "--rays", "1e5"]
+    assert main([*command, "--theta-i", "30"]) == 1
+    assert "say --columns theta_i=30" in capsys.readouterr().err
+    assert main(command) == 1
+    said = capsys.readouterr().err
+    for word in ("theta_i=30", "phi_i=0", "--azimuth", "--aperture-half-angle"):
+        assert word in said
+    answers = ["--columns", "theta_i=30", "phi_i=0", "--aperture-half-angle", "5"]
+    assert main([*command, *answers, "--uncertainty", "0.01"]) == 0
 
 
 def test_show_says_how_a_table_is_understood(tmp_path, capsys):

@@ -77,6 +77,18 @@ def test_no_more_digits_than_single_precision_has():
     assert total_cells(total) == ["0.800000000", "<0.000000048", *["0.800000000"] * 2]
 
 
+def test_a_rounding_in_place_of_an_error_is_explained():
+    """Where the batches agree to the last digit of single precision."""
+    note = "< is the rounding of single precision"
+    assert note not in summary_text(summarize(synthetic.record()))
+    alike = synthetic.record()
+    tally = synthetic.writeable(alike.tallies[0])
+    tally.sums[:] = tally.sums[:1]
+    tally.sums[0, 0, 0, 0] += np.uint64(1)
+    said = summary_text(summarize(replace(alike, tallies=(tally,))))
+    assert note in said
+
+
 @pytest.mark.parametrize("of", ["brdf", "btdf"])
 def test_theta_o_counts_from_one_pole_in_both_hemispheres(of):
     record = synthetic.record(both=of == "btdf")
