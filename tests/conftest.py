@@ -40,15 +40,13 @@ def pytest_configure():
 
 # Files whose tests take most of the time: -m "not slow" leaves them out.
 SLOW = """
-    azimuth_symmetry benchmark bits bsdf_files campaign chart coverage created_light
-    dark_light daylight file_safety files_radiance fitting foreign_verdicts
-    goniometric handbook handbook_blocks heightfield llvm measured_like media
-    mesh_specimens micro_normals microgeometry next_event notebooks paper_bsdfs porous
-    quadrature rounds scenes slabs sobol spectral_coverage stock_bsdfs
-    tolerance_command validation validation_alarms validation_cosines
-    validation_integrals validation_lobes validation_order validation_stock
-    validation_suspects validation_tables versions where_methods_fail whole_bsdf
-    workers
+    alarms azimuth_symmetry benchmark bits bsdf_files campaign chart cosines
+    coverage created_light dark_light daylight file_safety files_radiance fitting
+    foreign_verdicts goniometric handbook handbook_blocks heightfield integrals llvm
+    lobes measured_like media mesh_specimens micro_normals microgeometry next_event
+    notebooks order paper_bsdfs porous quadrature rounds scenes slabs sobol
+    spectral_coverage stock stock_bsdfs suspects tables tolerance_command verdicts
+    versions where_methods_fail whole_bsdf workers
 """
 
 

@@ -1,0 +1,14 @@
+"""The files that ``-m "not slow"`` leaves out are there."""
+
+import re
+from pathlib import Path
+
+TESTS = Path(__file__).parents[1]
+
+
+def test_every_slow_file_exists():
+    text = (TESTS / "conftest.py").read_text()
+    names = re.search(r'^SLOW = """(.*?)"""', text, re.MULTILINE | re.DOTALL)[1].split()
+    assert names
+    files = {path.stem.removeprefix("test_") for path in TESTS.rglob("test_*.py")}
+    assert not set(names) - files
