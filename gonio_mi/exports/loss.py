@@ -138,20 +138,22 @@ def in_words(every: Sequence[Loss]) -> list[str]:
         off = max(some, key=lambda one: abs(one.written - one.recorded))
         mean = sum(one.misplaced for one in told) / len(told)
         left_out = len(some) - len(told)
-        worst_words = "" if len(told) == 1 else f", at worst {worst.misplaced:.1%} for"
-        worst_words = worst_words + " incidence at" if worst_words else ", incidence at"
-        lines.append(
+        line = (
             f"{side}, {WORDS[quantity]}: {mean:.1%} of the light ended up in a "
-            f"neighbouring patch{worst_words} {_place(worst)}; total off by "
-            f"{abs(off.written - off.recorded):.2g}"
-            + (
+            "neighbouring patch,"
+        )
+        if len(told) > 1:
+            line += f" at worst {worst.misplaced:.1%} for"
+        line += f" incidence at {_place(worst)}"
+        line += f"; total off by {abs(off.written - off.recorded):.2g}"
+        if len(some) > 1:
+            line += (
                 f" at {_place(off)}, the most at the record's own {len(some)} incident "
                 "directions"
-                if len(some) > 1
-                else ""
             )
-            + (f"; {left_out} faint directions left out" if left_out else "")
-        )
+        if left_out:
+            line += f"; {left_out} faint directions left out"
+        lines.append(line)
     return lines
 
 

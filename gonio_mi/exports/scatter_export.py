@@ -12,9 +12,8 @@ from ..errors import SettingError, abridged
 from ..files import replacing
 from ..files.channels import wavelengths_nm
 from ..formats import merl, zemax
-from ..formats.format import Format
 from ..formats.reading import format_named, read_scatter
-from ..formats.scatter import Block, PatchMeans, Scatter, scatter_means, total_of
+from ..formats.scatter import Block, Scatter, scatter_means, total_of
 from ..results.record import Record
 from .loss import Loss, fractions_of, losses, part_names
 from .resampling import Material
@@ -39,14 +38,12 @@ def write_zemax(record: Record, path: str | PathLike[str]) -> list[Loss]:
     scatter = _scatter(record, specular=True)
     written = np.zeros_like(fractions_of(record))
     for (hemisphere, number), name in part_names(record, path).items():
-        part = _part(scatter, hemisphere, number)
-        comment = f"gonio-mi: {_said(record)}, {record.channels[number]}"
+        blocks = [block.channel(number) for block in scatter.of(hemisphere)]
+        comment = f"gonio-mi: {_specimen(record)}, {record.channels[number]}"
         with replacing(name) as stream:
-            zemax.write(part, stream, comment)
-        again = scatter_means(read_scatter(name), record.subdivision)
-        written[:, hemisphere, ..., number] = _in_order(record, again)[
-            :, hemisphere, ..., 0
-        ]
+            zemax.write(Scatter(blocks, ("Y",)), stream, comment)
+        fractions = _in_order(record, read_scatter(name))
+        written[:, hemisphere, ..., number] = fractions[:, hemisphere, ..., 0]
     return losses(record, written)
 
 
@@ -60,7 +57,8 @@ def write_grids(record: Record, path: str | PathLike[str]) -> list[Loss]:
     """
     ending = Path(path).suffix.lower()
     known = format_named(ending)
-    if len(record.channels) > 1 and wavelengths_nm(record.channels) is None:
+    nm = wavelengths_nm(record.channels)
+    if len(record.channels) > 1 and nm is None:
         raise SettingError(
             f"{ending} takes records of one channel or of wavelengths, got "
             f"{abridged(', '.join(record.channels), 80)}"
@@ -72,13 +70,21 @@ def write_grids(record: Record, path: str | PathLike[str]) -> list[Loss]:
             f"a {ending} file needs at least {known.n_incidences} angles of incidence, "
             f"got {len(record)}"
         )
-    return _written(record, path, known)
+    scatter = _scatter(record, specular=known.specular)
+    with replacing(path) as stream:
+        known.write(scatter, stream, _specimen(record))  # type: ignore[misc]
+    fractions = _in_order(record, read_scatter(path))
+    fractions = fractions[:, : 1 if known.reflection_only else 1 + record.has_lower]
+    # the file has ascending wavelengths, or one channel for all
+    order = [0] if nm is None else np.argsort(np.argsort(nm)).tolist()
+    shape = (*fractions.shape[:-1], len(order))
+    return losses(record, np.broadcast_to(fractions, shape)[..., order])
 
 
 def write_merl(record: Record, path: str | PathLike[str]) -> list[Loss]:
     """Write the reflection of an isotropic record in the format of the MERL database.
 
-    Between its angles of incidence it is what the BSDF `goniometric` makes of it.
+    Between its angles of incidence it is interpolated as the BSDF `goniometric` does.
     """
     _check_isotropic(record, ".binary")
     if record.channels != ("R", "G", "B") and len(record.channels) > 1:
@@ -97,42 +103,18 @@ def write_merl(record: Record, path: str | PathLike[str]) -> list[Loss]:
 
     with replacing(path) as stream:
         merl.write(value, stream)
-    with open(path, "rb") as written:
-        again = merl.read(written, tuple(record.theta_i.tolist()))
-    phi_i = float(record.phi_i[0])
-    turned = [replace(block, phi_i=phi_i) for block in again.blocks]
-    means = scatter_means(Scatter(turned, again.channels), record.subdivision)
-    fractions = _in_order(record, means)[..., : len(record.channels)]
-    return losses(record, fractions)
+    with open(path, "rb") as stream:
+        again = merl.read(stream, tuple(record.theta_i.tolist()))
+    return losses(record, _in_order(record, again)[..., : len(record.channels)])
 
 
-def _written(record: Record, path: str | PathLike[str], known: Format) -> list[Loss]:
-    """Write blocks about the normal, read them back, and compare."""
-    scatter = _scatter(record, specular=known.specular)
-    with replacing(path) as stream:
-        known.write(scatter, stream, _said(record))  # type: ignore[misc]
-    again = read_scatter(path)
-    if len(set(record.phi_i.tolist())) == 1:  # these files do not tell one azimuth
+def _in_order(record: Record, scatter: Scatter) -> Floats:
+    """Flux fractions in the patches and for the incident directions of a record."""
+    if len(set(record.phi_i.tolist())) == 1:  # which no file of one azimuth tells
         phi_i = float(record.phi_i[0])
-        turned = [replace(block, phi_i=phi_i) for block in again.blocks]
-        again = Scatter(turned, again.channels)
-    fractions = _in_order(record, scatter_means(again, record.subdivision))
-    fractions = fractions[:, : 1 if known.reflection_only else 1 + record.has_lower]
-    order = _channel_order(record)
-    shape = (*fractions.shape[:-1], len(order))
-    return losses(record, np.broadcast_to(fractions, shape)[..., order])
-
-
-def _channel_order(record: Record) -> list[int]:
-    """Where each channel of the record is among ascending wavelengths."""
-    nm = wavelengths_nm(record.channels)
-    if nm is None:
-        return [0]
-    return np.argsort(np.argsort(nm)).tolist()
-
-
-def _in_order(record: Record, means: PatchMeans) -> Floats:
-    """Flux fractions of the record's incident directions, in its order."""
+        turned = [replace(block, phi_i=phi_i) for block in scatter.blocks]
+        scatter = Scatter(turned, scatter.channels)
+    means = scatter_means(scatter, record.subdivision)
     wanted = direction(np.radians(record.theta_i), np.radians(record.phi_i))
     held = direction(np.radians(means.theta_i), np.radians(means.phi_i))
     nearest = np.argmax(wanted @ held.T, axis=1)
@@ -204,21 +186,8 @@ def _cells(angles: Floats, period: float | None = None) -> tuple[Floats, Floats]
     return np.append(low, middles), np.append(middles, high)
 
 
-def _part(scatter: Scatter, hemisphere: int, number: int) -> Scatter:
-    """One hemisphere and channel."""
-    one = slice(number, number + 1)
-    blocks = [
-        replace(
-            b,
-            values=b.values[..., one],
-            total=None if b.total is None else b.total[one],
-        )
-        for b in scatter.of(hemisphere)
-    ]
-    return Scatter(blocks, ("Y",))
-
-
-def _said(record: Record) -> str:
+def _specimen(record: Record) -> str:
+    """Name of the specimen, short."""
     return abridged(record.provenance.name, 200)
 
 

@@ -105,7 +105,6 @@ def rebuilt(header: dict[str, Any], tallies: Sequence[dict[str, Numbers]]) -> Re
     FileFormatError
         If anything is missing, of another type or shape, or does not fit the rest.
     """
-    check_format(header)
     n = len(tallies)
     theta_i, phi_i = (_angles(header, key, n) for key in ("theta_i", "phi_i"))
     channels = _listed(header, "channels", str)

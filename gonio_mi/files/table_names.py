@@ -7,7 +7,16 @@ from dataclasses import dataclass
 
 from scipy import special
 
-__all__ = ["ANGLES", "COLOURS", "ROLES", "Column", "is_unit", "recognised", "unit_of"]
+__all__ = [
+    "ANGLES",
+    "COLOURS",
+    "ROLES",
+    "Column",
+    "coverage_of",
+    "is_unit",
+    "recognised",
+    "unit_of",
+]
 
 ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o", "delta_phi")
 ROLES = (*ANGLES, "value", "sigma", "wavelength")
@@ -104,6 +113,11 @@ CHANGES = re.compile(
     re.IGNORECASE,
 )
 
+# Uncertainties that are divided by the values; angles in units that are no words, as
+# arc minutes, or that are numbers themselves.
+PER_VALUE = re.compile(r"/\s*(b[rst]df|h?c?brf|hcrf|values?|f_?[rt])\b", re.IGNORECASE)
+NO_ANGLE = re.compile(r"[\d'\"\u2032\u2033=*×^]")
+
 # Coverage of uncertainties: a factor k, so many sigma, or a level in per cent, which
 # may stand behind U; and a factor behind.
 NUMBER = r"([0-9]+(?:[.,][0-9]+)?)"
@@ -167,7 +181,7 @@ def recognised(name: str) -> Column | None:
     words = _words(text)
     role = _angle(words)
     if role:
-        return Column(name, role, unit)
+        return None if NO_ANGLE.search(text) else Column(name, role, unit)
     if words and set(words) <= WAVELENGTH:
         return Column(name, "wavelength", unit)
     length = unit in ("nm", "um")
@@ -185,6 +199,8 @@ def recognised(name: str) -> Column | None:
             coverage = _coverage_left(text) or (2.0 if expanded else 1.0)
         said = {"rel": set(words) & OF_VALUE, "abs": set(words) & ABSOLUTE}
         kind = next((kind for kind, of in said.items() if of), "")
+        if PER_VALUE.search(text):
+            kind = "rel"
         if unit in ("1/sr", "%/sr"):
             kind = "abs"
         return Column(name, "sigma", unit, "", channel, coverage, kind)
@@ -195,6 +211,11 @@ def recognised(name: str) -> Column | None:
         unit = "" if channel and unit == "1/sr" else unit
         return Column(name, "value", unit, quantity, channel)
     return None
+
+
+def coverage_of(name: str) -> float:
+    """Coverage that a name says by a factor, a level or so many sigma; 0 if none."""
+    return _without_coverage(name)[1]
 
 
 def is_unit(text: str) -> bool:

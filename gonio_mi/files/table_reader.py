@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..array_types import Floats
 from ..errors import (
@@ -19,7 +20,15 @@ from ..errors import (
 )
 from .channels import chosen_channel
 from .measured_table import COLUMNS, QUANTITIES, MeasuredTable, fits, parsed_keys
-from .table_names import ANGLES, COLOURS, ROLES, Column, recognised, unit_of
+from .table_names import (
+    ANGLES,
+    COLOURS,
+    ROLES,
+    Column,
+    coverage_of,
+    recognised,
+    unit_of,
+)
 from .table_text import TextTable, decimal, is_decimal, split_text
 
 __all__ = ["AZIMUTHS", "OpenQuestionsError", "check_nothing_open", "read_text"]
@@ -27,26 +36,35 @@ __all__ = ["AZIMUTHS", "OpenQuestionsError", "check_nothing_open", "read_text"]
 # What azimuths of exit count from.
 AZIMUTHS = ("specimen", "source", "mirror")
 
-OWN = (*COLUMNS, "sigma")
+OWN_NAMES = (*COLUMNS, "sigma")
 DEGREES = {"deg": 1.0, "": 1.0, "rad": float(np.degrees(1.0))}
 NM = {"nm": 1.0, "um": 1e3, "m": 1e9}
-SAID_UNITS = ("", "deg", "rad", "rel", "abs")
+KINDS = {"rel": "relative", "abs": "absolute"}
 
-# What stands for no value.
+# What stands for no value, in cells, and in columns of angles and uncertainties.
 MISSING = re.compile(r"|nan|--?|n/?a|null|-9{2,}(\.[09]*)?", re.IGNORECASE)
+MISSING_CODES = (-99, -999, -9999)
 
-# The same as numbers of angles, wavelengths and uncertainties.
-CODES = (-99, -999, -9999)
-
-# Angles that all are as small as in radians, in degrees; nothing is told apart below.
-SILENT = {"polar angles": np.pi, "azimuths": 2 * np.pi}
-NONE = 1e-3
+# Angles that are at most this large may be radians if no unit is specified, unless all
+# are whole numbers, up to a rounding.
+MAX_RADIANS: dict[str, tuple[tuple[str, ...], float]] = {
+    "polar angles": (("theta_i", "theta_o"), np.pi),
+    "azimuths": (("phi_i", "phi_o", "delta_phi"), 2 * np.pi),
+}
+ANGLE_ROUNDING = 1e-3
 
 # A wavelength that is a column's is at most this far in nm from the one asked for.
-SAME_WAVELENGTH = 1e-6
+WAVELENGTH_ROUNDING = 1e-6
+
+# Wavelengths below this without a unit are micrometres: no light has so few nm.
+MIN_NM = 20
+
+# A coverage factor in a title, and names of columns that hold one.
+FACTOR = re.compile(r"(?<!\w)k\s*[=:]\s*([0-9]+(?:[.,][0-9]+)?)", re.IGNORECASE)
+FACTOR_NAMES = ("k", "k factor", "coverage factor")
 
 # What titles and names of files call the quantities.
-HINTS = (
+QUANTITY_PATTERNS = (
     (r"\b(BRF|reflectance factors?|radiance factors?)\b", "reflectance_factor"),
     (r"\b(cosine.corrected BRDF|CCBRDF|BRDF ?[*x] ?cos)", "brdf_cos"),
     (r"\bBTDF\b", "btdf"),
@@ -63,17 +81,17 @@ class OpenQuestionsError(FileFormatError):
 
 
 def check_nothing_open(place: str, questions: Sequence[str]) -> None:
-    """Raise OpenQuestionsError with all that is to be said of the text at `place`.
+    """Raise OpenQuestionsError with all questions on the text at `place`.
 
     Several questions leave no room for the folder: a long message loses its middle.
     """
     if not questions:
         return
-    said = f"{place}: {questions[0]}"
+    message = f"{place}: {questions[0]}"
     if len(questions) > 1:
         each = "; ".join(f"({i}) {one}" for i, one in enumerate(questions, 1))
-        said = f"{Path(place).name} leaves open: {each}"
-    raise OpenQuestionsError(said, place, questions)
+        message = f"{Path(place).name} leaves open: {each}"
+    raise OpenQuestionsError(message, place, questions)
 
 
 def read_text(
@@ -85,34 +103,34 @@ def read_text(
 ) -> MeasuredTable:
     """Table of a text; see :func:`gonio_mi.read_measured`."""
     columns = columns or {}
-    names = {said.partition(":")[0].strip().lower() for said in columns.values()}
+    names = {word.partition(":")[0].strip().lower() for word in columns.values()}
 
     def known(name: str) -> bool:
         return recognised(name) is not None or name.strip().lower() in names
 
     text = split_text(path, known, ", ".join(COLUMNS))
     settings, header = parsed_keys(text.place, text.comments)
-    reading = _Reading(text, columns, in_degrees=bool(settings))
+    reading = _Reading(text, columns, settings)
     if quantity is not None:
         settings["quantity"] = checked_choice("quantity", quantity, QUANTITIES)
     if azimuth is not None:
         checked_choice("azimuth", azimuth, AZIMUTHS)
-    arrays, picked, chosen = reading.columns(channel, settings.get("quantity"), azimuth)
-    reading.convert_angles(arrays, picked)
-    settings["quantity"] = reading.quantity(picked["value"], settings.get("quantity"))
-    value, sigma = reading.values(arrays, picked, settings)
-    directions = reading.directions(arrays, azimuth)
-    check_nothing_open(text.place, reading.open)
+    reading.read_columns(channel, azimuth)
+    reading.convert_angles()
+    settings["quantity"] = reading.quantity()
+    columns_read = reading.values() | reading.directions(azimuth)
+    check_nothing_open(text.place, reading.questions)
     if settings["quantity"] == "btdf" and not reading.own:
-        directions["theta_o"] = reading.from_lit_side(directions["theta_o"])
-    if chosen is not None:
-        settings.setdefault("channel", chosen)
-    made: dict[str, Any] = {**directions, "value": value, "sigma": sigma}
+        reading.count_from_lit_side(columns_read)
+    if reading.channel is not None:
+        settings.setdefault("channel", reading.channel)
     if reading.own:
-        reading.check_ranges(made, settings["quantity"])
-    made |= {"header": header, "name": text.place, "notes": tuple(reading.notes)}
+        reading.check_ranges(columns_read)
+    notes = tuple(reading.notes)
     try:
-        return MeasuredTable(**made, **settings)
+        return MeasuredTable(
+            **columns_read, **settings, header=header, name=text.place, notes=notes
+        )
     except ValueError as error:
         raise FileFormatError(f"{text.place}: {error}") from None
 
@@ -123,51 +141,53 @@ class _Reading:
     Parameters
     ----------
     text : TextTable
-    said : mapping
+    specified : mapping
         Name of the column for a role, with ``:deg`` and the like if its name does not
         say it, or a number in its place.
-    in_degrees : bool
-        Whether columns with our names are, as those below a header of ours.
+    settings : dict
+        Those of the header, and the quantity if it is specified.
     """
 
     def __init__(
-        self, text: TextTable, said: Mapping[str, str], in_degrees: bool
+        self, text: TextTable, specified: Mapping[str, str], settings: dict[str, Any]
     ) -> None:
-        self.text, self.place = text, text.place
+        self.text, self.place, self.settings = text, text.place, settings
         self.here = f"{text.place}, line {text.number}"
         self.notes: list[str] = []
-        self.open: list[str] = []
+        self.questions: list[str] = []
+        self.channel: str | None = None
         self.constants: dict[str, float] = {}
+        self.sigma_specified = "sigma" in specified
         self.known = [recognised(name) for name in text.names]
-        # our own names: in degrees, all five, nothing beside them
-        self.own = set(text.names) >= set(COLUMNS) and not said
-        self.in_degrees = in_degrees and self.own
+        # our own names: all five, nothing beside them; in degrees below our header
+        self.own = set(text.names) >= set(COLUMNS) and not specified
+        self.in_degrees = self.own and bool(settings)
         bare = [name.partition(" [")[0] for name in text.names]
         for colour in COLOURS if set(bare) >= set(COLOURS) else ():
             index = bare.index(colour)
             name = text.names[index]
             self.known[index] = Column(name, "value", unit_of(name), channel=colour)
-        for role, word in said.items():
+        for role, word in specified.items():
             self._assign(role, str(word))
         for name in text.names if self.own else ():
-            if name not in OWN:
+            if name not in OWN_NAMES:
                 raise FileFormatError(
-                    f"{self.here}: a column must be one of {', '.join(OWN)}, got "
+                    f"{self.here}: a column must be one of {', '.join(OWN_NAMES)}, got "
                     f"{shown(name)}"
                 )
             if text.names.count(name) > 1:
                 raise FileFormatError(f"{self.here}: the column {name} must occur once")
 
     def _assign(self, role: str, word: str) -> None:
-        """Take a column, or a number, for what the user says that it is."""
+        """Take a column, or a number, for the role that the user specifies."""
         if role not in ROLES:
             raise SettingError(
                 f"columns must name {', '.join(ROLES)}, got {shown(role)}"
             )
         names = [own.strip().lower() for own in self.text.names]
         whole = word.strip().lower() in names
-        name, _, unit = (word, "", "") if whole else word.partition(":")
-        if unit not in SAID_UNITS:
+        name, _, suffix = (word, "", "") if whole else word.partition(":")
+        if suffix not in ("", "deg", "rad", *KINDS):
             raise SettingError(
                 f"columns must give angles in deg or rad, and sigma as rel or abs, got "
                 f"{shown(word)}"
@@ -177,15 +197,16 @@ class _Reading:
             index = names.index(name.strip().lower())
             own = self.text.names[index]
             column = recognised(own) or Column(own, role, unit_of(own))
-            kind = unit if unit in ("rel", "abs") else column.kind
-            unit = unit if unit in ("deg", "rad") else column.unit
-            # what is said to be sigma is a standard uncertainty unless its name says k
-            k = 1.0 if np.isnan(column.coverage) else column.coverage
             self.known[index] = replace(
-                column, role=role, unit=unit, kind=kind, coverage=k
+                column,
+                role=role,
+                unit=suffix if suffix in ("deg", "rad") else column.unit,
+                kind=suffix if suffix in KINDS else column.kind,
+                # a specified sigma is a standard uncertainty unless its name says k
+                coverage=1.0 if np.isnan(column.coverage) else column.coverage,
             )
         elif is_decimal(name):
-            self.constants[role] = decimal(name) * DEGREES.get(unit, 1.0)
+            self.constants[role] = decimal(name) * DEGREES.get(suffix, 1.0)
         else:
             raise SettingError(
                 f"columns must name columns of {self.place} "
@@ -194,74 +215,72 @@ class _Reading:
 
     # ------------------------------------------------------------------------- columns
 
-    def columns(
-        self, channel: str | None, quantity: str | None, azimuth: str | None
-    ) -> tuple[dict[str, Floats], dict[str, Column], str | None]:
-        """Numbers by role, the columns that they are of, and the channel."""
-        picked, chosen, unclear = self._picked(channel)
-        unclear += self._missing()
-        values = [column for column in self.known if column and column.role == "value"]
-        titled = any(column.quantity for column in values) or self._titled()
-        if unclear and not (quantity or self.own or titled):
-            unclear.append(_quantity_question())
-        if unclear and azimuth is None and self._has_relative_azimuths():
-            unclear.append(_azimuth_question("azimuths"))
-        if unclear:
-            check_nothing_open(self.here, self.open + unclear)
-        if "value" in self.constants:
-            raise SettingError(f"columns must name a column of values of {self.place}")
-        for role in (r for r in ANGLES if r in picked):
-            if picked[role].unit not in DEGREES:
-                name = shown(picked[role].name.strip(), 60)
-                raise FileFormatError(
-                    f"{self.place}: the angle {role} must be in deg or rad, got {name}"
-                )
-        arrays = self._numbers(picked)
-        n = len(arrays["value"])
-        arrays |= {role: np.full(n, value) for role, value in self.constants.items()}
-        arrays = self._without_codes(arrays)
-        if "wavelength" in picked:
-            chosen = self._one_wavelength(arrays, picked["wavelength"], channel)
-        if not self.own:
-            self._note_columns(picked)
-        return arrays, picked, chosen
-
-    def _picked(
-        self, channel: str | None
-    ) -> tuple[dict[str, Column], str | None, list[str]]:
-        """The one column of each role, the channel of the values, and what is unclear.
-
-        Of several channels the first, beside a question: more may be open than that.
-        """
+    def read_columns(self, channel: str | None, azimuth: str | None) -> None:
+        """Read the numbers of the one column of each role, `picked`, into `arrays`."""
         by_role: dict[str, list[Column]] = {}
         for column in self.known:
             if column is not None and column.role not in self.constants:
                 by_role.setdefault(column.role, []).append(column)
+        self._pick_channel(by_role, channel)
+        unclear = [
+            f"several columns may be {role} "
+            f"({', '.join(repr(c.name) for c in columns):.150}); say --columns "
+            f"{role}=NAME"
+            for role, columns in by_role.items()
+            if len(columns) > 1
+        ]
+        unclear += self._missing()
+        values = [column for column in self.known if column and column.role == "value"]
+        titled = any(column.quantity for column in values) or self._titled()
+        if unclear and not (self.settings.get("quantity") or self.own or titled):
+            unclear.append(_quantity_question())
+        if unclear and azimuth is None and self._has_relative_azimuths():
+            unclear.append(_azimuth_question("azimuths"))
+        if unclear:
+            check_nothing_open(self.here, self.questions + unclear)
+        if "value" in self.constants:
+            raise SettingError(f"columns must name a column of values of {self.place}")
+        self.picked = {role: columns[0] for role, columns in by_role.items() if columns}
+        for role in ANGLES:
+            if role in self.picked and self.picked[role].unit not in DEGREES:
+                name = shown(self.picked[role].name.strip(), 60)
+                raise FileFormatError(
+                    f"{self.place}: the angle {role} must be in deg or rad, got {name}"
+                )
+        self.arrays = self._numbers()
+        n = len(self.arrays["value"])
+        for role, value in self.constants.items():
+            self.arrays[role] = np.full(n, value)
+        self._leave_out_missing()
+        if "wavelength" in self.arrays:
+            self._pick_wavelength(channel)
+        if not self.own:
+            self._note_columns()
+
+    def _pick_channel(
+        self, by_role: dict[str, list[Column]], channel: str | None
+    ) -> None:
+        """Keep the values of one channel, the first beside a question if none is."""
         values = by_role.get("value", [])
         names = [column.channel for column in values if column.channel]
-        chosen = names[0] if len(names) == 1 else None
         if len(names) > 1 and channel is None:
-            self.open.append(_channel_question(names))
+            self.questions.append(_channel_question(names))
             by_role["value"] = values[:1]
             by_role.pop("sigma", None)
-        elif names and channel is not None:
-            chosen = chosen_channel(self.place, names, channel)
-            by_role["value"] = [c for c in values if c.channel == chosen]
+            return
+        if names and channel is not None:
+            self.channel = chosen_channel(self.place, names, channel)
+            by_role["value"] = [c for c in values if c.channel == self.channel]
         elif channel is not None and "wavelength" not in by_role:
             raise SettingError(
                 f"channel goes with a table of several, got {channel!r} for "
                 f"{self.place}"
             )
-        if chosen:
-            same = [c for c in by_role.get("sigma", []) if c.channel in ("", chosen)]
-            by_role["sigma"] = same
-        several = {r: ", ".join(repr(c.name) for c in of) for r, of in by_role.items()}
-        unclear = [
-            f"several columns may be {r} ({several[r]:.150}); say --columns {r}=NAME"
-            for r, of in by_role.items()
-            if len(of) > 1
-        ]
-        return {r: of[0] for r, of in by_role.items() if of}, chosen, unclear
+        elif names:
+            self.channel = names[0]
+        if self.channel and "sigma" in by_role:
+            own = ("", self.channel)
+            by_role["sigma"] = [c for c in by_role["sigma"] if c.channel in own]
 
     def _has_relative_azimuths(self) -> bool:
         """Whether azimuths of exit stand without those of incidence."""
@@ -278,22 +297,24 @@ class _Reading:
         lacks = [role for role in needed if role not in there]
         if not lacks:
             return []
-        said = " ".join(f"{role}=NAME" for role in lacks)
         what = f"the column {lacks[0]} is missing; if another name stands for it"
         if len(lacks) > 1:
             names = f"{', '.join(lacks[:-1])} and {lacks[-1]}"
             what = f"the columns {names} are missing; if other names stand for them"
         other = [n.strip() for n, c in zip(self.text.names, self.known) if n and not c]
         seen = f" ({abridged(', '.join(map(repr, other)), 80)})" if other else ""
-        question = f"{what}{seen}, say --columns {said}"
+        options = " ".join(f"{role}=NAME" for role in lacks)
+        question = f"{what}{seen}, say --columns {options}"
         if lacks[0] == "theta_i":
             question += ", or a number for all rows, such as theta_i=30"
         return [question]
 
-    def _numbers(self, picked: Mapping[str, Column]) -> dict[str, Floats]:
-        """Numbers of the picked columns in rows with a value, and lines of the rows."""
+    def _numbers(self) -> dict[str, Floats]:
+        """Numbers of the picked columns, in the rows with a value."""
         names = self.text.names
-        places = {role: names.index(column.name) for role, column in picked.items()}
+        places = {
+            role: names.index(column.name) for role, column in self.picked.items()
+        }
         numbers: dict[str, list[float]] = {role: [] for role in places}
         self.lines: list[int] = []
         missing: list[str] = []
@@ -309,26 +330,27 @@ class _Reading:
                     numbers[role].append(decimal(cells[index]))
                 except ValueError as error:
                     raise FileFormatError(f"{where}: {error}") from None
-                if not np.isfinite(numbers[role][-1]) and not self.own:
+                if not np.isfinite(numbers[role][-1]):
                     raise FileFormatError(
                         f"{where}: must be a finite number, got {cells[index].strip()}"
                     )
         if not self.lines:
             raise FileFormatError(f"{self.place} has no row with a value")
         if missing:
-            marks = ", ".join(sorted({one for one in missing if one.startswith("-9")}))
-            said = f": {marks} stands for none" if marks else ""
-            self.notes.append(f"{len(missing)} rows without a value are left out{said}")
+            codes = ", ".join(sorted({one for one in missing if one.startswith("-9")}))
+            why = f": {codes} stands for none" if codes else ""
+            self.notes.append(f"{len(missing)} rows without a value are left out{why}")
         return {role: np.array(values) for role, values in numbers.items()}
 
-    def _without_codes(self, arrays: dict[str, Floats]) -> dict[str, Floats]:
-        """Rows in which no number stands for none; azimuths at the normal may."""
+    def _leave_out_missing(self) -> None:
+        """Leave out rows with a code for no number, except azimuths at the normal."""
+        arrays = self.arrays
         normal = {side: arrays[f"theta_{side}"] % 180 == 0 for side in "io"}
         normal["d"] = normal["i"] | normal["o"]
         gone, found = np.zeros(len(arrays["value"]), dtype=bool), set()
         for role in set(arrays) - {"value"} - set(self.constants):
             column = arrays[role]
-            none = np.isin(column, CODES)
+            none = np.isin(column, MISSING_CODES)
             if role in ANGLES and (column[~none] < 0).any():
                 none &= column < -180  # beside other negative angles, -99 is one
             if "phi" in role:
@@ -338,42 +360,44 @@ class _Reading:
             found |= set(column[none].tolist())
             gone |= none
         if not gone.any():
-            return arrays
+            return
         if gone.all():
             raise FileFormatError(f"{self.place} has no row without a missing number")
-        marks = ", ".join(f"{code:g}" for code in sorted(found))
+        codes = ", ".join(f"{code:g}" for code in sorted(found))
         self.notes.append(
             f"{np.count_nonzero(gone)} rows that lack another number than the value "
-            f"are left out: {marks} stands for none"
+            f"are left out: {codes} stands for none"
         )
-        self.lines = [line for line, out in zip(self.lines, gone) if not out]
-        return {role: column[~gone] for role, column in arrays.items()}
+        self._keep(~gone)
 
-    def _one_wavelength(
-        self, arrays: dict[str, Floats], column: Column, channel: str | None
-    ) -> str | None:
+    def _keep(self, rows: NDArray[np.bool_]) -> None:
+        """Keep some rows."""
+        self.lines = [line for line, kept in zip(self.lines, rows) if kept]
+        self.arrays = {role: column[rows] for role, column in self.arrays.items()}
+
+    def _pick_wavelength(self, channel: str | None) -> None:
         """Keep the rows of one wavelength of a column of them, or ask for it."""
-        nm = arrays.pop("wavelength") * NM.get(column.unit, 1.0)
+        unit = self.picked["wavelength"].unit if "wavelength" in self.picked else ""
+        nm = self.arrays.pop("wavelength") * NM.get(unit, 1.0)
+        if not unit and nm.max() < MIN_NM:
+            nm = nm * NM["um"]
+            self.notes.append("wavelengths without a unit are taken for micrometres")
         names = {f"{one:.10g}nm": one for one in np.unique(nm)}
         if channel is None and len(names) > 1:
-            self.open.append(_channel_question(list(names)))
-            return None
-        channel = chosen_channel(self.place, list(names), channel)
-        here = np.abs(nm - names[channel]) <= SAME_WAVELENGTH
-        for role in arrays:
-            arrays[role] = arrays[role][here]
-        return channel
+            self.questions.append(_channel_question(list(names)))
+            return
+        self.channel = chosen_channel(self.place, list(names), channel)
+        self._keep(np.abs(nm - names[self.channel]) <= WAVELENGTH_ROUNDING)
 
-    def _note_columns(self, picked: Mapping[str, Column]) -> None:
-        """Say what was inferred from the names."""
-        units = {r: f" in {c.unit or 'deg'}" for r, c in picked.items() if r in ANGLES}
-        said = [
-            f"{role} is {column.name.strip()!r}{units.get(role, '')}"
-            for role, column in picked.items()
-        ]
-        said += [f"{role} is {value:g}" for role, value in self.constants.items()]
-        self.notes.insert(0, f"columns: {', '.join(said)}")
-        used = {column.name for column in picked.values()} | {""}
+    def _note_columns(self) -> None:
+        """Note what was inferred from the names."""
+        told = []
+        for role, column in self.picked.items():
+            unit = f" in {column.unit or 'deg'}" if role in ANGLES else ""
+            told.append(f"{role} is {column.name.strip()!r}{unit}")
+        told += [f"{role} is {value:g}" for role, value in self.constants.items()]
+        self.notes.insert(0, f"columns: {', '.join(told)}")
+        used = {column.name for column in self.picked.values()} | {""}
         unused = [
             repr(n) for n in self.text.names if n not in used and not recognised(n)
         ]
@@ -388,108 +412,109 @@ class _Reading:
         """The one quantity that the lines before the columns name, if they do."""
         lines = (*self.text.titles, *self.text.comments)
         title = "\n".join(line for _, line in lines).replace("_", " ")
-        found = {q for pattern, q in HINTS if re.search(pattern, title, re.IGNORECASE)}
+        found = {q for p, q in QUANTITY_PATTERNS if re.search(p, title, re.IGNORECASE)}
         return found.pop() if len(found) == 1 else None
 
-    def quantity(self, column: Column, said: str | None) -> str | None:
-        """What the values are: as said, as names or titles have it, or a question."""
-        if said is not None:
-            if column.quantity and column.quantity != said:
+    def quantity(self) -> str | None:
+        """Quantity as specified, as names or titles have it, or a question."""
+        column, specified = self.picked["value"], self.settings.get("quantity")
+        if specified is not None:
+            if column.quantity and column.quantity != specified:
                 self.notes.append(
-                    f"the values are taken for {said}, as is said, though the name "
-                    f"{column.name.strip()!r} says {column.quantity}"
+                    f"the values are taken for {specified}, as is said, though the "
+                    f"name {column.name.strip()!r} says {column.quantity}"
                 )
-            return said
-        if self.own:
-            return "brdf"
+            return str(specified)
         found = column.quantity or self._titled()
+        if self.own and found in (None, "", "brdf"):
+            return "brdf"
         if not found:
-            self.open.append(_quantity_question(column.name))
+            self.questions.append(_quantity_question(column.name))
             return None
-        said_by = "their name" if column.quantity else "the title"
-        self.notes.append(f"the values are {found}, as {said_by} says")
+        source = "their name" if column.quantity else "the title"
+        self.notes.append(f"the values are {found}, as {source} says")
         return found
 
-    def values(
-        self,
-        arrays: Mapping[str, Floats],
-        picked: Mapping[str, Column],
-        settings: Mapping[str, Any],
-    ) -> tuple[Floats, Floats | None]:
+    def values(self) -> dict[str, Any]:
         """Values and their absolute standard uncertainties."""
-        unit = picked["value"].unit
+        unit = self.picked["value"].unit
         percent = 0.01 if unit.startswith("%") else 1.0
         if percent != 1:
             whole = "1/sr" if unit == "%/sr" else "1"
             self.notes.append(f"values in {unit}: 100 {unit} is {whole}")
-        values = arrays["value"] * percent
-        column = picked.get("sigma")
-        if column is None or "sigma" not in arrays:
-            return values, arrays.get("sigma")
-        sigma, kind = arrays["sigma"] / column.coverage, column.kind
-        if np.isnan(column.coverage):
-            self.open.append(
-                f"the uncertainty {column.name.strip()!r:.40} may be expanded: give "
-                "its name the factor, such as k=2, or say --columns "
-                f"sigma='{column.name.strip()}' if it is standard"
+        values = self.arrays["value"] * percent
+        column = self.picked.get("sigma")
+        if column is None:
+            return {"value": values, "sigma": self.arrays.get("sigma")}
+        coverage = self._coverage(column)
+        name, sigma = column.name.strip(), self.arrays["sigma"] / coverage
+        if np.isnan(coverage):
+            self.questions.append(
+                f"the uncertainty {name!r:.40} may be expanded: give its name the "
+                f"factor, such as k=2, or say --columns sigma='{name}' if it is "
+                "standard"
             )
-        if not kind and column.unit in ("%", "1") and unit == column.unit:
-            self.open.append(
-                f"the uncertainty {column.name.strip()!r:.40} and the values are in "
-                f"{unit}: say --columns sigma='{column.name.strip()}:rel' if it is "
-                "relative to each value (or :abs)"
+        if not column.kind and column.unit in ("%", "1") and unit == column.unit:
+            self.questions.append(
+                f"the uncertainty {name!r:.40} and the values are in {unit}: say "
+                f"--columns sigma='{name}:rel' if it is relative to each value (or "
+                ":abs)"
             )
-        kind = kind or ("rel" if column.unit in ("%", "1") else "abs")
+        kind = column.kind or ("rel" if column.unit in ("%", "1") else "abs")
         own = 0.01 if column.unit.startswith("%") else 1.0
         if kind == "rel":
             sigma = sigma * own * np.abs(values)
         else:
             sigma = sigma * (own if column.unit else percent)
         if not self.own:
-            said = {"rel": "relative", "abs": "absolute"}[kind]
-            k = f", divided by k = {column.coverage:g}" if column.coverage != 1 else ""
-            self.notes.append(f"{column.name.strip()!r}: {said} uncertainty{k}")
-        if settings.get("uncertainty"):
+            k = f", divided by k = {coverage:g}" if coverage != 1 else ""
+            self.notes.append(f"{name!r}: {KINDS[kind]} uncertainty{k}")
+        if self.settings.get("uncertainty"):
             self.notes.append(
-                f"the header's uncertainty of {settings['uncertainty']:.3g} of each "
-                "value adds to that in quadrature"
+                f"the header's uncertainty of {self.settings['uncertainty']:.3g} of "
+                "each value adds to that in quadrature"
             )
-        return values, sigma
+        return {"value": values, "sigma": sigma}
+
+    def _coverage(self, column: Column) -> float:
+        """Coverage factor of uncertainties; NaN if another than theirs is stated."""
+        if self.sigma_specified or coverage_of(column.name):
+            return column.coverage
+        lines = (*self.text.titles, *self.text.comments)
+        found = [FACTOR.search(line) for _, line in lines]
+        stated = {float(match[1].replace(",", ".")) for match in found if match}
+        names = [name.replace("_", " ").strip().lower() for name in self.text.names]
+        other = stated - {column.coverage} or set(FACTOR_NAMES) & set(names)
+        return float("nan") if other else column.coverage
 
     # ------------------------------------------------------------------------- angles
 
-    def convert_angles(
-        self, arrays: dict[str, Floats], picked: Mapping[str, Column]
-    ) -> None:
-        """Angles in degrees, or a question for those that may be in either unit."""
-        kinds = {
-            "polar angles": ("theta_i", "theta_o"),
-            "azimuths": ("phi_i", "phi_o", "delta_phi"),
-        }
-        unsaid = []
-        for kind, roles in kinds.items():
-            silent = [r for r in roles if r in picked and not picked[r].unit]
-            angles = np.concatenate([arrays[r] for r in silent] or [np.zeros(1)])
-            angles = np.abs(angles[np.isfinite(angles)])
-            whole = (np.abs(angles - np.round(angles)) < NONE).all()
-            if not (whole or self.in_degrees) and angles.max() <= SILENT[kind]:
-                unsaid.append((kind, silent[0], angles.max()))
-        if unsaid:
-            kind, role, _ = unsaid[0]
-            kind = "angles" if len(unsaid) > 1 else kind
-            largest = max(one[2] for one in unsaid)
-            self.open.append(
+    def convert_angles(self) -> None:
+        """Convert angles to degrees, or ask for those that may be in either unit."""
+        unclear = []
+        for kind, (roles, most) in MAX_RADIANS.items():
+            bare = [r for r in roles if r in self.picked and not self.picked[r].unit]
+            angles = np.concatenate([self.arrays[r] for r in bare] or [np.zeros(1)])
+            angles = np.abs(angles)
+            whole = (np.abs(angles - np.round(angles)) < ANGLE_ROUNDING).all()
+            if not (whole or self.in_degrees) and angles.max() <= most:
+                unclear.append((kind, bare[0], angles.max()))
+        if unclear:
+            kind, role, _ = unclear[0]
+            kind = "angles" if len(unclear) > 1 else kind
+            largest = max(most for *_, most in unclear)
+            self.questions.append(
                 f"{kind} up to {largest:.4g} may be degrees or radians: say --columns "
-                f"{role}='{picked[role].name.strip()}:rad' (or :deg), and so of each"
+                f"{role}='{self.picked[role].name.strip()}:rad' (or :deg), and so of "
+                "each"
             )
         for role in ANGLES:
-            if role in picked:
-                arrays[role] = arrays[role] * DEGREES[picked[role].unit]
+            if role in self.picked:
+                self.arrays[role] = self.arrays[role] * DEGREES[self.picked[role].unit]
 
-    def directions(
-        self, arrays: Mapping[str, Floats], azimuth: str | None
-    ) -> dict[str, Floats]:
+    def directions(self, azimuth: str | None) -> dict[str, Any]:
         """Polar angles, and azimuths of the specimen, in degrees."""
+        arrays = self.arrays
         theta_i, theta_o = arrays["theta_i"], arrays["theta_o"]
         zero = np.zeros(len(theta_i))
         phi_i = arrays.get("phi_i", zero)
@@ -499,16 +524,16 @@ class _Reading:
             # azimuths that are all the same tell no side
             phis = np.concatenate([phi_i, arrays["phi_o"]])
             absolute = bool((phis != phis[0]).any())
-        relative = arrays.get("delta_phi")
-        if relative is None:
-            relative = arrays.get("phi_o", zero) - (phi_i if "phi_i" in arrays else 0)
         if absolute and azimuth in (None, "specimen"):
             phi_o = arrays["phi_o"]
         else:
             needed = (theta_o != 0).any() and (theta_i != 0).any()
             if needed and azimuth in (None, "specimen"):
                 what = "angles" if signed else "azimuths"
-                self.open.append(_azimuth_question(what))
+                self.questions.append(_azimuth_question(what))
+            relative = arrays.get("delta_phi")
+            if relative is None:
+                relative = arrays.get("phi_o", zero) - phi_i
             phi_o = phi_i + relative + (180 if azimuth == "mirror" else 0)
             self.notes.append(
                 f"azimuths count from {azimuth or 'nothing that matters'}"
@@ -526,19 +551,18 @@ class _Reading:
                 )
         return {"theta_i": theta_i, "phi_i": phi_i, "theta_o": theta_o, "phi_o": phi_o}
 
-    def from_lit_side(self, theta_o: Floats) -> Floats:
-        """Polar angles of transmission from the normal of the lit face."""
-        if (theta_o > 90).any():
-            return theta_o
-        self.notes.append(
-            "theta_o of transmission counts from the normal of the other face"
-        )
-        return 180 - theta_o
+    def count_from_lit_side(self, columns: dict[str, Any]) -> None:
+        """Count polar angles of transmission from the normal of the lit face."""
+        if (columns["theta_o"] <= 90).all():
+            columns["theta_o"] = 180 - columns["theta_o"]
+            self.notes.append(
+                "theta_o of transmission counts from the normal of the other face"
+            )
 
-    def check_ranges(self, columns: Mapping[str, Any], quantity: str) -> None:
+    def check_ranges(self, columns: Mapping[str, Any]) -> None:
         """Raise FileFormatError with line and column of the first that does not fit."""
-        for name in (n for n in OWN if columns.get(n) is not None):
-            good, condition = fits(name, columns[name], quantity)
+        for name in (n for n in OWN_NAMES if columns[n] is not None):
+            good, condition = fits(name, columns[name], self.settings["quantity"])
             if not good.all():
                 row = int(np.argmin(good))
                 raise FileFormatError(

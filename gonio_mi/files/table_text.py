@@ -112,29 +112,14 @@ def split_text(
     FileFormatError
         If it is no text, or has no names or no rows.
     """
-    comments: list[Line] = []
-    lines: list[Line] = []
-    for number, line in enumerate(io.StringIO(decoded(path), newline=None), 1):
-        text = line.strip(" \r\n\f\v").rstrip("\t")
-        if len(text) > LONGEST_LINE:
-            raise FileFormatError(
-                f"{path}, line {number}: must have at most {LONGEST_LINE} characters, "
-                f"got {len(text)}"
-            )
-        if text.startswith(COMMENTS):
-            comments.append((number, text.lstrip("#%!/ ")))
-        elif text.strip():
-            lines.append((number, text))
+    comments, lines = _comments_and_lines(path)
     if not lines:
         raise FileFormatError(f"{path} is empty: it has no line of column names")
     first = next((i for i, (_, text) in enumerate(lines) if is_row(text)), len(lines))
     candidates = [*comments, *lines[: min(first, MOST_TITLES)]]
-    scored = [
-        (sum(map(known, cut(text, delimiter))), -order, number, delimiter)
-        for order, delimiter in enumerate(DELIMITERS)
-        for number, text in candidates
-    ]
-    n_known, _, number, delimiter = max(scored, default=(0, 0, 0, ","))
+    n_known, number, delimiter = _best_names(
+        candidates, lines[first : first + 1], known
+    )
     if n_known < 2:
         if any(text.startswith(SCANNED) for _, text in lines):
             raise FileFormatError(
@@ -169,6 +154,43 @@ def split_text(
     )
 
 
+def _comments_and_lines(path: str | PathLike[str]) -> tuple[list[Line], list[Line]]:
+    """Comments without their marks, and the other lines that are not empty."""
+    comments: list[Line] = []
+    lines: list[Line] = []
+    for number, line in enumerate(io.StringIO(decoded(path), newline=None), 1):
+        text = line.strip(" \r\n\f\v").rstrip("\t")
+        if len(text) > LONGEST_LINE:
+            raise FileFormatError(
+                f"{path}, line {number}: must have at most {LONGEST_LINE} characters, "
+                f"got {len(text)}"
+            )
+        if text.startswith(COMMENTS):
+            comments.append((number, text.lstrip("#%!/ ")))
+        elif text.strip():
+            lines.append((number, text))
+    return comments, lines
+
+
+def _best_names(
+    candidates: Sequence[Line], row: Sequence[Line], known: Callable[[str], bool]
+) -> tuple[int, int, str]:
+    """Number of names that are known, the line that holds most, and its delimiter.
+
+    One that cuts the line into as many cells as the first row, if there is one, wins.
+    """
+    scored = []
+    for order, delimiter in enumerate(DELIMITERS):
+        n_cells = [len(cut(text, delimiter)) for _, text in row]
+        for number, text in candidates:
+            cells = cut(text, delimiter)
+            n_known = sum(map(known, cells))
+            fits = n_known > 0 and len(cells) > 1 and [len(cells)] == n_cells
+            scored.append((fits, n_known, -order, number, delimiter))
+    _, n_known, _, number, delimiter = max(scored, default=(False, 0, 0, 0, ","))
+    return n_known, number, delimiter
+
+
 def decoded(path: str | PathLike[str]) -> str:
     """Text of a file in UTF-8, or UTF-16 with its mark, or else as Windows has it."""
     content = Path(path).read_bytes()
@@ -180,7 +202,7 @@ def decoded(path: str | PathLike[str]) -> str:
         except ValueError:
             continue
         if not re.search(r"[\0-\x08\x0e-\x1f\x7f-\x9f]", text):
-            return text
+            return text.replace("\N{MINUS SIGN}", "-")
     raise FileFormatError(f"{path} is no table of values: it is not text")
 
 

@@ -94,7 +94,7 @@ class Lines:
         """The same, whole numbers."""
         values = self.numbers(n, text)
         require(
-            bool((values == np.round(values)).all() and (np.abs(values) < 1e9).all()),
+            bool((values == np.round(values)).all() and (np.abs(values) < 1e15).all()),
             f"line {self.number} must have whole numbers",
         )
         return [int(value) for value in values]

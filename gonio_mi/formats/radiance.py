@@ -135,22 +135,15 @@ class Product:
 
     def text(self) -> str:
         """Elements of the file."""
-        sizes = {
-            "Thickness": self.thickness,
-            "Width": self.width,
-            "Height": self.height,
-        }
         lines = [
             f"<Name>{escape(self.name)}</Name>",
             f"<Manufacturer>{escape(self.manufacturer)}</Manufacturer>",
-            *(
-                f'<{key} unit="meter">{value:.7g}</{key}>'
-                for key, value in sizes.items()
-                if value is not None
-            ),
-            "<DeviceType>Other</DeviceType>",
         ]
-        return "\n".join(lines)
+        for key in ("Thickness", "Width", "Height"):
+            value = getattr(self, key.lower())
+            if value is not None:
+                lines.append(f'<{key} unit="meter">{value:.7g}</{key}>')
+        return "\n".join([*lines, "<DeviceType>Other</DeviceType>"])
 
 
 def basis_of(matrix: Floats) -> Klems:
@@ -343,7 +336,11 @@ def _data(
     """Matrix or tree of one block."""
     text = block.findtext("ScatteringData", "")
     if structure in RANKS:
-        _check_basis(block, "AngleBasis", SHIRLEY_CHIU)
+        name = block.findtext("AngleBasis", "").strip()
+        require(
+            name == SHIRLEY_CHIU,
+            f"its AngleBasis must be {SHIRLEY_CHIU}, got {name!r:.40}",
+        )
         return TensorTree.parsed(text, RANKS[structure])
     known = ", ".join(BASES)
     tags = "ColumnAngleBasis", "RowAngleBasis"
@@ -367,11 +364,6 @@ def _data(
         f"{direction} holds a value that is negative or not finite",
     )
     return values.T if structure == "Rows" else values
-
-
-def _check_basis(block: ElementTree.Element, tag: str, wanted: str) -> None:
-    name = block.findtext(tag, "").strip()
-    require(name == wanted, f"its {tag} must be {wanted}, got {name!r:.40}")
 
 
 # -------------------------------------------------------------------------- materials
@@ -428,24 +420,25 @@ class RadianceBSDF:
     def __init__(self, stream: BinaryIO) -> None:
         self.blocks: dict[tuple[str, str], Any] = read(stream)
         first: Any = next(iter(self.blocks.values()))
-        tree = isinstance(first, TensorTree)
-        self.rank = first.rank if tree else None
-        self.basis: Any = None if tree else basis_of(first)
-        self._names: tuple[str, ...] = MATRIX_NAMES if self.rank is None else TREE_NAMES
-        held = {name for name, _ in self.blocks}
-        coloured = held >= set(self._names)
-        if not coloured:
-            self._names = ("Visible",)
-        self.channels = ("R", "G", "B") if coloured else ("Y",)
-        if self.rank is None:
+        self.rank: int | None = None
+        self.basis: Any = None
+        self._names: tuple[str, ...] = MATRIX_NAMES
+        if isinstance(first, TensorTree):
+            self.rank, self._names = first.rank, TREE_NAMES
+        else:
+            self.basis = basis_of(first)
             blocks: Any = self.blocks.values()
-            sizes = {len(block) for block in blocks}
+            sizes = {len(matrix) for matrix in blocks}
             require(len(sizes) == 1, "its matrices are of several bases")
+        self.channels: tuple[str, ...] = ("R", "G", "B")
+        if not {name for name, _ in self.blocks} >= set(self._names):
+            self.channels, self._names = ("Y",), ("Visible",)
         for wavelength, direction in self.blocks:
-            if wavelength == "Solar":
-                continue
             missing = [n for n in self._names if (n, direction) not in self.blocks]
-            require(not missing, f"its {direction} lacks {', '.join(missing)}")
+            require(
+                wavelength == "Solar" or not missing,
+                f"its {direction} lacks {', '.join(missing)}",
+            )
 
     def holds(self, side: str, hemisphere: int) -> bool:
         """Whether there is reflection (0) or transmission (1) of a lit face."""
@@ -481,9 +474,9 @@ class RadianceBSDF:
         else:
             points = coordinates(self.rank, theta_i, phi_i, wo)
             parts = np.stack([block.at(points) for block in blocks], axis=-1)
-            if len(self._names) == 3:
+            if len(blocks) == 3:
                 parts = _xyz_of_yuv(*parts.T)
-        return parts if len(self._names) == 1 else parts @ np.linalg.inv(XYZ).T
+        return parts if len(blocks) == 1 else parts @ np.linalg.inv(XYZ).T
 
 
 def _xyz_of_yuv(y: Floats, u: Floats, v: Floats) -> Floats:

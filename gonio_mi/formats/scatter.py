@@ -99,6 +99,12 @@ class Block:
         """Whether only one side of the plane of incidence is told."""
         return self.azimuth[0] == 0 and self.azimuth[-1] == 180
 
+    def channel(self, number: int) -> "Block":
+        """The same of one channel."""
+        one = slice(number, number + 1)
+        total = None if self.total is None else self.total[one]
+        return replace(self, values=self.values[..., one], total=total)
+
     @cached_property
     def _frame(self) -> Floats:
         """Rows: azimuth 0, azimuth 90, axis."""
@@ -108,10 +114,8 @@ class Block:
         y = np.cross(z, x)
         if not self.specular:
             return np.stack([x, y, z])
-        sine, cosine = (
-            np.sin(np.radians(self.theta_i)),
-            np.cos(np.radians(self.theta_i)),
-        )
+        theta_i = np.radians(self.theta_i)
+        sine, cosine = np.sin(theta_i), np.cos(theta_i)
         return np.stack([sine * z - cosine * x, -y, sine * x + cosine * z])
 
     def at(self, wo: Floats) -> Floats:
@@ -127,9 +131,8 @@ class Block:
         ndarray, shape (..., channels)
         """
         local = np.concatenate([wo[..., :2], np.abs(wo[..., 2:])], -1) @ self._frame.T
-        polar = np.degrees(
-            np.arctan2(np.hypot(local[..., 0], local[..., 1]), local[..., 2])
-        )
+        sine = np.hypot(local[..., 0], local[..., 1])
+        polar = np.degrees(np.arctan2(sine, local[..., 2]))
         azimuth = np.degrees(np.arctan2(local[..., 1], local[..., 0]))
         if self.mirrored:
             azimuth = np.abs(azimuth)

@@ -98,8 +98,7 @@ def _read_spectral(rows: Lines, header: dict[str, str]) -> Scatter:
                 stated = np.array([percent / 100])
                 parts.append(replace(part, values=part.values * scale, total=stated))
             blocks.append(_joined(parts))
-    channels, blocks = _grey_if_one(_names(wavelengths), blocks)
-    return Scatter(blocks, channels, header, _note(intensity))
+    return _scatter(wavelengths, blocks, header, intensity)
 
 
 def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
@@ -139,9 +138,8 @@ def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
         blocks += [
             replace(once[key], values=once[key].values * scale) for key in sorted(once)
         ]
-    channels, blocks = _grey_if_one(_names(nm), blocks)
     header = header | {"anisotropy vector": " ".join(map(str, vector))}
-    return Scatter(blocks, channels, header, _note(intensity))
+    return _scatter(nm, blocks, header, intensity)
 
 
 def _scale(blocks: Sequence[Block], reference: Floats) -> float:
@@ -202,38 +200,21 @@ def _joined(parts: Sequence[Block]) -> Block:
     )
 
 
-def _names(wavelengths: Floats) -> tuple[str, ...]:
-    """Names of channels."""
+def _scatter(
+    wavelengths: Floats, blocks: list[Block], header: dict[str, str], intensity: bool
+) -> Scatter:
+    """Blocks of a file; of one channel Y, if all wavelengths have the same values."""
     require(len(wavelengths) > 0, "it has neither reflection nor transmission")
     require(
         bool((wavelengths > 0).all()) and bool((np.diff(wavelengths) > 0).all()),
         "its wavelengths must ascend",
     )
-    return tuple(f"{nm:.10g}nm" for nm in wavelengths)
-
-
-def _grey_if_one(
-    channels: tuple[str, ...], blocks: list[Block]
-) -> tuple[tuple[str, ...], list[Block]]:
-    """One channel Y, if all wavelengths have the same values."""
-    if any(np.ptp(b.values, axis=-1).max(initial=0) > 0 for b in blocks):
-        return channels, blocks
-    one = slice(0, 1)
-    grey = [
-        replace(
-            b,
-            values=b.values[..., one],
-            total=None if b.total is None else b.total[one],
-        )
-        for b in blocks
-    ]
-    return ("Y",), grey
-
-
-def _note(intensity: bool) -> tuple[str, ...]:
-    """Sentence on what the values were."""
+    channels = tuple(f"{nm:.10g}nm" for nm in wavelengths)
+    if all(np.ptp(block.values, axis=-1).max(initial=0) == 0 for block in blocks):
+        channels, blocks = ("Y",), [block.channel(0) for block in blocks]
     kind = "intensities, divided by the cosine" if intensity else "a BSDF"
-    return (f"the values are {kind}, scaled to the stated percentages",)
+    note = f"the values are {kind}, scaled to the stated percentages"
+    return Scatter(blocks, channels, header, (note,))
 
 
 # ----------------------------------------------------------------------------- writing

@@ -151,11 +151,9 @@ def _header(lines: Lines) -> tuple[dict[str, str], dict[str, Floats]]:
         else:
             known = key in AXES
             require(known, f"line {lines.number} has the unknown keyword {key:.30}")
-            (count,) = lines.numbers(1, said)
-            whole = np.isfinite(count) and count == np.round(count)
-            require(whole, f"line {lines.number} must have a whole number")
-            check_size(int(count))
-            axes[key] = lines.numbers(int(count), lines.next())
+            (count,) = lines.whole(1, said)
+            check_size(count)
+            axes[key] = lines.numbers(count, lines.next())
         if len(words) == len(WORDS) and len(axes) == len(AXES):
             return words, axes
     missing = [name for name in (*WORDS, *AXES) if name not in words | dict(axes)]

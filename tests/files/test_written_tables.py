@@ -315,9 +315,113 @@ UNDERSTOOD = {
         {},
         (45, 0, 150, 180, 0.4, None),
     ),
+    # of standards laboratories, spreadsheets, programs
+    "u per value": (f"{HEAD}BRDF;sigma/BRDF\n{ROW}0.4;0.05\n", {}, (*PLANE, 0.4, 0.02)),
+    "u per value in %": (
+        f"{HEAD}BRDF;U(BRDF)/BRDF [%] (k=2)\n{ROW}0.4;5\n",
+        {},
+        (*PLANE, 0.4, 0.01),
+    ),
+    "% of value": (
+        f"{HEAD}BRDF;1σ [% of value]\n{ROW}0.4;5\n",
+        {},
+        (*PLANE, 0.4, 0.02),
+    ),
+    "k in the title and in the name": (
+        f"all k=2\n{HEAD}BRDF;u_rel [%] (k=1)\n{ROW}0.4;5\n",
+        {},
+        (*PLANE, 0.4, 0.02),
+    ),
+    "k in the title as of U": (
+        f"Unsicherheit k=2;;;;;\n{HEAD}BRDF;U [%]\n45;0;30;180;0,4;5\n",
+        {},
+        (*PLANE, 0.4, 0.01),
+    ),
+    "a reflectance in the title is no level": (
+        f"Spectralon 99% tile\n{HEAD}BRDF;u\n{ROW}0.4;0.02\n",
+        {},
+        (*PLANE, 0.4, 0.02),
+    ),
+    "whole words": (
+        "Illumination polar angle (deg);Illumination azimuth (deg);Detection polar "
+        "angle (deg);Detection azimuth (deg);BRDF (sr^-1);Expanded uncertainty (k=2) "
+        f"(sr^-1)\n{ROW}0.4;0.02\n",
+        {},
+        (*PLANE, 0.4, 0.01),
+    ),
+    "mean and std": (
+        f"{HEAD}mean BRDF;std BRDF;N\n{ROW}0.4;0.02;4\n",
+        {},
+        (*PLANE, 0.4, 0.02),
+    ),
+    "degrees and radians": (
+        f"theta_i [deg],phi_i [deg],theta_o [rad],phi_o [rad],BRDF\n"
+        f"45,0,{PI / 6},{PI},0.4\n",
+        {},
+        (*PLANE, 0.4, None),
+    ),
+    "units below in brackets": (
+        "theta_i phi_i theta_r phi_r BRDF u\n(deg) (deg) (deg) (deg) (1/sr) (%)\n"
+        "45 0 30 180 0.4 5\n",
+        {},
+        (*PLANE, 0.4, 0.02),
+    ),
+    "names in a comment, blocks": (
+        "#theta_i phi_i theta_o phi_o brdf\n45 0 30 180 0.4\n\n60 0 30 180 0.2\n",
+        {},
+        (*PLANE, 0.4, None),
+    ),
+    "quoted cells": (
+        '"theta_i","phi_i","theta_o","phi_o","BRDF"\n"45","0","30","180","0.4"\n',
+        {},
+        (*PLANE, 0.4, None),
+    ),
+    "blanks that do not break": (
+        "theta_i\u00a0[°];phi_i\u00a0[°];theta_o\u00a0[°];phi_o\u00a0[°];"
+        f"BRDF\u00a0[1/sr]\n{ROW}0.4\n",
+        {},
+        (*PLANE, 0.4, None),
+    ),
+    "a minus sign": (f"{HEAD}BRDF\n45;0;30;\u2212180;0.4\n", {}, (*PLANE, 0.4, None)),
+    "signs and azimuths of both sides": (
+        f"{HEAD}BRDF\n45;180;-30;180;0.4\n45;180;30;0;0.3\n",
+        {"azimuth": "specimen"},
+        (45, 180, 30, 0, 0.4, None),
+    ),
+    "micrometres without a unit": (
+        f"{HEAD}wavelength;BRDF\n{ROW}0.55;0.4\n{ROW}0.65;0.2\n",
+        {"channel": "550nm"},
+        (*PLANE, 0.4, None),
+    ),
+    "our names, another title": (
+        "Reflectance factor at 633 nm\ntheta_i,phi_i,theta_o,phi_o,value\n"
+        "45,0,30,180,0.95\n",
+        {},
+        (*PLANE, 0.95 / PI, None),
+    ),
 }
 
 ASKED = {
+    "k in the title": (
+        f"uncertainties with k=2\n{HEAD}BRDF;uncertainty\n{ROW}0.4;0.02\n",
+        "'uncertainty' may be expanded: .* say --columns sigma='uncertainty' if it is",
+    ),
+    "another k in the title": (
+        f"# k: 3\n{HEAD}BRDF;U\n{ROW}0.4;0.03\n",
+        "'U' may be expanded",
+    ),
+    "a column of k": (f"{HEAD}BRDF;U;k\n{ROW}0.4;0.02;3\n", "'U' may be expanded"),
+    "polarisation": (f"{HEAD}BRDF_s;BRDF_p\n{ROW}0.4;0.3\n", "columns may be value"),
+    "elevations": (
+        "source elevation;source azimuth;detector elevation;detector azimuth;BRDF\n"
+        f"{ROW}0.4\n",
+        "the columns theta_i and theta_o are missing",
+    ),
+    "cosines": (
+        "cos(theta_i);phi_i;cos(theta_o);phi_o;BRDF\n0.7;0;0.8;180;0.4\n",
+        "the columns theta_i and theta_o are missing",
+    ),
+    "BRDF per millisteradian": (f"{HEAD}BRDF [1/msr]\n{ROW}4e-4\n", "value is missing"),
     "radians without a unit": (
         "theta_i,phi_i,theta_o,phi_o,value\n0.5,0,1.2,3.14159\n".replace(
             "59\n", "59,1\n"
@@ -368,6 +472,14 @@ REFUSED = {
         f"{HEAD}brdf\n45;0;30;-180;0.1\n{ROW}0.9\n",
         "0.1 and 0.9: one is wrong",
     ),
+    "arc minutes": (
+        "theta_i ['],phi_i ['],theta_o ['],phi_o ['],BRDF\n27,0,18,80,0.4\n",
+        "must name the columns",
+    ),
+    "tenths of a degree": (
+        "theta_i (0.1 deg);theta_r (0.1 deg);brdf;phi_i;phi_r\n45;30;1;0;180\n",
+        "the columns theta_i and theta_o are missing",
+    ),
     "milliradians": (
         "theta_i [mrad],theta_r,brdf\n45,0,1\n",
         "the column theta_i is mis",
@@ -409,8 +521,8 @@ def test_what_is_refused_of_a_table(tmp_path, name):
         read(tmp_path, text)
 
 
-def test_there_are_sixty_tables():
-    assert len(UNDERSTOOD) >= 60
+def test_there_are_seventy_tables():
+    assert len(UNDERSTOOD) >= 70
 
 
 def test_repeated_directions_are_noted(tmp_path):
