@@ -50,7 +50,7 @@ __all__ = [
 ]
 
 # Characters of a message, of a word in it, and of a value that it repeats.
-LONGEST, LONGEST_WORD, LONGEST_VALUE = 400, 120, 80
+MAX_MESSAGE, MAX_WORD, MAX_VALUE = 400, 120, 80
 
 # Characters of a specimen's name where two stand beside each other.
 LABEL = 60
@@ -68,10 +68,10 @@ def printable(text: str) -> str:
 
 
 def shortened(text: str) -> str:
-    """One line of at most `LONGEST` characters: what is too long lacks its middle."""
+    """One line of at most `MAX_MESSAGE` characters, without the middle of a longer."""
     line = " ".join(printable(" ".join(text.split())).split())
-    words = (_without_middle(word, LONGEST_WORD) for word in line.split(" "))
-    return _without_middle(" ".join(words), LONGEST)
+    words = (_without_middle(word, MAX_WORD) for word in line.split(" "))
+    return _without_middle(" ".join(words), MAX_MESSAGE)
 
 
 def abridged(text: str, longest: int) -> str:
@@ -104,7 +104,7 @@ def abridged_apart(texts: Sequence[str], longest: int) -> list[str]:
     return short
 
 
-def shown(value: object, longest: int = LONGEST_VALUE) -> str:
+def shown(value: object, longest: int = MAX_VALUE) -> str:
     """How a message repeats a value: its ``repr``, shortened."""
     return _without_middle(printable(repr(value)), longest)
 

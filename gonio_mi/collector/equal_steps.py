@@ -18,7 +18,7 @@ __all__ = [
 ]
 
 # Single precision, in which patches are numbered, counts no further.
-MOST_PATCHES = 2**24
+MAX_PATCHES = 2**24
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,9 @@ class _Regular(RingsAndSectors):
     def __post_init__(self) -> None:
         for field in ("n_theta", "n_phi"):
             object.__setattr__(self, field, checked_count(field, getattr(self, field)))
-        if self.n_patches > MOST_PATCHES:
+        if self.n_patches > MAX_PATCHES:
             raise SettingError(
-                f"a collector must have at most {MOST_PATCHES} patches, got {self}"
+                f"a collector must have at most {MAX_PATCHES} patches, got {self}"
             )
 
     def __str__(self) -> str:

@@ -18,7 +18,7 @@ from .hemisphere import EDGE, RingsAndSectors, Subdivision
 __all__ = ["ShirleyChiu", "directions_of", "square_of"]
 
 # Finer ones are no use to anybody, and indices are whole numbers in single precision.
-MOST_CELLS = 1024
+MAX_SIZE = 1024
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class ShirleyChiu(Subdivision):
     name: ClassVar[str] = "shirley-chiu"
 
     def __post_init__(self) -> None:
-        size = checked_count("size", self.size, 2, MOST_CELLS)
+        size = checked_count("size", self.size, 2, MAX_SIZE)
         if size % 2:
             raise SettingError(f"size must be an even number of cells, got {size}")
         object.__setattr__(self, "size", size)

@@ -23,11 +23,11 @@ from .specimen_text import specimen_name
 
 __all__ = ["ExitProfile", "exit_profile"]
 
-MOST_RINGS = 10_000
+MAX_RINGS = 10_000
 RADII = "numbers of at least 0 and less than 1e15"
 
 # Settings that are decided here, or that say nothing of where light leaves.
-NONE_OF_ITS = {
+REFUSED_SETTINGS = {
     *("footprint", "collector", "collector_radius", "incident"),
     *("rel_err", "noise", "max_rays"),
 }
@@ -120,7 +120,7 @@ def exit_profile(
         As of :func:`gonio_mi.measure`.
     """
     edges = _checked(radii)
-    for name in sorted(NONE_OF_ITS & settings.keys()):
+    for name in sorted(REFUSED_SETTINGS & settings.keys()):
         raise SettingError(f"exit_profile does not accept {name}")
     given = {name: value for name, value in settings.items() if value is not None}
     MeasurementSettings().changed(**given)  # refused before anything is loaded
@@ -128,16 +128,16 @@ def exit_profile(
     scene = load_specimen(specimen, parameters, given.get("period"))
     # one ring of light inside of the first radius, and one beyond the last
     fixed = {"footprint": "point", "collector": f"angle:{edges.size + 1}x1"}
-    found = {k: v for k, v in own_settings(scene).items() if k not in NONE_OF_ITS}
+    found = {k: v for k, v in own_settings(scene).items() if k not in REFUSED_SETTINGS}
     chosen = MeasurementSettings().changed(**found | given | fixed)
     checked_choice("the estimator of exit_profile", chosen.estimator, ESTIMATORS)
     name = specimen_name(specimen, parameters)
-    benches = set_up(scene, chosen, incidents, name=name)
-    benches[0].collect_by_distance(edges)
+    setups = set_up(scene, chosen, incidents, name=name)
+    setups[0].collect_by_distance(edges)
     finished: list[list[Tally]] = [[]]
-    if not send_all(benches, finished):
+    if not send_all(setups, finished):
         raise KeyboardInterrupt
-    (stack,) = records_of(benches, finished, complete=True)
+    (stack,) = records_of(setups, finished, complete=True)
     return _profile(stack[0], edges)
 
 
@@ -145,9 +145,9 @@ def _checked(radii: Sequence[float]) -> Floats:
     """Edges of rings as an array; raise SettingError for what is none."""
     many = radii if np.ndim(radii) else [radii]
     edges = np.array([checked_number("radii", x, 0, 1e15, RADII) for x in many])
-    if not 2 <= edges.size <= MOST_RINGS + 1 or not np.all(np.diff(edges) > 0):
+    if not 2 <= edges.size <= MAX_RINGS + 1 or not np.all(np.diff(edges) > 0):
         raise SettingError(
-            f"radii must be 2 to {MOST_RINGS + 1} ascending numbers, got {shown(radii)}"
+            f"radii must be 2 to {MAX_RINGS + 1} ascending numbers, got {shown(radii)}"
         )
     return edges
 

@@ -17,8 +17,8 @@ __all__ = ["emitter_scene", "incident_angles", "described_digest"]
 
 # Degrees that are asked for, and decimals from which they are known again in radians:
 # of the angles below 90 degrees in radians that have three, one in 87 is any of these.
-USUAL = (*range(5, 90, 5), 22.5, 67.5)
-DECIMALS = 3
+USUAL_ANGLES = (*range(5, 90, 5), 22.5, 67.5)
+MIN_DECIMALS = 3
 
 
 def incident_angles(
@@ -78,9 +78,9 @@ def _warn_of_radians(polar: Sequence[float]) -> None:
 
 
 def _degrees_meant(value: float) -> float | None:
-    """Which of the `USUAL` angles has these radians, to the decimals given; or None."""
+    """Usual angle that has these radians, to the decimals given; None without one."""
     decimals = min(len(repr(value).partition(".")[2]), 12)
-    for usual in USUAL if decimals >= DECIMALS else ():
+    for usual in USUAL_ANGLES if decimals >= MIN_DECIMALS else ():
         if abs(round(math.radians(usual), decimals) - value) < 1e-11:
             return usual
     return None

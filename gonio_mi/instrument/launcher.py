@@ -8,20 +8,20 @@ from dataclasses import replace
 from typing import Any
 
 from ..results.tally import Tally
-from ..transport.bench import Bench
 from ..transport.kernels import check_all_counted
 from ..transport.launch import Launch, launch, traces
 from ..transport.morton import CHUNK, block_bits
 from ..transport.sampling import is_joint
+from ..transport.setup import Setup
 from ..transport.sums import packet_width
 from ..transport.wavelengths import wavelength_lanes
 from .schedule import Round
 
-__all__ = ["Launcher", "Pace", "round_rays", "segments"]
+__all__ = ["Launcher", "LaunchSize", "round_rays", "segments"]
 
 # Rays per kernel launch, at most. For samplers other than `sobol` it takes part in the
 # seeding: a change of it changes the random numbers.
-LAUNCH = 2**24
+MAX_LAUNCH = 2**24
 
 # Rays of the batches that share a launch on a plane, and of any launch along a curve:
 # many for its overhead, few for the progress bar and Ctrl-C; and the numbers that they
@@ -39,20 +39,20 @@ FIRST_POINTS = 2**22
 ROUND_TRACED, ROUND_PLANE = 2**17, 2**24
 
 # What a launch is to take, so that Ctrl-C is heard within seconds.
-SECONDS = 1.0
+LAUNCH_SECONDS = 1.0
 
 # Rays of a launch, at least.
-FEWEST = 2**10
+MIN_RAYS = 2**10
 
 # How much longer a launch is than the one before, at most.
-GROWTH = 128
+MAX_GROWTH = 128
 
 
-def round_rays(bench: Bench) -> int:
+def round_rays(setup: Setup) -> int:
     """Rays of each batch after which all of them are even for the first time."""
-    if not is_joint(bench.sampler):
-        return LAUNCH
-    return ROUND_TRACED if traces(bench) else ROUND_PLANE
+    if not is_joint(setup.sampler):
+        return MAX_LAUNCH
+    return ROUND_TRACED if traces(setup) else ROUND_PLANE
 
 
 class Launcher:
@@ -62,43 +62,43 @@ class Launcher:
 
     Parameters
     ----------
-    bench : Bench
-        Any of the benches, which are alike but for their incident directions.
+    setup : Setup
+        Any of the setups, which are alike but for their incident directions.
     """
 
-    def __init__(self, bench: Bench) -> None:
-        settings = bench.settings
-        traced = traces(bench)
+    def __init__(self, setup: Setup) -> None:
+        settings = setup.settings
+        traced = traces(setup)
         first = min(FIRST_TRACED, FIRST_POINTS // settings.n_looks)
-        self.pace = Pace(first if traced else FIRST_PLANE)
+        self.size = LaunchSize(first if traced else FIRST_PLANE)
         # whether numbers are the same however launches share them, and whether rays
         # start side by side on the specimen
-        self.divisible = is_joint(bench.sampler)
+        self.divisible = is_joint(setup.sampler)
         self.curved = traced and self.divisible
         # batches that may share a launch: the same for all launches
         self.capacity = 1
         if self.divisible:
             # along a curve orders have the same bits together and one by one
-            sums = bench.n_bins * (1 if self.curved else len(bench.classes))
+            sums = setup.n_bins * (1 if self.curved else len(setup.classes))
             fitting = FUSED_SUMS // (sums * packet_width())
             self.capacity = max(1, min(fitting, settings.batches))
 
     def tallies(
-        self, bench: Bench, part: Round, report: Callable[[float], Any] | None = None
+        self, setup: Setup, part: Round, report: Callable[[float], Any] | None = None
     ) -> Iterator[Tally]:
         """Tallies of the batches of a round in order, of one batch each or of several.
 
         `report` is called after each launch with the rays it sent.
         """
-        lanes = [wavelength_lanes(nm) for nm in bench.passes]
+        lanes = [wavelength_lanes(nm) for nm in setup.passes]
         first, sizes = part.first, part.sizes
         while sizes:
-            keys = [(*bench.key, first + i) for i in range(len(sizes))]
+            keys = [(*setup.key, first + i) for i in range(len(sizes))]
             own = tuple((*key, 0) for key in keys)
-            whole = Launch(bench, lanes[0], self.capacity, own, sizes, part.start)
-            several = self._several(whole)
+            whole = Launch(setup, lanes[0], self.capacity, own, sizes, part.start)
+            several = self._n_sharing(whole)
             groups = []
-            for number, nm in enumerate(bench.passes):
+            for number, nm in enumerate(setup.passes):
                 own = tuple((*key, number) for key in keys[:several])
                 one = replace(
                     whole, wavelengths=lanes[number], keys=own, sizes=sizes[:several]
@@ -107,7 +107,7 @@ class Launcher:
                 pieces = self._along_curve if self.curved else self._in_order
                 for piece in pieces(one):
                     totals = launch(piece)
-                    self.pace.learn(piece.rays, totals.started)
+                    self.size.learn(piece.rays, totals.started)
                     total = totals if total is None else total + totals
                     if report is not None:
                         report(totals.emitted)
@@ -117,7 +117,7 @@ class Launcher:
             yield groups[0] if len(groups) == 1 else Tally.join_channels(groups)
             first, sizes = first + several, sizes[several:]
 
-    def _several(self, whole: Launch) -> int:
+    def _n_sharing(self, whole: Launch) -> int:
         """How many of the batches, which are about to be sent, share their launches.
 
         Those that walk along a curve share packets of rays too, so that their number
@@ -126,7 +126,7 @@ class Launcher:
         most = min(len(whole.sizes), self.capacity)
         if self.curved and whole.begin:
             return most  # Ctrl-C keeps none before all have finished the round
-        rays = FUSED_RAYS if self.curved else min(FUSED_RAYS, self.pace.rays)
+        rays = FUSED_RAYS if self.curved else min(FUSED_RAYS, self.size.rays)
         # the last batch is always among them
         return max(1, min(most, rays // whole.sizes[-1]))
 
@@ -135,9 +135,9 @@ class Launcher:
         start, sizes = whole.begin, whole.sizes
         begin, end = start, start + sizes[0]
         while begin < end:
-            n = min(LAUNCH, end - begin)
+            n = min(MAX_LAUNCH, end - begin)
             if self.divisible:
-                n = self.pace.next_part(begin, end, LAUNCH)
+                n = self.size.next_part(begin, end, MAX_LAUNCH)
             parts = tuple(min(n, start + size - begin) for size in sizes)
             yield replace(whole, sizes=parts, begin=begin)
             begin += n
@@ -145,22 +145,22 @@ class Launcher:
     def _along_curve(self, whole: Launch) -> Iterator[Launch]:
         """Launches that each go on where the one before ended."""
         start, sizes = whole.begin, whole.sizes
-        for begin, end in segments(start, start + sizes[0], _longest(sizes)):
+        for begin, end in segments(start, start + sizes[0], _max_points(sizes)):
             parts = tuple(min(end, start + size) - begin for size in sizes)
             at, length = 0, len(sizes) << block_bits(begin, end - begin)
             while at < length:
-                n = self.pace.next_part(at, length, FUSED_RAYS)
+                n = self.size.next_part(at, length, FUSED_RAYS)
                 there = min(at + -(-n // CHUNK) * CHUNK, length)
                 yield replace(whole, sizes=parts, begin=begin, stretch=(at, there))
                 at = there
 
 
-def _longest(sizes: Sequence[int]) -> int:
+def _max_points(sizes: Sequence[int]) -> int:
     """Points of each batch along a curve, at most: places have 32 bits."""
     return 2**31 >> (len(sizes) - 1).bit_length()
 
 
-class Pace:
+class LaunchSize:
     """Rays of the next launch: many for its overhead, few for Ctrl-C.
 
     It follows the clock: only where bits do not depend on how launches share rays.
@@ -180,8 +180,8 @@ class Pace:
         How long it took to be compiled says nothing of the next one.
         """
         elapsed = time.perf_counter() - started
-        growth = min(max(SECONDS / elapsed, 0.25), GROWTH)
-        self.rays = max(int(rays * growth), FEWEST)
+        growth = min(max(LAUNCH_SECONDS / elapsed, 0.25), MAX_GROWTH)
+        self.rays = max(int(rays * growth), MIN_RAYS)
 
     def next_part(self, begin: int, end: int, most: int) -> int:
         """Rays to send next of those from `begin` to `end`, about alike in size."""

@@ -53,7 +53,7 @@ PLUGINS = (".so", ".dylib", ".dll", ".py")
 INLINED = {"ext_ior", "flip_normals", "int_ior", "k"}
 
 # Loads at most, to find the parameters of a plugin: roughplastic needs 45.
-TRIALS = 64
+MAX_TRIALS = 64
 
 # Words for what Mitsuba knows by its symbol.
 METALS = {
@@ -265,11 +265,11 @@ def _node(plugin: str, within: Any) -> dict[str, Any] | None:
 def _read(plugin: str, words: Sequence[str]) -> set[str]:
     """Those of `words` that a plugin reads, whatever it then says of their value.
 
-    None of them if it takes more than `TRIALS` to tell.
+    None of them if it takes more than `MAX_TRIALS` to tell.
     """
     read: set[str] = set()
     waiting = [words]
-    for _ in range(TRIALS):
+    for _ in range(MAX_TRIALS):
         if not waiting:
             return read
         words = waiting.pop()

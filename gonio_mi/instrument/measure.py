@@ -27,8 +27,8 @@ from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
 from ..settings.values import Order
-from ..transport.bench import Bench
 from ..transport.kernels import launches_kernels
+from ..transport.setup import Setup
 from .incidence import incident_angles
 from .launcher import Launcher, round_rays
 from .loading import load_specimen
@@ -49,7 +49,7 @@ __all__ = [
 logger = logging.getLogger(__name__)
 
 # Incident directions whose integrals are found together: what Ctrl-C may cost.
-TOGETHER = 64
+MAX_TOGETHER = 64
 
 
 def measure_each(
@@ -143,48 +143,48 @@ def measure_stacks(
     if len(orders) == 1:
         settings, orders = replace(settings, order=orders[0]), ()
     name = specimen_name(specimen, parameters)
-    benches = set_up(scene, settings, incidents, emitter, name=name, orders=orders)
-    finished: list[list[Tally]] = [[] for _ in benches]
+    setups = set_up(scene, settings, incidents, emitter, name=name, orders=orders)
+    finished: list[list[Tally]] = [[] for _ in setups]
     if resume is not None:
-        check_resumable(resume, benches, round_rays(benches[0]))
+        check_resumable(resume, setups, round_rays(setups[0]))
         finished[: len(resume)] = [[tally] for tally in resume.tallies]
     started = time.perf_counter()
-    complete = send_all(benches, finished, progress)
-    records = records_of(benches, finished, complete, resume)
+    complete = send_all(setups, finished, progress)
+    records = records_of(setups, finished, complete, resume)
     logger.info("measured for %.3g s: %r", time.perf_counter() - started, records[0])
     if not complete:
-        warn_of_interruption(benches, records[0])
+        warn_of_interruption(setups, records[0])
     return records
 
 
 def send_all(
-    benches: Sequence[Bench], finished: list[list[Tally]], progress: bool = False
+    setups: Sequence[Setup], finished: list[list[Tally]], progress: bool = False
 ) -> bool:
-    """Complete the tallies of all benches in `finished`; return whether they are.
+    """Complete the tallies of all setups in `finished`; return whether they are.
 
     Whenever it is interrupted by Ctrl-C, they hold all batches after a whole round, or
     in the first round those that have finished it; it is raised if that is nothing.
     """
-    settings, n_passes = benches[0].settings, len(benches[0].passes)
+    settings, n_passes = setups[0].settings, len(setups[0].passes)
     plan = batch_sizes(settings.rays, settings.batches)
-    _check_sums_fit(benches, plan)
-    launcher, step = Launcher(benches[0]), round_rays(benches[0])
+    _check_sums_fit(setups, plan)
+    launcher, step = Launcher(setups[0]), round_rays(setups[0])
     rays = None
     if Target.of(settings) is None:
         before = sum(sum(rays_sent(tallies, n_passes)) for tallies in finished)
-        rays = (len(benches) * sum(plan) - before) * n_passes
-    waiting: list[tuple[Bench, list[Tally], list[Tally]]] = []
+        rays = (len(setups) * sum(plan) - before) * n_passes
+    waiting: list[tuple[Setup, list[Tally], list[Tally]]] = []
     with bar(
         progress, total=rays, unit="ray", unit_scale=True, delay=1, mininterval=0.2
     ) as report:
         try:
-            for bench, tallies in zip(benches, finished):
+            for setup, tallies in zip(setups, finished):
                 # without the integrals beside them rays are not enough
                 sent = [] if settings.estimator.integrates else tallies
-                if bench.samples:
-                    look = partial(record_of, bench)
+                if setup.samples:
+                    look = partial(record_of, setup)
                     for part in schedule(settings, step, n_passes, sent, look):
-                        grown = launcher.tallies(bench, part, report)
+                        grown = launcher.tallies(setup, part, report)
                         if part.start:
                             more = Tally.join(list(grown))
                             sent[:] = [Tally.join(sent).accumulate(more)]
@@ -194,8 +194,8 @@ def send_all(
                 elif report is not None:
                     report(sum(plan))
                 if settings.estimator.integrates:
-                    waiting.append((bench, sent, tallies))
-                if len(waiting) == TOGETHER:
+                    waiting.append((setup, sent, tallies))
+                if len(waiting) == MAX_TOGETHER:
                     _integrate(waiting)
             _integrate(waiting)
         except (KeyboardInterrupt, RuntimeError) as error:
@@ -207,11 +207,11 @@ def send_all(
     return True
 
 
-def _integrate(waiting: list[tuple[Bench, list[Tally], list[Tally]]]) -> None:
+def _integrate(waiting: list[tuple[Setup, list[Tally], list[Tally]]]) -> None:
     """Finish the directions that wait for their integrals, which they share."""
     if waiting:
-        benches, sent, tallies = zip(*waiting)
-        for kept, found in zip(tallies, integrals(benches, sent)):
+        setups, sent, tallies = zip(*waiting)
+        for kept, found in zip(tallies, integrals(setups, sent)):
             kept[:] = [found]
         waiting.clear()
 
@@ -292,12 +292,12 @@ def _settled(
     return settings
 
 
-def _check_sums_fit(benches: Sequence[Bench], plan: Sequence[int]) -> None:
-    """Raise ValueError if the sums of all benches do not fit into memory."""
-    n_orders = max(1, len(benches[0].orders))
-    sums = n_orders * sum(bench.n_collected for bench in benches)
+def _check_sums_fit(setups: Sequence[Setup], plan: Sequence[int]) -> None:
+    """Raise ValueError if the sums of all setups do not fit into memory."""
+    n_orders = max(1, len(setups[0].orders))
+    sums = n_orders * sum(setup.n_collected for setup in setups)
     # while they are joined; and beside those of the rounds before
-    n_rounds = len(rounds(plan, round_rays(benches[0])))
+    n_rounds = len(rounds(plan, round_rays(setups[0])))
     copies = 2 * min(n_rounds, 2)
     check_memory(
         f"{sums} patches in {len(plan)} batches",

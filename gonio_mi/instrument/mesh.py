@@ -37,7 +37,7 @@ NORMALS = {
 }
 
 # A mesh that is so many times thinner along another axis than z may stand upright.
-UPRIGHT = 2.0
+MIN_UPRIGHT_RATIO = 2.0
 
 
 def mesh(
@@ -121,7 +121,7 @@ def mesh(
 def _warn_if_upright(name: str, extents: Floats) -> None:
     """Warn if z, which nobody said is the normal, is none by the mesh's extents."""
     thin = int(extents.argmin())
-    if extents[2] > UPRIGHT * extents[thin]:
+    if extents[2] > MIN_UPRIGHT_RATIO * extents[thin]:
         warn(
             f"{name} extends {extents[2]:.3g} along z, its normal by default, but only "
             f"{extents[thin]:.3g} along {'xyz'[thin]}, as if it stood upright: name "

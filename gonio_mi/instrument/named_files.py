@@ -15,7 +15,7 @@ from ..formats.tensor_file import check_measured
 __all__ = ["check_named_files"]
 
 # Scene files may include others; no more than this many deep.
-DEEPEST = 15
+MAX_INCLUDES = 15
 
 
 def check_named_files(
@@ -50,7 +50,7 @@ def check_named_files(
     if isinstance(specimen, Mapping):
         names = _dictionary_names(specimen)
     else:
-        names = _scene_names(Path(specimen), dict(parameters or {}), DEEPEST)
+        names = _scene_names(Path(specimen), dict(parameters or {}), MAX_INCLUDES)
     for name in names:
         path = Path(str(mi.file_resolver().resolve(str(name))))
         if path.is_file():

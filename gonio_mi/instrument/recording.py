@@ -19,10 +19,10 @@ from ..results.provenance import Provenance, settings_mapping
 from ..results.record import Record
 from ..results.tally import Ledger, Tally, batch_sizes
 from ..settings import MeasurementSettings
-from ..transport.bench import Bench
 from ..transport.launch import transport_of
 from ..transport.sampling import sampler_name
 from ..transport.scene_objects import class_of
+from ..transport.setup import Setup
 from ..transport.variants import processor
 from ..transport.wavelengths import channel_names
 from .schedule import Target, rays_sent, rounds
@@ -37,13 +37,13 @@ __all__ = [
 
 # Light is said to be created where the intervals of this level begin above all that
 # came, and by more than what a path of so many events loses to single precision.
-SURE = 1 - 1e-9
+CREATION_LEVEL = 1 - 1e-9
 PATH_ROUNDING = 1000 * float(np.finfo(np.float32).eps)
 
 
-def record_of(bench: Bench, tally: Tally) -> Record:
+def record_of(setup: Setup, tally: Tally) -> Record:
     """Record of a finished `tally`, with all that is needed to repeat it."""
-    settings, ledger = bench.settings, tally.ledger
+    settings, ledger = setup.settings, tally.ledger
     if 0 < ledger.missed == ledger.emitted:
         raise SpecimenError(
             f"the footprint {settings.footprint} must meet the specimen, "
@@ -51,15 +51,15 @@ def record_of(bench: Bench, tally: Tally) -> Record:
         )
     _check_arrived(ledger)
     functions = "sample() or eval()" if settings.estimator.deposits else "sample()"
-    _warn_of_invalid(ledger, functions, bench.beam.collimated)
+    _warn_of_invalid(ledger, functions, setup.beam.collimated)
     _warn_of_astray(ledger)
     if not mi.is_spectral and tally.achromatic:
         tally = tally.first(1)
-    asked, provenance = settings_and_provenance(bench)
+    asked, provenance = settings_and_provenance(setup)
     return Record(
-        subdivision=bench.collector.subdivision,
-        theta_i=np.array([bench.theta_i]),
-        phi_i=np.array([bench.phi_i]),
+        subdivision=setup.collector.subdivision,
+        theta_i=np.array([setup.theta_i]),
+        phi_i=np.array([setup.phi_i]),
         channels=channel_names(settings.wavelengths, tally.channels),
         tallies=(tally,),
         asked=asked,
@@ -68,7 +68,7 @@ def record_of(bench: Bench, tally: Tally) -> Record:
 
 
 def records_of(
-    benches: Sequence[Bench],
+    setups: Sequence[Setup],
     finished: Sequence[Sequence[Tally]],
     complete: bool,
     resume: Record | None = None,
@@ -79,15 +79,15 @@ def records_of(
     `resume` is the record that was carried on.
     """
     done = [
-        (bench, Tally.join(tallies))
-        for bench, tallies in zip(benches, finished)
+        (setup, Tally.join(tallies))
+        for setup, tallies in zip(setups, finished)
         if tallies
     ]
-    orders, found = benches[0].orders, []
+    orders, found = setups[0].orders, []
     if not orders:
-        found.append([record_of(bench, tally) for bench, tally in done])
+        found.append([record_of(setup, tally) for setup, tally in done])
     for number, order in enumerate(orders):
-        apart = [record_of(bench, tally.apart()[number]) for bench, tally in done]
+        apart = [record_of(setup, tally.apart()[number]) for setup, tally in done]
         found.append(
             [replace(one, asked=replace(one.asked, order=order)) for one in apart]
         )
@@ -99,7 +99,7 @@ def records_of(
         parts = resume.provenance, record.provenance
         provenance = record.provenance.joined(parts)
         records = [replace(record, provenance=provenance)]
-    if target := Target.of(benches[0].settings):
+    if target := Target.of(setups[0].settings):
         records = [records[0].with_provenance(**target.reached(records[0]))]
         if complete:
             _warn_unless_reached(records[0], target)
@@ -119,15 +119,15 @@ def _warn_unless_reached(record: Record, target: Target) -> None:
         )
 
 
-def warn_of_interruption(benches: Sequence[Bench], record: Record) -> None:
+def warn_of_interruption(setups: Sequence[Setup], record: Record) -> None:
     """Warn of what is left of the incident directions."""
-    settings, n_incident = benches[0].settings, len(benches)
+    settings, n_incident = setups[0].settings, len(setups)
     integrates = settings.estimator.integrates
     if integrates or Target.of(settings):
         kept = f"{len(record)} of {n_incident} incident directions"
         kept += "" if integrates else ", the last one less precise"
     else:
-        asked = settings.rays * n_incident * len(benches[0].passes)
+        asked = settings.rays * n_incident * len(setups[0].passes)
         kept = f"{record.ledger.emitted} of {asked} rays; resume= carries it on"
     warn(f"interrupted: the record holds {kept}")
 
@@ -138,9 +138,9 @@ def _warn_of_created_light(records: Sequence[Record]) -> None:
         total = record.dhr if record.dht is None else record.dhr + record.dht
         if not np.any(total > 1 + PATH_ROUNDING):
             continue  # no interval begins above its value
-        low = record.interval(SURE, "dhr")[0]
+        low = record.interval(CREATION_LEVEL, "dhr")[0]
         if record.dht is not None:
-            low = low + record.interval(SURE, "dht")[0]
+            low = low + record.interval(CREATION_LEVEL, "dht")[0]
         if np.any(low > 1 + PATH_ROUNDING):
             theta_i, phi_i = record.theta_i[0], record.phi_i[0]
             warn(
@@ -184,7 +184,7 @@ def _warn_of_astray(ledger: Ledger) -> None:
 
 
 # A parameter of a medium that has more, such as a grid, is told by its size.
-MOST_NUMBERS = 4
+MAX_NUMBERS = 4
 
 
 @cache
@@ -193,14 +193,14 @@ def _own_version() -> str:
     return version("gonio-mi")
 
 
-def settings_and_provenance(bench: Bench) -> tuple[MeasurementSettings, Provenance]:
+def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenance]:
     """What was asked for of a measurement, and how it came about."""
-    settings, specimen = bench.settings, bench.specimen
+    settings, specimen = setup.settings, setup.specimen
     goals: dict[str, Any] = {}
-    digests: dict[str, Any] = bench.digests
+    digests: dict[str, Any] = setup.digests
     if settings.estimator.integrates:
         goals = {"rel_err": settings.integral_err, "noise": None}
-    side = "front" if bench.beam.side > 0 else "back"
+    side = "front" if setup.beam.side > 0 else "back"
     provenance = Provenance(
         specimen=specimen.name,
         surface=specimen.description,
@@ -208,12 +208,12 @@ def settings_and_provenance(bench: Bench) -> tuple[MeasurementSettings, Provenan
         defects=tuple(specimen.defects),
         **digests,
         transmission=specimen.transmission,
-        emitter=bench.beam.emitter.class_name(),
-        transport=transport_of(bench),
-        sampler=sampler_name(bench.sampler),
+        emitter=setup.beam.emitter.class_name(),
+        transport=transport_of(setup),
+        sampler=sampler_name(setup.sampler),
         seeds=(settings.seed,),
-        rays=settings.rays if bench.samples else 0,
-        passes=len(bench.passes),
+        rays=settings.rays if setup.samples else 0,
+        passes=len(setup.passes),
         variant=mi.variant(),
         versions={
             "gonio_mi": _own_version(),
@@ -243,23 +243,23 @@ def _medium_text(medium: Any) -> str:
         few = "/".join(f"{number:g}" for number in flat)
         if mi.is_spectral and flat.size == 3:
             few = "of a colour"  # the numbers are coefficients of its spectrum
-        numbers[name] = few if flat.size <= MOST_NUMBERS else f"{flat.size} numbers"
+        numbers[name] = few if flat.size <= MAX_NUMBERS else f"{flat.size} numbers"
     phase = class_of(medium.phase_function())
     told = ", ".join(f"{name} {value}" for name, value in numbers.items())
     return f"{class_of(medium)} with {phase}: {told}"
 
 
 # Settings that say nothing of the rays.
-FREE = {"created", "defects", "versions", "processors", "specimen"}
+UNCOMPARED = {"created", "defects", "versions", "processors", "specimen"}
 
 
-def check_resumable(resume: Record, benches: Sequence[Bench], step: int) -> None:
+def check_resumable(resume: Record, setups: Sequence[Setup], step: int) -> None:
     """Raise ValueError unless `resume` is the beginning of this measurement.
 
     Parameters
     ----------
     resume : Record
-    benches : sequence of Bench
+    setups : sequence of Setup
         For each incident direction; the record may hold the first ones only.
     step : int
         Rays of each batch in the first rounds; the record may hold those of whole
@@ -267,19 +267,19 @@ def check_resumable(resume: Record, benches: Sequence[Bench], step: int) -> None
     """
     if not isinstance(resume, Record):
         raise SettingTypeError(f"resume must be a Record, got {shown(resume)}")
-    if len(resume) > len(benches):
+    if len(resume) > len(setups):
         raise SettingError(
-            f"resume must hold at most {len(benches)} incident directions, "
+            f"resume must hold at most {len(setups)} incident directions, "
             f"got {len(resume)}"
         )
-    nm, n = benches[0].settings.wavelengths, len(resume.channels)
-    for i, bench in enumerate(benches[: len(resume)]):
-        own = settings_mapping(*settings_and_provenance(bench)) | {
+    nm, n = setups[0].settings.wavelengths, len(resume.channels)
+    for i, setup in enumerate(setups[: len(resume)]):
+        own = settings_mapping(*settings_and_provenance(setup)) | {
             "channels": channel_names(nm, n),
-            "collector": str(bench.collector.subdivision),
-            "theta_i": bench.theta_i,
-            "phi_i": bench.phi_i,
-            "hemispheres": "both" if bench.shape[0] == 2 else "upper",
+            "collector": str(setup.collector.subdivision),
+            "theta_i": setup.theta_i,
+            "phi_i": setup.phi_i,
+            "hemispheres": "both" if setup.shape[0] == 2 else "upper",
         }
         others = dict(resume.settings) | {
             "channels": resume.channels,
@@ -288,16 +288,16 @@ def check_resumable(resume: Record, benches: Sequence[Bench], step: int) -> None
             "phi_i": float(resume.phi_i[i]),
             "hemispheres": "both" if resume.has_lower else "upper",
         }
-        for key in sorted(own.keys() - FREE):
+        for key in sorted(own.keys() - UNCOMPARED):
             if own[key] != others.get(key) and own[key] == own[key]:
                 raise SettingError(
                     "resume must be a record of this measurement, but it was made with "
                     f"{key}={shown(others.get(key))} instead of {shown(own[key])}"
                 )
-    settings = benches[0].settings
+    settings = setups[0].settings
     plan = batch_sizes(settings.rays, settings.batches)
-    for bench, tally in zip(benches, resume.tallies):
-        sent = rays_sent([tally], len(bench.passes))
+    for setup, tally in zip(setups, resume.tallies):
+        sent = rays_sent([tally], len(setup.passes))
         ends = rounds(plan, step)
         if sent not in ends and sent != ends[0][: len(sent)]:
             raise SettingError(

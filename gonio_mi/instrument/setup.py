@@ -1,4 +1,4 @@
-"""Settings, a specimen and emitters become benches, ready for rays."""
+"""Set up measurements from settings, a specimen and emitters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from ..errors import SettingTypeError, SpecimenError, shown, warn
 from ..quadrature.estimator import check_integrable
 from ..settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings, Order
 from ..transport.beam import Beam
-from ..transport.bench import Bench
 from ..transport.bsdf_trial import check_works, warn_of_roughness
 from ..transport.collector_sphere import CollectorSphere
 from ..transport.media import check_media
@@ -20,6 +19,7 @@ from ..transport.next_event import check_traced
 from ..transport.phase_functions import defect
 from ..transport.sampling import check_sampler
 from ..transport.scene_objects import foreign_plugins
+from ..transport.setup import Setup
 from ..transport.specimen import Specimen
 from ..transport.wavelengths import check_covered, passes, wavelength_lanes
 from .incidence import described_digest, emitter_scene
@@ -58,8 +58,8 @@ def set_up(
     *,
     name: str = "a scene",
     orders: Sequence[Order] = (),
-) -> list[Bench]:
-    """Set up a :class:`Bench` for each incident direction.
+) -> list[Setup]:
+    """Set up a :class:`Setup` for each incident direction.
 
     Parameters
     ----------
@@ -89,19 +89,19 @@ def set_up(
     _check_specimen(specimen, settings)
     _check_enclosed(specimen, radius)
     described = described_digest(emitter)
-    benches = []
+    setups = []
     for incident in incidents:
         source = emitter_scene(scene, emitter, incident, settings.side)
         beam = _beam(specimen, settings, source.emitters())
-        bench = Bench(settings, specimen, beam, collector, sampler, incident, described)
-        bench.source = source  # with it its emitters would go
-        bench.collect_orders(orders)
+        setup = Setup(settings, specimen, beam, collector, sampler, incident, described)
+        setup.source = source  # with it its emitters would go
+        setup.collect_orders(orders)
         if settings.estimator.integrates:
-            check_integrable(bench)
+            check_integrable(setup)
         if settings.estimator.deposits:
-            check_traced(bench)
-        benches.append(bench)
-    return benches
+            check_traced(setup)
+        setups.append(setup)
+    return setups
 
 
 def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:

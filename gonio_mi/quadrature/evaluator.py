@@ -39,7 +39,7 @@ INTEGRAL_ROUNDING = 2.0**-22
 IN_CACHE = 2**10
 
 # Times the noise of the values, by which they may be off the polynomial through them.
-UNSURE = 256
+MAX_NOISE_RATIO = 256
 
 
 class Evaluator:
@@ -147,8 +147,8 @@ class Evaluator:
         off = np.concatenate([off_polynomial(found[p], values[p]) for p in pieces])
         # some of the values are enough to see most of the cells that are smooth
         least = NOISE * np.abs(values[:, ::8]).max(axis=1).astype(float)
-        doubtful = np.any(off > UNSURE * least, axis=1)
-        off[doubtful] -= UNSURE * noise(values[doubtful])
+        doubtful = np.any(off > MAX_NOISE_RATIO * least, axis=1)
+        off[doubtful] -= MAX_NOISE_RATIO * noise(values[doubtful])
         off[~doubtful] = 0
         return BLIND * np.maximum(off, 0) * cells.area[:, None]
 

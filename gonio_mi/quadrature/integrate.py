@@ -20,11 +20,11 @@ from .incident_light import IncidentLight
 __all__ = ["PatchIntegrals", "Rule", "integrate", "integrate_each"]
 
 # Guides that a cell may hold before it is split unseen.
-MOST_GUIDES = 8
+MAX_GUIDES = 8
 
 # Part of the tolerated error that the cells of a patch share, since later levels may
 # find the patch darker.
-CAUTION = 1 / 4
+CELL_TOLERANCE = 1 / 4
 
 # Evaluations of one level of refinement, and levels, after which we give up.
 MAX_EVALUATIONS = 2**25
@@ -37,11 +37,11 @@ NEGLIGIBLE = 1e-6
 
 # What single precision leaves of a direction, in radians: a step is not looked for in
 # narrower cells.
-NARROWEST = 2.0**-21
+MIN_CELL_WIDTH = 2.0**-21
 
 # Points of the first rule of all directions that share kernels: more of them would
 # save no time any more, and need memory.
-SHARED = 2**21
+MAX_SHARED_NODES = 2**21
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +227,7 @@ def integrate_each(
     list of PatchIntegrals
     """
     each = NODES_PER_CELL * 4 * n_hemispheres * subdivision.n_patches
-    several = max(1, SHARED // each)
+    several = max(1, MAX_SHARED_NODES // each)
     found: list[PatchIntegrals] = []
     for first in range(0, len(incidents), several):
         some = incidents[first : first + several]
@@ -253,20 +253,22 @@ def _integrated(
     sums = _PatchSums(cells, len(lights), coarse.shape[-1])
     finished: list[tuple[Cells, Flags]] = []
     for level in range(MAX_LEVELS):
-        full = guides.held(len(cells.patch)) > MOST_GUIDES
+        full = guides.held(len(cells.patch)) > MAX_GUIDES
         way[full] = QUARTERS
         parts = cells.split(way)
         fine, of_parts = evaluator.integrals(parts)
         values_at = of_parts.reshape(len(cells.patch), 4 * NODES_PER_CELL, -1)
         values = fine.reshape(len(cells.patch), 4, -1).sum(axis=1)
         allowed = sums.allowed(cells, values, rel_err)
-        tolerance = CAUTION * allowed[cells.patch] * cells.tolerated(way)[:, None]
+        tolerance = (
+            CELL_TOLERANCE * allowed[cells.patch] * cells.tolerated(way)[:, None]
+        )
         difference = np.abs(values - coarse)
         smooth = way == QUARTERS
         difference[~smooth] = _swing(values_at, cells, ~smooth)
         _add_unseen(difference, tolerance, evaluator, cells, values, values_at, smooth)
         open_cells = full | ~np.all(difference <= tolerance, axis=1)
-        sharp = cells.narrow(way, NARROWEST)
+        sharp = cells.narrow(way, MIN_CELL_WIDTH)
         open_cells &= ~sharp
         n_next = np.bincount(cells.direction[open_cells], minlength=len(lights))
         too_many = 4 * NODES_PER_CELL * 4 * n_next > MAX_EVALUATIONS

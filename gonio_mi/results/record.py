@@ -18,7 +18,7 @@ from ..errors import (
     shown,
 )
 from ..settings import MeasurementSettings
-from ..settings.measurement_settings import MOST_RAYS
+from ..settings.measurement_settings import MAX_RAYS
 from .provenance import (
     FREE_WHEN_MERGED,
     FREE_WHEN_STACKED,
@@ -269,7 +269,7 @@ class Record(MeasuredValues):
             collector=self.subdivision,
             hemispheres="both" if self.has_lower else "upper",
             wavelengths=nm or default.wavelengths,
-            rays=min(own.rays or default.rays, MOST_RAYS),
+            rays=min(own.rays or default.rays, MAX_RAYS),
             seed=own.seeds[0] if own.seeds else default.seed,
             sampler=own.sampler,
         )

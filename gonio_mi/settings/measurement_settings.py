@@ -30,7 +30,7 @@ __all__ = [
     "Estimator",
     "FILM",
     "INTEGRATOR",
-    "MOST_POINTS",
+    "MAX_POINTS",
     "MeasurementSettings",
     "PILOT_RAYS",
 ]
@@ -38,14 +38,14 @@ __all__ = [
 # Mitsuba plugins that have settings as their properties.
 INTEGRATOR, COLLECTOR, FILM = "goniophotometer", "collector", "patches"
 
-MOST_RAYS = 10**15
-MOST_BATCHES = 65536
+MAX_RAYS = 10**15
+MAX_BATCHES = 65536
 # In scene units: the square of larger ones is no number in single precision.
-LARGEST_RADIUS = 1e15
+MAX_RADIUS = 1e15
 # Rays before the first look at the precision.
 PILOT_RAYS = 2**18
 # More points would only repeat what a further ray tells better.
-MOST_POINTS = 1024
+MAX_POINTS = 1024
 # Relative error of each patch to which `quadrature` integrates, if none is asked for.
 INTEGRAL_ERR = 1e-4
 
@@ -124,7 +124,7 @@ class MeasurementSettings:
 
     rays: int = setting(
         10**6,
-        count(1, MOST_RAYS),
+        count(1, MAX_RAYS),
         Kind.COUNT,
         "Rays for each incident direction. In spectral variants so many for every four "
         "wavelengths; up to 1e15.",
@@ -157,7 +157,7 @@ class MeasurementSettings:
     )
     max_rays: int = setting(
         10**9,
-        count(PILOT_RAYS, MOST_RAYS),
+        count(PILOT_RAYS, MAX_RAYS),
         Kind.COUNT,
         "Upper limit of rays for `rel_err` and `noise`; warns if reached.",
         group=METHOD,
@@ -172,7 +172,7 @@ class MeasurementSettings:
     )
     batches: int = setting(
         16,
-        count(1, MOST_BATCHES),
+        count(1, MAX_BATCHES),
         Kind.COUNT,
         "Independent batches, from whose scatter uncertainties come. With ``sobol`` "
         "every doubling costs a fifth of the precision that the same rays give.",
@@ -202,7 +202,7 @@ class MeasurementSettings:
     )
     points: int = setting(
         1,
-        count(1, MOST_POINTS),
+        count(1, MAX_POINTS),
         Kind.COUNT,
         "Points per event for the estimator ``next_event``, spread over all patches; "
         "each costs a fraction of a ray. For maps of diffuse facets "
@@ -323,7 +323,7 @@ class MeasurementSettings:
     )
     collector_radius: float = setting(
         0.0,
-        number(0, LARGEST_RADIUS, "a finite radius of 0 or more"),
+        number(0, MAX_RADIUS, "a finite radius of 0 or more"),
         Kind.NUMBER,
         "Radius in scene units of the sphere about the origin on which the exit "
         "*position* decides the patch; 0 is the far field, where the exit *direction* "

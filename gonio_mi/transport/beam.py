@@ -24,12 +24,12 @@ N_GRID = 128
 
 # Part of a patch of incidence at its borders that is left out: more than what counts as
 # on them, so that light that goes straight on stays in one patch.
-OFF_BORDERS = 2.0**-14
+BORDER_MARGIN = 2.0**-14
 
 # How much brighter than the footprint's middle the spot under an emitter may be, and
 # at most than the unit of power: far less than what the tally's sums hold of one ray.
-MOST_UNEVEN = 2.0**10
-HIGHEST_SPOT = 2.0**20
+MAX_SPOT_CONTRAST = 2.0**10
+MAX_SPOT = 2.0**20
 
 
 class Beam:
@@ -97,7 +97,7 @@ class Beam:
             self._cap = mi.Float(2 * np.sin(np.radians(divergence) / 2) ** 2)
             dr.make_opaque(self._cap)
         self.incident: Any = incident
-        self._frame = None if incident is None else self._frame_of(incident)
+        self._frame = None if incident is None else self._incident_patch(incident)
         self._reference = None if self.uniform else self._unit_power(nm)
 
     @property
@@ -168,7 +168,7 @@ class Beam:
         local = mi.Vector3f(sine * cos, sine * sin, 1 - height)
         return dr.normalize(mi.Frame3f(self._wi).to_world(local))
 
-    def _frame_of(self, patches: Subdivision) -> list[mi.Float]:
+    def _incident_patch(self, patches: Subdivision) -> list[mi.Float]:
         """Patch that holds the nominal direction, for :meth:`_filling`."""
         if not self.collimated:
             raise SpecimenError(
@@ -182,7 +182,7 @@ class Beam:
 
     def _filling(self, sample: mi.Point2f) -> mi.Vector3f:
         """Directions that fill a patch, uniformly in projected solid angle."""
-        sample = OFF_BORDERS + (1 - 2 * OFF_BORDERS) * sample
+        sample = BORDER_MARGIN + (1 - 2 * BORDER_MARGIN) * sample
         x, y, z = self.incident.drawn(DRJIT, self._frame, sample.x, sample.y)
         return mi.Vector3f(x, y, self.side * z)
 
@@ -278,12 +278,12 @@ class Beam:
         powers = self._mean_weights(mi.Point3f(self.middle.tolist()), sample, nm)
         unit = powers.mean()
         spot = self._mean_weights(self._nearest(), sample, nm).mean()
-        if self.footprint != "point" and (unit == 0 or spot > MOST_UNEVEN * unit):
+        if self.footprint != "point" and (unit == 0 or spot > MAX_SPOT_CONTRAST * unit):
             # a low-discrepancy sequence all over it (Roberts 2018)
             places = mi.Point2f(mi.Float(grid) * 0.7548777, mi.Float(grid) * 0.5698403)
             places -= dr.floor(places)
             powers = self._mean_weights(self._spread(places), sample, nm)
-            unit = max(powers.mean(), spot / HIGHEST_SPOT)
+            unit = max(powers.mean(), spot / MAX_SPOT)
         dark = [x for x, power in zip(nm or (), powers) if not power > 0]
         if dark or not unit > 0:
             at = f" at {dark[0]:g} nm" if dark else ""

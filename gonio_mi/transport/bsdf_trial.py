@@ -29,7 +29,7 @@ __all__ = [
 
 # Parameters of Mitsuba's BSDFs that say how rough a surface is, and the largest value
 # that each may have; and what `roughplastic` puts in place of smaller ones.
-LARGEST_ROUGHNESS = {
+MAX_ROUGHNESS = {
     **dict.fromkeys(("alpha", "alpha_u", "alpha_v"), np.inf),
     "roughness": 1.0,
 }
@@ -159,7 +159,7 @@ def warn_of_roughness(bsdfs: Iterable[Any]) -> None:
         parameters = traversed(bsdf)
         for key in parameters.properties:
             name = key.removesuffix(".value").removesuffix(".data")
-            largest = LARGEST_ROUGHNESS.get(name.rpartition(".")[2])
+            largest = MAX_ROUGHNESS.get(name.rpartition(".")[2])
             if largest is None:
                 continue
             numbers = np.ravel(np.array(parameters[key], dtype=np.float32))

@@ -9,12 +9,12 @@ import drjit as dr
 import mitsuba as mi
 
 from ..settings.values import UNLIMITED
-from .bench import Bench
 from .exits import Exits, of_order
 from .kernels import check_variant_kept
 from .media_loop import Geometry, trace_inside
 from .next_event import Deposits
 from .sampling import Relay, apart, continues, in_turns, relay_turns, seeded, turns_of
+from .setup import Setup
 from .sums import Sums, Totals
 from .surface_loop import PathSettings, scatter_plane, trace
 
@@ -27,11 +27,11 @@ class Launch:
 
     Attributes
     ----------
-    bench : Bench
+    setup : Setup
     wavelengths : mi.Spectrum or mi.Color0f
         Of the rays.
     capacity : int
-        Batches that there is room for: the same for all launches at a bench.
+        Batches that there is room for: the same for all launches at a setup.
     keys : tuple of tuple of int
         Each tells a batch from all others.
     sizes : tuple of int
@@ -42,7 +42,7 @@ class Launch:
         Along the curve that all batches walk together: only rays from there.
     """
 
-    bench: Bench
+    setup: Setup
     wavelengths: Any
     capacity: int
     keys: tuple[tuple[int, ...], ...]
@@ -59,18 +59,18 @@ class Launch:
 
 def launch(one: Launch) -> Totals:
     """Send rays of several batches in one kernel; totals of as many batches."""
-    bench, sizes = one.bench, one.sizes
-    traced = traces(bench)
-    inside = bool(bench.specimen.media)
-    turns = 1 if traced else turns_of(bench.sampler, sizes[0])
-    if inside and continues(bench.sampler):
-        turns = relay_turns(bench.sampler, sizes[0])
+    setup, sizes = one.setup, one.sizes
+    traced = traces(setup)
+    inside = bool(setup.specimen.media)
+    turns = 1 if traced else turns_of(setup.sampler, sizes[0])
+    if inside and continues(setup.sampler):
+        turns = relay_turns(setup.sampler, sizes[0])
     lanes = -(-sizes[0] // turns)
     if traced and len(sizes) * lanes == 1:
         lanes = 2  # in a single one Dr.Jit 1.5 takes a loop's variables for constants
     while True:
-        sums = Sums(bench, one.capacity)
-        sampler = seeded(bench.sampler, one.keys, one.begin, lanes)
+        sums = Sums(setup, one.capacity)
+        sampler = seeded(setup.sampler, one.keys, one.begin, lanes)
         if one.stretch is not None:
             batch, ray = sampler.follow_curve(*one.stretch)
         else:
@@ -93,20 +93,20 @@ def launch(one: Launch) -> Totals:
         if not sums.lacking:
             break
         # fainter or brighter light than there was room for: once more, with room for it
-        bench.levels = sums.lacking
+        setup.levels = sums.lacking
     return sums.totals(len(sizes))
 
 
-def traces(bench: Bench) -> bool:
+def traces(setup: Setup) -> bool:
     """Whether rays are traced: for geometry, or where that is asked for."""
-    return bench.settings.trace or bench.specimen.plane is None
+    return setup.settings.trace or setup.specimen.plane is None
 
 
-def transport_of(bench: Bench) -> str:
+def transport_of(setup: Setup) -> str:
     """How rays are followed: on a ``plane``, through ``layers``, or ``traced``."""
-    if not traces(bench):
+    if not traces(setup):
         return "plane"
-    return "traced" if bench.settings.trace or bench.layers is None else "layers"
+    return "traced" if setup.settings.trace or setup.layers is None else "layers"
 
 
 class _Rays:
@@ -118,7 +118,7 @@ class _Rays:
     def __init__(
         self, one: Launch, sums: Sums, batch: mi.UInt32, size: mi.UInt32
     ) -> None:
-        self.bench, self.wavelengths = one.bench, one.wavelengths
+        self.setup, self.wavelengths = one.setup, one.wavelengths
         self.sums, self.batch, self.size = sums, batch, size
         self.ray: Any = None
 
@@ -127,29 +127,29 @@ class _Rays:
 
         They are followed by the cheapest transport that is exact for the specimen.
         """
-        bench, active = self.bench, ray < self.size
-        how, specimen = _path_settings(bench), bench.specimen
+        setup, active = self.setup, ray < self.size
+        how, specimen = _path_settings(setup), setup.specimen
         deposits = None
         if self.sums.deposits:
-            deposits = Deposits(bench, self.sums, active, self.batch)
-        if traces(bench):
+            deposits = Deposits(setup, self.sums, active, self.batch)
+        if traces(setup):
             exits = trace(
-                specimen, bench.beam, sampler, self.wavelengths, how, deposits
+                specimen, setup.beam, sampler, self.wavelengths, how, deposits
             )
         else:
             plane = specimen.plane
-            exits = scatter_plane(plane, bench.beam, sampler, self.wavelengths, how)
-        exits = of_order(exits, bench.settings.order)
-        bins = bench.bins(exits)
+            exits = scatter_plane(plane, setup.beam, sampler, self.wavelengths, how)
+        exits = of_order(exits, setup.settings.order)
+        bins = setup.bins(exits)
         self.sums.add(bins, exits, active, self.batch)
         if deposits is not None:
             deposits.add_exits(bins, exits)
 
     def relay(self, sampler: mi.Sampler, ray: mi.UInt32, rays: int) -> None:
         """Add to the sums what becomes of all rays, which scatter inside of media."""
-        specimen, beam = self.bench.specimen, self.bench.beam
-        path: Any = self.bench.layers
-        if transport_of(self.bench) == "traced":
+        specimen, beam = self.setup.specimen, self.setup.beam
+        path: Any = self.setup.layers
+        if transport_of(self.setup) == "traced":
             path = Geometry(specimen, beam.side)
         if not continues(sampler):
             rays = dr.width(ray)
@@ -165,31 +165,31 @@ class _Rays:
             beam,
             sampler,
             self.wavelengths,
-            _path_settings(self.bench),
+            _path_settings(self.setup),
             Relay(sampler, rays, self._arrive),
         )
 
     def _arrive(self, number: mi.UInt32, exits: Exits) -> None:
         """Add to the sums what has become of some rays of a relay."""
-        exits = of_order(exits, self.bench.settings.order)
+        exits = of_order(exits, self.setup.settings.order)
         ray, batch, size = number, self.batch, self.size
         if self.ray is not None:
             ray, batch, size = (
                 dr.gather(mi.UInt32, x, number)
                 for x in (self.ray, self.batch, self.size)
             )
-        self.sums.add(self.bench.bins(exits), exits, ray < size, batch)
+        self.sums.add(self.setup.bins(exits), exits, ray < size, batch)
 
 
-def _path_settings(bench: Bench) -> PathSettings:
+def _path_settings(setup: Setup) -> PathSettings:
     """How rays are followed."""
-    settings, analog = bench.settings, bench.settings.estimator.counts
+    settings, analog = setup.settings, setup.settings.estimator.counts
     rr_depth = settings.rr_depth
     # counted rays live or die at each event as it is, and stay whole
     roulette = rr_depth >= 0 and not analog
-    media, most = bool(bench.specimen.media), settings.order.most
+    media, most = bool(setup.specimen.media), settings.order.most
     # rays that are cut off would leave other numbers to those after them in the lane
-    shared = media and continues(bench.sampler)
+    shared = media and continues(setup.sampler)
     return PathSettings(
         analog=analog,
         # nothing that comes later is collected

@@ -21,13 +21,13 @@ from .rays import Encounter
 __all__ = ["Layers", "layers_of"]
 
 # How much of the cell a rectangle that covers it may seem to lack, by rounding.
-GAP = 2.0**-18
+MAX_GAP = 2.0**-18
 
 # Cosine instead of 0, for a ray that is level.
-LEVEL = 2.0**-60
+MIN_COSINE = 2.0**-60
 
 # Wavelengths at which it is looked at whether a BSDF is the same all over.
-NM = 400.0, 500.0, 600.0, 700.0
+TEST_WAVELENGTHS = 400.0, 500.0, 600.0, 700.0
 
 
 @dataclass
@@ -168,20 +168,20 @@ def layers_of(specimen: Any, side: int) -> Layers | None:
     if any(shape.class_name() != "Rectangle" for shape in surfaces):
         return None
     boxes = [(shape.bbox().min.z, shape.bbox().max.z) for shape in surfaces]
-    thin = specimen.reach * GAP
+    thin = specimen.reach * MAX_GAP
     heights = sorted(low + high for low, high in boxes)
     flat = all(high - low <= thin for low, high in boxes)
     if not flat or np.any(np.diff(heights) <= 2 * thin):
         return None
     if not all(map(_is_uniform, specimen.media)):
         return None
-    nm = mi.Spectrum(*NM) if mi.is_spectral else mi.Color0f()
+    nm = mi.Spectrum(*TEST_WAVELENGTHS) if mi.is_spectral else mi.Color0f()
     cell = np.prod((specimen.high - specimen.low)[:2])
     sis = []
     for shape in sorted(surfaces, key=lambda shape: -shape.bbox().min.z):
         si = _interaction(shape)
         area = dr.norm(dr.cross(si.dp_du, si.dp_dv))[0]
-        if area < cell * (1 - GAP) or not Plane(shape.bsdf(), si).is_uniform(nm):
+        if area < cell * (1 - MAX_GAP) or not Plane(shape.bsdf(), si).is_uniform(nm):
             return None
         sis.append(si)
     return Layers(specimen.scene, sis, side)
@@ -189,7 +189,7 @@ def layers_of(specimen: Any, side: int) -> Layers | None:
 
 def _not_level(d: mi.Vector3f) -> mi.Vector3f:
     """Directions that get to an interface, however far away."""
-    return mi.Vector3f(d.x, d.y, dr.select(d.z == 0, LEVEL, d.z))
+    return mi.Vector3f(d.x, d.y, dr.select(d.z == 0, MIN_COSINE, d.z))
 
 
 def _interaction(shape: mi.Shape) -> mi.SurfaceInteraction3f:

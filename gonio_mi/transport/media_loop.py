@@ -54,7 +54,7 @@ __all__ = [
 # far: a flight of so many mean free paths is interrupted, and goes on with a new number
 # as if nothing had been. That is exact, since flights have no memory.
 RARE = 2.0**-12
-LONGEST = -log(RARE)
+MAX_PATHS = -log(RARE)
 
 
 @dataclass
@@ -129,7 +129,7 @@ def free_flight(
         flies = active & meets
     majorants = medium.get_majorant(at, active)
     majorant = of_channel(majorants, hero)
-    paths = dr.select(u < 1 - RARE, -dr.log(1 - u), LONGEST)
+    paths = dr.select(u < 1 - RARE, -dr.log(1 - u), MAX_PATHS)
     t = dr.select(majorant > 0, begin + paths / majorant, dr.inf)
     stops = flies & (t < end)
     at.t = dr.select(stops, t, dr.inf)
@@ -160,11 +160,11 @@ def free_flight(
 
 # How far from a surface light scatters at least, in units of the local coordinates: 16
 # ulp, so that no rounding finds it on the other side.
-DEPTH = 2.0**-20
+MIN_DEPTH = 2.0**-20
 
 # Power below which one of four rays goes on, with four times as much: by default a
 # path inside of a medium ends.
-FAINT, FEW = 2.0**-4, 2.0**-2
+FAINT_POWER, FAINT_SURVIVAL = 2.0**-4, 2.0**-2
 
 
 class Geometry:
@@ -229,9 +229,9 @@ class Geometry:
         `distance`: to the surface ahead, which they have not reached.
         """
         ray, detail = flight.ray, self.specimen.detail
-        near = DEPTH * (detail + dr.dot(dr.abs(flight.n), dr.abs(ray.o)))
+        near = MIN_DEPTH * (detail + dr.dot(dr.abs(flight.n), dr.abs(ray.o)))
         near = near / dr.abs(dr.dot(flight.n, ray.d))
-        far = DEPTH * (detail + dr.dot(dr.abs(si.n), dr.abs(si.p)))
+        far = MIN_DEPTH * (detail + dr.dot(dr.abs(si.n), dr.abs(si.p)))
         far = distance - far / dr.abs(dr.dot(si.n, ray.d))
         left = dr.any(flight.n != 0)  # a surface, just before
         t = dr.select(left, dr.maximum(t, near), t)
@@ -413,8 +413,8 @@ def _survival(power: mi.Spectrum, due: mi.Bool, roulette: bool) -> mi.Float:
     if roulette:
         # of thousands of events none may end a ray that has lost nothing
         return survival_chance(power, due, 1.0)
-    faint = due & (dr.max(power) < FAINT)
-    return dr.select(faint, mi.Float(FEW), mi.Float(1))
+    faint = due & (dr.max(power) < FAINT_POWER)
+    return dr.select(faint, mi.Float(FAINT_SURVIVAL), mi.Float(1))
 
 
 def _exits(

@@ -7,12 +7,12 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
-from .bench import Bench
 from .exits import Exits
 from .rays import Flight, departure, escapes
+from .setup import Setup
 from .sums import Sums
 from .surface_events import (
-    LARGEST_POWER,
+    MAX_POWER,
     flux_context,
     is_delta,
     shading_normal_correction,
@@ -29,10 +29,10 @@ LOWER_IF_DARK = 1 / 16
 R2 = (0xC13FA9A9, 0x91E10DA6)
 
 
-def check_traced(bench: Bench) -> None:
+def check_traced(setup: Setup) -> None:
     """Raise SpecimenError for a flat specimen, which needs no points in patches."""
-    if bench.specimen.plane is not None and not bench.settings.trace:
-        if bench.collector.subdivision.axes is None:
+    if setup.specimen.plane is not None and not setup.settings.trace:
+        if setup.collector.subdivision.axes is None:
             remedy = "take quadrature, which integrates eval over all patches"
         else:
             remedy = "trace it all the same (trace=True, or --trace), for its apertures"
@@ -61,7 +61,7 @@ class Deposits:
 
     Parameters
     ----------
-    bench : Bench
+    setup : Setup
         Its settings tell the points for each event. Their patches are chosen from equal
         shares of the collector, and all of them by three random numbers, which a
         low-discrepancy sequence distributes well: one point per patch leaves nothing to
@@ -73,19 +73,19 @@ class Deposits:
     """
 
     def __init__(
-        self, bench: Bench, sums: Sums, lanes: mi.Bool, batch: mi.UInt32
+        self, setup: Setup, sums: Sums, lanes: mi.Bool, batch: mi.UInt32
     ) -> None:
-        self.bench, self.sums = bench, sums
-        self.points, self.order = bench.settings.points, bench.settings.order
+        self.setup, self.sums = setup, sums
+        self.points, self.order = setup.settings.points, setup.settings.order
         self.lanes, self.batch = lanes, batch
         self.scatters = any(
             mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth)
-            for shape in bench.specimen.surfaces
+            for shape in setup.specimen.surfaces
         )
         self.lower = 0.0
-        if bench.shape[0] == 2:
-            self.lower = LOWER_IF_DARK if bench.specimen.seems_dark else LOWER
-        subdivision = bench.collector.subdivision
+        if setup.shape[0] == 2:
+            self.lower = LOWER_IF_DARK if setup.specimen.seems_dark else LOWER
+        subdivision = setup.collector.subdivision
         theta_low, theta_high, phi_low, phi_high = subdivision.cells.T
         # sin^2(theta / 2) is proportional to solid angle, and exact at the pole
         low, high = np.sin(theta_low / 2) ** 2, np.sin(theta_high / 2) ** 2
@@ -132,7 +132,7 @@ class Deposits:
         sound = mi.Bool(True)
         i = mi.UInt32(0)
         n_points = dr.opaque(mi.UInt32, self.points)
-        specimen = self.bench.specimen
+        specimen = self.setup.specimen
         # variables of the loop, which a whole flight would make another one
         ray, shift = flight.ray, flight.shift
         part = dr.rcp(mi.Float(n_points))  # of the collector, for each point
@@ -146,13 +146,13 @@ class Deposits:
             spread *= part
             power = value * β * (spread * dr.rcp(1 + _finite(pdf) * spread))
             # comparisons with NaN are false
-            good = (dr.min(power) >= 0) & (dr.max(power) <= LARGEST_POWER)
+            good = (dr.min(power) >= 0) & (dr.max(power) <= MAX_POWER)
             sound &= good | ~wanted
             shines = wanted & good & (dr.max(power) > 0)
 
             start, offset = departure(specimen, si, ray.d, wo)
             onward = mi.Ray3f(start + dr.copysign(offset, dr.dot(si.n, wo)) * si.n, wo)
-            side = self.bench.beam.side
+            side = self.setup.beam.side
             shines &= escapes(specimen, side, onward, si.n, offset, shines)
             self.sums.deposit(number, power, shines, self.batch)
             i += 1
@@ -176,13 +176,13 @@ class Deposits:
 
     def add_exits(self, bins: mi.UInt32, exits: Exits) -> None:
         """Count each ray where it arrives, by the part that points leave to it."""
-        bench = self.bench
-        active = self.lanes & (bins < bench.n_collected)
-        lower = bins >= bench.n_patches
+        setup = self.setup
+        active = self.lanes & (bins < setup.n_collected)
+        lower = bins >= setup.n_patches
         number = dr.select(active, bins, 0)
-        patch = number - dr.select(active & lower, mi.UInt32(bench.n_patches), 0)
-        u = bench.collector.arrival(exits.p, exits.d)
-        _, change = bench.collector.seen(exits.left, u)
+        patch = number - dr.select(active & lower, mi.UInt32(setup.n_patches), 0)
+        u = setup.collector.arrival(exits.p, exits.d)
+        _, change = setup.collector.seen(exits.left, u)
         spread = self._spread(patch, lower, change)
         spread *= dr.rcp(dr.opaque(mi.Float, self.points))
         expected = exits.density * spread  # times the density of all points
@@ -198,7 +198,7 @@ class Deposits:
         """
         span, phi_span = (dr.gather(mi.Float, self.table[i], patch) for i in (1, 3))
         upper = dr.opaque(mi.Float, 1 - self.lower)
-        chosen = dr.select(lower, 1 - upper, upper) / float(self.bench.n_patches)
+        chosen = dr.select(lower, 1 - upper, upper) / float(self.setup.n_patches)
         return 2 * span * phi_span * change / chosen
 
     def _point(
@@ -215,14 +215,14 @@ class Deposits:
             Solid angle of the patch as seen from `p`, in sr, over the probability of
             the patch; 0 where the point belongs to another patch.
         """
-        bench = self.bench
+        setup = self.setup
         upper = dr.opaque(mi.Float, 1 - self.lower)
         lower = share >= upper
         part = dr.select(lower, 1 - upper, upper)
         place = dr.select(lower, share - upper, share) / part
-        patch = mi.UInt32(place * float(bench.n_patches))
-        patch = dr.minimum(patch, bench.n_patches - 1)
-        number = patch + dr.select(lower, mi.UInt32(bench.n_patches), 0)
+        patch = mi.UInt32(place * float(setup.n_patches))
+        patch = dr.minimum(patch, setup.n_patches - 1)
+        number = patch + dr.select(lower, mi.UInt32(setup.n_patches), 0)
         low, span, phi_low, phi_span = (
             dr.gather(mi.Float, column, patch) for column in self.table
         )
@@ -234,10 +234,10 @@ class Deposits:
         if self.axes is not None:
             axis = dr.gather(mi.Vector3f, self.axes, patch)
             point = mi.Frame3f(axis).to_world(point)
-            inside = bench.collector.patch_index(point) == patch
-        up = dr.select(lower, -float(bench.beam.side), float(bench.beam.side))
+            inside = setup.collector.patch_index(point) == patch
+        up = dr.select(lower, -float(setup.beam.side), float(setup.beam.side))
         point.z *= up
-        seen, change = bench.collector.seen(p, point)
+        seen, change = setup.collector.seen(p, point)
         spread = self._spread(patch, lower, change)
         return number, seen, dr.select(inside, spread, 0.0)
 

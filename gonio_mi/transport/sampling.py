@@ -48,14 +48,14 @@ def sampler_name(sampler: mi.Sampler) -> str:
 
 
 # Rays of a lane, and lanes that keep all threads busy. They take part in the seeding.
-MOST_TURNS = 16
-FEWEST_LANES = 2**16
+MAX_TURNS = 16
+MIN_LANES = 2**16
 
 # The same of a relay, whose rays may be a thousand times as long as others; and lanes
 # of each thread, of samplers whose numbers are the same in any lane.
-MOST_RELAYED = 2**10
-FEWEST_RELAYING = 2**10
-FEWEST_IN_A_THREAD = 2**7
+MAX_RELAY_TURNS = 2**10
+MIN_RELAY_LANES = 2**10
+MIN_LANES_PER_THREAD = 2**7
 
 
 def is_joint(sampler: mi.Sampler) -> bool:
@@ -117,7 +117,7 @@ def continues(sampler: mi.Sampler) -> bool:
 
 def turns_of(sampler: mi.Sampler, n: int) -> int:
     """Rays that a lane sends one after the other, of `n` in all."""
-    return max(1, min(MOST_TURNS, n // FEWEST_LANES)) if continues(sampler) else 1
+    return max(1, min(MAX_TURNS, n // MIN_LANES)) if continues(sampler) else 1
 
 
 @dr.syntax
@@ -186,12 +186,12 @@ class Relay:
 
 def relay_turns(sampler: mi.Sampler, rays: int) -> int:
     """Rays that a lane of a relay sends one after the other, of so many in all."""
-    fewest = FEWEST_RELAYING
+    fewest = MIN_RELAY_LANES
     if is_joint(sampler):
-        fewest = FEWEST_IN_A_THREAD * dr.thread_count()
+        fewest = MIN_LANES_PER_THREAD * dr.thread_count()
     elif not continues(sampler):
         return 1
-    return max(1, min(MOST_RELAYED, rays // fewest))
+    return max(1, min(MAX_RELAY_TURNS, rays // fewest))
 
 
 def apart(lane: mi.UInt32, n: int) -> tuple[mi.UInt32, mi.UInt32]:

@@ -221,7 +221,7 @@ SURFACES: dict[str, Callable[[mi.Shape], Corners | None]] = {
 
 
 # How near to the side of the cell a wall is in it, in units of the cell.
-NEAR = 1e-5
+WALL_DISTANCE = 1e-5
 
 
 def walls_in_sides(
@@ -265,7 +265,7 @@ def encloses_medium(shape: mi.Shape) -> bool:
 
 def _has_walls(shape: mi.Shape, low: Floats, high: Floats) -> bool:
     """Whether a face of the shape is in a side of the cell."""
-    near = NEAR * (high - low)[:2]
+    near = WALL_DISTANCE * (high - low)[:2]
     for triangle in _faces(shape):
         for axis in (0, 1):
             along = triangle[..., axis]

@@ -34,19 +34,20 @@ __all__ = ["Specimen"]
 N_POINTS = 2**12
 
 # Characters of a BSDF's description in the record: nested ones of principled have 1500.
-LONGEST_DESCRIPTION = 4000
+MAX_DESCRIPTION = 4000
 
-# Extents in scene units that rays find their way in. A box from -LARGEST to LARGEST is
-# where the product of four lengths, 2^128, exceeds single precision. As measured, glass
-# 4.2e9 wide has the bits of a small slab; from 8.4e9 rays find no way out.
-SMALLEST = 1e-9
-LARGEST = 2.0**31
+# Extents in scene units that rays find their way in. In a box from -MAX_COORDINATE to
+# MAX_COORDINATE the product of four lengths, 2^128, exceeds single precision. As
+# measured, glass 4.2e9 wide has the bits of a small slab; from 8.4e9 rays find no way
+# out.
+MIN_WIDTH = 1e-9
+MAX_COORDINATE = 2.0**31
 
 # Relative error of reflectances by rays that start so far off a surface, in units of
 # its coordinates over the specimen's detail (as measured on grooves and spheres), and
 # from where it is worth a warning.
-OFF_BY = 2.0**-19
-WORTH_A_WARNING = 1e-4
+OFFSET_ERROR = 2.0**-19
+MAX_OFFSET_ERROR = 1e-4
 
 
 class Specimen:
@@ -192,17 +193,17 @@ class Specimen:
     def _check_extent(self) -> None:
         """Raise SpecimenError for what light cannot meet, or float32 not tell apart."""
         extent = (self.high - self.low)[:2]
-        if extent.min() < SMALLEST or self.reach > LARGEST:
+        if extent.min() < MIN_WIDTH or self.reach > MAX_COORDINATE:
             raise SpecimenError(
-                f"the specimen must be at least {SMALLEST:g} scene units wide in x and "
-                f"y, and within {LARGEST:g} of the origin, got {extent[0]:g} x "
-                f"{extent[1]:g} within {self.reach:g}"
+                f"the specimen must be at least {MIN_WIDTH:g} scene units wide in x "
+                f"and y, and within {MAX_COORDINATE:g} of the origin, got "
+                f"{extent[0]:g} x {extent[1]:g} within {self.reach:g}"
             )
 
     def _warn_of_distance(self) -> None:
         """Warn of what single precision does to geometry far from the origin."""
-        error = (self.reach - self.size) * OFF_BY / self.detail
-        if error > WORTH_A_WARNING:
+        error = (self.reach - self.size) * OFFSET_ERROR / self.detail
+        if error > MAX_OFFSET_ERROR:
             warn(
                 f"the specimen lies up to {self.reach:g} scene units from the origin, "
                 f"where rounding changes results by up to {error:.1g} of their value: "
@@ -262,7 +263,7 @@ def _describe(shape: mi.Shape) -> str:
     # of a mesh, its file or what a height field has to say
     name = re.search(r'\bname = "([^"]*)"', _text(shape)) if shape.is_mesh() else None
     label = f"{shape.class_name()} {name[1]}" if name else shape.class_name()
-    return f"{label} with {abridged(_text(shape.bsdf()), LONGEST_DESCRIPTION)}"
+    return f"{label} with {abridged(_text(shape.bsdf()), MAX_DESCRIPTION)}"
 
 
 def _text(thing: Any) -> str:

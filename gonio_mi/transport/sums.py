@@ -1,4 +1,4 @@
-"""Exact sums over the patches and fates of a bench, that a kernel adds to.
+"""Exact sums over the patches and fates of a setup, that a kernel adds to.
 
 Powers of single precision are added up as whole numbers, so that no order of threads
 changes a sum. A power is a mantissa of 24 bits times a power of two. Those that rays
@@ -18,8 +18,8 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers
 from ..results.tally import WEIGHT_SCALE, Fate, Tally
-from .bench import Bench
 from .exits import Exits
+from .setup import Setup
 
 __all__ = [
     "Digits",
@@ -120,7 +120,7 @@ class Exact:
 
 
 class Sums:
-    """Sums over the bins of a bench that a kernel scatters to.
+    """Sums over the bins of a setup that a kernel scatters to.
 
     A bin holds hits, the excess of their powers over 1, and for each further channel
     the excess over the first: side by side, since Dr.Jit adds such a packet in one go,
@@ -131,50 +131,50 @@ class Sums:
     `deposit` adds, and the rays are in the bins of their fates. Direct light is in the
     bin of its fate as well, with its power.
 
-    Powers beyond the ordinary are added up by themselves, in the levels that the bench
+    Powers beyond the ordinary are added up by themselves, in the levels that the setup
     has room for. What other levels there were is known once the kernel has run.
 
-    Each of the bench's classes of orders has such sums of its own, as if its rays were
+    Each of the setup's classes of orders has such sums of its own, as if its rays were
     further batches.
 
     Parameters
     ----------
-    bench : Bench
+    setup : Setup
     n_batches : int
     """
 
-    def __init__(self, bench: Bench, n_batches: int = 1) -> None:
-        self.bench = bench
+    def __init__(self, setup: Setup, n_batches: int = 1) -> None:
+        self.setup = setup
         # all powers are whole numbers
-        self.counted = bench.settings.estimator.counts
+        self.counted = setup.settings.estimator.counts
         self.one = 1 if self.counted else ONE
         self.capacity = n_batches
-        self.n_batches = n_batches = len(bench.classes) * n_batches
-        self.deposits = bench.settings.estimator.deposits
+        self.n_batches = n_batches = len(setup.classes) * n_batches
+        self.deposits = setup.settings.estimator.deposits
         self.channels = len(mi.Spectrum())
         self.width = packet_width()
-        self.levels = bench.levels
-        self.bins = dr.zeros(mi.Int64, n_batches * bench.n_bins * self.width)
-        n_rare = self.channels * n_batches * bench.n_bins
+        self.levels = setup.levels
+        self.bins = dr.zeros(mi.Int64, n_batches * setup.n_bins * self.width)
+        n_rare = self.channels * n_batches * setup.n_bins
         # first how often there was no room, for each level
         self.rare = dr.zeros(mi.Int64, LEVELS + len(self.levels) * n_rare)
-        n_incident = 0 if bench.beam.uniform else self.channels * n_batches
+        n_incident = 0 if setup.beam.uniform else self.channels * n_batches
         self.incident = dr.zeros(mi.Int64, LEVELS * n_incident)
 
     def add(
         self, bins: mi.UInt32, exits: Exits, active: mi.Bool, batch: mi.UInt32
     ) -> None:
         """Scatter one ray per lane, each for its `batch`."""
-        batch = batch + self.capacity * self.bench.classes.number(exits.depth)
+        batch = batch + self.capacity * self.setup.classes.number(exits.depth)
         direct = exits.fate == mi.UInt32(Fate.DIRECT)
         if self.deposits:
-            bins = self.bench.fate_bins(bins, direct)
+            bins = self.setup.fate_bins(bins, direct)
         self.deposit(bins, exits.throughput, active, batch)
-        if self.bench.specimen.periodic and not self.deposits:
-            twice = active & direct & (bins < self.bench.n_collected)
-            bins = mi.UInt32(self.bench.n_collected + Fate.DIRECT)
+        if self.setup.specimen.periodic and not self.deposits:
+            twice = active & direct & (bins < self.setup.n_collected)
+            bins = mi.UInt32(self.setup.n_collected + Fate.DIRECT)
             self.deposit(bins, exits.throughput, twice, batch)
-        if not self.bench.beam.uniform:
+        if not self.setup.beam.uniform:
             for channel, power in enumerate(exits.incident):
                 digits = Digits(power)
                 place = digits.level() * self.channels + channel
@@ -187,8 +187,8 @@ class Sums:
         self, bins: mi.UInt32, power: mi.Spectrum, active: mi.Bool, batch: mi.UInt32
     ) -> None:
         """Scatter a power per lane to a patch or to DIRECT, or one lane to its fate."""
-        collected = bins < self.bench.n_collected
-        collected |= bins == self.bench.n_collected + Fate.DIRECT
+        collected = bins < self.setup.n_collected
+        collected |= bins == self.setup.n_collected + Fate.DIRECT
         if self.counted:
             # by 32-bit integers, to which vector units convert much faster
             numbers = [mi.Int64(mi.Int32(dr.round(p))) for p in power]
@@ -200,7 +200,7 @@ class Sums:
         excesses = [numbers[0] - self.one, *(n - numbers[0] for n in numbers[1:])]
         packet = [1, *(dr.select(collected, e, 0) for e in excesses)]
         packet += [0] * (self.width - len(packet))
-        bins = bins + batch * self.bench.n_bins
+        bins = bins + batch * self.setup.n_bins
         _scatter_add(self.bins, mi.ArrayXi64(packet), bins, active)
 
     def _add_rare(
@@ -217,7 +217,7 @@ class Sums:
             step = mi.UInt32(index - self.levels.start)
             room = step < len(self.levels)
             place = (step * self.channels + channel) * self.n_batches + batch
-            place = place * self.bench.n_bins + bins
+            place = place * self.setup.n_bins + bins
             index = dr.select(room, LEVELS + place, index)
             number = dr.select(room, digits.number_in_level(), number)
         _scatter_add(self.rare, number, index, active)
@@ -238,8 +238,8 @@ class Sums:
 
     def totals(self, n_batches: int) -> Totals:
         """Return the :class:`Totals` of the first `n_batches`, once the kernel ran."""
-        by_class = len(self.bench.classes), self.capacity
-        shape: tuple[int, ...] = (*by_class, self.bench.n_bins, self.width)
+        by_class = len(self.setup.classes), self.capacity
+        shape: tuple[int, ...] = (*by_class, self.setup.n_bins, self.width)
         bins = self.bins.numpy().reshape(shape)[:, :n_batches, :, : 1 + self.channels]
         rays = bins[..., 0].astype(np.int64)
         flux = bins[..., 1:].copy()
@@ -252,7 +252,7 @@ class Sums:
         for level, sums in zip(self.levels, rare):
             numbers[unit_of(level)] = sums[:, :n_batches]
         incident = None
-        if not self.bench.beam.uniform:
+        if not self.setup.beam.uniform:
             shape = LEVELS, self.channels, *by_class
             levels = np.moveaxis(self.incident.numpy().reshape(shape), 1, -1)
             incident = Exact(
@@ -296,42 +296,42 @@ class Totals:
     @property
     def emitted(self) -> int:
         """Rays that were counted: each once, whatever became of it."""
-        bench = self._sums.bench
-        fates = self._rays[..., bench.n_collected :]
+        setup = self._sums.setup
+        fates = self._rays[..., setup.n_collected :]
         if self._sums.deposits:
             return int(fates.sum())
-        twice = fates[..., Fate.DIRECT].sum() if bench.shape[0] == 2 else 0
+        twice = fates[..., Fate.DIRECT].sum() if setup.shape[0] == 2 else 0
         return int(self._rays.sum() - twice)
 
     def tally(self) -> Tally:
         """Return the :class:`Tally` of all batches; of several orders side by side."""
-        bench = self._sums.bench
-        if not bench.orders:
+        setup = self._sums.setup
+        if not setup.orders:
             return self._tally(self._rays[0], self._flux.total(np.array([True])))
         return Tally.of_orders(
             [
                 self._tally(
-                    bench.classes.rays(order, self._rays, bench.shape),
-                    self._flux.total(bench.classes.within(order)),
+                    setup.classes.rays(order, self._rays, setup.shape),
+                    self._flux.total(setup.classes.within(order)),
                 )
-                for order in bench.orders
+                for order in setup.orders
             ]
         )
 
     def _tally(self, rays: Integers, flux: Exact) -> Tally:
         """Tally of the rays that are kept, and of their flux."""
-        sums, bench = self._sums, self._sums.bench
+        sums, setup = self._sums, self._sums.setup
         kind = np.uint64 if sums.counted else float
         scale = 1 if sums.counted else WEIGHT_SCALE
         n_batches = len(rays)
         power = (scale * flux.powers()).astype(kind)
-        direct = power[:, bench.n_collected + Fate.DIRECT]
-        power = power[:, : bench.n_collected].reshape(n_batches, *bench.shape, -1)
-        hits, fates = np.split(rays.astype(np.uint64), [bench.n_collected], 1)
-        hits = hits.reshape(n_batches, *bench.shape)
+        direct = power[:, setup.n_collected + Fate.DIRECT]
+        power = power[:, : setup.n_collected].reshape(n_batches, *setup.shape, -1)
+        hits, fates = np.split(rays.astype(np.uint64), [setup.n_collected], 1)
+        hits = hits.reshape(n_batches, *setup.shape)
         if not sums.deposits:
             fates[:, Fate.REFLECTED] = hits[:, 0].sum(axis=(1, 2))
-        if bench.shape[0] == 2 and not sums.deposits:
+        if setup.shape[0] == 2 and not sums.deposits:
             scattered = hits[:, 1].sum(axis=(1, 2)) - fates[:, Fate.DIRECT]
             fates[:, Fate.TRANSMITTED] = scattered
         if self._incident is None:

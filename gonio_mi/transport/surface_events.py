@@ -13,7 +13,7 @@ from ..results.tally import Fate
 from ..single_precision import FEW_ROUNDINGS
 
 __all__ = [
-    "LARGEST_POWER",
+    "MAX_POWER",
     "RARE",
     "after_event",
     "emitted",
@@ -27,14 +27,14 @@ __all__ = [
 ]
 
 # Weights and powers above these are no measurement of anything.
-LARGEST_WEIGHT = 2.0**15
-LARGEST_POWER = 2.0**30
+MAX_WEIGHT = 2.0**15
+MAX_POWER = 2.0**30
 
 # Two random numbers decide about chances below it, a multiple of their step.
 RARE = 2.0**-12
 
 # What single precision holds in full; below, only some threads of Dr.Jit keep anything.
-SMALLEST_POWER = 2.0**-126
+MIN_POWER = 2.0**-126
 
 
 def flux_context() -> mi.BSDFContext:
@@ -92,12 +92,12 @@ def after_event(
     norm2 = dr.squared_norm(wo)
     zero = largest == 0
     # comparisons with NaN are false
-    valid = (smallest >= 0) & (largest <= LARGEST_WEIGHT)
+    valid = (smallest >= 0) & (largest <= MAX_WEIGHT)
     valid &= zero | (dr.abs(norm2 - 1) < 1e-3)
     product = throughput * dr.select(valid, bsdf_weight, 0.0)
-    valid &= dr.max(product) <= LARGEST_POWER
+    valid &= dr.max(product) <= MAX_POWER
     throughput = product if numbers is None else whole_number(product, *numbers)
-    left = dr.any(throughput >= SMALLEST_POWER)
+    left = dr.any(throughput >= MIN_POWER)
     fate = dr.select(left, mi.UInt32(Fate.REFLECTED), mi.UInt32(Fate.ABSORBED))
     fate = dr.select(zero & ~(bs.pdf > 0), mi.UInt32(Fate.REJECTED), fate)
     return throughput, dr.select(valid, fate, mi.UInt32(Fate.INVALID))

@@ -57,13 +57,13 @@ def gonio_paths(
     scene = mi.load_dict({"type": "scene", "surface": surface(resolution)})
     given = {"max_depth": MAX_DEPTH, "batches": batches, "period": period}
     settings = MeasurementSettings().changed(sampler={"type": sampler}, **given)
-    (bench,) = set_up(scene, settings, [(THETA_I, 0.0)])
+    (setup,) = set_up(scene, settings, [(THETA_I, 0.0)])
 
     def _send(rays: int, seed: int) -> float:
         # anew, for it learns how many rays a launch takes
-        launcher, bench.key = Launcher(bench), (seed, 0)
-        tallies = launcher.tallies(bench, Round(tuple(batch_sizes(rays, batches))))
-        record = record_of(bench, Tally.join(list(tallies)))
+        launcher, setup.key = Launcher(setup), (seed, 0)
+        tallies = launcher.tallies(setup, Round(tuple(batch_sizes(rays, batches))))
+        record = record_of(setup, Tally.join(list(tallies)))
         if batches > 1:
             record.interval(0.95)
         return record.tallies[0].ledger.reflected / rays

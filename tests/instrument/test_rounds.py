@@ -29,7 +29,7 @@ def short_rounds(monkeypatch):
         monkeypatch.setattr(launcher, name, 2**10)
     for name in ("FUSED_RAYS", "FIRST_TRACED", "FIRST_PLANE"):
         monkeypatch.setattr(launcher, name, 2**11)
-    monkeypatch.setattr(launcher, "SECONDS", 1e-9)
+    monkeypatch.setattr(launcher, "LAUNCH_SECONDS", 1e-9)
 
 
 @pytest.fixture
@@ -142,7 +142,7 @@ def test_bits_hold_where_sums_are_rounded(ctrl_c, monkeypatch):
     metal = {"type": "roughconductor", "alpha": 0.3}
     settings = {"theta_i": 60, "collector": "projected:1x1", "batches": 16}
     settings["rays"] = 16 * (2**20 + 2**18)
-    monkeypatch.setattr(launcher, "SECONDS", 1.0)
+    monkeypatch.setattr(launcher, "LAUNCH_SECONDS", 1.0)
     monkeypatch.setattr(launcher, "ROUND_PLANE", 2**16)
     whole = gonio.measure(metal, **settings)
     ctrl_c(10)

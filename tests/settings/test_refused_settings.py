@@ -15,7 +15,7 @@ from specimens import diffuse_groove_dhr
 from gonio_mi.cli import main
 from gonio_mi.exports import export
 from gonio_mi.instrument import loading, specimen_text
-from gonio_mi.instrument.incidence import USUAL, incident_angles
+from gonio_mi.instrument.incidence import USUAL_ANGLES, incident_angles
 
 PLATE = {"type": "diffuse", "reflectance": 0.5}
 
@@ -125,7 +125,7 @@ def test_hair_in_colour(variant):
     [
         ({"type": "heightfield", "heights": np.zeros((4, 4))}, 0, False),
         ({"type": "rectangle", "bsdf": {"type": "diffuse"}}, 0, False),
-        ({"type": "heightfield", "resolution": 32}, 1 + loading.TRIALS, False),
+        ({"type": "heightfield", "resolution": 32}, 1 + loading.MAX_TRIALS, False),
         ({"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.05}}, 2, True),
     ],
 )
@@ -360,7 +360,7 @@ def test_small_angles_in_degrees_are_not_taken_for_radians():
             warnings.simplefilter("always")
             incident_angles(round(float(one), 3), 0)
         warned += len(caught)
-    assert warned == len(USUAL) - 1  # 55 degrees are 0.96
+    assert warned == len(USUAL_ANGLES) - 1  # 55 degrees are 0.96
 
 
 # ---------------------------------------------------------------- words for specimens

@@ -9,7 +9,7 @@ from scipy.stats import poisson
 from specimens import diffuse_groove_dhr, diffuse_groove_order, grooves
 
 import gonio_mi as gonio
-from gonio_mi.instrument.launcher import Pace
+from gonio_mi.instrument.launcher import LaunchSize
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.tally import WEIGHT_SCALE
 from gonio_mi.transport.sums import LEVELS, ONE, Digits, Exact, unit_of
@@ -305,6 +305,6 @@ def test_launches_do_not_matter(mono, monkeypatch):  # noqa: ARG001
     whole = record()
     for size in (7001, 20_011):
         monkeypatch.setattr(
-            Pace, "next_part", lambda *ab, n=size: min(n, ab[2] - ab[1])
+            LaunchSize, "next_part", lambda *ab, n=size: min(n, ab[2] - ab[1])
         )
         assert record().tallies == whole.tallies

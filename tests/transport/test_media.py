@@ -22,7 +22,7 @@ from budget import (
 from slabs import NULL, medium, rectangle, stack
 
 from gonio_mi.instrument import recording
-from gonio_mi.instrument.launcher import Pace
+from gonio_mi.instrument.launcher import LaunchSize
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 from gonio_mi.transport import sampling
@@ -165,11 +165,11 @@ def test_bits_however_launches_are_cut(estimator, monkeypatch):
 
     def record(longest, relayed):
         monkeypatch.setattr(
-            Pace,
+            LaunchSize,
             "next_part",
             lambda _, begin, end, most: min(longest, most, end - begin),
         )
-        monkeypatch.setattr(sampling, "MOST_RELAYED", relayed)
+        monkeypatch.setattr(sampling, "MAX_RELAY_TURNS", relayed)
         settings = {"period": "box", "rays": 6000, "batches": 2}
         return measured(stack(one), sampler="sobol", estimator=estimator, **settings)
 

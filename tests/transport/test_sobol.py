@@ -30,7 +30,7 @@ from scipy.stats import qmc
 
 import gonio_mi as gonio
 from gonio_mi.instrument import launcher
-from gonio_mi.instrument.launcher import Pace, segments
+from gonio_mi.instrument.launcher import LaunchSize, segments
 from gonio_mi.transport import sampling
 from gonio_mi.transport.morton import block_bits
 
@@ -477,7 +477,7 @@ def test_launches_of_a_batch_are_one_sequence(monkeypatch):
     whole = gonio.measure(PLASTIC, **settings)
     random = gonio.measure(PLASTIC, **settings, sampler="independent")
     assert whole.settings["sampler"] == "sobol"
-    monkeypatch.setattr(launcher, "LAUNCH", 1000)
+    monkeypatch.setattr(launcher, "MAX_LAUNCH", 1000)
     assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
     other = gonio.measure(PLASTIC, **settings, sampler="independent")
     assert other.tallies != random.tallies
@@ -534,7 +534,9 @@ def test_the_clock_decides_about_no_bit(monkeypatch):
         assert n_parts >= n_whole + 2
         assert parts == whole
     monkeypatch.setattr(launcher, "CHUNK", 1)
-    monkeypatch.setattr(Pace, "next_part", lambda _, at, *ab: min(9999, ab[0] - at))
+    monkeypatch.setattr(
+        LaunchSize, "next_part", lambda _, at, *ab: min(9999, ab[0] - at)
+    )
     assert hits(9999)[1] != whole
 
 
@@ -556,7 +558,7 @@ def test_launches_as_short_as_can_be_have_the_bits_of_long_ones(monkeypatch, tra
     monkeypatch.setattr(launcher, "FUSED_RAYS", 2048)
     monkeypatch.setattr(launcher, "FIRST_TRACED", 2000)
     monkeypatch.setattr(launcher, "FIRST_PLANE", 2000)
-    monkeypatch.setattr(launcher, "SECONDS", 1e-9)
+    monkeypatch.setattr(launcher, "LAUNCH_SECONDS", 1e-9)
     sent.clear()
     assert gonio.measure(PLASTIC, **settings).tallies == whole.tallies
     assert sum(sent) == 20_003
@@ -570,7 +572,7 @@ def test_ctrl_c_is_heard_after_a_second(monkeypatch, rate):
     clock = [0.0]
 
     monkeypatch.setattr(launcher.time, "perf_counter", lambda: clock[0])
-    ours, begin, end = Pace(2**18), 2**32 - 10**6, 2**32 + int(20 * rate)
+    ours, begin, end = LaunchSize(2**18), 2**32 - 10**6, 2**32 + int(20 * rate)
     parts, ends = [], []
     while begin < end:
         parts.append(ours.next_part(begin, end, 2**40))

@@ -58,10 +58,10 @@ class Goniophotometer(mi.SamplingIntegrator):
         own = self.settings.of_plugin(INTEGRATOR) | own_settings(scene, sensor)
         here = {"seed": int(mi.UInt32(seed)[0]), "rays": spp or self.settings.rays}
         settings = MeasurementSettings().changed(**own | here)
-        benches = set_up(scene, settings)
+        setups = set_up(scene, settings)
         finished: list[list[Tally]] = [[]]
-        complete = send_all(benches, finished)
-        (stack,) = records_of(benches, finished, complete)
+        complete = send_all(setups, finished)
+        (stack,) = records_of(setups, finished, complete)
         sensor.film().record = stack[0]
         if not complete:
             raise KeyboardInterrupt

@@ -1,4 +1,4 @@
-"""One specimen, one beam and one collector: where exits are to be counted."""
+"""The setup of a measurement: one specimen, one beam and one collector."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from .layers import layers_of
 from .specimen import Specimen
 from .wavelengths import passes
 
-__all__ = ["Bench"]
+__all__ = ["Setup"]
 
 # Levels of rare powers for those from 2**-47 on, which one sample of a glossy BSDF
 # in a million carries: a launch that met them without room would be repeated. In large
 # collectors the room is made when it is needed.
 USUAL_LEVELS = range(10, 15)
-FEW_BINS = 2**16
+MAX_ROOMY_BINS = 2**16
 
 
 def incident_key(incident: tuple[float, float] | None) -> tuple[int, ...]:
@@ -41,7 +41,7 @@ def incident_key(incident: tuple[float, float] | None) -> tuple[int, ...]:
     return tuple((np.array(incident, dtype=float) + 0.0).view(np.uint64).tolist())
 
 
-class Bench:
+class Setup:
     """One specimen, one beam and one collector, ready to be launched at.
 
     Parameters
@@ -96,7 +96,7 @@ class Bench:
         self.orders: tuple[Order, ...] = ()
         self.classes = OrderClasses()
         # of powers beyond the ordinary that sums have room for: what was met so far
-        self.levels = USUAL_LEVELS if self.n_bins <= FEW_BINS else range(0)
+        self.levels = USUAL_LEVELS if self.n_bins <= MAX_ROOMY_BINS else range(0)
 
     @property
     def passes(self) -> list[Any]:
