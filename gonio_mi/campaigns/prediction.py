@@ -15,7 +15,7 @@ from ..collector.directions import direction
 from ..formats.scatter import PatchMeans
 from ..interpolation.interpolated_bsdf import InterpolatedBSDF
 from ..interpolation.lobes import MeasuredLobes
-from ..interpolation.polar_cross_validation import best_ways
+from ..interpolation.polar_cross_validation import half_vector_legs
 from ..results.record import Record
 
 __all__ = ["SPARED", "Prediction", "points_for"]
@@ -63,7 +63,7 @@ class Prediction:
         self, record: Record | PatchMeans, n_points: int, spared: float = 0
     ) -> None:
         self.lobes = MeasuredLobes(record)
-        self.ways = best_ways(self.lobes)
+        self.half_vectors = half_vector_legs(self.lobes)
         self.subdivision = record.subdivision
         self.n_hemispheres = record.flux_fraction.shape[-4]
         self.n_points, self.spared = n_points, spared
@@ -113,8 +113,14 @@ class Prediction:
     def _between(
         self, azimuths: Sequence[int], angles: Sequence[int]
     ) -> InterpolatedBSDF:
-        ways = [replace(way, legs=(True,)) for way in self.ways if way.legs[angles[0]]]
-        return InterpolatedBSDF(self.lobes.table(azimuths, angles), ways=ways)
+        half_vectors = [
+            replace(one, legs=(True,))
+            for one in self.half_vectors
+            if one.legs[angles[0]]
+        ]
+        return InterpolatedBSDF(
+            self.lobes.table(azimuths, angles), half_vectors=half_vectors
+        )
 
     def _means(
         self, face: InterpolatedBSDF, wi: mi.Vector3f, wo: mi.Vector3f, n: int

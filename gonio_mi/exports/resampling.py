@@ -21,7 +21,7 @@ from ..formats.scatter import PatchMeans
 from ..interpolation.interpolated_bsdf import InterpolatedBSDF
 from ..interpolation.lobes import MeasuredLobes
 from ..interpolation.lookups import seen_from
-from ..interpolation.polar_cross_validation import best_ways
+from ..interpolation.polar_cross_validation import half_vector_legs
 from ..progress import counted
 from ..results.record import Record
 from .loss import fractions_of
@@ -91,7 +91,7 @@ class Material:
         self.table = table = lobes.whole()
         self.peaks = table.grid.filled(peaks) * apart
         self.theta_i, self.phi_i = table.grid.theta_i, table.grid.phi_i
-        self._face = InterpolatedBSDF(table, ways=best_ways(lobes))
+        self._face = InterpolatedBSDF(table, half_vectors=half_vector_legs(lobes))
 
     def values(self, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> Floats:
         """BRDF or BTDF in 1/sr, shape ``(n, channels)``, without the `peaks`.

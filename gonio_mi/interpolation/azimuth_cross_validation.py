@@ -8,19 +8,19 @@ import numpy as np
 
 from ..array_types import Floats, Integers
 from ..collector import RingsAndSectors
-from .half_vectors import predicted
+from .half_vectors import predicted_lobes
 
-__all__ = ["AzimuthCrossValidation", "distances", "tried_indices"]
+__all__ = ["AzimuthCrossValidation", "azimuth_gaps", "tried_indices"]
 
 # Records that are predicted from their neighbours; azimuths below which none is.
-TRIALS, FEW = 4, 4
+MAX_TRIALS, MIN_AZIMUTHS = 4, 4
 
 # Refractive indices that are tried, relative to what Snell's law makes of the mean of
 # the transmitted light; so near to 1 there is no telling by what light was bent.
-INDICES, BENT = (0.9, 1.0, 1.1), 0.05
+INDEX_FACTORS, MIN_BENDING = (0.9, 1.0, 1.1), 0.05
 
 
-def distances(phi_i: Floats) -> tuple[float, float]:
+def azimuth_gaps(phi_i: Floats) -> tuple[float, float]:
     """How far the second of three azimuths is past the first and before the third."""
     return float((phi_i[1] - phi_i[0]) % 360), float((phi_i[2] - phi_i[1]) % 360)
 
@@ -46,8 +46,8 @@ def tried_indices(
         sines += float(np.sin(theta) * lobe.sum())
     if not (means > 0 and sines > 0):  # light that goes back, or is of the normal alone
         return []
-    tried = [sines / means * factor for factor in INDICES]
-    return [eta for eta in tried if abs(eta - 1) > BENT]
+    tried = [sines / means * factor for factor in INDEX_FACTORS]
+    return [eta for eta in tried if abs(eta - 1) > MIN_BENDING]
 
 
 @dataclass(frozen=True)
@@ -79,10 +79,10 @@ class AzimuthCrossValidation:
         trials = []
         for angle, theta in enumerate(theta_i.tolist()):
             known = np.flatnonzero(index[:, angle] >= 0)
-            if len(known) >= FEW:
+            if len(known) >= MIN_AZIMUTHS:
                 ways = zip(np.roll(known, 1), known, np.roll(known, -1))
                 trials += [(angle, theta, list(one)) for one in ways]
-        chosen = np.unique(np.linspace(0, len(trials) - 1, TRIALS, dtype=int))
+        chosen = np.unique(np.linspace(0, len(trials) - 1, MAX_TRIALS, dtype=int))
         self.trials = [
             _Trial(theta, phi_i[of], index[of, angle].tolist())
             for angle, theta, of in (trials[n] for n in (chosen if trials else []))
@@ -121,9 +121,13 @@ class AzimuthCrossValidation:
         """Light that both ways have in wrong places."""
         low, known, high = flux[trial.numbers].mean(axis=-1, keepdims=True)
         theta_i, (first, own, other) = trial.theta_i, trial.phi_i.tolist()
-        past, left = distances(trial.phi_i)
-        of_low = np.stack(predicted(low, self.patches, theta_i, (first, own), eta))
-        of_high = np.stack(predicted(high, self.patches, theta_i, (other, own), eta))
+        past, left = azimuth_gaps(trial.phi_i)
+        of_low = np.stack(
+            predicted_lobes(low, self.patches, theta_i, (first, own), eta)
+        )
+        of_high = np.stack(
+            predicted_lobes(high, self.patches, theta_i, (other, own), eta)
+        )
         mixed = (left * of_low + past * of_high) / (past + left)
         errors: Floats = np.abs(mixed - known).sum(axis=(1, 2, 3))
         return errors

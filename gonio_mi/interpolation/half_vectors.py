@@ -20,12 +20,12 @@ from ..collector import RingsAndSectors
 from ..collector.directions import direction
 from .gradients import gradients
 
-__all__ = ["goes", "predicted", "reflected", "refracted", "sent"]
+__all__ = ["is_redirected", "predicted_lobes", "redirected", "reflected", "refracted"]
 
 Floats = NDArray[np.float64]
 
 # Light is not moved so near to the horizon that it is seen as more times brighter.
-BRIGHTEST = 4
+MAX_BRIGHTENING = 4
 
 # Points per side of a patch whose light is moved.
 N_POINTS = 4
@@ -96,21 +96,21 @@ def refracted(
     return [to[0], to[1], -to[2]], rate / xp.maximum(goes_on, 2.0**-20), valid
 
 
-def sent(
+def redirected(
     wo: Any, before: Any, after: Any, eta: Any, xp: Any
 ) -> tuple[list[Any], Any, Any]:
-    """What :func:`refracted` says, or without `eta` :func:`reflected`: always valid."""
+    """:func:`refracted`, or without `eta` :func:`reflected`, which is always valid."""
     if eta is None:
         return *reflected(wo, before, after), wo[2] > 0
     return refracted(wo, before, after, eta, xp)
 
 
-def goes(z: Any, to: Any) -> Any:
-    """Whether light goes to the height `to` from the height `z` of where it was."""
-    return (z > 0) & (to > 0) & (z <= BRIGHTEST * to)
+def is_redirected(z: Any, to: Any) -> Any:
+    """Whether light moves from the height `z` to the height `to` of a direction."""
+    return (z > 0) & (to > 0) & (z <= MAX_BRIGHTENING * to)
 
 
-def predicted(
+def predicted_lobes(
     flux: Floats,
     patches: RingsAndSectors,
     theta_i: float,
@@ -148,11 +148,11 @@ def predicted(
     ]
     lobe = _Lobe(flux, patches)
     unmoved = lobe.at(own)
-    source, scale, valid = sent(wo, after, before, eta, np)
-    comes = valid & goes(source[2], z)
+    source, scale, valid = redirected(wo, after, before, eta, np)
+    comes = valid & is_redirected(source[2], z)
     stretch = np.where(comes, source[2] * scale / z, 0)[..., None]
-    to, _, valid = sent(own, before, after, eta, np)
-    stays = ~(valid & goes(z, to[2]))[..., None]
+    to, _, valid = redirected(own, before, after, eta, np)
+    stays = ~(valid & is_redirected(z, to[2]))[..., None]
     source[2] = np.where(comes, source[2], 1)
     moved = stretch * lobe.at(source) + stays * unmoved
     return lobe.means(unmoved), lobe.means(moved)

@@ -13,21 +13,21 @@ from ..errors import SettingError
 from ..formats.scatter import PatchMeans
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, symmetry_of
 from ..results.record import Record
-from .azimuth_cross_validation import AzimuthCrossValidation, distances
-from .half_vectors import predicted
+from .azimuth_cross_validation import AzimuthCrossValidation, azimuth_gaps
+from .half_vectors import predicted_lobes
 
 __all__ = ["IncidentGrid"]
 
 Floats = NDArray[np.float64]
 
 # Gaps between azimuths of incidence that may be bridged, in degrees.
-WIDEST_GAP = 120
+MAX_GAP = 120
 
 # Angles of incidence that differ by less are the same, in degrees.
-SAME_ANGLE = 1e-3
+ANGLE_TOLERANCE = 1e-3
 
 # Of azimuths in degrees that are compared after means over many were taken.
-DIGITS = 6
+AZIMUTH_DIGITS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +77,8 @@ class IncidentGrid:
             raise SettingError("the record must know its incident directions, got NaN")
         theta_i, of_theta = _levels(record.theta_i)
         # along the normal there is no azimuth: what was measured there is for all
-        normal = (of_theta == 0) & (theta_i[0] < SAME_ANGLE)
-        turned = np.mod(record.phi_i + SAME_ANGLE / 2, 360) - SAME_ANGLE / 2
+        normal = (of_theta == 0) & (theta_i[0] < ANGLE_TOLERANCE)
+        turned = np.mod(record.phi_i + ANGLE_TOLERANCE / 2, 360) - ANGLE_TOLERANCE / 2
         phi_i, of_phi = _levels(turned if normal.all() else turned[~normal])
         grid = np.full((len(phi_i), len(theta_i)), -1)
         index = np.flatnonzero(~normal)
@@ -95,10 +95,10 @@ class IncidentGrid:
             )
         gaps = [_widest(phi_i[of_angle >= 0]) for of_angle in tilted.T]
         widest = max(gaps, default=0)
-        if len(phi_i) > 1 and widest > WIDEST_GAP:
+        if len(phi_i) > 1 and widest > MAX_GAP:
             raise SettingError(
                 "the azimuths of incidence of an anisotropic record must go all "
-                f"around, with gaps of at most {WIDEST_GAP} degrees, got one of "
+                f"around, with gaps of at most {MAX_GAP} degrees, got one of "
                 f"{widest:g}"
             )
         first = np.flatnonzero(normal)[:1]
@@ -149,14 +149,14 @@ class IncidentGrid:
         images: dict[float, tuple[int, Motion]] = {}
         for row, azimuth in enumerate(azimuths):
             phi_i = float(self.phi_i[azimuth])
-            source, motion = images.get(round(phi_i, DIGITS), (None, None))
+            source, motion = images.get(round(phi_i, AZIMUTH_DIGITS), (None, None))
             if motion is not None and self.index[azimuth, angle] < 0:
                 lobes[row] = motion.moved(lobes[source], 2)
                 continue
             lobes[row] = self._filled(values, azimuth, angle)
             if self.index[azimuth, angle] < 0:
                 found = [(one.azimuth(phi_i), (row, one)) for one in motions]
-                images |= {round(phi, DIGITS): where for phi, where in found}
+                images |= {round(phi, AZIMUTH_DIGITS): where for phi, where in found}
 
     def _filled(self, values: Floats, azimuth: int, angle: int) -> Floats:
         """Values at one direction; where it was not measured, of what is around it.
@@ -171,7 +171,7 @@ class IncidentGrid:
         known = np.flatnonzero(column >= 0)
         last = np.searchsorted(known, azimuth) - 1
         ends = int(known[last]), int(known[(last + 1) % len(known)])
-        past, left = distances(self.phi_i[[ends[0], azimuth, ends[1]]])
+        past, left = azimuth_gaps(self.phi_i[[ends[0], azimuth, ends[1]]])
         low, high = values[column[list(ends)]]
         if values.ndim == 5:
             low = self._sent(low, angle, ends[0], azimuth)
@@ -212,7 +212,9 @@ class IncidentGrid:
         for number, lobe in enumerate(lobes):
             if self.moves(number) and isinstance(patches, RingsAndSectors):
                 eta = self.eta if number else None
-                moved[number] = predicted(lobe, patches, theta_i[angle], phi_i, eta)[1]
+                moved[number] = predicted_lobes(
+                    lobe, patches, theta_i[angle], phi_i, eta
+                )[1]
         return moved
 
     def moves(self, hemisphere: int) -> bool:
@@ -228,10 +230,14 @@ def _is_filled(grid: NDArray[np.int64], phi_i: Floats, patches: Subdivision) -> 
     if (grid >= 0).all():
         return True
     edges = np.degrees(getattr(patches, "phi_edges", np.zeros(1)))
-    if not np.allclose(np.diff(edges), 360 / max(len(edges) - 1, 1), atol=SAME_ANGLE):
+    if not np.allclose(
+        np.diff(edges), 360 / max(len(edges) - 1, 1), atol=ANGLE_TOLERANCE
+    ):
         return False
     sectors = (phi_i - phi_i[0]) * (len(edges) - 1) / 360
-    whole = np.abs(sectors - np.round(sectors)) * 360 < SAME_ANGLE * (len(edges) - 1)
+    whole = np.abs(sectors - np.round(sectors)) * 360 < ANGLE_TOLERANCE * (
+        len(edges) - 1
+    )
     return bool(whole.all() and (grid >= 0).any(axis=0).all())
 
 
@@ -248,7 +254,7 @@ def _levels(
     They come from directions in single precision.
     """
     order = np.argsort(angles, kind="stable")
-    steps = np.diff(angles[order], prepend=angles[order[0]]) > SAME_ANGLE
+    steps = np.diff(angles[order], prepend=angles[order[0]]) > ANGLE_TOLERANCE
     number = np.empty(len(angles), dtype=int)
     number[order] = np.cumsum(steps)
     levels = [angles[number == n].mean() for n in range(number.max() + 1)]

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..array_types import Floats
-from .interpolated_lobes import InterpolatedLobes, Way
+from .interpolated_lobes import HalfVectorLegs, InterpolatedLobes
 from .lobes import LobeTable
 from .lookups import IncidentPlaces, Place, doubles, read, seen_from, towards
 
@@ -27,20 +27,20 @@ class InterpolatedBSDF:
     table : LobeTable
     wavelengths : sequence of float, optional
         Of the table's channels in nm, for spectral variants.
-    ways : sequence of Way, optional
-        Of :class:`.InterpolatedLobes`, as :func:`.best_ways` chooses them.
+    half_vectors : sequence of HalfVectorLegs, optional
+        Of :class:`.InterpolatedLobes`, as :func:`.half_vector_legs` chooses them.
     """
 
     def __init__(
         self,
         table: LobeTable,
         wavelengths: Floats | None = None,
-        ways: Sequence[Way] = (),
+        half_vectors: Sequence[HalfVectorLegs] = (),
     ) -> None:
         self.wavelengths = wavelengths
         self.n_azimuths, _, self.n_hemispheres = table.brdf.shape[:3]
         self.incident = IncidentPlaces(table.grid)
-        self.lobes = InterpolatedLobes(table, self.incident, ways)
+        self.lobes = InterpolatedLobes(table, self.incident, half_vectors)
         self.flux = doubles(table.flux.mean(axis=-1))
         self.transmits = bool(table.flux[:, :, 1:].any())
 
@@ -118,7 +118,7 @@ class InterpolatedBSDF:
     def _hemispheres(self, enabled: tuple[bool, bool]) -> list[int]:
         return [n for n in range(self.n_hemispheres) if enabled[n]]
 
-    # ------------------------------------------------------------------ ways and points
+    # -------------------------------------------------------------- transported points
 
     def carried(
         self, wi: mi.Vector3f, point: mi.Point2f, hemisphere: int

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .half_vectors import goes, sent
+from .half_vectors import is_redirected, redirected
 from .lobes import LobeTable
 from .lookups import (
     DiskPoint,
@@ -32,7 +32,7 @@ __all__ = [
     "LobeArrays",
     "HalfVectorTransport",
     "InterpolatedLobes",
-    "Way",
+    "HalfVectorLegs",
 ]
 
 
@@ -132,7 +132,7 @@ class QuantileTransport:
 
 
 @dataclass(frozen=True)
-class Way:
+class HalfVectorLegs:
     """Where the light of a hemisphere keeps its micro-normals.
 
     Attributes
@@ -154,26 +154,29 @@ class HalfVectorTransport:
 
     Parameters
     ----------
-    ways : sequence of Way
+    half_vectors : sequence of HalfVectorLegs
     with_azimuth : sequence of int
         Hemispheres where the record's azimuth counts; else lobes turn with incidence.
     """
 
-    def __init__(self, ways: Sequence[Way], with_azimuth: Sequence[int]) -> None:
-        self.ways, self.with_azimuth = ways, with_azimuth
+    def __init__(
+        self, half_vectors: Sequence[HalfVectorLegs], with_azimuth: Sequence[int]
+    ) -> None:
+        self.half_vectors, self.with_azimuth = half_vectors, with_azimuth
         # an index that is no constant of the kernel: another one compiles nothing
         self.etas = [
-            (way.hemisphere, way.eta and dr.opaque(mi.Float64, way.eta)) for way in ways
+            (one.hemisphere, one.eta and dr.opaque(mi.Float64, one.eta))
+            for one in half_vectors
         ]
-        self.legs = [mi.Bool(list(way.legs)) for way in ways]
+        self.legs = [mi.Bool(list(one.legs)) for one in half_vectors]
 
     def move(self, place: Place, hemisphere: mi.UInt32) -> mi.Bool:
         """Whether the light of a hemisphere moves so."""
         moves = mi.Bool(False)
-        for way, legs in zip(self.ways, self.legs):
-            this = hemisphere == way.hemisphere
-            if not all(way.legs):
-                leg = place.leg - place.azimuth * len(way.legs)
+        for one, legs in zip(self.half_vectors, self.legs):
+            this = hemisphere == one.hemisphere
+            if not all(one.legs):
+                leg = place.leg - place.azimuth * len(one.legs)
                 this &= dr.gather(mi.Bool, legs, leg)
             moves |= this
         return moves
@@ -190,8 +193,10 @@ class HalfVectorTransport:
         stretch, comes = mi.Float64(0), mi.Bool(False)
         for number, eta in self.etas:
             past = self._past(place, number)
-            came, scale, valid = sent(wo, place.light(), place.light(past, z), eta, dr)
-            this = (hemisphere == number) & valid & goes(came[2], wo[2])
+            came, scale, valid = redirected(
+                wo, place.light(), place.light(past, z), eta, dr
+            )
+            this = (hemisphere == number) & valid & is_redirected(came[2], wo[2])
             stretch = dr.select(this, came[2] * scale / wo[2], stretch)
             source = on_disk(turned(came, past))
             x, v = dr.select(this, source.x, x), dr.select(this, source.v, v)
@@ -206,8 +211,8 @@ class HalfVectorTransport:
         for number, eta in self.etas:
             past = self._past(place, number)
             wo = turned(above(point), -past)
-            to, _, valid = sent(wo, place.light(past, z), place.light(), eta, dr)
-            this = (hemisphere == number) & valid & goes(wo[2], to[2])
+            to, _, valid = redirected(wo, place.light(past, z), place.light(), eta, dr)
+            this = (hemisphere == number) & valid & is_redirected(wo[2], to[2])
             moved = on_disk(to)
             x, v = dr.select(this, moved.x, x), dr.select(this, moved.v, v)
             leaves |= this
@@ -321,32 +326,38 @@ class InterpolatedLobes:
     """Lobes of a table, each moved to where it is for other incident light.
 
     What is sent to a point is asked for by :meth:`values`, and where a point is sent to
-    by :meth:`moved`: the same ways, backwards and forwards. Points are in the frame of
-    incidence where they are wanted, and in that of the record where they are known.
+    by :meth:`moved`: the same transport, backwards and forwards. Points are in the
+    frame of incidence where they are wanted, and in that of the record where they are
+    known.
 
     Parameters
     ----------
     table : LobeTable
     incident : IncidentPlaces
         Of the table's grid.
-    ways : sequence of Way, optional
+    half_vectors : sequence of HalfVectorLegs, optional
         Where light keeps its micro-normals between polar angles; elsewhere it moves by
         :class:`.interpolated_lobes.QuantileTransport`.
     """
 
     def __init__(
-        self, table: LobeTable, incident: IncidentPlaces, ways: Sequence[Way] = ()
+        self,
+        table: LobeTable,
+        incident: IncidentPlaces,
+        half_vectors: Sequence[HalfVectorLegs] = (),
     ) -> None:
         self.n_hemispheres = table.brdf.shape[2]
         self.incident = incident
         grid, number = table.grid, range(self.n_hemispheres)
         moving = [n for n in number if incident.n_azimuths > 1 and grid.moves(n)]
-        self.normals = HalfVectorTransport(ways, moving)
-        by_normals = [way.hemisphere for way in ways if all(way.legs)]
+        self.normals = HalfVectorTransport(half_vectors, moving)
+        by_normals = [one.hemisphere for one in half_vectors if all(one.legs)]
         by_legs = [n for n in number if n not in by_normals]
         every = (True,) * incident.n_legs
         between = [
-            Way(n, grid.eta if n else None, every) for n in by_legs if n in moving
+            HalfVectorLegs(n, grid.eta if n else None, every)
+            for n in by_legs
+            if n in moving
         ]
         self.azimuths = HalfVectorTransport(between, moving)
         # slow to find: none where nothing moves by them
@@ -360,7 +371,7 @@ class InterpolatedLobes:
         self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
     ) -> list[mi.Float64]:
         """BRDF in 1/sr of each channel, of one azimuth's lobes; 0 where not active."""
-        if not self.normals.ways:
+        if not self.normals.half_vectors:
             return self._by_legs(place, hemisphere, point, active)
         moves = self.normals.move(place, hemisphere)
         values = self._by_normals(place, hemisphere, point, active & moves)
@@ -398,7 +409,7 @@ class InterpolatedLobes:
         What these send to a point, and what they would send beyond the horizon and
         therefore stays.
         """
-        if not self.azimuths.ways:
+        if not self.azimuths.half_vectors:
             return self._of_azimuth(place, hemisphere, point, active)
         at = place, place.z_i, hemisphere, point
         source, stretch, comes = self.azimuths.came_from(*at)
@@ -467,9 +478,9 @@ class InterpolatedLobes:
         moved = point
         if self.legs is not None and self.incident.n_angles > 1:
             ((moved, _),) = self.legs.moved(place, hemisphere, point, end, [place.t])
-        if self.azimuths.ways:
+        if self.azimuths.half_vectors:
             moved, _ = self.azimuths.goes_to(place, place.z_i, hemisphere, moved)
-        if not self.normals.ways:
+        if not self.normals.half_vectors:
             return moved
         z = dr.select(end > 0.5, place.ends[1], place.ends[0])
         sent, _ = self.normals.goes_to(place, z, hemisphere, point)

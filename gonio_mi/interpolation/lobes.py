@@ -32,7 +32,7 @@ __all__ = [
 
 # Of the whole table as Dr.Jit holds it: half of what a machine of 8 GiB has. While it
 # is made, it needs twice as much.
-MOST_BYTES = 2**32
+MAX_BYTES = 2**32
 
 
 class TooLargeError(SettingError):
@@ -215,10 +215,10 @@ def check_table(n_azimuths: int, n_angles: int, lobes: tuple[int, ...]) -> float
     of_patch, of_leg = 3 * n_channels + means + 2, 4 * (2 * N_CELLS) ** 2
     each = 8 * n_hemispheres * (math.prod(patches) * of_patch + of_leg)
     n_bytes = n_azimuths * n_angles * each
-    if n_bytes > MOST_BYTES:
+    if n_bytes > MAX_BYTES:
         raise TooLargeError(
             f"a table of {n_azimuths} x {n_angles} incident directions and "
-            f"{patches[0]} x {patches[1]} patches must need at most {MOST_BYTES:.2g} "
+            f"{patches[0]} x {patches[1]} patches must need at most {MAX_BYTES:.2g} "
             f"bytes, got {n_bytes:.2g}"
         )
     return n_bytes

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import drjit as dr
 import mitsuba as mi
@@ -11,25 +10,25 @@ import numpy as np
 
 from ..array_types import Integers
 from ..collector.directions import direction
-from .azimuth_cross_validation import BENT, tried_indices
+from .azimuth_cross_validation import MIN_BENDING, tried_indices
 from .interpolated_bsdf import InterpolatedBSDF
-from .interpolated_lobes import Way
+from .interpolated_lobes import HalfVectorLegs
 from .lobes import MeasuredLobes
 
-__all__ = ["best_ways"]
+__all__ = ["half_vector_legs"]
 
 # Records that are predicted from their neighbours, at most, and the part of their
 # radiance that is looked at: on the patches that have most of it, or some of these.
-TRIALS, LOOKED_AT, MOST_PATCHES = 6, 0.99, 2**13
+MAX_TRIALS, FLUX_LOOKED_AT, MAX_PATCHES = 6, 0.99, 2**13
 
 # Points per side of a patch.
 N_POINTS = 4
 
 # Of a refractive index: the part of it by which it may be wrong at first, and at last.
-NEAR, FINELY = 0.05, {"xatol": 1e-3}
+INDEX_MARGIN, INDEX_OPTIONS = 0.05, {"xatol": 1e-3}
 
 
-def best_ways(lobes: MeasuredLobes) -> list[Way]:
+def half_vector_legs(lobes: MeasuredLobes) -> list[HalfVectorLegs]:
     """How lobes move between polar angles, as a record's own directions say.
 
     On a leg by quantiles (:class:`.QuantileTransport`), or with micro-normals that stay
@@ -39,19 +38,21 @@ def best_ways(lobes: MeasuredLobes) -> list[Way]:
     n_angles = len(lobes.grid.theta_i)
     if n_angles < 3:
         return []
-    angles = np.unique(np.linspace(1, n_angles - 2, TRIALS).round().astype(int))
+    angles = np.unique(np.linspace(1, n_angles - 2, MAX_TRIALS).round().astype(int))
     trials = [_Trial(lobes, n / len(angles), k) for n, k in enumerate(angles.tolist())]
-    ways = []
+    found = []
     for hemisphere in range(lobes.flux.shape[1]):
         eta = _index(lobes, trials) if hemisphere else None
         if hemisphere and eta is None:
             continue
-        errors = [
-            [one.error(hemisphere, keeps, eta) for one in trials]
-            for keeps in (False, True)
-        ]
-        ways.append(Way(hemisphere, eta, _better(angles, *errors)))
-    return [way for way in ways if any(way.legs)]
+        by_normals = [HalfVectorLegs(hemisphere, eta, (True,))]
+        legs = _better(
+            angles,
+            [one.error(hemisphere, []) for one in trials],
+            [one.error(hemisphere, by_normals) for one in trials],
+        )
+        found.append(HalfVectorLegs(hemisphere, eta, legs))
+    return [one for one in found if any(one.legs)]
 
 
 def _better(
@@ -72,7 +73,7 @@ def _better(
 def _index(lobes: MeasuredLobes, trials: Sequence[_Trial]) -> float | None:
     """Refractive index of transmission that predicts a record best, or None.
 
-    That of the ways between azimuths, if there is one.
+    That of transmission between azimuths, if there is one.
     """
     grid = lobes.grid
     if grid.eta is not None:
@@ -85,14 +86,20 @@ def _index(lobes: MeasuredLobes, trials: Sequence[_Trial]) -> float | None:
     tried = tried_indices(light, *incidents, lobes.patches)
     if not tried:
         return None
-    error = partial(trials[len(trials) // 2].error, 1, True)
+    middle = trials[len(trials) // 2]
+
+    def error(eta: float) -> float:
+        return middle.error(1, [HalfVectorLegs(1, eta, (True,))])
+
     best = min(tried, key=error)
-    around = best * (1 - NEAR), best * (1 + NEAR)
+    around = best * (1 - INDEX_MARGIN), best * (1 + INDEX_MARGIN)
     from scipy.optimize import minimize_scalar  # half a second, which no other needs
 
-    found = minimize_scalar(error, bounds=around, method="bounded", options=FINELY)
+    found = minimize_scalar(
+        error, bounds=around, method="bounded", options=INDEX_OPTIONS
+    )
     # so near to 1 that no light is bent, there is none to find
-    finer = [float(found.x)] if abs(found.x - 1) > BENT else []
+    finer = [float(found.x)] if abs(found.x - 1) > MIN_BENDING else []
     return min([best, *finer], key=error)
 
 
@@ -117,27 +124,27 @@ class _Trial:
         incident = grid.theta_i[angle], grid.phi_i[azimuth]
         self.wi = direction(*np.radians(incident))
 
-    def error(self, hemisphere: int, keeps: bool, eta: float | None = None) -> float:
-        """Light in wrong places as a camera sees it, on the patches looked at.
+    def error(self, hemisphere: int, half_vectors: Sequence[HalfVectorLegs]) -> float:
+        """Sum of absolute errors of radiance over the patches looked at.
 
-        If micro-normals are kept, or not; with the refractive index of transmission.
-        By radiance: a diffuse part that moves with micro-normals is up to some times
-        brighter near the horizon, where flux is too small to show it.
+        With these `half_vectors`, else by quantiles. By radiance: a diffuse part that
+        moves with micro-normals is up to some times brighter near the horizon, where
+        flux is too small to show it.
         """
         patches = self.part.patches
         light = (self.lobes[hemisphere] * patches.solid_angles).ravel()
         if not light.any():
             return 0.0
         order = np.argsort(-light, kind="stable")
-        few = np.searchsorted(np.cumsum(light[order]), LOOKED_AT * light.sum())
-        number = np.sort(order[: few + 1 : 1 + few // MOST_PATCHES])
+        few = np.searchsorted(np.cumsum(light[order]), FLUX_LOOKED_AT * light.sum())
+        number = np.sort(order[: few + 1 : 1 + few // MAX_PATCHES])
         points = patches.points(N_POINTS, number)
         points[..., 2] *= -1 if hemisphere else 1
         wo = mi.Vector3f(np.ascontiguousarray(points.reshape(-1, 3).T))
         wi = mi.Vector3f(self.wi.tolist())
         dr.make_opaque(wi, wo)
-        ways = [Way(hemisphere, eta, (True,))] if keeps else []
-        values, _, wanted = InterpolatedBSDF(self.part, ways=ways).values(wi, wo)
+        face = InterpolatedBSDF(self.part, half_vectors=half_vectors)
+        values, _, wanted = face.values(wi, wo)
         mean = dr.select(wanted, sum(values) / len(values), 0.0)
         means = dr.block_sum(mean, N_POINTS**2).numpy() / N_POINTS**2
         areas = patches.solid_angles.ravel()[number]

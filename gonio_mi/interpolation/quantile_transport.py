@@ -30,7 +30,7 @@ N_POINTS = 8
 
 # Part of the light that is spread evenly over the histograms: bounds how far apart
 # neighbouring points can be moved. It is not part of the lobes.
-EVEN = 0.01
+EVEN_FRACTION = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
     even = across.reshape(N_CELLS, N_POINTS, N_CELLS, N_POINTS).sum(axis=(1, 3))
     total = light.sum(axis=(2, 3), keepdims=True)
     light = light / np.where(total > 0, total, 1)
-    return (1 - EVEN) * light + EVEN * even / even.sum()
+    return (1 - EVEN_FRACTION) * light + EVEN_FRACTION * even / even.sum()
 
 
 def _leg(first: Floats, second: Floats) -> tuple[Floats, Floats, Floats, Floats]:

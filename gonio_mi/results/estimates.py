@@ -13,23 +13,23 @@ from .tally import Integrals, Tally
 __all__ = ["Estimates", "IntegralEstimates", "SampledEstimates"]
 
 # Below this many hits the sum of a patch is too skewed for Student's t.
-FEW_HITS = 100
+MIN_HITS = 100
 # The same for rays of a low-discrepancy sequence, whose counts scatter less.
-FEW_EVEN_HITS = 30
+MIN_EVEN_HITS = 30
 # Deposits of one patch below which the few large ones among them may be missing.
-FEW_DEPOSITS = 300
+MIN_DEPOSITS = 300
 
 # Scatter of deposits, in units of that of as many independent ones all alike, above
 # which Student's t is not enough. Measured with a point in each patch: in the median
 # 0.3 on diffuse facets, 2.5 on glossy ones, where it held 81 to 92 % and not 95.
-MOST_EVEN = 0.5
+MAX_EVEN_SCATTER = 0.5
 # Part of the patches, above which that holds for all. On grooves of rough conductors
 # 0.8 to 0.96 are so (alpha 0.05 to 0.2), of rough plastic up to 0.55, diffuse 0.34.
-MOST_PATCHES = 0.75
+MAX_UNEVEN_PATCHES = 0.75
 
 # How much heavier than the hits of a patch those must be that make all patches scatter,
 # so that the patch is judged by them. Up to that, its own hits tell enough of it.
-HEAVIER = 2.0
+MIN_WEIGHT_RATIO = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,8 +206,8 @@ class SampledEstimates(Estimates):
         self, value: Floats, scatter: Floats, hits: Counts | int, heavy: Floats
     ) -> Flags:
         """Whether hits as `heavy` as scatter are rare in a `value` of so many hits."""
-        many = scatter**2 >= FEW_EVEN_HITS * heavy**2
-        return (hits > 0) & (heavy * hits > HEAVIER * value) & ~many
+        many = scatter**2 >= MIN_EVEN_HITS * heavy**2
+        return (hits > 0) & (heavy * hits > MIN_WEIGHT_RATIO * value) & ~many
 
     def _heavy(self, hemisphere: int) -> Floats:
         """Weight of the hits that make patches scatter, as part of the incident flux.
@@ -245,12 +245,12 @@ class SampledEstimates(Estimates):
         if self.deposited:
             # so far from evenly spread and alike that some of great weight are missing;
             # where most patches say so, those that do not may have missed all of them
-            uneven = scatter * np.sqrt(hits) > MOST_EVEN * fraction
+            uneven = scatter * np.sqrt(hits) > MAX_EVEN_SCATTER * fraction
             lit = (hits > 0).sum() * self.tally.channels
-            uneven |= uneven.sum() > MOST_PATCHES * lit
-            few = ((hits < FEW_DEPOSITS) | uneven) & (hits > 0)
+            uneven |= uneven.sum() > MAX_UNEVEN_PATCHES * lit
+            few = ((hits < MIN_DEPOSITS) | uneven) & (hits > 0)
         else:
-            few = hits < (FEW_HITS if self.independent else FEW_EVEN_HITS)
+            few = hits < (MIN_HITS if self.independent else MIN_EVEN_HITS)
             few &= hits > 0
             alike = statistics.binomial_interval(hits, self.rays, level)
             low, high = (

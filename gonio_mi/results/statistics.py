@@ -23,10 +23,10 @@ __all__ = [
 ]
 
 # A probability below counts as that, so that no score is infinite.
-LEAST = 1e-300
+MIN_PROBABILITY = 1e-300
 
 # Standard deviations beyond which the skewness of sums is not taken for chance.
-SKEWED = 3.0
+MIN_SKEWNESS = 3.0
 
 
 def ratio(sums: Numbers, incident: Numbers) -> Floats:
@@ -113,7 +113,7 @@ def scatter_weight(sums: Numbers, incident: Numbers, hits: Counts) -> Floats:
     counted = 18 * alike**3 / n
     chance = (normal + counted) * (1 - 1 / count) * few**2
     chance = np.sqrt(chance.sum(axis=(0, 1)))
-    known = (third > SKEWED * chance) & (second > 0)
+    known = (third > MIN_SKEWNESS * chance) & (second > 0)
     weight = np.divide(third, second, out=np.zeros(len(second)), where=known)
     return np.minimum(weight, np.max(sums, axis=(0, 1, 2))) / incident.sum(
         axis=(0, 1, 2)
@@ -208,14 +208,14 @@ def student_score(t: ArrayLike, dof: ArrayLike) -> Floats:
     """
     dof, size = np.minimum(dof, 1e9), np.abs(t)
     tail = special.stdtr(dof, -size)
-    score = -special.ndtri(np.maximum(tail, LEAST))
+    score = -special.ndtri(np.maximum(tail, MIN_PROBABILITY))
     root = np.sqrt(dof * np.log1p(np.square(size) / dof))
     beyond = np.maximum(score, root * (8 * dof + 1) / (8 * dof + 3))
-    return 0.0 + np.sign(t) * np.where(tail < LEAST, beyond, score)
+    return 0.0 + np.sign(t) * np.where(tail < MIN_PROBABILITY, beyond, score)
 
 
 def two_sided_score(below: ArrayLike, above: ArrayLike) -> Floats:
     """Normal score from the probabilities of at most and at least what was seen."""
     p = np.minimum(2 * np.minimum(below, above), 1.0)
-    size = -special.ndtri(np.maximum(p / 2, LEAST))
+    size = -special.ndtri(np.maximum(p / 2, MIN_PROBABILITY))
     return np.where(np.less(below, above), -size, size)

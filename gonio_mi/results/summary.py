@@ -29,7 +29,7 @@ N_WORST = 5
 
 # A smaller share of rays beside the patches is rounding: `diffuse` alone sends 2 in 1e7
 # along the horizon.
-STRAY = 1e-6
+MAX_STRAY = 1e-6
 
 # How light gets to the other side of a specimen whose BSDFs declare no transmission: by
 # what a few thousand straight rays found.
@@ -100,7 +100,7 @@ class DirectionSummary:
             for one in totals
             if one.high is not None and one.low is not None
         ]
-        return self.ledger[row] > max([STRAY, *errors]) * self.ledger["emitted"]
+        return self.ledger[row] > max([MAX_STRAY, *errors]) * self.ledger["emitted"]
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from ..errors import (
 
 __all__ = [
     "CORRELATIONS",
-    "LARGEST",
+    "MAX_LENGTH",
     "HeightStatistics",
     "checked_heights",
     "gaussian_heights",
@@ -26,7 +26,7 @@ __all__ = [
 CORRELATIONS = ("gaussian", "exponential")
 
 # Heights and lengths are below it, so that single precision holds their squares.
-LARGEST = 1e18
+MAX_LENGTH = 1e18
 
 # Bytes per grid point at the peak of the synthesis, which is in double precision, and
 # of the mesh: vertices and triangles in NumPy, Mitsuba and Embree. Measured: 61, 245.
@@ -244,13 +244,13 @@ def checked_heights(heights: ArrayLike, missing: bool = False) -> NDArray[np.flo
         raise SettingTypeError(
             f"heights must be real numbers, got an array of {heights.dtype}"
         ) from None
-    allowed = np.abs(heights) < LARGEST
+    allowed = np.abs(heights) < MAX_LENGTH
     if missing:
         allowed |= np.isnan(heights)
     wrong = np.count_nonzero(~allowed)
     if wrong:
         raise SettingError(
-            f"heights must be finite and below {LARGEST:g}, got {wrong} of "
+            f"heights must be finite and below {MAX_LENGTH:g}, got {wrong} of "
             f"{heights.size} that are not"
         )
     return heights

@@ -1,11 +1,11 @@
-"""The function `micro_normals`: how facets lie, and which of them are seen."""
+"""Micro-normals of a surface, its masking and shadowing: measured, and in a figure."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
@@ -15,6 +15,7 @@ from ..array_types import Floats, Integers
 from ..collector.directions import direction
 from ..errors import SpecimenError, checked_count, checked_number
 from ..instrument.loading import load_specimen
+from ..plots.figure import finished, new_figure
 from ..settings.values import checked_period
 from ..single_precision import FEW_ROUNDINGS
 from ..transport.kernels import launches_kernels
@@ -22,13 +23,16 @@ from ..transport.rays import departure, intersect, unobstructed
 from ..transport.specimen import Specimen
 from .smith import (
     DISTRIBUTIONS,
-    FLATTEST,
+    MIN_ALPHA,
     fitted_alphas,
     masking,
     ring_means,
     ring_shares,
     smith_lambda,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["MicroNormals", "micro_normals"]
 
@@ -143,10 +147,13 @@ def _found(specimen: Specimen, p: Floats, n: Floats) -> mi.SurfaceInteraction3f:
     return si
 
 
-# Rings of the hemisphere in which micro-normals are counted, to 90 degrees.
-N_RINGS = 45
+# Rings of the hemisphere in which micro-normals are counted, to 90 degrees; those that
+# are drawn at least.
+N_RINGS, MIN_DRAWN_RINGS = 45, 5
 THETA = (15.0, 30.0, 45.0, 60.0, 70.0, 80.0)
 PHI = (0.0, 90.0)
+
+LINE_STYLES = {"beckmann": "-", "ggx": "--"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,11 +210,55 @@ class MicroNormals:
         one_side = smith_lambda(distribution, *angles, *self.alphas[distribution])
         return 1 / (1 + 2 * one_side)
 
-    def plot(self, path: str | PathLike[str] | None = None) -> Any:
-        """Figure of densities and masking, with the models' curves."""
-        from .micro_normals_figure import micro_normals_figure
+    def plot(self, path: str | PathLike[str] | None = None) -> Figure:
+        """Figure of densities and masking, written if `path` is given.
 
-        return micro_normals_figure(self, path)
+        Left, the density over the polar angle, mean over azimuth; right, the visible
+        fraction of the facets over the direction that looks at them, for each azimuth.
+        Bars are standard errors, lines the models of largest likelihood.
+        """
+        figure = new_figure(path, figsize=(11, 4.4))
+        left, right = figure.subplots(1, 2)
+        edges = self.theta_edges
+        middles = (edges[:-1] + edges[1:]) / 2
+        bars = middles, self.density, self.density_std_err
+        left.errorbar(*bars, fmt="ok", ms=3, label="facets +- std_err")
+        for number, (name, style) in enumerate(LINE_STYLES.items()):
+            u, v = self.alphas[name]
+            label = f"{name}, alpha {u:.3g} x {v:.3g}"
+            curve = self.model_density(name)
+            left.plot(middles, curve, style, c=f"C{number}", label=label)
+        (held,) = np.nonzero(self.density)
+        positive = self.density[held]
+        left.set(
+            xlabel="polar angle of the facet's normal (degrees)", ylabel="D (1/sr)"
+        )
+        if positive.size:
+            # to one ring beyond the last one with facets
+            left.set_xlim(
+                0, edges[min(max(held[-1] + 2, MIN_DRAWN_RINGS), len(edges) - 1)]
+            )
+            left.set_yscale("log")
+            left.set_ylim(positive.min() / 3, positive.max() * 3)
+        left.legend(frameon=False)
+        for number, phi in enumerate(np.unique(self.phi)):
+            own = self.phi == phi
+            colour = f"C{number}"
+            right.errorbar(
+                self.theta[own],
+                self.masking[own],
+                self.masking_std_err[own],
+                fmt="o",
+                c=colour,
+                label=f"phi {phi:g}° +- std_err",
+            )
+            for name, style in LINE_STYLES.items():
+                curve = self.model_masking(name)[own]
+                right.plot(self.theta[own], curve, style, c=colour, lw=1)
+        right.set(xlabel="theta (degrees)", ylabel="visible part G1, Smith: lines")
+        right.set_ylim(0, 1.05)
+        right.legend(frameon=False)
+        return finished(figure, path)
 
     def __repr__(self) -> str:
         alphas = [
@@ -219,7 +270,7 @@ class MicroNormals:
         lines = ["facets          alpha_x +- std_err    alpha_y +- std_err   elsewhere"]
         for name in DISTRIBUTIONS:
             u, v = (
-                f"{_pair(alpha, error) if alpha > FLATTEST else 'flat':<21}"
+                f"{_pair(alpha, error) if alpha > MIN_ALPHA else 'flat':<21}"
                 for alpha, error in zip(self.alphas[name], self.alpha_std_errs[name])
             )
             lines.append(f"as {name:<11}  {u} {v}{100 * self.elsewhere[name]:.2f} %")

@@ -12,7 +12,7 @@ from ..array_types import Floats
 
 __all__ = [
     "DISTRIBUTIONS",
-    "FLATTEST",
+    "MIN_ALPHA",
     "density",
     "fitted_alphas",
     "masking",
@@ -28,10 +28,10 @@ DISTRIBUTIONS = ("beckmann", "ggx")
 N_AZIMUTHS = 256
 
 # Alpha of a direction without slopes, of which the models have none.
-FLATTEST = 1e-6
+MIN_ALPHA = 1e-6
 
 # Rounds of a fixed point that gains a digit in three.
-ROUNDS = 60
+N_ITERATIONS = 60
 
 
 def density(distribution: str, theta: Floats, alpha_u: float, alpha_v: float) -> Floats:
@@ -116,10 +116,12 @@ def fitted_alphas(
     """
     weight = weight / weight.sum()
     squares = np.stack([slope_u, slope_v]) ** 2
-    alphas = np.maximum(np.sqrt(2 * squares @ weight), FLATTEST)
+    alphas = np.maximum(np.sqrt(2 * squares @ weight), MIN_ALPHA)
     if distribution == "beckmann":
         return alphas
-    for _ in range(ROUNDS):
+    for _ in range(N_ITERATIONS):
         steepness = alphas**-2.0 @ squares
-        alphas = np.maximum(np.sqrt(4 * squares @ (weight / (1 + steepness))), FLATTEST)
+        alphas = np.maximum(
+            np.sqrt(4 * squares @ (weight / (1 + steepness))), MIN_ALPHA
+        )
     return alphas

@@ -11,7 +11,7 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import SettingError, printable, shown
 from ..formats.height_maps import HeightMap
-from .heights import LARGEST, HeightStatistics, checked_heights, height_statistics
+from .heights import MAX_LENGTH, HeightStatistics, checked_heights, height_statistics
 from .preparation import filled, without_form
 
 __all__ = ["Topography", "UNITS", "VISIBLE", "height_step", "metres", "topography"]
@@ -43,21 +43,21 @@ VISIBLE = 550e-9
 
 # Beckmann's alpha beyond which units are more likely wrong than facets steep: an rms
 # slope of 70 degrees. Grooves and fibres have less.
-ABSURD = 4.0
+MAX_ALPHA = 4.0
 
 # Change of alpha over one wavelength, as a part of it, up to which facets smaller than
 # that are no matter: the same surface in facets of its size would have the same slopes.
-SAME = 0.03
+MAX_ALPHA_CHANGE = 0.03
 
 # Step of slope, as a part of the rms slope, from where it is told. At 0.03 a mirror of
 # Gaussian waves has 0.9 to 4.5 % of its light in other patches of projected:30x30 than
 # without steps, twice what another seed makes of 4e5 rays at most; at 0.1 3 to 16 %, at
 # 0.3 13 to 70 %. Of a rough conductor of alpha 0.05 it is 0.8 to 3.6 % at 0.3, where
 # another seed makes 1 to 2.5 %.
-COARSE = 0.03
+MAX_SLOPE_STEP = 0.03
 
 # Share of light that stays in a mirror's direction, from where it is told.
-COHERENT = 0.01
+MAX_COHERENT = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ class Topography:
                 "size, in the unit of the heights"
             )
         steepest = max(s.alpha_u, s.alpha_v)
-        if steepest > ABSURD:
+        if steepest > MAX_ALPHA:
             degrees = math.degrees(math.atan(steepest / math.sqrt(2)))
             found.append(
                 f"the facets of {self.source} are absurdly steep, alpha "
@@ -189,7 +189,7 @@ class Topography:
         s = self.statistics
         rms = max(s.alpha_u, s.alpha_v) / 2**0.5
         slope = 0.0 if self.step is None else self.step / min(self.spacing)
-        if self.step is None or slope < COARSE * rms:
+        if self.step is None or slope < MAX_SLOPE_STEP * rms:
             return None
         return slope, f"{100 * slope / rms:.3g} % of the rms slope"
 
@@ -214,7 +214,10 @@ class Topography:
         if least < wavelength:
             u, v = self._alphas_over(wavelength)
             changes = abs(u - s.alpha_u), abs(v - s.alpha_v)
-            if changes[0] > SAME * s.alpha_u or changes[1] > SAME * s.alpha_v:
+            if (
+                changes[0] > MAX_ALPHA_CHANGE * s.alpha_u
+                or changes[1] > MAX_ALPHA_CHANGE * s.alpha_v
+            ):
                 found.append(
                     f"the facets of {self.source} are smaller than light, {least:.3g} "
                     f"{self.unit} at a wavelength of {shown}: this is geometric "
@@ -222,7 +225,7 @@ class Topography:
                     f"one wavelength it is {u:.3g} x {v:.3g}"
                 )
         coherent = math.exp(-((4 * math.pi * s.rms_height / wavelength) ** 2))
-        if coherent > COHERENT:
+        if coherent > MAX_COHERENT:
             found.append(
                 f"the rms height of {self.source} is small against light: at normal "
                 f"incidence and a wavelength of {shown} waves would reflect "
@@ -346,7 +349,7 @@ def _spacing(
 ) -> tuple[float, float]:
     """Distance of grid points along x and y."""
     dx, dy = given.spacing or (2.0 / cells[0],) * 2
-    if not (1 / LARGEST < dx < LARGEST and 1 / LARGEST < dy < LARGEST):
+    if not (1 / MAX_LENGTH < dx < MAX_LENGTH and 1 / MAX_LENGTH < dy < MAX_LENGTH):
         raise SettingError(
             f"the spacing of grid points must be positive, {given.source} has {dx:g} "
             f"x {dy:g}: give size"
@@ -372,15 +375,15 @@ def _unit(given: HeightMap, unit: str | None) -> str | None:
 
 
 # Levels up to which steps are made on purpose: gratings, diffractive optics.
-LEVELS = 16
+MAX_LEVELS = 16
 
 # Part of a step by which gaps between levels may miss a whole number of it: single
 # precision has 0.008 of 16 bits, and few levels stretched over 16 bits less.
-PLAY = 0.02
+MAX_STEP_ERROR = 0.02
 
 # Share of points with a bend above which heights are rounded ones. Straight profiles
 # of more levels, whose slope is a whole number of steps on purpose, have less.
-BENT = 1 / 8
+MAX_BENT = 1 / 8
 
 
 def height_step(heights: Floats) -> float | None:
@@ -399,11 +402,11 @@ def height_step(heights: Floats) -> float | None:
         grooves. Terraces of more than 16 points look so, too.
     """
     levels = np.unique(heights[np.isfinite(heights)])
-    if levels.size <= LEVELS:
+    if levels.size <= MAX_LEVELS:
         return None
     gaps = np.diff(levels)
     step = float(gaps[gaps < 1.5 * gaps.min()].mean())
-    if np.any(abs(gaps / step - np.rint(gaps / step)) > PLAY):
+    if np.any(abs(gaps / step - np.rint(gaps / step)) > MAX_STEP_ERROR):
         if not np.all(gaps == np.rint(gaps)):
             return None
         step = 1.0  # whole numbers, not all of which occur
@@ -411,6 +414,6 @@ def height_step(heights: Floats) -> float | None:
         bends = np.diff(heights, 2, axis)
         known = np.isfinite(bends)
         bent = np.count_nonzero(abs(bends[known]) > step / 2)
-        if bent > BENT * np.count_nonzero(known):
+        if bent > MAX_BENT * np.count_nonzero(known):
             return step
     return None

@@ -427,12 +427,12 @@ def test_a_campaign_ends_with_the_table_that_fits(monkeypatch):
         return check_table(n_azimuths, n_angles, record.flux_fraction.shape[1:])
 
     full = size(material())
-    monkeypatch.setattr(lobes, "MOST_BYTES", 0.6 * full)
+    monkeypatch.setattr(lobes, "MAX_BYTES", 0.6 * full)
     with pytest.warns(RuntimeWarning, match="further ones would outgrow memory"):
         part = material()
     assert size(part) <= 0.6 * full
     assert part.settings["campaign"]["within"] < 0.95
-    monkeypatch.setattr(lobes, "MOST_BYTES", 0.05 * full)
+    monkeypatch.setattr(lobes, "MAX_BYTES", 0.05 * full)
     with pytest.raises(TooLargeError, match="of 8 x 4 incident directions"):
         material()
 

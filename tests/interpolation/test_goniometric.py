@@ -533,7 +533,7 @@ def test_unfit_records_are_refused_in_a_sentence(plugin, record, message):
 
 
 def test_table_that_does_not_fit_is_refused(monkeypatch):
-    monkeypatch.setattr("gonio_mi.interpolation.lobes.MOST_BYTES", 1000)
+    monkeypatch.setattr("gonio_mi.interpolation.lobes.MAX_BYTES", 1000)
     with pytest.raises(ValueError, match=r"must need at most 1e\+03 bytes, got"):
         MeasuredLobes(isotropic()).whole()
 

@@ -8,7 +8,7 @@ from synthetic import facet_lobes, facets_through
 
 import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
-from gonio_mi.interpolation.half_vectors import predicted, sent
+from gonio_mi.interpolation.half_vectors import predicted_lobes, redirected
 from gonio_mi.interpolation.incident_grid import IncidentGrid
 
 # Of the sums of some ten numbers of double precision.
@@ -44,7 +44,7 @@ def test_a_micro_normal_sends_light_as_the_law_says(eta):
     before, after, normal = (one[:, keep] for one in (before, after, normal))
     depth = np.array([[1], [1], [1 if eta is None else -1]])
     wo = depth * law(normal, before, eta)
-    to, scale, valid = sent(wo, before, after, eta, np)
+    to, scale, valid = redirected(wo, before, after, eta, np)
     assert keep.sum() > 50
     assert np.all(valid[wo[2] > 0])
     # the formula divides by the length of the half vector, above 0.2 of the unit
@@ -58,7 +58,7 @@ def test_a_micro_normal_sends_light_as_the_law_says(eta):
         for sign in (1, -1):
             moved = wo + sign * step * axis
             moved /= np.linalg.norm(moved, axis=0)
-            ends.append(np.array(sent(moved, before, after, eta, np)[0]))
+            ends.append(np.array(redirected(moved, before, after, eta, np)[0]))
         spans.append((ends[0] - ends[1]) / (2 * step))
     area = np.linalg.norm(np.cross(*spans, axis=0), axis=0)
     # central differences: of the second order in the step, and rounding over it
@@ -70,7 +70,7 @@ def test_what_no_normal_refracts_stays():
     generator = np.random.default_rng(1)
     wo, before, after = (unit_vectors(generator, 1000) for _ in range(3))
     for eta in (1.5, 1 / 1.5):
-        to, scale, valid = sent(wo, before, after, eta, np)
+        to, scale, valid = redirected(wo, before, after, eta, np)
         half = before + eta * wo * [[1], [1], [-1]]
         impossible = (1 + eta * np.sum(before * wo * [[1], [1], [-1]], axis=0)) > 0
         assert impossible.any() if eta > 1 else True
@@ -88,7 +88,7 @@ def test_a_lobe_is_predicted_up_to_its_patches(eta):
     for size in ("projected:12x36", "projected:24x72", "projected:48x144"):
         patches = gonio.subdivision(size)
         first, second = facet_lobes(patches, [(15, 0), (15, 20)], **how)[..., None]
-        found = predicted(first, patches, 15.0, (0.0, 20.0), eta)
+        found = predicted_lobes(first, patches, 15.0, (0.0, 20.0), eta)
         assert np.allclose([one.sum() for one in found], 0.5, rtol=DOUBLE, atol=0)
         errors.append([np.abs(one - second).sum() for one in found])
     turned, moved = np.transpose(errors)

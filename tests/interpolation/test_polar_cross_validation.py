@@ -16,9 +16,9 @@ from gonio_mi.campaigns.prediction import Prediction
 from gonio_mi.collector.directions import direction
 from gonio_mi.interpolation.azimuth_cross_validation import tried_indices
 from gonio_mi.interpolation.interpolated_bsdf import InterpolatedBSDF
-from gonio_mi.interpolation.interpolated_lobes import Way
+from gonio_mi.interpolation.interpolated_lobes import HalfVectorLegs
 from gonio_mi.interpolation.lobes import MeasuredLobes
-from gonio_mi.interpolation.polar_cross_validation import best_ways
+from gonio_mi.interpolation.polar_cross_validation import half_vector_legs
 from gonio_mi.results.prediction_error import prediction_error
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -58,7 +58,7 @@ def test_records_say_how_their_lobes_move(eta):
         (fixed, fixed, []),
     ):
         record = record_of(patches, angles, reflected, transmitted)
-        ways = best_ways(MeasuredLobes(record))
+        ways = half_vector_legs(MeasuredLobes(record))
         assert [way.hemisphere for way in ways if all(way.legs)] == moving
         if 1 in moving:
             assert (ways[-1].eta > 1) == (eta > 1)
@@ -71,7 +71,7 @@ def test_each_leg_moves_as_the_nearest_records_say():
     upper, _ = facets_both(patches, angles)
     upper[:5] = synthetic.specular(patches, 20, 90, 20) / 4
     record = record_of(patches, angles, upper)
-    ((way,),) = [best_ways(MeasuredLobes(record))]
+    ((way,),) = [half_vector_legs(MeasuredLobes(record))]
     # the record at 40 degrees is between two that have nothing in common
     assert way.legs[:3] == (False,) * 3
     assert way.legs[5:] == (True,) * 2
@@ -84,8 +84,8 @@ def test_diffuse_light_is_as_bright_at_the_horizon_as_elsewhere(theta_i):
     facets, _ = facets_both(patches, ANGLES)
     even = patches.projected_solid_angles / patches.projected_solid_angles.sum() / 4
     lobes = MeasuredLobes(record_of(patches, ANGLES, facets + even))
-    table, own = lobes.whole(), best_ways(lobes)
-    every = Way(0, None, (True,) * 3)
+    table, own = lobes.whole(), half_vector_legs(lobes)
+    every = HalfVectorLegs(0, None, (True,) * 3)
     theta, phi = np.meshgrid(
         np.radians([83, 85, 87]), np.radians(np.arange(60, 301, 5))
     )
@@ -94,7 +94,9 @@ def test_diffuse_light_is_as_bright_at_the_horizon_as_elsewhere(theta_i):
     # only the even light, of which the facets' is no part there, is looked at
     errors = [
         np.abs(face.values(wi, wo)[0][0].numpy() * 4 * np.pi - 1).mean()
-        for face in (InterpolatedBSDF(table, ways=ways) for ways in (own, [every], []))
+        for face in (
+            InterpolatedBSDF(table, half_vectors=ways) for ways in (own, [every], [])
+        )
     ]
     assert errors[0] <= errors[2] < errors[1] / 2
 
@@ -103,7 +105,7 @@ def test_too_few_angles_say_nothing():
     """Of two no one is between others."""
     patches = gonio.subdivision("projected:24x48")
     record = record_of(patches, ANGLES[:2], *facets_both(patches, ANGLES[:2]))
-    assert not best_ways(MeasuredLobes(record))
+    assert not half_vector_legs(MeasuredLobes(record))
 
 
 def test_light_of_the_normal_alone_says_no_index():
@@ -127,7 +129,7 @@ def test_narrow_lobes_are_predicted_by_micro_normals(theta_i):
         record = record_of(patches, ANGLES, np.array(known))
         own = Prediction(record, 8)
         quantiles = Prediction(record, 8)
-        quantiles.ways = []
+        quantiles.half_vectors = []
         true = record_of(patches, (theta_i,), truth[None])
         errors.append(
             [
@@ -155,10 +157,10 @@ def test_predictions_need_only_what_lies_around():
     weights = np.stack([lobes, lobes[::-1]], axis=1) / 2
     record = synthetic.exact(weights, theta_i, str(patches), phi_i)
     around, whole, elsewhere = (Prediction(record, 4) for _ in range(3))
-    table = InterpolatedBSDF(whole.lobes.whole(), ways=whole.ways)
+    table = InterpolatedBSDF(whole.lobes.whole(), half_vectors=whole.half_vectors)
     whole.face = lambda *_: table
     elsewhere.face = lambda *_: around.face(50, 140)
-    assert any(any(way.legs) for way in around.ways)
+    assert any(any(way.legs) for way in around.half_vectors)
     for one in ((5, 30), (29, 359), (50, 100), (70, 300), (80, 20), (0, 0)):
         truth = whole.flux(*one)
         assert np.allclose(around.flux(*one), truth, rtol=DOUBLE, atol=0)
@@ -170,7 +172,7 @@ def test_samples_follow_the_values(theta_i, tmp_path):
     """Also beyond the last angle, where light stays; twin: of another direction."""
     patches = gonio.subdivision("projected:24x36")
     record = record_of(patches, ANGLES, *facets_both(patches, ANGLES))
-    assert len(best_ways(MeasuredLobes(record))) == 2
+    assert len(half_vector_legs(MeasuredLobes(record))) == 2
     check_samples(record, theta_i, 40, tmp_path)
 
 
@@ -202,8 +204,14 @@ def test_samples_follow_values_where_lanes_move_in_different_ways(reflects, eta)
     record = synthetic.exact(weights, theta_i, str(patches), phi_i)
     table = MeasuredLobes(record).whole()
     table = replace(table, grid=replace(table.grid, reflects=reflects, eta=eta))
-    ways = Way(0, None, (False, True, False)), Way(1, 1.5, (True, False, True))
-    face, quantiles = InterpolatedBSDF(table, ways=ways), InterpolatedBSDF(table)
+    ways = (
+        HalfVectorLegs(0, None, (False, True, False)),
+        HalfVectorLegs(1, 1.5, (True, False, True)),
+    )
+    face, quantiles = (
+        InterpolatedBSDF(table, half_vectors=ways),
+        InterpolatedBSDF(table),
+    )
     lights = direction(*np.radians([[30, 50, 75], [14, 200, 355]]))
     rays, generator = 2**16, np.random.default_rng(1)
     wi = mi.Vector3f(np.repeat(lights, rays, axis=0).T.astype(np.float32))

@@ -9,9 +9,9 @@ import synthetic
 
 from gonio_mi.results import statistics
 from gonio_mi.results.estimates import (
-    FEW_DEPOSITS,
-    FEW_EVEN_HITS,
-    FEW_HITS,
+    MIN_DEPOSITS,
+    MIN_EVEN_HITS,
+    MIN_HITS,
     IntegralEstimates,
     SampledEstimates,
 )
@@ -72,8 +72,8 @@ def test_few_hits_have_exact_intervals(independent, by_student):
 
     Below, the limits of the count, or of weights unlike each other if these are wider.
     """
-    assert sum(HITS[0]) > FEW_HITS > sum(HITS[1])
-    assert sum(HITS[2]) > FEW_EVEN_HITS > sum(HITS[3])
+    assert sum(HITS[0]) > MIN_HITS > sum(HITS[1])
+    assert sum(HITS[2]) > MIN_EVEN_HITS > sum(HITS[3])
     estimates = SampledEstimates(tally(), independent)
     low, high = (limit[0, :, 0] for limit in estimates.interval(0, LEVEL))
     for patch, hits in enumerate(HITS[:4]):
@@ -95,7 +95,7 @@ def test_few_deposits_have_the_limits_of_weighted_counts():
     """At least: where Student's t of the two batches is wider, it stays."""
     hits = (*HITS, (150, 151))
     estimates = SampledEstimates(tally(hits), independent=False, deposited=True)
-    assert max(map(sum, HITS)) < FEW_DEPOSITS < sum(hits[5])
+    assert max(map(sum, HITS)) < MIN_DEPOSITS < sum(hits[5])
     low, high = (limit[0, :, 0] for limit in estimates.interval(0, LEVEL))
     wider = set()
     for patch in range(4):

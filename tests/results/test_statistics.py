@@ -185,7 +185,7 @@ def test_patches_that_differ_in_weight_do_not_scatter():
                 sums = counts * weights
             hits = counts.sum(axis=0)[..., None]
             told += statistics.scatter_weight(sums[..., None], incident, hits)[0] > 0
-        p = stats.binom.sf(told - 1, 60, stats.norm.sf(statistics.SKEWED))
+        p = stats.binom.sf(told - 1, 60, stats.norm.sf(statistics.MIN_SKEWNESS))
         return Verdict({"told": float(p)})
 
     agree(_verdict(False))

@@ -19,7 +19,7 @@ from gonio_mi.formats.reading import load_material
 from gonio_mi.formats.scatter import PatchMeans
 from gonio_mi.interpolation.interpolated_bsdf import InterpolatedBSDF
 from gonio_mi.interpolation.lobes import MeasuredLobes
-from gonio_mi.interpolation.polar_cross_validation import best_ways
+from gonio_mi.interpolation.polar_cross_validation import half_vector_legs
 from gonio_mi.plugins import bsdf_functions
 from gonio_mi.results.record import Record
 from gonio_mi.settings.manual import example
@@ -281,7 +281,7 @@ def _face(label: str, name: str, side: str) -> InterpolatedBSDF:
     """Face of the material in a file, in the variant's channels."""
     try:
         lobes, wavelengths = _lobes(_resolved(name), side)
-        return InterpolatedBSDF(lobes.whole(), wavelengths, best_ways(lobes))
+        return InterpolatedBSDF(lobes.whole(), wavelengths, half_vector_legs(lobes))
     except (ValueError, OSError) as error:
         raise type(error)(f"{label}: {error}") from None
 

@@ -17,7 +17,7 @@ from gonio_mi.formats.height_maps import HeightMap, read_height_map
 from gonio_mi.settings.manual import example
 from gonio_mi.surfaces.heights import (
     CORRELATIONS,
-    LARGEST,
+    MAX_LENGTH,
     MESH_BYTES,
     gaussian_heights,
 )
@@ -25,7 +25,7 @@ from gonio_mi.surfaces.images import image_heights
 from gonio_mi.surfaces.preparation import FILLS, FORMS
 from gonio_mi.surfaces.topography import Topography, topography
 
-POSITIVE = f"a positive number from {1 / LARGEST:g} to {LARGEST:g}"
+POSITIVE = f"a positive number from {1 / MAX_LENGTH:g} to {MAX_LENGTH:g}"
 GENERATED = (
     *("resolution", "alpha", "alpha_u", "alpha_v", "correlation"),
     *("correlation_length", "shortest", "seed"),
@@ -188,12 +188,12 @@ def _topography(props: mi.Properties) -> tuple[str, Topography]:
     else:
         array = np.array(props["heights"])
         source = HeightMap(array[..., 0] if array.ndim == 3 else array, "heights")
-    signed = f"a number from -{LARGEST:g} to {LARGEST:g}"
+    signed = f"a number from -{MAX_LENGTH:g} to {MAX_LENGTH:g}"
     ready = topography(
         source,
         size=_positive(props, "size") if "size" in props else None,
         size_y=_positive(props, "size_y") if "size_y" in props else None,
-        scale=properties.number(props, "scale", 1.0, -LARGEST, LARGEST, signed)
+        scale=properties.number(props, "scale", 1.0, -MAX_LENGTH, MAX_LENGTH, signed)
         if "scale" in props
         else None,
         height_range=_positive(props, "range") if "range" in props else None,
@@ -231,7 +231,7 @@ def _random(props: mi.Properties) -> tuple[str, Topography]:
 
 
 def _positive(props: mi.Properties, name: str, default: float = 1.0) -> float:
-    return properties.number(props, name, default, 1 / LARGEST, LARGEST, POSITIVE)
+    return properties.number(props, name, default, 1 / MAX_LENGTH, MAX_LENGTH, POSITIVE)
 
 
 def _normals(heights: Floats, spacing: tuple[float, float], closed: bool) -> Floats:
