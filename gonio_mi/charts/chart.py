@@ -18,7 +18,7 @@ from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import load_specimen
 from ..instrument.specimen_text import specimen_name
-from ..results.ray_bounds import rms_expectation
+from ..results.planning import rms_expectation
 from ..results.record import Record
 from ..transport.kernels import launches_kernels
 from .curves import Chart, Curve, Point, Reference

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ..results.planning import paper_rays
 from ..results.precision import precision
 from ..results.prediction_error import expected_noise
-from ..results.ray_bounds import paper_rays
 from ..results.record import Record
 from ..results.tally import Fate, Tally, batch_sizes
 from ..settings.measurement_settings import PILOT_RAYS, MeasurementSettings

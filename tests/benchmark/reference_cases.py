@@ -15,7 +15,7 @@ from scipy import stats
 from gonio_mi.campaigns.measure import measure
 from gonio_mi.collector import subdivision
 from gonio_mi.quadrature import integrate
-from gonio_mi.results.ray_bounds import rms_expectation
+from gonio_mi.results.planning import rms_expectation
 from gonio_mi.results.record import Record
 from gonio_mi.results.statistics import student_score
 

@@ -18,7 +18,7 @@ import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.charts.curves import Chart, Curve, Point, Reference
 from gonio_mi.charts.figure import plot_chart, save_chart_page
-from gonio_mi.results.ray_bounds import rms_expectation
+from gonio_mi.results.planning import rms_expectation
 
 # the package has functions of these names
 charting = importlib.import_module("gonio_mi.charts.chart")

@@ -10,7 +10,7 @@ from budget import Verdict, agree, disagree
 from scipy import stats
 
 import gonio_mi as gonio
-from gonio_mi.results import ray_bounds
+from gonio_mi.results import planning
 from gonio_mi.results.precision import lobe
 
 PAPER = {"epsilon": 0.005, "delta": 0.01}
@@ -19,21 +19,21 @@ EPS = np.finfo(float).eps
 
 def test_equation_17():
     """The paper's own numbers: 105 967 rays, 10^5.025."""
-    assert ray_bounds.chebyshev_rays(**PAPER) == 105_967
+    assert planning.chebyshev_rays(**PAPER) == 105_967
     assert round(math.log10(105_967), 3) == 5.025
 
 
 def test_equation_21_and_the_union_bound():
-    assert ray_bounds.paper_rays(900, **PAPER) == 900 * 105_967
+    assert planning.paper_rays(900, **PAPER) == 900 * 105_967
     exact = math.log(2 * 900 / 0.01) / (2 * 0.005**2)
-    assert ray_bounds.union_rays(900, **PAPER) == math.ceil(exact)
-    assert ray_bounds.union_rays(1, **PAPER) == ray_bounds.chebyshev_rays(**PAPER)
+    assert planning.union_rays(900, **PAPER) == math.ceil(exact)
+    assert planning.union_rays(1, **PAPER) == planning.chebyshev_rays(**PAPER)
 
 
 @pytest.mark.parametrize("epsilon", [0.0, 1.0, -0.1, float("nan"), "abc"])
 def test_epsilon_outside_is_refused(epsilon):
     with pytest.raises((ValueError, TypeError), match="epsilon must be a number in"):
-        ray_bounds.chebyshev_rays(epsilon, 0.01)
+        planning.chebyshev_rays(epsilon, 0.01)
 
 
 def test_relative_rays_of_one_patch():
@@ -42,21 +42,21 @@ def test_relative_rays_of_one_patch():
     z = stats.norm.isf((1 - level) / 2)
     expected = math.ceil((z / rel_err) ** 2 * (1 - p) / p)
     # the odds carry a guard of 1e-12, far below one ray
-    assert abs(ray_bounds.relative_rays([p], rel_err, level) - expected) <= 1
+    assert abs(planning.relative_rays([p], rel_err, level) - expected) <= 1
 
 
 @pytest.mark.parametrize("probabilities", [[], [0.0], [0.5, -0.1], [1.5]])
 def test_impossible_probabilities_are_refused(probabilities):
     with pytest.raises(ValueError, match="probabilities must be at least one"):
-        ray_bounds.relative_rays(probabilities, 0.01)
+        planning.relative_rays(probabilities, 0.01)
 
 
 def campaigns(factor):
     """Successes of 200 simulated campaigns, with `factor` times the rays asked."""
     grid = gonio.subdivision("solid:10x20")
     p = (grid.projected_solid_angles / np.pi).ravel()
-    rays = int(factor * ray_bounds.relative_rays(p, 0.05, 0.95))
-    fraction, _ = ray_bounds.simulated_reliability(p, 0.05, rays, campaigns=200)
+    rays = int(factor * planning.relative_rays(p, 0.05, 0.95))
+    fraction, _ = planning.simulated_reliability(p, 0.05, rays, campaigns=200)
     return round(200 * fraction)
 
 
@@ -75,12 +75,12 @@ def test_too_few_rays_are_caught():
 def test_std_err_of_simulated_reliability():
     """Of a proportion of 50 campaigns; of one in 50 where none or all succeeded."""
     p = np.full(20, 0.05)
-    fraction, std_err = ray_bounds.simulated_reliability(p, 0.2, 5000, campaigns=50)
+    fraction, std_err = planning.simulated_reliability(p, 0.2, 5000, campaigns=50)
     assert 0 < fraction < 1
     # rounding: a handful of operations
     expected = math.sqrt(fraction * (1 - fraction) / 50)
     assert std_err == pytest.approx(expected, rel=4 * EPS)
-    fraction, std_err = ray_bounds.simulated_reliability(p, 0.9, 5000, campaigns=50)
+    fraction, std_err = planning.simulated_reliability(p, 0.9, 5000, campaigns=50)
     assert (fraction, std_err) == (1, pytest.approx(1 / 50, rel=4 * EPS))
 
 
@@ -90,9 +90,9 @@ def test_reliability_is_the_union_bound():
     z = 0.03 * np.sqrt(rays * p / (1 - p))
     expected = 1 - 2 * stats.norm.sf(z).sum()
     # two implementations of the error function, each good to some eps
-    found = ray_bounds.reliability(p, 0.03, rays)
+    found = planning.reliability(p, 0.03, rays)
     assert found == pytest.approx(expected, rel=32 * EPS)
-    assert ray_bounds.reliability(p, 1e-4, rays) == 0
+    assert planning.reliability(p, 1e-4, rays) == 0
 
 
 def test_equal_patches_need_the_rays_of_one_at_a_stricter_level():
@@ -100,7 +100,7 @@ def test_equal_patches_need_the_rays_of_one_at_a_stricter_level():
     m, rel_err, level = 50, 0.05, 0.9
     z = stats.norm.isf((1 - level) / (2 * m))
     expected = (z / rel_err) ** 2 * (m - 1)
-    found = ray_bounds.relative_rays(np.full(m, 1 / m), rel_err, level)
+    found = planning.relative_rays(np.full(m, 1 / m), rel_err, level)
     # up to the next whole ray, and the tolerance of the root, 9e-16 of ln N
     assert abs(found - expected) <= 1 + expected * 32 * EPS * math.log(expected)
 
@@ -109,7 +109,7 @@ def test_equal_patches_need_the_rays_of_one_at_a_stricter_level():
 @pytest.mark.parametrize("rel_err", [0.3, 1e-3])
 def test_standard_error_is_that_of_the_rarest_count(p, rel_err):
     """Counts are binomial; one ray less would not do."""
-    rays = ray_bounds.standard_error_rays(p, rel_err)
+    rays = planning.standard_error_rays(p, rel_err)
     counts = stats.binom([rays, rays - 1], min(p))
     enough, few = counts.std() / np.maximum(counts.mean(), 0.1)
     assert enough <= rel_err * (1 + 8 * EPS)
