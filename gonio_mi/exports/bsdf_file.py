@@ -32,8 +32,10 @@ RAYS = 2**16
 # Cells per axis of tensor trees: of rank 3 and 4.
 CELLS = {"tensor3": 32, "tensor4": 16}
 
-# Rays, patches and the part of the light that tell an anisotropic specimen.
-TRIAL, SECTORS, ANISOTROPIC = 2**14, EqualProjectedSolidAngle(4, 24), 0.02
+# Rays and patches of the trial of isotropy, and the total variation distance between
+# the specimen and itself turned at which it is anisotropic.
+TRIAL_RAYS, TRIAL_PATCHES = 2**14, EqualProjectedSolidAngle(4, 24)
+MAX_ANISOTROPY = 0.02
 
 # What the file decides, and not its user.
 FIXED = ("theta_i", "phi_i", "incident", "collector", "side", "hemispheres")
@@ -134,8 +136,13 @@ def bsdf(
 
 def _warn_unless_isotropic(specimen: Any, settings: dict[str, Any]) -> None:
     """Warn of a specimen that turned by 45 or 90 degrees sends light elsewhere."""
-    asked = {"rays": TRIAL, "rel_err": None, "noise": None, "collector": SECTORS}
-    n = SECTORS.shape[1]
+    asked = {
+        "rays": TRIAL_RAYS,
+        "rel_err": None,
+        "noise": None,
+        "collector": TRIAL_PATCHES,
+    }
+    n = TRIAL_PATCHES.shape[1]
     for side in ("front", "back"):
         azimuths = 7.5, 52.5, 97.5  # middles of sectors
         given = settings | asked | {"side": side}
@@ -143,7 +150,7 @@ def _warn_unless_isotropic(specimen: Any, settings: dict[str, Any]) -> None:
         for k in (1, 2):
             turned = np.roll(found.flux_fraction[0], k * n // 8, axis=2)
             missed = prediction_error(found[k], turned)
-            if missed.exceeds(ANISOTROPIC):
+            if missed.exceeds(MAX_ANISOTROPY):
                 warnings.warn(
                     "the specimen is not isotropic, as the basis tensor3 takes it: "
                     f"turned by {45 * k} degrees it sends {missed.error:.0%} of its "

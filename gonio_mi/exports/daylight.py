@@ -24,7 +24,7 @@ VISIBLE_NM = tuple(range(400, 701, 20))
 
 # How much of the light at least must be within the wavelengths, and how much at most
 # between two of them.
-WITHIN, BETWEEN = 0.95, 0.5
+MIN_HELD, MAX_GAP = 0.95, 0.5
 
 
 class Light(NamedTuple):
@@ -59,18 +59,19 @@ class Light(NamedTuple):
         known = np.unique(nm)
         ends = f"from {known[0]:g} to {known[-1]:g} nm"
         within = (self.nm >= known[0]) & (self.nm <= known[-1])
-        held, wanted = self.parts[within].sum(), f"{WITHIN:.0%} of {self.name} light"
-        if held < WITHIN:
+        held = self.parts[within].sum()
+        wanted = f"{MIN_HELD:.0%} of {self.name} light"
+        if held < MIN_HELD:
             raise SettingError(
                 f"wavelengths must hold at least {wanted}, got {held:.1%} {ends}"
             )
         between = ~np.isin(self.nm, known)  # what was measured itself is in no gap
         gaps = np.searchsorted(known, self.nm[between])
         parts = np.bincount(gaps, self.parts[between], len(known) + 1)[1:-1]
-        if parts.max(initial=0) > BETWEEN:
+        if parts.max(initial=0) > MAX_GAP:
             low, high = known[parts.argmax() :][:2]
             raise SettingError(
-                f"wavelengths must leave at most {BETWEEN:.0%} of {self.name} light "
+                f"wavelengths must leave at most {MAX_GAP:.0%} of {self.name} light "
                 f"between two of them, got {parts.max():.1%} between {low:g} and "
                 f"{high:g} nm"
             )

@@ -38,14 +38,14 @@ ENDINGS = (
 REFLECTION_ONLY = (".bsdf", *endings_of("reflection_only"))
 
 # Rays whose light no patch receives, and the part of all that is told.
-LOST = {
+LOST_FATES = {
     "sideways": "left sideways, over the edge of the specimen: measure one cell of it "
     "with a period, or take a smaller footprint",
     "astray": "went astray: a shape with a medium is open or overlaps another",
     "truncated": "were truncated by max_depth or max_scatterings",
     "invalid": "are invalid, by what the BSDF returned",
 }
-MOST_LOST = 1e-3
+MAX_LOST = 1e-3
 
 
 def export(
@@ -151,9 +151,9 @@ def _warn_of_openings(record: Record) -> None:
 def _warn_of_lost_light(record: Record) -> None:
     """Warn of light that left the specimen, or was given up, and is in no patch."""
     ledger = record.ledger
-    for row, words in LOST.items():
+    for row, words in LOST_FATES.items():
         share = ledger.rows[row] / max(ledger.emitted, 1)
-        if share > MOST_LOST:
+        if share > MAX_LOST:
             warnings.warn(
                 f"{share:.2%} of the rays {words}; their light is in no patch of the "
                 "file",

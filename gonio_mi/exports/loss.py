@@ -29,7 +29,7 @@ IN_PARTS = (".csv", ZEMAX)
 WORDS = {"dhr": "reflected", "dht": "transmitted"}
 
 # Part of the most light, below which where light goes tells little of the file.
-FAINT = 0.01
+MIN_FLUX = 0.01
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def in_words(every: Sequence[Loss]) -> list[str]:
     lines = []
     for side, quantity in dict.fromkeys((one.side, one.quantity) for one in every):
         some = [one for one in every if (one.side, one.quantity) == (side, quantity)]
-        least = FAINT * max(one.recorded for one in some)
+        least = MIN_FLUX * max(one.recorded for one in some)
         told = [one for one in some if one.recorded >= least]
         worst = max(told, key=lambda one: one.misplaced)
         off = max(some, key=lambda one: abs(one.written - one.recorded))

@@ -33,7 +33,7 @@ GRID = 128
 
 # Points at which what was written is asked for. Where the two halves of those of each
 # patch tell apart more than this part of the light, so many rays find it.
-POINTS, APART, RAYS = 2**16, 2e-3, 2**20
+READ_BACK_POINTS, MAX_DIFFERENCE, READ_BACK_RAYS = 2**16, 2e-3, 2**20
 
 
 def write_measured(
@@ -86,9 +86,9 @@ def _written(
     flux = np.moveaxis(halves.sum(axis=-1), 1, 2)
     flux = flux.reshape(-1, 1, *patches.shape, len(record.channels))
     apart = np.abs(np.diff(halves, axis=-1)).sum(axis=(1, 2, 3))
-    rough = np.flatnonzero(apart > APART * halves.sum(axis=(1, 2, 3)))
+    rough = np.flatnonzero(apart > MAX_DIFFERENCE * halves.sum(axis=(1, 2, 3)))
     if rough.size:
-        settings = {"collector": patches, "rays": RAYS, "wavelengths": nm}
+        settings = {"collector": patches, "rays": READ_BACK_RAYS, "wavelengths": nm}
         with warnings.catch_warnings():
             # what Mitsuba's interpolation adds is told as a loss of the file
             warnings.filterwarnings("ignore", "the BSDF creates light")
@@ -103,7 +103,7 @@ def _halved(patches: Subdivision) -> Floats:
 
     Every other one of a patch comes before the rest of it.
     """
-    n = 2 * max(2, round(np.sqrt(POINTS / patches.n_patches) / 2))
+    n = 2 * max(2, round(np.sqrt(READ_BACK_POINTS / patches.n_patches) / 2))
     low, high, left, right = patches.cells_about_pole().T[:, :, None]
     step = (np.arange(n) + 0.5) / n
     theta = np.arccos(np.cos(low) + step * (np.cos(high) - np.cos(low)))

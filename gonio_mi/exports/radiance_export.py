@@ -44,10 +44,10 @@ HALF_WEDGE = 0.05
 # Part of the light that reflection may send elsewhere if source and view are exchanged:
 # what reciprocal specimens of all kinds reach by the patches of their files is 0.015.
 # Means of pairs of patches are over this many points per side.
-EXCHANGED, POINTS_OF_PAIRS = 0.03, 3
+MAX_EXCHANGED, POINTS_OF_PAIRS = 0.03, 3
 
 # Incident directions that are less apart have no lobes between them, in degrees.
-WIDE_GAP = 45
+MAX_GAP = 45
 
 
 def write_radiance(
@@ -226,7 +226,7 @@ class Side:
         # noise of both of a pair, which grows as the root of the number of patches
         n_patches = self.record.subdivision.n_patches
         chance = 2 * noise * np.sqrt(patches.n_patches / n_patches)
-        if elsewhere <= EXCHANGED + chance:
+        if elsewhere <= MAX_EXCHANGED + chance:
             return
         worst = int(np.argmax(np.abs(shown - true)))
         theta, phi = (np.degrees(angle[worst, 0]) for angle in patches.middles)
@@ -380,7 +380,7 @@ def _check_resampled(record: Record, rank: int | None) -> None:
         )
     angles = np.unique(np.round(record.theta_i, 3))
     edges = np.diff([0.0, *angles, 90.0])
-    if edges.max() > WIDE_GAP:
+    if edges.max() > MAX_GAP:
         known = ", ".join(f"{angle:g}" for angle in angles[:6])
         warnings.warn(
             f"the record has light from theta_i {known} only: what the file says "

@@ -29,22 +29,22 @@ from .loss import fractions_of
 __all__ = ["Material", "half_vector_grids", "resampled", "vectors"]
 
 # Part of the light that values at points may miss before it is carried.
-MISSED = 0.01
+MAX_MISSED = 0.01
 
 # What is less than this part of the incident light is rounding.
-LEAST = 1e-12
+ROUNDING = 1e-12
 
 # Incident directions for which light is carried at once.
-AT_ONCE = 64
+N_AT_ONCE = 64
 
 # Values that are asked for at once, at most or for one incident patch.
-MOST_VALUES = 2**20
+VALUES_AT_ONCE = 2**20
 
 # Points to which the light of a record's patches is divided, at least.
-POINTS_CARRIED = 2**13
+MIN_POINTS = 2**13
 
 # How far beyond the edges of a patch its neighbours are looked for, in radians.
-BEYOND = 1e-4
+EDGE_OFFSET = 1e-4
 
 
 class Material:
@@ -186,7 +186,7 @@ class Material:
         flux = table.brdf[:, :, hemisphere] * areas[..., None]
         flux = flux.reshape(-1, areas.size, flux.shape[-1])
         lit = np.flatnonzero(flux.any(axis=(0, 2)))
-        n = int(np.ceil(np.sqrt(POINTS_CARRIED / max(lit.size, 1))))
+        n = int(np.ceil(np.sqrt(MIN_POINTS / max(lit.size, 1))))
         ring, sector = np.unravel_index(lit, areas.shape)
         step = (np.arange(n) + 0.5) / n
         r = np.sqrt(sin2[ring, None] + step * np.diff(sin2)[ring, None])[..., None]
@@ -235,10 +235,10 @@ def _neighbours(patches: Subdivision, patch: int) -> Any:
     """Numbers of the patches beyond the edges of one."""
     low, high, left, right = patches.cells_about_pole()[patch]
     middle = (low + high) / 2
-    sides = [(middle, left - BEYOND), (middle, right + BEYOND)]
+    sides = [(middle, left - EDGE_OFFSET), (middle, right + EDGE_OFFSET)]
     ends = [
         (theta, phi)
-        for theta in (low - BEYOND, high + BEYOND)
+        for theta in (low - EDGE_OFFSET, high + EDGE_OFFSET)
         for phi in np.linspace(left, right, 9)
         if 0 < theta < np.pi / 2
     ]
@@ -280,17 +280,19 @@ def resampled(
     projected = patches.projected_solid_angles.reshape(-1, 1)
     wo = patches.points(points)
     fluxes = []
-    n_chunks = -(-theta_i.size * wo[..., 0].size // MOST_VALUES)
+    n_chunks = -(-theta_i.size * wo[..., 0].size // VALUES_AT_ONCE)
     chunks = list(zip(*(np.array_split(a, n_chunks) for a in (theta_i, phi_i))))
     for chunk in counted(chunks, progress, desc="resample", unit="part"):
         theta, phi = (angles.ravel() for angles in chunk)
         flux = projected * _evaluated(material, hemisphere, theta, phi, wo)
         total, peak = material.totals(hemisphere, theta, phi)
         found = flux.sum(axis=1)
-        missed = np.any(np.abs(found - total) > MISSED * total + LEAST, axis=-1)
+        missed = np.any(np.abs(found - total) > MAX_MISSED * total + ROUNDING, axis=-1)
         # of all points of an incident patch, or of none
         missed = np.repeat(missed.reshape(-1, n_in).any(axis=1), n_in)
-        for some in np.array_split(np.flatnonzero(missed), missed.sum() // AT_ONCE + 1):
+        for some in np.array_split(
+            np.flatnonzero(missed), missed.sum() // N_AT_ONCE + 1
+        ):
             if some.size:
                 args = hemisphere, theta[some], phi[some], patches
                 flux[some] = material.carried(*args)

@@ -27,7 +27,7 @@ RADIAL, AROUND = merl.RADIAL, np.arange(0.0, 361.0, 10.0)
 POINTS = 3
 
 # A direction below the horizon stands for the one at this angle above, in degrees.
-ABOVE = 0.1
+MIN_ELEVATION = 0.1
 
 
 def write_zemax(record: Record, path: str | PathLike[str]) -> list[Loss]:
@@ -120,8 +120,8 @@ def _in_order(record: Record, scatter: Scatter) -> Floats:
     nearest = np.argmax(wanted @ held.T, axis=1)
     # at normal incidence azimuths are told apart by nothing but themselves
     turn = np.mod(means.phi_i[None] - record.phi_i[:, None] + 180, 360) - 180
-    normal = np.abs(record.theta_i) < ABOVE
-    distance = np.where(means.theta_i[None] < ABOVE, np.abs(turn), np.inf)
+    normal = np.abs(record.theta_i) < MIN_ELEVATION
+    distance = np.where(means.theta_i[None] < MIN_ELEVATION, np.abs(turn), np.inf)
     return means.flux_fraction[np.where(normal, distance.argmin(axis=1), nearest)]
 
 
@@ -169,7 +169,7 @@ def _around_nodes(record: Record, frame: Block, means: Floats) -> Floats:
         polar = low[0] + (low[1] - low[0]) * steps[along]
         azimuth = high[0] + (high[1] - high[0]) * steps[around]
         wo = frame.directions(polar, azimuth)
-        wo[..., 2] = np.maximum(wo[..., 2], np.sin(np.radians(ABOVE)))
+        wo[..., 2] = np.maximum(wo[..., 2], np.sin(np.radians(MIN_ELEVATION)))
         wo /= np.linalg.norm(wo, axis=-1, keepdims=True)
         sums += means[record.subdivision.patch(wo)]
     return sums / POINTS**2

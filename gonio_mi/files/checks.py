@@ -27,7 +27,7 @@ PIECE = 2**20
 BELOW_NORMAL = 1e-4
 
 # Azimuths are taken modulo a turn; beyond this nothing is left of them.
-MOST_TURNED = 1e6
+MAX_AZIMUTH = 1e6
 
 
 def require(condition: object, reason: str) -> None:
@@ -94,7 +94,7 @@ def _check_angles(theta_i: np.ndarray, phi_i: np.ndarray) -> None:
             math.isnan(theta) or -BELOW_NORMAL <= theta < 90,
             f"its theta_i is {theta:g}, not in [0, 90) degrees",
         )
-        require(math.isnan(phi) or abs(phi) <= MOST_TURNED, f"its phi_i is {phi:g}")
+        require(math.isnan(phi) or abs(phi) <= MAX_AZIMUTH, f"its phi_i is {phi:g}")
 
 
 def _check_tally(tally: Tally, record: Record) -> None:

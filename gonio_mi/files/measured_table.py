@@ -37,7 +37,7 @@ __all__ = [
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "value")
 # Incident directions that are listed where a table is shown.
-MOST_LISTED = 12
+MAX_LISTED = 12
 UNSTATED = "not stated"
 
 QUANTITIES = ("brdf", "brdf_cos", "btdf", "reflectance_factor")
@@ -45,12 +45,12 @@ UNITS = ("1/sr", "sr^-1")
 
 # Nothing that was measured is as large in 1/sr, nor a relative uncertainty; squares of
 # what is larger are no numbers any more.
-MOST, MOST_UNCERTAIN = 1e30, 1e6
+MAX_VALUE, MAX_RELATIVE = 1e30, 1e6
 
 # Header keys that are numbers: interval and condition of each.
 NUMBERS = {
-    "uncertainty": (0, MOST_UNCERTAIN, "a finite number of 0 or more, below 1e6"),
-    "scale_uncertainty": (0, MOST_UNCERTAIN, "a finite number of 0 or more, below 1e6"),
+    "uncertainty": (0, MAX_RELATIVE, "a finite number of 0 or more, below 1e6"),
+    "scale_uncertainty": (0, MAX_RELATIVE, "a finite number of 0 or more, below 1e6"),
     "degrees_of_freedom": (1, 1e15, "a number of 1 or more, below 1e15"),
     "aperture_half_angle": (0, 90, "an angle in degrees in [0, 90)"),
     "aperture_solid_angle": (0, 2 * np.pi, "a solid angle in sr in [0, 2 pi)"),
@@ -61,7 +61,7 @@ TEXTS = ("units", "quantity", "channel")
 
 # Digits of a degree by which directions are told apart, and standard errors by which
 # two values of one direction may differ.
-DIGITS, APART = 6, 6.0
+ANGLE_DIGITS, MAX_STD_ERRS = 6, 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,9 +173,9 @@ class MeasuredTable:
     def __str__(self) -> str:
         """Lines on what the table holds, and how it was understood."""
         incident = self.incident
-        listed = [f"({theta:.5g}, {phi:.5g})" for theta, phi in incident[:MOST_LISTED]]
-        if len(incident) > MOST_LISTED:
-            listed.append(f"and {len(incident) - MOST_LISTED} more")
+        listed = [f"({theta:.5g}, {phi:.5g})" for theta, phi in incident[:MAX_LISTED]]
+        if len(incident) > MAX_LISTED:
+            listed.append(f"and {len(incident) - MAX_LISTED} more")
         errors, aperture = self.bsdf_std_err, self.aperture_half_angle
         known = f"{np.median(errors):.3g} 1/sr (median)" if errors.any() else UNSTATED
         low, high = np.round([self.theta_o.min(), self.theta_o.max()], 6)
@@ -305,8 +305,8 @@ def fits(name: str, value: Any, quantity: str) -> tuple[Any, str]:
         condition = f"an angle in degrees in [0, 90) for {quantity}"
         return (value >= 0) & (value < 90), condition
     if name == "sigma":
-        return (value >= 0) & (value < MOST), "a finite number of 0 or more"
-    return np.abs(value) < MOST, "a finite number"
+        return (value >= 0) & (value < MAX_VALUE), "a finite number of 0 or more"
+    return np.abs(value) < MAX_VALUE, "a finite number"
 
 
 def repeats_noted(table: MeasuredTable) -> MeasuredTable:
@@ -321,7 +321,7 @@ def repeats_noted(table: MeasuredTable) -> MeasuredTable:
     pole = (table.theta_o == 0) | (table.theta_o == 180)
     angles = [table.theta_i, table.phi_i % 360, table.theta_o]
     angles.append(np.where(pole, 0, table.phi_o % 360))
-    keys = np.round(np.stack(angles, axis=1), DIGITS)
+    keys = np.round(np.stack(angles, axis=1), ANGLE_DIGITS)
     keys[:, [1, 3]] %= 360
     order = np.lexsort((table.value, *keys.T[::-1]))
     new = (np.diff(keys[order], axis=0) != 0).any(axis=1)
@@ -333,7 +333,7 @@ def repeats_noted(table: MeasuredTable) -> MeasuredTable:
         return table
     largest = np.maximum(np.abs(table.value[high]), np.abs(table.value[low]))
     sigma = table.bsdf_std_err * table._factor
-    noise = APART * np.hypot(sigma[high], sigma[low])
+    noise = MAX_STD_ERRS * np.hypot(sigma[high], sigma[low])
     most = np.maximum(largest / 2, np.maximum(np.median(np.abs(table.value)), noise))
     if (apart > most).any():
         k = int(np.argmax(apart - most))

@@ -77,9 +77,10 @@ UNCERTAIN = _listed(
     "stddev deviation rsd"
 )
 # Uncertainties that are relative to the value, or not, and other words beside them.
-OF_VALUE = {"relative", "rel", "rsd", "fractional"}
-ABSOLUTE = {"absolute", "abs"}
-BESIDE = _listed(
+RELATIVE_WORDS = {"relative", "rel", "rsd", "fractional"}
+ABSOLUTE_WORDS = {"absolute", "abs"}
+OTHER_WORDS = RELATIVE_WORDS | ABSOLUTE_WORDS
+OTHER_WORDS |= _listed(
     "standard combined total measurement random reflectance factor radiance f r dev "
     "percent pct cos in type b statistical cosine s c k"
 )
@@ -88,7 +89,7 @@ BESIDE = _listed(
 COLOURS = ("R", "G", "B")
 
 # Wavelengths in nm that a column may be named by without a unit.
-SHORTEST, LONGEST = 150, 20_000
+MIN_NM, MAX_NM = 150, 20_000
 
 # A number that may be a wavelength, and one that values are multiplied with.
 WITH_UNIT = re.compile(
@@ -98,7 +99,7 @@ TIMES = re.compile(r"[*x·×⋅]\s*\d|\d\s*[*x·×⋅](?!\w)", re.IGNORECASE)
 
 # Words of values that are something of a quantity, and not the quantity itself; and
 # the like in signs, where cosines and units are none.
-CHANGED = _listed(
+CHANGING_WORDS = _listed(
     "log lg ln db decibel decibels sqrt root square squared inverse reciprocal ratio "
     "difference residual relative rel normalised normalized scaled arb arbitrary au "
     "counts msr flag index delta number n"
@@ -107,7 +108,7 @@ COSINE = re.compile(r"[*x·×⋅]\s*\(?cos\w*.*$|^\s*cos\w*\s*[*x·×⋅]", re.I
 STERADIANS = re.compile(
     r"(1\s*)?/\s*sr\b|\bsr\s*(\^|\*\*)?[{(]?[-−⁻][1¹][})]?", re.IGNORECASE
 )
-CHANGES = re.compile(
+CHANGING_SIGNS = re.compile(
     r"[*^×·⋅]|\b(db\b|[munk]sr)|(?<!\w)1e-?\d|(?<![\d.])10+(?![\d.])"
     r"|^\s*[-−]|/\s*\d|(?<![\w.])1\s*/|(b[rst]df|brf)\s*/|/\s*(b[rst]df|brf)",
     re.IGNORECASE,
@@ -134,7 +135,7 @@ EXPANDED = re.compile(
 BEHIND = re.compile(rf"[*x·×⋅]\s*{NUMBER}\s*$")
 
 # Levels that stand for one sigma and three.
-OF_LEVEL = {68.0: 1.0, 99.7: 3.0}
+SIGMAS_OF_LEVEL = {68.0: 1.0, 99.7: 3.0}
 
 
 @dataclass(frozen=True)
@@ -192,12 +193,15 @@ def recognised(name: str) -> Column | None:
     if not unit and set(words) & {"percent", "pct"}:
         unit = "%"
     if set(words) & UNCERTAIN:
-        if set(words) - UNCERTAIN - OF_VALUE - ABSOLUTE - VALUES - BESIDE:
+        if set(words) - UNCERTAIN - VALUES - OTHER_WORDS:
             return None  # of an angle, a wavelength, a temperature
         if not coverage:
             expanded = "expanded" in words or "U" in re.findall(r"\w+", name)
             coverage = _coverage_left(text) or (2.0 if expanded else 1.0)
-        said = {"rel": set(words) & OF_VALUE, "abs": set(words) & ABSOLUTE}
+        said = {
+            "rel": set(words) & RELATIVE_WORDS,
+            "abs": set(words) & ABSOLUTE_WORDS,
+        }
         kind = next((kind for kind, of in said.items() if of), "")
         if PER_VALUE.search(text):
             kind = "rel"
@@ -243,7 +247,7 @@ def _without_coverage(name: str) -> tuple[str, float]:
                 number = 1.0
             if pattern in (EXPANDED, LEVEL):
                 sigmas = round(float(special.ndtri((1 + number / 100) / 2)), 3)
-                return rest, OF_LEVEL.get(number, sigmas)
+                return rest, SIGMAS_OF_LEVEL.get(number, sigmas)
             return rest, number or 1.0
     return text, 0.0
 
@@ -254,7 +258,7 @@ def _coverage_left(text: str) -> float:
     if behind:
         return float(behind[1].replace(",", ".")) or math.nan
     numbers = [float(number) for number in re.findall(r"[0-9]+(?:\.[0-9]+)?", text)]
-    return 0.0 if all(SHORTEST <= one <= LONGEST for one in numbers) else math.nan
+    return 0.0 if all(MIN_NM <= one <= MAX_NM for one in numbers) else math.nan
 
 
 def _without_unit(text: str) -> tuple[str, str]:
@@ -329,7 +333,7 @@ def _without_wavelength(text: str) -> tuple[str, str]:
         nm = float(match[1]) * (1 if (match[2] or "nm").lower() == "nm" else 1000)
         before, after = spaced[: match.start()], spaced[match.end() :]
         multiple = TIMES.search(f"{before[-3:]}0{after[:3]}")
-        if SHORTEST <= nm <= LONGEST and not multiple:
+        if MIN_NM <= nm <= MAX_NM and not multiple:
             return f"{before} {after}", f"{nm:.10g}nm"
     return text, ""
 
@@ -337,8 +341,8 @@ def _without_wavelength(text: str) -> tuple[str, str]:
 def _is_changed(text: str, words: Sequence[str]) -> bool:
     """Whether a name is that of values times a number, their logarithm or the like."""
     bare = STERADIANS.sub(" ", COSINE.sub(" ", text))
-    changed = CHANGES.search(bare) or TIMES.search(bare)
-    return bool(CHANGED & set(words) or changed)
+    changed = CHANGING_SIGNS.search(bare) or TIMES.search(bare)
+    return bool(CHANGING_WORDS & set(words) or changed)
 
 
 def _quantity(words: Sequence[str]) -> str:

@@ -23,17 +23,17 @@ DECIMAL = re.compile(
 )
 
 # More characters than any number needs.
-LONGEST_NUMBER = 100
+MAX_DIGITS = 100
 
 # Characters of a line; no table has more, and an image in text has.
-LONGEST_LINE = 10_000
+MAX_LINE = 10_000
 
 # Lines of a title, at most, above the names of the columns.
-MOST_TITLES = 200
+MAX_TITLES = 200
 
 # Line above a scan in the own text of REFLET instruments (their export "LightTools").
 # Ansys's converter scales these with a reflectance from another file.
-SCANNED = "Theta Lighting"
+REFLET_HEAD = "Theta Lighting"
 
 DELIMITERS = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}
 COMMENTS = ("#", "%", "!", "//")
@@ -116,12 +116,12 @@ def split_text(
     if not lines:
         raise FileFormatError(f"{path} is empty: it has no line of column names")
     first = next((i for i, (_, text) in enumerate(lines) if is_row(text)), len(lines))
-    candidates = [*comments, *lines[: min(first, MOST_TITLES)]]
+    candidates = [*comments, *lines[: min(first, MAX_TITLES)]]
     n_known, number, delimiter = _best_names(
         candidates, lines[first : first + 1], known
     )
     if n_known < 2:
-        if any(text.startswith(SCANNED) for _, text in lines):
+        if any(text.startswith(REFLET_HEAD) for _, text in lines):
             raise FileFormatError(
                 f"{path} is a scan of a REFLET goniophotometer, whose values have no "
                 "stated scale: export it for Zemax, .bsdf, with the reflectance"
@@ -160,9 +160,9 @@ def _comments_and_lines(path: str | PathLike[str]) -> tuple[list[Line], list[Lin
     lines: list[Line] = []
     for number, line in enumerate(io.StringIO(decoded(path), newline=None), 1):
         text = line.strip(" \r\n\f\v").rstrip("\t")
-        if len(text) > LONGEST_LINE:
+        if len(text) > MAX_LINE:
             raise FileFormatError(
-                f"{path}, line {number}: must have at most {LONGEST_LINE} characters, "
+                f"{path}, line {number}: must have at most {MAX_LINE} characters, "
                 f"got {len(text)}"
             )
         if text.startswith(COMMENTS):
@@ -239,7 +239,7 @@ def has_decimal_commas(rows: Sequence[Line], delimiter: str) -> bool:
 def is_decimal(text: str) -> bool:
     """Whether `text` is a number as :func:`decimal` takes it."""
     word = text.strip()
-    return len(word) <= LONGEST_NUMBER and DECIMAL.fullmatch(word) is not None
+    return len(word) <= MAX_DIGITS and DECIMAL.fullmatch(word) is not None
 
 
 def decimal(text: str) -> float:

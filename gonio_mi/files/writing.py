@@ -22,7 +22,7 @@ __all__ = ["check_output", "checked_ending", "replacing", "takes_a_stream"]
 
 # A temporary file that nobody has locked and that is older than this many seconds was
 # left behind by a process that was killed.
-FORGOTTEN = 60.0
+MAX_PARTIAL_AGE = 60.0
 PREFIX, SUFFIX = ".gonio-", ".partial"
 
 
@@ -148,7 +148,7 @@ def _remove_forgotten(folder: Path) -> None:
     """Remove the temporary files of processes that were killed."""
     for partial in folder.glob(f"{PREFIX}*{SUFFIX}"):
         with contextlib.suppress(OSError):
-            if time.time() - partial.stat().st_mtime < FORGOTTEN:
+            if time.time() - partial.stat().st_mtime < MAX_PARTIAL_AGE:
                 continue
             with open(partial, "rb") as stream:
                 if not _is_locked(stream):

@@ -9,10 +9,10 @@ from ..errors import FileFormatError
 from ..files.checks import require
 from ..files.table_text import decimal
 
-__all__ = ["MOST_NUMBERS", "Lines", "check_size", "without_mark"]
+__all__ = ["MAX_NUMBERS", "Lines", "check_size", "without_mark"]
 
 # Longest line, which is one of values; numbers that a text may announce.
-LONGEST, MOST_NUMBERS = 10**6, 10**8
+MAX_LINE, MAX_NUMBERS = 10**6, 10**8
 
 
 def without_mark(content: bytes) -> bytes:
@@ -49,7 +49,7 @@ class Lines:
         text = content.decode("latin-1").replace("\r\n", "\n").replace("\r", "\n")
         self._text, self._at, self.number = text, 0, 0
         longest = max(map(len, text.split("\n")))
-        require(longest <= LONGEST, "it has an endless line")
+        require(longest <= MAX_LINE, "it has an endless line")
         self._comment = comment
         self.comments: list[str] = []
 
@@ -118,5 +118,5 @@ def check_size(*counts: int) -> int:
     for count in counts:
         require(count >= 1, f"it announces {count} of something")
         product *= count
-        require(product <= MOST_NUMBERS, "it announces more values than any file has")
+        require(product <= MAX_NUMBERS, "it announces more values than any file has")
     return product

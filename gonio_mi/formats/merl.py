@@ -32,7 +32,7 @@ RADIAL = np.array(
 AZIMUTH = np.arange(0.0, 361.0, 10.0)
 
 # Values that are asked for at once.
-AT_ONCE = 2**16
+CELLS_AT_ONCE = 2**16
 
 
 def read(stream: BinaryIO, incidences: Sequence[float] = THETA_I) -> Scatter:
@@ -82,8 +82,8 @@ def write(value: Callable[[Floats, Floats], Floats], stream: BinaryIO) -> None:
     """
     n = int(np.prod(CELLS))
     table = np.full((3, n), -1.0)
-    for begin in range(0, n, AT_ONCE):
-        index = np.arange(begin, min(begin + AT_ONCE, n))
+    for begin in range(0, n, CELLS_AT_ONCE):
+        index = np.arange(begin, min(begin + CELLS_AT_ONCE, n))
         row, column, turn = np.unravel_index(index, CELLS)
         sums = np.zeros((len(index), 3))
         for half_turn in (0, CELLS[2]):

@@ -20,7 +20,7 @@ from ..errors import FileFormatError, abridged
 from ..files.channels import wavelengths_nm
 from ..files.checks import require
 from .format import Format
-from .lines import MOST_NUMBERS, without_mark
+from .lines import MAX_NUMBERS, without_mark
 from .scatter import Block, Points, Scatter
 
 __all__ = ["FORMATS", "read", "write"]
@@ -40,15 +40,15 @@ PATTERNS = {
 }
 
 # Least and greatest value of each column.
-LEAST = np.array([1e-9, 0, 0, 0, 0])
-GREATEST = np.array([17.16e-3, 1.570796, 1.570796, 6.283185, np.inf])
+MINIMA = np.array([1e-9, 0, 0, 0, 0])
+MAXIMA = np.array([17.16e-3, 1.570796, 1.570796, 6.283185, np.inf])
 COLUMNS = ("wavelength", "incident zenith", "exit zenith", "exit azimuth", "BRDF")
 
 # Angles in degrees that differ by less are the same.
-SAME = 1e-3
+ANGLE_TOLERANCE = 1e-3
 
 # Digits of angles, rounded down so that they stay in the schema's ranges.
-DIGITS = 1e6
+STEPS_PER_RADIAN = 1e6
 
 # What stands for a channel without a wavelength, in nm.
 GREY = 550.0
@@ -90,7 +90,7 @@ def _rows(stream: BinaryIO) -> tuple[Floats, dict[str, str]]:
 def _table(listed: Any) -> Floats:
     """Look-up table as it is written."""
     require(isinstance(listed, list) and len(listed) > 0, "it has no lookupTable")
-    require(len(listed) * 5 <= MOST_NUMBERS, "it has more values than any file")
+    require(len(listed) * 5 <= MAX_NUMBERS, "it has more values than any file")
     numbers = (int, float)
     for index, row in enumerate(listed):
         good = isinstance(row, list) and len(row) == 5
@@ -100,7 +100,7 @@ def _table(listed: Any) -> Floats:
         table = np.array(listed, dtype=float)
     except OverflowError:
         raise FileFormatError("its lookupTable has an absurd number") from None
-    good = (table >= LEAST) & (table <= GREATEST * (1 + 1e-6)) & np.isfinite(table)
+    good = (table >= MINIMA) & (table <= MAXIMA * (1 + 1e-6)) & np.isfinite(table)
     if not good.all():
         row, column = np.argwhere(~good)[0]
         raise FileFormatError(
@@ -160,10 +160,10 @@ def read(stream: BinaryIO) -> Scatter:
     wavelengths = np.unique(table[:, 0])
     blocks = []
     for theta_i in np.unique(table[:, 1]):
-        here = table[np.abs(table[:, 1] - theta_i) < SAME]
+        here = table[np.abs(table[:, 1] - theta_i) < ANGLE_TOLERANCE]
         polar, azimuth = np.unique(here[:, 2]), np.unique(here[:, 3])
-        azimuth = azimuth[azimuth < 360 - SAME]
-        here = here[here[:, 3] < 360 - SAME]
+        azimuth = azimuth[azimuth < 360 - ANGLE_TOLERANCE]
+        here = here[here[:, 3] < 360 - ANGLE_TOLERANCE]
         grid = np.full((len(polar), len(azimuth), len(wavelengths)), np.nan)
         place = (
             np.searchsorted(polar, here[:, 2]),
@@ -171,7 +171,7 @@ def read(stream: BinaryIO) -> Scatter:
             np.searchsorted(wavelengths, here[:, 0]),
         )
         grid[place] = here[:, 4]
-        pole = polar < SAME  # told for one azimuth or for all
+        pole = polar < ANGLE_TOLERANCE  # told for one azimuth or for all
         told = ~np.isnan(grid[pole])
         n_told = told.sum(axis=1, keepdims=True)
         known = np.nansum(grid[pole], axis=1, keepdims=True) / np.maximum(n_told, 1)
@@ -183,7 +183,7 @@ def read(stream: BinaryIO) -> Scatter:
         )
         turned = np.mod(azimuth + 180, 360)  # here the mirror direction is 0
         order = np.argsort(turned)
-        if theta_i < 90 - SAME:
+        if theta_i < 90 - ANGLE_TOLERANCE:
             blocks.append(
                 Block(float(theta_i), 0.0, 0, polar, turned[order], grid[:, order])
             )
@@ -237,7 +237,7 @@ def write(scatter: Scatter, stream: BinaryIO, name: str) -> None:
 
 def _radians(degrees: float) -> float:
     """Radians with the digits that the schema has, never above its limits."""
-    return float(np.floor(np.radians(degrees) * DIGITS) / DIGITS)
+    return float(np.floor(np.radians(degrees) * STEPS_PER_RADIAN) / STEPS_PER_RADIAN)
 
 
 FORMATS = (

@@ -86,7 +86,7 @@ SOURCES = dict.fromkeys(DETECTORS, "CIE Illuminant D65 1nm.ssp")
 SOURCES["Solar"] = "ASTM E891 Table 1 Direct AM1_5.ssp"
 
 # Longest file read: a hundred times what 12 matrices need.
-MOST_BYTES = 2**29
+MAX_BYTES = 2**29
 
 # CIE XYZ of linear sRGB (IEC 61966-2-1).
 XYZ = np.array(
@@ -113,7 +113,7 @@ TREE_PATCHES = {3: (45, 90), 4: (32, 64)}
 TREE_POINTS = 3
 
 # Half the width in degrees of what stands for an azimuth on an edge of patches.
-NEARLY = 1e-3
+EDGE_OFFSET = 1e-3
 
 
 @dataclass(frozen=True)
@@ -308,7 +308,7 @@ def read(stream: BinaryIO) -> dict[tuple[str, str], Floats | TensorTree]:
 def _root(stream: BinaryIO) -> ElementTree.Element:
     """Root element of an XML file without a DTD, tags without name spaces."""
     size = size_of(stream)
-    require(size <= MOST_BYTES, f"it has {size} bytes, more than any such file needs")
+    require(size <= MAX_BYTES, f"it has {size} bytes, more than any such file needs")
     parser = ElementTree.XMLParser(target=_WithoutDTD())
     try:
         root = ElementTree.parse(stream, parser).getroot()
@@ -512,7 +512,7 @@ def material(stream: BinaryIO, side: str) -> PatchMeans:
         # as many azimuths as the ring has that has most, on both sides of edges there
         patches, edges = bsdf.basis, bsdf.basis.theta_deg
         angles = np.array([0, *(np.add(edges[1:-1], edges[2:]) / 2)])
-        n, turns = max(patches.n_phi), [-NEARLY, NEARLY]
+        n, turns = max(patches.n_phi), [-EDGE_OFFSET, EDGE_OFFSET]
         wo = unit_vectors(*(angle[:, 0] for angle in patches.middles))[:, None]
     else:
         patches = EqualProjectedSolidAngle(*TREE_PATCHES[bsdf.rank])

@@ -34,7 +34,7 @@ __all__ = [
 QUANTITIES = ("brdf", "btdf")
 
 # Bytes that tell what a file is.
-HEAD = 100_000
+HEAD_BYTES = 100_000
 
 
 @functools.cache
@@ -76,7 +76,7 @@ def format_of(path: str | PathLike[str]) -> Format | None:
         If it cannot be opened.
     """
     with open(path, "rb") as stream:
-        head = without_mark(stream.read(HEAD)).decode("latin-1")
+        head = without_mark(stream.read(HEAD_BYTES)).decode("latin-1")
     head = head.replace("\r\n", "\n").replace("\r", "\n")
     ending = Path(path).suffix.lower()
     by_name = [one for one in _all() if ending in one.endings]

@@ -30,7 +30,7 @@ __all__ = [
 POINTS = 6
 
 # Polar angles below the horizon by no more than this, in degrees, are on it.
-ABOVE = 1e-6
+HORIZON_TOLERANCE = 1e-6
 
 # Rings and sectors of patches that are as fine as such data are told for.
 PATCHES = 60, 72
@@ -186,7 +186,7 @@ class Block:
         phi = np.degrees(np.arctan2(wo[:, 1], wo[:, 0]))
         if not self.specular:  # as they are written, to the bit
             theta, phi = polar[once], around[once] + self.phi_i + 180
-        above = theta < 90 - ABOVE
+        above = theta < 90 - HORIZON_TOLERANCE
         return theta[above], np.mod(phi[above], 360), values[once][above]
 
 

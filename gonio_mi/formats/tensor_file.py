@@ -39,7 +39,7 @@ TYPES = dict(
 NUMBERS = {np.dtype(name): number for number, name in TYPES.items()}
 
 # More than any material has.
-MOST_FIELDS, MOST_AXES = 1000, 32
+MAX_FIELDS, MAX_AXES = 1000, 32
 
 # Type and axes of each field; the same name is the same length.
 FIELDS = {
@@ -101,13 +101,13 @@ def read(stream: BinaryIO) -> dict[str, Numbers]:
     version = tuple(_bytes(stream, 2))
     require(version[0] == 1, f"it has the unknown version {version[0]}.{version[1]}")
     (n,) = _numbers(stream, "<I")
-    require(n <= MOST_FIELDS, f"it announces {n} fields")
+    require(n <= MAX_FIELDS, f"it announces {n} fields")
     headers = {}
     for _ in range(n):
         (length,) = _numbers(stream, "<H")
         name = _bytes(stream, length).decode("utf-8", "replace")
         n_axes, kind, place = _numbers(stream, "<HBQ")
-        require(n_axes <= MOST_AXES, f"its field {name:.40} has {n_axes} axes")
+        require(n_axes <= MAX_AXES, f"its field {name:.40} has {n_axes} axes")
         require(kind in TYPES, f"its field {name:.40} has the unknown type {kind}")
         shape = _numbers(stream, f"<{n_axes}Q")
         n_bytes = math.prod(shape) * np.dtype(TYPES[kind]).itemsize

@@ -26,13 +26,13 @@ from ..files.table_text import decimal
 __all__ = ["TensorTree", "coordinates", "grid_directions"]
 
 # Cells whose values differ by less, relative to their mean, become one.
-FLAT = 0.01
+MERGE_TOLERANCE = 0.01
 
 # A grid, or nodes of the orthants.
 Node = Floats | list["Node"]
 
 # Levels of the deepest tree read: cells of a millionth.
-DEEPEST = 20
+MAX_DEPTH = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class TensorTree:
     root: Node
 
     @classmethod
-    def of(cls, values: Floats, flat: float = FLAT) -> TensorTree:
+    def of(cls, values: Floats, flat: float = MERGE_TOLERANCE) -> TensorTree:
         """Tree of a grid, in which cells of almost one value are merged.
 
         Parameters
@@ -78,7 +78,7 @@ class TensorTree:
         for brace, run in re.findall("([{}])([^{}]*)", text):
             words = run.replace(",", " ").split()
             if brace == "{":
-                require(len(stack) <= DEEPEST, "its tensor tree is too deep")
+                require(len(stack) <= MAX_DEPTH, "its tensor tree is too deep")
                 stack.append(_grid(words, rank) if words else [])
                 continue
             node = stack.pop()

@@ -169,7 +169,7 @@ def test_totals_are_off_by_no_more_than_is_said():
 def test_twin_points_alone_lose_the_delta(tmp_path, monkeypatch):
     """Without the peaks apart and light carried, a sliver of a patch is missed."""
     record = narrow(lambda _: 0.9, collector="projected:90x180")
-    monkeypatch.setattr(resampling, "MISSED", 1e9)
+    monkeypatch.setattr(resampling, "MAX_MISSED", 1e9)
     monkeypatch.setattr(
         resampling,
         "specular_peaks",

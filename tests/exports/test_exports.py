@@ -111,7 +111,7 @@ def test_measured_of_a_lambertian_converges(tmp_path, monkeypatch):
     errors = []
     for grid in (16, 32):
         monkeypatch.setattr(measured_export, "GRID", grid)
-        monkeypatch.setattr(measured_export, "RAYS", 2**18)
+        monkeypatch.setattr(measured_export, "READ_BACK_RAYS", 2**18)
         losses = exporting.export(synthetic.lambertian(), tmp_path / "lambertian.bsdf")
         errors.append([abs(loss.written - 0.5) for loss in losses])
     assert len(losses) == 3
@@ -135,7 +135,7 @@ def test_measured_of_an_anisotropic_colour_converges(tmp_path, monkeypatch):
     misplaced = []
     for grid in (16, 32):
         monkeypatch.setattr(measured_export, "GRID", grid)
-        monkeypatch.setattr(measured_export, "RAYS", 2**16)
+        monkeypatch.setattr(measured_export, "READ_BACK_RAYS", 2**16)
         losses = exporting.export(record, tmp_path / "colour.bsdf")
         misplaced.append([loss.misplaced for loss in losses])
     assert len(losses) == 8
@@ -145,7 +145,7 @@ def test_measured_of_an_anisotropic_colour_converges(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("rgb")
 def test_light_that_measured_adds_is_a_loss_and_no_warning(tmp_path, monkeypatch):
     monkeypatch.setattr(measured_export, "GRID", 16)
-    monkeypatch.setattr(measured_export, "RAYS", 2**14)
+    monkeypatch.setattr(measured_export, "READ_BACK_RAYS", 2**14)
     metal = {"type": "roughconductor", "alpha": 0.3}
     record = gonio.measure(metal, [0, 40, 80], collector="angle:16x24", rays=2**16)
     with warnings.catch_warnings(record=True) as caught:
@@ -169,9 +169,11 @@ def test_what_measured_holds_is_what_rays_find_in_it(tmp_path, monkeypatch, caps
     monkeypatch.setattr(progress, "PAUSE", 0.0)
     by_points = exporting.export(record, tmp_path / "a.bsdf", progress=True)
     assert "read back" in capsys.readouterr().err
-    apart = measured_export.APART  # what the points of a patch may leave unknown
-    monkeypatch.setattr(measured_export, "APART", -1.0)
-    monkeypatch.setattr(measured_export, "RAYS", 2**17)
+    apart = (
+        measured_export.MAX_DIFFERENCE
+    )  # what the points of a patch may leave unknown
+    monkeypatch.setattr(measured_export, "MAX_DIFFERENCE", -1.0)
+    monkeypatch.setattr(measured_export, "READ_BACK_RAYS", 2**17)
     by_rays = exporting.export(record, tmp_path / "a.bsdf")
     measured = {"type": "measured", "filename": str(tmp_path / "a.bsdf")}
     seen = gonio.measure(measured, **angles, collector="projected:9x12", rays=2**17)

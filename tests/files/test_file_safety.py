@@ -470,7 +470,7 @@ with replacing(Path({str(tmp_path)!r}) / "a.npz") as stream:
     ) as one:
         assert one.stdout.readline() == b"begun\n"
         (partial,) = tmp_path.glob(".gonio-*.partial")
-        long_ago = time.time() - 2 * writing.FORGOTTEN
+        long_ago = time.time() - 2 * writing.MAX_PARTIAL_AGE
         os.utime(partial, (long_ago, long_ago))
         RECORD.save(tmp_path / "b.npz")
         assert partial.exists()  # it is locked

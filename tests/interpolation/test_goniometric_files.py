@@ -109,7 +109,7 @@ def test_one_wavelength_fits_any_variant(tmp_path):
 def test_measured_has_spectra(tmp_path, monkeypatch):
     """Of Mitsuba's own plugin, whose grid loses what it loses of a grey record."""
     monkeypatch.setattr(measured_export, "GRID", 32)
-    monkeypatch.setattr(measured_export, "RAYS", 2**14)
+    monkeypatch.setattr(measured_export, "READ_BACK_RAYS", 2**14)
     grey, coloured = (
         isotropic(collector="projected:4x8", channels=channels, power=2)
         for channels in (("550nm",), CHANNELS)
