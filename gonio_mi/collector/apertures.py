@@ -12,8 +12,6 @@ from ..errors import SettingError, checked_number
 from .directions import direction
 from .hemisphere import EDGE, RingsAndSectors, Subdivision
 
-__all__ = ["Apertures", "disjoint_groups", "is_above"]
-
 # The search grid has at most this many cells per side.
 MAX_CELLS = 1024
 

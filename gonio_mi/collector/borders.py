@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import SettingError, checked_count, checked_number
 from .hemisphere import EDGE, RingsAndSectors
 
-__all__ = ["Borders", "adapted"]
-
 
 @dataclass(frozen=True)
 class Borders(RingsAndSectors):

@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["angles", "azimuths_deg", "direction", "mirror"]
-
 
 def direction(theta: ArrayLike, phi: ArrayLike) -> NDArray[np.float64]:
     """Unit vectors for polar angles and azimuths.

@@ -10,13 +10,6 @@ from numpy.typing import NDArray
 from ..errors import SettingError, checked_count
 from .hemisphere import EDGE, RingsAndSectors
 
-__all__ = [
-    "EqualAngle",
-    "EqualProjectedSolidAngle",
-    "EqualSine",
-    "EqualSolidAngle",
-]
-
 # Single precision, in which patches are numbered, counts no further.
 MAX_PATCHES = 2**24
 

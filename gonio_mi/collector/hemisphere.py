@@ -14,8 +14,6 @@ from ..errors import SettingError
 from ..single_precision import FEW_ROUNDINGS
 from .directions import direction
 
-__all__ = ["EDGE", "RingsAndSectors", "Subdivision"]
-
 # A direction this close to an edge counts as on it: a few rounding errors.
 # Relative in the ring coordinate, so that no ring gains or loses more than this
 # fraction of its size; absolute in azimuth, where it only turns the collector.

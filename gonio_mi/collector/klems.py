@@ -15,8 +15,6 @@ from ..errors import checked_choice
 from .borders import Borders
 from .hemisphere import EDGE, RingsAndSectors, Subdivision
 
-__all__ = ["Klems"]
-
 # Edges of the rings in degrees, and sectors of each.
 RINGS = {
     "full": (

@@ -15,10 +15,6 @@ from .hemisphere import Subdivision
 from .klems import Klems
 from .shirley_chiu import ShirleyChiu
 
-__all__ = [
-    "subdivision",
-]
-
 _KINDS: dict[str, Callable[[int, int], Subdivision]] = {
     kind.name: kind
     for kind in (EqualAngle, EqualSolidAngle, EqualProjectedSolidAngle, EqualSine)

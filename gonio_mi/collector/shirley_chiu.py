@@ -15,8 +15,6 @@ from ..array_types import Floats
 from ..errors import SettingError, checked_count
 from .hemisphere import EDGE, RingsAndSectors, Subdivision
 
-__all__ = ["ShirleyChiu", "directions_of", "square_of"]
-
 # Finer ones are no use to anybody, and indices are whole numbers in single precision.
 MAX_SIZE = 1024
 

@@ -21,8 +21,6 @@ from .recording import records_of
 from .setup import own_settings, set_up
 from .specimen_text import specimen_name
 
-__all__ = ["ExitProfile", "exit_profile"]
-
 MAX_RINGS = 10_000
 RADII = "numbers of at least 0 and less than 1e15"
 
@@ -106,7 +104,7 @@ def exit_profile(
     theta_i, phi_i : float
         Degrees.
     **settings
-        Those of :func:`gonio_mi.measure`, but for `footprint`, which is a point, the
+        Those of :func:`gonio_mi.measure`, without `footprint`, which is a point, the
         collector's, `incident`, `rel_err` and `noise`; the `estimator` is weighted or
         analog.
 

@@ -13,8 +13,6 @@ from ..settings.values import checked_incident
 from ..transport.digest import emitter_digest
 from .loading import loaded
 
-__all__ = ["emitter_scene", "incident_angles", "described_digest"]
-
 # Degrees that are asked for, and decimals from which they are known again in radians:
 # of the angles below 90 degrees in radians that have three, one in 87 is any of these.
 USUAL_ANGLES = (*range(5, 90, 5), 22.5, 67.5)
@@ -32,14 +30,16 @@ def incident_angles(
     patches = checked_incident("incident", incident)
     if theta_i is None and patches is not None:
         if np.any(phi_i):
-            raise SettingError(f"phi_i goes with theta_i, got {shown(phi_i)} without")
+            raise SettingError(
+                f"phi_i requires theta_i, got phi_i {shown(phi_i)} alone"
+            )
         middles = np.degrees([angle.ravel() for angle in patches.middles])
         return [(theta, phi % 360.0) for theta, phi in middles.T.tolist()], True
     if theta_i is None:
         if np.any(phi_i):
             raise SettingError(
-                "phi_i goes with theta_i: without it the scene's emitter decides where "
-                f"light comes from, got phi_i {shown(phi_i)}"
+                "phi_i requires theta_i, for the scene's own emitter has a direction, "
+                f"got phi_i {shown(phi_i)} alone"
             )
         return [None], False
     stacked = np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0

@@ -17,8 +17,6 @@ from ..transport.sums import packet_width
 from ..transport.wavelengths import wavelength_lanes
 from .schedule import Round
 
-__all__ = ["Launcher", "LaunchSize", "round_rays", "segments"]
-
 # Rays per kernel launch, at most. For samplers other than `sobol` it takes part in the
 # seeding: a change of it changes the random numbers.
 MAX_LAUNCH = 2**24
@@ -63,7 +61,7 @@ class Launcher:
     Parameters
     ----------
     setup : Setup
-        Any of the setups, which are alike but for their incident directions.
+        Any of the setups, which differ in their incident direction only.
     """
 
     def __init__(self, setup: Setup) -> None:

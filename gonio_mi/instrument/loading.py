@@ -31,16 +31,6 @@ from ..transport.variants import check_variant
 from .named_files import check_named_files
 from .specimen_text import is_word, parse_specimen
 
-__all__ = [
-    "MIRROR",
-    "existing",
-    "load_plugin_file",
-    "load_specimen",
-    "loaded",
-    "surface_specimen",
-    "with_own_tensors",
-]
-
 # Texts that may hold heights or measured values.
 TEXTS = (".txt", ".csv", ".tsv")
 

@@ -38,14 +38,6 @@ from .schedule import Target, rays_sent, rounds, schedule
 from .setup import own_settings, set_up
 from .specimen_text import specimen_name
 
-__all__ = [
-    "measure_each",
-    "measure_orders",
-    "measure_stacks",
-    "send_all",
-    "whole",
-]
-
 logger = logging.getLogger(__name__)
 
 # Incident directions whose integrals are found together: what Ctrl-C may cost.
@@ -81,7 +73,7 @@ def measure_orders(
     Parameters
     ----------
     specimen, theta_i, phi_i, **settings
-        As of `measure`, but for `order`, `resume`, `executor` and `folder`.
+        Those of `measure`, without `order`, `resume`, `executor` and `folder`.
     orders : sequence of int or str
         Such as ``2`` and ``"3+"``, or ``"all"``; see the setting `order` of
         :func:`~gonio_mi.measure`. Each needs sums of its own in memory.
@@ -243,17 +235,17 @@ def _check_together(
     if patches is not None and (emitter is not None or asked.divergence):
         other = "divergence" if asked.divergence else "emitter"
         raise SettingError(
-            f"incident goes without {other}: it says which directions a beam has, "
-            f"got {patches!s:.40}"
+            f"incident excludes {other}, for it sets the directions of the beam, "
+            f"got incident {patches!s:.40}"
         )
     if None in incidents and emitter is None and asked.side != "front":
         raise SettingError(
-            "side goes with theta_i: without it the scene's emitter decides where "
-            f"light comes from, got side {asked.side}"
+            "side requires theta_i, for the scene's own emitter has a direction, "
+            f"got side {asked.side} alone"
         )
     if not given.keys() & {"rel_err", "noise"} and "max_rays" in given:
         raise SettingError(
-            f"max_rays goes with rel_err, got {asked.max_rays!r} without"
+            f"max_rays requires rel_err or noise, got max_rays {asked.max_rays!r} alone"
         )
 
 

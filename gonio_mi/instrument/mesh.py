@@ -24,8 +24,6 @@ from ..formats.meshes import MESHES, is_mesh
 from ..transport.variants import check_variant
 from .loading import loaded
 
-__all__ = ["NORMALS", "mesh"]
-
 # Rotations that turn an axis of the file to +z.
 NORMALS = {
     "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],

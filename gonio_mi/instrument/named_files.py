@@ -12,8 +12,6 @@ import numpy as np
 from ..errors import SpecimenError
 from ..formats.tensor_file import check_measured
 
-__all__ = ["check_named_files"]
-
 # Scene files may include others; no more than this many deep.
 MAX_INCLUDES = 15
 

@@ -27,14 +27,6 @@ from ..transport.variants import processor
 from ..transport.wavelengths import channel_names
 from .schedule import Target, rays_sent, rounds
 
-__all__ = [
-    "check_resumable",
-    "settings_and_provenance",
-    "record_of",
-    "records_of",
-    "warn_of_interruption",
-]
-
 # Light is said to be created where the intervals of this level begin above all that
 # came, and by more than what a path of so many events loses to single precision.
 CREATION_LEVEL = 1 - 1e-9

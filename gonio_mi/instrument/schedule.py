@@ -15,9 +15,6 @@ from ..results.record import Record
 from ..results.tally import Fate, Tally, batch_sizes
 from ..settings.measurement_settings import PILOT_RAYS, MeasurementSettings
 
-__all__ = ["Round", "Target", "rays_sent", "rounds", "schedule"]
-
-
 # The paper's error tolerance and confidence (section 5.2).
 PAPER_EPSILON, PAPER_DELTA = 0.005, 0.01
 

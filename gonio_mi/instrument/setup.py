@@ -14,9 +14,8 @@ from ..settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings, Order
 from ..transport.beam import Beam
 from ..transport.bsdf_trial import check_works, warn_of_roughness
 from ..transport.collector_sphere import CollectorSphere
-from ..transport.media import check_media
+from ..transport.media import check_media, phase_defect
 from ..transport.next_event import check_traced
-from ..transport.phase_functions import defect
 from ..transport.sampling import check_sampler
 from ..transport.scene_objects import foreign_plugins
 from ..transport.setup import Setup
@@ -24,8 +23,6 @@ from ..transport.specimen import Specimen
 from ..transport.wavelengths import check_covered, passes, wavelength_lanes
 from .incidence import described_digest, emitter_scene
 from .loading import loaded
-
-__all__ = ["own_settings", "set_up"]
 
 # Of specimens with media: by variant, wavelengths, digest and classes in Python.
 _defects: dict[tuple[Any, ...], list[str]] = {}
@@ -127,7 +124,7 @@ def _find_defects(specimen: Specimen, nm: tuple[float, ...], lanes: Any) -> None
     key = mi.variant(), nm, specimen.digest, frozenset(written)
     if key not in _defects:
         box = specimen.low, specimen.high
-        found = filter(None, (defect(phase, lanes, *box) for phase in phases))
+        found = filter(None, (phase_defect(phase, lanes, *box) for phase in phases))
         sentences = list(dict.fromkeys(found))
         for sentence in sentences:
             warn(sentence)

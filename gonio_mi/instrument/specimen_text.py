@@ -9,8 +9,6 @@ import numpy as np
 
 from ..errors import SpecimenError, no_file
 
-__all__ = ["is_word", "parse_specimen", "specimen_name"]
-
 
 def parse_specimen(text: str) -> Any:
     """Specimen from a word of the command line.

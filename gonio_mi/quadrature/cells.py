@@ -9,22 +9,6 @@ from numpy.typing import NDArray
 
 from ..collector import Subdivision
 
-__all__ = [
-    "BLIND",
-    "CONFIRMING",
-    "GAUSS",
-    "NOISE",
-    "NODES_PER_CELL",
-    "PROBING",
-    "QUARTERS",
-    "Cells",
-    "Guides",
-    "Points",
-    "noise",
-    "off_polynomial",
-    "way_to_split",
-]
-
 # Points per axis of the tensor Gauss-Legendre rule.
 ORDER = 4
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(ORDER)

@@ -15,8 +15,6 @@ from ..transport.setup import Setup
 from ..transport.wavelengths import wavelength_lanes
 from .integrate import integrate_each
 
-__all__ = ["check_integrable", "integrals"]
-
 
 def check_integrable(setup: Setup) -> None:
     """Raise SpecimenError where the estimator `quadrature` does not apply."""
@@ -50,7 +48,7 @@ def integrals(
     Parameters
     ----------
     setups : sequence of Setup
-        Of one specimen, and alike but for the incident direction: they share kernels.
+        Of one specimen; they differ in their incident direction only and share kernels.
     sampled : sequence of sequence of Tally
         Of the delta components, at each setup; none without such components.
     """

@@ -27,8 +27,6 @@ from .cells import (
 )
 from .incident_light import IncidentLight, channels_of
 
-__all__ = ["INTEGRAL_ROUNDING", "Evaluator"]
-
 # Sampled directions that show where narrow lobes are, of each incident direction.
 N_GUIDES = 2**14
 

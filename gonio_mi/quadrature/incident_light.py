@@ -16,8 +16,6 @@ from ..transport.plane import repeated
 from ..transport.scene_objects import holds_foreign_plugins
 from ..transport.surface_events import flux_context
 
-__all__ = ["IncidentLight", "channels_of"]
-
 
 @dataclass(frozen=True)
 class IncidentLight:

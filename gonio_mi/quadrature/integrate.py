@@ -17,8 +17,6 @@ from .cells import NODES_PER_CELL, QUARTERS, Cells, way_to_split
 from .evaluator import INTEGRAL_ROUNDING, Evaluator
 from .incident_light import IncidentLight
 
-__all__ = ["PatchIntegrals", "Rule", "integrate", "integrate_each"]
-
 # Guides that a cell may hold before it is split unseen.
 MAX_GUIDES = 8
 

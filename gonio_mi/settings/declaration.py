@@ -11,8 +11,6 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
-__all__ = ["Declaration", "Kind", "declarations", "numpydoc", "plugin_table", "setting"]
-
 
 class Kind(Enum):
     """How a value is written: in Python, and as a property of a Mitsuba plugin."""

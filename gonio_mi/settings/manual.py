@@ -6,8 +6,6 @@ import textwrap
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-__all__ = ["example"]
-
 Plugin = TypeVar("Plugin", bound=Callable[..., Any])
 
 TABS = """

@@ -25,16 +25,6 @@ from .values import (
     number,
 )
 
-__all__ = [
-    "COLLECTOR",
-    "Estimator",
-    "FILM",
-    "INTEGRATOR",
-    "MAX_POINTS",
-    "MeasurementSettings",
-    "PILOT_RAYS",
-]
-
 # Mitsuba plugins that have settings as their properties.
 INTEGRATOR, COLLECTOR, FILM = "goniophotometer", "collector", "patches"
 
@@ -150,9 +140,10 @@ class MeasurementSettings:
         None,
         number(1e-6, 1, "a number from 1e-6 to below 1"),
         Kind.NUMBER,
-        "Instead of `rays`: go on until the standard errors of all patches together "
-        "misplace at most this part of the light, for each incident direction: half "
-        "the sum of their expected absolute errors over ``dhr + dht``.",
+        "Instead of `rays`: continue until the expected total variation distance from "
+        "the true distribution of scattered flux is at most this, for each incident "
+        "direction: half the sum of the expected absolute errors of all patches, over "
+        "``dhr + dht``.",
         shown_default="none",
     )
     max_rays: int = setting(
@@ -167,15 +158,15 @@ class MeasurementSettings:
         0.1,
         number(0, 1, "a fraction in [0, 1)"),
         Kind.NUMBER,
-        "Fraction of the mean over the collector: patches whose BRDF (or BTDF) is "
-        "below are not worth reporting.",
+        "Patches whose BRDF (or BTDF) is below this fraction of the mean over the "
+        "collector do not count for `rel_err`.",
     )
     batches: int = setting(
         16,
         count(1, MAX_BATCHES),
         Kind.COUNT,
-        "Independent batches, from whose scatter uncertainties come. With ``sobol`` "
-        "every doubling costs a fifth of the precision that the same rays give.",
+        "Number of independent batches, whose scatter gives the standard errors. With "
+        "``sobol`` every doubling costs a fifth of the precision of the same rays.",
         group=METHOD,
         plugin=INTEGRATOR,
     )
@@ -225,8 +216,8 @@ class MeasurementSettings:
         0,
         count(0),
         Kind.COUNT,
-        "Same seed, same bits. On the same kind of processor, whatever the number of "
-        "threads.",
+        "Seed of the random numbers. The same seed gives the same bits on the same "
+        "kind of processor, whatever the number of threads.",
         group=METHOD,
         metavar="S",
     )
@@ -258,8 +249,8 @@ class MeasurementSettings:
         0.0,
         number(0, 90, "an angle in [0, 90) degrees"),
         Kind.NUMBER,
-        "Half angle in degrees of the cone that the directions of a collimated beam "
-        "fill, the same power in each solid angle.",
+        "Half angle in degrees of the cone of directions of a collimated beam, which "
+        "is filled uniformly in solid angle.",
         group=LIGHT,
         metavar="DEG",
         plugin=INTEGRATOR,
@@ -268,10 +259,10 @@ class MeasurementSettings:
         None,
         checked_incident,
         Kind.WORD,
-        "Patches of incidence, named as those of the collector: the directions of a "
-        "collimated beam fill the patch that holds its own, the same power in each "
-        "projected solid angle. Without `theta_i` every patch is measured, in its "
-        "order.",
+        "Subdivision of the hemisphere of incidence, named like a collector: the "
+        "directions of a collimated beam fill the patch that contains the incident "
+        "direction, uniformly in projected solid angle. Without `theta_i` every patch "
+        "is measured, in order.",
         group=LIGHT,
         metavar="klems|KIND:NTxNP",
         form="str or Subdivision",
@@ -352,7 +343,7 @@ class MeasurementSettings:
         1000,
         count(1, 2**31),
         Kind.COUNT,
-        "Surface events after which a ray is truncated.",
+        "Number of surface events after which a ray is truncated.",
         group=EVENTS,
         plugin=INTEGRATOR,
     )
@@ -360,7 +351,7 @@ class MeasurementSettings:
         10**7,
         count(1, 2**31),
         Kind.COUNT,
-        "Scatterings inside of media after which a ray is truncated.",
+        "Number of scattering events in media after which a ray is truncated.",
         group=EVENTS,
         plugin=INTEGRATOR,
         shown_default="1e7",
@@ -369,9 +360,9 @@ class MeasurementSettings:
         -1,
         count(-1, 2**31),
         Kind.COUNT,
-        "Events after which Russian roulette sets in, for the weighted estimator; -1 "
-        "for never. Inside of media, -1 lets one of four rays go on, with four times "
-        "the weight, whenever that is below 1/16.",
+        "Number of events after which Russian roulette starts, for the weighted "
+        "estimator; -1 for never. In media, -1 lets a ray whose weight is below 1/16 "
+        "survive with probability 1/4 and four times the weight.",
         group=EVENTS,
         plugin=INTEGRATOR,
     )
@@ -473,7 +464,7 @@ class MeasurementSettings:
         return self.points if self.estimator.deposits else 1
 
     def changed(self, **given: Any) -> MeasurementSettings:
-        """These settings but for what is `given`; None stands for as it is.
+        """These settings with those that are `given`; None leaves one as it is.
 
         Raises
         ------

@@ -20,23 +20,6 @@ from ..errors import (
     shown,
 )
 
-__all__ = [
-    "ALL_ORDERS",
-    "Order",
-    "Period",
-    "UNLIMITED",
-    "WORST_WAVELENGTHS",
-    "checked_flag",
-    "checked_footprint",
-    "checked_incident",
-    "checked_period",
-    "checked_wavelengths",
-    "choice",
-    "count",
-    "joined",
-    "number",
-]
-
 # More events than any `max_depth` admits.
 UNLIMITED = 2**31
 

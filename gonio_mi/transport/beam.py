@@ -17,8 +17,6 @@ from .sampling import is_joint
 from .specimen import Specimen
 from .wavelengths import passes, wavelength_lanes
 
-__all__ = ["Beam"]
-
 # Points, along each of two sides, from which the mean power of a beam is taken.
 N_GRID = 128
 

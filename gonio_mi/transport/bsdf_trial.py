@@ -17,16 +17,6 @@ from ..settings import Estimator
 from .scene_objects import class_of, traversed
 from .variants import usable_variants
 
-__all__ = [
-    "PluginFault",
-    "check_works",
-    "checked_answer",
-    "checked_parts",
-    "checked_sample",
-    "missing_method",
-    "warn_of_roughness",
-]
-
 # Parameters of Mitsuba's BSDFs that say how rough a surface is, and the largest value
 # that each may have; and what `roughplastic` puts in place of smaller ones.
 MAX_ROUGHNESS = {

@@ -11,11 +11,6 @@ import mitsuba as mi
 from ..array_types import Floats, Numbers
 from ..collector import Subdivision
 
-__all__ = [
-    "CollectorSphere",
-    "DRJIT",
-]
-
 
 def _count_below(edges: Floats, x: mi.Float) -> mi.Float:
     """Count the ascending `edges` that are not above `x`."""

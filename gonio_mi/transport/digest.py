@@ -24,14 +24,6 @@ import numpy as np
 from ..errors import is_installed
 from .scene_objects import foreign_plugins, held_objects, is_foreign, traversed
 
-__all__ = [
-    "digest",
-    "emitter_digest",
-    "file_digest",
-    "geometry_digest",
-    "plugins_digest",
-]
-
 # Enough that no two specimens of anybody's share it.
 LENGTH = 16
 

@@ -14,8 +14,6 @@ from ..array_types import Flags, Integers
 from ..results.tally import Fate
 from ..settings.values import ALL_ORDERS, UNLIMITED, Order
 
-__all__ = ["Exits", "OrderClasses", "exits_of", "of_order"]
-
 
 @dataclass
 class Exits:

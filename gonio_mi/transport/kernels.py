@@ -12,14 +12,6 @@ import mitsuba as mi
 from ..errors import LostRaysError, VariantError
 from .variants import check_variant
 
-__all__ = [
-    "check_all_counted",
-    "check_variant_kept",
-    "know_own_variant",
-    "launches_kernels",
-    "orderly",
-]
-
 # Dr.Jit records side effects, such as the sums of a tally, in one state for all
 # threads.
 _lock = threading.RLock()

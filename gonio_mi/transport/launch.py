@@ -18,8 +18,6 @@ from .setup import Setup
 from .sums import Sums, Totals
 from .surface_loop import PathSettings, scatter_plane, trace
 
-__all__ = ["Launch", "launch", "traces", "transport_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class Launch:

@@ -18,8 +18,6 @@ import numpy as np
 from .plane import Plane
 from .rays import Encounter
 
-__all__ = ["Layers", "layers_of"]
-
 # How much of the cell a rectangle that covers it may seem to lack, by rounding.
 MAX_GAP = 2.0**-18
 

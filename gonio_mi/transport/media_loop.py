@@ -42,14 +42,6 @@ from .surface_events import (
 )
 from .surface_loop import PathSettings, sent
 
-__all__ = [
-    "Geometry",
-    "Step",
-    "free_flight",
-    "of_channel",
-    "trace_inside",
-]
-
 # Where random numbers, multiples of 2^-24, become too coarse for a small chance to get
 # far: a flight of so many mean free paths is interrupted, and goes on with a new number
 # as if nothing had been. That is exact, since flights have no memory.

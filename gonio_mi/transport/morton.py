@@ -11,8 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["CHUNK", "PACKET", "block_bits", "sorting_tables"]
-
 # Lanes of the widest packets of Embree, and between places where launches may be cut.
 PACKET, CHUNK = 2**4, 2**10
 

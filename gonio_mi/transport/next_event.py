@@ -18,8 +18,6 @@ from .surface_events import (
     shading_normal_correction,
 )
 
-__all__ = ["Deposits", "check_traced"]
-
 # Part of the points that goes to the lower hemisphere, if there is one; and where all
 # surfaces are opaque and no gap was seen. It changes what is learned, never the result.
 LOWER = 1 / 2

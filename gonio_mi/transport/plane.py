@@ -11,8 +11,6 @@ import numpy as np
 from ..single_precision import FEW_ROUNDINGS
 from .scene_objects import traversed
 
-__all__ = ["Plane", "repeated"]
-
 # Points at which a BSDF is compared with itself.
 N_POINTS = 2**12
 

@@ -19,25 +19,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-__all__ = [
-    "Encounter",
-    "Flight",
-    "START",
-    "departure",
-    "encounter",
-    "escapes",
-    "flight_from",
-    "intersect",
-    "into_cell",
-    "is_back_face",
-    "is_self_hit",
-    "leaves_by_a_side",
-    "proceed",
-    "resume",
-    "through_side",
-    "unobstructed",
-]
-
 # How far a ray starts off its surface, in units of the local coordinates: 64 ulp. Off a
 # plane 2 ulp are enough, since a hit on that plane is recognised, within this part of
 # the specimen's coordinates, and stepped over.

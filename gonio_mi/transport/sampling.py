@@ -11,19 +11,6 @@ import numpy as np
 
 from ..errors import SettingError
 
-__all__ = [
-    "Relay",
-    "apart",
-    "check_sampler",
-    "continues",
-    "in_turns",
-    "is_joint",
-    "relay_turns",
-    "sampler_name",
-    "seeded",
-    "turns_of",
-]
-
 # Plugin names of the class names, which is all that a sampler knows.
 NAMES = {
     "IndependentSampler": "independent",

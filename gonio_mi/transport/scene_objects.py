@@ -6,15 +6,6 @@ from typing import Any
 
 import mitsuba as mi
 
-__all__ = [
-    "class_of",
-    "foreign_plugins",
-    "held_objects",
-    "holds_foreign_plugins",
-    "is_foreign",
-    "traversed",
-]
-
 # Packages whose versions a record names.
 VERSIONED = ("builtins", "drjit", "gonio_mi", "mitsuba", "nanobind")
 

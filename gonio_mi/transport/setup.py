@@ -21,8 +21,6 @@ from .layers import layers_of
 from .specimen import Specimen
 from .wavelengths import passes
 
-__all__ = ["Setup"]
-
 # Levels of rare powers for those from 2**-47 on, which one sample of a glossy BSDF
 # in a million carries: a launch that met them without room would be repeated. In large
 # collectors the room is made when it is needed.

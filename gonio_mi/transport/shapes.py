@@ -21,18 +21,6 @@ from ..array_types import Floats
 from .digest import geometry_digest
 from .scene_objects import traversed
 
-__all__ = [
-    "WATERTIGHT",
-    "bounds",
-    "encloses_medium",
-    "groups_of",
-    "refracts",
-    "remember",
-    "scene_of",
-    "surfaces_of",
-    "walls_in_sides",
-]
-
 # Option of a scene, without which rays slip between the triangles of a mesh.
 WATERTIGHT = {"embree_use_robust_intersections": True}
 

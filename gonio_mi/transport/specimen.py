@@ -28,8 +28,6 @@ from .shapes import (
     walls_in_sides,
 )
 
-__all__ = ["Specimen"]
-
 # Rays that look for a gap.
 N_POINTS = 2**12
 

@@ -21,17 +21,6 @@ from ..results.tally import WEIGHT_SCALE, Fate, Tally
 from .exits import Exits
 from .setup import Setup
 
-__all__ = [
-    "Digits",
-    "Exact",
-    "LEVELS",
-    "ONE",
-    "Sums",
-    "UNIT",
-    "packet_width",
-    "unit_of",
-]
-
 # An ordinary power of 1, and the biased exponents of ordinary powers.
 UNIT = -36
 ONE = 2**-UNIT

@@ -12,20 +12,6 @@ import mitsuba as mi
 from ..results.tally import Fate
 from ..single_precision import FEW_ROUNDINGS
 
-__all__ = [
-    "MAX_POWER",
-    "RARE",
-    "after_event",
-    "emitted",
-    "event_numbers",
-    "flux_context",
-    "is_delta",
-    "scattered",
-    "shading_normal_correction",
-    "survival_chance",
-    "whole_number",
-]
-
 # Weights and powers above these are no measurement of anything.
 MAX_WEIGHT = 2.0**15
 MAX_POWER = 2.0**30

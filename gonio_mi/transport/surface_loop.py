@@ -24,13 +24,6 @@ from .surface_events import (
     survival_chance,
 )
 
-__all__ = [
-    "PathSettings",
-    "scatter_plane",
-    "sent",
-    "trace",
-]
-
 
 @dataclass(frozen=True)
 class PathSettings:

@@ -12,8 +12,6 @@ import mitsuba as mi
 from .. import llvm
 from ..errors import VariantError
 
-__all__ = ["check_variant", "is_usable", "processor", "target", "usable_variants"]
-
 
 def is_usable(variant: str) -> bool:
     """Whether it computes many rays at once, and without polarisation."""

@@ -13,13 +13,6 @@ from numpy.typing import NDArray
 from ..errors import SpecimenError
 from .scene_objects import class_of, traversed
 
-__all__ = [
-    "channel_names",
-    "check_covered",
-    "passes",
-    "wavelength_lanes",
-]
-
 
 def passes(nm: Any) -> list[Any]:
     """Wavelengths of each pass, at most four; one of None in other variants."""

@@ -302,7 +302,7 @@ def test_precision_that_is_reached_exits_with_0(run):
         ((*DIFFUSE, "--rays", "nan"), "rays must be a whole number, got nan"),
         ((*DIFFUSE, "--rays", "5", "--rel-err", "0.1"), "exclude each other"),
         ((*DIFFUSE, "--rel-err", "2"), "rel_err must be a number in (0, 1)"),
-        ((*QUICK, "--max-rays", "1e6"), "max_rays goes with rel_err"),
+        ((*QUICK, "--max-rays", "1e6"), "max_rays requires rel_err"),
         ((*QUICK, "--collector", "projected:0x30"), "at least 1, got 0"),
         ((*QUICK, "--collector", "foo:1x1"), "must look like projected:30x30"),
         ((*QUICK, "--collector-radius", "-1"), "radius must be"),

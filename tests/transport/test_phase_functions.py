@@ -19,7 +19,7 @@ from slabs import medium, stack
 
 from gonio_mi import cli
 from gonio_mi.instrument import setup
-from gonio_mi.transport.phase_functions import answers, defect
+from gonio_mi.transport.media import ask_phase_function, phase_defect
 from gonio_mi.transport.wavelengths import wavelength_lanes
 
 TABLE = Path(__file__).parents[2] / "notebooks" / "reliability.md"
@@ -72,16 +72,16 @@ def test_the_table_of_the_handbook(request, variant):
     }
     for name, misplaced, told in ROWS:
         asked = mi.load_dict(phase(name))
-        found = answers(asked, lanes(), *BOX)
+        found = ask_phase_function(asked, lanes(), *BOX)
         if not found.nonsense:
             assert abs(found.misplaced.max() - misplaced) <= 0.01, name
-        sentence = defect(asked, lanes(), *BOX)
+        sentence = phase_defect(asked, lanes(), *BOX)
         assert (sentence is not None) == (told == "yes"), name
 
 
 @pytest.mark.parametrize("g", [-0.95, -0.9, -0.5, -0.1, 1e-4, 0.2, 0.6, 0.9, 0.95])
 def test_no_false_alarm(mono, g):  # noqa: ARG001
-    assert defect(mi.load_dict({"type": "hg", "g": g}), lanes(), *BOX) is None
+    assert phase_defect(mi.load_dict({"type": "hg", "g": g}), lanes(), *BOX) is None
 
 
 def isotropic(*, density=1 / (4 * np.pi), weight=1.0, fails=False):
@@ -112,11 +112,11 @@ def isotropic(*, density=1 / (4 * np.pi), weight=1.0, fails=False):
 
 def test_phase_functions_in_python(mono):  # noqa: ARG001
     """Right ones, one without `eval_pdf`, and a few that lose or create light."""
-    assert defect(isotropic(), lanes(), *BOX) is None
-    assert defect(isotropic(fails=True), lanes(), *BOX) is None
-    assert "Isotropic disagree" in defect(isotropic(weight=0.8), lanes(), *BOX)
-    assert "disagree" in defect(isotropic(density=1 / (3 * np.pi)), lanes(), *BOX)
-    assert "infinite, NaN or" in defect(isotropic(density=-1.0), lanes(), *BOX)
+    assert phase_defect(isotropic(), lanes(), *BOX) is None
+    assert phase_defect(isotropic(fails=True), lanes(), *BOX) is None
+    assert "Isotropic disagree" in phase_defect(isotropic(weight=0.8), lanes(), *BOX)
+    assert "disagree" in phase_defect(isotropic(density=1 / (3 * np.pi)), lanes(), *BOX)
+    assert "infinite, NaN or" in phase_defect(isotropic(density=-1.0), lanes(), *BOX)
 
 
 def test_ctrl_c_is_no_failure(mono, monkeypatch):  # noqa: ARG001
@@ -128,7 +128,7 @@ def test_ctrl_c_is_no_failure(mono, monkeypatch):  # noqa: ARG001
     phase = isotropic()
     monkeypatch.setattr(type(phase), "eval_pdf", pressed)
     with pytest.raises(RuntimeError):
-        defect(phase, lanes(), *BOX)
+        phase_defect(phase, lanes(), *BOX)
 
 
 # --------------------------------------------------- a thin slab, in closed form
@@ -193,9 +193,9 @@ def test_a_specimen_is_asked_once(mono, monkeypatch):  # noqa: ARG001
 
     def counted(*args):
         asked.append(args)
-        return defect(*args)
+        return phase_defect(*args)
 
-    monkeypatch.setattr(setup, "defect", counted)
+    monkeypatch.setattr(setup, "phase_defect", counted)
     monkeypatch.setattr(setup, "_defects", {})
     how = {"rays": 1000, "collector": "projected:1x1", "period": "box"}
     told = []
