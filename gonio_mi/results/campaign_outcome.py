@@ -6,7 +6,6 @@ A mapping in files and in ``record.settings``, elsewhere a :class:`CampaignOutco
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
 from dataclasses import astuple, dataclass
 from typing import Any
 
@@ -118,32 +117,34 @@ class CampaignOutcome:
             For anything that no campaign writes.
         """
         try:
-            return cls._from_mapping(found)
+            symmetry = found.get("symmetry", {"turns": 1, "mirror": None, "copies": []})
+            mirror = symmetry["mirror"]
+            outcome = cls(
+                tolerance=_number(found["tolerance"]),
+                theta_max=_number(found["theta_max"]),
+                isotropic=found["isotropic"],
+                turns=symmetry["turns"],
+                mirror=None if mirror is None else _number(mirror),
+                copies=tuple((_number(a), _number(b)) for a, b in symmetry["copies"]),
+                measured=_number(found["measured"]),
+                rays=_number(found["rays"]),
+                within=_number(found["within"]),
+                unseen=tuple(
+                    PredictionError(*map(_number, row)) for row in found["unseen"]
+                ),
+            )
+            if not (
+                type(outcome.isotropic) is bool
+                and type(outcome.turns) is int
+                and 1 <= outcome.turns <= MAX_TURNS
+                and outcome.unseen
+            ):
+                raise ValueError
         except (AttributeError, KeyError, TypeError, ValueError):
             raise SettingError(
                 f"campaign must be what a campaign writes, got {shown(found)}"
             ) from None
-
-    @classmethod
-    def _from_mapping(cls, found: Mapping[str, Any]) -> CampaignOutcome:
-        symmetry = found.get("symmetry") or {"turns": 1, "mirror": None, "copies": []}
-        turns, mirror = symmetry["turns"], symmetry["mirror"]
-        if type(turns) is not int or not 1 <= turns <= MAX_TURNS:
-            raise ValueError
-        if type(found["isotropic"]) is not bool or not found["unseen"]:
-            raise ValueError
-        return cls(
-            _number(found["tolerance"]),
-            _number(found["theta_max"]),
-            found["isotropic"],
-            turns,
-            None if mirror is None else _number(mirror),
-            tuple((_number(theta), _number(phi)) for theta, phi in symmetry["copies"]),
-            _number(found["measured"]),
-            _number(found["rays"]),
-            _number(found["within"]),
-            tuple(PredictionError(*map(_number, row)) for row in found["unseen"]),
-        )
+        return outcome
 
     def as_mapping(self) -> dict[str, Any]:
         """The outcome in JSON's types."""

@@ -64,28 +64,28 @@ class Estimates(ABC):
         return self._all_rays // self.passes
 
     @property
-    @abstractmethod
     def without_hit(self) -> Flags:
         """Whether a patch is known by an upper limit only, shaped like `hits`."""
+        return np.zeros(self.tally.hits.shape, bool)
 
-    @abstractmethod
     def dark(self, hemisphere: int) -> Flags:
         """Whether a value is known by an upper limit only, shaped like `fraction`.
 
         Of several channels, one may be dark in a patch where others were received.
         """
+        return self._nowhere(hemisphere)
 
     def pooled(self, hemisphere: int) -> Flags:
-        """Whether a patch's own hits tell too little of its scatter, like `fraction`.
+        """Whether a patch's own hits show too little of its scatter, like `fraction`.
 
         It is then judged by the hits of all patches of the hemisphere as well.
         """
-        return np.zeros(self.tally.sums[0, hemisphere].shape, bool)
+        return self._nowhere(hemisphere)
 
     @property
-    @abstractmethod
     def binomial(self) -> bool:
         """Whether each patch counted independent rays of one channel, one by one."""
+        return False
 
     def fraction(self, hemisphere: int) -> Floats:
         """Flux fraction of each patch."""
@@ -135,6 +135,9 @@ class Estimates(ABC):
         """Rays of all passes that met the specimen."""
         ledger = self.tally.ledger
         return ledger.emitted - ledger.missed - ledger.unlit
+
+    def _nowhere(self, hemisphere: int) -> Flags:
+        return np.zeros(self.tally.sums[0, hemisphere].shape, bool)
 
     def _sum(self, hemisphere: int) -> Numbers:
         """Sum over the patches of one hemisphere, per batch and channel."""
@@ -365,24 +368,11 @@ class SampledEstimates(Estimates):
 class IntegralEstimates(Estimates):
     """Estimates from integrals, which may be wrong by their error.
 
-    Delta components were sampled beside them, if there are some: these scatter.
+    Delta components were sampled beside them, if there are some: these scatter. No
+    patch needs a ray, and an integral of 0 is known by its error: nothing is dark.
     """
 
     tally: Integrals
-
-    @property
-    def without_hit(self) -> Flags:
-        """Nowhere: a patch needs no ray."""
-        return np.zeros(self.tally.hits.shape, bool)
-
-    def dark(self, hemisphere: int) -> Flags:
-        """Nowhere: an integral of 0 is known by its error."""
-        return np.zeros(self.tally.sums[0, hemisphere].shape, bool)
-
-    @property
-    def binomial(self) -> bool:
-        """Never."""
-        return False
 
     def std_err(self, hemisphere: int) -> Floats:
         """Error of the integrals with the scatter of what was sampled."""

@@ -7,7 +7,7 @@ from ..array_types import Flags, Floats
 from ..errors import checked_number
 from .record import Record
 
-__all__ = ["FLOOR", "lobe", "patch_values", "precision"]
+__all__ = ["FLOOR", "lobe", "patch_values", "precision", "relative_errors"]
 
 # Patches whose BRDF is below this fraction of the mean BRDF are not worth reporting.
 FLOOR = 0.1
@@ -37,6 +37,23 @@ def lobe(
     return (values > 0) & (values >= floor * np.average(values, weights=weights))
 
 
+def relative_errors(record: Record, floor: float = FLOOR) -> Floats:
+    """Relative standard errors of the patches worth reporting; NaN elsewhere.
+
+    Of one incident direction, shape ``(n_hemispheres, n_theta, n_phi, channels)``;
+    infinite where a standard error is not known.
+    """
+    value = patch_values(record, "brdf", "btdf")
+    std_err = patch_values(record, "brdf_std_err", "btdf_std_err")
+    relative = np.full(value.shape, np.nan)
+    weights = record.subdivision.projected_solid_angles
+    for channel in range(value.shape[-1]):
+        inside = lobe(value[..., channel], weights, floor)
+        errors = std_err[..., channel][inside] / value[..., channel][inside]
+        relative[..., channel][inside] = np.where(np.isnan(errors), np.inf, errors)
+    return relative
+
+
 def precision(record: Record, floor: float = FLOOR) -> tuple[float, int]:
     """Largest relative standard error among the patches worth reporting.
 
@@ -55,20 +72,10 @@ def precision(record: Record, floor: float = FLOOR) -> tuple[float, int]:
     n_lobe : int
         Number of patches worth reporting, the paper's m'; the most of any channel.
     """
-    value, std_err = (
-        patch_values(record, "brdf", "btdf"),
-        patch_values(record, "brdf_std_err", "btdf_std_err"),
-    )
-    worst, n_lobe = 0.0, 0
-    for channel in range(value.shape[-1]):
-        inside = lobe(
-            value[..., channel], record.subdivision.projected_solid_angles, floor
-        )
-        relative = std_err[..., channel][inside] / value[..., channel][inside]
-        relative = np.nan_to_num(relative, nan=np.inf)
-        worst = max(worst, relative.max(initial=0.0))
-        n_lobe = max(n_lobe, int(inside.sum()))
-    return (float(worst) if n_lobe else np.inf), n_lobe
+    relative = relative_errors(record, floor)
+    inside = ~np.isnan(relative)
+    n_lobe = int(inside.sum(axis=(0, 1, 2)).max())
+    return (float(relative[inside].max()) if n_lobe else np.inf), n_lobe
 
 
 def patch_values(record: Record, upper: str, lower: str) -> Floats:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .precision import FLOOR, lobe, patch_values, precision
+from .precision import patch_values, precision, relative_errors
 from .record import Record
 from .tally import Ledger, holds_integrals
 
@@ -184,7 +184,7 @@ def summarize(record: Record) -> Summary:
 
 def _direction(look: Record) -> DirectionSummary:
     """Numbers of one incident direction."""
-    worst, n_lobe = precision(look, FLOOR)
+    worst, n_lobe = precision(look)
     # direct light was collected, however little there was
     has_direct = look.asked.period != "none" and look.asked.order.least == 0
     return DirectionSummary(
@@ -222,13 +222,8 @@ def _worst_patches(look: Record) -> list[PatchSummary]:
     quantities = ("brdf", "btdf") if look.has_lower else ("brdf",)
     value = patch_values(look, "brdf", "btdf")
     std_err = patch_values(look, "brdf_std_err", "btdf_std_err")
-    relative = np.full(value.shape, np.nan)
-    weights = look.subdivision.projected_solid_angles
-    for channel in range(len(look.channels)):
-        here = lobe(value[..., channel], weights, FLOOR)
-        one = relative[..., channel]
-        one[here] = std_err[..., channel][here] / value[..., channel][here]
-    # NaN sorts last
+    relative = relative_errors(look)
+    relative[np.isinf(relative)] = np.nan  # not known, which sorts last
     order = np.argsort(-relative, axis=None, kind="stable")[:N_WORST]
     worst = []
     for index in zip(*np.unravel_index(order, value.shape)):
