@@ -4,17 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats
+from ..array_types import Flags, Floats
 from ..collector import Borders
 from ..collector.directions import direction
 from ..errors import checked_choice
 
-__all__ = ["EFFORTS", "PHI", "POSITION", "TURN", "Condition", "Effort", "LitFrom"]
+__all__ = [
+    "EFFORTS",
+    "PHI",
+    "POSITION",
+    "TURN",
+    "Condition",
+    "Effort",
+    "LitFrom",
+    "Sweep",
+]
 
 
 @dataclass(frozen=True)
@@ -32,6 +42,8 @@ class Condition:
     mode : {"importance", "radiance"}
     component : int or None
         The only component that is enabled; None for all.
+    types : int or None
+        The only lobes that are enabled, as flags; None for all.
     turned : bool
         Whether the surface is turned and moved in the world, as by `TURN`: local
         answers do not change.
@@ -43,6 +55,7 @@ class Condition:
     uv: tuple[float, float] = (0.5, 0.5)
     mode: str = "importance"
     component: int | None = None
+    types: int | None = None
     turned: bool = False
 
     @property
@@ -59,10 +72,22 @@ class Condition:
         ctx = mi.BSDFContext(mode)
         if self.component is not None:
             ctx.component = self.component
+        if self.types is not None:
+            ctx.type_mask = self.types
         return ctx
 
+    def place(self, wrong: Flags) -> str:
+        """Where those samples are that are `wrong`."""
+        del wrong
+        return str(self)
+
     def __str__(self) -> str:
-        words = [f"theta_i {self.theta_i:g}, phi_i {self.phi_i:g}"]
+        return f"theta_i {self.theta_i:g}, phi_i {self.phi_i:g}{self._more}"
+
+    @property
+    def _more(self) -> str:
+        """All but the angles, as text."""
+        words = [""]
         if self.side != "front":
             words.append(self.side)
         if self.component is not None:
@@ -70,6 +95,52 @@ class Condition:
         if self.mode != "importance":
             words.append(f"{self.mode} mode")
         return ", ".join(words)
+
+
+@dataclass(frozen=True)
+class Sweep(Condition):
+    """Another incident direction for each of `n` samples, evenly over angles.
+
+    Of a sector or a band of some degrees there are hundreds, wherever it is.
+    `theta_i` is that of their mean cosine; of both faces, if `both` are lit, each gets
+    every other one.
+    """
+
+    theta_i: float = 50.5
+    n: int = 0
+    both: bool = False
+
+    @cached_property
+    def angles(self) -> Floats:
+        """Polar angle and azimuth of each direction in degrees, shape (2, n)."""
+        i = np.arange(self.n)
+        return np.array([(i + 0.5) / self.n * MAX_SWEPT, i * GOLDEN_ANGLE % 360])
+
+    @cached_property
+    def wi(self) -> Floats:
+        """Unit vectors to the source, shape (n, 3), in local coordinates."""
+        faces = np.full(self.n, 1 if self.side == "front" else -1)
+        faces[1::2] *= -1 if self.both else 1
+        return direction(*np.radians(self.angles)) * np.stack(
+            [np.ones(self.n), np.ones(self.n), faces], axis=1
+        )
+
+    def place(self, wrong: Flags) -> str:
+        """Range of the polar angles, and that of azimuths if it is no full circle."""
+        theta, phi = self.angles[:, wrong]
+        if not theta.size:
+            return str(self)
+        text = f"theta_i {theta.min():.0f} to {theta.max():.0f}"
+        phi = np.sort(phi)
+        gaps = np.diff(phi, append=phi[0] + 360)
+        widest = int(gaps.argmax())
+        if gaps[widest] > MIN_GAP:
+            first, last = phi[(widest + 1) % len(phi)], phi[widest]
+            text += f", phi_i {first:.0f} to {last:.0f}"
+        return text + self._more
+
+    def __str__(self) -> str:
+        return f"all angles of incidence{self._more}"
 
 
 class LitFrom:
@@ -84,6 +155,12 @@ class LitFrom:
     def __str__(self) -> str:
         return str(self._condition)
 
+
+# Of a sweep: its largest polar angle and the step of its azimuths in degrees, and the
+# gap of azimuths beyond which those of a finding are told.
+MAX_SWEPT = 89.5
+GOLDEN_ANGLE = 180 * (3 - 5**0.5)
+MIN_GAP = 45
 
 # Azimuths and places that no symmetry of a model distinguishes.
 PHI = (25.0, 140.0, 260.0, 305.0, 0.0)
@@ -104,6 +181,8 @@ class Effort:
         Of each map.
     checked : int
         Samples of each incident direction whose identities are checked.
+    swept : int
+        Of a sweep over all incident directions.
     rings, sectors : int
         Patches of the maps: see :attr:`patches`.
     angles : tuple of float
@@ -116,6 +195,7 @@ class Effort:
 
     samples: int
     checked: int
+    swept: int
     rings: int
     sectors: int
     angles: tuple[float, ...]
@@ -172,10 +252,11 @@ class Effort:
 
 
 EFFORTS = {
-    "quick": Effort(2**17, 2**14, 12, 16, (0, 40, 75, 89.9), (35,), (50,)),
+    "quick": Effort(2**17, 2**14, 2**15, 12, 16, (0, 40, 75, 89.9), (35,), (50,)),
     "normal": Effort(
         2**20,
         2**16,
+        2**18,
         20,
         32,
         (0, 15, 30, 45, 60, 75, 85, 89, 89.9),
@@ -185,6 +266,7 @@ EFFORTS = {
     "thorough": Effort(
         2**23,
         2**18,
+        2**20,
         30,
         60,
         (0, 0.5, 5, 15, 30, 45, 60, 70, 75, 80, 85, 87, 89, 89.5, 89.9),

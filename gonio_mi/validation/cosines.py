@@ -17,7 +17,7 @@ from ..array_types import Flags, Floats
 from ..collector.directions import direction
 from .conditions import Condition
 from .evidence import BIAS, MODEL, Breach, Evidence
-from .probe import PluginFault, Probe, changed, traversed
+from .probe import PluginFault, Probe, changed, number_parameters
 from .samples import BSDF_ROUNDING, SLACK, Samples, is_many, unequal
 
 __all__ = ["explain_reciprocity"]
@@ -123,11 +123,8 @@ def _of_component(evidence: Evidence) -> str:
 def _of_parameter(bsdf: mi.BSDF, whole: Sequence[Samples]) -> str:
     """Mistake of the part of ``eval`` that a parameter changes; empty if none."""
     try:
-        params = traversed(bsdf)
-        for name in params.keys():  # noqa: SIM118
-            value = params[name]
-            number = isinstance(value, (float, mi.Float, mi.Color3f))
-            if not number or not np.any(np.array(value)):
+        for name, value in number_parameters(bsdf)[1].items():
+            if not np.any(np.array(value)):
                 continue
             with changed(bsdf, {name: type(value)(0.5 * value)}):
                 parts = [_part(bsdf, samples) for samples in whole]

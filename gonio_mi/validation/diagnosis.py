@@ -93,6 +93,10 @@ def _of_energy(evidence: Evidence, _: Mapping[str, str], __: str) -> Guess:
     """Which of ``eval`` and the weights gain light; both are the model's."""
     totals = [m.smooth_flux.max() + m.totals.delta_mean.max() for m in evidence.maps]
     discrete = any(m.totals.delta_mean.max() > 1 + 1e-4 for m in evidence.maps)
+    weights = [b for b in evidence.of("components") if b.function == "sample"]
+    mixed = any(m.totals.delta_mean.any() for m in evidence.maps)
+    if weights and mixed and not discrete:
+        return "sample", weights[0].mistake
     function = "sample" if discrete else "eval"
     most = max(totals, default=1.0)
     return function, f"`{function}` gains light: {most:.4g} of it leaves"
@@ -202,10 +206,15 @@ DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four"
 def _of_counts(evidence: Evidence, weights_fail: bool) -> Guess:
     """Function and mistake, where counted directions contradict ``pdf``."""
     whole = [m for m in evidence.maps if m.condition.component is None]
+    if not whole:
+        return evidence.suspects["sampling"]
     # one component says less, unless it is all that is wrong
     maps = max(whole, key=_misfit)
     if _misfit(maps) < MAX_CHANCE:
         maps = max(evidence.maps, key=_misfit)
+    if _misfit(maps) < MAX_CHANCE and "sampling" in evidence.suspects:
+        # only in a band or sector of incidence, that maps have not met
+        return evidence.suspects["sampling"]
     n = maps.totals.n
     drawn, due = maps.totals.counts / n, maps.pdf
     sums = f"`pdf` integrates to {due.sum():.4f}, sampled mass is {drawn.sum():.4f}"

@@ -14,11 +14,11 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from .conditions import LitFrom
+from .conditions import LitFrom, Sweep
 from .evidence import BIAS, Evidence
 from .factors import Ratio, explain, explain_neutrally, inverse, ratios_of
 from .probe import Probe, is_delta, numbers, spectral, uniform
-from .samples import Samples
+from .samples import Samples, is_many, unequal
 
 __all__ = ["explain_weights"]
 
@@ -60,6 +60,11 @@ def explain_weights(evidence: Evidence, failed: Collection[str]) -> tuple[str, s
             "`sample`: the weights do not sum up to `eval`, where directions agree "
             "with `pdf`"
         )
+    swapped = _exchanged_colours(ratios)
+    if swapped:
+        return EITHER, (
+            f"`eval` or the weight of `sample`: {swapped} are exchanged in one of them"
+        )
     if _is_of_lobe_alone(evidence):
         return "sample", (
             "`sample` weight lacks division by the probability of the lobe: it is "
@@ -72,6 +77,27 @@ def explain_weights(evidence: Evidence, failed: Collection[str]) -> tuple[str, s
         return guilty, explain(ratios, guilty)
     text = explain_neutrally(ratios)
     return EITHER, f"`eval` or the weight of `sample`: {text}"
+
+
+def _exchanged_colours(ratios: Sequence[Ratio]) -> str:
+    """Colours of which weights have one and ``eval`` the other; empty if none."""
+    samples, ok = ratios[0].samples, ratios[0].mask
+    weight, value = samples.weight * samples.pdf[:, None], samples.eval
+    slack = samples.eval_slack
+    if value.shape[1] != 3:
+        return ""
+    for order, words in (
+        ([2, 1, 0], "red and blue"),
+        ([1, 0, 2], "red and green"),
+        ([0, 2, 1], "green and blue"),
+    ):
+        same, other = (
+            unequal(weight, value[:, one], slack[:, one]) & ok
+            for one in ([0, 1, 2], order)
+        )
+        if is_many(same) and not is_many(other):
+            return words
+    return ""
 
 
 def _by_energy(evidence: Evidence) -> str:
@@ -101,7 +127,12 @@ def _by_reciprocity(bsdf: mi.BSDF, ratios: Sequence[Ratio]) -> str:
     Weights are known where samples are: of some of them, light is sent back, and what
     of that comes near to the way of incidence is compared.
     """
-    usable = [one for one in ratios if one.samples.condition.mode == "importance"]
+    usable = [
+        one
+        for one in ratios
+        if one.samples.condition.mode == "importance"
+        and not isinstance(one.samples.condition, Sweep)
+    ]
     # neither steep nor grazing, where all is symmetric or nothing is met
     usable.sort(key=lambda one: abs(one.samples.condition.theta_i - 45))
     pairs: list[tuple[float, float, float]] = []

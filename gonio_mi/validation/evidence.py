@@ -194,6 +194,10 @@ class Evidence:
         By property, why it is lacking with the plugin's own declaration.
     maps : list of FourMaps
     samples : list of Samples
+    suspects : dict
+        By property, the guilty function and mistake of a test that tells them.
+    sweeps : list of Samples
+        Of many incident directions, one for each sample.
     """
 
     bsdf: mi.BSDF = None
@@ -206,6 +210,8 @@ class Evidence:
     declared: dict[str, str] = field(default_factory=dict)
     maps: list[FourMaps] = field(default_factory=list)
     samples: list[Samples] = field(default_factory=list)
+    suspects: dict[str, tuple[str, str]] = field(default_factory=dict)
+    sweeps: list[Samples] = field(default_factory=list)
 
     @property
     def whole(self) -> list[Samples]:

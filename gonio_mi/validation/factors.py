@@ -9,7 +9,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from .evidence import Evidence
-from .samples import Samples
+from .samples import Samples, ratio_of
 
 __all__ = [
     "FACTORS",
@@ -62,8 +62,8 @@ BETWEEN = {
 TOLERANCE, COMPONENT_TOLERANCE = 2e-3, 0.02
 
 _ANSWERS: dict[str, Callable[[Samples], Floats]] = {
-    "weight": lambda samples: samples.weight.sum(axis=1) * samples.pdf,
-    "eval": lambda samples: samples.eval.sum(axis=1),
+    "weight": lambda samples: samples.weight * samples.pdf[:, None],
+    "eval": lambda samples: samples.eval,
     "sampled_pdf": lambda samples: samples.sampled_pdf,
     "pdf": lambda samples: samples.pdf,
 }
@@ -71,7 +71,7 @@ _ANSWERS: dict[str, Callable[[Samples], Floats]] = {
 
 def factor(name: str, samples: Samples, mask: Flags) -> Floats:
     """Values of a factor for some samples."""
-    wi, wo = samples.condition.wi, samples.wo[mask]
+    wi, wo = samples.wi[mask], samples.wo[mask]
     half = wi + wo
     half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
 
@@ -84,7 +84,7 @@ def factor(name: str, samples: Samples, mask: Flags) -> Floats:
 
     values: dict[str, Callable[[], Floats]] = {
         "cos_o": lambda: np.maximum(np.abs(wo[:, 2]), 1e-9),
-        "cos_i": lambda: np.full(len(wo), abs(wi[2])),
+        "cos_i": lambda: np.maximum(np.abs(wi[:, 2]), 1e-9),
         "sin_o": lambda: np.maximum(np.hypot(wo[:, 0], wo[:, 1]), 1e-9),
         "jacobian": lambda: 1 / (4 * along()),
         "dot": along,
@@ -109,6 +109,13 @@ class Ratio:
         return factor(name, self.samples, self.mask)
 
     @property
+    def wrong(self) -> Flags:
+        """Samples whose ratio is not 1, of all."""
+        wrong = np.zeros(self.samples.n, dtype=bool)
+        wrong[self.mask] = np.abs(self.values - 1) > TOLERANCE
+        return wrong
+
+    @property
     def off(self) -> float:
         """Mean distance from 1."""
         return float(np.abs(self.values - 1).mean())
@@ -127,13 +134,16 @@ def ratios_of(evidence: Evidence, guilty: str) -> list[Ratio]:
     """Ratios of a row of `BETWEEN`, for the samples of each condition."""
     (above, below), _, _ = BETWEEN[guilty]
     ratios = []
-    for samples in evidence.whole:
+    for samples in (*evidence.whole, *evidence.sweeps):
         ok = samples.smooth & (samples.pdf > 0) & np.isfinite(samples.pdf)
         ok &= np.isfinite(samples.sampled_pdf) & (np.abs(samples.wo[:, 2]) > 1e-4)
-        over, under = _ANSWERS[above](samples), _ANSWERS[below](samples)
-        ok &= np.isfinite(under) & (under > 0) & (over > 0)
+        over, under = (
+            _ANSWERS[name](samples).reshape(samples.n, -1) for name in (above, below)
+        )
+        for answer in (over, under):
+            ok &= np.isfinite(answer).all(axis=1) & (answer > 0).any(axis=1)
         if ok.any():
-            ratios.append(Ratio(over[ok] / under[ok], samples, ok))
+            ratios.append(Ratio(ratio_of(over[ok], under[ok]), samples, ok))
     return ratios
 
 
@@ -223,6 +233,8 @@ def _is_trivial(name: str, values: Sequence[Floats]) -> bool:
 def _in_numbers(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
     """How large ratios are, and where."""
     values = np.concatenate([ratio.values for ratio in ratios])
+    wrong = np.abs(values - 1) > TOLERANCE
+    values = values[wrong] if wrong.any() else values
     low, middle, high = np.quantile(values, [0.05, 0.5, 0.95])
     place = _place(ratios, everything)
     if high - low < TOLERANCE * middle:
@@ -239,13 +251,14 @@ def _where(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
     n = len(everything)
     if len(ratios) == n:
         return ""
-    first = max(ratios, key=lambda ratio: ratio.off).samples.condition
+    worst = max(ratios, key=lambda ratio: ratio.off)
+    first = worst.samples.condition
     more = f", and at {len(ratios) - 1} more of {n}" if len(ratios) > 1 else ""
     right = [one for one in everything if not any(one is other for other in ratios)]
     uvs = [{one.samples.condition.uv for one in some} for some in (ratios, right)]
     u, v = first.uv
     uv = f", uv ({u:g}, {v:g})" if not uvs[0] & uvs[1] else ""
-    return f" at {first}{uv}{more}"
+    return f" at {first.place(worst.wrong)}{uv}{more}"
 
 
 def _place(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:

@@ -6,7 +6,7 @@ of ``pdf`` and ``eval``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -24,7 +24,14 @@ from .probe import Probe
 from .samples import rounding
 from .tally import SMALL_TERM, Damping, PatchTotals, batch_of, groups, patch_totals
 
-__all__ = ["FourMaps", "Scores", "four_maps", "unexplained_fraction"]
+__all__ = [
+    "FourMaps",
+    "Scores",
+    "four_maps",
+    "in_radiance_mode",
+    "skew_score",
+    "unexplained_fraction",
+]
 
 # Patches are merged until that many hits are due.
 MIN_HITS = 100
@@ -42,6 +49,9 @@ END_ROUNDING = 6 * 2.0**-23
 
 # Part of a variance below which nothing is left to chance: all samples are collected.
 MIN_VARIANCE = 0.01
+
+# Weights whose squares and cubes are 0 in single precision.
+MIN_WEIGHT = 1e-12
 
 # Score of a difference that chance cannot make.
 IMPOSSIBLE_SCORE = 1e6
@@ -226,6 +236,15 @@ def four_maps(
     return FourMaps(condition, subdivision, totals, due, damping, *rounding(probe, key))
 
 
+def in_radiance_mode(bsdf: mi.BSDF, maps: FourMaps, key: tuple[int, ...]) -> FourMaps:
+    """Return maps of other samples, in radiance mode, where integrals are the same."""
+    condition = replace(maps.condition, mode="radiance")
+    totals = patch_totals(
+        bsdf, condition, maps.subdivision, maps.totals.n, key, maps.damping
+    )
+    return replace(maps, condition=condition, totals=totals)
+
+
 def unexplained_fraction(maps: FourMaps, name: str) -> tuple[float, float]:
     """Fraction of the whole that is wrong, and the relative surplus of samples.
 
@@ -325,16 +344,17 @@ def _sum_score(
     spread = np.maximum(squares - n * mean**2, 0)
     third = cubes - 3 * mean * squares + 2 * n * mean**3
     rounding = np.finfo(np.float32).eps * np.maximum(np.abs(w), n * np.abs(mean))
+    rounding += n * MIN_WEIGHT
     sigma = np.sqrt(spread + n**2 * variance + rounding**2)
     rough = np.divide(w - n * mean, sigma, out=np.zeros_like(w), where=sigma > 0)
     rough = np.where((sigma == 0) & (w != n * mean), IMPOSSIBLE_SCORE, rough)
     skewness = np.divide(third, sigma**3, out=np.zeros_like(w), where=sigma > 0)
     # no weight is heavy enough for more; beyond, it is the rounding of nearly nothing
     skewness = np.clip(skewness, -np.sqrt(HEAVIEST_TERM), np.sqrt(HEAVIEST_TERM))
-    return np.where(w == n * mean, 0.0, _skew_score(rough, skewness))
+    return np.where(w == n * mean, 0.0, skew_score(rough, skewness))
 
 
-def _skew_score(z: Floats, skewness: Floats) -> Floats:
+def skew_score(z: Floats, skewness: Floats) -> Floats:
     """Normal score of the same tail as a shifted gamma variable has beyond `z`."""
     turned = np.sign(skewness) * z
     shape = 4 / np.maximum(np.abs(skewness), 1e-9) ** 2

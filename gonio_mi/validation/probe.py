@@ -30,6 +30,7 @@ __all__ = [
     "blamed",
     "changed",
     "is_delta",
+    "number_parameters",
     "numbers",
     "seed_of",
     "spectral",
@@ -61,7 +62,8 @@ class Probe:
     def __init__(self, bsdf: mi.BSDF, condition: Condition) -> None:
         self.bsdf, self.condition = bsdf, condition
         self.ctx = condition.context
-        self.wi = mi.Vector3f(condition.wi.tolist())
+        wi = condition.wi
+        self.wi = mi.Vector3f(wi.tolist()) if wi.ndim == 1 else vectors(wi)
         self.uv = mi.Point2f(list(condition.uv))
         axes = TURN if condition.turned else np.eye(3)
         self.axes = [mi.Vector3f(axis.tolist()) for axis in axes.T]
@@ -153,6 +155,12 @@ class Probe:
             answer = self.bsdf.eval_null_transmission(self.interaction())
         return checked_answer("eval_null_transmission", answer, 1, mi.Spectrum)
 
+    def diffuse_reflectance(self) -> mi.Spectrum:
+        """Answer of ``eval_diffuse_reflectance``."""
+        with blamed("eval_diffuse_reflectance"):
+            answer = self.bsdf.eval_diffuse_reflectance(self.interaction())
+        return checked_answer("eval_diffuse_reflectance", answer, 1, mi.Spectrum)
+
     def _width(self, wi: mi.Vector3f | None, *arguments: Any) -> int:
         """Number of rays of a call."""
         return dr.width(self.wi if wi is None else wi, self.uv, *arguments)
@@ -179,9 +187,11 @@ class Probe:
         if dr.width(wi) < n:
             wi += dr.zeros(mi.Vector3f, n)
         dr.make_opaque(wi, self.uv, arguments)
+        # a plugin may narrow its mask in place
+        mask = active if isinstance(active, bool) else mi.Bool(active)
         with blamed(function):
             method = getattr(self.bsdf, function)
-            return method(ctx or self.ctx, self.interaction(wi), *arguments, active)
+            return method(ctx or self.ctx, self.interaction(wi), *arguments, mask)
 
     @staticmethod
     def _pair(
@@ -216,6 +226,20 @@ def traversed(bsdf: mi.BSDF) -> Any:
     """Parameters of a BSDF; raises PluginFault if the plugin does."""
     with blamed("traverse"):
         return mi.traverse(bsdf)
+
+
+def number_parameters(bsdf: mi.BSDF) -> tuple[Any, dict[str, Any]]:
+    """Parameters of a BSDF, and the values of those that are numbers or colours.
+
+    Others may be anything: a None cannot be asked for, a Python float not be set.
+    """
+    params, numbers_only = traversed(bsdf), {}
+    kinds = (mi.Float, mi.Color3f, mi.Spectrum)
+    for name in params.keys():  # noqa: SIM118
+        with contextlib.suppress(TypeError):
+            if isinstance(params[name], kinds):
+                numbers_only[name] = params[name]
+    return params, numbers_only
 
 
 @contextlib.contextmanager

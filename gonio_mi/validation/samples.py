@@ -21,6 +21,7 @@ __all__ = [
     "ULPS",
     "Samples",
     "is_many",
+    "ratio_of",
     "rounding",
     "samples_of",
     "unequal",
@@ -43,6 +44,9 @@ ULPS = 2.0**-21
 # along each of which there is at most one sample a radian.
 SPOILED = 6 * SLACK * ULPS
 
+# Values in single precision that are as good as 0: powers of small cosines underflow.
+UNDERFLOW = 1e-30
+
 # Samples that tell how well integrals can be known.
 N_ROUNDED = 2**12
 
@@ -53,8 +57,17 @@ COSINE_ROUNDING = 2.0**-22
 def unequal(a: Numbers, b: Numbers, slack: Numbers | float) -> Flags:
     """Mask of samples whose values differ by more than rounding, shape ``(n,)``."""
     tolerance = BSDF_ROUNDING * np.maximum(np.abs(a), np.abs(b)) + SLACK * slack
-    differs = np.abs(a - b) > tolerance
+    differs = np.abs(a - b) > np.maximum(tolerance, UNDERFLOW)
     return differs if differs.ndim == 1 else differs.any(axis=1)
+
+
+def ratio_of(above: Floats, below: Floats) -> Floats:
+    """Ratios of answers, shape ``(n,)``; of spectra where it is farthest from 1."""
+    above, below = (x.reshape(len(x), -1) for x in (above, below))
+    same = (above == below) | ~np.isfinite(above) | ~np.isfinite(below)
+    ratio = np.where(same, 1.0, above / np.where(same, 1.0, np.maximum(below, 1e-30)))
+    worst = np.abs(ratio - 1).argmax(axis=1)
+    return np.take_along_axis(ratio, worst[:, None], axis=1)[:, 0]
 
 
 def is_many(mask: Flags) -> bool:
@@ -133,9 +146,14 @@ class Samples:
         return self.smooth & finite & np.isfinite(self.sampled_pdf)
 
     @property
+    def wi(self) -> Floats:
+        """Incident direction of each sample, shape ``(n, 3)``."""
+        return np.broadcast_to(self.condition.wi, self.wo.shape)
+
+    @property
     def reflected(self) -> Flags:
         """Which directions are on the lit side."""
-        return self.wo[:, 2] * self.condition.wi[2] > 0
+        return self.wo[:, 2] * self.wi[:, 2] > 0
 
     @property
     def random(self) -> tuple[mi.Float, mi.Point2f]:
@@ -144,7 +162,8 @@ class Samples:
 
     def fraction(self, mask: Flags) -> str:
         """Text on which part of the samples, and under which condition."""
-        return f"{100 * mask.mean():.3g} % of the samples at {self.condition}"
+        place = self.condition.place(mask)
+        return f"{100 * mask.mean():.3g} % of the samples at {place}"
 
 
 def samples_of(

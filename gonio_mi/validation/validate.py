@@ -37,12 +37,12 @@ from .checks import (
     sampling,
     weights,
 )
-from .conditions import Condition, Effort
+from .conditions import Condition, Effort, Sweep
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import INTERFACE, PROPERTIES, Evidence
-from .maps import four_maps
-from .probe import PluginFault, Probe
+from .maps import four_maps, in_radiance_mode
+from .probe import PluginFault, Probe, number_parameters
 from .samples import Samples, samples_of, unequal
 from .verdict import FAILS, Verdict, properties_of
 
@@ -175,8 +175,11 @@ def _examine(evidence: Evidence, plan: Effort) -> None:
         _check_samples(evidence, condition, plan.checked, (seed, 1, i))
     first = evidence.samples[0]
     after = answers.asked_after(Probe(bsdf, first.condition), first)
+    _check_sweep(evidence, plan, sides)
     again = cost.check_compiled(evidence, first.condition, plan.checked, (seed, 1, 0))
     answers.check_memory(evidence, first, after, again)
+    if not evidence.of("answers"):
+        answers.check_order(evidence, evidence.sweeps[0])
     answers.check_frames(evidence)
     flags.check_bsdf(evidence)
     flags.check_sides(evidence)
@@ -188,11 +191,15 @@ def _examine(evidence: Evidence, plan: Effort) -> None:
             continuity.check_normal(evidence, samples)
     for side in sides:
         continuity.check_cutoffs(evidence, Condition(45.0, 25.0, side))
+    answers.check_albedo(evidence)
     parameters.check_samples(evidence, _brightest(evidence))
     explain_reciprocity(evidence)
     ends.check_bsdf(evidence)
     ends.check_roughness(evidence)
     _check_maps(evidence, plan, sides, components)
+    parameters.check_changes(
+        evidence, lambda changed: _check_sweep(changed, plan, sides)
+    )
     if plan is not Effort.named("quick"):
         # it takes a second
         cost.check_time(evidence, Condition(40.0, 25.0, sides[0]))
@@ -215,20 +222,12 @@ def _check_samples(
     samples = samples_of(evidence.bsdf, condition, n, key)
     evidence.samples.append(samples)
     known = len(evidence.breaches)
-    answers.check_samples(evidence, samples)
+    _check_identities(evidence, samples)
     answers.check_lattice(evidence, Probe(evidence.bsdf, condition))
     eval_pdf.check_lattice(evidence, Probe(evidence.bsdf, condition))
-    for check in (
-        directions,
-        weights,
-        sampled_pdf,
-        sampled_weight,
-        eval_pdf,
-        eval_pdf_sample,
-    ):
-        check.check_samples(evidence, samples)
     ways = reciprocity.both_ways(samples)
     if ways is not None:
+        ways = directions.check_eta(evidence, ways)
         reciprocity.check_ways(evidence, ways)
         adjoint.check_ways(evidence, ways)
     for lobe in delta.lobes_of(evidence, samples):
@@ -242,12 +241,37 @@ def _check_samples(
         ]
 
 
+def _check_identities(evidence: Evidence, samples: Samples) -> None:
+    """What two functions answer about the same directions."""
+    for check in (
+        answers,
+        directions,
+        weights,
+        sampled_pdf,
+        sampled_weight,
+        eval_pdf,
+        eval_pdf_sample,
+    ):
+        check.check_samples(evidence, samples)
+
+
+def _check_sweep(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
+    """Identities and directions where light comes from everywhere."""
+    key = (evidence.seed, 4)
+    sweep = Sweep(side=sides[0], both=len(sides) > 1, n=plan.checked)
+    samples = samples_of(evidence.bsdf, sweep, sweep.n, key)
+    evidence.sweeps.append(samples)
+    _check_identities(evidence, samples)
+    sampling.check_sweep(evidence, replace(sweep, n=plan.swept), key)
+
+
 def _check_maps(
     evidence: Evidence, plan: Effort, sides: Sequence[str], components: Sequence[int]
 ) -> None:
     """Statistics of samples by patch."""
     conditions = list(plan.maps(sides, components))
-    if any(_depends_on_mode(samples) for samples in evidence.samples):
+    other_mode = any(_depends_on_mode(evidence, one) for one in evidence.whole)
+    if other_mode:
         conditions += [replace(one, mode="radiance") for one in plan.radiance(sides)]
     failed = 0
     for i, condition in enumerate(conditions):
@@ -255,8 +279,17 @@ def _check_maps(
         maps = four_maps(evidence.bsdf, condition, plan.patches, plan.samples, key)
         if maps is None:
             failed += 1
-            continue
-        evidence.maps.append(maps)
+        else:
+            evidence.maps.append(maps)
+    if not other_mode:
+        # the same integrals, other samples
+        for side in sides:
+            own = (maps for maps in evidence.maps if maps.condition.side == side)
+            first = next(own, None)
+            if first is not None:
+                key = (evidence.seed, 2, len(evidence.maps))
+                evidence.maps.append(in_radiance_mode(evidence.bsdf, first, key))
+    for maps in evidence.maps:
         for check in (sampling, weights, energy):
             check.check_maps(evidence, maps)
     weights.check_pooled(evidence)
@@ -289,8 +322,15 @@ def _brightest(evidence: Evidence) -> Samples:
     )
 
 
-def _depends_on_mode(samples: Samples) -> bool:
-    return bool((unequal(samples.eval, samples.other_mode, 0) & samples.smooth).any())
+def _depends_on_mode(evidence: Evidence, samples: Samples) -> bool:
+    """Whether ``eval`` or ``pdf`` is another in the other transport mode."""
+    wo = answers.lattice()
+    there, here = (
+        Probe(evidence.bsdf, replace(samples.condition, mode=mode)).densities(wo)
+        for mode in ("importance", "radiance")
+    )
+    differs = unequal(samples.eval, samples.other_mode, 0) & samples.smooth
+    return bool(differs.any() or unequal(there, here, 0).any())
 
 
 def _stop(evidence: Evidence, fault: PluginFault) -> None:
@@ -321,12 +361,12 @@ def coloured(bsdf: mi.BSDF, specimen: dict[str, Any]) -> mi.BSDF:
 def _tints(bsdf: mi.BSDF) -> dict[str, Any]:
     """Tinted colours by name, as in a dictionary; none without ``traverse``."""
     try:
-        params = mi.traverse(bsdf)
-    except Exception:
+        _, params = number_parameters(bsdf)
+    except PluginFault:
         return {}  # `answers` says so
     tints = {}
-    for key in params.keys():  # noqa: SIM118
-        name, value = key.removesuffix(".value"), params[key]
+    for key, value in params.items():
+        name = key.removesuffix(".value")
         # a texture may be grey; what a plugin keeps as one number stays one
         colour = mi.Color3f if key == name else (mi.Float, mi.Color3f)
         if not COLOURS.search(name) or not isinstance(value, colour):

@@ -965,9 +965,6 @@ def register():
         def value(self, si, wo):
             return super().value(si, wo) * self.noise(wo)
 
-        def density(self, si, wo):
-            return super().density(si, wo) * self.noise(wo)
-
         def noise(self, wo):
             number = 3e4 * dr.sin(1e4 * wo.x) + 3e4 * dr.cos(1e4 * wo.y)
             return dr.select(number - dr.floor(number) < 0.01, 50.5, mi.Float(0.5))

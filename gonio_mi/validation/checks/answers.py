@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import mitsuba as mi
@@ -12,14 +13,16 @@ from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
 from ..conditions import TURN
 from ..evidence import BIAS, INTERFACE, Evidence
-from ..probe import Probe, spectral
+from ..probe import Probe, spectral, vectors
 from ..samples import Samples, is_many, unequal
 
 __all__ = [
     "asked_after",
+    "check_albedo",
     "check_frames",
     "check_lattice",
     "check_memory",
+    "check_order",
     "check_samples",
     "example",
     "improper",
@@ -42,6 +45,20 @@ N_LATTICE = 2**12
 
 # What a function does whose answers change for no reason that is known.
 MIXED = "mixes local and world coordinates"
+
+# What a lobe can be: names as in mi.BSDFFlags.
+LOBES = (
+    "Null",
+    "DiffuseReflection",
+    "DiffuseTransmission",
+    "GlossyReflection",
+    "GlossyTransmission",
+    "DeltaReflection",
+    "DeltaTransmission",
+)
+
+# Relative difference of a reflectance that is the same.
+MAX_ALBEDO_OFF = 1e-3
 
 # Distance of two directions that are the same, however they round.
 MAX_DISPLACEMENT = 1e-3
@@ -76,6 +93,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
             )
 
 
+@cache
 def lattice() -> Floats:
     """Directions on the sphere, evenly spread, shape (n, 3)."""
     z = (np.arange(N_LATTICE) + 0.5) / N_LATTICE * 2 - 1
@@ -179,6 +197,55 @@ def _turned_answer(bsdf: mi.BSDF, samples: Samples) -> tuple[str, Flags, str] | 
 def _displaced(a: Floats, b: Floats) -> Flags:
     """Which directions differ by more than rounding, also at the horizon."""
     return np.abs(a - b).max(axis=1) > MAX_DISPLACEMENT
+
+
+def check_order(evidence: Evidence, samples: Samples) -> None:
+    """Answers do not depend on the place of a ray in the array."""
+    # of a sweep, so that the incident directions are reversed, too
+    probe = Probe(evidence.bsdf, samples.condition)
+    wo, wi = samples.wo[::-1], vectors(samples.wi[::-1])
+    u = mi.Float(samples.sample1[::-1]), mi.Point2f(samples.sample2[::-1].T)
+    _, weight = probe.sample(*u, wi=wi)
+    n = samples.n
+    for function, answer, due, slack in (
+        ("eval", probe.values(wo, samples.wi[::-1]), samples.eval, samples.eval_slack),
+        ("pdf", probe.densities(wo, samples.wi[::-1]), samples.pdf, samples.pdf_slack),
+        ("sample", spectral(weight, n), samples.weight, 0.0),
+    ):
+        wrong = unequal(answer[::-1], due, slack) & samples.usable
+        if is_many(wrong):
+            evidence.breach(
+                "answers",
+                function,
+                samples.fraction(wrong),
+                f"`{function}` depends on the place of a ray in the array",
+                samples.condition,
+                size=2.0,
+                off=float(wrong.mean()),
+            )
+            return
+
+
+def check_albedo(evidence: Evidence) -> None:
+    """``eval_diffuse_reflectance`` is a reflectance: of a Lambertian, its own."""
+    samples = evidence.whole[0]
+    name, all_flags = "eval_diffuse_reflectance", int(evidence.bsdf.flags())
+    probe = Probe(evidence.bsdf, samples.condition)
+    reported = spectral(probe.diffuse_reflectance(), 1)[0]
+    mistake = ""
+    if improper(reported[None]).any():
+        mistake = f"the value of `{name}` is {example(reported[None])}"
+    usable = samples.usable & samples.reflected & (samples.wo[:, 2] != 0)
+    lobes = sum(int(getattr(mi.BSDFFlags, lobe)) for lobe in LOBES)
+    if all_flags & lobes == int(mi.BSDFFlags.DiffuseReflection) and usable.any():
+        value = np.pi * samples.eval[usable] / np.abs(samples.wo[usable, 2:])
+        due = np.median(value, axis=0)
+        even = np.ptp(value, axis=0).max() < MAX_ALBEDO_OFF * due.max()
+        if even and np.abs(reported - due).max() > MAX_ALBEDO_OFF * due.max():
+            mistake = f"`{name}` is not the reflectance of `eval`, {due.max():.4g}"
+    if mistake:
+        text = f"{reported.max():.4g} at {samples.condition}"
+        evidence.breach("answers", name, text, mistake, effect=INTERFACE)
 
 
 def improper(value: Numbers) -> Flags:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats
 from ..evidence import Evidence
-from ..probe import Probe, spectral
+from ..probe import Probe, is_delta, numbers, spectral
 from ..samples import Samples, is_many, unequal
+from .answers import LOBES
 
 __all__ = ["alone", "check_samples"]
 
@@ -24,11 +26,14 @@ class Alone:
     pdf : ndarray, shape (n_components, n)
     wo : ndarray, shape (n_components, n, 3)
         Directions that ``sample`` draws of them from the same random numbers.
+    discrete : ndarray, shape (n_components, channels)
+        Flux fraction of each one's discrete lobe; 0 without.
     """
 
     eval: Floats
     pdf: Floats
     wo: Floats
+    discrete: Floats
 
 
 def alone(evidence: Evidence, samples: Samples) -> Alone:
@@ -37,9 +42,65 @@ def alone(evidence: Evidence, samples: Samples) -> Alone:
     for i in range(evidence.bsdf.component_count()):
         probe = Probe(evidence.bsdf, replace(samples.condition, component=i))
         value, density = probe.values(samples.wo), probe.densities(samples.wo)
-        wo = spectral(probe.sample(*random)[0].wo, samples.n)
-        answers.append((value, density, wo))
+        bs, weight = probe.sample(*random)
+        flux = spectral(weight, samples.n) * numbers(bs.pdf, samples.n)[:, None]
+        discrete = _median(flux[numbers(is_delta(bs), samples.n)])
+        answers.append((value, density, spectral(bs.wo, samples.n), discrete))
     return Alone(*map(np.array, zip(*answers)))
+
+
+def _median(flux: Floats) -> Floats:
+    """Flux fraction of samples of one discrete lobe, shape (channels,); 0 of none."""
+    return np.median(flux, axis=0) if len(flux) else np.zeros(flux.shape[1])
+
+
+def _check_discrete(evidence: Evidence, samples: Samples, each: Alone) -> None:
+    """A discrete lobe has the same flux fraction alone as in the whole."""
+    for i, due in enumerate(each.discrete):
+        own = samples.given & samples.delta & (samples.component == i)
+        if not is_many(own) or not due.any():
+            continue
+        flux = samples.weight[own] * samples.sampled_pdf[own][:, None]
+        whole = _median(flux)
+        several = unequal(flux, np.broadcast_to(whole, flux.shape), 0.0).any()
+        if not several and unequal(whole[None], due[None], 0.0)[0]:
+            evidence.breach(
+                "components",
+                "sample",
+                f"{due.max():.4g} of the light alone, {whole.max():.4g} in the whole, "
+                f"at {samples.condition}",
+                f"the weight of `sample` times the probability of the discrete lobe of "
+                f"component {i} is not that of the component alone",
+            )
+
+
+def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
+    """A component whose lobes no other has is the same asked by its types."""
+    bsdf = evidence.bsdf
+    lobes = sum(int(getattr(mi.BSDFFlags, name)) for name in LOBES)
+    types = [int(bsdf.flags(i)) & lobes for i in range(bsdf.component_count())]
+    for i, own in enumerate(types):
+        if any(own & other for j, other in enumerate(types) if j != i):
+            continue
+        probe = Probe(bsdf, replace(samples.condition, types=own))
+        bs, weight = probe.sample(*samples.random)
+        given = (spectral(weight, samples.n) != 0).any(axis=1)
+        drawn = numbers(bs.sampled_type, samples.n)
+        for function, wrong in (
+            ("eval", unequal(probe.values(samples.wo), each.eval[i], 0.0)),
+            ("pdf", unequal(probe.densities(samples.wo), each.pdf[i], 0.0)),
+            ("sample", given & ((drawn & (lobes ^ own)) != 0)),
+        ):
+            wrong = wrong & (samples.smooth | (function == "sample"))
+            if is_many(wrong):
+                evidence.breach(
+                    "components",
+                    function,
+                    samples.fraction(wrong),
+                    f"`{function}` does not heed ctx.type_mask",
+                    size=float(wrong.mean()),
+                )
+                return
 
 
 def check_samples(evidence: Evidence, samples: Samples) -> None:
@@ -51,6 +112,9 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     if samples.condition.component is not None or not evidence.bsdf.component_count():
         return
     each = alone(evidence, samples)
+    if not evidence.of("components"):
+        _check_discrete(evidence, samples, each)
+        _check_types(evidence, samples, each)
     total, density = each.eval.sum(axis=0), each.pdf.sum(axis=0)
     usable = samples.smooth & np.isfinite(total).all(axis=1) & np.isfinite(density)
     deaf = _deaf(samples, each, usable)

@@ -21,6 +21,9 @@ MAX_JUMP = 0.1
 # Cosines of directions that come near to the horizon, to within 0.06 degrees.
 COSINES = 2.0 ** np.arange(-2, -10.5, -0.5)
 
+# Part of the largest value below which light has faded before it ends.
+MIN_LAST = 1e-6
+
 # Azimuths and samples that are looked at for each of them.
 N_AZIMUTHS = 16
 N_SAMPLES = 2**6
@@ -78,19 +81,23 @@ def check_cutoffs(evidence: Evidence, condition: Condition) -> None:
     face = np.sign(condition.wi[2])
     probe = Probe(evidence.bsdf, condition)
     random = uniform(n, (evidence.seed, 51))
-    lit: dict[str, list[bool]] = {"wi": [], "wo": []}
+    lit: dict[str, list[float]] = {"wi": [], "wo": []}
     for cosine in COSINES:
         ring = direction(np.full(n, np.arccos(cosine)), azimuths) * [1, 1, face]
         near = vectors(ring)
         bs, weight = probe.sample(*random, wi=near)
         far = mi.Vector3f(bs.wo)
         there = [spectral(x, n) for x in (weight, probe.eval(far, wi=near))]
-        lit["wi"].append(any((x > 0).any() for x in there))
-        lit["wo"].append(bool((spectral(probe.eval(near, wi=far), n) > 0).any()))
+        lit["wi"].append(max(float(np.nan_to_num(x).max()) for x in there))
+        back = spectral(probe.eval(near, wi=far), n)
+        lit["wo"].append(float(np.nan_to_num(back).max()))
     for name, ones in lit.items():
         if not any(ones) or ones[-1]:
             continue
-        last = COSINES[np.flatnonzero(ones)[-1]]
+        k = np.flatnonzero(ones)[-1]
+        last = COSINES[k]
+        if ones[k] < MIN_LAST * max(ones):
+            continue  # it has faded before
         theta = np.degrees(np.arccos(last))
         evidence.breach(
             "continuity",

@@ -79,13 +79,20 @@ def _split(
         rest = rest & ~part
     if not is_many(rest):
         return [one for one in parts if is_many(one[0])]
-    evidence.breach(
-        "delta",
-        "sample",
-        f"directions differ by up to {spread:.3g} at {samples.condition}",
-        "`sample` gives many directions to a lobe whose sampled_type is discrete",
-        size=spread,
-    )
+    statistic = f"directions differ by up to {spread:.3g} at {samples.condition}"
+    lit: Flags = (np.nan_to_num(samples.eval[own], nan=1.0) != 0).any(axis=1)
+    if is_many(lit):
+        evidence.breach(
+            "delta",
+            "sample",
+            statistic,
+            "`sample` gives many directions to a lobe whose sampled_type is discrete, "
+            "where `eval` is lit, too: light is counted twice",
+            size=spread,
+        )
+    else:
+        # each sample meets a mirror of its own, which no other function knows
+        evidence.remark("delta", f"one discrete lobe draws its {statistic}")
     return []
 
 

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags
 from ..evidence import INTERFACE, NOISE, Evidence
 from ..samples import BSDF_ROUNDING, Samples, is_many, unequal
+from .reciprocity import BothWays, is_constant
 
-__all__ = ["check_samples"]
+__all__ = ["check_eta", "check_samples"]
+
+# Relative difference of two squared indices that are the same.
+MAX_OFF = 1e-3
 
 # Why a type is wrong, if all else agrees.
 AGREED = "as `eval` has it: a type or a side is declared wrongly"
@@ -26,7 +32,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     transmits = (samples.type & int(flags.Transmission)) != 0
     # on the horizon no side is wrong
     beside = np.abs(samples.wo[:, 2]) < BSDF_ROUNDING
-    beside |= abs(samples.condition.wi[2]) < BSDF_ROUNDING
+    beside |= np.abs(samples.wi[:, 2]) < BSDF_ROUNDING
     one_way = reflects & ~transmits & ~samples.reflected & ~beside
     other_way = transmits & ~reflects & samples.reflected & ~beside
     agreed = _agreed(samples)
@@ -56,6 +62,43 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
                 size=float(wrong.mean()),
                 effect=effect,
             )
+
+
+def check_eta(evidence: Evidence, ways: BothWays) -> BothWays:
+    """The index of a transmitted sample is that of the plugin's own two modes.
+
+    Returns
+    -------
+    BothWays
+        With the index by which light passes, whatever the sample says.
+    """
+    samples = ways.samples
+    through = ways.smooth & ~samples.reflected
+    others = ways.backward.sum(axis=1), samples.other_mode.sum(axis=1)
+    through &= (others[0] > 0) & (others[1] > 0)
+    if not is_many(through) or evidence.of("sampled_weight"):
+        return ways
+    by_way = ways.ratio(ways.backward, through)
+    by_mode = samples.eval[through].sum(axis=1) / others[1][through]
+    if not (is_constant(by_way) and is_constant(by_mode)):
+        return ways
+    due, other = float(np.median(by_way)), float(np.median(by_mode))
+    reported = float(np.median(samples.eta[through] ** 2))
+    if abs(other / due - 1) > MAX_OFF or abs(reported / due - 1) < MAX_OFF:
+        return ways
+    inverse = abs(reported * due - 1) < MAX_OFF
+    what = "is that of the other side" if inverse else "is wrong"
+    evidence.breach(
+        "directions",
+        "sample",
+        f"{reported**0.5:.4g} where the transport modes of `eval` have "
+        f"{due**0.5:.4g}, for {samples.fraction(through)}",
+        f"`sample`: eta of a transmitted direction {what}",
+        samples.condition,
+        size=float(through.mean()),
+        effect=NOISE,  # only Russian roulette uses it
+    )
+    return replace(ways, eta2=np.where(samples.reflected[:, None], 1.0, due))
 
 
 def _agreed(samples: Samples) -> Flags:

@@ -12,7 +12,15 @@ from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
 from ..conditions import Condition, LitFrom
 from ..evidence import INTERFACE, Evidence
-from ..probe import PluginFault, Probe, changed, numbers, spectral, traversed, vectors
+from ..probe import (
+    PluginFault,
+    Probe,
+    changed,
+    number_parameters,
+    numbers,
+    spectral,
+    vectors,
+)
 from ..samples import BSDF_ROUNDING
 from .answers import example, improper
 
@@ -53,14 +61,14 @@ def check_bsdf(evidence: Evidence, where: str = "") -> None:
 def check_roughness(evidence: Evidence) -> None:
     """The ends again at the limits of roughness, if the plugin has such parameters."""
     try:
-        params = traversed(evidence.bsdf)
+        _, params = number_parameters(evidence.bsdf)
     except PluginFault:
         return  # a property of its own
     names = [
         key
-        for key in params.keys()  # noqa: SIM118
+        for key, value in params.items()
         if key.removesuffix(".value").split(".")[-1] in ROUGHNESSES
-        and isinstance(params[key], (float, mi.Float))
+        and isinstance(value, mi.Float)
     ]
     for limit in LIMITS if names else ():
         with changed(evidence.bsdf, {key: type(params[key])(limit) for key in names}):

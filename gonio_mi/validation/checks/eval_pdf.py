@@ -6,7 +6,7 @@ import numpy as np
 
 from ..evidence import Evidence
 from ..probe import Probe, numbers, spectral, vectors
-from ..samples import BSDF_ROUNDING, Samples, is_many, unequal
+from ..samples import BSDF_ROUNDING, Samples, is_many, ratio_of, unequal
 from .answers import lattice
 
 __all__ = ["check_joint", "check_lattice", "check_samples"]
@@ -47,7 +47,9 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
             )
 
 
-def check_joint(evidence: Evidence, samples: Samples, function: str) -> None:
+def check_joint(
+    evidence: Evidence, samples: Samples, function: str, effect: str = ""
+) -> None:
     """The same for each function that answers both."""
     usable = np.isfinite(samples.wo).all(axis=1) & ~samples.delta
     usable &= np.abs(np.linalg.norm(samples.wo, axis=1) - 1) < BSDF_ROUNDING
@@ -61,7 +63,8 @@ def check_joint(evidence: Evidence, samples: Samples, function: str) -> None:
             function,
             samples,
             unequal(joint, due, slack) & usable,
-            joint.sum(axis=1) / np.maximum(due.sum(axis=1), 1e-30),
+            ratio_of(joint, due),
             f"its value over `{alone}`",
             f"`{function}` answers otherwise than `{alone}`",
+            effect,
         )

@@ -13,23 +13,13 @@ from ..conditions import Condition
 from ..evidence import BIAS, Evidence
 from ..probe import Probe
 from ..samples import Samples, is_many, samples_of, unequal
+from .answers import LOBES
 from .weights import check_unsampled_side
 
-__all__ = ["LOBES", "check_bsdf", "check_sides"]
+__all__ = ["check_bsdf", "check_sides"]
 
 # Where nothing tells which of two is wrong.
 EITHER = "flags or sample"
-
-# What a lobe can be: names as in mi.BSDFFlags.
-LOBES = (
-    "Null",
-    "DiffuseReflection",
-    "DiffuseTransmission",
-    "GlossyReflection",
-    "GlossyTransmission",
-    "DeltaReflection",
-    "DeltaTransmission",
-)
 
 
 def check_bsdf(evidence: Evidence) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import drjit as dr
@@ -11,11 +11,23 @@ import numpy as np
 
 from ...array_types import Floats
 from ..conditions import Condition
-from ..evidence import INTERFACE, Evidence
-from ..probe import PluginFault, Probe, blamed, changed, spectral, traversed, vectors
-from ..samples import Samples
+from ..evidence import BIAS, INTERFACE, Evidence
+from ..probe import (
+    PluginFault,
+    Probe,
+    blamed,
+    changed,
+    number_parameters,
+    spectral,
+    vectors,
+)
+from ..samples import Samples, is_many, unequal
 
-__all__ = ["check_samples"]
+__all__ = ["check_changes", "check_samples"]
+
+# Probability by chance of directions after a change, below which they are wrong; the
+# statistical tests do not share it.
+MAX_P = 1e-6
 
 # Relative steps of central differences, whose error falls with their square: where the
 # three do not agree, there is nothing to compare with.
@@ -36,11 +48,11 @@ MAX_JUMPS = 0.1
 def check_samples(evidence: Evidence, samples: Samples) -> None:
     """``traverse`` answers, and gradients of ``eval`` agree with its differences."""
     try:
-        params = traversed(evidence.bsdf)
+        params, values = number_parameters(evidence.bsdf)
         usable = samples.smooth & np.isfinite(samples.eval).all(axis=1)
         if usable.any() and hasattr(dr, "enable_grad") and "_ad_" in mi.variant():
             wo = vectors(samples.wo[usable])
-            for name in _differentiable(params):
+            for name in _differentiable(params, values):
                 _check_gradient(evidence, samples.condition, params, name, wo)
     except PluginFault as fault:
         # images need none of it
@@ -49,15 +61,103 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         evidence.breach("parameters", fault.function, text, text, effect=effect)
 
 
-def _differentiable(params: Any) -> Iterator[str]:
+def check_changes(evidence: Evidence, sweep: Callable[[Evidence], None]) -> None:
+    """All functions follow a change of parameters, of all or of each alone.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    sweep : callable
+        Examines a BSDF as it is, and adds to the evidence that it gets.
+    """
+    known = [*evidence.breaches, *(t for t in evidence.tests if t.p < MAX_P)]
+    if any(one.effect == BIAS for one in known):
+        return  # a change adds nothing to what is wrong before
+    values = _other_values(evidence.bsdf)
+    found = _after(evidence, sweep, values)
+    if found is None:
+        return
+    for name, value in values.items():
+        # together, they may be out of their range
+        found = _after(evidence, sweep, {name: value})
+        if found is not None:
+            function = _stale(evidence.sweeps[0], found)
+            who = function.replace(" or ", "` or `")
+            worst = min(found.tests, key=lambda t: t.p).statistic
+            breaches = [b.statistic for b in found.breaches if b.effect == BIAS]
+            evidence.breach(
+                "parameters",
+                function,
+                f"after a change of {name}: {next(iter(breaches), worst)}",
+                f"`{who}` does not follow a change of {name}",
+                size=2.0,
+            )
+            return
+
+
+def _other_values(bsdf: mi.BSDF) -> dict[str, Any]:
+    """Other values of numbers and colours, by name."""
+    try:
+        _, known = number_parameters(bsdf)
+    except PluginFault:
+        return {}  # a property of its own
+    values = {}
+    for name, value in known.items():
+        numbers = np.ravel(np.array(value, dtype=float))
+        if np.isfinite(numbers).all() and (numbers > 0).all():
+            # not beyond 1, where ranges end
+            other = type(value)(value * (0.5 if numbers.max() <= 1 else 1.5))
+            dr.make_opaque(other)
+            values[name] = other
+    return values
+
+
+def _after(
+    evidence: Evidence, sweep: Callable[[Evidence], None], values: dict[str, Any]
+) -> Evidence | None:
+    """What fails after a change of parameters; None if nothing does."""
+    found = Evidence(evidence.bsdf, evidence.seed)
+    try:
+        with changed(evidence.bsdf, values):
+            sweep(found)
+    except PluginFault:
+        return None  # a value that it refuses
+    wrong = any(b.effect == BIAS for b in found.breaches)
+    return found if wrong or any(t.p < MAX_P for t in found.tests) else None
+
+
+def _stale(before: Samples, found: Evidence) -> str:
+    """Function whose answers are those of before, where others have changed."""
+    after = found.sweeps[0]
+    still = (before.wo == after.wo).all(axis=1) & before.usable & after.usable
+
+    def same(answer: Callable[[Samples], Floats]) -> bool:
+        return not is_many(unequal(answer(before), answer(after), 0.0) & still)
+
+    def product(one: Samples) -> Floats:
+        return one.weight * one.sampled_pdf[:, None]
+
+    names = {b.name for b in found.breaches if b.effect == BIAS}
+    if "sampled_weight" in names and "sampled_pdf" not in names:
+        stale_eval, stale_weight = same(lambda one: one.eval), same(product)
+        if stale_eval != stale_weight:
+            return "eval" if stale_eval else "sample"
+        return "eval or sample"
+    if "sampled_pdf" in names or not names:
+        if same(lambda one: one.pdf) and not same(lambda one: one.sampled_pdf):
+            return "pdf"
+        return "sample" if still[before.usable].all() else "sample or pdf"
+    return next(b.function for b in found.breaches if b.effect == BIAS)
+
+
+def _differentiable(params: Any, values: dict[str, Any]) -> Iterator[str]:
     """Names of numbers and colours that may be differentiated, within their range.
 
     At 0 and 1, most ranges end, where a lobe may be left out.
     """
-    for name in params.keys():  # noqa: SIM118
-        value = params[name]
+    for name, value in values.items():
         fixed = params.flags(name) & mi.ParamFlags.NonDifferentiable.value
-        if fixed or not isinstance(value, (mi.Float, mi.Color3f)):
+        if fixed:
             continue
         if not np.isin(np.ravel(np.array(value)), (0.0, 1.0)).any():
             yield name

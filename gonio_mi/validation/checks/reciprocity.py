@@ -135,12 +135,10 @@ def ratio_text(a: Floats, b: Floats, wrong: Flags, samples: Samples) -> str:
     a, b = a[wrong].sum(axis=1), b[wrong].sum(axis=1)
     # also of negative values, which are wrong already
     both = (a != 0) & (b != 0)
-    one_way = np.mean((a != 0) != (b != 0))
-    if one_way > 0.5 or not both.any():
-        return (
-            f"light goes one way only for {100 * one_way:.3g} % of the samples at "
-            + str(samples.condition)
-        )
+    one_way = wrong.copy()
+    one_way[wrong] = (a != 0) != (b != 0)
+    if one_way.sum() > 0.5 * wrong.sum() or not both.any():
+        return f"light goes one way only for {samples.fraction(one_way)}"
     low, high = np.quantile(a[both] / b[both], [0.05, 0.95])
     return (
         f"f(wi, wo) over f(wo, wi) is {low:.4g} to {high:.4g} for "

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from ..evidence import Evidence
-from ..samples import Samples, unequal
+from ..samples import Samples, ratio_of, unequal
 
 __all__ = ["check_samples"]
 
@@ -20,7 +18,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         "sample",
         samples,
         unequal(samples.sampled_pdf, samples.pdf, samples.pdf_slack) & lit,
-        samples.sampled_pdf / np.maximum(samples.pdf, 1e-30),
+        ratio_of(samples.sampled_pdf, samples.pdf),
         "its pdf over `pdf`",
         "`sample` returns another pdf than `pdf`",
     )

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...array_types import Flags
 from ..evidence import INTERFACE, Evidence
-from ..samples import Samples, is_many, unequal
+from ..samples import Samples, is_many, ratio_of, unequal
 
 __all__ = ["check_samples"]
 
@@ -32,7 +32,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
             "sample",
             samples,
             wrong[1],
-            products[1].sum(axis=1) / np.maximum(samples.eval.sum(axis=1), 1e-30),
+            ratio_of(products[1], samples.eval),
             "weight times pdf over `eval`",
             "the weight of `sample` is not `eval` over pdf",
             effect="" if _is_biased(samples, lit) else INTERFACE,
@@ -40,10 +40,10 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
 
 
 def _is_biased(samples: Samples, lit: Flags) -> bool:
-    """Whether weights have another mean than ``eval`` over ``pdf``, beyond chance."""
+    """Whether weights of a channel have another mean than ``eval`` over ``pdf``."""
     usable = lit & (samples.pdf > 0)
-    ratio = samples.eval[usable].mean(axis=1) / samples.pdf[usable]
-    off = samples.weight[usable].mean(axis=1) - ratio
+    off = samples.weight[usable] - samples.eval[usable] / samples.pdf[usable][:, None]
     if len(off) < 2:
         return True
-    return abs(off.mean()) > MAX_SCORE * off.std() / np.sqrt(len(off))
+    std_err = off.std(axis=0) / np.sqrt(len(off))
+    return bool((np.abs(off.mean(axis=0)) > MAX_SCORE * std_err).any())

@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import mitsuba as mi
 import numpy as np
+from scipy import special
 
+from ...array_types import Flags, Floats, Integers
+from ...collector.directions import direction
+from ..conditions import Sweep
 from ..evidence import BIAS, INTERFACE, NOISE, Evidence
 from ..factors import has_known_factor, ratios_of
 from ..integrals import SUM_ERROR
-from ..maps import FourMaps
+from ..maps import FourMaps, skew_score
+from ..probe import Probe, is_delta, numbers, spectral, uniform, vectors
 from ..samples import BSDF_ROUNDING, samples_of
 from .weights import check_scores
 
-__all__ = ["check_maps", "check_roulette"]
+__all__ = ["check_maps", "check_roulette", "check_sweep"]
+
+# Bands of the angle of incidence, and sectors of its azimuth; the least number of
+# equal terms that a sum must be worth; and the probability by chance below which a
+# difference tells the guilty function.
+N_CELLS = 30
+MIN_TERMS = 100
+MAX_P = 1e-3
 
 # Samples that tell a roulette, the least fraction that it rejects, and standard errors
 # within which weights make up for that.
@@ -45,6 +58,137 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
             off=min(used + unused - 1, 1.0),
             effect=INTERFACE if harmless else "",
         )
+
+
+def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
+    """Directions against ``pdf`` where light comes from everywhere, by its direction.
+
+    If samples have the density p, the mean of g u / (p + u) over them is that of
+    g p / (p + u) over directions of the density u, whatever the function g: of terms
+    between 0 and 1, in each band and sector of incidence, without an integral.
+    """
+    n, probe = sweep.n, Probe(evidence.bsdf, sweep)
+    bs, weight = probe.sample(*uniform(n, (*key, 1)))
+    drawn, even = spectral(bs.wo, n), _even_directions(evidence.bsdf, sweep, key)
+    given = (spectral(weight, n) != 0).any(axis=1) & ~numbers(is_delta(bs), n)
+    given &= np.isfinite(drawn).all(axis=1)
+    halves = [
+        _Half.of(probe, np.where(given[:, None], drawn, sweep.wi), given),
+        _Half.of(probe, even, np.ones(n, dtype=bool)),
+    ]
+    u = 1 / (4 * np.pi if _transmits(evidence.bsdf) else 2 * np.pi)
+    terms = [
+        halves[0].lit * u / (halves[0].pdf + u),
+        halves[1].pdf / (halves[1].pdf + u),
+    ]
+    found: list[tuple[float, Flags]] = []
+    for cells in _cells(sweep):
+        for first, second in zip(_weighings(sweep, drawn), _weighings(sweep, even)):
+            scores = _score_by_cell(cells, terms[0] * first, terms[1] * second)
+            k = int(np.abs(scores).argmax())
+            found.append((float(scores[k]), cells == k))
+    z, own = max(found, key=lambda one: abs(one[0]))
+    n_scores = 2 * N_CELLS * len(found)
+    tail = 2 * special.ndtr(-abs(z))
+    p = float(-np.expm1(n_scores * np.log1p(-min(tail, 1 - 1e-16))))
+    mass = float((halves[1].pdf / u)[own].mean())
+    std_err = float((halves[1].pdf / u)[own].std() / np.sqrt(own.sum()))
+    counted = float((halves[0].lit & given)[own].mean())
+    place = sweep.place(own)
+    sums = f"`pdf` integrates to {mass:.4g}, sampled mass is {counted:.4g}, at {place}"
+    off = abs(mass - counted) / max(mass, counted, 1e-9) * float(own.mean())
+    evidence.test(
+        "sampling",
+        p,
+        f"worst z {z:+.3g} of {n_scores} bands and sectors of incidence, at {place}",
+        sweep,
+        off,
+    )
+    if p < MAX_P:
+        function = _unbalanced(mass, counted, max(MAX_SCORE * std_err, SUM_ERROR))
+        who = function.replace(" or ", "` or `")
+        evidence.suspects["sampling"] = (
+            function,
+            f"`{who}`: directions are drawn with another probability than `pdf` says "
+            f"({sums})",
+        )
+
+
+def _unbalanced(mass: float, counted: float, slack: float) -> str:
+    """Function that a density's integral and the sampled mass speak against."""
+    complete = abs(mass - 1) < slack
+    if mass > 1 + slack or (counted > 1 - SUM_ERROR and not complete):
+        return "pdf"
+    return "sample" if complete and counted < 1 - slack else "sample or pdf"
+
+
+@dataclass(frozen=True)
+class _Half:
+    """Densities of directions, 0 where ``eval`` is black, and where it is not."""
+
+    pdf: Floats
+    lit: Flags
+
+    @staticmethod
+    def of(probe: Probe, wo: Floats, usable: Flags) -> _Half:
+        value, pdf = probe.eval_and_pdf(vectors(wo))
+        lit = usable & (np.nan_to_num(spectral(value, len(wo))) > 0).any(axis=1)
+        pdf = np.nan_to_num(numbers(pdf, len(wo)).astype(float))
+        return _Half(np.where(lit, np.maximum(pdf, 0), 0), lit)
+
+
+def _transmits(bsdf: mi.BSDF) -> bool:
+    return bool(int(bsdf.flags()) & int(mi.BSDFFlags.Transmission))
+
+
+def _even_directions(bsdf: mi.BSDF, sweep: Sweep, key: tuple[int, ...]) -> Floats:
+    """Directions of uniform density: of the sphere, or of the lit side."""
+    random = np.random.default_rng([*key, 2])
+    low = -1 if _transmits(bsdf) else 0
+    z, phi = random.uniform(low, 1, sweep.n), random.uniform(0, 2 * np.pi, sweep.n)
+    wo = direction(np.arccos(z), phi)
+    wo[:, 2] *= np.sign(sweep.wi[:, 2])
+    return wo
+
+
+def _cells(sweep: Sweep) -> list[Integers]:
+    """Band, sector, and neither, of each incident direction; the faces apart."""
+    theta, phi = sweep.angles
+    other = N_CELLS * (sweep.wi[:, 2] < 0)
+    bands = [
+        (x / limit * N_CELLS).astype(int) + other
+        for x, limit in ((theta, 90.0), (phi, 360.0))
+    ]
+    return [*bands, other]
+
+
+def _weighings(sweep: Sweep, wo: Floats) -> list[Floats]:
+    """Functions of wo: 1, its cosine, and along and across the plane of incidence."""
+    phi = np.radians(sweep.angles[1])
+    along = wo[:, 0] * np.cos(phi) + wo[:, 1] * np.sin(phi)
+    across = wo[:, 1] * np.cos(phi) - wo[:, 0] * np.sin(phi)
+    return [np.ones(sweep.n), np.abs(wo[:, 2]), along, across]
+
+
+def _score_by_cell(cells: Integers, first: Floats, second: Floats) -> Floats:
+    """Normal score of the difference of two sums in each cell; 0 of too few terms."""
+    m = 2 * N_CELLS
+    n = np.maximum(np.bincount(cells, minlength=m), 1)
+    difference, variance, third = np.zeros((3, m))
+    enough = np.ones(m, dtype=bool)
+    for sign, x in ((1, first), (-1, second)):
+        x = np.nan_to_num(x)
+        total, squares, cubes = (
+            np.bincount(cells, power, minlength=m) for power in (x, x * x, x * x * x)
+        )
+        mean = total / n
+        difference += sign * total
+        variance += squares - n * mean**2
+        third += sign * (cubes - 3 * mean * squares + 2 * n * mean**3)
+        size = np.bincount(cells, np.abs(x), minlength=m)
+        enough &= size**2 > MIN_TERMS * squares
+    sigma = np.sqrt(np.where(enough & (variance > 0), variance, np.inf))
+    return np.nan_to_num(skew_score(difference / sigma, third / sigma**3))
 
 
 def check_roulette(evidence: Evidence) -> None:

@@ -80,13 +80,19 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
     check_scores(evidence, maps, "weights", maps.weight_scores)
     due, flux = maps.due, maps.smooth_flux.mean()
     lost = due.unreached.values.sum()
+    # on a side where samples never go
+    sides = due.unreached.values.reshape(2, -1).sum(axis=1)
+    beyond = sides[maps.totals.counts.reshape(2, -1).sum(axis=1) == 0].sum()
+    function, where = "pdf", "where `pdf` is 0"
+    if beyond > lost / 2:
+        function, where = "eval", "to a side where `pdf` is 0 and `sample` never goes"
     bound = max(due.unreached.sum_bound, SUM_ERROR * max(flux, 1))
     if lost > bound and due.least > UNDERFLOW:
         evidence.breach(
             "weights",
-            "pdf",
+            function,
             f"{lost / flux:.3g} of the light at {maps.condition}",
-            f"`eval` sends {lost / flux:.3g} of its light where `pdf` is 0",
+            f"`eval` sends {lost / flux:.3g} of its light {where}",
             maps.condition,
             size=lost,
             off=min(lost / flux, 1.0),
