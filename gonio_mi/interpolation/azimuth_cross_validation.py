@@ -1,4 +1,7 @@
-"""How lobes move between azimuths: tried where records are between two others."""
+"""Whether lobes turn with the azimuth of incidence, or keep their micro-normals.
+
+Cross-validated where a record lies between two others.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ __all__ = ["AzimuthCrossValidation", "azimuth_gaps", "tried_indices"]
 MAX_TRIALS, MIN_AZIMUTHS = 4, 4
 
 # Refractive indices that are tried, relative to what Snell's law makes of the mean of
-# the transmitted light; so near to 1 there is no telling by what light was bent.
+# the transmitted flux; so near to 1 no refraction can be distinguished.
 INDEX_FACTORS, MIN_BENDING = (0.9, 1.0, 1.1), 0.05
 
 
@@ -26,25 +29,25 @@ def azimuth_gaps(phi_i: Floats) -> tuple[float, float]:
 
 
 def tried_indices(
-    light: Floats, theta_i: Floats, phi_i: Floats, patches: RingsAndSectors
+    flux: Floats, theta_i: Floats, phi_i: Floats, patches: RingsAndSectors
 ) -> list[float]:
-    """Refractive indices that may have bent light: near Snell's, of its mean direction.
+    """Refractive indices to try: near that of Snell's law for the mean direction.
 
     Parameters
     ----------
-    light : ndarray, shape (n, n_theta, n_phi)
-        Transmitted, as flux fractions.
+    flux : ndarray, shape (n, n_theta, n_phi)
+        Transmitted flux fractions.
     theta_i, phi_i : ndarray, shape (n,)
         In degrees.
     patches : RingsAndSectors
     """
-    middles = patches.points(1)[:, 0, :2].reshape(*light.shape[1:], 2)
+    middles = patches.points(1)[:, 0, :2].reshape(*flux.shape[1:], 2)
     sines = means = 0.0
-    for lobe, theta, phi in zip(light, np.radians(theta_i), np.radians(phi_i)):
+    for lobe, theta, phi in zip(flux, np.radians(theta_i), np.radians(phi_i)):
         away = -(middles @ np.array([np.cos(phi), np.sin(phi)]))
         means += float((lobe * away).sum())
         sines += float(np.sin(theta) * lobe.sum())
-    if not (means > 0 and sines > 0):  # light that goes back, or is of the normal alone
+    if not (means > 0 and sines > 0):  # it goes back, or came along the normal alone
         return []
     tried = [sines / means * factor for factor in INDEX_FACTORS]
     return [eta for eta in tried if abs(eta - 1) > MIN_BENDING]
@@ -98,15 +101,15 @@ class AzimuthCrossValidation:
     def index_of_refraction(self, flux: Floats) -> float | None:
         """That by which micro-normals predict transmitted lobes better, or None.
 
-        Near what Snell's law says of the mean of all light, relative to the side of
+        Near what Snell's law gives for the mean of all flux, relative to the side of
         incidence: that which predicts a record best.
         """
         if not self.trials:
             return None
         azimuth, angle = np.nonzero(self.index >= 0)
-        light = flux[self.index[azimuth, angle]].sum(axis=-1)
+        known = flux[self.index[azimuth, angle]].sum(axis=-1)
         incidents = self.theta_i[angle], self.phi_i[azimuth]
-        tried = tried_indices(light, *incidents, self.patches)
+        tried = tried_indices(known, *incidents, self.patches)
         if not tried:
             return None
         middle = self.trials[len(self.trials) // 2]
@@ -118,7 +121,7 @@ class AzimuthCrossValidation:
         return bool(wrong[1] < wrong[0])
 
     def _errors(self, flux: Floats, eta: float | None, trial: _Trial) -> Floats:
-        """Light that both ways have in wrong places."""
+        """Sums of absolute errors of the flux: if lobes turn, and if normals stay."""
         low, known, high = flux[trial.numbers].mean(axis=-1, keepdims=True)
         theta_i, (first, own, other) = trial.theta_i, trial.phi_i.tolist()
         past, left = azimuth_gaps(trial.phi_i)

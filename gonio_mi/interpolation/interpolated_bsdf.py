@@ -79,8 +79,8 @@ class InterpolatedBSDF:
         for low, high in itertools.pairwise(order):
             begin, end = measured[low], measured[high]
             if end > begin:
-                share = dr.clip((wavelengths - begin) / (end - begin), 0, 1)
-                spectrum += share * (values[high] - values[low])
+                fraction = dr.clip((wavelengths - begin) / (end - begin), 0, 1)
+                spectrum += fraction * (values[high] - values[low])
         return spectrum
 
     def values(
@@ -135,9 +135,9 @@ class InterpolatedBSDF:
 
         Returns
         -------
-        list of (row, share, wo)
+        list of (row, fraction, wo)
             For each of the records that make the lobe at `wi`: its number among those
-            of all azimuths and polar angles; its share, which add up to 1; and where
+            of all azimuths and polar angles; its weight, which add up to 1; and where
             the point is moved.
         """
         phi_i = self.incident.azimuth(wi)
@@ -149,8 +149,8 @@ class InterpolatedBSDF:
             start = seen_from(wo, self.incident.measured(place.azimuth))
             for end, row in enumerate(place.rows):
                 moved = self.lobes.moved(place, number, start, mi.Float64(end))
-                share = place.weight * place.share(end)
-                parts.append((row, share, towards(moved, phi_i, up)))
+                fraction = place.weight * place.fraction(end)
+                parts.append((row, fraction, towards(moved, phi_i, up)))
         return parts
 
     def sample(

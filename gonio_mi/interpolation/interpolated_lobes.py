@@ -1,4 +1,4 @@
-"""Lobes of a table that move to where they are for other incident light, in Dr.Jit."""
+"""Lobes of a table, transported to other incident directions, in Dr.Jit."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ __all__ = [
 class _Pieces:
     """Pieces of one coordinate, which points of a leg move with.
 
-    At both ends of the leg: where they begin, and how wide they are per light.
+    At both ends of the leg: where they begin, and how wide they are per flux.
     """
 
     begins: Sequence[mi.Float64]
@@ -57,13 +57,15 @@ class _Pieces:
         )
         index = first + piece
         slope = self._at(self.slopes, index, start)
-        share = (coordinate - self._at(self.begins, index, start)) / slope
-        return _OnPiece(index, share, slope)
+        fraction = (coordinate - self._at(self.begins, index, start)) / slope
+        return _OnPiece(index, fraction, slope)
 
     def moved(self, on: _OnPiece, to: mi.Float64) -> tuple[mi.Float64, mi.Float64]:
         """Coordinate of the point at `to` of the leg, and the stretch of its piece."""
         slope = self._at(self.slopes, on.index, to)
-        return self._at(self.begins, on.index, to) + on.share * slope, slope / on.slope
+        return self._at(
+            self.begins, on.index, to
+        ) + on.fraction * slope, slope / on.slope
 
     @staticmethod
     def _at(
@@ -80,7 +82,7 @@ class _OnPiece:
     """Number of a piece, the light up to a point of it, and its width per light."""
 
     index: mi.UInt32
-    share: mi.Float64
+    fraction: mi.Float64
     slope: mi.Float64
 
 
@@ -194,7 +196,7 @@ class HalfVectorTransport:
         for number, eta in self.etas:
             past = self._past(place, number)
             came, scale, valid = redirected(
-                wo, place.light(), place.light(past, z), eta, dr
+                wo, place.incident(), place.incident(past, z), eta, dr
             )
             this = (hemisphere == number) & valid & is_redirected(came[2], wo[2])
             stretch = dr.select(this, came[2] * scale / wo[2], stretch)
@@ -211,7 +213,9 @@ class HalfVectorTransport:
         for number, eta in self.etas:
             past = self._past(place, number)
             wo = turned(above(point), -past)
-            to, _, valid = redirected(wo, place.light(past, z), place.light(), eta, dr)
+            to, _, valid = redirected(
+                wo, place.incident(past, z), place.incident(), eta, dr
+            )
             this = (hemisphere == number) & valid & is_redirected(wo[2], to[2])
             moved = on_disk(to)
             x, v = dr.select(this, moved.x, x), dr.select(this, moved.v, v)
@@ -293,16 +297,16 @@ class LobeArrays:
         self, row: mi.UInt32, phi_i: mi.Float64, sample2: mi.Point2f
     ) -> DiskPoint:
         """Point of a lobe."""
-        ring, share = quantile(
+        ring, fraction = quantile(
             lambda i: read(self.rings, row * (self.n_theta + 1) + i),
             self.n_theta,
             mi.Float64(sample2.x),
         )
         own = row * self.n_theta + ring
         tilt = read(self.tilts, own)
-        off = tilted(share, tilt) - 0.5
+        off = tilted(fraction, tilt) - 0.5
         first = own * (self.n_phi + 1)
-        sector, share = quantile(
+        sector, fraction = quantile(
             lambda i: (
                 read(self.sectors, first + i) + off * read(self.sector_tilts, first + i)
             ),
@@ -312,7 +316,7 @@ class LobeArrays:
         patch = own * self.n_phi + sector
         along, around = (read(array, patch) for array in self.mean_gradients)
         mean = read(self.means, patch) + off * along
-        past = tilted(share, dr.select(mean > 0, around / mean, 0))
+        past = tilted(fraction, dr.select(mean > 0, around / mean, 0))
         sin2 = between(self.sin2, ring, off + 0.5)
         phi = between(self.phi, sector, past) - phi_i
         sin, cos = dr.sincos(phi)
@@ -395,9 +399,9 @@ class InterpolatedLobes:
             stays = self._seldom(
                 point, active & ~leaves, partial(self.measured.values, row, phi_i)
             )
-            share = place.share(end)
+            fraction = place.fraction(end)
             values = [
-                v + share * (stretch * a + b) for v, a, b in zip(values, sent, stays)
+                v + fraction * (stretch * a + b) for v, a, b in zip(values, sent, stays)
             ]
         return values
 
@@ -451,8 +455,8 @@ class InterpolatedLobes:
         for end, (source, stretch) in enumerate(sources):
             row = place.rows[end] * self.n_hemispheres + hemisphere
             own = self.measured.values(row, phi_i, source, active)
-            share = stretch * place.share(end)
-            values = [a + share * b for a, b in zip(values, own)]
+            fraction = stretch * place.fraction(end)
+            values = [a + fraction * b for a, b in zip(values, own)]
         return values
 
     # ---------------------------------------------------- where a point is sent to

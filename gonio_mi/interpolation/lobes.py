@@ -83,7 +83,7 @@ class LobeTable:
 
     @property
     def legs(self) -> TransportTable:
-        """Ways of light that moves by its quantiles."""
+        """Maps by which quantiles are transported."""
         return TransportTable.of(self.brdf, self.patches, self.grid.phi_i)
 
 
@@ -171,16 +171,16 @@ class MeasuredLobes:
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """Shares of the light, of a table's lobes.
+    """Cumulative distributions of the flux of a table's lobes.
 
     Attributes
     ----------
     rings : ndarray, shape (P, N, H, n_theta + 1)
-        Share of the light (mean of the channels) below each edge.
+        Fraction of the flux (mean of the channels) below each edge.
     sectors : ndarray, shape (P, N, H, n_theta, n_phi + 1)
         The same for the azimuth within a ring.
     tilts : ndarray, shape (P, N, H, n_theta)
-        Change of the light across each ring, as part of its light.
+        Change of the flux across each ring, as a fraction of its flux.
     sector_tilts : ndarray, shape (P, N, H, n_theta, n_phi + 1)
         The same of all sectors below each edge of azimuth.
     """

@@ -105,34 +105,34 @@ def between(edges: mi.Float64, number: mi.UInt32, part: mi.Float64) -> mi.Float6
 
 
 def quantile(
-    shares: Callable[[mi.UInt32], mi.Float64], n: int, share: mi.Float64
+    cumulative: Callable[[mi.UInt32], mi.Float64], n: int, fraction: mi.Float64
 ) -> tuple[mi.UInt32, mi.Float64]:
-    """Bin up to which `share` of the light is, and the part of it in the bin.
+    """Bin in which the flux reaches a `fraction`, and how far on in the bin.
 
-    `shares` gives what is below each of the ``n + 1`` edges.
+    `cumulative` gives what is below each of the ``n + 1`` edges.
     """
-    number = last(n, lambda i: shares(i) <= share)
-    low, high = shares(number), shares(number + 1)
-    inside = dr.select(high > low, (share - low) / (high - low), 0.5)
+    number = last(n, lambda i: cumulative(i) <= fraction)
+    low, high = cumulative(number), cumulative(number + 1)
+    inside = dr.select(high > low, (fraction - low) / (high - low), 0.5)
     return number, dr.clip(inside, 0, 1)
 
 
-def tilted(share: mi.Float64, tilt: mi.Float64) -> mi.Float64:
-    """Coordinate below which `share` of a density is that is linear from 0 to 1.
+def tilted(fraction: mi.Float64, tilt: mi.Float64) -> mi.Float64:
+    """Coordinate below which `fraction` of a density is that is linear from 0 to 1.
 
     It changes by `tilt`, within 2, and is 1 in the middle.
     """
     tilt = dr.clip(tilt, -2, 2)
     start = 1 - tilt / 2
-    root = start + dr.safe_sqrt(start * start + 2 * tilt * share)
-    return dr.select(root > 0, dr.clip(2 * share / root, 0, 1), share)
+    root = start + dr.safe_sqrt(start * start + 2 * tilt * fraction)
+    return dr.select(root > 0, dr.clip(2 * fraction / root, 0, 1), fraction)
 
 
 @dataclass(frozen=True)
 class Place:
     """Where to look in the table: one measured azimuth, and for each lane a leg."""
 
-    weight: mi.Float64  # share of this azimuth
+    weight: mi.Float64  # of this azimuth
     azimuth: mi.UInt32  # its index
     leg: mi.UInt32  # index among the legs of all azimuths
     rows: tuple[mi.UInt32, ...]  # of azimuth and polar angle at both ends of the leg
@@ -141,13 +141,13 @@ class Place:
     z_i: mi.Float64  # cosine of the angle of incidence
     ends: tuple[mi.Float64, ...]  # the same at both ends of the leg
 
-    def light(self, past: Any = None, z: Any = None) -> list[Any]:
-        """Where light comes from: +x, or from azimuth `past` before it, at cosine z."""
+    def incident(self, past: Any = None, z: Any = None) -> list[Any]:
+        """Incident direction: +x, or azimuth `past` before it, at cosine z."""
         z = self.z_i if z is None else z
         here = [dr.safe_sqrt(1 - dr.square(z)), mi.Float64(0), z]
         return here if past is None else turned(here, -past)
 
-    def share(self, end: int) -> mi.Float64:
+    def fraction(self, end: int) -> mi.Float64:
         """What an end of the leg has of this azimuth."""
         return self.t if end else 1 - self.t
 
@@ -201,8 +201,8 @@ class IncidentPlaces:
         gap = read(self.phi_i, high) - read(self.phi_i, low)
         past = dr.select(past < 0, past + turn, past)
         gap = dr.select(gap <= 0, gap + turn, gap)
-        share = past / gap
-        return [place(1 - share, low, past), place(share, high, past - gap)]
+        fraction = past / gap
+        return [place(1 - fraction, low, past), place(fraction, high, past - gap)]
 
     def _place(
         self,

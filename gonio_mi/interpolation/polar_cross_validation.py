@@ -1,4 +1,7 @@
-"""How lobes move between polar angles: tried where records are between two others."""
+"""Whether quantiles or half vectors transport lobes better between polar angles.
+
+Cross-validated where a record lies between two others.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ __all__ = ["half_vector_legs"]
 
 # Records that are predicted from their neighbours, at most, and the part of their
 # radiance that is looked at: on the patches that have most of it, or some of these.
-MAX_TRIALS, FLUX_LOOKED_AT, MAX_PATCHES = 6, 0.99, 2**13
+MAX_TRIALS, RADIANCE_LOOKED_AT, MAX_PATCHES = 6, 0.99, 2**13
 
 # Points per side of a patch.
 N_POINTS = 4
@@ -81,9 +84,9 @@ def _index(lobes: MeasuredLobes, trials: Sequence[_Trial]) -> float | None:
     azimuth, angle = np.nonzero(grid.index >= 0)
     measured = zip(azimuth.tolist(), angle.tolist())
     brdf = [lobes.brdf([n], [k])[0, 0, 1].mean(axis=-1) for n, k in measured]
-    light = np.array(brdf) * lobes.patches.projected_solid_angles
+    flux = np.array(brdf) * lobes.patches.projected_solid_angles
     incidents = grid.theta_i[angle], grid.phi_i[azimuth]
-    tried = tried_indices(light, *incidents, lobes.patches)
+    tried = tried_indices(flux, *incidents, lobes.patches)
     if not tried:
         return None
     middle = trials[len(trials) // 2]
@@ -98,7 +101,7 @@ def _index(lobes: MeasuredLobes, trials: Sequence[_Trial]) -> float | None:
     found = minimize_scalar(
         error, bounds=around, method="bounded", options=INDEX_OPTIONS
     )
-    # so near to 1 that no light is bent, there is none to find
+    # so near to 1 that nothing is refracted, there is none to find
     finer = [float(found.x)] if abs(found.x - 1) > MIN_BENDING else []
     return min([best, *finer], key=error)
 
@@ -109,17 +112,17 @@ class _Trial:
     Parameters
     ----------
     lobes : MeasuredLobes
-    part : float
+    position : float
         Which of the azimuths: 0 for the first that were measured there, to 1.
     angle : int
         Number of its polar angle.
     """
 
-    def __init__(self, lobes: MeasuredLobes, part: float, angle: int) -> None:
+    def __init__(self, lobes: MeasuredLobes, position: float, angle: int) -> None:
         grid = lobes.grid
         known = np.flatnonzero(grid.index[:, angle] >= 0)
-        azimuth = int(known[int(part * len(known))])
-        self.part = lobes.table([azimuth], [angle - 1, angle + 1])
+        azimuth = int(known[int(position * len(known))])
+        self.table = lobes.table([azimuth], [angle - 1, angle + 1])
         self.lobes = lobes.brdf([azimuth], [angle])[0, 0].mean(axis=-1)
         incident = grid.theta_i[angle], grid.phi_i[azimuth]
         self.wi = direction(*np.radians(incident))
@@ -131,21 +134,22 @@ class _Trial:
         moves with micro-normals is up to some times brighter near the horizon, where
         flux is too small to show it.
         """
-        patches = self.part.patches
-        light = (self.lobes[hemisphere] * patches.solid_angles).ravel()
-        if not light.any():
+        patches = self.table.patches
+        radiance = (self.lobes[hemisphere] * patches.solid_angles).ravel()
+        if not radiance.any():
             return 0.0
-        order = np.argsort(-light, kind="stable")
-        few = np.searchsorted(np.cumsum(light[order]), FLUX_LOOKED_AT * light.sum())
+        order = np.argsort(-radiance, kind="stable")
+        needed = RADIANCE_LOOKED_AT * radiance.sum()
+        few = np.searchsorted(np.cumsum(radiance[order]), needed)
         number = np.sort(order[: few + 1 : 1 + few // MAX_PATCHES])
         points = patches.points(N_POINTS, number)
         points[..., 2] *= -1 if hemisphere else 1
         wo = mi.Vector3f(np.ascontiguousarray(points.reshape(-1, 3).T))
         wi = mi.Vector3f(self.wi.tolist())
         dr.make_opaque(wi, wo)
-        face = InterpolatedBSDF(self.part, half_vectors=half_vectors)
+        face = InterpolatedBSDF(self.table, half_vectors=half_vectors)
         values, _, wanted = face.values(wi, wo)
         mean = dr.select(wanted, sum(values) / len(values), 0.0)
         means = dr.block_sum(mean, N_POINTS**2).numpy() / N_POINTS**2
         areas = patches.solid_angles.ravel()[number]
-        return float(np.abs(means * areas - light[number]).sum())
+        return float(np.abs(means * areas - radiance[number]).sum())

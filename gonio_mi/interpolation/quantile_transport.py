@@ -1,4 +1,4 @@
-"""Ways on which light moves by its quantiles from one polar angle to the next.
+"""Transport of quantiles: how lobes move from one polar angle to the next.
 
 Seen from the unit disk onto which the hemisphere projects, flux per area is the BRDF
 itself. Turned so that light comes from +x, a mirror lobe lies at ``x = -sin(theta_i)``:
@@ -9,8 +9,8 @@ Which point of one lobe belongs to which of the other is decided by their quanti
 those along x first, then those across (the Knothe-Rosenblatt map; for one dimension see
 A. L. Read, *Linear interpolation of histograms*, 1999,
 doi:10.1016/S0168-9002(98)01347-3), of histograms that are coarse on purpose, so that
-the noise of a record does not steer its light. The lobes that are moved are the records
-themselves, all of them: no light is lost or made.
+the noise of a record does not steer its lobes. Those that are moved are the records
+themselves, all of them: no flux is lost or made.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ __all__ = ["TransportTable", "N_CELLS", "cumulative", "merged"]
 N_CELLS = 32
 N_POINTS = 8
 
-# Part of the light that is spread evenly over the histograms: bounds how far apart
+# Fraction of the flux that is spread evenly over the histograms: bounds how far apart
 # neighbouring points can be moved. It is not part of the lobes.
 EVEN_FRACTION = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class TransportTable:
-    """Ways between the polar angles of a table.
+    """Maps of points between the polar angles of a table.
 
     A *leg* leads from one polar angle to the next; there are ``K = max(N - 1, 1)``.
     Across a leg, histogram edges of both ends cut the disk into ``S = 2 N_CELLS - 1``
@@ -45,8 +45,8 @@ class TransportTable:
     Attributes
     ----------
     strips, strip_slopes : ndarray, shape (2, P, K, H, S)
-        Where a strip begins, and its width per share of the light, on both ends of the
-        leg.
+        Where a strip begins, and its width per fraction of the flux, on both ends of
+        the leg.
     cells, cell_slopes : ndarray, shape (2, P, K, H, S, S)
         The same across a strip.
     """
@@ -80,7 +80,7 @@ class TransportTable:
 
 
 def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
-    """Light in each cell of the disk, shape ``(N, H, N_CELLS, N_CELLS)``.
+    """Flux in each cell of the disk, normalised, shape ``(N, H, N_CELLS, N_CELLS)``.
 
     Light comes from +x; cells are equal steps of x and of ``y / sqrt(1 - x^2)``.
     """
@@ -93,13 +93,13 @@ def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
         x * np.sin(phi_i) + y * np.cos(phi_i),
     ]
     index = patches.patch(np.stack([*turned, z], axis=-1))
-    light = brdf.reshape(*brdf.shape[:2], -1)[..., index] * across
-    light = light.reshape(*brdf.shape[:2], N_CELLS, N_POINTS, N_CELLS, N_POINTS)
-    light = light.sum(axis=(3, 5))
+    flux = brdf.reshape(*brdf.shape[:2], -1)[..., index] * across
+    flux = flux.reshape(*brdf.shape[:2], N_CELLS, N_POINTS, N_CELLS, N_POINTS)
+    flux = flux.sum(axis=(3, 5))
     even = across.reshape(N_CELLS, N_POINTS, N_CELLS, N_POINTS).sum(axis=(1, 3))
-    total = light.sum(axis=(2, 3), keepdims=True)
-    light = light / np.where(total > 0, total, 1)
-    return (1 - EVEN_FRACTION) * light + EVEN_FRACTION * even / even.sum()
+    total = flux.sum(axis=(2, 3), keepdims=True)
+    flux = flux / np.where(total > 0, total, 1)
+    return (1 - EVEN_FRACTION) * flux + EVEN_FRACTION * even / even.sum()
 
 
 def _leg(first: Floats, second: Floats) -> tuple[Floats, Floats, Floats, Floats]:
@@ -114,10 +114,10 @@ def _leg(first: Floats, second: Floats) -> tuple[Floats, Floats, Floats, Floats]
 
 
 def cumulative(weight: Floats) -> Floats:
-    """Share of light below each edge of the last axis; even where there is none."""
+    """Fraction of the flux below each edge of the last axis; even without any flux."""
     total = weight.sum(axis=-1, keepdims=True)
-    share = np.where(total > 0, weight, 1.0)
-    cumulative = np.cumsum(share, axis=-1)
+    fraction = np.where(total > 0, weight, 1.0)
+    cumulative = np.cumsum(fraction, axis=-1)
     cumulative = cumulative / cumulative[..., -1:]
     return np.concatenate([np.zeros_like(total), cumulative], axis=-1)
 
@@ -128,13 +128,14 @@ def merged(first: Floats, second: Floats) -> tuple[Floats, Floats, Integers]:
     Parameters
     ----------
     first, second : ndarray, shape (..., n + 1)
-        Share of the light below n + 1 equidistant edges from -1 to 1; strictly
+        Fraction of the flux below n + 1 equidistant edges from -1 to 1; strictly
         ascending.
 
     Returns
     -------
     begin, slope : ndarray, shape (2, ..., 2 n - 1)
-        Where each piece begins in either distribution; its growth per share of light.
+        Where each piece begins in either distribution; its growth per fraction of the
+        flux.
     of : ndarray of int, shape (2, ..., 2 n - 1)
         The cell that it is part of.
     """
@@ -142,8 +143,8 @@ def merged(first: Floats, second: Floats) -> tuple[Floats, Floats, Integers]:
     inner = np.concatenate([first[..., 1:-1], second[..., 1:-1]], axis=-1)
     order = np.argsort(inner, axis=-1, kind="stable")
     zero = np.zeros((*first.shape[:-1], 1))
-    share = np.take_along_axis(inner, order, axis=-1)
-    share = np.concatenate([zero, share], axis=-1)
+    fraction = np.take_along_axis(inner, order, axis=-1)
+    fraction = np.concatenate([zero, fraction], axis=-1)
     passed = np.cumsum(order < n - 1, axis=-1)
     passed = np.concatenate([zero.astype(int), passed], axis=-1)
     of = np.stack([passed, np.arange(2 * n - 1) - passed])
@@ -152,5 +153,5 @@ def merged(first: Floats, second: Floats) -> tuple[Floats, Floats, Integers]:
         low = np.take_along_axis(cumulative, of[end], axis=-1)
         high = np.take_along_axis(cumulative, of[end] + 1, axis=-1)
         slope[end] = (2 / n) / (high - low)
-        begin[end] = of[end] * (2 / n) - 1 + (share - low) * slope[end]
+        begin[end] = of[end] * (2 / n) - 1 + (fraction - low) * slope[end]
     return begin, slope, of
