@@ -37,7 +37,7 @@ CELLS = {"tensor3": 32, "tensor4": 16}
 TRIAL_RAYS, TRIAL_PATCHES = 2**14, EqualProjectedSolidAngle(4, 24)
 MAX_ANISOTROPY = 0.02
 
-# What the file decides, and not its user.
+# Settings that the file decides.
 FIXED = ("theta_i", "phi_i", "incident", "collector", "side", "hemispheres")
 
 
@@ -135,7 +135,7 @@ def bsdf(
 
 
 def _warn_unless_isotropic(specimen: Any, settings: dict[str, Any]) -> None:
-    """Warn of a specimen that turned by 45 or 90 degrees sends light elsewhere."""
+    """Warn of a specimen that scatters differently turned by 45 or 90 degrees."""
     asked = {
         "rays": TRIAL_RAYS,
         "rel_err": None,
@@ -153,8 +153,8 @@ def _warn_unless_isotropic(specimen: Any, settings: dict[str, Any]) -> None:
             if missed.exceeds(MAX_ANISOTROPY):
                 warnings.warn(
                     "the specimen is not isotropic, as the basis tensor3 takes it: "
-                    f"turned by {45 * k} degrees it sends {missed.error:.0%} of its "
-                    "light elsewhere; take tensor4 or klems",
+                    f"turned by {45 * k} degrees it scatters {missed.error:.0%} of its "
+                    "flux elsewhere; take tensor4 or klems",
                     RuntimeWarning,
                     stacklevel=3,
                 )
@@ -180,7 +180,9 @@ def _checked_cells(basis: str, cells: int | None) -> int:
     if cells is None:
         return CELLS.get(basis, 2)
     if basis not in CELLS:
-        raise SettingError(f"cells goes with the basis tensor3 or tensor4, got {basis}")
+        raise SettingError(
+            f"cells applies to the basis tensor3 or tensor4, got {basis}"
+        )
     if cells not in [2**k for k in range(2, 9)]:
         raise SettingError(f"cells must be a power of two from 4 to 256, got {cells!r}")
     return int(cells)

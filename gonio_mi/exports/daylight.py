@@ -22,13 +22,13 @@ __all__ = ["SOLAR", "VISIBLE", "VISIBLE_NM", "Light", "luminous", "of_daylight"]
 # Wavelengths that are measured for visible light where none are asked for.
 VISIBLE_NM = tuple(range(400, 701, 20))
 
-# How much of the light at least must be within the wavelengths, and how much at most
-# between two of them.
+# Fractions of the illuminant that must at least be within the wavelengths, and may at
+# most be between two of them.
 MIN_HELD, MAX_GAP = 0.95, 0.5
 
 
 class Light(NamedTuple):
-    """A kind of light: what part of it each wavelength of a table stands for.
+    """An illuminant: the fraction of it that each wavelength of a table stands for.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Light(NamedTuple):
     parts: Floats
 
     def weights(self, nm: Floats) -> Floats:
-        """Weights of what was measured at wavelengths `nm`, whose sum is 1.
+        """Weights of values at the measured wavelengths `nm`; their sum is 1.
 
         Beyond the first and the last wavelength the specimen is what it is there.
         One that comes twice shares its weight.
@@ -65,7 +65,7 @@ class Light(NamedTuple):
             raise SettingError(
                 f"wavelengths must hold at least {wanted}, got {held:.1%} {ends}"
             )
-        between = ~np.isin(self.nm, known)  # what was measured itself is in no gap
+        between = ~np.isin(self.nm, known)  # measured wavelengths are in no gap
         gaps = np.searchsorted(known, self.nm[between])
         parts = np.bincount(gaps, self.parts[between], len(known) + 1)[1:-1]
         if parts.max(initial=0) > MAX_GAP:

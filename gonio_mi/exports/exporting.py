@@ -37,7 +37,8 @@ ENDINGS = (
 # Endings of files that have no place for transmitted light.
 REFLECTION_ONLY = (".bsdf", *endings_of("reflection_only"))
 
-# Rays whose light no patch receives, and the part of all that is told.
+# Fates whose flux no patch receives, and the fraction of all rays from which a warning
+# tells of them.
 LOST_FATES = {
     "sideways": "left sideways, over the edge of the specimen: measure one cell of it "
     "with a period, or take a smaller footprint",
@@ -57,11 +58,11 @@ def export(
     solar: Sequence[Record] = (),
     progress: bool = False,
 ) -> list[Loss]:
-    """Write a record to a file of another tool, and say what was lost.
+    """Write a record to a file of another tool, and return what was lost.
 
     What was written is read back, by Mitsuba if it is for its `measured`, and compared.
     A warning tells of a specimen that was missed by a relevant part of the rays, of
-    rays whose light is in no patch, and of light that a file .xml has no words for: a
+    rays whose flux is in no patch, and of flux that a file .xml cannot describe: a
     side, or angles of incidence.
 
     Parameters
@@ -105,8 +106,7 @@ def export(
     check_output(path, ENDINGS)
     if takes_a_stream(path):
         raise SettingError(
-            f"{path} must be a file, for what is written is read back, got a pipe or "
-            "a device"
+            f"{path} must be a file, since it is read back, got a pipe or a device"
         )
     checked_choice("basis", basis, BASES)
     ending = Path(path).suffix.lower()
@@ -149,13 +149,13 @@ def _warn_of_openings(record: Record) -> None:
 
 
 def _warn_of_lost_light(record: Record) -> None:
-    """Warn of light that left the specimen, or was given up, and is in no patch."""
+    """Warn of flux that left the specimen, or was given up, and is in no patch."""
     ledger = record.ledger
     for row, words in LOST_FATES.items():
-        share = ledger.rows[row] / max(ledger.emitted, 1)
-        if share > MAX_LOST:
+        fraction = ledger.rows[row] / max(ledger.emitted, 1)
+        if fraction > MAX_LOST:
             warnings.warn(
-                f"{share:.2%} of the rays {words}; their light is in no patch of the "
+                f"{fraction:.2%} of the rays {words}; their flux is in no patch of the "
                 "file",
                 RuntimeWarning,
                 stacklevel=3,
@@ -163,11 +163,11 @@ def _warn_of_lost_light(record: Record) -> None:
 
 
 def _warn_of_transmission(record: Record, ending: str) -> None:
-    """Warn of light that was transmitted, which the file does not hold."""
+    """Warn of transmitted flux, which the file does not hold."""
     most = 0.0 if record.dht is None else float(record.dht.max())
     if most > 0:
         warnings.warn(
-            f"a file {ending} holds reflection only: up to {most:.2%} of the light was "
+            f"a file {ending} holds reflection only: up to {most:.2%} of the flux was "
             "transmitted, and is not in it",
             RuntimeWarning,
             stacklevel=3,

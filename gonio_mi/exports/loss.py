@@ -28,7 +28,8 @@ IN_PARTS = (".csv", ZEMAX)
 
 WORDS = {"dhr": "reflected", "dht": "transmitted"}
 
-# Part of the most light, below which where light goes tells little of the file.
+# Fraction of the largest reflectance or transmittance below which directions are left
+# out: where so little flux goes says nothing about the file.
 MIN_FLUX = 0.01
 
 
@@ -45,9 +46,10 @@ class Loss:
         Reflectance or transmittance (mean of the channels) of the record, its standard
         error, and that of the file.
     misplaced : float
-        Part of the light that is in another patch than in the record, in [0, 1].
+        Fraction of the flux in other patches than in the record, in [0, 1]: the total
+        variation distance of the two.
     noise : float
-        Part that the record's own standard errors would misplace on average.
+        Fraction that the record's own standard errors would misplace on average.
     side : {"front", "back"}
         The lit face.
     """
@@ -66,7 +68,7 @@ class Loss:
         return (
             f"theta_i {self.theta_i:.4g}, phi_i {self.phi_i:.4g}, {self.side}: "
             f"{self.quantity} {self.recorded:.5f} +- {self.std_err:.1g} (std_err), in "
-            f"the file {self.written:.5f}; {self.misplaced:.2%} of the light is in "
+            f"the file {self.written:.5f}; {self.misplaced:.2%} of the flux is in "
             f"other patches (the record's own noise: {self.noise:.2%})"
         )
 
@@ -123,7 +125,7 @@ def losses(
 
 
 def in_words(every: Sequence[Loss]) -> list[str]:
-    """One line for each lit face and hemisphere: what was lost, and where most.
+    """One line for each lit face and hemisphere: the loss, and where it is largest.
 
     That is of the record's own incident directions; between them a file, which may be
     of patches, can be further off. Where less than 1 % of the most light is, as behind
@@ -133,16 +135,16 @@ def in_words(every: Sequence[Loss]) -> list[str]:
     for side, quantity in dict.fromkeys((one.side, one.quantity) for one in every):
         some = [one for one in every if (one.side, one.quantity) == (side, quantity)]
         least = MIN_FLUX * max(one.recorded for one in some)
-        told = [one for one in some if one.recorded >= least]
-        worst = max(told, key=lambda one: one.misplaced)
+        bright = [one for one in some if one.recorded >= least]
+        worst = max(bright, key=lambda one: one.misplaced)
         off = max(some, key=lambda one: abs(one.written - one.recorded))
-        mean = sum(one.misplaced for one in told) / len(told)
-        left_out = len(some) - len(told)
+        mean = sum(one.misplaced for one in bright) / len(bright)
+        left_out = len(some) - len(bright)
         line = (
-            f"{side}, {WORDS[quantity]}: {mean:.1%} of the light ended up in a "
-            "neighbouring patch,"
+            f"{side}, {WORDS[quantity]}: {mean:.1%} of the flux is in "
+            "neighbouring patches,"
         )
-        if len(told) > 1:
+        if len(bright) > 1:
             line += f" at worst {worst.misplaced:.1%} for"
         line += f" incidence at {_place(worst)}"
         line += f"; total off by {abs(off.written - off.recorded):.2g}"

@@ -31,8 +31,8 @@ __all__ = ["write_measured"]
 # Vertices per side of the grid of half vectors.
 GRID = 128
 
-# Points at which what was written is asked for. Where the two halves of those of each
-# patch tell apart more than this part of the light, so many rays find it.
+# Points at which the written file is evaluated. Where two halves of them differ by more
+# than this fraction of the flux, so many rays are sent instead.
 READ_BACK_POINTS, MAX_DIFFERENCE, READ_BACK_RAYS = 2**16, 2e-3, 2**20
 
 
@@ -90,7 +90,7 @@ def _written(
     if rough.size:
         settings = {"collector": patches, "rays": READ_BACK_RAYS, "wavelengths": nm}
         with warnings.catch_warnings():
-            # what Mitsuba's interpolation adds is told as a loss of the file
+            # flux that Mitsuba's interpolation adds counts as a loss of the file
             warnings.filterwarnings("ignore", "the BSDF creates light")
             some = [incidents[i] for i in rough]
             again = whole(measure_each, material, some, progress=progress, **settings)
@@ -157,7 +157,7 @@ def _is_spectral(record: Record) -> bool:
 def _fields(
     material: Material, wavelengths: Any, spectral: bool, progress: bool
 ) -> dict[str, Numbers]:
-    """Arrays of the file, but for the texts."""
+    """Arrays of the file, except texts."""
     theta_i, phi_i = material.theta_i, material.phi_i
     if len(phi_i) == 1:
         origins, azimuths = phi_i, np.zeros(1)

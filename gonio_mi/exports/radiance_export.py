@@ -41,8 +41,8 @@ CELL_POINTS = 2
 # average over.
 HALF_WEDGE = 0.05
 
-# Part of the light that reflection may send elsewhere if source and view are exchanged:
-# what reciprocal specimens of all kinds reach by the patches of their files is 0.015.
+# Fraction of the flux that may be elsewhere if source and view are exchanged; that of
+# reciprocal specimens of all kinds reaches 0.015, by the patches of their files.
 # Means of pairs of patches are over this many points per side.
 MAX_EXCHANGED, POINTS_OF_PAIRS = 0.03, 3
 
@@ -219,7 +219,7 @@ class Side:
     def warn_if_exchanged(self, written: RadianceBSDF, noise: float) -> None:
         """Warn of reflection that Radiance renders with source and view exchanged.
 
-        `noise` is the part of the light that the record's own misplaces.
+        `noise` is the fraction of flux that the record's standard errors misplace.
         """
         patches = KLEMS["klems-quarter"]
         elsewhere, shown, true = exchanged(written, self.face, patches)
@@ -232,7 +232,7 @@ class Side:
         theta, phi = (np.degrees(angle[worst, 0]) for angle in patches.middles)
         warnings.warn(
             f"the {self.face} is not reciprocal: Radiance takes the view for incident "
-            f"light, and so shows {elsewhere:.0%} of what is reflected in other "
+            f"light, and so shows {elsewhere:.0%} of the reflected flux in other "
             f"directions; in a uniform sky {shown[worst]:.3f} for {true[worst]:.3f} as "
             f"seen from theta {theta:.3g}, phi {phi:.3g}",
             RuntimeWarning,
@@ -277,7 +277,7 @@ def exchanged(
     Returns
     -------
     elsewhere : float
-        Part of the light of all pairs of patches, in [0, 1]; 0 if it is reciprocal.
+        Fraction of the flux of all pairs of patches, in [0, 1]; 0 if it is reciprocal.
     shown, true : ndarray, shape (n_patches,)
         Radiance of a uniform sky of 1 as Radiance shows it from each patch, which is
         the reflectance of light from there, and as it is.

@@ -28,10 +28,10 @@ from .loss import fractions_of
 
 __all__ = ["Material", "half_vector_grids", "resampled", "vectors"]
 
-# Part of the light that values at points may miss before it is carried.
+# Fraction of the flux that values at points may miss before it is carried.
 MAX_MISSED = 0.01
 
-# What is less than this part of the incident light is rounding.
+# Smaller fractions of the incident flux are rounding.
 ROUNDING = 1e-12
 
 # Incident directions for which light is carried at once.

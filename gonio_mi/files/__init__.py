@@ -5,7 +5,7 @@ from .netcdf import dataset
 from .storage import ENDINGS, FORMATS, load, save
 from .writing import check_output, replacing
 
-# a record's own methods write and label it, and import nothing of what is above it
+# methods of a record write and label it; its module imports none of those above it
 Record.writer, Record.labeller = save, dataset
 
 __all__ = ["ENDINGS", "FORMATS", "check_output", "load", "replacing", "save"]

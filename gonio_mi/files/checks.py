@@ -1,4 +1,4 @@
-"""Checks on what is read from a file: its size, its check sum, and that it is a record.
+"""Checks of files that are read: size, check sum, consistency of the record.
 
 The check sum, over all bytes, is at the very end of a file: what follows the last image
 of an EXR file is read by nobody, and a ZIP archive may end in a comment.

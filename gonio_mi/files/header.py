@@ -1,4 +1,4 @@
-"""What files hold of a record besides its sums, and the checks on what is read."""
+"""The description of a record in files, besides its sums, and its checks."""
 
 import json
 import math

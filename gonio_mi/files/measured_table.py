@@ -43,8 +43,8 @@ UNSTATED = "not stated"
 QUANTITIES = ("brdf", "brdf_cos", "btdf", "reflectance_factor")
 UNITS = ("1/sr", "sr^-1")
 
-# Nothing that was measured is as large in 1/sr, nor a relative uncertainty; squares of
-# what is larger are no numbers any more.
+# Bounds of values in 1/sr and of relative uncertainties, far above any measured ones;
+# squares of larger numbers overflow.
 MAX_VALUE, MAX_RELATIVE = 1e30, 1e6
 
 # Header keys that are numbers: interval and condition of each.
@@ -59,8 +59,8 @@ NUMBERS = {
 }
 TEXTS = ("units", "quantity", "channel")
 
-# Digits of a degree by which directions are told apart, and standard errors by which
-# two values of one direction may differ.
+# Decimals of a degree that distinguish directions, and standard errors by which two
+# values of one direction may differ.
 ANGLE_DIGITS, MAX_STD_ERRS = 6, 6.0
 
 
@@ -337,19 +337,19 @@ def repeats_noted(table: MeasuredTable) -> MeasuredTable:
     most = np.maximum(largest / 2, np.maximum(np.median(np.abs(table.value)), noise))
     if (apart > most).any():
         k = int(np.argmax(apart - most))
-        told = ", ".join(
+        angles_of_pair = ", ".join(
             f"{name} {angle:g}" for name, angle in zip(COLUMNS, keys[order][first[k]])
         )
         raise FileFormatError(
-            f"{table.name}: the direction {told} is there with the values "
+            f"{table.name}: the direction {angles_of_pair} has the values "
             f"{table.value[low[k]]:g} and {table.value[high[k]]:g}: one is wrong, or "
-            "no column tells in what they differ"
+            "no column distinguishes them"
         )
     with np.errstate(invalid="ignore", divide="ignore"):
         spread = np.nanmax(np.where(apart > 0, apart / largest, 0.0))
     note = (
-        f"{np.count_nonzero(counts > 1)} directions are there more than once, with "
-        f"values up to {spread:.2g} of the larger one apart"
+        f"{np.count_nonzero(counts > 1)} directions occur more than once; their "
+        f"values differ by up to {spread:.2g} of the larger one"
     )
     return replace(table, notes=(*table.notes, note))
 

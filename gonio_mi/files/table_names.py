@@ -153,17 +153,17 @@ class Column:
         One of :data:`ROLES`; ``delta_phi`` is an azimuth relative to the plane of
         incidence.
     unit : str
-        A key of :data:`UNITS`; empty if the name does not say it.
+        A key of :data:`UNITS`; empty if the name has none.
     quantity : str
-        Of values, if the name says it.
+        Of values, if the name has it.
     channel : str
-        Of values and uncertainties, such as ``"550nm"``, if the name says it.
+        Of values and uncertainties, such as ``"550nm"``, if the name has it.
     coverage : float
         By which uncertainties are divided: 2 for an expanded one of k = 2; NaN if a
         number in the name leaves it open.
     kind : str
         Of uncertainties ``"rel"``, relative to the values, or ``"abs"``; empty if the
-        name does not say it.
+        name has neither.
     """
 
     name: str
@@ -198,11 +198,11 @@ def recognised(name: str) -> Column | None:
         if not coverage:
             expanded = "expanded" in words or "U" in re.findall(r"\w+", name)
             coverage = _coverage_left(text) or (2.0 if expanded else 1.0)
-        said = {
+        kinds = {
             "rel": set(words) & RELATIVE_WORDS,
             "abs": set(words) & ABSOLUTE_WORDS,
         }
-        kind = next((kind for kind, of in said.items() if of), "")
+        kind = next((kind for kind, found in kinds.items() if found), "")
         if PER_VALUE.search(text):
             kind = "rel"
         if unit in ("1/sr", "%/sr"):
@@ -218,7 +218,7 @@ def recognised(name: str) -> Column | None:
 
 
 def coverage_of(name: str) -> float:
-    """Coverage that a name says by a factor, a level or so many sigma; 0 if none."""
+    """Coverage factor in a name, from a factor, a level or a number of sigmas, or 0."""
     return _without_coverage(name)[1]
 
 
@@ -228,18 +228,18 @@ def is_unit(text: str) -> bool:
 
 
 def unit_of(name: str) -> str:
-    """Unit that a name says, as a key of :data:`UNITS`; empty if none."""
+    """Unit in a name, as a key of :data:`UNITS`; empty if there is none."""
     return _without_unit(_without_coverage(name)[0])[1]
 
 
 def _without_coverage(name: str) -> tuple[str, float]:
-    """Name without what says a coverage, and its factor; 0 if none is said."""
+    """Name without its coverage factor, and the factor; 0 if there is none."""
     text = " ".join(name.replace("\ufeff", "").split())
     for pattern in (FACTOR, EXPANDED, LEVEL, SIGMAS):
         match = pattern.search(text)
         if match:
             rest = f"{text[: match.start()]}{text[match.end() :]}"
-            if pattern in (EXPANDED, SIGMAS):  # which is what is uncertain, too
+            if pattern in (EXPANDED, SIGMAS):  # these words mark an uncertainty, too
                 rest += " sigma"
             try:
                 number = float(match[1].replace(",", "."))

@@ -136,14 +136,14 @@ def read_text(
 
 
 class _Reading:
-    """What is understood of a text, in notes, and what it leaves open, as questions.
+    """A text that is being read: notes on what is understood, questions on what is not.
 
     Parameters
     ----------
     text : TextTable
     specified : mapping
-        Name of the column for a role, with ``:deg`` and the like if its name does not
-        say it, or a number in its place.
+        Name of the column for a role, with a suffix such as ``:deg`` if its name has no
+        unit, or a number in its place.
     settings : dict
         Those of the header, and the quantity if it is specified.
     """
@@ -273,8 +273,8 @@ class _Reading:
             by_role["value"] = [c for c in values if c.channel == self.channel]
         elif channel is not None and "wavelength" not in by_role:
             raise SettingError(
-                f"channel goes with a table of several, got {channel!r} for "
-                f"{self.place}"
+                f"channel applies to tables with several channels, got {channel!r} "
+                f"for {self.place}"
             )
         elif names:
             self.channel = names[0]
@@ -288,7 +288,7 @@ class _Reading:
         return "delta_phi" in there or ("phi_o" in there and "phi_i" not in there)
 
     def _missing(self) -> list[str]:
-        """Question for the columns that no text can do without."""
+        """Question about required columns that are missing."""
         own = {column.role for column in self.known if column} - set(self.constants)
         there = own | set(self.constants)
         needed = ["theta_i", "theta_o", "value", *(["phi_o"] if "phi_i" in own else [])]
@@ -390,13 +390,13 @@ class _Reading:
         self._keep(np.abs(nm - names[self.channel]) <= WAVELENGTH_ROUNDING)
 
     def _note_columns(self) -> None:
-        """Note what was inferred from the names."""
-        told = []
+        """Note what the names were taken for."""
+        columns = []
         for role, column in self.picked.items():
             unit = f" in {column.unit or 'deg'}" if role in ANGLES else ""
-            told.append(f"{role} is {column.name.strip()!r}{unit}")
-        told += [f"{role} is {value:g}" for role, value in self.constants.items()]
-        self.notes.insert(0, f"columns: {', '.join(told)}")
+            columns.append(f"{role} is {column.name.strip()!r}{unit}")
+        columns += [f"{role} is {value:g}" for role, value in self.constants.items()]
+        self.notes.insert(0, f"columns: {', '.join(columns)}")
         used = {column.name for column in self.picked.values()} | {""}
         unused = [
             repr(n) for n in self.text.names if n not in used and not recognised(n)
@@ -421,8 +421,8 @@ class _Reading:
         if specified is not None:
             if column.quantity and column.quantity != specified:
                 self.notes.append(
-                    f"the values are taken for {specified}, as is said, though the "
-                    f"name {column.name.strip()!r} says {column.quantity}"
+                    f"the values are {specified}, as specified, although their name "
+                    f"{column.name.strip()!r} says {column.quantity}"
                 )
             return str(specified)
         found = column.quantity or self._titled()
@@ -572,7 +572,7 @@ class _Reading:
 
 
 def _quantity_question(name: str = "") -> str:
-    """Question what the values are, of the column of that name if it is known."""
+    """Question about the quantity of the values, of a column of that name if known."""
     called = f" ({name.strip()!r:.40})" if name else ""
     return (
         f"it does not say what its values{called} are: say --quantity "
@@ -581,7 +581,7 @@ def _quantity_question(name: str = "") -> str:
 
 
 def _azimuth_question(what: str) -> str:
-    """Question where azimuths, or signed angles, are 0."""
+    """Question about the zero of azimuths, or of signed angles."""
     return (
         f"its {what} are relative to incidence: say --azimuth source or mirror, whose "
         "side is 0 (or positive), or --columns phi_i=0 if azimuths are the specimen's"
@@ -589,6 +589,6 @@ def _azimuth_question(what: str) -> str:
 
 
 def _channel_question(names: Sequence[str]) -> str:
-    """Question which channel is meant."""
+    """Question about the channel."""
     known = abridged(", ".join(names), 120)
     return f"channel must be one of {known}: say --channel"

@@ -138,8 +138,10 @@ def split_text(
         raise FileFormatError(f"{path} has no values: nothing follows line {number}")
     names = [cell.strip() for cell in cut(text, delimiter)]
     units = [cell.strip().strip("[]()") for cell in cut(rows[0][1], delimiter)]
-    said = len(units) == len(names) and all(map(is_unit, units))
-    if len(rows) > 1 and said and not is_row(rows[0][1]):  # of the unit 1 all may be
+    has_units = len(units) == len(names) and all(map(is_unit, units))
+    if (
+        len(rows) > 1 and has_units and not is_row(rows[0][1])
+    ):  # of the unit 1 all may be
         names = [f"{name} [{unit}]" for name, unit in zip(names, units)]
         rows = rows[1:]
     return TextTable(

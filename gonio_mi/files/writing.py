@@ -123,7 +123,7 @@ def _replaced(target: Path) -> Iterator[BinaryIO]:
 
 
 def takes_a_stream(path: str | os.PathLike[str]) -> bool:
-    """Whether `path` is a pipe or a character device; OSError for what is no file."""
+    """Whether `path` is a pipe or a character device; OSError for other devices."""
     try:
         mode = os.stat(path).st_mode
     except OSError:
@@ -166,7 +166,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def _target(path: str | os.PathLike[str]) -> Path:
-    """What is written: the file itself, also where `path` is a link to it."""
+    """The file itself, also where `path` is a link to it."""
     return Path(os.path.realpath(path))
 
 

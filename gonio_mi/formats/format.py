@@ -12,7 +12,7 @@ __all__ = ["Format"]
 
 @dataclass(frozen=True)
 class Format:
-    """A format: how its files are known, read and written, and what they cannot hold.
+    """A format: how its files are recognised, read and written, and their limits.
 
     Each module of this room lists its own in `FORMATS`; `reading` finds them there.
     Those that read raise FileFormatError with a sentence on the file.
@@ -37,14 +37,14 @@ class Format:
     write : callable, optional
         Writes `Scatter` to a binary stream, with a comment.
     specular : bool
-        Whether what is written is a grid about the specular direction.
+        Whether it writes grids about the specular direction.
     isotropic : bool
         Whether it holds one azimuth of incidence only.
     reflection_only : bool
     n_incidences : int
         Angles of incidence that a file needs at least.
     loses : str
-        What of a record it cannot hold, in words.
+        Properties of a record that it cannot hold, in words.
     refused : str
         Why no reader takes it, in a sentence; empty if one does.
     """

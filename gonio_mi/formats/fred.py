@@ -43,8 +43,8 @@ def read(stream: BinaryIO, quantity: str | None = None) -> Points:
     """
     lines = Lines(stream)
     first = lines.next()
-    notes = ["incidences are told by their specular directions"]
-    said = {"angles": "deg", "bsdf": "value", "scale": "1"}
+    notes = ["incidences are given by their specular directions"]
+    options = {"angles": "deg", "bsdf": "value", "scale": "1"}
     if first.startswith("!!"):
         require(lines.next() == "!!BSDF Data", "its second line must be !!BSDF Data")
         if quantity is None:
@@ -56,13 +56,13 @@ def read(stream: BinaryIO, quantity: str | None = None) -> Points:
         require(re.fullmatch(r"type bsdf_data", first), "it is none of FRED")
         line = lines.next().lower()
         require(line.startswith("format"), "its second line must be its format")
-        said |= dict(re.findall(r"(\w+)=(\S+)", line))
+        options |= dict(re.findall(r"(\w+)=(\S+)", line))
         for key, known in FORMAT.items():
             only = f"and only {' and '.join(known)} are known"
-            require(said[key] in known, f"its {key} are {said[key]:.20}, {only}")
+            require(options[key] in known, f"its {key} are {options[key]:.20}, {only}")
         if quantity is None:
             notes.append("light is taken for reflected, as FRED does by default")
-    (scale,) = lines.numbers(1, said["scale"])
+    (scale,) = lines.numbers(1, options["scale"])
     require(bool(np.isfinite(scale)), "its scale is not finite")
     blocks = _blocks(lines)
     notes += _cut(blocks, lines.whole_lines)
@@ -70,7 +70,7 @@ def read(stream: BinaryIO, quantity: str | None = None) -> Points:
     for incident, rows in blocks:
         at = np.array([[*incident, 0.0], *rows])
         theta, phi, value = at.T
-        if said["angles"] == "sin":
+        if options["angles"] == "sin":
             sine, phi = np.hypot(theta, phi), np.degrees(np.arctan2(theta, phi))
             require(bool((sine <= 1).all()), "a direction cosine is above 1")
             theta = np.degrees(np.arcsin(sine))
@@ -82,7 +82,7 @@ def read(stream: BinaryIO, quantity: str | None = None) -> Points:
         angles.append(np.stack([*pair, exit_theta, phi[1:] + 180]))
         # the table refuses values that are not finite
         with np.errstate(over="ignore", invalid="ignore"):
-            linear = 10 ** value[1:] if said["bsdf"] == "log" else value[1:]
+            linear = 10 ** value[1:] if options["bsdf"] == "log" else value[1:]
             values.append(scale * linear)
     of_all = np.concatenate(angles, axis=1).T
     lit = np.abs(of_all[:, 2] - 90) > 0
@@ -110,8 +110,8 @@ def _blocks(lines: Lines) -> list[tuple[Floats, list[Floats]]]:
             blocks[-1][1].append(numbers)
     require(any(rows for _, rows in blocks), "it has no values")
     for incident, rows in blocks:
-        told = ", ".join(f"{angle:g}" for angle in incident)
-        require(bool(rows), f"it has no values of the incidence {told}: it is cut")
+        angles = ", ".join(f"{angle:g}" for angle in incident)
+        require(bool(rows), f"it has no values of the incidence {angles}: it is cut")
     return blocks
 
 

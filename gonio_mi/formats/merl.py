@@ -5,7 +5,7 @@ reflectance model", 2003; ``BRDFRead.cpp`` of 2005): three int32 with the number
 cells, 90, 90 and 180, then float64 for red, green and blue, each with the half angle
 slowest and the azimuth of the difference angle fastest. Cells of the half angle grow
 as its square root; red is stored 1500 times, green 1500 / 1.15 and blue 1500 / 1.66
-times as large as the BRDF in 1/sr. Negative values stand for what was not measured.
+times as large as the BRDF in 1/sr. Negative values mark cells that were not measured.
 """
 
 from collections.abc import Callable, Sequence
@@ -69,7 +69,7 @@ def read(stream: BinaryIO, incidences: Sequence[float] = THETA_I) -> Scatter:
 
 
 def write(value: Callable[[Floats, Floats], Floats], stream: BinaryIO) -> None:
-    """Write what a function says in the middles of the cells.
+    """Write the values of a function in the middles of the cells.
 
     A cell holds both senses of a pair of directions: their mean is written.
 

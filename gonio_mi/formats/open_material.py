@@ -125,7 +125,7 @@ def _check_wavelengths(listed: Any, table: Floats) -> None:
 
 
 def points(stream: BinaryIO, _: str | None) -> Points:
-    """Rows of a table, which need be no grid; those at 90 degrees are told apart.
+    """Rows of a table, which need be no grid, without those at 90 degrees.
 
     Raises
     ------
@@ -171,11 +171,11 @@ def read(stream: BinaryIO) -> Scatter:
             np.searchsorted(wavelengths, here[:, 0]),
         )
         grid[place] = here[:, 4]
-        pole = polar < ANGLE_TOLERANCE  # told for one azimuth or for all
-        told = ~np.isnan(grid[pole])
-        n_told = told.sum(axis=1, keepdims=True)
-        known = np.nansum(grid[pole], axis=1, keepdims=True) / np.maximum(n_told, 1)
-        grid[pole] = np.where(~told & (n_told > 0), known, grid[pole])
+        pole = polar < ANGLE_TOLERANCE  # with a value for one azimuth or for all
+        known_pole = ~np.isnan(grid[pole])
+        n_known = known_pole.sum(axis=1, keepdims=True)
+        known = np.nansum(grid[pole], axis=1, keepdims=True) / np.maximum(n_known, 1)
+        grid[pole] = np.where(~known_pole & (n_known > 0), known, grid[pole])
         require(
             bool(np.isfinite(grid).all()) and len(azimuth) > 2,
             f"its exits for incidence at {theta_i:g} degrees are no grid over the "

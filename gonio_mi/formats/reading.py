@@ -57,9 +57,11 @@ def endings_of(can: str) -> tuple[str, ...]:
 
 def lost_in_each() -> str:
     """Line for each format with what its files cannot hold."""
-    told = [one for one in _all() if one.loses]
-    lines = [f"  {' '.join(one.endings):18} {one.program}: {one.loses}" for one in told]
-    return "\n".join(lines)
+    return "\n".join(
+        f"  {' '.join(one.endings):18} {one.program}: {one.loses}"
+        for one in _all()
+        if one.loses
+    )
 
 
 def format_named(ending: str) -> Format:
@@ -90,7 +92,7 @@ def format_of(path: str | PathLike[str]) -> Format | None:
 
 @contextlib.contextmanager
 def _named(place: object) -> Iterator[None]:
-    """Context in which errors in a file are told with its name."""
+    """Context in which errors carry the name of the file."""
     try:
         yield
     except FileFormatError as error:
@@ -228,7 +230,7 @@ def read_measured(
     OSError
         If the file cannot be opened.
     ValueError
-        If something must be said that the file leaves open, or is not there.
+        If the file leaves a question open, or lacks what is asked for.
     FileFormatError
         If it is not such a table: one sentence with the file, the line, the column and
         the value.
@@ -255,24 +257,26 @@ def _read(
     if known.refused:
         raise FileFormatError(f"{path}: {known.refused.format(path=path)}")
     if columns is not None or azimuth is not None:
-        raise SettingError(f"columns and azimuth go with a text of columns, got {path}")
+        raise SettingError(
+            f"columns and azimuth apply to text with columns, got {path}"
+        )
     if quantity not in (None, "brdf", *(() if known.reflection_only else ("btdf",))):
         held = "brdf" if known.reflection_only else "brdf or btdf"
         raise SettingError(f"{path} holds {held}, got the quantity {shown(quantity)}")
     points, quantity = _points(known, path, quantity)
     channel = chosen_channel(path, points.channels, channel)
     values = points.values[:, points.channels.index(channel)]
-    told = ~(np.isnan(values) & points.partial)
+    known_values = ~(np.isnan(values) & points.partial)
     several = len(points.channels) > 1 or channel.endswith("nm")
     with _named(path):
         try:
-            theta_i, phi_i, theta_o, phi_o = points.angles[told].T
+            theta_i, phi_i, theta_o, phi_o = points.angles[known_values].T
             return MeasuredTable(
                 theta_i,
                 phi_i,
                 theta_o,
                 phi_o,
-                values[told],
+                values[known_values],
                 quantity=quantity,
                 channel=channel if several else None,
                 header=points.header,

@@ -32,7 +32,7 @@ POINTS = 6
 # Polar angles below the horizon by no more than this, in degrees, are on it.
 HORIZON_TOLERANCE = 1e-6
 
-# Rings and sectors of patches that are as fine as such data are told for.
+# Rings and sectors of patches, as fine as such data usually are.
 PATCHES = 60, 72
 
 
@@ -40,11 +40,11 @@ PATCHES = 60, 72
 class Block:
     """Values for one incident direction and hemisphere.
 
-    Directions are told by the angle from an axis and the azimuth about it in degrees.
+    Directions are an angle from an axis and an azimuth about it, in degrees.
     The axis is the normal, and azimuths count from the mirror direction; or the axis is
     the specular direction, and azimuths count from the side of the normal. Both turn
-    counter-clockwise seen against the axis. Transmission is told as reflection is, by
-    what the plane of the specimen mirrors: the axis is the direction straight on.
+    counter-clockwise seen against the axis. Transmission is stored as reflection, by
+    mirroring at the plane of the specimen: the axis is the direction straight on.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ class Block:
 
     @property
     def mirrored(self) -> bool:
-        """Whether only one side of the plane of incidence is told."""
+        """Whether there are values on one side of the plane of incidence only."""
         return self.azimuth[0] == 0 and self.azimuth[-1] == 180
 
     def channel(self, number: int) -> "Block":
@@ -168,7 +168,7 @@ class Block:
         return direction(np.radians(polar), np.radians(around)) @ self._frame
 
     def nodes(self) -> tuple[Floats, Floats, Floats]:
-        """Directions that the values are told for, each once, above the horizon.
+        """Directions of the values, each once, above the horizon.
 
         Returns
         -------
@@ -284,7 +284,7 @@ class Points:
     header : dict of str
     notes : tuple of str
     partial : bool
-        Whether a value of NaN says that the channel is not told there.
+        Whether NaN marks directions without a value of that channel.
     """
 
     angles: Floats
@@ -297,7 +297,7 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class PatchMeans:
-    """What a material needs of a record, from a file that holds no counts.
+    """Patch means of a material, from a file that holds no counts.
 
     Attributes
     ----------
@@ -357,7 +357,7 @@ def scatter_means(scatter: Scatter, patches: Subdivision | None = None) -> Patch
     Raises
     ------
     FileFormatError
-        If both are told for other incident directions.
+        If the two have different incident directions.
     """
     patches = patches or EqualAngle(*PATCHES)
     held = [h for h in (0, 1) if scatter.of(h)]

@@ -89,9 +89,11 @@ def read(stream: BinaryIO) -> Scatter:
         for rotation, incidence in np.ndindex(n[0], n[1])
     ]
     channels = ("Y",) if spectrum == "Monochrome" else ("X", "Y", "Z")
-    said = abridged("; ".join(comment for comment in lines.comments if comment), 2000)
+    comment = abridged(
+        "; ".join(comment for comment in lines.comments if comment), 2000
+    )
     notes = ("angles of exit count from the specular direction",)
-    return Scatter(blocks, channels, {"comment": said} if said else {}, notes)
+    return Scatter(blocks, channels, {"comment": comment} if comment else {}, notes)
 
 
 def write(scatter: Scatter, stream: BinaryIO, comment: str) -> None:
@@ -145,13 +147,13 @@ def _header(lines: Lines) -> tuple[dict[str, str], dict[str, Floats]]:
     words: dict[str, str] = {}
     axes: dict[str, Floats] = {}
     while text := lines.next():
-        key, _, said = text.partition(" ")
+        key, _, setting = text.partition(" ")
         if key in WORDS:
-            words[key] = said
+            words[key] = setting
         else:
             known = key in AXES
             require(known, f"line {lines.number} has the unknown keyword {key:.30}")
-            (count,) = lines.whole(1, said)
+            (count,) = lines.whole(1, setting)
             check_size(count)
             axes[key] = lines.numbers(count, lines.next())
         if len(words) == len(WORDS) and len(axes) == len(AXES):

@@ -141,7 +141,7 @@ def test_every_basis_keeps_the_light_of_narrow_lobes(tmp_path, monkeypatch, basi
     assert all(0 <= loss.misplaced <= 1 for loss in losses)
     lines = in_words(losses)
     assert lines[0].startswith("front, reflected: ")
-    assert "ended up in a neighbouring patch, at worst" in lines[0]
+    assert "is in neighbouring patches, at worst" in lines[0]
 
 
 def test_what_hardly_any_light_does_is_left_out_of_the_words():
@@ -149,7 +149,7 @@ def test_what_hardly_any_light_does_is_left_out_of_the_words():
     bright = Loss(0, 0, "dht", 0.9, 0, 0.88, 0.1, 0)
     for light, told in ((1e-6, "10.0%"), (0.1, "55.0%")):
         (line,) = in_words([bright, Loss(73, 0, "dht", light, 0, light, 1.0, 0)])
-        assert line.startswith(f"front, transmitted: {told} of the light")
+        assert line.startswith(f"front, transmitted: {told} of the flux")
         assert line.endswith("faint directions left out") == (light < 1e-3)
         assert "total off by 0.02 at theta_i 0, phi_i 0, the most at the reco" in line
 
@@ -395,7 +395,7 @@ def test_command_writes_the_product_and_solar_light(tmp_path, capsys):
     ("words", "message"),
     [
         (["-o", "x.npz"], "must end in .xml"),
-        (["-o", "x.xml", "--cells", "8"], "cells goes with the basis tensor3"),
+        (["-o", "x.xml", "--cells", "8"], "cells applies to the basis tensor3"),
         (["-o", "x.xml", "--basis", "tensor4", "--cells", "6"], "a power of two"),
         (["-o", "x.xml", "--width", "0"], "--width must be a positive number"),
         (["-o", "x.xml", "--normal", "y"], "--normal applies to meshes"),

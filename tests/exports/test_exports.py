@@ -442,7 +442,7 @@ def test_command_prints_what_was_lost(tmp_path, capsys, glossy):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == str(target)
     assert len(lines) == 3 + 1 + 1  # losses, blocks, and the finer basis
-    assert "of the light ended up in a neighbouring patch, at worst" in lines[1]
+    assert "of the flux is in neighbouring patches, at worst" in lines[1]
     assert "--basis tensor3" in "".join(lines)
     finer = ["--basis", "tensor3"]
     assert (
@@ -454,7 +454,7 @@ def test_command_prints_what_was_lost(tmp_path, capsys, glossy):
     assert cli.main(["export", str(tmp_path / "run.npz"), *words]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 7 + 1 + 1
-    assert "of the light is in other patches" in lines[1]
+    assert "of the flux is in other patches" in lines[1]
     assert target.exists()
 
 
@@ -485,4 +485,4 @@ def test_transmitted_light_that_a_file_cannot_hold_is_told(tmp_path, both):
         told = [text for text in texts if "holds reflection only" in text]
         assert len(told) == (both and name.endswith(".astm"))
         if told:
-            assert f"up to {record.dht.max():.2%} of the light" in told[0]
+            assert f"up to {record.dht.max():.2%} of the flux" in told[0]

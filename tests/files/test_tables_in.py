@@ -155,7 +155,9 @@ def test_what_is_said_against_a_name_is_noted(tmp_path):
     assert gonio.read_measured(path).bsdf[0] == pytest.approx(0.4, rel=4 * EPS)
     table = gonio.read_measured(path, quantity="brdf")
     assert table.bsdf[0] == 0.2
-    assert any("taken for brdf" in note and "brdf_cos" in note for note in table.notes)
+    assert any(
+        "are brdf, as specified" in note and "brdf_cos" in note for note in table.notes
+    )
 
 
 def test_values_of_one_are_no_units(tmp_path):

@@ -529,7 +529,7 @@ def test_repeated_directions_are_noted(tmp_path):
     """Twin of the refusal: values that agree, or whose uncertainty explains them."""
     text = f"{HEAD}brdf\n{ROW}0.50\n{ROW}0.51\n45;0;40;180;0.4\n"
     notes = read(tmp_path, text).notes
-    assert any("1 directions are there more than once" in note for note in notes)
+    assert any("1 directions occur more than once" in note for note in notes)
     text = f"{HEAD}brdf;sigma\n{ROW}0.1;0.2\n{ROW}0.9;0.2\n"
     assert len(read(tmp_path, text)) == 2
 

@@ -426,7 +426,7 @@ def test_commands_export_and_measure(tmp_path, capsys):
     )
     out = str(tmp_path / "run.zemax.bsdf")
     assert main(["export", str(tmp_path / "run.npz"), "-o", out]) == 0
-    assert "% of the light ended up in a neighbouring patch" in capsys.readouterr().out
+    assert "% of the flux is in neighbouring patches" in capsys.readouterr().out
     word = f"goniometric:filename={out}"
     assert main(["measure", word, "--theta-i", "40", "--rays", "1e4"]) == 0
     mi.set_variant("llvm_ad_mono")
