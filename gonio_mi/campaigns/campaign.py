@@ -17,8 +17,8 @@ from ..instrument.incidence import incident_angles
 from ..results.record import Record
 from ..settings import MeasurementSettings
 from ..transport.variants import check_variant
+from .execution import Surroundings, records_of
 from .known_directions import KnownDirections
-from .tasks import Surroundings, records_of
 from .whole_bsdf import WholeBsdf, checked_theta_max, checked_tolerance
 
 __all__ = ["campaign"]

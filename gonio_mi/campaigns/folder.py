@@ -25,6 +25,7 @@ from ..errors import FileFormatError, SettingError
 from ..files.writing import PREFIX, SUFFIX
 from ..instrument.loading import existing
 from ..results.record import Record
+from .tasks import Task
 
 __all__ = ["CampaignFolder"]
 
@@ -62,7 +63,7 @@ class CampaignFolder(contextlib.ExitStack):
     def __init__(
         self,
         folder: str | PathLike[str],
-        tasks: Sequence[Any],
+        tasks: Sequence[Task],
         incidents: Sequence[tuple[float, float]],
     ) -> None:
         super().__init__()
@@ -92,7 +93,7 @@ class CampaignFolder(contextlib.ExitStack):
             raise
         return self
 
-    def load(self, tasks: Sequence[Any]) -> dict[int, Record]:
+    def load(self, tasks: Sequence[Task]) -> dict[int, Record]:
         """Records of the tasks that were finished before, by number.
 
         A damaged file is reported and left out.
@@ -115,7 +116,7 @@ class CampaignFolder(contextlib.ExitStack):
                 done[task.number] = record.with_provenance(task=None)
         return done
 
-    def save(self, task: Any, record: Record) -> None:
+    def save(self, task: Task, record: Record) -> None:
         """Keep the record of a task."""
         kept = record.with_provenance(task=self._described(task))
         kept.save(self._path(task))
@@ -141,7 +142,7 @@ class CampaignFolder(contextlib.ExitStack):
         with files.replacing(path) as stream:
             stream.write(json.dumps(described, indent=1).encode())
 
-    def _described(self, task: Any) -> dict[str, Any]:
+    def _described(self, task: Task) -> dict[str, Any]:
         """All that determines the bits of a task, in JSON's types."""
         return {
             **self.common,
@@ -149,7 +150,7 @@ class CampaignFolder(contextlib.ExitStack):
             "incidents": [list(incident) for incident in task.incidents],
         }
 
-    def _path(self, task: Any) -> Path:
+    def _path(self, task: Task) -> Path:
         theta_i, phi_i = task.incidents[0]
         name = f"{task.number:06d}_theta_i_{theta_i:g}_phi_i_{phi_i:g}.npz"
         return self.folder / name

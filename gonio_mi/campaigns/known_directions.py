@@ -23,8 +23,8 @@ from ..results.campaign_outcome import PredictionError
 from ..results.prediction_error import prediction_error
 from ..results.record import Record
 from ..settings import Estimator, MeasurementSettings
+from .execution import Surroundings, records_of
 from .prediction import SPARED, Prediction, points_for
-from .tasks import Surroundings, records_of
 
 __all__ = [
     "CONFIRMING",

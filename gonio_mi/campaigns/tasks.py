@@ -6,13 +6,10 @@ import copyreg
 import logging
 import os
 import pickle
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor, Executor, as_completed
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from os import PathLike
-from pathlib import Path
 from threading import Lock
 from typing import Any
 
@@ -25,15 +22,12 @@ from ..instrument.incidence import described_digest, emitter_scene
 from ..instrument.loading import load_plugin_file, load_specimen
 from ..instrument.measure import measure_each, whole
 from ..instrument.specimen_text import specimen_name
-from ..progress import bar
 from ..results.record import Record
 from ..settings import MeasurementSettings
 from ..transport.digest import file_digest, plugins_digest
 from ..transport.specimen import Specimen
-from .folder import CampaignFolder
-from .workers import workers
 
-__all__ = ["Surroundings", "records_of"]
+__all__ = ["Task", "check_picklable", "run_task", "tasks_of"]
 
 logger = logging.getLogger(__name__)
 
@@ -48,81 +42,7 @@ INTEGRALS = 16
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """Where and how the tasks of a campaign are done.
-
-    Attributes are the arguments of :func:`~gonio_mi.campaigns.campaign.campaign` of
-    the same name.
-    """
-
-    executor: Any = None
-    folder: str | PathLike[str] | None = None
-    plugins: Sequence[str | PathLike[str]] = ()
-    threads: int | None = None
-    retries: int = 3
-    progress: bool = False
-
-
-def records_of(
-    specimens: Mapping[str, Any],
-    incidents: Sequence[tuple[float, float]],
-    where: Surroundings,
-    arguments: dict[str, Any],
-    said: str | None = None,
-) -> dict[str, Record]:
-    """Stack of all incident directions for each specimen, by name.
-
-    `said` describes what is done, beside the progress bar.
-    """
-    tasks = _tasks(specimens, incidents, where.plugins, where.threads, arguments)
-    if where.executor is not None:
-        _check_picklable(tasks)
-    folder = where.folder
-    kept = None if folder is None else CampaignFolder(folder, tasks, incidents)
-    with kept or nullcontext():
-        done = _records(tasks, kept, where, said)
-    return {
-        str(name): Record.stack(
-            done[task.number] for task in tasks if task.name == str(name)
-        )
-        for name in specimens
-    }
-
-
-def _records(
-    tasks: Sequence[_Task],
-    folder: CampaignFolder | None,
-    where: Surroundings,
-    said: str | None,
-) -> dict[int, Record]:
-    """Records of all tasks by number: those of the folder, and the others measured."""
-    done = {} if folder is None else folder.load(tasks)
-    todo = [task for task in tasks if task.number not in done]
-    if folder is not None and done:
-        _check_specimens(tasks, done, folder.folder)
-        logger.info("%d of %d tasks were finished before", len(done), len(tasks))
-    n_done = sum(len(record) for record in done.values())
-    total = sum(len(task.incidents) for task in tasks)
-    # a campaign of several rounds knows the time that is left of each only
-    shown_as = {"total": total, "initial": n_done, "unit": "direction", "desc": said}
-    with bar(where.progress, "this round", **shown_as) as report:
-
-        def keep(task: _Task, record: Record) -> None:
-            if folder is not None:
-                folder.save(task, record)
-            done[task.number] = record
-            if report is not None:
-                report(len(record))
-
-        _finish(todo, where.executor, where.retries, keep)
-    return done
-
-
-# ---------------------------------------------------------------------------- tasks
-
-
-@dataclass(frozen=True)
-class _Task:
+class Task:
     """Some directions of one specimen; all that another process needs."""
 
     number: int
@@ -188,7 +108,7 @@ class _Task:
 _here = Lock()
 
 
-def _run(task: _Task) -> Record:
+def run_task(task: Task) -> Record:
     """Run a task; a function of the module, so that it can be sent."""
     try:
         return task.run()
@@ -210,13 +130,13 @@ def _threads(n: int | None) -> Iterator[None]:
         dr.set_thread_count(before)
 
 
-def _tasks(
+def tasks_of(
     specimens: Mapping[str, Any],
     incidents: Sequence[tuple[float, float]],
     plugins: Sequence[str | PathLike[str]],
     threads: int | None,
     arguments: dict[str, Any],
-) -> list[_Task]:
+) -> list[Task]:
     """Tasks of a few directions each, in order."""
     asked = MeasurementSettings.among(arguments)
     # the same whatever the executor: a folder may be carried on by another
@@ -227,12 +147,12 @@ def _tasks(
     elif asked.rel_err or asked.noise:
         few = 1
     digests = tuple((os.path.abspath(path), file_digest(path)) for path in plugins)
-    tasks: list[_Task] = []
+    tasks: list[Task] = []
     for name, specimen in specimens.items():
         for first in range(0, len(incidents), few):
             some = tuple(incidents[first : first + few])
             tasks.append(
-                _Task(
+                Task(
                     len(tasks),
                     str(name),
                     specimen,
@@ -247,31 +167,7 @@ def _tasks(
     return tasks
 
 
-def _check_specimens(
-    tasks: Sequence[_Task], done: Mapping[int, Record], folder: Path
-) -> None:
-    """Raise ValueError if finished records are of specimens that have changed since."""
-    things = {
-        "digest": "the specimen",
-        "emitter_digest": "the emitter",
-        "plugin_digest": "the Python code",
-    }
-    names = {}
-    for task in tasks:
-        if task.number in done:
-            if task.name not in names:
-                names[task.name] = task.digests()
-            for key, own in names[task.name].items():
-                found = getattr(done[task.number].provenance, key)
-                if found != own:
-                    raise SettingError(
-                        f"folder must hold this very campaign, but in {folder} "
-                        f"{things[key]} of {task.name} was another: its digest is "
-                        f"{found} instead of {own}; take another folder"
-                    )
-
-
-def _check_picklable(tasks: Sequence[_Task]) -> None:
+def check_picklable(tasks: Sequence[Task]) -> None:
     """Raise ValueError for a specimen or setting that other processes cannot get."""
     copyreg.pickle(mi.ScalarTransform4f, _sent)  # of meshes, which cannot by themselves
     for task in tasks:
@@ -295,63 +191,3 @@ def _received(matrix: list[list[float]], variant: str) -> Any:
     if mi.variant() is None:
         mi.set_variant(variant)
     return mi.ScalarTransform4f(matrix)
-
-
-# ------------------------------------------------------------------------ executing
-
-
-def _finish(
-    todo: Sequence[_Task],
-    executor: Any,
-    retries: int,
-    keep: Callable[[_Task, Record], None],
-) -> None:
-    """Run tasks and keep their records as they come; those of dead workers again."""
-    if executor is None:
-        for task in todo:
-            keep(task, task.run())
-        return
-    for left in range(retries, -1, -1):
-        with _started(executor) as pool:
-            replaceable = left > 0 and not isinstance(executor, Executor)
-            todo = _shared_out(todo, pool, keep, replaceable)
-        if not todo:
-            return
-        warnings.warn(
-            f"a worker died; {len(todo)} tasks are sent again",
-            RuntimeWarning,
-            stacklevel=4,
-        )
-
-
-def _shared_out(
-    todo: Sequence[_Task],
-    pool: Any,
-    keep: Callable[[_Task, Record], None],
-    replaceable: bool,
-) -> list[_Task]:
-    """Keep what a pool measures; return the tasks of workers that died."""
-    missing = {pool.submit(_run, task): task for task in todo}
-    lost = []
-    try:
-        for future in as_completed(list(missing)):
-            try:
-                record = future.result()
-            except BrokenExecutor:
-                if not replaceable:
-                    raise
-                lost.append(missing.pop(future))
-                continue
-            keep(missing[future], record)
-            del missing[future]
-    finally:
-        # after Ctrl-C or an error: what came meanwhile
-        for future, task in missing.items():
-            if not future.cancel() and future.done() and not future.exception():
-                keep(task, future.result())
-    return lost
-
-
-def _started(executor: Any) -> AbstractContextManager[Any]:
-    """Context of the executor; a new one of processes for their number."""
-    return workers(executor) if isinstance(executor, int) else nullcontext(executor)

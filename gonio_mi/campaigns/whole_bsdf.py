@@ -186,10 +186,10 @@ class WholeBsdf:
         middles = list(middles)
         lines = self.rings.first_azimuths
         levels = self.rings.legs.levels()
-        said = f"{len(legs)} of {len(levels) - 1} legs open"
+        purpose = f"{len(legs)} of {len(levels) - 1} legs open"
         needed = [(theta, phi) for theta in [*levels, *middles] for phi in lines]
         needed = [(theta, phi if theta else 0.0) for theta, phi in needed]
-        self.directions.measure(needed, said)
+        self.directions.measure(needed, purpose)
         worst = np.zeros(len(legs))
         for phi in lines:
             ends = [(theta, phi if theta else 0.0) for theta in levels]
@@ -205,9 +205,9 @@ class WholeBsdf:
         """Errors in the middles of gaps between azimuths of rings."""
         self.directions.announce(self.rings.expected(self.limit) + N_UNSEEN)
         middles = [self.rings.azimuth(sector) for sector in middles]
-        said = f"{len(gaps)} of {len(self.rings.gaps.errors)} gaps open"
+        purpose = f"{len(gaps)} of {len(self.rings.gaps.errors)} gaps open"
         new = [(gap.on, phi) for gap, phi in zip(gaps, middles)]
-        self.directions.measure([*self.rings.directions(), *new], said)
+        self.directions.measure([*self.rings.directions(), *new], purpose)
         of_ring = defaultdict(list)
         for number, gap in enumerate(gaps):
             of_ring[gap.on].append(number)
@@ -278,9 +278,9 @@ class WholeBsdf:
         self, unseen: Sequence[tuple[float, float]]
     ) -> list[PredictionError]:
         """What is wrong at directions, with less noise where they are large."""
-        said = "random tests only"
+        purpose = "random tests only"
         self._check()
-        self.directions.measure([*self.rings.directions(), *unseen], said)
+        self.directions.measure([*self.rings.directions(), *unseen], purpose)
         own = self.rings.directions()
         prediction = self.directions.prediction(own, self.symmetry)
         missed = partial(self.directions.error, prediction)
@@ -288,7 +288,7 @@ class WholeBsdf:
         large = [
             one for one in unseen if found[one].error > MAX_NOISY_ERROR * self.tolerance
         ]
-        self.directions.measure(large, f"{said}, finer", CONFIRMING)
+        self.directions.measure(large, f"{purpose}, finer", CONFIRMING)
         found |= {one: missed(*one) for one in large}
         return list(found.values())
 

@@ -13,9 +13,9 @@ from synthetic import facet_lobes
 
 import gonio_mi as gonio
 from gonio_mi.campaigns import whole_bsdf
+from gonio_mi.campaigns.execution import Surroundings
 from gonio_mi.campaigns.known_directions import KnownDirections
 from gonio_mi.campaigns.symmetry_recognition import SymmetryRecognition
-from gonio_mi.campaigns.tasks import Surroundings
 from gonio_mi.interpolation.incident_grid import IncidentGrid
 from gonio_mi.interpolation.lobes import MeasuredLobes
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry, sources

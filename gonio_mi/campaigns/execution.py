@@ -1,0 +1,176 @@
+"""Tasks of campaigns are executed: in this process or others, beside a folder."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Executor, as_completed
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from ..errors import SettingError
+from ..progress import bar
+from ..results.record import Record
+from .folder import CampaignFolder
+from .tasks import Task, check_picklable, run_task, tasks_of
+from .workers import workers
+
+__all__ = ["Surroundings", "records_of"]
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Where and how the tasks of a campaign are done.
+
+    Attributes are the arguments of :func:`~gonio_mi.campaigns.campaign.campaign` of
+    the same name.
+    """
+
+    executor: Any = None
+    folder: str | PathLike[str] | None = None
+    plugins: Sequence[str | PathLike[str]] = ()
+    threads: int | None = None
+    retries: int = 3
+    progress: bool = False
+
+
+def records_of(
+    specimens: Mapping[str, Any],
+    incidents: Sequence[tuple[float, float]],
+    where: Surroundings,
+    arguments: dict[str, Any],
+    label: str | None = None,
+) -> dict[str, Record]:
+    """Stack of all incident directions for each specimen, by name.
+
+    `label` stands beside the progress bar.
+    """
+    tasks = tasks_of(specimens, incidents, where.plugins, where.threads, arguments)
+    if where.executor is not None:
+        check_picklable(tasks)
+    folder = where.folder
+    kept = None if folder is None else CampaignFolder(folder, tasks, incidents)
+    with kept or nullcontext():
+        done = _records(tasks, kept, where, label)
+    return {
+        str(name): Record.stack(
+            done[task.number] for task in tasks if task.name == str(name)
+        )
+        for name in specimens
+    }
+
+
+def _records(
+    tasks: Sequence[Task],
+    folder: CampaignFolder | None,
+    where: Surroundings,
+    label: str | None,
+) -> dict[int, Record]:
+    """Records of all tasks by number: those of the folder, and the others measured."""
+    done = {} if folder is None else folder.load(tasks)
+    todo = [task for task in tasks if task.number not in done]
+    if folder is not None and done:
+        _check_specimens(tasks, done, folder.folder)
+        logger.info("%d of %d tasks were finished before", len(done), len(tasks))
+    n_done = sum(len(record) for record in done.values())
+    total = sum(len(task.incidents) for task in tasks)
+    # a campaign of several rounds knows the time that is left of each only
+    shown_as = {"total": total, "initial": n_done, "unit": "direction", "desc": label}
+    with bar(where.progress, "this round", **shown_as) as report:
+
+        def keep(task: Task, record: Record) -> None:
+            if folder is not None:
+                folder.save(task, record)
+            done[task.number] = record
+            if report is not None:
+                report(len(record))
+
+        _finish(todo, where.executor, where.retries, keep)
+    return done
+
+
+def _check_specimens(
+    tasks: Sequence[Task], done: Mapping[int, Record], folder: Path
+) -> None:
+    """Raise ValueError if finished records are of specimens that have changed since."""
+    things = {
+        "digest": "the specimen",
+        "emitter_digest": "the emitter",
+        "plugin_digest": "the Python code",
+    }
+    names = {}
+    for task in tasks:
+        if task.number in done:
+            if task.name not in names:
+                names[task.name] = task.digests()
+            for key, own in names[task.name].items():
+                found = getattr(done[task.number].provenance, key)
+                if found != own:
+                    raise SettingError(
+                        f"folder must hold this very campaign, but in {folder} "
+                        f"{things[key]} of {task.name} was another: its digest is "
+                        f"{found} instead of {own}; take another folder"
+                    )
+
+
+def _finish(
+    todo: Sequence[Task],
+    executor: Any,
+    retries: int,
+    keep: Callable[[Task, Record], None],
+) -> None:
+    """Run tasks and keep their records as they come; those of dead workers again."""
+    if executor is None:
+        for task in todo:
+            keep(task, task.run())
+        return
+    for left in range(retries, -1, -1):
+        with _started(executor) as pool:
+            replaceable = left > 0 and not isinstance(executor, Executor)
+            todo = _shared_out(todo, pool, keep, replaceable)
+        if not todo:
+            return
+        warnings.warn(
+            f"a worker died; {len(todo)} tasks are sent again",
+            RuntimeWarning,
+            stacklevel=4,
+        )
+
+
+def _shared_out(
+    todo: Sequence[Task],
+    pool: Any,
+    keep: Callable[[Task, Record], None],
+    replaceable: bool,
+) -> list[Task]:
+    """Keep what a pool measures; return the tasks of workers that died."""
+    missing = {pool.submit(run_task, task): task for task in todo}
+    lost = []
+    try:
+        for future in as_completed(list(missing)):
+            try:
+                record = future.result()
+            except BrokenExecutor:
+                if not replaceable:
+                    raise
+                lost.append(missing.pop(future))
+                continue
+            keep(missing[future], record)
+            del missing[future]
+    finally:
+        # after Ctrl-C or an error: what came meanwhile
+        for future, task in missing.items():
+            if not future.cancel() and future.done() and not future.exception():
+                keep(task, future.result())
+    return lost
+
+
+def _started(executor: Any) -> AbstractContextManager[Any]:
+    """Context of the executor; a new one of processes for their number."""
+    return workers(executor) if isinstance(executor, int) else nullcontext(executor)
