@@ -33,29 +33,29 @@ SAMPLERS = ("independent", "sobol")
 # Rays of the first points, and of each further one in those of the one before.
 FIRST_RAYS = 2**12
 GROWTH = 4
-MOST_RAYS = 2**40
+MAX_RAYS = 2**40
 
 # Tolerances of integrals, as points of the estimator `quadrature`.
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
 
 # Tolerance of the integral that is taken for true; the second if it is quick.
 REFERENCE_ERRS = (1e-4, 1e-6)
-QUICK = 0.05
+MAX_QUICK_FRACTION = 0.05
 
 # Rays from which the speed of a long reference run is foretold, and the part of the
 # time that it gets.
 PILOT_RAYS = 2**18
-REFERENCE_SHARE = 0.5
+REFERENCE_FRACTION = 0.5
 
 # Relative error of what Mitsuba computes, in single precision.
 SINGLE_PRECISION = 1e-6
 
 # A root mean square of this many times what error bars promise is no accident.
-TOO_FAR = 3.0
+MAX_RMS_RATIO = 3.0
 # For a single value, that may be by chance.
-FAR_OFF = 5.0
+MAX_STD_ERRS = 5.0
 
-EVEN = {"estimator": "weighted", "sampler": "sobol"}
+PILOT_SETTINGS = {"estimator": "weighted", "sampler": "sobol"}
 
 
 @launches_kernels()
@@ -236,7 +236,7 @@ def _warn_of_reference(result: Chart) -> None:
     """Say so if the last points are further from the reference than they claim."""
     for curve in result.curves:
         last = curve.points[-1]
-        if last.error > max(TOO_FAR * last.claimed, result.least):
+        if last.error > max(MAX_RMS_RATIO * last.claimed, result.least):
             warnings.warn(
                 f"{curve.label}: {last.rays:.2g} rays are off the reference by "
                 f"{last.error:.2g}, and their error bars say {last.claimed:.2g}",
@@ -266,7 +266,7 @@ class Method:
         if not self.sampler:
             return {"rel_err": TOLERANCES[level]} if level < len(TOLERANCES) else None
         rays = FIRST_RAYS * GROWTH**level
-        return {"rays": rays} if rays <= MOST_RAYS else None
+        return {"rays": rays} if rays <= MAX_RAYS else None
 
 
 @dataclass(frozen=True)
@@ -336,15 +336,15 @@ def find_reference(runs: Runs, seconds: float) -> tuple[Record, Reference, str]:
     SpecimenError
         If nothing reaches the collector.
     """
-    runs.measure(0, rays=FIRST_RAYS, **EVEN)
+    runs.measure(0, rays=FIRST_RAYS, **PILOT_SETTINGS)
     started = time.perf_counter()
-    pilot = runs.measure(0, rays=PILOT_RAYS, **EVEN)
+    pilot = runs.measure(0, rays=PILOT_RAYS, **PILOT_SETTINGS)
     rate = PILOT_RAYS / (time.perf_counter() - started)
     if len(pilot) > 1:
         raise SettingError(
             f"theta_i and phi_i must be one incident direction, got {len(pilot)}"
         )
-    rays = max(PILOT_RAYS, int(rate * seconds * REFERENCE_SHARE))
+    rays = max(PILOT_RAYS, int(rate * seconds * REFERENCE_FRACTION))
     refused = ""
     try:
         record = _integral(runs, pilot, rays, seconds)
@@ -353,7 +353,7 @@ def find_reference(runs: Runs, seconds: float) -> tuple[Record, Reference, str]:
         if integrates == "delta":
             words += f", {rays:.2g} rays for delta lobes"
     except SpecimenError as error:
-        record = runs.measure(0, rays=rays, **EVEN)
+        record = runs.measure(0, rays=rays, **PILOT_SETTINGS)
         integrates, refused = "", str(error)
         words = f"{rays:.2g} rays, weighted, sobol"
     return pilot, _reference(record, words, refused), integrates
@@ -383,7 +383,7 @@ def _integral(runs: Runs, pilot: Record, rays: int, seconds: float) -> Record:
                 raise
             break
         record = finer
-        if time.perf_counter() - started > QUICK * seconds:
+        if time.perf_counter() - started > MAX_QUICK_FRACTION * seconds:
             break
     # the integral knows eval only, and everything else knows sample only
     if _differ(pilot, record):
@@ -394,12 +394,12 @@ def _integral(runs: Runs, pilot: Record, rays: int, seconds: float) -> Record:
 def _differ(pilot: Record, record: Record) -> bool:
     """Whether patches or totals of two records are further apart than they may be."""
     values, std_err = arrays(pilot)
-    if _rms(values - arrays(record)[0]) > TOO_FAR * _rms(std_err):
+    if _rms(values - arrays(record)[0]) > MAX_RMS_RATIO * _rms(std_err):
         return True
     for total in ("dhr", "dht") if pilot.has_lower else ("dhr",):
         a, b = getattr(pilot, total), getattr(record, total)
         error = np.hypot(*(getattr(r, f"{total}_std_err") for r in (pilot, record)))
-        if np.any(np.abs(a - b) > FAR_OFF * np.hypot(error, SINGLE_PRECISION * a)):
+        if np.any(np.abs(a - b) > MAX_STD_ERRS * np.hypot(error, SINGLE_PRECISION * a)):
             return True
     return False
 

@@ -18,11 +18,11 @@ from ..results.summary_text import aligned
 __all__ = ["HEAD", "Chart", "Cost", "Curve", "Point", "Reference"]
 
 # Fewer rays than this for each patch, and a curve is not yet at its order.
-ENOUGH_RAYS = 30
+MIN_RAYS_PER_PATCH = 30
 # Errors that are at least this many times that of the reference say something.
-ABOVE_REFERENCE = 3.0
+MIN_REFERENCE_RATIO = 3.0
 # A straight line with an error needs a degree of freedom.
-FEWEST_POINTS = 3
+MIN_POINTS = 3
 
 # Heads of a chart's table; the order is that in the rays, with its standard error.
 HEAD = ("method", "CPU s", "times the best", "rays", "order", "error bars / error")
@@ -119,8 +119,10 @@ class Curve:
             NaN with fewer than three such points. The standard error is from the
             points' scatter about the line.
         """
-        good = (self.rays >= ENOUGH_RAYS * n_patches) & (self.error >= max(least, 1e-9))
-        if good.sum() < FEWEST_POINTS:
+        good = (self.rays >= MIN_RAYS_PER_PATCH * n_patches) & (
+            self.error >= max(least, 1e-9)
+        )
+        if good.sum() < MIN_POINTS:
             return np.nan, np.nan
         x, y = np.log(self.rays[good]), np.log(self.error[good])
         (slope, _), covariance = np.polyfit(x, y, 1, cov=True)
@@ -227,8 +229,8 @@ class Chart:
 
     @property
     def least(self) -> float:
-        """Error below which the reference's own error takes part."""
-        return ABOVE_REFERENCE * self.reference.error
+        """Error below which the reference's own error contributes."""
+        return MIN_REFERENCE_RATIO * self.reference.error
 
     def pareto(self) -> list[tuple[Curve, Point]]:
         """Points that no other one beats in both error and CPU seconds, dearest last.

@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 __all__ = ["chart_view", "draw_by_time", "plot_chart", "save_chart_page"]
 
 COLOURS = {"independent": "tab:orange", "sobol": "tab:blue", "": "tab:green"}
-OTHERS = ("tab:purple", "tab:brown", "tab:pink", "tab:cyan", "tab:olive")
+OTHER_COLOURS = ("tab:purple", "tab:brown", "tab:pink", "tab:cyan", "tab:olive")
 # Filled and solid for one estimator, hollow and dashed for the other.
 STYLES = {
     "analog": ("o", "--", "w"),
     "weighted": ("o", "-", None),
     "next_event": ("^", "-.", None),
 }
-QUADRATURE = ("*", "-", None)
-FRONT = "0.82"
+QUADRATURE_STYLE = ("*", "-", None)
+FRONT_COLOUR = "0.82"
 LEGEND = {"fontsize": "small", "frameon": False}
 LEVEL = 0.95  # of the error bars
 
@@ -49,7 +49,7 @@ def plot_chart(
     To the left the error over the CPU seconds of one measurement, with the Pareto front
     as a broad grey line; to the right over its rays, with the expectation for
     counted independent rays. Bars are 95 % intervals from the scatter between seeds.
-    In the grey below the reference's own error takes part. Under both, what each
+    In the grey area the reference's own error contributes. Under both, what each
     method needs for the error `target`, cheapest first.
 
     Parameters
@@ -123,12 +123,12 @@ def draw_by_time(axes: Axes, chart: Chart, target: float = 0.01) -> None:
 def _colours(chart: Chart) -> dict[str, str]:
     """Colour of each sampler."""
     others = [c.sampler for c in chart.curves if c.sampler not in COLOURS]
-    return COLOURS | dict(zip(dict.fromkeys(others), OTHERS))
+    return COLOURS | dict(zip(dict.fromkeys(others), OTHER_COLOURS))
 
 
 def _draw_curve(axes: Axes, chart: Chart, curve: Curve, x: Floats, colour: str) -> None:
     """Points of one method with their error bars, of few seeds and so Student's t."""
-    marker, line, face = STYLES.get(curve.estimator, QUADRATURE)
+    marker, line, face = STYLES.get(curve.estimator, QUADRATURE_STYLE)
     times = special.stdtrit(chart.settings.get("repeats", 2) - 1, (1 + LEVEL) / 2)
     bars = times * np.nan_to_num([point.error_std_err for point in curve.points])
     axes.errorbar(
@@ -151,7 +151,7 @@ def _draw_front(axes: Axes, chart: Chart) -> None:
     axes.plot(
         [point.cpu_seconds for point in front],
         [point.error for point in front],
-        color=FRONT,
+        color=FRONT_COLOUR,
         lw=9,
         solid_capstyle="round",
         zorder=0,

@@ -14,11 +14,18 @@ from ..results.record import Record
 from ..results.statistics import ratio, student_score, two_sided_score
 from ..single_precision import FEW_ROUNDINGS
 
-__all__ = ["FEW_FOR_TAILS", "PointSet", "Readings", "Variation", "judge", "mostly_few"]
+__all__ = [
+    "MIN_STUDENT_HITS",
+    "PointSet",
+    "Readings",
+    "Variation",
+    "judge",
+    "mostly_few",
+]
 
 # Below this many hits the mean of batches is too skewed for Student's t far out: its
 # two-sided tail at 1e-5 is 1.3 times too heavy at 1000 hits, 4.4 times at 100.
-FEW_FOR_TAILS = 1000
+MIN_STUDENT_HITS = 1000
 
 # Exact probabilities below about 1e-295 are not told apart.
 MAX_EXACT_SCORE = 36.7
@@ -26,12 +33,12 @@ MAX_EXACT_SCORE = 36.7
 
 @dataclass(eq=False)
 class Readings:
-    """What a record says at some points: one incident direction, independent batches.
+    """Values of a record at some points: one incident direction, independent batches.
 
-    `residual`, shape (n_batches, n), holds what its product with its own transpose is
-    the covariance of the values, as the batches tell it; `exposure` is the number of
-    hits per unit of value, `weight` the flux that came with a hit, and `usual` that of
-    all hits in the hemisphere.
+    `residual` has the shape (n_batches, n), and ``residual.T @ residual`` is the
+    covariance of the values, estimated from the batches; `exposure` is the number of
+    hits per unit of value, `weight` the mean flux of a hit, and `usual` that of all
+    hits in the hemisphere.
     """
 
     value: np.ndarray
@@ -74,14 +81,14 @@ class Readings:
         n = len(sums)
         factor = np.sqrt(n / max(n - 1, 1)) / incident.sum(axis=0) / solid
         return cls(
-            value,
-            np.stack(errors)[where],
-            (sums - ratio(sums, incident) * incident) * factor,
-            hits.astype(float),
-            rays * solid / weight,
-            weight,
-            usual,
-            1e9 if estimates.binomial else n - 1.0,
+            value=value,
+            std_err=np.stack(errors)[where],
+            residual=(sums - ratio(sums, incident) * incident) * factor,
+            hits=hits.astype(float),
+            exposure=rays * solid / weight,
+            weight=weight,
+            usual=usual,
+            dof=1e9 if estimates.binomial else n - 1.0,
         )
 
     @property
@@ -172,7 +179,7 @@ def judge(
     most = sum(len(one.other) / one.sharing for one in sets)
     chi2, dof = float(z @ z + pull**2), min(float(n**2 / trace2), most)
     worst = float(np.abs(z).max())
-    total = [abs(t.score) for t in totals.values() if t.hits >= FEW_FOR_TAILS]
+    total = [abs(t.score) for t in totals.values() if t.hits >= MIN_STUDENT_HITS]
     statistics = {
         "chi2": chi2,
         "chi2_dof": dof,
@@ -189,7 +196,7 @@ def judge(
 
 
 def mostly_few(sets: Sequence[PointSet]) -> bool:
-    """Whether most points have fewer than `FEW_FOR_TAILS` hits on either side."""
+    """Whether most points have fewer than `MIN_STUDENT_HITS` hits on either side."""
     few = np.concatenate([_errors(one, 1.0)[2] for one in sets])
     return bool(few.mean() > 0.5)
 
@@ -198,7 +205,7 @@ def _fitted_scale(sets: Sequence[PointSet], scale: float) -> float:
     """Most likely relative error of the common scale, whose standard error is `scale`.
 
     With its own square in units of `scale`, the scores of what is left have the sum of
-    squares that the full covariance would give. Patches with few hits do not take part.
+    squares that the full covariance would give. Patches with few hits are left out.
     """
     if not scale:
         return 0.0
@@ -268,11 +275,11 @@ def _errors(one: PointSet, factor: float) -> tuple[Floats, Floats, Flags, Flags]
     if one.variation is not None:
         sigma2 = sigma2 + np.maximum(one.variation.hidden, 0)
     welch = mine.error**4 / mine.dof + one.other_error**4 / one.other_dof
-    few, empty = mine.hits < FEW_FOR_TAILS, mine.hits == 0
+    few, empty = mine.hits < MIN_STUDENT_HITS, mine.hits == 0
     if others is not None:
         sigma2 = sigma2 + others.error**2
         welch = welch + others.error**4 / others.dof
-        few, empty = few | (others.hits < FEW_FOR_TAILS), empty | (others.hits == 0)
+        few, empty = few | (others.hits < MIN_STUDENT_HITS), empty | (others.hits == 0)
     dof = sigma2**2 / np.maximum(welch, np.finfo(float).tiny)
     # Welch's are too many where an error of few repetitions is small by chance
     return sigma2, np.minimum(dof, one.other_dof), few, empty

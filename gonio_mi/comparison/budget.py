@@ -22,7 +22,7 @@ POINT = ("theta_i", "phi_i", "theta_o", "phi_o", "channel", "value", "other")
 
 # The mean over an aperture differs from the value at its axis as the square of its
 # half-angle: from one half as wide, the difference follows to this part.
-HALF, PART = 0.5, 4 / 3
+NARROWED, EXTRAPOLATION = 0.5, 4 / 3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -159,12 +159,12 @@ def aperture_effect(
             f"aperture_half_angle (--aperture-half-angle) must be given: {table.name} "
             "does not say it"
         )
-    narrow = replace(table, aperture_half_angle=HALF * half_angle)
+    narrow = replace(table, aperture_half_angle=NARROWED * half_angle)
     records = measure_like(specimen, narrow, **settings)
     other = compare(records, narrow)
     values = {_key(other, i): other.value[i] for i in range(len(other.z))}
     at = [values[_key(comparison, i)] for i in range(len(comparison.z))]
-    return PART * (comparison.value - np.array(at))
+    return EXTRAPOLATION * (comparison.value - np.array(at))
 
 
 def _key(comparison: Comparison, i: int) -> tuple[float, ...]:

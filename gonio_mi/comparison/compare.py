@@ -17,7 +17,7 @@ from ..errors import (
 )
 from ..files.measured_table import NUMBERS, MeasuredTable
 from ..results.record import Record
-from .agreement import FEW_FOR_TAILS, PointSet, judge, mostly_few
+from .agreement import MIN_STUDENT_HITS, PointSet, judge, mostly_few
 from .comparison import Comparison
 from .pairing import (
     check_uncertainties,
@@ -48,7 +48,7 @@ def compare(
     are fewer, and turned into the normal score z of the same probability. A patch with
     fewer than 1000 hits has the smaller score of that and of the exact test of its hits
     (of Poisson's law, spread by the uncertainty of the measured value; for two records
-    given their sum), so that empty patches take part. Three tests share `alpha`
+    given their sum), so that empty patches count too. Three tests share `alpha`
     (Bonferroni):
 
     * the sum of the squares of z (and of the fitted common factor, in units of its
@@ -109,9 +109,9 @@ def compare(
     agree = len(p_values) * min(p_values.values()) >= alpha
     if agree and any(map(_is_even, measured)) and mostly_few(sets):
         notes.append(
-            f"with quasi-Monte Carlo rays and fewer than {FEW_FOR_TAILS} hits in most "
-            "patches the chi-square has next to no power to find a difference; take "
-            "more rays, or the sampler independent"
+            f"with quasi-Monte Carlo rays and fewer than {MIN_STUDENT_HITS} hits in "
+            "most patches the chi-square has next to no power to find a difference; "
+            "take more rays, or the sampler independent"
         )
     undecided = left_undecided(sets, scale, p_values, alpha, notes)
     columns = {
@@ -136,12 +136,12 @@ def compare(
     )
     if isinstance(other, MeasuredTable) and found.verdict == "differ":
         given = uncertainty, scale_uncertainty, alpha
-        told = _told_otherwise(records, other, given)
-        found = replace(found, notes=(*found.notes, *told))
+        more = _note_on_azimuths(records, other, given)
+        found = replace(found, notes=(*found.notes, *more))
     return found
 
 
-def _told_otherwise(
+def _note_on_azimuths(
     records: Sequence[Record],
     table: MeasuredTable,
     given: tuple[float | None, float | None, float],
@@ -179,12 +179,10 @@ def _paired(
     scale_uncertainty: float | None,
 ) -> tuple[list[PointSet], list[str], tuple[str, str], float]:
     """Sets of points of both, notes, labels, and the uncertainty of a common factor."""
+    given = {"uncertainty": uncertainty, "scale_uncertainty": scale_uncertainty}
     if isinstance(other, MeasuredTable):
-        given: dict[str, Any] = {
-            "uncertainty": uncertainty,
-            "scale_uncertainty": scale_uncertainty,
-        }
-        table = replace(other, **{k: v for k, v in given.items() if v is not None})
+        stated: Any = {k: v for k, v in given.items() if v is not None}
+        table = replace(other, **stated)
         sets, notes = pair_with_table(records, table)
         names = records[0].provenance.name, table.name
         compared = abridged(names[0], LABEL), abridged(names[1], LABEL)
@@ -196,10 +194,7 @@ def _paired(
             )
         relative, scale = (
             checked_number(name, value or 0, *NUMBERS[name])
-            for name, value in (
-                ("uncertainty", uncertainty),
-                ("scale_uncertainty", scale_uncertainty),
-            )
+            for name, value in given.items()
         )
         sets, notes = pair_with_record(records[0], other, relative)
         return sets, notes, labels(records[0], other), scale

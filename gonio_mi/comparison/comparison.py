@@ -10,7 +10,7 @@ from ..plots import check_picture
 from ..plots.figure import finished
 from ..reports.page import picture_and_text
 from .figure import comparison_figure
-from .pairing import EXACT
+from .pairing import NO_UNCERTAINTY
 
 __all__ = ["Comparison"]
 
@@ -182,7 +182,7 @@ class Comparison:
             "undecided": "cannot be decided with these patches",
         }[self.verdict]
         lines = [
-            *(note for note in self.notes if note.endswith(EXACT)),
+            *(note for note in self.notes if note.endswith(NO_UNCERTAINTY)),
             f"rms error   {self.rms:.4g} 1/sr, {100 * self.relative_rms:.3g} % of the "
             f"mean; {self.rms_expected:.4g} from the uncertainties alone",
             *(
@@ -215,7 +215,9 @@ class Comparison:
                 f"{_pair(point['value'], point['std_err'])}  "
                 f"{_pair(point['other'], point['other_std_err'])}  {point['z']:6.2f}"
             )
-        notes = [f"note: {one}" for one in self.notes if not one.endswith(EXACT)]
+        notes = [
+            f"note: {one}" for one in self.notes if not one.endswith(NO_UNCERTAINTY)
+        ]
         return "\n".join([*lines, *notes])
 
 

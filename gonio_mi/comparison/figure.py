@@ -10,7 +10,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats, Integers
 from ..errors import LABEL, abridged
-from ..plots.figure import check_matplotlib
+from ..plots.figure import evenly, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,13 +20,13 @@ __all__ = ["comparison_figure", "points_in_profile"]
 
 
 # Panels that are drawn, evenly among all, and in a row.
-MAX_PANELS, IN_A_ROW = 6, 3
+MAX_PANELS, MAX_COLUMNS = 6, 3
 
 # Values whose largest is so many times the smallest are drawn on a logarithmic axis.
-DECADES = 100
+MAX_LINEAR_RANGE = 100
 
 # Azimuths closer than this, in degrees, are the same.
-SAME = 1e-3
+AZIMUTH_TOLERANCE = 1e-3
 
 # Of the record, of what it is compared with, and of scores.
 COLOURS = {"record": "C0", "other": "0.25", "z": "0.45"}
@@ -44,18 +44,11 @@ def comparison_figure(comparison: Any) -> Figure:
 
     Raises ImportError without Matplotlib.
     """
-    check_matplotlib()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     panels = _panels(comparison)
-    even = np.linspace(0, len(panels) - 1, min(MAX_PANELS, len(panels)))
-    shown = [panels[number] for number in even.round().astype(int)]
-    columns = min(len(shown), IN_A_ROW)
+    shown = [panels[number] for number in evenly(len(panels), MAX_PANELS)]
+    columns = min(len(shown), MAX_COLUMNS)
     rows = -(-len(shown) // columns)
-    size = 5.2 * columns + 0.8, 4.6 * rows + 1
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(None, figsize=(5.2 * columns + 0.8, 4.6 * rows + 1))
     axes = figure.subplots(
         2 * rows, columns, squeeze=False, sharex=False, height_ratios=(3, 1) * rows
     )
@@ -67,7 +60,7 @@ def comparison_figure(comparison: Any) -> Figure:
     points = np.concatenate([panel.points for panel in shown])
     drawn = np.concatenate([comparison.other[points], comparison.value[points]])
     # what is not positive would be drawn nowhere
-    if drawn.min() > 0 and drawn.max() > DECADES * drawn.min():
+    if drawn.min() > 0 and drawn.max() > MAX_LINEAR_RANGE * drawn.min():
         for curves in above[: len(shown)]:
             curves.set_yscale("log", nonpositive="clip")
     handles = axes[0, 0].get_legend_handles_labels()
@@ -184,12 +177,12 @@ def points_in_profile(
     ahead = _turn(phi_o - phi_i - 180)
     back = _turn(phi_o - phi_i)
     nearest = [
-        angle[np.argmin(np.abs(angle) - SAME * np.sign(angle))]
+        angle[np.argmin(np.abs(angle) - AZIMUTH_TOLERANCE * np.sign(angle))]
         for angle in (ahead, back)
     ]
-    on_pole = np.minimum(theta_o, 180 - theta_o) < SAME
-    forward = np.abs(_turn(ahead - nearest[0])) < SAME
-    backward = np.abs(_turn(back - nearest[1])) < SAME
+    on_pole = np.minimum(theta_o, 180 - theta_o) < AZIMUTH_TOLERANCE
+    forward = np.abs(_turn(ahead - nearest[0])) < AZIMUTH_TOLERANCE
+    backward = np.abs(_turn(back - nearest[1])) < AZIMUTH_TOLERANCE
     # a half-plane on the other's side is no half-plane of its own
     forward &= abs(nearest[0]) <= 90
     backward &= abs(nearest[1]) <= 90

@@ -2,8 +2,7 @@
 
 import contextlib
 import warnings
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from typing import Any
 
 import mitsuba as mi
@@ -17,28 +16,28 @@ from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, SettingTypeError, SpecimenError, shown
 from ..files.channels import wavelengths_nm
 from ..files.measured_table import MeasuredTable
-from ..progress import bar
+from ..progress import counted
 from ..results.record import Record
 from .pairing import pole_angle
 
 __all__ = ["measure_like"]
 
 # Distance in scene units that stands for a source far away.
-FAR = 1000.0
+FAR_DISTANCE = 1000.0
 
 # Relative standard error of each aperture, by itself: a quarter of the table's own, in
 # between these, or the lower where the table has none; and rays at most.
-SHARE, FINEST, COARSEST = 0.25, 1e-3, 1e-2
-MOST_RAYS = 10**8
+ERROR_RATIO, MIN_REL_ERR, MAX_REL_ERR = 0.25, 1e-3, 1e-2
+MAX_RAYS = 10**8
 
 # Settings of a record with which it can be measured again.
-AGAIN = (
+REPEATED_SETTINGS = (
     *("estimator", "footprint", "divergence", "emission", "max_depth", "rr_depth"),
     *("period", "order", "side", "collector_radius", "incident"),
 )
-SAMPLED = ("rays", "sampler", "batches")
+SAMPLING_SETTINGS = ("rays", "sampler", "batches")
 
-PRECISION = {"rays", "rel_err", "noise", "estimator", "trace"}
+PRECISION_SETTINGS = {"rays", "rel_err", "noise", "estimator", "trace"}
 
 
 def measure_like(
@@ -105,8 +104,7 @@ def measure_like(
                 "aperture_half_angle applies to tables only, for a record has its "
                 f"collector, got {shown(aperture_half_angle)}"
             )
-        with bar(progress, total=len(like), unit="direction") as report:
-            return (_like_record(specimen, like, seed, settings, report or _unheard),)
+        return (_like_record(specimen, like, seed, settings, progress),)
     half_angle = like.aperture_half_angle or aperture_half_angle
     solid_angles = like.patches if half_angle is None else half_angle
     if solid_angles is None:
@@ -114,13 +112,7 @@ def measure_like(
             f"aperture_half_angle (--aperture-half-angle) must be given: {like.name} "
             "does not say it"
         )
-    measured = partial(_like_table, specimen, like, solid_angles, seed or 0, settings)
-    with bar(progress, total=len(like.incident), unit="direction") as report:
-        return measured(report or _unheard)
-
-
-def _unheard(_: float) -> None:
-    """Progress that nobody asked for."""
+    return _like_table(specimen, like, solid_angles, seed or 0, settings, progress)
 
 
 def _like_table(
@@ -129,7 +121,7 @@ def _like_table(
     solid_angles: Subdivision | float,
     seed: int,
     settings: dict[str, Any],
-    report: Callable[[float], Any],
+    progress: bool,
 ) -> tuple[Record, ...]:
     """Records in the patches of a table, or in apertures of a half-angle."""
     if table.emitter_half_angle:
@@ -144,16 +136,18 @@ def _like_table(
         settings.setdefault("wavelengths", nm.tolist())
     lower = "both" if table.quantity == "btdf" else "upper"
     settings.setdefault("hemispheres", lower)
-    automatic = not {k for k in PRECISION & settings.keys() if settings[k] is not None}
+    automatic = not {
+        k for k in PRECISION_SETTINGS & settings.keys() if settings[k] is not None
+    }
     if automatic:
-        settings |= {"max_rays": MOST_RAYS, "rays": None}
+        settings |= {"max_rays": MAX_RAYS, "rays": None}
         if isinstance(solid_angles, Subdivision):
             settings["noise"] = _noise(table, solid_angles)
         else:
             settings |= {"rel_err": _wanted(table)}
             settings |= {"estimator": "next_event", "trace": True}
     records: list[Record] = []
-    for theta_i, phi_i in table.incident:
+    for theta_i, phi_i in counted(table.incident, progress, unit="direction"):
         here = (table.theta_i == theta_i) & (table.phi_i == phi_i)
         for collector in _collectors(table, here, solid_angles):
             n = len(records)
@@ -162,21 +156,16 @@ def _like_table(
             if n or taken:
                 # the table may be a record's, of rays with this seed
                 own = int(np.random.SeedSequence((seed, n)).generate_state(1)[0])
-            given = {"collector": collector, "seed": own}
+            place = {"theta_i": theta_i, "phi_i": phi_i, "collector": collector}
             with _errors_speak(automatic):
                 try:
-                    record = measure_whole(
-                        specimen, theta_i, phi_i, **given, **settings
-                    )
+                    record = measure_whole(specimen, **place, seed=own, **settings)
                 except SpecimenError:
                     if settings.get("estimator") != "next_event" or not automatic:
                         raise
                     settings |= {"estimator": "weighted", "trace": None}
-                    record = measure_whole(
-                        specimen, theta_i, phi_i, **given, **settings
-                    )
+                    record = measure_whole(specimen, **place, seed=own, **settings)
             records.append(record)
-        report(1)
     if not records:
         raise SettingError(
             f"each aperture of half-angle {solid_angles:g} degrees of {table.name} "
@@ -203,7 +192,7 @@ def _wanted(table: MeasuredTable) -> float:
     """Relative standard error to measure a table's apertures to."""
     known = table.bsdf_std_err[table.bsdf > 0] / table.bsdf[table.bsdf > 0]
     typical = float(np.median(known)) if known.size else 0.0
-    return float(np.clip(SHARE * typical, FINEST, COARSEST))
+    return float(np.clip(ERROR_RATIO * typical, MIN_REL_ERR, MAX_REL_ERR))
 
 
 def _noise(table: MeasuredTable, patches: Subdivision) -> float:
@@ -219,7 +208,9 @@ def _noise(table: MeasuredTable, patches: Subdivision) -> float:
     light = np.abs(table.bsdf) @ solid
     typical = table.bsdf_std_err @ solid / light if light else 0.0
     # half the mean of the absolute value of a normal deviate
-    return float(np.clip(SHARE * typical, FINEST, COARSEST) / np.sqrt(2 * np.pi))
+    return float(
+        np.clip(ERROR_RATIO * typical, MIN_REL_ERR, MAX_REL_ERR) / np.sqrt(2 * np.pi)
+    )
 
 
 @contextlib.contextmanager
@@ -236,40 +227,41 @@ def _like_record(
     record: Record,
     seed: int | None,
     settings: dict[str, Any],
-    report: Callable[[float], Any],
+    progress: bool,
 ) -> Record:
     """Record of another specimen, measured as one was."""
-    known, lit_by = record.settings, str(record.provenance.emitter)
-    lit_so = lit_by.startswith("DirectionalEmitter")
-    if record.provenance.emitter_digest or not lit_so:
+    known, emitter = record.settings, str(record.provenance.emitter)
+    collimated = emitter.startswith("DirectionalEmitter")
+    if record.provenance.emitter_digest or not collimated:
         raise SettingError(
-            f"the record was lit by {lit_by:.60}, which it does not hold: measure the "
+            f"the record was lit by {emitter:.60}, which it does not hold: measure the "
             "specimen under that emitter too, and compare the two records"
         )
-    names = AGAIN if record.asked.estimator.integrates else (*AGAIN, *SAMPLED)
+    names: tuple[str, ...] = REPEATED_SETTINGS
+    if not record.asked.estimator.integrates:
+        names += SAMPLING_SETTINGS
     again = {name: known[name] for name in names if known.get(name) is not None}
-    given = {name for name, value in settings.items() if value is not None}
-    if given & {"rel_err", "noise", "rays"}:
+    given = {name: value for name, value in settings.items() if value is not None}
+    if given.keys() & {"rel_err", "noise", "rays"}:
         again.pop("rays", None)
     nm = wavelengths_nm(record.channels)
     if nm is not None:
         again["wavelengths"] = nm.tolist()
+    again["collector"] = record.subdivision
     again["hemispheres"] = "both" if record.has_lower else "upper"
-    again |= {name: value for name, value in settings.items() if value is not None}
-    again["seed"] = (
-        max(record.provenance.seeds, default=0) + 1 if seed is None else seed
-    )
+    again |= given
+    if seed is None:
+        seed = max(record.provenance.seeds, default=0) + 1
     records = []
-    for theta, phi in zip(record.theta_i.tolist(), record.phi_i.tolist()):
-        again["collector"] = record.subdivision
-        records.append(measure_whole(specimen, theta, phi, **again))
-        report(1)
+    incident = list(zip(record.theta_i.tolist(), record.phi_i.tolist()))
+    for theta, phi in counted(incident, progress, unit="direction"):
+        records.append(measure_whole(specimen, theta, phi, seed=seed, **again))
     return Record.stack(records) if record.stacked else records[0]
 
 
 def _round_source(table: MeasuredTable) -> dict[str, Any]:
     """Disk of uniform radiance above the specimen, that faces it."""
-    distance = table.emitter_distance or FAR
+    distance = table.emitter_distance or FAR_DISTANCE
     radius = float(distance * np.tan(np.radians(table.emitter_half_angle)))
     above = mi.ScalarTransform4f().translate([0, 0, distance])
     return {

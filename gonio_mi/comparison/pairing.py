@@ -17,11 +17,11 @@ from ..results.provenance import shared_seeds
 from ..results.record import Record
 from ..settings import MeasurementSettings, declarations
 from .agreement import PointSet, Readings, Variation
-from .patch_variation import MEASURED_ANEW, variation_within
+from .patch_variation import REMEDY, variation_within
 
 __all__ = [
     "CONDITIONS",
-    "EXACT",
+    "NO_UNCERTAINTY",
     "check_uncertainties",
     "labels",
     "pair_with_record",
@@ -33,7 +33,9 @@ __all__ = [
 ]
 
 # Note on a table, which comes before all numbers: they mean little without it.
-EXACT = "states no uncertainty: its values count as exact, unless `uncertainty` is said"
+NO_UNCERTAINTY = (
+    "states no uncertainty: its values count as exact, unless `uncertainty` is said"
+)
 
 
 def pair_with_record(
@@ -77,9 +79,19 @@ def pair_with_record(
         solid = patches.projected_solid_angles.ravel()[patch]
         keys = [(k, h, c) for h, c in zip(hemisphere.tolist(), channel.tolist())]
         error = relative * np.abs(second.value)
-        exact = np.full(len(error), np.inf)
-        of_points = columns, first, second.value, error, exact, second, solid, keys
-        sets.append(PointSet(*of_points, sharing=alike[k]))
+        sets.append(
+            PointSet(
+                columns,
+                readings=first,
+                other=second.value,
+                other_error=error,
+                other_dof=np.full(len(error), np.inf),
+                other_readings=second,
+                solid=solid,
+                total_of=keys,
+                sharing=alike[k],
+            )
+        )
     return sets, notes
 
 
@@ -93,7 +105,7 @@ def pair_with_table(
     notes = list(table.notes)
     errors = table.bsdf_std_err
     if not (errors.any() or table.scale_uncertainty):
-        notes.append(f"{table.name} {EXACT}")
+        notes.append(f"{table.name} {NO_UNCERTAINTY}")
     sets = []
     hemisphere = int(table.quantity == "btdf")
     v = direction(np.radians(pole_angle(table.theta_o)), np.radians(table.phi_o))
@@ -165,16 +177,24 @@ class _Side:
         solid = record.subdivision.projected_solid_angles.ravel()[patch[here]]
         incident = record.theta_i[k], record.phi_i[k]
         keys = [tuple(np.round(incident, 3))] * int(here.sum())
-        readings, values = self.readings(patch[here]), table.bsdf[here]
-        known = errors[here], table.bsdf_dof[here]
-        of_points = columns, readings, values, *known, None, solid, keys
-        return PointSet(*of_points, variation, sharing(record)[k])
+        return PointSet(
+            columns,
+            readings=self.readings(patch[here]),
+            other=table.bsdf[here],
+            other_error=errors[here],
+            other_dof=table.bsdf_dof[here],
+            other_readings=None,
+            solid=solid,
+            total_of=keys,
+            variation=variation,
+            sharing=sharing(record)[k],
+        )
 
 
 def _stand_for_points(patches: Any, table: MeasuredTable) -> bool:
     """Whether means over patches stand for the points of a table.
 
-    They do not where a table has them itself, as our own files say.
+    False if the table itself holds patch means, as exported files do.
     """
     if patches.aperture_half_angle is not None:
         _check_apertures(patches, table)
@@ -203,7 +223,7 @@ def _tell_coarse(
         f"{len(table)} points, where lobes are steep or the horizon is near"
     )
     if n == len(table):
-        raise SettingError(f"{why}: {MEASURED_ANEW}")
+        raise SettingError(f"{why}: {REMEDY}")
     notes.append(f"{why}: these are left out")
 
 
@@ -229,11 +249,11 @@ def _lacking(records: Sequence[Record], table: MeasuredTable, row: int) -> str:
 
 def _check_apertures(patches: Any, table: MeasuredTable) -> None:
     """Raise ValueError if the apertures are not as wide as those of the table."""
-    own, said = patches.aperture_half_angle, table.aperture_half_angle
-    if said is not None and not np.isclose(said, own, rtol=EDGE, atol=0):
+    own, stated = patches.aperture_half_angle, table.aperture_half_angle
+    if stated is not None and not np.isclose(stated, own, rtol=EDGE, atol=0):
         raise SettingError(
             f"the record's apertures must have the half-angle of {table.name}, "
-            f"{said:g} degrees, got {own:g}"
+            f"{stated:g} degrees, got {own:g}"
         )
 
 
@@ -281,7 +301,7 @@ def _check_incident(a: tuple[float, float], b: tuple[float, float]) -> None:
 
 
 def _same(a: Any, b: Any) -> Any:
-    """Whether two directions, in degrees, are one but for single precision."""
+    """Whether two directions, in degrees, are equal to single precision."""
     first, second = (direction(*np.radians(pair)) for pair in (a, b))
     return np.linalg.norm(first - second, axis=-1) <= EDGE
 

@@ -1,7 +1,8 @@
 """How far the mean over a patch may be from the value at a point of it.
 
 The patches around tell: where lobes are resolved, a value is no farther from the mean
-than the farthest mean of all patches that one of `REACH` times the width would meet.
+than the farthest mean of all patches that one of `NEIGHBOURHOOD` times the width would
+meet.
 Around the pole all sectors of the first ring are one patch. Of 600 points in each of
 264 maps (11 BSDFs, 6 collectors, 4 angles of incidence, half of the points in the lobe)
 the variation is known for 90 000, of which 23 are beyond, at most by a factor of 2.1.
@@ -17,25 +18,24 @@ from ..array_types import Flags, Integers
 from ..collector import RingsAndSectors, Subdivision
 from .agreement import PointSet, Readings, Variation, judge
 
-__all__ = ["MEASURED_ANEW", "left_undecided", "variation_within"]
+__all__ = ["REMEDY", "left_undecided", "variation_within"]
 
 # Size of what reaches the patches around one, in sizes of a patch, and points per side.
-REACH, POINTS = 2.5, 4
+NEIGHBOURHOOD, POINTS_PER_SIDE = 2.5, 4
 
 # Means that differ by more than this factor, next to each other, resolve no lobe.
-STEEP = 3.0
+MAX_RESOLVED_RATIO = 3.0
 
 # A lobe is hidden in a patch that is brighter than the darkest around by this part of
-# its mean, and if so by `STEEP` times as much as this part of what is around.
-HIDDEN, ALONE = 0.1, 0.4
+# its mean, and if so by `MAX_RESOLVED_RATIO` times as much as this part of the patches
+# around it.
+MIN_PEAK, MIN_SURROUNDINGS = 0.1, 0.4
 
 # What decides where patches cannot.
-MEASURED_ANEW = (
-    "compare the specimen itself with the table, which measures at its points"
-)
+REMEDY = "compare the specimen itself with the table, which measures at its points"
 
 # Standard errors by which two means differ without being told apart.
-CHANCE = 3.0
+MAX_STD_ERRS = 3.0
 
 
 def variation_within(
@@ -66,15 +66,24 @@ def variation_within(
     mean, own = value[-1], error[-1]
     apart = np.abs(value[:-1] - mean)
     chance = np.hypot(error[:-1], own)
-    bound = np.maximum(apart - CHANCE * chance, 0).max(axis=0)
-    low, high = np.maximum(value - CHANCE * error, 0), value + CHANCE * error
-    steep = (low[:-1] > STEEP * high[-1]) | (low[-1] > STEEP * high[:-1])
+    bound = np.maximum(apart - MAX_STD_ERRS * chance, 0).max(axis=0)
+    low, high = (
+        np.maximum(value - MAX_STD_ERRS * error, 0),
+        value + MAX_STD_ERRS * error,
+    )
+    steep = (low[:-1] > MAX_RESOLVED_RATIO * high[-1]) | (
+        low[-1] > MAX_RESOLVED_RATIO * high[:-1]
+    )
     base = value.min(axis=0)
-    around_it = value[POINTS**2 : -1] - base
-    alone = (mean - base > STEEP * around_it).mean(axis=0) > ALONE
-    alone &= low[-1] - base > HIDDEN * mean
+    around_it = value[POINTS_PER_SIDE**2 : -1] - base
+    alone = (mean - base > MAX_RESOLVED_RATIO * around_it).mean(
+        axis=0
+    ) > MIN_SURROUNDINGS
+    alone &= low[-1] - base > MIN_PEAK * mean
     # what is hidden in the noise, without bias: it may be negative
-    hidden = np.where(apart > CHANCE * chance, 0.0, apart**2 - chance**2).mean(axis=0)
+    hidden = np.where(apart > MAX_STD_ERRS * chance, 0.0, apart**2 - chance**2).mean(
+        axis=0
+    )
     known = ~(beyond | alone | steep.any(axis=0))
     # a value is about half as far from the mean as that of the next patch
     return Variation(bound[known], hidden[known] / 4), known
@@ -104,7 +113,7 @@ def left_undecided(
     limit = alpha / len(p_values)
     if least < limit or bare >= limit:
         return False
-    notes.append(f"what differs may be that: {MEASURED_ANEW}")
+    notes.append(f"what differs may be that: {REMEDY}")
     return True
 
 
@@ -113,12 +122,12 @@ def _around(patches: Subdivision, patch: Integers) -> tuple[Integers, Flags]:
 
     The second half is around the pole for patches of the first ring.
     """
-    points = patches.points(POINTS)[patch]
+    points = patches.points(POINTS_PER_SIDE)[patch]
     middle = points.mean(axis=1, keepdims=True)
     center = middle.copy()
     if isinstance(patches, RingsAndSectors):
         center[patch < patches.shape[1]] = 0, 0, 1
-    each = [one + REACH * (points - one) for one in (middle, center)]
+    each = [one + NEIGHBOURHOOD * (points - one) for one in (middle, center)]
     far: Any = np.concatenate(each, axis=1)
     beyond = far[..., 2] <= 0
     far[..., 2] = np.maximum(far[..., 2], 1e-6)

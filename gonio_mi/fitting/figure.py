@@ -12,7 +12,7 @@ from ..array_types import Floats
 from ..comparison.figure import points_in_profile
 from ..errors import SettingError
 from ..files.measured_table import MeasuredTable
-from ..plots.figure import finished, new_figure
+from ..plots.figure import evenly, finished, new_figure
 from ..results.record import Record
 
 if TYPE_CHECKING:
@@ -47,14 +47,13 @@ def fit_figure(fits: Any, path: str | PathLike[str] | None = None) -> Figure:
         raise SettingError("fits must be of one record to be drawn together")
     if isinstance(record, MeasuredTable) or record.subdivision.axes is not None:
         return _points_figure(fits, path)
-    last = len(record) - 1
-    shown = np.unique(np.linspace(0, last, min(MAX_DIRECTIONS, last + 1)).round())
+    shown = evenly(len(record), MAX_DIRECTIONS)
     rows = ["brdf", *(["btdf"] if record.has_lower and record.btdf.any() else [])]
     figure = new_figure(path, figsize=(5 * len(shown) + 1, 4.2 * len(rows)))
     all_axes = figure.subplots(len(rows), len(shown), squeeze=False)
     for axes_of_row, of in zip(all_axes, rows):
-        for axes, index in zip(axes_of_row, shown.astype(int)):
-            _draw_patches(axes, fits, int(index), of)
+        for axes, index in zip(axes_of_row, shown):
+            _draw_patches(axes, fits, index, of)
         axes_of_row[0].set_ylabel(f"{of.upper()} (1/sr)")
     all_axes[0, 0].legend(frameon=False, fontsize="small")
     return finished(figure, path)
@@ -118,13 +117,12 @@ def _points_figure(fits: list[Any], path: str | PathLike[str] | None = None) -> 
     """
     points = _points(fits[0].record)
     directions = np.unique(points.incident, axis=0)
-    last = len(directions) - 1
-    shown = np.unique(np.linspace(0, last, min(MAX_DIRECTIONS, last + 1)).round())
+    shown = evenly(len(directions), MAX_DIRECTIONS)
     figure = new_figure(path, figsize=(5 * len(shown) + 1, 5.6))
     axes = figure.subplots(
         2, len(shown), squeeze=False, sharex="col", height_ratios=(3, 1)
     )
-    for (above, below), number in zip(axes.T, shown.astype(int)):
+    for (above, below), number in zip(axes.T, shown):
         _draw_points(fits, points, directions[number], above, below)
     axes[0, 0].set_ylabel("BSDF (1/sr)")
     axes[1, 0].set_ylabel("model / points - 1\n(what is beyond: not drawn)")

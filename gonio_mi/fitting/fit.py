@@ -22,15 +22,14 @@ from ..reports.page import picture_and_text
 from ..results.azimuth_symmetry import without_copies
 from ..results.record import Record
 from ..transport.kernels import launches_kernels
-from .fitted_model import FittedModel
-from .least_squares import Search
+from .least_squares import FittedModel, Search
 from .observations import Observations, RecordObservations, TableObservations
 
 __all__ = ["Fit", "fit"]
 
 # Rounds of refined nodes and weights; a round is the last that moves no parameter by
 # more than a part of its uncertainty, or of itself, which no node would notice.
-MOST_ROUNDS, SETTLED, NEAR = 8, 0.02, 1e-3
+MAX_ROUNDS, MAX_MOVE_STD_ERRS, MAX_REL_MOVE = 8, 0.02, 1e-3
 
 
 @launches_kernels()
@@ -129,13 +128,16 @@ def _found(search: Search) -> tuple[Floats, Floats]:
     """Values of the parameters, and their covariance."""
     values = search.begin()
     _check_number(search.observations, search.model)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         search.adapt(values)
         before, values = values, search.minimum(values)
         covariance = search.covariance(values)
         moved = np.abs(values - before)
         noise = np.nan_to_num(np.sqrt(np.diag(covariance)))
-        if np.all(moved <= np.maximum(SETTLED * noise, NEAR * np.abs(values))):
+        if np.all(
+            moved
+            <= np.maximum(MAX_MOVE_STD_ERRS * noise, MAX_REL_MOVE * np.abs(values))
+        ):
             break
     return values, covariance
 
@@ -220,7 +222,7 @@ def _check(record: Record) -> None:
 
 # Chi-square per degree of freedom beyond which noise does not explain what is left; and
 # the relative distance of points from the model that may be noise of an instrument.
-MISFIT, FOLLOWED = 1.5, 0.1
+MAX_REDUCED_CHI2, MAX_SCATTER = 1.5, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -382,12 +384,12 @@ class Fit:
             line += "  (at its limit)" if name in self.at_limit else ""
             lines.append(line)
         lines.append(f"  {self._residual}")
-        if self.scatter is None and self.reduced_chi2 > MISFIT:
+        if self.scatter is None and self.reduced_chi2 > MAX_REDUCED_CHI2:
             lines.append(
                 "  the model does not follow the record within its noise, which is all "
                 "that +- stands for"
             )
-        if self.scatter is not None and self.scatter > FOLLOWED:
+        if self.scatter is not None and self.scatter > MAX_SCATTER:
             lines.append("  the model does not follow the table: +- says little")
         return "\n".join(lines)
 

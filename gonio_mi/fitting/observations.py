@@ -18,7 +18,7 @@ __all__ = ["Observations", "RecordObservations", "TableObservations", "pooled"]
 
 # Relative error of the integrals of a model, in no error bar of a record of integrals;
 # and the part of the mean below which values are uncertain alike.
-RELATIVE_FLOOR, FAINT = 1e-4, 0.01
+MODEL_REL_ERR, MIN_RELATIVE_VALUE = 1e-4, 0.01
 
 
 class Observations(Protocol):
@@ -85,7 +85,7 @@ class RecordObservations:
         """Those of the record, shared among detectors that are alike."""
         found = self._std_errs() ** 2
         if self._batches() is None:
-            return found + (RELATIVE_FLOOR * (self.values + self.values.mean())) ** 2
+            return found + (MODEL_REL_ERR * (self.values + self.values.mean())) ** 2
         (tally,) = self.single.tallies
         channels = len(self.single.channels)
         hits = self._kept(np.repeat(tally.hits[..., None], channels, axis=-1))
@@ -185,7 +185,9 @@ class TableObservations:
                 f"({self.table.quantity}), got none"
             )
         if not self.stated:
-            return (np.abs(predicted) + FAINT * np.abs(predicted).mean()) ** 2
+            return (
+                np.abs(predicted) + MIN_RELATIVE_VALUE * np.abs(predicted).mean()
+            ) ** 2
         # a part of what is predicted: a part of a value that noise made small would
         # give it too much weight
         relative = self.table.uncertainty
@@ -195,7 +197,7 @@ class TableObservations:
             dof = max(self.table.degrees_of_freedom, 3.0)
             found = found * dof / (dof - 2)
         found = np.maximum(found, 0) + (relative * predicted) ** 2
-        return found + (RELATIVE_FLOOR * (np.abs(self.values).mean())) ** 2
+        return found + (MODEL_REL_ERR * (np.abs(self.values).mean())) ** 2
 
     def misfit(self, predicted: Floats) -> float:
         """Chi-square; without variances, of distances relative to both values.
@@ -283,7 +285,7 @@ def _predictions(single: Record) -> list[PatchPredictions] | list[ConePrediction
 
 
 # Patches that share a variance, and the hits that they must have together.
-LEAST_PATCHES, LEAST_HITS = 16, 100
+MIN_POOLED_PATCHES, MIN_POOLED_HITS = 16, 100
 
 
 def pooled(variances: Floats, hits: Integers, brightness: Floats) -> Floats:
@@ -306,11 +308,11 @@ def pooled(variances: Floats, hits: Integers, brightness: Floats) -> Floats:
     order = np.argsort(brightness, kind="stable")
     starts, patches, total = [0], 0, 0
     for i, n in enumerate(hits[order].tolist()):
-        if patches >= LEAST_PATCHES and total >= LEAST_HITS:
+        if patches >= MIN_POOLED_PATCHES and total >= MIN_POOLED_HITS:
             starts.append(i)
             patches = total = 0
         patches, total = patches + 1, total + n
-    if len(starts) > 1 and (patches < LEAST_PATCHES or total < LEAST_HITS):
+    if len(starts) > 1 and (patches < MIN_POOLED_PATCHES or total < MIN_POOLED_HITS):
         starts.pop()
     sizes = np.diff([*starts, len(order)])
     means = np.add.reduceat(variances[order], starts) / sizes

@@ -11,6 +11,8 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..errors import PackageError
 from ..files import check_output, replacing
 
@@ -23,6 +25,7 @@ __all__ = [
     "new_figure",
     "check_matplotlib",
     "check_picture",
+    "evenly",
     "finished",
     "set_title",
 ]
@@ -32,6 +35,11 @@ TITLE_WIDTH = 0.97
 
 FIGURE_ENDINGS = (".pdf", ".png", ".svg")
 ANIMATION_ENDINGS = (".gif",)
+
+
+def evenly(n: int, most: int) -> list[int]:
+    """Up to `most` numbers below `n`, evenly spaced."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(int)).tolist()
 
 
 def check_matplotlib() -> None:

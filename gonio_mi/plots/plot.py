@@ -21,6 +21,7 @@ from ..results.tally import sent_text, without_chance
 from .figure import (
     ANIMATION_ENDINGS,
     check_matplotlib,
+    evenly,
     finished,
     new_figure,
     set_title,
@@ -33,14 +34,14 @@ if TYPE_CHECKING:
 __all__ = ["animation", "plot", "sheet"]
 
 MAX_TITLE = 80
-WORDS = ("estimator", "sampler")
+METHOD_SETTINGS = ("estimator", "sampler")
 # Settings that are said where they are not the default.
 DEFAULTS = {"period": "none", "order": "all"}
 # Maps that a sheet has room for, and frames that make an animation long enough.
-MOST_MAPS, MOST_FRAMES = 24, 60
+MAX_MAPS, MAX_FRAMES = 24, 60
 FRAMES_PER_SECOND = 4
 # Inches at the right of a frame for the colour bar with its numbers and its name.
-BAR = 1.1
+BAR_WIDTH = 1.1
 NAMES = {"brdf": "Reflection", "btdf": "Transmission"}
 GRID = "circles: θₒ = 30°, 60°; φₒ = 0° to the right"
 
@@ -110,7 +111,9 @@ def _title(record: Record, index: int) -> str:
         direction += f" ({index + 1} of {len(record)} directions)"
     facts = [direction, "back side" if record.asked.side == "back" else ""]
     rays = [sent_text(single.tallies)]
-    words = WORDS if single.ledger.emitted else WORDS[:1]  # integrals draw no samples
+    words = (
+        METHOD_SETTINGS if single.ledger.emitted else METHOD_SETTINGS[:1]
+    )  # integrals draw no samples
     rays += [f"{settings[key]} {key}" for key in words if key in settings]
     rays += [
         f"{key} {settings[key]}"
@@ -166,7 +169,7 @@ def sheet(record: Record, path: str | PathLike[str] | None = None) -> Figure:
     Returns the matplotlib figure, and raises as :func:`gonio_mi.plot`.
     """
     quantities = _received(record)
-    shown = _evenly(record, MOST_MAPS // len(quantities))
+    shown = evenly(len(record), MAX_MAPS // len(quantities))
     columns = min(len(shown), 6)
     rows = math.ceil(len(shown) / columns)
     size = 2.1 * columns + 1.2, 2.3 * rows * len(quantities) + 0.8
@@ -210,7 +213,7 @@ def animation(
     check_output(path, ANIMATION_ENDINGS)
     from PIL import Image  # matplotlib brings it
 
-    shown = _evenly(record, MOST_FRAMES)
+    shown = evenly(len(record), MAX_FRAMES)
     scales = {of: _common_scale(record, of) for of in _received(record)}
     images = []
     with bar(progress, total=len(shown), desc="animation", unit="frame") as report:
@@ -246,7 +249,7 @@ def _frame(record: Record, number: int, scales: dict[str, Any], n_shown: int) ->
         axes.set_title(NAMES[of], fontsize="small")
     title = f"{_title_of_stack(record, n_shown)}\n{_direction(record, number)}"
     set_title(figure, title, "small")
-    right = 1 - BAR / width
+    right = 1 - BAR_WIDTH / width
     figure.subplots_adjust(left=0.02, right=right, top=0.82, bottom=0.03, wspace=0.5)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3]
@@ -255,12 +258,6 @@ def _frame(record: Record, number: int, scales: dict[str, Any], n_shown: int) ->
 def _received(record: Record) -> list[str]:
     """The quantities that are worth a map."""
     return ["brdf"] if record.btdf is None or not record.btdf.any() else list(NAMES)
-
-
-def _evenly(record: Record, most: int) -> list[int]:
-    """Numbers of at most that many directions, evenly among those of the stack."""
-    n = min(len(record), most)
-    return np.unique(np.linspace(0, len(record) - 1, n).round().astype(int)).tolist()
 
 
 def _common_scale(record: Record, of: str) -> Any:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..collector import RingsAndSectors
 from ..results.record import Record
-from .profile import ON_BORDER, drawn_in_rings, sectors_beside
+from .profile import BORDER_TOLERANCE, drawn_in_rings, sectors_beside
 
 __all__ = [
     "add_bar",
@@ -26,11 +26,11 @@ __all__ = [
 
 # More than this between largest and smallest value, or the first between largest and
 # median, and the scale is logarithmic.
-WIDE_RANGE, FAR_ABOVE = 100, 20
+MIN_LOG_RANGE, MIN_LOG_PEAK = 100, 20
 # What is this much darker than the brightest patch has the darkest colour.
-DEEPEST = 1e-6
+MIN_RELATIVE_VALUE = 1e-6
 # Degrees of azimuth in which the edge of a patch is drawn as a straight line.
-STRAIGHT = 1
+MAX_CHORD_DEG = 1
 NO_HIT = "0.8"
 # Half the width of a map, in that of its circle: marks at the horizon are not cut.
 HALF_WIDTH = 1.08
@@ -99,8 +99,8 @@ def scale_of(values: NDArray[np.float64]) -> colors.Normalize:
     if positive.size == 0:
         return colors.Normalize(0, 1)
     low, high = positive.min(), positive.max()
-    if high > WIDE_RANGE * low or high > FAR_ABOVE * np.median(positive):
-        return colors.LogNorm(max(low, DEEPEST * high), high, clip=True)
+    if high > MIN_LOG_RANGE * low or high > MIN_LOG_PEAK * np.median(positive):
+        return colors.LogNorm(max(low, MIN_RELATIVE_VALUE * high), high, clip=True)
     return colors.Normalize(0, high)
 
 
@@ -112,7 +112,7 @@ def draw_patches(
     `note` follows the name of the mirror direction, or of that straight through.
     """
     patches, values = shown_values(single, of)
-    pieces = math.ceil(360 / patches.n_phi / STRAIGHT)
+    pieces = math.ceil(360 / patches.n_phi / MAX_CHORD_DEG)
     steps = np.arange(patches.n_phi * pieces + 1) / pieces
     phi = np.interp(steps, np.arange(patches.n_phi + 1), patches.phi_edges)
     radius = np.sin(patches.theta_edges)[:, None]
@@ -182,7 +182,7 @@ def _on_border(single: Record) -> bool:
     if not isinstance(patches, RingsAndSectors) or np.isnan(theta):
         return False
     rings = np.abs(np.asarray(patches.theta_edges)[1:-1] - theta)
-    on_ring = rings.min(initial=np.inf) < ON_BORDER
+    on_ring = rings.min(initial=np.inf) < BORDER_TOLERANCE
     return bool(theta > 0 and (on_ring or sectors_beside(single)))
 
 

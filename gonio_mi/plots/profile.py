@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LEVEL",
-    "ON_BORDER",
+    "BORDER_TOLERANCE",
     "Profile",
     "bars_text",
     "draw_profiles",
@@ -37,20 +37,20 @@ MAX_POINTS = 200
 # Directions of a stack that still make a readable profile.
 MAX_CURVES = 8
 # More than this between largest and smallest value, and the axis is logarithmic.
-WIDE_RANGE = 100
+MIN_LOG_RANGE = 100
 # A logarithmic axis begins no deeper than this below the largest value.
-DEEPEST = 1e-9
+MIN_RELATIVE_VALUE = 1e-9
 # Less than this, and it does not begin at zero.
-NARROW_RANGE = 1.5
+MIN_ZERO_RANGE = 1.5
 # What belongs to no curve alone.
 GREY = "0.4"
 # Part of the values that the axis spans at least: less is rounding.
-LEAST_RANGE = 0.01
+MIN_RANGE = 0.01
 # Steps in degrees of the rings and sectors that stand for other patches.
-FINE = 1
+FINE_STEP_DEG = 1
 
 # Radians within which a direction is on a border of patches: those of 2^-20.
-ON_BORDER = 1e-6
+BORDER_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -230,15 +230,15 @@ def _scale(
     if positive.size == 0:
         return
     low, high = positive.min(), positive.max()
-    if high > WIDE_RANGE * low:
+    if high > MIN_LOG_RANGE * low:
         axes.set_yscale("log", nonpositive="clip")
         least = min(low, limits[limits > 0].min(initial=low))
-        axes.set_ylim(max(least / 3, DEEPEST * high), None)
-    elif high > NARROW_RANGE * low:
+        axes.set_ylim(max(least / 3, MIN_RELATIVE_VALUE * high), None)
+    elif high > MIN_ZERO_RANGE * low:
         axes.set_ylim(0, None)
     else:
         below, above = axes.get_ylim()
-        margin = LEAST_RANGE * high / 2
+        margin = MIN_RANGE * high / 2
         axes.set_ylim(min(below, low - margin), max(above, high + margin))
 
 
@@ -294,7 +294,7 @@ def sectors_beside(single: Record) -> list[tuple[float, float]]:
     edges, found = patches.phi_edges, []
     for azimuth in (phi % (2 * np.pi), (phi + np.pi) % (2 * np.pi)):
         away = np.abs(edges - azimuth)
-        if away.min() > ON_BORDER:
+        if away.min() > BORDER_TOLERANCE:
             return []
         first = int(np.argmin(away)) % patches.n_phi
         begin, end = np.degrees(edges[first : first + 2])
@@ -316,7 +316,10 @@ def drawn_in_rings(
     """
     if not isinstance(patches, (Apertures, ShirleyChiu)):
         return patches.in_rings(values)
-    theta, phi = (tuple(map(float, range(0, end + FINE, FINE))) for end in (90, 360))
+    theta, phi = (
+        tuple(map(float, range(0, end + FINE_STEP_DEG, FINE_STEP_DEG)))
+        for end in (90, 360)
+    )
     fine = Borders(theta, phi)
     index = patches.patch(direction(*fine.middles))
     flat = values.reshape(*values.shape[:-3], -1, values.shape[-1])[..., index, :]

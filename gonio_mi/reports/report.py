@@ -19,6 +19,7 @@ from ..collector import Subdivision
 from ..collector.directions import direction
 from ..errors import LABEL, PackageError, SettingError, SettingTypeError, abridged_apart
 from ..plots import plot, sheet
+from ..plots.figure import evenly
 from ..progress import bar
 from ..results.record import Record
 from ..results.summary import Summary, grouped, summarize
@@ -29,17 +30,17 @@ __all__ = ["check_report", "names_apart", "notebook_view", "packed_record", "rep
 
 # Patch values of one record, over all directions, hemispheres and channels, that a
 # browser still shows with ease: 1000 directions of two hemispheres of 30x90 patches.
-MOST_VALUES = 1000 * 2 * 30 * 90
+MAX_VALUES = 1000 * 2 * 30 * 90
 
 # Directions in polar angle and in azimuth at which the page knows the patch.
 RASTER = 720, 720
 
 # Bits of the mantissa of an uncertainty that are kept: 1e-4 of it.
-UNCERTAIN_BITS = 12
+MANTISSA_BITS = 12
 
 
 # Settings that tell records of one specimen apart in their names, first to last.
-TELLING = (
+DISTINGUISHING_SETTINGS = (
     *("order", "period", "side", "footprint", "divergence", "incident", "emission"),
     *("emitter", "collector_radius", "max_depth", "max_scatterings", "variant"),
     *("estimator", "sampler", "points", "rays", "batches", "seed"),
@@ -162,7 +163,10 @@ def names_apart(records: Sequence[Record]) -> list[str]:
     names = abridged_apart(specimens, LABEL)
     texts: list[list[str]] = [[f"collector {one.subdivision}"] for one in records]
     for text, one in zip(texts, records):
-        text += (f"{key} {one.settings.get(key, 'unknown')}" for key in TELLING)
+        text += (
+            f"{key} {one.settings.get(key, 'unknown')}"
+            for key in DISTINGUISHING_SETTINGS
+        )
     for column in zip(*texts):
         said = {*zip(names, column)}
         unlike = {name for name in names if sum(n == name for n, _ in said) > 1}
@@ -184,7 +188,7 @@ def packed_record(
     patch means in 1/sr, standard errors, distances from the mean to the lower and
     upper end of the 95 % interval, each float32 of the shape ``(hemispheres, patches,
     channels)``, and the rays per patch, uint32 of ``(hemispheres, patches)``. Of more
-    than `MOST_VALUES` values evenly chosen directions are kept, and ``notes`` says so.
+    than `MAX_VALUES` values evenly chosen directions are kept, and ``notes`` says so.
     `report` is told of each direction that is packed.
     """
     patches = record.subdivision
@@ -225,13 +229,13 @@ def _kept(record: Record) -> list[int]:
     n_all = len(record)
     hemispheres = 2 if record.has_lower else 1
     each = hemispheres * record.subdivision.n_patches * len(record.channels)
-    n = min(n_all, max(1, MOST_VALUES // each))
-    return np.unique(np.linspace(0, n_all - 1, n).round().astype(int)).tolist()
+    return evenly(n_all, max(1, MAX_VALUES // each))
 
 
 def _left_out(n: int, n_all: int) -> list[str]:
-    text = f"This page has {n} of the record's {n_all} incident directions, evenly."
-    return [text] * (n < n_all)
+    if n == n_all:
+        return []
+    return [f"This page has {n} of the record's {n_all} incident directions, evenly."]
 
 
 def _direction(summary: Summary, index: int) -> dict[str, Any]:
@@ -295,9 +299,9 @@ def _block(single: Record) -> str:
 
 
 def _rounded(values: Floats) -> NDArray[np.float32]:
-    """Numbers of `UNCERTAIN_BITS` bits, which deflate well; NaN where not finite."""
+    """Numbers of `MANTISSA_BITS` bits, which deflate well; NaN where not finite."""
     mantissa, exponent = np.frexp(values)
-    mantissa = np.round(mantissa * 2**UNCERTAIN_BITS) / 2**UNCERTAIN_BITS
+    mantissa = np.round(mantissa * 2**MANTISSA_BITS) / 2**MANTISSA_BITS
     return np.where(np.isfinite(values), np.ldexp(mantissa, exponent), np.nan).astype(
         "<f4"
     )

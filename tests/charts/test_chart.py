@@ -184,7 +184,7 @@ def short(monkeypatch):
 
     References are as long on any machine, by a clock that is looked at each 0.04 s.
     """
-    monkeypatch.setattr(charting, "MOST_RAYS", 2**16)
+    monkeypatch.setattr(charting, "MAX_RAYS", 2**16)
     looks = (0.04 * n for n in count())
     clock = SimpleNamespace(
         perf_counter=lambda: next(looks), process_time=time.process_time
@@ -368,7 +368,7 @@ def test_a_wrong_reference_is_noticed(monkeypatch):
         return pilot, found, integrates
 
     monkeypatch.setattr(charting, "find_reference", wrong)
-    monkeypatch.setattr(charting, "MOST_RAYS", 2**20)
+    monkeypatch.setattr(charting, "MAX_RAYS", 2**20)
     settings = {"estimators": ["weighted"], "samplers": ["sobol"], "seconds": 600}
     with pytest.warns(RuntimeWarning, match="off the reference by 0.03"):
         charting.chart(DIFFUSE, 30, **settings)

@@ -91,7 +91,7 @@ def test_a_lobe_on_a_diffuse_ground_may_hide_about_the_pole(monkeypatch):
     table = MeasuredTable(0 * theta_o, 0 * theta_o, theta_o, phi_o, values)
     with pytest.raises(ValueError, match="too coarse for 56 of 56"):
         compare(record, table, alpha=budget.ALPHA)
-    monkeypatch.setattr(patch_variation, "HIDDEN", np.inf)
+    monkeypatch.setattr(patch_variation, "MIN_PEAK", np.inf)
     assert compare(record, table, alpha=budget.ALPHA).verdict == "differ"
 
 

@@ -14,8 +14,7 @@ from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SettingError, SpecimenError
 from gonio_mi.files.measured_table import MeasuredTable
 from gonio_mi.fitting.figure import fit_figure
-from gonio_mi.fitting.fitted_model import FREE, FittedModel, LoadedModel
-from gonio_mi.fitting.least_squares import STEP
+from gonio_mi.fitting.least_squares import FREE, REL_STEP, FittedModel, LoadedModel
 from gonio_mi.fitting.observations import pooled
 from gonio_mi.fitting.predictions import REL_ERR
 from gonio_mi.instrument.specimen_text import parse_specimen
@@ -185,7 +184,7 @@ def test_uncertainties_of_few_repetitions_are_larger():
         for n in (5, None)
     )
     floor = 1e-4 * table.value.mean() / (0.05 * exact.value.min())
-    rounding = np.finfo(np.float32).eps / STEP + floor**2
+    rounding = np.finfo(np.float32).eps / REL_STEP + floor**2
     assert np.isclose(few.chi2, many.chi2 * 3 / 5, rtol=rounding)
     assert np.allclose(few.std_errs, many.std_errs * (5 / 3) ** 0.5, rtol=rounding)
 
@@ -226,7 +225,7 @@ def test_a_common_factor_makes_a_reflectance_uncertain():
         for scale in (0.0, 0.1)
     ]
     without, with_ = (one.std_errs for one in known)
-    derivatives = np.finfo(np.float32).eps / STEP
+    derivatives = np.finfo(np.float32).eps / REL_STEP
     assert np.isclose(with_[0], without[0], rtol=derivatives)
     assert np.isclose(with_[1], np.hypot(without[1], 0.08), rtol=derivatives)
     assert without[1] < 0.08 / 10, "twin: without the factor it is far more certain"

@@ -10,7 +10,7 @@ import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.errors import SettingError
 from gonio_mi.plots import animation, sheet
-from gonio_mi.plots.plot import MOST_MAPS
+from gonio_mi.plots.plot import MAX_MAPS
 
 pytest.importorskip("matplotlib")
 
@@ -108,11 +108,9 @@ def test_marks_at_the_horizon_are_within_a_sheet():
 
 
 def test_large_sheet_is_thinned_and_says_so():
-    figure = sheet(stack(MOST_MAPS + 5))
-    assert len(meshes(figure)) == MOST_MAPS
-    assert (
-        f"{MOST_MAPS} of {MOST_MAPS + 5} incident directions" in figure.get_suptitle()
-    )
+    figure = sheet(stack(MAX_MAPS + 5))
+    assert len(meshes(figure)) == MAX_MAPS
+    assert f"{MAX_MAPS} of {MAX_MAPS + 5} incident directions" in figure.get_suptitle()
 
 
 def test_animation_has_a_frame_for_each_direction(tmp_path):

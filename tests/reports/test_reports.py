@@ -76,7 +76,7 @@ def test_raster_knows_the_patch_of_a_direction(collector):
 def test_large_records_are_thinned_and_say_so(monkeypatch):
     record = synthetic.record(theta_i=(0, 10, 20, 30, 40), phi_i=(0,) * 5)
     assert "of the record's" not in str(packed_record(record)["notes"])
-    monkeypatch.setattr(sys.modules[report.__module__], "MOST_VALUES", 3 * 48)
+    monkeypatch.setattr(sys.modules[report.__module__], "MAX_VALUES", 3 * 48)
     packed = packed_record(record)
     assert [d["theta_i"] for d in packed["directions"]] == [0, 20, 40]
     assert "3 of the record's 5 incident directions" in packed["notes"][0]
