@@ -353,7 +353,7 @@ def test_command_fits_a_table(tmp_path, capsys):
     out, err = capsys.readouterr()
     assert json.loads(out)[0]["scatter"] is None
     assert json.loads(out)[0]["bsdf"]["type"] == "diffuse"
-    assert "taken for brdf" in err
+    assert "the values are brdf, as specified" in err
 
 
 def test_colours_have_a_value_in_each_channel(rgb):  # noqa: ARG001
