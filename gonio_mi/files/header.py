@@ -16,7 +16,6 @@ from ..results.tally import Fate, Integrals, Tally
 from .checks import require
 
 __all__ = [
-    "FORMAT",
     "MAX_EXPANSION",
     "VERSION",
     "VERSION_OF_COPIES",

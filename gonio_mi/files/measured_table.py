@@ -27,8 +27,6 @@ __all__ = [
     "COLUMNS",
     "NUMBERS",
     "QUANTITIES",
-    "TEXTS",
-    "UNITS",
     "MeasuredTable",
     "fits",
     "parsed_keys",

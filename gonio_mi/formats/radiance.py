@@ -36,7 +36,6 @@ __all__ = [
     "XYZ",
     "Product",
     "RadianceBSDF",
-    "basis_of",
     "has_back",
     "incident_patch",
     "matrices",

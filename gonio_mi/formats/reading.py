@@ -235,17 +235,6 @@ def read_measured(
         If it is not such a table: one sentence with the file, the line, the column and
         the value.
     """
-    return repeats_noted(_read(path, channel, quantity, columns, azimuth))
-
-
-def _read(
-    path: str | PathLike[str],
-    channel: str | None,
-    quantity: str | None,
-    columns: Mapping[str, str] | None,
-    azimuth: str | None,
-) -> MeasuredTable:
-    """Table of a file of any kind."""
     if Path(path).suffix.lower() in endings_of("material"):
         raise FileFormatError(
             f"{path} is no table of values: measure it as a material, "
@@ -253,7 +242,7 @@ def _read(
         )
     known = format_of(path)
     if known is None:
-        return read_text(path, channel, quantity, columns, azimuth)
+        return repeats_noted(read_text(path, channel, quantity, columns, azimuth))
     if known.refused:
         raise FileFormatError(f"{path}: {known.refused.format(path=path)}")
     if columns is not None or azimuth is not None:
@@ -264,27 +253,33 @@ def _read(
         held = "brdf" if known.reflection_only else "brdf or btdf"
         raise SettingError(f"{path} holds {held}, got the quantity {shown(quantity)}")
     points, quantity = _points(known, path, quantity)
+    return repeats_noted(_table(points, path, channel, quantity))
+
+
+def _table(
+    points: Points, path: str | PathLike[str], channel: str | None, quantity: str
+) -> MeasuredTable:
+    """Values of one channel as a table."""
     channel = chosen_channel(path, points.channels, channel)
     values = points.values[:, points.channels.index(channel)]
     known_values = ~(np.isnan(values) & points.partial)
     several = len(points.channels) > 1 or channel.endswith("nm")
-    with _named(path):
-        try:
-            theta_i, phi_i, theta_o, phi_o = points.angles[known_values].T
-            return MeasuredTable(
-                theta_i,
-                phi_i,
-                theta_o,
-                phi_o,
-                values[known_values],
-                quantity=quantity,
-                channel=channel if several else None,
-                header=points.header,
-                name=str(path),
-                notes=points.notes,
-            )
-        except ValueError as error:
-            raise FileFormatError(str(error)) from None
+    theta_i, phi_i, theta_o, phi_o = points.angles[known_values].T
+    try:
+        return MeasuredTable(
+            theta_i,
+            phi_i,
+            theta_o,
+            phi_o,
+            values[known_values],
+            quantity=quantity,
+            channel=channel if several else None,
+            header=points.header,
+            name=str(path),
+            notes=points.notes,
+        )
+    except ValueError as error:
+        raise FileFormatError(f"{path}: {error}") from None
 
 
 def _points(

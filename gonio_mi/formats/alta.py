@@ -1,4 +1,4 @@
-"""Formats that are known by sight, and that nothing here reads."""
+"""Data files of ALTA, which are recognised and refused."""
 
 import re
 
