@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import SettingError, checked_number
 from .directions import direction
-from .hemisphere import EDGE, RingsAndSectors, Subdivision
+from .hemisphere import EDGE, Subdivision
 
 # The search grid has at most this many cells per side.
 MAX_CELLS = 1024
@@ -94,15 +94,6 @@ class Apertures(Subdivision):
     def aperture_half_angle(self) -> float:
         """In degrees."""
         return self.half_angle
-
-    def in_rings(
-        self,
-        values: NDArray[Any],  # noqa: ARG002
-    ) -> tuple[RingsAndSectors, NDArray[Any]]:
-        """Raise ValueError: apertures are not in rings."""
-        raise SettingError(
-            "a collector of apertures has no rings and sectors: use gonio-mi compare"
-        )
 
     @property
     def middles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

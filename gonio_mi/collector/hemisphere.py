@@ -92,13 +92,18 @@ class Subdivision(ABC):
         """
 
     @property
-    @abstractmethod
     def cells(self) -> NDArray[np.float64]:
         """Edges of each patch in radians, shape ``(n_patches, 4)``.
 
         Columns: lower and upper polar angle, lower and upper azimuth, both about the
         patch's own pole in `axes`.
+
+        Raises
+        ------
+        ValueError
+            If the patches are no parts of rings.
         """
+        raise SettingError(f"{self!s:.40} has no rings and sectors")
 
     @property
     def axes(self) -> NDArray[np.float64] | None:
@@ -120,8 +125,10 @@ class Subdivision(ABC):
             Components of unit vectors, z > 0.
         """
 
-    @abstractmethod
-    def in_rings(self, values: NDArray[Any]) -> tuple["RingsAndSectors", NDArray[Any]]:
+    def in_rings(
+        self,
+        values: NDArray[Any],  # noqa: ARG002
+    ) -> tuple["RingsAndSectors", NDArray[Any]]:
         """Rings and sectors to draw or to tabulate instead, and `values` in them.
 
         Each ring and sector lies within one patch.
@@ -136,6 +143,9 @@ class Subdivision(ABC):
         ValueError
             If the patches are not made of rings and sectors.
         """
+        raise SettingError(
+            f"{self!s:.40} has no rings and sectors: gonio-mi compare takes any patches"
+        )
 
     def patch(self, v: ArrayLike) -> NDArray[np.int64]:
         """Number of the patch that each direction hits, row by row of the map.

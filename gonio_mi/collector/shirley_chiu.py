@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..array_types import Floats
 from ..errors import SettingError, checked_count
-from .hemisphere import EDGE, RingsAndSectors, Subdivision
+from .hemisphere import EDGE, Subdivision
 
 # Finer ones are no use to anybody, and indices are whole numbers in single precision.
 MAX_SIZE = 1024
@@ -84,11 +84,6 @@ class ShirleyChiu(Subdivision):
         x, y, z = np.moveaxis(self.points(1)[:, 0].reshape(*self.shape, 3), -1, 0)
         return np.arctan2(np.hypot(x, y), z), np.arctan2(y, x) % (2 * np.pi)
 
-    @property
-    def cells(self) -> NDArray[np.float64]:
-        """Raise ValueError: these cells are no parts of rings."""
-        raise SettingError(f"the patches must be rings and sectors, got {self}")
-
     def points(
         self, n: int, chosen: NDArray[np.int64] | None = None
     ) -> NDArray[np.float64]:
@@ -135,11 +130,6 @@ class ShirleyChiu(Subdivision):
         x, y = xp.where(along_x, main, other), xp.where(along_x, other, main)
         x, y = xp.where(a < 0, -x, x), xp.where(b < 0, -y, y)
         return x, y, xp.sqrt((1 - radius) * (1 + radius))
-
-    def in_rings(self, values: NDArray[Any]) -> tuple[RingsAndSectors, NDArray[Any]]:
-        """Raise ValueError: these cells are no parts of rings."""
-        del values
-        raise SettingError(f"the patches must be rings and sectors, got {self}")
 
 
 def directions_of(square: ArrayLike) -> Floats:

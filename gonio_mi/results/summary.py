@@ -304,8 +304,9 @@ def lost_light(record: Record) -> list[str]:
     Beside that which a BSDF or a medium has lost by a mistake.
     """
     ledger = record.ledger
-    if not (ledger.truncated or ledger.sideways or ledger.missed):
-        return []
+    stray = ledger.sideways + ledger.missed
+    if not ledger.truncated and stray <= MAX_STRAY * ledger.emitted:
+        return []  # without looking for the statistical error
     return _lost_light(record, [_direction(record[i]) for i in range(len(record))])
 
 

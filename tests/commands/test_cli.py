@@ -1160,4 +1160,4 @@ def test_what_the_scenes_emitter_decides_is_refused(run, option):
     code, _, err = run("measure", scene, *option)
     assert code == 1
     name = option[0].removeprefix("--").replace("-", "_")
-    assert err.startswith(f"gonio-mi: {name} goes with theta_i: ")
+    assert err.startswith(f"gonio-mi: {name} requires theta_i, ")

@@ -406,9 +406,11 @@ def test_round_trips_lose_what_is_stated(monkeypatch):
         assert own[:2] == (".npz", [])
         assert zemax[0] == ".zemax.bsdf"
         for found, passes in ((own[2], agree), (zemax[2], disagree)):
-            t = [one.light / one.std_err for one in found]
+            t = [one.total_variation / one.std_err for one in found]
             passes(verdict(normal_scores(t, 15)))  # of 16 batches
-        unsaid.append([one.light - said for one, said in zip(zemax[2], zemax[1])])
+        unsaid.append(
+            [one.total_variation - said for one, said in zip(zemax[2], zemax[1])]
+        )
     coarse, fine = np.abs(unsaid).mean(axis=1)
     assert fine < coarse / 2
 

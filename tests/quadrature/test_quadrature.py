@@ -4,6 +4,8 @@ What is compared with sampled rays shares the suite's budget of false alarms (`b
 all else is exact, rounding, or within the errors that the two sides state.
 """
 
+import importlib
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -309,7 +311,8 @@ def test_no_such_precision():
 
 @pytest.mark.usefixtures("mono")
 def test_what_does_not_converge_is_refused(monkeypatch):
-    monkeypatch.setattr("gonio_mi.quadrature.integrate.MAX_EVALUATIONS", 10**3)
+    module = importlib.import_module("gonio_mi.quadrature.integrate")
+    monkeypatch.setattr(module, "MAX_EVALUATIONS", 10**3)
     with pytest.raises(
         gonio.SpecimenError, match=r"must converge to 1e-05, but .* gave"
     ):
