@@ -1,4 +1,4 @@
-"""What of a campaign is finished, kept in a folder."""
+"""The folder of a campaign: finished incident directions as files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the material `goniometric` makes of a record says of other directions."""
+"""Predictions of the material `goniometric` at directions that were not measured."""
 
 from __future__ import annotations
 

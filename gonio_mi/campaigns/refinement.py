@@ -1,4 +1,4 @@
-"""Which incident directions a campaign measures next: intervals, split or settled.
+"""Refinement of incident directions: intervals between them, split or settled.
 
 Polar angles first, and azimuths on the ring of each.
 """

@@ -1,4 +1,4 @@
-"""What a campaign recognises of a specimen by measuring: how it may be turned."""
+"""Recognition of a specimen's symmetry by measurement: isotropy, rotations, mirrors."""
 
 from __future__ import annotations
 

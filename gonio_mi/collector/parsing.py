@@ -1,4 +1,4 @@
-"""How a collector hemisphere is cut into patches, by name: ``projected:30x30``."""
+"""Subdivisions of the collector hemisphere by name, such as ``projected:30x30``."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""What the commands share: exit codes, options, messages, the specimen, the variant."""
+"""Arguments that commands share: exit codes, options, messages, specimen, variant."""
 
 import argparse
 import contextlib

@@ -1,4 +1,4 @@
-"""What a file is that was given to the wrong command, and which command takes it."""
+"""Kinds of files, and the command for each, named when another command got one."""
 
 from __future__ import annotations
 

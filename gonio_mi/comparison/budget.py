@@ -1,4 +1,4 @@
-"""What each point of a comparison is uncertain by, and what that comes from."""
+"""Uncertainty budget of each point of a comparison, by source."""
 
 from dataclasses import dataclass, replace
 from os import PathLike

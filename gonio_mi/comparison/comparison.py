@@ -1,4 +1,4 @@
-"""What a comparison has found: point by point, in numbers, words and a picture."""
+"""The result of a comparison: point by point, in numbers, words and a picture."""
 
 from dataclasses import dataclass
 from os import PathLike

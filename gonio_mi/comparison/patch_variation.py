@@ -1,4 +1,4 @@
-"""How far the mean over a patch may be from the value at a point of it.
+"""Bound on the difference between a patch mean and the value at a point of the patch.
 
 The patches around tell: where lobes are resolved, a value is no farther from the mean
 than the farthest mean of all patches that one of `NEIGHBOURHOOD` times the width would

@@ -1,4 +1,4 @@
-"""Light of a record in the patches of another format, without gain or loss.
+"""Flux of a record resampled to the patches of another format, without gain or loss.
 
 Between its incident directions a record is what the BSDF plugin `goniometric` makes of
 it. Values at points of the new patches find all the light of smooth lobes; what is

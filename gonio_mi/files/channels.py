@@ -1,4 +1,4 @@
-"""What the names of a record's channels say."""
+"""Meaning of a record's channel names: grey, colours, wavelengths."""
 
 import re
 from collections.abc import Sequence

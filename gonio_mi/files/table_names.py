@@ -1,4 +1,4 @@
-"""What the names that people give to the columns of a table mean: a list of aliases."""
+"""Aliases of column names in measured tables, and their meaning."""
 
 import math
 import re

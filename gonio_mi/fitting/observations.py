@@ -1,4 +1,4 @@
-"""What a fit has to explain: values of records and tables, and their uncertainties."""
+"""Observations of a fit: values of records and tables, and their uncertainties."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scattered light on grids about the normal or the specular direction.
+"""Scatter data on grids about the normal or the specular direction.
 
 Instruments and lighting programs keep it so: for each incident direction values at
 polar angles and azimuths about an axis, from which they interpolate.

@@ -1,4 +1,4 @@
-"""How far from where it entered light leaves a specimen that scatters inside."""
+"""Exit profile: flux per area over the distance from the point of entry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where light comes from: incident directions, and the emitter for each of them."""
+"""Incident directions, and the emitter for each of them."""
 
 import math
 from collections.abc import Sequence

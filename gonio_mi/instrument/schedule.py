@@ -1,4 +1,4 @@
-"""What is sent next: rounds of batches, up to a number of rays or to a precision."""
+"""Rounds of batches, up to a number of rays or to a precision: the stopping rule."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a lobe changes within patches, of which only the means are known."""
+"""Gradients of a lobe within patches, from the patch means."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""What our BSDF plugins share: functions that Mitsuba calls, and reflectances.
+"""Functions that our BSDF plugins share: those that Mitsuba calls, and reflectances.
 
 They are no base class: that would belong to one variant, and Mitsuba's classes allow
 for no second base. A plugin that reflects on its front side says how it draws a

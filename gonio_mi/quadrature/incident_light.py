@@ -1,4 +1,4 @@
-"""Light from several directions that meets one point of a surface."""
+"""Incident light from several directions at one point of a surface."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a measurement gives: tallies, estimates, statistics, records, ray density."""
+"""Results of a measurement: tallies, estimates, statistics, records, ray density."""

@@ -1,4 +1,4 @@
-"""How a campaign chose a record's incident directions, and how right its material is.
+"""Outcome of a campaign: its choice of directions, and the error of its material.
 
 A mapping in files and in ``record.settings``, elsewhere a :class:`CampaignOutcome`.
 """

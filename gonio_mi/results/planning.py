@@ -1,4 +1,4 @@
-"""How many rays a measurement needs: the paper's bounds, and what a map asks for.
+"""Numbers of rays that a measurement needs: the paper's bounds, and those of a map.
 
 The paper bounds the *absolute* error of every flux fraction by ``epsilon`` with
 probability ``1 - delta``. People want a *relative* error of every patch that matters:

@@ -1,4 +1,4 @@
-"""How precise a measurement is: its patches worth reporting, and the worst of them."""
+"""Precision of a measurement: its patches worth reporting, and the worst of them."""
 
 import numpy as np
 from numpy.typing import ArrayLike

@@ -1,4 +1,4 @@
-"""How far a prediction is from what was measured, and how much of that is noise."""
+"""Total variation distance of a prediction from a measurement, and its noise."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is declared of a setting, and how declarations become documentation."""
+"""Declarations of settings, and the documentation made of them."""
 
 from __future__ import annotations
 

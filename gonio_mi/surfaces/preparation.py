@@ -1,4 +1,4 @@
-"""What is done to measured heights before they are lit: gaps filled, form removed."""
+"""Preparation of measured heights: gaps filled, form removed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A trial of each BSDF before rays are sent: what it raises is said in a sentence.
+"""A trial of each BSDF before rays are sent: its exceptions become one sentence.
 
 In the loop that follows rays through geometry, Dr.Jit would hide the error.
 """

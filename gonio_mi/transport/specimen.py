@@ -1,4 +1,4 @@
-"""What is measured: the shapes of a scene but its emitters, and how flat they are."""
+"""The specimen: the shapes of a scene without its emitters, and whether it is flat."""
 
 from __future__ import annotations
 

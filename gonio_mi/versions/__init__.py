@@ -1,4 +1,4 @@
-"""What two installed versions of Mitsuba say of the same BSDF, function by function."""
+"""Answers of two installed versions of Mitsuba for the same BSDF, compared."""
 
 from .differing import Difference, Differences, diff
 from .saving import diff_saved, save_answers, saved

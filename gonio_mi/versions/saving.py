@@ -1,4 +1,4 @@
-"""What one version of Mitsuba says of BSDFs, in one file; two such files compared.
+"""Answers of one version of Mitsuba in a file; two such files compared.
 
 A file is JSON: a list with an entry for each BSDF, whose arrays are an ``.npz`` in
 base64. So versions need not be there at the same time, nor on the same machine.
