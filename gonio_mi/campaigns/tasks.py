@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copyreg
-import logging
 import os
 import pickle
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,8 +27,6 @@ from ..transport.digest import file_digest, plugins_digest
 from ..transport.specimen import Specimen
 
 __all__ = ["Task", "check_picklable", "run_task", "tasks_of"]
-
-logger = logging.getLogger(__name__)
 
 # Rays of one task, if there are directions enough for so many tasks: setting up a
 # specimen is worth some 1e6 rays, but what is finished is kept, and shared out among
