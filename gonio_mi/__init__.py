@@ -8,9 +8,9 @@ variant. What it offers is imported when it is first used.
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from . import interrupts
+from . import start_up
 
-interrupts.start_up()
+start_up.begin()
 
 from . import llvm  # noqa: E402
 

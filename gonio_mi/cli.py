@@ -19,10 +19,10 @@ from argparse import Namespace
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from . import start_up
 from .commands.arguments import INCOMPLETE, PROGRAM, USER_ERROR, say, sentence
 from .commands.parser import Parser
 from .errors import SettingError, is_the_users, own_frame
-from .interrupts import end_start_up
 
 __all__ = ["COMMANDS", "main", "parser"]
 
@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = None
         try:
             options = parser(_command_of(arguments)).parse_args(arguments)
-            end_start_up()
+            start_up.end()
             return options.run(options)
         except KeyboardInterrupt:
             say("interrupted: nothing was finished, nothing is kept")

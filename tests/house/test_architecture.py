@@ -16,7 +16,7 @@ PACKAGE = Path(__file__).parents[2] / "gonio_mi"
 ROOMS = (
     "array_types",
     "errors",
-    "interrupts",
+    "start_up",
     "llvm",
     "progress",
     "properties",

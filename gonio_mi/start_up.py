@@ -4,13 +4,13 @@ import os
 import signal
 import sys
 
-__all__ = ["end_start_up", "start_up"]
+__all__ = ["begin", "end"]
 
 PROGRAM = "gonio-mi"
 INTERRUPTED = 130  # as shells count: 128 and the number of SIGINT
 
 
-def start_up() -> None:
+def begin() -> None:
     """Let Ctrl-C end the process while it imports, if it is that of the program."""
     program = os.path.basename(getattr(sys, "argv", [""])[0])
     python_answers = signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -18,7 +18,7 @@ def start_up() -> None:
         signal.signal(signal.SIGINT, _leave)
 
 
-def end_start_up() -> None:
+def end() -> None:
     """Let Ctrl-C raise KeyboardInterrupt again."""
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, signal.default_int_handler)
