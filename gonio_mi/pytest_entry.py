@@ -58,13 +58,14 @@ class Validation(pytest.Item):
 
     def runtest(self) -> None:
         """Validate as the command does; paths are relative to pytest's root."""
-        from gonio_mi.commands.validate import examined
+        from gonio_mi.commands.validate import examined, told
 
         with _inside(self.config.rootpath):
             verdicts = examined(shlex.split(self.name))
         failed = [one for one in verdicts if not one.passed]
         if failed:
-            raise AssertionError("\n".join([failed[0].headline, *map(str, failed)]))
+            text = told(failed[0], failed[1:], {})
+            raise AssertionError(f"{failed[0].headline}\n{text}")
 
     def repr_failure(self, excinfo: Any, style: Any = None) -> Any:  # noqa: ARG002
         """The verdict, without a traceback through this package."""

@@ -26,7 +26,7 @@ from .arguments import (
 )
 from .parser import Parser
 
-__all__ = ["add_options", "examined", "run"]
+__all__ = ["add_options", "examined", "run", "told"]
 
 USAGE = "%(prog)s SPECIMEN [options]"
 
@@ -81,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
         answer["skipped"] = skipped
         print(json.dumps(answer, indent=2, allow_nan=False))
     else:
-        _print(verdict, others, skipped)
+        print(told(verdict, others, skipped))
     if verdict.undecided:
         return UNDECIDED
     return DONE if verdict.passed else FAILED
@@ -138,28 +138,29 @@ def _verdict(options: argparse.Namespace, variant: str) -> Verdict:
         alpha=options.alpha,
         allow=[name for name in options.allow.split(",") if name],
         strict=options.strict,
+        progress=options.effort != "quick",
     )
 
 
-def _print(
+def told(
     verdict: Verdict, others: Sequence[Verdict], skipped: Mapping[str, str]
-) -> None:
+) -> str:
     """One verdict in full, and of the others what differs."""
-    for variant, reason in skipped.items():
-        print(f"not judged in {variant}: {reason}")
+    lines = [
+        f"not judged in {variant}: {reason}" for variant, reason in skipped.items()
+    ]
     here, no_more = verdict.settings["variant"], []
     for other in others:
         variant = other.settings["variant"]
         if _failed(other) <= _failed(verdict):
             found = f"nothing that was not found in {here} too"
-            if not _failed(verdict):
-                found = "nothing wrong was found either"
-            elif not _failed(other):
+            if not _failed(other):
                 found = "nothing wrong was found"
+                found += "" if _failed(verdict) else " either"
             no_more.append(f"in {variant}: {found}{other.near}")
         else:
-            print(f"in {variant}:\n{other}\n")
-    print("\n".join([str(verdict), *no_more]))
+            lines.append(f"in {variant}:\n{other}\n")
+    return "\n".join([*lines, str(verdict), *no_more])
 
 
 def _failed(verdict: Verdict) -> set[str]:

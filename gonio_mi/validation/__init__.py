@@ -6,10 +6,9 @@ about the same directions, and what they answer is compared.
 
 from .adapter import from_numpy
 from .evidence import PROPERTIES
-from .pictures import draw
 from .validate import validate
 from .verdict import Property, Verdict
-from .verdict_page import check_report, save_report, verdict_view
+from .verdict_page import check_report, draw, save_report, verdict_view
 
 Verdict.viewer = verdict_view
 

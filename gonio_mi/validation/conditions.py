@@ -81,6 +81,11 @@ class Condition:
         del wrong
         return str(self)
 
+    def middle(self, wrong: Flags) -> Condition:
+        """One incident direction of those samples that are `wrong`."""
+        del wrong
+        return self
+
     def __str__(self) -> str:
         return f"theta_i {self.theta_i:g}, phi_i {self.phi_i:g}{self._more}"
 
@@ -138,6 +143,14 @@ class Sweep(Condition):
             first, last = phi[(widest + 1) % len(phi)], phi[widest]
             text += f", phi_i {first:.0f} to {last:.0f}"
         return text + self._more
+
+    def middle(self, wrong: Flags) -> Condition:
+        """The one whose polar angle is the median."""
+        own = np.flatnonzero(wrong)
+        k = own[np.argsort(self.angles[0, own])[len(own) // 2]] if own.size else 0
+        theta, phi = (round(float(angle), 1) for angle in self.angles[:, k])
+        side = "front" if self.wi[k, 2] > 0 else "back"
+        return Condition(theta, phi, side, self.uv, self.mode)
 
     def __str__(self) -> str:
         return f"all angles of incidence{self._more}"

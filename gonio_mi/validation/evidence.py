@@ -104,6 +104,8 @@ def integrators(name: str, effect: str | None) -> str | None:
     """Integrators that a failure of a property reaches by its effect, if known."""
     if name == "adjoint" and effect == BIAS:
         return _FROM_SENSORS
+    if name == "reciprocity" and effect == BREAKS:
+        name = "adjoint"
     return _EFFECTS_OF[name][1] if effect in (BIAS, BREAKS) else None
 
 
@@ -256,7 +258,7 @@ class Evidence:
             function,
             f"{what} is {spread} for {samples.fraction(wrong)}",
             mistake,
-            samples.condition,
+            samples.condition.middle(wrong),
             size=float(wrong.mean()),
             effect=effect,
             off=float(off),

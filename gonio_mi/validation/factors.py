@@ -9,7 +9,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from .evidence import Evidence
-from .samples import Samples, ratio_of
+from .samples import Samples, is_many, ratio_of
 
 __all__ = [
     "FACTORS",
@@ -189,7 +189,9 @@ def has_known_factor(ratios: Sequence[Ratio]) -> bool:
 
 def _wrong(ratios: Sequence[Ratio]) -> Sequence[Ratio]:
     """Ratios without those that are right, which tell nothing."""
-    return [one for one in ratios if not _is_one(one.values)] or ratios
+    wrong = [one for one in ratios if not _is_one(one.values)]
+    # or of a few samples only
+    return wrong or [one for one in ratios if is_many(one.wrong)] or ratios
 
 
 def _is_one(values: Floats, tolerance: float = TOLERANCE) -> bool:

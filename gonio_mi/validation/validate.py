@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import load_specimen, loaded, with_own_tensors
 from ..instrument.specimen_text import specimen_name
+from ..progress import bar
 from ..transport.kernels import launches_kernels
 from ..transport.variants import check_variant
 from .checks import (
@@ -40,7 +41,7 @@ from .checks import (
 from .conditions import Condition, Effort, Sweep
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
-from .evidence import INTERFACE, PROPERTIES, Evidence
+from .evidence import BIAS, INTERFACE, PROPERTIES, Evidence
 from .maps import four_maps, in_radiance_mode
 from .probe import PluginFault, Probe, number_parameters
 from .samples import Samples, samples_of, unequal
@@ -50,6 +51,15 @@ __all__ = ["coloured", "validate"]
 
 # Polar angle of incidence, in degrees, from which on incidence is grazing.
 GRAZING = 60
+
+# Steps of a progress bar, and the part of the samples one by one.
+N_STEPS = 100
+SAMPLES_STEPS = 0.4
+
+# Polar angle of incidence up to which maps are drawn, and the probability by chance
+# below which a test is worth a picture.
+MAX_PICTURED = 89.5
+MAX_P = 1e-6
 
 # Factor of a grey parameter in each channel; none gains.
 TINT = (1.0, 0.8, 0.6)
@@ -67,6 +77,7 @@ def validate(
     alpha: float = 1e-3,
     allow: str | Iterable[str] = (),
     strict: bool = False,
+    progress: bool = False,
 ) -> Verdict:
     """Whether a BSDF is right, and if not, which of its functions is wrong.
 
@@ -87,6 +98,9 @@ def validate(
     strict : bool
         Whether anything that fails counts, and not only what biases images or breaks
         integrators.
+
+    progress : bool
+        Whether to show a progress bar on standard error.
 
     Returns
     -------
@@ -111,7 +125,7 @@ def validate(
     bsdf, name = _bsdf(specimen)
     evidence = Evidence(bsdf, seed)
     try:
-        _examine(evidence, plan)
+        _examine(evidence, plan, name, progress)
     except PluginFault as fault:
         _stop(evidence, fault)
     properties = properties_of(evidence, alpha, allow)
@@ -120,6 +134,7 @@ def validate(
     function, mistake = None, None
     if failed:
         function, mistake = likely_mistake(evidence, failed, shares)
+        _add_maps_of_failure(evidence, plan)
     settings = {
         "effort": effort,
         "seed": seed,
@@ -164,8 +179,16 @@ def _bsdf(specimen: Any) -> tuple[mi.BSDF, str]:
     return specimen, name or specimen.class_name()
 
 
-def _examine(evidence: Evidence, plan: Effort) -> None:
+def _examine(evidence: Evidence, plan: Effort, name: str, progress: bool) -> None:
     """All checks, from those that explain most."""
+    with bar(progress, total=N_STEPS, desc=f"validate {name}") as report:
+        for step in _steps(evidence, plan):
+            if report is not None:
+                report(step)
+
+
+def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
+    """The same; yields how many of `N_STEPS` each has taken."""
     bsdf, seed = evidence.bsdf, evidence.seed
     n = bsdf.component_count()
     components, sides = range(n) if n > 1 else (), _sides(int(bsdf.flags()))
@@ -173,6 +196,7 @@ def _examine(evidence: Evidence, plan: Effort) -> None:
     radiance = [replace(one, mode="radiance") for one in plan.radiance(sides)]
     for i, condition in enumerate([*conditions, *radiance]):
         _check_samples(evidence, condition, plan.checked, (seed, 1, i))
+        yield N_STEPS * SAMPLES_STEPS / len([*conditions, *radiance])
     first = evidence.samples[0]
     after = answers.asked_after(Probe(bsdf, first.condition), first)
     _check_sweep(evidence, plan, sides)
@@ -196,7 +220,7 @@ def _examine(evidence: Evidence, plan: Effort) -> None:
     explain_reciprocity(evidence)
     ends.check_bsdf(evidence)
     ends.check_roughness(evidence)
-    _check_maps(evidence, plan, sides, components)
+    yield from _check_maps(evidence, plan, sides, components)
     parameters.check_changes(
         evidence, lambda changed: _check_sweep(changed, plan, sides)
     )
@@ -267,7 +291,7 @@ def _check_sweep(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None
 
 def _check_maps(
     evidence: Evidence, plan: Effort, sides: Sequence[str], components: Sequence[int]
-) -> None:
+) -> Iterator[float]:
     """Statistics of samples by patch."""
     conditions = list(plan.maps(sides, components))
     other_mode = any(_depends_on_mode(evidence, one) for one in evidence.whole)
@@ -281,6 +305,7 @@ def _check_maps(
             failed += 1
         else:
             evidence.maps.append(maps)
+        yield N_STEPS * (1 - SAMPLES_STEPS) / len(conditions)
     if not other_mode:
         # the same integrals, other samples
         for side in sides:
@@ -309,6 +334,30 @@ def _check_maps(
                 evidence.undecided[name] = text
             else:
                 evidence.remark(name, text)
+
+
+def _add_maps_of_failure(evidence: Evidence, plan: Effort) -> None:
+    """Maps at the direction of what biases images most, before all others."""
+    strong = [test for test in evidence.tests if test.p < MAX_P]
+    own = [
+        one
+        for one in (*evidence.breaches, *strong)
+        if one.effect == BIAS and one.share and one.condition is not None
+        if one.condition.theta_i < MAX_PICTURED
+    ]
+    if not own or not evidence.maps:
+        return
+    condition = max(own, key=lambda one: one.share or 0.0).condition
+    maps = next((one for one in evidence.maps if one.condition == condition), None)
+    if maps is None and condition is not None:
+        key = (evidence.seed, 2, 99)
+        try:
+            maps = four_maps(evidence.bsdf, condition, plan.patches, plan.samples, key)
+        except PluginFault:
+            return
+    if maps is not None:
+        rest = [one for one in evidence.maps if one is not maps]
+        evidence.maps[:] = [maps, *rest]
 
 
 def _brightest(evidence: Evidence) -> Samples:

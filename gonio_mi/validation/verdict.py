@@ -107,15 +107,19 @@ class Property:
         return PROPERTIES[self.name]
 
     @property
-    def consequence(self) -> str | None:
-        """The effect, with the integrators that it reaches, and how large it is."""
+    def reach(self) -> str:
+        """Integrators that the effect reaches, and how large it is; may be empty."""
         reached = integrators(self.name, self.effect)
-        if reached is not None:
-            text = f"{self.effect} ({reached})"
-            if self.share is not None and self.name != "ends":
-                text += f", {self.share:.2g} of the light of a lit surface"
-            return text
-        return self.effect
+        if reached is None:
+            return ""
+        if self.share is None or self.name == "ends":
+            return reached
+        return f"{reached}; {self.share:.2g} of the light of a lit surface"
+
+    @property
+    def consequence(self) -> str | None:
+        """The effect and its reach."""
+        return f"{self.effect} ({self.reach})" if self.reach else self.effect
 
     def __str__(self) -> str:
         line = f"{self.status:<10}{self.name:<16} {self.question}"
@@ -222,8 +226,10 @@ class Verdict:
                 rest += ", but it adds cost"
             return f"{self.name}: nothing wrong was found{rest}{self.near}"
         word = "passes, with a remark" if self.passed else "FAILS"
-        guess = f"{failed[0].consequence}. Most likely: {self.mistake}"
-        return f"{self.name}: {word}: {guess}"
+        # the mistake first: a summary shows the beginning only
+        worst = failed[0]
+        text = f"{self.name}: {word}: {worst.effect}. Most likely: {self.mistake}"
+        return f"{text}. Reaches {worst.reach}" if worst.reach else text
 
     @property
     def near(self) -> str:
@@ -231,6 +237,18 @@ class Verdict:
         closer = CLOSER[self.settings["effort"]]
         found = [f"{p.name} ({p.near})" for p in self.properties if p.near]
         return f"; near the limit: {', '.join(found)}, {closer}" if found else ""
+
+    def fails_at(self, maps: FourMaps) -> bool:
+        """Whether statistics of maps fail, or another failure is about their place."""
+        level = self.settings["alpha"] / max(self.settings["n_tests"], 1)
+        p_values = [
+            p
+            for scores in (maps.count_scores, maps.weight_scores)
+            for p in scores.p_values.values()
+        ]
+        place = str(maps.condition)
+        told = (x for one in self.failures for x in (one.statistic, *one.places))
+        return min(p_values, default=1.0) < level or any(place in x for x in told)
 
     def _repr_html_(self) -> str:
         """Headline and properties, for notebooks."""

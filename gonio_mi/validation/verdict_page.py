@@ -1,20 +1,31 @@
-"""The report on a BSDF: one self-contained HTML file, with the four maps in it."""
+"""The report on a BSDF: one self-contained HTML file, with pictures of four maps."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from os import PathLike
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ..array_types import Floats
 from ..reports.page import check_page, coded, figure, save_page, table
-from .pictures import draw, draw_plane
+from .maps import FourMaps, Scores
 from .verdict import FAILS, HOLDS, Property, Verdict
 
-__all__ = ["check_report", "save_report", "verdict_view"]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["check_report", "draw", "draw_plane", "save_report", "verdict_view"]
 
 # Style of the word that says how a property fares; others are not certain.
 STYLES = {FAILS: "background: #c33; color: white", HOLDS: "background: #cec"}
 UNCERTAIN = "background: #fd8"
+
+# Scores beyond this have the colour of this.
+MAX_COLOUR = 6
 
 LEGEND = (
     "Maps of both hemispheres in 1/sr, seen from the normal: the circle is the "
@@ -30,26 +41,51 @@ check_report = check_page
 def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
     """Write verdict, properties and the maps of every incident direction to `path`.
 
+    What fails comes first, and is unfolded: properties, and the directions of maps.
+
     Raises as :func:`check_report`.
     """
     check_report(path)
     parts = [f"<h1>{html.escape(verdict.name)}</h1>", verdict_view(verdict)]
     if verdict.maps:
         parts.append(f"<p>{LEGEND}</p>")
-    for maps in verdict.maps:
-        parts.append(f"<h2>{html.escape(str(maps.condition))}</h2>")
-        parts += [figure(draw(maps)), figure(draw_plane(maps))]
+    shown = [verdict.fails_at(maps) for maps in verdict.maps]
+    shown = shown if any(shown) else [i == 0 for i in range(len(shown))]
+    rest = []
+    for maps, own in zip(verdict.maps, shown):
+        if own:
+            parts += _pictures(maps)
+        else:
+            rest.append(maps)
+    if rest:
+        pieces = (piece for maps in rest for piece in _pictures(maps))
+        parts.append(_folded(f"{len(rest)} more incident directions", pieces))
     save_page(path, verdict.name, parts)
 
 
 def verdict_view(verdict: Verdict) -> str:
     """Return headline and properties as HTML, for pages and notebooks."""
-    rest = (one for one in verdict.properties if one not in verdict.failures)
+    failed = verdict.failures
+    rest = [one for one in verdict.properties if one not in failed]
+    others = table(map(_cells, rest))
+    if failed:
+        held = table(map(_cells, failed))
+        others = held + _folded(f"{len(rest)} more properties", [others])
     return (
-        f"<p><b>{coded(verdict.headline)}</b></p>"
-        + table(map(_cells, (*verdict.failures, *rest)))
-        + f"<p><small>{html.escape(str(verdict).splitlines()[-2])}</small></p>"
+        f"<p><b>{coded(verdict.headline)}</b></p>{others}"
+        f"<p><small>{html.escape(str(verdict).splitlines()[-2])}</small></p>"
     )
+
+
+def _pictures(maps: FourMaps) -> list[str]:
+    """Heading and figures of one incident direction."""
+    heading = f"<h2>{html.escape(str(maps.condition))}</h2>"
+    return [heading, figure(draw(maps)), figure(draw_plane(maps))]
+
+
+def _folded(title: str, pieces: Iterable[str]) -> str:
+    """Pieces of a page that a click on the title shows."""
+    return f"<details><summary>{title}</summary>{''.join(pieces)}</details>"
 
 
 def _cells(one: Property) -> Iterator[str]:
@@ -67,3 +103,172 @@ def _cells(one: Property) -> Iterator[str]:
     yield f'<td class="{one.status}" style="{style}">{one.status}</td>'
     yield one.name
     yield "<br>".join([coded(one.question), *(f"<small>{d}</small>" for d in details)])
+
+
+# --------------------------------------------------------------------------- pictures
+
+
+def draw(maps: FourMaps) -> Figure:
+    """Figure of one :class:`FourMaps`: what is drawn, what is due, and the scores.
+
+    One row for each hemisphere into which anything goes, in 1/sr and in orthographic
+    projection; the lit side is the upper row.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = _columns(maps)
+    halves = [
+        half
+        for half in (0, 1)
+        if any(np.any(columns[i][1][half] != 0) for i in (0, 1, 3, 4))
+    ] or [0]
+    figure = Figure(figsize=(16, 2.9 * len(halves)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(len(halves), 6, squeeze=False)
+    for row, half in zip(axes, halves):
+        for i in (0, 3):
+            top = max(columns[i + k][1][half].max() for k in (0, 1))
+            for k in (0, 1):
+                title, values = columns[i + k]
+                _patches(row[i + k], maps, values[half], title, 0, top or 1, "viridis")
+            title, values = columns[i + 2]
+            limits = -MAX_COLOUR, MAX_COLOUR
+            _patches(row[i + 2], maps, values[half], title, *limits, "RdBu_r")
+            _cross(row[i + 2], maps, values, half)
+        row[0].set_ylabel("lit side" if half == 0 else "other side")
+    return figure
+
+
+def draw_plane(maps: FourMaps) -> Figure:
+    """Figure of the plane through the normal and the patch whose score is the worst.
+
+    Two panels, of directions and of weights: what is drawn and what is due, in 1/sr,
+    over the polar angle on the worst patch's side of its hemisphere, negative beyond
+    the normal. A line marks the patch, a band two standard errors of what is due.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 3), layout="constrained")
+    FigureCanvasAgg(figure)
+    columns = _columns(maps)
+    patches = maps.subdivision
+    edges = np.degrees(patches.theta_edges)
+    edges = np.concatenate([-edges[:0:-1], edges])
+    for axes, first, error in zip(figure.subplots(1, 2), (0, 3), _errors(maps)):
+        half, ring, sector = _worst(columns[first + 2][1])
+        beyond = (sector + patches.n_phi // 2) % patches.n_phi
+        lines = columns[first : first + 2]
+        drawn, due, wide = (
+            np.concatenate([one[half][::-1, beyond], one[half][:, sector]])
+            for one in (*(values for _, values in lines), 2 * error)
+        )
+        band = {"color": "tab:orange", "alpha": 0.2, "lw": 0, "fill": True}
+        axes.stairs(due + wide, edges, baseline=np.maximum(due - wide, 0), **band)
+        for (title, _), values, style in zip(lines, (drawn, due), ("-", "--")):
+            axes.stairs(values, edges, baseline=None, ls=style, label=title)
+        axes.axvline(np.degrees(patches.theta[ring]), c="0.6", lw=1, zorder=0)
+        side = "lit side" if half == 0 else "other side"
+        axes.set_title(
+            f"{side}, azimuth {np.degrees(patches.phi[sector]):.0f}°", fontsize="medium"
+        )
+        axes.set_xlabel("polar angle in degrees")
+        axes.set_ylabel("1/sr")
+        axes.legend(frameon=False, fontsize="small")
+    return figure
+
+
+def _errors(maps: FourMaps) -> tuple[Floats, Floats]:
+    """Standard errors of counted directions and of summed weights, in 1/sr."""
+    shape, solid = (2, *maps.subdivision.shape), maps.subdivision.solid_angles
+    due = np.clip(maps.pdf, 0, 1)
+    variances = due * (1 - due), np.maximum(maps.due.squares.values, 0)
+    first, second = (
+        np.sqrt(one / maps.totals.n).reshape(shape) / solid for one in variances
+    )
+    return first, second
+
+
+def _worst(scores: Floats) -> tuple[int, int, int]:
+    """Hemisphere, ring and sector of the patch whose score is the worst."""
+    half, ring, sector = np.unravel_index(np.abs(scores).argmax(), scores.shape)
+    return int(half), int(ring), int(sector)
+
+
+def _columns(maps: FourMaps) -> list[tuple[str, Floats]]:
+    """Title and values, shape (2, n_theta, n_phi), of each picture."""
+    shape = (2, *maps.subdivision.shape)
+    solid = maps.subdivision.solid_angles
+
+    def _density(values: Floats) -> Floats:
+        return values.reshape(shape) / solid
+
+    def _scores(found: Scores) -> Floats:
+        z = np.zeros(int(np.prod(shape)))
+        ends = np.append(found.first[1:], z.size)
+        for value, begin, end in zip(np.nan_to_num(found.z), found.first, ends):
+            z[begin:end] = value
+        return z.reshape(shape)
+
+    drawn, n = maps.totals, maps.totals.n
+    return [
+        ("counted directions", _density(drawn.counts / n)),
+        ("integral of pdf", _density(maps.pdf)),
+        ("z: counted - pdf", _scores(maps.count_scores)),
+        ("summed weights", _density(drawn.sums / n)),
+        ("due weights", _density(maps.weights)),
+        ("z: weights - due", _scores(maps.weight_scores)),
+    ]
+
+
+def _cross(axes: Axes, maps: FourMaps, scores: Floats, half: int) -> None:
+    """Mark the patch whose score is the worst, if it is in this hemisphere."""
+    worst = _worst(scores)
+    if worst[0] != half or not scores[worst]:
+        return
+    theta, phi = maps.subdivision.theta[worst[1]], maps.subdivision.phi[worst[2]]
+    x, y = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi)
+    axes.plot(x, y, "x", color="black", ms=6)
+
+
+def _patches(
+    axes: Axes,
+    maps: FourMaps,
+    values: Floats,
+    title: str,
+    low: float,
+    high: float,
+    cmap: str,
+) -> None:
+    """Fill each patch with the colour of its value."""
+    patches = maps.subdivision
+    phi = np.linspace(0, 2 * np.pi, 4 * patches.n_phi + 1)
+    radius = np.sin(patches.theta_edges)[:, None]
+    mesh = axes.pcolormesh(
+        radius * np.cos(phi),
+        radius * np.sin(phi),
+        np.repeat(values, 4, axis=1),
+        vmin=low,
+        vmax=high,
+        cmap=cmap,
+        rasterized=True,
+    )
+    wi = maps.condition.wi
+    axes.plot(wi[0], wi[1], "o", mfc="none", mec="tab:red", ms=6)
+    axes.set_title(title, fontsize="medium")
+    # wider than the circle, whose sides would be cut
+    axes.set(aspect="equal", xlim=(-1.05, 1.05), ylim=(-1.05, 1.05))
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    axes.figure.colorbar(mesh, ax=axes, shrink=0.7)

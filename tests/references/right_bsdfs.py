@@ -56,7 +56,7 @@ RIGHT = {
 KNOWN = {
     "bump map": {"reciprocity", "flags"},
     "normal map": {"reciprocity", "flags"},
-    "mask": {"sampling", "masks"},
+    "mask": {"sampling", "masks", "flags"},
     "null": {"masks"},
     "principled": {"flags", "components"},
     "principled metal": {"flags", "components"},

@@ -37,8 +37,9 @@ def test_a_wrong_cosine_is_a_mistake(name, said):
     verdict = validate({"type": name}, effort="quick")
     assert not verdict.passed
     assert verdict.function == "eval"
-    assert verdict.headline.startswith(f"{name}: FAILS: biases images (all). Most ")
+    assert verdict.headline.startswith(f"{name}: FAILS: biases images. Most ")
     assert f"likely: {said}" in verdict.headline
+    assert verdict.failures[0].reach == "all"
 
 
 @pytest.mark.usefixtures("plugins")

@@ -5,7 +5,10 @@ import pytest
 import short_bsdfs
 from short_bsdfs import MISTAKES, MISTAKES_IN_RGB, RIGHT
 
-from gonio_mi.validation import validate
+from gonio_mi.validation import save_report, validate
+from gonio_mi.validation.checks import cost
+from gonio_mi.validation.conditions import Condition
+from gonio_mi.validation.evidence import Evidence
 
 
 def check_found(name, guilty):
@@ -19,6 +22,32 @@ def check_found(name, guilty):
 def test_broken_plugin_is_found_and_named(name, guilty):
     short_bsdfs.register()
     check_found(name, guilty)
+
+
+@pytest.mark.usefixtures("mono")
+def test_page_begins_with_the_direction_that_fails(tmp_path):
+    """Of a sector of incidence, where no other map is; what holds is folded."""
+    short_bsdfs.register()
+    verdict = validate({"type": "pdf_in_a_sector"}, effort="quick")
+    save_report(verdict, tmp_path / "r.html")
+    text = (tmp_path / "r.html").read_text()
+    first, *others = (str(maps.condition) for maps in verdict.maps)
+    assert 60 < verdict.maps[0].condition.phi_i < 75
+    drawn = text.index(f"<h2>{first}</h2>")
+    folded = text.index("<details>", drawn)
+    assert text.index('class="fails"') < text.index("<details>") < drawn
+    assert all(text.index(f"<h2>{one}</h2>") > folded for one in others)
+    assert len({first, *others}) == len(verdict.maps)
+
+
+@pytest.mark.usefixtures("mono")
+def test_cost_is_not_compared_with_itself():
+    """The twin is a plugin of the same lobes."""
+    short_bsdfs.register()
+    for name, same in (("diffuse", True), ("two_lobes", False)):
+        evidence = Evidence(mi.load_dict({"type": name}))
+        cost.check_time(evidence, Condition(40.0))
+        assert ("times as long" in evidence.remarks["cost"]) == (not same)
 
 
 @pytest.mark.usefixtures("rgb")

@@ -18,7 +18,7 @@ from broken_bsdfs import EITHER, MISTAKES, RIGHT
 
 from gonio_mi import SpecimenError, cli
 from gonio_mi.commands import validate as command
-from gonio_mi.commands.validate import _print
+from gonio_mi.commands.validate import told
 from gonio_mi.testing import assert_bsdf_valid
 from gonio_mi.validation import PROPERTIES, save_report, validate
 from gonio_mi.validation.checks import cost, delta
@@ -379,10 +379,9 @@ def test_what_is_near_its_limit_is_told_without_an_alarm():
     assert "near" not in failed.headline
 
 
-def test_other_variants_are_told_of_after_the_verdict(capsys):
+def test_other_variants_are_told_of_after_the_verdict():
     other = verdict_of(0.00023, variant="llvm_ad_mono")
-    _print(verdict_of(), [other], {})
-    *_, headline, last = capsys.readouterr().out.splitlines()
+    *_, headline, last = told(verdict_of(), [other], {}).splitlines()
     assert headline.startswith("paint: nothing wrong was found")
     assert last.startswith("in llvm_ad_mono: nothing wrong was found either")
     assert "near the limit: sampling" in last
@@ -390,8 +389,8 @@ def test_other_variants_are_told_of_after_the_verdict(capsys):
         (0.00023, "nothing wrong was found; near the limit"),
         (0.00001, "nothing that was not found in llvm_ad_rgb too"),
     ):
-        _print(verdict_of(0.00001), [verdict_of(p, variant="llvm_ad_mono")], {})
-        last = capsys.readouterr().out.splitlines()[-1]
+        others = [verdict_of(p, variant="llvm_ad_mono")]
+        last = told(verdict_of(0.00001), others, {}).splitlines()[-1]
         assert last.startswith(f"in llvm_ad_mono: {said}")
 
 

@@ -94,7 +94,7 @@ def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
             wrong = wrong & (samples.smooth | (function == "sample"))
             if is_many(wrong):
                 evidence.breach(
-                    "components",
+                    "flags",
                     function,
                     samples.fraction(wrong),
                     f"`{function}` does not heed ctx.type_mask",

@@ -63,6 +63,9 @@ def check_compiled(
 def check_time(evidence: Evidence, condition: Condition) -> None:
     """Time of a ray beside the closest of Mitsuba's own: a remark."""
     name, other = _closest(int(evidence.bsdf.flags()))
+    if evidence.bsdf.class_name() == other.class_name():
+        evidence.remark("cost", "with it the time of others is compared")
+        return
     own, ratio = compared(_call(evidence.bsdf, condition), _call(other, condition))
     text = (
         f"`sample`, `eval` and `pdf` of a ray take {own / N_RAYS:.2g} ns, {ratio:.2g} "

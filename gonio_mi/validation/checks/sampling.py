@@ -100,8 +100,8 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     evidence.test(
         "sampling",
         p,
-        f"worst z {z:+.3g} of {n_scores} bands and sectors of incidence, at {place}",
-        sweep,
+        f"worst z {z:+.3g} of {n_scores} bands and sectors of incidence: {place}",
+        sweep.middle(own),
         off,
     )
     if p < MAX_P:
