@@ -24,8 +24,6 @@ from .commands.arguments import INCOMPLETE, PROGRAM, USER_ERROR, say, sentence
 from .commands.parser import Parser
 from .errors import SettingError, is_the_users, own_frame
 
-__all__ = ["COMMANDS", "main", "parser"]
-
 # Each command is the module of this name in `commands`, imported when it is used.
 COMMANDS = {
     "measure": "Measure how a specimen scatters light.",

@@ -15,40 +15,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-__all__ = [
-    "FileFormatError",
-    "Frame",
-    "LABEL",
-    "LLVMError",
-    "LostLightWarning",
-    "LostRaysError",
-    "PackageError",
-    "SettingError",
-    "SettingTypeError",
-    "SpecimenError",
-    "VariantError",
-    "abridged",
-    "abridged_apart",
-    "check_memory",
-    "checked_choice",
-    "checked_count",
-    "checked_number",
-    "did_you_mean",
-    "frames",
-    "is_ctrl_c",
-    "is_installed",
-    "is_the_users",
-    "no_file",
-    "own_frame",
-    "own_place",
-    "printable",
-    "shortened",
-    "shown",
-    "tells_of_our_bug",
-    "unknown_channel",
-    "warn",
-]
-
 # Characters of a message, of a word in it, and of a value that it repeats.
 MAX_MESSAGE, MAX_WORD, MAX_VALUE = 400, 120, 80
 

@@ -18,8 +18,6 @@ from pathlib import Path
 
 from .errors import LLVMError
 
-__all__ = ["MINIMUM_VERSION", "LLVMStatus", "check", "dotted", "prepare", "status"]
-
 MINIMUM_VERSION = 17
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 WHEEL = "karellen-llvm-core"

@@ -12,8 +12,6 @@ from tqdm import tqdm
 
 from .errors import abridged
 
-__all__ = ["bar", "counted"]
-
 T = TypeVar("T")
 
 # Seconds between two lines.

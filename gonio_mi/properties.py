@@ -8,8 +8,6 @@ from typing import Any
 
 from .errors import checked_choice, checked_count, checked_number
 
-__all__ = ["choice", "count", "number"]
-
 
 def choice(props: Any, name: str, default: str, choices: Iterable[str]) -> str:
     """Return the string property `name`, one of `choices`."""

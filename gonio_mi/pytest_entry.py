@@ -15,8 +15,6 @@ from typing import Any
 
 import pytest
 
-__all__ = ["Validation"]
-
 SETTING = "gonio_bsdfs"
 
 

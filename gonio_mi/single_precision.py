@@ -4,8 +4,6 @@ Both are relative errors. What is larger, because more than a few operations lea
 has a name of its own where it was measured.
 """
 
-__all__ = ["FEW_ROUNDINGS", "ROUNDING"]
-
 # Of one operation: half a unit in the last place.
 ROUNDING = 2.0**-24
 

@@ -4,8 +4,6 @@ import os
 import signal
 import sys
 
-__all__ = ["begin", "end"]
-
 PROGRAM = "gonio-mi"
 INTERRUPTED = 130  # as shells count: 128 and the number of SIGINT
 

@@ -6,8 +6,6 @@ from typing import Any
 from .validation import validate
 from .validation.verdict import Verdict
 
-__all__ = ["assert_bsdf_valid"]
-
 
 def assert_bsdf_valid(
     specimen: Any,

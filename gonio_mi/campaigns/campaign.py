@@ -21,8 +21,6 @@ from .execution import Surroundings, records_of
 from .known_directions import KnownDirections
 from .whole_bsdf import WholeBsdf, checked_theta_max, checked_tolerance
 
-__all__ = ["campaign"]
-
 # Workers, and threads of each.
 MAX_THREADS = 2**16
 

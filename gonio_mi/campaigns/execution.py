@@ -19,8 +19,6 @@ from .folder import CampaignFolder
 from .tasks import Task, check_picklable, run_task, tasks_of
 from .workers import workers
 
-__all__ = ["Surroundings", "records_of"]
-
 logger = logging.getLogger(__name__)
 
 

@@ -27,8 +27,6 @@ from ..instrument.loading import existing
 from ..results.record import Record
 from .tasks import Task
 
-__all__ = ["CampaignFolder"]
-
 logger = logging.getLogger(__name__)
 
 FORMAT = "gonio-mi campaign"

@@ -26,14 +26,6 @@ from ..settings import Estimator, MeasurementSettings
 from .execution import Surroundings, records_of
 from .prediction import SPARED, Prediction, points_for
 
-__all__ = [
-    "CONFIRMING",
-    "NOISE",
-    "KnownDirections",
-    "NotIntegrableError",
-    "folder_name",
-]
-
 logger = logging.getLogger(__name__)
 
 # Parts of the tolerance: what noise may misplace at directions that a material is made

@@ -13,8 +13,6 @@ from ..results.summary import lost_light
 from ..settings import MeasurementSettings, declarations, numpydoc
 from .campaign import campaign
 
-__all__ = ["measure", "measure_whole"]
-
 
 def measure(
     specimen: Any,

@@ -18,8 +18,6 @@ from ..interpolation.lobes import MeasuredLobes
 from ..interpolation.polar_cross_validation import half_vector_legs
 from ..results.record import Record
 
-__all__ = ["SPARED", "Prediction", "points_for"]
-
 # Part of a tolerance that points may be spared for.
 SPARED = 1 / 100
 

@@ -14,8 +14,6 @@ import numpy as np
 from ..results.azimuth_symmetry import AzimuthSymmetry, azimuth_of
 from ..results.campaign_outcome import PredictionError
 
-__all__ = ["Axis", "IncidentRings", "Interval", "refined"]
-
 # Azimuths of an anisotropic specimen to begin with.
 N_FIRST_AZIMUTHS = 8
 

@@ -15,14 +15,6 @@ from ..results.prediction_error import prediction_error
 from ..results.record import Record
 from .known_directions import KnownDirections
 
-__all__ = [
-    "TooCoarseError",
-    "checked_sectors",
-    "check_peaks",
-    "check_resolved",
-    "delta_fraction",
-]
-
 # By which power of their width finer patches are better, where they nearly resolve a
 # lobe, and up to which part of the light in the wrong place they do; above which part
 # the finest patches of all are tried before those in between.

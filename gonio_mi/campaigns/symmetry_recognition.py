@@ -12,8 +12,6 @@ from ..results.campaign_outcome import PredictionError
 from ..results.prediction_error import prediction_error
 from .known_directions import KnownDirections
 
-__all__ = ["SymmetryRecognition"]
-
 logger = logging.getLogger(__name__)
 
 # Azimuths at which it is measured whether a specimen is isotropic, in whole turns, not

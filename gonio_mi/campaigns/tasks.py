@@ -26,8 +26,6 @@ from ..settings import MeasurementSettings
 from ..transport.digest import file_digest, plugins_digest
 from ..transport.specimen import Specimen
 
-__all__ = ["Task", "check_picklable", "run_task", "tasks_of"]
-
 # Rays of one task, if there are directions enough for so many tasks: setting up a
 # specimen is worth some 1e6 rays, but what is finished is kept, and shared out among
 # workers, by task.

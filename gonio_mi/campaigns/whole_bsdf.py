@@ -28,8 +28,6 @@ from .resolution import (
 )
 from .symmetry_recognition import SymmetryRecognition
 
-__all__ = ["MAX_NOISY_ERROR", "WholeBsdf", "checked_theta_max", "checked_tolerance"]
-
 logger = logging.getLogger(__name__)
 
 # What single precision and the points of a prediction leave of a tolerance.

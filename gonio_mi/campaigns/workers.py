@@ -12,8 +12,6 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-__all__ = ["workers"]
-
 # Linux' prctl(2): the signal that a process gets when its parent dies.
 PR_SET_PDEATHSIG = 1
 

@@ -23,8 +23,6 @@ from ..results.record import Record
 from ..transport.kernels import launches_kernels
 from .curves import Chart, Curve, Point, Reference
 
-__all__ = ["ESTIMATORS", "SAMPLERS", "chart"]
-
 NEEDS_GEOMETRY = "the estimator next_event needs geometry, got a flat rectangle"
 
 ESTIMATORS = ("analog", "weighted", "quadrature", "next_event")

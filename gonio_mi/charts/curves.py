@@ -15,8 +15,6 @@ from ..array_types import Floats
 from ..files import check_output, replacing
 from ..results.summary_text import aligned
 
-__all__ = ["HEAD", "Chart", "Cost", "Curve", "Point", "Reference"]
-
 # Fewer rays than this for each patch, and a curve is not yet at its order.
 MIN_RAYS_PER_PATCH = 30
 # Errors that are at least this many times that of the reference say something.

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["chart_view", "draw_by_time", "plot_chart", "save_chart_page"]
-
 COLOURS = {"independent": "tab:orange", "sobol": "tab:blue", "": "tab:green"}
 OTHER_COLOURS = ("tab:purple", "tab:brown", "tab:pink", "tab:cyan", "tab:olive")
 # Filled and solid for one estimator, hollow and dashed for the other.

@@ -15,37 +15,6 @@ from ..errors import SettingError, VariantError, no_file, printable, shortened
 from ..settings import Declaration, Kind, MeasurementSettings, declarations
 from .file_kinds import check_kind
 
-__all__ = [
-    "BASES",
-    "DEFAULT_VARIANT",
-    "DONE",
-    "FAILED",
-    "INCOMPLETE",
-    "PROGRAM",
-    "UNDECIDED",
-    "USER_ERROR",
-    "add_files",
-    "add_json",
-    "add_number",
-    "add_output",
-    "add_record",
-    "add_scene_options",
-    "add_setting",
-    "add_settings_group",
-    "add_specimen",
-    "add_text",
-    "check_not_read",
-    "given_options",
-    "given_settings",
-    "number",
-    "pair",
-    "say",
-    "sentence",
-    "set_variant",
-    "specimen_of",
-    "tell",
-]
-
 PROGRAM = "gonio-mi"
 DONE, USER_ERROR, INCOMPLETE, FAILED, UNDECIDED = 0, 1, 2, 3, 4
 

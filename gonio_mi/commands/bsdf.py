@@ -39,8 +39,6 @@ from .arguments import (
 from .campaign_options import add_campaign, campaign_options, kept_after_ctrl_c
 from .surface import add_surface_options, prepared_surface
 
-__all__ = ["add_options", "run"]
-
 WAVELENGTHS = f"{VISIBLE_NM[0]} to {VISIBLE_NM[-1]} by {VISIBLE_NM[1] - VISIBLE_NM[0]}"
 
 SIZES = ("thickness", "width", "height")

@@ -16,14 +16,6 @@ from ..campaigns.known_directions import folder_name
 from ..errors import checked_count
 from .arguments import INCOMPLETE, add_number, add_text, say
 
-__all__ = [
-    "CampaignParts",
-    "add_campaign",
-    "answered_by",
-    "campaign_options",
-    "kept_after_ctrl_c",
-]
-
 # Exit code of what SIGTERM has ended, as shells count: 128 and its number.
 TERMINATED = 143
 

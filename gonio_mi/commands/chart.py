@@ -23,8 +23,6 @@ from .arguments import (
     tell,
 )
 
-__all__ = ["add_options", "run"]
-
 USAGE = "%(prog)s SPECIMEN [--theta-i DEG] [options]"
 
 EXAMPLES = """\

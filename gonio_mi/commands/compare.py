@@ -40,8 +40,6 @@ from .table_options import (
     table_of,
 )
 
-__all__ = ["add_options", "run"]
-
 USAGE = "%(prog)s RECORD OTHER [options]"
 
 EXAMPLES = """\

@@ -28,8 +28,6 @@ from .arguments import (
     tell,
 )
 
-__all__ = ["add_options", "run"]
-
 USAGE = """%(prog)s [BSDF ...] --against VENV [options]
        %(prog)s [BSDF ...] [--against VENV] --save ANSWERS.json [options]
        %(prog)s ANSWERS.json OTHERS.json [--alpha P] [--json]"""

@@ -20,8 +20,6 @@ from ..errors import LLVMError
 from ..results.record import Record
 from ..transport.variants import usable_variants
 
-__all__ = ["Row", "add_options", "diagnose", "report", "run"]
-
 VARIANT = "llvm_ad_mono"
 REQUIRED = ("gonio-mi", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
 OPTIONAL = {"matplotlib": "plot"}

@@ -17,8 +17,6 @@ from ..formats.reading import endings_of, lost_in_each
 from .arguments import BASES, DONE, add_text, set_variant, tell
 from .file_kinds import record_of
 
-__all__ = ["add_options", "run"]
-
 USAGE = "%(prog)s RECORD [RECORD] -o OUT ... [options]"
 
 EXAMPLES = """\

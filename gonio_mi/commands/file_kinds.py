@@ -10,8 +10,6 @@ from ..errors import SettingError
 if TYPE_CHECKING:
     from ..results.record import Record
 
-__all__ = ["check_kind", "record_of"]
-
 # Bytes in which an XML file names its root.
 HEAD = 4096
 

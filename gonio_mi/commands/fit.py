@@ -35,8 +35,6 @@ from .table_options import (
     table_of,
 )
 
-__all__ = ["add_options", "run"]
-
 USAGE = "%(prog)s RECORD|TABLE MODEL ... [options]"
 
 EXAMPLES = """\

@@ -52,8 +52,6 @@ from .campaign_options import (
 from .file_kinds import record_of
 from .surface import add_surface_options, prepared_surface
 
-__all__ = ["add_options", "run"]
-
 USAGE = "%(prog)s SPECIMEN [--theta-i DEG ...] [options]"
 
 # Options of some measurements only, for --help-all.

@@ -11,8 +11,6 @@ from typing import Any, NoReturn
 
 from ..errors import SettingError, did_you_mean
 
-__all__ = ["Parser", "UsageError"]
-
 # Options of other programs, and ours for the same.
 ELSEWHERE = {
     **dict.fromkeys(("--angle", "--angles", "--theta", "--incidence"), "--theta-i"),

@@ -12,8 +12,6 @@ from dataclasses import asdict
 from .arguments import DONE, add_json, add_number, add_text, tell
 from .file_kinds import record_of
 
-__all__ = ["add_options", "run"]
-
 EXAMPLES = """\
 examples:
   gonio-mi plan

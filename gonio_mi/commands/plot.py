@@ -12,8 +12,6 @@ from ..errors import SettingError
 from .arguments import DONE, add_number, add_record
 from .file_kinds import record_of
 
-__all__ = ["add_options", "run"]
-
 EXAMPLES = """\
 examples:
   gonio-mi plot run.npz -o run.png

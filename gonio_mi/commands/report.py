@@ -11,8 +11,6 @@ from argparse import ArgumentParser, Namespace
 from .arguments import DONE, add_text
 from .file_kinds import record_of
 
-__all__ = ["add_options", "run"]
-
 EXAMPLES = """\
 examples:
   gonio-mi report run.npz -o run.html

@@ -15,8 +15,6 @@ from .arguments import DONE, add_json, add_text, tell
 from .file_kinds import record_of
 from .table_options import add_table_options, check_no_table_options, table_of
 
-__all__ = ["add_options", "run"]
-
 EXAMPLES = """\
 examples:
   gonio-mi show run.npz --json | jq .directions[0].dhr

@@ -33,8 +33,6 @@ from .arguments import (
     tell,
 )
 
-__all__ = ["add_options", "add_surface_options", "prepared_surface", "run"]
-
 USAGE = "%(prog)s SPECIMEN [options]"
 
 EXAMPLES = """\

@@ -13,14 +13,6 @@ from .file_kinds import check_kind
 if TYPE_CHECKING:
     from ..files.measured_table import MeasuredTable
 
-__all__ = [
-    "add_aperture",
-    "add_table_options",
-    "add_uncertainties",
-    "check_no_table_options",
-    "table_of",
-]
-
 TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth")
 
 

@@ -26,8 +26,6 @@ from .arguments import (
 )
 from .parser import Parser
 
-__all__ = ["add_options", "examined", "run", "told"]
-
 USAGE = "%(prog)s SPECIMEN [options]"
 
 # Where a plugin is judged: with colours, and with one channel.

@@ -14,15 +14,6 @@ from ..results.record import Record
 from ..results.statistics import ratio, student_score, two_sided_score
 from ..single_precision import FEW_ROUNDINGS
 
-__all__ = [
-    "MIN_STUDENT_HITS",
-    "PointSet",
-    "Readings",
-    "Variation",
-    "judge",
-    "mostly_few",
-]
-
 # Below this many hits the mean of batches is too skewed for Student's t far out: its
 # two-sided tail at 1e-5 is 1.3 times too heavy at 1000 hits, 4.4 times at 100.
 MIN_STUDENT_HITS = 1000

@@ -15,8 +15,6 @@ from .compare import compare
 from .comparison import Comparison
 from .measure_like import measure_like
 
-__all__ = ["Budget", "aperture_effect", "uncertainty_budget"]
-
 SOURCES = ("rays", "single_precision", "instrument", "calibration")
 POINT = ("theta_i", "phi_i", "theta_o", "phi_o", "channel", "value", "other")
 

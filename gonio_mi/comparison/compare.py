@@ -27,8 +27,6 @@ from .pairing import (
 )
 from .patch_variation import left_undecided
 
-__all__ = ["ALPHA", "compare"]
-
 # Probability with which a right model is rejected.
 ALPHA = 1e-3
 

@@ -12,8 +12,6 @@ from ..reports.page import picture_and_text
 from .figure import comparison_figure
 from .pairing import NO_UNCERTAINTY
 
-__all__ = ["Comparison"]
-
 N_WORST = 5
 
 

@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["comparison_figure", "points_in_profile"]
-
-
 # Panels that are drawn, evenly among all, and in a row.
 MAX_PANELS, MAX_COLUMNS = 6, 3
 

@@ -20,8 +20,6 @@ from ..progress import counted
 from ..results.record import Record
 from .pairing import pole_angle
 
-__all__ = ["measure_like"]
-
 # Distance in scene units that stands for a source far away.
 FAR_DISTANCE = 1000.0
 

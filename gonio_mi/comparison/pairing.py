@@ -19,19 +19,6 @@ from ..settings import MeasurementSettings, declarations
 from .agreement import PointSet, Readings, Variation
 from .patch_variation import REMEDY, variation_within
 
-__all__ = [
-    "CONDITIONS",
-    "NO_UNCERTAINTY",
-    "check_uncertainties",
-    "labels",
-    "pair_with_record",
-    "pair_with_table",
-    "pole_angle",
-    "same_rays",
-    "unlike_conditions",
-    "unlike_the_table",
-]
-
 # Note on a table, which comes before all numbers: they mean little without it.
 NO_UNCERTAINTY = (
     "states no uncertainty: its values count as exact, unless `uncertainty` is said"

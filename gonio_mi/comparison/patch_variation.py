@@ -18,8 +18,6 @@ from ..array_types import Flags, Integers
 from ..collector import RingsAndSectors, Subdivision
 from .agreement import PointSet, Readings, Variation, judge
 
-__all__ = ["REMEDY", "left_undecided", "variation_within"]
-
 # Size of what reaches the patches around one, in sizes of a patch, and points per side.
 NEIGHBOURHOOD, POINTS_PER_SIDE = 2.5, 4
 

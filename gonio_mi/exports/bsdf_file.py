@@ -24,8 +24,6 @@ from .daylight import SOLAR, VISIBLE, VISIBLE_NM, of_daylight
 from .exporting import export
 from .radiance_export import BASES, incidence
 
-__all__ = ["CELLS", "RAYS", "bsdf", "hemispherical"]
-
 # Rays for each incident patch where nothing is asked for.
 RAYS = 2**16
 

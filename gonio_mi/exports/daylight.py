@@ -17,8 +17,6 @@ from ..files.channels import wavelengths_nm
 from ..formats.radiance import XYZ
 from ..results.record import Record
 
-__all__ = ["SOLAR", "VISIBLE", "VISIBLE_NM", "Light", "luminous", "of_daylight"]
-
 # Wavelengths that are measured for visible light where none are asked for.
 VISIBLE_NM = tuple(range(400, 701, 20))
 

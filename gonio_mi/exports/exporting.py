@@ -26,8 +26,6 @@ from .measured_export import write_measured
 from .radiance_export import BASES, write_radiance
 from .scatter_export import write_grids, write_merl, write_zemax
 
-__all__ = ["BASES", "ENDINGS", "export"]
-
 ENDINGS = (
     *(".csv", ".astm", ".xml", ".bsdf", ".nc", ".h5"),
     *(ending for ending in endings_of("write") if ending != ".bsdf"),

@@ -11,16 +11,6 @@ import numpy as np
 from ..array_types import Floats
 from ..results.record import Record
 
-__all__ = [
-    "ZEMAX",
-    "Loss",
-    "fractions_of",
-    "in_words",
-    "losses",
-    "part_names",
-    "written_files",
-]
-
 ZEMAX = ".zemax.bsdf"
 
 # Of which each file holds one quantity and channel.

@@ -26,8 +26,6 @@ from ..transport.wavelengths import passes, wavelength_lanes
 from .loss import Loss, losses
 from .resampling import Material, half_vector_grids, vectors
 
-__all__ = ["write_measured"]
-
 # Vertices per side of the grid of half vectors.
 GRID = 128
 

@@ -23,8 +23,6 @@ from .daylight import of_daylight
 from .loss import Loss, fractions_of, losses
 from .resampling import Material, resampled
 
-__all__ = ["BASES", "KLEMS", "incidence", "write_radiance"]
-
 # Cells per axis of tensor trees; those of rank 3 are cheap enough to be finer.
 TREE_SIZES = {3: 64, 4: 32}
 

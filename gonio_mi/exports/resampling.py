@@ -26,8 +26,6 @@ from ..progress import counted
 from ..results.record import Record
 from .loss import fractions_of
 
-__all__ = ["Material", "half_vector_grids", "resampled", "vectors"]
-
 # Fraction of the flux that values at points may miss before it is carried.
 MAX_MISSED = 0.01
 

@@ -18,8 +18,6 @@ from ..results.record import Record
 from .loss import Loss, fractions_of, losses, part_names
 from .resampling import Material
 
-__all__ = ["write_grids", "write_merl", "write_zemax"]
-
 # Polar angles and azimuths about the specular direction, where lobes are narrow.
 RADIAL, AROUND = merl.RADIAL, np.arange(0.0, 361.0, 10.0)
 

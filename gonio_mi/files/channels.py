@@ -8,8 +8,6 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import unknown_channel
 
-__all__ = ["chosen_channel", "wavelengths_nm"]
-
 
 def wavelengths_nm(channels: Sequence[str]) -> Floats | None:
     """Wavelengths of channels such as ``"550nm"``, shape (n,); None for any others."""

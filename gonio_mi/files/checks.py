@@ -15,8 +15,6 @@ from ..errors import FileFormatError
 from ..results.record import Record
 from ..results.tally import Integrals, Tally
 
-__all__ = ["SEAL_LENGTH", "check_record", "check_seal", "require", "seal_of", "size_of"]
-
 SEAL_MARK = b"gonio-mi sha256 "
 SEAL_LENGTH = len(SEAL_MARK) + 2 * hashlib.sha256().digest_size
 

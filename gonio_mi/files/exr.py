@@ -41,8 +41,6 @@ from .header import (
     rebuilt,
 )
 
-__all__ = ["attributes", "layer_names", "pixels", "read", "write"]
-
 MAGIC = b"\x76\x2f\x31\x01"
 
 # Width and height of the picture of a hemisphere, in pixels.

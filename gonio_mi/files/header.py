@@ -15,18 +15,6 @@ from ..results.record import Record
 from ..results.tally import Fate, Integrals, Tally
 from .checks import require
 
-__all__ = [
-    "MAX_EXPANSION",
-    "VERSION",
-    "VERSION_OF_COPIES",
-    "check_format",
-    "header_of",
-    "json_of",
-    "parsed_json",
-    "parsed_subdivision",
-    "rebuilt",
-]
-
 FORMAT = "gonio-mi record"
 VERSION = 4
 

@@ -23,16 +23,6 @@ from ..errors import (
 from . import replacing
 from .table_text import is_decimal
 
-__all__ = [
-    "COLUMNS",
-    "NUMBERS",
-    "QUANTITIES",
-    "MeasuredTable",
-    "fits",
-    "parsed_keys",
-    "repeats_noted",
-]
-
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "value")
 # Incident directions that are listed where a table is shown.
 MAX_LISTED = 12

@@ -12,8 +12,6 @@ from ..errors import PackageError
 from ..results.record import Record
 from .channels import wavelengths_nm
 
-__all__ = ["dataset", "write"]
-
 CONVENTIONS = (
     "Patch means in 1/sr, without cosine. Angles in degrees: theta_i from the normal "
     "of the lit face, phi from +x counter-clockwise, theta from the pole of either "

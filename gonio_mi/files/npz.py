@@ -36,8 +36,6 @@ from .header import (
     rebuilt,
 )
 
-__all__ = ["read", "write"]
-
 # Type, or one of several, and number of axes of each array.
 HEADER = {
     "format": ("str", 0),

@@ -9,8 +9,6 @@ from . import exr, npz
 from .checks import check_record
 from .writing import checked_ending, replacing
 
-__all__ = ["ENDINGS", "FORMATS", "load", "save"]
-
 FORMATS = {".exr": exr, ".npz": npz}
 ENDINGS = tuple(FORMATS)
 

@@ -7,17 +7,6 @@ from dataclasses import dataclass
 
 from scipy import special
 
-__all__ = [
-    "ANGLES",
-    "COLOURS",
-    "ROLES",
-    "Column",
-    "coverage_of",
-    "is_unit",
-    "recognised",
-    "unit_of",
-]
-
 ANGLES = ("theta_i", "phi_i", "theta_o", "phi_o", "delta_phi")
 ROLES = (*ANGLES, "value", "sigma", "wavelength")
 

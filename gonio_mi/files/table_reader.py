@@ -31,8 +31,6 @@ from .table_names import (
 )
 from .table_text import TextTable, decimal, is_decimal, split_text
 
-__all__ = ["AZIMUTHS", "OpenQuestionsError", "check_nothing_open", "read_text"]
-
 # What azimuths of exit count from.
 AZIMUTHS = ("specimen", "source", "mirror")
 

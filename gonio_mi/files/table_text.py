@@ -15,8 +15,6 @@ from pathlib import Path
 from ..errors import FileFormatError, SettingError, shown
 from .table_names import is_unit
 
-__all__ = ["TextTable", "decimal", "is_decimal", "split_text"]
-
 DECIMAL = re.compile(
     r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?(nan|inf|infinity)",
     re.ASCII | re.IGNORECASE,

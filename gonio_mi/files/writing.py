@@ -18,8 +18,6 @@ try:
 except ImportError:  # not a POSIX system
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["check_output", "checked_ending", "replacing", "takes_a_stream"]
-
 # A temporary file that nobody has locked and that is older than this many seconds was
 # left behind by a process that was killed.
 MAX_PARTIAL_AGE = 60.0

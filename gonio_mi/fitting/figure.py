@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["fit_figure"]
-
 # Incident directions that are drawn, evenly among all.
 MAX_DIRECTIONS = 4
 

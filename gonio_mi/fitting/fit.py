@@ -25,8 +25,6 @@ from ..transport.kernels import launches_kernels
 from .least_squares import FittedModel, Search
 from .observations import Observations, RecordObservations, TableObservations
 
-__all__ = ["Fit", "fit"]
-
 # Rounds of refined nodes and weights; a round is the last that moves no parameter by
 # more than a part of its uncertainty, or of itself, which no node would notice.
 MAX_ROUNDS, MAX_MOVE_STD_ERRS, MAX_REL_MOVE = 8, 0.02, 1e-3

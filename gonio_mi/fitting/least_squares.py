@@ -15,8 +15,6 @@ from ..errors import SettingError, SpecimenError, did_you_mean, shown
 from ..instrument.loading import loaded
 from .observations import Observations
 
-__all__ = ["FittedModel", "LoadedModel", "Parameter", "Search"]
-
 # Differences for derivatives, relative to a value or to a hundredth of its range: wide
 # against single precision, narrow against the curvature.
 REL_STEP = 3e-4

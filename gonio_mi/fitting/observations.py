@@ -14,8 +14,6 @@ from ..files.measured_table import MeasuredTable
 from ..results.record import Record
 from .predictions import ConePredictions, PatchPredictions
 
-__all__ = ["Observations", "RecordObservations", "TableObservations", "pooled"]
-
 # Relative error of the integrals of a model, in no error bar of a record of integrals;
 # and the part of the mean below which values are uncertain alike.
 MODEL_REL_ERR, MIN_RELATIVE_VALUE = 1e-4, 0.01

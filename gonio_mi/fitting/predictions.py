@@ -21,8 +21,6 @@ from ..quadrature.integrate import Rule
 from ..transport.surface_events import flux_context
 from ..transport.wavelengths import passes, wavelength_lanes
 
-__all__ = ["ConePredictions", "Nodes", "PatchPredictions", "Predictions", "REL_ERR"]
-
 # Relative error of each patch to which the nodes of the integrals are refined.
 REL_ERR = 1e-4
 

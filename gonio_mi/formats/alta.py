@@ -4,8 +4,6 @@ import re
 
 from .format import Format
 
-__all__ = ["FORMATS"]
-
 FORMATS = (
     Format(
         "ALTA",

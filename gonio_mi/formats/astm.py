@@ -23,8 +23,6 @@ from .format import Format
 from .lines import Lines
 from .scatter import Points
 
-__all__ = ["ANGLES", "FORMATS", "GREY", "read", "write"]
-
 ANGLES = ("theta_i", "phi_i", "theta_s", "phi_s")
 
 # ALTA takes a column for grey if its name begins so.

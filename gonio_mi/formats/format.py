@@ -7,8 +7,6 @@ from typing import BinaryIO
 
 from .scatter import PatchMeans, Points, Scatter
 
-__all__ = ["Format"]
-
 
 @dataclass(frozen=True)
 class Format:

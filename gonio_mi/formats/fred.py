@@ -23,8 +23,6 @@ from .format import Format
 from .lines import Lines
 from .scatter import Points
 
-__all__ = ["FORMATS", "read"]
-
 FORMAT = {"angles": ("deg", "sin"), "bsdf": ("value", "log")}
 
 

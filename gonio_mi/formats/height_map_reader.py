@@ -18,8 +18,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["read"]
-
 # Bytes of address space for the libraries alone, and for each byte of the file, of
 # which text and compressed numbers grow.
 ROOM, ROOM_PER_BYTE = 2**32, 2**8

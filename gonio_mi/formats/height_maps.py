@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from ..array_types import Floats
 from ..errors import FileFormatError, PackageError, SpecimenError, no_file
 
-__all__ = ["ENDINGS", "HeightMap", "is_height_map", "read_apart", "read_height_map"]
-
 # Endings of the files of instruments, and the formats in which the library
 # SurfaceTopography may read each. Left out are containers of anything (HDF5, NetCDF,
 # MATLAB, zip), and tables that may be a measured BSDF.

@@ -9,8 +9,6 @@ from ..errors import FileFormatError
 from ..files.checks import require
 from ..files.table_text import decimal
 
-__all__ = ["MAX_NUMBERS", "Lines", "check_size", "without_mark"]
-
 # Longest line, which is one of values; numbers that a text may announce.
 MAX_LINE, MAX_NUMBERS = 10**6, 10**8
 

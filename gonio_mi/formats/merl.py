@@ -19,8 +19,6 @@ from ..files.checks import require, size_of
 from .format import Format
 from .scatter import Block, Scatter
 
-__all__ = ["FORMATS", "read", "write"]
-
 CELLS = (90, 90, 180)
 SCALES = np.array([1.0, 1.15, 1.66]) / 1500
 

@@ -12,8 +12,6 @@ from ..errors import FileFormatError
 from ..files.checks import require
 from ..files.table_text import decimal
 
-__all__ = ["MESHES", "is_mesh", "read_stl"]
-
 # Mitsuba's plugins by the ending of the file.
 MESHES = {".obj": "obj", ".ply": "ply", ".stl": "stl"}
 

@@ -23,8 +23,6 @@ from .format import Format
 from .lines import MAX_NUMBERS, without_mark
 from .scatter import Block, Points, Scatter
 
-__all__ = ["FORMATS", "read", "write"]
-
 SCHEMA = (
     "https://raw.githubusercontent.com/asam-ev/OpenMATERIAL-3D/refs/tags/v1.0.0/schemas/"
     "material_brdf_schema.json"

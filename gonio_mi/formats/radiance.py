@@ -29,21 +29,6 @@ from .format import Format
 from .scatter import PatchMeans
 from .tensor_tree import TensorTree, coordinates
 
-__all__ = [
-    "BLOCKS",
-    "DIRECTIONS",
-    "FORMATS",
-    "XYZ",
-    "Product",
-    "RadianceBSDF",
-    "has_back",
-    "incident_patch",
-    "matrices",
-    "read",
-    "trees",
-    "write",
-]
-
 BASES = {
     f"LBNL/Klems {size.capitalize()}": Klems(size)
     for size in ("full", "half", "quarter")

@@ -21,16 +21,6 @@ from .format import Format
 from .lines import without_mark
 from .scatter import PatchMeans, Points, Scatter, scatter_means
 
-__all__ = [
-    "endings_of",
-    "format_named",
-    "format_of",
-    "load_material",
-    "lost_in_each",
-    "read_measured",
-    "read_scatter",
-]
-
 QUANTITIES = ("brdf", "btdf")
 
 # Bytes that tell what a file is.

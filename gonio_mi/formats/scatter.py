@@ -16,16 +16,6 @@ from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
 from ..files.checks import require
 
-__all__ = [
-    "Block",
-    "PatchMeans",
-    "Points",
-    "Scatter",
-    "patch_means",
-    "scatter_means",
-    "total_of",
-]
-
 # Points per side of a patch that is averaged over.
 POINTS = 6
 

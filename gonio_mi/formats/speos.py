@@ -30,8 +30,6 @@ from .format import Format
 from .lines import Lines, check_size
 from .scatter import Block, Scatter, total_of
 
-__all__ = ["FORMATS", "read", "write_anisotropic", "write_spectral"]
-
 ANISOTROPIC, SPECTRAL = "OPTIS - Anisotropic BSDF surface file", "OPTIS - brdf surface"
 
 # Wavelengths in nm between which a file holds for one channel.

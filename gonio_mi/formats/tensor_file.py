@@ -24,8 +24,6 @@ from ..errors import FileFormatError
 from ..files.checks import require, size_of
 from .format import Format
 
-__all__ = ["FORMATS", "MAGIC", "check_measured", "read", "write"]
-
 MAGIC = b"tensor_file\0"
 VERSION = (1, 0)
 ALIGNMENT = 8

@@ -23,8 +23,6 @@ from ..errors import FileFormatError
 from ..files.checks import require
 from ..files.table_text import decimal
 
-__all__ = ["TensorTree", "coordinates", "grid_directions"]
-
 # Cells whose values differ by less, relative to their mean, become one.
 MERGE_TOLERANCE = 0.01
 

@@ -26,8 +26,6 @@ from .format import Format
 from .lines import Lines, check_size
 from .scatter import Block, Scatter, total_of
 
-__all__ = ["FORMATS", "read", "write"]
-
 AXES = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 WORDS = ("Source", "Symmetry", "SpectralContent", "ScatterType")
 SPECTRA = {

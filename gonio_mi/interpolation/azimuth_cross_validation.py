@@ -13,8 +13,6 @@ from ..array_types import Floats, Integers
 from ..collector import RingsAndSectors
 from .half_vectors import predicted_lobes
 
-__all__ = ["AzimuthCrossValidation", "azimuth_gaps", "tried_indices"]
-
 # Records that are predicted from their neighbours; azimuths below which none is.
 MAX_TRIALS, MIN_AZIMUTHS = 4, 4
 

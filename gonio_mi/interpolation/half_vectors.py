@@ -20,8 +20,6 @@ from ..collector import RingsAndSectors
 from ..collector.directions import direction
 from .gradients import gradients
 
-__all__ = ["is_redirected", "predicted_lobes", "redirected", "reflected", "refracted"]
-
 Floats = NDArray[np.float64]
 
 # Light is not moved so near to the horizon that it is seen as more times brighter.

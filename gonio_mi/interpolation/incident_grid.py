@@ -16,8 +16,6 @@ from ..results.record import Record
 from .azimuth_cross_validation import AzimuthCrossValidation, azimuth_gaps
 from .half_vectors import predicted_lobes
 
-__all__ = ["IncidentGrid"]
-
 Floats = NDArray[np.float64]
 
 # Gaps between azimuths of incidence that may be bridged, in degrees.

@@ -13,8 +13,6 @@ from .interpolated_lobes import HalfVectorLegs, InterpolatedLobes
 from .lobes import LobeTable
 from .lookups import IncidentPlaces, Place, doubles, read, seen_from, towards
 
-__all__ = ["InterpolatedBSDF"]
-
 
 class InterpolatedBSDF:
     """Lobe table as Dr.Jit arrays; double precision keeps pole and horizon.

@@ -27,14 +27,6 @@ from .lookups import (
     turned,
 )
 
-__all__ = [
-    "QuantileTransport",
-    "LobeArrays",
-    "HalfVectorTransport",
-    "InterpolatedLobes",
-    "HalfVectorLegs",
-]
-
 
 @dataclass(frozen=True)
 class _Pieces:

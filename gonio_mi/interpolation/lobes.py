@@ -22,14 +22,6 @@ from .gradients import gradients
 from .incident_grid import IncidentGrid
 from .quantile_transport import N_CELLS, TransportTable, cumulative
 
-__all__ = [
-    "LobeTable",
-    "MeasuredLobes",
-    "TooLargeError",
-    "check_table",
-    "is_significant",
-]
-
 # Of the whole table as Dr.Jit holds it: half of what a machine of 8 GiB has. While it
 # is made, it needs twice as much.
 MAX_BYTES = 2**32

@@ -14,23 +14,6 @@ from numpy.typing import ArrayLike
 
 from .incident_grid import IncidentGrid
 
-__all__ = [
-    "DiskPoint",
-    "IncidentPlaces",
-    "Place",
-    "above",
-    "between",
-    "doubles",
-    "last",
-    "on_disk",
-    "quantile",
-    "read",
-    "seen_from",
-    "tilted",
-    "towards",
-    "turned",
-]
-
 
 @dataclass(frozen=True)
 class DiskPoint:

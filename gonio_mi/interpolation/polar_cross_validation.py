@@ -18,8 +18,6 @@ from .interpolated_bsdf import InterpolatedBSDF
 from .interpolated_lobes import HalfVectorLegs
 from .lobes import MeasuredLobes
 
-__all__ = ["half_vector_legs"]
-
 # Records that are predicted from their neighbours, at most, and the part of their
 # radiance that is looked at: on the patches that have most of it, or some of these.
 MAX_TRIALS, RADIANCE_LOOKED_AT, MAX_PATCHES = 6, 0.99, 2**13

@@ -22,8 +22,6 @@ import numpy as np
 from ..array_types import Floats, Integers
 from ..collector import RingsAndSectors
 
-__all__ = ["TransportTable", "N_CELLS", "cumulative", "merged"]
-
 # Cells per side of the histograms; points per side and cell, to fill them.
 N_CELLS = 32
 N_POINTS = 8

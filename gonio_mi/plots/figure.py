@@ -19,17 +19,6 @@ from ..files import check_output, replacing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "ANIMATION_ENDINGS",
-    "FIGURE_ENDINGS",
-    "new_figure",
-    "check_matplotlib",
-    "check_picture",
-    "evenly",
-    "finished",
-    "set_title",
-]
-
 # Part of a figure's width that a title may fill.
 TITLE_WIDTH = 0.97
 

@@ -31,8 +31,6 @@ from .profile import draw_profiles
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["animation", "plot", "sheet"]
-
 MAX_TITLE = 80
 METHOD_SETTINGS = ("estimator", "sampler")
 # Settings that are said where they are not the default.

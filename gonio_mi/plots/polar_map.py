@@ -15,15 +15,6 @@ from ..collector import RingsAndSectors
 from ..results.record import Record
 from .profile import BORDER_TOLERANCE, drawn_in_rings, sectors_beside
 
-__all__ = [
-    "add_bar",
-    "add_legend",
-    "draw_map",
-    "draw_patches",
-    "scale_of",
-    "shown_values",
-]
-
 # More than this between largest and smallest value, or the first between largest and
 # median, and the scale is logarithmic.
 MIN_LOG_RANGE, MIN_LOG_PEAK = 100, 20

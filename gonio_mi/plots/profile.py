@@ -20,17 +20,6 @@ from ..results.tally import without_chance
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "LEVEL",
-    "BORDER_TOLERANCE",
-    "Profile",
-    "bars_text",
-    "draw_profiles",
-    "drawn_in_rings",
-    "profile",
-    "sectors_beside",
-]
-
 LEVEL = 0.95
 # More patches than this, and their intervals are drawn as a band.
 MAX_POINTS = 200

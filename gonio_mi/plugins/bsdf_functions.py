@@ -16,20 +16,6 @@ import numpy as np
 
 from ..errors import SettingError, SettingTypeError
 
-__all__ = [
-    "GLOSSY",
-    "above",
-    "density",
-    "eval_pdf",
-    "evaluate",
-    "glossy_enabled",
-    "glossy_sample",
-    "mean",
-    "name_component",
-    "reflectance",
-    "sample",
-]
-
 
 class Joint(Protocol):
     """BSDF with an ``eval_pdf``."""

@@ -14,18 +14,6 @@ import mitsuba as mi
 from gonio_mi import properties
 from gonio_mi.plugins.bsdf_functions import GLOSSY
 
-__all__ = [
-    "FORMS",
-    "MAX_EXPONENT",
-    "around",
-    "cosine_power",
-    "density",
-    "exponent",
-    "flags",
-    "polar",
-    "throughput",
-]
-
 # What the lobe about the mirror direction stands for; see plugin `cosinelobe`.
 FORMS = ("unit", "modified_phong")
 

@@ -12,8 +12,6 @@ from scipy import special
 
 from ..array_types import Floats
 
-__all__ = ["averted_area", "averted_area_table", "mean_cosine"]
-
 # Rows and columns of the table, and of the exact values that a spline refines into it.
 N_NODES, N_EXACT = 257, 65
 

@@ -12,16 +12,6 @@ from ..errors import PackageError
 from ..files import check_output, replacing
 from ..plots.figure import check_matplotlib
 
-__all__ = [
-    "check_page",
-    "coded",
-    "figure",
-    "picture_and_text",
-    "preformatted",
-    "save_page",
-    "table",
-]
-
 
 def check_page(
     path: str | PathLike[str], check_package: Callable[[], None] = check_matplotlib

@@ -26,8 +26,6 @@ from ..results.summary import Summary, grouped, summarize
 from ..results.summary_text import percent, summary_text, total_cells
 from .page import check_page, picture_and_text, save_page
 
-__all__ = ["check_report", "names_apart", "notebook_view", "packed_record", "report"]
-
 # Patch values of one record, over all directions, hemispheres and channels, that a
 # browser still shows with ease: 1000 directions of two hemispheres of 30x90 patches.
 MAX_VALUES = 1000 * 2 * 30 * 90

@@ -17,16 +17,6 @@ from ..array_types import Flags, Numbers
 from .record import Record
 from .tally import Tally
 
-__all__ = [
-    "AzimuthSymmetry",
-    "Motion",
-    "azimuth_of",
-    "sharing",
-    "sources",
-    "symmetry_of",
-    "without_copies",
-]
-
 # Along which axis the arrays of a tally have their sectors.
 SECTOR_AXES = {"hits": 2, "sums": 3, "errors": 2}
 

@@ -14,8 +14,6 @@ import numpy as np
 from ..errors import SettingError, shown
 from .statistics import binomial_interval
 
-__all__ = ["MAX_LOOKS", "CampaignOutcome", "PredictionError"]
-
 # A campaign looks at new directions at most so often, and ends when few are missed: the
 # confidence in their share holds for all looks together (Bonferroni).
 MAX_LOOKS, CONFIDENCE = 10, 0.95

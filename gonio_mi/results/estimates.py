@@ -10,8 +10,6 @@ from ..single_precision import ROUNDING
 from . import statistics
 from .tally import Integrals, Tally
 
-__all__ = ["Estimates", "IntegralEstimates", "SampledEstimates"]
-
 # Below this many hits the sum of a patch is too skewed for Student's t.
 MIN_HITS = 100
 # The same for rays of a low-discrepancy sequence, whose counts scatter less.

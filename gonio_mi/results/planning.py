@@ -20,19 +20,6 @@ from ..errors import SettingError, SettingTypeError, checked_count, checked_numb
 from .precision import FLOOR, lobe, patch_values
 from .record import Record
 
-__all__ = [
-    "Plan",
-    "chebyshev_rays",
-    "paper_rays",
-    "plan",
-    "relative_rays",
-    "reliability",
-    "rms_expectation",
-    "simulated_reliability",
-    "standard_error_rays",
-    "union_rays",
-]
-
 
 @dataclass(frozen=True)
 class Plan:

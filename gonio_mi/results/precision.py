@@ -7,8 +7,6 @@ from ..array_types import Flags, Floats
 from ..errors import checked_number
 from .record import Record
 
-__all__ = ["FLOOR", "lobe", "patch_values", "precision", "relative_errors"]
-
 # Patches whose BRDF is below this fraction of the mean BRDF are not worth reporting.
 FLOOR = 0.1
 

@@ -9,8 +9,6 @@ from .campaign_outcome import PredictionError
 from .record import Record
 from .tally import Integrals, Tally
 
-__all__ = ["expected_noise", "prediction_error"]
-
 
 def prediction_error(record: Record, predicted: Floats) -> PredictionError:
     r"""How far a prediction is from a record of one incident direction.

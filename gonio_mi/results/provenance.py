@@ -16,22 +16,6 @@ from ..errors import SettingError, SettingTypeError, shown
 from ..settings import MeasurementSettings, declarations
 from .campaign_outcome import CampaignOutcome
 
-__all__ = [
-    "FREE_WHEN_MERGED",
-    "FREE_WHEN_STACKED",
-    "Provenance",
-    "Settings",
-    "check_alike",
-    "reported_names",
-    "ReadOnlyDict",
-    "ReadOnlyList",
-    "read_only",
-    "read_settings",
-    "shared_seeds",
-    "settings_mapping",
-    "with_settings",
-]
-
 Settings = Mapping[str, Any]
 
 # Specified settings that a record reports. It knows the others better: by its patches,

@@ -32,9 +32,6 @@ from .provenance import (
 from .tally import holds_integrals, sent_text
 from .values import MeasuredValues, read_only_array
 
-__all__ = ["Record"]
-
-
 # Channels that are wavelengths, from 100 to 9999 nm.
 WAVELENGTH = re.compile(r"([1-9]\d{2,3}(?:\.\d+)?)nm")
 

@@ -9,19 +9,6 @@ from scipy import special
 
 from ..array_types import Counts, Floats, Numbers
 
-__all__ = [
-    "batch_std_err",
-    "binomial_interval",
-    "binomial_std_err",
-    "gamma_interval",
-    "ratio",
-    "scatter_weight",
-    "student_interval",
-    "student_score",
-    "two_sided_score",
-    "upper_limit",
-]
-
 # A probability below counts as that, so that no score is infinite.
 MIN_PROBABILITY = 1e-300
 

@@ -13,17 +13,6 @@ from .precision import patch_values, precision, relative_errors
 from .record import Record
 from .tally import Ledger, holds_integrals
 
-__all__ = [
-    "LEVEL",
-    "DirectionSummary",
-    "PatchSummary",
-    "Summary",
-    "Total",
-    "grouped",
-    "lost_light",
-    "summarize",
-]
-
 LEVEL = 0.95
 N_WORST = 5
 

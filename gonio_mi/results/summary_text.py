@@ -11,8 +11,6 @@ from .precision import FLOOR
 from .summary import LEVEL, Summary, Total, grouped
 from .tally import without_chance
 
-__all__ = ["aligned", "percent", "summary_text", "total_cells"]
-
 WIDTH = 88
 MAX_SURFACE = 400
 MAIN_ROWS = ("reflected", "transmitted", "absorbed")

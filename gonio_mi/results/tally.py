@@ -11,18 +11,6 @@ import numpy as np
 
 from ..array_types import Counts, Floats, Numbers
 
-__all__ = [
-    "WEIGHT_SCALE",
-    "Fate",
-    "Integrals",
-    "Ledger",
-    "Tally",
-    "batch_sizes",
-    "holds_integrals",
-    "sent_text",
-    "without_chance",
-]
-
 # Weights are added up in units of 2**-24 of a ray: exactly, however faint, in a launch;
 # and in double precision, which 1e12 rays of unit weight do not exhaust, over launches.
 WEIGHT_SCALE = 2**24

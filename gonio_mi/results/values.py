@@ -17,8 +17,6 @@ from .estimates import Estimates, IntegralEstimates, SampledEstimates
 from .provenance import Provenance
 from .tally import Integrals, Ledger, Tally
 
-__all__ = ["MeasuredValues", "read_only_array"]
-
 
 @dataclass(frozen=True, eq=False)
 class MeasuredValues:

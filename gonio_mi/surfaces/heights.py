@@ -14,15 +14,6 @@ from ..errors import (
     checked_number,
 )
 
-__all__ = [
-    "CORRELATIONS",
-    "MAX_LENGTH",
-    "HeightStatistics",
-    "checked_heights",
-    "gaussian_heights",
-    "height_statistics",
-]
-
 CORRELATIONS = ("gaussian", "exponential")
 
 # Heights and lengths are below it, so that single precision holds their squares.

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from ..errors import SpecimenError
 
-__all__ = ["image_heights"]
-
 
 def image_heights(path: Path) -> NDArray[np.generic]:
     """First channel of an image, in its own type: whole numbers are its codes."""

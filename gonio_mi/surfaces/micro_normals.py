@@ -34,8 +34,6 @@ from .smith import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["MicroNormals", "micro_normals"]
-
 # How far above its surface a point is looked for, relative to its coordinates.
 APPROACH = 2.0**-16
 

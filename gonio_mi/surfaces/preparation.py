@@ -7,8 +7,6 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers
 from ..errors import SettingError, checked_choice
 
-__all__ = ["FILLS", "FORMS", "filled", "without_form"]
-
 # Total degree of the polynomial in x and y that is taken away.
 FORMS = {"keep": None, "mean": 0, "plane": 1, "quadratic": 2, "cubic": 3}
 

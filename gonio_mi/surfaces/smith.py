@@ -10,17 +10,6 @@ from scipy import special
 
 from ..array_types import Floats
 
-__all__ = [
-    "DISTRIBUTIONS",
-    "MIN_ALPHA",
-    "density",
-    "fitted_alphas",
-    "masking",
-    "ring_means",
-    "ring_shares",
-    "smith_lambda",
-]
-
 DISTRIBUTIONS = ("beckmann", "ggx")
 
 # Points of azimuth over which the density is averaged: exact to rounding unless one

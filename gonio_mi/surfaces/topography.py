@@ -14,8 +14,6 @@ from ..formats.height_maps import HeightMap
 from .heights import MAX_LENGTH, HeightStatistics, checked_heights, height_statistics
 from .preparation import filled, without_form
 
-__all__ = ["Topography", "UNITS", "VISIBLE", "height_step", "metres", "topography"]
-
 # The micro sign and the Greek letter are two characters.
 UNITS = {
     "m": 1.0,
