@@ -1,4 +1,9 @@
-"""Short plugins of many kinds: broken ones are found and named, right ones pass."""
+"""Short plugins of many kinds: broken ones are found and named, right ones pass.
+
+GONIO_EFFORT=normal (or thorough) examines them harder than quick.
+"""
+
+import os
 
 import mitsuba as mi
 import pytest
@@ -10,9 +15,11 @@ from gonio_mi.validation.checks import cost
 from gonio_mi.validation.conditions import Condition
 from gonio_mi.validation.evidence import Evidence
 
+EFFORT = os.environ.get("GONIO_EFFORT", "quick")
+
 
 def check_found(name, guilty):
-    verdict = validate({"type": name}, effort="quick", strict=True)
+    verdict = validate({"type": name}, effort=EFFORT, strict=True)
     assert not verdict.passed, str(verdict)
     assert {*verdict.function.split(" or ")} & {*guilty.split(" or ")}, str(verdict)
 
@@ -62,7 +69,7 @@ def test_exchanged_colours_are_found(name, guilty):
 def test_unusual_right_plugin_passes(name):
     """The twins; the false-alarm probability is that of the user."""
     short_bsdfs.register()
-    verdict = validate({"type": name}, effort="quick")
+    verdict = validate({"type": name}, effort=EFFORT)
     assert verdict.passed, str(verdict)
     interface = [one.name for one in verdict.failures]
     assert interface == ["eval_pdf_sample"] * (name == "own_eval_pdf_sample")

@@ -94,6 +94,30 @@ def test_beckmann_density():
     assert sampled - integral > 20 * std_err
 
 
+@pytest.mark.parametrize("visible", [False, True], ids=["all normals", "twin"])
+def test_rough_glass_of_all_normals_is_sampled_with_another_roughness(visible):
+    """Weight times pdf against `eval`, of half of the samples, beyond 0.1 %."""
+    settings = {"alpha": 0.3, "distribution": "ggx", "sample_visible": visible}
+    bsdf, n = mi.load_dict({"type": "roughdielectric"} | settings), 2**12
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(1, n)
+    ctx = mi.BSDFContext(mi.TransportMode.Importance)
+    si = lit_from(np.radians(60))
+    bs, weight = bsdf.sample(ctx, si, sampler.next_1d(), sampler.next_2d())
+    product = np.ravel(np.array(weight)) * np.ravel(np.array(bs.pdf))
+    value = np.ravel(np.array(bsdf.eval(ctx, si, bs.wo)))
+    off = np.abs(product - value)[product > 0] / value[product > 0]
+    assert (np.median(off) > 16 * BSDF_ROUNDING) == (not visible)
+
+
+def test_mask_passes_light_whatever_types_are_asked_for():
+    bsdf = mi.load_dict({"type": "mask", "opacity": 0.4, "nested": DIFFUSE})
+    ctx = context()
+    ctx.type_mask = int(mi.BSDFFlags.DiffuseReflection)
+    weight = bsdf.sample(ctx, lit_from(0.5), mi.Float([0.9]), mi.Point2f(0.3, 0.6))[1]
+    assert only(weight) > 0
+
+
 def test_roughplastic_has_a_density_below_the_horizon():
     bsdf = mi.load_dict({"type": "roughplastic", "alpha": 0.3, "distribution": "ggx"})
     below = mi.Vector3f(0.6, 0, -0.8)

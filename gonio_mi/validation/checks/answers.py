@@ -88,7 +88,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
                 function,
                 samples.fraction(wrong),
                 f"the {what} of `{function}` is {example(value[wrong])} in places",
-                samples.condition,
+                samples.condition.middle(wrong),
                 size=float(wrong.mean()),
             )
 
@@ -152,7 +152,7 @@ def check_frames(evidence: Evidence) -> None:
                 function,
                 f"{samples.fraction(wrong)}, where the surface is turned",
                 f"`{function}` {mistake}",
-                samples.condition,
+                samples.condition.middle(wrong),
                 size=2.0,
             )
         else:
@@ -219,7 +219,7 @@ def check_order(evidence: Evidence, samples: Samples) -> None:
                 function,
                 samples.fraction(wrong),
                 f"`{function}` depends on the place of a ray in the array",
-                samples.condition,
+                samples.condition.middle(wrong),
                 size=2.0,
                 off=float(wrong.mean()),
             )

@@ -58,7 +58,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
                 "sample",
                 samples.fraction(wrong),
                 f"`sample`: {mistake}",
-                samples.condition,
+                samples.condition.middle(wrong),
                 size=float(wrong.mean()),
                 effect=effect,
             )

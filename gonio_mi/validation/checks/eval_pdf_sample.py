@@ -27,7 +27,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
             "eval_pdf_sample",
             samples.fraction(wrong),
             "`eval_pdf_sample` draws other samples than `sample`",
-            samples.condition,
+            samples.condition.middle(wrong),
             size=float(wrong.mean()),
             off=float(wrong.mean()),
             effect=effect,

@@ -49,7 +49,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
             f"{100 * dark.sum() / usable.sum():.3g} % of the samples with light at "
             f"{samples.condition}",
             f"{functions} 0 where `sample` scatters light",
-            samples.condition,
+            samples.condition.middle(dark),
             size=1 + float(dark.mean()),
             off=float(dark.mean()),
         )
