@@ -177,8 +177,12 @@ def check_not_read(specimen: Any, word: str, outputs: Sequence[str]) -> None:
             )
 
 
-def specimen_of(word: str, options: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
+def specimen_of(
+    word: str, options: argparse.Namespace, variants: Sequence[str] = ()
+) -> tuple[Any, dict[str, Any]]:
     """Set the variant, run the plugin files, and read the specimen.
+
+    The variant must be one of `variants`; by default one that measures.
 
     Returns
     -------
@@ -190,7 +194,7 @@ def specimen_of(word: str, options: argparse.Namespace) -> tuple[Any, dict[str, 
     from ..instrument.loading import load_plugin_file
     from ..instrument.specimen_text import parse_specimen
 
-    set_variant(options.variant)
+    set_variant(options.variant, variants)
     for path in options.plugin:
         load_plugin_file(path)
     check_kind(word, "specimen")
@@ -200,11 +204,11 @@ def specimen_of(word: str, options: argparse.Namespace) -> tuple[Any, dict[str, 
     return specimen, dict(options.parameters)
 
 
-def set_variant(variant: str) -> None:
-    """Set a Mitsuba variant that the instrument can use."""
+def set_variant(variant: str, variants: Sequence[str] = ()) -> None:
+    """Set one of some Mitsuba variants; by default of those that measure."""
     from ..transport.variants import usable_variants
 
-    usable = usable_variants()
+    usable = variants or usable_variants()
     if variant not in usable:
         raise SettingError(
             f"--variant must be one of {', '.join(usable)}, got {variant!r}"

@@ -123,10 +123,16 @@ def _verdicts(options: argparse.Namespace) -> tuple[list[Verdict], dict[str, str
 
 
 def _verdict(options: argparse.Namespace, variant: str) -> Verdict:
+    from ..transport.variants import is_polarised, parallel_variants, unpolarised
     from ..validation import validate
 
     options = argparse.Namespace(**(vars(options) | {"variant": variant}))
-    specimen, parameters = specimen_of(options.specimen, options)
+    if is_polarised(variant):
+        # for the first element: there the plugins must be known, too
+        plain = options.specimen, argparse.Namespace(**vars(options))
+        plain[1].variant = unpolarised(variant)
+        specimen_of(*plain)
+    specimen, parameters = specimen_of(options.specimen, options, parallel_variants())
     if parameters:
         specimen = load_specimen(specimen, parameters)
     return validate(

@@ -27,7 +27,7 @@ from ..formats.height_maps import is_height_map
 from ..formats.meshes import is_mesh
 from ..transport.kernels import launches_kernels
 from ..transport.shapes import WATERTIGHT, remember, scene_of
-from ..transport.variants import check_variant
+from ..transport.variants import check_variant, is_parallel
 from .named_files import check_named_files
 from .specimen_text import is_word, parse_specimen
 
@@ -92,7 +92,7 @@ def existing(specimen: str | os.PathLike[str]) -> Path:
     return path
 
 
-@launches_kernels()
+@launches_kernels(is_parallel)
 def load_specimen(
     specimen: Any, parameters: dict[str, Any] | None = None, period: Any = None
 ) -> Any:
@@ -322,7 +322,7 @@ def load_plugin_file(path: str | PathLike[str]) -> None:
     SpecimenError
         If the file is missing or raises.
     """
-    check_variant()
+    check_variant(is_parallel)
     path = Path(path)
     if not path.is_file():
         raise SpecimenError(no_file(path))

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import LostRaysError, VariantError
-from .variants import check_variant
+from .variants import check_variant, is_usable
 
 # Dr.Jit records side effects, such as the sums of a tally, in one state for all
 # threads.
@@ -50,8 +50,11 @@ class launches_kernels(ContextDecorator):  # noqa: N801
         At the entrance, if Dr.Jit would abort the process.
     """
 
+    def __init__(self, accepts: Callable[[str], bool] = is_usable) -> None:
+        self._accepts = accepts
+
     def __enter__(self) -> None:
-        check_variant()
+        check_variant(self._accepts)
         _lock.acquire()
         try:
             _check_flags()

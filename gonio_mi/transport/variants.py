@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import platform
+from collections.abc import Callable
 from pathlib import Path
 
 import drjit as dr
@@ -13,9 +14,24 @@ from .. import llvm
 from ..errors import VariantError
 
 
+def is_polarised(variant: str) -> bool:
+    """Whether its spectra are Mueller matrices."""
+    return variant.endswith("polarized")
+
+
+def unpolarised(variant: str) -> str:
+    """Name of the variant that has the same channels without polarisation."""
+    return variant.removesuffix("_polarized")
+
+
+def is_parallel(variant: str) -> bool:
+    """Whether it computes many rays at once: in all of these BSDFs can be judged."""
+    return not variant.startswith("scalar")
+
+
 def is_usable(variant: str) -> bool:
     """Whether it computes many rays at once, and without polarisation."""
-    return not (variant.startswith("scalar") or variant.endswith("polarized"))
+    return is_parallel(variant) and not is_polarised(variant)
 
 
 def usable_variants() -> list[str]:
@@ -23,8 +39,13 @@ def usable_variants() -> list[str]:
     return [name for name in mi.variants() if is_usable(name)]
 
 
-def check_variant() -> None:
-    """Raise :class:`VariantError` if no variant is set that the instrument can use.
+def parallel_variants() -> list[str]:
+    """Return those of this Mitsuba in which BSDFs can be judged."""
+    return [name for name in mi.variants() if is_parallel(name)]
+
+
+def check_variant(accepts: Callable[[str], bool] = is_usable) -> None:
+    """Raise :class:`VariantError` if no variant is set that one `accepts`.
 
     And :class:`LLVMError` if Dr.Jit would abort the process at its first kernel.
     """
@@ -33,9 +54,10 @@ def check_variant() -> None:
             "a Mitsuba variant must be set first, "
             "such as mi.set_variant('llvm_ad_mono')"
         )
-    if not is_usable(mi.variant()):
+    if not accepts(mi.variant()):
+        kind = "unpolarised llvm" if accepts is is_usable else "llvm"
         raise VariantError(
-            "gonio_mi needs an unpolarised llvm or cuda variant, such as "
+            f"gonio_mi needs an {kind} or cuda variant, such as "
             f"mi.set_variant('llvm_ad_mono'), got {mi.variant()}"
         )
     if mi.variant().startswith("llvm"):

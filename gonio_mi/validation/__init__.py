@@ -5,7 +5,7 @@ about the same directions, and what they answer is compared.
 """
 
 from .adapter import from_numpy
-from .evidence import PROPERTIES
+from .evidence import POLARISED, PROPERTIES
 from .validate import validate
 from .verdict import Property, Verdict
 from .verdict_page import check_report, draw, save_report, verdict_view
@@ -13,6 +13,7 @@ from .verdict_page import check_report, draw, save_report, verdict_view
 Verdict.viewer = verdict_view
 
 __all__ = [
+    "POLARISED",
     "PROPERTIES",
     "Property",
     "Verdict",

@@ -22,6 +22,7 @@ __all__ = [
     "INTERFACE",
     "MODEL",
     "NOISE",
+    "POLARISED",
     "PROPERTIES",
     "Breach",
     "Evidence",
@@ -62,6 +63,20 @@ PROPERTIES = {
     "cost": "repeated calls compile no kernel",
 }
 
+# The same in polarised variants, of all elements of Mueller matrices.
+POLARISED = {
+    "answers": "all functions answer, with finite matrices",
+    "first_element": "the first element is the answer without polarisation",
+    "sampled_pdf": PROPERTIES["sampled_pdf"],
+    "sampled_weight": "weight times pdf is `eval`, in all elements",
+    "eval_pdf": PROPERTIES["eval_pdf"],
+    "realisable": "each matrix is that of a real surface (Cloude)",
+    "energy": "no more flux leaves than arrives, of any polarisation",
+    "frames": "matrices turn with the directions, without jumps",
+    "reciprocity": "source and detector can be exchanged, in all elements",
+    "adjoint": "radiance and importance mode are adjoint, in all elements",
+}
+
 # Mitsuba's integrators that a failure reaches, by what they call.
 _COMBINED = "path, direct, volpathmis, prb: light and BSDF sampling are combined"
 _SAMPLED = "all that sample the BSDF"
@@ -91,6 +106,9 @@ _EFFECTS_OF = {
     "ends": (BIAS, "all, in single pixels"),
     "parameters": (BREAKS, "prb and all that change or differentiate parameters"),
     "cost": (INTERFACE, None),
+    "first_element": (BIAS, "all, in polarised variants"),
+    "realisable": (BIAS, "all, in polarised variants"),
+    "frames": (BIAS, "all, in polarised variants"),
 }
 
 # A larger ratio has a denominator of 0.
@@ -185,6 +203,8 @@ class Evidence:
     ----------
     bsdf : mi.BSDF
     seed : int
+    properties : dict of str
+        Questions by name: `PROPERTIES` or, in polarised variants, `POLARISED`.
     breaches, tests : list
     undecided : dict of str
         By property, why it could not be decided and what it would take.
@@ -204,6 +224,7 @@ class Evidence:
 
     bsdf: mi.BSDF = None
     seed: int = 0
+    properties: dict[str, str] = field(default_factory=lambda: PROPERTIES)
     breaches: list[Breach] = field(default_factory=list)
     tests: list[Test] = field(default_factory=list)
     undecided: dict[str, str] = field(default_factory=dict)

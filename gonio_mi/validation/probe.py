@@ -80,7 +80,7 @@ class Probe:
         si.n, si.sh_frame = mi.Normal3f(normal), mi.Frame3f(u, v, normal)
         si.dp_du, si.dp_dv = 2 * u, 2 * v
         if mi.is_spectral:
-            si.wavelengths = mi.Spectrum(list(WAVELENGTHS_NM))
+            si.wavelengths = mi.UnpolarizedSpectrum(list(WAVELENGTHS_NM))
         si.wi = self.wi if wi is None else wi
         return si
 

@@ -16,7 +16,7 @@ from ..instrument.loading import load_specimen, loaded, with_own_tensors
 from ..instrument.specimen_text import specimen_name
 from ..progress import bar
 from ..transport.kernels import launches_kernels
-from ..transport.variants import check_variant
+from ..transport.variants import is_parallel, is_polarised
 from .checks import (
     adjoint,
     answers,
@@ -41,8 +41,9 @@ from .checks import (
 from .conditions import Condition, Effort, Sweep
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
-from .evidence import BIAS, INTERFACE, PROPERTIES, Evidence
+from .evidence import BIAS, INTERFACE, POLARISED, PROPERTIES, Evidence
 from .maps import four_maps, in_radiance_mode
+from .polarised import examine_polarised, likely_mistake as polarised_mistake
 from .probe import PluginFault, Probe, number_parameters
 from .samples import Samples, samples_of, unequal
 from .verdict import FAILS, Verdict, properties_of
@@ -68,7 +69,7 @@ TINT = (1.0, 0.8, 0.6)
 COLOURS = re.compile("reflectance|transmittance|colou?r|albedo|tint")
 
 
-@launches_kernels()
+@launches_kernels(is_parallel)
 def validate(
     specimen: Any,
     *,
@@ -81,7 +82,9 @@ def validate(
 ) -> Verdict:
     """Whether a BSDF is right, and if not, which of its functions is wrong.
 
-    In a variant of rgb, grey parameters of a dictionary get a colour.
+    In a variant of rgb, grey parameters of a dictionary get a colour. In a polarised
+    variant Mueller matrices are judged; the unpolarised variant, which judges all else,
+    is set for a moment if the specimen is a dictionary or a file.
 
     Parameters
     ----------
@@ -117,15 +120,24 @@ def validate(
     seed = checked_count("seed", seed, 0)
     alpha = checked_number("alpha", alpha, 1e-12, 1, "a probability in [1e-12, 1)")
     allow = (allow,) if isinstance(allow, str) else tuple(allow)
+    polarised = is_polarised(mi.variant())
+    questions = POLARISED if polarised else PROPERTIES
     for name in allow:
-        if name not in PROPERTIES:
+        if name not in questions:
             raise SettingError(
-                f"allow must name some of {', '.join(PROPERTIES)}, got {shown(name)}"
+                f"allow must name some of {', '.join(questions)}, got {shown(name)}"
             )
     bsdf, name = _bsdf(specimen)
-    evidence = Evidence(bsdf, seed)
+    evidence = Evidence(bsdf, seed, questions)
+    n_asked = 0
     try:
-        _examine(evidence, plan, name, progress)
+        if polarised:
+            load = None
+            if not isinstance(specimen, mi.Object):
+                load = lambda: _bsdf(specimen)[0]  # noqa: E731
+            n_asked = examine_polarised(evidence, effort, specimen, load)
+        else:
+            _examine(evidence, plan, name, progress)
     except PluginFault as fault:
         _stop(evidence, fault)
     properties = properties_of(evidence, alpha, allow)
@@ -133,8 +145,11 @@ def validate(
     shares = {p.name: p.share for p in properties}
     function, mistake = None, None
     if failed:
-        function, mistake = likely_mistake(evidence, failed, shares)
-        _add_maps_of_failure(evidence, plan)
+        if polarised:
+            function, mistake = polarised_mistake(evidence, failed)
+        else:
+            function, mistake = likely_mistake(evidence, failed, shares)
+            _add_maps_of_failure(evidence, plan)
     settings = {
         "effort": effort,
         "seed": seed,
@@ -144,7 +159,8 @@ def validate(
         "variant": mi.variant(),
         "n_tests": len(evidence.tests),
         "n_samples": sum(m.totals.n for m in evidence.maps)
-        + sum(one.n for one in evidence.samples),
+        + sum(one.n for one in evidence.samples)
+        + n_asked,
     }
     return Verdict(
         name, tuple(properties), function, mistake, settings, tuple(evidence.maps)
@@ -153,7 +169,6 @@ def validate(
 
 def _bsdf(specimen: Any) -> tuple[mi.BSDF, str]:
     """BSDF of a specimen, and its name."""
-    check_variant()
     name: str | None
     if isinstance(specimen, dict):
         name, grey = specimen_name(specimen), specimen
@@ -386,7 +401,7 @@ def _stop(evidence: Evidence, fault: PluginFault) -> None:
     """A fault is the last thing that is known."""
     mistake = f"`{fault.function}` {fault.what}"
     evidence.breach("answers", fault.function, str(fault), mistake, size=10.0)
-    for name in PROPERTIES:
+    for name in evidence.properties:
         evidence.undecided[name] = f"`{fault.function}` must answer first"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,7 +14,6 @@ from .evidence import (
     COST,
     EFFECTS,
     NOISE,
-    PROPERTIES,
     Evidence,
     Test,
     integrators,
@@ -57,6 +56,9 @@ REPORTED = (
     "share",
 )
 
+# Properties that must be decided.
+NEEDED = ("sampling", "weights", "realisable")
+
 HOLDS, FAILS, UNDECIDED, LACKS = "holds", "fails", "undecided", "lacks"
 
 
@@ -67,7 +69,8 @@ class Property:
     Attributes
     ----------
     name : str
-        Key of :data:`gonio_mi.validation.PROPERTIES`.
+        Key of :data:`gonio_mi.validation.PROPERTIES` or, in polarised variants, of
+        :data:`gonio_mi.validation.POLARISED`.
     status : {"holds", "fails", "undecided", "lacks"}
         ``lacks`` is a failure that was allowed, or declared by the plugin's flags.
     statistic : str
@@ -88,6 +91,8 @@ class Property:
     share : float or None
         How much of the light of a lit surface a failure is about: of its worst finding
         the wrong fraction, times the cosine of the angle of incidence, or None.
+    question : str
+        What the property is.
     """
 
     name: str
@@ -100,11 +105,7 @@ class Property:
     places: tuple[str, ...] = ()
     near: str = ""
     share: float | None = None
-
-    @property
-    def question(self) -> str:
-        """What the property is."""
-        return PROPERTIES[self.name]
+    question: str = ""
 
     @property
     def reach(self) -> str:
@@ -177,7 +178,7 @@ class Verdict:
         """
         if self._failed:
             return ""
-        needed = [self[name] for name in ("sampling", "weights")]
+        needed = [one for one in self.properties if one.name in NEEDED]
         open_questions = [
             one.statistic
             for one in needed
@@ -330,7 +331,10 @@ def properties_of(
     list of Property
     """
     level = alpha / max(len(evidence.tests), 1)
-    return [_property(evidence, name, level, name in allow) for name in PROPERTIES]
+    return [
+        replace(_property(evidence, name, level, name in allow), question=question)
+        for name, question in evidence.properties.items()
+    ]
 
 
 def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Property:

@@ -1,0 +1,213 @@
+"""Frames: matrices turn with the directions, smoothly and over the whole sphere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+
+from ...array_types import Flags, Floats, Numbers
+from ..evidence import Evidence
+from ..mueller import Matrices, condition_of, off, per_light
+from ..readings import IDENTITY, is_identity, readings
+
+# Relative change of the first element up to which it does not depend on the azimuth.
+SAME_LIGHT = 0.01
+
+# Fraction of the misfit that a reading leaves which explains it.
+EXPLAINED = 0.1
+
+# A change of elements over the first one that is a jump if it stays between directions
+# as near to each other as `N_SECTIONS` and `N_ROUNDS` make them.
+JUMP = 0.02
+N_SECTIONS, N_ROUNDS = 24, 5
+
+# Where a jump may lie: what is 0 there.
+BORDERS: dict[str, Callable[[Floats], Floats]] = {
+    "the pole": lambda d: np.hypot(d[..., 0], d[..., 1]),
+    "x = 0": lambda d: np.abs(d[..., 0]),
+    "y = 0": lambda d: np.abs(d[..., 1]),
+    "|x| = |y|": lambda d: np.abs(np.abs(d[..., 0]) - np.abs(d[..., 1])),
+}
+
+
+@dataclass(frozen=True)
+class Turned:
+    """Pairs of directions that are turned together about the surface's normal.
+
+    Attributes
+    ----------
+    matrices : Matrices
+        Of shape (pairs, angles).
+    slack : ndarray, shape (pairs, angles)
+        What rounding may leave of elements over the first one.
+    usable : ndarray, shape (pairs,)
+        Pairs that scatter the same way at all angles.
+    normal : ndarray, shape (3,)
+    nested : ndarray, shape (3, 3), or None
+        Axes of a nested BSDF.
+    """
+
+    matrices: Matrices
+    slack: Floats
+    usable: Flags
+    normal: Numbers
+    nested: Numbers | None = None
+
+    @property
+    def tolerance(self) -> Floats:
+        """Largest change that rounding explains, by pair."""
+        return 2 * self.slack.max(axis=1)
+
+    def misfit(self, in_plane: Floats) -> Floats:
+        """Largest change of elements over the first one with the angle, by pair."""
+        m = per_light(in_plane)
+        return off(m, m.mean(axis=1, keepdims=True)).max(axis=1)
+
+    @property
+    def same_light(self) -> bool:
+        """Whether the first element does not depend on the angle."""
+        light = self.matrices.light
+        return bool((np.ptp(light, axis=1) <= SAME_LIGHT * light.max(axis=1)).all())
+
+
+def check_turned(evidence: Evidence, turned: Turned) -> None:
+    """The matrix does not depend on a common azimuth, or only as the plugin declares.
+
+    Of an anisotropic surface it may; then a reading of the matrices that makes them
+    independent speaks for itself.
+    """
+    turned = _of_pairs(turned, turned.usable)
+    if not len(turned.matrices.wi):
+        return
+    misfit = turned.misfit(turned.matrices.in_plane(turned.normal))
+    wrong = misfit > turned.tolerance
+    if not wrong.any():
+        return
+    function = turned.matrices.function
+    worst = int(np.argmax(np.where(wrong, misfit, 0)))
+    condition = condition_of(turned.matrices, (worst, 0))
+    share = float(wrong.mean())
+    changed = (
+        f"elements over the first change by up to {misfit[worst]:.3g} where both "
+        f"directions turn about the normal, at {condition}"
+    )
+    mistake = _explained(_of_pairs(turned, wrong), misfit[wrong])
+    declared = int(evidence.bsdf.flags()) & int(mi.BSDFFlags.Anisotropic)
+    if mistake is None and (declared or not turned.same_light):
+        evidence.remark(
+            "frames", "anisotropic, so that only jumps of its frames are seen"
+        )
+        return
+    mistake = mistake or (
+        "depends on the azimuth of an isotropic surface: its frames are turned wrongly"
+    )
+    evidence.breach(
+        "frames",
+        function,
+        changed,
+        f"`{function}` {mistake}",
+        condition,
+        size=float(misfit[worst]),
+        off=share,
+    )
+
+
+def _of_pairs(turned: Turned, chosen: Flags) -> Turned:
+    return Turned(
+        turned.matrices.take(chosen),
+        turned.slack[chosen],
+        turned.usable[chosen],
+        turned.normal,
+        turned.nested,
+    )
+
+
+def _explained(turned: Turned, misfit: Floats) -> str | None:
+    """Mistake without which the matrices do not depend on the angle, or None."""
+    if is_identity(per_light(turned.matrices.raw)):
+        return IDENTITY
+    for mistake, matrices in readings(turned.matrices, turned.normal, turned.nested):
+        if np.max(turned.misfit(matrices) / misfit) < EXPLAINED:
+            return mistake
+    return None
+
+
+# ------------------------------------------------------------------------------- jumps
+
+
+def check_jumps(
+    evidence: Evidence,
+    path: Callable[[Numbers, Floats], tuple[Matrices, Numbers]],
+    n_paths: int,
+    n_steps: int,
+) -> None:
+    """Elements over the first one do not jump along closed paths of directions.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    path : callable
+        For numbers of paths and places on them in [0, 1), of shape (n, m), matrices
+        and what must be the same of two of them to be compared.
+    n_paths, n_steps : int
+    """
+    paths = np.repeat(np.arange(n_paths), n_steps)
+    start = np.tile(np.arange(n_steps) / n_steps, n_paths)
+    length = 1 / n_steps
+    for i in range(N_ROUNDS):
+        sections = 1 if i == 0 else N_SECTIONS
+        places = start[:, None] + length * np.arange(sections + 1) / sections
+        matrices, kind = path(np.broadcast_to(paths[:, None], places.shape), places)
+        change = _changes(matrices, kind)
+        row, column = np.nonzero(change > JUMP)
+        if not len(row):
+            return
+        # the largest of each path
+        order = np.argsort(-change[row, column], kind="stable")
+        _, first = np.unique(paths[row[order]], return_index=True)
+        row, column = row[order[first]], column[order[first]]
+        length /= sections
+        paths, start = paths[row], places[row, column]
+    size = change[row, column]
+    worst = int(np.argmax(size))
+    at = (row[worst], column[worst])
+    function, condition = matrices.function, condition_of(matrices, at)
+    where = _border(matrices, at)
+    evidence.breach(
+        "frames",
+        function,
+        f"elements over the first jump by {size[worst]:.3g} {where or 'at'} "
+        f"({condition}), on {len(size)} of {n_paths} paths over the sphere",
+        f"`{function}` jumps{' ' + where if where else ''}: its frames are turned by "
+        "an angle whose sign or axis changes there, as that to an axis which is not "
+        "perpendicular to the beam",
+        condition,
+        size=float(size[worst]) / 2,
+        off=len(size) / n_paths,
+    )
+
+
+def _changes(matrices: Matrices, kind: Numbers) -> Floats:
+    """Change of elements over the first one to the next place; 0 without light."""
+    m, lit = per_light(matrices.raw), matrices.lit & matrices.finite
+    both = lit[:, 1:] & lit[:, :-1] & (kind[:, 1:] == kind[:, :-1])
+    # light that jumps as well is another matter
+    light = matrices.light
+    steady = np.abs(light[:, 1:] - light[:, :-1]).max(-1) <= (
+        0.5 * np.maximum(light[:, 1:], light[:, :-1]).max(-1)
+    )
+    change = off(m[:, 1:], m[:, :-1])
+    return np.where(both & steady, np.nan_to_num(change), 0.0)
+
+
+def _border(matrices: Matrices, at: tuple[int, int]) -> str:
+    """Where the jump behind a pair lies; empty if there is no name for it."""
+    for name, distance in BORDERS.items():
+        for which in ("wi", "wo"):
+            if distance(getattr(matrices, which)[at]) < 1e-5:
+                text = name.replace("x", f"{which}.x").replace("y", f"{which}.y")
+                return f"over {text}" if name != "the pole" else "at the pole"
+    return ""

@@ -1,0 +1,80 @@
+"""Source and detector exchanged, and both transport modes: of all elements."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...array_types import Flags, Floats
+from ...collector.stokes import EXCHANGE
+from ..evidence import Evidence
+from ..mueller import Matrices, condition_of, off, per_light
+from ..readings import is_depolarised
+from ..samples import is_many
+
+# Difference of elements over the first one that is no rounding, beside its slack.
+ROUNDING = 2e-3
+
+
+def check_reciprocity(
+    evidence: Evidence, there: Matrices, back: Matrices, slack: Floats
+) -> None:
+    """``M(wi, wo) = Q M(wo, wi)^T Q``, over their first elements, with Q of U's sign.
+
+    Of the first elements the unpolarised variant judges.
+    """
+    m, reverse = per_light(there.in_plane()), per_light(back.in_plane())
+    due = EXCHANGE @ np.swapaxes(reverse, -1, -2) @ EXCHANGE
+    wrong, size = _wrong(there, back, off(m, due), slack)
+    if not is_many(wrong):
+        return
+    function = there.function
+    worst = int(np.argmax(np.where(wrong, size, 0)))
+    condition = condition_of(there, (worst,))
+    evidence.breach(
+        "reciprocity",
+        function,
+        f"elements over the first are off by up to {size[worst]:.3g} at {condition}, "
+        f"for {100 * wrong.mean():.3g} % of the directions",
+        f"`{function}` is not reciprocal in its polarisation: M(wi, wo) is not "
+        "Q M(wo, wi)^T Q",
+        condition,
+        size=float(wrong.mean()),
+        off=float(wrong.mean()),
+    )
+
+
+def check_adjoint(
+    evidence: Evidence, radiance: Matrices, back: Matrices, slack: Floats
+) -> None:
+    """In radiance mode, light goes from wo to wi as in importance mode from wo."""
+    m, due = per_light(radiance.in_plane()), per_light(back.in_plane())
+    wrong, size = _wrong(radiance, back, off(m, due), slack)
+    if not is_many(wrong):
+        return
+    function = radiance.function
+    worst = int(np.argmax(np.where(wrong, size, 0)))
+    condition = condition_of(radiance, (worst,))
+    mistake = "does not answer for light that goes from wo to wi"
+    if is_depolarised(m[wrong]):
+        mistake = "depolarises, which it does not in importance mode"
+    elif is_depolarised(due[wrong]):
+        mistake = "keeps a polarisation that it does not keep in importance mode"
+    evidence.breach(
+        "adjoint",
+        function,
+        f"elements over the first are off by up to {size[worst]:.3g} at {condition}, "
+        f"for {100 * wrong.mean():.3g} % of the directions",
+        f"`{function}` {mistake} in radiance mode (ctx.mode)",
+        condition,
+        size=float(wrong.mean()),
+        off=float(wrong.mean()),
+    )
+
+
+def _wrong(
+    one: Matrices, other: Matrices, size: Floats, slack: Floats
+) -> tuple[Flags, Floats]:
+    """Which pairs differ, of those with light both ways, and by how much."""
+    both = one.lit & other.lit & one.finite & other.finite
+    size = np.where(both, np.nan_to_num(size), 0.0)
+    return size > ROUNDING + slack, size

@@ -1,0 +1,248 @@
+"""Asking a BSDF for Mueller matrices, and what is known of them.
+
+In polarised variants the answers of ``eval`` and the weights of ``sample`` are Mueller
+matrices in Mitsuba's frames of the beams, :func:`~gonio_mi.collector.stokes.
+implicit_axis`. In importance mode light arrives along -wi and leaves along wo; in
+radiance mode it arrives along -wo and leaves along wi.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Flags, Floats, Integers, Numbers
+from ..collector.directions import angles, direction
+from ..collector.stokes import UPRIGHT, implicit_axis, plane_axis, reframed, turn
+from .conditions import Condition
+from .probe import Probe, numbers, spectral, vectors
+from .samples import BSDF_ROUNDING, SLACK, ULPS
+
+# First elements below which nothing is said of the others, of the largest.
+MIN_LIGHT = 1e-12
+
+
+class MuellerProbe:
+    """The functions of a BSDF in one transport mode, asked with a direction each.
+
+    Parameters
+    ----------
+    bsdf : mi.BSDF
+    mode : {"importance", "radiance"}
+    """
+
+    def __init__(self, bsdf: mi.BSDF, mode: str = "importance") -> None:
+        self.bsdf, self.mode = bsdf, mode
+        self.n_asked = 0
+        self._probe = Probe(bsdf, Condition(0.0, mode=mode))
+
+    def eval(self, wi: Floats, wo: Floats) -> Matrices:
+        """Matrices of ``eval`` for directions of shape (..., 3)."""
+        n = wi[..., 0].size
+        self.n_asked += n
+        answer = self._probe.eval(vectors(wo), wi=vectors(wi))
+        raw = elements(answer, n).reshape(*wi.shape[:-1], -1, 4, 4)
+        return Matrices("eval", self.mode, wi, wo, raw)
+
+    def pdf(self, wi: Floats, wo: Floats) -> Floats:
+        """Densities of shape (...)."""
+        answer = self._probe.pdf(vectors(wo), wi=vectors(wi))
+        return numbers(answer, wi[..., 0].size).astype(float).reshape(wi.shape[:-1])
+
+    def eval_with_slack(self, wi: Floats, wo: Floats) -> tuple[Matrices, Floats]:
+        """Matrices of ``eval``, and what rounding may leave in their elements, (...).
+
+        The slack is relative to the first element: what displacing both directions by
+        rounding errors changes, as of unpolarised answers.
+        """
+        rng = np.random.default_rng(wi[..., 0].size)
+        steps = [ULPS * (2 * rng.random((2, *wi.shape)) - 1) for _ in range(2)]
+        moves = np.stack([np.zeros_like(steps[0]), *steps])
+        answers = self.eval(wi + moves[:, 0], wo + moves[:, 1])
+        return answers.take(0), slack_of(per_light(answers.raw))
+
+    def eval_pdf(self, wi: Floats, wo: Floats) -> tuple[Matrices, Floats]:
+        """Both answers of ``eval_pdf``."""
+        n = wi[..., 0].size
+        self._probe.wi = vectors(wi)
+        value, pdf = self._probe.eval_pdf(vectors(wo))
+        raw = elements(value, n).reshape(*wi.shape[:-1], -1, 4, 4)
+        densities = numbers(pdf, n).astype(float).reshape(wi.shape[:-1])
+        return Matrices("eval_pdf", self.mode, wi, wo, raw), densities
+
+    def sample(self, wi: Floats, random: Floats) -> Lobes:
+        """Answers of ``sample`` for directions and random numbers of (..., 3)."""
+        shape, n = wi.shape[:-1], wi[..., 0].size
+        self.n_asked += n
+        columns = np.reshape(random, (-1, 3)).T.astype(np.float32)
+        bs, weight = self._probe.sample(
+            mi.Float(np.ascontiguousarray(columns[0])),
+            mi.Point2f(np.ascontiguousarray(columns[1:])),
+            wi=vectors(wi),
+        )
+        wo = spectral(bs.wo, n).reshape(wi.shape)
+        raw = elements(weight, n).reshape(*shape, -1, 4, 4)
+        return Lobes(
+            Matrices("sample", self.mode, wi, wo, raw),
+            numbers(bs.pdf, n).astype(float).reshape(shape),
+            numbers(bs.sampled_type, n).astype(np.int64).reshape(shape),
+        )
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """Mueller matrices for pairs of directions.
+
+    Attributes
+    ----------
+    function, mode : str
+        Who answered them.
+    wi, wo : ndarray, shape (..., 3)
+    raw : ndarray, shape (..., channels, 4, 4)
+        In Mitsuba's frames.
+    """
+
+    function: str
+    mode: str
+    wi: Floats
+    wo: Floats
+    raw: Floats
+
+    @property
+    def beams(self) -> tuple[Floats, Floats]:
+        """Directions in which light arrives and leaves."""
+        if self.mode == "importance":
+            return -self.wi, self.wo
+        return -self.wo, self.wi
+
+    @property
+    def light(self) -> Floats:
+        """First elements, shape (..., channels)."""
+        return self.raw[..., 0, 0]
+
+    @property
+    def lit(self) -> Flags:
+        """Pairs of which light says something, shape (...)."""
+        light = np.nan_to_num(self.light)
+        least = MIN_LIGHT * max(light.max(initial=0), 1e-12)
+        return np.asarray((light > least).all(axis=-1))
+
+    @cached_property
+    def finite(self) -> Flags:
+        """Pairs with directions, all of whose elements are finite, shape (...)."""
+        directions = np.isfinite(self.wo).all(axis=-1)
+        return np.asarray(directions & np.isfinite(self.raw).all(axis=(-1, -2, -3)))
+
+    def turns(self, normal: Numbers = UPRIGHT) -> tuple[Floats, Floats]:
+        """What turns both frames of Mitsuba's to s = k x normal."""
+        found = [turn(k, implicit_axis(k), plane_axis(k, normal)) for k in self.beams]
+        turn_in, turn_out = (one[..., None, :, :] for one in found)
+        return turn_in, turn_out
+
+    def in_plane(self, normal: Numbers = UPRIGHT) -> Floats:
+        """Matrices in frames of s = k x normal, shape (..., channels, 4, 4)."""
+        return reframed(self.raw, *self.turns(normal))
+
+    def take(self, chosen: Any) -> Matrices:
+        """Some of the pairs."""
+        chosen_arrays = {
+            name: getattr(self, name)[chosen] for name in ("wi", "wo", "raw")
+        }
+        return replace(self, **chosen_arrays)
+
+
+@dataclass(frozen=True)
+class Lobes:
+    """Answers of ``sample``.
+
+    Attributes
+    ----------
+    weights : Matrices
+    pdf : ndarray, shape (...)
+    type : ndarray, shape (...)
+    """
+
+    weights: Matrices
+    pdf: Floats
+    type: Integers
+
+    @property
+    def given(self) -> Flags:
+        """Which samples did not fail."""
+        return self.weights.lit & (self.pdf > 0) & self.weights.finite
+
+    @property
+    def delta(self) -> Flags:
+        """Which have a discrete direction."""
+        return self.given & ((self.type & int(mi.BSDFFlags.Delta)) != 0)
+
+    @property
+    def null(self) -> Flags:
+        """Which go straight on, of a delta of that name."""
+        return self.given & ((self.type & int(mi.BSDFFlags.Null)) != 0)
+
+    @property
+    def smooth(self) -> Flags:
+        """Which have a density."""
+        return self.given & ((self.type & int(mi.BSDFFlags.Delta)) == 0)
+
+    @property
+    def flux(self) -> Matrices:
+        """Weight times pdf: ``eval`` of a density, the share of a discrete lobe."""
+        raw = self.weights.raw * self.pdf[..., None, None, None]
+        return replace(self.weights, raw=raw)
+
+
+def elements(value: mi.Spectrum, n: int) -> Floats:
+    """NumPy array of Mueller-valued spectra, shape (n, channels, 4, 4)."""
+    array = np.array(value, dtype=float)
+    array = np.moveaxis(array.reshape(4, 4, array.shape[2], -1), (3, 2), (0, 1))
+    return np.broadcast_to(array, (n, *array.shape[1:]))
+
+
+def per_light(matrices: Floats) -> Floats:
+    """Matrices over their first element; NaN where that is not positive."""
+    light = matrices[..., :1, :1]
+    return np.where(light > 0, matrices, np.nan) / np.where(light > 0, light, 1)
+
+
+def slack_of(displaced: Floats) -> Floats:
+    """What rounding may leave, from matrices whose first axis displaces directions."""
+    change = np.abs(displaced[1:] - displaced[0]).max(axis=(0, -1, -2, -3))
+    return 8 * BSDF_ROUNDING + SLACK * np.nan_to_num(change, nan=1.0)
+
+
+def off(a: Floats, b: Floats) -> Floats:
+    """Largest difference of elements of two arrays (..., channels, 4, 4): (...)."""
+    return np.abs(a - b).max(axis=(-1, -2, -3))
+
+
+def about(axis: Numbers, angle: Numbers) -> Floats:
+    """Rotations about an axis by angles of shape (...), as matrices (..., 3, 3)."""
+    x, y, z = np.asarray(axis, dtype=float)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.asarray(angle, dtype=float)[..., None, None]
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def lit_directions(rng: np.random.Generator, n: int, sides: Sequence[int]) -> Floats:
+    """Directions to the source, half of them grazing, on the sides +1 and -1."""
+    theta = np.radians(np.where(np.arange(n) % 2, 85, 50) * np.sqrt(rng.random(n)))
+    found = direction(np.maximum(theta, 0.05), 2 * np.pi * rng.random(n))
+    found[:, 2] *= np.resize(sides, n)
+    # as single precision has it
+    return found.astype(np.float32).astype(float)
+
+
+def condition_of(matrices: Matrices, at: tuple[int, ...]) -> Condition:
+    """Condition of one pair, for a sentence."""
+    wi = matrices.wi[at]
+    theta, phi = (float(np.round(np.degrees(x), 1)) % 360 for x in angles(wi))
+    side = "front" if wi[2] > 0 else "back"
+    theta_i = theta if wi[2] > 0 else float(np.round(180 - theta, 1))
+    return Condition(theta_i, phi, side, mode=matrices.mode)

@@ -1,0 +1,323 @@
+"""The examination of a BSDF in a polarised variant: of Mueller matrices.
+
+What the first elements do by themselves, such as the density of samples, the
+unpolarised variant judges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Flags, Floats, Integers, Numbers
+from ..collector.directions import angles, direction
+from ..collector.stokes import UPRIGHT
+from ..instrument.loading import with_own_tensors
+from .checks import (
+    first_element,
+    frames,
+    mueller_energy,
+    mueller_samples,
+    mueller_symmetry,
+    realisable,
+)
+from .evidence import Evidence
+from .mueller import (
+    Matrices,
+    MuellerProbe,
+    about,
+    lit_directions,
+    per_light,
+    slack_of,
+)
+from .readings import is_depolarised
+from .samples import ULPS
+
+# Directions and samples by effort, and their number of pairs that are turned.
+SIZES = {"quick": 1, "normal": 4, "thorough": 16}
+N_SAMPLES, N_PAIRS, N_ANGLES = 1024, 12, 16
+
+# Samples for the flux of each of some incident directions.
+N_LIT, N_FLUX = 6, 512
+
+# Steps of paths over the sphere, that meet the pole.
+N_STEPS = 48
+
+# Numbers that choose a lobe on the way back.
+CHOICES = (0.01, 0.05, 0.15, 0.35, 0.65, 0.85, 0.95, 0.99)
+
+# Of cosines between two directions that are the same.
+SAME_DIRECTION = 1e-3
+
+# Polar angle, in degrees, from which paths go through the pole.
+STEEP = 80.0
+
+# What explains the others, first.
+ORDER = (
+    "answers",
+    "realisable",
+    "frames",
+    "sampled_pdf",
+    "sampled_weight",
+    "eval_pdf",
+    "energy",
+    "adjoint",
+    "reciprocity",
+    "first_element",
+)
+
+# Plugins that tilt the frame of a nested BSDF.
+TILTING = ("normalmap", "bumpmap")
+
+
+def likely_mistake(evidence: Evidence, failed: Mapping[str, str]) -> tuple[str, str]:
+    """Guilty function and mistake: of the failed property that explains most."""
+    name = next(name for name in ORDER if name in failed)
+    worst = evidence.worst(name)
+    if worst is not None:
+        return worst.function, worst.mistake
+    test = min((t for t in evidence.tests if t.name == name), key=lambda t: t.p)
+    smooth = int(evidence.bsdf.flags()) & int(mi.BSDFFlags.Smooth)
+    function = "eval" if smooth else "sample"
+    return function, f"`{function}` gains light: {test.statistic}"
+
+
+def examine_polarised(
+    evidence: Evidence,
+    effort: str,
+    specimen: Any,
+    load: Callable[[], mi.BSDF] | None,
+) -> int:
+    """All checks, and the number of matrices that they asked for.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    effort : str
+    specimen : object
+        As of :func:`gonio_mi.validation.validate`.
+    load : callable or None
+        Loads the same BSDF in the variant that is set.
+    """
+    examination = _Examination(evidence, SIZES[effort])
+    examination.check_pairs(load)
+    normal, nested = _axes(specimen)
+    examination.check_turned(normal, nested)
+    examination.check_jumps()
+    examination.check_energy()
+    return examination.importance.n_asked + examination.radiance.n_asked
+
+
+class _Examination:
+    """Directions, and what the BSDF answers about them."""
+
+    def __init__(self, evidence: Evidence, size: int) -> None:
+        self.evidence, self.size = evidence, size
+        self.rng = np.random.default_rng((evidence.seed, 77))
+        bsdf = evidence.bsdf
+        self.importance = MuellerProbe(bsdf)
+        self.radiance = MuellerProbe(bsdf, "radiance")
+        self.sides = _sides(int(bsdf.flags()))
+        n = N_SAMPLES * size
+        self.wi = lit_directions(self.rng, n, self.sides)
+        self.random = self.rng.random((n, 3))
+        self.lobes = self.importance.sample(self.wi, self.random)
+
+    def check_pairs(self, load: Callable[[], mi.BSDF] | None) -> None:
+        """What is asked of single pairs of directions."""
+        evidence, lobes, wi = self.evidence, self.lobes, self.wi
+        mueller_samples.check_finite(evidence, lobes.weights)
+        # where samples are discrete any other direction does
+        other = lit_directions(self.rng, len(wi), self.sides[::-1])
+        wo = np.where(lobes.smooth[:, None], lobes.weights.wo, other)
+        values, slack = self.importance.eval_with_slack(wi, wo)
+        mueller_samples.check_finite(evidence, values)
+        smooth = values.lit & values.finite
+        realisable.check_matrices(evidence, lobes.weights, lobes.given)
+        if smooth.any():
+            pdf = self.importance.pdf(wi, wo)
+            realisable.check_matrices(evidence, values, smooth)
+            mueller_samples.check_weights(evidence, lobes, values, pdf, slack)
+            joint = self.importance.eval_pdf(wi, wo)
+            mueller_samples.check_eval_pdf(evidence, values, pdf, *joint, smooth)
+            back, back_slack = self.importance.eval_with_slack(wo, wi)
+            both = slack + back_slack
+            mueller_symmetry.check_reciprocity(evidence, values, back, both)
+            other_mode = self.radiance.eval(wi, wo)
+            mueller_samples.check_finite(evidence, other_mode)
+            mueller_symmetry.check_adjoint(evidence, other_mode, back, both)
+        if lobes.delta.any():
+            self._check_returns()
+        first_element.check_first_element(evidence, load, values, lobes, self.random)
+        answered = (values.raw[smooth], lobes.weights.raw[lobes.given])
+        if sum(map(len, answered)) == 0:
+            for name in ORDER[1:]:
+                evidence.undecided[name] = "nothing was lit, so that nothing was seen"
+        elif all(is_depolarised(per_light(raw)) for raw in answered):
+            text = "all matrices have the first element only: light leaves unpolarised"
+            if (lobes.delta & ~lobes.null).any():
+                text += ", by discrete lobes too, where a smooth surface polarises it"
+            evidence.remark("realisable", text)
+
+    def _check_returns(self) -> None:
+        """Discrete lobes on the way back, and in radiance mode."""
+        lobes = self.lobes
+        chosen = np.flatnonzero(lobes.delta)[: 256 * self.size]
+        there, random = lobes.weights.take(chosen), self.random[chosen]
+        # the same lobe, for any of some choices, in both directions
+        choices = np.broadcast_to(
+            random[:, None], (len(chosen), len(CHOICES), 3)
+        ).copy()
+        choices[..., 0] = CHOICES
+        wi = np.broadcast_to(there.wo[:, None], choices.shape)
+        returned = self.importance.sample(wi, choices)
+        same = returned.delta & (returned.type == lobes.type[chosen, None])
+        same &= np.abs(returned.weights.wo - there.wi[:, None]).max(-1) < SAME_DIRECTION
+        which = same.argmax(axis=1)
+        back = returned.weights.take((np.arange(len(chosen)), which))
+        slack = self._slack_of_lobes(there.wi, random)
+        slack = np.where(same.any(axis=1), slack, np.inf)
+        mueller_symmetry.check_reciprocity(self.evidence, there, back, slack)
+        radiance = self.radiance.sample(there.wi, random)
+        mueller_samples.check_finite(self.evidence, radiance.weights)
+        known = radiance.delta & (radiance.type == lobes.type[chosen])
+        slack = np.where(known, slack, np.inf)
+        mueller_symmetry.check_adjoint(self.evidence, radiance.weights, back, slack)
+
+    def _slack_of_lobes(self, wi: Floats, random: Floats) -> Floats:
+        """What rounding may leave of elements of weights over the first one."""
+        steps = ULPS * (2 * self.rng.random((2, *wi.shape)) - 1)
+        moved = wi + np.concatenate([np.zeros((1, *wi.shape)), steps])
+        lobes = self.importance.sample(moved, np.broadcast_to(random, moved.shape))
+        return slack_of(per_light(lobes.weights.raw))
+
+    def check_turned(self, normal: Floats, nested: Floats | None) -> None:
+        """Pairs of directions, turned together."""
+        angles_about = (
+            2 * np.pi * (np.arange(N_ANGLES) + self.rng.random(N_ANGLES)) / N_ANGLES
+        )
+        turns = about(normal, angles_about)
+        lobes = self.lobes
+        for smooth in (True, False):
+            pairs = self._some(lobes.smooth if smooth else lobes.delta & ~lobes.null)
+            if not len(pairs):
+                continue
+            wi = np.einsum("aij,pj->pai", turns, self.wi[pairs])
+            wo = np.einsum("aij,pj->pai", turns, lobes.weights.wo[pairs])
+            if smooth:
+                matrices, slack = self.importance.eval_with_slack(wi, wo)
+                usable = matrices.lit & matrices.finite
+            else:
+                random = np.broadcast_to(self.random[pairs, None], wi.shape)
+                turned = self.importance.sample(wi, random)
+                matrices = turned.flux
+                slack = self._slack_of_lobes(wi, random)
+                usable = turned.delta & (turned.type == turned.type[:, :1])
+                # a discrete lobe turns with its source
+                usable &= np.abs(matrices.wo - wo).max(-1) < SAME_DIRECTION
+            same = np.asarray(usable.all(axis=1))
+            turned_pairs = frames.Turned(matrices, slack, same, normal, nested)
+            frames.check_turned(self.evidence, turned_pairs)
+
+    def _some(self, chosen: Flags) -> Integers:
+        """Some samples, of all types and sides."""
+        found = np.flatnonzero(chosen)
+        if not len(found):
+            return found
+        side = np.sign(self.wi[found, 2]) + 3 * np.sign(self.lobes.weights.wo[found, 2])
+        groups = {*zip(side.tolist(), self.lobes.type[found].tolist())}
+        each = max(2, N_PAIRS * self.size // len(groups))
+        kinds = zip(side.tolist(), self.lobes.type[found].tolist())
+        by_group: dict[tuple[float, int], list[int]] = {}
+        for index, kind in zip(found.tolist(), kinds):
+            by_group.setdefault(kind, []).append(index)
+        return np.array([i for own in by_group.values() for i in own[:each]])
+
+    def check_jumps(self) -> None:
+        """Paths over the sphere, of one direction or of both."""
+        lobes = self.lobes
+        pairs = self._some(lobes.smooth)
+        if len(pairs):
+            wi, wo = self.wi[pairs], lobes.weights.wo[pairs]
+
+            def _of_eval(paths: Numbers, places: Floats) -> tuple[Matrices, Numbers]:
+                pair, kind = paths // 5, paths % 5
+                at_wi, at_wo = wi[pair], wo[pair]
+                # both around, wi around, wo around, wi over the pole, wo over it
+                at_wi = _moved(at_wi, places, kind <= 1, kind == 3)
+                at_wo = _moved(at_wo, places, (kind == 0) | (kind == 2), kind == 4)
+                return self.importance.eval(at_wi, at_wo), np.zeros(places.shape)
+
+            frames.check_jumps(self.evidence, _of_eval, 5 * len(pairs), N_STEPS)
+        samples = self._some(lobes.delta)
+        if len(samples):
+            lit, random = self.wi[samples], self.random[samples]
+
+            def _of_sample(paths: Numbers, places: Floats) -> tuple[Matrices, Numbers]:
+                which, kind = paths // 2, paths % 2
+                moved = _moved(lit[which], places, kind == 0, kind == 1)
+                found = self.importance.sample(moved, random[which])
+                kinds = found.type * found.delta * np.sign(found.weights.wo[..., 2])
+                return found.flux, kinds
+
+            frames.check_jumps(self.evidence, _of_sample, 2 * len(samples), N_STEPS)
+
+    def check_energy(self) -> None:
+        """Flux of some incident directions."""
+        n = N_FLUX * self.size
+        wi = lit_directions(self.rng, N_LIT, self.sides)[:, None]
+        shape = (N_LIT, n, 3)
+        lobes = self.importance.sample(
+            np.broadcast_to(wi, shape), self.rng.random(shape)
+        )
+        mueller_energy.check_gain(self.evidence, lobes)
+
+
+def _moved(d: Floats, places: Floats, around: Flags, over: Flags) -> Floats:
+    """Directions, turned about the normal, or led over the pole; else as they are."""
+    theta, phi = angles(d)
+    z = np.sign(d[..., 2])
+    turned = direction(theta, phi + 2 * np.pi * places)
+    steep = np.radians(STEEP) * (2 * places - 1)
+    led = direction(np.abs(steep), np.where(steep < 0, phi + np.pi, phi))
+    led[..., 2] *= z
+    d = np.broadcast_to(d, turned.shape)
+    return np.where(around[..., None], turned, np.where(over[..., None], led, d))
+
+
+def _sides(declared: int) -> tuple[int, ...]:
+    """Sides that flags declare, +1 the front."""
+    kinds = mi.BSDFFlags
+    if declared & int(kinds.Transmission) or declared & int(kinds.Null):
+        return (1, -1)
+    front, back = declared & int(kinds.FrontSide), declared & int(kinds.BackSide)
+    return (1, -1) if front and back else (-1,) if back else (1,)
+
+
+def _axes(specimen: Any) -> tuple[Floats, Floats | None]:
+    """Normal of what scatters, and axes of a nested BSDF if a wrapper tilts it.
+
+    A mirror in the place of the nested BSDF shows where its normal is.
+    """
+    if not (isinstance(specimen, dict) and specimen.get("type") in TILTING):
+        return UPRIGHT, None
+    mirrored = dict(specimen)
+    for key, value in specimen.items():
+        part = value
+        if isinstance(value, dict):
+            part = mi.load_dict(with_own_tensors(value))
+        if isinstance(part, mi.BSDF):
+            mirrored[key] = {"type": "conductor"}
+    probe = MuellerProbe(mi.load_dict(with_own_tensors(mirrored)))
+    wi = UPRIGHT[None]
+    lobes = probe.sample(wi, np.full((1, 3), 0.5))
+    if not lobes.given.any():
+        return UPRIGHT, None
+    normal = wi[0] + lobes.weights.wo[0]
+    normal /= np.linalg.norm(normal)
+    s = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+    s /= np.linalg.norm(s)
+    return normal, np.column_stack([s, np.cross(normal, s), normal])

@@ -1,0 +1,169 @@
+"""Verdicts in polarised variants: stock plugins, broken ones, and the frames."""
+
+import mitsuba as mi
+import mueller
+import numpy as np
+import pytest
+
+from gonio_mi.collector.directions import direction
+from gonio_mi.collector.stokes import (
+    coherency_eigenvalues,
+    implicit_axis,
+    plane_axis,
+    turn,
+)
+from gonio_mi.validation import POLARISED, validate
+from gonio_mi.validation.mueller import MuellerProbe
+
+VARIANT = "llvm_ad_mono_polarized"
+ROUGH = {"type": "roughconductor", "eta": 0.2, "k": 3.0, "alpha": 0.3}
+
+# Single precision, after some dozens of operations on elements up to 1.
+ROUNDING = 1e-5
+
+
+@pytest.fixture
+def polarised():
+    """Run the test in a polarised variant."""
+    if VARIANT not in mi.variants():
+        pytest.skip("not in this build")
+    before = mi.variant()
+    mi.set_variant(VARIANT)
+    yield
+    mi.set_variant(before)
+
+
+def _directions(n, seed=0):
+    rng = np.random.default_rng(seed)
+    theta = np.radians(5 + 80 * rng.random(n))
+    return direction(theta, 2 * np.pi * rng.random(n)).astype(np.float32).astype(float)
+
+
+@pytest.mark.usefixtures("polarised")
+def test_frames_are_those_of_mitsuba():
+    k = _directions(200) * np.where(np.arange(200) % 2, 1, -1)[:, None]
+    vectors = mi.Vector3f(np.ascontiguousarray(k.T, dtype=np.float32))
+    axis = mi.mueller.stokes_basis(vectors)
+    assert np.allclose(np.array(axis).T, implicit_axis(k), rtol=0, atol=1e-6)
+    plane = plane_axis(k)
+    target = mi.Vector3f(np.ascontiguousarray(plane.T, dtype=np.float32))
+    theirs = np.array(mi.mueller.rotate_stokes_basis(vectors, axis, target))
+    ours = turn(k, implicit_axis(k), plane)
+    theirs = np.moveaxis(theirs.reshape(4, 4, -1), -1, 0)
+    assert np.allclose(theirs, ours, rtol=0, atol=ROUNDING)
+
+
+@pytest.mark.usefixtures("polarised")
+@pytest.mark.parametrize("index", [0.2 + 3j, 1.5 + 0.4j])
+def test_conductor_is_fresnel_in_all_elements(index):
+    plate = {"type": "conductor", "eta": index.real, "k": index.imag}
+    wi = _directions(100)
+    lobes = MuellerProbe(mi.load_dict(plate)).sample(wi, np.full((100, 3), 0.5))
+    due = mueller.reflection(wi[:, 2], index)[:, None]
+    assert np.allclose(lobes.flux.in_plane(), due, rtol=0, atol=ROUNDING)
+
+
+@pytest.mark.usefixtures("polarised")
+@pytest.mark.parametrize("mode", ["importance", "radiance"])
+def test_dielectric_is_fresnel_in_all_elements(mode):
+    index = 1.5
+    plate = mi.load_dict({"type": "dielectric", "int_ior": index, "ext_ior": 1.0})
+    wi = _directions(100)
+    for choice, due in (
+        (0.0, mueller.reflection(wi[:, 2], index)),
+        (0.9999, mueller.transmission(wi[:, 2], index)),
+    ):
+        lobes = MuellerProbe(plate, mode).sample(wi, np.full((100, 3), choice))
+        found = lobes.flux.in_plane()[:, 0]
+        if mode == "radiance" and choice:
+            # light goes the other way, and its radiance is that of another medium
+            found = np.swapaxes(found, -1, -2) * index**2
+        assert np.allclose(found, due, rtol=0, atol=ROUNDING)
+
+
+@pytest.mark.usefixtures("polarised")
+def test_total_reflection_has_its_phase():
+    index = 1.5
+    plate = mi.load_dict({"type": "dielectric", "int_ior": index, "ext_ior": 1.0})
+    wi = -direction(np.radians(np.linspace(43, 88, 20)), np.linspace(0, 6, 20))
+    wi = wi.astype(np.float32).astype(float)
+    lobes = MuellerProbe(plate).sample(wi, np.full((20, 3), 0.5))
+    due = mueller.reflection(-wi[:, 2], 1 / index)
+    # near the critical angle the phase is the square root of a difference
+    assert np.allclose(lobes.flux.in_plane()[:, 0], due, rtol=0, atol=1e-3)
+
+
+def test_eigenvalues_tell_real_surfaces():
+    surface = mueller.reflection(0.6, 0.2 + 3j)
+    least = coherency_eigenvalues(surface)
+    assert np.allclose(least, [0, 0, 0, 1], atol=1e-12)
+    assert coherency_eigenvalues(np.diag([1, 1, 1, -1]) @ surface)[0] < -0.1
+    assert np.allclose(coherency_eigenvalues(np.diag([1.0, 0, 0, 0])), 0.25)
+
+
+# Stock plugins: whether the property frames holds, and a word of the mistake.
+STOCK = {
+    "diffuse": ({"type": "diffuse"}, ""),
+    "conductor": ({"type": "conductor"}, ""),
+    "roughconductor": (ROUGH, ""),
+    "dielectric": ({"type": "dielectric"}, ""),
+    "polarizer": ({"type": "polarizer", "theta": 30.0}, ""),
+    "circular": ({"type": "circular"}, ""),
+    "pplastic": ({"type": "pplastic", "alpha": 0.2}, ""),
+    "mask": ({"type": "mask", "opacity": 0.4, "bsdf": ROUGH}, ""),
+    "blendbsdf": (
+        {"type": "blendbsdf", "weight": 0.3, "a": ROUGH, "b": {"type": "pplastic"}},
+        "",
+    ),
+    "retarder": ({"type": "retarder", "delta": 90.0}, "wi.y = 0"),
+    "twosided": ({"type": "twosided", "bsdf": ROUGH}, "matrix of the front"),
+}
+
+
+@pytest.mark.usefixtures("polarised")
+@pytest.mark.parametrize("name", STOCK)
+def test_stock_plugin(name):
+    specimen, mistake = STOCK[name]
+    verdict = validate(specimen, effort="quick")
+    assert [one.name for one in verdict.properties] == list(POLARISED)
+    assert (verdict["frames"].status == "holds") == (not mistake), str(verdict)
+    assert verdict.passed == (not mistake), str(verdict)
+    assert mistake in (verdict.mistake or ""), str(verdict)
+    assert verdict["first_element"].status == "holds", str(verdict)
+    assert mi.variant() == VARIANT
+
+
+def _map(normal):
+    pixels = np.broadcast_to(np.float32(normal), (2, 2, 3))
+    return {"type": "bitmap", "raw": True, "data": mi.TensorXf(pixels.copy())}
+
+
+@pytest.mark.usefixtures("polarised")
+def test_tilted_frames_are_not_turned():
+    specimen = {
+        "type": "normalmap",
+        "normalmap": _map([0.65, 0.6, 0.93]),
+        "bsdf": ROUGH,
+    }
+    verdict = validate(specimen, effort="quick")
+    assert verdict.function == "eval"
+    assert "nested" in verdict.mistake
+    # the twin: a map that does not tilt
+    upright = specimen | {"normalmap": _map([0.5, 0.5, 1.0])}
+    assert validate(upright, effort="quick").passed
+
+
+@pytest.mark.usefixtures("polarised")
+def test_bumps_are_not_turned():
+    height = np.add.outer(0.03 * np.arange(8), 0.05 * np.arange(8))[..., None]
+    bitmap = {"type": "bitmap", "raw": True, "data": mi.TensorXf(np.float32(height))}
+    specimen = {"type": "bumpmap", "map": bitmap, "scale": 4.0, "bsdf": ROUGH}
+    verdict = validate(specimen, effort="quick")
+    assert verdict.function == "eval"
+    assert "nested" in verdict.mistake
+
+
+@pytest.mark.usefixtures("polarised")
+def test_verdict_is_deterministic():
+    first, second = (validate(ROUGH, effort="quick") for _ in range(2))
+    assert first.to_dict() == second.to_dict()
