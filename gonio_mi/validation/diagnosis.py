@@ -16,9 +16,8 @@ import numpy as np
 
 from ..array_types import Floats
 from .checks.components import alone
-from .eval_or_weight import explain_weights
 from .evidence import EFFECTS, INTERFACE, MODEL, NOISE, Evidence
-from .factors import FACTORS, explain, factor, ratios_of
+from .factors import FACTORS, explain, explain_weights, factor, ratios_of
 from .maps import FourMaps
 from .probe import numbers, vectors
 from .samples import BSDF_ROUNDING, Samples, is_many, samples_of, unequal
