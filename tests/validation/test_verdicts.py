@@ -466,7 +466,11 @@ def test_command(tmp_path, capsys):
     [
         ({"type": "dusty"}, "answers", "`eval` depends on where the surface is"),
         ({"type": "fading_above"}, "answers", "`eval` depends on where the surface is"),
-        ({"type": "principledthin"}, "flags", "declared and never sampled"),
+        (
+            {"type": "thindielectric", "int_ior": 1.0, "ext_ior": 1.0},
+            "flags",
+            "declared and never sampled",
+        ),
         (
             {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
             "flags",
