@@ -136,10 +136,13 @@ class _Examination:
         values, slack = self.importance.eval_with_slack(wi, wo)
         mueller_samples.check_finite(evidence, values)
         smooth = values.lit & values.finite
-        realisable.check_matrices(evidence, lobes.weights, lobes.given)
+        realisable.check_matrices(evidence, values, smooth)
+        # what is wrong with `eval` is with the weights that are made of it
+        smooth_too = not evidence.of("realisable")
+        asked = lobes.given if smooth_too else lobes.delta
+        realisable.check_matrices(evidence, lobes.weights, asked)
         if smooth.any():
             pdf = self.importance.pdf(wi, wo)
-            realisable.check_matrices(evidence, values, smooth)
             mueller_samples.check_weights(evidence, lobes, values, pdf, slack)
             joint = self.importance.eval_pdf(wi, wo)
             mueller_samples.check_eval_pdf(evidence, values, pdf, *joint, smooth)

@@ -3,8 +3,12 @@
 import mitsuba as mi
 import mueller
 import numpy as np
+import polarised_bsdfs
 import pytest
+from polarised_bsdfs import MISTAKES, RIGHT
 
+import gonio_mi as gonio
+from gonio_mi import cli
 from gonio_mi.collector.directions import direction
 from gonio_mi.collector.stokes import (
     coherency_eigenvalues,
@@ -31,6 +35,15 @@ def polarised():
     mi.set_variant(VARIANT)
     yield
     mi.set_variant(before)
+
+
+@pytest.fixture
+def plugins(polarised):  # noqa: ARG001 (sets the variant)
+    """Register broken and right plugins, in both variants."""
+    mi.set_variant("llvm_ad_mono")
+    polarised_bsdfs.register()
+    mi.set_variant(VARIANT)
+    polarised_bsdfs.register()
 
 
 def _directions(n, seed=0):
@@ -167,3 +180,63 @@ def test_bumps_are_not_turned():
 def test_verdict_is_deterministic():
     first, second = (validate(ROUGH, effort="quick") for _ in range(2))
     assert first.to_dict() == second.to_dict()
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize("name", RIGHT)
+def test_right_plugin_passes_with_all_seeds(name):
+    verdict = validate({"type": name}, effort="quick", strict=True)
+    assert verdict.passed, str(verdict)
+    assert verdict["first_element"].status == "holds", str(verdict)
+    # the variant is not changed for an object
+    bsdf = mi.load_dict({"type": name})
+    for seed in range(1, 50):
+        verdict = validate(bsdf, effort="quick", seed=seed, strict=True)
+        assert verdict.passed, str(verdict)
+    assert verdict["first_element"].status == "undecided"
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize("name", MISTAKES)
+def test_mistake_is_seen_and_its_function_named(name):
+    """The twins of the test above."""
+    verdict = validate({"type": name}, effort="quick", strict=True)
+    function, words = MISTAKES[name]
+    assert not verdict.passed, str(verdict)
+    assert verdict.function == function, str(verdict)
+    assert words in verdict.mistake, str(verdict)
+
+
+@pytest.mark.usefixtures("polarised")
+def test_retarder_turns_its_axis_from_one_side_only():
+    """Near the normal the axis is where it says in radiance mode, else mirrored."""
+    plate = mi.load_dict({"type": "retarder", "delta": 90.0, "theta": 20.0})
+    wi = direction(np.radians([0.01]), 0.3)
+    modes = ("importance", "radiance")
+    probes = [MuellerProbe(plate, mode) for mode in modes]
+    random = np.full((1, 3), 0.5)
+    there, back = probes[0].sample(wi, random), probes[0].sample(-wi, random)
+    radiance = probes[1].sample(wi, random)
+    off = np.abs(radiance.flux.in_plane() - back.flux.in_plane()).max()
+    assert off > 0.5
+    specimen = {"type": "retarder", "delta": 90.0, "theta": 20.0}
+    verdict = validate(specimen, effort="quick")
+    assert verdict["adjoint"].status == "fails"
+    assert np.allclose(there.flux.light, 1)
+
+
+@pytest.mark.usefixtures("polarised")
+def test_command_judges_in_the_variant_that_it_is_given(capsys):
+    words = ["validate", "conductor", "--effort", "quick", "--variant", VARIANT]
+    assert cli.main(words) == 0
+    assert "realisable" in capsys.readouterr().out
+
+
+def test_scalar_variant_is_refused_in_a_sentence():
+    before = mi.variant()
+    mi.set_variant("scalar_rgb")
+    try:
+        with pytest.raises(gonio.VariantError, match="an llvm or cuda variant"):
+            validate({"type": "diffuse"})
+    finally:
+        mi.set_variant(before)

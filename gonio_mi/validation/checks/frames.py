@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats, Numbers
+from ...collector.stokes import plane_axis, reframed, turn
 from ..evidence import Evidence
 from ..mueller import Matrices, condition_of, off, per_light
 from ..readings import IDENTITY, is_identity, readings
@@ -129,10 +130,26 @@ def _explained(turned: Turned, misfit: Floats) -> str | None:
     """Mistake without which the matrices do not depend on the angle, or None."""
     if is_identity(per_light(turned.matrices.raw)):
         return IDENTITY
-    for mistake, matrices in readings(turned.matrices, turned.normal, turned.nested):
-        if np.max(turned.misfit(matrices) / misfit) < EXPLAINED:
-            return mistake
-    return None
+    found = {
+        mistake: _handedness(turned, matrices)
+        for mistake, matrices in readings(turned.matrices, turned.normal, turned.nested)
+        if np.max(turned.misfit(matrices) / misfit) < EXPLAINED
+    }
+    # of several the one by which facets would mirror light as they do
+    return min(found, key=lambda mistake: round(found[mistake], 3), default=None)
+
+
+def _handedness(turned: Turned, in_plane: Floats) -> float:
+    """Elements that a mirror symmetry about the plane of both beams forbids."""
+    k_in, k_out = turned.matrices.beams
+    s = np.cross(k_in, k_out)
+    length = np.linalg.norm(s, axis=-1, keepdims=True)
+    s = np.where(length > 0, s, 0) / np.where(length > 0, length, 1)
+    turns = (
+        turn(k, plane_axis(k, turned.normal), s)[..., None, :, :] for k in (k_in, k_out)
+    )
+    m = per_light(reframed(in_plane, *turns))
+    return float(np.abs(m[..., :2, 2:]).mean() + np.abs(m[..., 2:, :2]).mean())
 
 
 # ------------------------------------------------------------------------------- jumps

@@ -5,43 +5,66 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from ...array_types import Numbers
+from ...array_types import Flags, Floats, Numbers
 from ..evidence import Evidence
 from ..mueller import Lobes, condition_of
 
 # Flux that rounding may add to all that arrives.
 ROUNDING = 1e-4
 
+# Difference of shares up to which two samples are of one discrete lobe.
+SAME_LOBE = 1e-3
+
 
 def check_gain(evidence: Evidence, lobes: Lobes) -> None:
     """Mean flux of the incident polarisation that is scattered best.
 
-    Lobes of shape (directions, samples). Half of the samples tell which polarisation
-    that is, the other half how much of it leaves.
+    Lobes of shape (directions, samples). Of those with a density half of the samples
+    tell which polarisation that is, the other half how much of it leaves; the share of
+    a discrete lobe is known by one sample of it.
     """
     weights = lobes.weights
-    rows = np.where(lobes.given[..., None, None], weights.in_plane()[..., 0, :], 0.0)
+    rows = weights.in_plane()[..., 0, :]
+    smooth = np.where(lobes.smooth[..., None, None], rows, 0.0)
     half = rows.shape[1] // 2
     for i in range(len(rows)):
+        discrete = _discrete(rows[i], lobes.pdf[i], lobes.delta[i])
         gains = [
-            _gain(rows[i, :half, c], rows[i, half:, c]) for c in range(rows.shape[2])
+            _gain(discrete[c], smooth[i, :half, c], smooth[i, half:, c])
+            for c in range(rows.shape[2])
         ]
         mean, std_err, state = max(gains, key=lambda one: one[0])
         condition = condition_of(weights, (i, 0))
         z = (mean - 1 - ROUNDING) / max(std_err, ROUNDING / 4)
         text = f"{mean:.4g} of the flux of {_named(state)} leaves"
-        evidence.test(
-            "energy", float(stats.norm.sf(z)), text, condition, max(0.0, mean - 1)
-        )
+        p_value = float(stats.t.sf(z, half - 1))
+        evidence.test("energy", p_value, text, condition, max(0.0, mean - 1))
 
 
-def _gain(first: Numbers, second: Numbers) -> tuple[float, float, Numbers]:
-    """Mean, its standard error, and the polarisation, of rows of two halves."""
-    state = first.mean(axis=0)[1:]
+def _discrete(rows: Floats, pdf: Floats, delta: Flags) -> Floats:
+    """First row of all discrete lobes together, each once, shape (channels, 4)."""
+    total = np.zeros(rows.shape[1:])
+    left = np.flatnonzero(delta)
+    shares = rows * pdf[:, None, None]
+    while left.size:
+        first = shares[left[0]]
+        total += first
+        other = np.abs(shares[left] - first).max(axis=(1, 2)) > SAME_LOBE
+        left = left[other]
+    return total
+
+
+def _gain(
+    discrete: Floats, first: Floats, second: Floats
+) -> tuple[float, float, Floats]:
+    """Mean, its standard error, and the polarisation."""
+    state = (discrete + first.mean(axis=0))[1:]
     length = np.linalg.norm(state)
-    state = state / length if length > 0 else np.zeros(3)
-    flux = second @ np.array([1.0, *state])
-    return float(flux.mean()), float(flux.std() / np.sqrt(len(flux))), state
+    state = state / length if length > ROUNDING else np.zeros(3)
+    arriving = np.array([1.0, *state])
+    flux = second @ arriving
+    mean = float(discrete @ arriving + flux.mean())
+    return mean, float(flux.std() / np.sqrt(len(flux))), state
 
 
 def _named(state: Numbers) -> str:

@@ -56,9 +56,9 @@ def check_adjoint(
     condition = condition_of(radiance, (worst,))
     mistake = "does not answer for light that goes from wo to wi"
     if is_depolarised(m[wrong]):
-        mistake = "depolarises, which it does not in importance mode"
+        mistake = "depolarises, other than in importance mode,"
     elif is_depolarised(due[wrong]):
-        mistake = "keeps a polarisation that it does not keep in importance mode"
+        mistake = "polarises, other than in importance mode,"
     evidence.breach(
         "adjoint",
         function,

@@ -1,0 +1,146 @@
+"""Right BSDF plugins with Mueller matrices, and the same with one mistake each.
+
+Each asks a plugin of Mitsuba's and changes its matrices. `MISTAKES` maps the name of a
+broken plugin to the function that is guilty and to words of its mistake. The classes
+are registered for a polarised variant and for the same without polarisation.
+"""
+
+import drjit as dr
+import mitsuba as mi
+
+ROUGH = {"type": "roughconductor", "eta": 0.2, "k": 3.0, "alpha": 0.3}
+NESTED = {
+    "brushed": ROUGH | {"alpha": 0.15, "alpha_v": 0.4},
+    "glass": {"type": "dielectric"},
+    "coated": {"type": "pplastic", "alpha": 0.2},
+    "mirror_not_turned": {"type": "conductor", "eta": 0.2, "k": 3.0},
+    "polarizer_twice_as_bright": {"type": "polarizer"},
+}
+NESTED["brushed"]["alpha_u"] = NESTED["brushed"].pop("alpha")
+
+RIGHT = ("facets", "brushed", "glass", "coated")
+
+MISTAKES = {
+    "not_turned": ("eval", "does not turn its frames"),
+    "brushed_not_turned": ("eval", "does not turn its frames"),
+    "mirror_not_turned": ("sample", "does not turn its frames"),
+    "sample_not_turned": ("sample", "does not turn its frames"),
+    "incident_not_turned": ("eval", "the frame of the incident beam"),
+    "turned_the_wrong_way": ("eval", "the wrong way round"),
+    "half_the_angle": ("eval", "instead of twice that"),
+    "transposed": ("eval", "transposed"),
+    "handedness_flipped": ("eval", "handedness of V changes sign on leaving"),
+    "eval_depolarises": ("eval", "depolarises where `sample` does not"),
+    "sample_depolarises": ("sample", "depolarises where `eval` does not"),
+    "radiance_depolarises": ("eval", "in radiance mode"),
+    "one_number": ("eval", "one number"),
+    "mode_ignored": ("eval", "ctx.mode"),
+    "too_coherent": ("eval", "too large"),
+    "polarizer_twice_as_bright": ("sample", "gains light"),
+    "rotates_light": ("eval", "not reciprocal"),
+    "first_element_off": ("eval", "missing"),
+}
+NESTED["brushed_not_turned"] = NESTED["brushed"]
+
+
+class Changed:
+    """Asks a nested BSDF, and changes its matrices by name."""
+
+    def __init__(self, props):
+        mi.BSDF.__init__(self, props)
+        self.name = props.plugin_name()
+        self.nested = mi.load_dict(NESTED.get(self.name, ROUGH))
+        self.m_flags = self.nested.flags()
+        self.m_components = [
+            self.nested.flags(i) for i in range(self.nested.component_count())
+        ]
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        bs, weight = self.nested.sample(self._mode(ctx), si, sample1, sample2, active)
+        return bs, self._changed("sample", ctx, weight, si.wi, bs.wo)
+
+    def eval(self, ctx, si, wo, active=True):
+        value = self.nested.eval(self._mode(ctx), si, wo, active)
+        return self._changed("eval", ctx, value, si.wi, wo)
+
+    def pdf(self, ctx, si, wo, active=True):
+        return self.nested.pdf(ctx, si, wo, active)
+
+    def eval_pdf(self, ctx, si, wo, active=True):
+        return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+    def to_string(self):
+        return f"Changed[{self.name}]"
+
+    def _mode(self, ctx):
+        return mi.BSDFContext() if self.name == "mode_ignored" else ctx
+
+    def _changed(self, function, ctx, m, wi, wo):
+        name = self.name
+        if not mi.is_polarized or name in (*RIGHT, "mode_ignored"):
+            return m
+        radiance = ctx.mode == mi.TransportMode.Radiance
+        light = m[0, 0]
+        if name in (f"{function}_depolarises", "radiance_depolarises"):
+            one_mode = name.startswith("radiance")
+            return m if one_mode and not radiance else mi.mueller.depolarizer(light)
+        if name == "one_number":
+            return mi.Spectrum(light)
+        if name == "first_element_off":
+            return 0.9 * m
+        if name == "polarizer_twice_as_bright":
+            return 2 * m
+        if name == "transposed":
+            return m.T
+        if name == "handedness_flipped":
+            return _diagonal(1, 1, 1, -1) @ m
+        if "turned" not in name and name not in (
+            "half_the_angle",
+            "too_coherent",
+            "rotates_light",
+        ):
+            return m
+        beams = (-wo, wi) if radiance else (-wi, wo)
+        angle_in, angle_out = (_angle(k) for k in beams)
+        turn_in, turn_out = (mi.mueller.rotator(a) for a in (angle_in, angle_out))
+        plane = turn_out @ m @ turn_in.T
+        if name == "sample_not_turned":
+            return plane if function == "sample" else m
+        if name.endswith("not_turned"):
+            return m @ turn_in.T if name.startswith("incident") else plane
+        if name == "turned_the_wrong_way":
+            return turn_out @ plane @ turn_in.T
+        if name == "half_the_angle":
+            turn_in, turn_out = (
+                mi.mueller.rotator(a / 2) for a in (angle_in, angle_out)
+            )
+        elif name == "too_coherent":
+            plane = plane + 0.1 * _diagonal(0, 0, 1, 1) @ plane @ _diagonal(0, 0, 1, 1)
+        elif name == "rotates_light":
+            plane = mi.mueller.rotator(mi.Float(0.3)) @ plane
+        return turn_out.T @ plane @ turn_in
+
+
+def _diagonal(*values):
+    m = dr.zeros(mi.Spectrum)
+    for i, value in enumerate(values):
+        m[i, i] = mi.UnpolarizedSpectrum(value)
+    return m
+
+
+def _angle(k):
+    """From Mitsuba's frame of the beam to that of s = k x z."""
+    old, new = mi.mueller.stokes_basis(k), dr.cross(k, mi.Vector3f(0, 0, 1))
+    return dr.atan2(dr.dot(k, dr.cross(old, new)), dr.dot(old, new))
+
+
+def register():
+    """Register all plugins for the variant that is set."""
+    methods = {
+        name: value
+        for name, value in vars(Changed).items()
+        if name not in ("__dict__", "__weakref__")
+    }
+    kind = type("Changed", (mi.BSDF,), methods)
+    for name in (*RIGHT, *MISTAKES):
+        mi.register_bsdf(name, kind)
