@@ -5,12 +5,13 @@ energy, reciprocity, transport modes, flags, masks, and the ends of its domain.
 """
 
 import argparse
+import contextlib
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..errors import SpecimenError
-from ..instrument.loading import load_specimen
+from ..errors import SettingError, SpecimenError
+from ..instrument.loading import load_plugin_file, load_specimen
 from ..validation.verdict import Verdict
 from .arguments import (
     DONE,
@@ -22,6 +23,7 @@ from .arguments import (
     add_specimen,
     add_text,
     sentence,
+    set_variant,
     specimen_of,
 )
 from .parser import Parser
@@ -37,6 +39,7 @@ examples:
   gonio-mi validate mybsdf:roughness=0.3 --plugin mybsdf.py --report mybsdf.html
   gonio-mi validate scene.xml -D alpha=0.3 --effort thorough --json
   gonio-mi validate cosinelobe --allow reciprocity
+  gonio-mi validate pplastic --variant llvm_ad_mono_polarized
 
 Exit code 3: something that --allow does not name biases images or breaks integrators
 (with --strict: anything that fails). Exit code 4: undecided, for nothing was lit, or
@@ -128,10 +131,11 @@ def _verdict(options: argparse.Namespace, variant: str) -> Verdict:
 
     options = argparse.Namespace(**(vars(options) | {"variant": variant}))
     if is_polarised(variant):
-        # for the first element: there the plugins must be known, too
-        plain = options.specimen, argparse.Namespace(**vars(options))
-        plain[1].variant = unpolarised(variant)
-        specimen_of(*plain)
+        # the unpolarised variant is asked for the first element, if it knows the plugin
+        with contextlib.suppress(SettingError):
+            set_variant(unpolarised(variant))
+            for path in options.plugin:
+                load_plugin_file(path)
     specimen, parameters = specimen_of(options.specimen, options, parallel_variants())
     if parameters:
         specimen = load_specimen(specimen, parameters)
