@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..array_types import Flags, Floats
 from ..collector.directions import azimuths_deg
 from ..errors import (
     LABEL,
@@ -15,7 +16,7 @@ from ..errors import (
     checked_number,
     shown,
 )
-from ..files.measured_table import NUMBERS, MeasuredTable
+from ..files.measured_table import ANGLE_DIGITS, COLUMNS, NUMBERS, MeasuredTable
 from ..results.record import Record
 from .agreement import MIN_STUDENT_HITS, PointSet, judge, mostly_few
 from .comparison import Comparison
@@ -154,20 +155,36 @@ def _note_on_azimuths(
     for way, azimuth in ways.items():
         if np.allclose(*np.exp(1j * np.radians([table.phi_o, azimuth]))):
             continue  # all in the plane of incidence
+        turned = replace(table, phi_o=azimuth)
         try:
-            sets, notes, _, scale = _paired(
-                records,
-                replace(table, phi_o=azimuth),
-                uncertainty,
-                scale_uncertainty,
-            )
-        except SettingError:  # apertures stand elsewhere
-            continue
+            paired = _paired(records, turned, uncertainty, scale_uncertainty)
+        except SettingError:  # apertures stand elsewhere: most of them may not
+            both = _measured_both_ways(table, azimuth)
+            if 2 * both.sum() < len(table):
+                continue
+            names = [*COLUMNS, *(["sigma"] if table.sigma is not None else [])]
+            columns = {name: getattr(turned, name)[both] for name in names}
+            turned = replace(turned, **columns)
+            paired = _paired(records, turned, uncertainty, scale_uncertainty)
+        sets, notes, _, scale = paired
         p_values = judge(sets, scale)[3]
         undecided = left_undecided(sets, scale, p_values, alpha, notes)
         if not undecided and len(p_values) * min(p_values.values()) >= alpha:
             return [f"{way} would agree"]
     return []
+
+
+def _measured_both_ways(table: MeasuredTable, azimuth: Floats) -> Flags:
+    """Points whose direction of exit is the table's with the other azimuths too."""
+
+    def places(phi_o: Floats) -> list[tuple[float, ...]]:
+        polar = table.theta_i, table.theta_o
+        turns = np.radians([table.phi_i, phi_o])
+        columns = np.round([*polar, *np.cos(turns), *np.sin(turns)], ANGLE_DIGITS) + 0.0
+        return [tuple(one) for one in columns.T.tolist()]
+
+    known = {*places(table.phi_o)}
+    return np.array([place in known for place in places(azimuth)])
 
 
 def _paired(

@@ -272,7 +272,8 @@ class _Reading:
         elif channel is not None and "wavelength" not in by_role:
             raise SettingError(
                 f"channel applies to tables with several channels, got {channel!r} "
-                f"for {self.place}"
+                f"for {self.place}; a wavelength that the table does not state is "
+                "given by --columns wavelength=NM"
             )
         elif names:
             self.channel = names[0]

@@ -121,6 +121,28 @@ def test_the_worst_points_are_those_that_differ_most():
     assert high > 37.1
 
 
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(("first", "noted"), [(-70, True), (0, False)])
+def test_a_scan_from_the_other_side_is_noted(first, noted):
+    """If most of its directions are turned into each other; twin: a scan of one side.
+
+    The direction of incidence, which the source hides, is missing.
+    """
+    theta = np.array([one for one in range(first, 71, 5) if one != -30])
+    phi_o = np.where(theta < 0, 0.0, 180.0)
+    n = np.ones(len(theta))
+    scan = MeasuredTable(
+        30 * n, 0 * n, abs(theta), phi_o, n, uncertainty=0.01, aperture_half_angle=2
+    )
+    metal = {"type": "roughconductor", "alpha": 0.3}
+    ours = compare(measure_like(metal, scan, rays=10**5), scan)
+    columns = ours.theta_i, ours.phi_i, ours.theta_o, ours.phi_o + 180, ours.value
+    turned = MeasuredTable(*columns, uncertainty=0.01, aperture_half_angle=2)
+    found = compare(measure_like(metal, turned, rays=10**5, seed=1), turned)
+    assert found.verdict == "differ"
+    assert noted == any("180 degrees on would agree" in n for n in found.notes)
+
+
 def test_mirrored_azimuth_differs():
     record = gloss()
     values, _, phi = truth(record)
