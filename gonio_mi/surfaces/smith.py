@@ -101,16 +101,20 @@ def fitted_alphas(
     """Both alphas of largest likelihood for the slopes of facets.
 
     `weight` is projected area. For Beckmann they are sqrt(2) times the rms slopes; for
-    GGX, whose slopes have no variance, those in which a steep facet counts less.
+    GGX, whose slopes have no variance, those in which a steep facet counts less. Where
+    all slopes lie in one direction, as those of grooves, the density that is fitted is
+    the marginal one of that direction, (1 + slope^2 / alpha^2)^(-3/2) for GGX.
     """
     weight = weight / weight.sum()
     squares = np.stack([slope_u, slope_v]) ** 2
     alphas = np.maximum(np.sqrt(2 * squares @ weight), MIN_ALPHA)
     if distribution == "beckmann":
         return alphas
+    # twice the exponent of the density
+    exponent = 4 if np.all(alphas > MIN_ALPHA) else 3
     for _ in range(N_ITERATIONS):
         steepness = alphas**-2.0 @ squares
         alphas = np.maximum(
-            np.sqrt(4 * squares @ (weight / (1 + steepness))), MIN_ALPHA
+            np.sqrt(exponent * squares @ (weight / (1 + steepness))), MIN_ALPHA
         )
     return alphas

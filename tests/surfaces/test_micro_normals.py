@@ -164,6 +164,29 @@ def test_alphas_of_largest_likelihood():
             disagree(single((wrong - truth) / error[i]))
 
 
+def test_alphas_of_grooves():
+    """Statistics: slopes of one direction only, drawn from the marginals of both."""
+    rng, n, alpha = np.random.default_rng(2), 20_000, 0.3
+    u = rng.uniform(-1, 1, n)
+    drawn = {
+        "beckmann": rng.normal(size=n) * alpha / np.sqrt(2),
+        "ggx": alpha * u / np.sqrt(1 - u**2),
+    }
+    # the information of one slope about alpha: 2 / alpha^2, and 4 / (5 alpha^2)
+    for name, information in (("beckmann", 2.0), ("ggx", 0.8)):
+        found, flat = smith.fitted_alphas(name, drawn[name], np.zeros(n), np.ones(n))
+        assert flat == smith.MIN_ALPHA
+        error = alpha / np.sqrt(n * information)
+        agree(single((found - alpha) / error))
+        disagree(single((1.05 * found - alpha) / error))
+    # exact: the likelihood of slopes of one size is largest at sqrt(2) of it, for both
+    for name in drawn:
+        (found, _) = smith.fitted_alphas(
+            name, np.array([0.5, -0.5]), np.zeros(2), np.ones(2)
+        )
+        np.testing.assert_allclose(found, 0.5 * np.sqrt(2), rtol=1e-6)
+
+
 @pytest.mark.usefixtures("mono")
 def test_other_shapes_have_normals_too():
     """A sphere: its points are as many in each solid angle; twin: as on a plane."""
