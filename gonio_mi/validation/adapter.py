@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike
 from ..array_types import Floats, Numbers
 from ..errors import SettingTypeError
 
-__all__ = ["from_numpy"]
-
 
 def from_numpy(
     sample: Callable[..., Any],

@@ -15,17 +15,6 @@ from ..collector import Borders
 from ..collector.directions import direction
 from ..errors import checked_choice
 
-__all__ = [
-    "EFFORTS",
-    "PHI",
-    "POSITION",
-    "TURN",
-    "Condition",
-    "Effort",
-    "LitFrom",
-    "Sweep",
-]
-
 
 @dataclass(frozen=True)
 class Condition:

@@ -15,12 +15,11 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from ..collector.directions import direction
+from ..transport.bsdf_trial import PluginFault
 from .conditions import Condition
 from .evidence import BIAS, MODEL, Breach, Evidence
-from .probe import PluginFault, Probe, changed, number_parameters
+from .probe import Probe, changed, number_parameters
 from .samples import BSDF_ROUNDING, SLACK, Samples, is_many, unequal
-
-__all__ = ["explain_reciprocity"]
 
 # Mistake by the power k of which ``eval cos(theta_i)^k`` is the same with wi and wo
 # exchanged, apart from eta^2; 1 is right.

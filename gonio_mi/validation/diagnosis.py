@@ -23,8 +23,6 @@ from .probe import numbers, vectors
 from .samples import BSDF_ROUNDING, Samples, is_many, samples_of, unequal
 from .tally import groups, patch_of
 
-__all__ = ["likely_mistake"]
-
 # Fraction of the samples below which they explain nothing else.
 MAX_RARE = 0.01
 

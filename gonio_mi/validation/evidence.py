@@ -14,23 +14,6 @@ from .conditions import Condition
 from .maps import FourMaps
 from .samples import Samples, is_many
 
-__all__ = [
-    "BIAS",
-    "BREAKS",
-    "COST",
-    "EFFECTS",
-    "INTERFACE",
-    "MODEL",
-    "NOISE",
-    "POLARISED",
-    "PROPERTIES",
-    "Breach",
-    "Evidence",
-    "Finding",
-    "Test",
-    "integrators",
-]
-
 # What a failure does to an image, the worst first.
 BIAS = "biases images"
 BREAKS = "breaks some integrators"

@@ -18,16 +18,6 @@ from .evidence import BIAS, Evidence
 from .probe import Probe, is_delta, numbers, spectral, uniform
 from .samples import Samples, is_many, ratio_of, unequal
 
-__all__ = [
-    "FACTORS",
-    "Ratio",
-    "explain",
-    "explain_weights",
-    "factor",
-    "has_known_factor",
-    "ratios_of",
-]
-
 # Likely factors that are forgotten, or there once too often, and how they read.
 FACTORS = {
     "cos_o": "the cosine of wo",

@@ -23,8 +23,6 @@ from .conditions import Condition
 from .probe import Probe, vectors
 from .tally import PatchTotals, patch_of
 
-__all__ = ["SUM_ERROR", "Due", "PatchIntegrals", "integrals"]
-
 # Numbers of points and generators of Fibonacci lattices, where patches need ever more,
 # and random shifts of each.
 LATTICES = (21, 13), (89, 55), (377, 233), (1597, 987), (6765, 4181)

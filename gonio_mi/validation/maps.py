@@ -24,15 +24,6 @@ from .probe import Probe
 from .samples import rounding
 from .tally import SMALL_TERM, Damping, PatchTotals, batch_of, groups, patch_totals
 
-__all__ = [
-    "FourMaps",
-    "Scores",
-    "four_maps",
-    "in_radiance_mode",
-    "skew_score",
-    "unexplained_fraction",
-]
-
 # Patches are merged until that many hits are due.
 MIN_HITS = 100
 

@@ -24,21 +24,6 @@ from ..transport.bsdf_trial import (
 )
 from .conditions import POSITION, TURN, Condition
 
-__all__ = [
-    "PluginFault",
-    "Probe",
-    "blamed",
-    "changed",
-    "is_delta",
-    "number_parameters",
-    "numbers",
-    "seed_of",
-    "spectral",
-    "traversed",
-    "uniform",
-    "vectors",
-]
-
 # Channels of a spectral variant, in nm.
 WAVELENGTHS_NM = (450.0, 520.0, 580.0, 650.0)
 

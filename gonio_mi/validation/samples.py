@@ -14,19 +14,6 @@ from ..array_types import Flags, Floats, Integers, Numbers
 from .conditions import Condition
 from .probe import Probe, is_delta, numbers, seed_of, spectral, uniform
 
-__all__ = [
-    "BSDF_ROUNDING",
-    "SLACK",
-    "SPOILED",
-    "ULPS",
-    "Samples",
-    "is_many",
-    "ratio_of",
-    "rounding",
-    "samples_of",
-    "unequal",
-]
-
 # Relative difference that single precision may leave between two ways to compute a
 # value: 1024 operations, each off by half an ulp. Of Mitsuba's own functions those of
 # `hair` have most, 962; those of `principled` up to 376.

@@ -23,16 +23,6 @@ from .conditions import Condition
 from .probe import Probe, is_delta, numbers, spectral, uniform
 from .samples import SPOILED, unequal
 
-__all__ = [
-    "SMALL_TERM",
-    "Damping",
-    "PatchTotals",
-    "batch_of",
-    "groups",
-    "patch_of",
-    "patch_totals",
-]
-
 # Samples of one launch, whose values come back one by one.
 CHUNK = 2**20
 

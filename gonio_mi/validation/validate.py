@@ -15,6 +15,7 @@ from ..errors import SettingError, SpecimenError, checked_count, checked_number,
 from ..instrument.loading import load_specimen, loaded, with_own_tensors
 from ..instrument.specimen_text import specimen_name
 from ..progress import bar
+from ..transport.bsdf_trial import PluginFault
 from ..transport.kernels import launches_kernels
 from ..transport.variants import is_parallel, is_polarised
 from .checks import (
@@ -44,11 +45,9 @@ from .diagnosis import likely_mistake
 from .evidence import BIAS, INTERFACE, POLARISED, PROPERTIES, Evidence
 from .maps import four_maps, in_radiance_mode
 from .polarised import examine_polarised, likely_mistake as polarised_mistake
-from .probe import PluginFault, Probe, number_parameters
+from .probe import Probe, number_parameters
 from .samples import Samples, samples_of, unequal
 from .verdict import FAILS, Verdict, properties_of
-
-__all__ = ["coloured", "validate"]
 
 # Polar angle of incidence, in degrees, from which on incidence is grazing.
 GRAZING = 60

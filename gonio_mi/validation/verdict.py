@@ -20,16 +20,6 @@ from .evidence import (
 )
 from .maps import FourMaps
 
-__all__ = [
-    "FAILS",
-    "HOLDS",
-    "LACKS",
-    "UNDECIDED",
-    "Property",
-    "Verdict",
-    "properties_of",
-]
-
 # Places of a failure that are kept.
 MAX_PLACES = 10
 

@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["check_report", "draw", "draw_plane", "save_report", "verdict_view"]
-
 # Style of the word that says how a property fares; others are not certain.
 STYLES = {FAILS: "background: #c33; color: white", HOLDS: "background: #cec"}
 UNCERTAIN = "background: #fd8"

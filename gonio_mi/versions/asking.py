@@ -20,8 +20,6 @@ from ..collector.directions import direction
 from ..errors import SettingError, SpecimenError, shown
 from ..validation.samples import ULPS
 
-__all__ = ["Answers", "Question", "ask", "interpreter"]
-
 WORKER = Path(__file__).with_name("worker.py")
 
 # Of each incident direction: samples, and directions of the lattice on the sphere.

@@ -20,8 +20,6 @@ from ..transport.variants import check_variant
 from ..validation.samples import BSDF_ROUNDING, SLACK, ULPS, is_many
 from .asking import Answers, Question, ask, interpreter
 
-__all__ = ["Difference", "Differences", "alike", "asked_of", "diff"]
-
 
 @dataclass(frozen=True)
 class Difference:

@@ -24,8 +24,6 @@ from ..validation.samples import SLACK, ULPS
 from .asking import Answers, Question, ask, interpreter
 from .differing import Differences, alike, asked_of
 
-__all__ = ["diff_saved", "save_answers", "saved"]
-
 FORMAT = "gonio-mi answers of a BSDF, 1"
 
 # Samples of each view that are kept; values are known at half of them.

@@ -6,8 +6,6 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-__all__ = ["Case", "cases"]
-
 # Its name and dictionary.
 Case = tuple[str, dict[str, Any]]
 

@@ -13,8 +13,6 @@ from ..samples import is_many, samples_of, unequal
 from .delta import Lobe
 from .reciprocity import BothWays, is_constant, ratio_text
 
-__all__ = ["check_lobe", "check_ways"]
-
 
 def check_ways(evidence: Evidence, ways: BothWays) -> None:
     """``f(wi, wo)`` of one mode is ``f(wo, wi)`` of the other (Veach 1997, 5.2).

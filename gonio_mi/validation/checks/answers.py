@@ -16,19 +16,6 @@ from ..evidence import BIAS, INTERFACE, Evidence
 from ..probe import Probe, spectral, vectors
 from ..samples import Samples, is_many, unequal
 
-__all__ = [
-    "asked_after",
-    "check_albedo",
-    "check_frames",
-    "check_lattice",
-    "check_memory",
-    "check_order",
-    "check_samples",
-    "example",
-    "improper",
-    "lattice",
-]
-
 # Properties that hold unless two functions contradict each other.
 AGREEMENTS = (
     "directions",

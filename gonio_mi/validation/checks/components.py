@@ -13,8 +13,6 @@ from ..probe import Probe, is_delta, numbers, spectral
 from ..samples import Samples, is_many, unequal
 from .answers import LOBES
 
-__all__ = ["alone", "check_samples"]
-
 
 @dataclass(frozen=True)
 class Alone:

@@ -11,8 +11,6 @@ from ..evidence import Evidence
 from ..probe import Probe, spectral, uniform, vectors
 from ..samples import ULPS, Samples
 
-__all__ = ["check_cutoffs", "check_normal"]
-
 # Tilt from the normal, in radians, and the part of all values that may change by it: a
 # lobe ten times as wide changes by so much.
 MAX_TILT = 2.0**-16

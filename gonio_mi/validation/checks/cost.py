@@ -20,8 +20,6 @@ from ..evidence import COST, Evidence
 from ..probe import Probe, uniform
 from ..samples import Samples, samples_of
 
-__all__ = ["check_compiled", "check_time", "compared"]
-
 # Rays of a call, and turns in which a plugin and one of Mitsuba's own take it.
 N_RAYS = 2**19
 N_TURNS = 7

@@ -13,8 +13,6 @@ from ..evidence import MODEL, Evidence
 from ..probe import Probe
 from ..samples import BSDF_ROUNDING, Samples, is_many
 
-__all__ = ["DIRECTION_ROUNDING", "Lobe", "check_null", "lobes_of"]
-
 # Directions that are the same differ by that at the horizon, where single precision
 # finds a cosine from a sine.
 DIRECTION_ROUNDING = 2 * 2.0**-11.5

@@ -12,8 +12,6 @@ from ..evidence import INTERFACE, NOISE, Evidence
 from ..samples import BSDF_ROUNDING, Samples, is_many, unequal
 from .reciprocity import BothWays, is_constant
 
-__all__ = ["check_eta", "check_samples"]
-
 # Relative difference of two squared indices that are the same.
 MAX_OFF = 1e-3
 

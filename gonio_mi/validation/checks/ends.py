@@ -10,21 +10,12 @@ import numpy as np
 
 from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
+from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition, LitFrom
 from ..evidence import INTERFACE, Evidence
-from ..probe import (
-    PluginFault,
-    Probe,
-    changed,
-    number_parameters,
-    numbers,
-    spectral,
-    vectors,
-)
+from ..probe import Probe, changed, number_parameters, numbers, spectral, vectors
 from ..samples import BSDF_ROUNDING
 from .answers import example, improper
-
-__all__ = ["check_bsdf", "check_roughness"]
 
 # Fraction of an image that single pixels are.
 PIXELS = 1e-3

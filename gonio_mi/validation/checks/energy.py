@@ -10,8 +10,6 @@ from ..integrals import SUM_ERROR
 from ..maps import FourMaps
 from ..samples import BSDF_ROUNDING
 
-__all__ = ["check_maps"]
-
 
 def check_maps(evidence: Evidence, maps: FourMaps) -> None:
     """In importance mode, of all components together.

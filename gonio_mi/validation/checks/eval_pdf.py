@@ -9,8 +9,6 @@ from ..probe import Probe, numbers, spectral, vectors
 from ..samples import BSDF_ROUNDING, Samples, is_many, ratio_of, unequal
 from .answers import lattice
 
-__all__ = ["check_joint", "check_lattice", "check_samples"]
-
 # Differences on a lattice that may be rounding of a sharp lobe: of a value, and of the
 # largest of all.
 MAX_RELATIVE, MAX_OF_PEAK = 0.01, 1e-4

@@ -9,8 +9,6 @@ from ..evidence import INTERFACE, Evidence
 from ..samples import BSDF_ROUNDING, Samples, is_many, unequal
 from .eval_pdf import check_joint
 
-__all__ = ["check_samples"]
-
 
 def check_samples(evidence: Evidence, samples: Samples) -> None:
     """Value and density are those of ``eval`` and ``pdf``, samples of ``sample``."""

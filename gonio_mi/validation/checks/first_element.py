@@ -11,11 +11,12 @@ import numpy as np
 
 from ...array_types import Flags, Floats, Integers
 from ...errors import SettingError
+from ...transport.bsdf_trial import PluginFault
 from ...transport.variants import unpolarised
 from ..conditions import Condition
 from ..evidence import Evidence
 from ..mueller import Lobes, Matrices, condition_of
-from ..probe import PluginFault, Probe, numbers, spectral, vectors
+from ..probe import Probe, numbers, spectral, vectors
 from ..samples import is_many
 
 # Relative difference of two ways to compute one value, in single precision.

@@ -16,8 +16,6 @@ from ..samples import Samples, is_many, samples_of, unequal
 from .answers import LOBES
 from .weights import check_unsampled_side
 
-__all__ = ["check_bsdf", "check_sides"]
-
 # Where nothing tells which of two is wrong.
 EITHER = "flags or sample"
 

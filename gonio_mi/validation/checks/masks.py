@@ -10,8 +10,6 @@ from ..evidence import Evidence
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import samples_of, unequal
 
-__all__ = ["check_bsdf"]
-
 
 def check_bsdf(evidence: Evidence) -> None:
     """Every other ray is inactive.

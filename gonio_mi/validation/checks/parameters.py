@@ -10,20 +10,11 @@ import mitsuba as mi
 import numpy as np
 
 from ...array_types import Floats
+from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition
 from ..evidence import BIAS, INTERFACE, Evidence
-from ..probe import (
-    PluginFault,
-    Probe,
-    blamed,
-    changed,
-    number_parameters,
-    spectral,
-    vectors,
-)
+from ..probe import Probe, blamed, changed, number_parameters, spectral, vectors
 from ..samples import Samples, is_many, unequal
-
-__all__ = ["check_changes", "check_samples"]
 
 # Probability by chance of directions after a change, below which they are wrong; the
 # statistical tests do not share it.

@@ -15,15 +15,6 @@ from ..probe import Probe, numbers, spectral
 from ..samples import BSDF_ROUNDING, Samples, is_many, samples_of, unequal
 from .delta import DIRECTION_ROUNDING, Lobe
 
-__all__ = [
-    "BothWays",
-    "both_ways",
-    "check_lobe",
-    "check_ways",
-    "is_constant",
-    "ratio_text",
-]
-
 # Rounding of a squared cosine that is found from sines: of four products.
 SQUARE_ROUNDING = 2.0**-22
 

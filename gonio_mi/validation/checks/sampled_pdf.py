@@ -5,8 +5,6 @@ from __future__ import annotations
 from ..evidence import Evidence
 from ..samples import Samples, ratio_of, unequal
 
-__all__ = ["check_samples"]
-
 
 def check_samples(evidence: Evidence, samples: Samples) -> None:
     """Densities of both are equal, sample by sample, where there is light."""

@@ -8,8 +8,6 @@ from ...array_types import Flags
 from ..evidence import INTERFACE, Evidence
 from ..samples import Samples, is_many, ratio_of, unequal
 
-__all__ = ["check_samples"]
-
 # Standard errors beyond which two means differ.
 MAX_SCORE = 5
 

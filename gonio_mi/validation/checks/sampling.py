@@ -19,8 +19,6 @@ from ..probe import Probe, is_delta, numbers, spectral, uniform, vectors
 from ..samples import BSDF_ROUNDING, samples_of
 from .weights import check_scores
 
-__all__ = ["check_maps", "check_roulette", "check_sweep"]
-
 # Bands of the angle of incidence, and sectors of its azimuth; the least number of
 # equal terms that a sum must be worth; and the probability by chance below which a
 # difference tells the guilty function.

@@ -13,14 +13,6 @@ from ..probe import Probe
 from ..samples import Samples, is_many
 from .answers import lattice
 
-__all__ = [
-    "check_maps",
-    "check_pooled",
-    "check_samples",
-    "check_scores",
-    "check_unsampled_side",
-]
-
 # Density that no sample ever meets: where `pdf` falls below it before it is 0 (as that
 # of Mitsuba's facets does), the light of `eval` is a matter of tails, not of a hole.
 UNDERFLOW = 1e-12
