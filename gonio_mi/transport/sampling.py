@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SettingError
+from ..errors import SpecimenError
 
 # Plugin names of the class names, which is all that a sampler knows.
 NAMES = {
@@ -60,13 +60,13 @@ def check_sampler(label: str, sampler: mi.Sampler) -> None:
     """Raise ValueError for a sampler that would measure wrongly."""
     name = sampler_name(sampler)
     if name == "ldsampler":
-        raise SettingError(
+        raise SpecimenError(
             f"{label} must not be ldsampler: it repeats one pattern for all numbers "
             "that a ray draws, so that they stay correlated, and a BSDF of several "
             "lobes is measured wrongly however many rays are sent; take sobol"
         )
     if name in OF_FIXED_SIZE and "jitter = 0" in str(sampler):
-        raise SettingError(
+        raise SpecimenError(
             f"{label} {name} must have jitter on: without it all batches draw the same "
             "grid of numbers, whose error no error bar shows"
         )

@@ -270,7 +270,7 @@ def test_what_is_not_reciprocal_is_told_with_its_figure(tmp_path, basis):
     parts = np.diff(edges**2)
     rings = 0.2 + 0.6 * np.diff(edges**3) * 2 / 3 / parts
     pairs = np.abs(rings[:, None] - rings) * parts[:, None] * parts
-    share = float(re.findall("shows (.*)% of what", text)[0]) / 100
+    share = float(re.findall("shows (.*)% of the reflected flux", text)[0]) / 100
     # whole per cents; patches of 15 degrees, and cells, round the rings
     assert abs(share - pairs.sum() / 2 / 0.6) < 0.005 + 0.015
     shown, true, theta = map(
