@@ -105,7 +105,7 @@ class Property:
             return ""
         if self.share is None or self.name == "ends":
             return reached
-        return f"{reached}; {self.share:.2g} of the light of a lit surface"
+        return f"{reached}; {self.share:.2g} of the flux from a lit surface"
 
     @property
     def consequence(self) -> str | None:
@@ -376,6 +376,7 @@ def _of_tests(beyond: Sequence[Test]) -> str:
     # the whole before its components, and what is about most light
     worst = min(beyond, key=lambda t: (EFFECTS.index(t.effect), -(t.share or 0.0), t.p))
     places = {str(t.condition) for t in beyond}
-    place = "" if worst.condition is None else f" at {worst.condition}"
-    more = f", and at {len(places) - 1} more" if len(places) > 1 else ""
+    known = worst.condition is None or " at theta_i " in worst.statistic
+    place = "" if known else f" at {worst.condition}"
+    more = f", and under {len(places) - 1} more conditions" if len(places) > 1 else ""
     return f"{worst.statistic}{place}{more}, p = {worst.p:.2g}"
