@@ -155,13 +155,13 @@ def run(options: Namespace) -> int:
         return _run(options, orders)
     code = DONE
     for order in orders:
-        output = [_of_order(path, order) for path in options.output]
+        output = [_order_path(path, order) for path in options.output]
         single = Namespace(**vars(options) | {"order": order, "output": output})
         code = max(code, _run(single))
     return code
 
 
-def _of_order(path: str, order: str) -> str:
+def _order_path(path: str, order: str) -> str:
     """Name of the file of one order among several; as it is without one."""
     if not order:
         return path
@@ -197,7 +197,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
         )
         ctrl_c.ignored = True
         for order, record in (measured if orders else {"": measured}).items():
-            output = [_of_order(path, order) for path in options.output]
+            output = [_order_path(path, order) for path in options.output]
             code = max(code, _finish(record, options, output, ctrl_c.pressed))
         parts.finished = code != USER_ERROR
     return code

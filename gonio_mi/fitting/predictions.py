@@ -59,9 +59,9 @@ class Predictions:
             nodes.sums(bsdf)[:, : nm and len(nm)]
             for nodes, nm in zip(self._nodes, self.passes)
         ]
-        return self._of_channels(np.concatenate(parts, axis=-1))
+        return self._measured_channels(np.concatenate(parts, axis=-1))
 
-    def _of_channels(self, values: Floats) -> Floats:
+    def _measured_channels(self, values: Floats) -> Floats:
         """Values ``(..., n)`` of the channels that were measured, in one row."""
         own = values[..., : self.channels]
         if self.channels == 1 and not np.allclose(values, own, rtol=REL_ERR, atol=0):
@@ -140,7 +140,7 @@ class PatchPredictions(Predictions):
             )
             self._nodes.append(Nodes.of(found.rule, self.n_patches))
             parts.append(found.flux[: self.hemispheres, ..., : nm and len(nm)])
-        return self._of_channels(np.concatenate(parts, axis=-1))
+        return self._measured_channels(np.concatenate(parts, axis=-1))
 
 
 class Nodes:

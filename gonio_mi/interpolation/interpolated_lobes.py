@@ -406,13 +406,13 @@ class InterpolatedLobes:
         therefore stays.
         """
         if not self.azimuths.half_vectors:
-            return self._of_azimuth(place, hemisphere, point, active)
+            return self._brdf_at_azimuth(place, hemisphere, point, active)
         at = place, place.z_i, hemisphere, point
         source, stretch, comes = self.azimuths.came_from(*at)
-        sent = self._of_azimuth(place, hemisphere, source, active & comes)
+        sent = self._brdf_at_azimuth(place, hemisphere, source, active & comes)
         _, leaves = self.azimuths.goes_to(*at)
         stays = self._seldom(
-            point, active & ~leaves, partial(self._of_azimuth, place, hemisphere)
+            point, active & ~leaves, partial(self._brdf_at_azimuth, place, hemisphere)
         )
         return [stretch * a + b for a, b in zip(sent, stays)]
 
@@ -435,7 +435,7 @@ class InterpolatedLobes:
         )
         return found
 
-    def _of_azimuth(
+    def _brdf_at_azimuth(
         self, place: Place, hemisphere: mi.UInt32, point: DiskPoint, active: mi.Bool
     ) -> list[mi.Float64]:
         """BRDF at the azimuth of the place: of both ends of the leg, moved to there."""

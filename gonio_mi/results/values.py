@@ -67,7 +67,7 @@ class MeasuredValues:
     @cached_property
     def dhr(self) -> Floats:
         """Directional-hemispherical reflectance, shape ``(channels,)``."""
-        return self._of_each(lambda one: one.total(0))
+        return self._stacked(lambda one: one.total(0))
 
     @cached_property
     def dht(self) -> Floats | None:
@@ -75,7 +75,7 @@ class MeasuredValues:
 
         Of a periodic specimen it includes the light that passes openings, `direct`.
         """
-        return self._of_each(lambda one: one.total(1)) if self.has_lower else None
+        return self._stacked(lambda one: one.total(1)) if self.has_lower else None
 
     @cached_property
     def direct(self) -> Floats:
@@ -85,24 +85,24 @@ class MeasuredValues:
         mean. 0 for a finite specimen, beside which light is ``missed``, and where the
         `order` that was collected is not 0 or ``all``.
         """
-        return self._of_each(lambda one: one.direct)
+        return self._stacked(lambda one: one.direct)
 
     @cached_property
     def direct_std_err(self) -> Floats:
         """Standard error of `direct` from the batches; NaN for a single batch."""
-        return self._of_each(lambda one: one.direct_std_err)
+        return self._stacked(lambda one: one.direct_std_err)
 
     @cached_property
     def dhr_std_err(self) -> Floats:
         """Standard error of `dhr` from the batches; NaN for a single batch."""
-        return self._of_each(lambda one: one.total_std_err(0))
+        return self._stacked(lambda one: one.total_std_err(0))
 
     @cached_property
     def dht_std_err(self) -> Floats | None:
         """Standard error of `dht` from the batches; NaN for a single batch."""
         if not self.has_lower:
             return None
-        return self._of_each(lambda one: one.total_std_err(1))
+        return self._stacked(lambda one: one.total_std_err(1))
 
     @property
     def flux_fraction(self) -> Floats:
@@ -268,9 +268,9 @@ class MeasuredValues:
 
     def _per_patch(self, quantity: Callable[[Estimates], Floats]) -> Floats:
         """A quantity of the estimates over solid angles, read-only."""
-        return read_only_array(self._of_each(quantity) / self._projected)
+        return read_only_array(self._stacked(quantity) / self._projected)
 
-    def _of_each(self, quantity: Callable[[Estimates], Floats]) -> Floats:
+    def _stacked(self, quantity: Callable[[Estimates], Floats]) -> Floats:
         """A quantity of the estimates of each incident direction, read-only."""
         each = np.stack([quantity(one) for one in self.estimates])
         return read_only_array(self._squeeze(each))

@@ -68,9 +68,11 @@ def explain_reciprocity(evidence: Evidence) -> None:
     if power is not None:
         _blame(evidence, own, COSINES[power])
         return
-    apart = _of_component(evidence)
+    apart = _component_mistake(evidence)
     if own and not apart:
-        apart = _of_parameter(evidence.bsdf, whole) or _of_horizon(evidence.bsdf, whole)
+        apart = _parameter_mistake(evidence.bsdf, whole) or _horizon_mistake(
+            evidence.bsdf, whole
+        )
     if apart:
         _blame(evidence, [max(own or found, key=lambda b: b.size)], apart)
     elif own and not _components_tell(evidence):
@@ -107,7 +109,7 @@ def _components_tell(evidence: Evidence) -> bool:
     return evidence.bsdf.component_count() > 1 and not evidence.of("components")
 
 
-def _of_component(evidence: Evidence) -> str:
+def _component_mistake(evidence: Evidence) -> str:
     """Mistake of one component, asked alone; empty if none has one."""
     bsdf = evidence.bsdf
     for i in range(bsdf.component_count() if _components_tell(evidence) else 0):
@@ -119,7 +121,7 @@ def _of_component(evidence: Evidence) -> str:
     return ""
 
 
-def _of_parameter(bsdf: mi.BSDF, whole: Sequence[Samples]) -> str:
+def _parameter_mistake(bsdf: mi.BSDF, whole: Sequence[Samples]) -> str:
     """Mistake of the part of ``eval`` that a parameter changes; empty if none."""
     try:
         for name, value in number_parameters(bsdf)[1].items():
@@ -160,7 +162,7 @@ def _reversed(probe: Probe, wo: Floats) -> Floats:
     return probe.values(np.broadcast_to(probe.condition.wi, wo.shape), wo)
 
 
-def _of_horizon(bsdf: mi.BSDF, whole: Sequence[Samples]) -> str:
+def _horizon_mistake(bsdf: mi.BSDF, whole: Sequence[Samples]) -> str:
     """Mistake of one lobe that cannot be asked alone; empty if it is not certain."""
     lit = [
         Condition(theta, 25.0, side)

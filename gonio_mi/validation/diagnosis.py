@@ -75,7 +75,9 @@ def _is_rare(evidence: Evidence, name: str) -> bool:
     return max(b.size for b in evidence.of(name)) < MAX_RARE
 
 
-def _of_worst(evidence: Evidence, _: Mapping[str, str], name: str) -> Guess | None:
+def _worst_breach_guess(
+    evidence: Evidence, _: Mapping[str, str], name: str
+) -> Guess | None:
     """What the worst breach of a property says."""
     worst = evidence.worst(name)
     if name == "eval_pdf_sample":
@@ -86,7 +88,7 @@ def _of_worst(evidence: Evidence, _: Mapping[str, str], name: str) -> Guess | No
     return None if worst is None else (worst.function, worst.mistake)
 
 
-def _of_energy(evidence: Evidence, _: Mapping[str, str], __: str) -> Guess:
+def _energy_guess(evidence: Evidence, _: Mapping[str, str], __: str) -> Guess:
     """Which of ``eval`` and the weights gain light; both are the model's."""
     totals = [m.smooth_flux.max() + m.totals.delta_mean.max() for m in evidence.maps]
     discrete = any(m.totals.delta_mean.max() > 1 + 1e-4 for m in evidence.maps)
@@ -99,7 +101,9 @@ def _of_energy(evidence: Evidence, _: Mapping[str, str], __: str) -> Guess:
     return function, f"`{function}` gains light: {most:.4g} of it leaves"
 
 
-def _of_three(evidence: Evidence, failed: Mapping[str, str], _: str) -> Guess | None:
+def _odd_function_guess(
+    evidence: Evidence, failed: Mapping[str, str], _: str
+) -> Guess | None:
     """Which of ``sample``, ``pdf`` and ``eval`` contradicts the two others."""
     if failed.get("sampled_weight") == NOISE:
         if "weights" not in failed:
@@ -109,11 +113,11 @@ def _of_three(evidence: Evidence, failed: Mapping[str, str], _: str) -> Guess | 
             "`sample` weight lacks division by the probability with which a direction "
             "is not rejected"
         )
-    dark = _of_worst(evidence, failed, "weights")
+    dark = _worst_breach_guess(evidence, failed, "weights")
     if dark and "weights" in failed:
         # one of them is 0 where another is not
         return dark
-    excess = _of_worst(evidence, failed, "sampling")
+    excess = _worst_breach_guess(evidence, failed, "sampling")
     if excess and failed.get("sampling") == INTERFACE:
         return excess
     if "sampling" not in failed:
@@ -126,29 +130,29 @@ def _of_three(evidence: Evidence, failed: Mapping[str, str], _: str) -> Guess | 
     wrong_weights = "sampled_weight" in failed or "weights" in failed
     if evidence.of("sampled_pdf") and not wrong_weights:
         return "pdf", explain(ratios_of(evidence, "pdf"), "pdf")
-    return _of_counts(evidence, "weights" in failed)
+    return _counts_guess(evidence, "weights" in failed)
 
 
 # What is looked at first explains what comes later.
 EXPLAINED_BY: dict[str, Callable[[Evidence, Mapping[str, str], str], Guess | None]] = {
-    "answers": _of_worst,
-    "directions": _of_worst,
-    "delta": _of_worst,
-    "sampling": _of_three,
-    "sampled_pdf": _of_three,
-    "sampled_weight": _of_three,
-    "weights": _of_three,
-    "eval_pdf": _of_worst,
-    "eval_pdf_sample": _of_worst,
-    "energy": _of_energy,
-    "continuity": _of_worst,
-    "reciprocity": _of_worst,
-    "adjoint": _of_worst,
-    "flags": _of_worst,
-    "masks": _of_worst,
-    "components": _of_worst,
-    "ends": _of_worst,
-    "parameters": _of_worst,
+    "answers": _worst_breach_guess,
+    "directions": _worst_breach_guess,
+    "delta": _worst_breach_guess,
+    "sampling": _odd_function_guess,
+    "sampled_pdf": _odd_function_guess,
+    "sampled_weight": _odd_function_guess,
+    "weights": _odd_function_guess,
+    "eval_pdf": _worst_breach_guess,
+    "eval_pdf_sample": _worst_breach_guess,
+    "energy": _energy_guess,
+    "continuity": _worst_breach_guess,
+    "reciprocity": _worst_breach_guess,
+    "adjoint": _worst_breach_guess,
+    "flags": _worst_breach_guess,
+    "masks": _worst_breach_guess,
+    "components": _worst_breach_guess,
+    "ends": _worst_breach_guess,
+    "parameters": _worst_breach_guess,
 }
 
 
@@ -200,7 +204,7 @@ EITHER = "pdf or sample"
 DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four")
 
 
-def _of_counts(evidence: Evidence, weights_fail: bool) -> Guess:
+def _counts_guess(evidence: Evidence, weights_fail: bool) -> Guess:
     """Function and mistake, where counted directions contradict ``pdf``."""
     whole = [m for m in evidence.maps if m.condition.component is None]
     if not whole:
@@ -233,7 +237,7 @@ def _of_counts(evidence: Evidence, weights_fail: bool) -> Guess:
         )
     distortion = _distortion(evidence, whole)
     if distortion:
-        return _of_distortion(evidence, distortion, whole, weights_fail, sums)
+        return _distortion_guess(evidence, distortion, whole, weights_fail, sums)
     integral, missing = _mass_of_pdf(maps), 1 - drawn.sum()
     if abs(integral - 1) < MAX_LOST < missing and maps.count_scores.total < -5:
         return "sample", (
@@ -370,7 +374,7 @@ def _distortion(
     return name, power
 
 
-def _of_distortion(
+def _distortion_guess(
     evidence: Evidence,
     distortion: tuple[str, int],
     whole: Sequence[FourMaps],

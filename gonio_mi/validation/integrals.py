@@ -176,7 +176,7 @@ def _lattice(
         if not refined.size:
             break
     # how well the sum is known, it says itself
-    return None if rough.any() else Due.of(_of_means(means), least)
+    return None if rough.any() else Due.of(_mean_integrals(means), least)
 
 
 def _rough(means: Floats, totals: PatchTotals, limits: Floats) -> Flags:
@@ -201,7 +201,7 @@ def _rough_in_sum(means: Floats) -> Flags:
     return np.any((std_err * np.sqrt(len(means)) * SUM_WIDTH > allowed) & off, axis=1)
 
 
-def _of_means(means: Floats) -> list[PatchIntegrals]:
+def _mean_integrals(means: Floats) -> list[PatchIntegrals]:
     """Integrals from those of each shift, shape (2 n_patches, SHIFTS, functions)."""
     errors = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
     sum_errors = means.sum(axis=0).std(axis=0, ddof=1) / np.sqrt(SHIFTS)

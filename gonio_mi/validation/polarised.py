@@ -246,7 +246,7 @@ class _Examination:
         if len(pairs):
             wi, wo = self.wi[pairs], lobes.weights.wo[pairs]
 
-            def _of_eval(paths: Numbers, places: Floats) -> tuple[Matrices, Numbers]:
+            def _eval_along(paths: Numbers, places: Floats) -> tuple[Matrices, Numbers]:
                 pair, kind = paths // 5, paths % 5
                 at_wi, at_wo = wi[pair], wo[pair]
                 # both around, wi around, wo around, wi over the pole, wo over it
@@ -254,19 +254,21 @@ class _Examination:
                 at_wo = _moved(at_wo, places, (kind == 0) | (kind == 2), kind == 4)
                 return self.importance.eval(at_wi, at_wo), np.zeros(places.shape)
 
-            frames.check_jumps(self.evidence, _of_eval, 5 * len(pairs), N_STEPS)
+            frames.check_jumps(self.evidence, _eval_along, 5 * len(pairs), N_STEPS)
         samples = self._some(lobes.delta)
         if len(samples):
             lit, random = self.wi[samples], self.random[samples]
 
-            def _of_sample(paths: Numbers, places: Floats) -> tuple[Matrices, Numbers]:
+            def _sample_along(
+                paths: Numbers, places: Floats
+            ) -> tuple[Matrices, Numbers]:
                 which, kind = paths // 2, paths % 2
                 moved = _moved(lit[which], places, kind == 0, kind == 1)
                 found = self.importance.sample(moved, random[which])
                 kinds = found.type * found.delta * np.sign(found.weights.wo[..., 2])
                 return found.flux, kinds
 
-            frames.check_jumps(self.evidence, _of_sample, 2 * len(samples), N_STEPS)
+            frames.check_jumps(self.evidence, _sample_along, 2 * len(samples), N_STEPS)
 
     def check_energy(self) -> None:
         """Flux of some incident directions."""

@@ -341,7 +341,7 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
         # what does most harm, and of that what says most
         breaches = [b for b in breaches if b.effect == effect] or breaches
         worst = max(breaches, key=lambda b: b.size, default=None)
-        text = worst.statistic if worst and not beyond else _of_tests(beyond)
+        text = worst.statistic if worst and not beyond else _worst_statistic(beyond)
         if not beyond and len(breaches) > 1:
             text += f"; {len(breaches) - 1} more like it"
         places = [b.statistic for b in sorted(breaches, key=lambda b: -b.size)]
@@ -371,7 +371,7 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
     return Property(name, HOLDS, text, p_value=p_value, effect=lesser, near=near)
 
 
-def _of_tests(beyond: Sequence[Test]) -> str:
+def _worst_statistic(beyond: Sequence[Test]) -> str:
     """Statistic of the tests of a property that chance would not explain."""
     # the whole before its components, and what is about most light
     worst = min(beyond, key=lambda t: (EFFECTS.index(t.effect), -(t.share or 0.0), t.p))

@@ -80,7 +80,7 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
     Of an anisotropic surface it may; then a reading of the matrices that makes them
     independent speaks for itself.
     """
-    turned = _of_pairs(turned, turned.usable)
+    turned = _chosen_pairs(turned, turned.usable)
     if not len(turned.matrices.wi):
         return
     misfit = turned.misfit(turned.matrices.in_plane(turned.normal))
@@ -95,7 +95,7 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
         f"elements over the first change by up to {misfit[worst]:.3g} where both "
         f"directions turn about the normal, at {condition}"
     )
-    mistake = _explained(_of_pairs(turned, wrong), misfit[wrong])
+    mistake = _explained(_chosen_pairs(turned, wrong), misfit[wrong])
     declared = int(evidence.bsdf.flags()) & int(mi.BSDFFlags.Anisotropic)
     if mistake is None and (declared or not turned.same_light):
         evidence.remark(
@@ -116,7 +116,7 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
     )
 
 
-def _of_pairs(turned: Turned, chosen: Flags) -> Turned:
+def _chosen_pairs(turned: Turned, chosen: Flags) -> Turned:
     return Turned(
         turned.matrices.take(chosen),
         turned.slack[chosen],

@@ -71,7 +71,7 @@ def check_weights(
     wrong = usable & (size > ROUNDING + slack)
     if not is_many(wrong):
         return
-    function, mistake = _of_difference(flux.take(wrong), values.take(wrong))
+    function, mistake = _difference_guess(flux.take(wrong), values.take(wrong))
     worst = tuple(np.argwhere(wrong)[np.argmax(size[wrong])])
     condition = condition_of(flux, worst)
     place = np.unravel_index(np.argmax(difference[worst].max(axis=0)), (4, 4))
@@ -88,7 +88,7 @@ def check_weights(
     )
 
 
-def _of_difference(flux: Matrices, values: Matrices) -> tuple[str, str]:
+def _difference_guess(flux: Matrices, values: Matrices) -> tuple[str, str]:
     """Guilty function and mistake, where weight times pdf is not `eval`."""
     m_flux, m_eval = per_light(flux.raw), per_light(values.raw)
     light = np.maximum(flux.light, values.light)
