@@ -40,13 +40,16 @@ def pytest_configure():
 
 # Files whose tests take most of the time: -m "not slow" leaves them out.
 SLOW = """
-    alarms azimuth_symmetry benchmark bits bsdf_files campaign chart cosines
-    coverage created_light dark_light daylight file_safety files_radiance fitting
-    foreign_verdicts goniometric handbook handbook_blocks heightfield integrals llvm
-    lobes measured_like media mesh_specimens micro_normals microgeometry next_event
-    notebooks order paper_bsdfs porous quadrature rounds scenes slabs sobol
-    spectral_coverage stock stock_bsdfs suspects tables tolerance_command verdicts
-    versions where_methods_fail whole_bsdf workers
+    adapter alarms azimuth_symmetry benchmark bits bsdf_files campaign chart cosines
+    coverage created_light dark_light daylight exports file_safety files_radiance
+    first_mistakes fitting foreign_plugins foreign_verdicts fuzz glass goniometric
+    goniometric_files half_vectors handbook handbook_blocks heightfield integrals
+    intervals kernels llvm lobes measured_like media mesh_specimens micro_normals
+    microgeometry next_event notebooks order orientation paper_bsdfs periodic
+    phase_functions polar_cross_validation polarised porous pytest_entry quadrature
+    rounds scenes short_bsdfs slabs sobol spectral_coverage stock stock_bsdfs suspects
+    tables tolerance_command transport types verdicts versions where_methods_fail
+    whole_bsdf workers
 """
 
 

@@ -67,7 +67,7 @@ def bsdf(
         Patches of the file: 145, 77 or 41 in each hemisphere, or a tensor tree, of
         rank 3 for isotropic specimens.
     solar : optional
-        The specimen with what it does to all sunlight, if that differs. From
+        The scene with solar-weighted material data, for the Solar block. From
         wavelengths that stand for sunlight it is known without.
     product : Product, optional
         What else the file states.

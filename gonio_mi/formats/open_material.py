@@ -74,7 +74,7 @@ def _rows(stream: BinaryIO) -> tuple[Floats, dict[str, str]]:
         text = metadata[key]
         require(
             isinstance(text, str) and re.fullmatch(pattern, text),
-            f"its {key} must look otherwise, got {text!r:.60}",
+            f"its {key} does not match the format, got {text!r:.60}",
         )
     table = _table(brdf.get("lookupTable"))
     _check_wavelengths(brdf.get("wavelengths"), table)

@@ -21,7 +21,7 @@ def check_named_files(
     parameters: Mapping[str, str] | None = None,
     wavelengths: Sequence[float] = (),
 ) -> None:
-    """Raise one clear sentence if a file of the plugin `measured` would be its end.
+    """Raise if a damaged file would crash Mitsuba's plugin `measured`.
 
     Or if it has no data at one of the `wavelengths`, beyond which it goes on with its
     last ones.

@@ -64,7 +64,7 @@ class Ledger:
     truncated : int
         Still inside after ``max_depth`` surface events.
     rejected : int
-        The BSDF's ``sample`` gave no direction (zero density).
+        The BSDF's ``sample`` failed: no direction, zero density.
     invalid : int
         ``sample`` gave a weight that is negative, not finite or above 32768 (2**30 for
         the product of all weights of a path), or a direction that is no unit vector;
