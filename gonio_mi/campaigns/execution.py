@@ -83,6 +83,7 @@ def _records(
     with bar(where.progress, "this round", **shown_as) as report:
 
         def keep(task: Task, record: Record) -> None:
+            """Write a finished task to the folder, if any, and count it."""
             if folder is not None:
                 folder.save(task, record)
             done[task.number] = record

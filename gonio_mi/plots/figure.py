@@ -108,6 +108,8 @@ def _class() -> type[Figure]:
     from matplotlib.figure import Figure
 
     class NotebookFigure(Figure):
+        """A figure that a notebook shows, without the state of pyplot."""
+
         def _repr_png_(self) -> bytes:
             stream = io.BytesIO()
             self.savefig(stream, format="png")
