@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
@@ -223,19 +224,20 @@ class Record(MeasuredValues):
         OSError
             If it cannot be written.
         """
-        Record.writer(self, path)
+        _done_by("writer")(self, path)
 
     def plot(self, path: str | PathLike[str] | None = None, *, index: int = 0) -> Any:
         """Figure of one incident direction; see :func:`gonio_mi.plot`."""
-        return Record.plotter(self, path, index=index)
+        return _done_by("plotter")(self, path, index=index)
 
     def to_xarray(self) -> Any:
         """Labelled arrays; see :func:`gonio_mi.files.netcdf.dataset`."""
-        return Record.labeller(self)
+        return _done_by("labeller")(self)
 
     def _repr_html_(self) -> str:
         """Picture, numbers and warnings, for notebooks."""
-        return Record.viewer(self)
+        shown: str = _done_by("viewer")(self)
+        return shown
 
     # ------------------------------------------------------------------ internals
 
@@ -270,3 +272,15 @@ class Record(MeasuredValues):
             seed=own.seeds[0] if own.seeds else default.seed,
             sampler=own.sampler,
         )
+
+
+def _done_by(name: str) -> Callable[..., Any]:
+    """What other rooms do for records, whichever of them was imported first.
+
+    The package's entrance brings them with its first public name.
+    """
+    if not hasattr(Record, name):
+        entrance = importlib.import_module(__name__.partition(".")[0])
+        _ = entrance.report
+    done: Callable[..., Any] = getattr(Record, name)
+    return done
