@@ -22,23 +22,21 @@ from .arguments import (
     DONE,
     FAILED,
     INCOMPLETE,
+    add_aperture,
     add_json,
     add_number,
     add_scene_options,
     add_setting,
+    add_table_options,
     add_text,
+    add_uncertainties,
+    check_no_table_options,
     given_options,
     specimen_of,
+    table_of,
     tell,
 )
 from .file_kinds import record_of
-from .table_options import (
-    add_aperture,
-    add_table_options,
-    add_uncertainties,
-    check_no_table_options,
-    table_of,
-)
 
 USAGE = "%(prog)s RECORD OTHER [options]"
 

@@ -18,22 +18,20 @@ from ..results.record import Record
 from .arguments import (
     DEFAULT_VARIANT,
     DONE,
+    add_aperture,
     add_files,
     add_json,
+    add_table_options,
     add_text,
+    add_uncertainties,
+    check_no_table_options,
     given_options,
     say,
     set_variant,
+    table_of,
     tell,
 )
 from .file_kinds import record_of
-from .table_options import (
-    add_aperture,
-    add_table_options,
-    add_uncertainties,
-    check_no_table_options,
-    table_of,
-)
 
 USAGE = "%(prog)s RECORD|TABLE MODEL ... [options]"
 

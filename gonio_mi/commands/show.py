@@ -11,9 +11,16 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from ..errors import SettingError, no_file
-from .arguments import DONE, add_json, add_text, tell
+from .arguments import (
+    DONE,
+    add_json,
+    add_table_options,
+    add_text,
+    check_no_table_options,
+    table_of,
+    tell,
+)
 from .file_kinds import record_of
-from .table_options import add_table_options, check_no_table_options, table_of
 
 EXAMPLES = """\
 examples:

@@ -18,7 +18,7 @@ from ..formats.meshes import is_mesh
 from ..instrument.loading import surface_specimen
 from ..instrument.mesh import NORMALS, mesh
 from ..instrument.specimen_text import parse_specimen
-from ..surfaces.preparation import FILLS, FORMS
+from ..surfaces.heights import FILLS, FORMS
 from ..surfaces.topography import UNITS
 from .arguments import (
     DONE,

@@ -1,4 +1,4 @@
-"""The interface of this room: what a file format of another program is."""
+"""The interface of this room: what a format is; and one that is only refused: ALTA."""
 
 import re
 from collections.abc import Callable
@@ -60,3 +60,16 @@ class Format:
     n_incidences: int = 1
     loses: str = ""
     refused: str = ""
+
+
+FORMATS = (
+    Format(
+        "ALTA",
+        (),
+        begins=re.compile(
+            r"^#[ \t]*(DIM[ \t]+\d+[ \t]+\d+|PARAM_(IN|OUT)[ \t])", re.MULTILINE
+        ),
+        refused="it is a data file of ALTA, whose parametrisations of directions have "
+        "no reader here: write it as a table of theta_i, phi_i, theta_o, phi_o, value",
+    ),
+)

@@ -22,7 +22,7 @@ from ..errors import (
     shown,
 )
 from ..progress import bar
-from ..quadrature.estimator import integrals
+from ..quadrature.integrate import integrals
 from ..results.record import Record
 from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
@@ -31,8 +31,7 @@ from ..transport.kernels import launches_kernels
 from ..transport.setup import Setup
 from .incidence import incident_angles
 from .launcher import Launcher, round_rays
-from .loading import load_specimen
-from .named_files import check_named_files
+from .loading import check_named_files, load_specimen
 from .recording import check_resumable, record_of, records_of, warn_of_interruption
 from .schedule import Target, rays_sent, rounds, schedule
 from .setup import own_settings, set_up

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..results.planning import paper_rays
-from ..results.precision import precision
+from ..results.planning import paper_rays, precision
 from ..results.prediction_error import expected_noise
 from ..results.record import Record
 from ..results.tally import Fate, Tally, batch_sizes

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SettingTypeError, SpecimenError, shown, warn
-from ..quadrature.estimator import check_integrable
+from ..quadrature.integrate import check_integrable
 from ..settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings, Order
 from ..transport.beam import Beam
 from ..transport.bsdf_trial import check_works, warn_of_roughness

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..array_types import Integers
 from ..collector.directions import direction
-from .azimuth_cross_validation import MIN_BENDING, tried_indices
+from .incident_grid import MIN_BENDING, tried_indices
 from .interpolated_bsdf import InterpolatedBSDF
 from .interpolated_lobes import HalfVectorLegs
 from .lobes import MeasuredLobes

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..errors import LABEL, SettingError, abridged, checked_count
 from ..files import check_output, replacing
 from ..progress import bar
-from ..results.precision import precision
+from ..results.planning import precision
 from ..results.record import Record
 from ..results.tally import sent_text, without_chance
 from .figure import (

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .precision import patch_values, precision, relative_errors
+from .planning import patch_values, precision, relative_errors
 from .record import Record
 from .tally import Ledger, holds_integrals
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from ..errors import abridged
 from ..settings.values import joined
 from ..single_precision import ROUNDING
-from .precision import FLOOR
+from .planning import FLOOR
 from .summary import LEVEL, Summary, Total, grouped
 from .tally import without_chance
 

@@ -11,8 +11,14 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import SettingError, printable, shown
 from ..formats.height_maps import HeightMap
-from .heights import MAX_LENGTH, HeightStatistics, checked_heights, height_statistics
-from .preparation import filled, without_form
+from .heights import (
+    MAX_LENGTH,
+    HeightStatistics,
+    checked_heights,
+    filled,
+    height_statistics,
+    without_form,
+)
 
 # The micro sign and the Greek letter are two characters.
 UNITS = {
@@ -289,9 +295,9 @@ def topography(
         Whether to join the last row and column to the first. Default: what the file
         says, else yes.
     form : {"keep", "mean", "plane", "quadratic", "cubic"}
-        See :func:`~gonio_mi.surfaces.preparation.without_form`.
+        See :func:`~gonio_mi.surfaces.heights.without_form`.
     fill : {"none", "nearest", "linear"}
-        See :func:`~gonio_mi.surfaces.preparation.filled`.
+        See :func:`~gonio_mi.surfaces.heights.filled`.
 
     Raises
     ------

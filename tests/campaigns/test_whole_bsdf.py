@@ -32,7 +32,7 @@ from gonio_mi.campaigns.refinement import Axis, IncidentRings, Interval, refined
 from gonio_mi.campaigns.resolution import check_peaks, delta_fraction
 from gonio_mi.campaigns.whole_bsdf import N_FIRST_ANGLES, N_UNSEEN, WholeBsdf
 from gonio_mi.interpolation import lobes
-from gonio_mi.interpolation.gradients import gradients
+from gonio_mi.interpolation.half_vectors import gradients
 from gonio_mi.interpolation.lobes import MeasuredLobes, TooLargeError, check_table
 from gonio_mi.results.azimuth_symmetry import AzimuthSymmetry
 from gonio_mi.results.campaign_outcome import PredictionError

@@ -22,7 +22,15 @@ from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import FileFormatError
 from gonio_mi.exports import exporting, scatter_export
-from gonio_mi.formats import alta, fred, merl, open_material, reading, speos, zemax
+from gonio_mi.formats import (
+    format as room,
+    fred,
+    merl,
+    open_material,
+    reading,
+    speos,
+    zemax,
+)
 from gonio_mi.formats.format import Format
 from gonio_mi.formats.reading import load_material, read_scatter
 from gonio_mi.formats.scatter import Block, Scatter, total_of
@@ -804,7 +812,7 @@ def test_a_format_that_is_added_is_read_written_and_named(tmp_path, monkeypatch)
         return Scatter(flat, ("Y",))
 
     plain = Format("Plain", (".plain",), scatter=read, write=write, loses="all else")
-    monkeypatch.setattr(alta, "FORMATS", (*alta.FORMATS, plain))
+    monkeypatch.setattr(room, "FORMATS", (*room.FORMATS, plain))
     reading._all.cache_clear()
     try:
         path = tmp_path / "a.plain"

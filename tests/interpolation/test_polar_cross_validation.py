@@ -14,7 +14,7 @@ from synthetic import facet_lobes, facets_through
 import gonio_mi as gonio
 from gonio_mi.campaigns.prediction import Prediction
 from gonio_mi.collector.directions import direction
-from gonio_mi.interpolation.azimuth_cross_validation import tried_indices
+from gonio_mi.interpolation.incident_grid import tried_indices
 from gonio_mi.interpolation.interpolated_bsdf import InterpolatedBSDF
 from gonio_mi.interpolation.interpolated_lobes import HalfVectorLegs
 from gonio_mi.interpolation.lobes import MeasuredLobes

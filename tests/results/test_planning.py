@@ -11,7 +11,7 @@ from scipy import stats
 
 import gonio_mi as gonio
 from gonio_mi.results import planning
-from gonio_mi.results.precision import lobe
+from gonio_mi.results.planning import lobe
 
 PAPER = {"epsilon": 0.005, "delta": 0.01}
 EPS = np.finfo(float).eps

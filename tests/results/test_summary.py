@@ -8,7 +8,7 @@ import synthetic
 
 from gonio_mi.cli import main
 from gonio_mi.files.exr import attributes
-from gonio_mi.results.precision import precision
+from gonio_mi.results.planning import precision
 from gonio_mi.results.record import Record
 from gonio_mi.results.summary import Total, summarize
 from gonio_mi.results.summary_text import summary_text, total_cells

@@ -12,7 +12,7 @@ from gonio_mi.cli import main
 from gonio_mi.errors import FileFormatError, SpecimenError
 from gonio_mi.formats import height_map_reader, height_maps
 from gonio_mi.formats.height_maps import HeightMap
-from gonio_mi.surfaces.preparation import filled, without_form
+from gonio_mi.surfaces.heights import filled, without_form
 from gonio_mi.surfaces.topography import topography
 
 # isort: split

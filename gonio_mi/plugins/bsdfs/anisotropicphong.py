@@ -9,7 +9,7 @@ import mitsuba as mi
 
 from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe, phong_facets
 from gonio_mi.plugins.bsdf_functions import reflectance
-from gonio_mi.settings.manual import example
+from gonio_mi.settings.declaration import example
 
 
 @example("bsdf", "anisotropicphong", exponent_u=50.0, exponent_v=1000.0, f0=1.0)

@@ -10,7 +10,7 @@ import mitsuba as mi
 from gonio_mi import properties
 from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe
 from gonio_mi.plugins.bsdf_functions import reflectance
-from gonio_mi.settings.manual import example
+from gonio_mi.settings.declaration import example
 
 
 @example("bsdf", "cosinelobe", exponent=16.0, normalisation="unit")

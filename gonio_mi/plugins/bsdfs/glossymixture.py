@@ -11,7 +11,7 @@ from gonio_mi import properties
 from gonio_mi.errors import SettingError
 from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe
 from gonio_mi.plugins.bsdf_functions import mean, reflectance
-from gonio_mi.settings.manual import example
+from gonio_mi.settings.declaration import example
 
 DIFFUSE = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
 

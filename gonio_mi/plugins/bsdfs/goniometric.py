@@ -22,7 +22,7 @@ from gonio_mi.interpolation.lobes import MeasuredLobes
 from gonio_mi.interpolation.polar_cross_validation import half_vector_legs
 from gonio_mi.plugins import bsdf_functions
 from gonio_mi.results.record import Record
-from gonio_mi.settings.manual import example
+from gonio_mi.settings.declaration import example
 
 LUMINANCE = (0.212671, 0.715160, 0.072169)
 

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.settings import FILM, MeasurementSettings, plugin_table
-from gonio_mi.settings.manual import example
+from gonio_mi.settings.declaration import example
 
 
 @example("film", "patches", subdivision="projected:30x30")

@@ -12,7 +12,7 @@ from gonio_mi.instrument.recording import records_of
 from gonio_mi.instrument.setup import own_settings, set_up
 from gonio_mi.results.tally import Tally
 from gonio_mi.settings import INTEGRATOR, MeasurementSettings, plugin_table
-from gonio_mi.settings.manual import example
+from gonio_mi.settings.declaration import example
 from gonio_mi.transport.kernels import launches_kernels
 from gonio_mi.transport.variants import check_variant
 

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.errors import VariantError
-from gonio_mi.settings.manual import example
+from gonio_mi.settings.declaration import example
 from gonio_mi.transport.morton import CHUNK, PACKET, block_bits, sorting_tables
 from gonio_mi.transport.sampling import apart
 

@@ -6,7 +6,7 @@ import mitsuba as mi
 
 from gonio_mi.errors import SettingError
 from gonio_mi.settings import COLLECTOR, MeasurementSettings, plugin_table
-from gonio_mi.settings.manual import example
+from gonio_mi.settings.declaration import example
 from gonio_mi.transport.sampling import check_sampler
 
 

@@ -14,15 +14,16 @@ from gonio_mi import properties
 from gonio_mi.array_types import Floats
 from gonio_mi.errors import SpecimenError, check_memory, warn
 from gonio_mi.formats.height_maps import HeightMap, read_height_map
-from gonio_mi.settings.manual import example
+from gonio_mi.settings.declaration import example
 from gonio_mi.surfaces.heights import (
     CORRELATIONS,
+    FILLS,
+    FORMS,
     MAX_LENGTH,
     MESH_BYTES,
     gaussian_heights,
 )
 from gonio_mi.surfaces.images import image_heights
-from gonio_mi.surfaces.preparation import FILLS, FORMS
 from gonio_mi.surfaces.topography import Topography, topography
 
 POSITIVE = f"a positive number from {1 / MAX_LENGTH:g} to {MAX_LENGTH:g}"

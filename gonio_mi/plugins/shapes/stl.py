@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from gonio_mi.formats.meshes import read_stl
-from gonio_mi.settings.manual import example
+from gonio_mi.settings.declaration import example
 
 
 @example(
