@@ -354,8 +354,9 @@ def _distortion(
         if not first.size:
             continue
         due = N_REDRAWN * np.add.reduceat(maps.pdf, first)
+        factors = {name: factor(name, samples, ok) for name in DISTORTIONS}
         for name, power in [("", 0), *product(DISTORTIONS, (1, -1))]:
-            t = factor(name, samples, ok) ** -power if name else np.ones(len(patch))
+            t = factors[name] ** -power if name else np.ones(len(patch))
             sums, squares = (
                 np.add.reduceat(np.bincount(patch, x, len(maps.pdf)), first)
                 for x in (t, t**2)

@@ -197,8 +197,9 @@ def _is_one(values: Floats, tolerance: float = TOLERANCE) -> bool:
 
 def _find(ratios: Sequence[Ratio]) -> _Found | None:
     """Factor that explains ratios; None if none does."""
+    known = {name: [ratio.factor(name) for ratio in ratios] for name in FACTORS}
     for name, power, with_constant in _candidates():
-        own = [ratio.factor(name) for ratio in ratios]
+        own = known[name]
         rests = [ratio.values / x**power for ratio, x in zip(ratios, own)]
         if _is_trivial(name, own):
             continue

@@ -254,7 +254,9 @@ def uniform(n: int, key: tuple[int, ...]) -> tuple[mi.Float, mi.Point2f]:
     """Independent uniform numbers for ``sample``."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed_of(key), n)
-    return sampler.next_1d(), sampler.next_2d()
+    numbers = sampler.next_1d(), sampler.next_2d()
+    dr.eval(numbers)  # in a kernel that all share
+    return numbers
 
 
 def seed_of(key: tuple[int, ...]) -> mi.UInt32:

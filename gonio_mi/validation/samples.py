@@ -170,6 +170,7 @@ def samples_of(
     other.reverse()
     other_mode = probe.eval(wo, ctx=other)
     wi = mi.Vector3f(probe.wi) + dr.zeros(mi.Vector3f, n)
+    dr.make_opaque(wi)
     reverse = probe.eval(wi, wi=wo)
     reverse_other_mode = probe.eval(wi, wi=wo, ctx=other)
     eval_slack, pdf_slack, reverse_slack = _changes(
@@ -248,6 +249,7 @@ def rounding(probe: Probe, key: tuple[int, ...]) -> list[float]:
     bs, _ = probe.sample(*uniform(n, (*key, 2)))
     wo = mi.Vector3f(bs.wo)
     wi = mi.Vector3f(probe.wi) + dr.zeros(mi.Vector3f, n)
+    dr.make_opaque(wi)
     value, pdf = probe.eval(wo), probe.pdf(wo)
     slacks = _changes(
         _displaced(wi, wo, key),
@@ -293,13 +295,19 @@ def _displaced(
     signs = mi.load_dict({"type": "independent"})
     signs.seed(seed_of((*key, 1)), n)
 
-    def _move(v: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f]:
-        step = mi.Vector3f(*(2 * signs.next_1d() - 1 for _ in range(3)))
+    def _step() -> mi.Vector3f:
+        return mi.Vector3f(*(2 * signs.next_1d() - 1 for _ in range(3)))
+
+    def _moved(v: mi.Vector3f, step: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f]:
         # of a unit vector only to within rounding, as all are in single precision
         return v + ULPS * step, v - ULPS * step
 
-    for _ in range(3):
-        yield from ((*moved, 1.0) for moved in zip(_move(wi), _move(wo)))
+    steps = [(_step(), _step()) for _ in range(3)]
+    dr.eval(steps)  # in a kernel that all share
+    for of_wi, of_wo in steps:
+        yield from (
+            (*moved, 1.0) for moved in zip(_moved(wi, of_wi), _moved(wo, of_wo))
+        )
 
 
 def _tilted(

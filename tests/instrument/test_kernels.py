@@ -22,6 +22,15 @@ SMALL = {"rays": 2000, "batches": 2, "collector": "projected:3x4"}
 # ------------------------------------------------------------------------- threads
 
 
+@pytest.fixture(autouse=True, scope="module")
+def several_threads():
+    """Several of Dr.Jit's own too, also where a process of the tests has one."""
+    before = dr.thread_count()
+    dr.set_thread_count(4)
+    yield
+    dr.set_thread_count(before)
+
+
 def test_threads_share_the_instrument(mono):  # noqa: ARG001
     """Exact: 200 measurements in four threads have the bits of one after the other."""
     ways = [SMALL | {"seed": seed, "trace": seed == 4} for seed in range(5)]
