@@ -15,7 +15,7 @@ from ..transport.sampling import is_joint
 from ..transport.setup import Setup
 from ..transport.sums import packet_width
 from ..transport.wavelengths import wavelength_lanes
-from .schedule import Round
+from .schedule import Round, Target
 
 # Rays per kernel launch, at most. For samplers other than `sobol` it takes part in the
 # seeding: a change of it changes the random numbers.
@@ -35,6 +35,10 @@ FIRST_POINTS = 2**22
 # Rays of each batch in a round: traced and on a plane. Of samplers whose numbers
 # depend on the launch, rounds are whole launches.
 ROUND_TRACED, ROUND_PLANE = 2**17, 2**24
+
+# Incident directions that may share a launch, at least: it is another kernel, and to
+# compile it takes as long as some dozens of launches.
+FEWEST_TOGETHER = 8
 
 # What a launch is to take, so that Ctrl-C is heard within seconds.
 LAUNCH_SECONDS = 1.0
@@ -60,11 +64,17 @@ class Launcher:
 
     Parameters
     ----------
-    setup : Setup
-        Any of the setups, which differ in their incident direction only.
+    setups : sequence of Setup
+        They differ in their incident direction only.
+
+    Attributes
+    ----------
+    together : int
+        Incident directions that share launches.
     """
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setups: Sequence[Setup]) -> None:
+        setup = setups[0]
         settings = setup.settings
         traced = traces(setup)
         first = min(FIRST_TRACED, FIRST_POINTS // settings.n_looks)
@@ -80,21 +90,34 @@ class Launcher:
             sums = setup.n_bins * (1 if self.curved else len(setup.classes))
             fitting = FUSED_SUMS // (sums * packet_width())
             self.capacity = max(1, min(fitting, settings.batches))
+        self.together = 1
+        if len(setups) >= FEWEST_TOGETHER and _may_share(setup) and self.divisible:
+            most = min(fitting // settings.batches, FUSED_RAYS // settings.rays)
+            self.together = max(1, most)
+            self.capacity *= self.together
 
     def tallies(
-        self, setup: Setup, part: Round, report: Callable[[float], Any] | None = None
-    ) -> Iterator[Tally]:
+        self,
+        setups: Sequence[Setup],
+        part: Round,
+        report: Callable[[float], Any] | None = None,
+    ) -> Iterator[list[Tally]]:
         """Tallies of the batches of a round in order, of one batch each or of several.
 
-        `report` is called after each launch with the rays it sent.
+        Each time one for each of the setups, which are `together` or less. `report` is
+        called after each launch with the rays it sent.
         """
+        setup, n = setups[0], len(setups)
+        beams = tuple(one.beam for one in setups) if self.together > 1 else ()
         lanes = [wavelength_lanes(nm) for nm in setup.passes]
-        first, sizes = part.first, part.sizes
+        first, sizes = part.first, tuple(size for size in part.sizes for _ in setups)
         while sizes:
-            keys = [(*setup.key, first + i) for i in range(len(sizes))]
+            n_batches = range(first, first + len(sizes) // n)
+            keys = [(*one.key, batch) for batch in n_batches for one in setups]
             own = tuple((*key, 0) for key in keys)
-            whole = Launch(setup, lanes[0], self.capacity, own, sizes, part.start)
-            several = self._n_sharing(whole)
+            start = part.start
+            whole = Launch(setup, beams, lanes[0], self.capacity, own, sizes, start)
+            several = self._n_sharing(whole, n)
             groups = []
             for number, nm in enumerate(setup.passes):
                 own = tuple((*key, number) for key in keys[:several])
@@ -110,13 +133,18 @@ class Launcher:
                     if report is not None:
                         report(totals.emitted)
                 check_all_counted(sum(one.sizes), total.emitted)
-                tally: Tally = total.tally()
-                groups.append(tally if nm is None else tally.first(len(nm)))
-            yield groups[0] if len(groups) == 1 else Tally.join_channels(groups)
-            first, sizes = first + several, sizes[several:]
+                tallies: list[Tally] = [each.tally() for each in total.parts(n)]
+                groups.append([x if nm is None else x.first(len(nm)) for x in tallies])
+            yield [
+                each[0] if len(each) == 1 else Tally.join_channels(each)
+                for each in zip(*groups)
+            ]
+            first, sizes = first + several // n, sizes[several:]
 
-    def _n_sharing(self, whole: Launch) -> int:
+    def _n_sharing(self, whole: Launch, n: int) -> int:
         """How many of the batches, which are about to be sent, share their launches.
+
+        A multiple of `n`, the incident directions that send them.
 
         Those that walk along a curve share packets of rays too, so that their number
         follows from the rays alone: it decides about last bits, and the clock must not.
@@ -126,7 +154,7 @@ class Launcher:
             return most  # Ctrl-C keeps none before all have finished the round
         rays = FUSED_RAYS if self.curved else min(FUSED_RAYS, self.size.rays)
         # the last batch is always among them
-        return max(1, min(most, rays // whole.sizes[-1]))
+        return max(1, min(most, rays // whole.sizes[-1]) // n) * n
 
     def _in_order(self, whole: Launch) -> Iterator[Launch]:
         """Launches that each send the next rays of all batches."""
@@ -151,6 +179,17 @@ class Launcher:
                 there = min(at + -(-n // CHUNK) * CHUNK, length)
                 yield replace(whole, sizes=parts, begin=begin, stretch=(at, there))
                 at = there
+
+
+def _may_share(setup: Setup) -> bool:
+    """Whether rays of several incident directions may share a launch.
+
+    Not those of plugins in Python that look into their arguments, for they may take the
+    direction for that of all rays.
+    """
+    if traces(setup) or setup.specimen.plane.by_ray or not setup.beam.collimated:
+        return False
+    return Target.of(setup.settings) is None
 
 
 def _max_points(sizes: Sequence[int]) -> int:

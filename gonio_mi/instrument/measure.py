@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from os import PathLike
@@ -159,7 +159,8 @@ def send_all(
     settings, n_passes = setups[0].settings, len(setups[0].passes)
     plan = batch_sizes(settings.rays, settings.batches)
     _check_sums_fit(setups, plan)
-    launcher, step = Launcher(setups[0]), round_rays(setups[0])
+    # one that is carried on has sent more in some directions than in others
+    launcher = Launcher(setups[:1] if any(finished) else setups)
     rays = None
     if Target.of(settings) is None:
         before = sum(sum(rays_sent(tallies, n_passes)) for tallies in finished)
@@ -169,24 +170,17 @@ def send_all(
         progress, total=rays, unit="ray", unit_scale=True, delay=1, mininterval=0.2
     ) as report:
         try:
-            for setup, tallies in zip(setups, finished):
+            for some in _groups(len(setups), launcher.together):
                 # without the integrals beside them rays are not enough
-                sent = [] if settings.estimator.integrates else tallies
-                if setup.samples:
-                    look = partial(record_of, setup)
-                    for part in schedule(settings, step, n_passes, sent, look):
-                        grown = launcher.tallies(setup, part, report)
-                        if part.start:
-                            more = Tally.join(list(grown))
-                            sent[:] = [Tally.join(sent).accumulate(more)]
-                            continue
-                        for tally in grown:
-                            sent.append(tally)
+                integrates = settings.estimator.integrates
+                sent = [[] if integrates else tallies for tallies in finished[some]]
+                if setups[0].samples:
+                    _send(launcher, setups[some], sent, report)
                 elif report is not None:
-                    report(sum(plan))
-                if settings.estimator.integrates:
-                    waiting.append((setup, sent, tallies))
-                if len(waiting) == MAX_TOGETHER:
+                    report(sum(plan) * len(sent))
+                if integrates:
+                    waiting += zip(setups[some], sent, finished[some])
+                if len(waiting) >= MAX_TOGETHER:
                     _integrate(waiting)
             _integrate(waiting)
         except (KeyboardInterrupt, RuntimeError) as error:
@@ -196,6 +190,38 @@ def send_all(
                 raise KeyboardInterrupt from None
             return False
     return True
+
+
+def _groups(n: int, most: int) -> Iterator[slice]:
+    """Cut `n` things into as few groups as there may be of `most`, about alike."""
+    size = -(-n // -(-n // most))
+    return (slice(first, first + size) for first in range(0, n, size))
+
+
+def _send(
+    launcher: Launcher,
+    setups: Sequence[Setup],
+    sent: Sequence[list[Tally]],
+    report: Callable[[float], Any] | None,
+) -> None:
+    """Add to what setups have `sent`, alike, what their settings ask for."""
+    lead = setups[0]
+    rounds = schedule(
+        lead.settings,
+        round_rays(lead),
+        len(lead.passes),
+        sent[0],
+        partial(record_of, lead),
+    )
+    for part in rounds:
+        grown = launcher.tallies(setups, part, report)
+        if part.start:
+            for tallies, more in zip(sent, zip(*grown)):
+                tallies[:] = [Tally.join(tallies).accumulate(Tally.join(more))]
+            continue
+        for each in grown:
+            for tallies, tally in zip(sent, each):
+                tallies.append(tally)
 
 
 def _integrate(waiting: list[tuple[Setup, list[Tally], list[Tally]]]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from copy import copy
 from typing import Any
 
 import drjit as dr
@@ -95,7 +97,9 @@ class Beam:
             self._cap = mi.Float(2 * np.sin(np.radians(divergence) / 2) ** 2)
             dr.make_opaque(self._cap)
         self.incident: Any = incident
-        self._frame = None if incident is None else self._incident_patch(incident)
+        self._patch = () if incident is None else self._incident_patch(incident)
+        self._frame = [mi.Float(x) for x in self._patch]
+        dr.make_opaque(self._frame)
         self._reference = None if self.uniform else self._unit_power(nm)
 
     @property
@@ -139,11 +143,28 @@ class Beam:
             wi = self._wi
             if self.divergence:
                 wi = self._diverging(sampler.next_2d())
-            elif self._frame is not None:
+            elif self.incident is not None:
                 wi = self._filling(sampler.next_2d())
             return p, wi, mi.Float(dr.inf), mi.Spectrum(1.0)
         wi, distance, weight = self._towards(p, sampler.next_2d(), wavelengths)
         return p, wi, distance, weight / self._reference
+
+    def in_lanes(self, beams: Sequence[Beam], number: mi.UInt32) -> Beam:
+        """Collimated beam that has in each lane the direction of one of several.
+
+        Parameters
+        ----------
+        beams : sequence of Beam
+            Two or more that differ from this one in their direction only.
+        number : mi.UInt32
+            Of the lane's beam among them.
+        """
+        joint = copy(self)
+        each = [beam.direction for beam in beams]
+        joint._wi = mi.Vector3f(*_looked_up(each, number))
+        if self.incident is not None:
+            joint._frame = _looked_up([beam._patch for beam in beams], number)
+        return joint
 
     def _check_divergence(self) -> None:
         """Raise SpecimenError unless the cone of directions is that of a beam."""
@@ -166,17 +187,14 @@ class Beam:
         local = mi.Vector3f(sine * cos, sine * sin, 1 - height)
         return dr.normalize(mi.Frame3f(self._wi).to_world(local))
 
-    def _incident_patch(self, patches: Subdivision) -> list[mi.Float]:
+    def _incident_patch(self, patches: Subdivision) -> tuple[float, ...]:
         """Patch that holds the nominal direction, for :meth:`_filling`."""
         if not self.collimated:
             raise SpecimenError(
                 "incident must be none for light that is not collimated, got "
                 f"{patches!s:.40}"
             )
-        frame = patches.frame_of(int(patches.patch(self.direction)))
-        numbers = [mi.Float(x) for x in frame]
-        dr.make_opaque(*numbers)
-        return numbers
+        return patches.frame_of(int(patches.patch(self.direction)))
 
     def _filling(self, sample: mi.Point2f) -> mi.Vector3f:
         """Directions that fill a patch, uniformly in projected solid angle."""
@@ -314,3 +332,9 @@ class Beam:
         nearest = self.middle.copy()
         nearest[:2] += np.clip((self._centre() - self.middle)[:2], -radius, radius)
         return mi.Point3f(nearest.tolist())
+
+
+def _looked_up(rows: Sequence[Any], number: mi.UInt32) -> list[mi.Float]:
+    """Columns of a table, one of its rows in each lane."""
+    columns = [mi.Float(column) for column in np.array(rows, np.float32).T]
+    return [dr.gather(mi.Float, column, number) for column in columns]

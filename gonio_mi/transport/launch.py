@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..settings.values import UNLIMITED
+from .beam import Beam
 from .exits import Exits, of_order
 from .kernels import check_variant_kept
 from .media_loop import Geometry, trace_inside
@@ -26,6 +27,9 @@ class Launch:
     Attributes
     ----------
     setup : Setup
+    beams : tuple of Beam
+        Of several incident directions, if there are: batch `i` has number
+        ``i % len(beams)``. All else of their setups is that of `setup`.
     wavelengths : mi.Spectrum or mi.Color0f
         Of the rays.
     capacity : int
@@ -41,6 +45,7 @@ class Launch:
     """
 
     setup: Setup
+    beams: tuple[Beam, ...]
     wavelengths: Any
     capacity: int
     keys: tuple[tuple[int, ...], ...]
@@ -118,6 +123,10 @@ class _Rays:
     ) -> None:
         self.setup, self.wavelengths = one.setup, one.wavelengths
         self.sums, self.batch, self.size = sums, batch, size
+        self.beam = one.setup.beam
+        if one.beams:
+            several = len(one.sizes) // len(one.beams)
+            self.beam = self.beam.in_lanes(one.beams * several, batch)
         self.ray: Any = None
 
     def add(self, sampler: mi.Sampler, ray: mi.UInt32) -> None:
@@ -132,11 +141,11 @@ class _Rays:
             deposits = Deposits(setup, self.sums, active, self.batch)
         if traces(setup):
             exits = trace(
-                specimen, setup.beam, sampler, self.wavelengths, how, deposits
+                specimen, self.beam, sampler, self.wavelengths, how, deposits
             )
         else:
             plane = specimen.plane
-            exits = scatter_plane(plane, setup.beam, sampler, self.wavelengths, how)
+            exits = scatter_plane(plane, self.beam, sampler, self.wavelengths, how)
         exits = of_order(exits, setup.settings.order)
         bins = setup.bins(exits)
         self.sums.add(bins, exits, active, self.batch)

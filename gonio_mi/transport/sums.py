@@ -92,6 +92,12 @@ class Exact:
             total._halves[unit] = total._halves.get(unit, 0) + halves
         return total
 
+    def part(self, first: int, step: int) -> Exact:
+        """Sums of every so many along the second axis."""
+        part = Exact({})
+        part._halves = {unit: x[:, :, first::step] for unit, x in self._halves.items()}
+        return part
+
     def total(self, among: Flags) -> Exact:
         """Sum over those along the first axis that are `among` them."""
         total = Exact({})
@@ -239,7 +245,8 @@ class Sums:
         shape = len(self.levels), self.channels, *shape[:3]
         rare = np.moveaxis(self.rare.numpy()[LEVELS:].reshape(shape), 1, -1)
         for level, sums in zip(self.levels, rare):
-            numbers[unit_of(level)] = sums[:, :n_batches]
+            if sums.any():
+                numbers[unit_of(level)] = sums[:, :n_batches]
         incident = None
         if not self.setup.beam.uniform:
             shape = LEVELS, self.channels, *by_class
@@ -281,6 +288,18 @@ class Totals:
             incident = incident + other._incident
         rays, flux = self._rays + other._rays, self._flux + other._flux
         return Totals(self._sums, rays, flux, incident)
+
+    def parts(self, n: int) -> list[Totals]:
+        """Totals of each of `n` beams, whose batches take turns."""
+        return [
+            Totals(
+                self._sums,
+                self._rays[:, i::n],
+                self._flux.part(i, n),
+                None if self._incident is None else self._incident.part(i, n),
+            )
+            for i in range(n)
+        ]
 
     @property
     def emitted(self) -> int:

@@ -61,9 +61,10 @@ def gonio_paths(
 
     def _send(rays: int, seed: int) -> float:
         # anew, for it learns how many rays a launch takes
-        launcher, setup.key = Launcher(setup), (seed, 0)
-        tallies = launcher.tallies(setup, Round(tuple(batch_sizes(rays, batches))))
-        record = record_of(setup, Tally.join(list(tallies)))
+        launcher, setup.key = Launcher([setup]), (seed, 0)
+        part = Round(tuple(batch_sizes(rays, batches)))
+        (tallies,) = zip(*launcher.tallies([setup], part))
+        record = record_of(setup, Tally.join(tallies))
         if batches > 1:
             record.interval(0.95)
         return record.tallies[0].ledger.reflected / rays
