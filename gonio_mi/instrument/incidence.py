@@ -92,14 +92,12 @@ def emitter_scene(
     incident: tuple[float, float] | None,
     side: str,
 ) -> Any:
-    """Scene that holds the one emitter to use."""
-    if emitter is None and incident is None:
-        return scene
+    """Scene that holds the one emitter to use, but for :func:`collimated`."""
     if emitter is None:
-        emitter = {"type": "directional", "direction": _beam_direction(incident, side)}
-    elif not isinstance(emitter, dict):
+        return scene
+    if not isinstance(emitter, dict):
         raise SettingTypeError(f"emitter must be a dictionary, got {shown(emitter)}")
-    elif incident is not None:
+    if incident is not None:
         emitter = _turned(emitter, incident, side)
     return loaded("the emitter", mi.load_dict, {"type": "scene", "emitter": emitter})
 
@@ -112,11 +110,12 @@ def described_digest(emitter: dict[str, Any] | None) -> str | None:
     return emitter_digest(scene.emitters())
 
 
-def _beam_direction(incident: Any, side: str) -> list[float]:
-    """Direction of flight of a collimated beam."""
+def collimated(incident: tuple[float, float], side: str) -> mi.Emitter:
+    """Emitter of a collimated beam; it needs no scene."""
     theta, phi = np.radians(incident)
     x, y, z = direction(theta, phi)
-    return [-x, -y, -z if side == "front" else z]
+    flight = [-x, -y, -z if side == "front" else z]
+    return mi.load_dict({"type": "directional", "direction": flight})
 
 
 def _turned(

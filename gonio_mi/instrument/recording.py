@@ -33,8 +33,16 @@ CREATION_LEVEL = 1 - 1e-9
 PATH_ROUNDING = 1000 * float(np.finfo(np.float32).eps)
 
 
-def record_of(setup: Setup, tally: Tally) -> Record:
-    """Record of a finished `tally`, with all that is needed to repeat it."""
+def record_of(
+    setup: Setup,
+    tally: Tally,
+    told: tuple[MeasurementSettings, Provenance] | None = None,
+) -> Record:
+    """Record of a finished `tally`, with all that is needed to repeat it.
+
+    `told` is what :func:`settings_and_provenance` says of this setup, or of another
+    that differs in its incident direction only.
+    """
     settings, ledger = setup.settings, tally.ledger
     if 0 < ledger.missed == ledger.emitted:
         raise SpecimenError(
@@ -47,7 +55,9 @@ def record_of(setup: Setup, tally: Tally) -> Record:
     _warn_of_astray(ledger)
     if not mi.is_spectral and tally.achromatic:
         tally = tally.first(1)
-    asked, provenance = settings_and_provenance(setup)
+    asked, provenance = told or settings_and_provenance(setup)
+    if provenance.batches != tally.n_batches:
+        provenance = replace(provenance, batches=tally.n_batches)
     return Record(
         subdivision=setup.collector.subdivision,
         theta_i=np.array([setup.theta_i]),
@@ -55,7 +65,7 @@ def record_of(setup: Setup, tally: Tally) -> Record:
         channels=channel_names(settings.wavelengths, tally.channels),
         tallies=(tally,),
         asked=asked,
-        provenance=replace(provenance, batches=tally.n_batches),
+        provenance=provenance,
     )
 
 
@@ -76,10 +86,12 @@ def records_of(
         if tallies
     ]
     orders, found = setups[0].orders, []
+    asked, provenance = settings_and_provenance(setups[0])
+    told = asked, replace(provenance, batches=done[0][1].n_batches)
     if not orders:
-        found.append([record_of(setup, tally) for setup, tally in done])
+        found.append([record_of(setup, tally, told) for setup, tally in done])
     for number, order in enumerate(orders):
-        apart = [record_of(setup, tally.apart()[number]) for setup, tally in done]
+        apart = [record_of(setup, tally.apart()[number], told) for setup, tally in done]
         found.append(
             [replace(one, asked=replace(one.asked, order=order)) for one in apart]
         )

@@ -21,7 +21,7 @@ from ..transport.scene_objects import foreign_plugins
 from ..transport.setup import Setup
 from ..transport.specimen import Specimen
 from ..transport.wavelengths import check_covered, passes, wavelength_lanes
-from .incidence import described_digest, emitter_scene
+from .incidence import collimated, described_digest, emitter_scene
 from .loading import loaded
 
 # Of specimens with media: by variant, wavelengths, digest and classes in Python.
@@ -88,8 +88,12 @@ def set_up(
     described = described_digest(emitter)
     setups = []
     for incident in incidents:
-        source = emitter_scene(scene, emitter, incident, settings.side)
-        beam = _beam(specimen, settings, source.emitters())
+        if emitter is None and incident is not None:
+            source, lights = None, [collimated(incident, settings.side)]
+        else:
+            source = emitter_scene(scene, emitter, incident, settings.side)
+            lights = source.emitters()
+        beam = _beam(specimen, settings, lights)
         setup = Setup(settings, specimen, beam, collector, sampler, incident, described)
         setup.source = source  # with it its emitters would go
         setup.collect_orders(orders)

@@ -243,7 +243,9 @@ class Record(MeasuredValues):
 
     def _check_alike(self, other: Record, free: set[str], purpose: str) -> None:
         """Raise ValueError if collector, channels or a setting not in `free` differ."""
-        check_alike(self._conditions, other._conditions, free, purpose)
+        mine, theirs = self.provenance, other.provenance
+        if mine is not theirs or self.asked != other.asked:
+            check_alike(self._conditions, other._conditions, free, purpose)
         both = {self.channels, other.channels}
         # of a grey specimen one channel stands for three
         if len(both) > 1 and both != {("Y",), ("R", "G", "B")}:

@@ -107,7 +107,7 @@ class Ledger:
     @property
     def rows(self) -> dict[str, int]:
         """Dictionary of row name to number of rays."""
-        return {fate.name.lower(): getattr(self, fate.name.lower()) for fate in Fate}
+        return dict(vars(self))
 
     @property
     def emitted(self) -> int:
@@ -190,6 +190,8 @@ class Tally:
     @property
     def achromatic(self) -> bool:
         """Whether all channels received the same."""
+        if self.channels == 1:
+            return True
         return bool(np.all(self.sums == self.sums[..., :1])) and bool(
             np.all(self.incident == self.incident[..., :1])
             and np.all(self.direct == self.direct[..., :1])

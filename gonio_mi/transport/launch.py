@@ -140,9 +140,7 @@ class _Rays:
         if self.sums.deposits:
             deposits = Deposits(setup, self.sums, active, self.batch)
         if traces(setup):
-            exits = trace(
-                specimen, self.beam, sampler, self.wavelengths, how, deposits
-            )
+            exits = trace(specimen, self.beam, sampler, self.wavelengths, how, deposits)
         else:
             plane = specimen.plane
             exits = scatter_plane(plane, self.beam, sampler, self.wavelengths, how)

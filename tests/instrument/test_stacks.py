@@ -1,0 +1,129 @@
+"""Directions of a stack share launches, and each has the bits that it has alone."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import gonio_mi as gonio
+from gonio_mi.instrument import launcher
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+GLASS = {"type": "roughdielectric", "alpha": 0.3}
+ANGLES = {"theta_i": [0, 10, 45, 80], "phi_i": [0, 33, 200]}
+SMALL = {"rays": 1003, "batches": 4, "collector": "projected:3x4"}
+
+# Slots for batches of five directions, of 2 x 12 patches and 14 fates.
+FIVE = 2 * (2 * 12 + 14) * 4 * 5
+
+
+@pytest.fixture
+def launches(monkeypatch):
+    """Numbers of batches of all launches; of five directions at most."""
+    found, send = [], launcher.launch
+
+    def noted(one):
+        found.append(len(one.sizes))
+        return send(one)
+
+    monkeypatch.setattr(launcher, "launch", noted)
+    monkeypatch.setattr(launcher, "FUSED_SUMS", FIVE)
+    return found
+
+
+def check_alone(stack, specimen, which, **settings):
+    """Exact: some directions of a stack have the bits and settings that each has."""
+    for i in which:
+        angles = float(stack.theta_i[i]), float(stack.phi_i[i])
+        alone = gonio.measure(specimen, *angles, **settings)
+        assert stack[i].tallies == alone.tallies
+        one, other = dict(stack[i].settings), dict(alone.settings)
+        del one["created"], other["created"]
+        assert one == other
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"footprint": 0.4}, {"divergence": 2.0, "estimator": "analog"}, {"side": "back"}],
+)
+def test_directions_share_launches(launches, settings):
+    """Twelve in groups of four, with batches that differ by one ray."""
+    stack = gonio.measure(GLASS, **ANGLES, **SMALL, **settings)
+    assert launches == [16] * 3
+    check_alone(stack, GLASS, (0, 5, 11), **SMALL, **settings)
+    assert stack[0].tallies != stack[11].tallies
+
+
+def test_patches_of_incidence_share_launches(launches):
+    settings = SMALL | {"incident": "projected:2x4"}
+    stack = gonio.measure(GLASS, **settings)
+    assert launches == [16] * 2
+    check_alone(stack, GLASS, (0, 7), **settings)
+
+
+def test_launches_are_cut_where_they_are_long(launches, monkeypatch):
+    """Of two batches of each direction, and of half of their rays."""
+    monkeypatch.setattr(launcher, "FIRST_PLANE", 2 * 4 * 251)
+    monkeypatch.setattr(launcher, "LAUNCH_SECONDS", 1e-9)  # from then on 1024 rays
+    stack = gonio.measure(GLASS, **ANGLES, **SMALL)
+    assert launches[0] == 8
+    assert len(launches) > 6
+    check_alone(stack, GLASS, (1, 6), **SMALL)
+
+
+def test_few_directions_and_plugins_in_python_go_one_by_one(launches, monkeypatch):
+    """A plugin in Python may take the first ray's direction for that of all."""
+    gonio.measure(GLASS, [0, 40], **SMALL)
+    assert launches == [4] * 2
+
+    class FirstRay(mi.BSDF):
+        def __init__(self, props):
+            mi.BSDF.__init__(self, props)
+            self.m_components = [mi.BSDFFlags.DiffuseReflection]
+            self.m_flags = self.m_components[0]
+
+        def sample(self, _, si, __, sample2, ___):
+            bs = mi.BSDFSample3f()
+            bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+            bs.pdf = mi.warp.square_to_cosine_hemisphere_pdf(bs.wo)
+            bs.eta, bs.sampled_type = 1.0, mi.UInt32(+self.m_flags)
+            return bs, mi.Spectrum(float(si.wi.z.numpy()[0]))
+
+        def eval(self, _, si, wo, __):
+            return mi.Spectrum(float(si.wi.z.numpy()[0]) * wo.z / np.pi)
+
+        def pdf(self, _, __, wo, ___):
+            return mi.warp.square_to_cosine_hemisphere_pdf(wo)
+
+        def to_string(self):
+            return "FirstRay[]"
+
+    mi.register_bsdf("first_ray", FirstRay)
+    del launches[:]
+    polar = list(range(0, 80, 8))
+    stack = gonio.measure({"type": "first_ray"}, polar, **SMALL)
+    assert launches == [4] * 10
+    cosines = np.cos(np.radians(polar))
+    np.testing.assert_allclose(stack.dhr[:, 0], cosines, rtol=2.0**-20)
+    monkeypatch.setattr(launcher, "_may_share", lambda _: True)
+    wrong = gonio.measure({"type": "first_ray"}, polar, **SMALL)
+    assert abs(wrong.dhr[4, 0] - stack.dhr[4, 0]) > 0.1
+
+
+def test_ctrl_c_in_a_stack_that_shares_launches(launches, monkeypatch):
+    """What is kept is whole directions, and what carries it on has the same bits."""
+    whole = gonio.measure(GLASS, **ANGLES, **SMALL)
+    send = launcher.launch
+
+    def interrupted(one):
+        if len(launches) == 5:
+            raise KeyboardInterrupt
+        return send(one)
+
+    monkeypatch.setattr(launcher, "launch", interrupted)
+    with pytest.warns(RuntimeWarning, match="8024 of 12036 rays"):
+        part = gonio.measure(GLASS, **ANGLES, **SMALL)
+    monkeypatch.setattr(launcher, "launch", send)
+    assert part.tallies == whole.tallies[:8]
+    resumed = gonio.measure(GLASS, **ANGLES, **SMALL, resume=part)
+    assert resumed.tallies == whole.tallies
