@@ -33,7 +33,7 @@ from ..errors import SettingError
 from ..progress import bar
 from ..results.record import Record
 from .folder import CampaignFolder
-from .tasks import Task, check_picklable, run_task, tasks_of
+from .tasks import TASKS, Task, check_picklable, run_task, tasks_of
 
 logger = logging.getLogger(__name__)
 
@@ -65,7 +65,10 @@ def records_of(
 
     `label` stands beside the progress bar.
     """
-    tasks = tasks_of(specimens, incidents, where.plugins, where.threads, arguments)
+    # what is neither kept nor shared out costs less in one part
+    parts = 1 if where.executor is None and where.folder is None else TASKS
+    plugins, threads = where.plugins, where.threads
+    tasks = tasks_of(specimens, incidents, plugins, threads, arguments, parts)
     if where.executor is not None:
         check_picklable(tasks)
     folder = where.folder

@@ -56,13 +56,8 @@ class Task:
             mi.set_variant(self.variant)
             self._load_plugins()
             with _threads(self.threads):
-                if MeasurementSettings.among(self.arguments).estimator.integrates:
-                    return self._measured(self.incidents)  # with the same kernels
-                return Record.stack(self._measured([one]) for one in self.incidents)
-
-    def _measured(self, incidents: Sequence[tuple[float, float]]) -> Record:
-        """Stack of some directions: what a campaign keeps is whole ones."""
-        record = whole(measure_each, self._located(), incidents, **self.arguments)
+                specimen, incidents = self._located(), self.incidents
+                record = whole(measure_each, specimen, incidents, **self.arguments)
         # the same wherever it is measured
         name = specimen_name(self.specimen, self.arguments.get("parameters"))
         return record.with_provenance(specimen=name)
@@ -131,11 +126,12 @@ def tasks_of(
     plugins: Sequence[str | PathLike[str]],
     threads: int | None,
     arguments: dict[str, Any],
+    parts: int = TASKS,
 ) -> list[Task]:
-    """Tasks of a few directions each, in order."""
+    """Tasks of some directions each, in order: of a specimen `parts` at least."""
     asked = MeasurementSettings.among(arguments)
     # the same whatever the executor: a folder may be carried on by another
-    most = max(1, len(incidents) // TASKS)
+    most = max(1, len(incidents) // parts)
     few = max(1, min(TASK_RAYS // asked.rays, most))
     if asked.estimator.integrates:
         few = INTEGRALS

@@ -110,7 +110,7 @@ def described_digest(emitter: dict[str, Any] | None) -> str | None:
     return emitter_digest(scene.emitters())
 
 
-def collimated(incident: tuple[float, float], side: str) -> mi.Emitter:
+def collimated(incident: tuple[float, float], side: str) -> Any:
     """Emitter of a collimated beam; it needs no scene."""
     theta, phi = np.radians(incident)
     x, y, z = direction(theta, phi)
