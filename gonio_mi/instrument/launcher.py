@@ -170,13 +170,14 @@ class Launcher:
 
     def _along_curve(self, whole: Launch) -> Iterator[Launch]:
         """Launches that each go on where the one before ended."""
-        start, sizes = whole.begin, whole.sizes
-        for begin, end in segments(start, start + sizes[0], _max_points(sizes)):
+        start, sizes, walks = whole.begin, whole.sizes, whole.n_directions
+        together = len(sizes) // walks
+        for begin, end in segments(start, start + sizes[0], _max_points(together)):
             parts = tuple(min(end, start + size) - begin for size in sizes)
-            at, length = 0, len(sizes) << block_bits(begin, end - begin)
+            at, length = 0, together << block_bits(begin, end - begin)
             while at < length:
-                n = self.size.next_part(at, length, FUSED_RAYS)
-                there = min(at + -(-n // CHUNK) * CHUNK, length)
+                n = self.size.next_part(walks * at, walks * length, FUSED_RAYS) // walks
+                there = min(at + -(-max(1, n) // CHUNK) * CHUNK, length)
                 yield replace(whole, sizes=parts, begin=begin, stretch=(at, there))
                 at = there
 
@@ -184,17 +185,19 @@ class Launcher:
 def _may_share(setup: Setup) -> bool:
     """Whether rays of several incident directions may share a launch.
 
-    Not those of plugins in Python that look into their arguments, for they may take the
-    direction for that of all rays.
+    On a plane not those of plugins in Python that look into their arguments, for they
+    may take the direction for that of all rays.
     """
-    if traces(setup) or setup.specimen.plane.by_ray or not setup.beam.collimated:
+    if not setup.beam.collimated or Target.of(setup.settings) is not None:
         return False
-    return Target.of(setup.settings) is None
+    if traces(setup):
+        return not setup.specimen.media
+    return not setup.specimen.plane.by_ray
 
 
-def _max_points(sizes: Sequence[int]) -> int:
+def _max_points(n_batches: int) -> int:
     """Points of each batch along a curve, at most: places have 32 bits."""
-    return 2**31 >> (len(sizes) - 1).bit_length()
+    return 2**31 >> (n_batches - 1).bit_length()
 
 
 class LaunchSize:

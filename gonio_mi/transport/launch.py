@@ -41,7 +41,8 @@ class Launch:
     begin : int
         Rays of each batch that were sent before.
     stretch : (int, int), optional
-        Along the curve that all batches walk together: only rays from there.
+        Along the curve that all batches of a direction walk together: only rays from
+        there.
     """
 
     setup: Setup
@@ -56,8 +57,15 @@ class Launch:
     @property
     def rays(self) -> int:
         """Rays in all, or points of the curve."""
-        first, end = self.stretch or (0, sum(self.sizes))
-        return end - first
+        if self.stretch is None:
+            return sum(self.sizes)
+        first, end = self.stretch
+        return self.n_directions * (end - first)
+
+    @property
+    def n_directions(self) -> int:
+        """Incident directions."""
+        return len(self.beams) or 1
 
 
 def launch(one: Launch) -> Totals:
@@ -75,7 +83,7 @@ def launch(one: Launch) -> Totals:
         sums = Sums(setup, one.capacity)
         sampler = seeded(setup.sampler, one.keys, one.begin, lanes)
         if one.stretch is not None:
-            batch, ray = sampler.follow_curve(*one.stretch)
+            batch, ray = sampler.follow_curve(*one.stretch, one.n_directions)
         else:
             # as many lanes as rays, even where none of them draws a number
             lane = dr.arange(mi.UInt32, len(sizes) * lanes)

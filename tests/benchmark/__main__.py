@@ -16,6 +16,7 @@ from .endurance import print_growth
 from .equal_error import print_contests, print_costs
 from .micro_geometry import print_speeds
 from .stacked_integrals import print_integrals
+from .stacks import print_stacks
 from .tolerances import print_campaigns
 from .turbid_layer import layer_contests, print_layer_speeds
 
@@ -59,6 +60,11 @@ def main(argv: Sequence[str]) -> None:
         "--integrals", action="store_true", help="a stack of them and each, instead"
     )
     part.add_argument(
+        "--stacks",
+        action="store_true",
+        help="what a direction costs among 1 to 1000, and their memory, instead",
+    )
+    part.add_argument(
         "--error", action="store_true", help="sobol against independent rays, instead"
     )
     part.add_argument(
@@ -77,7 +83,7 @@ def main(argv: Sequence[str]) -> None:
         "--rays",
         type=float,
         help="for raw speed 1.7e7, for --error 1e8, for --geometry 4.2e6, for --media "
-        "2.1e6, and the most for --coverage 1e6, if not given",
+        "2.1e6, for --stacks 16384, and the most for --coverage 1e6, if not given",
     )
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--seeds", type=int, default=6, help="for --error (6)")
@@ -123,6 +129,8 @@ def _run(options: argparse.Namespace) -> None:
         print_contests(*facet_contests(), *cost)
     elif options.integrals:
         print_integrals(options.repeats)
+    elif options.stacks:
+        print_stacks(int(options.rays or 2**14), options.repeats)
     elif options.tolerance:
         asked = options.tolerance, options.only, options.theta_max
         print_campaigns(*asked, not options.no_grids)

@@ -329,7 +329,7 @@ class Sobol(mi.Sampler):
         self.draw = mi.UInt32(0)
 
     def follow_curve(
-        self, first: int = 0, last: int | None = None
+        self, first: int = 0, last: int | None = None, walks: int = 1
     ) -> tuple[mi.UInt32, mi.UInt32]:
         """Give neighbouring lanes points whose first two numbers are neighbours.
 
@@ -348,6 +348,9 @@ class Sobol(mi.Sampler):
             The stretch of the curve to walk along, counted from the middle of the unit
             square on and around. Points before `start` or after the last one are left
             out.
+        walks : int
+            Groups of sequences, which take turns and are of the same size: each goes
+            that way by itself, one after the other, as it would alone.
 
         Returns
         -------
@@ -356,11 +359,14 @@ class Sobol(mi.Sampler):
             many as it has for points of nobody.
         """
         bits = block_bits(self.start, self.per_sequence)
-        last = self.sequences << bits if last is None else last
+        together = self.sequences // walks
+        last = together << bits if last is None else last
         n = last - first
-        shift = dr.opaque(mi.UInt32, first)
-        lane = dr.arange(mi.UInt32, -(-n // CHUNK) * CHUNK)
-        place, sequence = apart(lane + shift, self.sequences)
+        shift, length = dr.opaque(mi.UInt32, first), -(-n // CHUNK) * CHUNK
+        lane = dr.arange(mi.UInt32, walks * length)
+        walk, step = apart(lane, length) if walks > 1 else (mi.UInt32(0), lane)
+        place, sequence = apart(step + shift, together)
+        sequence = sequence * walks + walk
         size = dr.opaque(mi.UInt32, 1 << bits)
         place = (place + dr.opaque(mi.UInt32, 3 << bits >> 2)) & (size - 1)
         # at least two keys: what is gathered from a single one is another kernel
@@ -369,7 +375,7 @@ class Sobol(mi.Sampler):
         index = along_curve(place, base, bits, dr.gather(mi.UInt32, keys, sequence))
         number = index - dr.opaque(mi.UInt32, self.start)
         own = dr.opaque(mi.UInt32, self.per_sequence)
-        number = dr.select(lane < dr.opaque(mi.UInt32, n), number, own)
+        number = dr.select(step < dr.opaque(mi.UInt32, n), number, own)
         dr.eval(index, number)
         if self.per_sequence < 1 << bits or n % CHUNK:
             nobody = mi.UInt32(number >= own)
@@ -380,7 +386,9 @@ class Sobol(mi.Sampler):
             kept = dr.compress((number < own) | filling)
             lane = kept if len(kept) else dr.arange(mi.UInt32, PACKET)
         dr.make_opaque(lane)
-        _, sequence = apart(lane + shift, self.sequences)
+        walk, step = apart(lane, length) if walks > 1 else (mi.UInt32(0), lane)
+        _, sequence = apart(step + shift, together)
+        sequence = sequence * walks + walk
         self.index = dr.gather(mi.UInt32, index, lane)
         self.key = dr.gather(mi.UInt32, keys, sequence)
         return sequence, dr.gather(mi.UInt32, number, lane)
