@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -264,7 +264,11 @@ def _warnings(record: Record, directions: Sequence[DirectionSummary]) -> list[st
             f"{_share(ledger.astray, ledger)} went astray: a shape with a medium is "
             "open or overlaps another; their flux is in no patch"
         )
-    sentences += _lost_light(record, directions)
+
+    def exceeds(row: str) -> bool:
+        return any(direction.exceeds_error(row) for direction in directions)
+
+    sentences += _lost_light(record, exceeds)
     rows = {}
     if not provenance.media:  # else it passed a layer, as it should
         rows["direct"] = (
@@ -276,7 +280,7 @@ def _warnings(record: Record, directions: Sequence[DirectionSummary]) -> list[st
         transmission = "gaps"  # which the few thousand rays did not find
     if transmission in PASSED:
         rows["transmitted"] = PASSED[transmission]
-    sentences += _excessive_rows(ledger, directions, rows)
+    sentences += _excessive_rows(ledger, exceeds, rows)
     several = provenance.each_processor
     if len(several) > 1:
         sentences.append(
@@ -296,10 +300,21 @@ def lost_light(record: Record) -> list[str]:
     stray = ledger.sideways + ledger.missed
     if not ledger.truncated and stray <= MAX_STRAY * ledger.emitted:
         return []  # without looking for the statistical error
-    return _lost_light(record, [_direction(record[i]) for i in range(len(record))])
+
+    def exceeds(row: str) -> bool:
+        # up to the first: intervals take longer than a few rays
+        looks = (record[i] for i in range(len(record)))
+        found = ((look, look.ledger) for look in looks)
+        return any(
+            _direction(look).exceeds_error(row)
+            for look, own in found
+            if own.rows[row] > MAX_STRAY * own.emitted
+        )
+
+    return _lost_light(record, exceeds)
 
 
-def _lost_light(record: Record, directions: Sequence[DirectionSummary]) -> list[str]:
+def _lost_light(record: Record, exceeds: Callable[[str], bool]) -> list[str]:
     ledger, sentences = record.ledger, []
     if ledger.truncated:
         media = record.provenance.media
@@ -312,18 +327,18 @@ def _lost_light(record: Record, directions: Sequence[DirectionSummary]) -> list[
         "sideways": "left sideways, over the edge of the specimen, into no patch",
         "missed": MISSED,
     }
-    return sentences + _excessive_rows(ledger, directions, rows)
+    return sentences + _excessive_rows(ledger, exceeds, rows)
 
 
 def _excessive_rows(
-    ledger: Ledger, directions: Sequence[DirectionSummary], rows: dict[str, str]
+    ledger: Ledger, exceeds: Callable[[str], bool], rows: dict[str, str]
 ) -> list[str]:
     """Sentences on those of the `rows` that exceed the statistical error."""
     return [
         f"{_share(getattr(ledger, row), ledger)} {sentence}: more than the "
         "statistical error"
         for row, sentence in rows.items()
-        if any(direction.exceeds_error(row) for direction in directions)
+        if exceeds(row)
     ]
 
 

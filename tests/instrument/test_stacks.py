@@ -10,6 +10,7 @@ from gonio_mi.instrument import launcher
 pytestmark = pytest.mark.usefixtures("mono")
 
 GLASS = {"type": "roughdielectric", "alpha": 0.3}
+MIRROR = {"type": "twosided", "bsdf": {"type": "roughconductor", "alpha": 0.2}}
 ANGLES = {"theta_i": [0, 10, 45, 80], "phi_i": [0, 33, 200]}
 SMALL = {"rays": 1003, "batches": 4, "collector": "projected:3x4"}
 
@@ -127,3 +128,22 @@ def test_ctrl_c_in_a_stack_that_shares_launches(launches, monkeypatch):
     assert part.tallies == whole.tallies[:8]
     resumed = gonio.measure(GLASS, **ANGLES, **SMALL, resume=part)
     assert resumed.tallies == whole.tallies
+
+
+@pytest.mark.parametrize(
+    ("settings", "fused"),
+    [({"footprint": "full"}, 2 * FIVE), ({"estimator": "next_event"}, 2 * FIVE)],
+)
+def test_traced_directions_share_launches(launches, monkeypatch, settings, fused):
+    """Exact: each walks along a curve of its own, in whole packets of rays.
+
+    Also where a launch ends in the midst of the curves.
+    """
+    monkeypatch.setattr(launcher, "FUSED_SUMS", fused)
+    monkeypatch.setattr(launcher, "FIRST_TRACED", 4 * 2**10)
+    hills = {"type": "heightfield", "alpha": 0.5, "resolution": 16, "bsdf": MIRROR}
+    settings = SMALL | settings | {"rays": 5001}
+    stack = gonio.measure(hills, **ANGLES, **settings)
+    assert launches[0] == 24
+    assert len(launches) < 12
+    check_alone(stack, hills, (0, 5, 11), **settings)
