@@ -69,7 +69,7 @@ SLOW = """
     first_mistakes fitting foreign_plugins foreign_verdicts fuzz glass goniometric
     goniometric_files half_vectors handbook handbook_blocks heightfield integrals
     intervals kernels llvm lobes measured_like media mesh_specimens micro_normals
-    microgeometry next_event notebooks order orientation paper_bsdfs periodic
+    microgeometry mueller next_event notebooks order orientation paper_bsdfs periodic
     phase_functions polar_cross_validation polarised porous pytest_entry quadrature
     rounds scenes short_bsdfs slabs sobol spectral_coverage stock stock_bsdfs suspects
     tables tolerance_command transport types verdicts versions where_methods_fail

@@ -16,7 +16,7 @@ from ..errors import SettingError, SettingTypeError, checked_count, shown
 from ..instrument.incidence import incident_angles
 from ..results.record import Record
 from ..settings import MeasurementSettings
-from ..transport.variants import check_variant
+from ..transport.variants import check_unpolarised, check_variant, is_parallel
 from .execution import Surroundings, records_of
 from .known_directions import KnownDirections
 from .whole_bsdf import WholeBsdf, checked_theta_max, checked_tolerance
@@ -108,7 +108,7 @@ def campaign(
     concurrent.futures.BrokenExecutor
         If workers keep dying. What is finished is in `folder`.
     """
-    check_variant()
+    check_variant(is_parallel)
     if not isinstance(specimens, Mapping) or not specimens:
         raise SettingTypeError(
             "specimens must be a dictionary with at least one entry, "
@@ -128,6 +128,7 @@ def campaign(
                 "theta_i must be given for a campaign without tolerance, got None"
             )
         return records_of(specimens, incidents, where, settings)
+    check_unpolarised("tolerance")
     tolerance, theta_max = checked_tolerance(tolerance), checked_theta_max(theta_max)
     others = {
         "theta_i": theta_i,

@@ -174,7 +174,10 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
     for path in options.output:
         _check_kind(path)
         files.check_output(path, files.ENDINGS)
-    specimen, parameters = specimen_of(options.specimen, options)
+    from ..transport.variants import parallel_variants
+
+    variants = parallel_variants()
+    specimen, parameters = specimen_of(options.specimen, options, variants)
     check_not_read(specimen, options.specimen, options.output)
     specimen = prepared_surface(specimen, options)
     settings = given_settings(options)

@@ -32,6 +32,9 @@ ENDINGS = (
     ".binary",
 )
 
+# Endings of files that hold Mueller matrices.
+POLARISED = (".csv", ".nc", ".h5")
+
 # Endings of files that have no place for transmitted light.
 REFLECTION_ONLY = (".bsdf", *endings_of("reflection_only"))
 
@@ -69,7 +72,8 @@ def export(
         Several for ``.xml``: of the front and of the back of a specimen.
     path : str or path
         ``.csv``: values at the middles of patches, read by `read_measured`, with the
-        seed by which `compare` knows rays of its own; for several quantities or
+        seed by which `compare` knows rays of its own, and with the elements of Mueller
+        matrices as further columns; for several quantities or
         channels their names are put before the ending. ``.astm``: text
         after ASTM E1392, of reflection; see :mod:`gonio_mi.formats.astm`. ``.xml``: a
         Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only; needs a
@@ -111,6 +115,12 @@ def export(
     records = [record] if isinstance(record, Record) else list(record)
     if not records:
         raise SettingError("record must be one record or more, got none")
+    if ending not in POLARISED and any(one.polarised for one in records):
+        raise SettingError(
+            f"a file {ending} holds no Mueller matrices, which {', '.join(POLARISED)} "
+            f"do: measure in an unpolarised variant for it, got "
+            f"{records[0].provenance.variant}"
+        )
     for one in records:
         _warn_of_openings(one)
         _warn_of_lost_light(one)
@@ -176,7 +186,9 @@ def _csv(record: Record, path: str | PathLike[str]) -> list[Loss]:
     """One table for each quantity and channel."""
     fractions = np.zeros_like(fractions_of(record))
     for (hemisphere, number), name in part_names(record, path).items():
-        _table(record, ("brdf", "btdf")[hemisphere], number).save(name)
+        quantity = ("brdf", "btdf")[hemisphere]
+        table = _table(record, quantity, number)
+        table.save(name, _elements(record, quantity, number))
         written = _in_patches(read_measured(name), record.subdivision)
         fractions[:, hemisphere, ..., number] = written
     return losses(record, fractions)
@@ -251,6 +263,25 @@ def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
         header={"collector": str(record.subdivision)} | record.ray_keys,
         **columns,
     )
+
+
+def _elements(record: Record, quantity: str, number: int) -> dict[str, Floats]:
+    """Columns of a table beside its own: elements of Mueller matrices but the first."""
+    if not record.polarised:
+        return {}
+    known = np.isfinite(record.subdivision.middles[0])
+    columns: dict[str, Floats] = {}
+    for prefix, ending in (("", ""), ("sigma_", "_std_err")):
+        matrices = getattr(record, f"{quantity}_mueller{ending}")
+        matrices = matrices if record.stacked else matrices[None]
+        of_rows = matrices[:, known, number].reshape(-1, 4, 4)
+        columns |= {
+            f"{prefix}M{i}{j}": of_rows[:, i, j]
+            for i in range(4)
+            for j in range(4)
+            if i or j
+        }
+    return columns
 
 
 def _netcdf(

@@ -109,7 +109,7 @@ def _check_tally(tally: Tally, record: Record) -> None:
     )
     for name in tally.arrays:
         require(
-            float(getattr(tally, name).sum(dtype=float)) < 2.0**64,
+            float(np.abs(getattr(tally, name)).sum(dtype=float)) < 2.0**64,
             f"its {name} add up to more than 64 bits hold",
         )
     ledger = tally.ledger

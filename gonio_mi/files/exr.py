@@ -5,6 +5,9 @@ The parts of one incident direction, in a stack with its number after a dot:
 ``brdf``, ``btdf``
     The patches as pixels: row 0 is the ring at the pole, column 0 the first sector.
     Layers ``brdf`` and ``std_err`` (1/sr, float32) per channel, and ``count`` of rays.
+``brdf_mueller``, ``btdf_mueller``
+    Of polarised variants only: layers ``M01`` to ``M33`` (1/sr, float32) per channel,
+    the elements of Mueller matrices but the first, and ``std_err_M01`` and so on.
 ``view``
     A picture: the hemispheres side by side, both seen along -z in orthographic
     projection (radius sin(theta)), phi = 0 to the right, counter-clockwise. Colours are
@@ -13,6 +16,8 @@ The parts of one incident direction, in a stack with its number after a dot:
     The sums in units of 1/scale of a ray: one row per batch, hemisphere and ring.
 ``integral``
     Of integrals only: what they may be wrong by, in the same unit.
+``elements``
+    Of polarised variants only: sums of the elements but the first, in the same unit.
 
 Whole numbers beyond 32 bits have their upper half in ``count_high`` and ``sum_high``.
 The first header holds the rest as JSON, ``gonio.record``, and a check sum of the
@@ -30,7 +35,7 @@ import OpenEXR
 
 from ..array_types import Counts, Floats, Numbers
 from ..results.record import Record
-from ..results.tally import Integrals, Tally
+from ..results.tally import N_ELEMENTS, Integrals, PolarisedTally, Tally
 from .checks import check_seal, require, seal_of
 from .header import (
     check_format,
@@ -40,6 +45,7 @@ from .header import (
     parsed_subdivision,
     rebuilt,
 )
+from .netcdf import FRAMES
 
 MAGIC = b"\x76\x2f\x31\x01"
 
@@ -52,6 +58,9 @@ CONVENTIONS = (
     "mirror direction has phi = phi_i + 180. Rows are rings of theta from the pole to "
     "the horizon, columns are sectors of phi from 0 to 360."
 )
+# Names of the elements of a Mueller matrix but the first.
+ELEMENTS = [f"M{i}{j}" for i in range(4) for j in range(4)][1:]
+
 MEANINGS = {
     "brdf": "BRDF of each patch, its standard error (NaN where unknown), counted rays",
     "btdf": "BTDF of each patch, its standard error (NaN where unknown), counted rays",
@@ -64,6 +73,12 @@ MEANINGS = {
     "tally": "received flux in units of 1/scale of a ray, one row per batch, "
     "hemisphere and ring, one column per sector: whole numbers if scale is 1, else the "
     "bits of numbers in double precision; the high layers hold the upper 32 bits",
+    "brdf_mueller": "elements of the Mueller matrix of the BRDF but the first, which "
+    "is the BRDF, and their standard errors (NaN where unknown); " + FRAMES,
+    "btdf_mueller": "elements of the Mueller matrix of the BTDF but the first, which "
+    "is the BTDF, and their standard errors (NaN where unknown); " + FRAMES,
+    "elements": "elements of Mueller matrices but the first, as the tally: the bits of "
+    "numbers in double precision; the high layers hold the upper 32 bits",
     "integral": "what the integrals may be wrong by in units of 1/scale of a ray, one "
     "row per hemisphere and ring: the bits of numbers in double precision; the high "
     "layers hold the upper 32 bits",
@@ -142,7 +157,7 @@ def _description(record: Record) -> dict[str, Any]:
 
 def _arrays(tally: Tally) -> list[Counts]:
     """What the pixels hold of a tally, exactly."""
-    of_pixels = ("hits", "sums", "errors")
+    of_pixels = ("hits", "sums", "errors", "elements")
     return [getattr(tally, name) for name in of_pixels if name in tally.arrays]
 
 
@@ -190,11 +205,29 @@ def pixels(single: Record) -> dict[str, dict[str, Numbers]]:
     exact = {("tally", "sum"): tally.sums}
     if isinstance(tally, Integrals):
         exact["integral", "error"] = tally.errors
+    if isinstance(tally, PolarisedTally):
+        for number, element in enumerate(ELEMENTS):
+            exact["elements", element] = tally.elements[..., number, :]
+        parts |= _matrices(single, names)
     for (part, layer), array in exact.items():
         rows = bits(array).reshape(-1, single.subdivision.shape[1], len(names))
-        parts[part] = {}
+        layers = parts.setdefault(part, {})
         for number, name in enumerate(names):
-            parts[part] |= _halves(layer, f".{name}", rows[..., number])
+            layers |= _halves(layer, f".{name}", rows[..., number])
+    return parts
+
+
+def _matrices(single: Record, names: Sequence[str]) -> dict[str, dict[str, Numbers]]:
+    """Layers of all elements but the first, and of their standard errors."""
+    parts: dict[str, dict[str, Numbers]] = {}
+    for part in ("brdf_mueller", "btdf_mueller")[: 1 + single.has_lower]:
+        layers = parts[part] = {}
+        for ending, prefix in (("", ""), ("_std_err", "std_err_")):
+            matrices = getattr(single, part + ending)
+            for number, element in enumerate(ELEMENTS, 1):
+                for channel, name in enumerate(names):
+                    values = matrices[..., channel, number // 4, number % 4]
+                    layers[f"{prefix}{element}.{name}"] = _float32(values)
     return parts
 
 
@@ -334,6 +367,12 @@ def _sums(
     if _part_name("integral", index, n) in parts:
         errors = channels("integral", "error", len(hits) * shape[0])
         arrays["errors"] = errors.reshape(len(hits), *shape, -1)
+    if _part_name("elements", index, n) in parts:
+        rows = n_batches * len(hits) * shape[0]
+        each = [channels("elements", element, rows) for element in ELEMENTS]
+        elements = np.stack(each, axis=-2).view(float)
+        of_each = n_batches, len(hits), *shape, N_ELEMENTS, len(names)
+        arrays["elements"] = elements.reshape(of_each)
     return arrays
 
 

@@ -12,7 +12,7 @@ from ..collector import Subdivision, subdivision
 from ..errors import FileFormatError, shown
 from ..results.provenance import read_settings
 from ..results.record import Record
-from ..results.tally import Fate, Integrals, Tally
+from ..results.tally import N_ELEMENTS, Fate, Integrals, PolarisedTally, Tally
 from .checks import require
 
 FORMAT = "gonio-mi record"
@@ -85,7 +85,7 @@ def rebuilt(header: dict[str, Any], tallies: Sequence[dict[str, Numbers]]) -> Re
         As :func:`header_of` made it, from a file: not to be trusted.
     tallies : list of dict
         The arrays `hits`, `sums`, `incident`, `fates` and `direct` of :class:`Tally`,
-        and `errors` if it has some.
+        and `errors` or `elements` if it has some.
 
     Raises
     ------
@@ -140,6 +140,8 @@ def parsed_subdivision(header: dict[str, Any]) -> Subdivision:
 
 def _tally(arrays: dict[str, Numbers], scale: int) -> Tally:
     """Sums of the kind that the arrays are of."""
+    if "elements" in arrays:
+        return PolarisedTally(**arrays, scale=scale)
     kind = Integrals if "errors" in arrays else Tally
     return kind(**arrays, scale=scale)
 
@@ -160,17 +162,22 @@ def _check_shapes(
     }
     if "errors" in arrays:
         shapes["errors"] = (n_hemispheres, *patches, n_channels)
+    if "elements" in arrays:
+        of_elements = n_batches, n_hemispheres, *patches, N_ELEMENTS, n_channels
+        shapes["elements"] = of_elements
     weights = arrays["incident"].dtype == np.float64
     for name, shape in shapes.items():
         array = arrays[name]
+        signed = name == "elements"
         floats = weights and name in ("sums", "incident", "errors", "direct")
+        floats |= signed
         kind = np.dtype(np.float64 if floats else np.uint64)
         require(
             array.shape == shape and array.dtype == kind,
             f"its array {name} is {array.dtype} {array.shape}, not {kind} {shape}",
         )
         require(
-            not floats or bool(np.all((array >= 0) & np.isfinite(array))),
+            not floats or bool(np.all(((array >= 0) | signed) & np.isfinite(array))),
             f"its array {name} holds negative numbers, infinity or NaN",
         )
 

@@ -2,7 +2,7 @@
 
 import html
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
@@ -256,10 +256,13 @@ class MeasuredTable:
             return 1.0
         return np.cos(np.radians(self.theta_o))
 
-    def save(self, path: str | PathLike[str]) -> None:
+    def save(
+        self, path: str | PathLike[str], others: Mapping[str, Floats] | None = None
+    ) -> None:
         """Write the table as a CSV file that `read_measured` reads back.
 
-        Azimuths are written in [0, 360) degrees.
+        Azimuths are written in [0, 360) degrees. Columns of `others` follow, which are
+        not read back.
         """
         lines = [f"# units: {UNITS[0]}", f"# quantity: {self.quantity}"]
         if self.quantity == "reflectance_factor":
@@ -270,12 +273,14 @@ class MeasuredTable:
                 lines.append(f"# {key}: {value}")
         lines += [f"# {key}: {value}" for key, value in self.header.items()]
         names = [*COLUMNS, *(() if self.sigma is None else ("sigma",))]
-        lines.append(",".join(names))
         columns = [getattr(self, name) for name in names]
         for i, name in enumerate(names):
             if name.startswith("phi"):
                 turned = columns[i] % 360
                 columns[i] = np.where(turned < 360, turned, 0.0)  # of -1e-15
+        further = dict(others or {})
+        lines.append(",".join([*names, *further]))
+        columns += further.values()
         for row in zip(*(column.tolist() for column in columns)):
             lines.append(",".join(map(repr, row)))
         with replacing(path) as stream:

@@ -19,6 +19,12 @@ CONVENTIONS = (
 )
 
 
+# What the elements of Mueller matrices belong to.
+FRAMES = (
+    "(I, Q, U, V) in frames of s = k x z, p = k x s of directions k of flight: Q = I_s "
+    "- I_p, U > 0 half-way from s to p, V > 0 clockwise seen against k"
+)
+
 # What a standard error is, for whoever reads the file.
 STD_ERR = "standard error (k = 1); of integrals the largest error, estimated"
 
@@ -34,9 +40,10 @@ def dataset(record: Record) -> Any:
     -------
     xarray.Dataset
         `bsdf` and `std_err` in 1/sr, with the dimensions ``incident, hemisphere, ring,
-        sector, channel``; `counts` without the last; as coordinates `theta_i`, `phi_i`
-        and the middles `theta`, `phi` of the patches in degrees, and `wavelength` in nm
-        of channels that have one; the settings as JSON.
+        sector, channel``; `counts` without the last; of polarised variants `mueller`
+        and `mueller_std_err` with ``stokes_out, stokes_in`` after it; as coordinates
+        `theta_i`, `phi_i` and the middles `theta`, `phi` of the patches in degrees, and
+        `wavelength` in nm of channels that have one; the settings as JSON.
 
     Raises
     ------
@@ -66,8 +73,18 @@ def dataset(record: Record) -> Any:
     wavelengths = wavelengths_nm(record.channels)
     if wavelengths is not None:
         coordinates["wavelength"] = ("channel", wavelengths, {"units": "nm"})
+    matrices = {}
+    if record.polarised:
+        dimensions = (*patches, "channel", "stokes_out", "stokes_in")
+        for ending, name in (("", "mueller"), ("_std_err", "mueller_std_err")):
+            of_each = [
+                [getattr(one, f"{quantity}_mueller{ending}") for quantity in quantities]
+                for one in stack
+            ]
+            matrices[name] = (dimensions, np.array(of_each), unit | {"frames": FRAMES})
     return xarray.Dataset(
-        {
+        matrices
+        | {
             "bsdf": ((*patches, "channel"), values, unit),
             "std_err": ((*patches, "channel"), errors, unit | {"long_name": STD_ERR}),
             "counts": (patches, counts),

@@ -3,7 +3,9 @@
 `hits` has shape ``(n_incident, n_hemispheres, n_theta, n_phi)``; `sums`, `incident`,
 `fates` and `direct` hold the batches of all incident directions, `n_batches` of each,
 one after the other on their first axis. `errors`, of integrals only, is `hits` with
-channels. The rest is the header, `settings` as JSON.
+channels, and `elements`, of polarised variants, `sums` with an axis of the elements of
+Mueller matrices before the last, row by row without the first. The rest is the header,
+`settings` as JSON.
 
 Where a campaign has copied directions by a symmetry of the specimen, their sums are
 left out, and `copies` has a row for each incident direction: the number of that which
@@ -24,6 +26,7 @@ from ..array_types import Integers, Numbers
 from ..errors import check_memory
 from ..results.azimuth_symmetry import Motion, sources
 from ..results.record import Record
+from ..results.tally import N_ELEMENTS
 from .checks import SEAL_LENGTH, check_seal, require, seal_of, size_of
 from .header import (
     MAX_EXPANSION,
@@ -57,6 +60,7 @@ TALLIES = {
     "direct": ("float64 uint64", 2),
 }
 INTEGRALS = {"errors": ("float64 uint64", 5)}
+ELEMENTS = {"elements": ("float64", 6)}
 COPIES = {"copies": ("int64", 2)}
 
 
@@ -131,6 +135,7 @@ def read(stream: BinaryIO) -> Record:
         header["settings"] = parsed_json(header["settings"])
         check_format(header)
         expected = TALLIES | (INTEGRALS if "errors.npy" in members else {})
+        expected |= ELEMENTS if "elements.npy" in members else {}
         expected |= COPIES if header["version"] == VERSION_OF_COPIES else {}
         known = {f"{name}.npy" for name in HEADER | expected}
         require(
@@ -205,6 +210,7 @@ def _shapes(
         "hits": (n, None, *patches),
         "errors": (n, None, *patches, channels),
         "sums": (total, None, *patches, channels),
+        "elements": (total, None, *patches, N_ELEMENTS, channels),
         "incident": (total, channels),
         "direct": (total, channels),
         "fates": (total, None),

@@ -35,6 +35,9 @@ from .table_text import TextTable, decimal, is_decimal, split_text
 AZIMUTHS = ("specimen", "source", "mirror")
 
 OWN_NAMES = (*COLUMNS, "sigma")
+
+# Those of Mueller matrices in our own tables, which are compared by their light alone.
+ELEMENTS = re.compile(r"(sigma_)?M[0-3][0-3]")
 DEGREES = {"deg": 1.0, "": 1.0, "rad": float(np.degrees(1.0))}
 NM = {"nm": 1.0, "um": 1e3, "m": 1e9}
 KINDS = {"rel": "relative", "abs": "absolute"}
@@ -156,9 +159,12 @@ class _Reading:
         self.channel: str | None = None
         self.constants: dict[str, float] = {}
         self.sigma_specified = "sigma" in specified
-        self.known = [recognised(name) for name in text.names]
         # our own names: all five, nothing beside them; in degrees below our header
         self.own = set(text.names) >= set(COLUMNS) and not specified
+        self.known = [
+            None if self.own and ELEMENTS.fullmatch(name) else recognised(name)
+            for name in text.names
+        ]
         self.in_degrees = self.own and bool(settings)
         bare = [name.partition(" [")[0] for name in text.names]
         for colour in COLOURS if set(bare) >= set(COLOURS) else ():
@@ -168,7 +174,7 @@ class _Reading:
         for role, word in specified.items():
             self._assign(role, str(word))
         for name in text.names if self.own else ():
-            if name not in OWN_NAMES:
+            if name not in OWN_NAMES and not ELEMENTS.fullmatch(name):
                 raise FileFormatError(
                     f"{self.here}: a column must be one of {', '.join(OWN_NAMES)}, got "
                     f"{shown(name)}"

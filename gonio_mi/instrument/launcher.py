@@ -13,7 +13,7 @@ from ..transport.launch import Launch, launch, traces
 from ..transport.morton import CHUNK, block_bits
 from ..transport.sampling import is_joint
 from ..transport.setup import Setup
-from ..transport.sums import packet_width
+from ..transport.sums import n_numbers
 from ..transport.wavelengths import wavelength_lanes
 from .schedule import Round, Target
 
@@ -88,7 +88,7 @@ class Launcher:
         if self.divisible:
             # along a curve orders have the same bits together and one by one
             sums = setup.n_bins * (1 if self.curved else len(setup.classes))
-            fitting = FUSED_SUMS // (sums * packet_width())
+            fitting = FUSED_SUMS // (sums * n_numbers())
             self.capacity = max(1, min(fitting, settings.batches))
         self.together = 1
         if len(setups) >= FEWEST_TOGETHER and _may_share(setup) and self.divisible:

@@ -28,7 +28,9 @@ from ..results.tally import Tally, batch_sizes
 from ..settings import MeasurementSettings
 from ..settings.values import Order
 from ..transport.kernels import launches_kernels
+from ..transport.polarisation import n_channels, n_elements
 from ..transport.setup import Setup
+from ..transport.variants import is_parallel
 from .incidence import incident_angles
 from .launcher import Launcher, round_rays
 from .loading import check_named_files, load_specimen
@@ -100,7 +102,7 @@ def measure_orders(
     }
 
 
-@launches_kernels()
+@launches_kernels(is_parallel)
 def measure_stacks(
     specimen: Any,
     incidents: Sequence[tuple[float, float] | None],
@@ -318,6 +320,6 @@ def _check_sums_fit(setups: Sequence[Setup], plan: Sequence[int]) -> None:
     copies = 2 * min(n_rounds, 2)
     check_memory(
         f"{sums} patches in {len(plan)} batches",
-        copies * 8 * sums * len(plan) * len(mi.Spectrum()),
+        copies * 8 * sums * len(plan) * n_channels() * (1 + n_elements()),
         "take fewer patches, incident directions, batches or orders at once",
     )

@@ -156,11 +156,13 @@ def _warn_of_created_light(records: Sequence[Record]) -> None:
 
 def _warn_of_invalid(ledger: Ledger, functions: str, collimated: bool) -> None:
     if ledger.invalid:
+        matrix = "elements above the first, " if mi.is_polarized else ""
         near = "" if collimated else " or the emitter is too near for single rays,"
         warn(
-            f"the BSDF's {functions} returned a negative, infinite or NaN weight, or "
-            f"no unit direction,{near} for {ledger.invalid} of {ledger.emitted} "
-            "rays; they are in the ledger's row invalid and in no patch"
+            f"the BSDF's {functions} returned a negative, infinite or NaN weight, "
+            f"{matrix}or no unit direction,{near} for {ledger.invalid} of "
+            f"{ledger.emitted} rays; they are in the ledger's row invalid and in no "
+            "patch"
         )
 
 

@@ -19,6 +19,7 @@ from ..errors import SpecimenError
 from ..results.tally import WEIGHT_SCALE, Integrals, Tally
 from ..settings.values import ALL_ORDERS
 from ..transport.setup import Setup
+from ..transport.variants import check_unpolarised
 from ..transport.wavelengths import wavelength_lanes
 from .cells import NODES_PER_CELL, QUARTERS, Cells, way_to_split
 from .evaluator import INTEGRAL_ROUNDING, Evaluator
@@ -396,6 +397,7 @@ def check_integrable(setup: Setup) -> None:
     plane, settings = setup.specimen.plane, setup.settings
     at_point = settings.footprint == "point"
     lanes = wavelength_lanes(setup.passes[0])
+    check_unpolarised("the estimator quadrature")
     needs = {
         "a single flat rectangle": plane is not None and not settings.trace,
         "a collimated beam": setup.beam.collimated

@@ -15,6 +15,9 @@ from ..array_types import Counts, Floats, Numbers
 # and in double precision, which 1e12 rays of unit weight do not exhaust, over launches.
 WEIGHT_SCALE = 2**24
 
+# Elements of a Mueller matrix beside the first.
+N_ELEMENTS = 15
+
 
 def batch_sizes(rays: int, batches: int) -> list[int]:
     """Split `rays` over at most `batches` batches that differ by one ray at most."""
@@ -68,7 +71,8 @@ class Ledger:
     invalid : int
         ``sample`` gave a weight that is negative, not finite or above 32768 (2**30 for
         the product of all weights of a path), or a direction that is no unit vector;
-        or ``eval`` the like, for the estimator `next_event`.
+        or ``eval`` the like, for the estimator `next_event`; in polarised variants also
+        a matrix with an element of more than 1.01 times the first.
     unlit : int
         The emitter sends nothing along this ray.
     integrated : int
@@ -143,8 +147,9 @@ class Tally:
     """
 
     arrays: ClassVar[tuple[str, ...]] = ("hits", "sums", "incident", "fates", "direct")
-    # those whose last axis are the channels
+    # those whose last axis are the channels, and those of batches and hemispheres
     of_channels: ClassVar[tuple[str, ...]] = ("sums", "incident", "direct")
+    of_patches: ClassVar[tuple[str, ...]] = ("sums",)
     # whether its batches can be put beside others of the same measurement
     joinable: ClassVar[bool] = True
 
@@ -232,38 +237,27 @@ class Tally:
                 )
         channels = max(tally.channels for tally in tallies)
         tallies = [tally.spread(channels) for tally in tallies]
-        return cls(
-            hits=sum(tally.hits for tally in tallies[1:]) + first.hits,
-            sums=np.concatenate([tally.sums for tally in tallies]),
-            incident=np.concatenate([tally.incident for tally in tallies]),
-            fates=np.concatenate([tally.fates for tally in tallies]),
-            scale=first.scale,
-            direct=np.concatenate([tally.direct for tally in tallies]),
+        return first._with(
+            {name: _concatenated(tallies, name, 0) for name in first.arrays}
+            | {"hits": sum(tally.hits for tally in tallies[1:]) + first.hits}
         )
 
     def accumulate(self, other: Tally) -> Tally:
         """Tally of one batch from two parts of it: the sums add, batch by batch."""
         channels = max(self.channels, other.channels)
         a, b = self.spread(channels), other.spread(channels)
-        return Tally(
-            a.hits + b.hits,
-            a.sums + b.sums,
-            a.incident + b.incident,
-            a.fates + b.fates,
-            a.scale,
-            direct=a.direct + b.direct,
-        )
+        return a._with({name: getattr(a, name) + getattr(b, name) for name in a.arrays})
 
     @classmethod
     def join_channels(cls, tallies: Sequence[Tally]) -> Tally:
         """Tally of all channels of `tallies`, for which separate rays were sent."""
-        return cls(
-            hits=sum(tally.hits for tally in tallies[1:]) + tallies[0].hits,
-            sums=np.concatenate([tally.sums for tally in tallies], axis=-1),
-            incident=np.concatenate([tally.incident for tally in tallies], axis=-1),
-            fates=sum(tally.fates for tally in tallies[1:]) + tallies[0].fates,
-            scale=tallies[0].scale,
-            direct=np.concatenate([tally.direct for tally in tallies], axis=-1),
+        first = tallies[0]
+        return first._with(
+            {name: _concatenated(tallies, name, -1) for name in first.of_channels}
+            | {
+                "hits": sum(tally.hits for tally in tallies[1:]) + first.hits,
+                "fates": sum(tally.fates for tally in tallies[1:]) + first.fates,
+            }
         )
 
     @classmethod
@@ -273,33 +267,26 @@ class Tally:
         What passed without any event is direct light of those orders that hold it.
         """
         first = tallies[0]
-        return cls(
-            hits=np.concatenate([tally.hits for tally in tallies]),
-            sums=np.concatenate([tally.sums for tally in tallies], axis=1),
-            incident=first.incident,
-            fates=np.concatenate([tally.fates for tally in tallies], axis=1),
-            scale=first.scale,
-            direct=np.max([tally.direct for tally in tallies], axis=0),
+        beside = ("fates", *first.of_patches)
+        return first._with(
+            {name: _concatenated(tallies, name, 1) for name in beside}
+            | {
+                "hits": _concatenated(tallies, "hits", 0),
+                "direct": np.max([tally.direct for tally in tallies], axis=0),
+            }
         )
 
     def apart(self) -> list[Tally]:
         """Tallies of the orders that are side by side in this one."""
         n = self.fates.shape[1] // len(Fate)
-        parts = zip(
-            np.split(self.hits, n),
-            np.split(self.sums, n, axis=1),
-            np.split(self.fates, n, axis=1),
-        )
-        return [
-            replace(
-                self,
-                hits=hits,
-                sums=sums,
-                fates=fates,
-                direct=self.direct * (fates[:, Fate.DIRECT, None] > 0),
-            )
-            for hits, sums, fates in parts
-        ]
+        axes = {"hits": 0, "fates": 1} | dict.fromkeys(self.of_patches, 1)
+        split = {
+            name: np.split(getattr(self, name), n, axis) for name, axis in axes.items()
+        }
+        parts = [{name: split[name][i] for name in split} for i in range(n)]
+        for part in parts:
+            part["direct"] = self.direct * (part["fates"][:, Fate.DIRECT, None] > 0)
+        return [self._with(part) for part in parts]
 
     def first(self, channels: int) -> Tally:
         """Tally of the first `channels` channels."""
@@ -317,8 +304,12 @@ class Tally:
 
     def of_each_channel(self, change: Callable[[Numbers], Numbers]) -> Tally:
         """Tally with other channels: what `change` makes of each array's last axis."""
-        changed: dict[str, Any]
-        changed = {name: change(getattr(self, name)) for name in self.of_channels}
+        return self._with(
+            {name: change(getattr(self, name)) for name in self.of_channels}
+        )
+
+    def _with(self, changed: dict[str, Any]) -> Tally:
+        """Tally of this kind with other arrays of some names."""
         return replace(self, **changed)
 
     def __repr__(self) -> str:
@@ -339,6 +330,37 @@ class Tally:
                 for name in self.arrays
             )
         )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PolarisedTally(Tally):
+    """Sums of a polarised variant: of Mueller matrices, the first element in `sums`.
+
+    Attributes
+    ----------
+    elements : ndarray of float64
+        The other elements, row by row, in the unit of the tally, of shape
+        ``(n_batches, n_hemispheres, n_theta, n_phi, 15, channels)``: those of a ray
+        times its incident power, positive or negative.
+    """
+
+    arrays: ClassVar[tuple[str, ...]] = (*Tally.arrays, "elements")
+    of_channels: ClassVar[tuple[str, ...]] = (*Tally.of_channels, "elements")
+    of_patches: ClassVar[tuple[str, ...]] = (*Tally.of_patches, "elements")
+
+    elements: Floats = field(kw_only=True)
+
+    def matrices(self, hemisphere: int) -> Floats:
+        """Sums of all elements, ``(n_batches, n_theta, n_phi, channels, 4, 4)``."""
+        first = self.sums[:, hemisphere, :, :, None, :].astype(float)
+        joined = np.concatenate([first, self.elements[:, hemisphere]], axis=-2)
+        joined = np.swapaxes(joined, -1, -2)
+        return joined.reshape(*joined.shape[:-1], 4, 4)
+
+
+def _concatenated(tallies: Sequence[Tally], name: str, axis: int) -> Numbers:
+    """Arrays of that name, one after the other along an axis."""
+    return np.concatenate([getattr(tally, name) for tally in tallies], axis=axis)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

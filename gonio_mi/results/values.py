@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..array_types import Counts, Flags, Floats, Numbers
 from ..collector import Subdivision
@@ -14,8 +16,9 @@ from ..errors import SettingError, checked_choice, checked_number
 from ..settings import MeasurementSettings
 from . import statistics
 from .estimates import Estimates, IntegralEstimates, SampledEstimates
+from .mueller import MuellerEstimates, checked_stokes
 from .provenance import Provenance
-from .tally import Integrals, Ledger, Tally
+from .tally import Integrals, Ledger, PolarisedTally, Tally
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +106,96 @@ class MeasuredValues:
         if not self.has_lower:
             return None
         return self._stacked(lambda one: one.total_std_err(1))
+
+    @property
+    def polarised(self) -> bool:
+        """Whether Mueller matrices were measured, in a polarised variant."""
+        return all(isinstance(tally, PolarisedTally) for tally in self.tallies)
+
+    @cached_property
+    def brdf_mueller(self) -> Floats | None:
+        """Patch mean of the Mueller matrix of the BRDF, None without polarisation.
+
+        In 1/sr, of the shape ``(n_theta, n_phi, channels, 4, 4)``; the first element is
+        `brdf`. It takes the Stokes vector (I, Q, U, V) of the incident light to that of
+        the light that leaves, each in the frame of s = k x z and p = k x s about its
+        direction k of flight: Q = I_s - I_p, U > 0 for light that oscillates half-way
+        from s to p, V > 0 for a field that turns clockwise in the eye of whoever looks
+        towards the source. Along the z axis s is along y.
+        """
+        return self._matrices(lambda one: one.fraction(0))
+
+    @cached_property
+    def btdf_mueller(self) -> Floats | None:
+        """Patch mean of the Mueller matrix of the BTDF, like `brdf_mueller`."""
+        return self._matrices(lambda one: one.fraction(1), lower=True)
+
+    @cached_property
+    def brdf_mueller_std_err(self) -> Floats | None:
+        """Standard error of the elements of `brdf_mueller`; NaN as of `brdf`."""
+        return self._matrices(lambda one: one.std_err(0))
+
+    @cached_property
+    def btdf_mueller_std_err(self) -> Floats | None:
+        """Standard error of the elements of `btdf_mueller`."""
+        return self._matrices(lambda one: one.std_err(1), lower=True)
+
+    @cached_property
+    def dhr_mueller(self) -> Floats | None:
+        """Sum of the Mueller matrices of all reflected flux, ``(channels, 4, 4)``.
+
+        Each in the frame of the direction in which it leaves, as of `brdf_mueller`.
+        """
+        return self._total_matrices(lambda one: one.total(0))
+
+    @cached_property
+    def dht_mueller(self) -> Floats | None:
+        """Sum of the Mueller matrices of all transmitted flux, like `dhr_mueller`."""
+        return self._total_matrices(lambda one: one.total(1), lower=True)
+
+    @cached_property
+    def dhr_mueller_std_err(self) -> Floats | None:
+        """Standard error of the elements of `dhr_mueller` from the batches."""
+        return self._total_matrices(lambda one: one.total_std_err(0))
+
+    @cached_property
+    def dht_mueller_std_err(self) -> Floats | None:
+        """Standard error of the elements of `dht_mueller` from the batches."""
+        return self._total_matrices(lambda one: one.total_std_err(1), lower=True)
+
+    def stokes(self, incident: ArrayLike, of: str = "brdf") -> tuple[Floats, Floats]:
+        """Stokes vectors of the light that leaves, and their standard errors.
+
+        Parameters
+        ----------
+        incident : array_like, shape (4,)
+            Stokes vector (I, Q, U, V) of the incident light in the frame of
+            `brdf_mueller`, such as ``[1, 1, 0, 0]`` for light that is polarised along
+            s. No other measurement is needed: all elements are known.
+        of : {"brdf", "btdf", "dhr", "dht"}
+
+        Returns
+        -------
+        values, std_err : ndarray
+            In 1/sr, ``(n_theta, n_phi, channels, 4)``; of totals ``(channels, 4)``.
+
+        Raises
+        ------
+        ValueError
+            If `incident` is no light, for another `of`, or without Mueller matrices or
+            lower hemisphere.
+        """
+        vector = checked_stokes(incident)
+        checked_choice("of", of, ("brdf", "btdf", "dhr", "dht"))
+        hemisphere = self._polarised_hemisphere(of)
+        if of in ("dhr", "dht"):
+            pairs = [one.total_stokes(hemisphere, vector) for one in self._mueller]
+            solid: Any = 1.0
+        else:
+            pairs = [one.stokes(hemisphere, vector) for one in self._mueller]
+            solid = self._projected[..., None]
+        values, errors = np.stack(pairs, axis=1)
+        return self._squeeze(values / solid), self._squeeze(errors / solid)
 
     @property
     def flux_fraction(self) -> Floats:
@@ -218,7 +311,11 @@ class MeasuredValues:
         ----------
         level : float
             In (0, 1).
-        of : {"brdf", "btdf", "dhr", "dht", "direct"}
+        of : str
+            ``"brdf"``, ``"btdf"``, ``"dhr"``, ``"dht"`` or ``"direct"``; of all but the
+            last with ``_mueller`` for the elements of a Mueller matrix, each by
+            itself: Student's t, and where hits are few, limits from the intervals
+            of fluxes, M00 + M_k and M00 - M_k.
 
         Returns
         -------
@@ -231,7 +328,11 @@ class MeasuredValues:
             For another `level` or `of`, or if there is no lower hemisphere.
         """
         level = checked_number("level", level, 1e-12, 1, "between 0 and 1")
-        checked_choice("of", of, ("brdf", "btdf", "dhr", "dht", "direct"))
+        quantities = ("brdf", "btdf", "dhr", "dht")
+        matrices = tuple(f"{name}_mueller" for name in quantities)
+        checked_choice("of", of, (*quantities, "direct", *matrices))
+        if of in matrices:
+            return self._mueller_interval(level, of.removesuffix("_mueller"))
         if of == "direct":
             both = [one.direct_interval(level) for one in self.estimates]
             low, high = np.stack(both, axis=1)
@@ -249,6 +350,58 @@ class MeasuredValues:
         return self._squeeze(low / solid), self._squeeze(high / solid)
 
     # ------------------------------------------------------------------ internals
+
+    @cached_property
+    def _mueller(self) -> tuple[MuellerEstimates, ...]:
+        """Estimates of Mueller matrices of each incident direction."""
+        pairs = zip(self.tallies, self.estimates)
+        return tuple(
+            MuellerEstimates(tally, light)
+            for tally, light in pairs
+            if isinstance(tally, PolarisedTally) and isinstance(light, SampledEstimates)
+        )
+
+    def _matrices(
+        self, quantity: Callable[[MuellerEstimates], Floats], lower: bool = False
+    ) -> Floats | None:
+        """A quantity of the matrices of patches over solid angles, if there is one."""
+        found = self._total_matrices(quantity, lower)
+        if found is None:
+            return None
+        return read_only_array(found / self._projected[..., None, None])
+
+    def _total_matrices(
+        self, quantity: Callable[[MuellerEstimates], Floats], lower: bool = False
+    ) -> Floats | None:
+        """A quantity of the matrices of each incident direction, if there are some."""
+        if not self.polarised or (lower and not self.has_lower):
+            return None
+        each = np.stack([quantity(one) for one in self._mueller])
+        return read_only_array(self._squeeze(each))
+
+    def _polarised_hemisphere(self, of: str) -> int:
+        """Hemisphere of a quantity, once there are matrices of it."""
+        if not self.polarised:
+            raise SettingError(
+                "Mueller matrices need a polarised variant, such as "
+                "llvm_ad_mono_polarized, got a record of "
+                f"{self.provenance.variant or 'another one'}"
+            )
+        hemisphere = int(of in ("btdf", "dht"))
+        if hemisphere and not self.has_lower:
+            raise SettingError(f"of must be brdf or dhr for a record without {of}")
+        return hemisphere
+
+    def _mueller_interval(self, level: float, of: str) -> tuple[Floats, Floats]:
+        """:meth:`interval` of the elements of a Mueller matrix."""
+        hemisphere, of_all = self._polarised_hemisphere(of), of in ("dhr", "dht")
+        limits = [
+            (one.total_interval if of_all else one.interval)(hemisphere, level)
+            for one in self._mueller
+        ]
+        low, high = np.stack(limits, axis=1)
+        solid = 1.0 if of_all else self._projected[..., None, None]
+        return self._squeeze(low / solid), self._squeeze(high / solid)
 
     @property
     def _projected(self) -> Floats:

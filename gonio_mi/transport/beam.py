@@ -15,6 +15,7 @@ from ..collector import Subdivision
 from ..collector.directions import angles
 from ..errors import SpecimenError
 from .collector_sphere import DRJIT
+from .polarisation import power_of
 from .sampling import is_joint
 from .specimen import Specimen
 from .wavelengths import passes, wavelength_lanes
@@ -124,7 +125,7 @@ class Beam:
 
     def sample(
         self, sampler: mi.Sampler, wavelengths: mi.Spectrum
-    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float, mi.Spectrum]:
+    ) -> tuple[mi.Point3f, mi.Vector3f, mi.Float, mi.UnpolarizedSpectrum]:
         """Draw one ray per lane.
 
         Returns
@@ -135,7 +136,7 @@ class Beam:
             Unit vector from there to the emitter, in world coordinates.
         distance : mi.Float
             To the emitter.
-        weight : mi.Spectrum
+        weight : mi.UnpolarizedSpectrum
             Power of the ray, 1 on average over the beam; 0 where nothing is emitted.
         """
         p = self._point(sampler)
@@ -145,7 +146,7 @@ class Beam:
                 wi = self._diverging(sampler.next_2d())
             elif self.incident is not None:
                 wi = self._filling(sampler.next_2d())
-            return p, wi, mi.Float(dr.inf), mi.Spectrum(1.0)
+            return p, wi, mi.Float(dr.inf), mi.UnpolarizedSpectrum(1.0)
         wi, distance, weight = self._towards(p, sampler.next_2d(), wavelengths)
         return p, wi, distance, weight / self._reference
 
@@ -227,7 +228,7 @@ class Beam:
 
     def _towards(
         self, p: mi.Point3f, sample: mi.Point2f, wavelengths: mi.Spectrum
-    ) -> tuple[mi.Vector3f, mi.Float, mi.Spectrum]:
+    ) -> tuple[mi.Vector3f, mi.Float, mi.UnpolarizedSpectrum]:
         """Direction, distance and unnormalised weight from `p` to the emitter."""
         it = dr.zeros(mi.SurfaceInteraction3f)
         it.p, it.wavelengths = p, wavelengths
@@ -237,14 +238,15 @@ class Beam:
             distance = dr.norm(to_emitter)
             wi = to_emitter / distance
             lit = dr.dot(wi, position.n) < 0
-            weight = mi.Spectrum(1.0)
+            weight = mi.UnpolarizedSpectrum(1.0)
         else:
             ds, weight = self.emitter.sample_direction(it, sample)
+            weight = power_of(weight)  # of any polarisation
             wi, distance = ds.d, ds.dist
             lit = ds.pdf > 0
             if self.emission == "equal_power":
                 lit &= dr.any(weight > 0)
-                weight = mi.Spectrum(1.0)
+                weight = mi.UnpolarizedSpectrum(1.0)
         cosine = self.side * wi.z
         lit &= cosine > 0
         if self.emission == "radiometric":

@@ -13,6 +13,7 @@ import numpy as np
 from ..array_types import Flags, Integers
 from ..results.tally import Fate
 from ..settings.values import ALL_ORDERS, UNLIMITED, Order
+from .polarisation import in_plane
 
 
 @dataclass
@@ -24,11 +25,12 @@ class Exits:
     p, d : mi.Point3f, mi.Vector3f
         Last point on the specimen and direction of flight, where `fate` is REFLECTED.
     throughput : mi.Spectrum
-        Power left; a whole number for the analog estimator.
+        Power left, a whole number for the analog estimator; in polarised variants a
+        Mueller matrix in frames of s = k x z.
     fate : mi.UInt32
         :class:`Fate`; REFLECTED stands for having left in any direction after an event,
         DIRECT for having left without any.
-    incident : mi.Spectrum
+    incident : mi.UnpolarizedSpectrum
         Power that met the specimen.
     depth : mi.UInt32
         Surface events, the one among them that ended the ray.
@@ -53,7 +55,7 @@ def exits_of(
     by_a_side: mi.Bool,
     throughput: mi.Spectrum,
     fate: mi.UInt32,
-    incident: mi.Spectrum,
+    incident: mi.UnpolarizedSpectrum,
     depth: mi.UInt32,
 ) -> Exits:
     """Exits of rays at the end of their flight, whether by a side of the box or not."""
@@ -62,6 +64,7 @@ def exits_of(
     sideways = (fate == mi.UInt32(Fate.REFLECTED)) & by_a_side
     fate = dr.select(sideways, mi.UInt32(Fate.SIDEWAYS), fate)
     p = ray.o + flight.shift
+    throughput = in_plane(throughput, ray.d)
     return Exits(p, ray.d, throughput, fate, incident, depth)
 
 

@@ -173,7 +173,7 @@ def layers_of(specimen: Any, side: int) -> Layers | None:
         return None
     if not all(map(_is_uniform, specimen.media)):
         return None
-    nm = mi.Spectrum(*TEST_WAVELENGTHS) if mi.is_spectral else mi.Color0f()
+    nm = mi.UnpolarizedSpectrum(*TEST_WAVELENGTHS) if mi.is_spectral else mi.Color0f()
     cell = np.prod((specimen.high - specimen.low)[:2])
     sis = []
     for shape in sorted(surfaces, key=lambda shape: -shape.bbox().min.z):

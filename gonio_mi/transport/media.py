@@ -18,6 +18,7 @@ from ..errors import SpecimenError, abridged, is_ctrl_c
 from ..settings import Estimator
 from ..single_precision import FEW_ROUNDINGS
 from .scene_objects import class_of
+from .variants import check_unpolarised
 
 # Points inside of a medium at which its coefficients are looked at.
 N_POINTS = 2**12
@@ -38,6 +39,8 @@ def check_media(
 ) -> None:
     """Raise SpecimenError for media that light cannot reach, or that are no media.
 
+    And VariantError in polarised variants, whose phase functions are not modelled.
+
     Parameters
     ----------
     specimen : Specimen
@@ -46,6 +49,7 @@ def check_media(
     estimator : Estimator
         One that collects rays where they leave; others say nothing of media.
     """
+    check_unpolarised("a specimen with a medium")
     surfaces = specimen.surfaces
     if not estimator.follows_exits:
         raise SpecimenError(

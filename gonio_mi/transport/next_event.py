@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import SpecimenError
 from .exits import Exits
+from .polarisation import in_plane, in_world, power_of, product
 from .rays import Flight, departure, escapes
 from .setup import Setup
 from .sums import Sums
@@ -140,11 +141,14 @@ class Deposits:
             number, wo, spread = self._point(si.p + shift, share, _after(place, i))
             local_wo = si.to_local(wo)
             value, pdf = bsdf.eval_pdf(flux_context(), si, local_wo, wanted)
+            value = in_world(si, value, local_wo)
             value *= shading_normal_correction(si, ray, local_wo, wo)
             spread *= part
-            power = value * β * (spread * dr.rcp(1 + _finite(pdf) * spread))
+            light, realisable = product(value, β)
+            light *= spread * dr.rcp(1 + _finite(pdf) * spread)
+            power = power_of(light)
             # comparisons with NaN are false
-            good = (dr.min(power) >= 0) & (dr.max(power) <= MAX_POWER)
+            good = (dr.min(power) >= 0) & (dr.max(power) <= MAX_POWER) & realisable
             sound &= good | ~wanted
             shines = wanted & good & (dr.max(power) > 0)
 
@@ -152,7 +156,7 @@ class Deposits:
             onward = mi.Ray3f(start + dr.copysign(offset, dr.dot(si.n, wo)) * si.n, wo)
             side = self.setup.beam.side
             shines &= escapes(specimen, side, onward, si.n, offset, shines)
-            self.sums.deposit(number, power, shines, self.batch)
+            self.sums.deposit(number, in_plane(light, wo), shines, self.batch)
             i += 1
         return sound
 

@@ -17,8 +17,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags, Floats, Integers
-from ..results.tally import WEIGHT_SCALE, Fate, Tally
+from ..results.tally import WEIGHT_SCALE, Fate, PolarisedTally, Tally
 from .exits import Exits
+from .polarisation import n_channels, n_elements, other_elements, power_of
 from .setup import Setup
 
 # An ordinary power of 1, and the biased exponents of ordinary powers.
@@ -28,6 +29,15 @@ LOWEST, N_ORDINARY = 114, 16
 
 # Levels of all numbers but infinity and those below 2**-126.
 LEVELS = 32
+
+# Units of the elements of Mueller matrices beside the first: of faint, ordinary and
+# bright light, and the size from which the next one holds. They are rounded to whole
+# numbers of these, of which 2**24 add up to less than 2**63.
+ELEMENT_UNITS = (-60, -36, -9)
+ELEMENT_STEPS = (2.0**-21, 2.0**3)
+
+# Numbers of a bin and a channel for them, one of which is not used.
+ELEMENT_WIDTH = 16
 
 
 class Digits:
@@ -126,6 +136,9 @@ class Sums:
     `deposit` adds, and the rays are in the bins of their fates. Direct light is in the
     bin of its fate as well, with its power.
 
+    In polarised variants the other elements of Mueller matrices are added up in bins
+    of their own.
+
     Powers beyond the ordinary are added up by themselves, in the levels that the setup
     has room for. What other levels there were is known once the kernel has run.
 
@@ -146,7 +159,7 @@ class Sums:
         self.capacity = n_batches
         self.n_batches = n_batches = len(setup.classes) * n_batches
         self.deposits = setup.settings.estimator.deposits
-        self.channels = len(mi.Spectrum())
+        self.channels = n_channels()
         self.width = packet_width()
         self.levels = setup.levels
         self.bins = dr.zeros(mi.Int64, n_batches * setup.n_bins * self.width)
@@ -155,6 +168,11 @@ class Sums:
         self.rare = dr.zeros(mi.Int64, LEVELS + len(self.levels) * n_rare)
         n_incident = 0 if setup.beam.uniform else self.channels * n_batches
         self.incident = dr.zeros(mi.Int64, LEVELS * n_incident)
+        self.elements: Any = None
+        if n_elements():
+            n_units = len(ELEMENT_UNITS) * self.channels * n_batches
+            size = n_units * setup.n_collected * ELEMENT_WIDTH
+            self.elements = dr.zeros(mi.Int64, size)
 
     def add(
         self, bins: mi.UInt32, exits: Exits, active: mi.Bool, batch: mi.UInt32
@@ -179,9 +197,12 @@ class Sums:
                 _scatter_add(self.incident, number, index, shines)
 
     def deposit(
-        self, bins: mi.UInt32, power: mi.Spectrum, active: mi.Bool, batch: mi.UInt32
+        self, bins: mi.UInt32, light: mi.Spectrum, active: mi.Bool, batch: mi.UInt32
     ) -> None:
-        """Scatter a power per lane to a patch or to DIRECT, or one lane to its fate."""
+        """Scatter light per lane to a patch or to DIRECT, or one lane to its fate."""
+        power = power_of(light)
+        if self.elements is not None:
+            self._add_elements(bins, light, active, batch)
         collected = bins < self.setup.n_collected
         collected |= bins == self.setup.n_collected + Fate.DIRECT
         if self.counted:
@@ -197,6 +218,29 @@ class Sums:
         packet += [0] * (self.width - len(packet))
         bins = bins + batch * self.setup.n_bins
         _scatter_add(self.bins, mi.ArrayXi64(packet), bins, active)
+
+    def _add_elements(
+        self, bins: mi.UInt32, light: mi.Spectrum, active: mi.Bool, batch: mi.UInt32
+    ) -> None:
+        """Scatter the other elements of Mueller matrices to patches."""
+        elements = other_elements(light)
+        active = active & (bins < self.setup.n_collected)
+        for channel in range(self.channels):
+            several = [one[channel] for one in elements]
+            size = dr.abs(several[0])
+            for one in [*several[1:], power_of(light)[channel]]:
+                size = dr.maximum(size, dr.abs(one))
+            level, unit = mi.UInt32(0), mi.Float(2.0 ** -ELEMENT_UNITS[0])
+            for number, step in enumerate(ELEMENT_STEPS, 1):
+                level = dr.select(size >= step, mi.UInt32(number), level)
+                unit = dr.select(size >= step, 2.0 ** -ELEMENT_UNITS[number], unit)
+            place = (level * self.channels + channel) * self.n_batches + batch
+            place = place * self.setup.n_collected + bins
+            packet = [mi.Int64(dr.round(one * unit)) for one in several]
+            packet += [mi.Int64(0)] * (ELEMENT_WIDTH - len(packet))
+            _scatter_add(
+                self.elements, mi.ArrayXi64(packet), place, active & (size > 0)
+            )
 
     def _add_rare(
         self,
@@ -219,7 +263,7 @@ class Sums:
 
     def evaluate(self) -> None:
         """Compile the kernel and let it run."""
-        dr.eval(self.bins, self.incident, self.rare)
+        dr.eval(self.bins, self.incident, self.rare, self.elements)
         self.started = time.perf_counter()
 
     @property
@@ -254,7 +298,14 @@ class Sums:
             incident = Exact(
                 {unit_of(i): sums[:, :n_batches] for i, sums in enumerate(levels)}
             )
-        return Totals(self, rays, Exact(numbers), incident)
+        elements = None
+        if self.elements is not None:
+            shape = len(ELEMENT_UNITS), self.channels, *by_class
+            units = self.elements.numpy().reshape(*shape, -1, ELEMENT_WIDTH)
+            # channels last
+            units = np.moveaxis(units[:, :, :, :n_batches, :, :-1], 1, -1)
+            elements = Exact(dict(zip(ELEMENT_UNITS, units)))
+        return Totals(self, rays, Exact(numbers), incident, elements)
 
 
 class Totals:
@@ -269,6 +320,8 @@ class Totals:
     incident : Exact, shape (n_classes, n_batches, channels), or None
         None for a beam of uniform power, which needs no sum of it: every ray that met
         the specimen carried the power 1.
+    elements : Exact, shape (n_classes, n_batches, n_collected, 15, channels), or None
+        Those of Mueller matrices but the first, in polarised variants.
 
     Attributes
     ----------
@@ -277,17 +330,26 @@ class Totals:
     """
 
     def __init__(
-        self, sums: Sums, rays: Integers, flux: Exact, incident: Exact | None
+        self,
+        sums: Sums,
+        rays: Integers,
+        flux: Exact,
+        incident: Exact | None,
+        elements: Exact | None,
     ) -> None:
         self._sums, self._rays, self._flux, self._incident = sums, rays, flux, incident
+        self._elements = elements
         self.started = sums.started
 
     def __add__(self, other: Totals) -> Totals:
         incident: Any = self._incident
         if incident is not None:
             incident = incident + other._incident
+        elements: Any = self._elements
+        if elements is not None:
+            elements = elements + other._elements
         rays, flux = self._rays + other._rays, self._flux + other._flux
-        return Totals(self._sums, rays, flux, incident)
+        return Totals(self._sums, rays, flux, incident, elements)
 
     def parts(self, n: int) -> list[Totals]:
         """Totals of each of `n` beams, whose batches take turns."""
@@ -297,6 +359,7 @@ class Totals:
                 self._rays[:, i::n],
                 self._flux.part(i, n),
                 None if self._incident is None else self._incident.part(i, n),
+                None if self._elements is None else self._elements.part(i, n),
             )
             for i in range(n)
         ]
@@ -315,24 +378,24 @@ class Totals:
         """Return the :class:`Tally` of all batches; of several orders side by side."""
         setup = self._sums.setup
         if not setup.orders:
-            return self._tally(self._rays[0], self._flux.total(np.array([True])))
+            return self._tally(self._rays[0], np.array([True]))
         return Tally.of_orders(
             [
                 self._tally(
                     setup.classes.rays(order, self._rays, setup.shape),
-                    self._flux.total(setup.classes.within(order)),
+                    setup.classes.within(order),
                 )
                 for order in setup.orders
             ]
         )
 
-    def _tally(self, rays: Integers, flux: Exact) -> Tally:
-        """Tally of the rays that are kept, and of their flux."""
+    def _tally(self, rays: Integers, within: Flags) -> Tally:
+        """Tally of the rays that are kept, and of the flux of some classes."""
         sums, setup = self._sums, self._sums.setup
         kind = np.uint64 if sums.counted else float
         scale = 1 if sums.counted else WEIGHT_SCALE
         n_batches = len(rays)
-        power = (scale * flux.powers()).astype(kind)
+        power = (scale * self._flux.total(within).powers()).astype(kind)
         direct = power[:, setup.n_collected + Fate.DIRECT]
         power = power[:, : setup.n_collected].reshape(n_batches, *setup.shape, -1)
         hits, fates = np.split(rays.astype(np.uint64), [setup.n_collected], 1)
@@ -349,12 +412,23 @@ class Totals:
             every = np.ones(len(self._rays), bool)
             incident = self._incident.total(every).powers()
         incident = (scale * incident).astype(kind)
-        return Tally(hits.sum(axis=0), power, incident, fates, scale, direct=direct)
+        found = hits.sum(axis=0), power, incident, fates, scale
+        if self._elements is None:
+            return Tally(*found, direct=direct)
+        elements = scale * self._elements.total(within).powers()
+        elements = elements.reshape(*power.shape[:-1], *elements.shape[-2:])
+        return PolarisedTally(*found, direct=direct, elements=elements)
 
 
 def packet_width() -> int:
     """Numbers of a bin, a power of two: hits and all channels."""
-    return 1 << len(mi.Spectrum()).bit_length()
+    return 1 << n_channels().bit_length()
+
+
+def n_numbers() -> int:
+    """Numbers of a bin in all, those of Mueller matrices among them."""
+    of_elements = len(ELEMENT_UNITS) * ELEMENT_WIDTH * n_channels()
+    return packet_width() + (of_elements if n_elements() else 0)
 
 
 def _scatter_add(

@@ -11,6 +11,7 @@ import mitsuba as mi
 
 from ..results.tally import Fate
 from ..single_precision import FEW_ROUNDINGS
+from . import polarisation
 
 # Weights and powers above these are no measurement of anything.
 MAX_WEIGHT = 2.0**15
@@ -29,11 +30,11 @@ def flux_context() -> mi.BSDFContext:
 
 
 def emitted(
-    weight: mi.Spectrum, sampler: mi.Sampler, analog: bool, uniform: bool
-) -> mi.Spectrum:
+    weight: mi.UnpolarizedSpectrum, sampler: mi.Sampler, analog: bool, uniform: bool
+) -> mi.UnpolarizedSpectrum:
     """Power of a new ray; for the analog estimator a whole number of that mean."""
     if not analog or uniform:
-        return mi.Spectrum(weight)
+        return mi.UnpolarizedSpectrum(weight)
     return whole_number(weight, sampler.next_1d(), sampler.next_1d())
 
 
@@ -48,6 +49,7 @@ def scattered(
     """What a surface samples, its weight for flux, and the direction in the world."""
     bs, weight = bsdf.sample(flux_context(), si, u1, u2, active)
     wo = si.to_world(bs.wo)
+    weight = polarisation.in_world(si, weight, bs.wo)
     return bs, weight * shading_normal_correction(si, ray, bs.wo, wo), wo
 
 
@@ -72,21 +74,28 @@ def after_event(
 ) -> tuple[mi.Spectrum, mi.UInt32]:
     """Throughput after a surface event, and its fate: REFLECTED means in flight.
 
-    The analog estimator gives two random `numbers`, the others None.
+    The analog estimator gives two random `numbers`, the others None. Weights of
+    polarised variants are given in frames of the world.
     """
-    largest, smallest = dr.max(bsdf_weight), dr.min(bsdf_weight)
+    light = polarisation.power_of(bsdf_weight)
+    largest, smallest = dr.max(light), dr.min(light)
     norm2 = dr.squared_norm(wo)
     zero = largest == 0
     # comparisons with NaN are false
     valid = (smallest >= 0) & (largest <= MAX_WEIGHT)
     valid &= zero | (dr.abs(norm2 - 1) < 1e-3)
-    product = throughput * dr.select(valid, bsdf_weight, 0.0)
-    valid &= dr.max(product) <= MAX_POWER
-    throughput = product if numbers is None else whole_number(product, *numbers)
-    left = dr.any(throughput >= MIN_POWER)
+    weight = dr.select(valid, bsdf_weight, 0.0)
+    product, realisable = polarisation.product(weight, throughput)
+    power = polarisation.power_of(product)
+    valid &= realisable
+    valid &= dr.max(power) <= MAX_POWER
+    if numbers is not None:
+        power = whole_number(power, *numbers)
+        product = polarisation.scaled(product, power)
+    left = dr.any(power >= MIN_POWER)
     fate = dr.select(left, mi.UInt32(Fate.REFLECTED), mi.UInt32(Fate.ABSORBED))
     fate = dr.select(zero & ~(bs.pdf > 0), mi.UInt32(Fate.REJECTED), fate)
-    return throughput, dr.select(valid, fate, mi.UInt32(Fate.INVALID))
+    return product, dr.select(valid, fate, mi.UInt32(Fate.INVALID))
 
 
 def survival_chance(β: mi.Spectrum, due: mi.Bool, most: float = 0.95) -> mi.Float:
@@ -94,11 +103,14 @@ def survival_chance(β: mi.Spectrum, due: mi.Bool, most: float = 0.95) -> mi.Flo
 
     In steps that random numbers of 23 bits hit exactly, and never 0.
     """
-    chance = dr.ceil(dr.minimum(dr.max(β), most) * 2.0**16) * 2.0**-16
+    power = dr.max(polarisation.power_of(β))
+    chance = dr.ceil(dr.minimum(power, most) * 2.0**16) * 2.0**-16
     return dr.select(due, chance, mi.Float(1.0))
 
 
-def whole_number(x: mi.Spectrum, u: mi.Float, v: mi.Float) -> mi.Spectrum:
+def whole_number(
+    x: mi.UnpolarizedSpectrum, u: mi.Float, v: mi.Float
+) -> mi.UnpolarizedSpectrum:
     """Random whole number with mean `x`, from two numbers in [0, 1) for all channels.
 
     A weight that exceeds a whole number by rounding alone counts as that number. Random
@@ -110,7 +122,7 @@ def whole_number(x: mi.Spectrum, u: mi.Float, v: mi.Float) -> mi.Spectrum:
     chosen = dr.select(rest < RARE, (u < RARE) & (v < rest / RARE), u < rest)
     above = chosen & ((x < 1) | (rest > x * FEW_ROUNDINGS))
     # of that type: a loop's variable does not change its own
-    return mi.Spectrum(floor + dr.select(above, 1.0, 0.0))
+    return mi.UnpolarizedSpectrum(floor + dr.select(above, 1.0, 0.0))
 
 
 def shading_normal_correction(

@@ -12,6 +12,7 @@ from ..results.tally import Fate
 from .beam import Beam
 from .exits import Exits, exits_of
 from .plane import Plane, repeated
+from .polarisation import in_beam, in_plane, in_world
 from .rays import START, encounter, flight_from, intersect, leaves_by_a_side, proceed
 from .specimen import Specimen
 from .surface_events import (
@@ -46,8 +47,8 @@ def scatter_plane(
 ) -> Exits:
     """Scatter every ray once where it lands on the plane; exact without ray tracing."""
     p, wi, _, weight = beam.sample(sampler, wavelengths)
-    throughput = emitted(weight, sampler, settings.analog, beam.uniform)
-    lit = dr.any(throughput > 0)
+    power = emitted(weight, sampler, settings.analog, beam.uniform)
+    lit = dr.any(power > 0)
     if beam.footprint == "point":
         uv, inside = mi.Point2f(0.5), mi.Bool(True)
     else:
@@ -62,15 +63,16 @@ def scatter_plane(
     bs, bsdf_weight = plane.bsdf.sample(flux_context(), si, u1, u2, lit & inside)
     wo = si.to_world(bs.wo)
     numbers = (sampler.next_1d(), sampler.next_1d()) if settings.analog else None
-    exit_throughput, fate = after_event(throughput, bsdf_weight, bs, wo, numbers)
+    bsdf_weight = in_world(si, bsdf_weight, bs.wo)
+    throughput, fate = after_event(in_beam(power, -wi), bsdf_weight, bs, wo, numbers)
     if settings.delta_only:
         left = fate == mi.UInt32(Fate.REFLECTED)
         fate = dr.select(left & ~is_delta(bs), mi.UInt32(Fate.INTEGRATED), fate)
     fate = dr.select(inside, fate, mi.UInt32(Fate.MISSED))
     fate = dr.select(lit, fate, mi.UInt32(Fate.UNLIT))
-    incident = dr.select(inside & lit, throughput, 0.0)
+    incident = dr.select(inside & lit, power, 0.0)
     depth = dr.select(inside & lit, mi.UInt32(1), 0)
-    return Exits(p, wo, exit_throughput, fate, incident, depth)
+    return Exits(p, wo, in_plane(throughput, wo), fate, incident, depth)
 
 
 @dr.syntax
@@ -86,7 +88,8 @@ def trace(
 
     `deposits`, a :class:`~.next_event.Deposits`, is told of every event.
     """
-    ray, β = sent(specimen, beam, sampler, wavelengths, settings.analog)
+    ray, power = sent(specimen, beam, sampler, wavelengths, settings.analog)
+    β = in_beam(power, ray.d)
     flight = flight_from(specimen, ray)
 
     flags = mi.RayFlags.All | mi.RayFlags.dNSdUV
@@ -95,8 +98,8 @@ def trace(
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
 
-    lit = dr.any(β > 0)
-    incident = mi.Spectrum(β)  # Power that met the specimen
+    lit = dr.any(power > 0)
+    incident = mi.UnpolarizedSpectrum(power)  # Power that met the specimen
     depth = mi.UInt32(0)  # Surface events so far
     # what passes a periodic cell without any event has passed the specimen
     passed = Fate.DIRECT if specimen.periodic else Fate.MISSED
@@ -165,7 +168,7 @@ def sent(
     sampler: mi.Sampler,
     wavelengths: mi.Spectrum,
     counted: bool,
-) -> tuple[mi.Ray3f, mi.Spectrum]:
+) -> tuple[mi.Ray3f, mi.UnpolarizedSpectrum]:
     """New rays and their power.
 
     They start just above the footprint, to which nothing stands in the way; grazing,

@@ -64,6 +64,15 @@ def check_variant(accepts: Callable[[str], bool] = is_usable) -> None:
         llvm.check()
 
 
+def check_unpolarised(what: str) -> None:
+    """Raise :class:`VariantError` if the variant is polarised, for `what` is not."""
+    if is_polarised(mi.variant()):
+        raise VariantError(
+            f"{what} needs an unpolarised variant, such as "
+            f"{unpolarised(mi.variant())}, got {mi.variant()}"
+        )
+
+
 def processor() -> str:
     """Text on the processor that kernels of the variant are compiled for.
 

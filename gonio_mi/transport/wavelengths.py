@@ -21,11 +21,11 @@ def passes(nm: Any) -> list[Any]:
     return [nm[i : i + 4] for i in range(0, len(nm), 4)]
 
 
-def wavelength_lanes(nm: tuple[float, ...] | None) -> mi.Spectrum:
+def wavelength_lanes(nm: tuple[float, ...] | None) -> mi.UnpolarizedSpectrum:
     """Up to four wavelengths for Mitsuba, the last one repeated; none without `nm`."""
     if nm is None:
         return mi.Color0f()
-    lanes = mi.Spectrum([*nm, *[nm[-1]] * (4 - len(nm))])
+    lanes = mi.UnpolarizedSpectrum([*nm, *[nm[-1]] * (4 - len(nm))])
     dr.make_opaque(lanes)
     return lanes
 
@@ -103,7 +103,7 @@ def _values(texture: Any, nm: Iterable[float]) -> NDArray[np.float64]:
     si.uv = sampler.next_2d()
     values = []
     for x in nm:
-        si.wavelengths = mi.Spectrum(float(x))
+        si.wavelengths = mi.UnpolarizedSpectrum(float(x))
         values.append(np.array(texture.eval(si))[0] + np.zeros(N_POINTS))
     return np.array(values)
 

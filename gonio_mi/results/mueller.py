@@ -1,0 +1,225 @@
+"""Mueller matrices of one incident direction, with their uncertainties."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..array_types import Floats
+from ..errors import SettingError, shown
+from ..single_precision import ROUNDING
+from . import statistics
+from .estimates import MIN_DEPOSITS, MIN_EVEN_HITS, MIN_HITS, SampledEstimates
+from .tally import WEIGHT_SCALE, PolarisedTally, Tally
+
+# How far the polarised part of a Stokes vector may exceed its first element: rounding.
+STOKES_ROUNDING = 1e-9
+
+
+def checked_stokes(stokes: object) -> Floats:
+    """Stokes vector of real light, shape (4,).
+
+    Raises
+    ------
+    ValueError
+        If it is not four numbers, or light without power or too much polarised.
+    """
+    try:
+        vector = np.array(stokes, dtype=float)
+    except (TypeError, ValueError):
+        vector = np.zeros(0)
+    if vector.shape != (4,) or not np.isfinite(vector).all():
+        raise SettingError(f"stokes must be four numbers I Q U V, got {shown(stokes)}")
+    polarised = np.linalg.norm(vector[1:])
+    if not vector[0] > 0 or polarised > vector[0] * (1 + STOKES_ROUNDING):
+        raise SettingError(
+            "stokes must be light, with I above 0 and Q^2 + U^2 + V^2 at most I^2, got "
+            f"{shown(stokes)}"
+        )
+    return vector
+
+
+@dataclass(frozen=True, eq=False)
+class MuellerEstimates:
+    """Estimates of all elements, of which the first is that of the `light`.
+
+    Hemisphere 0 is the emitter's side. Matrices of its patches have the shape
+    ``(n_theta, n_phi, channels, 4, 4)``, those of its total ``(channels, 4, 4)``.
+
+    Attributes
+    ----------
+    tally : PolarisedTally
+    light : SampledEstimates
+        Of the first elements.
+    """
+
+    tally: PolarisedTally
+    light: SampledEstimates
+
+    def fraction(self, hemisphere: int) -> Floats:
+        """Flux fractions of each patch."""
+        return statistics.ratio(self.tally.matrices(hemisphere), self._incident)
+
+    def std_err(self, hemisphere: int) -> Floats:
+        """Standard errors of :meth:`fraction`; NaN where no ray carried anything.
+
+        From the scatter of the batches; where a patch is `pooled`, at least that of
+        the first element.
+        """
+        first = self.light.std_err(hemisphere)[..., None, None]
+        pooled = self.light.pooled(hemisphere)[..., None, None]
+        found = np.fmax(self._scatter(hemisphere), np.where(pooled, first, 0.0))
+        return _with_first(np.where(np.isnan(first), np.nan, found), first)
+
+    def total(self, hemisphere: int) -> Floats:
+        """Flux fraction of all patches together."""
+        return statistics.ratio(self._sum(hemisphere), self._incident[:, 0, 0])
+
+    def total_std_err(self, hemisphere: int) -> Floats:
+        """Standard errors of :meth:`total`, from the batches."""
+        return statistics.batch_std_err(self._sum(hemisphere), self._incident[:, 0, 0])
+
+    def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
+        """Limits of :meth:`fraction`.
+
+        By Student's t over the batches, but where few rays came, or where a patch is
+        `pooled`: half the sum and half the difference of the first element and another
+        are fluxes without a sign, which have limits like the first one, and the
+        differences of these limit the other element.
+        """
+        hits = self.light.hits[hemisphere][..., None]
+        low, high = self._student(
+            self.fraction(hemisphere), self._scatter(hemisphere), hits, level
+        )
+        few = (hits < self._enough) | self.light.pooled(hemisphere)
+        if few.any():
+            (low_sum, high_sum), (low_rest, high_rest) = (
+                [_as_matrices(limit, len(few[0, 0])) for limit in limits]
+                for limits in self._half_limits(hemisphere, (1 + level) / 2)
+            )
+            few = few[..., None, None]
+            low = np.where(few, low_sum - high_rest, low)
+            high = np.where(few, high_sum - low_rest, high)
+        first = self.light.interval(hemisphere, level)
+        low, high = (
+            _with_first(limit, one[..., None, None])
+            for limit, one in zip((low, high), first)
+        )
+        return low, high
+
+    def total_interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
+        """Limits of :meth:`total`, by Student's t."""
+        value, std_err = self.total(hemisphere), self.total_std_err(hemisphere)
+        hits = self.light.hits[hemisphere].sum()
+        limits = self._student(value, std_err, hits, level)
+        first = self.light.total_interval(hemisphere, level)
+        low, high = (
+            _with_first(limit, one[..., None, None])
+            for limit, one in zip(limits, first)
+        )
+        return low, high
+
+    def stokes(self, hemisphere: int, vector: Floats) -> tuple[Floats, Floats]:
+        """Stokes vectors of each patch for incident light, and their standard errors.
+
+        Of the shape ``(n_theta, n_phi, channels, 4)``; the errors of the elements,
+        which are not independent, are in the batches.
+        """
+        sums, incident = (
+            self.tally.matrices(hemisphere) @ vector,
+            self._incident[..., 0],
+        )
+        dark = self.light.dark(hemisphere)[..., None]
+        std_err = np.where(dark, np.nan, statistics.batch_std_err(sums, incident))
+        return statistics.ratio(sums, incident), std_err
+
+    def total_stokes(self, hemisphere: int, vector: Floats) -> tuple[Floats, Floats]:
+        """The same of all patches together, of the shape ``(channels, 4)``."""
+        sums, incident = (
+            self._sum(hemisphere) @ vector,
+            self._incident[:, 0, 0, :, :, 0],
+        )
+        return (
+            statistics.ratio(sums, incident),
+            statistics.batch_std_err(sums, incident),
+        )
+
+    @property
+    def _incident(self) -> Floats:
+        """Incident flux per batch, broadcastable to matrices of one hemisphere."""
+        return self.tally.incident[:, None, None, :, None, None].astype(float)
+
+    @property
+    def _enough(self) -> int:
+        """Hits of a patch from which Student's t is good."""
+        if self.light.deposited:
+            return MIN_DEPOSITS
+        return MIN_HITS if self.light.independent else MIN_EVEN_HITS
+
+    def _sum(self, hemisphere: int) -> Floats:
+        """Sums over the patches of one hemisphere, per batch."""
+        found: Floats = self.tally.matrices(hemisphere).sum(axis=(1, 2))
+        return found
+
+    def _scatter(self, hemisphere: int) -> Floats:
+        """Standard errors from the batches alone."""
+        return statistics.batch_std_err(self.tally.matrices(hemisphere), self._incident)
+
+    def _student(
+        self, value: Floats, std_err: Floats, hits: Floats, level: float
+    ) -> tuple[Floats, Floats]:
+        """Limits by Student's t, which leaves open what too few rays show."""
+        light = value[..., :1, :1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            weight = light * self.light.rays / np.asarray(hits)[..., None, None]
+        unseen = statistics.upper_limit(self.light.rays, level) * weight
+        least = np.fmax(unseen, ROUNDING * light)
+        return statistics.student_interval(
+            value, std_err, self.tally.n_batches, level, least, least
+        )
+
+    def _half_limits(
+        self, hemisphere: int, level: float
+    ) -> list[tuple[Floats, Floats]]:
+        """Limits of half the sums and differences of all elements and the first.
+
+        Channels run fastest in them, then elements.
+        """
+        tally, unit = self.tally, WEIGHT_SCALE / self.tally.scale
+        first = tally.sums[..., None, :] * unit
+        others = np.concatenate([first, tally.elements * unit], axis=-2)
+        incident = np.tile(tally.incident * unit, (1, 16))
+        found = []
+        for sign in (1, -1):
+            sums = np.maximum(first + sign * others, 0) / 2
+            half = Tally(
+                tally.hits,
+                sums.reshape(*tally.sums.shape[:-1], -1),
+                incident,
+                tally.fates,
+                WEIGHT_SCALE,
+            )
+            light = self.light
+            estimates = SampledEstimates(
+                half,
+                independent=light.independent,
+                deposited=light.deposited,
+                passes=light.passes,
+            )
+            found.append(estimates.interval(hemisphere, level))
+        return found
+
+
+def _as_matrices(elements: Floats, channels: int) -> Floats:
+    """Matrices (..., channels, 4, 4) of numbers whose channels run fastest."""
+    apart = elements.reshape(*elements.shape[:-1], 16, channels)
+    swapped = np.swapaxes(apart, -1, -2)
+    return swapped.reshape(*swapped.shape[:-1], 4, 4)
+
+
+def _with_first(matrices: Floats, first: Floats) -> Floats:
+    """Matrices with other first elements, of the shape (..., 1, 1)."""
+    matrices = matrices.copy()
+    matrices[..., 0, 0] = first[..., 0, 0]
+    return matrices

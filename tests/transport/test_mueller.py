@@ -1,0 +1,262 @@
+"""Mueller matrices measured in polarised variants, against closed forms in NumPy."""
+
+import mitsuba as mi
+import mueller
+import numpy as np
+import pytest
+from budget import agree, disagree, normal_scores, often_enough, verdict
+
+import gonio_mi as gonio
+from gonio_mi.collector.directions import direction
+
+VARIANT = "llvm_ad_mono_polarized"
+
+# Single precision, after some dozens of operations on elements up to 1.
+ROUNDING = 4e-6
+
+METAL = 0.2 + 3.0j
+CONDUCTOR = {"type": "conductor", "eta": METAL.real, "k": METAL.imag}
+FEW = {"rays": 256, "batches": 2, "collector": "projected:4x8"}
+FINE = {"rays": 4096, "collector": "projected:20x36", "footprint": "full"}
+
+
+@pytest.fixture(autouse=True)
+def polarised(unmoved):  # noqa: ARG001 (which sets another variant before)
+    """Run the tests in a polarised variant."""
+    if VARIANT not in mi.variants():
+        pytest.skip("not in this build")
+    mi.set_variant(VARIANT)
+    yield
+    mi.set_variant("llvm_ad_mono")
+
+
+def _wi(theta_i, phi_i):
+    return direction(np.radians(theta_i), np.radians(phi_i))
+
+
+def test_smooth_conductor_is_fresnel():
+    theta_i = [0, 30, 60, 80]
+    stack = gonio.measure(CONDUCTOR, theta_i, [0, 70], **FEW)  # share launches
+    due = mueller.reflection(np.cos(np.radians(np.repeat(theta_i, 2))), METAL)
+    assert np.allclose(stack.dhr_mueller[:, 0], due, rtol=0, atol=ROUNDING)
+    assert np.array_equal(stack.dhr_mueller[..., 0, 0], stack.dhr)
+    assert np.array_equal(stack.brdf_mueller[..., 0, 0], stack.brdf)
+
+
+def test_smooth_dielectric_is_fresnel():
+    """Brewster's angle among others; and total reflection, which has a phase."""
+    brewster = np.degrees(np.arctan(1.5))
+    glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
+    stack = gonio.measure(glass, [30, brewster, 80], 20, **FEW)
+    cosine = np.cos(np.radians(stack.theta_i))
+    for found, due in (
+        (stack.dhr_mueller, mueller.reflection(cosine, 1.5)),
+        (stack.dht_mueller, mueller.transmission(cosine, 1.5)),
+    ):
+        # how many rays are reflected is chance, of which light is not
+        of_light = found[:, 0] / found[:, 0, :1, :1]
+        assert np.allclose(of_light, due / due[:, :1, :1], rtol=0, atol=ROUNDING)
+    from_glass = glass | {"int_ior": 1.0, "ext_ior": 1.5}
+    inside = gonio.measure(from_glass, [50, 70], 20, **FEW)
+    cosine = np.cos(np.radians(inside.theta_i))
+    due = mueller.reflection(cosine, 1 / 1.5)
+    assert np.allclose(inside.dhr_mueller[:, 0], due, rtol=0, atol=ROUNDING)
+    assert np.abs(due[:, 2, 3]).min() > 0.1
+
+
+def test_plates_are_closed_forms():
+    """Polariser, upright and tilted, wave plates and circular polariser."""
+    theta = 30.0
+    fast = np.array([np.cos(np.radians(theta)), -np.sin(np.radians(theta)), 0])
+    slow = np.cross([0, 0, 1], fast)
+    down = -_wi(0, 0)
+    stack = gonio.measure({"type": "polarizer", "theta": theta}, 0, **FEW)
+    due = mueller.of_path(down, down, mueller.polariser(down, slow))
+    assert np.allclose(stack.dht_mueller[0], due, rtol=0, atol=ROUNDING)
+    tilted = gonio.measure({"type": "polarizer"}, 40, 20, **FEW)
+    k = -_wi(40, 20)
+    due = mueller.of_path(k, k, mueller.polariser(k, [0.0, 1.0, 0.0]))
+    assert np.allclose(tilted.dht_mueller[0], due, rtol=0, atol=ROUNDING)
+    for delta in (90.0, 180.0):
+        plate = {"type": "retarder", "theta": theta, "delta": delta}
+        record = gonio.measure(plate, 0, **FEW)
+        late = np.exp(1j * np.radians(delta))
+        field = np.outer(fast, fast) + late * np.outer(slow, slow)
+        due = mueller.of_path(down, down, field)
+        assert np.allclose(record.dht_mueller[0], due, rtol=0, atol=ROUNDING)
+    circular = gonio.measure({"type": "circular"}, 0, **FEW)
+    due = np.zeros((4, 4))
+    due[::3, ::3] = 0.5
+    assert np.allclose(circular.dht_mueller[0], due, rtol=0, atol=ROUNDING)
+
+
+def _wall(centre, normal, bsdf, scale=1.0):
+    """Square wall about a point that faces along a normal."""
+    centre, normal = np.asarray(centre, float), np.asarray(normal, float)
+    transform = mi.ScalarTransform4f().look_at(
+        centre.tolist(), (centre + normal).tolist(), [0.1, 1.0, 0.3]
+    )
+    return {
+        "type": "rectangle",
+        "to_world": transform @ mi.ScalarTransform4f().scale(scale),
+        "bsdf": bsdf,
+    }
+
+
+def _after_two(record, wi, walls, index):
+    """Matrix of the patch that light reaches after two walls, and what is due there."""
+    k, fields = -wi, []
+    for normal in walls:
+        k, field = mueller.reflected(k, normal, index)
+        fields.append(field)
+    patch = np.unravel_index(int(record.subdivision.patch(k)), record.counts[0].shape)
+    ledger = record.ledger
+    share = record.counts[0][patch] / (ledger.emitted - ledger.missed)
+    assert share > 0
+    omega = record.subdivision.projected_solid_angles[patch]
+    found = record.brdf_mueller[(*patch, 0)] * omega / share
+    return found, mueller.of_path(-wi, k, *fields)
+
+
+def test_mirrors_in_crossed_planes_are_jones_calculus():
+    lower, upper = [1.0, 0.0, 1.0], [-1.0, 0.5, 0.9]
+    scene = {
+        "type": "scene",
+        "a": _wall([-1.5, 0, 0], lower, CONDUCTOR),
+        "b": _wall([1.5, 0, 0], upper, CONDUCTOR, 2.0),
+    }
+    for theta_i, phi_i in ((0, 0), (10, 30)):
+        record = gonio.measure(scene, theta_i, phi_i, order=2, **FEW | FINE)
+        wi = _wi(theta_i, phi_i)
+        found, due = _after_two(record, wi, (lower, upper), METAL)
+        assert np.allclose(found, due, rtol=0, atol=ROUNDING)
+        # not the product in the other order
+        assert not np.allclose(found, due.T, rtol=0, atol=0.01)
+
+
+def test_dielectric_groove_is_jones_calculus():
+    glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
+    left, right = [0.8, 0.0, 0.6], [-0.8, 0.0, 0.6]
+    scene = {
+        "type": "scene",
+        "a": _wall([-0.6, 0, 0], left, glass),
+        "b": _wall([0.6, 0, 0], right, glass),
+    }
+    record = gonio.measure(scene, 20, 60, order=2, **FEW | FINE)
+    for walls in ((left, right), (right, left)):
+        found, due = _after_two(record, _wi(20, 60), walls, 1.5)
+        assert np.allclose(found / found[0, 0], due / due[0, 0], rtol=0, atol=ROUNDING)
+
+
+def test_polarisers_obey_malus():
+    for theta in (0.0, 35.0, 90.0):
+        scene = {
+            "type": "scene",
+            "upper": {
+                "type": "rectangle",
+                "to_world": mi.ScalarTransform4f().translate([0, 0, 0.5]),
+                "bsdf": {"type": "polarizer"},
+            },
+            "lower": {
+                "type": "rectangle",
+                "bsdf": {"type": "polarizer", "theta": theta},
+            },
+        }
+        record = gonio.measure(scene, 0, **FEW)
+        cosine = np.cos(np.radians(theta))
+        assert np.allclose(record.dht, cosine**2 / 2, rtol=0, atol=ROUNDING)
+        assert np.all(np.abs(record.dht_mueller) <= record.dht + ROUNDING)
+
+
+ROUGH = {
+    "type": "roughconductor",
+    "distribution": "ggx",
+    "alpha": 0.3,
+    "eta": METAL.real,
+    "k": METAL.imag,
+}
+STATISTICAL = {"collector": "projected:6x8", "sampler": "independent", "batches": 16}
+
+
+def _patch_means(function, subdivision, n=12):
+    """Means over patches of a function of directions, by Gauss-Legendre rules."""
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    theta_low, theta_high, phi_low, phi_high = subdivision.cells.T[..., None, None]
+    middle = (theta_low + theta_high) / 2, (phi_low + phi_high) / 2
+    theta = middle[0] + (theta_high - theta_low) / 2 * nodes[:, None]
+    phi = middle[1] + (phi_high - phi_low) / 2 * nodes
+    measure = weights[:, None] * weights * np.sin(theta) * np.cos(theta)
+    values = function(direction(*np.broadcast_arrays(theta, phi)))
+    total = np.sum(measure[..., None, None] * values, axis=(1, 2))
+    means = total / np.sum(measure + 0 * phi, axis=(1, 2))[:, None, None]
+    return means.reshape(*subdivision.shape, 4, 4)
+
+
+@pytest.fixture(scope="module")
+def facets():
+    wi = _wi(50, 20)
+    return _patch_means(
+        lambda wo: mueller.rough_conductor(wi, wo, ROUGH["alpha"], METAL),
+        gonio.EqualProjectedSolidAngle(6, 8),
+    )
+
+
+def test_rough_conductor_is_facets_in_all_elements(facets):
+    record = gonio.measure(ROUGH, 50, 20, rays=2**20, **STATISTICAL)
+    lit = record.counts[0] > 2000
+    assert lit.sum() > 25
+    values, std_err = record.brdf_mueller[lit][:, 0], record.brdf_mueller_std_err[lit]
+
+    def z(due, i, j):
+        t = (values - due[lit])[:, i, j] / std_err[:, 0, i, j]
+        return normal_scores(t, record.n_batches - 1)
+
+    for i in range(4):
+        for j in range(4):
+            if (i, j) not in ((0, 3), (3, 0)):  # no light, but for rounding
+                agree(verdict(z(facets, i, j)))
+    flipped = np.diag([1, 1, 1, -1]) @ facets
+    disagree(verdict(z(flipped, 3, 2)))
+    disagree(verdict(z(facets.swapaxes(-1, -2), 0, 1)))
+
+
+def test_intervals_cover_all_elements(facets):
+    covered = []
+    for seed in range(12):
+        record = gonio.measure(ROUGH, 50, 20, rays=2**13, seed=seed, **STATISTICAL)
+        low, high = record.interval(0.95, "brdf_mueller")
+        covered.append((low[:, :, 0] <= facets) & (facets <= high[:, :, 0]))
+    for where in (facets[..., 0, 0] > 0.2, facets[..., 0, 0] < 0.2):
+        agree(often_enough(np.mean(np.array(covered)[:, where], axis=(1, 2, 3))))
+
+
+def test_a_record_is_all_there(tmp_path):
+    """Files, Stokes vectors, and what is refused, each in one sentence."""
+    record = gonio.measure(ROUGH, [0, 50], 20, rays=2**13, **STATISTICAL)
+    assert record.brdf_mueller.shape == (2, 6, 8, 1, 4, 4)
+    for ending in ("npz", "exr"):
+        record.save(tmp_path / f"run.{ending}")
+        assert gonio.load(tmp_path / f"run.{ending}") == record
+    half = gonio.measure(ROUGH, 50, 20, rays=2**13, seed=7, **STATISTICAL)
+    both = record[1].merge(half)
+    assert np.allclose(
+        both.dhr_mueller, (record[1].dhr_mueller + half.dhr_mueller) / 2, rtol=1e-12
+    )
+    values, std_err = record.stokes([1, 1, 0, 0])
+    due = record.brdf_mueller[..., 0] + record.brdf_mueller[..., 1]
+    assert np.allclose(values, due, rtol=1e-12)
+    assert np.isfinite(std_err[record.counts[:, 0] > 0]).all()
+    for wrong in ([1, 1, 1, 0], [0, 0, 0, 0], [1, 0], "light"):
+        with pytest.raises(ValueError, match="stokes must be"):
+            record.stokes(wrong)
+    with pytest.raises(ValueError, match=r"\.xml holds no Mueller matrices"):
+        gonio.export(record, tmp_path / "run.xml")
+    gonio.export(record[1], tmp_path / "run.csv")
+    head = (tmp_path / "run.csv").read_text().splitlines()
+    (names,) = (line for line in head if line.startswith("theta_i,"))
+    assert "M01" in names
+    assert "sigma_M33" in names
+    with pytest.raises(gonio.VariantError, match="quadrature needs an unpolarised"):
+        gonio.measure(ROUGH, 50, estimator="quadrature")
+    with pytest.raises(gonio.VariantError, match="tolerance needs an unpolarised"):
+        gonio.campaign({"metal": ROUGH}, tolerance=0.1)
