@@ -7,10 +7,10 @@ vectors of 8 numbers (AVX2). Dr.Jit needs fused products, hence no less than tha
 import gonio_mi  # noqa: F401
 
 # isort: split
-import ctypes
 import gc
 import math
 import os
+import runpy
 import sys
 from pathlib import Path
 
@@ -25,18 +25,11 @@ from gonio_mi import progress
 def pytest_configure(config):
     """Share the processor's cores, and limit kernels to the target of the user."""
     share_cores(config)
-    target = os.environ.get("GONIO_LLVM_TARGET")
-    if not target:
-        return
-    processor, width = target.split(":")
-    before = mi.variant()
-    mi.set_variant("llvm_ad_mono")
-    dr.eval(dr.arange(mi.Float, 2) + 1)  # Dr.Jit has found out the processor's own
-    core = ctypes.CDLL(str(Path(dr.__file__).parent / "libdrjit-core.so"))
-    set_target = core._Z19jit_llvm_set_targetPKcS0_j  # no Python function calls it
-    set_target(processor.encode(), None, ctypes.c_uint32(int(width)))
-    if before:
-        mi.set_variant(before)
+    if os.environ.get("GONIO_LLVM_TARGET"):
+        folder = Path(__file__).parent / "tools" / "llvm_target"
+        paths = [str(folder), os.environ.get("PYTHONPATH", "")]
+        os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
+        runpy.run_path(str(folder / "sitecustomize.py"))
 
 
 def share_cores(config):
