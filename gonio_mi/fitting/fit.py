@@ -364,7 +364,12 @@ class Fit:
 
     def __str__(self) -> str:
         width = max(map(len, self.names))
-        lines = [specimen_name(self.bsdf)]
+        # seven digits are what Mitsuba's single precision keeps
+        short = {
+            key: float(f"{value:.7g}") if isinstance(value, float) else value
+            for key, value in self.bsdf.items()
+        }
+        lines = [specimen_name(short)]
         errors = self.std_errs
         correlation = self.covariance / np.outer(errors, errors)
         for i, name in enumerate(self.names):
