@@ -150,10 +150,11 @@ def _finish(
         return
     for left in range(retries, -1, -1):
         with _started(executor) as pool:
-            replaceable = left > 0 and not isinstance(executor, Executor)
-            todo = _shared_out(todo, pool, keep, replaceable)
-        if not todo:
+            todo, death = _shared_out(todo, pool, keep)
+        if death is None:
             return
+        if not left or isinstance(executor, Executor):
+            raise death
         warnings.warn(
             f"a worker died; {len(todo)} tasks are sent again",
             RuntimeWarning,
@@ -163,20 +164,18 @@ def _finish(
 
 def _shared_out(
     todo: Sequence[Task],
-    pool: Any,
+    pool: Executor,
     keep: Callable[[Task, Record], None],
-    replaceable: bool,
-) -> list[Task]:
-    """Keep what a pool measures; return the tasks of workers that died."""
+) -> tuple[list[Task], BrokenExecutor | None]:
+    """Keep what a pool measures; return the tasks of workers that died, and of what."""
     missing = {pool.submit(run_task, task): task for task in todo}
-    lost = []
+    lost, death = [], None
     try:
         for future in as_completed(list(missing)):
             try:
                 record = future.result()
-            except BrokenExecutor:
-                if not replaceable:
-                    raise
+            except BrokenExecutor as error:
+                death = error
                 lost.append(missing.pop(future))
                 continue
             keep(missing[future], record)
@@ -186,7 +185,7 @@ def _shared_out(
         for future, task in missing.items():
             if not future.cancel() and future.done() and not future.exception():
                 keep(task, future.result())
-    return lost
+    return lost, death
 
 
 def _started(executor: Any) -> AbstractContextManager[Any]:

@@ -169,7 +169,7 @@ def run(options: Namespace) -> int:
     from ..plots import check_picture
     from ..surfaces.images import image_heights
     from ..surfaces.micro_normals import micro_normals
-    from ..surfaces.topography import topography
+    from ..surfaces.topography import Preparation, topography
 
     if options.output is not None:
         check_picture(options.output)
@@ -180,7 +180,7 @@ def run(options: Namespace) -> int:
         given = given_options(options, HEIGHT_MAP)
         given["height_range"] = given.pop("range", None)
         source = read_height_map(Path(name), image_heights)
-        found = topography(source, periodic=specimen["periodic"], **given)
+        found = topography(source, Preparation(periodic=specimen["periodic"], **given))
         joined = found.periodic
         tell(found.summary() + "\n")
         for concern in found.concerns():

@@ -1,8 +1,6 @@
 """A specimen, measured the way that a table or a record was."""
 
-import contextlib
 import warnings
-from collections.abc import Iterator
 from typing import Any
 
 import mitsuba as mi
@@ -155,7 +153,10 @@ def _like_table(
                 # the table may be a record's, of rays with this seed
                 own = int(np.random.SeedSequence((seed, n)).generate_state(1)[0])
             place = {"theta_i": theta_i, "phi_i": phi_i, "collector": collector}
-            with _errors_speak(automatic):
+            with warnings.catch_warnings():
+                if automatic:  # nobody asked for a precision: the comparison knows it
+                    ignored = "(rel_err|noise) of .* was not reached"
+                    warnings.filterwarnings("ignore", ignored)
                 try:
                     record = measure_whole(specimen, **place, seed=own, **settings)
                 except SpecimenError:
@@ -209,15 +210,6 @@ def _noise(table: MeasuredTable, patches: Subdivision) -> float:
     return float(
         np.clip(ERROR_RATIO * typical, MIN_REL_ERR, MAX_REL_ERR) / np.sqrt(2 * np.pi)
     )
-
-
-@contextlib.contextmanager
-def _errors_speak(automatic: bool) -> Iterator[None]:
-    """No warning of a precision that nobody asked for: the comparison knows it."""
-    with warnings.catch_warnings():
-        if automatic:
-            warnings.filterwarnings("ignore", "(rel_err|noise) of .* was not reached")
-        yield
 
 
 def _like_record(

@@ -167,7 +167,7 @@ def part_names(
     channels = record.channels if len(record.channels) > 1 else ("",)
     parts = {
         (hemisphere, number): f"{stem}.{quantity}{channel}{ending}"
-        for hemisphere, quantity in enumerate(("brdf", "btdf")[: 1 + record.has_lower])
+        for hemisphere, quantity in enumerate(("brdf", "btdf")[: record.n_hemispheres])
         for number, channel in enumerate(channels)
     }
     if len(parts) == 1:

@@ -53,9 +53,8 @@ def write_measured(
     ValueError
         If the record's incident directions are no grid.
     """
-    spectral = _is_spectral(record)
-    wavelengths: Any = wavelengths_nm(record.channels)
-    fields = _fields(Material(record), wavelengths, spectral, progress)
+    wavelengths = _checked_wavelengths(record)
+    fields = _fields(Material(record), wavelengths, progress)
     fields = {name: array.astype(np.float32) for name, array in fields.items()}
     text = record.provenance.name.encode()
     fields["description"] = np.frombuffer(text, np.uint8)
@@ -64,7 +63,7 @@ def write_measured(
         tensor_file.write(fields, stream)
     with open(path, "rb") as stream:
         tensor_file.read(stream)
-    nm = wavelengths.tolist() if spectral else None
+    nm = None if wavelengths is None else wavelengths.tolist()
     return losses(record, _written(str(path), record, nm, progress))
 
 
@@ -133,10 +132,10 @@ def _asked(
     return np.reshape([one.numpy() for one in sums], shape) / (2 * size)
 
 
-def _is_spectral(record: Record) -> bool:
-    """Whether the file is for spectral variants, or raise."""
-    spectral = wavelengths_nm(record.channels) is not None
-    wanted = "spectral" if spectral else "rgb"
+def _checked_wavelengths(record: Record) -> Floats | None:
+    """Wavelengths of a file for spectral variants, None for colours; or raise."""
+    wavelengths = wavelengths_nm(record.channels)
+    wanted = "rgb" if wavelengths is None else "spectral"
     if not (mi.variant() or "").endswith(wanted):
         raise VariantError(
             f"Mitsuba's measured needs a variant of {wanted} for a .bsdf file of "
@@ -144,16 +143,16 @@ def _is_spectral(record: Record) -> bool:
             f"llvm_ad_{wanted}, got "
             f"{mi.variant()}"
         )
-    if not spectral and record.channels not in (("Y",), ("R", "G", "B")):
+    if wavelengths is None and record.channels not in (("Y",), ("R", "G", "B")):
         raise SettingError(
             "a .bsdf file takes records of one channel, of R, G, B or of wavelengths, "
             f"got {abridged(', '.join(record.channels), 80)}"
         )
-    return spectral
+    return wavelengths
 
 
 def _fields(
-    material: Material, wavelengths: Any, spectral: bool, progress: bool
+    material: Material, wavelengths: Floats | None, progress: bool
 ) -> dict[str, Numbers]:
     """Arrays of the file, except texts."""
     theta_i, phi_i = material.theta_i, material.phi_i
@@ -177,7 +176,7 @@ def _fields(
         "vndf": np.ones((*values.shape[:2], 2, 2)),
         "luminance": _importance(values.mean(axis=2), theta_i, azimuths, origins),
     }
-    if spectral:
+    if wavelengths is not None:
         order = np.argsort(wavelengths)
         fields["wavelengths"] = wavelengths[order]
         fields["spectra"] = values[:, :, order]

@@ -21,7 +21,7 @@ from ..formats.tensor_tree import grid_directions
 from ..results.record import Record
 from .daylight import of_daylight
 from .loss import Loss, fractions_of, losses
-from .resampling import Material, resampled
+from .resampling import Material, resampled, specular_peaks
 
 # Cells per axis of tensor trees; those of rank 3 are cheap enough to be finer.
 TREE_SIZES = {3: 64, 4: 32}
@@ -154,13 +154,13 @@ class Side:
         self.record, self.progress = record, progress
         self.rank = RANKS.get(basis)
         self.face = record.asked.side
-        self.hemispheres = range(1 + record.has_lower)
+        self.hemispheres = range(record.n_hemispheres)
         #: patches of exit of the file
         self.patches = _patches_of(record, basis)
         self.measured = _is_measured(record, basis, self.patches)
         if not self.measured:
             _check_resampled(record, self.rank)
-            self.material = Material(record, apart=True)
+            self.material = Material(record, specular_peaks(record))
 
     def blocks(self, colours: int = 1) -> dict[tuple[str, str], Any]:
         """Matrices or trees by wavelength and direction, of so many channels."""

@@ -53,18 +53,18 @@ class Material:
     Parameters
     ----------
     record : Record
-    apart : bool
-        Whether the peaks at the mirror direction, and straight on, are taken out.
+    peaks : ndarray, shape (n_incident, n_hemispheres, channels), optional
+        Flux fractions at the mirror direction, and straight on, that are taken out: see
+        :func:`specular_peaks`.
 
     Attributes
     ----------
     theta_i, phi_i : ndarray
         The record's incident directions in degrees, ascending.
     channels : tuple of str
-    has_lower : bool
     table : LobeTable
     peaks : ndarray, shape (P, N, H, channels)
-        What was taken out: flux fractions.
+        What was taken out.
 
     Raises
     ------
@@ -72,11 +72,13 @@ class Material:
         If the incident directions are unknown or no grid; see `MeasuredLobes`.
     """
 
-    def __init__(self, record: Record, apart: bool = False) -> None:
+    def __init__(self, record: Record, peaks: Floats | None = None) -> None:
         self.channels = record.channels
-        self.has_lower = record.has_lower
-        flux, peaks = fractions_of(record), specular_peaks(record)
-        if apart:
+        self.n_hemispheres = record.n_hemispheres
+        flux = fractions_of(record)
+        if peaks is None:
+            peaks = np.zeros((*flux.shape[:2], flux.shape[-1]))
+        else:
             flux = flux.copy()
             rows, columns = np.unravel_index(_specular_patch(record), flux.shape[2:4])
             index = np.arange(len(flux))
@@ -87,7 +89,7 @@ class Material:
         )
         lobes = MeasuredLobes(rest, keep_dark=True)
         self.table = table = lobes.whole()
-        self.peaks = table.grid.filled(peaks) * apart
+        self.peaks = table.grid.filled(peaks)
         self.theta_i, self.phi_i = table.grid.theta_i, table.grid.phi_i
         self._face = InterpolatedBSDF(table, half_vectors=half_vector_legs(lobes))
 
@@ -128,8 +130,8 @@ class Material:
         phi_i = mi.Float64(np.radians(self.phi_i[node[0]]))
         dr.make_opaque(row, phi_i)
         lower = wo.z < 0
-        wanted = (wo.z != 0) & (self.has_lower | ~lower)
-        row = row * (1 + self.has_lower) + dr.select(lower, mi.UInt32(1), 0)
+        wanted = (wo.z != 0) & ((self.n_hemispheres > 1) | ~lower)
+        row = row * self.n_hemispheres + dr.select(lower, mi.UInt32(1), 0)
         point = seen_from(wo, phi_i)
         return self._face.lobes.measured.values(row, phi_i, point, wanted), wanted
 

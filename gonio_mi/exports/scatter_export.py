@@ -72,7 +72,7 @@ def write_grids(record: Record, path: str | PathLike[str]) -> list[Loss]:
     with replacing(path) as stream:
         known.write(scatter, stream, _specimen(record))  # type: ignore[misc]
     fractions = _in_order(record, read_scatter(path))
-    fractions = fractions[:, : 1 if known.reflection_only else 1 + record.has_lower]
+    fractions = fractions[:, : 1 if known.reflection_only else record.n_hemispheres]
     # the file has ascending wavelengths, or one channel for all
     order = [0] if nm is None else np.argsort(np.argsort(nm)).tolist()
     shape = (*fractions.shape[:-1], len(order))

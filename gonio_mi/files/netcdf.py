@@ -58,7 +58,7 @@ def dataset(record: Record) -> Any:
             'pip install "gonio-mi[netcdf]"'
         ) from None
     stack = [record[index] for index in range(len(record))]
-    names = ["reflection", "transmission"][: 1 + record.has_lower]
+    names = ["reflection", "transmission"][: record.n_hemispheres]
     quantities = ["brdf", "btdf"][: len(names)]
     values, errors = (
         np.array([[getattr(one, name + end) for name in quantities] for one in stack])

@@ -138,8 +138,8 @@ def _points(record: Record | MeasuredTable) -> _Points:
     patches, n = record.subdivision, record.subdivision.n_detectors
     axes = np.degrees(np.concatenate(patches.middles, axis=1))[:n]
     below = np.stack([180 - axes[:, 0], axes[:, 1]], axis=-1)
-    towards = np.concatenate([axes, below][: 1 + record.has_lower])
-    solid = np.tile(patches.projected_solid_angles[:n, 0], 1 + record.has_lower)
+    towards = np.concatenate([axes, below][: record.n_hemispheres])
+    solid = np.tile(patches.projected_solid_angles[:n, 0], record.n_hemispheres)
     parts = []
     for single in (record[i] for i in range(len(record))):
         both = [(single.brdf, single.brdf_std_err), (single.btdf, single.btdf_std_err)]

@@ -110,7 +110,7 @@ class RecordObservations:
     def _kept(self, values: Floats) -> Floats:
         """Values of the detectors, without what is between them, in one row."""
         detectors = self.single.subdivision.n_detectors
-        hemispheres, channels = 1 + self.single.has_lower, len(self.single.channels)
+        hemispheres, channels = self.single.n_hemispheres, len(self.single.channels)
         return values.reshape(hemispheres, -1, channels)[:, :detectors].ravel()
 
     def _batches(self) -> Floats | None:
@@ -263,7 +263,7 @@ def _predictions(single: Record) -> list[PatchPredictions] | list[ConePrediction
     half_angle = patches.aperture_half_angle
     incident = float(single.theta_i[0]), float(single.phi_i[0])
     side = single.asked.side
-    hemispheres = 1 + single.has_lower
+    hemispheres = single.n_hemispheres
     if half_angle is None:
         given = incident, side, single.channels
         return [PatchPredictions(*given, patches, hemispheres)]

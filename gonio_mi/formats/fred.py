@@ -63,7 +63,7 @@ def read(stream: BinaryIO, quantity: str | None = None) -> Points:
     (scale,) = lines.numbers(1, options["scale"])
     require(bool(np.isfinite(scale)), "its scale is not finite")
     blocks = _blocks(lines)
-    notes += _cut(blocks, lines.whole_lines)
+    notes += _cut(blocks, lines)
     angles, values = [], []
     for incident, rows in blocks:
         at = np.array([[*incident, 0.0], *rows])
@@ -113,14 +113,14 @@ def _blocks(lines: Lines) -> list[tuple[Floats, list[Floats]]]:
     return blocks
 
 
-def _cut(blocks: list[tuple[Floats, list[Floats]]], whole_lines: bool) -> list[str]:
+def _cut(blocks: list[tuple[Floats, list[Floats]]], lines: Lines) -> list[str]:
     """Note that the last incidence has fewer directions, where the others are alike."""
     last = blocks[-1][1]
     for _, rows in blocks[:-1]:
         longer = len(rows) > len(last)
         if longer and all((a[:2] == b[:2]).all() for a, b in zip(rows, last)):
             words = f"the last incidence has {len(last)} of {len(rows)} directions"
-            require(whole_lines, f"{words}, and no end of line: it is cut")
+            require(lines.whole_lines, f"{words}, and no end of line: it is cut")
             return [f"{words}: the file may be cut"]
     return []
 

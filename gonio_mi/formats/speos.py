@@ -16,7 +16,7 @@ incidence are minus that angle, and +x of the specimen is opposite to the vector
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import BinaryIO
 
@@ -37,6 +37,9 @@ VISIBLE = (360.0, 830.0)
 
 # The first version whose rows are these.
 FIRST_VERSION = 8.0
+
+# What reads the next table at an incident direction in a hemisphere.
+NextBlock = Callable[[Lines, float, float, int], Block]
 
 BINARY = "it is binary: save it as text with Speos's BSDF viewer"
 
@@ -80,7 +83,7 @@ def read(stream: BinaryIO) -> Scatter:
 
 def _read_spectral(rows: Lines, header: dict[str, str]) -> Scatter:
     """Blocks of a ``.brdf``: hemisphere, incidence, wavelength."""
-    held, intensity = rows.whole(2), rows.whole(1)[0] == 0
+    held, next_block = rows.whole(2), _kind(rows)
     n_incidences, n_wavelengths = rows.whole(2)
     check_size(n_incidences, n_wavelengths)
     incidences, wavelengths = rows.numbers(n_incidences), rows.numbers(n_wavelengths)
@@ -90,19 +93,19 @@ def _read_spectral(rows: Lines, header: dict[str, str]) -> Scatter:
             parts = []
             for _ in range(n_wavelengths):
                 (percent,) = rows.numbers(1)
-                part = _block(rows, theta_i, 0.0, hemisphere, intensity)
+                part = next_block(rows, theta_i, 0.0, hemisphere)
                 total = total_of(part)[0]
                 scale = percent / 100 / total if total > 0 else 0.0
                 stated = np.array([percent / 100])
                 parts.append(replace(part, values=part.values * scale, total=stated))
             blocks.append(_joined(parts))
-    return _scatter(wavelengths, blocks, header, intensity)
+    return _scatter(wavelengths, blocks, header, next_block)
 
 
 def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
     """Blocks of an ``.anisotropicbsdf``: hemisphere, anisotropy, incidence."""
     vector = rows.numbers(3)
-    held, intensity = rows.whole(2), rows.whole(1)[0] == 0
+    held, next_block = rows.whole(2), _kind(rows)
     hemispheres = [h for h in (0, 1) if held[h]]
     directions = {}
     for hemisphere in hemispheres:
@@ -124,7 +127,7 @@ def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
         # of transmission the spectrum may have other wavelengths
         percentages = np.interp(nm, own, parts_of_one)
         unscaled = [
-            _block(rows, float(theta), float(-angle % 360), hemisphere, intensity)
+            next_block(rows, float(theta), float(-angle % 360), hemisphere)
             for angle, theta in directions[hemisphere]
         ]
         # nothing meets a surface at 90 degrees
@@ -137,7 +140,7 @@ def _read_anisotropic(rows: Lines, header: dict[str, str]) -> Scatter:
             replace(once[key], values=once[key].values * scale) for key in sorted(once)
         ]
     header = header | {"anisotropy vector": " ".join(map(str, vector))}
-    return _scatter(nm, blocks, header, intensity)
+    return _scatter(nm, blocks, header, next_block)
 
 
 def _scale(blocks: Sequence[Block], reference: Floats) -> float:
@@ -154,10 +157,13 @@ def _scale(blocks: Sequence[Block], reference: Floats) -> float:
     return float(np.interp(reference[0], angles, 1 / totals))
 
 
-def _block(
-    rows: Lines, theta_i: float, phi_i: float, hemisphere: int, intensity: bool
-) -> Block:
-    """Next table as BSDF values, not scaled."""
+def _kind(rows: Lines) -> NextBlock:
+    """What reads the tables of a file, by its next row: 0 are intensities."""
+    return _intensities if rows.whole(1)[0] == 0 else _values
+
+
+def _values(rows: Lines, theta_i: float, phi_i: float, hemisphere: int) -> Block:
+    """Next table, not scaled, whose values are a BSDF's."""
     n_polar, n_azimuth = rows.whole(2)
     check_size(n_polar, n_azimuth)
     azimuth = rows.numbers(n_azimuth)
@@ -170,13 +176,18 @@ def _block(
         f"line {rows.number}: polar angles must be within one hemisphere",
     )
     polar = np.clip(polar, 0, 90)
-    if intensity:
-        cosine = np.cos(np.radians(polar))[:, None]
-        level = cosine[:, 0] < 1e-9
-        values = values / np.where(level[:, None], 1.0, cosine)
-        if level.any() and len(polar) > 1:  # on the horizon it is not known
-            values[level] = values[-2]
     return Block(theta_i, phi_i, hemisphere, polar, azimuth, values[..., None])
+
+
+def _intensities(rows: Lines, theta_i: float, phi_i: float, hemisphere: int) -> Block:
+    """Next table, not scaled, whose values are a BSDF's times the cosine."""
+    block = _values(rows, theta_i, phi_i, hemisphere)
+    cosine = np.cos(np.radians(block.polar))
+    level = cosine < 1e-9
+    values = block.values / np.where(level, 1.0, cosine)[:, None, None]
+    if level.any() and len(cosine) > 1:  # on the horizon it is not known
+        values[level] = values[-2]
+    return replace(block, values=values)
 
 
 def _joined(parts: Sequence[Block]) -> Block:
@@ -199,7 +210,7 @@ def _joined(parts: Sequence[Block]) -> Block:
 
 
 def _scatter(
-    wavelengths: Floats, blocks: list[Block], header: dict[str, str], intensity: bool
+    wavelengths: Floats, blocks: list[Block], header: dict[str, str], kind: NextBlock
 ) -> Scatter:
     """Blocks of a file; of one channel Y, if all wavelengths have the same values."""
     require(len(wavelengths) > 0, "it has neither reflection nor transmission")
@@ -210,9 +221,14 @@ def _scatter(
     channels = tuple(f"{nm:.10g}nm" for nm in wavelengths)
     if all(np.ptp(block.values, axis=-1).max(initial=0) == 0 for block in blocks):
         channels, blocks = ("Y",), [block.channel(0) for block in blocks]
-    kind = "intensities, divided by the cosine" if intensity else "a BSDF"
-    note = f"the values are {kind}, scaled to the stated percentages"
+    note = f"the values are {KINDS[kind]}, scaled to the stated percentages"
     return Scatter(blocks, channels, header, (note,))
+
+
+KINDS: dict[NextBlock, str] = {
+    _values: "a BSDF",
+    _intensities: "intensities, divided by the cosine",
+}
 
 
 # ----------------------------------------------------------------------------- writing

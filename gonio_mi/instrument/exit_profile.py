@@ -74,7 +74,7 @@ class ExitProfile:
         rays = f"{self.ledger.emitted:,} rays".replace(",", " ")
         return (
             f"<ExitProfile of {printable(self.specimen)}: "
-            f"{n} ring{'s' * (n > 1)} from {first:g} to {last:g}, {rays}, "
+            f"{n} ring{'s' if n > 1 else ''} from {first:g} to {last:g}, {rays}, "
             f"dhr {np.array2string(self.dhr, precision=5)}>"
         )
 

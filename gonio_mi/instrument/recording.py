@@ -50,8 +50,7 @@ def record_of(
             f"but all {ledger.emitted} rays missed it"
         )
     _check_arrived(ledger)
-    functions = "sample() or eval()" if settings.estimator.deposits else "sample()"
-    _warn_of_invalid(ledger, functions, setup.beam.collimated)
+    _warn_of_invalid(ledger, setup)
     _warn_of_astray(ledger)
     if not mi.is_spectral and tally.achromatic:
         tally = tally.first(1)
@@ -154,10 +153,13 @@ def _warn_of_created_light(records: Sequence[Record]) -> None:
             return
 
 
-def _warn_of_invalid(ledger: Ledger, functions: str, collimated: bool) -> None:
+def _warn_of_invalid(ledger: Ledger, setup: Setup) -> None:
     if ledger.invalid:
+        deposits = setup.settings.estimator.deposits
+        functions = "sample() or eval()" if deposits else "sample()"
         matrix = "elements above the first, " if mi.is_polarized else ""
-        near = "" if collimated else " or the emitter is too near for single rays,"
+        near = " or the emitter is too near for single rays,"
+        near = "" if setup.beam.collimated else near
         warn(
             f"the BSDF's {functions} returned a negative, infinite or NaN weight, "
             f"{matrix}or no unit direction,{near} for {ledger.invalid} of "

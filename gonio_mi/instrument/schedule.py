@@ -207,7 +207,7 @@ class Target:
             }
         looks = [precision(record[i], self.floor) for i in range(len(record))]
         n_lobe = max(n for _, n in looks)
-        n_patches = record.subdivision.n_patches * (1 + record.has_lower)
+        n_patches = record.subdivision.n_patches * record.n_hemispheres
         return {
             "reached": max(worst for worst, _ in looks),
             "n_lobe": n_lobe,

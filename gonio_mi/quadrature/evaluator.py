@@ -1,4 +1,4 @@
-"""Values of ``eval`` or ``pdf`` at the points of rules over cells, and their sums."""
+"""Values of ``eval`` at the points of rules over cells, and their sums."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ class Evaluator:
         As of :class:`~gonio_mi.transport.plane.Plane`.
     """
 
-    def __init__(self, bsdf: mi.BSDF, light: IncidentLight, pdf: bool) -> None:
-        self.bsdf, self.light, self.pdf = bsdf, light, pdf
+    def __init__(self, bsdf: mi.BSDF, light: IncidentLight) -> None:
+        self.bsdf, self.light = bsdf, light
         self.by_ray = holds_foreign_plugins(bsdf)
         self.n_evaluations = np.zeros(dr.width(light.wi), dtype=np.int64)
 
@@ -182,9 +182,8 @@ class Evaluator:
         wo = self.light.towards_sines(theta, phi, lower)
         direction = mi.UInt32(cells.direction.astype(np.uint32))
         si = self._interactions(dr.gather(mi.UInt32, direction, number))
-        function = self.bsdf.pdf if self.pdf else self.bsdf.eval
-        value = function(flux_context(), si, wo, mi.Bool(True))
-        return [value] if self.pdf else channels_of(value), theta[0]
+        value = self.bsdf.eval(flux_context(), si, wo, mi.Bool(True))
+        return channels_of(value), theta[0]
 
     def _check(self, values: Singles, cells: Cells, points: Points) -> None:
         """Raise SpecimenError for a value that is negative or not finite."""
@@ -203,7 +202,7 @@ class Evaluator:
             for middle, half, inside, at in points.placed(cells)
         )
         raise SpecimenError(
-            f"{'pdf' if self.pdf else 'eval'} of {self.bsdf.class_name()} must be "
+            f"eval of {self.bsdf.class_name()} must be "
             f"finite and not negative, got {values[cell, place].min():.3g} towards "
             f"theta {np.degrees(theta):.3f}, phi {np.degrees(phi):.3f} degrees"
             f"{' in transmission' if cells.lower[cell] else ''}"

@@ -151,10 +151,9 @@ def integrate(
     *,
     rel_err: float = 1e-6,
     side: str = "front",
-    pdf: bool = False,
     interaction: mi.SurfaceInteraction3f | None = None,
 ) -> PatchIntegrals:
-    """Integrate ``eval`` (or ``pdf``) of a BSDF over every patch of both hemispheres.
+    """Integrate ``eval`` of a BSDF over every patch of both hemispheres.
 
     Adaptive tensor Gauss-Legendre rule in polar angle and azimuth: cells whose value
     differs from the sum of their quarters are split, down to the lobe's scale, or to
@@ -177,8 +176,6 @@ def integrate(
         Single precision of ``eval`` limits it to about 1e-6 for smooth BSDFs, and more
         for sharp lobes.
     side : {"front", "back"}
-    pdf : bool
-        Integrate the sampling density over solid angle instead.
     interaction : mi.SurfaceInteraction3f, optional
         Point and frame of the surface. Default: the middle of a square with its normal
         along +z.
@@ -198,7 +195,6 @@ def integrate(
         subdivision,
         rel_err=rel_err,
         side=side,
-        pdf=pdf,
         interaction=interaction,
     )
     return found
@@ -211,7 +207,6 @@ def integrate_each(
     *,
     rel_err: float = 1e-6,
     side: str = "front",
-    pdf: bool = False,
     interaction: mi.SurfaceInteraction3f | None = None,
     n_hemispheres: int = 2,
 ) -> list[PatchIntegrals]:
@@ -239,7 +234,7 @@ def integrate_each(
         some = incidents[first : first + several]
         lights = [IncidentLight.of([one], side, interaction) for one in some]
         together = IncidentLight.of(some, side, interaction)
-        evaluator = Evaluator(bsdf, together, pdf)
+        evaluator = Evaluator(bsdf, together)
         cells = Cells.of(subdivision, n_hemispheres, len(some))
         found += _integrated(evaluator, cells, subdivision, rel_err, lights)
     return found

@@ -205,7 +205,7 @@ def packed_record(
         "label": label,
         "collector": str(patches),
         "channels": list(record.channels),
-        "hemispheres": 2 if record.has_lower else 1,
+        "hemispheres": record.n_hemispheres,
         "patches": patches.n_patches,
         "detectors": patches.n_detectors,
         "solid": _packed(patches.solid_angles.astype("<f4")),
@@ -225,7 +225,7 @@ def packed_record(
 def _kept(record: Record) -> list[int]:
     """Numbers of the incident directions that the page has."""
     n_all = len(record)
-    hemispheres = 2 if record.has_lower else 1
+    hemispheres = record.n_hemispheres
     each = hemispheres * record.subdivision.n_patches * len(record.channels)
     return evenly(n_all, max(1, MAX_VALUES // each))
 

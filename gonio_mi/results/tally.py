@@ -22,7 +22,7 @@ N_ELEMENTS = 15
 def batch_sizes(rays: int, batches: int) -> list[int]:
     """Split `rays` over at most `batches` batches that differ by one ray at most."""
     batches = min(rays, batches)
-    return [rays // batches + (i < rays % batches) for i in range(batches)]
+    return [-(-(rays - i) // batches) for i in range(batches)]
 
 
 class Fate(IntEnum):

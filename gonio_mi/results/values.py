@@ -244,7 +244,7 @@ class MeasuredValues:
         dark specimen, of which it has seen none, or one too many. Its standard error
         and interval take their weight from all patches; in some channel at least.
         """
-        hemispheres = range(1 + self.has_lower)
+        hemispheres = range(self.n_hemispheres)
         flags = [[one.pooled(i) for i in hemispheres] for one in self.estimates]
         return read_only_array(self._squeeze(np.any(flags, axis=-1)))
 
@@ -264,7 +264,12 @@ class MeasuredValues:
     @property
     def has_lower(self) -> bool:
         """Whether there was a lower hemisphere."""
-        return all(tally.hits.shape[0] == 2 for tally in self.tallies)
+        return self.n_hemispheres == 2
+
+    @property
+    def n_hemispheres(self) -> int:
+        """1, or 2 if there was a lower one."""
+        return min(tally.hits.shape[0] for tally in self.tallies)
 
     # ------------------------------------------------------------ uncertainties
 

@@ -60,8 +60,7 @@ class HeightStatistics:
 def gaussian_heights(
     resolution: tuple[int, int],
     spacing: float,
-    alpha_u: float,
-    alpha_v: float,
+    alphas: tuple[float, float],
     correlation_length: float,
     *,
     correlation: str = "gaussian",
@@ -78,9 +77,10 @@ def gaussian_heights(
         Grid points along x and along y, at least 4. The field repeats after them.
     spacing : float
         Distance between them.
-    alpha_u, alpha_v : float
-        Expected roughness of the facets along x and y, see :class:`HeightStatistics`;
-        one realisation scatters about it. It fixes the rms height.
+    alphas : (float, float)
+        Expected roughness of the facets along x and along y, as of
+        :class:`HeightStatistics`; one realisation scatters about it. It fixes the rms
+        height.
     correlation_length : float
         Geometric mean over x and y of the distance in which the autocorrelation falls
         to 1/e; the direction of the larger alpha has the smaller one, in proportion.
@@ -109,7 +109,7 @@ def gaussian_heights(
     check_memory(what, n_x * n_y * SYNTHESIS_BYTES, "lower its resolution")
     alpha_u, alpha_v = (
         checked_number(name, alpha, 1e-6, 100, "from 1e-6 to 100")
-        for name, alpha in (("alpha_u", alpha_u), ("alpha_v", alpha_v))
+        for name, alpha in zip(("alpha_u", "alpha_v"), alphas)
     )
     stretch = np.sqrt(alpha_v / alpha_u)
     length_u, length_v = correlation_length * stretch, correlation_length / stretch

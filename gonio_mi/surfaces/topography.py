@@ -107,7 +107,7 @@ class Topography:
     @property
     def extent(self) -> tuple[float, float]:
         """Size along x and y, the joints of a period included."""
-        n_y, n_x = (n - (not self.periodic) for n in self.heights.shape)
+        n_y, n_x = (n if self.periodic else n - 1 for n in self.heights.shape)
         return n_x * self.spacing[0], n_y * self.spacing[1]
 
     def summary(self) -> str:
@@ -265,23 +265,12 @@ def _rms_slopes(statistics: HeightStatistics) -> str:
     return " x ".join(f"{one:.3g}" for one in degrees)
 
 
-def topography(
-    given: HeightMap,
-    *,
-    size: float | None = None,
-    size_y: float | None = None,
-    scale: float | None = None,
-    height_range: float | None = None,
-    unit: str | None = None,
-    periodic: bool | None = None,
-    form: str = "keep",
-    fill: str = "none",
-) -> Topography:
-    """:class:`Topography` of a map of heights.
+@dataclass(frozen=True)
+class Preparation:
+    """What a map of heights needs to be a surface.
 
-    Parameters
+    Attributes
     ----------
-    given : HeightMap
     size, size_y : float, optional
         Extent in x and y. Default: what the file says, else 2 with square cells,
         which :meth:`Topography.concerns` tells.
@@ -298,6 +287,69 @@ def topography(
         See :func:`~gonio_mi.surfaces.heights.without_form`.
     fill : {"none", "nearest", "linear"}
         See :func:`~gonio_mi.surfaces.heights.filled`.
+    """
+
+    size: float | None = None
+    size_y: float | None = None
+    scale: float | None = None
+    height_range: float | None = None
+    unit: str | None = None
+    periodic: bool | None = None
+    form: str = "keep"
+    fill: str = "none"
+
+    def factor(self, given: HeightMap, heights: Floats) -> float:
+        """Height of one unit of the numbers of a map."""
+        scale, height_range = self.scale, self.height_range
+        if given.codes is None:
+            if height_range is not None:
+                raise SettingError(
+                    "range goes with images of whole numbers; for the heights of "
+                    f"{given.source} take scale"
+                )
+            return 1.0 if scale is None else scale
+        if (scale is None) == (height_range is None):
+            low, high = np.nanmin(heights), np.nanmax(heights)
+            raise SettingError(
+                f"the pixels of {given.source} are whole numbers from {low:.0f} to "
+                f"{high:.0f}, and one of two must be given to make them heights: "
+                "scale, the height of a step of 1, or range, that of all "
+                f"{given.codes}"
+            )
+        return scale if height_range is None else height_range / given.codes  # type: ignore[return-value]
+
+    def spacing(self, given: HeightMap, cells: tuple[int, int]) -> tuple[float, float]:
+        """Distance of grid points along x and y."""
+        dx, dy = given.spacing or (2.0 / cells[0],) * 2
+        if not (1 / MAX_LENGTH < dx < MAX_LENGTH and 1 / MAX_LENGTH < dy < MAX_LENGTH):
+            raise SettingError(
+                f"the spacing of grid points must be positive, {given.source} has "
+                f"{dx:g} x {dy:g}: give size"
+            )
+        if self.size is not None:
+            dx, dy = self.size / cells[0], self.size / cells[0] * (dy / dx)
+        if self.size_y is not None:
+            dy = self.size_y / cells[1]
+        return dx, dy
+
+    def unit_of(self, given: HeightMap) -> str | None:
+        """The unit of length of a map: what its file says, or what its user does."""
+        if self.unit is None:
+            return given.unit
+        metres(self.unit)
+        if given.unit is not None:
+            raise SettingError(
+                f"unit goes with files that do not state theirs; {given.source} is in "
+                f"{given.unit}, got {self.unit}"
+            )
+        return self.unit
+
+
+AS_GIVEN = Preparation()
+
+
+def topography(given: HeightMap, wanted: Preparation = AS_GIVEN) -> Topography:
+    """:class:`Topography` of a map of heights.
 
     Raises
     ------
@@ -305,77 +357,26 @@ def topography(
         If something is missing, or given twice.
     """
     heights = checked_heights(given.heights, missing=True)
-    factor, step = _factor(given, heights, scale, height_range), height_step(heights)
+    factor, step = wanted.factor(given, heights), height_step(heights)
     heights = heights * factor
     done = [given.source]
-    if form != "keep":
-        done.append(f"{form} removed")
+    if wanted.form != "keep":
+        done.append(f"{wanted.form} removed")
     if missing := np.count_nonzero(np.isnan(heights)):
-        done.append(f"{missing} missing points filled ({fill})")
-    heights = filled(without_form(heights, form), fill)
-    joined = given.periodic if periodic is None else periodic
+        done.append(f"{missing} missing points filled ({wanted.fill})")
+    heights = filled(without_form(heights, wanted.form), wanted.fill)
+    joined = given.periodic if wanted.periodic is None else wanted.periodic
     joined = True if joined is None else joined
-    n_y, n_x = (n - (not joined) for n in heights.shape)
+    n_y, n_x = (n if joined else n - 1 for n in heights.shape)
     return Topography(
         heights,
-        _spacing(given, (n_x, n_y), size, size_y),
+        wanted.spacing(given, (n_x, n_y)),
         joined,
         ", ".join(done),
-        _unit(given, unit),
+        wanted.unit_of(given),
         None if step is None else abs(factor) * step,
-        given.spacing is None and size is None,
+        given.spacing is None and wanted.size is None,
     )
-
-
-def _factor(
-    given: HeightMap, heights: Floats, scale: float | None, height_range: float | None
-) -> float:
-    """Height of one unit of the numbers of a map."""
-    if given.codes is None:
-        if height_range is not None:
-            raise SettingError(
-                "range goes with images of whole numbers; for the heights of "
-                f"{given.source} take scale"
-            )
-        return 1.0 if scale is None else scale
-    if (scale is None) == (height_range is None):
-        low, high = np.nanmin(heights), np.nanmax(heights)
-        raise SettingError(
-            f"the pixels of {given.source} are whole numbers from {low:.0f} to "
-            f"{high:.0f}, and one of two must be given to make them heights: scale, "
-            f"the height of a step of 1, or range, that of all {given.codes}"
-        )
-    return scale if height_range is None else height_range / given.codes  # type: ignore[return-value]
-
-
-def _spacing(
-    given: HeightMap, cells: tuple[int, int], size: float | None, size_y: float | None
-) -> tuple[float, float]:
-    """Distance of grid points along x and y."""
-    dx, dy = given.spacing or (2.0 / cells[0],) * 2
-    if not (1 / MAX_LENGTH < dx < MAX_LENGTH and 1 / MAX_LENGTH < dy < MAX_LENGTH):
-        raise SettingError(
-            f"the spacing of grid points must be positive, {given.source} has {dx:g} "
-            f"x {dy:g}: give size"
-        )
-    if size is not None:
-        dx, dy = size / cells[0], size / cells[0] * (dy / dx)
-    if size_y is not None:
-        dy = size_y / cells[1]
-    return dx, dy
-
-
-def _unit(given: HeightMap, unit: str | None) -> str | None:
-    """The unit of length of a map: what its file says, or what its user does."""
-    if unit is None:
-        return given.unit
-    metres(unit)
-    if given.unit is not None:
-        raise SettingError(
-            f"unit goes with files that do not state theirs; {given.source} is in "
-            f"{given.unit}, got {unit}"
-        )
-    return unit
 
 
 # Levels up to which steps are made on purpose: gratings, diffractive optics.

@@ -84,9 +84,7 @@ def free_flight(
     ray: mi.Ray3f,
     distance: mi.Float,
     hero: mi.UInt32,
-    u: mi.Float,
-    v: mi.Float,
-    homogeneous: bool,
+    numbers: tuple[mi.Float, mi.Float | None],
     apart: bool,
     active: mi.Bool,
 ) -> Step:
@@ -100,20 +98,20 @@ def free_flight(
         To the next surface.
     hero : mi.UInt32
         Channel whose coefficients choose how far light gets.
-    u, v : mi.Float
-        Random numbers in [0, 1): for the distance, and, unless all media are
-        `homogeneous`, for whether it is a scattering.
-    homogeneous : bool
+    numbers : (mi.Float, mi.Float or None)
+        Random numbers in [0, 1): for the distance, and for whether it is a scattering,
+        which in homogeneous media it always is; None if all are.
     apart : bool
         Whether channels differ in how far light gets.
     active : mi.Bool
     """
+    u, v = numbers
     at = dr.zeros(mi.MediumInteraction3f)
     at.wi = -ray.d
     at.sh_frame = mi.Frame3f(at.wi)
     at.time, at.wavelengths, at.medium = ray.time, ray.wavelengths, medium
     begin, end, flies = mi.Float(0), distance, active
-    if not homogeneous:
+    if v is not None:
         meets, near, far = medium.intersect_aabb(ray)
         # a homogeneous medium has no box
         begin = dr.select(meets, dr.clip(near, 0, distance), distance)
@@ -132,7 +130,7 @@ def free_flight(
     extinction = of_channel(at.sigma_t, hero)
     real = stops & (u < 1 - RARE)
     scatters = real
-    if not homogeneous:
+    if v is not None:
         scatters &= v * majorant < extinction
     waits = stops & ~scatters
 
@@ -318,8 +316,8 @@ def trace_inside(
         # ------------------------------ Free flight -----------------------------------
         inside &= active
         u = sampler.next_1d(inside)
-        v = mi.Float(0) if homogeneous else sampler.next_1d(inside)
-        step = free_flight(medium, ray, free, hero, u, v, homogeneous, apart, inside)
+        v = None if homogeneous else sampler.next_1d(inside)
+        step = free_flight(medium, ray, free, hero, (u, v), apart, inside)
         met = met.unless(step.scatters | step.waits | astray)
         at_surface = met.real
         truncated = at_surface & (depth >= max_depth)
@@ -358,10 +356,11 @@ def trace_inside(
         # ---------------------------- Russian roulette --------------------------------
         power = β / _mean(chance) if apart else β
         due = depth + scatterings > rr_depth if roulette else mi.Bool(not analog)
-        survival = _survival(power, due, roulette)
+        # of thousands of events none may end a ray that has lost nothing
+        chosen = survival_chance(power, due, 1.0) if roulette else _faint(power, due)
         event = at_surface | in_medium
-        survives = another < survival
-        β[event] = dr.select(survives, β / survival, 0.0)
+        survives = another < chosen
+        β[event] = dr.select(survives, β / chosen, 0.0)
         killed = event & ~survives
         fate[killed & at_surface] = mi.UInt32(Fate.ABSORBED)
         fate[killed & in_medium] = mi.UInt32(Fate.ABSORBED_INSIDE)
@@ -400,11 +399,8 @@ def _turned(
     return wo, weight * power, pdf
 
 
-def _survival(power: mi.Spectrum, due: mi.Bool, roulette: bool) -> mi.Float:
-    """Chance to survive where it is `due`; without `roulette` of faint rays alone."""
-    if roulette:
-        # of thousands of events none may end a ray that has lost nothing
-        return survival_chance(power, due, 1.0)
+def _faint(power: mi.Spectrum, due: mi.Bool) -> mi.Float:
+    """Chance of faint rays to survive where it is `due`, without Russian roulette."""
     faint = due & (dr.max(power) < FAINT_POWER)
     return dr.select(faint, mi.Float(FAINT_SURVIVAL), mi.Float(1))
 

@@ -178,6 +178,15 @@ class Test(Finding):
     __test__ = False  # no test of pytest's
 
 
+@dataclass(frozen=True, eq=False)
+class Ratio:
+    """Answers over what they should be, of samples, and where they are wrong."""
+
+    samples: Samples
+    wrong: Flags
+    ratio: Floats
+
+
 @dataclass
 class Evidence:
     """All findings about a BSDF.
@@ -241,14 +250,13 @@ class Evidence:
         self,
         name: str,
         function: str,
-        samples: Samples,
-        wrong: Flags,
-        ratio: Floats,
+        found: Ratio,
         what: str,
         mistake: str,
         effect: str = "",
     ) -> None:
         """Add a breach that tells how far a ratio is from 1, if of many samples."""
+        samples, wrong, ratio = found.samples, found.wrong, found.ratio
         if not is_many(wrong):
             return
         usable = wrong & (np.abs(ratio) < MAX_RATIO)

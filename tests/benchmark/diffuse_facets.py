@@ -40,7 +40,7 @@ FIRST_KLEMS = 5.0  # degrees
 @cache
 def _heights() -> Floats:
     """Heights of one periodic cell, the highest 0."""
-    heights = gaussian_heights((CELLS, CELLS), SPACING, ALPHA, ALPHA, 4 * SPACING)
+    heights = gaussian_heights((CELLS, CELLS), SPACING, (ALPHA, ALPHA), 4 * SPACING)
     return heights - heights.max()
 
 

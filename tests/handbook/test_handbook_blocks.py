@@ -51,13 +51,13 @@ def measured(path, *options):
 
 def scanned(path):
     """A rough surface of half a millimetre, as a profilometer has it."""
-    heights = gaussian_heights((64, 64), 2e-6, 0.3, 0.3, 1.6e-5)
+    heights = gaussian_heights((64, 64), 2e-6, (0.3, 0.3), 1.6e-5)
     surface_files.write_x3p(path, heights)
 
 
 def imaged(path):
     """The same as a 16-bit image."""
-    heights = gaussian_heights((64, 64), 1.5, 0.3, 0.3, 12.0)
+    heights = gaussian_heights((64, 64), 1.5, (0.3, 0.3), 12.0)
     codes = np.interp(heights, [heights.min(), heights.max()], [0, 65535])
     mi.Bitmap(codes.astype(np.uint16)[..., None]).write(str(path))
 

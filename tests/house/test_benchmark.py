@@ -31,6 +31,7 @@ from benchmark.counting import SPECIMENS, baselines
 from benchmark.equal_error import error, klems_groove_flux, search
 from benchmark.tolerances import ANGLES_OF_AZIMUTHS, AZIMUTHS, _fewest
 from budget import agree, count_verdict, disagree, normal_scores, scores, verdict
+from sampled_material import SamplingDensity
 from scipy import stats
 
 import gonio_mi as gonio
@@ -93,10 +94,9 @@ def test_rough_conductor_histogram():
     counts = baseline.flux(RAYS, 1) * RAYS
 
     def shares(specimen):
-        bsdf = mi.load_dict(specimen)
-        return integrate(
-            bsdf, THETA_I, 0, baseline.subdivision, rel_err=1e-5, pdf=True
-        ).flux[0]
+        density = SamplingDensity(mi.load_dict(specimen))
+        found = integrate(density, THETA_I, 0, baseline.subdivision, rel_err=1e-5)
+        return found.flux[0]
 
     agree(count_verdict(counts, shares(specimen)))
     disagree(count_verdict(counts, shares(specimen | {"alpha": 0.21})))

@@ -12,6 +12,16 @@ RAYS = 2**17
 SHARES_OF_RAYS = 8 * np.sqrt(1 / RAYS)
 
 
+class SamplingDensity:
+    """The ``pdf`` of a BSDF in place of its ``eval``, to be integrated."""
+
+    def __init__(self, bsdf):
+        self.bsdf, self.class_name, self.sample = bsdf, bsdf.class_name, bsdf.sample
+
+    def eval(self, ctx, si, wo, active):
+        return [self.bsdf.pdf(ctx, si, wo, active)]
+
+
 def check_samples(record, theta_i, other, folder):
     """Assert it of a record with a fourth of the light in either hemisphere.
 

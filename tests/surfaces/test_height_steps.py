@@ -9,7 +9,7 @@ import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.formats.height_maps import HeightMap
 from gonio_mi.surfaces.heights import gaussian_heights
-from gonio_mi.surfaces.topography import height_step, topography
+from gonio_mi.surfaces.topography import Preparation, height_step, topography
 
 # isort: split
 import mitsuba as mi
@@ -20,7 +20,7 @@ RANGE = 0.3
 
 def waves():
     """Heights from 0 to 1, such as 8 bits have no slopes for."""
-    heights = gaussian_heights((128, 128), 2 / 128, 0.5, 0.35, 0.25, seed=1)
+    heights = gaussian_heights((128, 128), 2 / 128, (0.5, 0.35), 0.25, seed=1)
     return (heights - heights.min()) / np.ptp(heights)
 
 
@@ -84,7 +84,7 @@ def test_coarse_steps_are_warned_of():
     def said(bits):
         codes = in_codes(waves(), bits)
         given = HeightMap(codes, "a.png", codes=2**bits - 1)
-        return topography(given, size=2.0, height_range=RANGE).concerns()
+        return topography(given, Preparation(size=2.0, height_range=RANGE)).concerns()
 
     (one,) = said(8)
     assert "of the rms slope" in one
@@ -95,7 +95,14 @@ def test_coarse_steps_are_warned_of():
     assert said(12) == said(16) == []
     # a part of 16 bits is as few as 8
     given = HeightMap(in_codes(waves(), 8), "a.png", codes=65535)
-    assert len(topography(given, size=2.0, height_range=RANGE * 257).concerns()) == 1
+    assert (
+        len(
+            topography(
+                given, Preparation(size=2.0, height_range=RANGE * 257)
+            ).concerns()
+        )
+        == 1
+    )
 
 
 @pytest.mark.usefixtures("mono")

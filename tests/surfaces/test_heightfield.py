@@ -22,8 +22,7 @@ def fields(alpha_u, alpha_v, length, correlation, n):
         gaussian_heights(
             (128, 192),
             SPACING,
-            alpha_u,
-            alpha_v,
+            (alpha_u, alpha_v),
             length,
             correlation=correlation,
             seed=seed,
@@ -116,12 +115,14 @@ def test_statistics_of_known_surfaces():
 
 def test_heights_repeat_and_differ():
     """Exact: the same seed, the same bits; a band limit leaves no shorter wave."""
-    a, b = (gaussian_heights((32, 64), 0.1, 0.2, 0.2, 0.4, seed=3) for _ in range(2))
+    a, b = (gaussian_heights((32, 64), 0.1, (0.2, 0.2), 0.4, seed=3) for _ in range(2))
     assert np.array_equal(a, b)
     assert a.shape == (64, 32)
-    assert not np.array_equal(a, gaussian_heights((32, 64), 0.1, 0.2, 0.2, 0.4, seed=4))
+    assert not np.array_equal(
+        a, gaussian_heights((32, 64), 0.1, (0.2, 0.2), 0.4, seed=4)
+    )
     limited = gaussian_heights(
-        (64, 64), 0.1, 0.2, 0.2, 0.4, correlation="exponential", shortest=0.8
+        (64, 64), 0.1, (0.2, 0.2), 0.4, correlation="exponential", shortest=0.8
     )
     k = np.hypot(*np.meshgrid(np.fft.fftfreq(64, 0.1), np.fft.fftfreq(64, 0.1)))
     power = np.abs(np.fft.fft2(limited)) ** 2
@@ -213,7 +214,7 @@ def test_files(tmp_path):
 @pytest.mark.usefixtures("mono")
 def test_record_tells_the_statistics():
     record = gonio.measure({"type": "heightfield", "alpha": 0.3}, 0, rays=1000)
-    z = gaussian_heights((256, 256), 2 / 256, 0.3, 0.3, 2 / 32)
+    z = gaussian_heights((256, 256), 2 / 256, (0.3, 0.3), 2 / 32)
     has = str(height_statistics(z, 2 / 256))
     assert has in record.settings["surface"]
     assert "asked alpha_u 0.3" in record.settings["surface"]

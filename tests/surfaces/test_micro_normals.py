@@ -25,7 +25,7 @@ def field(**settings):
 
 def facets(seed=0):
     """Normals and areas of the triangles of that field, by NumPy alone."""
-    z = gaussian_heights((N, N), SIZE / N, 0.5, 0.3, SIZE / 16, seed=seed)
+    z = gaussian_heights((N, N), SIZE / N, (0.5, 0.3), SIZE / 16, seed=seed)
     z = np.pad(z, ((0, 1), (0, 1)), mode="wrap")
     x = np.arange(N + 1) * SIZE / N
     p = np.stack([*np.meshgrid(x, x), z], axis=-1)
@@ -67,7 +67,7 @@ def test_alphas_are_those_of_the_heights(found):
     The points are fewer than what blocks of surface scatter, so the score is narrow;
     twin: 10 % off.
     """
-    z = gaussian_heights((N, N), SIZE / N, 0.5, 0.3, SIZE / 16)
+    z = gaussian_heights((N, N), SIZE / N, (0.5, 0.3), SIZE / 16)
     exact = height_statistics(z, SIZE / N)
     error = found.alpha_std_errs["beckmann"]
     for alpha, std_err, truth in zip(
@@ -216,7 +216,7 @@ def test_bad_input_is_one_sentence():
 
 def test_command(tmp_path, capfd):
     """A file of heights: what it is like, what is doubtful, and how its facets lie."""
-    z = gaussian_heights((N, N), 0.25, 0.3, 0.3, 1.0) + 0.1 * np.arange(N)
+    z = gaussian_heights((N, N), 0.25, (0.3, 0.3), 1.0) + 0.1 * np.arange(N)
     np.save(tmp_path / "a.npy", z)
     command = ["surface", str(tmp_path / "a.npy"), "--size", "15.75"]
     command += ["--form", "plane", "--unit", "um", "--points", "1e4"]

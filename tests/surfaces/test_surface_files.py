@@ -13,7 +13,7 @@ from gonio_mi.errors import FileFormatError, SpecimenError
 from gonio_mi.formats import height_map_reader, height_maps
 from gonio_mi.formats.height_maps import HeightMap
 from gonio_mi.surfaces.heights import filled, without_form
-from gonio_mi.surfaces.topography import topography
+from gonio_mi.surfaces.topography import Preparation, topography
 
 # isort: split
 import mitsuba as mi
@@ -222,13 +222,16 @@ def test_size_and_units():
     """Exact: the file's spacing, a size in its place, and what must not be both."""
     given = HeightMap(np.zeros((5, 9)), "a.x", (0.5, 0.25), "mm", False)
     assert topography(given).extent == (4, 1)
-    assert topography(given, size=8.0).extent == (8, 2)
-    assert topography(given, size=8.0, size_y=1.0).extent == (8, 1)
-    assert topography(given, periodic=True).extent == (4.5, 1.25)
-    assert topography(given, size_y=3.0).extent == (4, 3)
+    assert topography(given, Preparation(size=8.0)).extent == (8, 2)
+    assert topography(given, Preparation(size=8.0, size_y=1.0)).extent == (8, 1)
+    assert topography(given, Preparation(periodic=True)).extent == (4.5, 1.25)
+    assert topography(given, Preparation(size_y=3.0)).extent == (4, 3)
     with pytest.raises(ValueError, match=r"a.x is in mm, got nm"):
-        topography(given, unit="nm")
-    assert topography(HeightMap(np.zeros((5, 9)), "a"), unit="um").unit == "um"
+        topography(given, Preparation(unit="nm"))
+    assert (
+        topography(HeightMap(np.zeros((5, 9)), "a"), Preparation(unit="um")).unit
+        == "um"
+    )
 
 
 def test_waves_are_warned_of():
@@ -263,14 +266,14 @@ def test_a_width_that_nobody_told_is_warned_of():
     given = HeightMap(RAMP / 50, "a.npy")
     taken = {"periodic": False, "unit": "mm"}
     for height in ({}, {"size_y": 4.0}):
-        surface = topography(given, **taken, **height)
+        surface = topography(given, Preparation(**taken, **height))
         (one,) = surface.concerns()
         assert one.startswith("the width of a.npy is not known, and 2 mm was taken")
         assert f"rms slopes {np.degrees(np.arctan(0.2)):.3g} x 0 degrees" in one
         assert surface.described.endswith("in mm; width not given, 2 mm taken")
     for known in (
-        topography(given, size=4.0, **taken),
-        topography(HeightMap(RAMP / 50, "a.sur", (0.04, 0.04)), **taken),
+        topography(given, Preparation(size=4.0, **taken)),
+        topography(HeightMap(RAMP / 50, "a.sur", (0.04, 0.04)), Preparation(**taken)),
         topography(HeightMap(np.ones((9, 9)), "flat.npy")),
     ):
         assert known.concerns() == []

@@ -20,7 +20,6 @@ def functions():
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
                 args = node.args
                 parameters = [*args.posonlyargs, *args.args, *args.kwonlyargs]
-                parameters += [a for a in (args.vararg, args.kwarg) if a is not None]
                 place = f"{path.relative_to(PACKAGE)}:{node.lineno} {node.name}"
                 yield place, [a for a in parameters if a.arg not in ("self", "cls")]
 

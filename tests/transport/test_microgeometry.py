@@ -404,7 +404,7 @@ def test_single_scattering_follows_smith():
     from gonio_mi.surfaces.heights import gaussian_heights, height_statistics
 
     n = 512
-    z = gaussian_heights((n, n), 2 / n, 0.5, 0.5, 0.1, seed=1)
+    z = gaussian_heights((n, n), 2 / n, (0.5, 0.5), 0.1, seed=1)
     shares = []
     for step in (16, 8, 4, 2):
         coarse = z[::step, ::step]

@@ -24,7 +24,7 @@ from gonio_mi.surfaces.heights import (
     gaussian_heights,
 )
 from gonio_mi.surfaces.images import image_heights
-from gonio_mi.surfaces.topography import Topography, topography
+from gonio_mi.surfaces.topography import Preparation, Topography, topography
 
 POSITIVE = f"a positive number from {1 / MAX_LENGTH:g} to {MAX_LENGTH:g}"
 GENERATED = (
@@ -190,8 +190,7 @@ def _topography(props: mi.Properties) -> tuple[str, Topography]:
         array = np.array(props["heights"])
         source = HeightMap(array[..., 0] if array.ndim == 3 else array, "heights")
     signed = f"a number from -{MAX_LENGTH:g} to {MAX_LENGTH:g}"
-    ready = topography(
-        source,
+    wanted = Preparation(
         size=_positive(props, "size") if "size" in props else None,
         size_y=_positive(props, "size_y") if "size_y" in props else None,
         scale=properties.number(props, "scale", 1.0, -MAX_LENGTH, MAX_LENGTH, signed)
@@ -203,6 +202,7 @@ def _topography(props: mi.Properties) -> tuple[str, Topography]:
         form=properties.choice(props, "form", "keep", FORMS),
         fill=properties.choice(props, "fill", "none", FILLS),
     )
+    ready = topography(source, wanted)
     return f"heightfield {ready.source}", ready
 
 
@@ -212,9 +212,8 @@ def _random(props: mi.Properties) -> tuple[str, Topography]:
     resolution = properties.count(props, "resolution", 256, minimum=4)
     alpha = _positive(props, "alpha", 0.2)
     length = size * max(1 / 32, 4 / resolution)
+    alphas = _positive(props, "alpha_u", alpha), _positive(props, "alpha_v", alpha)
     asked: dict[str, Any] = {
-        "alpha_u": _positive(props, "alpha_u", alpha),
-        "alpha_v": _positive(props, "alpha_v", alpha),
         "correlation_length": _positive(props, "correlation_length", length),
         "correlation": properties.choice(
             props, "correlation", "gaussian", CORRELATIONS
@@ -225,7 +224,8 @@ def _random(props: mi.Properties) -> tuple[str, Topography]:
         "seed": properties.count(props, "seed", 0, minimum=0),
     }
     spacing = size / resolution
-    heights = gaussian_heights((resolution, resolution), spacing, **asked)
+    heights = gaussian_heights((resolution, resolution), spacing, alphas, **asked)
+    asked = {"alpha_u": alphas[0], "alpha_v": alphas[1], **asked}
     words = ", ".join(f"{key} {value}" for key, value in asked.items())
     name = f"heightfield of {resolution} x {resolution}, asked {words}"
     return name, Topography(heights, (spacing, spacing), True, name)

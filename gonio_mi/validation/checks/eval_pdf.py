@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..evidence import Evidence
+from ..evidence import Evidence, Ratio
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import BSDF_ROUNDING, Samples, is_many, ratio_of, unequal
 from .answers import lattice
@@ -59,9 +59,7 @@ def check_joint(
         evidence.breach_of_ratio(
             function,
             function,
-            samples,
-            unequal(joint, due, slack) & usable,
-            ratio_of(joint, due),
+            Ratio(samples, unequal(joint, due, slack) & usable, ratio_of(joint, due)),
             f"its value over `{alone}`",
             f"`{function}` answers otherwise than `{alone}`",
             effect,

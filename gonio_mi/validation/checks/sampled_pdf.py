@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..evidence import Evidence
+from ..evidence import Evidence, Ratio
 from ..samples import Samples, ratio_of, unequal
 
 
@@ -11,12 +11,11 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     lit = samples.usable & (samples.eval != 0).any(axis=1)
     if not lit.any():
         return
+    wrong = unequal(samples.sampled_pdf, samples.pdf, samples.pdf_slack) & lit
     evidence.breach_of_ratio(
         "sampled_pdf",
         "sample",
-        samples,
-        unequal(samples.sampled_pdf, samples.pdf, samples.pdf_slack) & lit,
-        ratio_of(samples.sampled_pdf, samples.pdf),
+        Ratio(samples, wrong, ratio_of(samples.sampled_pdf, samples.pdf)),
         "its pdf over `pdf`",
         "`sample` returns another pdf than `pdf`",
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...array_types import Flags
-from ..evidence import INTERFACE, Evidence
+from ..evidence import INTERFACE, Evidence, Ratio
 from ..samples import Samples, is_many, ratio_of, unequal
 
 # Standard errors beyond which two means differ.
@@ -28,9 +28,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         evidence.breach_of_ratio(
             "sampled_weight",
             "sample",
-            samples,
-            wrong[1],
-            ratio_of(products[1], samples.eval),
+            Ratio(samples, wrong[1], ratio_of(products[1], samples.eval)),
             "weight times pdf over `eval`",
             "the weight of `sample` is not `eval` over pdf",
             effect="" if _is_biased(samples, lit) else INTERFACE,
