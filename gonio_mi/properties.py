@@ -3,19 +3,28 @@
 Only the text of an exception survives Mitsuba's plugin loader, so it says it all.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable
-from typing import Any
+
+import mitsuba as mi
 
 from .errors import checked_choice, checked_count, checked_number
 
 
-def choice(props: Any, name: str, default: str, choices: Iterable[str]) -> str:
+def choice(
+    props: mi.Properties, name: str, default: str, choices: Iterable[str]
+) -> str:
     """Return the string property `name`, one of `choices`."""
     return checked_choice(_label(props, name), props.get(name, default), choices)
 
 
 def count(
-    props: Any, name: str, default: int, minimum: int = 1, maximum: int | None = None
+    props: mi.Properties,
+    name: str,
+    default: int,
+    minimum: int = 1,
+    maximum: int | None = None,
 ) -> int:
     """Return the whole-number property `name`."""
     return checked_count(
@@ -24,12 +33,17 @@ def count(
 
 
 def number(
-    props: Any, name: str, default: float, low: float, high: float, condition: str
+    props: mi.Properties,
+    name: str,
+    default: float,
+    low: float,
+    high: float,
+    condition: str,
 ) -> float:
     """Return the number property `name`, in ``[low, high)``."""
     value = props.get(name, default)
     return checked_number(_label(props, name), value, low, high, condition)
 
 
-def _label(props: Any, name: str) -> str:
+def _label(props: mi.Properties, name: str) -> str:
     return f"{props.plugin_name()}.{name}"

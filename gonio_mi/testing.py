@@ -1,14 +1,14 @@
 """For the test suites of those who write Mitsuba plugins."""
 
 from collections.abc import Sequence
-from typing import Any
 
+from .instrument.specimen_text import SpecimenLike
 from .validation import validate
 from .validation.verdict import Verdict
 
 
 def assert_bsdf_valid(
-    specimen: Any,
+    specimen: SpecimenLike,
     *,
     effort: str = "normal",
     seed: int = 0,

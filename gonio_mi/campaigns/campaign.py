@@ -6,11 +6,13 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from os import PathLike
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import SettingError, SettingTypeError, checked_count, shown
 from ..instrument.incidence import incident_angles
@@ -27,12 +29,12 @@ MAX_THREADS = 2**16
 
 def campaign(
     specimens: Mapping[str, Any],
-    theta_i: Any = None,
-    phi_i: Any = 0.0,
+    theta_i: ArrayLike | None = None,
+    phi_i: ArrayLike = 0.0,
     *,
     tolerance: float | None = None,
     theta_max: float = 80.0,
-    executor: Any = None,
+    executor: Executor | int | None = None,
     folder: str | PathLike[str] | None = None,
     plugins: Sequence[str | PathLike[str]] = (),
     threads: int | None = None,

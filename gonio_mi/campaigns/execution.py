@@ -46,7 +46,7 @@ class Surroundings:
     the same name.
     """
 
-    executor: Any = None
+    executor: Executor | int | None = None
     folder: str | PathLike[str] | None = None
     plugins: Sequence[str | PathLike[str]] = ()
     threads: int | None = None
@@ -139,7 +139,7 @@ def _check_specimens(
 
 def _finish(
     todo: Sequence[Task],
-    executor: Any,
+    executor: Executor | int | None,
     retries: int,
     keep: Callable[[Task, Record], None],
 ) -> None:
@@ -188,7 +188,7 @@ def _shared_out(
     return lost, death
 
 
-def _started(executor: Any) -> AbstractContextManager[Any]:
+def _started(executor: Executor | int | None) -> AbstractContextManager[Any]:
     """Context of the executor; a new one of processes for their number."""
     return workers(executor) if isinstance(executor, int) else nullcontext(executor)
 

@@ -17,6 +17,7 @@ import numpy as np
 from ..collector import Subdivision
 from ..errors import SettingError, SpecimenError, abridged
 from ..formats.scatter import PatchMeans
+from ..instrument.specimen_text import SpecimenLike
 from ..interpolation.lobes import check_table, is_significant
 from ..results.azimuth_symmetry import AzimuthSymmetry
 from ..results.campaign_outcome import PredictionError
@@ -84,7 +85,7 @@ class KnownDirections:
     def __init__(
         self,
         name: str,
-        specimen: Any,
+        specimen: SpecimenLike,
         tolerance: float,
         where: Surroundings,
         settings: dict[str, Any],

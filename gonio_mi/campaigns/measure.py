@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import inspect
+from concurrent.futures import Executor
+from os import PathLike
 from typing import Any
+
+from numpy.typing import ArrayLike
 
 from ..errors import LostLightWarning, SettingError, warn
 from ..instrument.incidence import incident_angles
 from ..instrument.measure import measure_stacks, whole
+from ..instrument.specimen_text import SpecimenLike
 from ..results.record import Record
 from ..results.summary import lost_light
 from ..settings import MeasurementSettings, declarations, numpydoc
@@ -15,15 +20,15 @@ from .campaign import campaign
 
 
 def measure(
-    specimen: Any,
-    theta_i: Any = None,
-    phi_i: Any = 0.0,
+    specimen: SpecimenLike,
+    theta_i: ArrayLike | None = None,
+    phi_i: ArrayLike = 0.0,
     *,
     emitter: dict[str, Any] | None = None,
     parameters: dict[str, Any] | None = None,
     resume: Record | None = None,
-    executor: Any = None,
-    folder: Any = None,
+    executor: Executor | int | None = None,
+    folder: str | PathLike[str] | None = None,
     progress: bool = False,
     **settings: Any,
 ) -> Record:
@@ -101,7 +106,7 @@ def measure(
     return record if stacked else record[0]
 
 
-def measure_whole(specimen: Any, *args: Any, **settings: Any) -> Record:
+def measure_whole(specimen: SpecimenLike, *args: Any, **settings: Any) -> Record:
     """Like :func:`measure`; after Ctrl-C KeyboardInterrupt instead of a part."""
     return whole(measure, specimen, *args, **settings)
 

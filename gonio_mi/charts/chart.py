@@ -10,6 +10,7 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from ..array_types import Floats
@@ -17,7 +18,7 @@ from ..campaigns.measure import measure_whole
 from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import load_specimen
-from ..instrument.specimen_text import specimen_name
+from ..instrument.specimen_text import SpecimenLike, specimen_name
 from ..results.planning import rms_expectation
 from ..results.record import Record
 from ..transport.kernels import launches_kernels
@@ -58,9 +59,9 @@ PILOT_SETTINGS = {"estimator": "weighted", "sampler": "sobol"}
 
 @launches_kernels()
 def chart(
-    specimen: Any,
-    theta_i: Any = None,
-    phi_i: Any = 0.0,
+    specimen: SpecimenLike,
+    theta_i: ArrayLike | None = None,
+    phi_i: ArrayLike = 0.0,
     *,
     estimators: Sequence[str] = ESTIMATORS,
     samplers: Sequence[str] = SAMPLERS,

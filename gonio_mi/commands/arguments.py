@@ -8,7 +8,7 @@ import functools
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import mitsuba as mi
 
@@ -21,6 +21,7 @@ from ..errors import (
     printable,
     shortened,
 )
+from ..instrument.specimen_text import SpecimenLike
 from ..settings import Declaration, Kind, MeasurementSettings, declarations
 from .file_kinds import check_kind
 
@@ -34,6 +35,10 @@ DEFAULT_VARIANT = "llvm_ad_mono"
 
 # Of Radiance's files.
 BASES = ("klems", "klems-half", "klems-quarter", "tensor3", "tensor4")
+
+
+# What options are added to: a parser, or a group of one.
+Group: TypeAlias = argparse._ActionsContainer
 
 
 # ------------------------------------------------------------- options and arguments
@@ -56,7 +61,7 @@ def add_specimen(parser: argparse.ArgumentParser) -> None:
 
 
 def add_number(
-    group: Any, option: str, metavar: str, text: str, default: float | None = None
+    group: Group, option: str, metavar: str, text: str, default: float | None = None
 ) -> None:
     """Add an option that is a number; its help ends with the default, if it has one."""
     if default is not None:
@@ -64,25 +69,25 @@ def add_number(
     group.add_argument(option, type=number, default=default, metavar=metavar, help=text)
 
 
-def add_text(group: Any, option: str, metavar: str, text: str, **how: Any) -> None:
+def add_text(group: Group, option: str, metavar: str, text: str, **how: Any) -> None:
     """Add an option or an argument that is a word, or several if `how` says so."""
     group.add_argument(option, metavar=metavar, help=text, **how)
 
 
-def add_files(group: Any, *options: str, text: str) -> None:
+def add_files(group: Group, *options: str, text: str) -> None:
     """Add an option that takes any number of files, and may be given again."""
     group.add_argument(
         *options, nargs="+", action="extend", default=[], metavar="FILE", help=text
     )
 
 
-def add_output(group: Any, text: str) -> None:
+def add_output(group: Group, text: str) -> None:
     """Add the options of what becomes of a result: files, and silence."""
     add_files(group, "-o", "--output", text=text)
     add_quiet(group)
 
 
-def add_quiet(group: Any) -> None:
+def add_quiet(group: Group) -> None:
     """Add the option of printing nothing."""
     text = "Suppress summary and progress bar."
     group.add_argument("-q", "--quiet", action="store_true", help=text)
@@ -140,7 +145,7 @@ def add_settings_group(
     return group
 
 
-def add_setting(group: Any, name: str, default: str | None = None) -> None:
+def add_setting(group: Group, name: str, default: str | None = None) -> None:
     """Add the option of one setting, with its declared sentence and default.
 
     A command whose `default` is another says so. The measurement checks values.
@@ -178,7 +183,7 @@ def given_options(options: argparse.Namespace, names: Sequence[str]) -> dict[str
 # --------------------------------------------------------- the specimen, the variant
 
 
-def check_not_read(specimen: Any, word: str, outputs: Sequence[str]) -> None:
+def check_not_read(specimen: SpecimenLike, word: str, outputs: Sequence[str]) -> None:
     """Raise ValueError if an output is a file that the specimen is read from."""
     read = [word, *(specimen.values() if isinstance(specimen, dict) else ())]
     named = [one for one in read if isinstance(one, str) and Path(one).is_file()]
@@ -293,7 +298,7 @@ def sentence(error: BaseException) -> str:
 TABLE_OPTIONS = ("channel", "quantity", "columns", "azimuth")
 
 
-def add_table_options(group: Any) -> None:
+def add_table_options(group: Group) -> None:
     """Add the options on what a table of measured values leaves open."""
     add_text(group, "--channel", "NAME", "Channel of a table of several: 550nm.")
     add_text(
@@ -322,7 +327,7 @@ def add_table_options(group: Any) -> None:
     )
 
 
-def add_uncertainties(group: Any, name: str) -> None:
+def add_uncertainties(group: Group, name: str) -> None:
     """Add the options on how well the values of a file are known, named so in help."""
     add_number(
         group,
@@ -340,7 +345,7 @@ def add_uncertainties(group: Any, name: str) -> None:
     )
 
 
-def add_aperture(group: Any) -> None:
+def add_aperture(group: Group) -> None:
     """Add the option on the detector of a table that does not state it."""
     add_number(
         group,

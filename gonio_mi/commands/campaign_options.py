@@ -14,13 +14,13 @@ from typing import Any
 
 from ..campaigns.known_directions import folder_name
 from ..errors import checked_count
-from .arguments import INCOMPLETE, add_number, add_text, say
+from .arguments import INCOMPLETE, Group, add_number, add_text, say
 
 # Exit code of what SIGTERM has ended, as shells count: 128 and its number.
 TERMINATED = 143
 
 
-def add_campaign(group: Any, default: str = "none") -> None:
+def add_campaign(group: Group, default: str = "none") -> None:
     """Add where to measure, and where to keep what is finished."""
     text = "Measure the incident directions in this many processes."
     add_number(group, "--workers", "N", text)

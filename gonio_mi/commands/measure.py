@@ -18,6 +18,7 @@ from ..campaigns.campaign import campaign
 from ..campaigns.measure import measure
 from ..errors import LostLightWarning, SettingError
 from ..instrument.measure import measure_orders
+from ..instrument.specimen_text import SpecimenLike
 from ..plots import ANIMATION_ENDINGS, FIGURE_ENDINGS
 from ..results.record import Record
 from ..results.summary import summarize
@@ -27,6 +28,7 @@ from .arguments import (
     DONE,
     INCOMPLETE,
     USER_ERROR,
+    Group,
     add_number,
     add_output,
     add_scene_options,
@@ -110,7 +112,7 @@ def add_options(parser: ArgumentParser) -> None:
     add_campaign(group, folder)
 
 
-def _add_angles(group: Any) -> None:
+def _add_angles(group: Group) -> None:
     """Add the options of the incident directions."""
     group.add_argument(
         "--theta-i",
@@ -256,7 +258,7 @@ def _measure(options: Namespace, orders: Sequence[str]) -> Callable[..., Any]:
     where = where or {"plugins": options.plugin}
 
     def _by_campaign(
-        specimen: Any, theta_i: Any, phi_i: Any, **settings: Any
+        specimen: SpecimenLike, theta_i: Any, phi_i: Any, **settings: Any
     ) -> Record:
         with kept_after_ctrl_c(options.folder):
             record = campaign(

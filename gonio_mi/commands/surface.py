@@ -17,11 +17,12 @@ from ..formats.height_maps import is_height_map
 from ..formats.meshes import is_mesh
 from ..instrument.loading import surface_specimen
 from ..instrument.mesh import NORMALS, mesh
-from ..instrument.specimen_text import parse_specimen
+from ..instrument.specimen_text import SpecimenLike, parse_specimen
 from ..surfaces.heights import FILLS, FORMS
 from ..surfaces.topography import UNITS
 from .arguments import (
     DONE,
+    Group,
     add_number,
     add_scene_options,
     add_setting,
@@ -83,7 +84,7 @@ def add_surface_options(parser: ArgumentParser) -> None:
     add_number(group, "--mean-plane", "Z", text)
 
 
-def _add_height_map(group: Any) -> None:
+def _add_height_map(group: Group) -> None:
     """Add the options of :data:`HEIGHT_MAP`."""
     add_number(
         group,
@@ -127,7 +128,7 @@ def _add_height_map(group: Any) -> None:
     )
 
 
-def prepared_surface(specimen: Any, options: Namespace) -> Any:
+def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
     """The specimen, or the shape of a height map or a mesh with what is given.
 
     A surface of heights is finite, unless a period joins its last row and column to the
@@ -143,7 +144,7 @@ def prepared_surface(specimen: Any, options: Namespace) -> Any:
     if isinstance(bsdf, str):
         raise SettingError(f"--bsdf must be a BSDF in one word, got {bsdf!r}")
     of_mesh = given_options(options, ("normal", "mean_plane"))
-    if is_mesh(specimen):
+    if isinstance(specimen, str) and is_mesh(specimen):
         for name in given.keys() - {"unit"}:
             raise SettingError(f"{_option(name)} applies to height maps, got a mesh")
         if bsdf is None:

@@ -10,6 +10,7 @@ from ..array_types import Floats
 from ..errors import SettingError
 from ..files import check_output, replacing
 from ..files.measured_table import MeasuredTable
+from ..instrument.specimen_text import SpecimenLike
 from ..single_precision import FEW_ROUNDINGS
 from .compare import compare
 from .comparison import Comparison
@@ -129,7 +130,7 @@ def uncertainty_budget(
 
 
 def aperture_effect(
-    specimen: Any,
+    specimen: SpecimenLike,
     table: MeasuredTable,
     comparison: Comparison,
     *,

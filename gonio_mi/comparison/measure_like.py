@@ -14,6 +14,7 @@ from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, SettingTypeError, SpecimenError, shown
 from ..files.channels import wavelengths_nm
 from ..files.measured_table import MeasuredTable
+from ..instrument.specimen_text import SpecimenLike
 from ..progress import counted
 from ..results.record import Record
 from .pairing import pole_angle
@@ -37,7 +38,7 @@ PRECISION_SETTINGS = {"rays", "rel_err", "noise", "estimator", "trace"}
 
 
 def measure_like(
-    specimen: Any,
+    specimen: SpecimenLike,
     like: MeasuredTable | Record,
     *,
     aperture_half_angle: float | None = None,
@@ -112,7 +113,7 @@ def measure_like(
 
 
 def _like_table(
-    specimen: Any,
+    specimen: SpecimenLike,
     table: MeasuredTable,
     solid_angles: Subdivision | float,
     seed: int,
@@ -213,7 +214,7 @@ def _noise(table: MeasuredTable, patches: Subdivision) -> float:
 
 
 def _like_record(
-    specimen: Any,
+    specimen: SpecimenLike,
     record: Record,
     seed: int | None,
     settings: dict[str, Any],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from concurrent.futures import Executor
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from ..collector.directions import direction
 from ..errors import SettingError, checked_choice
 from ..files import check_output
 from ..formats.radiance import Product
+from ..instrument.specimen_text import SpecimenLike
 from ..results.prediction_error import prediction_error
 from ..results.record import Record
 from ..settings.values import checked_wavelengths
@@ -40,14 +42,14 @@ FIXED = ("theta_i", "phi_i", "incident", "collector", "side", "hemispheres")
 
 
 def bsdf(
-    specimen: Any,
+    specimen: SpecimenLike,
     path: str | PathLike[str],
     basis: str = "klems",
     *,
     solar: Any = None,
     product: Product | None = None,
     cells: int | None = None,
-    executor: Any = None,
+    executor: Executor | int | None = None,
     folder: str | PathLike[str] | None = None,
     **settings: Any,
 ) -> dict[str, Record]:
@@ -132,7 +134,7 @@ def bsdf(
     return records | dict(zip(("solar front", "solar back"), sunlight))
 
 
-def _warn_unless_isotropic(specimen: Any, settings: dict[str, Any]) -> None:
+def _warn_unless_isotropic(specimen: SpecimenLike, settings: dict[str, Any]) -> None:
     """Warn of a specimen that scatters differently turned by 45 or 90 degrees."""
     asked = {
         "rays": TRIAL_RAYS,
@@ -160,7 +162,11 @@ def _warn_unless_isotropic(specimen: Any, settings: dict[str, Any]) -> None:
 
 
 def _side(
-    specimen: Any, name: str, executor: Any, folder: Any, **settings: Any
+    specimen: SpecimenLike,
+    name: str,
+    executor: Executor | int | None,
+    folder: str | PathLike[str] | None,
+    **settings: Any,
 ) -> Record:
     """Record of one side, here and at once, or in a campaign of its own."""
     if executor is None and folder is None:

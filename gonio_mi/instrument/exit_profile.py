@@ -19,7 +19,7 @@ from .loading import load_specimen
 from .measure import send_all
 from .recording import records_of
 from .setup import own_settings, set_up
-from .specimen_text import specimen_name
+from .specimen_text import SpecimenLike, specimen_name
 
 MAX_RINGS = 10_000
 RADII = "numbers of at least 0 and less than 1e15"
@@ -81,7 +81,7 @@ class ExitProfile:
 
 @launches_kernels()
 def exit_profile(
-    specimen: Any,
+    specimen: SpecimenLike,
     radii: Sequence[float],
     theta_i: float = 0.0,
     phi_i: float = 0.0,

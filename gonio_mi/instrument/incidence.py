@@ -6,7 +6,9 @@ from typing import Any
 
 import mitsuba as mi
 import numpy as np
+from numpy.typing import ArrayLike
 
+from ..collector import Subdivision
 from ..collector.directions import direction
 from ..errors import SettingError, SettingTypeError, checked_number, shown, warn
 from ..settings.values import checked_incident
@@ -20,7 +22,7 @@ MIN_DECIMALS = 3
 
 
 def incident_angles(
-    theta_i: Any, phi_i: Any, incident: Any = None
+    theta_i: ArrayLike | None, phi_i: ArrayLike, incident: Subdivision | None = None
 ) -> tuple[list[Any], bool]:
     """List of ``(theta_i, phi_i)`` in degrees, or ``[None]``; whether it is a stack.
 

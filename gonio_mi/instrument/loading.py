@@ -31,7 +31,7 @@ from ..formats.tensor_file import check_measured
 from ..transport.kernels import launches_kernels
 from ..transport.shapes import WATERTIGHT, remember, scene_of
 from ..transport.variants import check_variant, is_parallel
-from .specimen_text import is_word, parse_specimen
+from .specimen_text import SpecimenLike, is_word, parse_specimen
 
 # Texts that may hold heights or measured values.
 TEXTS = (".txt", ".csv", ".tsv")
@@ -96,7 +96,7 @@ def existing(specimen: str | os.PathLike[str]) -> Path:
 
 @launches_kernels(is_parallel)
 def load_specimen(
-    specimen: Any, parameters: dict[str, Any] | None = None, period: Any = None
+    specimen: SpecimenLike, parameters: dict[str, Any] | None = None, period: Any = None
 ) -> Any:
     """Load a specimen as a Mitsuba scene.
 

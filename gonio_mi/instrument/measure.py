@@ -12,6 +12,7 @@ from os import PathLike
 from typing import Any
 
 import mitsuba as mi
+from numpy.typing import ArrayLike
 
 from ..errors import (
     LostLightWarning,
@@ -37,7 +38,7 @@ from .loading import check_named_files, load_specimen
 from .recording import check_resumable, record_of, records_of, warn_of_interruption
 from .schedule import Target, rays_sent, rounds, schedule
 from .setup import own_settings, set_up
-from .specimen_text import specimen_name
+from .specimen_text import SpecimenLike, specimen_name
 
 logger = logging.getLogger(__name__)
 
@@ -46,7 +47,9 @@ MAX_TOGETHER = 64
 
 
 def measure_each(
-    specimen: Any, incidents: Sequence[tuple[float, float] | None], **settings: Any
+    specimen: SpecimenLike,
+    incidents: Sequence[tuple[float, float] | None],
+    **settings: Any,
 ) -> Record:
     """Stack of the incident directions, each ``(theta_i, phi_i)`` in degrees or None.
 
@@ -57,9 +60,9 @@ def measure_each(
 
 
 def measure_orders(
-    specimen: Any,
-    theta_i: Any = None,
-    phi_i: Any = 0.0,
+    specimen: SpecimenLike,
+    theta_i: ArrayLike | None = None,
+    phi_i: ArrayLike = 0.0,
     *,
     orders: Sequence[int | str] = (1, 2, "3+"),
     **settings: Any,
@@ -104,7 +107,7 @@ def measure_orders(
 
 @launches_kernels(is_parallel)
 def measure_stacks(
-    specimen: Any,
+    specimen: SpecimenLike,
     incidents: Sequence[tuple[float, float] | None],
     *,
     orders: Sequence[Order] = (),
@@ -277,7 +280,7 @@ def _check_together(
 
 
 def _prepared(
-    specimen: Any,
+    specimen: SpecimenLike,
     parameters: dict[str, Any] | None,
     given: dict[str, Any],
     resume: object,

@@ -3,11 +3,19 @@
 import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from ..errors import SpecimenError, no_file
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+# What `measure` takes: a dictionary of Mitsuba's, an object of it, or a file.
+SpecimenLike: TypeAlias = (
+    "dict[str, Any] | mi.BSDF | mi.Shape | mi.Scene | str | os.PathLike[str]"
+)
 
 
 def parse_specimen(text: str) -> Any:
@@ -78,7 +86,9 @@ def _value(text: str) -> Any:
         return text
 
 
-def specimen_name(specimen: Any, parameters: dict[str, Any] | None = None) -> str:
+def specimen_name(
+    specimen: SpecimenLike, parameters: dict[str, Any] | None = None
+) -> str:
     """Short name of a specimen: its file, or its BSDF in one word where that fits.
 
     The inverse of :func:`parse_specimen`, as far as there is one. A scene of one mesh
@@ -103,7 +113,7 @@ def specimen_name(specimen: Any, parameters: dict[str, Any] | None = None) -> st
     return f"{name}:{','.join(words)}" if words else name
 
 
-def _only_mesh(specimen: Any) -> dict[str, Any] | None:
+def _only_mesh(specimen: SpecimenLike) -> dict[str, Any] | None:
     """The shape of a scene that is a mesh in a file and nothing else."""
     if not isinstance(specimen, dict) or specimen.get("type") != "scene":
         return None

@@ -21,7 +21,11 @@ class Joint(Protocol):
     """BSDF with an ``eval_pdf``."""
 
     def eval_pdf(
-        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, on: Any
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        on: mi.Bool,
     ) -> tuple[mi.Spectrum, mi.Float]:
         """BRDF times the cosine of `wo`, and its density."""
 
@@ -34,7 +38,7 @@ def _part(number: int, what: str) -> Callable[..., Any]:
         ctx: mi.BSDFContext,
         si: mi.SurfaceInteraction3f,
         wo: mi.Vector3f,
-        active: Any = True,
+        active: mi.Bool | bool = True,
     ) -> Any:
         return self.eval_pdf(ctx, si, wo, active)[number]
 
@@ -87,12 +91,20 @@ class OneSided(Protocol):
     """What a plugin says itself."""
 
     def draw(
-        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, u: mi.Point2f, on: Any
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        u: mi.Point2f,
+        on: mi.Bool,
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Sample and weight for the point `u` of the unit square, where `on` is set."""
 
     def scattered(
-        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, on: Any
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        on: mi.Bool,
     ) -> tuple[mi.Spectrum, mi.Float]:
         """BRDF times the cosine of `wo`, and its density in 1/sr, where `on` is set.
 
@@ -106,7 +118,7 @@ def sample(
     si: mi.SurfaceInteraction3f,
     sample1: mi.Float,
     sample2: mi.Point2f,
-    active: Any = True,
+    active: mi.Bool | bool = True,
 ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
     """Draw `wo` by `sample2` alone: two dimensions suit low-discrepancy points best."""
     del sample1
@@ -118,7 +130,7 @@ def eval_pdf(
     ctx: mi.BSDFContext,
     si: mi.SurfaceInteraction3f,
     wo: mi.Vector3f,
-    active: Any = True,
+    active: mi.Bool | bool = True,
 ) -> tuple[mi.Spectrum, mi.Float]:
     """BRDF times the cosine of `wo`, and the density of `wo` in 1/sr.
 

@@ -15,6 +15,7 @@ from ..array_types import Floats, Integers
 from ..collector.directions import direction
 from ..errors import SpecimenError, checked_count, checked_number
 from ..instrument.loading import load_specimen
+from ..instrument.specimen_text import SpecimenLike
 from ..plots.figure import finished, new_figure
 from ..settings.values import checked_period
 from ..single_precision import FEW_ROUNDINGS
@@ -297,7 +298,7 @@ def _pair(value: float, error: float) -> str:
 
 @launches_kernels()
 def micro_normals(
-    specimen: Any,
+    specimen: SpecimenLike,
     *,
     parameters: dict[str, Any] | None = None,
     period: Any = "box",

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import load_specimen, loaded, with_own_tensors
-from ..instrument.specimen_text import specimen_name
+from ..instrument.specimen_text import SpecimenLike, specimen_name
 from ..progress import bar
 from ..transport.bsdf_trial import PluginFault
 from ..transport.kernels import launches_kernels
@@ -70,7 +70,7 @@ COLOURS = re.compile("reflectance|transmittance|colou?r|albedo|tint")
 
 @launches_kernels(is_parallel)
 def validate(
-    specimen: Any,
+    specimen: SpecimenLike,
     *,
     effort: str = "normal",
     seed: int = 0,
@@ -166,7 +166,7 @@ def validate(
     )
 
 
-def _bsdf(specimen: Any) -> tuple[mi.BSDF, str]:
+def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str]:
     """BSDF of a specimen, and its name."""
     name: str | None
     if isinstance(specimen, dict):

@@ -15,7 +15,7 @@ from scipy import special
 
 from ..array_types import Flags, Floats
 from ..errors import checked_count, checked_number
-from ..instrument.specimen_text import specimen_name
+from ..instrument.specimen_text import SpecimenLike, specimen_name
 from ..transport.variants import check_variant
 from ..validation.samples import BSDF_ROUNDING, SLACK, ULPS, is_many
 from .asking import Answers, Question, ask, interpreter
@@ -126,7 +126,7 @@ SMALLEST = 1e-30
 
 
 def diff(
-    specimen: Any,
+    specimen: SpecimenLike,
     against: str | PathLike[str],
     *,
     parameters: Mapping[str, Any] | None = None,
@@ -179,7 +179,7 @@ def diff(
 
 
 def asked_of(
-    specimen: Any,
+    specimen: SpecimenLike,
     parameters: Mapping[str, Any] | None,
     plugins: Sequence[str],
     seed: int,

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..errors import FileFormatError, SettingError, checked_number
 from ..files.writing import replacing
-from ..instrument.specimen_text import specimen_name
+from ..instrument.specimen_text import SpecimenLike, specimen_name
 from ..transport.variants import check_variant
 from ..validation.samples import SLACK, ULPS
 from .asking import Answers, Question, ask, interpreter
@@ -34,7 +34,7 @@ ROWS = ("eval", "pdf", "eval_slack", "pdf_slack", "wo")
 
 
 def saved(
-    specimen: Any,
+    specimen: SpecimenLike,
     python: str | PathLike[str],
     *,
     name: str | None = None,

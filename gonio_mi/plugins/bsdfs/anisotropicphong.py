@@ -137,7 +137,11 @@ class AnisotropicPhong(mi.BSDF):
         dr.make_opaque(self.mean_cosine)
 
     def draw(
-        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, u: mi.Point2f, on: Any
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        u: mi.Point2f,
+        on: mi.Bool,
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Draw a facet and reflect at it."""
         if not bsdf_functions.glossy_enabled(ctx):
@@ -154,7 +158,11 @@ class AnisotropicPhong(mi.BSDF):
         return bsdf_functions.glossy_sample(wo, pdf), weight & above
 
     def scattered(
-        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, on: Any
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        on: mi.Bool,
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Reflect at the facets along the half vector; the density misses some."""
         if not bsdf_functions.glossy_enabled(ctx):
@@ -204,7 +212,7 @@ class AnisotropicPhong(mi.BSDF):
         return z * self.mean_cosine + (x + y + z) * averted
 
     def _fresnel(
-        self, si: mi.SurfaceInteraction3f, cos_d: mi.Float, active: Any
+        self, si: mi.SurfaceInteraction3f, cos_d: mi.Float, active: mi.Bool | bool
     ) -> mi.Spectrum:
         """Schlick's reflectance of a facet."""
         f0 = self.f0.eval(si, active)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 
@@ -112,7 +110,11 @@ class CosineLobe(mi.BSDF):
         cb.put("reflectance", self.reflectance, mi.ParamFlags.Differentiable)
 
     def draw(
-        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, u: mi.Point2f, on: Any
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        u: mi.Point2f,
+        on: mi.Bool,
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Draw from the whole lobe; what falls below the horizon has no weight."""
         if not bsdf_functions.glossy_enabled(ctx):
@@ -126,7 +128,11 @@ class CosineLobe(mi.BSDF):
         return bsdf_functions.glossy_sample(wo, pdf), weight
 
     def scattered(
-        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, on: Any
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        on: mi.Bool,
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Lobe and its density."""
         if not bsdf_functions.glossy_enabled(ctx):

@@ -108,7 +108,11 @@ class GlossyMixture(mi.BSDF):
         dr.make_opaque(self.glossy_share, self.exponent)
 
     def draw(
-        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, u: mi.Point2f, on: Any
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        u: mi.Point2f,
+        on: mi.Bool,
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Pick a lobe by the first of `u` and draw `wo` from what is left of it."""
         bs = dr.zeros(mi.BSDFSample3f)
@@ -134,7 +138,11 @@ class GlossyMixture(mi.BSDF):
         return bs, dr.select(pdf > 0, value / pdf, 0)
 
     def scattered(
-        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, on: Any
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        wo: mi.Vector3f,
+        on: mi.Bool,
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Sum of the enabled lobes, and the density with which one is picked."""
         share = self._enabled_share(ctx)

@@ -165,7 +165,7 @@ class Goniometric(mi.BSDF):
         si: mi.SurfaceInteraction3f,
         sample1: mi.Float,
         sample2: mi.Point2f,
-        active: Any = True,
+        active: mi.Bool | bool = True,
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Pick a hemisphere by `sample1` and draw `wo` by `sample2`."""
         bs = dr.zeros(mi.BSDFSample3f)
@@ -192,7 +192,7 @@ class Goniometric(mi.BSDF):
         ctx: mi.BSDFContext,
         si: mi.SurfaceInteraction3f,
         wo: mi.Vector3f,
-        active: Any = True,
+        active: mi.Bool | bool = True,
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Both of :meth:`eval` and :meth:`pdf`."""
         if ctx.mode == mi.TransportMode.Importance:
@@ -217,7 +217,7 @@ class Goniometric(mi.BSDF):
         to_emitter: mi.Vector3f,
         detector: mi.Vector3f,
         wavelengths: mi.Spectrum,
-        active: Any,
+        active: mi.Bool | bool,
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Value and density of `detector` for light from the direction `to_emitter`."""
         value, pdf = mi.Spectrum(0), mi.Float(0)

@@ -407,14 +407,14 @@ class Sobol(mi.Sampler):
         self.index = self.index + self.wavefront_size()
         self.draw = mi.UInt32(0)
 
-    def next_1d(self, active: Any = True) -> mi.Float:
+    def next_1d(self, active: mi.Bool | bool = True) -> mi.Float:
         """Next number of each point."""
         del active
         bits = sobol_number(self.index, self.key, self.draw)
         self.draw = self.draw + 1
         return fraction(bits)
 
-    def next_2d(self, active: Any = True) -> mi.Point2f:
+    def next_2d(self, active: mi.Bool | bool = True) -> mi.Point2f:
         """Next two numbers of each point."""
         x = self.next_1d(active)
         return mi.Point2f(x, self.next_1d(active))
