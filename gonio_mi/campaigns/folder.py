@@ -22,7 +22,7 @@ import numpy as np
 
 from .. import files
 from ..errors import FileFormatError, SettingError
-from ..files.writing import PREFIX, SUFFIX
+from ..files.writing import remove_forgotten
 from ..instrument.loading import existing
 from ..results.record import Record
 from .tasks import Task
@@ -84,7 +84,7 @@ class CampaignFolder(contextlib.ExitStack):
         self.folder.mkdir(parents=True, exist_ok=True)
         try:
             self.enter_context(_locked(self.folder))
-            self.enter_context(_tidied(self.folder))
+            self.callback(remove_forgotten, self.folder, 0)
             self._check()
         except BaseException:
             self.close()
@@ -183,27 +183,6 @@ def _lock(descriptor: int) -> None:
         import fcntl
 
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-@contextlib.contextmanager
-def _tidied(folder: Path) -> Iterator[None]:
-    """Context after which half-written files are removed that nobody wrote in it."""
-    before = _written(folder)
-    try:
-        yield
-    finally:
-        for path, time in _written(folder).items():
-            if before.get(path) == time:
-                path.unlink(missing_ok=True)
-
-
-def _written(folder: Path) -> dict[Path, int]:
-    """Half-written files, and when they were last written to."""
-    times = {}
-    for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
-        with contextlib.suppress(FileNotFoundError):
-            times[path] = path.stat().st_mtime_ns
-    return times
 
 
 # --------------------------------------------------------------------- descriptions

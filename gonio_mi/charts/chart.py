@@ -19,7 +19,7 @@ from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
 from ..instrument.loading import load_specimen
 from ..instrument.specimen_text import SpecimenLike, specimen_name
-from ..results.planning import rms_expectation
+from ..results.planning import patch_values, rms_expectation
 from ..results.record import Record
 from ..transport.kernels import launches_kernels
 from .curves import Chart, Curve, Point, Reference
@@ -408,14 +408,10 @@ def arrays(record: Record) -> tuple[Floats, Floats]:
 
     The standard error is 0 for a patch without a hit, and NaN for a single batch.
     """
-    values: list[Any] = [record.brdf]
-    errors: list[Any] = [record.brdf_std_err]
-    if record.has_lower:
-        values.append(record.btdf)
-        errors.append(record.btdf_std_err)
+    errors = patch_values(record, "brdf_std_err", "btdf_std_err")
     unknown = record.n_batches == 1 and record.provenance.rays
-    std_err = np.nan_to_num(np.stack(errors), nan=np.nan if unknown else 0.0)
-    return np.stack(values), std_err
+    std_err = np.nan_to_num(errors, nan=np.nan if unknown else 0.0)
+    return patch_values(record, "brdf", "btdf"), std_err
 
 
 def _rms(values: Floats) -> float:

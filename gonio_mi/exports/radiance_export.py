@@ -9,6 +9,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..collector.borders import Borders
+from ..collector.directions import angles
 from ..collector.hemisphere import Subdivision
 from ..collector.klems import Klems
 from ..collector.shirley_chiu import ShirleyChiu
@@ -183,9 +184,8 @@ class Side:
         points = CELL_POINTS
         if self.rank is None:
             points = POINTS_OUT
-            x, y, z = np.moveaxis(self.patches.points(POINTS_IN), -1, 0)
-            theta_i = np.degrees(np.arctan2(np.hypot(x, y), z))
-            phi_i = np.degrees(np.arctan2(-y, -x))
+            flight = self.patches.points(POINTS_IN)
+            theta_i, phi_i = np.degrees(angles(flight * [-1, -1, 1]))
         else:
             size = self.patches.shape[0]
             theta_i, phi_i, _ = grid_directions(self.rank, size, CELL_POINTS, 1)
@@ -282,9 +282,8 @@ def exchanged(
     """
     points = patches.points(POINTS_OF_PAIRS)
     n, each, _ = points.shape
-    x, y, z = np.moveaxis(points.reshape(-1, 3), -1, 0)
-    angles = np.degrees([np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)])
-    theta, phi = np.repeat(angles, n * each, axis=1)
+    incident = np.degrees(angles(points.reshape(-1, 3)))
+    theta, phi = np.repeat(incident, n * each, axis=1)
     wo = np.tile(points.reshape(-1, 3), (n * each, 1))
     values = written.values(side, 0, theta, phi, wo).mean(axis=-1)
     means = values.reshape(n, each, n, each).mean(axis=(1, 3))

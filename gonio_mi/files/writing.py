@@ -103,7 +103,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 def _replaced(target: Path) -> Iterator[BinaryIO]:
     """The one stream whose content takes the place of a regular file."""
-    _remove_forgotten(target.parent)
+    remove_forgotten(target.parent)
     partial = _partial(target)
     try:
         with open(partial, "xb") as stream:
@@ -142,11 +142,11 @@ def _is_locked(stream: BinaryIO) -> bool:
     return False
 
 
-def _remove_forgotten(folder: Path) -> None:
-    """Remove the temporary files of processes that were killed."""
+def remove_forgotten(folder: Path, age: float = MAX_PARTIAL_AGE) -> None:
+    """Remove the temporary files of processes that were killed, of this age in s."""
     for partial in folder.glob(f"{PREFIX}*{SUFFIX}"):
         with contextlib.suppress(OSError):
-            if time.time() - partial.stat().st_mtime < MAX_PARTIAL_AGE:
+            if time.time() - partial.stat().st_mtime < age:
                 continue
             with open(partial, "rb") as stream:
                 if not _is_locked(stream):

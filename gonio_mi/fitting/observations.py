@@ -16,7 +16,7 @@ from .predictions import ConePredictions, PatchPredictions
 
 # Relative error of the integrals of a model, in no error bar of a record of integrals;
 # and the part of the mean below which values are uncertain alike.
-MODEL_REL_ERR, MIN_RELATIVE_VALUE = 1e-4, 0.01
+MODEL_INTEGRAL_ERR, MIN_RELATIVE_VALUE = 1e-4, 0.01
 
 
 class Observations(Protocol):
@@ -83,7 +83,9 @@ class RecordObservations:
         """Those of the record, shared among detectors that are alike."""
         found = self._std_errs() ** 2
         if self._batches() is None:
-            return found + (MODEL_REL_ERR * (self.values + self.values.mean())) ** 2
+            return (
+                found + (MODEL_INTEGRAL_ERR * (self.values + self.values.mean())) ** 2
+            )
         (tally,) = self.single.tallies
         channels = len(self.single.channels)
         hits = self._kept(np.repeat(tally.hits[..., None], channels, axis=-1))
@@ -195,7 +197,7 @@ class TableObservations:
             dof = max(self.table.degrees_of_freedom, 3.0)
             found = found * dof / (dof - 2)
         found = np.maximum(found, 0) + (relative * predicted) ** 2
-        return found + (MODEL_REL_ERR * (np.abs(self.values).mean())) ** 2
+        return found + (MODEL_INTEGRAL_ERR * (np.abs(self.values).mean())) ** 2
 
     def misfit(self, predicted: Floats) -> float:
         """Chi-square; without variances, of distances relative to both values.

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..array_types import Floats, Integers
 from ..collector import Subdivision
-from ..collector.directions import direction
+from ..collector.directions import angles, direction
 from ..errors import SettingError
 from ..files.channels import wavelengths_nm
 from ..quadrature import integrate
@@ -22,7 +22,7 @@ from ..transport.surface_events import flux_context
 from ..transport.wavelengths import passes, wavelength_lanes
 
 # Relative error of each patch to which the nodes of the integrals are refined.
-REL_ERR = 1e-4
+INTEGRAL_ERR = 1e-4
 
 
 class Predictions:
@@ -64,7 +64,9 @@ class Predictions:
     def _measured_channels(self, values: Floats) -> Floats:
         """Values ``(..., n)`` of the channels that were measured, in one row."""
         own = values[..., : self.channels]
-        if self.channels == 1 and not np.allclose(values, own, rtol=REL_ERR, atol=0):
+        if self.channels == 1 and not np.allclose(
+            values, own, rtol=INTEGRAL_ERR, atol=0
+        ):
             raise SettingError(
                 "the record has one channel, as of a grey specimen, and the model is "
                 "coloured: fit it to a record of R, G and B, or say a grey model"
@@ -134,7 +136,7 @@ class PatchPredictions(Predictions):
                 bsdf,
                 *self.incident,
                 self.subdivision,
-                rel_err=REL_ERR,
+                integral_err=INTEGRAL_ERR,
                 side=self.side,
                 interaction=self._interaction(nm),
             )
@@ -252,16 +254,11 @@ class ConePredictions(Predictions):
         if self.means:
             solid = np.bincount(place, (weight * wo[..., 2]).ravel())
             weight = weight / solid[:, None]
-        theta = np.arctan2(np.hypot(wo[..., 0], wo[..., 1]), wo[..., 2])
-        phi = np.arctan2(wo[..., 1], wo[..., 0])
         kept = weight.ravel() > 0
-        angles = (
-            theta.ravel()[kept],
-            phi.ravel()[kept],
-            np.full(kept.sum(), self.lower),
-        )
+        theta, phi = angles(wo.reshape(-1, 3)[kept])
+        towards = theta, phi, np.full(len(theta), self.lower)
         self._nodes = [
-            Nodes(self._light(nm), place[kept], angles, weight.ravel()[kept], len(wo))
+            Nodes(self._light(nm), place[kept], towards, weight.ravel()[kept], len(wo))
             for nm in self.passes
         ]
 
@@ -289,4 +286,4 @@ def _alike(before: Floats | None, found: Floats) -> bool:
     if before is None:
         return False
     change = np.abs(found - before)
-    return bool(np.all(change <= REL_ERR * (np.abs(found) + np.abs(found).mean())))
+    return bool(np.all(change <= INTEGRAL_ERR * (np.abs(found) + np.abs(found).mean())))

@@ -22,52 +22,19 @@ from ..errors import FileFormatError, PackageError, SpecimenError, no_file
 # Endings of the files of instruments, and the formats in which the library
 # SurfaceTopography may read each. Left out are containers of anything (HDF5, NetCDF,
 # MATLAB, zip), and tables that may be a measured BSDF.
-READERS = {
-    "001": "di",
-    "al3d": "al3d",
+SAME_NAME = """
+al3d asc bcr datx di ezd frt gwy ibw jpk lext mdt mi mnt nms oir opd opdx os3d
+plu plux poir qep sdf sur tmd x3p zmg zon
+"""
+READERS = {name: name for name in SAME_NAME.split()} | {
+    **dict.fromkeys(("001", "spm"), "di"),
     "apx": "plu",
-    "asc": "asc",
-    "bcr": "bcr",
     "bcrf": "bcr",
-    "cur": "wsxm",
+    **dict.fromkeys(("cur", "stp", "tom", "top"), "wsxm"),
     "dat": "metropro,asc",
-    "datx": "datx",
-    "di": "di",
-    "ezd": "ezd",
-    "frt": "frt",
-    "gwy": "gwy",
-    "ibw": "ibw",
-    "jpk": "jpk",
-    "lext": "lext",
-    "mdt": "mdt",
-    "mi": "mi",
-    "mnt": "mnt",
     "nid": "ezd",
-    "nms": "nms",
-    "oir": "oir",
-    "opd": "opd",
-    "opdx": "opdx",
-    "os3d": "os3d",
-    "plu": "plu",
-    "plux": "plux",
-    "poir": "poir",
-    "qep": "qep",
-    "sdf": "sdf",
-    "spm": "di",
-    "stp": "wsxm",
-    "sur": "sur",
-    "tif": "ps,tiff",
-    "tiff": "ps,tiff",
-    "tmd": "tmd",
-    "tom": "wsxm",
-    "top": "wsxm",
-    "vk3": "vk",
-    "vk4": "vk",
-    "vk6": "vk",
-    "vk7": "vk",
-    "x3p": "x3p",
-    "zmg": "zmg",
-    "zon": "zon",
+    **dict.fromkeys(("tif", "tiff"), "ps,tiff"),
+    **dict.fromkeys(("vk3", "vk4", "vk6", "vk7"), "vk"),
 }
 
 # Files that are a specimen by their name alone: heights and nothing else.

@@ -9,12 +9,12 @@ times as large as the BRDF in 1/sr. Negative values mark cells that were not mea
 """
 
 from collections.abc import Callable, Sequence
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from ..array_types import Floats
-from ..collector.directions import direction
+from ..collector.directions import angles, direction
 from ..files.checks import require, size_of
 from .format import Format
 from .scatter import Block, Scatter
@@ -120,34 +120,17 @@ def _directions(
     row: np.ndarray, column: np.ndarray, turn: np.ndarray
 ) -> tuple[Floats, Floats]:
     """Angles of incidence in degrees, and exits for incidence from the azimuth 0."""
+    from scipy.spatial.transform import Rotation  # slow to import, and rarely needed
+
     theta_h = ((row + 0.5) / CELLS[0]) ** 2 * (np.pi / 2)
     theta_d = (column + 0.5) / CELLS[1] * (np.pi / 2)
     phi_d = (turn + 0.5) / CELLS[2] * np.pi
     wi = direction(theta_d, phi_d)
     wo = wi * [-1, -1, 1]
-    cosine, sine = np.cos(theta_h), np.sin(theta_h)
-    wi, wo = (
-        np.stack(
-            [
-                v[:, 0] * cosine + v[:, 2] * sine,
-                v[:, 1],
-                v[:, 2] * cosine - v[:, 0] * sine,
-            ],
-            axis=-1,
-        )
-        for v in (wi, wo)
-    )
-    theta_i = np.degrees(np.arccos(np.clip(wi[:, 2], -1, 1)))
-    phi_i = np.arctan2(wi[:, 1], wi[:, 0])
-    turned = np.stack(
-        [
-            wo[:, 0] * np.cos(phi_i) + wo[:, 1] * np.sin(phi_i),
-            wo[:, 1] * np.cos(phi_i) - wo[:, 0] * np.sin(phi_i),
-            wo[:, 2],
-        ],
-        axis=-1,
-    )
-    return theta_i, turned
+    tilt = Rotation.from_euler("y", theta_h[:, None])
+    theta_i, phi_i = angles(tilt.apply(wi))
+    back: Any = Rotation.from_euler("z", -phi_i[:, None])
+    return np.degrees(theta_i), back.apply(tilt.apply(wo))
 
 
 FORMATS = (

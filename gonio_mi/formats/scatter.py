@@ -12,7 +12,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..collector import EqualAngle
-from ..collector.directions import direction
+from ..collector.directions import angles, direction
 from ..collector.hemisphere import Subdivision
 from ..files.checks import require
 
@@ -172,8 +172,7 @@ class Block:
         polar, around = np.meshgrid(self.polar, azimuth, indexing="ij")
         once = (polar > 0) | (around == azimuth[0])
         wo = direction(np.radians(polar[once]), np.radians(around[once])) @ self._frame
-        theta = np.degrees(np.arctan2(np.hypot(wo[:, 0], wo[:, 1]), wo[:, 2]))
-        phi = np.degrees(np.arctan2(wo[:, 1], wo[:, 0]))
+        theta, phi = np.degrees(angles(wo))
         if not self.specular:  # as they are written, to the bit
             theta, phi = polar[once], around[once] + self.phi_i + 180
         above = theta < 90 - HORIZON_TOLERANCE
@@ -359,8 +358,8 @@ def scatter_means(scatter: Scatter, patches: Subdivision | None = None) -> Patch
     )
     shape = len(incident), max(held) + 1, *patches.shape, len(scatter.channels)
     means = np.zeros(shape)
-    for (hemisphere, *angles), block in by_angles.items():
-        here = incident.index((angles[0], angles[1])), hemisphere
+    for (hemisphere, *pair), block in by_angles.items():
+        here = incident.index((pair[0], pair[1])), hemisphere
         means[here] = patch_means(block, patches)
     theta_i, phi_i = np.array(incident).T
     return PatchMeans.of(means, patches, (theta_i, phi_i), scatter.channels)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..array_types import Floats
+from ..collector.directions import angles
 from ..collector.shirley_chiu import directions_of, square_of
 from ..errors import FileFormatError
 from ..files.checks import require
@@ -159,9 +160,8 @@ def grid_directions(
         theta_i = np.degrees(np.arcsin(sine))
         phi_i = np.full_like(theta_i, 180.0)
     else:
-        x, y, z = np.moveaxis(directions_of(_cells(size, n_in)), -1, 0)
-        theta_i = np.degrees(np.arctan2(np.hypot(x, y), z))
-        phi_i = np.degrees(np.arctan2(-y, -x))
+        flight = directions_of(_cells(size, n_in))
+        theta_i, phi_i = np.degrees(angles(flight * [-1, -1, 1]))
     return theta_i, phi_i, directions_of(_cells(size, n_out))
 
 

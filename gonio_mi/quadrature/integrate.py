@@ -149,7 +149,7 @@ def integrate(
     phi_i: float,
     subdivision: Subdivision,
     *,
-    rel_err: float = 1e-6,
+    integral_err: float = 1e-6,
     side: str = "front",
     interaction: mi.SurfaceInteraction3f | None = None,
 ) -> PatchIntegrals:
@@ -170,7 +170,7 @@ def integrate(
     theta_i, phi_i : float
         Incident direction in degrees, `theta_i` from the normal of the lit face.
     subdivision : Subdivision
-    rel_err : float
+    integral_err : float
         Tolerated error of each patch, relative to the patch, or, where that is more,
         to the same part of the mean over all patches, at least a millionth of it.
         Single precision of ``eval`` limits it to about 1e-6 for smooth BSDFs, and more
@@ -193,7 +193,7 @@ def integrate(
         bsdf,
         [(theta_i, phi_i)],
         subdivision,
-        rel_err=rel_err,
+        integral_err=integral_err,
         side=side,
         interaction=interaction,
     )
@@ -205,7 +205,7 @@ def integrate_each(
     incidents: Sequence[tuple[float, float]],
     subdivision: Subdivision,
     *,
-    rel_err: float = 1e-6,
+    integral_err: float = 1e-6,
     side: str = "front",
     interaction: mi.SurfaceInteraction3f | None = None,
     n_hemispheres: int = 2,
@@ -236,7 +236,7 @@ def integrate_each(
         together = IncidentLight.of(some, side, interaction)
         evaluator = Evaluator(bsdf, together)
         cells = Cells.of(subdivision, n_hemispheres, len(some))
-        found += _integrated(evaluator, cells, subdivision, rel_err, lights)
+        found += _integrated(evaluator, cells, subdivision, integral_err, lights)
     return found
 
 
@@ -244,7 +244,7 @@ def _integrated(
     evaluator: Evaluator,
     cells: Cells,
     subdivision: Subdivision,
-    rel_err: float,
+    integral_err: float,
     lights: Sequence[IncidentLight],
 ) -> list[PatchIntegrals]:
     """Integrals over the patches that begin as `cells`, for each of the lights."""
@@ -260,7 +260,7 @@ def _integrated(
         fine, of_parts = evaluator.integrals(parts)
         values_at = of_parts.reshape(len(cells.patch), 4 * NODES_PER_CELL, -1)
         values = fine.reshape(len(cells.patch), 4, -1).sum(axis=1)
-        allowed = sums.allowed(cells, values, rel_err)
+        allowed = sums.allowed(cells, values, integral_err)
         tolerance = (
             CELL_TOLERANCE * allowed[cells.patch] * cells.tolerated(way)[:, None]
         )
@@ -285,7 +285,7 @@ def _integrated(
         guides = guides.descend(cells, open_cells, way, full)
         cells, coarse = parts[children], fine[children]
         way = way_to_split(of_parts[children])
-    _check_converged(evaluator, np.sqrt(sums.square), allowed, rel_err)
+    _check_converged(evaluator, np.sqrt(sums.square), allowed, integral_err)
     shape = (len(lights), -1, *subdivision.shape, coarse.shape[-1])
     flux = sums.flux.reshape(shape)
     error = np.hypot(sums.error, INTEGRAL_ROUNDING * sums.flux).reshape(shape)
@@ -304,7 +304,7 @@ def _integrated(
 
 
 def _check_converged(
-    evaluator: Evaluator, error: Floats, allowed: Floats, rel_err: float
+    evaluator: Evaluator, error: Floats, allowed: Floats, integral_err: float
 ) -> None:
     """Raise SpecimenError for the first direction of which a patch is too wrong."""
     n = len(evaluator.n_evaluations)
@@ -313,8 +313,8 @@ def _check_converged(
         if not np.all(wrong <= right):
             raise SpecimenError(
                 f"the integral of {evaluator.bsdf.class_name()} over the patches must "
-                f"converge to {rel_err:g}, but {n_evaluations:.3g} evaluations gave "
-                f"{_worst(wrong, right) * rel_err:.2g} for the worst patch"
+                f"converge to {integral_err:g}, but {n_evaluations:.3g} evaluations "
+                f"gave {_worst(wrong, right) * integral_err:.2g} for the worst patch"
             )
 
 
@@ -354,14 +354,14 @@ class _PatchSums:
         self.n_directions = n_directions
         self.lit = 1.0 if cells.lower.any() else 0.5  # part of both hemispheres
 
-    def allowed(self, cells: Cells, values: Floats, rel_err: float) -> Floats:
+    def allowed(self, cells: Cells, values: Floats, integral_err: float) -> Floats:
         """Tolerated error of each patch, if the open `cells` have these `values`."""
         estimate = self.flux + self._by_patch(cells.patch, values)
         of_each = estimate.reshape(self.n_directions, -1, estimate.shape[-1])
         # over both hemispheres, also where one is known to be dark
         mean = of_each.mean(axis=(1, 2), keepdims=True) * self.lit
-        least = max(NEGLIGIBLE, rel_err) * mean
-        return rel_err * np.maximum(of_each, least).reshape(estimate.shape)
+        least = max(NEGLIGIBLE, integral_err) * mean
+        return integral_err * np.maximum(of_each, least).reshape(estimate.shape)
 
     def add(
         self, patch: Integers, values: Floats, difference: Floats, counted: Flags
@@ -451,7 +451,7 @@ def _pass_integrals(
         setup.specimen.plane.bsdf,
         [(one.theta_i, one.phi_i) for one in setups],
         setup.collector.subdivision,
-        rel_err=setup.settings.integral_err,
+        integral_err=setup.settings.integral_err,
         side="front" if setup.beam.side > 0 else "back",
         interaction=si,
         n_hemispheres=setup.shape[0],

@@ -47,7 +47,7 @@ MAX_WEIGHT = 1e15
 
 # Of adaptive integrals: relative error of a patch, how many times its estimate kinks
 # may hide (see there), and evaluations for each sample.
-REL_ERR = 1e-3
+INTEGRAL_ERR = 1e-3
 HIDDEN = 2
 EVALUATIONS = 4
 MIN_EVALUATIONS = 2**21
@@ -274,7 +274,7 @@ def _adaptive(
         condition.theta_i,
         condition.phi_i,
         subdivision,
-        rel_err=REL_ERR,
+        integral_err=INTEGRAL_ERR,
         side=condition.side,
     )
     flux = found.flux.reshape(2 * subdivision.n_patches, -1)

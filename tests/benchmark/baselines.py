@@ -130,7 +130,9 @@ def patch_integrals(specimen: dict[str, Any]) -> Baseline:
     def _flux(size: int, seed: int) -> Floats:
         del seed
         bsdf = mi.load_dict(specimen)
-        return integrate(bsdf, THETA_I, 0, PATCHES, rel_err=1 / size).flux[0, ..., 0]
+        return integrate(bsdf, THETA_I, 0, PATCHES, integral_err=1 / size).flux[
+            0, ..., 0
+        ]
 
     return Baseline(
         "gonio-mi, integral of eval", _flux, size="1 / rel_err", first=1, random=False

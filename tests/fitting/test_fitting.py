@@ -16,7 +16,7 @@ from gonio_mi.files.measured_table import MeasuredTable
 from gonio_mi.fitting.figure import fit_figure
 from gonio_mi.fitting.least_squares import FREE, REL_STEP, FittedModel, LoadedModel
 from gonio_mi.fitting.observations import pooled
-from gonio_mi.fitting.predictions import REL_ERR
+from gonio_mi.fitting.predictions import INTEGRAL_ERR
 from gonio_mi.instrument.specimen_text import parse_specimen
 
 # isort: split
@@ -32,8 +32,8 @@ METAL = {
 }
 N_FITS = 8
 
-# Convergence: record and prediction are integrals, each right to REL_ERR.
-INTEGRALS = 2 * REL_ERR
+# Convergence: record and prediction are integrals, each right to INTEGRAL_ERR.
+INTEGRALS = 2 * INTEGRAL_ERR
 
 # Rounding: values of a BSDF in single precision, of some 16 operations each, and steps
 # of the search, which ends below them.

@@ -95,7 +95,7 @@ def test_rough_conductor_histogram():
 
     def shares(specimen):
         density = SamplingDensity(mi.load_dict(specimen))
-        found = integrate(density, THETA_I, 0, baseline.subdivision, rel_err=1e-5)
+        found = integrate(density, THETA_I, 0, baseline.subdivision, integral_err=1e-5)
         return found.flux[0]
 
     agree(count_verdict(counts, shares(specimen)))

@@ -72,7 +72,7 @@ def test_integral_over_each_patch_is_what_was_measured(plugin, collector, both):
     record = isotropic(collector=collector, both=both, phi_i=(25, 25, 25))
     bsdf = plugin(record)
     for number, theta_i in enumerate(record.theta_i):
-        result = integrate(bsdf, theta_i, 25, record.subdivision, rel_err=1e-5)
+        result = integrate(bsdf, theta_i, 25, record.subdivision, integral_err=1e-5)
         fraction = record.flux_fraction[number]
         error = np.abs(result.flux[: len(fraction)] - fraction)
         tolerated = ROUNDING * fraction + result.error[: len(fraction)]
@@ -101,7 +101,9 @@ def test_density_integrates_to_one(plugin, theta_i, phi_i):
     bsdf = plugin(record)
     tolerance = 1e-5 if theta_i == 30 else 3e-3
     density = SamplingDensity(bsdf)
-    result = integrate(density, theta_i, phi_i, record.subdivision, rel_err=tolerance)
+    result = integrate(
+        density, theta_i, phi_i, record.subdivision, integral_err=tolerance
+    )
     rounding = ROUNDING * record.subdivision.n_patches
     assert abs(result.flux.sum() - 1) <= result.error.sum() + rounding
 
@@ -114,7 +116,7 @@ def test_samples_follow_eval(plugin, make, theta_i, phi_i):
     record = make(both=True, power=8, collector="projected:4x6")
     bsdf = plugin(record)
     patches = record.subdivision
-    reference = integrate(bsdf, theta_i, phi_i, patches, rel_err=3e-3).flux[..., 0]
+    reference = integrate(bsdf, theta_i, phi_i, patches, integral_err=3e-3).flux[..., 0]
     measured = gonio.measure(
         bsdf, theta_i, phi_i, collector=patches, rays=2**19, sampler="independent"
     )
@@ -176,7 +178,7 @@ def test_moving_is_nearer_the_truth_than_mixing(plugin, angles, theta_i):
     conductor = {"type": "roughconductor", "alpha": 0.2}
     patches = gonio.subdivision("projected:16x32")
     record = gonio.measure(conductor, angles, collector=patches, rays=2**16)
-    truth = integrate(mi.load_dict(conductor), theta_i, 0, patches, rel_err=1e-3)
+    truth = integrate(mi.load_dict(conductor), theta_i, 0, patches, integral_err=1e-3)
     moved = gonio.measure(plugin(record), theta_i, collector=patches, rays=2**16)
     mixed = record.flux_fraction[:, 0].mean(axis=0)
     errors = [

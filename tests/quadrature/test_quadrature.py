@@ -94,12 +94,12 @@ def test_promised_error(name, theta_i):
     grid = gonio.EqualProjectedSolidAngle(10, 12)
     asked = (1e-3, 1e-4, 1e-5)
     least = asked[-1]
-    *loose, tight = (integrate(bsdf, theta_i, 20, grid, rel_err=e) for e in asked)
+    *loose, tight = (integrate(bsdf, theta_i, 20, grid, integral_err=e) for e in asked)
     for rel_err, found in zip(asked, loose):
         flux = np.maximum(tight.flux, rel_err * tight.flux.mean())
         assert np.all(np.abs(found.flux - tight.flux) <= (rel_err + least) * flux)
         assert len(found.cells.patch) <= len(tight.cells.patch)
-    twin = integrate(bsdf, abs(theta_i - 0.5), 20, grid, rel_err=1e-4)
+    twin = integrate(bsdf, abs(theta_i - 0.5), 20, grid, integral_err=1e-4)
     assert np.any(np.abs(twin.flux - tight.flux) > (asked[0] + least) * flux)
 
 
@@ -327,7 +327,9 @@ def test_steps_between_the_nodes(theta_i):
         {"type": "roughdielectric", "alpha": 0.3, "distribution": "ggx"}
     )
     coarse, fine = (
-        integrate(bsdf, theta_i, 10, gonio.EqualProjectedSolidAngle(n, n), rel_err=1e-5)
+        integrate(
+            bsdf, theta_i, 10, gonio.EqualProjectedSolidAngle(n, n), integral_err=1e-5
+        )
         for n in (10, 20)
     )
     flux, error = (
@@ -377,7 +379,7 @@ def test_claims_are_as_wide_as_the_truth(specimen, incident, rel_err, patch):
     bsdf = mi.load_dict(specimen)
     grid = gonio.EqualProjectedSolidAngle(10, 12)
     truth, std_err = stratified(bsdf, incident, grid, patch)
-    found = integrate(bsdf, *incident, grid, rel_err=rel_err, side="back")
+    found = integrate(bsdf, *incident, grid, integral_err=rel_err, side="back")
     flux, error = (part[(0, *patch, 0)] for part in (found.flux, found.error))
 
     def _verdict(flux):
@@ -418,7 +420,7 @@ def test_dim_patches_of_glass_from_inside():
     as many points were spent on it. Twin: light from a tenth of a degree beside.
     """
     grid, rel_err = gonio.EqualProjectedSolidAngle(30, 30), 1e-3
-    found = integrate(mi.load_dict(GGX), 20, 0, grid, rel_err=rel_err, side="back")
+    found = integrate(mi.load_dict(GGX), 20, 0, grid, integral_err=rel_err, side="back")
     flux, least = found.flux[1, ..., 0].ravel(), rel_err * found.flux.mean()
     dim = np.flatnonzero((flux > 0) & (flux < 10 * least))
     assert len(dim) > 20
