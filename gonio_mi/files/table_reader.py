@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -95,31 +95,46 @@ def check_nothing_open(place: str, questions: Sequence[str]) -> None:
     raise OpenQuestionsError(message, place, questions)
 
 
-def read_text(
-    path: str | PathLike[str],
-    channel: str | None = None,
-    quantity: str | None = None,
-    columns: Mapping[str, str] | None = None,
-    azimuth: str | None = None,
-) -> MeasuredTable:
+@dataclass(frozen=True)
+class Specified:
+    """What the user says of a table; the parameters of :func:`gonio_mi.read_measured`.
+
+    Attributes
+    ----------
+    channel, quantity, azimuth : str, optional
+    columns : mapping
+        Name of the column for a role, with a suffix such as ``:deg`` if its name has no
+        unit, or a number in its place.
+    """
+
+    channel: str | None = None
+    quantity: str | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    azimuth: str | None = None
+
+    def __post_init__(self) -> None:
+        for name, choices in (("quantity", QUANTITIES), ("azimuth", AZIMUTHS)):
+            if getattr(self, name) is not None:
+                checked_choice(name, getattr(self, name), choices)
+
+
+def read_text(path: str | PathLike[str], specified: Specified) -> MeasuredTable:
     """Table of a text; see :func:`gonio_mi.read_measured`."""
-    columns = columns or {}
-    names = {word.partition(":")[0].strip().lower() for word in columns.values()}
+    columns = specified.columns.values()
+    names = {word.partition(":")[0].strip().lower() for word in columns}
 
     def known(name: str) -> bool:
         return recognised(name) is not None or name.strip().lower() in names
 
     text = split_text(path, known, ", ".join(COLUMNS))
     settings, header = parsed_keys(text.place, text.comments)
-    reading = _Reading(text, columns, settings)
-    if quantity is not None:
-        settings["quantity"] = checked_choice("quantity", quantity, QUANTITIES)
-    if azimuth is not None:
-        checked_choice("azimuth", azimuth, AZIMUTHS)
-    reading.read_columns(channel, azimuth)
+    if specified.quantity is not None:
+        settings["quantity"] = specified.quantity
+    reading = _Reading(text, specified, settings)
+    reading.read_columns()
     reading.convert_angles()
     settings["quantity"] = reading.quantity()
-    columns_read = reading.values() | reading.directions(azimuth)
+    columns_read = reading.values() | reading.directions()
     check_nothing_open(text.place, reading.questions)
     if settings["quantity"] == "btdf" and not reading.own:
         reading.count_from_lit_side(columns_read)
@@ -142,25 +157,23 @@ class _Reading:
     Parameters
     ----------
     text : TextTable
-    specified : mapping
-        Name of the column for a role, with a suffix such as ``:deg`` if its name has no
-        unit, or a number in its place.
+    specified : Specified
     settings : dict
         Those of the header, and the quantity if it is specified.
     """
 
     def __init__(
-        self, text: TextTable, specified: Mapping[str, str], settings: dict[str, Any]
+        self, text: TextTable, specified: Specified, settings: dict[str, Any]
     ) -> None:
         self.text, self.place, self.settings = text, text.place, settings
+        self.specified = specified
         self.here = f"{text.place}, line {text.number}"
         self.notes: list[str] = []
         self.questions: list[str] = []
         self.channel: str | None = None
         self.constants: dict[str, float] = {}
-        self.sigma_specified = "sigma" in specified
         # our own names: all five, nothing beside them; in degrees below our header
-        self.own = set(text.names) >= set(COLUMNS) and not specified
+        self.own = set(text.names) >= set(COLUMNS) and not specified.columns
         self.known = [
             None if self.own and ELEMENTS.fullmatch(name) else recognised(name)
             for name in text.names
@@ -171,7 +184,7 @@ class _Reading:
             index = bare.index(colour)
             name = text.names[index]
             self.known[index] = Column(name, "value", unit_of(name), channel=colour)
-        for role, word in specified.items():
+        for role, word in specified.columns.items():
             self._assign(role, str(word))
         for name in text.names if self.own else ():
             if name not in OWN_NAMES and not ELEMENTS.fullmatch(name):
@@ -219,13 +232,13 @@ class _Reading:
 
     # ------------------------------------------------------------------------- columns
 
-    def read_columns(self, channel: str | None, azimuth: str | None) -> None:
+    def read_columns(self) -> None:
         """Read the numbers of the one column of each role, `picked`, into `arrays`."""
         by_role: dict[str, list[Column]] = {}
         for column in self.known:
             if column is not None and column.role not in self.constants:
                 by_role.setdefault(column.role, []).append(column)
-        self._pick_channel(by_role, channel)
+        self._pick_channel(by_role)
         unclear = [
             f"several columns may be {role} "
             f"({', '.join(repr(c.name) for c in columns):.150}); say --columns "
@@ -238,7 +251,7 @@ class _Reading:
         titled = any(column.quantity for column in values) or self._titled()
         if unclear and not (self.settings.get("quantity") or self.own or titled):
             unclear.append(_quantity_question())
-        if unclear and azimuth is None and self._has_relative_azimuths():
+        if unclear and self.specified.azimuth is None and self._has_relative_azimuths():
             unclear.append(_azimuth_question("azimuths"))
         if unclear:
             check_nothing_open(self.here, self.questions + unclear)
@@ -257,15 +270,13 @@ class _Reading:
             self.arrays[role] = np.full(n, value)
         self._leave_out_missing()
         if "wavelength" in self.arrays:
-            self._pick_wavelength(channel)
+            self._pick_wavelength()
         if not self.own:
             self._note_columns()
 
-    def _pick_channel(
-        self, by_role: dict[str, list[Column]], channel: str | None
-    ) -> None:
+    def _pick_channel(self, by_role: dict[str, list[Column]]) -> None:
         """Keep the values of one channel, the first beside a question if none is."""
-        values = by_role.get("value", [])
+        channel, values = self.specified.channel, by_role.get("value", [])
         names = [column.channel for column in values if column.channel]
         if len(names) > 1 and channel is None:
             self.questions.append(_channel_question(names))
@@ -380,8 +391,9 @@ class _Reading:
         self.lines = [line for line, kept in zip(self.lines, rows) if kept]
         self.arrays = {role: column[rows] for role, column in self.arrays.items()}
 
-    def _pick_wavelength(self, channel: str | None) -> None:
+    def _pick_wavelength(self) -> None:
         """Keep the rows of one wavelength of a column of them, or ask for it."""
+        channel = self.specified.channel
         unit = self.picked["wavelength"].unit if "wavelength" in self.picked else ""
         nm = self.arrays.pop("wavelength") * NM.get(unit, 1.0)
         if not unit and nm.max() < MIN_NM:
@@ -483,7 +495,7 @@ class _Reading:
 
     def _coverage(self, column: Column) -> float:
         """Coverage factor of uncertainties; NaN if another than theirs is stated."""
-        if self.sigma_specified or coverage_of(column.name):
+        if "sigma" in self.specified.columns or coverage_of(column.name):
             return column.coverage
         lines = (*self.text.titles, *self.text.comments)
         found = [FACTOR.search(line) for _, line in lines]
@@ -517,9 +529,9 @@ class _Reading:
             if role in self.picked:
                 self.arrays[role] = self.arrays[role] * DEGREES[self.picked[role].unit]
 
-    def directions(self, azimuth: str | None) -> dict[str, Any]:
+    def directions(self) -> dict[str, Any]:
         """Polar angles, and azimuths of the specimen, in degrees."""
-        arrays = self.arrays
+        arrays, azimuth = self.arrays, self.specified.azimuth
         theta_i, theta_o = arrays["theta_i"], arrays["theta_o"]
         zero = np.zeros(len(theta_i))
         phi_i = arrays.get("phi_i", zero)

@@ -15,7 +15,7 @@ from .. import files
 from ..errors import FileFormatError, SettingError, no_file, shown
 from ..files.channels import chosen_channel
 from ..files.measured_table import MeasuredTable, repeats_noted
-from ..files.table_reader import read_text
+from ..files.table_reader import Specified, read_text
 from ..results.record import Record
 from .format import Format
 from .lines import without_mark
@@ -232,7 +232,8 @@ def read_measured(
         )
     known = format_of(path)
     if known is None:
-        return repeats_noted(read_text(path, channel, quantity, columns, azimuth))
+        specified = Specified(channel, quantity, columns or {}, azimuth)
+        return repeats_noted(read_text(path, specified))
     if known.refused:
         raise FileFormatError(f"{path}: {known.refused.format(path=path)}")
     if columns is not None or azimuth is not None:
