@@ -18,7 +18,7 @@ from ..files import replacing
 from ..files.channels import wavelengths_nm
 from ..formats import radiance
 from ..formats.radiance import Product, RadianceBSDF
-from ..formats.tensor_tree import grid_directions
+from ..formats.tensor_tree import TensorTree, grid_directions
 from ..results.record import Record
 from .daylight import of_daylight
 from .loss import Loss, fractions_of, losses
@@ -172,9 +172,9 @@ class Side:
             values = self._flux(hemisphere) / projected
             values = np.repeat(values, colours // values.shape[-1] or 1, axis=-1)
             if self.rank is None:
-                blocks |= radiance.matrices(np.swapaxes(values, 0, 1), name)
+                blocks |= matrices(np.swapaxes(values, 0, 1), name)
             else:
-                blocks |= radiance.trees(self._grid(values, self.rank), name)
+                blocks |= trees(self._grid(values, self.rank), name)
         return blocks
 
     def _flux(self, hemisphere: int) -> Floats:
@@ -265,6 +265,32 @@ class Side:
             for h in self.hemispheres
         ]
         return losses(record, np.array(theirs), np.stack(ours, axis=1))
+
+
+def matrices(values: Floats, direction: str) -> dict[tuple[str, str], Floats]:
+    """Blocks of a Klems matrix ``(n, n, channels)`` in one direction."""
+    if values.shape[-1] == 1:
+        return {("Visible", direction): values[..., 0]}
+    xyz = values @ radiance.XYZ.T
+    return {
+        (name, direction): xyz[..., i] for i, name in enumerate(radiance.MATRIX_NAMES)
+    }
+
+
+def trees(values: Floats, direction: str) -> dict[tuple[str, str], TensorTree]:
+    """Blocks of tensor trees of a grid, ``(n, n, ..., channels)``."""
+    if values.shape[-1] == 1:
+        return {("Visible", direction): TensorTree.of(values[..., 0])}
+    x, y, z = np.moveaxis(values @ radiance.XYZ.T, -1, 0)
+    total = x + 15 * y + 3 * z
+    lit = total > 0
+    total = np.where(lit, total, 1)
+    u = np.where(lit, 4 * x / total, radiance.WHITE[0])
+    v = np.where(lit, 9 * y / total, radiance.WHITE[1])
+    # Radiance takes diffuse light out cell by cell of u' and v', so that these must be
+    # as fine as Y
+    parts = TensorTree.of(y), TensorTree.of(u, flat=0), TensorTree.of(v, flat=0)
+    return {(name, direction): part for name, part in zip(radiance.TREE_NAMES, parts)}
 
 
 def exchanged(

@@ -16,7 +16,7 @@ from ..errors import SettingError
 from ..files.channels import wavelengths_nm
 from ..quadrature import integrate
 from ..quadrature.cells import NODES_PER_CELL, Cells
-from ..quadrature.incident_light import IncidentLight
+from ..quadrature.evaluator import IncidentLight, square
 from ..quadrature.integrate import Rule
 from ..transport.surface_events import flux_context
 from ..transport.wavelengths import passes, wavelength_lanes
@@ -82,10 +82,8 @@ class Predictions:
         """Point of a square in the middle of which light of these wavelengths lands."""
         if nm is None:
             return None
-        scene = mi.load_dict({"type": "scene", "shape": {"type": "rectangle"}})
-        si = scene.ray_intersect(mi.Ray3f([0, 0, 1], [0, 0, -1]))
+        si = square()
         si.wavelengths = wavelength_lanes(tuple(nm))
-        dr.make_opaque(si)
         return si
 
 

@@ -353,30 +353,6 @@ def _data(
 # -------------------------------------------------------------------------- materials
 
 
-def matrices(values: Floats, direction: str) -> dict[tuple[str, str], Floats]:
-    """Blocks of a Klems matrix ``(n, n, channels)`` in one direction."""
-    if values.shape[-1] == 1:
-        return {("Visible", direction): values[..., 0]}
-    xyz = values @ XYZ.T
-    return {(name, direction): xyz[..., i] for i, name in enumerate(MATRIX_NAMES)}
-
-
-def trees(values: Floats, direction: str) -> dict[tuple[str, str], TensorTree]:
-    """Blocks of tensor trees of a grid, ``(n, n, ..., channels)``."""
-    if values.shape[-1] == 1:
-        return {("Visible", direction): TensorTree.of(values[..., 0])}
-    x, y, z = np.moveaxis(values @ XYZ.T, -1, 0)
-    total = x + 15 * y + 3 * z
-    lit = total > 0
-    total = np.where(lit, total, 1)
-    u = np.where(lit, 4 * x / total, WHITE[0])
-    v = np.where(lit, 9 * y / total, WHITE[1])
-    # Radiance takes diffuse light out cell by cell of u' and v', so that these must be
-    # as fine as Y
-    parts = TensorTree.of(y), TensorTree.of(u, flat=0), TensorTree.of(v, flat=0)
-    return {(name, direction): part for name, part in zip(TREE_NAMES, parts)}
-
-
 class RadianceBSDF:
     """A Radiance file, in grey or linear sRGB.
 

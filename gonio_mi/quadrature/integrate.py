@@ -22,8 +22,7 @@ from ..transport.setup import Setup
 from ..transport.variants import check_unpolarised
 from ..transport.wavelengths import wavelength_lanes
 from .cells import NODES_PER_CELL, QUARTERS, Cells, way_to_split
-from .evaluator import INTEGRAL_ROUNDING, Evaluator
-from .incident_light import IncidentLight
+from .evaluator import INTEGRAL_ROUNDING, Evaluator, IncidentLight
 
 # Guides that a cell may hold before it is split unseen.
 MAX_GUIDES = 8

@@ -16,9 +16,9 @@ from gonio_mi.collector.klems import Klems
 from gonio_mi.collector.shirley_chiu import directions_of, square_of
 from gonio_mi.errors import FileFormatError
 from gonio_mi.exports import exporting, radiance_export
-from gonio_mi.exports.radiance_export import BASES
+from gonio_mi.exports.radiance_export import BASES, matrices, trees
 from gonio_mi.formats import radiance, tensor_tree
-from gonio_mi.formats.radiance import XYZ, RadianceBSDF, matrices, trees
+from gonio_mi.formats.radiance import XYZ, RadianceBSDF
 from gonio_mi.formats.tensor_tree import TensorTree
 
 # Most records here are of one side, with lobes that are not reciprocal: files say so.

@@ -18,8 +18,7 @@ import gonio_mi as gonio
 from gonio_mi.collector.directions import direction
 from gonio_mi.quadrature import integrate
 from gonio_mi.quadrature.cells import CONFIRMING
-from gonio_mi.quadrature.evaluator import Evaluator
-from gonio_mi.quadrature.incident_light import channels_of
+from gonio_mi.quadrature.evaluator import Evaluator, channels_of
 
 SHARP = {"type": "roughconductor", "alpha": 0.005}
 MATERIALS = {
