@@ -52,8 +52,3 @@ def azimuths_deg(phi: ArrayLike) -> NDArray[np.float64]:
     """Azimuths in degrees, turned into [0, 360): what is 360 by rounding is 0."""
     turned = np.mod(np.asarray(phi, dtype=float), 360)
     return np.where(turned >= 360 - 1e-9, 0.0, turned)
-
-
-def mirror(theta: ArrayLike, phi: ArrayLike) -> tuple[ArrayLike, NDArray[np.float64]]:
-    """Direction of ideal reflection: same polar angle, azimuth turned by pi."""
-    return theta, np.mod(np.asarray(phi, dtype=float) + np.pi, 2 * np.pi)

@@ -33,7 +33,6 @@ BASES = {
     f"LBNL/Klems {size.capitalize()}": Klems(size)
     for size in ("full", "half", "quarter")
 }
-KLEMS = "LBNL/Klems Full"
 SHIRLEY_CHIU = "LBNL/Shirley-Chiu"
 
 # Ranks of the data structures of tensor trees.

@@ -143,10 +143,6 @@ class AzimuthSymmetry:
 
         return min((one.edge(sector) for one in self.motions), key=off)
 
-    def images(self, sector: float) -> set[float]:
-        """All images of an azimuth, itself included."""
-        return {one.edge(sector) for one in self.motions}
-
     def whole(
         self,
         known: Mapping[tuple[float, float], Record],

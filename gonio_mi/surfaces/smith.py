@@ -23,18 +23,6 @@ MIN_ALPHA = 1e-6
 N_ITERATIONS = 60
 
 
-def density(distribution: str, theta: Floats, alpha_u: float, alpha_v: float) -> Floats:
-    """Density of micro-normals in 1/sr at polar angles in radians, mean over azimuth.
-
-    Its integral over the hemisphere is 1 with the cosine.
-    """
-    phi = 2 * np.pi * np.arange(N_AZIMUTHS) / N_AZIMUTHS
-    stretch = (np.cos(phi) / alpha_u) ** 2 + (np.sin(phi) / alpha_v) ** 2
-    square = np.tan(theta)[..., None] ** 2 * stretch
-    factor = np.exp(-square) if distribution == "beckmann" else (1 + square) ** -2
-    return factor.mean(axis=-1) / (np.pi * alpha_u * alpha_v * np.cos(theta) ** 4)
-
-
 def ring_shares(
     distribution: str, edges: Floats, alpha_u: float, alpha_v: float
 ) -> Floats:

@@ -110,3 +110,16 @@ def patch_fluxes(f, subdivision, *, tolerance, lower=False, finest=256):
 
 def _pairs(edges):
     return edges[:-1], edges[1:]
+
+
+def micro_normal_density(distribution, theta, alpha_u, alpha_v, n=256):
+    """Density of micro-normals in 1/sr at polar angles in radians, mean over azimuth.
+
+    Its integral over the hemisphere is 1 with the cosine. Over `n` azimuths the mean is
+    exact to rounding unless one alpha is many times the other.
+    """
+    phi = 2 * np.pi * np.arange(n) / n
+    stretch = (np.cos(phi) / alpha_u) ** 2 + (np.sin(phi) / alpha_v) ** 2
+    square = np.tan(theta)[..., None] ** 2 * stretch
+    factor = np.exp(-square) if distribution == "beckmann" else (1 + square) ** -2
+    return factor.mean(axis=-1) / (np.pi * alpha_u * alpha_v * np.cos(theta) ** 4)

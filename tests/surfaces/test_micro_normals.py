@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from budget import agree, count_verdict, disagree, single
+from closed_forms import micro_normal_density
 from scipy import integrate
 
 import gonio_mi as gonio
@@ -132,7 +133,7 @@ def test_models_are_normalised(name):
     alphas = 0.4, 0.25
 
     def projected(theta):
-        value = smith.density(name, np.array(theta), *alphas)
+        value = micro_normal_density(name, np.array(theta), *alphas)
         return float(value * np.cos(theta) * np.sin(theta) * 2 * np.pi)
 
     assert abs(integrate.quad(projected, 0, np.pi / 2)[0] - 1) < 1e-6
@@ -141,7 +142,7 @@ def test_models_are_normalised(name):
     def facing(phi, theta):
         cosine = np.cos(theta) * np.cos(theta_o)
         cosine += np.sin(theta) * np.sin(theta_o) * np.cos(phi)
-        value = smith.density(name, np.array(theta), alpha, alpha)
+        value = micro_normal_density(name, np.array(theta), alpha, alpha)
         return max(cosine, 0) * float(value) * np.sin(theta)
 
     area = integrate.dblquad(facing, 0, np.pi / 2, 0, 2 * np.pi, epsabs=1e-6)[0]
@@ -283,7 +284,7 @@ def test_means_of_rings_are_the_density(name):
     nodes, weights = np.polynomial.legendre.leggauss(64)
     theta = (low + high) / 2 + nodes * (high - low) / 2
     weight = weights * np.sin(theta)
-    values = smith.density(name, theta, 0.5, 0.3) * weight
+    values = micro_normal_density(name, theta, 0.5, 0.3) * weight
     means = smith.ring_means(name, edges, 0.5, 0.3)
     assert np.allclose(means, values.sum(1) / weight.sum(1), rtol=1e-6, atol=1e-12)
     narrow = smith.ring_means(name, edges, 1e-4, 1e-4)
@@ -307,7 +308,7 @@ def test_shares_of_rings_are_the_density(name, alphas):
     assert shares.sum() == pytest.approx(1, rel=1e-13)  # rounding
 
     def light(theta):
-        value = smith.density(name, np.array(theta), *alphas)
+        value = micro_normal_density(name, np.array(theta), *alphas)
         return 2 * np.pi * value * np.sin(theta) * np.cos(theta)
 
     for low, high, share in zip(np.radians(edges), np.radians(edges[1:]), shares):
