@@ -154,7 +154,7 @@ def _peak_fraction(record: Record) -> float:
 
 def _check_delta(tolerance: float, record: Record, theta_i: float) -> None:
     """Raise SpecimenError for more of the flux than the tolerance in delta lobes."""
-    delta = max(map(delta_fraction, (record[number] for number in range(len(record)))))
+    delta = max(map(delta_fraction, record))
     if delta > tolerance:
         raise _delta_error(delta, record, theta_i)
 

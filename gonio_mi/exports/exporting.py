@@ -239,8 +239,7 @@ def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
         theta = 180 - theta
     one_sigma = 0.6827
     parts: dict[str, list[Floats]] = {"value": [], "sigma": []}
-    for index in range(len(record)):
-        one = record[index]
+    for one in record:
         low, high = one.interval(one_sigma, quantity)
         sigma = getattr(one, f"{quantity}_std_err")
         sigma = np.where(np.isnan(sigma), (high - low) / 2, sigma)

@@ -57,7 +57,7 @@ def dataset(record: Record) -> Any:
             "labelled arrays and NetCDF files need xarray, which is not installed: "
             'pip install "gonio-mi[netcdf]"'
         ) from None
-    stack = [record[index] for index in range(len(record))]
+    stack = list(record)
     names = ["reflection", "transmission"][: record.n_hemispheres]
     quantities = ["brdf", "btdf"][: len(names)]
     values, errors = (

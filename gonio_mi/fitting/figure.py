@@ -141,7 +141,7 @@ def _points(record: Record | MeasuredTable) -> _Points:
     towards = np.concatenate([axes, below][: record.n_hemispheres])
     solid = np.tile(patches.projected_solid_angles[:n, 0], record.n_hemispheres)
     parts = []
-    for single in (record[i] for i in range(len(record))):
+    for single in record:
         both = [(single.brdf, single.brdf_std_err), (single.btdf, single.btdf_std_err)]
         found = [
             np.concatenate([one[:n, 0, 0] for one in values if one is not None])

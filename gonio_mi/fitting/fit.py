@@ -162,7 +162,7 @@ def _observations(record: Record | MeasuredTable) -> list[Observations]:
         _check_table(record)
         return [TableObservations(record)]
     _check(record)
-    return [RecordObservations(record[i]) for i in range(len(record))]
+    return list(map(RecordObservations, record))
 
 
 def _check_number(observations: Sequence[Observations], model: FittedModel) -> None:

@@ -202,10 +202,8 @@ class Target:
     def reached(self, record: Record) -> dict[str, Any]:
         """What the record's provenance says of the target, for the worst direction."""
         if self.of_noise:
-            return {
-                "reached": max(expected_noise(record[i]) for i in range(len(record)))
-            }
-        looks = [precision(record[i], self.floor) for i in range(len(record))]
+            return {"reached": max(map(expected_noise, record))}
+        looks = [precision(one, self.floor) for one in record]
         n_lobe = max(n for _, n in looks)
         n_patches = record.subdivision.n_patches * record.n_hemispheres
         return {

@@ -262,9 +262,8 @@ def _common_scale(record: Record, of: str) -> Any:
     """Colour scale of the values of all directions."""
     from .polar_map import scale_of, shown_values
 
-    looks = (record[number] for number in range(len(record)))
     return scale_of(
-        np.concatenate([shown_values(one, of)[1].compressed() for one in looks])
+        np.concatenate([shown_values(one, of)[1].compressed() for one in record])
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from os import PathLike
@@ -114,6 +114,10 @@ class Record(MeasuredValues):
             provenance=Provenance.stacked([one.provenance for one in records]),
             stacked=True,
         )
+
+    def __iter__(self) -> Iterator[Record]:
+        """Records of the incident directions, one after the other."""
+        return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int | slice) -> Record:
         """Record of one incident direction of the stack; a stack for a slice."""

@@ -163,7 +163,7 @@ class Summary:
 
 def summarize(record: Record) -> Summary:
     """Return the numbers of `record`, and what makes them doubtful."""
-    looks = [record[i] for i in range(len(record))]
+    looks = list(record)
     directions = [_direction(look) for look in looks]
     patches = [patch for look in looks for patch in _worst_patches(look)]
     patches.sort(key=lambda patch: -patch.rel_err)
@@ -303,8 +303,7 @@ def lost_light(record: Record) -> list[str]:
 
     def exceeds(row: str) -> bool:
         # up to the first: intervals take longer than a few rays
-        looks = (record[i] for i in range(len(record)))
-        found = ((look, look.ledger) for look in looks)
+        found = ((look, look.ledger) for look in record)
         return any(
             _direction(look).exceeds_error(row)
             for look, own in found
