@@ -8,6 +8,7 @@ direction and what it scatters there, and names in its class what is here.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import drjit as dr
@@ -87,26 +88,23 @@ def mean(texture: mi.Texture) -> float:
 GLOSSY = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide
 
 
+@dataclass(frozen=True)
+class Asked:
+    """What Mitsuba asks a BSDF about: the context, the point, and where `on` is set."""
+
+    ctx: mi.BSDFContext
+    si: mi.SurfaceInteraction3f
+    on: mi.Bool
+
+
 class OneSided(Protocol):
     """What a plugin says itself."""
 
-    def draw(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        u: mi.Point2f,
-        on: mi.Bool,
-    ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
-        """Sample and weight for the point `u` of the unit square, where `on` is set."""
+    def draw(self, asked: Asked, u: mi.Point2f) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
+        """Sample and weight for the point `u` of the unit square, where asked."""
 
-    def scattered(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        on: mi.Bool,
-    ) -> tuple[mi.Spectrum, mi.Float]:
-        """BRDF times the cosine of `wo`, and its density in 1/sr, where `on` is set.
+    def scattered(self, asked: Asked, wo: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
+        """BRDF times the cosine of `wo`, and its density in 1/sr, where asked.
 
         Both of the enabled components, and of any value elsewhere.
         """
@@ -122,7 +120,8 @@ def sample(
 ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
     """Draw `wo` by `sample2` alone: two dimensions suit low-discrepancy points best."""
     del sample1
-    return self.draw(ctx, si, sample2, active & (mi.Frame3f.cos_theta(si.wi) > 0))
+    asked = Asked(ctx, si, active & (mi.Frame3f.cos_theta(si.wi) > 0))
+    return self.draw(asked, sample2)
 
 
 def eval_pdf(
@@ -137,7 +136,7 @@ def eval_pdf(
     Both 0 below the horizon: the density's integral is what stays above.
     """
     active = active & above(si.wi, wo)
-    value, pdf = self.scattered(ctx, si, wo, active)
+    value, pdf = self.scattered(Asked(ctx, si, active), wo)
     return value & active, dr.select(active, pdf, 0)
 
 

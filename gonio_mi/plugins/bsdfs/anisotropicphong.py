@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe, phong_facets
-from gonio_mi.plugins.bsdf_functions import reflectance
+from gonio_mi.plugins.bsdf_functions import Asked, reflectance
 from gonio_mi.settings.declaration import example
 
 
@@ -136,14 +136,9 @@ class AnisotropicPhong(mi.BSDF):
         self.mean_cosine = mi.Float(float(phong_facets.mean_cosine(e_u, e_v)))
         dr.make_opaque(self.mean_cosine)
 
-    def draw(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        u: mi.Point2f,
-        on: mi.Bool,
-    ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
+    def draw(self, asked: Asked, u: mi.Point2f) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Draw a facet and reflect at it."""
+        ctx, si, on = asked.ctx, asked.si, asked.on
         if not bsdf_functions.glossy_enabled(ctx):
             return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
         h = self._sample_facet(u)
@@ -157,14 +152,9 @@ class AnisotropicPhong(mi.BSDF):
         )
         return bsdf_functions.glossy_sample(wo, pdf), weight & above
 
-    def scattered(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        on: mi.Bool,
-    ) -> tuple[mi.Spectrum, mi.Float]:
+    def scattered(self, asked: Asked, wo: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
         """Reflect at the facets along the half vector; the density misses some."""
+        ctx, si, on = asked.ctx, asked.si, asked.on
         if not bsdf_functions.glossy_enabled(ctx):
             return mi.Spectrum(0), mi.Float(0)
         h, cos_d = _half_vector(si.wi, wo)

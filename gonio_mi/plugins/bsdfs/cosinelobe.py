@@ -7,7 +7,7 @@ import mitsuba as mi
 
 from gonio_mi import properties
 from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe
-from gonio_mi.plugins.bsdf_functions import reflectance
+from gonio_mi.plugins.bsdf_functions import Asked, reflectance
 from gonio_mi.settings.declaration import example
 
 
@@ -109,14 +109,9 @@ class CosineLobe(mi.BSDF):
         cb.put("exponent", self.exponent, mi.ParamFlags.Differentiable)
         cb.put("reflectance", self.reflectance, mi.ParamFlags.Differentiable)
 
-    def draw(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        u: mi.Point2f,
-        on: mi.Bool,
-    ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
+    def draw(self, asked: Asked, u: mi.Point2f) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Draw from the whole lobe; what falls below the horizon has no weight."""
+        ctx, si, on = asked.ctx, asked.si, asked.on
         if not bsdf_functions.glossy_enabled(ctx):
             return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
         mirror = mi.reflect(si.wi)
@@ -127,14 +122,9 @@ class CosineLobe(mi.BSDF):
         weight = (self.reflectance.eval(si, above) * weight) & above
         return bsdf_functions.glossy_sample(wo, pdf), weight
 
-    def scattered(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        on: mi.Bool,
-    ) -> tuple[mi.Spectrum, mi.Float]:
+    def scattered(self, asked: Asked, wo: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
         """Lobe and its density."""
+        ctx, si, on = asked.ctx, asked.si, asked.on
         if not bsdf_functions.glossy_enabled(ctx):
             return mi.Spectrum(0), mi.Float(0)
         pdf = lobe.density(self.exponent, mi.reflect(si.wi), wo)

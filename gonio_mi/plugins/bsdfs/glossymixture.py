@@ -10,7 +10,7 @@ import mitsuba as mi
 from gonio_mi import properties
 from gonio_mi.errors import SettingError
 from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe
-from gonio_mi.plugins.bsdf_functions import mean, reflectance
+from gonio_mi.plugins.bsdf_functions import Asked, mean, reflectance
 from gonio_mi.settings.declaration import example
 
 DIFFUSE = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
@@ -107,14 +107,9 @@ class GlossyMixture(mi.BSDF):
         self.glossy_share = mi.Float(specular / total if total > 0 else 0.5)
         dr.make_opaque(self.glossy_share, self.exponent)
 
-    def draw(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        u: mi.Point2f,
-        on: mi.Bool,
-    ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
+    def draw(self, asked: Asked, u: mi.Point2f) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Pick a lobe by the first of `u` and draw `wo` from what is left of it."""
+        ctx, si, on = asked.ctx, asked.si, asked.on
         bs = dr.zeros(mi.BSDFSample3f)
         share = self._enabled_share(ctx)
         if share is None:
@@ -137,14 +132,9 @@ class GlossyMixture(mi.BSDF):
         bs.pdf = dr.select(on & lost, drawn, pdf)
         return bs, dr.select(pdf > 0, value / pdf, 0)
 
-    def scattered(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        on: mi.Bool,
-    ) -> tuple[mi.Spectrum, mi.Float]:
+    def scattered(self, asked: Asked, wo: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
         """Sum of the enabled lobes, and the density with which one is picked."""
+        ctx, si, on = asked.ctx, asked.si, asked.on
         share = self._enabled_share(ctx)
         if share is None:
             return mi.Spectrum(0), mi.Float(0)
