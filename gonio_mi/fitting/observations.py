@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import mitsuba as mi
@@ -51,7 +52,29 @@ class Observations(Protocol):
         """Covariance of a linear estimate from the values, which have these weights."""
 
 
-class RecordObservations:
+class _Together:
+    """What several predictions make, each of which is asked."""
+
+    _each: Sequence[PatchPredictions | ConePredictions | _PatchMeans]
+
+    def begin(self) -> None:
+        """See :class:`Observations`."""
+        for one in self._each:
+            one.begin()
+
+    def adapt(self, bsdf: mi.BSDF) -> Floats:
+        """See :class:`Observations`."""
+        return self._joined([one.adapt(bsdf) for one in self._each])
+
+    def of(self, bsdf: mi.BSDF) -> Floats:
+        """See :class:`Observations`."""
+        return self._joined([one.of(bsdf) for one in self._each])
+
+    def _joined(self, parts: list[Floats]) -> Floats:
+        return np.concatenate(parts)
+
+
+class RecordObservations(_Together):
     """Flux fractions of one incident direction of a record, in all its detectors.
 
     Parameters
@@ -65,19 +88,6 @@ class RecordObservations:
         self.single = single
         self._each = _predictions(single)
         self.values = self._kept(single.flux_fraction)
-
-    def begin(self) -> None:
-        """See :class:`Observations`."""
-        for one in self._each:
-            one.begin()
-
-    def adapt(self, bsdf: mi.BSDF) -> Floats:
-        """See :class:`Observations`."""
-        return np.concatenate([one.adapt(bsdf) for one in self._each])
-
-    def of(self, bsdf: mi.BSDF) -> Floats:
-        """See :class:`Observations`."""
-        return np.concatenate([one.of(bsdf) for one in self._each])
 
     def variances(self, predicted: Floats) -> Floats:
         """Those of the record, shared among detectors that are alike."""
@@ -132,7 +142,7 @@ class RecordObservations:
         return self._kept(np.nan_to_num(errors))
 
 
-class TableObservations:
+class TableObservations(_Together):
     """BSDF values of a measured table, in all its directions.
 
     Parameters
@@ -146,29 +156,18 @@ class TableObservations:
     def __init__(self, table: MeasuredTable) -> None:
         self.table, self.values = table, table.bsdf
         self.stated = bool(table.bsdf_std_err.any())
-        self._each = []
-        for theta_i, phi_i in table.incident:
-            (rows,) = np.nonzero((table.theta_i == theta_i) & (table.phi_i == phi_i))
-            self._each.append((_means(table, (theta_i, phi_i), rows), rows))
-
-    def begin(self) -> None:
-        """See :class:`Observations`."""
-        for means, _ in self._each:
-            means.begin()
-
-    def adapt(self, bsdf: mi.BSDF) -> Floats:
-        """See :class:`Observations`."""
-        return self._joined([means.adapt(bsdf) for means, _ in self._each])
-
-    def of(self, bsdf: mi.BSDF) -> Floats:
-        """See :class:`Observations`."""
-        return self._joined([means.of(bsdf) for means, _ in self._each])
+        self._rows = [
+            np.flatnonzero((table.theta_i == theta_i) & (table.phi_i == phi_i))
+            for theta_i, phi_i in table.incident
+        ]
+        self._each = [
+            _means(table, one, rows) for one, rows in zip(table.incident, self._rows)
+        ]
 
     def _joined(self, parts: list[Floats]) -> Floats:
         """Values of the incident directions in the rows of the table."""
         found = np.empty(len(self.table))
-        for (_, rows), part in zip(self._each, parts):
-            found[rows] = part
+        found[np.concatenate(self._rows)] = np.concatenate(parts)
         return found
 
     def variances(self, predicted: Floats) -> Floats:
