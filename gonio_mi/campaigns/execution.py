@@ -193,6 +193,8 @@ def _started(executor: Executor | int | None) -> AbstractContextManager[Any]:
     return workers(executor) if isinstance(executor, int) else nullcontext(executor)
 
 
+# ---------------------------------------------------------------------------- processes
+
 # Linux' prctl(2): the signal that a process gets when its parent dies.
 PR_SET_PDEATHSIG = 1
 

@@ -388,6 +388,8 @@ def surface_specimen(
     return shape | given
 
 
+# -------------------------------------------------------------------------- named files
+
 # Scene files may include others; no more than this many deep.
 MAX_INCLUDES = 15
 

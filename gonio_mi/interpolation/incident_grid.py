@@ -141,6 +141,8 @@ class AzimuthCrossValidation:
         return errors
 
 
+# ----------------------------------------------------------------------------- the grid
+
 # Gaps between azimuths of incidence that may be bridged, in degrees.
 MAX_GAP = 120
 

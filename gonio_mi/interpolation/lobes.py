@@ -166,6 +166,8 @@ def merged(first: Floats, second: Floats) -> tuple[Floats, Floats, Integers]:
     return begin, slope, of
 
 
+# ---------------------------------------------------------------------- tables of lobes
+
 # Of the whole table as Dr.Jit holds it: half of what a machine of 8 GiB has. While it
 # is made, it needs twice as much.
 MAX_BYTES = 2**32

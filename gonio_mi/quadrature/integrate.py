@@ -386,6 +386,9 @@ def _worst(error: Floats, allowed: Floats) -> float:
     return np.max(np.divide(error, allowed, where=allowed > 0, out=ratio))
 
 
+# ------------------------------------------------------------------------ the estimator
+
+
 def check_integrable(setup: Setup) -> None:
     """Raise SpecimenError where the estimator `quadrature` does not apply."""
     plane, settings = setup.specimen.plane, setup.settings

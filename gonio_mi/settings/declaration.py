@@ -145,6 +145,8 @@ def plugin_table(text: str | None, settings: Any, plugin: str) -> str:
     return (text or "").replace("{parameters}", "\n".join(rows).strip())
 
 
+# ------------------------------------------------------------------ examples of plugins
+
 Plugin = TypeVar("Plugin", bound=Callable[..., Any])
 
 TABS = """

@@ -250,6 +250,8 @@ def checked_heights(heights: ArrayLike, missing: bool = False) -> NDArray[np.flo
     return heights
 
 
+# -------------------------------------------------------------------------- preparation
+
 # Total degree of the polynomial in x and y that is taken away.
 FORMS = {"keep": None, "mean": 0, "plane": 1, "quadratic": 2, "cubic": 3}
 
