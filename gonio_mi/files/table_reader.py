@@ -29,7 +29,7 @@ from .table_names import (
     recognised,
     unit_of,
 )
-from .table_text import TextTable, decimal, is_decimal, split_text
+from .table_text import TextTable, decimal, decimals, is_decimal, split_text
 
 # What azimuths of exit count from.
 AZIMUTHS = ("specimen", "source", "mirror")
@@ -331,8 +331,8 @@ class _Reading:
         places = {
             role: names.index(column.name) for role, column in self.picked.items()
         }
-        numbers: dict[str, list[float]] = {role: [] for role in places}
         self.lines: list[int] = []
+        kept: list[list[str]] = []
         missing: list[str] = []
         for number, cells in self.text.cells():
             cell = cells[places["value"]].strip()
@@ -340,23 +340,39 @@ class _Reading:
                 missing.append(cell)
                 continue
             self.lines.append(number)
-            for role, index in places.items():
-                where = f"{self.place}, line {number}, column {names[index]}"
-                try:
-                    numbers[role].append(decimal(cells[index]))
-                except ValueError as error:
-                    raise FileFormatError(f"{where}: {error}") from None
-                if not np.isfinite(numbers[role][-1]):
-                    raise FileFormatError(
-                        f"{where}: must be a finite number, got {cells[index].strip()}"
-                    )
+            kept.append(cells)
+        rows = [[cells[index] for index in places.values()] for cells in kept]
+        numbers: Any = decimals([cell for row in rows for cell in row])
+        if numbers is None or not np.all(np.isfinite(numbers)):
+            picked = [names[index] for index in places.values()]
+            each = zip(self.lines, rows)
+            numbers = [self._row(number, picked, row) for number, row in each]
         if not self.lines:
             raise FileFormatError(f"{self.place} has no row with a value")
         if missing:
             codes = ", ".join(sorted({one for one in missing if one.startswith("-9")}))
             why = f": {codes} stands for none" if codes else ""
             self.notes.append(f"{len(missing)} rows without a value are left out{why}")
-        return {role: np.array(values) for role, values in numbers.items()}
+        columns = np.reshape(numbers, (-1, len(places))).T
+        return {role: column.copy() for role, column in zip(places, columns)}
+
+    def _row(
+        self, number: int, names: Sequence[str], row: Sequence[str]
+    ) -> list[float]:
+        """Numbers of a line, or FileFormatError for the first that is not finite."""
+        values = []
+        for name, cell in zip(names, row):
+            where = f"{self.place}, line {number}, column {name}"
+            try:
+                value = decimal(cell)
+            except ValueError as error:
+                raise FileFormatError(f"{where}: {error}") from None
+            if not np.isfinite(value):
+                raise FileFormatError(
+                    f"{where}: must be a finite number, got {cell.strip()}"
+                )
+            values.append(value)
+        return values
 
     def _leave_out_missing(self) -> None:
         """Leave out rows with a code for no number, except azimuths at the normal."""

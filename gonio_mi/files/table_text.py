@@ -12,6 +12,9 @@ from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 
+import numpy as np
+
+from ..array_types import Floats
 from ..errors import FileFormatError, SettingError, shown
 from .table_names import is_unit
 
@@ -19,6 +22,9 @@ DECIMAL = re.compile(
     r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?(nan|inf|infinity)",
     re.ASCII | re.IGNORECASE,
 )
+
+# What most numbers are written with: all that Python reads of it is a DECIMAL.
+DECIMAL_LETTERS = "0123456789+-.eE "
 
 # More characters than any number needs.
 MAX_DIGITS = 100
@@ -255,3 +261,14 @@ def decimal(text: str) -> float:
     if not is_decimal(text):
         raise SettingError(f"must be a number, got {shown(text)}")
     return float(text)
+
+
+def decimals(cells: Sequence[str]) -> Floats | None:
+    """Numbers of many cells, as of :func:`decimal`; None where one is unusual."""
+    longest = max(map(len, cells), default=0)
+    if longest > MAX_DIGITS or not set("".join(cells)) <= set(DECIMAL_LETTERS):
+        return None
+    try:
+        return np.array(list(map(float, cells)))
+    except ValueError:
+        return None

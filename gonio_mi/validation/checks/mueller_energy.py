@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ...array_types import Flags, Floats, Numbers
 from ..evidence import Evidence
@@ -37,7 +37,7 @@ def check_gain(evidence: Evidence, lobes: Lobes) -> None:
         condition = condition_of(weights, (i, 0))
         z = (mean - 1 - ROUNDING) / max(std_err, ROUNDING / 4)
         text = f"{mean:.4g} of the flux of {_named(state)} leaves"
-        p_value = float(stats.t.sf(z, half - 1))
+        p_value = float(special.stdtr(half - 1, -z))
         evidence.test("energy", p_value, text, condition, max(0.0, mean - 1))
 
 
