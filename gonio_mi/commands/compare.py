@@ -15,8 +15,8 @@ from typing import Any
 
 from .. import files
 from ..errors import SettingError
-from ..files.channels import wavelengths_nm
 from ..files.table_reader import OpenQuestionsError, check_nothing_open
+from ..results.record import wavelengths_nm
 from .arguments import (
     DEFAULT_VARIANT,
     DONE,

@@ -11,9 +11,9 @@ from pathlib import Path
 
 from .. import files
 from ..errors import SettingError
-from ..files.channels import wavelengths_nm
 from ..formats.radiance import BLOCKS
 from ..formats.reading import endings_of, lost_in_each
+from ..results.record import wavelengths_nm
 from .arguments import BASES, DONE, add_text, set_variant, tell
 from .file_kinds import record_of
 

@@ -12,9 +12,8 @@ from collections.abc import Iterator
 
 from .. import files
 from ..errors import SettingError
-from ..files.channels import wavelengths_nm
 from ..files.measured_table import MeasuredTable
-from ..results.record import Record
+from ..results.record import Record, wavelengths_nm
 from .arguments import (
     DEFAULT_VARIANT,
     DONE,

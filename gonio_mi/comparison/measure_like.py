@@ -12,11 +12,10 @@ from ..collector.apertures import Apertures, disjoint_groups, is_above
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, SettingTypeError, SpecimenError, shown
-from ..files.channels import wavelengths_nm
 from ..files.measured_table import MeasuredTable
 from ..instrument.specimen_text import SpecimenLike
 from ..progress import counted
-from ..results.record import Record
+from ..results.record import Record, wavelengths_nm
 from .pairing import pole_angle
 
 # Distance in scene units that stands for a source far away.

@@ -13,13 +13,12 @@ from ..array_types import Floats
 from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, checked_choice
 from ..files import check_output, netcdf, replacing
-from ..files.channels import wavelengths_nm
 from ..files.measured_table import MeasuredTable
 from ..files.writing import takes_a_stream
 from ..formats import astm
 from ..formats.radiance import Product
 from ..formats.reading import endings_of, read_measured
-from ..results.record import Record
+from ..results.record import Record, wavelengths_nm
 from ..results.summary import summarize
 from .loss import ZEMAX, Loss, fractions_of, losses, part_names
 from .measured_export import write_measured

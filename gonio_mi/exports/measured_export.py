@@ -15,12 +15,11 @@ from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
 from ..errors import SettingError, VariantError, abridged
 from ..files import replacing
-from ..files.channels import wavelengths_nm
 from ..formats import tensor_file
 from ..instrument.loading import loaded
 from ..instrument.measure import measure_each, whole
 from ..progress import counted
-from ..results.record import Record
+from ..results.record import Record, wavelengths_nm
 from ..transport.surface_events import flux_context
 from ..transport.wavelengths import passes, wavelength_lanes
 from .loss import Loss, losses

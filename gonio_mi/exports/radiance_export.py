@@ -15,11 +15,10 @@ from ..collector.klems import Klems
 from ..collector.shirley_chiu import ShirleyChiu
 from ..errors import SettingError, abridged, checked_choice
 from ..files import replacing
-from ..files.channels import wavelengths_nm
 from ..formats import radiance
 from ..formats.radiance import Product, RadianceBSDF
 from ..formats.tensor_tree import TensorTree, grid_directions
-from ..results.record import Record
+from ..results.record import Record, wavelengths_nm
 from .daylight import of_daylight
 from .loss import Loss, fractions_of, losses
 from .resampling import Material, resampled, specular_peaks

@@ -10,11 +10,10 @@ from ..array_types import Floats
 from ..collector.directions import direction
 from ..errors import SettingError, abridged
 from ..files import replacing
-from ..files.channels import wavelengths_nm
 from ..formats import merl, zemax
 from ..formats.reading import format_named, read_scatter
 from ..formats.scatter import Block, Scatter, scatter_means, total_of
-from ..results.record import Record
+from ..results.record import Record, wavelengths_nm
 from .loss import Loss, fractions_of, losses, part_names
 from .resampling import Material
 

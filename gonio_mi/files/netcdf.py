@@ -9,8 +9,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..errors import PackageError
-from ..results.record import Record
-from .channels import wavelengths_nm
+from ..results.record import Record, wavelengths_nm
 
 CONVENTIONS = (
     "Patch means in 1/sr, without cosine. Angles in degrees: theta_i from the normal "

@@ -18,7 +18,7 @@ from ..errors import (
     checked_choice,
     shown,
 )
-from .channels import chosen_channel
+from ..results.record import chosen_channel
 from .measured_table import COLUMNS, QUANTITIES, MeasuredTable, fits, parsed_keys
 from .table_names import (
     ANGLES,

@@ -13,14 +13,13 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import SettingError
-from ..files.channels import wavelengths_nm
 from ..files.measured_table import MeasuredTable
 from ..instrument.measure import measure_each
 from ..instrument.specimen_text import parse_specimen, specimen_name
 from ..progress import bar
 from ..reports.page import picture_and_text
 from ..results.azimuth_symmetry import without_copies
-from ..results.record import Record
+from ..results.record import Record, wavelengths_nm
 from ..transport.kernels import launches_kernels
 from .least_squares import FittedModel, Search
 from .observations import Observations, RecordObservations, TableObservations

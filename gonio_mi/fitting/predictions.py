@@ -13,11 +13,11 @@ from ..array_types import Floats, Integers
 from ..collector import Subdivision
 from ..collector.directions import angles, direction
 from ..errors import SettingError
-from ..files.channels import wavelengths_nm
 from ..quadrature import integrate
 from ..quadrature.cells import NODES_PER_CELL, Cells
 from ..quadrature.evaluator import IncidentLight, square
 from ..quadrature.integrate import Rule
+from ..results.record import wavelengths_nm
 from ..transport.surface_events import flux_context
 from ..transport.wavelengths import passes, wavelength_lanes
 

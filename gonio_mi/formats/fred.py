@@ -19,8 +19,7 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import SettingError
 from ..files.checks import require
-from .format import Format
-from .lines import Lines
+from .format import Format, Lines
 from .scatter import Points
 
 FORMAT = {"angles": ("deg", "sin"), "bsdf": ("value", "log")}

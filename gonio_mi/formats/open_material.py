@@ -17,10 +17,9 @@ import numpy as np
 
 from ..array_types import Floats
 from ..errors import FileFormatError, abridged
-from ..files.channels import wavelengths_nm
 from ..files.checks import require
-from .format import Format
-from .lines import MAX_NUMBERS, without_mark
+from ..results.record import wavelengths_nm
+from .format import MAX_NUMBERS, Format, without_mark
 from .scatter import Block, Points, Scatter
 
 SCHEMA = (

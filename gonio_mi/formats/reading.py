@@ -13,12 +13,10 @@ import numpy as np
 
 from .. import files
 from ..errors import FileFormatError, SettingError, no_file, shown
-from ..files.channels import chosen_channel
 from ..files.measured_table import MeasuredTable, repeats_noted
 from ..files.table_reader import Specified, read_text
-from ..results.record import Record
-from .format import Format
-from .lines import without_mark
+from ..results.record import Record, chosen_channel
+from .format import Format, without_mark
 from .scatter import PatchMeans, Points, Scatter, scatter_means
 
 QUANTITIES = ("brdf", "btdf")

@@ -23,11 +23,10 @@ from typing import BinaryIO
 import numpy as np
 
 from ..array_types import Floats
-from ..files.channels import wavelengths_nm
 from ..files.checks import require
 from ..files.table_text import decimal
-from .format import Format
-from .lines import Lines, check_size
+from ..results.record import wavelengths_nm
+from .format import Format, Lines, check_size
 from .scatter import Block, Scatter, total_of
 
 ANISOTROPIC, SPECTRAL = "OPTIS - Anisotropic BSDF surface file", "OPTIS - brdf surface"

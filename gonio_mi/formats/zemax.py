@@ -22,8 +22,7 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import FileFormatError, abridged
 from ..files.checks import require
-from .format import Format
-from .lines import Lines, check_size
+from .format import Format, Lines, check_size
 from .scatter import Block, Scatter, total_of
 
 AXES = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")

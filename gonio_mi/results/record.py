@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from os import PathLike
@@ -12,11 +12,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..array_types import Floats
 from ..errors import (
     SettingError,
     abridged,
     printable,
     shown,
+    unknown_channel,
 )
 from ..settings import MeasurementSettings
 from ..settings.measurement_settings import MAX_RAYS
@@ -278,6 +280,35 @@ class Record(MeasuredValues):
             seed=own.seeds[0] if own.seeds else default.seed,
             sampler=own.sampler,
         )
+
+
+# ---------------------------------------------------------------------------- channels
+
+
+def wavelengths_nm(channels: Sequence[str]) -> Floats | None:
+    """Wavelengths of channels such as ``"550nm"``, shape (n,); None for any others."""
+    matches = [re.fullmatch(r"([0-9]+(?:\.[0-9]+)?)nm", name) for name in channels]
+    found = [match[1] for match in matches if match]
+    return np.array(found, dtype=float) if len(found) == len(channels) else None
+
+
+def chosen_channel(place: object, names: Sequence[str], channel: str | None) -> str:
+    """The channel that is asked for, ``550`` for ``550nm`` too, or the only one.
+
+    Raises
+    ------
+    SettingError
+        If there are several, or none is called so.
+    """
+    if channel is None and len(names) == 1:
+        return names[0]
+    for name in (channel, f"{channel}nm"):
+        if name in names:
+            return str(name)
+    raise unknown_channel(place, names, channel)
+
+
+# ---------------------------------------------------------------------- of other rooms
 
 
 def _done_by(name: str) -> Callable[..., Any]:

@@ -29,11 +29,11 @@ from .mueller import (
     Matrices,
     MuellerProbe,
     about,
+    is_depolarised,
     lit_directions,
     per_light,
     slack_of,
 )
-from .readings import is_depolarised
 from .samples import ULPS
 
 # Directions and samples by effort, and their number of pairs that are turned.

@@ -16,8 +16,13 @@ import numpy as np
 
 from gonio_mi.campaigns.campaign import campaign
 from gonio_mi.campaigns.execution import Surroundings, records_of
-from gonio_mi.campaigns.known_directions import CONFIRMING, NOISE
-from gonio_mi.campaigns.prediction import SPARED, Prediction, points_for
+from gonio_mi.campaigns.known_directions import (
+    CONFIRMING,
+    NOISE,
+    SPARED,
+    Prediction,
+    points_for,
+)
 from gonio_mi.campaigns.whole_bsdf import MAX_NOISY_ERROR
 from gonio_mi.errors import SpecimenError
 from gonio_mi.results.campaign_outcome import PredictionError

@@ -26,8 +26,7 @@ from gonio_mi.campaigns import (
     whole_bsdf,
 )
 from gonio_mi.campaigns.execution import Surroundings
-from gonio_mi.campaigns.known_directions import KnownDirections
-from gonio_mi.campaigns.prediction import Prediction
+from gonio_mi.campaigns.known_directions import KnownDirections, Prediction
 from gonio_mi.campaigns.refinement import Axis, IncidentRings, Interval, refined
 from gonio_mi.campaigns.resolution import check_peaks, delta_fraction
 from gonio_mi.campaigns.whole_bsdf import N_FIRST_ANGLES, N_UNSEEN, WholeBsdf

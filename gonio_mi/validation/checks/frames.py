@@ -11,8 +11,15 @@ import numpy as np
 from ...array_types import Flags, Floats, Numbers
 from ...collector.stokes import plane_axis, reframed, turn
 from ..evidence import Evidence
-from ..mueller import Matrices, condition_of, off, per_light
-from ..readings import IDENTITY, is_identity, readings
+from ..mueller import (
+    IDENTITY,
+    Matrices,
+    condition_of,
+    is_identity,
+    off,
+    per_light,
+    readings,
+)
 
 # Relative change of the first element up to which it does not depend on the azimuth.
 SAME_LIGHT = 0.01

@@ -7,8 +7,15 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ...collector.stokes import UPRIGHT
 from ..evidence import Evidence
-from ..mueller import Lobes, Matrices, condition_of, off, per_light
-from ..readings import is_depolarised, readings
+from ..mueller import (
+    Lobes,
+    Matrices,
+    condition_of,
+    is_depolarised,
+    off,
+    per_light,
+    readings,
+)
 from ..samples import is_many
 
 # Relative difference of densities that is no rounding.

@@ -7,8 +7,7 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ...collector.stokes import EXCHANGE
 from ..evidence import Evidence
-from ..mueller import Matrices, condition_of, off, per_light
-from ..readings import is_depolarised
+from ..mueller import Matrices, condition_of, is_depolarised, off, per_light
 from ..samples import is_many
 
 # Difference of elements over the first one that is no rounding, beside its slack.
