@@ -69,6 +69,17 @@ def add_number(
     group.add_argument(option, type=number, default=default, metavar=metavar, help=text)
 
 
+def add_stokes(group: Group, text: str) -> None:
+    """Add the option that takes the Stokes vector of incident light."""
+    group.add_argument(
+        "--stokes",
+        nargs=4,
+        type=number,
+        metavar=("I", "Q", "U", "V"),
+        help=f"{text} Of records of polarised variants; 1 1 0 0 is light along s.",
+    )
+
+
 def add_text(group: Group, option: str, metavar: str, text: str, **how: Any) -> None:
     """Add an option or an argument that is a word, or several if `how` says so."""
     group.add_argument(option, metavar=metavar, help=text, **how)

@@ -9,13 +9,14 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from ..errors import SettingError
-from .arguments import DONE, add_number, add_record
+from .arguments import DONE, add_number, add_record, add_stokes
 from .file_kinds import record_of
 
 EXAMPLES = """\
 examples:
   gonio-mi plot run.npz -o run.png
   gonio-mi plot stack.npz -o lobe.gif
+  gonio-mi plot polarised.npz --stokes 1 1 0 0 -o along_s.png
 """
 
 
@@ -29,6 +30,9 @@ def add_options(parser: ArgumentParser) -> None:
         metavar="FIG",
         help="A .png, .pdf or .svg file, or a .gif: an animation of a stack.",
     )
+    add_stokes(parser, "Draw the polarisation of what leaves for light of this one.")
+    text = "Draw all elements of the Mueller matrices, of a polarised variant."
+    parser.add_argument("--mueller", action="store_true", help=text)
     text = "Number of the incident direction of a stack, from 0. Default: all."
     add_number(parser, "--index", "J", text)
 
@@ -36,14 +40,24 @@ def add_options(parser: ArgumentParser) -> None:
 def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     record = record_of(options.record)
-    from ..plots import ANIMATION_ENDINGS, animation, plot, sheet  # slow to import
+    from .. import plots  # slow to import
 
-    if Path(options.output).suffix.lower() in ANIMATION_ENDINGS:
+    animated = Path(options.output).suffix.lower() in plots.ANIMATION_ENDINGS
+    if options.mueller or options.stokes:
+        if options.mueller and options.stokes:
+            raise SettingError("--mueller and --stokes exclude each other, got both")
+        index = options.index or 0
+        if options.mueller:
+            plots.plot_mueller(record, options.output, index=index)
+        else:
+            vector = options.stokes
+            plots.plot_stokes(record, options.output, stokes=vector, index=index)
+    elif animated:
         if options.index is not None:
             raise SettingError("--index must not be given for an animation of them all")
-        animation(record, options.output, progress=True)
+        plots.animation(record, options.output, progress=True)
     elif options.index is None and len(record) > 1:
-        sheet(record, options.output)
+        plots.sheet(record, options.output)
     else:
-        plot(record, options.output, index=options.index or 0)
+        plots.plot(record, options.output, index=options.index or 0)
     return DONE

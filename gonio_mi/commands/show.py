@@ -14,6 +14,7 @@ from ..errors import SettingError, no_file
 from .arguments import (
     DONE,
     add_json,
+    add_stokes,
     add_table_options,
     add_text,
     check_no_table_options,
@@ -26,6 +27,7 @@ EXAMPLES = """\
 examples:
   gonio-mi show run.npz --json | jq .directions[0].dhr
   gonio-mi show panel.txt --channel 550nm
+  gonio-mi show polarised.npz --stokes 1 1 0 0
 """
 
 
@@ -36,6 +38,7 @@ def add_options(parser: ArgumentParser) -> None:
     add_json(parser)
     text = "Show the totals of all incident directions."
     parser.add_argument("--all", action="store_true", help=text)
+    add_stokes(parser, "Show what becomes of light of this Stokes vector.")
     add_table_options(parser.add_argument_group("Table"))
 
 
@@ -49,6 +52,8 @@ def run(options: Namespace) -> int:
     if not path.lower().endswith(files.ENDINGS):
         if not Path(path).exists():
             raise FileNotFoundError(no_file(path))
+        if options.stokes:
+            raise SettingError(f"--stokes applies to records only, got {path!r}")
         if options.json:
             raise SettingError(f"--json applies to records only, got {path!r}")
         tell(table_of(path, options))
@@ -59,5 +64,5 @@ def run(options: Namespace) -> int:
         print(json.dumps(summary.as_mapping(), indent=2, allow_nan=False))
     else:
         rows = {"most_rows": sys.maxsize} if options.all else {}
-        tell(summary_text(summary, **rows))
+        tell(summary_text(summary, **rows, stokes=options.stokes))
     return DONE

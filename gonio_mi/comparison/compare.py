@@ -18,6 +18,7 @@ from ..errors import (
 )
 from ..files.measured_table import ANGLE_DIGITS, COLUMNS, NUMBERS, MeasuredTable
 from ..results.record import Record
+from ..results.tally import PolarisedTally
 from .agreement import MIN_STUDENT_HITS, PointSet, judge, mostly_few
 from .comparison import Comparison
 from .pairing import (
@@ -68,9 +69,11 @@ def compare(
     other : Record or MeasuredTable
         A record must have the same collector, channels and incident directions: there
         is no honest way from one set of patch means to another. Where only one has a
-        lower hemisphere, no light may have come there. A note tells other conditions
-        that are not the same: side, footprint, divergence, order and so on; and a seed
-        that is the same, as then the rays are, too. Of a table
+        lower hemisphere, no light may have come there. Of records of polarised variants
+        all elements of Mueller matrices are compared, as half the sum of each with the
+        first one; with a record or table without them the first one alone. A note tells
+        other conditions that are not the same: side, footprint, divergence, order and
+        so on; and a seed that is the same, as then the rays are, too. Of a table
         each point is compared with the mean of the patch that holds it, within what
         the BRDF may do there; points of patches that are too coarse are left out.
     uncertainty : float, optional
@@ -211,10 +214,36 @@ def _paired(
             checked_number(name, value or 0, *NUMBERS[name])
             for name, value in given.items()
         )
-        sets, notes = pair_with_record(records[0], other, relative)
-        return sets, notes, labels(records[0], other), scale
+        first, second, notes = _with_all_elements(records[0], other)
+        sets, more = pair_with_record(first, second, relative)
+        return sets, notes + more, labels(records[0], other), scale
     raise SettingTypeError(
         f"other must be a Record or a MeasuredTable, got {shown(other)}"
+    )
+
+
+def _with_all_elements(
+    record: Record, other: Record
+) -> tuple[Record, Record, list[str]]:
+    """Records whose channels are the elements of Mueller matrices, if both have them.
+
+    Half the sum of each with the first one, which is a flux; and notes.
+    """
+    if record.polarised and other.polarised:
+        return _as_channels(record), _as_channels(other), []
+    if record.polarised or other.polarised:
+        return record, other, ["one record has no Mueller matrices: M00 is compared"]
+    return record, other, []
+
+
+def _as_channels(record: Record) -> Record:
+    """Record of light whose channels are elements, each with half of the first."""
+    names = ["", *(f" (M00 + M{i}{j})/2" for i, j in list(np.ndindex(4, 4))[1:])]
+    tallies = [one for one in record.tallies if isinstance(one, PolarisedTally)]
+    return replace(
+        record,
+        channels=tuple(f"{one}{name}" for name in names for one in record.channels),
+        tallies=tuple(one.halves() for one in tallies),
     )
 
 

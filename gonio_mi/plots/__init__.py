@@ -3,6 +3,7 @@
 from ..results.record import Record
 from .figure import ANIMATION_ENDINGS, FIGURE_ENDINGS, check_picture
 from .plot import animation, plot, sheet
+from .polarisation import plot_mueller, plot_stokes
 
 # a record's own method draws it, and imports nothing of what is above it
 Record.plotter = plot
@@ -13,5 +14,7 @@ __all__ = [
     "animation",
     "check_picture",
     "plot",
+    "plot_mueller",
+    "plot_stokes",
     "sheet",
 ]

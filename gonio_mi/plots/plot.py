@@ -88,7 +88,7 @@ def plot(
             f"index must be below {len(record)}, the number of incident directions, "
             f"got {index}"
         )
-    shown = _received(record[index])
+    shown = received(record[index])
     figure = new_figure(path, figsize=(7 if len(shown) == 1 else 10, 8))
     from .polar_map import draw_map
 
@@ -96,10 +96,10 @@ def plot(
     for axes, of in zip(above.subplots(1, len(shown), squeeze=False)[0], shown):
         draw_map(axes, record[index], of)
     draw_profiles(below.subplots(), record, index, shown)
-    return finished(figure, path, _title(record, index))
+    return finished(figure, path, figure_title(record, index))
 
 
-def _title(record: Record, index: int) -> str:
+def figure_title(record: Record, index: int) -> str:
     """Four lines: specimen, incident direction, settings, totals."""
     single, settings = record[index], record.settings
     direction = _direction(record, index)
@@ -166,7 +166,7 @@ def sheet(record: Record, path: str | PathLike[str] | None = None) -> Figure:
 
     Returns the matplotlib figure, and raises as :func:`gonio_mi.plot`.
     """
-    quantities = _received(record)
+    quantities = received(record)
     shown = evenly(len(record), MAX_MAPS // len(quantities))
     columns = min(len(shown), 6)
     rows = math.ceil(len(shown) / columns)
@@ -212,7 +212,7 @@ def animation(
     from PIL import Image  # matplotlib brings it
 
     shown = evenly(len(record), MAX_FRAMES)
-    scales = {of: _common_scale(record, of) for of in _received(record)}
+    scales = {of: _common_scale(record, of) for of in received(record)}
     images = []
     with bar(progress, total=len(shown), desc="animation", unit="frame") as report:
         for number in shown:
@@ -253,7 +253,7 @@ def _frame(record: Record, number: int, scales: dict[str, Any], n_shown: int) ->
     return np.asarray(canvas.buffer_rgba())[..., :3]
 
 
-def _received(record: Record) -> list[str]:
+def received(record: Record) -> list[str]:
     """The quantities that are worth a map."""
     return ["brdf"] if record.btdf is None or not record.btdf.any() else list(NAMES)
 

@@ -75,13 +75,19 @@ def _unlit(single: Record) -> str:
 
 
 def shown_values(
-    single: Record, of: str
+    single: Record, of: str, values: NDArray[np.float64] | None = None
 ) -> tuple[RingsAndSectors, np.ma.MaskedArray[Any, Any]]:
-    """Rings and sectors, and the mean over channels in them, masked without a hit."""
-    patches, values = drawn_in_rings(single.subdivision, getattr(single, of))
+    """Rings and sectors, and the mean over channels in them, masked without a hit.
+
+    Or other `values` of the patches, shape ``(n_theta, n_phi)``, masked where NaN.
+    """
+    shown = getattr(single, of) if values is None else values[..., None]
+    patches, means = drawn_in_rings(single.subdivision, shown)
+    means = means.mean(axis=-1)
     hits = single.without_hit[int(of == "btdf"), ..., None]
     _, empty = drawn_in_rings(single.subdivision, hits)
-    return patches, np.ma.masked_array(values.mean(axis=-1), mask=empty[..., 0])
+    masked = empty[..., 0] if values is None else empty[..., 0] | np.isnan(means)
+    return patches, np.ma.masked_array(means, mask=masked)
 
 
 def scale_of(values: NDArray[np.float64]) -> colors.Normalize:
@@ -96,13 +102,21 @@ def scale_of(values: NDArray[np.float64]) -> colors.Normalize:
 
 
 def draw_patches(
-    axes: Axes, single: Record, of: str, scale: colors.Normalize, note: str = ""
+    axes: Axes,
+    single: Record,
+    of: str,
+    scale: colors.Normalize,
+    note: str = "",
+    colours: str = "viridis",
+    *,
+    values: NDArray[np.float64] | None = None,
 ) -> QuadMesh:
     """Fill each patch with the colour of its value, and draw circles and directions.
 
-    `note` follows the name of the mirror direction, or of that straight through.
+    `note` follows the name of the mirror direction, or of that straight through;
+    `values` are drawn instead of the quantity `of`.
     """
-    patches, values = shown_values(single, of)
+    patches, shown = shown_values(single, of, values)
     pieces = math.ceil(360 / patches.n_phi / MAX_CHORD_DEG)
     steps = np.arange(patches.n_phi * pieces + 1) / pieces
     phi = np.interp(steps, np.arange(patches.n_phi + 1), patches.phi_edges)
@@ -110,9 +124,9 @@ def draw_patches(
     mesh = axes.pcolormesh(
         radius * np.cos(phi),
         radius * np.sin(phi),
-        np.ma.repeat(values, pieces, axis=1),
+        np.ma.repeat(shown, pieces, axis=1),
         norm=scale,
-        cmap="viridis",
+        cmap=colours,
         rasterized=True,
     )
     mesh.set_cmap(mesh.get_cmap().with_extremes(bad=NO_HIT))
@@ -122,7 +136,7 @@ def draw_patches(
         style = {"c": "0.2", "lw": 0.8} if theta == 90 else {"c": "w", "lw": 0.4}
         axes.plot(size * np.cos(circle), size * np.sin(circle), **style)
     _mark_directions(axes, single, of, note)
-    if values.mask.any():
+    if shown.mask.any():
         axes.plot([], [], "s", color=NO_HIT, label=_unlit(single))
     limits = -HALF_WIDTH, HALF_WIDTH
     axes.set(aspect="equal", xlim=limits, ylim=limits)
@@ -132,11 +146,18 @@ def draw_patches(
 
 def add_bar(figure: Any, mesh: QuadMesh, place: Axes, single: Record, of: str) -> None:
     """Draw the colour bar of a map into axes of its own."""
-    bar = figure.colorbar(mesh, cax=place)
     label = of.upper()
     if len(single.channels) > 1:
         label += f", mean of {len(single.channels)} channels"
-    bar.set_label(f"{label} (1/sr)")
+    colour_bar(figure, mesh, None, f"{label} (1/sr)", cax=place)
+
+
+def colour_bar(
+    figure: Any, mesh: QuadMesh, beside: Any, label: str, **place: Any
+) -> None:
+    """Draw a colour bar `beside` axes, or where it is said by matplotlib's words."""
+    bar = figure.colorbar(mesh, ax=beside, **place)
+    bar.set_label(label)
     bar.outline.set_linewidth(0.5)
 
 

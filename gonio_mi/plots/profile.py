@@ -4,7 +4,7 @@ Here too are the rings and sectors that are drawn instead of patches that are no
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -88,28 +88,35 @@ def profile(single: Record, of: str = "brdf", level: float = LEVEL) -> Profile:
     of_lower = int(of == "btdf")
     low, high = single.interval(level, of=of)
     means = np.stack([getattr(single, of), low, high])
-    patches, means = drawn_in_rings(single.subdivision, means)
-    dark = single.estimates[0].dark(of_lower)
-    _, empty = drawn_in_rings(single.subdivision, dark)
+    edges, theta, cut = cut_of(single)
+    value, low, high = map(cut, means)
+    empty = cut(single.estimates[0].dark(of_lower))
+    return Profile(edges, theta, value, low, high, empty)
+
+
+def cut_of(
+    single: Record,
+) -> tuple[
+    NDArray[np.float64], NDArray[np.float64], Callable[[NDArray[Any]], NDArray[Any]]
+]:
+    """Edges and middles of the patches of a :class:`Profile`, and what picks them.
+
+    The latter takes arrays of the shape ``(*patches, channels)``.
+    """
+    patches, _ = drawn_in_rings(single.subdivision, single.brdf)
     phi_i = np.radians(np.nan_to_num(single.phi_i[0]))
     towards, beyond = (
         int(patches.patch([math.cos(phi), math.sin(phi), 1])) % patches.n_phi
         for phi in (phi_i, phi_i + np.pi)
     )
 
-    def cut(array: NDArray[Any]) -> NDArray[Any]:
+    def cut(values: NDArray[Any]) -> NDArray[Any]:
+        _, array = drawn_in_rings(single.subdivision, values)
         return np.concatenate([array[::-1, towards], array[:, beyond]])
 
     edges, theta = np.degrees(patches.theta_edges), np.degrees(patches.theta)
-    value, low, high = map(cut, means)
-    return Profile(
-        edges=np.concatenate([-edges[:0:-1], edges]),
-        theta=np.concatenate([-theta[::-1], theta]),
-        value=value,
-        low=low,
-        high=high,
-        empty=cut(empty),
-    )
+    both_sides = np.concatenate([-edges[:0:-1], edges])
+    return both_sides, np.concatenate([-theta[::-1], theta]), cut
 
 
 def draw_profiles(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ..errors import SettingError, shown
 from ..single_precision import ROUNDING
 from . import statistics
 from .estimates import MIN_DEPOSITS, MIN_EVEN_HITS, MIN_HITS, SampledEstimates
-from .tally import WEIGHT_SCALE, PolarisedTally, Tally
+from .tally import PolarisedTally
 
 # How far the polarised part of a Stokes vector may exceed its first element: rounding.
 STOKES_ROUNDING = 1e-9
@@ -182,33 +182,13 @@ class MuellerEstimates:
     def _half_limits(
         self, hemisphere: int, level: float
     ) -> list[tuple[Floats, Floats]]:
-        """Limits of half the sums and differences of all elements and the first.
-
-        Channels run fastest in them, then elements.
-        """
-        tally, unit = self.tally, WEIGHT_SCALE / self.tally.scale
-        first = tally.sums[..., None, :] * unit
-        others = np.concatenate([first, tally.elements * unit], axis=-2)
-        incident = np.tile(tally.incident * unit, (1, 16))
-        found = []
-        for sign in (1, -1):
-            sums = np.maximum(first + sign * others, 0) / 2
-            half = Tally(
-                tally.hits,
-                sums.reshape(*tally.sums.shape[:-1], -1),
-                incident,
-                tally.fates,
-                WEIGHT_SCALE,
+        """Limits of half the sums and differences of all elements and the first."""
+        return [
+            replace(self.light, tally=self.tally.halves(sign)).interval(
+                hemisphere, level
             )
-            light = self.light
-            estimates = SampledEstimates(
-                half,
-                independent=light.independent,
-                deposited=light.deposited,
-                passes=light.passes,
-            )
-            found.append(estimates.interval(hemisphere, level))
-        return found
+            for sign in (1, -1)
+        ]
 
 
 def _as_matrices(elements: Floats, channels: int) -> Floats:

@@ -4,10 +4,13 @@ import math
 import textwrap
 from collections.abc import Sequence
 
+import numpy as np
+
 from ..errors import abridged
 from ..settings.values import joined
 from ..single_precision import ROUNDING
 from .planning import FLOOR
+from .record import Record
 from .summary import LEVEL, Summary, Total, grouped
 from .tally import without_chance
 
@@ -22,10 +25,16 @@ MAX_DECIMALS = 12
 MAX_ROWS = 40
 
 
-def summary_text(summary: Summary, most_rows: int = MAX_ROWS) -> str:
+def summary_text(
+    summary: Summary,
+    most_rows: int = MAX_ROWS,
+    stokes: Sequence[float] | None = None,
+) -> str:
     """Return a summary as text for people.
 
-    Of more totals than `most_rows`, those in the middle are left out.
+    Of more totals than `most_rows`, those in the middle are left out. `stokes` is the
+    Stokes vector of the light whose polarisation is told: unpolarised by default, and
+    none of records without Mueller matrices.
     """
     blocks = [
         _settings_text(summary),
@@ -33,6 +42,9 @@ def summary_text(summary: Summary, most_rows: int = MAX_ROWS) -> str:
         _ledger_text(summary),
         _patches_text(summary),
     ]
+    if stokes is not None or summary.record.polarised:
+        vector = (1.0, 0.0, 0.0, 0.0) if stokes is None else stokes
+        blocks.insert(2, _stokes_text(summary.record, vector, most_rows))
     warnings = [_filled("warning   ", text) for text in summary.warnings]
     if warnings:
         blocks.append("\n".join(warnings))
@@ -138,6 +150,37 @@ def _totals_text(summary: Summary, most_rows: int) -> str:
     if any(error.startswith("<") for *_, error, _low, _high in rows):
         said += "\n< is the rounding of single precision, in which the error is lost"
     return "\n".join(lines) + said
+
+
+def _stokes_text(record: Record, stokes: Sequence[float], most_rows: int) -> str:
+    """Stokes vectors of all flux that leaves, each in frames of s = k x z."""
+    header = ["theta_i", "phi_i", "of", "channel", "I"]
+    header += ["Q/I", "U/I", "V/I", "std_err", "degree"]
+    rows = []
+    for single in (record[i] for i in range(len(record))):
+        angles = [_angle(float(x[0])) for x in (single.theta_i, single.phi_i)]
+        for of in ("dhr", "dht")[: 1 + record.has_lower]:
+            for channel, value, error in zip(
+                record.channels, *single.stokes(stokes, of)
+            ):
+                light = float(value[0])
+                if not light > 0:
+                    continue
+                parts = value[1:] / light
+                error = float(np.max(error[1:])) / light
+                cells = [f"{x:.5f}" for x in (light, *parts)]
+                cells += [f"{error:.2g}", f"{np.linalg.norm(parts):.4f}"]
+                rows.append([*angles, of, channel, *cells])
+    numbers = " ".join(f"{x:g}" for x in stokes)
+    text = aligned(header, rows[:most_rows])
+    if len(rows) > most_rows:
+        text += f"\n... {len(rows) - most_rows} rows are left out: show --all has them"
+    note = (
+        f"for incident light of the Stokes vector {numbers}; std_err is the largest of "
+        "the three, degree that of polarisation of all flux together, each direction "
+        "in its own frame of s and p"
+    )
+    return f"{text}\n{_filled('', note)}"
 
 
 def total_cells(total: Total) -> list[str]:

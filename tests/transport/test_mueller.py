@@ -7,6 +7,7 @@ import pytest
 from budget import agree, disagree, normal_scores, often_enough, verdict
 
 import gonio_mi as gonio
+from gonio_mi import cli
 from gonio_mi.collector.directions import direction
 
 VARIANT = "llvm_ad_mono_polarized"
@@ -242,6 +243,11 @@ def test_a_record_is_all_there(tmp_path):
     assert np.allclose(
         both.dhr_mueller, (record[1].dhr_mueller + half.dhr_mueller) / 2, rtol=1e-12
     )
+    found = gonio.compare(record[1], half)
+    assert found.verdict == "agree"
+    assert len(set(found.channel)) == 16
+    turned = gonio.measure(ROUGH | {"k": 2.0}, 50, 20, rays=2**13, **STATISTICAL)
+    assert gonio.compare(turned, half).verdict == "differ"
     values, std_err = record.stokes([1, 1, 0, 0])
     due = record.brdf_mueller[..., 0] + record.brdf_mueller[..., 1]
     assert np.allclose(values, due, rtol=1e-12)
@@ -260,3 +266,38 @@ def test_a_record_is_all_there(tmp_path):
         gonio.measure(ROUGH, 50, estimator="quadrature")
     with pytest.raises(gonio.VariantError, match="tolerance needs an unpolarised"):
         gonio.campaign({"metal": ROUGH}, tolerance=0.1)
+
+
+def test_pictures_and_numbers_show_the_matrices(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    from gonio_mi.plots import plot_mueller, plot_stokes
+
+    record = gonio.measure(ROUGH, 50, 20, rays=2**13, **STATISTICAL)
+    lit = record.counts[0] > 0
+    figure = plot_mueller(record)
+    maps = {axes.get_title(): axes for axes in figure.axes if axes.get_title()}
+    assert len(maps) == 16
+    drawn = maps["M23 / M00"].collections[0].get_array()
+    m = record.brdf_mueller[:, :, 0]
+    due = np.divide(m[..., 2, 3], m[..., 0, 0], where=lit, out=np.zeros(lit.shape))
+    assert np.allclose(drawn[:, :: drawn.shape[1] // 8][lit], due[lit], atol=1e-12)
+    figure = plot_stokes(record, stokes=[1, 0, 0, 1])
+    circular = figure.subfigs[0].axes[3].collections[0].get_array()
+    due = (m[..., 3, 0] + m[..., 3, 3]) / np.where(lit, m[..., 0, 0] + m[..., 0, 3], 1)
+    assert np.allclose(circular[:, :: drawn.shape[1] // 8][lit], due[lit], atol=1e-12)
+    path = str(tmp_path / "run.npz")
+    record.save(path)
+    assert cli.main(["show", path, "--stokes", "1", "1", "0", "0"]) == 0
+    shown = capsys.readouterr().out
+    (light, q, *_), _ = (x[0] for x in record.stokes([1, 1, 0, 0], "dhr"))
+    assert f"{light:.5f}" in shown
+    assert f"{q / light:.5f}" in shown
+    assert cli.main(["plot", path, "--mueller", "-o", str(tmp_path / "a.png")]) == 0
+    words = ["plot", path, "--stokes", "1", "0", "0", "2"]
+    assert cli.main([*words, "-o", str(tmp_path / "b.png")]) == 1
+    assert "must be light" in capsys.readouterr().err
+    mono = tmp_path / "mono.npz"
+    mi.set_variant("llvm_ad_mono")
+    gonio.measure({"type": "diffuse"}, 0, rays=64, collector="angle:2x2").save(mono)
+    assert cli.main(["show", str(mono), "--stokes", "1", "1", "0", "0"]) == 1
+    assert "need a polarised variant" in capsys.readouterr().err
