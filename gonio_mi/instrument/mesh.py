@@ -21,7 +21,7 @@ from ..errors import (
     warn,
 )
 from ..formats.meshes import MESHES, is_mesh
-from ..transport.variants import check_variant
+from ..transport.variants import check_variant, is_parallel
 from .loading import loaded
 
 # Rotations that turn an axis of the file to +z.
@@ -76,7 +76,7 @@ def mesh(
     SpecimenError
         If the file or the BSDF cannot be loaded.
     """
-    check_variant()
+    check_variant(is_parallel)
     path = Path(path)
     if normal is not None:
         checked_choice("normal", normal, tuple(NORMALS))

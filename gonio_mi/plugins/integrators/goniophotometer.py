@@ -14,7 +14,7 @@ from gonio_mi.results.tally import Tally
 from gonio_mi.settings import INTEGRATOR, MeasurementSettings, plugin_table
 from gonio_mi.settings.declaration import example
 from gonio_mi.transport.kernels import launches_kernels
-from gonio_mi.transport.variants import check_variant
+from gonio_mi.transport.variants import check_variant, is_parallel
 
 
 @example("integrator", "goniophotometer", rays=1000000)
@@ -32,11 +32,11 @@ class Goniophotometer(mi.SamplingIntegrator):
     """
 
     def __init__(self, props: mi.Properties) -> None:
-        check_variant()
+        check_variant(is_parallel)
         self.settings = MeasurementSettings.from_properties(props, INTEGRATOR)
         super().__init__(props)
 
-    @launches_kernels()
+    @launches_kernels(is_parallel)
     def render(
         self,
         scene: mi.Scene,
