@@ -36,7 +36,12 @@ from .arguments import (
     specimen_of,
     tell,
 )
-from .campaign_options import add_campaign, campaign_options, kept_after_ctrl_c
+from .campaign_options import (
+    add_campaign,
+    campaign_options,
+    is_imprecise,
+    kept_after_ctrl_c,
+)
 from .surface import add_surface_options, prepared_surface
 
 WAVELENGTHS = f"{VISIBLE_NM[0]} to {VISIBLE_NM[-1]} by {VISIBLE_NM[1] - VISIBLE_NM[0]}"
@@ -149,7 +154,7 @@ def run(options: Namespace) -> int:
             f"{options.output}: {basis}, {rays:.3g} rays, {seconds:.0f} s; +- is one "
             f"standard error\nblocks: {BLOCKS}"
         )
-    return INCOMPLETE if any(map(_is_imprecise, records.values())) else DONE
+    return INCOMPLETE if any(map(is_imprecise, records.values())) else DONE
 
 
 def _size(options: Namespace, name: str) -> float | None:
@@ -179,9 +184,3 @@ def _total(record: Record, name: str) -> str:
 
 def _pair(value: float, error: float) -> str:
     return f"{value:.4f} +- {error:.1g}"
-
-
-def _is_imprecise(record: Record) -> bool:
-    """Whether a precision was asked for and not reached."""
-    asked = record.asked.precision
-    return asked is not None and (record.provenance.reached or 0) > asked

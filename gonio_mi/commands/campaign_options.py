@@ -14,7 +14,11 @@ from typing import Any
 
 from ..campaigns.known_directions import folder_name
 from ..errors import checked_count
+from ..results.record import Record
 from .arguments import INCOMPLETE, Group, add_number, add_text, say
+
+# Fraction of the directions never used that must be within a tolerance.
+MIN_WITHIN = 0.95
 
 # Exit code of what SIGTERM has ended, as shells count: 128 and its number.
 TERMINATED = 143
@@ -41,6 +45,14 @@ def campaign_options(options: Namespace) -> dict[str, Any]:
     if workers is not None:
         workers = checked_count("workers", workers)
     return {"executor": workers, "folder": folder, "plugins": options.plugin}
+
+
+def is_imprecise(record: Record) -> bool:
+    """Whether a precision was asked for and not reached."""
+    asked, campaign = record.asked.precision, record.provenance.campaign
+    if campaign is not None:
+        return campaign.within < MIN_WITHIN
+    return asked is not None and (record.provenance.reached or 0) > asked
 
 
 def answered_by(answer: Any, number: int) -> Any:

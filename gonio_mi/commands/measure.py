@@ -49,6 +49,7 @@ from .campaign_options import (
     add_campaign,
     answered_by,
     campaign_options,
+    is_imprecise,
     kept_after_ctrl_c,
 )
 from .file_kinds import record_of
@@ -71,9 +72,6 @@ MAKERS = {
     "report": (".html",),
     "export": exports.ENDINGS,
 }
-
-# Fraction of the directions never used that must be within a tolerance.
-MIN_WITHIN = 0.95
 
 EXAMPLES = """\
 examples:
@@ -234,7 +232,7 @@ def _finish(
         say(f"interrupted: {_remains(options, output, record)}")
     if unsaved:
         return USER_ERROR
-    return INCOMPLETE if pressed or _is_imprecise(record) else DONE
+    return INCOMPLETE if pressed or is_imprecise(record) else DONE
 
 
 def _measure(options: Namespace, orders: Sequence[str]) -> Callable[..., Any]:
@@ -284,14 +282,6 @@ def _save(record: Record, paths: Sequence[str]) -> list[str]:
             unsaved.append(path)
             say(sentence(error))
     return unsaved
-
-
-def _is_imprecise(record: Record) -> bool:
-    """Whether a precision was asked for and not reached."""
-    asked, campaign = record.asked.precision, record.provenance.campaign
-    if campaign is not None:
-        return campaign.within < MIN_WITHIN
-    return asked is not None and (record.provenance.reached or 0) > asked
 
 
 def _one_or_many(values: Any) -> Any:
