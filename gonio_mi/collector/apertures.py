@@ -6,8 +6,8 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..array_types import Flags, Floats, Integers, Singles
 from ..errors import SettingError, checked_number
 from .directions import direction
 from .hemisphere import EDGE, Subdivision
@@ -96,7 +96,7 @@ class Apertures(Subdivision):
         return self.half_angle
 
     @property
-    def middles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def middles(self) -> tuple[Floats, Floats]:
         """Polar angles and azimuths of the cones' axes in radians.
 
         Two arrays of the shape `shape`; NaN for what is between the cones.
@@ -105,12 +105,12 @@ class Apertures(Subdivision):
         return axes[:, :1], axes[:, 1:]
 
     @property
-    def axes(self) -> NDArray[np.float64]:
+    def axes(self) -> Floats:
         """Axes of the cones as unit vectors, shape ``(n_patches, 3)``; last +z."""
         return np.vstack([_axes(self.directions), [0, 0, 1]])
 
     @property
-    def cells(self) -> NDArray[np.float64]:
+    def cells(self) -> Floats:
         """Each cone about its own axis; for the rest the hemisphere, which holds it.
 
         Shape ``(n_patches, 4)``, in radians.
@@ -120,7 +120,7 @@ class Apertures(Subdivision):
         return np.array([*cones, (0, np.pi / 2, 0, 2 * np.pi)])
 
     @property
-    def solid_angles(self) -> NDArray[np.float64]:
+    def solid_angles(self) -> Floats:
         """Exact solid angle of each cone and of the rest in sr, sum 2 pi.
 
         ``4 pi sin^2(a / 2)`` for a half-angle ``a``; of the shape `shape`.
@@ -130,7 +130,7 @@ class Apertures(Subdivision):
         return np.append(cones, 2 * np.pi - cones.sum())[:, None]
 
     @property
-    def projected_solid_angles(self) -> NDArray[np.float64]:
+    def projected_solid_angles(self) -> Floats:
         """Exact integral of cos(theta) over each cone and the rest in sr, sum pi.
 
         ``pi sin^2(a) cos(theta)`` for a half-angle ``a`` around ``theta``; of the
@@ -170,9 +170,7 @@ class Apertures(Subdivision):
             index = xp.where(chord2 < limit, cone, index)
         return index
 
-    def detectors(
-        self, v: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def detectors(self, v: Floats) -> tuple[Integers, Flags]:
         """Nearest cone to each direction, and whether the direction is its axis."""
         from scipy.spatial import cKDTree  # slow to import
 
@@ -182,7 +180,7 @@ class Apertures(Subdivision):
     @cached_property
     def _search(
         self,
-    ) -> tuple[int, NDArray[np.float32], NDArray[np.float32]]:
+    ) -> tuple[int, Singles, Singles]:
         """Cells per side; the k-th cone of each cell, for each k; the cones' axes.
 
         An empty place in a list names a cone below the horizon, which holds nothing.
@@ -247,9 +245,7 @@ def disjoint_groups(
     return groups
 
 
-def _overlaps(
-    directions: Sequence[tuple[float, float]], half_angle: float
-) -> NDArray[np.int64]:
+def _overlaps(directions: Sequence[tuple[float, float]], half_angle: float) -> Integers:
     """Pairs of indices of directions whose cones overlap, shape (n, 2)."""
     from scipy.spatial import cKDTree  # slow to import
 
@@ -282,6 +278,6 @@ def _reach(half_angle: float) -> float:
     return float(2 * np.sin(np.radians(half_angle)) * (1 - EDGE))
 
 
-def _axes(directions: Sequence[tuple[float, float]]) -> NDArray[np.float64]:
+def _axes(directions: Sequence[tuple[float, float]]) -> Floats:
     theta, phi = np.radians(np.array(directions, dtype=float)).T
     return direction(theta, phi)

@@ -5,8 +5,9 @@ from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..array_types import Floats
 from ..errors import SettingError, checked_count, checked_number
 from .hemisphere import EDGE, RingsAndSectors
 
@@ -56,12 +57,12 @@ class Borders(RingsAndSectors):
         return f"{self.name}:{theta}x{phi}"
 
     @property
-    def theta_edges(self) -> NDArray[np.float64]:
+    def theta_edges(self) -> Floats:
         """Ring edges in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
         return np.radians(self.theta_deg)
 
     @property
-    def phi_edges(self) -> NDArray[np.float64]:
+    def phi_edges(self) -> Floats:
         """Sector edges in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
         return np.radians(self.phi_deg)
 
@@ -126,11 +127,11 @@ def adapted(
     flux = brdf * subdivision.projected_solid_angles
 
     def _quantiles(
-        marginal: NDArray[np.float64],
-        measure: NDArray[np.float64],
-        edges: NDArray[np.float64],
+        marginal: Floats,
+        measure: Floats,
+        edges: Floats,
         n: int,
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         density = (1 - uniform) * marginal / marginal.sum() + uniform * measure
         cumulative = np.append(0, np.cumsum(density))
         return np.interp(np.arange(1, n) / n, cumulative / cumulative[-1], edges)

@@ -1,10 +1,12 @@
 """Directions and angles: the one azimuth and polar convention of the instrument."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from ..array_types import Floats
 
 
-def direction(theta: ArrayLike, phi: ArrayLike) -> NDArray[np.float64]:
+def direction(theta: ArrayLike, phi: ArrayLike) -> Floats:
     """Unit vectors for polar angles and azimuths.
 
     Parameters
@@ -28,7 +30,7 @@ def direction(theta: ArrayLike, phi: ArrayLike) -> NDArray[np.float64]:
     return found
 
 
-def angles(v: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def angles(v: ArrayLike) -> tuple[Floats, Floats]:
     """Polar angle in [0, pi] and azimuth in [0, 2 pi), in radians.
 
     Parameters
@@ -48,7 +50,7 @@ def angles(v: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.arctan2(np.hypot(x, y), z), phi
 
 
-def azimuths_deg(phi: ArrayLike) -> NDArray[np.float64]:
+def azimuths_deg(phi: ArrayLike) -> Floats:
     """Azimuths in degrees, turned into [0, 360): what is 360 by rounding is 0."""
     turned = np.mod(np.asarray(phi, dtype=float), 360)
     return np.where(turned >= 360 - 1e-9, 0.0, turned)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..array_types import Floats
 from ..errors import SettingError, checked_count
 from .hemisphere import EDGE, RingsAndSectors
 
@@ -45,14 +45,14 @@ class _Regular(RingsAndSectors):
         return f"{self.name}:{self.n_theta}x{self.n_phi}"
 
     @property
-    def theta_edges(self) -> NDArray[np.float64]:
+    def theta_edges(self) -> Floats:
         """Ring edges in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
         edges = self._edges(np.arange(self.n_theta + 1) / self.n_theta)
         edges[-1] = np.pi / 2
         return edges
 
     @property
-    def phi_edges(self) -> NDArray[np.float64]:
+    def phi_edges(self) -> Floats:
         """Sector edges in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
         return np.linspace(0, 2 * np.pi, self.n_phi + 1)
 
@@ -73,7 +73,7 @@ class _Regular(RingsAndSectors):
         return xp.where(((x == 0) & (y == 0)) | (sector >= n), 0.0, sector)
 
     @abstractmethod
-    def _edges(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _edges(self, fraction: Floats) -> Floats:
         """Polar angle of a ring edge, given its fraction of all rings."""
 
     @abstractmethod
@@ -86,7 +86,7 @@ class EqualAngle(_Regular):
 
     name: ClassVar[str] = "angle"
 
-    def _edges(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _edges(self, fraction: Floats) -> Floats:
         return fraction * (np.pi / 2)
 
     def _coordinates(self, xp: Any, sin2: Any, z: Any) -> tuple[Any, Any]:
@@ -100,11 +100,11 @@ class EqualSolidAngle(_Regular):
     name: ClassVar[str] = "solid"
 
     @property
-    def solid_angles(self) -> NDArray[np.float64]:
+    def solid_angles(self) -> Floats:
         """Solid angle of each patch in sr, shape ``(n_theta, n_phi)``: all the same."""
         return np.full(self.shape, 2 * np.pi / self.n_patches)
 
-    def _edges(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _edges(self, fraction: Floats) -> Floats:
         # 1 - cos(theta) = 2 sin^2(theta / 2), without cancellation at the pole
         return 2 * np.arcsin(np.sqrt(fraction / 2))
 
@@ -118,11 +118,11 @@ class EqualProjectedSolidAngle(_Regular):
     name: ClassVar[str] = "projected"
 
     @property
-    def projected_solid_angles(self) -> NDArray[np.float64]:
+    def projected_solid_angles(self) -> Floats:
         """Projected solid angle of each patch in sr: all the same."""
         return np.full(self.shape, np.pi / self.n_patches)
 
-    def _edges(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _edges(self, fraction: Floats) -> Floats:
         return np.arcsin(np.sqrt(fraction))
 
     def _coordinates(self, xp: Any, sin2: Any, z: Any) -> tuple[Any, Any]:  # noqa: ARG002
@@ -140,7 +140,7 @@ class EqualSine(_Regular):
 
     name: ClassVar[str] = "sine"
 
-    def _edges(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _edges(self, fraction: Floats) -> Floats:
         return np.arcsin(fraction)
 
     def _coordinates(self, xp: Any, sin2: Any, z: Any) -> tuple[Any, Any]:

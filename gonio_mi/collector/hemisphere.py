@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..array_types import Flags, Floats, Integers
 from ..errors import SettingError
 from ..single_precision import FEW_ROUNDINGS
 from .directions import direction
@@ -72,12 +73,12 @@ class Subdivision(ABC):
 
     @property
     @abstractmethod
-    def solid_angles(self) -> NDArray[np.float64]:
+    def solid_angles(self) -> Floats:
         """Exact solid angle of each patch in sr, of the shape `shape`; sum 2 pi."""
 
     @property
     @abstractmethod
-    def projected_solid_angles(self) -> NDArray[np.float64]:
+    def projected_solid_angles(self) -> Floats:
         """Exact integral of cos(theta) over each patch in sr; sum pi.
 
         Of the shape `shape`: the paper's adjusted solid angle (eq. 12).
@@ -85,14 +86,14 @@ class Subdivision(ABC):
 
     @property
     @abstractmethod
-    def middles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def middles(self) -> tuple[Floats, Floats]:
         """Polar angles and azimuths of the patches' middles in radians.
 
         Two arrays of the shape `shape`; NaN for a patch without a middle.
         """
 
     @property
-    def cells(self) -> NDArray[np.float64]:
+    def cells(self) -> Floats:
         """Edges of each patch in radians, shape ``(n_patches, 4)``.
 
         Columns: lower and upper polar angle, lower and upper azimuth, both about the
@@ -106,7 +107,7 @@ class Subdivision(ABC):
         raise SettingError(f"{self!s:.40} has no rings and sectors")
 
     @property
-    def axes(self) -> NDArray[np.float64] | None:
+    def axes(self) -> Floats | None:
         """Poles of the patches' cells, shape ``(n_patches, 3)``; None for +z."""
         return None
 
@@ -147,7 +148,7 @@ class Subdivision(ABC):
             f"{self!s:.40} has no rings and sectors: gonio-mi compare takes any patches"
         )
 
-    def patch(self, v: ArrayLike) -> NDArray[np.int64]:
+    def patch(self, v: ArrayLike) -> Integers:
         """Number of the patch that each direction hits, row by row of the map.
 
         Parameters
@@ -163,9 +164,7 @@ class Subdivision(ABC):
         index = self.patch_index(_NUMPY, x, y, np.abs(z))
         return np.clip(index, 0, self.n_patches - 1).astype(int)
 
-    def detectors(
-        self, v: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    def detectors(self, v: Floats) -> tuple[Integers, Flags]:
         """Patch that measures each direction, and whether there is one.
 
         Parameters
@@ -175,9 +174,7 @@ class Subdivision(ABC):
         """
         return self.patch(v), np.ones(len(v), bool)
 
-    def points(
-        self, n: int, chosen: NDArray[np.int64] | None = None
-    ) -> NDArray[np.float64]:
+    def points(self, n: int, chosen: Integers | None = None) -> Floats:
         """Directions of ``n x n`` points in each patch, with z > 0.
 
         Each stands for the same projected solid angle of its patch.
@@ -235,7 +232,7 @@ class Subdivision(ABC):
         phi = left + v * turn
         return sine * xp.cos(phi), sine * xp.sin(phi), cosine
 
-    def cells_about_pole(self) -> NDArray[np.float64]:
+    def cells_about_pole(self) -> Floats:
         """Return `cells`, or raise ValueError if they have poles of their own."""
         if self.axes is not None:
             raise SettingError(f"the patches must have a common pole, got {self!s:.60}")
@@ -265,16 +262,16 @@ class RingsAndSectors(Subdivision):
 
     @property
     @abstractmethod
-    def theta_edges(self) -> NDArray[np.float64]:
+    def theta_edges(self) -> Floats:
         """Ring edges in radians, shape ``(n_theta + 1,)``, 0 (pole) to pi/2."""
 
     @property
     @abstractmethod
-    def phi_edges(self) -> NDArray[np.float64]:
+    def phi_edges(self) -> Floats:
         """Sector edges in radians, shape ``(n_phi + 1,)``, from 0 to 2 pi."""
 
     @property
-    def theta(self) -> NDArray[np.float64]:
+    def theta(self) -> Floats:
         """Middle of each ring in radians, shape ``(n_theta,)``: halves its flux.
 
         That is the angle that halves the ring's projected solid angle.
@@ -283,12 +280,12 @@ class RingsAndSectors(Subdivision):
         return np.arcsin(np.sqrt((sin2[1:] + sin2[:-1]) / 2))
 
     @property
-    def phi(self) -> NDArray[np.float64]:
+    def phi(self) -> Floats:
         """Middle of each sector in radians, shape ``(n_phi,)``."""
         return (self.phi_edges[1:] + self.phi_edges[:-1]) / 2
 
     @property
-    def middles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def middles(self) -> tuple[Floats, Floats]:
         """Polar angles and azimuths of the patches' middles in radians.
 
         Two arrays of the shape ``(n_theta, n_phi)``.
@@ -297,7 +294,7 @@ class RingsAndSectors(Subdivision):
         return theta, phi
 
     @property
-    def cells(self) -> NDArray[np.float64]:
+    def cells(self) -> Floats:
         """Edges of each patch in radians, shape ``(n_patches, 4)``.
 
         Columns: lower and upper polar angle, lower and upper azimuth.
@@ -307,14 +304,14 @@ class RingsAndSectors(Subdivision):
         return np.stack([low, high, left, right], axis=-1)
 
     @property
-    def solid_angles(self) -> NDArray[np.float64]:
+    def solid_angles(self) -> Floats:
         """Exact solid angle of each patch in sr, ``(n_theta, n_phi)``; sum 2 pi."""
         low, high = self.theta_edges[:-1], self.theta_edges[1:]
         ring = 2 * np.sin((high + low) / 2) * np.sin((high - low) / 2)
         return self._over_sectors(ring)
 
     @property
-    def projected_solid_angles(self) -> NDArray[np.float64]:
+    def projected_solid_angles(self) -> Floats:
         """Exact integral of cos(theta) over each patch in sr; sum pi.
 
         Shape ``(n_theta, n_phi)``: the paper's adjusted solid angle (eq. 12).
@@ -322,7 +319,7 @@ class RingsAndSectors(Subdivision):
         low, high = self.theta_edges[:-1], self.theta_edges[1:]
         return self._over_sectors(np.sin(high - low) * np.sin(high + low) / 2)
 
-    def adjusted_solid_angles(self, theta_r: str) -> NDArray[np.float64]:
+    def adjusted_solid_angles(self, theta_r: str) -> Floats:
         """Solid angle times cos(theta_r), the paper's eq. 2, in sr.
 
         Parameters
@@ -353,7 +350,7 @@ class RingsAndSectors(Subdivision):
         """Return what it is, and `values`."""
         return self, values
 
-    def _over_sectors(self, ring: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _over_sectors(self, ring: Floats) -> Floats:
         """Spread a ring's integral per radian of azimuth over its sectors."""
         return ring[:, None] * np.diff(self.phi_edges)
 
@@ -367,6 +364,6 @@ class RingsAndSectors(Subdivision):
 
 
 def _pairs(
-    edges: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    edges: Floats,
+) -> tuple[Floats, Floats]:
     return edges[:-1], edges[1:]

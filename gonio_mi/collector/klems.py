@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array_types import Floats
 from ..errors import checked_choice
 from .borders import Borders
 from .hemisphere import EDGE, RingsAndSectors, Subdivision
@@ -69,7 +70,7 @@ class Klems(Subdivision):
         return sum(self.n_phi), 1
 
     @property
-    def cells(self) -> NDArray[np.float64]:
+    def cells(self) -> Floats:
         """Edges of each patch in radians, shape ``(n_patches, 4)``.
 
         Columns: lower and upper polar angle, lower and upper azimuth.
@@ -83,7 +84,7 @@ class Klems(Subdivision):
         return np.radians(rows)
 
     @property
-    def middles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def middles(self) -> tuple[Floats, Floats]:
         """Polar angles and azimuths of the patches' middles in radians.
 
         Two arrays of shape ``(n_patches, 1)``; the basis takes the mean of the polar
@@ -94,13 +95,13 @@ class Klems(Subdivision):
         return theta[:, None], (left + right)[:, None] / 2
 
     @property
-    def solid_angles(self) -> NDArray[np.float64]:
+    def solid_angles(self) -> Floats:
         """Exact solid angle of each patch in sr, ``(n_patches, 1)``; sum 2 pi."""
         low, high, left, right = self.cells.T
         return ((np.cos(low) - np.cos(high)) * (right - left))[:, None]
 
     @property
-    def projected_solid_angles(self) -> NDArray[np.float64]:
+    def projected_solid_angles(self) -> Floats:
         """Exact integral of cos(theta) over each patch, ``(n_patches, 1)``; sum pi."""
         low, high, left, right = self.cells.T
         ring = np.sin(high - low) * np.sin(high + low) / 2

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ..array_types import Floats
+from ..array_types import Floats, Integers
 from ..errors import SettingError, checked_count
 from .hemisphere import EDGE, Subdivision
 
@@ -52,12 +52,12 @@ class ShirleyChiu(Subdivision):
         return self.size, self.size
 
     @property
-    def projected_solid_angles(self) -> NDArray[np.float64]:
+    def projected_solid_angles(self) -> Floats:
         """Exact integral of cos(theta) over each cell in sr: all the same; sum pi."""
         return np.full(self.shape, np.pi / self.size**2)
 
     @property
-    def solid_angles(self) -> NDArray[np.float64]:
+    def solid_angles(self) -> Floats:
         """Exact solid angle of each cell in sr, shape ``(size, size)``; sum 2 pi.
 
         Where the first coordinate ``a`` of [-1, 1] is the larger, it is the radius,
@@ -79,14 +79,12 @@ class ShirleyChiu(Subdivision):
         return np.concatenate([upper[:, ::-1], upper], axis=1)
 
     @property
-    def middles(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def middles(self) -> tuple[Floats, Floats]:
         """Polar angles and azimuths of the cells' middles in radians."""
         x, y, z = np.moveaxis(self.points(1)[:, 0].reshape(*self.shape, 3), -1, 0)
         return np.arctan2(np.hypot(x, y), z), np.arctan2(y, x) % (2 * np.pi)
 
-    def points(
-        self, n: int, chosen: NDArray[np.int64] | None = None
-    ) -> NDArray[np.float64]:
+    def points(self, n: int, chosen: Integers | None = None) -> Floats:
         """Directions of ``n x n`` points in each cell; see `Subdivision.points`."""
         steps = ((np.arange(self.size * n) + 0.5) / (self.size * n)).reshape(-1, n)
         a, b = steps[:, None, :, None], steps[None, :, None, :]

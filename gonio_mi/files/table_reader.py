@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..array_types import Floats
+from ..array_types import Flags, Floats
 from ..errors import (
     FileFormatError,
     SettingError,
@@ -402,7 +401,7 @@ class _Reading:
         )
         self._keep(~gone)
 
-    def _keep(self, rows: NDArray[np.bool_]) -> None:
+    def _keep(self, rows: Flags) -> None:
         """Keep some rows."""
         self.lines = [line for line, kept in zip(self.lines, rows) if kept]
         self.arrays = {role: column[rows] for role, column in self.arrays.items()}

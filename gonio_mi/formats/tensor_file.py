@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_types import Numbers
+from ..array_types import Numbers, Singles
 from ..errors import FileFormatError
 from ..files.checks import require, size_of
 from .format import Format
@@ -195,7 +195,7 @@ def _check_values(fields: dict[str, NDArray[np.generic]]) -> None:
 
 def _singles(
     fields: dict[str, NDArray[np.generic]],
-) -> Iterator[tuple[str, NDArray[np.float32]]]:
+) -> Iterator[tuple[str, Singles]]:
     """Fields that hold numbers to compute with."""
     for name in (*FIELDS, *SPECTRA, *COLOURS):
         field = fields.get(name)

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..array_types import Floats, Integers
+from ..array_types import Flags, Floats, Integers
 from ..collector import RingsAndSectors, Subdivision
 from ..errors import SettingError
 from ..formats.scatter import PatchMeans
@@ -179,8 +178,8 @@ class IncidentGrid:
 
     theta_i: Floats
     phi_i: Floats
-    index: NDArray[np.int64]
-    normal: NDArray[np.bool_]
+    index: Integers
+    normal: Flags
     patches: Subdivision
     reflects: bool
     eta: float | None = None
@@ -345,7 +344,7 @@ class IncidentGrid:
         return self.eta is not None if hemisphere else self.reflects
 
 
-def _is_filled(grid: NDArray[np.int64], phi_i: Floats, patches: Subdivision) -> bool:
+def _is_filled(grid: Integers, phi_i: Floats, patches: Subdivision) -> bool:
     """Whether each angle has all azimuths, or can get them by turns of whole sectors.
 
     `grid` holds the record of each azimuth and angle, -1 for none.
@@ -371,7 +370,7 @@ def _widest(phi_i: Floats) -> float:
 
 def _levels(
     angles: Floats,
-) -> tuple[Floats, NDArray[np.int64]]:
+) -> tuple[Floats, Integers]:
     """Distinct angles in degrees, ascending, and the number of each angle's.
 
     They come from directions in single precision.

@@ -10,8 +10,8 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..array_types import Floats
 from ..errors import LABEL, SettingError, abridged, checked_count
 from ..files import check_output, replacing
 from ..progress import bar
@@ -138,9 +138,7 @@ def figure_title(record: Record, index: int) -> str:
     return "\n".join(lines).encode("utf-8", "backslashreplace").decode()
 
 
-def _total(
-    name: str, values: NDArray[np.float64], std_errs: NDArray[np.float64]
-) -> str:
+def _total(name: str, values: Floats, std_errs: Floats) -> str:
     """Mean over the channels, with the standard error of a single channel."""
     if len(values) > 1:
         return f"{name} {values.mean():.4g}, mean of {len(values)} channels"

@@ -9,8 +9,8 @@ from matplotlib import colors
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 
+from ..array_types import Floats
 from ..collector import RingsAndSectors
 from ..results.record import Record
 from .profile import BORDER_TOLERANCE, drawn_in_rings, sectors_beside
@@ -90,7 +90,7 @@ def shown_values(
     return patches, np.ma.masked_array(means, mask=masked)
 
 
-def scale_of(values: NDArray[np.float64]) -> colors.Normalize:
+def scale_of(values: Floats) -> colors.Normalize:
     """Colour scale from zero to the largest value, or logarithmic."""
     positive = values[values > 0]
     if positive.size == 0:

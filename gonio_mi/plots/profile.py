@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array_types import Flags, Floats
 from ..collector import Apertures, Borders, RingsAndSectors, Subdivision
 from ..collector.directions import direction
 from ..collector.shirley_chiu import ShirleyChiu
@@ -58,12 +59,12 @@ class Profile:
         Where nothing arrived: `high` is an upper limit.
     """
 
-    edges: NDArray[np.float64]
-    theta: NDArray[np.float64]
-    value: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    empty: NDArray[np.bool_]
+    edges: Floats
+    theta: Floats
+    value: Floats
+    low: Floats
+    high: Floats
+    empty: Flags
 
 
 def bars_text(record: Record) -> str:
@@ -216,9 +217,7 @@ def _sectors_text(single: Record) -> str:
     )
 
 
-def _scale(
-    axes: "Axes", positive: NDArray[np.float64], limits: NDArray[np.float64]
-) -> None:
+def _scale(axes: "Axes", positive: Floats, limits: Floats) -> None:
     """Choose the axis of the values: logarithmic, from zero, or close to them.
 
     `limits`: upper ones of what is not known to be positive.

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..array_types import Flags, Floats, Integers, Singles
 from ..collector import Subdivision
 
 # Points per axis of the tensor Gauss-Legendre rule.
@@ -57,13 +58,13 @@ class Cells:
     """Rectangles in ``(theta, phi)``, each a part of one patch."""
 
     # n_patches more for the lower hemisphere; all that more for each direction before
-    patch: NDArray[np.int64]
-    lower: NDArray[np.bool_]  # whether in the lower hemisphere
-    direction: NDArray[np.int64]  # number of the incident direction
-    theta: NDArray[np.float64]  # edges in polar angle, shape (n, 2)
-    phi: NDArray[np.float64]  # edges in azimuth, shape (n, 2)
+    patch: Integers
+    lower: Flags  # whether in the lower hemisphere
+    direction: Integers  # number of the incident direction
+    theta: Floats  # edges in polar angle, shape (n, 2)
+    phi: Floats  # edges in azimuth, shape (n, 2)
     # part of the patch's polar angles and azimuths, shape (n, 2)
-    share: NDArray[np.float64]
+    share: Floats
 
     @classmethod
     def of(
@@ -88,18 +89,16 @@ class Cells:
         )
 
     @property
-    def area(self) -> NDArray[np.float64]:
+    def area(self) -> Floats:
         """Solid angle, about."""
         theta = self.theta.mean(axis=1)
         return np.diff(self.theta)[:, 0] * np.diff(self.phi)[:, 0] * np.sin(theta)
 
-    def split(self, way: NDArray[np.int64]) -> "Cells":
+    def split(self, way: Integers) -> "Cells":
         """Four cells for each one, in its place, in the `way` of each."""
         parts = PARTS[way]
 
-        def _borders(
-            edges: NDArray[np.float64], part: NDArray[np.float64]
-        ) -> NDArray[np.float64]:
+        def _borders(edges: Floats, part: Floats) -> Floats:
             low, high = edges[:, 0, None, None], edges[:, 1, None, None]
             return (low * (1 - part) + high * part).reshape(-1, 2)
 
@@ -113,12 +112,12 @@ class Cells:
             np.swapaxes(share, 1, 2).reshape(-1, 2),
         )
 
-    def tolerated(self, way: NDArray[np.int64]) -> NDArray[np.float64]:
+    def tolerated(self, way: Integers) -> Floats:
         """Part of a patch's tolerated error: random ones add up by their squares."""
         across = np.column_stack([self.share.prod(axis=1) ** 0.5, self.share[:, ::-1]])
         return across[np.arange(len(way)), way]
 
-    def narrow(self, way: NDArray[np.int64], least: float) -> NDArray[np.bool_]:
+    def narrow(self, way: Integers, least: float) -> Flags:
         """Whether cells are split across a side that is below `least` radians."""
         widths = np.hstack([np.diff(self.theta), np.diff(self.phi)])
         across = widths[np.arange(len(way)), np.maximum(way, 1) - 1]
@@ -135,14 +134,14 @@ class Cells:
         )
         return [array.ravel() for array in arrays]
 
-    def weights(self) -> NDArray[np.float64]:
+    def weights(self) -> Floats:
         """Solid angles that the points of the rule stand for, shape (n, n_points)."""
         theta = self.theta.mean(axis=1, keepdims=True) + np.diff(self.theta) / 2 * NODES
         weights = self._areas()
         weights *= np.sin(theta)[:, :, None]
         return weights.reshape(len(theta), -1)
 
-    def _areas(self) -> NDArray[np.float64]:
+    def _areas(self) -> Floats:
         """Areas in polar angle and azimuth that the points of the rule stand for."""
         area = np.diff(self.theta) / 2 * (np.diff(self.phi) / 2)
         return (area * WEIGHTS)[:, :, None] * WEIGHTS
@@ -192,17 +191,17 @@ class Points:
         Points on a side, where each of one side goes with each of the other; else 0.
     """
 
-    theta: NDArray[np.float64]
-    phi: NDArray[np.float64]
+    theta: Floats
+    phi: Floats
     inside: float
-    areas: NDArray[np.float64]
+    areas: Floats
     n_side: int = 0
 
     @classmethod
     def tensor(
         cls,
-        nodes: NDArray[np.float64],
-        weights: NDArray[np.float64],
+        nodes: Floats,
+        weights: Floats,
         inside: float = 0.0,
     ) -> "Points":
         """Points of a tensor rule, the azimuth running fastest."""
@@ -213,9 +212,9 @@ class Points:
     def __len__(self) -> int:
         return len(self.theta)
 
-    def placed(self, cells: Cells) -> list[tuple[NDArray[np.float64], ...]]:
+    def placed(self, cells: Cells) -> list[tuple[Floats, ...]]:
         """Middle, half and largest offset of each cell, and the points: per angle."""
-        found: list[tuple[NDArray[np.float64], ...]] = []
+        found: list[tuple[Floats, ...]] = []
         for edges, at in ((cells.theta, self.theta), (cells.phi, self.phi)):
             half = (edges[:, 1] - edges[:, 0]) / 2
             most = np.maximum(half - self.inside, half / 2)
@@ -232,20 +231,20 @@ PROBING = Points(PROBES[:, 0], PROBES[:, 1], INSIDE, np.empty(0))
 class Guides:
     """Directions that ``sample`` gave, and the cell that each is in."""
 
-    cell: NDArray[np.int64]
-    theta: NDArray[np.float64]
-    phi: NDArray[np.float64]
+    cell: Integers
+    theta: Floats
+    phi: Floats
 
-    def held(self, n_cells: int) -> NDArray[np.int64]:
+    def held(self, n_cells: int) -> Integers:
         """How many of them are in each cell."""
         return np.bincount(self.cell, minlength=n_cells)
 
     def descend(
         self,
         cells: Cells,
-        chosen: NDArray[np.bool_],
-        way: NDArray[np.int64],
-        full: NDArray[np.bool_],
+        chosen: Flags,
+        way: Integers,
+        full: Flags,
     ) -> "Guides":
         """Guides of the chosen cells, in the parts of the `way` of each.
 
@@ -266,7 +265,7 @@ class Guides:
         return Guides(4 * rank[cell] + part, theta, phi)
 
 
-def _lagrange(nodes: NDArray[np.float64], x: float) -> NDArray[np.float64]:
+def _lagrange(nodes: Floats, x: float) -> Floats:
     """What each node's value contributes at `x` to the polynomial through all."""
     others = ~np.eye(len(nodes), dtype=bool)
     return np.array(
@@ -274,7 +273,7 @@ def _lagrange(nodes: NDArray[np.float64], x: float) -> NDArray[np.float64]:
     )
 
 
-def _continuation() -> NDArray[np.float64]:
+def _continuation() -> Floats:
     """Values at the probes as sums over the nodes of the quarters: their polynomial."""
     rows = []
     for theta, phi in PROBES:
@@ -287,7 +286,7 @@ def _continuation() -> NDArray[np.float64]:
 CONTINUATION = _continuation()
 
 
-def _difference(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+def _difference(nodes: Floats) -> Floats:
     """Weights of the highest difference that as many values have, at most 1."""
     weights = [1 / np.prod(x - np.delete(nodes, i)) for i, x in enumerate(nodes)]
     return np.array(weights) / np.abs(weights).max()
@@ -305,15 +304,13 @@ NOISE = 2.0**-22
 ROUGH, FINE_ROUGH = _difference(NODES), _difference(_HALF_NODES)
 
 
-def off_polynomial(
-    found: NDArray[np.float32], values: NDArray[np.float32]
-) -> NDArray[np.float64]:
+def off_polynomial(found: Singles, values: Singles) -> Floats:
     """How far values at the probes are from the polynomial through those at nodes."""
     expected = np.einsum("pk,nkc->npc", CONTINUATION, values.astype(float))
     return np.abs(found - expected).max(axis=1)
 
 
-def noise(values: NDArray[np.float32]) -> NDArray[np.float64]:
+def noise(values: Singles) -> Floats:
     """How far the values at the nodes of quarters are from smooth, by cell."""
     n, _, channels = values.shape
     at = values.astype(float).reshape(n, 2, 2, ORDER, ORDER, channels).swapaxes(2, 3)
@@ -323,7 +320,7 @@ def noise(values: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.maximum(theta, phi) + NOISE * np.abs(at).max(axis=(1, 2))
 
 
-def way_to_split(values: NDArray[np.float32]) -> NDArray[np.int64]:
+def way_to_split(values: Singles) -> Integers:
     """How to split cells: across a step that keeps to one angle, or into quarters."""
     at = values.astype(float).reshape(len(values), ORDER, ORDER, -1)
     theta = np.abs(np.einsum("ntpc,t->npc", at, ROUGH)).max(axis=(1, 2))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_types import Floats
+from ..array_types import Floats, Singles
 from ..collector import Subdivision
 from ..collector.directions import direction
 from ..errors import LABEL, PackageError, SettingError, SettingTypeError, abridged_apart
@@ -296,7 +296,7 @@ def _block(single: Record) -> str:
     return _packed(*arrays, hits)
 
 
-def _rounded(values: Floats) -> NDArray[np.float32]:
+def _rounded(values: Floats) -> Singles:
     """Numbers of `MANTISSA_BITS` bits, which deflate well; NaN where not finite."""
     mantissa, exponent = np.frexp(values)
     mantissa = np.round(mantissa * 2**MANTISSA_BITS) / 2**MANTISSA_BITS

@@ -66,7 +66,7 @@ def gaussian_heights(
     correlation: str = "gaussian",
     shortest: float = 0.0,
     seed: int = 0,
-) -> NDArray[np.float64]:
+) -> Floats:
     r"""Periodic heights with Gaussian statistics, by filtering noise in Fourier space.
 
     Slopes are then Gaussian too, which is Beckmann's distribution of facets.
@@ -144,7 +144,7 @@ def _expected_alphas(
     k_y: NDArray[np.floating],
     n_x: int,
     spacing: float,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Both alphas of unit white noise that is filtered with `power`, in expectation.
 
     The variance of the difference quotient of neighbours, as the facets have it.
@@ -195,7 +195,7 @@ def height_statistics(
     )
 
 
-def _correlation_length(heights: NDArray[np.float64], periodic: bool) -> float:
+def _correlation_length(heights: Floats, periodic: bool) -> float:
     """Lag along the second axis at which the autocorrelation is 1/e; NaN for none."""
     n = heights.shape[1]
     # zeros keep the ends of a field that is not periodic apart
@@ -218,7 +218,7 @@ def _correlation_length(heights: NDArray[np.float64], periodic: bool) -> float:
     return float(i - 1 + (left - np.exp(-1)) / (left - right))
 
 
-def checked_heights(heights: ArrayLike, missing: bool = False) -> NDArray[np.float64]:
+def checked_heights(heights: ArrayLike, missing: bool = False) -> Floats:
     """Return `heights` as a float64 array, or say what is wrong with it.
 
     With `missing`, NaN is allowed, for what was not measured.
