@@ -22,33 +22,33 @@ COUNTS = 31
 
 
 def bar(
-    shown: bool, part: str = "", **settings: Any
+    shown: bool, part: str = "", **how: Any
 ) -> AbstractContextManager[Callable[[float], Any] | None]:
     """Context of the function to report progress to; of None if it is not `shown`.
 
     Where standard error is a file or a pipe, a line is written about every 30 seconds,
     however many bars there are one after the other; after the description `part` tells
-    there what is counted. `settings` are those of :class:`tqdm.tqdm`.
+    there what is counted. `how` are the arguments of :class:`tqdm.tqdm`.
     """
     if not shown:
         return nullcontext()
     notebook = type(sys.stderr).__module__.startswith("ipykernel")
     in_place = sys.stderr.isatty() or notebook
-    said = settings.get("desc")
+    said = how.get("desc")
     if not in_place:
-        settings["desc"] = f"{said}; {part}" if said and part else said
-        return _Lines(leave=False, **settings)
-    if said and settings.get("total") is not None:
+        how["desc"] = f"{said}; {part}" if said and part else said
+        return _Lines(leave=False, **how)
+    if said and how.get("total") is not None:
         columns = shutil.get_terminal_size((80, 24)).columns
-        settings["desc"] = abridged(said, max(columns - COUNTS, COUNTS))
+        how["desc"] = abridged(said, max(columns - COUNTS, COUNTS))
         shape = "{desc}: |{bar}| {n_fmt}/{total_fmt}, {remaining} left"
-        settings.setdefault("bar_format", shape)
-    return _Bar(leave=False, **settings)
+        how.setdefault("bar_format", shape)
+    return _Bar(leave=False, **how)
 
 
-def counted(items: Collection[T], shown: bool, **settings: Any) -> Iterator[T]:
+def counted(items: Collection[T], shown: bool, **how: Any) -> Iterator[T]:
     """Items, one after the other, in a :func:`bar` of how many are done."""
-    with bar(shown, total=len(items), **settings) as report:
+    with bar(shown, total=len(items), **how) as report:
         for item in items:
             yield item
             if report is not None:
@@ -76,19 +76,19 @@ class _Lines(_Bar):
     written = alive = -PAUSE
     monitor_interval = 0  # no thread of tqdm's own
 
-    def __init__(self, **settings: Any) -> None:
+    def __init__(self, **how: Any) -> None:
         self._ended = threading.Event()
         now = time.monotonic()
         if now - _Lines.alive > PAUSE:
             _Lines.written = now
         _Lines.alive = now
         shape = "{desc}{n_fmt} of {total_fmt} {unit}s, {remaining} left"
-        if settings.get("total") is None:
+        if how.get("total") is None:
             shape = "{desc}{n_fmt} {unit}s, {elapsed} so far"
-        if settings.get("desc"):
+        if how.get("desc"):
             shape = shape.replace("{desc}", "{desc}: ")
         own = {"bar_format": shape, "mininterval": 0, "miniters": 1, "delay": 0}
-        super().__init__(**settings | own)
+        super().__init__(**how | own)
 
     def __enter__(self) -> Callable[[float], Any]:
         threading.Thread(target=self._watch, daemon=True).start()
