@@ -75,7 +75,7 @@ def _unlit(single: Record) -> str:
 
 
 def shown_values(
-    single: Record, of: str, values: NDArray[np.float64] | None = None
+    single: Record, of: str, values: Floats | None = None
 ) -> tuple[RingsAndSectors, np.ma.MaskedArray[Any, Any]]:
     """Rings and sectors, and the mean over channels in them, masked without a hit.
 
@@ -109,7 +109,7 @@ def draw_patches(
     note: str = "",
     colours: str = "viridis",
     *,
-    values: NDArray[np.float64] | None = None,
+    values: Floats | None = None,
 ) -> QuadMesh:
     """Fill each patch with the colour of its value, and draw circles and directions.
 
