@@ -23,9 +23,8 @@ from ..collector.directions import direction
 from ..errors import SettingError, SpecimenError, abridged
 from ..formats.scatter import PatchMeans
 from ..instrument.specimen_text import SpecimenLike
-from ..interpolation.interpolated_bsdf import InterpolatedBSDF
+from ..interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs
 from ..interpolation.lobes import MeasuredLobes, check_table, is_significant
-from ..interpolation.polar_cross_validation import half_vector_legs
 from ..results.azimuth_symmetry import AzimuthSymmetry
 from ..results.campaign_outcome import PredictionError
 from ..results.prediction_error import prediction_error

@@ -18,10 +18,9 @@ from ..array_types import Floats
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
 from ..formats.scatter import PatchMeans
-from ..interpolation.interpolated_bsdf import InterpolatedBSDF
+from ..interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs
 from ..interpolation.lobes import MeasuredLobes
 from ..interpolation.lookups import seen_from
-from ..interpolation.polar_cross_validation import half_vector_legs
 from ..progress import counted
 from ..results.record import Record
 from .loss import fractions_of

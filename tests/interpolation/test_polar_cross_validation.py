@@ -15,10 +15,9 @@ import gonio_mi as gonio
 from gonio_mi.campaigns.known_directions import Prediction
 from gonio_mi.collector.directions import direction
 from gonio_mi.interpolation.incident_grid import tried_indices
-from gonio_mi.interpolation.interpolated_bsdf import InterpolatedBSDF
+from gonio_mi.interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs
 from gonio_mi.interpolation.interpolated_lobes import HalfVectorLegs
 from gonio_mi.interpolation.lobes import MeasuredLobes
-from gonio_mi.interpolation.polar_cross_validation import half_vector_legs
 from gonio_mi.results.prediction_error import prediction_error
 
 pytestmark = pytest.mark.usefixtures("mono")

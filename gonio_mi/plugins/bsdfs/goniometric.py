@@ -16,9 +16,8 @@ from gonio_mi.errors import SettingError, abridged
 from gonio_mi.formats.radiance import has_back
 from gonio_mi.formats.reading import load_material
 from gonio_mi.formats.scatter import PatchMeans
-from gonio_mi.interpolation.interpolated_bsdf import InterpolatedBSDF
+from gonio_mi.interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs
 from gonio_mi.interpolation.lobes import MeasuredLobes
-from gonio_mi.interpolation.polar_cross_validation import half_vector_legs
 from gonio_mi.plugins import bsdf_functions
 from gonio_mi.results.record import Record, wavelengths_nm
 from gonio_mi.settings.declaration import example
