@@ -5,13 +5,13 @@
     export PYTHONPATH=tests:tests/references
     python tests/tools/study_of_alarms.py LOG.jsonl --seeds 200
 
-judges the right BSDFs of
-right_bsdfs.py and broken_bsdfs.py at the alpha of users, 1e-3, and adds one line for
-each verdict to the log; what is there already is not done again. It ends with the
-number of verdicts, the alarms (whatever fails of a property that is not KNOWN to), and,
-of each kind of statistical test, how its p-values lie: with less than a thousandth,
-and the probability of so large a deviation from a uniform law (Kolmogorov and Smirnov),
-of either sign and of too small values alone.
+judges the right BSDFs of right_bsdfs.py, broken_bsdfs.py and short_bsdfs.py at the
+alpha of users, 1e-3, and adds one line for each verdict to the log; what is there
+already is not done again. It ends with the number of verdicts, the alarms (whatever
+fails of a property that is not KNOWN to), and, of each kind of statistical test, how
+its p-values lie: with less than a thousandth, and the probability of so large a
+deviation from a uniform law (Kolmogorov and Smirnov), of either sign and of too small
+values alone.
 """
 
 import argparse
@@ -27,6 +27,7 @@ import broken_bsdfs
 import mitsuba as mi
 import numpy as np
 import right_bsdfs
+import short_bsdfs
 from scipy import stats
 
 from gonio_mi.validation import maps, validate, verdict
@@ -51,7 +52,9 @@ def cases():
     """Right BSDFs by name."""
     heavy = {name: {"type": "heavy", "case": name} for name in right_bsdfs.HEAVY}
     own = {f"own {name}": {"type": name} for name in broken_bsdfs.RIGHT}
-    return right_bsdfs.RIGHT | heavy | right_bsdfs.textured() | own
+    names = (*right_bsdfs.PUBLISHED, *short_bsdfs.RIGHT)
+    unusual = {f"unusual {name}": {"type": name} for name in names}
+    return right_bsdfs.RIGHT | heavy | right_bsdfs.textured() | own | unusual
 
 
 class Remembered:
@@ -136,16 +139,19 @@ def main():
     options = parser.parse_args()
     options.log.touch()
     lines = [json.loads(line) for line in options.log.read_text().splitlines()]
-    done = {(line["name"], line["seed"]) for line in lines}
+    done = {(line["name"], line["effort"], line["seed"]) for line in lines}
     mi.set_variant(options.variant)
     right_bsdfs.register()
     broken_bsdfs.register()
+    short_bsdfs.register()
     chosen = cases()
     with options.log.open("a") as log:
         for begin in range(0, options.seeds, BLOCK):
             for name in options.only or chosen:
                 seeds = range(begin, min(begin + BLOCK, options.seeds))
-                todo = [seed for seed in seeds if (name, seed) not in done]
+                todo = [
+                    seed for seed in seeds if (name, options.effort, seed) not in done
+                ]
                 if not todo:
                     continue
                 maps.integrals = Remembered()

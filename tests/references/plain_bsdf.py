@@ -1,0 +1,78 @@
+# ruff: noqa: ARG002 (every method has Mitsuba's signature)
+"""The base of BSDF plugins that tests define: a lobe of a value and of a density."""
+
+import drjit as dr
+import mitsuba as mi
+
+
+def plain():
+    """Class for the variant that is set: one Lambertian lobe, lit from above."""
+    flags = mi.BSDFFlags
+    cosine = mi.Frame3f.cos_theta
+
+    class Plain(mi.BSDF):
+        components = (flags.DiffuseReflection | flags.FrontSide,)
+        reflectance = 0.8
+
+        def __init__(self, props):
+            super().__init__(props)
+            self.m_components = [int(one) for one in self.components]
+            self.m_flags = 0
+            for one in self.m_components:
+                self.m_flags |= one
+            self.load(props)
+
+        def load(self, props):
+            """Read parameters."""
+
+        def above(self, si, wo):
+            """Where it is lit."""
+            return (cosine(si.wi) > 0) & (cosine(wo) > 0)
+
+        def value(self, ctx, si, wo):
+            """Value of `eval` where it is lit."""
+            return mi.Spectrum(self.reflectance * dr.inv_pi * cosine(wo))
+
+        def density(self, ctx, si, wo):
+            """Density where it is lit."""
+            return dr.inv_pi * cosine(wo)
+
+        def direction(self, ctx, si, sample1, sample2):
+            return mi.warp.square_to_cosine_hemisphere(sample2)
+
+        def weight(self, ctx, si, bs):
+            return self.value(ctx, si, bs.wo) / bs.pdf
+
+        def drawn(self, ctx, si, bs):
+            """Set component and type of a sample."""
+            lobes = int(flags.All)
+            bs.sampled_type = mi.UInt32(self.m_components[0] & lobes)
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            bs = dr.zeros(mi.BSDFSample3f)
+            bs.wo = mi.Vector3f(self.direction(ctx, si, sample1, sample2))
+            bs.pdf, bs.eta = self.density(ctx, si, bs.wo), 1.0
+            self.drawn(ctx, si, bs)
+            ok = active & self.above(si, bs.wo) & (bs.pdf > 0)
+            return bs, self.weight(ctx, si, bs) & ok
+
+        def eval(self, ctx, si, wo, active=True):
+            return self.value(ctx, si, wo) & (active & self.above(si, wo))
+
+        def pdf(self, ctx, si, wo, active=True):
+            return dr.select(active & self.above(si, wo), self.density(ctx, si, wo), 0)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+        def to_string(self):
+            return f"{type(self).__name__}[]"
+
+    return Plain
+
+
+def register(plugins):
+    """Register classes under their names, in small letters with underscores."""
+    for plugin in plugins:
+        name = "".join(f"_{c.lower()}" if c.isupper() else c for c in plugin.__name__)
+        mi.register_bsdf(name[1:], plugin)
