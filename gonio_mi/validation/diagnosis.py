@@ -23,15 +23,15 @@ from .probe import numbers, vectors
 from .samples import BSDF_ROUNDING, Samples, is_many, samples_of, unequal
 from .tally import groups, patch_of
 
-# Fraction of the samples below which they explain nothing else.
-MAX_RARE = 0.01
-
 # Fraction of the share of the largest failure below which another is no symptom of it,
 # but a smaller one beside it, and explains nothing.
 MAX_MINOR = 0.2
 
 # Guilty function, and mistake.
 Guess: TypeAlias = "tuple[str, str]"
+
+# What is left where nothing explains a failure.
+ANY = "sample", "`sample` or `eval` is wrong"
 
 
 def likely_mistake(
@@ -57,22 +57,14 @@ def likely_mistake(
     minor = {n for n, x in own.items() if x is not None and x < MAX_MINOR * largest}
     failed = {name: effect for name, effect in failed.items() if name not in minor}
     names = [name for name in EXPLAINED_BY if failed.get(name) == worst]
-    # a mistake of few samples comes after that of all, as a law that a model may choose
-    later = [
-        n for n in names if _is_rare(evidence, n) or (n, worst) == ("delta", MODEL)
-    ]
-    for name in [n for n in names if n not in later] + later:
+    if worst == MODEL:
+        # a law that a model may choose
+        names.sort(key=lambda name: name == "delta")
+    for name in names:
         found = EXPLAINED_BY[name](evidence, failed, name)
         if found is not None:
             return found
-    return "sample", "`sample` or `eval` is wrong"
-
-
-def _is_rare(evidence: Evidence, name: str) -> bool:
-    """Whether only some single samples are wrong."""
-    if name not in ("answers", "directions"):
-        return False
-    return max(b.size for b in evidence.of(name)) < MAX_RARE
+    return ANY
 
 
 def _worst_breach_guess(
@@ -83,6 +75,8 @@ def _worst_breach_guess(
     if name == "eval_pdf_sample":
         # a mistake of eval_pdf explains both
         worst = next(iter(evidence.of("eval_pdf")), worst)
+    if worst is None and name == "parameters":
+        return evidence.suspects.get(name, ANY)
     if worst is None and name == "delta":
         return "sample", "`sample`: the pdf of a discrete lobe is not its probability"
     return None if worst is None else (worst.function, worst.mistake)
@@ -208,7 +202,7 @@ def _counts_guess(evidence: Evidence, weights_fail: bool) -> Guess:
     """Function and mistake, where counted directions contradict ``pdf``."""
     whole = [m for m in evidence.maps if m.condition.component is None]
     if not whole:
-        return evidence.suspects["sampling"]
+        return evidence.suspects.get("sampling", ANY)
     # one component says less, unless it is all that is wrong
     maps = max(whole, key=_misfit)
     if _misfit(maps) < MAX_CHANCE:

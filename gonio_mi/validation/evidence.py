@@ -94,6 +94,10 @@ _EFFECTS_OF = {
     "frames": (BIAS, "all, in polarised variants"),
 }
 
+# Probability by chance below which a single test says by itself that something is
+# wrong: above the level of a test, so that whatever fails is looked at.
+MAX_P = 1e-4
+
 # A larger ratio has a denominator of 0.
 MAX_RATIO = 1e20
 

@@ -344,7 +344,8 @@ def explain_weights(evidence: Evidence, failed: Collection[str]) -> tuple[str, s
             "value over pdf of the picked lobe alone"
         )
     guilty = _by_energy(evidence) or _by_answers(evidence, failed)
-    guilty = guilty or _by_reciprocity(evidence.bsdf, ratios)
+    if not guilty and not int(evidence.bsdf.flags()) & int(mi.BSDFFlags.NonSymmetric):
+        guilty = _by_reciprocity(evidence.bsdf, ratios)
     if guilty:
         ratios = _inverse(ratios) if guilty == "eval" else ratios
         return guilty, explain(ratios, guilty)
@@ -396,6 +397,8 @@ def _by_answers(evidence: Evidence, failed: Collection[str]) -> str:
 
 def _by_reciprocity(bsdf: mi.BSDF, ratios: Sequence[Ratio]) -> str:
     """Which of both is not reciprocal where the other is; else empty.
+
+    Of a plugin that declares NonSymmetric it may be the one that is right.
 
     Weights are known where samples are: of some of them, light is sent back, and what
     of that comes near to the way of incidence is compared.

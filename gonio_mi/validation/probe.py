@@ -213,13 +213,14 @@ def traversed(bsdf: mi.BSDF) -> Any:
         return mi.traverse(bsdf)
 
 
-def number_parameters(bsdf: mi.BSDF) -> tuple[Any, dict[str, Any]]:
+def number_parameters(bsdf: mi.BSDF, *others: type) -> tuple[Any, dict[str, Any]]:
     """Parameters of a BSDF, and the values of those that are numbers or colours.
 
-    Others may be anything: a None cannot be asked for, a Python float not be set.
+    Or of one of the types `others`. The rest may be anything: a None cannot be asked
+    for, a Python float not be set.
     """
     params, numbers_only = traversed(bsdf), {}
-    kinds = (mi.Float, mi.Color3f, mi.Spectrum)
+    kinds = (mi.Float, mi.Color3f, mi.Spectrum, *others)
     for name in params.keys():  # noqa: SIM118
         with contextlib.suppress(TypeError):
             if isinstance(params[name], kinds):

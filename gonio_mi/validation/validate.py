@@ -42,7 +42,7 @@ from .checks import (
 from .conditions import Condition, Effort, Sweep
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
-from .evidence import BIAS, INTERFACE, POLARISED, PROPERTIES, Evidence
+from .evidence import BIAS, INTERFACE, MAX_P, POLARISED, PROPERTIES, Evidence
 from .maps import four_maps, in_radiance_mode
 from .polarised import examine_polarised, likely_mistake as polarised_mistake
 from .probe import Probe, number_parameters
@@ -56,10 +56,8 @@ GRAZING = 60
 N_STEPS = 100
 SAMPLES_STEPS = 0.4
 
-# Polar angle of incidence up to which maps are drawn, and the probability by chance
-# below which a test is worth a picture.
+# Polar angle of incidence, in degrees, up to which maps are drawn.
 MAX_PICTURED = 89.5
-MAX_P = 1e-6
 
 # Factor of a grey parameter in each channel; none gains.
 TINT = (1.0, 0.8, 0.6)

@@ -193,13 +193,14 @@ class Verdict:
     def failures(self) -> tuple[Property, ...]:
         """Properties that fail, the worst effect first.
 
-        Of one effect in the order of their share of the light, those of an unknown one
-        before.
+        Of one effect what explains the others before them, and these in the order of
+        their share of the light, those of an unknown one before.
         """
 
-        def rank(one: Property) -> tuple[int, float]:
+        def rank(one: Property) -> tuple[int, bool, float]:
             share = np.inf if one.share is None else one.share
-            return EFFECTS.index(str(one.effect)), -share
+            explains = one.mistake is not None and one.mistake == self.mistake
+            return EFFECTS.index(str(one.effect)), not explains, -share
 
         failed = [one for one in self.properties if one.status == FAILS]
         return tuple(sorted(failed, key=rank))

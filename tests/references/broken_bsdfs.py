@@ -132,6 +132,8 @@ MISTAKES = {
     "eval_pdf_lit_below": "eval_pdf",
     "eval_lit_from_behind": "eval",
     "eval_nan_along_the_surface": "eval",
+    "eval_nan_rarely": "eval",
+    "pdf_lit_from_behind": "pdf",
     # no usable answer
     "pdf_raises": "pdf",
     "eval_returns_a_direction": "eval",
@@ -1081,6 +1083,20 @@ def register():
 
         def eval(self, ctx, si, wo, active=True):
             return self.value(si, wo) & (active & (cosine(wo) > 0))
+
+    class PdfLitFromBehind(Lambert):
+        """It knows that both are on one side, and not on which."""
+
+        def pdf(self, ctx, si, wo, active=True):
+            same = cosine(si.wi) * cosine(wo) > 0
+            return dr.select(active & same, dr.inv_pi * dr.abs(cosine(wo)), 0)
+
+    class EvalNanRarely(Lambert):
+        """In 2 of a thousand directions."""
+
+        def eval(self, ctx, si, wo, active=True):
+            spoiled = dr.select(dr.abs(wo.z - 0.5) < 0.001, dr.nan, 0)
+            return super().eval(ctx, si, wo, active) + spoiled
 
     class EvalNanAlongTheSurface(Lambert):
         def value(self, si, wo):

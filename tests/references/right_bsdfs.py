@@ -136,11 +136,11 @@ PUBLISHED = (
 
 def register():
     """Define and register all plugins for the variant that is set."""
-    plain_bsdf.register([*published(), heavy()])
+    plain_bsdf.register([*published().values(), heavy()])
 
 
 def published():
-    """Classes of models of papers, and of plugins as they are shared."""
+    """Classes of models of papers, and of plugins as they are shared, by name."""
     flags = mi.BSDFFlags
     glossy, asymmetric = flags.GlossyReflection, flags.NonSymmetric
     front, both = int(flags.FrontSide), flags.FrontSide | flags.BackSide
@@ -266,10 +266,17 @@ def published():
         def load(self, props):
             shape = self.bands, self.rings * self.sectors
             table = np.random.default_rng(3).uniform(0.05, 1, shape)
+            self.table = mi.TensorXf(table.astype(np.float32))
+            self.parameters_changed()
+
+        def traverse(self, callback):
+            callback.put("table", self.table, mi.ParamFlags.NonDifferentiable)
+
+        def parameters_changed(self, keys=()):
+            table = np.array(self.table, dtype=float)
             table /= table.sum(axis=1, keepdims=True)
-            self.table = mi.Float(table.ravel().astype(np.float32))
-            ends = np.cumsum(table, axis=1)
-            self.ends = mi.Float(ends.ravel().astype(np.float32))
+            self.cells = mi.Float(table.ravel().astype(np.float32))
+            self.ends = mi.Float(np.cumsum(table, axis=1).ravel().astype(np.float32))
 
         def row(self, si):
             band = mi.UInt32(dr.clip(self.bands * cosine(si.wi), 0, self.bands - 1))
@@ -282,7 +289,7 @@ def published():
                 mi.UInt32(dr.clip(n * x, 0, n - 1))
                 for n, x in ((self.rings, wo.z), (self.sectors, phi))
             )
-            cell = dr.gather(mi.Float, self.table, self.row(si) + i * self.sectors + j)
+            cell = dr.gather(mi.Float, self.cells, self.row(si) + i * self.sectors + j)
             return cell * (self.rings * self.sectors * dr.inv_two_pi)
 
         def value(self, ctx, si, wo):
@@ -442,7 +449,7 @@ def published():
             return found
 
     found = [one for one in locals().values() if isinstance(one, type)]
-    return [one for one in found if one is not Plain]
+    return {one.__name__: one for one in found if one is not Plain}
 
 
 def heavy():

@@ -8,6 +8,7 @@ ones. The classes are made anew for the variant that is set, by :func:`register`
 
 import drjit as dr
 import mitsuba as mi
+import right_bsdfs
 
 MISTAKES = {
     # only in the mode of path tracers
@@ -23,6 +24,7 @@ MISTAKES = {
     "stale_sample": "sample",
     "stale_eval": "eval",
     "stale_weight": "sample",
+    "stale_table": "sample",
     "update_raises": "parameters_changed",
     "gradient_of_a_spectrum_detached": "eval",
     # what is asked for
@@ -53,6 +55,7 @@ MISTAKES = {
     "per_mille_lost": "sample",
     "weight_clamped": "sample or eval",
     "weight_nan_rarely": "sample",
+    "weight_kept": "eval or sample",
     # sides
     "eval_lit_below": "eval",
     "pdf_of_both_sides": "pdf",
@@ -369,6 +372,14 @@ def register():
         def weight(self, ctx, si, bs):
             return self.with_old(super().weight, ctx, si, bs)
 
+    class StaleTable(right_bsdfs.published()["Tabulated"]):
+        """After an edit of a measured table, the light of the sky is biased."""
+
+        def parameters_changed(self, keys=()):
+            ends = getattr(self, "ends", None)
+            super().parameters_changed(keys)
+            self.ends = self.ends if ends is None else ends
+
     class UpdateRaises(Cached):
         """No parameter can be changed between two images."""
 
@@ -600,6 +611,18 @@ def register():
 
         def finish(self, ctx, si, bs, weight):
             return bs, dr.select(bs.wo.z > 0.999, dr.nan, weight)
+
+    class WeightKept(Lambert):
+        """In the light of the sky, up to 2.5 times too bright at grazing incidence."""
+
+        components = (diffuse | front | asymmetric,)
+
+        def values(self, si, wo):
+            first, second = super().values(si, wo)
+            return first * (0.4 + 0.6 * dr.square(cosine(si.wi))), second
+
+        def weight(self, ctx, si, bs):
+            return mi.Spectrum(self.kd)
 
     # ---------------------------------------------------------------------------- Sides
 

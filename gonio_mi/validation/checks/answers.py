@@ -77,6 +77,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
                 f"the {what} of `{function}` is {example(value[wrong])} in places",
                 samples.condition.middle(wrong),
                 size=float(wrong.mean()),
+                off=float(wrong.mean()),
             )
 
 
@@ -106,6 +107,7 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
                 f"the value of `{function}` is {example(answer[wrong])} in places",
                 probe.condition,
                 size=float(wrong.mean()),
+                off=float(wrong.mean()),
                 effect=INTERFACE if black else "",
             )
 

@@ -58,6 +58,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
                 f"`sample`: {mistake}",
                 samples.condition.middle(wrong),
                 size=float(wrong.mean()),
+                off=float(wrong.mean()),
                 effect=effect,
             )
 

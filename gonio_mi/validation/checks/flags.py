@@ -13,8 +13,8 @@ from ..conditions import Condition
 from ..evidence import BIAS, Evidence
 from ..probe import Probe
 from ..samples import Samples, is_many, samples_of, unequal
+from . import sampling, weights
 from .answers import LOBES
-from .weights import check_unsampled_side
 
 # Where nothing tells which of two is wrong.
 EITHER = "flags or sample"
@@ -104,8 +104,9 @@ def check_sides(evidence: Evidence) -> None:
         # a weight of 0 may come with no direction at all, of which none is asked
         asked = np.isfinite(samples.wo).all(axis=1)
         lit |= asked & (np.nan_to_num(samples.eval, nan=1) > 0).any(axis=1)
-        if not samples.given.any():
-            check_unsampled_side(evidence, condition)
+        dark = not samples.given.any()
+        if dark and weights.check_unsampled_side(evidence, condition):
+            sampling.check_unsampled_side(evidence, condition)
         if lit.any():
             function = "sample" if samples.given.any() else "eval"
             evidence.breach(

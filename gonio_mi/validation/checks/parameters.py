@@ -12,13 +12,12 @@ import numpy as np
 from ...array_types import Floats
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition
-from ..evidence import BIAS, INTERFACE, Evidence
+from ..evidence import BIAS, INTERFACE, MAX_P, Evidence
 from ..probe import Probe, blamed, changed, number_parameters, spectral, vectors
 from ..samples import Samples, is_many, unequal
 
-# Probability by chance of directions after a change, below which they are wrong; the
-# statistical tests do not share it.
-MAX_P = 1e-6
+# Step of a sequence that is spread evenly: the golden section.
+GOLDEN = (5**0.5 - 1) / 2
 
 # Relative steps of central differences, whose error falls with their square: where the
 # three do not agree, there is nothing to compare with.
@@ -65,56 +64,85 @@ def check_changes(evidence: Evidence, sweep: Callable[[Evidence], None]) -> None
     if any(one.effect == BIAS for one in known):
         return  # a change adds nothing to what is wrong before
     values = _other_values(evidence.bsdf)
-    found = _after(evidence, sweep, values)
-    if found is None:
+    after = _after(evidence, sweep, values) if values else None
+    if after is None:
         return
-    for name, value in values.items():
+    found, p = {"all parameters": after}, _least_p(after)
+    if _biases(after):
         # together, they may be out of their range
-        found = _after(evidence, sweep, {name: value})
-        if found is not None:
-            function = _stale(evidence.sweeps[0], found)
-            who = function.replace(" or ", "` or `")
-            worst = min(found.tests, key=lambda t: t.p).statistic
-            breaches = [b.statistic for b in found.breaches if b.effect == BIAS]
-            evidence.breach(
-                "parameters",
-                function,
-                f"after a change of {name}: {next(iter(breaches), worst)}",
-                f"`{who}` does not follow a change of {name}",
-                size=2.0,
-            )
-            return
+        each = (
+            (name, _after(evidence, sweep, {name: values[name]})) for name in values
+        )
+        found = {name: one for name, one in each if one is not None}
+        p = max(
+            [p, min(1.0, len(found) * min(map(_least_p, found.values()), default=1.0))]
+        )
+    name = next((name for name, one in found.items() if _biases(one)), None)
+    if name is None:
+        evidence.test("parameters", p, "directions after a change of all parameters")
+        return
+    function = _stale(evidence.sweeps[0], found[name])
+    who = function.replace(" or ", "` or `")
+    mistake = f"`{who}` does not follow a change of {name}"
+    breaches = [b.statistic for b in found[name].breaches if b.effect == BIAS]
+    if breaches:
+        text = f"after a change of {name}: {breaches[0]}"
+        evidence.breach("parameters", function, text, mistake, size=2.0)
+    else:
+        worst = min(found[name].tests, key=lambda test: test.p).statistic
+        evidence.test("parameters", p, f"after a change of {name}: {worst}")
+        evidence.suspects["parameters"] = function, mistake
 
 
 def _other_values(bsdf: mi.BSDF) -> dict[str, Any]:
-    """Other values of numbers and colours, by name."""
+    """Other values of numbers, colours and tables, by name; nowhere larger than 1."""
     try:
-        _, known = number_parameters(bsdf)
+        _, known = number_parameters(bsdf, mi.TensorXf)
     except PluginFault:
         return {}  # a property of its own
     values = {}
     for name, value in known.items():
         numbers = np.ravel(np.array(value, dtype=float))
-        if np.isfinite(numbers).all() and (numbers > 0).all():
+        if not np.isfinite(numbers).all() or (numbers < 0).any() or not numbers.any():
+            continue
+        if isinstance(value, mi.TensorXf):
+            # not in proportion, of which a density knows nothing
+            turns = np.arange(len(numbers)) * GOLDEN % 1
+            other = mi.TensorXf(
+                np.float32(numbers * (1 - turns / 2)).reshape(value.shape)
+            )
+        elif (numbers > 0).all():
             # not beyond 1, where ranges end
             other = type(value)(value * (0.5 if numbers.max() <= 1 else 1.5))
-            dr.make_opaque(other)
-            values[name] = other
+        else:
+            continue
+        dr.make_opaque(other)
+        values[name] = other
     return values
 
 
 def _after(
     evidence: Evidence, sweep: Callable[[Evidence], None], values: dict[str, Any]
 ) -> Evidence | None:
-    """What fails after a change of parameters; None if nothing does."""
+    """What is found after a change of parameters; None if a value is refused."""
     found = Evidence(evidence.bsdf, evidence.seed)
     try:
         with changed(evidence.bsdf, values):
             sweep(found)
     except PluginFault:
-        return None  # a value that it refuses
-    wrong = any(b.effect == BIAS for b in found.breaches)
-    return found if wrong or any(t.p < MAX_P for t in found.tests) else None
+        return None
+    return found
+
+
+def _least_p(found: Evidence) -> float:
+    """Probability by chance of the worst of all tests."""
+    tests = found.tests
+    return min(1.0, len(tests) * min((test.p for test in tests), default=1.0))
+
+
+def _biases(found: Evidence) -> bool:
+    """Whether something certainly fails after a change."""
+    return _least_p(found) < MAX_P or any(b.effect == BIAS for b in found.breaches)
 
 
 def _stale(before: Samples, found: Evidence) -> str:

@@ -37,7 +37,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
 
 def _is_biased(samples: Samples, lit: Flags) -> bool:
     """Whether weights of a channel have another mean than ``eval`` over ``pdf``."""
-    usable = lit & (samples.pdf > 0)
+    usable = lit & (samples.pdf > 0) & np.isfinite(samples.weight).all(axis=1)
     off = samples.weight[usable] - samples.eval[usable] / samples.pdf[usable][:, None]
     if len(off) < 2:
         return True

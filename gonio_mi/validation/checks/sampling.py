@@ -10,21 +10,20 @@ from scipy import special
 
 from ...array_types import Flags, Floats, Integers
 from ...collector.directions import direction
-from ..conditions import Sweep
-from ..evidence import BIAS, INTERFACE, NOISE, Evidence
+from ..conditions import Condition, Sweep
+from ..evidence import BIAS, INTERFACE, MAX_P, NOISE, Evidence
 from ..factors import has_known_factor, ratios_of
 from ..integrals import SUM_ERROR
 from ..maps import FourMaps, skew_score
 from ..probe import Probe, is_delta, numbers, spectral, uniform, vectors
 from ..samples import BSDF_ROUNDING, samples_of
+from .answers import lattice
 from .weights import check_scores
 
-# Bands of the angle of incidence, and sectors of its azimuth; the least number of
-# equal terms that a sum must be worth; and the probability by chance below which a
-# difference tells the guilty function.
+# Bands of the angle of incidence, and sectors of its azimuth, and the least number of
+# equal terms that a sum must be worth.
 N_CELLS = 30
 MIN_TERMS = 100
-MAX_P = 1e-3
 
 # Samples that tell a roulette, the least fraction that it rejects, and standard errors
 # within which weights make up for that.
@@ -55,6 +54,26 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
             size=used + unused - 1,
             off=min(used + unused - 1, 1.0),
             effect=INTERFACE if harmless else "",
+        )
+
+
+def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
+    """``pdf`` is 0 from a side where ``sample`` gives no light, and ``eval`` has none.
+
+    No integrator uses it there.
+    """
+    density = Probe(evidence.bsdf, condition).densities(lattice())
+    mass = 4 * np.pi * float(np.nan_to_num(density, nan=0).mean())
+    if mass > 0:
+        evidence.breach(
+            "sampling",
+            "pdf",
+            f"`pdf` integrates to {mass:.3g} at {condition}",
+            "`pdf` is not 0 from a side that `flags` does not declare, where `eval` is "
+            "black and `sample` scatters nothing",
+            condition,
+            size=mass,
+            effect=INTERFACE,
         )
 
 

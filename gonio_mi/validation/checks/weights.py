@@ -47,8 +47,8 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         )
 
 
-def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
-    """``eval`` is black from a side where ``sample`` gives no light."""
+def check_unsampled_side(evidence: Evidence, condition: Condition) -> bool:
+    """Whether ``eval`` is black from a side where ``sample`` gives no light."""
     value = np.nan_to_num(Probe(evidence.bsdf, condition).values(lattice()), nan=0)
     light = 4 * np.pi * float(value.mean(axis=0).max())
     if light > 0:
@@ -62,6 +62,7 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
             size=light,
             off=min(light, 1.0),
         )
+    return light == 0
 
 
 def check_maps(evidence: Evidence, maps: FourMaps) -> None:
