@@ -7,7 +7,9 @@ import os
 
 import mitsuba as mi
 import pytest
+import right_bsdfs
 import short_bsdfs
+from right_bsdfs import PUBLISHED
 from short_bsdfs import MISTAKES, MISTAKES_IN_RGB, RIGHT
 
 from gonio_mi.validation import save_report, validate
@@ -65,10 +67,10 @@ def test_exchanged_colours_are_found(name, guilty):
 
 
 @pytest.mark.usefixtures("mono")
-@pytest.mark.parametrize("name", RIGHT)
+@pytest.mark.parametrize("name", [*RIGHT, *PUBLISHED])
 def test_unusual_right_plugin_passes(name):
     """The twins; the false-alarm probability is that of the user."""
-    short_bsdfs.register()
+    (right_bsdfs if name in PUBLISHED else short_bsdfs).register()
     verdict = validate({"type": name}, effort=EFFORT)
     assert verdict.passed, str(verdict)
     interface = [one.name for one in verdict.failures]

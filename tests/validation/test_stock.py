@@ -1,18 +1,20 @@
 """What `validate` finds in Mitsuba's own BSDFs, confirmed by plain calls of Mitsuba.
 
-Nothing of gonio_mi takes part here, but for the file that `measured` reads and for a
-tolerance: if a later Mitsuba mends one of these, its test fails, and the table of
-notebooks/stock_plugins.md has a row too many.
+Nothing of gonio_mi takes part here, but for files that `measured` and
+`measured_polarized` read and for a tolerance: if a later Mitsuba mends one of these,
+its test fails, and the table of notebooks/stock_plugins.md has a row too many.
 """
 
 import budget
 import drjit as dr
 import mitsuba as mi
+import mueller
 import numpy as np
 import pytest
 from benchmark.stock import coloured
 from scipy import stats
 
+from gonio_mi.formats import tensor_file
 from gonio_mi.validation.samples import BSDF_ROUNDING
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -351,3 +353,150 @@ def test_measured_is_as_reciprocal_as_its_table(rgb):
     there = only(bsdf.eval(context(), one, other.wi)) / np.cos(1.2)
     back = only(bsdf.eval(context(), other, one.wi)) / np.cos(0.5)
     assert abs(there / back - 1) > 0.01
+
+
+# ------------------------------------------------------------------ polarised variants
+
+# Single precision, after some dozens of operations on elements up to 1.
+ROUNDING = 1e-5
+INDEX = 0.2 + 3j
+MIRROR = {"type": "conductor", "eta": INDEX.real, "k": INDEX.imag}
+
+
+@pytest.fixture
+def polarised(mono):
+    if "llvm_ad_mono_polarized" not in mi.variants():
+        pytest.skip("not in this build")
+    mi.set_variant("llvm_ad_mono_polarized")
+    yield
+    mi.set_variant(mono)
+
+
+def bitmap(values):
+    tensor = mi.TensorXf(np.ascontiguousarray(values, dtype=np.float32))
+    return {"type": "bitmap", "raw": True, "data": tensor}
+
+
+def normal_map(*normal):
+    texture = bitmap(np.broadcast_to(normal, (2, 2, 3)))
+    return {"type": "normalmap", "normalmap": texture, "nested": MIRROR}
+
+
+def bump_map(scale):
+    heights = np.add.outer(0.03 * np.arange(8), 0.05 * np.arange(8))[..., None]
+    return {"type": "bumpmap", "map": bitmap(heights), "scale": scale, "nested": MIRROR}
+
+
+def directions(seed, side=1, n=512):
+    rng = np.random.default_rng(seed)
+    theta, phi = np.radians(5 + 75 * rng.random(n)), 2 * np.pi * rng.random(n)
+    x, y = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi)
+    return np.stack([x, y, side * np.cos(theta)], axis=1)
+
+
+def lit_by(wi):
+    si = dr.zeros(mi.SurfaceInteraction3f, len(wi))
+    si.wi = vectors(wi)
+    dr.make_opaque(si.wi)
+    si.n = mi.Normal3f(0, 0, 1)
+    si.sh_frame, si.uv = mi.Frame3f(si.n), mi.Point2f(0.5, 0.5)
+    si.dp_du, si.dp_dv = mi.Vector3f(2, 0, 0), mi.Vector3f(0, 2, 0)
+    return si
+
+
+def vectors(rows):
+    return mi.Vector3f(np.ascontiguousarray(rows.T, dtype=np.float32))
+
+
+def per_light(matrix, wi, wo):
+    """Elements over the first, (n, 4, 4), in frames of s = k x h, and lit lanes.
+
+    In radiance mode light arrives along -wo and leaves along wi.
+    """
+    h = wi + wo
+    frames = []
+    for k in (-wo, wi):
+        s = np.cross(k, h)
+        s /= np.linalg.norm(s, axis=1, keepdims=True)
+        frames += [vectors(k), mi.mueller.stokes_basis(vectors(k)), vectors(s)]
+    turned = mi.mueller.rotate_mueller_basis(matrix, *frames)
+    rows = [[np.ravel(turned[i, j]) for j in range(4)] for i in range(4)]
+    m = np.moveaxis(np.array(rows), -1, 0)
+    lit = m[:, 0, 0] > 0
+    return m / np.where(lit, m[:, 0, 0], 1)[:, None, None], lit
+
+
+def fresnel(wi, wo):
+    h = (wi + wo) / np.linalg.norm(wi + wo, axis=1, keepdims=True)
+    m = mueller.reflection(np.sum(wi * h, axis=1), INDEX)
+    return m / m[:, :1, :1]
+
+
+@pytest.mark.usefixtures("polarised")
+@pytest.mark.parametrize(
+    ("specimen", "side", "off"),
+    [
+        (lambda: {"type": "twosided", "nested": MIRROR}, 1, 0),
+        (lambda: {"type": "twosided", "nested": MIRROR}, -1, 1.9),
+        (lambda: normal_map(0.5, 0.5, 1), 1, 0),
+        (lambda: normal_map(0.65, 0.6, 0.93), 1, 0.6),
+        (lambda: bump_map(0), 1, 0),
+        (lambda: bump_map(4), 1, 0.9),
+    ],
+    ids=["front", "behind", "upright", "normalmap", "flat", "bumpmap"],
+)
+def test_mirrors_within_others_are_not_fresnels(specimen, side, off):
+    """Their frames are not turned with the directions; upright ones are the twins."""
+    wi = directions(1, side)
+    bsdf, n = mi.load_dict(specimen()), len(wi)
+    random = mi.Float(np.full(n, 0.5, np.float32)), mi.Point2f(0.3, 0.4)
+    bs, weight = bsdf.sample(context(), lit_by(wi), *random)
+    wo = bs.wo.numpy().T.astype(float)
+    m, lit = per_light(weight, wi, wo)
+    worst = np.abs(m - fresnel(wi, wo))[lit].max()
+    assert lit.sum() > n / 2
+    assert worst > off if off else worst < ROUNDING
+
+
+@pytest.mark.usefixtures("polarised")
+@pytest.mark.parametrize("theta", [0.0, 20.0])
+def test_retarder_jumps(theta):
+    """Over wi.y = 0, and not over wi.x = 0."""
+    plate = mi.load_dict({"type": "retarder", "delta": 90.0, "theta": theta})
+    wi = np.array([[0.6, 1e-3, 0.8], [0.6, -1e-3, 0.8]])
+    steps = []
+    for at in (wi, wi[:, [1, 0, 2]]):
+        random = mi.Float([0.5, 0.5]), mi.Point2f(0.3, 0.4)
+        m = plate.sample(context(), lit_by(at), *random)[1]
+        pairs = [np.ravel(m[i, j]) for i in range(4) for j in range(4)]
+        steps.append(max(np.ptp(pair) for pair in pairs))
+    assert steps[0] > 1.3
+    assert steps[1] < 0.01
+
+
+@pytest.mark.usefixtures("polarised")
+def test_measured_polarized_is_its_table(tmp_path):
+    """But for light straight back. The table is linear between Fresnel's matrices."""
+    theta_d, ends = np.radians(np.arange(91.0)), np.array([[0, np.pi / 2]])
+    table = 0.1 * mueller.reflection(np.cos(theta_d), INDEX)
+    fields = {
+        "M": np.broadcast_to(table[None, :, None, None], (2, 91, 2, 5, 4, 4)),
+        "theta_h": ends,
+        "theta_d": theta_d[None],
+        "phi_d": np.array([[-np.pi, np.pi]]),
+    }
+    fields = {name: x.astype(np.float32) for name, x in fields.items()}
+    fields["wvls"] = np.arange(450, 651, 50).astype(np.uint16)
+    with (tmp_path / "mirror.pbsdf").open("wb") as stream:
+        tensor_file.write(fields, stream)
+    settings = {"filename": str(tmp_path / "mirror.pbsdf"), "wavelength": 550.0}
+    bsdf = mi.load_dict({"type": "measured_polarized"} | settings)
+    wi, wo = directions(1), directions(2)
+    m, lit = per_light(bsdf.eval(context(), lit_by(wi), vectors(wo)), wi, wo)
+    assert lit.all()
+    # an eighth of the second difference, of values and of the first element
+    bound = np.abs(np.diff(table[:82], 2, axis=0)).max() / 8 / table[:, 0, 0].min()
+    assert np.abs(m - fresnel(wi, wo)).max() < 2 * bound + ROUNDING
+    back = bsdf.eval(context(), lit_by(wi[:1]), vectors(wi[:1]))
+    assert np.isnan(np.ravel(back[1, 1])).all()
+    assert only(back[0, 0]) > 0

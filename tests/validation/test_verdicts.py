@@ -193,6 +193,7 @@ def test_for_ci():
         ("sample_ignores_active", "interface only (no effect on images)", True),
         ("flags_of_another_lobe", "interface only (no effect on images)", True),
         ("pdf_below_the_horizon", "interface only (no effect on images)", True),
+        ("pdf_lit_from_behind", "interface only (no effect on images)", True),
         ("gradient_detached", "breaks some integrators", False),
         ("traverse_raises", "interface only (no effect on images)", True),
         ("eta_of_a_reflection", "adds noise", True),
@@ -220,6 +221,9 @@ def test_causes_come_before_consequences_and_places_are_named():
     assert "phi_i 2" in half.mistake or "phi_i 3" in half.mistake
     constant = validate({"type": "pdf_half_a_percent_off"}, effort="quick")
     assert "everywhere" in constant.mistake
+    rare = validate({"type": "eval_nan_rarely"}, effort="quick")
+    assert rare.mistake == "the value of `eval` is nan in places"
+    assert [one.name for one in rare.failures][:2] == ["answers", "weights"]
     gain = validate({"type": "cats_eye_gains_light"}, effort="quick")
     assert "gains light" in gain.mistake
 
@@ -476,6 +480,7 @@ def test_command(tmp_path, capsys):
             "flags",
             "without SpatiallyVarying",
         ),
+        ({"type": "grey"}, "parameters", "smallest p of 1 tests"),
         ({"type": "diffuse"}, "masks", "`pdf` gives inactive rays a value"),
         ({"type": "conductor"}, "masks", None),
     ],
