@@ -163,6 +163,16 @@ class FourMaps:
         )
 
     @property
+    def count_varies(self) -> bool:
+        """Whether chance moves the number of directions more than `pdf_sum_bound`.
+
+        It does not where nearly all samples are collected: such a score tells the error
+        of the integral, which is the same in the next map.
+        """
+        p = self.pdf.sum()
+        return bool(p * (1 - p) / self.totals.n > self.pdf_sum_bound**2)
+
+    @property
     def judged(self) -> float:
         """Share of the light of ``eval`` whose weights are light enough to judge."""
         flux = self.smooth_flux.mean()

@@ -7,6 +7,7 @@ are made anew for the variant that is set, by :func:`register`.
 
 import drjit as dr
 import mitsuba as mi
+import plain_bsdf
 
 # Right plugins, whose mistakes are below.
 RIGHT = (
@@ -149,56 +150,13 @@ def register():
     front, back = int(flags.FrontSide), int(flags.BackSide)
     cosine = mi.Frame3f.cos_theta
 
-    class Plugin(mi.BSDF):
-        components = (diffuse | front,)
-
-        def __init__(self, props):
-            super().__init__(props)
-            self.m_components = list(self.components)
-            self.m_flags = 0
-            for one in self.components:
-                self.m_flags |= one
-
-        def to_string(self):
-            return f"{type(self).__name__}[]"
-
-    # ------------------------------------------------------------------- Lambertian
+    Plugin = plain_bsdf.plain()
 
     class Lambert(Plugin):
-        reflectance = 0.8
+        """Right; what flags declare is another matter."""
 
-        def value(self, si, wo):
-            return mi.Spectrum(self.reflectance * dr.inv_pi * cosine(wo))
-
-        def density(self, si, wo):
-            return dr.inv_pi * cosine(wo)
-
-        def direction(self, si, sample1, sample2):
-            return mi.warp.square_to_cosine_hemisphere(sample2)
-
-        def above(self, si, wo):
-            return (cosine(si.wi) > 0) & (cosine(wo) > 0)
-
-        def weight(self, si, bs):
-            return self.value(si, bs.wo) / bs.pdf
-
-        def sample(self, ctx, si, sample1, sample2, active=True):
-            bs = dr.zeros(mi.BSDFSample3f)
-            bs.wo = self.direction(si, sample1, sample2)
-            bs.pdf = self.density(si, bs.wo)
-            bs.eta = 1.0
+        def drawn(self, ctx, si, bs):
             bs.sampled_type = mi.UInt32(diffuse)
-            ok = active & self.above(si, bs.wo) & (bs.pdf > 0)
-            return bs, self.weight(si, bs) & ok
-
-        def eval(self, ctx, si, wo, active=True):
-            return self.value(si, wo) & (active & self.above(si, wo))
-
-        def pdf(self, ctx, si, wo, active=True):
-            return dr.select(active & self.above(si, wo), self.density(si, wo), 0)
-
-        def eval_pdf(self, ctx, si, wo, active=True):
-            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
     class EvalWithoutCosine(Lambert):
         def eval(self, ctx, si, wo, active=True):
@@ -231,19 +189,19 @@ def register():
         reflectance = 1.01
 
     class WeightWithoutDivision(Lambert):
-        def weight(self, si, bs):
-            return self.value(si, bs.wo)
+        def weight(self, ctx, si, bs):
+            return self.value(ctx, si, bs.wo)
 
     class WeightWithCosine(Lambert):
-        def weight(self, si, bs):
-            return super().weight(si, bs) * cosine(bs.wo)
+        def weight(self, ctx, si, bs):
+            return super().weight(ctx, si, bs) * cosine(bs.wo)
 
     class SampleIgnoresActive(Lambert):
         def sample(self, ctx, si, sample1, sample2, active=True):
             return super().sample(ctx, si, sample1, sample2, True)
 
     class SampleClampsAtPole(Lambert):
-        def direction(self, si, sample1, sample2):
+        def direction(self, ctx, si, sample1, sample2):
             phi = dr.two_pi * sample2.y
             sin_theta = dr.maximum(dr.sqrt(sample2.x), 0.05)
             cos_theta = dr.safe_sqrt(1 - dr.square(sin_theta))
@@ -252,8 +210,8 @@ def register():
             )
 
     class SampleNotUnit(Lambert):
-        def direction(self, si, sample1, sample2):
-            return 1.01 * super().direction(si, sample1, sample2)
+        def direction(self, ctx, si, sample1, sample2):
+            return 1.01 * super().direction(ctx, si, sample1, sample2)
 
     class PdfUniform(Lambert):
         def pdf(self, ctx, si, wo, active=True):
@@ -264,8 +222,8 @@ def register():
             return 1.005 * super().pdf(ctx, si, wo, active)
 
     class PdfAPermilleOffEverywhere(Lambert):
-        def density(self, si, wo):
-            return 0.999 * super().density(si, wo)
+        def density(self, ctx, si, wo):
+            return 0.999 * super().density(ctx, si, wo)
 
     class FlagsOfAnotherLobe(Lambert):
         components = (glossy | front,)
@@ -287,12 +245,12 @@ def register():
     class SupportWithAHole(Lambert):
         """Samples leave out a rim of the hemisphere, and `pdf` knows."""
 
-        def density(self, si, wo):
+        def density(self, ctx, si, wo):
             inside = cosine(wo) > 0.2
             return dr.select(inside, dr.inv_pi * cosine(wo) / (1 - 0.04), 0)
 
-        def direction(self, si, sample1, sample2):
-            wo = super().direction(si, sample1, sample2)
+        def direction(self, ctx, si, sample1, sample2):
+            wo = super().direction(ctx, si, sample1, sample2)
             z = dr.sqrt(0.04 + 0.96 * dr.square(wo.z))
             sines = [dr.safe_sqrt(1 - dr.square(x)) for x in (z, wo.z)]
             across = sines[0] / dr.maximum(sines[1], 1e-6)
@@ -317,11 +275,11 @@ def register():
             self.last = dr.opaque(mi.Float, 1.0 if first else 0.7)
             return super().sample(ctx, si, sample1, sample2, active)
 
-        def value(self, si, wo):
+        def value(self, ctx, si, wo):
             share = mi.Float(1) if self.last is None else self.last
-            return super().value(si, wo) * share
+            return super().value(ctx, si, wo) * share
 
-        def weight(self, si, bs):
+        def weight(self, ctx, si, bs):
             return mi.Spectrum(0.8)
 
     class PdfCountsItsCalls(Lambert):
@@ -344,8 +302,8 @@ def register():
             callback.put("reflectance", self.reflectance, kind)
 
     class GradientDetached(Grey):
-        def value(self, si, wo):
-            return dr.detach(super().value(si, wo))
+        def value(self, ctx, si, wo):
+            return dr.detach(super().value(ctx, si, wo))
 
     class GradientOfACachedValue(Grey):
         """Half of it is only made anew, and not differentiated."""
@@ -357,7 +315,7 @@ def register():
         def parameters_changed(self, keys=()):
             self.half = dr.detach(0.5 * self.reflectance)
 
-        def value(self, si, wo):
+        def value(self, ctx, si, wo):
             whole = 0.5 * self.reflectance + self.half
             return mi.Spectrum(whole * dr.inv_pi * cosine(wo))
 
@@ -372,8 +330,8 @@ def register():
             return bs, weight
 
     class WeightFivePercentLess(Lambert):
-        def weight(self, si, bs):
-            return 0.95 * super().weight(si, bs)
+        def weight(self, ctx, si, bs):
+            return 0.95 * super().weight(ctx, si, bs)
 
     class EvalHalfBelowALine(Lambert):
         """Wrong for incident light of one side only."""
@@ -391,16 +349,16 @@ def register():
     class EvalOtherAtNormal(Lambert):
         """Its azimuth is unknown there."""
 
-        def value(self, si, wo):
+        def value(self, ctx, si, wo):
             normal = dr.square(si.wi.x) + dr.square(si.wi.y) < 1e-12
-            return super().value(si, wo) * dr.select(normal, 0.5, mi.Float(1))
+            return super().value(ctx, si, wo) * dr.select(normal, 0.5, mi.Float(1))
 
     class CompilesAnew(Lambert):
         """A number of Python that changes is a literal, here of no consequence."""
 
         calls = 0
 
-        def density(self, si, wo):
+        def density(self, ctx, si, wo):
             self.calls += 1
             return dr.select(wo.z > -1 - self.calls, dr.inv_pi * cosine(wo), 0)
 
@@ -418,13 +376,13 @@ def register():
             along = dr.maximum(dr.dot(wo, si.wi), 0)
             return (exponent + 1) / (2 * dr.pi) * dr.power(along, exponent)
 
-        def value(self, si, wo):
+        def value(self, ctx, si, wo):
             return mi.Spectrum(0.8 * self.lobe(si, wo, self.exponent) * cosine(wo))
 
-        def density(self, si, wo):
+        def density(self, ctx, si, wo):
             return self.lobe(si, wo, self.exponent)
 
-        def direction(self, si, sample1, sample2):
+        def direction(self, ctx, si, sample1, sample2):
             z = dr.power(sample2.x, 1 / (self.exponent + 1))
             across = dr.safe_sqrt(1 - z * z)
             sin, cos = dr.sincos(dr.two_pi * sample2.y)
@@ -439,16 +397,18 @@ def register():
     class EvalOfTwiceTheExponent(Retro):
         """Nothing tells that it was meant otherwise."""
 
-        def value(self, si, wo):
-            return super().value(si, wo) * dr.power(dr.dot(wo, si.wi), self.exponent)
+        def value(self, ctx, si, wo):
+            return super().value(ctx, si, wo) * dr.power(
+                dr.dot(wo, si.wi), self.exponent
+            )
 
-        def weight(self, si, bs):
-            return super().value(si, bs.wo) / bs.pdf
+        def weight(self, ctx, si, bs):
+            return super().value(ctx, si, bs.wo) / bs.pdf
 
     class WeightOfTwiceTheExponent(Retro):
-        def weight(self, si, bs):
+        def weight(self, ctx, si, bs):
             along = dr.dot(bs.wo, si.wi)
-            return super().weight(si, bs) * dr.power(along, self.exponent)
+            return super().weight(ctx, si, bs) * dr.power(along, self.exponent)
 
     class Facets(Lambert):
         """Their reflectance is small enough that no mistake below gains light."""
@@ -458,16 +418,16 @@ def register():
         def facets(self):
             return mi.MicrofacetDistribution(mi.MicrofacetType.GGX, 0.3, False)
 
-        def value(self, si, wo):
+        def value(self, ctx, si, wo):
             h = dr.normalize(si.wi + wo)
             masked = self.facets().eval(h) * self.facets().G(si.wi, wo, h)
             return mi.Spectrum(0.3 * masked / (4 * cosine(si.wi)))
 
-        def density(self, si, wo):
+        def density(self, ctx, si, wo):
             h = dr.normalize(si.wi + wo)
             return self.facets().pdf(si.wi, h) / (4 * dr.dot(wo, h))
 
-        def direction(self, si, sample1, sample2):
+        def direction(self, ctx, si, sample1, sample2):
             return mi.reflect(si.wi, self.facets().sample(si.wi, sample2)[0])
 
         def sample(self, ctx, si, sample1, sample2, active=True):
@@ -476,47 +436,47 @@ def register():
             return bs, weight
 
     class ValueWithoutCosine(Facets):
-        def value(self, si, wo):
-            return super().value(si, wo) / cosine(wo)
+        def value(self, ctx, si, wo):
+            return super().value(ctx, si, wo) / cosine(wo)
 
     class BrightFacets(Facets):
-        def value(self, si, wo):
-            return 4 * super().value(si, wo)
+        def value(self, ctx, si, wo):
+            return 4 * super().value(ctx, si, wo)
 
     class BrightValueWithoutCosine(ValueWithoutCosine):
-        def value(self, si, wo):
-            return 3 * super().value(si, wo)
+        def value(self, ctx, si, wo):
+            return 3 * super().value(ctx, si, wo)
 
     class ValueWithTwoCosines(Facets):
-        def value(self, si, wo):
-            return super().value(si, wo) * cosine(wo)
+        def value(self, ctx, si, wo):
+            return super().value(ctx, si, wo) * cosine(wo)
 
     class ValueWithCosineOfWi(Facets):
-        def value(self, si, wo):
-            return super().value(si, wo) * cosine(si.wi) / cosine(wo)
+        def value(self, ctx, si, wo):
+            return super().value(ctx, si, wo) * cosine(si.wi) / cosine(wo)
 
     class ValueOverRootOfCosine(Facets):
         """A law of its own."""
 
-        def value(self, si, wo):
-            return super().value(si, wo) / dr.sqrt(cosine(wo))
+        def value(self, ctx, si, wo):
+            return super().value(ctx, si, wo) / dr.sqrt(cosine(wo))
 
     class ValueWithoutCosineIfSteep(Facets):
-        def value(self, si, wo):
+        def value(self, ctx, si, wo):
             steep = cosine(si.wi) > 0.5
-            return super().value(si, wo) / dr.select(steep, cosine(wo), 1)
+            return super().value(ctx, si, wo) / dr.select(steep, cosine(wo), 1)
 
     class ValueWithoutCosineByDeclaration(ValueWithoutCosine):
         components = (glossy | front | int(flags.NonSymmetric),)
 
     class DensityWithoutCosineOfH(Facets):
-        def density(self, si, wo):
-            return super().density(si, wo) / cosine(dr.normalize(si.wi + wo))
+        def density(self, ctx, si, wo):
+            return super().density(ctx, si, wo) / cosine(dr.normalize(si.wi + wo))
 
     class DensityTilted(Facets):
-        def density(self, si, wo):
+        def density(self, ctx, si, wo):
             h = dr.normalize(si.wi + wo)
-            return super().density(si, wo) * (1 + 0.3 * h.y)
+            return super().density(ctx, si, wo) * (1 + 0.3 * h.y)
 
     class TwoFaces(Lambert):
         components = (diffuse | front | back,)
@@ -524,14 +484,14 @@ def register():
         def above(self, si, wo):
             return cosine(si.wi) * cosine(wo) > 0
 
-        def value(self, si, wo):
+        def value(self, ctx, si, wo):
             return mi.Spectrum(0.8 * dr.inv_pi * dr.abs(cosine(wo)))
 
-        def density(self, si, wo):
+        def density(self, ctx, si, wo):
             return dr.inv_pi * dr.abs(cosine(wo))
 
-        def direction(self, si, sample1, sample2):
-            wo = super().direction(si, sample1, sample2)
+        def direction(self, ctx, si, sample1, sample2):
+            wo = super().direction(ctx, si, sample1, sample2)
             wo.z = dr.mulsign(wo.z, cosine(si.wi))
             return wo
 
@@ -541,7 +501,7 @@ def register():
     class HemisphereMixedUp(TwoFaces):
         """Samples of the back leave on the front, with the weight of the back."""
 
-        def direction(self, si, sample1, sample2):
+        def direction(self, ctx, si, sample1, sample2):
             return mi.warp.square_to_cosine_hemisphere(sample2)
 
         def sample(self, ctx, si, sample1, sample2, active=True):
@@ -599,9 +559,6 @@ def register():
             share = self.glossy_share(ctx)
             return (1 - share) * first + share * second
 
-        def above(self, si, wo):
-            return (cosine(si.wi) > 0) & (cosine(wo) > 0)
-
         def pick(self, ctx, sample1, sample2):
             return sample1 < self.glossy_share(ctx), sample2
 
@@ -610,9 +567,6 @@ def register():
 
         def reflected(self, wi, h):
             return mi.reflect(wi, h)
-
-        def weight(self, ctx, si, bs):
-            return self.value(ctx, si, bs.wo) / bs.pdf
 
         def sample(self, ctx, si, sample1, sample2, active=True):
             bs = dr.zeros(mi.BSDFSample3f)
@@ -628,15 +582,6 @@ def register():
             bs.pdf = self.density(ctx, si, bs.wo)
             ok = active & self.above(si, bs.wo) & (bs.pdf > 0)
             return bs, self.weight(ctx, si, bs) & ok
-
-        def eval(self, ctx, si, wo, active=True):
-            return self.value(ctx, si, wo) & (active & self.above(si, wo))
-
-        def pdf(self, ctx, si, wo, active=True):
-            return dr.select(active & self.above(si, wo), self.density(ctx, si, wo), 0)
-
-        def eval_pdf(self, ctx, si, wo, active=True):
-            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
     class WeightWithoutLobeProbability(Mixture):
         def weight(self, ctx, si, bs):
@@ -828,8 +773,8 @@ def register():
         def above(self, si, wo):
             return cosine(si.wi) * cosine(wo) < 0
 
-        def direction(self, si, sample1, sample2):
-            wo = super().direction(si, sample1, sample2)
+        def direction(self, ctx, si, sample1, sample2):
+            wo = super().direction(ctx, si, sample1, sample2)
             return mi.Vector3f(wo.x, wo.y, -wo.z)
 
         def eta(self, si):
@@ -868,19 +813,19 @@ def register():
         def stripes(self, u):
             return 0.5 + 0.3 * dr.sin(5 * u)
 
-        def weight(self, si, bs):
+        def weight(self, ctx, si, bs):
             return mi.Spectrum(self.stripes(si.uv.x))
 
-        def value(self, si, wo):
+        def value(self, ctx, si, wo):
             return mi.Spectrum(self.stripes(si.uv.y) * dr.inv_pi * cosine(wo))
 
     class EvalBlackFromBehind(TwoFaces):
         """Two-sided, but for one function."""
 
-        def value(self, si, wo):
+        def value(self, ctx, si, wo):
             return mi.Spectrum(0.8 * dr.inv_pi * dr.maximum(cosine(wo), 0))
 
-        def weight(self, si, bs):
+        def weight(self, ctx, si, bs):
             return mi.Spectrum(0.8)
 
     class EvalFresnelAtAnotherAngle(Mixture):
@@ -964,8 +909,8 @@ def register():
 
         components = (diffuse | front | int(flags.Anisotropic),)
 
-        def value(self, si, wo):
-            return super().value(si, wo) * self.noise(wo)
+        def value(self, ctx, si, wo):
+            return super().value(ctx, si, wo) * self.noise(wo)
 
         def noise(self, wo):
             number = 3e4 * dr.sin(1e4 * wo.x) + 3e4 * dr.cos(1e4 * wo.y)
@@ -1046,8 +991,8 @@ def register():
     class ValueToLocalOnceMore(Lambert):
         """The weight of samples follows."""
 
-        def value(self, si, wo):
-            return super().value(si, dr.abs(si.to_local(wo)))
+        def value(self, ctx, si, wo):
+            return super().value(ctx, si, dr.abs(si.to_local(wo)))
 
     class PdfToLocalOnceMore(Mixture):
         def pdf(self, ctx, si, wo, active=True):
@@ -1060,16 +1005,16 @@ def register():
     class Dusty(Lambert):
         """Right: brighter where it looks up, and by its place in the world."""
 
-        def value(self, si, wo):
+        def value(self, ctx, si, wo):
             up = 0.5 + 0.5 * dr.abs(si.sh_frame.n.z) + 0.1 * dr.sin(si.p.x)
-            return super().value(si, wo) * dr.minimum(up, 1)
+            return super().value(ctx, si, wo) * dr.minimum(up, 1)
 
     class FadingAbove(Lambert):
         """Right, not reciprocal: high up it fades with the angle of incidence."""
 
-        def value(self, si, wo):
+        def value(self, ctx, si, wo):
             fade = 0.5 + 0.5 * dr.square(cosine(si.wi))
-            return super().value(si, wo) * dr.select(si.p.z > 1, fade, 1)
+            return super().value(ctx, si, wo) * dr.select(si.p.z > 1, fade, 1)
 
     # ------------------------------------------------------- Where samples never look
 
@@ -1082,7 +1027,7 @@ def register():
         """It knows where wo is, and not where wi is."""
 
         def eval(self, ctx, si, wo, active=True):
-            return self.value(si, wo) & (active & (cosine(wo) > 0))
+            return self.value(ctx, si, wo) & (active & (cosine(wo) > 0))
 
     class PdfLitFromBehind(Lambert):
         """It knows that both are on one side, and not on which."""
@@ -1099,8 +1044,8 @@ def register():
             return super().eval(ctx, si, wo, active) + spoiled
 
     class EvalNanAlongTheSurface(Lambert):
-        def value(self, si, wo):
-            return super().value(si, wo) * (si.wi.z / si.wi.z)
+        def value(self, ctx, si, wo):
+            return super().value(ctx, si, wo) * (si.wi.z / si.wi.z)
 
         def above(self, si, wo):
             return (cosine(si.wi) >= 0) & (cosine(wo) > 0)
@@ -1119,9 +1064,5 @@ def register():
         def sample(self, ctx, si, sample1, sample2, active=True):
             return super().sample(ctx, si, sample1, sample2, active)[1]
 
-    for plugin in [value for value in locals().values() if isinstance(value, type)]:
-        if plugin is not Plugin and issubclass(plugin, Plugin):
-            name = "".join(
-                f"_{c.lower()}" if c.isupper() else c for c in plugin.__name__
-            )
-            mi.register_bsdf(name[1:], plugin)
+    found = [one for one in locals().values() if isinstance(one, type)]
+    plain_bsdf.register(one for one in found if one is not Plugin)

@@ -63,6 +63,7 @@ KNOWN = {
     "principled": {"flags", "components"},
     "principled metal": {"flags", "components"},
     "two BSDFs": {"flags", "components"},
+    "unusual own_eval_pdf_sample": {"eval_pdf_sample"},
 }
 
 

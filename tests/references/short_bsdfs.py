@@ -8,6 +8,7 @@ ones. The classes are made anew for the variant that is set, by :func:`register`
 
 import drjit as dr
 import mitsuba as mi
+import plain_bsdf
 import right_bsdfs
 
 MISTAKES = {
@@ -125,23 +126,12 @@ def register():
     def within(x, low, high):
         return (x > low) & (x < high)
 
-    class TwoLobes(mi.BSDF):
+    class TwoLobes(plain_bsdf.plain()):
         """Right: a Lambertian and a cosine lobe about the mirror direction."""
 
         components = (diffuse | front, glossy | front)
         kinds = (flags.DiffuseReflection, flags.GlossyReflection)
         kd, ks, exponent, choice = 0.5, 0.3, 20.0, 0.4
-
-        def __init__(self, props):
-            super().__init__(props)
-            self.m_components = list(self.components)
-            self.m_flags = 0
-            for one in self.components:
-                self.m_flags |= one
-            self.load(props)
-
-        def load(self, props):
-            pass
 
         def enabled(self, ctx):
             return [ctx.is_enabled(kind, i) for i, kind in enumerate(self.kinds)]
@@ -150,9 +140,6 @@ def register():
             """Probability of the second lobe."""
             first, second = self.enabled(ctx)
             return mi.Float(self.choice if first and second else float(second))
-
-        def above(self, si, wo):
-            return (cosine(si.wi) > 0) & (cosine(wo) > 0)
 
         def power(self, si, wo):
             along = dr.maximum(dr.dot(wo, mi.reflect(si.wi)), 0)
@@ -186,9 +173,6 @@ def register():
             local = mi.Vector3f(across * cos, across * sin, z)
             return mi.Vector3f(mi.Frame3f(mi.reflect(si.wi)).to_world(local))
 
-        def weight(self, ctx, si, bs):
-            return self.value(ctx, si, bs.wo) / bs.pdf
-
         def finish(self, ctx, si, bs, weight):
             return bs, weight
 
@@ -213,18 +197,9 @@ def register():
             ok &= any(self.enabled(ctx))
             return self.finish(ctx, si, bs, self.weight(ctx, si, bs) & ok)
 
-        def eval(self, ctx, si, wo, active=True):
-            return self.value(ctx, si, wo) & (active & self.above(si, wo))
-
         def pdf(self, ctx, si, wo, active=True):
-            ok = active & self.above(si, wo) & any(self.enabled(ctx))
-            return dr.select(ok, self.density(ctx, si, wo), 0)
-
-        def eval_pdf(self, ctx, si, wo, active=True):
-            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
-
-        def to_string(self):
-            return f"{type(self).__name__}[]"
+            on = active & any(self.enabled(ctx))
+            return super().pdf(ctx, si, wo, on)
 
     class Lambert(TwoLobes):
         """A Lambertian alone."""
@@ -1104,6 +1079,5 @@ def register():
             across = dr.safe_sqrt(1 - z * z)
             return mi.Vector3f(across * cos, across * sin, z)
 
-    for plugin in [value for value in locals().values() if isinstance(value, type)]:
-        name = "".join(f"_{c.lower()}" if c.isupper() else c for c in plugin.__name__)
-        mi.register_bsdf(name[1:], plugin)
+    found = [one for one in locals().values() if isinstance(one, type)]
+    plain_bsdf.register(found)

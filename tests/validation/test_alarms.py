@@ -122,6 +122,25 @@ def test_a_density_that_underflows_has_no_hole():
 
 
 @pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize(("name", "pooled"), [("tabulated", False), ("ward", True)])
+def test_sums_that_do_not_vary_are_not_pooled(name, pooled):
+    """All samples of a table are collected; facets (the twin) reflect some downwards.
+
+    The table has jumps, so that the error of its integral, the same in each map, is
+    larger than what chance does.
+    """
+    right_bsdfs.register()
+    bsdf, grid = mi.load_dict({"type": name}), Effort.named("quick").patches
+    evidence = Evidence(bsdf)
+    evidence.maps += [
+        maps.four_maps(bsdf, Condition(theta_i, 25.0), grid, 2**17, (0, 1))
+        for theta_i in (35.0, 60.0)
+    ]
+    weights.check_pooled(evidence)
+    assert any(test.name == "sampling" for test in evidence.tests) == pooled
+
+
+@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("sector", ["any", "one"])
 def test_a_direction_that_rounds_to_the_pole_has_any_azimuth(sector, monkeypatch):
     """Some of a smooth lobe at normal incidence; of the twin all go to one sector."""

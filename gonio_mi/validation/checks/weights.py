@@ -105,8 +105,9 @@ def check_pooled(evidence: Evidence) -> None:
         scores = [
             (m.count_scores if name == "sampling" else m.weight_scores).total
             for m in evidence.maps
+            if name == "weights" or m.count_varies
         ]
-        # those that cannot vary are judged one by one
+        # what is certain is judged one by one
         scores = [z for z in scores if 0 < abs(z) < 8]
         if len(scores) > 1:
             z = float(np.sum(scores) / np.sqrt(len(scores)))
