@@ -15,6 +15,7 @@ from ..collector import Subdivision
 from ..collector.directions import angles
 from ..errors import SpecimenError
 from .collector_sphere import DRJIT
+from .kernels import in_memory
 from .polarisation import power_of
 from .sampling import is_joint
 from .specimen import Specimen
@@ -88,19 +89,19 @@ class Beam:
         self.side = -1 if self.direction is not None and self.direction[2] < 0 else 1
         if self.side < 0:
             self.middle[2] = low[2]
+        self._middle = mi.Point3f(in_memory(self.middle))
+        radii = self.half if isinstance(footprint, str) else (footprint, footprint)
+        self._radii = in_memory(radii)
         if self.collimated:
-            self._wi = mi.Vector3f(self.direction.tolist())
-            dr.make_opaque(self._wi)
+            self._wi = mi.Vector3f(in_memory(self.direction))
         self.divergence = divergence
         if divergence:
             self._check_divergence()
             # 1 - cos, to the last bit for narrow cones too
-            self._cap = mi.Float(2 * np.sin(np.radians(divergence) / 2) ** 2)
-            dr.make_opaque(self._cap)
+            (self._cap,) = in_memory([2 * np.sin(np.radians(divergence) / 2) ** 2])
         self.incident: Any = incident
         self._patch = () if incident is None else self._incident_patch(incident)
-        self._frame = [mi.Float(x) for x in self._patch]
-        dr.make_opaque(self._frame)
+        self._frame = in_memory(self._patch)
         self._reference = None if self.uniform else self._unit_power(nm)
 
     @property
@@ -209,22 +210,21 @@ class Beam:
             if is_joint(sampler):
                 # the best dimensions are those that come after the footprint's
                 sampler.skip(2)
-            return mi.Point3f(self.middle.tolist())
+            return mi.Point3f(self._middle)
         return self._spread(sampler.next_2d())
 
     def _spread(self, sample: mi.Point2f) -> mi.Point3f:
         """Points all over a footprint that is more than a point."""
-        middle = mi.Point3f(self.middle.tolist())
+        x, y = self._radii
         if self.footprint != "full":
             disk = mi.warp.square_to_uniform_disk_concentric(sample)
-            return middle + self.footprint * mi.Vector3f(disk.x, disk.y, 0)
+            return self._middle + mi.Vector3f(x * disk.x, y * disk.y, 0)
         if self.specimen.plane is not None:
             centre = self.specimen.plane.interaction
             u, v = sample.x - 0.5, sample.y - 0.5
             return centre.p + u * centre.dp_du + v * centre.dp_dv
         offset = 2 * sample - 1
-        half_x, half_y = self.half.tolist()
-        return middle + mi.Vector3f(half_x * offset.x, half_y * offset.y, 0)
+        return self._middle + mi.Vector3f(x * offset.x, y * offset.y, 0)
 
     def _towards(
         self, p: mi.Point3f, sample: mi.Point2f, wavelengths: mi.Spectrum

@@ -1,9 +1,11 @@
 """Kernels are recorded by one thread at a time, and an error leaves none behind."""
 
+from __future__ import annotations
+
 import functools
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ContextDecorator
 
 import drjit as dr
@@ -78,6 +80,14 @@ class launches_kernels(ContextDecorator):  # noqa: N801
             # no variable of this very frame may hold what holds the frame
             del error, _
             _lock.release()
+
+
+def in_memory(numbers: Iterable[float]) -> list[mi.Float]:
+    """Numbers that kernels read, so that others do not make them other kernels.
+
+    Each in a place of its own: which of them are equal would make a difference too.
+    """
+    return [dr.opaque(mi.Float, float(number)) for number in numbers]
 
 
 def check_variant_kept() -> None:

@@ -218,7 +218,7 @@ class Geometry:
 
         `distance`: to the surface ahead, which they have not reached.
         """
-        ray, detail = flight.ray, self.specimen.detail
+        ray, detail = flight.ray, self.specimen.box.detail
         near = MIN_DEPTH * (detail + dr.dot(dr.abs(flight.n), dr.abs(ray.o)))
         near = near / dr.abs(dr.dot(flight.n, ray.d))
         far = MIN_DEPTH * (detail + dr.dot(dr.abs(si.n), dr.abs(si.p)))

@@ -77,7 +77,7 @@ def departure(
     offset : mi.Float
         How far to go off the surface from there.
     """
-    detail = specimen.detail
+    detail = specimen.box.detail
     flat = dr.all((si.dn_du == 0) & (si.dn_dv == 0))
     scale = detail + dr.max(dr.abs(si.p))
     across = detail + dr.dot(dr.abs(si.n), dr.abs(si.p))
@@ -90,7 +90,7 @@ def is_self_hit(
     specimen: Any, si: mi.SurfaceInteraction3f, ray: mi.Ray3f, n: mi.Normal3f
 ) -> mi.Bool:
     """Whether a ray that left a plane of normal `n` hits that plane: rounding."""
-    beside = dr.abs(dr.dot(si.p - ray.o, si.n)) < specimen.reach * SAME_PLANE
+    beside = dr.abs(dr.dot(si.p - ray.o, si.n)) < specimen.box.reach * SAME_PLANE
     return dr.all(si.n == n) & beside
 
 
@@ -114,9 +114,10 @@ def resume(
     or meets the near wall. One that comes from behind a surface that is open, or faces
     away, meets it again: it is moved back by more than off.
     """
-    off = specimen.reach * LIFT
+    reach = specimen.box.reach
+    off = reach * LIFT
     beyond = 2 * off / dr.abs(dr.dot(si.n, d))
-    back = dr.minimum(si.t / 2, dr.maximum(specimen.reach * NEARBY, beyond))
+    back = dr.minimum(si.t / 2, dr.maximum(reach * NEARBY, beyond))
     return si.p + dr.select(behind, off * si.n - back * d, 0.0)
 
 
@@ -127,11 +128,10 @@ def into_cell(specimen: Any, p: mi.Point3f) -> tuple[mi.Point3f, mi.Vector3f]:
     """
     if not specimen.periodic:
         return mi.Point3f(p), mi.Vector3f(0)
-    low, high = specimen.low, specimen.high
-    shift = mi.Vector3f(0)
+    box, shift = specimen.box, mi.Vector3f(0)
     for axis in (0, 1):
-        period = float(high[axis] - low[axis])
-        shift[axis] = period * dr.floor((p[axis] - float(low[axis])) / period)
+        cells = dr.floor((p[axis] - box.low[axis]) * box.per_period[axis])
+        shift[axis] = box.period[axis] * cells
     return p - shift, shift
 
 
@@ -152,17 +152,17 @@ def through_side(
     p, step = mi.Point3f(o), mi.Vector3f(0)
     if not specimen.periodic:
         return p, step, mi.Bool(False)
-    low, high = specimen.low, specimen.high
+    box = specimen.box
+    low, high = box.low, box.high
     t_x, t_y, t_z = (_exit_distance(low[i], high[i], o[i], d[i]) for i in range(3))
     # a ray that is outside by rounding leaves at once
     t = dr.maximum(dr.minimum(t_x, t_y), 0)
     p = o + t * d
-    p.z += side * specimen.reach * LIFT
+    p.z += side * box.reach * LIFT
     for axis, leaves in ((0, t_x <= t_y), (1, t_x > t_y)):
-        near, far = float(low[axis]), float(high[axis])
-        up = d[axis] > 0
-        p[axis] = dr.select(leaves, dr.select(up, near, far), p[axis])
-        jump = dr.select(up, far - near, near - far)
+        up, period = d[axis] > 0, box.period[axis]
+        p[axis] = dr.select(leaves, dr.select(up, low[axis], high[axis]), p[axis])
+        jump = dr.select(up, period, -period)
         step[axis] = dr.select(leaves, jump, 0.0)
     return p, step, t < t_z
 
@@ -174,7 +174,7 @@ def leaves_by_a_side(specimen: Any, o: mi.Point3f, d: mi.Vector3f) -> mi.Bool:
     """
     if specimen.periodic:
         return mi.Bool(False)
-    low, high = specimen.low, specimen.high
+    low, high = specimen.box.low, specimen.box.high
     # a ray that starts just outside of a face has passed it
     t_x, t_y, t_z = (
         dr.maximum(_exit_distance(low[i], high[i], o[i], d[i]), 0) for i in range(3)
@@ -183,9 +183,9 @@ def leaves_by_a_side(specimen: Any, o: mi.Point3f, d: mi.Vector3f) -> mi.Bool:
     return ~(dr.minimum(t_x, t_y) >= t_z)
 
 
-def _exit_distance(low: float, high: float, o: mi.Float, d: mi.Float) -> mi.Float:
+def _exit_distance(low: mi.Float, high: mi.Float, o: mi.Float, d: mi.Float) -> mi.Float:
     """Distance to the face of a slab through which a ray from inside leaves."""
-    face = dr.select(d > 0, mi.Float(float(high)), mi.Float(float(low)))
+    face = dr.select(d > 0, high, low)
     # -0 and +0 alike: along the face, never through it
     return dr.select(d == 0, dr.inf, (face - o) / d)
 

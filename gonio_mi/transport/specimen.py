@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import SpecimenError, abridged, warn
 from ..settings.values import Period
 from .digest import digest
+from .kernels import in_memory
 from .media import media_of
 from .plane import Plane
 from .rays import START, escapes, intersect
@@ -48,6 +49,29 @@ OFFSET_ERROR = 2.0**-19
 MAX_OFFSET_ERROR = 1e-4
 
 
+class Box:
+    """Lengths of a specimen as its rays meet them: specimens of any size share kernels.
+
+    Attributes
+    ----------
+    low, high : list of mi.Float
+        Corners, as of :class:`Specimen`.
+    period, per_period : list of mi.Float
+        Extents in x and y, and their reciprocals.
+    reach, detail : mi.Float
+    """
+
+    def __init__(self, specimen: Specimen) -> None:
+        low, high = specimen.low, specimen.high
+        period = (high - low)[:2]
+        # as Dr.Jit divides by numbers that are known
+        per_period = 1 / period.astype(np.float32)
+        self.low, self.high, self.period, self.per_period = (
+            in_memory(lengths) for lengths in (low, high, period, per_period)
+        )
+        self.reach, self.detail = in_memory([specimen.reach, specimen.detail])
+
+
 class Specimen:
     """The shapes of `scene` that emit nothing.
 
@@ -73,6 +97,8 @@ class Specimen:
     low, high : ndarray, shape (3,)
         Corners of the bounding box of the surfaces, in scene units; in x and y those of
         the cell, if there is one.
+    box : Box
+        The same for kernels.
     periodic : bool
         Whether there is one.
     plane : Plane or None
@@ -119,6 +145,7 @@ class Specimen:
             self._set_cell(period)
             self._check_walls()
         self._check_extent()
+        self.box = Box(self)
         self.closed_to_light = not any(
             mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Transmission)
             for shape in self.surfaces
@@ -180,8 +207,8 @@ class Specimen:
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(0, N_POINTS)
         x, y = sampler.next_2d()
-        top = float(self.high[2] + self.reach * START)
-        low, extent = self.low.tolist(), (self.high - self.low).tolist()
+        (top,) = in_memory([self.high[2] + self.reach * START])
+        low, extent = self.box.low, self.box.period
         start = mi.Point3f(low[0] + x * extent[0], low[1] + y * extent[1], top)
         down = -mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
         ray, active = mi.Ray3f(start, down), mi.Bool(True)

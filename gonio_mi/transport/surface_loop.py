@@ -176,7 +176,7 @@ def sent(
     """
     p, wi, distance, weight = beam.sample(sampler, wavelengths)
     β = emitted(weight, sampler, counted, beam.uniform)
-    start = dr.minimum(distance, specimen.reach * START / dr.abs(wi.z))
+    start = dr.minimum(distance, specimen.box.reach * START / dr.abs(wi.z))
     ray = mi.Ray3f(p + start * wi, -wi)
     ray.wavelengths = wavelengths
     return ray, β

@@ -413,10 +413,11 @@ def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
 
 
 @pytest.mark.usefixtures("mono")
-def test_a_campaign_ends_with_the_table_that_fits(monkeypatch):
+def test_a_campaign_ends_with_the_table_that_fits(monkeypatch, tmp_path):
     """With a warning, and what was measured; twin: no table of its first directions."""
     brushed = {"type": "roughconductor", "alpha_u": 0.3, "alpha_v": 0.6}
     how = {"tolerance": 0.03, "theta_max": 70, "collector": "angle:12x40"}
+    how["folder"] = tmp_path  # what is measured once
 
     def material():
         return gonio.campaign({"brushed": brushed}, **how)["brushed"]

@@ -6,6 +6,7 @@ from dataclasses import replace
 import gonio_mi as gonio
 
 # isort: split
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -234,6 +235,31 @@ def test_twins_of_scale_and_shift():
         traced(heightfield(**SURFACE), 69, 20.0, n=RAYS, seed=1),
     ):
         disagree(two_sample(reference_histogram(), histogram(rays)))
+
+
+def test_other_sizes_compile_nothing():
+    """From any angle and on any footprint; twin: another order of events does."""
+    scene = mi.load_dict({"type": "scene", "field": grooves(45, 2)})
+    parameters = mi.traverse(scene)
+    (key,) = (name for name in parameters.keys() if "vertex_positions" in name)  # noqa: SIM118
+
+    def kernels(theta_i, **settings):
+        how = {"rays": 1000, "collector": "projected:2x4"} | settings
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            gonio.measure(scene, theta_i, 10, **how)
+            return {one["hash"] for one in dr.kernel_history([dr.KernelType.JIT])}
+
+    ways = {"period": "box"}, {"footprint": 0.1}
+    known = [kernels(30, **way) for way in ways]
+    assert all(known)
+    scaled = np.array(parameters[key]).reshape(-1, 3) * [3e3, 7, 5]
+    parameters[key] = mi.Float(scaled.ravel())
+    parameters.update()
+    ways = {"period": "box"}, {"footprint": 4.0}
+    for way, before in zip(ways, known):
+        assert kernels(60, **way) <= before
+        assert not kernels(60, order=1, **way) <= before
 
 
 def test_benchmark_sends_the_same_paths():

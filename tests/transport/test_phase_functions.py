@@ -19,6 +19,7 @@ from slabs import medium, stack
 
 from gonio_mi import cli
 from gonio_mi.instrument import setup
+from gonio_mi.transport import media
 from gonio_mi.transport.media import ask_phase_function, phase_defect
 from gonio_mi.transport.wavelengths import wavelength_lanes
 
@@ -64,18 +65,24 @@ ROWS = [row for row in ROWS if row[2] in ("yes", "no")]
 
 
 @pytest.mark.parametrize("variant", ["mono", "rgb", "spectral"])
-def test_the_table_of_the_handbook(request, variant):
+def test_the_table_of_the_handbook(request, variant, monkeypatch):
     """All stock phase functions; the last digit may be rounded elsewhere."""
     request.getfixturevalue(variant)
+    answers = []
+
+    def asked_once(*arguments):
+        answers.append(ask_phase_function(*arguments))
+        return answers[-1]
+
+    monkeypatch.setattr(media, "ask_phase_function", asked_once)
     assert {re.split(" ", name)[0] for name, *_ in ROWS} == {
         *("isotropic", "rayleigh", "hg", "tabphase", "blendphase", "sggx")
     }
     for name, misplaced, told in ROWS:
-        asked = mi.load_dict(phase(name))
-        found = ask_phase_function(asked, lanes(), *BOX)
+        sentence = phase_defect(mi.load_dict(phase(name)), lanes(), *BOX)
+        found = answers.pop()
         if not found.nonsense:
             assert abs(found.misplaced.max() - misplaced) <= 0.01, name
-        sentence = phase_defect(asked, lanes(), *BOX)
         assert (sentence is not None) == (told == "yes"), name
 
 
