@@ -176,16 +176,22 @@ class InterpolatedBSDF:
         if not choices:
             return mi.Vector3f(0)
         left = mi.Float64(sample1) * sum(flux for *_, flux in choices)
-        picked = [mi.UInt32(0)] * 5 + [mi.Float64(0)] * 2
-        for place, end, number, flux in choices:
+        azimuth = leg = low = high = hemisphere = mi.UInt32(0)
+        end = past = mi.Float64(0)
+        for place, own_end, number, flux in choices:
             # one without light is never picked, however `left` is rounded
             this = (left >= 0) & (flux > 0)
-            own = place.azimuth, place.leg, *place.rows, number, float(end), place.past
-            picked = [dr.select(this, new, old) for new, old in zip(own, picked)]
+            azimuth = dr.select(this, place.azimuth, azimuth)
+            leg = dr.select(this, place.leg, leg)
+            low = dr.select(this, place.rows[0], low)
+            high = dr.select(this, place.rows[1], high)
+            hemisphere = dr.select(this, number, hemisphere)
+            end = dr.select(this, float(own_end), end)
+            past = dr.select(this, place.past, past)
             left -= flux
-        azimuth, leg, *rows, hemisphere, end, past = picked
         first = choices[0][0]  # both have the same polar angle
-        place = Place(1, azimuth, leg, (*rows,), first.t, past, first.z_i, first.ends)
+        rows = low, high
+        place = Place(1, azimuth, leg, rows, first.t, past, first.z_i, first.ends)
         point = self.lobes.drawn(place, hemisphere, end, sample2)
         return towards(point, phi_i, hemisphere == 0)
 
