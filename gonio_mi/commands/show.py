@@ -60,6 +60,10 @@ def run(options: Namespace) -> int:
         return DONE
     check_no_table_options(path, options)
     summary = summarize(record_of(path))
+    if options.json and options.stokes:
+        raise SettingError(
+            "--stokes and --json exclude each other: dhr_mueller says it of any light"
+        )
     if options.json:
         print(json.dumps(summary.as_mapping(), indent=2, allow_nan=False))
     else:

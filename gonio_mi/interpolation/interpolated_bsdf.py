@@ -75,12 +75,12 @@ class InterpolatedBSDF:
     ) -> mi.Spectrum:
         """Spectrum of the channels, linear in between and constant beyond them."""
         if len(values) == 1:
-            return mi.Spectrum(values[0])
+            return mi.UnpolarizedSpectrum(values[0])
         if self.wavelengths is None:
-            return mi.Spectrum(values)
+            return mi.UnpolarizedSpectrum(values)
         measured = self.wavelengths
         order = sorted(range(len(values)), key=lambda i: measured[i])
-        spectrum = mi.Spectrum(values[order[0]])
+        spectrum = mi.UnpolarizedSpectrum(values[order[0]])
         for low, high in itertools.pairwise(order):
             begin, end = measured[low], measured[high]
             if end > begin:

@@ -121,7 +121,8 @@ def sample(
     """Draw `wo` by `sample2` alone: two dimensions suit low-discrepancy points best."""
     del sample1
     asked = Asked(ctx, si, active & (mi.Frame3f.cos_theta(si.wi) > 0))
-    return self.draw(asked, sample2)
+    bs, weight = self.draw(asked, sample2)
+    return bs, depolarised(weight)
 
 
 def eval_pdf(
@@ -137,7 +138,14 @@ def eval_pdf(
     """
     active = active & above(si.wi, wo)
     value, pdf = self.scattered(Asked(ctx, si, active), wo)
-    return value & active, dr.select(active, pdf, 0)
+    return depolarised(value & active), dr.select(active, pdf, 0)
+
+
+def depolarised(value: mi.Spectrum) -> mi.Spectrum:
+    """Value of unpolarised light in polarised variants, where a number is a matrix."""
+    if not mi.is_polarized or isinstance(value, mi.Spectrum):
+        return value
+    return mi.mueller.depolarizer(value)
 
 
 def glossy_enabled(ctx: mi.BSDFContext, component: int = 0) -> bool:

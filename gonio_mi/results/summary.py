@@ -154,11 +154,29 @@ class Summary:
                 "channels": list(record.channels),
             },
             "level": LEVEL,
-            "directions": [asdict(one) for one in self.directions],
+            "directions": [
+                asdict(one) | _matrices(record[i])
+                for i, one in enumerate(self.directions)
+            ],
             "ledger": self.ledger,
             "worst_patches": [asdict(one) for one in self.worst_patches],
             "warnings": self.warnings,
         }
+
+
+def _matrices(single: Record) -> dict[str, Any]:
+    """Mueller matrices of the totals with their standard errors, if there are some."""
+    names = ("dhr_mueller", "dht_mueller")
+    values = {
+        f"{name}{ending}": getattr(single, f"{name}{ending}")
+        for name in names
+        for ending in ("", "_std_err")
+    }
+    return {
+        key: [[[_known(x) for x in row] for row in one] for one in value.tolist()]
+        for key, value in values.items()
+        if value is not None
+    }
 
 
 def summarize(record: Record) -> Summary:

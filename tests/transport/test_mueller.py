@@ -301,3 +301,11 @@ def test_pictures_and_numbers_show_the_matrices(tmp_path, capsys):
     gonio.measure({"type": "diffuse"}, 0, rays=64, collector="angle:2x2").save(mono)
     assert cli.main(["show", str(mono), "--stokes", "1", "1", "0", "0"]) == 1
     assert "need a polarised variant" in capsys.readouterr().err
+
+
+def test_own_bsdfs_depolarise():
+    record = gonio.measure({"type": "glossymixture"}, 40, 20, **FEW)
+    assert record.dhr[0] > 0.1
+    due = np.zeros((4, 4))
+    due[0, 0] = record.dhr[0]
+    assert np.array_equal(record.dhr_mueller[0], due)

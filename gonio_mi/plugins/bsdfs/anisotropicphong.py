@@ -140,7 +140,7 @@ class AnisotropicPhong(mi.BSDF):
         """Draw a facet and reflect at it."""
         ctx, si, on = asked.ctx, asked.si, asked.on
         if not bsdf_functions.glossy_enabled(ctx):
-            return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
+            return dr.zeros(mi.BSDFSample3f), mi.UnpolarizedSpectrum(0)
         h = self._sample_facet(u)
         facing = dr.dot(h, si.wi) > 0
         wo = dr.normalize(mi.reflect(si.wi, h))
@@ -156,7 +156,7 @@ class AnisotropicPhong(mi.BSDF):
         """Reflect at the facets along the half vector; the density misses some."""
         ctx, si, on = asked.ctx, asked.si, asked.on
         if not bsdf_functions.glossy_enabled(ctx):
-            return mi.Spectrum(0), mi.Float(0)
+            return mi.UnpolarizedSpectrum(0), mi.Float(0)
         h, cos_d = _half_vector(si.wi, wo)
         density = self._density(h)
         value = self._fresnel(si, cos_d, on) * (

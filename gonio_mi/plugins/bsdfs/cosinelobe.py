@@ -113,7 +113,7 @@ class CosineLobe(mi.BSDF):
         """Draw from the whole lobe; what falls below the horizon has no weight."""
         ctx, si, on = asked.ctx, asked.si, asked.on
         if not bsdf_functions.glossy_enabled(ctx):
-            return dr.zeros(mi.BSDFSample3f), mi.Spectrum(0)
+            return dr.zeros(mi.BSDFSample3f), mi.UnpolarizedSpectrum(0)
         mirror = mi.reflect(si.wi)
         wo = lobe.around(self.exponent, mirror, u)
         pdf = dr.select(on, lobe.density(self.exponent, mirror, wo), 0)
@@ -126,7 +126,7 @@ class CosineLobe(mi.BSDF):
         """Lobe and its density."""
         ctx, si, on = asked.ctx, asked.si, asked.on
         if not bsdf_functions.glossy_enabled(ctx):
-            return mi.Spectrum(0), mi.Float(0)
+            return mi.UnpolarizedSpectrum(0), mi.Float(0)
         pdf = lobe.density(self.exponent, mi.reflect(si.wi), wo)
         weight = lobe.throughput(self.form, self.exponent, ctx.mode, si.wi, wo)
         return self.reflectance.eval(si, on) * (weight * pdf), pdf

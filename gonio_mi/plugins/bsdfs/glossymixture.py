@@ -113,7 +113,7 @@ class GlossyMixture(mi.BSDF):
         bs = dr.zeros(mi.BSDFSample3f)
         share = self._enabled_share(ctx)
         if share is None:
-            return bs, mi.Spectrum(0)
+            return bs, mi.UnpolarizedSpectrum(0)
         glossy = u.x < share
         rest = dr.select(glossy, u.x / share, (u.x - share) / (1 - share))
         u = mi.Point2f(rest, u.y)
@@ -137,10 +137,10 @@ class GlossyMixture(mi.BSDF):
         ctx, si, on = asked.ctx, asked.si, asked.on
         share = self._enabled_share(ctx)
         if share is None:
-            return mi.Spectrum(0), mi.Float(0)
+            return mi.UnpolarizedSpectrum(0), mi.Float(0)
         cosine, glossy = self._densities(si, wo)
         pdf = (1 - share) * cosine + share * glossy
-        value = mi.Spectrum(0)
+        value = mi.UnpolarizedSpectrum(0)
         if ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0):
             value += self.diffuse.eval(si, on) * cosine
         if bsdf_functions.glossy_enabled(ctx, 1):

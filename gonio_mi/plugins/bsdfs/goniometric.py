@@ -194,7 +194,8 @@ class Goniometric(mi.BSDF):
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Both of :meth:`eval` and :meth:`pdf`."""
         if ctx.mode == mi.TransportMode.Importance:
-            return self._from_emitter(ctx, si.wi, wo, si.wavelengths, active)
+            value, pdf = self._from_emitter(ctx, si.wi, wo, si.wavelengths, active)
+            return bsdf_functions.depolarised(value), pdf
         value, _ = self._from_emitter(ctx, wo, si.wi, si.wavelengths, active)
         value *= dr.select(si.wi.z == 0, 0, dr.abs(wo.z / si.wi.z))
         pdf = mi.Float(0)
@@ -207,7 +208,7 @@ class Goniometric(mi.BSDF):
             wanted = dr.select(seen.z < 0, hemispheres[1], hemispheres[0])
             even = dr.select(wanted, dr.abs(wo.z) * dr.inv_pi / sum(hemispheres), 0)
             pdf += dr.select(lit, (1 - EVEN) * density + EVEN * even, 0)
-        return value, pdf
+        return bsdf_functions.depolarised(value), pdf
 
     def _from_emitter(
         self,
@@ -218,7 +219,7 @@ class Goniometric(mi.BSDF):
         active: mi.Bool | bool,
     ) -> tuple[mi.Spectrum, mi.Float]:
         """Value and density of `detector` for light from the direction `to_emitter`."""
-        value, pdf = mi.Spectrum(0), mi.Float(0)
+        value, pdf = mi.UnpolarizedSpectrum(0), mi.Float(0)
         for face, side in zip(self.faces, SIDES):
             if face is not None:
                 lit = active & (to_emitter.z * side > 0)
