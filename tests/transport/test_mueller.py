@@ -309,3 +309,36 @@ def test_own_bsdfs_depolarise():
     due = np.zeros((4, 4))
     due[0, 0] = record.dhr[0]
     assert np.array_equal(record.dhr_mueller[0], due)
+
+
+def test_what_no_surface_does_is_invalid():
+    class Impossible(mi.BSDF):
+        """Mirror that polarises light by more than there is."""
+
+        def __init__(self, props):
+            mi.BSDF.__init__(self, props)
+            self.m_flags = mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.FrontSide
+            self.m_components = [self.m_flags]
+
+        def sample(self, ctx, si, sample1, sample2, active=True):  # noqa: ARG002
+            bs = mi.BSDFSample3f()
+            bs.wo, bs.pdf, bs.eta = mi.reflect(si.wi), 1.0, 1.0
+            bs.sampled_type = mi.UInt32(+mi.BSDFFlags.DeltaReflection)
+            weight = mi.Spectrum(0.5)
+            weight[0, 1] = mi.UnpolarizedSpectrum(0.6)
+            return bs, weight
+
+        def eval(self, ctx, si, wo, active=True):  # noqa: ARG002
+            return mi.Spectrum(0)
+
+        def pdf(self, ctx, si, wo, active=True):  # noqa: ARG002
+            return mi.Float(0)
+
+        def to_string(self):
+            return "Impossible[]"
+
+    mi.register_bsdf("impossible", Impossible)
+    with pytest.warns(RuntimeWarning, match="elements above the first"):
+        record = gonio.measure({"type": "impossible"}, 40, 20, **FEW)
+    assert record.ledger.invalid == record.ledger.emitted
+    assert not record.brdf.any()
