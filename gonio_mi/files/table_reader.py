@@ -19,6 +19,7 @@ from ..errors import (
 )
 from ..results.record import chosen_channel
 from .measured_table import COLUMNS, QUANTITIES, MeasuredTable, fits, parsed_keys
+from .table_angles import AZIMUTHS, DEGREES, TableAngles, azimuth_question
 from .table_names import (
     ANGLES,
     COLOURS,
@@ -30,28 +31,16 @@ from .table_names import (
 )
 from .table_text import TextTable, decimal, decimals, is_decimal, split_text
 
-# What azimuths of exit count from.
-AZIMUTHS = ("specimen", "source", "mirror")
-
 OWN_NAMES = (*COLUMNS, "sigma")
 
 # Those of Mueller matrices in our own tables, which are compared by their light alone.
 ELEMENTS = re.compile(r"(sigma_)?M[0-3][0-3]")
-DEGREES = {"deg": 1.0, "": 1.0, "rad": float(np.degrees(1.0))}
 NM = {"nm": 1.0, "um": 1e3, "m": 1e9}
 KINDS = {"rel": "relative", "abs": "absolute"}
 
 # What stands for no value, in cells, and in columns of angles and uncertainties.
 MISSING = re.compile(r"|nan|--?|n/?a|null|-9{2,}(\.[09]*)?", re.IGNORECASE)
 MISSING_CODES = (-99, -999, -9999)
-
-# Angles that are at most this large may be radians if no unit is specified, unless all
-# are whole numbers, up to a rounding.
-MAX_RADIANS: dict[str, tuple[tuple[str, ...], float]] = {
-    "polar angles": (("theta_i", "theta_o"), np.pi),
-    "azimuths": (("phi_i", "phi_o", "delta_phi"), 2 * np.pi),
-}
-ANGLE_ROUNDING = 1e-3
 
 # A wavelength that is a column's is at most this far in nm from the one asked for.
 WAVELENGTH_ROUNDING = 1e-6
@@ -131,12 +120,13 @@ def read_text(path: str | PathLike[str], specified: Specified) -> MeasuredTable:
         settings["quantity"] = specified.quantity
     reading = _Reading(text, specified, settings)
     reading.read_columns()
-    reading.convert_angles()
+    angles = reading.angles()
+    angles.convert()
     settings["quantity"] = reading.quantity()
-    columns_read = reading.values() | reading.directions()
+    columns_read = reading.values() | angles.directions()
     check_nothing_open(text.place, reading.questions)
     if settings["quantity"] == "btdf" and not reading.own:
-        reading.count_from_lit_side(columns_read)
+        angles.count_from_lit_side(columns_read)
     if reading.channel is not None:
         settings.setdefault("channel", reading.channel)
     if reading.own:
@@ -251,7 +241,7 @@ class _Reading:
         if unclear and not (self.settings.get("quantity") or self.own or titled):
             unclear.append(_quantity_question())
         if unclear and self.specified.azimuth is None and self._has_relative_azimuths():
-            unclear.append(_azimuth_question("azimuths"))
+            unclear.append(azimuth_question("azimuths"))
         if unclear:
             check_nothing_open(self.here, self.questions + unclear)
         if "value" in self.constants:
@@ -519,77 +509,10 @@ class _Reading:
         other = stated - {column.coverage} or set(FACTOR_NAMES) & set(names)
         return float("nan") if other else column.coverage
 
-    # ------------------------------------------------------------------------- angles
-
-    def convert_angles(self) -> None:
-        """Convert angles to degrees, or ask for those that may be in either unit."""
-        unclear = []
-        for kind, (roles, most) in MAX_RADIANS.items():
-            bare = [r for r in roles if r in self.picked and not self.picked[r].unit]
-            angles = np.concatenate([self.arrays[r] for r in bare] or [np.zeros(1)])
-            angles = np.abs(angles)
-            whole = (np.abs(angles - np.round(angles)) < ANGLE_ROUNDING).all()
-            if not (whole or self.in_degrees) and angles.max() <= most:
-                unclear.append((kind, bare[0], angles.max()))
-        if unclear:
-            kind, role, _ = unclear[0]
-            kind = "angles" if len(unclear) > 1 else kind
-            largest = max(most for *_, most in unclear)
-            self.questions.append(
-                f"{kind} up to {largest:.4g} may be degrees or radians: say --columns "
-                f"{role}='{self.picked[role].name.strip()}:rad' (or :deg), and so of "
-                "each"
-            )
-        for role in ANGLES:
-            if role in self.picked:
-                self.arrays[role] = self.arrays[role] * DEGREES[self.picked[role].unit]
-
-    def directions(self) -> dict[str, Any]:
-        """Polar angles, and azimuths of the specimen, in degrees."""
-        arrays, azimuth = self.arrays, self.specified.azimuth
-        theta_i, theta_o = arrays["theta_i"], arrays["theta_o"]
-        zero = np.zeros(len(theta_i))
-        phi_i = arrays.get("phi_i", zero)
-        signed = bool((theta_o < 0).any() or (theta_i < 0).any())
-        absolute = "phi_o" in arrays and "phi_i" in arrays and "delta_phi" not in arrays
-        if absolute and signed and azimuth != "specimen":
-            # azimuths that are all the same tell no side
-            phis = np.concatenate([phi_i, arrays["phi_o"]])
-            absolute = bool((phis != phis[0]).any())
-        if absolute and azimuth in (None, "specimen"):
-            phi_o = arrays["phi_o"]
-        else:
-            needed = (theta_o != 0).any() and (theta_i != 0).any()
-            if needed and azimuth in (None, "specimen"):
-                what = "angles" if signed else "azimuths"
-                self.questions.append(_azimuth_question(what))
-            relative = arrays.get("delta_phi")
-            if relative is None:
-                relative = arrays.get("phi_o", zero) - phi_i
-            phi_o = phi_i + relative + (180 if azimuth == "mirror" else 0)
-            self.notes.append(
-                f"azimuths count from {azimuth or 'nothing that matters'}"
-                + (", signed polar angles are on both sides" if signed else "")
-            )
-        if signed:
-            # without azimuths the side of the source may have the minus sign
-            if absolute or (theta_i > 0).any():
-                phi_i = phi_i + 180.0 * (theta_i < 0)
-            phi_o = phi_o + 180.0 * (theta_o < 0)
-            theta_i, theta_o = np.abs(theta_i), np.abs(theta_o)
-            if absolute and azimuth is None:
-                self.notes.append(
-                    "negative polar angles are positive ones half a turn on"
-                )
-        return {"theta_i": theta_i, "phi_i": phi_i, "theta_o": theta_o, "phi_o": phi_o}
-
-    def count_from_lit_side(self, columns: dict[str, Any]) -> None:
-        """Count polar angles of transmission from the normal of the lit face."""
-        if (columns["theta_o"] <= 90).all():
-            columns["theta_o"] = 180 - columns["theta_o"]
-            self.notes.append(
-                "theta_o of transmission counts from the normal of the other face"
-            )
+    def angles(self) -> TableAngles:
+        """The angles of the picked columns, with what is noted and asked of them."""
+        given = self.arrays, self.picked, self.specified.azimuth
+        return TableAngles(*given, self.in_degrees, self.notes, self.questions)
 
     def check_ranges(self, columns: Mapping[str, Any]) -> None:
         """Raise FileFormatError with line and column of the first that does not fit."""
@@ -609,14 +532,6 @@ def _quantity_question(name: str = "") -> str:
     return (
         f"it does not say what its values{called} are: say --quantity "
         f"{', '.join(QUANTITIES[:-1])} or {QUANTITIES[-1]}"
-    )
-
-
-def _azimuth_question(what: str) -> str:
-    """Question about the zero of azimuths, or of signed angles."""
-    return (
-        f"its {what} are relative to incidence: say --azimuth source or mirror, whose "
-        "side is 0 (or positive), or --columns phi_i=0 if azimuths are the specimen's"
     )
 
 
