@@ -16,7 +16,8 @@ import synthetic
 import gonio_mi as gonio
 from gonio_mi import files
 from gonio_mi.files import exr, npz
-from gonio_mi.results.tally import Tally
+from gonio_mi.files.checks import PIECE
+from gonio_mi.results.tally import Fate, Tally
 
 NAN = float("nan")
 ENDINGS = [".npz", ".exr"]
@@ -605,3 +606,32 @@ def test_openimageio_reads_every_layer(tmp_path):
             assert pixels.dtype == layers[name].dtype
             np.testing.assert_array_equal(pixels[..., 0], layers[name])
     image.close()
+
+
+@pytest.mark.parametrize("ending", [".npz", ".exr"])
+def test_loading_takes_the_memory_that_is_kept(tmp_path, ending):
+    """Up to a fifth more, and what is read at once; pictures alone are 30 times it."""
+    n, rng = 40, np.random.default_rng(1)
+    sums = rng.integers(0, 2**20, (16, 1, 30, 30, 1)).astype(float)
+    hits = np.full((1, 30, 30), 16, np.uint64)
+    fates = np.zeros((16, len(Fate)), np.uint64)
+    fates[:, Fate.REFLECTED] = 900
+    incident = np.full((16, 1), 2.0**30)
+    tally = Tally(hits, sums, incident, fates, scale=2**24)
+    stack = replace(
+        RECORDS["plain"],
+        subdivision=gonio.EqualProjectedSolidAngle(30, 30),
+        theta_i=np.linspace(0, 80, n),
+        phi_i=np.zeros(n),
+        channels=("Y",),
+        tallies=(tally,) * n,
+        stacked=True,
+    )
+    path = saved(tmp_path, stack, ending)
+    tracemalloc.start()
+    loaded = gonio.load(path)
+    kept, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert loaded == stack
+    assert kept > n * sums.nbytes
+    assert most < 1.2 * kept + PIECE
