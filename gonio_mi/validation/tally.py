@@ -227,7 +227,7 @@ def batch_of(
     n: int,
     key: tuple[int, ...],
 ) -> Batch:
-    """Draw `n` samples of one launch; infinite values are 0."""
+    """Draw `n` samples of one launch; weights that are not finite are 0."""
     probe = Probe(bsdf, condition)
     m = subdivision.n_patches
     bs, sampled_weight = probe.sample(*uniform(n, key))
@@ -245,7 +245,7 @@ def batch_of(
         numbers(index, n),
         np.where(np.isfinite(weight), weight, 0.0),
         # of the type of the maxima, or to find those takes twenty times as long
-        numbers(bs.pdf, n).astype(float),
+        np.nan_to_num(numbers(bs.pdf, n).astype(float), nan=0.0, posinf=np.inf),
         numbers(delta, n),
         ratio,
     )
