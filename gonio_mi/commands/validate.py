@@ -8,6 +8,7 @@ import argparse
 import contextlib
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from ..errors import SettingError, SpecimenError
@@ -39,6 +40,7 @@ examples:
   gonio-mi validate mybsdf:roughness=0.3 --plugin mybsdf.py --report mybsdf.html
   gonio-mi validate scene.xml -D alpha=0.3 --effort thorough --json
   gonio-mi validate cosinelobe --allow reciprocity
+  gonio-mi validate hair:sigma_a=0 --variant llvm_ad_mono --reproducer bug.py
   gonio-mi validate pplastic --variant llvm_ad_mono_polarized
 
 Exit code 3: something that --allow does not name biases images or breaks integrators
@@ -60,6 +62,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     text = "Probability with which a correct plugin fails."
     add_number(parser, "--alpha", "P", text, 1e-3)
     add_text(parser, "--report", "HTML", "Write a page with verdict and maps.")
+    text = "Write the worst failure as a script of at most 20 lines, without gonio_mi."
+    add_text(parser, "--reproducer", "PY", text)
     add_json(parser)
     add_scene_options(parser, VARIANTS)
 
@@ -67,6 +71,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code."""
     from ..validation import check_report, save_report
+    from ..validation.reproducer import save_reproducer
 
     if options.report is not None:
         check_report(options.report)
@@ -76,6 +81,8 @@ def run(options: argparse.Namespace) -> int:
     others = [one for one in verdicts if one is not verdict]
     if options.report is not None:
         save_report(verdict, options.report)
+    if options.reproducer is not None and verdict.failures:
+        save_reproducer(verdict, options.reproducer)
     if options.json:
         answer = verdict.to_dict()
         answer["others"] = [one.to_dict() for one in others]
@@ -128,6 +135,7 @@ def _verdicts(options: argparse.Namespace) -> tuple[list[Verdict], dict[str, str
 def _verdict(options: argparse.Namespace, variant: str) -> Verdict:
     from ..transport.variants import is_polarised, parallel_variants, unpolarised
     from ..validation import validate
+    from ..validation.reproducer import source_of
 
     options = argparse.Namespace(**(vars(options) | {"variant": variant}))
     if is_polarised(variant):
@@ -137,9 +145,10 @@ def _verdict(options: argparse.Namespace, variant: str) -> Verdict:
             for path in options.plugin:
                 load_plugin_file(path)
     specimen, parameters = specimen_of(options.specimen, options, parallel_variants())
+    source = source_of(specimen, parameters)
     if parameters:
         specimen = load_specimen(specimen, parameters)
-    return validate(
+    verdict = validate(
         specimen,
         effort=options.effort,
         seed=options.seed,
@@ -148,6 +157,9 @@ def _verdict(options: argparse.Namespace, variant: str) -> Verdict:
         strict=options.strict,
         progress=options.effort != "quick",
     )
+    loading = [f"exec(open({path!r}).read())" for path in options.plugin]
+    source = verdict.source or source
+    return replace(verdict, source=source and "\n".join([*loading, source]))
 
 
 def told(

@@ -6,6 +6,7 @@ about the same directions, and what they answer is compared.
 
 from .adapter import from_numpy
 from .evidence import POLARISED, PROPERTIES
+from .reproducer import reproducer
 from .validate import validate
 from .verdict import Property, Verdict
 from .verdict_page import check_report, draw, save_report, verdict_view
@@ -20,6 +21,7 @@ __all__ = [
     "check_report",
     "draw",
     "from_numpy",
+    "reproducer",
     "save_report",
     "validate",
 ]

@@ -46,6 +46,7 @@ from .evidence import BIAS, INTERFACE, MAX_P, POLARISED, PROPERTIES, Evidence
 from .maps import four_maps, in_radiance_mode
 from .polarised import examine_polarised, likely_mistake as polarised_mistake
 from .probe import Probe, number_parameters
+from .reproducer import source_of
 from .samples import Samples, samples_of, unequal
 from .verdict import FAILS, Verdict, properties_of
 
@@ -124,7 +125,7 @@ def validate(
             raise SettingError(
                 f"allow must name some of {', '.join(questions)}, got {shown(name)}"
             )
-    bsdf, name = _bsdf(specimen)
+    bsdf, name, source = _bsdf(specimen)
     evidence = Evidence(bsdf, seed, questions)
     n_asked = 0
     try:
@@ -159,19 +160,20 @@ def validate(
         + sum(one.n for one in evidence.samples)
         + n_asked,
     }
-    return Verdict(
-        name, tuple(properties), function, mistake, settings, tuple(evidence.maps)
-    )
+    maps = tuple(evidence.maps)
+    return Verdict(name, tuple(properties), function, mistake, settings, maps, source)
 
 
-def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str]:
-    """BSDF of a specimen, and its name."""
+def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str, str | None]:
+    """BSDF of a specimen, its name, and the statement that loads it, if one does."""
     name: str | None
+    source = source_of(specimen)
     if isinstance(specimen, dict):
         name, grey = specimen_name(specimen), specimen
         specimen = loaded("the specimen", mi.load_dict, specimen)
         if isinstance(specimen, mi.BSDF):
-            specimen = coloured(specimen, grey)
+            specimen, grey = coloured(specimen, grey)
+            source = source_of(grey)
     else:
         name = str(specimen) if isinstance(specimen, (str, os.PathLike)) else None
     if not isinstance(specimen, mi.BSDF):
@@ -188,7 +190,7 @@ def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str]:
                 f"got {len(shapes)}"
             )
         specimen = shapes[0].bsdf()
-    return specimen, name or specimen.class_name()
+    return specimen, name or specimen.class_name(), source
 
 
 def _examine(evidence: Evidence, plan: Effort, name: str, progress: bool) -> None:
@@ -405,18 +407,19 @@ def _stop(evidence: Evidence, fault: PluginFault) -> None:
 # ------------------------------------------------------------------- the BSDF in colour
 
 
-def coloured(bsdf: mi.BSDF, specimen: dict[str, Any]) -> mi.BSDF:
+def coloured(bsdf: mi.BSDF, specimen: dict[str, Any]) -> tuple[mi.BSDF, dict[str, Any]]:
     """BSDF of the dictionary `specimen`, with its grey parameters tinted, in rgb.
 
-    `bsdf` is the same as it is; it is returned where there is nothing to tint.
+    And its own dictionary. `bsdf` is the same as it is; both are returned where there
+    is nothing to tint.
     """
     tints = _tints(bsdf) if mi.is_rgb else {}
     if not tints:
-        return bsdf
+        return bsdf, specimen
     try:
-        return mi.load_dict(with_own_tensors(specimen | tints))
+        return mi.load_dict(with_own_tensors(specimen | tints)), specimen | tints
     except Exception:
-        return bsdf  # what such a parameter may be is up to the plugin
+        return bsdf, specimen  # what such a parameter may be is up to the plugin
 
 
 def _tints(bsdf: mi.BSDF) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from .conditions import Condition
 from .evidence import (
     BIAS,
     BREAKS,
@@ -83,6 +84,8 @@ class Property:
         the wrong fraction, times the cosine of the angle of incidence, or None.
     question : str
         What the property is.
+    condition : Condition or None
+        Where its worst finding is; None without, or of one over all conditions.
     """
 
     name: str
@@ -96,6 +99,7 @@ class Property:
     near: str = ""
     share: float | None = None
     question: str = ""
+    condition: Condition | None = field(default=None, repr=False)
 
     @property
     def reach(self) -> str:
@@ -140,6 +144,8 @@ class Verdict:
         Effort, seed, false-alarm probability, numbers of samples and of tests.
     maps : tuple of FourMaps
         By incident direction.
+    source : str or None
+        Statements that load the BSDF as ``bsdf``; None of an object.
     """
 
     # how a verdict shows itself in a notebook: its page sets it
@@ -151,6 +157,7 @@ class Verdict:
     mistake: str | None
     settings: dict[str, Any]
     maps: tuple[FourMaps, ...] = field(default=(), repr=False)
+    source: str | None = field(default=None, repr=False)
 
     @property
     def passed(self) -> bool:
@@ -345,6 +352,7 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
         text = worst.statistic if worst and not beyond else _worst_statistic(beyond)
         if not beyond and len(breaches) > 1:
             text += f"; {len(breaches) - 1} more like it"
+        at = worst.condition if worst and not beyond else _worst(beyond).condition
         places = [b.statistic for b in sorted(breaches, key=lambda b: -b.size)]
         return Property(
             name,
@@ -356,6 +364,7 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
             effect,
             tuple(places[:MAX_PLACES]),
             share=max((x for x in shares if x is not None), default=None),
+            condition=at,
         )
     if name in evidence.declared:
         return Property(name, LACKS, evidence.declared[name], p_value=p_value)
@@ -372,10 +381,14 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
     return Property(name, HOLDS, text, p_value=p_value, effect=lesser, near=near)
 
 
+def _worst(beyond: Sequence[Test]) -> Test:
+    """The whole before its components, and what is about most light."""
+    return min(beyond, key=lambda t: (EFFECTS.index(t.effect), -(t.share or 0.0), t.p))
+
+
 def _worst_statistic(beyond: Sequence[Test]) -> str:
     """Statistic of the tests of a property that chance would not explain."""
-    # the whole before its components, and what is about most light
-    worst = min(beyond, key=lambda t: (EFFECTS.index(t.effect), -(t.share or 0.0), t.p))
+    worst = _worst(beyond)
     places = {str(t.condition) for t in beyond}
     known = worst.condition is None or " at theta_i " in worst.statistic
     place = "" if known else f" at {worst.condition}"

@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..array_types import Floats
-from ..reports.page import check_page, coded, figure, save_page, table
+from ..reports.page import (
+    check_page,
+    coded,
+    figure,
+    preformatted,
+    save_page,
+    table,
+)
 from .maps import FourMaps, Scores
+from .reproducer import reproducer
 from .verdict import FAILS, HOLDS, Property, Verdict
 
 if TYPE_CHECKING:
@@ -45,6 +53,13 @@ def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
     """
     check_report(path)
     parts = [f"<h1>{html.escape(verdict.name)}</h1>", verdict_view(verdict)]
+    if verdict.source is not None:
+        parts += [
+            _folded(
+                f"Reproducer: {one.name}", [preformatted(reproducer(verdict, one.name))]
+            )
+            for one in verdict.failures
+        ]
     if verdict.maps:
         parts.append(f"<p>{LEGEND}</p>")
     shown = [verdict.fails_at(maps) for maps in verdict.maps]

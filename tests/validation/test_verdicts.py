@@ -420,7 +420,7 @@ def test_what_fails_in_any_variant_decides(order, monkeypatch):
 def test_grey_parameters_get_a_colour():
     """So that channels that are mixed up show."""
     grey = {"type": "roughplastic", "diffuse_reflectance": 0.5, "alpha": 0.1}
-    params = mi.traverse(coloured(mi.load_dict(grey), grey))
+    params = mi.traverse(coloured(mi.load_dict(grey), grey)[0])
     tinted = np.ravel(params["diffuse_reflectance.value"])
     assert tinted.max() == 0.5
     assert len(set(tinted.tolist())) == 3

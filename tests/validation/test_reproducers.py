@@ -1,0 +1,100 @@
+"""Reproducers: those of the handbook still show each defect, those of findings do."""
+
+import contextlib
+import io
+import re
+from pathlib import Path
+
+import broken_bsdfs
+import mitsuba as mi
+import pytest
+
+from gonio_mi.errors import SettingError
+from gonio_mi.validation import reproducer, save_report, validate
+
+HANDBOOK = sorted(Path(__file__).parents[2].glob("notebooks/reproducers/*.py"))
+
+# Units in which two numbers are apart, and how many of them chance does not explain in
+# all of these scripts together; of roundings of a thousand operations one would do.
+BEYOND = {"standard errors": 7.0, "roundings": 4.0}
+
+
+def code_of(text):
+    lines = (line for line in text.splitlines() if line.strip())
+    return [line for line in lines if not line.startswith(("#", "import "))]
+
+
+def told(text):
+    """How far apart the two numbers of a script are, in what is beyond doubt."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        exec(compile(text, "reproducer.py", "exec"), {"__name__": "__main__"})
+    found = re.search(r": (\S+) (standard errors|roundings)\s*$", said.getvalue())
+    size, unit = found.groups()
+    return float(size) / BEYOND[unit]
+
+
+@pytest.mark.parametrize("path", HANDBOOK, ids=lambda path: path.stem)
+@pytest.mark.usefixtures("mono")
+def test_defect_of_the_installed_mitsuba(path):
+    """If this fails, Mitsuba has mended it, and the table of stock plugins must go."""
+    text = path.read_text(encoding="utf-8")
+    assert "gonio" not in text
+    assert len(code_of(text)) <= 20
+    assert told(text) > 1
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_script_says_so_when_a_defect_is_gone():
+    """The twin: of GGX, `pdf` is the density of `sample`."""
+    path = next(one for one in HANDBOOK if one.stem == "beckmann_density")
+    text = path.read_text(encoding="utf-8")
+    mended = text.replace('"alpha"', '"distribution": "ggx", "alpha"')
+    assert mended != text
+    assert told(mended) < 1
+
+
+# Of each kind of finding one; `raises` are shown by the call that raises.
+SHOWN = {
+    "eval_nan_at_grazing": ("answers", "ends"),
+    "eval_without_cosine": ("reciprocity", "weights", "sampled_weight"),
+    "pdf_uniform": ("sampled_pdf", "sampling"),
+    "sample_not_unit": ("directions",),
+    "eval_without_pi": ("energy",),
+    "eval_ignores_active": ("masks",),
+    "discrete_pdf_not_probability": ("delta",),
+    "flags_of_another_lobe": ("flags",),
+    "eval_ignores_component": ("components",),
+    "eval_other_at_normal": ("continuity",),
+    "importance_with_eta2": ("adjoint", "reciprocity"),
+    "gradient_detached": ("parameters",),
+    "eval_pdf_of_one_lobe": ("eval_pdf",),
+}
+
+
+@pytest.fixture
+def plugins(mono):
+    broken_bsdfs.register()
+    return mono
+
+
+@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.usefixtures("plugins")
+def test_finding_is_shown_by_its_script(name):
+    verdict = validate({"type": name}, effort="quick", strict=True)
+    for finding in SHOWN[name]:
+        text = reproducer(verdict, finding)
+        assert len(code_of(text)) <= 20, text
+        assert told(text) > 1, text
+
+
+@pytest.mark.usefixtures("plugins")
+def test_what_has_no_script(tmp_path):
+    wrong = {"type": "weight_with_cosine"}
+    with pytest.raises(SettingError, match="dictionary or a file, got an object"):
+        reproducer(validate(mi.load_dict(wrong), effort="quick"))
+    verdict = validate(wrong, effort="quick")
+    with pytest.raises(SettingError, match="needs masks that fails"):
+        reproducer(verdict, "masks")
+    save_report(verdict, tmp_path / "report.html")
+    assert "Reproducer: weights" in (tmp_path / "report.html").read_text()
