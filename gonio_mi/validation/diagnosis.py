@@ -287,7 +287,10 @@ def _turned(maps: FourMaps) -> str:
         "turned by 90 degrees in phi: axes are swapped": sectors + n // 4,
         "turned by -90 degrees in phi: axes are swapped": sectors - n // 4,
     }
-    changes = {"in the wrong hemisphere": due[::-1]}
+    changes = {
+        "in the wrong hemisphere": due[::-1],
+        "opposite to those of `pdf`: a sign is wrong": np.roll(due[::-1], n // 2, 2),
+    }
     changes |= {name: due[:, :, own % n] for name, own in sector_of.items()}
     off = {name: np.abs(drawn - other).sum() for name, other in changes.items()}
     best = min(off, key=lambda name: off[name])

@@ -60,6 +60,19 @@ POLARISED = {
     "adjoint": "radiance and importance mode are adjoint, in all elements",
 }
 
+# The same of phase functions, whose `eval_pdf` answers what is called `eval` and `pdf`.
+PHASE = {
+    name: PROPERTIES[name]
+    for name in PROPERTIES
+    if name not in ("eval_pdf", "eval_pdf_sample", "continuity", "adjoint", "delta")
+} | {
+    "answers": "both functions answer, with finite values of at least 0; `eval` and "
+    "`pdf` are the answers of `eval_pdf`",
+    "directions": "sampled directions are unit vectors",
+    "energy": "`eval` integrates to 1",
+    "reciprocity": "source and detector can be exchanged",
+}
+
 # Mitsuba's integrators that a failure reaches, by what they call.
 _COMBINED = "path, direct, volpathmis, prb: light and BSDF sampling are combined"
 _SAMPLED = "all that sample the BSDF"
@@ -200,7 +213,8 @@ class Evidence:
     bsdf : mi.BSDF
     seed : int
     properties : dict of str
-        Questions by name: `PROPERTIES` or, in polarised variants, `POLARISED`.
+        Questions by name: `PROPERTIES`, `POLARISED` in polarised variants, or `PHASE`
+        of a phase function.
     breaches, tests : list
     undecided : dict of str
         By property, why it could not be decided and what it would take.

@@ -183,6 +183,15 @@ a = {ONE_EACH.format("bsdf.eval_pdf_sample(ctx, si, wo, RANDOM)[INDEX]")}
 b = {ONE_EACH.format("ALONE")}
 {COMPARE}""",
     ),
+    (
+        "reciprocity",
+        "symmetric in wi and wo$",
+        f"""\
+back = dr.zeros(mi.SurfaceInteraction3f, n)
+back.wi, back.sh_frame = bs.wo, mi.Frame3f(bs.wo)
+a, b = {VALUE}, np.array(bsdf.eval(ctx, back, si.wi)).mean(0)
+{COMPARE}""",
+    ),
     ("energy", "", WHOLE.replace("WHAT", "np.array(bsdf.eval(ctx, si, wo)).max(0)")),
     (
         "reciprocity",
@@ -473,7 +482,8 @@ def _script(verdict: Verdict, one: Property) -> str:
     lines = list(_head(verdict, one, condition, n))
     if one.name == "ends":
         lines = lines[:-2]  # it has its own samples
-    return "\n".join([*lines, body]) + "\n"
+    text = "\n".join([*lines, body]) + "\n"
+    return _in_a_medium(text) if one.of_volumes else text
 
 
 def _counting(maps: FourMaps | None, corners: Any, name: str) -> str:
@@ -524,6 +534,26 @@ def _words(verdict: Verdict, one: Property, mistake: str) -> dict[str, str]:
         "NUMBER": number[1] if number else "0",
         "SIDES": ", ".join(sides.get(guilty, (PRODUCT, VALUE))),
     }
+
+
+def _in_a_medium(text: str) -> str:
+    """The same script, which asks a phase function instead of a BSDF."""
+    for found, instead in (
+        (r" & ~mi.has_flag\(bs.sampled_type, mi.BSDFFlags.Delta\)", ""),
+        (r"ctx = mi.BSDFContext\((.*)\)", r"ctx = mi.PhaseFunctionContext(None, \1)"),
+        (r"SurfaceInteraction3f", "MediumInteraction3f"),
+        (r"si.wi, si.sh_frame = (.*), mi.Frame3f.*", r"si.wi = \1"),
+        (r"si.uv, .*\n", "si.sh_frame = mi.Frame3f(si.wi)\n"),
+        (r"bs, weight = bsdf", "flight, weight, density = bsdf"),
+        (r"bs\.wo", "flight"),
+        (r"bs\.pdf", "density"),
+        (r"bsdf\.eval\((ctx, \w+, [^()]+)\)", r"bsdf.eval_pdf(\1)[0]"),
+        (r"bsdf\.pdf\((ctx, \w+, [^()]+)\)", r"bsdf.eval_pdf(\1)[1]"),
+        (r"\bbsdf\b", "phase"),
+        (r"\bsi\b", "mei"),
+    ):
+        text = re.sub(found, instead, text)
+    return text
 
 
 def _told(statistic: str) -> Condition:

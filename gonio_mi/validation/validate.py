@@ -42,8 +42,17 @@ from .checks import (
 from .conditions import Condition, Effort, Sweep
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
-from .evidence import BIAS, INTERFACE, MAX_P, POLARISED, PROPERTIES, Evidence
+from .evidence import (
+    BIAS,
+    INTERFACE,
+    MAX_P,
+    PHASE,
+    POLARISED,
+    PROPERTIES,
+    Evidence,
+)
 from .maps import four_maps, in_radiance_mode
+from .phase_functions import as_bsdf, examine_phase_function
 from .polarised import examine_polarised, likely_mistake as polarised_mistake
 from .probe import Probe, number_parameters
 from .reproducer import source_of
@@ -80,13 +89,14 @@ def validate(
 ) -> Verdict:
     """Whether a BSDF is right, and if not, which of its functions is wrong.
 
-    In a variant of rgb, grey parameters of a dictionary get a colour. In a polarised
-    variant Mueller matrices are judged; the unpolarised variant, which judges all else,
-    is set for a moment if the specimen is a dictionary or a file.
+    Or a phase function, which is asked like a BSDF over the whole sphere. In a variant
+    of rgb, grey parameters of a dictionary get a colour. In a polarised variant Mueller
+    matrices are judged; the unpolarised variant, which judges all else, is set for a
+    moment if the specimen is a dictionary or a file.
 
     Parameters
     ----------
-    specimen : dict, mi.BSDF, mi.Scene, str or path
+    specimen : dict, mi.BSDF, mi.PhaseFunction, mi.Scene, str or path
         As of :func:`gonio_mi.measure`; of a scene, the BSDF of its only shape.
     effort : {"quick", "normal", "thorough"}
         Seconds, some ten seconds, or minutes.
@@ -119,13 +129,19 @@ def validate(
     alpha = checked_number("alpha", alpha, 1e-12, 1, "a probability in [1e-12, 1)")
     allow = (allow,) if isinstance(allow, str) else tuple(allow)
     polarised = is_polarised(mi.variant())
-    questions = POLARISED if polarised else PROPERTIES
-    for name in allow:
-        if name not in questions:
-            raise SettingError(
-                f"allow must name some of {', '.join(questions)}, got {shown(name)}"
-            )
     bsdf, name, source = _bsdf(specimen)
+    of_volumes = hasattr(bsdf, "phase_function")
+    if of_volumes and polarised:
+        raise SpecimenError(
+            f"validate judges phase functions in unpolarised variants, got {name} in "
+            f"{mi.variant()}"
+        )
+    questions = POLARISED if polarised else PHASE if of_volumes else PROPERTIES
+    for one in allow:
+        if one not in questions:
+            raise SettingError(
+                f"allow must name some of {', '.join(questions)}, got {shown(one)}"
+            )
     evidence = Evidence(bsdf, seed, questions)
     n_asked = 0
     try:
@@ -134,6 +150,8 @@ def validate(
             if not isinstance(specimen, mi.Object):
                 load = lambda: _bsdf(specimen)[0]  # noqa: E731
             n_asked = examine_polarised(evidence, effort, specimen, load)
+        elif of_volumes:
+            examine_phase_function(evidence, plan, effort)
         else:
             _examine(evidence, plan, name, progress)
     except PluginFault as fault:
@@ -147,7 +165,8 @@ def validate(
             function, mistake = polarised_mistake(evidence, failed)
         else:
             function, mistake = likely_mistake(evidence, failed, shares)
-            _add_maps_of_failure(evidence, plan)
+            if not of_volumes:
+                _add_maps_of_failure(evidence, plan)
     settings = {
         "effort": effort,
         "seed": seed,
@@ -174,15 +193,19 @@ def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str, str | None]:
         if isinstance(specimen, mi.BSDF):
             specimen, grey = coloured(specimen, grey)
             source = source_of(grey)
+        elif isinstance(specimen, mi.PhaseFunction):
+            source = source and source.replace("bsdf", "phase", 1)
     else:
         name = str(specimen) if isinstance(specimen, (str, os.PathLike)) else None
+    if isinstance(specimen, mi.PhaseFunction):
+        specimen = as_bsdf(specimen)
     if not isinstance(specimen, mi.BSDF):
         scene = load_specimen(specimen)
         shapes = [s for s in scene.shapes() if not s.is_emitter()]
         if any(shape.is_medium_transition() for shape in shapes):
             raise SpecimenError(
                 "validate judges BSDFs, got a shape with a medium: measure it, or "
-                "validate the BSDF of its boundary alone"
+                "validate the BSDF of its boundary, and its phase function, alone"
             )
         if len(shapes) != 1:
             raise SpecimenError(
@@ -233,7 +256,7 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     parameters.check_samples(evidence, _brightest(evidence))
     explain_reciprocity(evidence)
     ends.check_bsdf(evidence)
-    ends.check_roughness(evidence)
+    ends.check_limits(evidence, ends.LIMITS)
     yield from _check_maps(evidence, plan, sides, components)
     parameters.check_changes(
         evidence, lambda changed: _check_sweep(changed, plan, sides)

@@ -15,6 +15,7 @@ from .evidence import (
     COST,
     EFFECTS,
     NOISE,
+    PHASE,
     Evidence,
     Test,
     integrators,
@@ -46,6 +47,9 @@ REPORTED = (
     "effect",
     "share",
 )
+
+# Integrators that ask a phase function.
+VOLUMETRIC = "volpath, volpathmis, prbvolpath: all that follow rays through media"
 
 # Properties that must be decided.
 NEEDED = ("sampling", "weights", "realisable")
@@ -86,6 +90,8 @@ class Property:
         What the property is.
     condition : Condition or None
         Where its worst finding is; None without, or of one over all conditions.
+    of_volumes : bool
+        Whether it is one of a phase function.
     """
 
     name: str
@@ -100,10 +106,13 @@ class Property:
     share: float | None = None
     question: str = ""
     condition: Condition | None = field(default=None, repr=False)
+    of_volumes: bool = False
 
     @property
     def reach(self) -> str:
         """Integrators that the effect reaches, and how large it is; may be empty."""
+        if self.of_volumes:
+            return VOLUMETRIC if self.effect in (BIAS, BREAKS) else ""
         reached = integrators(self.name, self.effect)
         if reached is None:
             return ""
@@ -330,7 +339,11 @@ def properties_of(
     """
     level = alpha / max(len(evidence.tests), 1)
     return [
-        replace(_property(evidence, name, level, name in allow), question=question)
+        replace(
+            _property(evidence, name, level, name in allow),
+            question=question,
+            of_volumes=evidence.properties is PHASE,
+        )
         for name, question in evidence.properties.items()
     ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import product
 from typing import Any
 
@@ -26,8 +27,7 @@ LAST = float(np.nextafter(np.float32(1), np.float32(0)))
 NUMBERS = (0.0, 0.5, LAST)
 
 # Names of parameters that are a roughness, and the limits to try.
-ROUGHNESSES = ("alpha", "alpha_u", "alpha_v", "roughness")
-LIMITS = (1e-3, 1.0)
+LIMITS = dict.fromkeys(("alpha", "alpha_u", "alpha_v", "roughness"), (1e-3, 1.0))
 
 
 def check_bsdf(evidence: Evidence, where: str = "") -> None:
@@ -49,21 +49,23 @@ def check_bsdf(evidence: Evidence, where: str = "") -> None:
             evidence.breach("ends", fault.function, place, mistake, off=PIXELS)
 
 
-def check_roughness(evidence: Evidence) -> None:
-    """The ends again at the limits of roughness, if the plugin has such parameters."""
+def check_limits(evidence: Evidence, limits: Mapping[str, tuple[float, ...]]) -> None:
+    """The ends again at limits of parameters, by name, if the plugin has such ones."""
     try:
         _, params = number_parameters(evidence.bsdf)
     except PluginFault:
         return  # a property of its own
-    names = [
-        key
+    own = {
+        key: limits[last]
         for key, value in params.items()
-        if key.removesuffix(".value").split(".")[-1] in ROUGHNESSES
+        if (last := key.removesuffix(".value").split(".")[-1]) in limits
         and isinstance(value, mi.Float)
-    ]
-    for limit in LIMITS if names else ():
-        with changed(evidence.bsdf, {key: type(params[key])(limit) for key in names}):
-            check_bsdf(evidence, f", roughness {limit:g}")
+    }
+    for values in zip(*own.values()):
+        given = {key: type(params[key])(x) for key, x in zip(own, values)}
+        text = ", ".join(f"{key} {x:g}" for key, x in zip(own, values))
+        with changed(evidence.bsdf, given):
+            check_bsdf(evidence, f", {text}")
 
 
 def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:

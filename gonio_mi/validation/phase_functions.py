@@ -1,0 +1,272 @@
+"""Phase functions, examined as BSDFs of the whole sphere without a cosine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Floats
+from .checks import (
+    answers,
+    components,
+    cost,
+    directions,
+    ends,
+    masks,
+    parameters,
+    sampled_pdf,
+    sampled_weight,
+    sampling,
+    weights,
+)
+from .checks.reciprocity import ratio_text
+from .conditions import Condition, Effort, Sweep
+from .evidence import Evidence
+from .integrals import SUM_ERROR
+from .maps import FourMaps, four_maps
+from .probe import Probe, numbers, vectors
+from .samples import Samples, is_many, samples_of, unequal
+
+# Directions of light that are asked: off all axes, on them, and grazing to a plane
+# that no phase function knows of; every other one in a frame that is turned.
+ASKED = (
+    Condition(0.0, 25.0, uv=(0.35, 0.6)),
+    Condition(40.0, 140.0, uv=(0.15, 0.7), turned=True),
+    Condition(75.0, 260.0, uv=(0.35, 0.6)),
+    Condition(50.0, 305.0, "back", (0.15, 0.7), turned=True),
+)
+
+# Those of maps at effort quick, and at others.
+MAPPED = {"quick": ASKED[1:2], "normal": ASKED[:3], "thorough": ASKED}
+
+# Parameters with ends of their own, and these.
+ENDS = {"g": (-0.999, 0.999)}
+
+
+def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
+    """BSDF with the answers of a phase function, in the frame of the surface.
+
+    Its ``eval`` and ``pdf`` are the two answers of ``eval_pdf``; light goes to both
+    sides. Whatever depends on axes of the world is asked off them where the surface is
+    turned.
+    """
+    flags = mi.BSDFFlags
+    kinds = int(flags.GlossyReflection), int(flags.GlossyTransmission)
+    lobes = sum(kinds) | int(flags.FrontSide) | int(flags.BackSide)
+
+    class Scatterer(mi.BSDF):
+        """Asks the phase function at a point of a medium."""
+
+        phase_function = phase
+
+        def __init__(self, props: mi.Properties) -> None:
+            super().__init__(props)
+            self.m_flags = lobes | int(flags.Anisotropic)
+            self.m_components = [self.m_flags] * max(1, phase.component_count())
+
+        def _asked(self, ctx: Any, si: Any) -> tuple[Any, Any]:
+            """Context and point of a medium."""
+            context = mi.PhaseFunctionContext(None, ctx.mode)
+            context.component = ctx.component
+            mei = dr.zeros(mi.MediumInteraction3f)
+            mei.wi, mei.p, mei.wavelengths = si.to_world(si.wi), si.p, si.wavelengths
+            mei.sh_frame = mi.Frame3f(mei.wi)
+            return context, mei
+
+        def sample(
+            self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True
+        ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
+            asked = *self._asked(ctx, si), sample1, sample2, active
+            wo, weight, pdf = phase.sample(*asked)
+            bs = dr.zeros(mi.BSDFSample3f, dr.width(si.wi, sample1, sample2))
+            bs.wo, bs.pdf, bs.eta = si.to_local(mi.Vector3f(wo)), pdf, 1.0
+            through = bs.wo.z * si.wi.z < 0
+            bs.sampled_type = dr.select(through, mi.UInt32(kinds[1]), kinds[0])
+            return bs, weight
+
+        def eval_pdf(
+            self, ctx: Any, si: Any, wo: Any, active: Any = True
+        ) -> tuple[mi.Spectrum, mi.Float]:
+            return phase.eval_pdf(*self._asked(ctx, si), si.to_world(wo), active)
+
+        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Spectrum:
+            return self.eval_pdf(ctx, si, wo, active)[0]
+
+        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Float:
+            return self.eval_pdf(ctx, si, wo, active)[1]
+
+        def traverse(self, callback: Any) -> None:
+            phase.traverse(callback)
+
+        def parameters_changed(self, keys: Any) -> None:
+            phase.parameters_changed(keys)
+
+        def class_name(self) -> str:
+            return phase.class_name()
+
+        def to_string(self) -> str:
+            return str(phase)
+
+    return Scatterer(mi.Properties("scatterer"))
+
+
+def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> None:
+    """All checks of a phase function, as of :func:`as_bsdf`, from the simplest."""
+    bsdf, seed = evidence.bsdf, evidence.seed
+    for i, condition in enumerate(ASKED):
+        samples = samples_of(bsdf, condition, plan.checked, (seed, 1, i))
+        evidence.samples.append(samples)
+        _check_identities(evidence, samples)
+        answers.check_lattice(evidence, Probe(bsdf, condition))
+        _check_reciprocity(evidence, samples)
+        if bsdf.component_count() > 1:
+            components.check_samples(evidence, samples)
+    first = evidence.samples[0]
+    after = answers.asked_after(Probe(bsdf, first.condition), first)
+    _check_sweep(evidence, plan)
+    again = cost.check_compiled(evidence, first.condition, plan.checked, (seed, 1, 0))
+    answers.check_memory(evidence, first, after, again)
+    if not evidence.of("answers"):
+        answers.check_order(evidence, evidence.sweeps[0])
+    answers.check_frames(evidence)
+    masks.check_bsdf(evidence)
+    _excuse(evidence)
+    _check_flags(evidence)
+    parameters.check_samples(evidence, evidence.samples[1])
+    ends.check_bsdf(evidence)
+    ends.check_limits(evidence, ENDS)
+    _check_maps(evidence, plan, MAPPED[effort])
+    parameters.check_changes(evidence, lambda changed: _check_sweep(changed, plan))
+
+
+def _excuse(evidence: Evidence) -> None:
+    """Remarks only on what all of Mitsuba's own phase functions do.
+
+    They answer inactive rays, and draw azimuths from an axis of the world.
+    """
+    awake = [one for one in evidence.of("masks") if "ignores `active`" in one.mistake]
+    if awake:
+        evidence.breaches[:] = [one for one in evidence.breaches if one not in awake]
+        text = "inactive rays get a value, as Mitsuba's own phase functions give them"
+        evidence.remark("masks", text)
+    world = evidence.remarks.pop("answers", "")
+    if world and not world.startswith("`sample`"):
+        evidence.remark("answers", "it depends on axes of the world")
+
+
+def _check_identities(evidence: Evidence, samples: Samples) -> None:
+    """What two functions answer about the same directions."""
+    for check in (answers, directions, weights, sampled_pdf, sampled_weight):
+        check.check_samples(evidence, samples)
+
+
+def _check_sweep(evidence: Evidence, plan: Effort) -> None:
+    """The same where light comes from everywhere, and directions."""
+    key = (evidence.seed, 4)
+    sweep = Sweep(both=True, n=plan.checked)
+    samples = samples_of(evidence.bsdf, sweep, sweep.n, key)
+    evidence.sweeps.append(samples)
+    _check_identities(evidence, samples)
+    sampling.check_sweep(evidence, Sweep(both=True, n=plan.swept), key)
+
+
+def _check_maps(
+    evidence: Evidence, plan: Effort, conditions: tuple[Condition, ...]
+) -> None:
+    """Statistics of samples by patch."""
+    for i, condition in enumerate(conditions):
+        key = (evidence.seed, 2, i)
+        maps = four_maps(evidence.bsdf, condition, plan.patches, plan.samples, key)
+        if maps is not None:
+            evidence.maps.append(maps)
+            sampling.check_maps(evidence, maps)
+            weights.check_maps(evidence, maps)
+            _check_normalised(evidence, maps)
+    weights.check_pooled(evidence)
+    if not evidence.maps:
+        for name in ("sampling", "weights", "energy"):
+            evidence.undecided[name] = (
+                "no integral over the sphere did converge: it would take more effort, "
+                "or a smoother lobe"
+            )
+
+
+def _check_normalised(evidence: Evidence, maps: FourMaps) -> None:
+    """``eval`` integrates to 1: what is absorbed, the albedo of the medium says."""
+    flux = maps.smooth_flux
+    off = np.abs(flux - 1)
+    worst = int(off.argmax())
+    bound = maps.smooth_bound[worst] + maps.eval_rounding
+    if off[worst] > max(bound, SUM_ERROR):
+        text = f"`eval` integrates to {flux[worst]:.5g}"
+        evidence.breach(
+            "energy",
+            "eval",
+            f"{text} at {maps.condition}",
+            f"{text}, where a phase function has 1",
+            maps.condition,
+            size=float(off[worst]),
+        )
+
+
+def _check_reciprocity(evidence: Evidence, samples: Samples) -> None:
+    """Both ways are equal, times the projected area of microflakes (Jakob 2010)."""
+    usable = samples.usable & np.isfinite(samples.reverse).all(axis=1)
+    if not usable.any():
+        return
+    areas = [
+        _projected_area(evidence.bsdf, samples.condition, one)
+        for one in (samples.wi, samples.wo)
+    ]
+    there, back = samples.eval * areas[0], samples.reverse * areas[1]
+    slack = samples.eval_slack * areas[0] + samples.reverse_slack * areas[1]
+    wrong = unequal(there, back, slack) & usable
+    if is_many(wrong):
+        evidence.breach(
+            "reciprocity",
+            "eval",
+            ratio_text(there, back, wrong, samples),
+            "`eval` is not symmetric in wi and wo",
+            samples.condition,
+            size=float(wrong.mean()),
+        )
+
+
+def _projected_area(bsdf: mi.BSDF, condition: Condition, local: Floats) -> Floats:
+    """Projected area of the flakes from local directions, shape (n, 1); else 1."""
+    phase, n = bsdf.phase_function, len(local)
+    if not mi.has_flag(phase.flags(), mi.PhaseFunctionFlags.Microflake):
+        return np.ones((n, 1))
+    si = Probe(bsdf, condition).interaction(vectors(local))
+    mei = dr.zeros(mi.MediumInteraction3f, n)
+    mei.wi, mei.p = si.to_world(si.wi), si.p
+    area: Callable[..., Any] = phase.projected_area
+    return numbers(area(mei, mi.Bool(True)), n).astype(float)[:, None]
+
+
+def _check_flags(evidence: Evidence) -> None:
+    """What is declared to be isotropic has one value everywhere."""
+    phase, flags = evidence.bsdf.phase_function, mi.PhaseFunctionFlags
+    declared = int(phase.flags())
+    samples = evidence.samples[1]
+    values = samples.eval[samples.usable]
+    others = int(flags.Anisotropic) | int(flags.Microflake)
+    if not len(values):
+        return
+    varies = np.ptp(values, axis=0).max() > 1e-3 * values.max()
+    if declared & int(flags.Isotropic) and not declared & others and varies:
+        evidence.breach(
+            "flags",
+            "flags",
+            f"`eval` is {values.min():.4g} to {values.max():.4g} at "
+            f"{samples.condition}",
+            "`flags` declares Isotropic alone, but `eval` depends on the direction",
+        )
+    if not declared:
+        evidence.breach(
+            "flags", "flags", "flags are 0", "`flags` declares no kind of scattering"
+        )
