@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Floats
+from ..transport.media import N_RINGED, ask_phase_function
 from .checks import (
     answers,
     components,
@@ -187,12 +188,61 @@ def _check_maps(
             weights.check_maps(evidence, maps)
             _check_normalised(evidence, maps)
     weights.check_pooled(evidence)
-    if not evidence.maps:
-        for name in ("sampling", "weights", "energy"):
-            evidence.undecided[name] = (
-                "no integral over the sphere did converge: it would take more effort, "
-                "or a smoother lobe"
+    if len(evidence.maps) < len(conditions):
+        _check_rings(evidence)
+
+
+class Densities:
+    """The densities of a phase function, in the place of its values and weights."""
+
+    def __init__(self, phase: mi.PhaseFunction) -> None:
+        self.phase = phase
+
+    def sample(self, *asked: Any) -> tuple[mi.Vector3f, mi.Spectrum, mi.Float]:
+        """Directions of weight 1."""
+        wo, _, pdf = self.phase.sample(*asked)
+        return wo, mi.Spectrum(1.0) + 0 * pdf, pdf
+
+    def eval_pdf(self, *asked: Any) -> tuple[mi.Spectrum, mi.Float]:
+        """The density as both answers."""
+        _, pdf = self.phase.eval_pdf(*asked)
+        return mi.Spectrum(pdf), pdf
+
+
+def _check_rings(evidence: Evidence) -> None:
+    """Light and directions in rings about that of the light, however sharp the lobe.
+
+    By the test that a measurement makes before it follows rays through a medium.
+    """
+    phase = evidence.bsdf.phase_function
+    wavelengths = Probe(evidence.bsdf, ASKED[0]).interaction().wavelengths
+    for name, asked, two in (
+        ("weights", phase, ("`sample` scatters", "`eval`")),
+        ("sampling", Densities(phase), ("directions are drawn", "`pdf`")),
+    ):
+        found = ask_phase_function(asked, wavelengths)
+        worst = int(found.misplaced.argmax())
+        text = f"{found.misplaced[worst]:.2g} of the light in other rings"
+        evidence.remark(name, f"in rings about the light, of 4 directions: {text}")
+        if found.excess > 1:
+            evidence.breach(
+                name,
+                "sample",
+                f"{text}, {found.excess:.3g} times the tolerance",
+                f"{two[0]} otherwise than {two[1]} says",
+                size=float(found.misplaced[worst]),
+                off=float(min(found.misplaced[worst], 1.0)),
             )
+        if name == "weights":
+            total, bound = found.evaluated, found.tolerance
+            off = np.abs(total[:, :N_RINGED].sum(axis=1) - 1)
+            limit = bound[:, :N_RINGED].sum(axis=1)
+            if (off > limit).any():
+                k = int((off / limit).argmax())
+                flux = float(total[k, :N_RINGED].sum())
+                text = f"`eval` integrates to {flux:.4g}"
+                mistake = f"{text}, where a phase function has 1"
+                evidence.breach("energy", "eval", text, mistake, size=abs(flux - 1))
 
 
 def _check_normalised(evidence: Evidence, maps: FourMaps) -> None:

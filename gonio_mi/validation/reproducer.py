@@ -29,6 +29,8 @@ ANYWHERE = Condition(50.0, 25.0, uv=(0.35, 0.6))
 # Samples that are counted, and that are compared one by one.
 N_COUNTED, N_COMPARED = 2**20, 2**16
 
+RNG = "np.random.default_rng(0)"
+
 # Hits that a patch must have to be counted in.
 MIN_HITS = 100
 
@@ -118,16 +120,14 @@ a = np.array(bsdf.eval(ctx, si, bs.wo)).mean(0) / np.abs(bs.wo.z)
 # The sum of `eval`, after a change of a parameter.
 GRADIENT = f"""\
 params = mi.traverse(bsdf)
-x = type(params[KEY])(params[KEY])
-def total(change):
-    params[KEY] = x + change
+def total(x):
+    params[KEY] = x
     params.update()
     return dr.sum(bsdf.eval(ctx, si, bs.wo), axis=None)
-a = float(np.ravel(total(1e-3) - total(-1e-3))[0]) / 2e-3
+x = type(params[KEY])(params[KEY])
+a = np.ravel(total(x + 1e-3) - total(x - 1e-3))[0] / 2e-3
 dr.enable_grad(x)
-sum_of_values = total(0.0)
-dr.forward(x, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
-b = float(np.ravel(dr.grad(sum_of_values))[0])
+b = np.ravel(dr.forward_to(total(x), flags=dr.ADFlag.AllowNoGrad))[0]
 {EQUAL}"""
 
 # Angles of the ends, and all corners of the random numbers.
@@ -199,7 +199,6 @@ a, b = {VALUE}, np.array(bsdf.eval(ctx, back, si.wi)).mean(0)
         f"""\
 {LOBE}back = dr.zeros(mi.SurfaceInteraction3f, n)
 back.wi, back.sh_frame = mi.Vector3f(wo[:, first].tolist()), si.sh_frame
-dr.make_opaque(back)
 there, returned = bsdf.sample(ctx, back, RANDOM)
 home = np.all(np.abs(np.array(there.wo) - np.array(si.wi)) < 1e-3, axis=0)
 x, y = {WEIGHT} * same, np.array(returned).mean(0) * home
@@ -481,8 +480,10 @@ def _script(verdict: Verdict, one: Property) -> str:
     n = N_COUNTED if "standard errors" in body else N_COMPARED
     lines = list(_head(verdict, one, condition, n))
     if one.name == "ends":
-        lines = lines[:-2]  # it has its own samples
+        lines = lines[:-3]  # it has its own samples
     text = "\n".join([*lines, body]) + "\n"
+    if "rng." not in body:
+        text = text.replace("rng = np.random.default_rng(0)\nu = rng", f"u = {RNG}")
     return _in_a_medium(text) if one.of_volumes else text
 
 
@@ -540,7 +541,7 @@ def _in_a_medium(text: str) -> str:
     """The same script, which asks a phase function instead of a BSDF."""
     for found, instead in (
         (r" & ~mi.has_flag\(bs.sampled_type, mi.BSDFFlags.Delta\)", ""),
-        (r"ctx = mi.BSDFContext\((.*)\)", r"ctx = mi.PhaseFunctionContext(None, \1)"),
+        (r"mi.BSDFContext\((.*?)\)", r"mi.PhaseFunctionContext(None, \1)"),
         (r"SurfaceInteraction3f", "MediumInteraction3f"),
         (r"si.wi, si.sh_frame = (.*), mi.Frame3f.*", r"si.wi = \1"),
         (r"si.uv, .*\n", "si.sh_frame = mi.Frame3f(si.wi)\n"),
@@ -580,10 +581,10 @@ def _head(
     yield "import drjit as dr\nimport mitsuba as mi\nimport numpy as np\n"
     yield f'mi.set_variant("{verdict.settings["variant"]}")'
     yield str(verdict.source)
-    yield f"ctx = mi.BSDFContext(mi.TransportMode.{condition.mode.capitalize()})"
+    mode = f"mi.TransportMode.{condition.mode.capitalize()}"
+    yield f"ctx, n = mi.BSDFContext({mode}), 2**{n.bit_length() - 1}"
     if condition.component is not None:
         yield f"ctx.component = {condition.component}"
-    yield f"n, rng = 2**{n.bit_length() - 1}, np.random.default_rng(0)"
     yield "si = dr.zeros(mi.SurfaceInteraction3f, n)"
     axes = "[0, 0, 1]"
     if condition.turned and _is_textured(verdict):
@@ -597,6 +598,7 @@ def _head(
     if mi.is_spectral:
         yield "si.wavelengths = mi.Spectrum([450.0, 520.0, 580.0, 650.0])"
     yield "dr.make_opaque(si)"
+    yield "rng = np.random.default_rng(0)"
     yield "u = rng.random((3, n), dtype=np.float32)"
     yield "bs, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]))"
 

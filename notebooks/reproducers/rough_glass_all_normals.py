@@ -16,7 +16,7 @@ u = rng.random((3, n), dtype=np.float32)
 bs, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]))
 value = np.array(bsdf.eval(ctx, si, bs.wo))[0]
 product = np.array(weight)[0] * np.array(bs.pdf)
-k = np.argsort(np.abs(product / value - 1) * (product > 0))[n // 2]
+k = np.argsort(np.abs(product / np.maximum(value, 1e-30) - 1))[n // 2]
 a, b = product[k], value[k]
 off = abs(a - b) / max(abs(a), abs(b))
 print(f"{a:.6g} and {b:.6g}: {off / 6.1e-05:.3g} roundings")

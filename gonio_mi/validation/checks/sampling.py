@@ -203,6 +203,8 @@ def _score_by_cell(cells: Integers, first: Floats, second: Floats) -> Floats:
         variance += squares - n * mean**2
         third += sign * (cubes - 3 * mean * squares + 2 * n * mean**3)
         size = np.bincount(cells, np.abs(x), minlength=m)
+        # equal terms vary by rounding alone
+        variance += (BSDF_ROUNDING * size) ** 2
         enough &= size**2 > MIN_TERMS * squares
     sigma = np.sqrt(np.where(enough & (variance > 0), variance, np.inf))
     return np.nan_to_num(skew_score(difference / sigma, third / sigma**3))

@@ -1,0 +1,24 @@
+"""What a reproducer says."""
+
+import contextlib
+import io
+import re
+
+# Units in which two numbers are apart, and how many of them chance does not explain in
+# all of these scripts together; of roundings of a thousand operations one would do.
+BEYOND = {"standard errors": 7.0, "roundings": 4.0}
+
+
+def code_of(text):
+    lines = (line for line in text.splitlines() if line.strip())
+    return [line for line in lines if not line.startswith(("#", "import "))]
+
+
+def told(text):
+    """How far apart the two numbers of a script are, in what is beyond doubt."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        exec(compile(text, "reproducer.py", "exec"), {"__name__": "__main__"})
+    found = re.search(r": (\S+) (standard errors|roundings)\s*$", said.getvalue())
+    size, unit = found.groups()
+    return float(size) / BEYOND[unit]

@@ -1,0 +1,106 @@
+"""Phase functions are judged: broken ones named, stock ones passed or confirmed."""
+
+import broken_phase_functions
+import mitsuba as mi
+import numpy as np
+import pytest
+from reproduced import code_of, told
+
+from gonio_mi.cli import main
+from gonio_mi.errors import SpecimenError
+from gonio_mi.validation import reproducer, validate
+
+
+def flakes(*values):
+    grid = mi.VolumeGrid(np.array(values, np.float32).reshape(1, 1, 1, 6))
+    return {"type": "gridvolume", "grid": grid, "filter_type": "nearest"}
+
+
+@pytest.fixture
+def plugins(mono):
+    broken_phase_functions.register()
+    return mono
+
+
+# What is found in Mitsuba's own, confirmed by notebooks/reproducers/.
+STOCK = {
+    "isotropic": ({"type": "isotropic"}, []),
+    "hg": ({"type": "hg", "g": 0.8}, []),
+    "hg of 0": ({"type": "hg", "g": 0.0}, []),
+    "hg backward": ({"type": "hg", "g": -0.3}, []),
+    "hg_sharp": ({"type": "hg", "g": 0.999}, ["sampling", "weights"]),
+    "rayleigh": ({"type": "rayleigh"}, []),
+    "tabphase": ({"type": "tabphase", "values": "0.5, 1.0, 1.5"}, []),
+    "blendphase": (
+        {
+            "type": "blendphase",
+            "weight": 0.3,
+            "a": {"type": "isotropic"},
+            "b": {"type": "hg", "g": 0.6},
+        },
+        [],
+    ),
+    "sggx_straight_on": ((1, 1, 1, 0, 0, 0), ["ends"]),
+    "sggx_density": ((0.05, 1, 0.3, 0.1, 0, 0), ["ends", "sampling", "weights"]),
+}
+
+
+@pytest.mark.parametrize("name", STOCK)
+@pytest.mark.usefixtures("mono")
+def test_stock(name):
+    specimen, failures = STOCK[name]
+    if isinstance(specimen, tuple):
+        specimen = {"type": "sggx", "S": flakes(*specimen)}
+    verdict = validate(specimen, effort="quick", strict=True)
+    assert sorted(one.name for one in verdict.failures) == failures, str(verdict)
+    assert not verdict.undecided
+
+
+@pytest.mark.parametrize("name", broken_phase_functions.RIGHT)
+@pytest.mark.usefixtures("plugins")
+def test_right_one_passes(name):
+    verdict = validate({"type": name}, effort="quick", strict=True)
+    assert verdict.passed, str(verdict)
+
+
+@pytest.mark.parametrize("name", broken_phase_functions.MISTAKES)
+@pytest.mark.usefixtures("plugins")
+def test_mistake_is_seen_and_its_function_named(name):
+    verdict = validate({"type": name}, effort="quick", strict=True)
+    assert not verdict.passed, str(verdict)
+    guilty = broken_phase_functions.MISTAKES[name]
+    assert guilty in verdict.function.split(" or "), str(verdict)
+
+
+@pytest.mark.parametrize(
+    ("name", "finding"),
+    [
+        ("draws_another_g", "sampling"),
+        ("weight_of_albedo", "sampled_weight"),
+        ("of_one_way", "reciprocity"),
+        ("gains_one_percent", "energy"),
+    ],
+)
+@pytest.mark.usefixtures("plugins")
+def test_finding_is_shown_by_its_script(name, finding):
+    text = reproducer(validate({"type": name}, effort="quick", strict=True), finding)
+    assert "phase = mi.load_dict" in text
+    assert len(code_of(text)) <= 20, text
+    assert told(text) > 1, text
+
+
+@pytest.mark.usefixtures("mono")
+def test_command(capsys):
+    words = ["validate", "hg:g=0.8", "--variant", "llvm_ad_mono", "--effort", "quick"]
+    assert main(words) == 0
+    assert "hg:g=0.8: nothing wrong was found" in capsys.readouterr().out
+
+
+def test_polarised_variants_are_refused():
+    before = mi.variant()
+    mi.set_variant("llvm_ad_mono_polarized")
+    try:
+        with pytest.raises(SpecimenError, match="in unpolarised variants"):
+            validate({"type": "rayleigh"}, effort="quick")
+    finally:
+        mi.set_variant(before)
