@@ -128,20 +128,9 @@ def validate(
     seed = checked_count("seed", seed, 0)
     alpha = checked_number("alpha", alpha, 1e-12, 1, "a probability in [1e-12, 1)")
     allow = (allow,) if isinstance(allow, str) else tuple(allow)
-    polarised = is_polarised(mi.variant())
     bsdf, name, source = _bsdf(specimen)
-    of_volumes = hasattr(bsdf, "phase_function")
-    if of_volumes and polarised:
-        raise SpecimenError(
-            f"validate judges phase functions in unpolarised variants, got {name} in "
-            f"{mi.variant()}"
-        )
-    questions = POLARISED if polarised else PHASE if of_volumes else PROPERTIES
-    for one in allow:
-        if one not in questions:
-            raise SettingError(
-                f"allow must name some of {', '.join(questions)}, got {shown(one)}"
-            )
+    questions = _questions(bsdf, name, allow)
+    polarised, of_volumes = questions is POLARISED, questions is PHASE
     evidence = Evidence(bsdf, seed, questions)
     n_asked = 0
     try:
@@ -181,6 +170,24 @@ def validate(
     }
     maps = tuple(evidence.maps)
     return Verdict(name, tuple(properties), function, mistake, settings, maps, source)
+
+
+def _questions(bsdf: mi.BSDF, name: str, allow: Sequence[str]) -> dict[str, str]:
+    """What is asked of it, of which some may be allowed to fail."""
+    questions = POLARISED if is_polarised(mi.variant()) else PROPERTIES
+    if hasattr(bsdf, "phase_function"):
+        if questions is POLARISED:
+            raise SpecimenError(
+                f"validate judges phase functions in unpolarised variants, got {name} "
+                f"in {mi.variant()}"
+            )
+        questions = PHASE
+    for one in allow:
+        if one not in questions:
+            raise SettingError(
+                f"allow must name some of {', '.join(questions)}, got {shown(one)}"
+            )
+    return questions
 
 
 def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str, str | None]:
