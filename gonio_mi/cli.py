@@ -32,6 +32,7 @@ COMMANDS = {
     "report": "Write an interactive page of records.",
     "validate": "Examine a BSDF plugin, and say which function is wrong.",
     "diff": "Compare what two Mitsuba versions say of the same BSDF.",
+    "conformance": "Ask Mitsuba's own plugins under several versions, as a page.",
     "compare": "Compare a record with another one or with measured values.",
     "fit": "Find the parameters of a BSDF from a record or a measured table.",
     "surface": "Print height, slope and micro-normal statistics.",

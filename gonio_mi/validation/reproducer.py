@@ -446,7 +446,7 @@ def reproducer(verdict: Verdict, name: str | None = None) -> str:
     if one is None:
         which = "a property" if name is None else name
         raise SettingError(f"a reproducer needs {which} that fails, got none")
-    return _script(verdict, one)
+    return script(verdict, one)
 
 
 def save_reproducer(
@@ -458,7 +458,7 @@ def save_reproducer(
         file.write(text)
 
 
-def _script(verdict: Verdict, one: Property) -> str:
+def script(verdict: Verdict, one: Property) -> str:
     """The script that shows a property that fails."""
     mistake = str(one.mistake or verdict.mistake or "")
     condition, body = one.condition or _told(one.statistic), ""
@@ -656,14 +656,19 @@ def _box(verdict: Verdict, name: str) -> tuple[FourMaps | None, Any]:
 # ------------------------------------------------------------------- the BSDF as text
 
 
-def source_of(specimen: Any, parameters: Mapping[str, Any] | None = None) -> str | None:
-    """Statement that loads ``bsdf`` of a dictionary or of a file; None of another."""
+def source_of(
+    specimen: Any, parameters: Mapping[str, Any] | None = None, volumes: bool = False
+) -> str | None:
+    """Statement that loads ``bsdf`` of a dictionary or of a file; None of another.
+
+    Or ``phase``, of `volumes`.
+    """
     if isinstance(specimen, (str, os.PathLike)):
         given = [repr(str(specimen))]
         given += [f"{key}={str(x)!r}" for key, x in (parameters or {}).items()]
         return f"bsdf = mi.load_file({', '.join(given)}).shapes()[0].bsdf()"
     text = _text(specimen) if isinstance(specimen, dict) else None
-    return text and f"bsdf = mi.load_dict({text})"
+    return text and f"{'phase' if volumes else 'bsdf'} = mi.load_dict({text})"
 
 
 def _text(node: Any) -> str | None:
@@ -675,6 +680,9 @@ def _text(node: Any) -> str | None:
         return "{" + ", ".join(f'"{key}": {value}' for key, value in parts) + "}"
     if isinstance(node, mi.Bitmap):
         return f"mi.Bitmap(np.array({np.array(node).tolist()}, np.float32))"
+    if isinstance(node, mi.VolumeGrid):
+        values = np.array(node)
+        return f"mi.VolumeGrid(np.float32({values.tolist()}))"
     if isinstance(node, str):
         return '"' + node.replace("\\", "\\\\").replace('"', '\\"') + '"'
     return repr(node) if isinstance(node, (bool, int, float, list)) else None

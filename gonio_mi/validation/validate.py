@@ -201,7 +201,7 @@ def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str, str | None]:
             specimen, grey = coloured(specimen, grey)
             source = source_of(grey)
         elif isinstance(specimen, mi.PhaseFunction):
-            source = source and source.replace("bsdf", "phase", 1)
+            source = source_of(grey, volumes=True)
     else:
         name = str(specimen) if isinstance(specimen, (str, os.PathLike)) else None
     if isinstance(specimen, mi.PhaseFunction):

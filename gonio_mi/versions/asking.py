@@ -148,7 +148,7 @@ def ask(
         here = Path(folder)
         (here / "question.json").write_text(json.dumps(question.to_json()))
         np.savez(here / "question.npz", **question.arrays(), **(wo or {}))
-        ended = _run([python, "-I", str(WORKER), folder])
+        ended = run_python([python, "-I", str(WORKER), folder])
         try:
             facts = json.loads((here / "answer.json").read_text())
             with np.load(here / "answer.npz") as content:
@@ -165,7 +165,7 @@ def ask(
     return Answers(facts, arrays)
 
 
-def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+def run_python(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
     """Run it; another environment must not see the modules of this one."""
     hidden = ("PYTHONPATH", "PYTHONHOME")
     environment = {k: v for k, v in os.environ.items() if k not in hidden}

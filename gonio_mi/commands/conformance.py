@@ -1,0 +1,52 @@
+"""``gonio-mi conformance``: Mitsuba's own plugins under several versions, as a page.
+
+Ask Mitsuba's own BSDFs and phase functions under several installed versions whether
+their functions agree, and write a page: a row for each set of parameters, a column for
+each version, and for what does not agree a script of at most 20 lines.
+"""
+
+from argparse import ArgumentParser, Namespace
+
+from .arguments import DONE, FAILED, add_text, set_variant, tell
+
+USAGE = "%(prog)s -o PAGE.html [--against VENV ...] [options]"
+
+EXAMPLES = """\
+examples:
+  python3 -m venv old && old/bin/pip install mitsuba==3.8.0 numpy
+  gonio-mi conformance --against old -o table.html
+  gonio-mi conformance --variants llvm_ad_mono llvm_ad_spectral -o table.html
+
+The other environments need Mitsuba and NumPy, nothing of this package.
+Exit code 3: something does not agree.
+"""
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add the options of the command to its parser."""
+    text = "Other virtual environments, or their Pythons, beside this one."
+    add_text(parser, "--against", "VENV", text, nargs="+", default=[])
+    text = "Variants of Mitsuba. Default: llvm_ad_mono."
+    add_text(parser, "--variants", "V", text, nargs="+", default=["llvm_ad_mono"])
+    add_text(parser, "-o", "HTML", "The page.", dest="output", required=True)
+
+
+def run(options: Namespace) -> int:
+    """Run the command and return the exit code."""
+    import sys
+
+    from ..reports.page import check_page
+    from ..versions.asking import interpreter
+    from ..versions.conformance import ask_versions, save_table
+
+    check_page(options.output)
+    for variant in reversed(options.variants):
+        set_variant(variant)
+    pythons = [interpreter(venv) for venv in options.against]
+    answers = ask_versions([sys.executable, *pythons], options.variants)
+    save_table(answers, options.output)
+    wrong = [one for one in answers if one.wrong]
+    for one in wrong:
+        tell(f"{one.version}, {one.variant}: {one.case}: {one.name}: {one.text}")
+    tell(f"{len(answers) - len(wrong)} of {len(answers)} agree or give no answer")
+    return FAILED if wrong else DONE

@@ -1,0 +1,250 @@
+"""The conformance table: stock plugins under installed versions, by plain scripts.
+
+Each property is asked by the script that :mod:`gonio_mi.validation.reproducer` writes
+for a failure of it, so that what is red comes with its reproducer. The other version's
+environment needs nothing but Mitsuba and NumPy.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..errors import SettingError
+from ..reports.page import preformatted, save_page
+from ..validation.evidence import PHASE, PROPERTIES
+from ..validation.reproducer import script, source_of
+from ..validation.verdict import FAILS, Property, Verdict
+from .asking import run_python
+
+WORKER = Path(__file__).with_name("scripts_worker.py")
+
+# Where each property is asked: polar angle of incidence, side, and whose mistake it is.
+QUESTIONS = (
+    ("answers", "theta_i 60, phi_i 25", "the value of `eval` is nan in places", "eval"),
+    ("answers", "theta_i 60, phi_i 25", "the weight of `sample` in places", "sample"),
+    *(("sampling", f"theta_i {theta}, phi_i 25", "", "pdf") for theta in (20, 60, 80)),
+    *(("weights", f"theta_i {theta}, phi_i 25", "", "sample") for theta in (20, 60)),
+    ("sampled_pdf", "theta_i 60, phi_i 25", "", "sample"),
+    ("sampled_weight", "theta_i 60, phi_i 25", "", "sample"),
+    ("reciprocity", "theta_i 50, phi_i 25", "symmetric in wi and wo", "eval"),
+    ("adjoint", "theta_i 50, phi_i 25", "", "eval"),
+    ("components", "theta_i 50, phi_i 25", "", "eval"),
+    ("flags", "theta_i 50, phi_i 25", "", "flags"),
+    ("masks", "theta_i 50, phi_i 25", "", "sample"),
+    ("ends", "theta_i 50, phi_i 25", "", "sample"),
+)
+
+# What the scripts ask of surfaces only.
+OF_SURFACES = ("components", "flags")
+
+# From how many standard errors, or roundings of a thousand operations, on two numbers
+# are not equal: twice, with independent random numbers.
+LIMITS = {"standard errors": 8.0, "roundings": 100.0}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one script says under one version.
+
+    Attributes
+    ----------
+    case, name, variant, version : str
+        Plugin in one word, property, and where it was asked.
+    text : str
+        Last line of the script; of an exception its type and message.
+    wrong : bool
+        Whether it is beyond `LIMITS`, twice.
+    script : str
+    """
+
+    case: str
+    name: str
+    variant: str
+    version: str
+    text: str
+    wrong: bool
+    script: str
+
+
+def bsdfs() -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """Mitsuba's own BSDFs, with three sets of parameters each where there are as many.
+
+    Not `measured` and `measured_polarized`, which need files, nor those that are for
+    polarised light alone.
+    """
+    ggx = {"distribution": "ggx"}
+    diffuse, glossy = {"type": "diffuse"}, {"type": "roughconductor", "alpha": 0.2}
+    sets: dict[str, list[dict[str, Any]]] = {
+        "diffuse": [{"reflectance": x} for x in (0.2, 0.5, 1.0)],
+        "conductor": [{"material": x} for x in ("none", "Al", "Au")],
+        "roughconductor": [
+            {"alpha": 0.1},
+            {"alpha": 0.3} | ggx,
+            {"alpha_u": 0.1, "alpha_v": 0.4} | ggx,
+        ],
+        "dielectric": [{"int_ior": x} for x in (1.33, 1.5, 2.4)],
+        "thindielectric": [{"int_ior": x} for x in (1.33, 1.5, 2.4)],
+        "roughdielectric": [
+            {"alpha": 0.3},
+            {"alpha": 0.2} | ggx,
+            {"alpha": 0.3, "sample_visible": False} | ggx,
+        ],
+        "plastic": [{}, {"nonlinear": True}, {"int_ior": 1.9}],
+        "roughplastic": [{"alpha": 0.1}, {"alpha": 0.3} | ggx, {"alpha": 0.6}],
+        "pplastic": [{"alpha": x} for x in (0.1, 0.3, 0.6)],
+        "principled": [
+            {},
+            {"metallic": 1.0, "anisotropic": 0.8, "roughness": 0.3},
+            {"spec_trans": 0.7, "eta": 1.5, "roughness": 0.4},
+        ],
+        "principledthin": [
+            {},
+            {"spec_trans": 0.5, "diff_trans": 1.0, "roughness": 0.4},
+            {"diff_trans": 2.0},
+        ],
+        "hair": [{"sigma_a": x} for x in (0.0, 0.2, 2.0)],
+        "null": [{}],
+        "mask": [{"opacity": x, "nested": diffuse} for x in (0.2, 0.5, 0.9)],
+        "twosided": [
+            {"nested": glossy},
+            {"nested": {"type": "plastic"}},
+            {"front": diffuse, "back": glossy},
+        ],
+        "blendbsdf": [
+            {"weight": 0.3, "first": diffuse, "second": glossy},
+            {"weight": 0.7, "first": diffuse, "second": {"type": "plastic"}},
+            {"weight": 0.25, "first": diffuse, "second": {"type": "conductor"}},
+        ],
+    }
+    for name, ones in sets.items():
+        yield name, [{"type": name} | one for one in ones]
+
+
+def phase_functions() -> Iterator[tuple[str, list[dict[str, Any]]]]:
+    """Mitsuba's own phase functions, likewise."""
+    lobes = [{"g": x} for x in (-0.5, 0.5, 0.9)]
+    values = ("0.5, 1.0, 1.5", "1.0, 0.2, 1.0", "0.1, 0.1, 3.0")
+    flakes = ((1, 1, 1, 0, 0, 0), (0.05, 1, 1, 0, 0, 0), (0.1, 1, 0.3, 0.1, 0, 0))
+    first = {"type": "isotropic"}
+    sets: dict[str, list[dict[str, Any]]] = {
+        "isotropic": [{}],
+        "hg": lobes,
+        "rayleigh": [{}],
+        "tabphase": [{"values": one} for one in values],
+        "sggx": [
+            {
+                "S": {
+                    "type": "gridvolume",
+                    "filter_type": "nearest",
+                    "grid": mi.VolumeGrid(
+                        np.array(one, np.float32).reshape(1, 1, 1, 6)
+                    ),
+                }
+            }
+            for one in flakes
+        ],
+        "blendphase": [
+            {"weight": x, "first": first, "second": {"type": "hg", "g": 0.6}}
+            for x in (0.2, 0.5, 0.8)
+        ],
+    }
+    for name, ones in sets.items():
+        yield name, [{"type": name} | one for one in ones]
+
+
+def questions(variant: str) -> Iterator[tuple[str, str, str]]:
+    """Case, property and script of all that is asked in a variant."""
+    for volumes, plugins in ((False, bsdfs()), (True, phase_functions())):
+        known = PHASE if volumes else PROPERTIES
+        for _, ones in plugins:
+            for i, one in enumerate(ones):
+                source = source_of(one, volumes=volumes)
+                case = f"{one['type']}, parameters {i + 1}"
+                for name, place, mistake, function in QUESTIONS:
+                    if name not in known or (volumes and name in OF_SURFACES):
+                        continue
+                    found = Property(
+                        name, FAILS, place, mistake, function, of_volumes=volumes
+                    )
+                    settings = {"variant": variant}
+                    verdict = Verdict(case, (), None, None, settings, source=source)
+                    yield case, f"{name} at {place}", script(verdict, found)
+
+
+def ask_versions(pythons: Sequence[str], variants: Sequence[str]) -> list[Answer]:
+    """Answers of each Python's Mitsuba to all questions, in each variant.
+
+    Raises
+    ------
+    SettingError
+        If one of them has no Mitsuba.
+    """
+    answers = []
+    for variant in variants:
+        asked = list(questions(variant))
+        texts = [text for _, _, text in asked]
+        for python in pythons:
+            with tempfile.TemporaryDirectory() as folder:
+                paths = [Path(folder) / name for name in ("scripts", "answers")]
+                paths[0].write_text(json.dumps([texts, LIMITS]))
+                ended = run_python([python, "-I", str(WORKER), *map(str, paths)])
+                if not paths[1].exists():
+                    last = ended.stderr[-200:]
+                    raise SettingError(f"{python} gave no answer: {last}")
+                told = json.loads(paths[1].read_text())
+            answers += [
+                Answer(case, name, variant, told["version"], line, wrong, text)
+                for (case, name, text), (line, wrong) in zip(asked, told["answers"])
+            ]
+    return answers
+
+
+def save_table(answers: Iterable[Answer], path: str | PathLike[str]) -> None:
+    """Write a page: a row for each set of parameters, a column for each version."""
+    answers = list(answers)
+    columns = list(dict.fromkeys((one.version, one.variant) for one in answers))
+    rows = list(dict.fromkeys(one.case for one in answers))
+    head = "".join(f"<th>Mitsuba {v}<br><small>{w}</small></th>" for v, w in columns)
+    lines = [f"<tr><th>plugin</th>{head}</tr>"]
+    for case in rows:
+        cells = "".join(
+            _cell([a for a in answers if (a.case, a.version, a.variant) == (case, *c)])
+            for c in columns
+        )
+        lines.append(f"<tr><td>{html.escape(case)}</td>{cells}</tr>")
+    told = ", ".join(f"{limit:g} {unit}" for unit, limit in LIMITS.items())
+    text = (
+        "<p>Red: two numbers that should be equal are farther apart than "
+        f"{told.replace(', ', ' or ')}, with two independent sets of random numbers. "
+        "A click shows the script, which needs Mitsuba and NumPy only. "
+        "Grey: the version does not answer.</p>"
+    )
+    title = "Conformance of Mitsuba's own plugins"
+    table = f"<table>{''.join(lines)}</table>"
+    save_page(path, title, [f"<h1>{title}</h1>", text, table])
+
+
+def _cell(answers: Sequence[Answer]) -> str:
+    """Cell of one plugin under one version: what is wrong, with its scripts."""
+    wrong = [one for one in answers if one.wrong]
+    failed = [one for one in answers if "raised" in one.text]
+    if len(failed) == len(answers):
+        return '<td style="background: #ddd">no answer</td>'
+    if not wrong:
+        return f'<td style="background: #cec">{len(answers) - len(failed)} agree</td>'
+    folded = "".join(
+        f"<details><summary>{html.escape(one.name)}: {html.escape(one.text)}</summary>"
+        f"{preformatted(one.script)}</details>"
+        for one in wrong
+    )
+    return f'<td style="background: #fbb">{folded}</td>'

@@ -1,0 +1,45 @@
+"""The conformance table: what is asked, what is red, and the page."""
+
+import sys
+
+import pytest
+
+from gonio_mi.versions import conformance
+from gonio_mi.versions.conformance import ask_versions, questions, save_table
+
+pytestmark = pytest.mark.usefixtures("mono")
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """One right plugin, and one of whose defects the handbook has a script."""
+    glass = {"type": "roughdielectric", "alpha": 0.3, "distribution": "ggx"}
+    ones = [{"type": "diffuse"}, glass | {"sample_visible": False}]
+    monkeypatch.setattr(conformance, "bsdfs", lambda: iter([("two", ones)]))
+    lobe = [{"type": "hg", "g": 0.5}, {"type": "no_such_phase_function"}]
+    monkeypatch.setattr(conformance, "phase_functions", lambda: iter([("hg", lobe)]))
+    kept = ("sampled_weight", "sampled_pdf")
+    asked = tuple(one for one in conformance.QUESTIONS if one[0] in kept)
+    monkeypatch.setattr(conformance, "QUESTIONS", asked)
+
+
+def test_every_script_is_short_and_plain():
+    found = list(questions("llvm_ad_mono"))
+    assert len({case.partition(",")[0] for case, _, _ in found}) == 22
+    for _, _, text in found:
+        lines = [x for x in text.splitlines() if x and x[0] != "#"]
+        assert sum(not x.startswith("import ") for x in lines) <= 20
+        assert "gonio" not in text
+
+
+@pytest.mark.usefixtures("few")
+def test_table(tmp_path):
+    answers = ask_versions([sys.executable], ["llvm_ad_mono"])
+    wrong = {(one.case, one.name.partition(" ")[0]) for one in answers if one.wrong}
+    assert wrong == {("roughdielectric, parameters 2", "sampled_weight")}
+    save_table(answers, tmp_path / "table.html")
+    page = (tmp_path / "table.html").read_text()
+    assert page.count("#cec") == 2  # diffuse and hg
+    assert page.count("#fbb") == 1
+    assert page.count("no answer") == 1
+    assert "sample_visible" in page
