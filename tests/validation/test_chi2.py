@@ -40,7 +40,7 @@ def test_of_a_bsdf(plugin, extra, by_chi2, by_us, function):
     assert outcome(MODULES["mitsuba"], "BSDFAdapter", plugin, extra)[1] == by_chi2
     test, passed = outcome(MODULES["gonio_mi"], "BSDFAdapter", plugin, extra)
     assert passed == by_us
-    assert test.verdict.function == function
+    assert (function or "None") in str(test.verdict.function)
     assert 0 <= test.p_value <= 1
     assert "Chi^2 statistic" in test.messages
     assert test.verdict.headline in test.messages
