@@ -189,13 +189,14 @@ def test_wavelengths_of_visible_light_make_no_solar_block(tmp_path):
 
 @pytest.fixture
 def measured(monkeypatch):
-    """Directions that campaigns measure; the 60th call is interrupted."""
+    """Directions that campaigns measure; the task of the 60th is interrupted."""
     module = sys.modules["gonio_mi.campaigns.tasks"]
     measure, seen = module.measure_each, []
 
     def measure_each(specimen, incidents, **settings):
-        seen.append(settings["side"])
-        if len(seen) == 60:
+        before = len(seen)
+        seen.extend([settings["side"]] * len(incidents))
+        if before < 60 <= len(seen):
             raise KeyboardInterrupt
         return measure(specimen, incidents, **settings)
 
@@ -217,8 +218,7 @@ def test_an_interrupted_file_goes_on(tmp_path, capsys, measured):
     assert f"{folder} holds what was finished" in capsys.readouterr().err
     assert not (tmp_path / "a.xml").exists()
     kept = sum(len(gonio.load(path)) for path in (folder / "back").glob("*.npz"))
-    assert len(measured) == 60
-    assert kept > 10
+    assert measured.count("back") > kept > 10
     measured[:] = [None] * 100
     assert cli.main(words) == 0
     assert measured[100:] == ["back"] * (41 - kept)
