@@ -10,6 +10,7 @@ import gonio_mi  # noqa: F401
 import gc
 import math
 import os
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -37,10 +38,9 @@ def share_cores(config):
 
     Threads that wait for work keep a core busy: with as many in each process as there
     are cores, a validation takes 1.5 times as long, in all processes together.
+    See :func:`threads`, too.
     """
-    if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 0)):
-        dr.set_thread_count(max(1, dr.thread_count() // workers))
-    elif getattr(config.option, "numprocesses", None):
+    if getattr(config.option, "numprocesses", None):
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes inherit it
         config.option.loadscopereorder = False  # see pytest_collection_modifyitems
 
@@ -78,6 +78,21 @@ def pytest_collection_modifyitems(items):
             item.add_marker("slow")
     if "PYTEST_XDIST_WORKER" in os.environ:
         items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def threads(request):
+    """Give Dr.Jit a process's part of the cores, but two where Mitsuba reads files.
+
+    It reads and writes EXR files in Dr.Jit's other threads, and waits for ever if
+    there is none.
+    """
+    before = dr.thread_count()
+    processes = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 1))
+    files = re.search(r"Bitmap|load_file", request.path.read_text())
+    dr.set_thread_count(max(before // processes, 2 if files else 1))
+    yield
+    dr.set_thread_count(before)
 
 
 # The variants by the names of their fixtures.

@@ -28,6 +28,7 @@ from ..errors import (
 from ..formats.height_maps import is_height_map
 from ..formats.meshes import is_mesh
 from ..formats.tensor_file import check_measured
+from ..llvm import two_threads
 from ..transport.kernels import launches_kernels
 from ..transport.shapes import WATERTIGHT, remember, scene_of
 from ..transport.variants import check_variant, is_parallel
@@ -173,7 +174,8 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
     try:
         for argument in args:
             _check_whole_numbers(argument)
-        return load(*map(with_own_tensors, args), **kwargs)
+        with two_threads():
+            return load(*map(with_own_tensors, args), **kwargs)
     except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
         if tells_of_our_bug(error):
             raise  # a bug of ours in a plugin

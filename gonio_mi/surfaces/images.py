@@ -7,12 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecimenError
+from ..llvm import two_threads
 
 
 def image_heights(path: Path) -> NDArray[np.generic]:
     """First channel of an image, in its own type: whole numbers are its codes."""
     try:
-        array = np.array(mi.Bitmap(str(path)))
+        with two_threads():
+            array = np.array(mi.Bitmap(str(path)))
     except (RuntimeError, ValueError) as error:
         raise SpecimenError(
             f"heightfield.filename must be an image, a .npy file or a file of a "

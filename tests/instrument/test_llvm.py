@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
+import OpenEXR
 import pytest
 
 from gonio_mi import llvm
@@ -347,3 +348,32 @@ def test_self_test_has_power():
     fates[0, :3] += np.array([-1, 0, 1]).astype(fates.dtype)
     moved = replace(record, tallies=(replace(record.tallies[0], fates=fates),))
     assert len(doctor._faults(moved, 1 / np.pi)) == 2
+
+
+ONE_THREAD = """
+import sys
+import gonio_mi as gonio, drjit as dr, mitsuba as mi
+mi.set_variant("llvm_ad_mono")
+dr.set_thread_count(1)
+ways = {"collector": "angle:2x2", "rays": 64, "batches": 2}
+texture = {"type": "bitmap", "filename": sys.argv[1], "raw": True}
+gonio.measure({"type": "diffuse", "reflectance": texture}, 30, **ways)
+plate = {"type": "heightfield", "filename": sys.argv[1], "bsdf": {"type": "diffuse"}}
+gonio.measure({"type": "scene", "plate": plate}, 30, **ways)
+print(dr.thread_count())
+"""
+
+
+def test_a_single_thread_reads_exr_files(tmp_path):
+    """Exact: files are read where Dr.Jit has one thread, as on one core, and it stays.
+
+    Mitsuba waits for ever there; the time is that of a process that does.
+    """
+    pixels = np.full((4, 4), 0.5, np.float32)
+    path = str(tmp_path / "half.exr")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"Y": pixels}) as image:
+        image.write(path)
+    command = [sys.executable, "-W", "ignore", "-c", ONE_THREAD, path]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.stdout == "1\n", done.stderr
