@@ -72,7 +72,8 @@ class Ledger:
         ``sample`` gave a weight that is negative, not finite or above 32768 (2**30 for
         the product of all weights of a path), or a direction that is no unit vector;
         or ``eval`` the like, for the estimator `next_event`; in polarised variants also
-        a matrix with an element of more than 1.01 times the first.
+        a matrix with an element, or a length of the rest of its first row or column,
+        of more than 1.01 times the first element.
     unlit : int
         The emitter sends nothing along this ray.
     integrated : int
@@ -197,10 +198,8 @@ class Tally:
         """Whether all channels received the same."""
         if self.channels == 1:
             return True
-        return bool(np.all(self.sums == self.sums[..., :1])) and bool(
-            np.all(self.incident == self.incident[..., :1])
-            and np.all(self.direct == self.direct[..., :1])
-        )
+        arrays = (getattr(self, name) for name in self.of_channels)
+        return all(bool(np.all(array == array[..., :1])) for array in arrays)
 
     @property
     def ledger(self) -> Ledger:

@@ -13,7 +13,6 @@ import numpy as np
 from ..array_types import Flags, Integers
 from ..results.tally import Fate
 from ..settings.values import ALL_ORDERS, UNLIMITED, Order
-from .polarisation import in_plane
 
 
 @dataclass
@@ -64,7 +63,6 @@ def exits_of(
     sideways = (fate == mi.UInt32(Fate.REFLECTED)) & by_a_side
     fate = dr.select(sideways, mi.UInt32(Fate.SIDEWAYS), fate)
     p = ray.o + flight.shift
-    throughput = in_plane(throughput, ray.d)
     return Exits(p, ray.d, throughput, fate, incident, depth)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import SpecimenError
 from .exits import Exits
-from .polarisation import in_plane, in_world, power_of, product
+from .polarisation import in_planes, power_of, product
 from .rays import Flight, departure, escapes
 from .setup import Setup
 from .sums import Sums
@@ -141,7 +141,7 @@ class Deposits:
             number, wo, spread = self._point(si.p + shift, share, _after(place, i))
             local_wo = si.to_local(wo)
             value, pdf = bsdf.eval_pdf(flux_context(), si, local_wo, wanted)
-            value = in_world(si, value, local_wo)
+            value = in_planes(si, value, ray.d, local_wo, wo)
             value *= shading_normal_correction(si, ray, local_wo, wo)
             spread *= part
             light, realisable = product(value, β)
@@ -156,7 +156,7 @@ class Deposits:
             onward = mi.Ray3f(start + dr.copysign(offset, dr.dot(si.n, wo)) * si.n, wo)
             side = self.setup.beam.side
             shines &= escapes(specimen, side, onward, si.n, offset, shines)
-            self.sums.deposit(number, in_plane(light, wo), shines, self.batch)
+            self.sums.deposit(number, light, shines, self.batch)
             i += 1
         return sound
 

@@ -1,10 +1,10 @@
 """Power and polarisation of light on its way: Mueller matrices of polarised variants.
 
-There a throughput is the Mueller matrix from the source, in its frame of s = k x z, to
-the beam, in Mitsuba's frame of it; where light leaves it is turned to s = k x z. So
-light of any polarisation is measured at once. Its first element is the power that
-unpolarised light leaves. In other variants a throughput is a power, and nothing here
-adds a step to a kernel.
+There a throughput is the Mueller matrix from the source to the beam, both in frames of
+s = k x z. So light of any polarisation is measured at once. Its first element is the
+power that unpolarised light leaves. Mitsuba's frames jump at the horizon, along which
+light flies between walls of 45 degrees: none is kept from one event to the next. In
+other variants a throughput is a power, and nothing here adds a step to a kernel.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ ROUNDING = 2.0**-18
 # the product of their first elements.
 DARK = 2.0**-12
 
+# Places of what polarised light adds to the power, and of what polarises light.
+ROW, COLUMN = ((0, 1), (0, 2), (0, 3)), ((1, 0), (2, 0), (3, 0))
+
 
 def n_channels() -> int:
     """Number of channels that a ray carries."""
@@ -50,28 +53,28 @@ def other_elements(throughput: mi.Spectrum) -> list[mi.UnpolarizedSpectrum]:
     return [throughput[i // 4, i % 4] for i in range(1, 16)]
 
 
-def in_beam(power: mi.UnpolarizedSpectrum, k: mi.Vector3f) -> mi.Spectrum:
-    """Throughput of new light along `k`."""
-    if not mi.is_polarized:
-        return power
-    turn = _turn(k, _plane_axis(k), mi.mueller.stokes_basis(k))
-    return _times(turn, power)
+def new_light(power: mi.UnpolarizedSpectrum) -> mi.Spectrum:
+    """Throughput of light that met nothing yet."""
+    return _times(mi.Spectrum(1.0), power) if mi.is_polarized else power
 
 
-def in_plane(throughput: mi.Spectrum, k: mi.Vector3f) -> mi.Spectrum:
-    """Throughput of light that leaves along `k`, in the frame of s = k x z."""
-    if not mi.is_polarized:
-        return throughput
-    return _turn(k, mi.mueller.stokes_basis(k), _plane_axis(k)) @ throughput
-
-
-def in_world(
-    si: mi.SurfaceInteraction3f, answer: mi.Spectrum, wo: mi.Vector3f
+def in_planes(
+    si: mi.SurfaceInteraction3f,
+    answer: mi.Spectrum,
+    d: mi.Vector3f,
+    local_wo: mi.Vector3f,
+    wo: mi.Vector3f,
 ) -> mi.Spectrum:
-    """What a BSDF answers for light towards the local `wo`, in frames of the world."""
+    """What a BSDF answers for light along `d`, in frames of s = k x z.
+
+    `wo` is given in the frame of shading and in the world.
+    """
     if not mi.is_polarized:
         return answer
-    return si.to_world_mueller(answer, -si.wi, wo)
+    basis = mi.mueller.stokes_basis
+    into = _turn(d, _plane_axis(d), si.to_world(basis(-si.wi)))
+    out = _turn(wo, si.to_world(basis(local_wo)), _plane_axis(wo))
+    return out @ answer @ into
 
 
 def product(answer: mi.Spectrum, throughput: mi.Spectrum) -> tuple[mi.Spectrum, Any]:
@@ -112,8 +115,13 @@ def _times(matrix: mi.Spectrum, power: mi.UnpolarizedSpectrum) -> mi.Spectrum:
 
 
 def _largest(matrix: mi.Spectrum) -> mi.UnpolarizedSpectrum:
-    """Largest size of the elements but the first; NaN if one is."""
-    sizes = [dr.abs(one) for one in other_elements(matrix)]
+    """Largest size of the elements but the first; NaN if one is.
+
+    Of the first row and the first column the length, which is the same in all frames.
+    """
+    sizes = [dr.abs(matrix[i, j]) for i in (1, 2, 3) for j in (1, 2, 3)]
+    row, column = ([matrix[i] for i in places] for places in (ROW, COLUMN))
+    sizes += [dr.sqrt(x * x + y * y + z * z) for x, y, z in (row, column)]
     found = sizes[0]
     for size in sizes[1:]:
         found = dr.maximum(found, size)

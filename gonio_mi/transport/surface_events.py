@@ -49,7 +49,7 @@ def scattered(
     """What a surface samples, its weight for flux, and the direction in the world."""
     bs, weight = bsdf.sample(flux_context(), si, u1, u2, active)
     wo = si.to_world(bs.wo)
-    weight = polarisation.in_world(si, weight, bs.wo)
+    weight = polarisation.in_planes(si, weight, ray.d, bs.wo, wo)
     return bs, weight * shading_normal_correction(si, ray, bs.wo, wo), wo
 
 
@@ -75,7 +75,7 @@ def after_event(
     """Throughput after a surface event, and its fate: REFLECTED means in flight.
 
     The analog estimator gives two random `numbers`, the others None. Weights of
-    polarised variants are given in frames of the world.
+    polarised variants are given in frames of s = k x z.
     """
     light = polarisation.power_of(bsdf_weight)
     largest, smallest = dr.max(light), dr.min(light)

@@ -12,7 +12,7 @@ from ..results.tally import Fate
 from .beam import Beam
 from .exits import Exits, exits_of
 from .plane import Plane, repeated
-from .polarisation import in_beam, in_plane, in_world
+from .polarisation import in_planes, new_light
 from .rays import START, encounter, flight_from, intersect, leaves_by_a_side, proceed
 from .specimen import Specimen
 from .surface_events import (
@@ -63,8 +63,8 @@ def scatter_plane(
     bs, bsdf_weight = plane.bsdf.sample(flux_context(), si, u1, u2, lit & inside)
     wo = si.to_world(bs.wo)
     numbers = (sampler.next_1d(), sampler.next_1d()) if settings.analog else None
-    bsdf_weight = in_world(si, bsdf_weight, bs.wo)
-    throughput, fate = after_event(in_beam(power, -wi), bsdf_weight, bs, wo, numbers)
+    bsdf_weight = in_planes(si, bsdf_weight, -wi, bs.wo, wo)
+    throughput, fate = after_event(new_light(power), bsdf_weight, bs, wo, numbers)
     if settings.delta_only:
         left = fate == mi.UInt32(Fate.REFLECTED)
         fate = dr.select(left & ~is_delta(bs), mi.UInt32(Fate.INTEGRATED), fate)
@@ -72,7 +72,7 @@ def scatter_plane(
     fate = dr.select(lit, fate, mi.UInt32(Fate.UNLIT))
     incident = dr.select(inside & lit, power, 0.0)
     depth = dr.select(inside & lit, mi.UInt32(1), 0)
-    return Exits(p, wo, in_plane(throughput, wo), fate, incident, depth)
+    return Exits(p, wo, throughput, fate, incident, depth)
 
 
 @dr.syntax
@@ -89,7 +89,7 @@ def trace(
     `deposits`, a :class:`~.next_event.Deposits`, is told of every event.
     """
     ray, power = sent(specimen, beam, sampler, wavelengths, settings.analog)
-    β = in_beam(power, ray.d)
+    β = new_light(power)
     flight = flight_from(specimen, ray)
 
     flags = mi.RayFlags.All | mi.RayFlags.dNSdUV

@@ -126,13 +126,29 @@ def test_mirrors_in_crossed_planes_are_jones_calculus():
         "a": _wall([-1.5, 0, 0], lower, CONDUCTOR),
         "b": _wall([1.5, 0, 0], upper, CONDUCTOR, 2.0),
     }
-    for theta_i, phi_i in ((0, 0), (10, 30)):
+    # the last with light along the horizon between both, where Mitsuba's frames jump
+    for theta_i, phi_i in ((0, 0), (10, 30), (20, 90)):
         record = gonio.measure(scene, theta_i, phi_i, order=2, **FEW | FINE)
         wi = _wi(theta_i, phi_i)
         found, due = _after_two(record, wi, (lower, upper), METAL)
         assert np.allclose(found, due, rtol=0, atol=ROUNDING)
         # not the product in the other order
         assert not np.allclose(found, due.T, rtol=0, atol=0.01)
+
+
+def test_light_along_the_horizon_is_jones_calculus():
+    """Between walls of 45 degrees light flies where Mitsuba's frames jump."""
+    azimuth = np.radians(140)
+    along = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+    lower, upper = along + [0, 0, 1], [0.1, -0.2, 1.0] - along
+    scene = {
+        "type": "scene",
+        "a": _wall(-1.5 * along, lower, CONDUCTOR),
+        "b": _wall(1.5 * along, upper, CONDUCTOR, 2.0),
+    }
+    record = gonio.measure(scene, 0, order=2, **FEW | FINE)
+    found, due = _after_two(record, _wi(0, 0), (lower, upper), METAL)
+    assert np.allclose(found, due, rtol=0, atol=ROUNDING)
 
 
 def test_dielectric_groove_is_jones_calculus():
