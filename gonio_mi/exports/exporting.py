@@ -72,8 +72,8 @@ def export(
     path : str or path
         ``.csv``: values at the middles of patches, read by `read_measured`, with the
         seed by which `compare` knows rays of its own, and with the elements of Mueller
-        matrices as further columns; for several quantities or
-        channels their names are put before the ending. ``.astm``: text
+        matrices as further columns, which nothing here reads back; for several
+        quantities or channels their names are put before the ending. ``.astm``: text
         after ASTM E1392, of reflection; see :mod:`gonio_mi.formats.astm`. ``.xml``: a
         Radiance BSDF. ``.bsdf``: for Mitsuba's `measured`, reflection only; needs a
         variant of rgb, or a spectral one for channels that are wavelengths. ``.nc``

@@ -18,13 +18,14 @@ from ..array_types import Floats, Singles
 from ..collector import Subdivision
 from ..collector.directions import direction
 from ..errors import LABEL, PackageError, SettingError, SettingTypeError, abridged_apart
-from ..plots import plot, sheet
+from ..plots import plot, plot_mueller, sheet
 from ..plots.figure import evenly
+from ..plots.plot import received
 from ..progress import bar
 from ..results.record import Record
 from ..results.summary import Summary, grouped, summarize
 from ..results.summary_text import percent, summary_text, total_cells
-from .page import check_page, picture_and_text, save_page
+from .page import check_page, figure, picture_and_text, save_page
 
 # Patch values of one record, over all directions, hemispheres and channels, that a
 # browser still shows with ease: 1000 directions of two hemispheres of 30x90 patches.
@@ -63,7 +64,9 @@ def report(
     ray came, the upper limit over 1.96 is taken for one. Of a record with more
     than 5.4 million patch values evenly chosen incident directions are shown, and the
     page says so. The page knows the patches of 720 x 720 directions of a hemisphere:
-    patches between these are in its CSV only.
+    patches between these are in its CSV only. Of records of polarised variants, all
+    elements of the Mueller matrices at the first incident direction are drawn below,
+    if Matplotlib is there.
 
     Plotly draws it (the extra ``report``): a kept library that has maps and
     surfaces in three dimensions and whose script can be put into the page.
@@ -109,7 +112,20 @@ def report(
         f'<script type="application/json" id="data">{data}</script>',
         f"<script>{(ours / 'record_page.js').read_text('utf-8')}</script>",
     ]
+    body += [_sheets_of_elements(one) for one in records if one.polarised]
     save_page(path, "; ".join(names), body)
+
+
+def _sheets_of_elements(record: Record) -> str:
+    """Maps of all elements of Mueller matrices at the first incident direction.
+
+    Nothing without matplotlib.
+    """
+    try:
+        drawn = [plot_mueller(record, of=of) for of in received(record[0])]
+    except PackageError:
+        return ""
+    return "<h2>Elements of Mueller matrices</h2>" + "".join(map(figure, drawn))
 
 
 def check_report(path: str | PathLike[str]) -> None:

@@ -21,6 +21,7 @@ from gonio_mi.reports import report
 from gonio_mi.reports.report import RASTER, names_apart, packed_record, raster
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
+from gonio_mi.results.tally import N_ELEMENTS, PolarisedTally
 
 pytest.importorskip("plotly")
 
@@ -101,6 +102,19 @@ def test_names_tell_records_apart():
     ]
     long = [base.with_settings(specimen=f"{100 * 'a'}{k}.xml") for k in range(3)]
     assert [name[-5:] for name in names_apart(long)] == ["0.xml", "1.xml", "2.xml"]
+
+
+def test_polarised_records_have_maps_of_all_elements(tmp_path):
+    pytest.importorskip("matplotlib")
+    record = synthetic.record(both=True)
+    (tally,) = record.tallies
+    shape = *tally.sums.shape[:-1], N_ELEMENTS, tally.channels
+    polarised = PolarisedTally(**vars(tally), elements=np.zeros(shape))
+    others = record, replace(record, tallies=(polarised,))
+    report(others, tmp_path / "a.html")
+    assert (tmp_path / "a.html").read_text().count("<img ") == 2
+    report(record, tmp_path / "a.html")
+    assert "<img " not in (tmp_path / "a.html").read_text()
 
 
 # ------------------------------------------------------------------------ bad input
