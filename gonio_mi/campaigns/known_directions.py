@@ -32,6 +32,10 @@ from ..results.record import Record
 from ..settings import Estimator, MeasurementSettings
 from .execution import Surroundings, records_of
 
+logger = logging.getLogger(__name__)
+
+# --------------------------------------------------------------------------- prediction
+
 # Part of a tolerance that points may be spared for.
 SPARED = 1 / 100
 
@@ -156,8 +160,6 @@ class Prediction:
         spared = np.searchsorted(np.cumsum(order), allowed)
         return missed >= order[spared] if spared < len(order) else missed < 0
 
-
-logger = logging.getLogger(__name__)
 
 # --------------------------------------------------------------------- known directions
 

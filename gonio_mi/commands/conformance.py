@@ -40,6 +40,7 @@ def run(options: Namespace) -> int:
     from ..versions.conformance import ask_versions, save_table
 
     check_page(options.output)
+    # all are checked before anything is asked; the first one stays set
     for variant in reversed(options.variants):
         set_variant(variant)
     pythons = [interpreter(venv) for venv in options.against]

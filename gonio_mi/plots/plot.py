@@ -82,21 +82,33 @@ def plot(
     OSError
         If the file cannot be written.
     """
+    single = chosen(record, index)
+    shown = received(single)
+    figure = new_figure(path, figsize=(7 if len(shown) == 1 else 10, 8))
+    from .polar_map import draw_map
+
+    above, below = figure.subfigures(2, 1, height_ratios=(1.3, 1))
+    for axes, of in zip(above.subplots(1, len(shown), squeeze=False)[0], shown):
+        draw_map(axes, single, of)
+    draw_profiles(below.subplots(), record, index, shown)
+    return finished(figure, path, figure_title(record, index))
+
+
+def chosen(record: Record, index: int) -> Record:
+    """Record of the incident direction of that number.
+
+    Raises
+    ------
+    ValueError
+        If there is no such direction.
+    """
     index = checked_count("index", index, 0)
     if index >= len(record):
         raise SettingError(
             f"index must be below {len(record)}, the number of incident directions, "
             f"got {index}"
         )
-    shown = received(record[index])
-    figure = new_figure(path, figsize=(7 if len(shown) == 1 else 10, 8))
-    from .polar_map import draw_map
-
-    above, below = figure.subfigures(2, 1, height_ratios=(1.3, 1))
-    for axes, of in zip(above.subplots(1, len(shown), squeeze=False)[0], shown):
-        draw_map(axes, record[index], of)
-    draw_profiles(below.subplots(), record, index, shown)
-    return finished(figure, path, figure_title(record, index))
+    return record[index]
 
 
 def figure_title(record: Record, index: int) -> str:

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SettingError, checked_count
 from ..results import statistics
 from ..results.mueller import checked_stokes
 from ..results.record import Record
 from .figure import finished, new_figure
-from .plot import GRID, NAMES, figure_title, received
+from .plot import GRID, NAMES, chosen, figure_title, received
 from .profile import LEVEL, cut_of
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ def plot_mueller(
 
     Returns the matplotlib figure, and raises as :func:`gonio_mi.plot`.
     """
-    single = _chosen(record, index)
+    single = chosen(record, index)
     columns = [single.stokes(vector, of)[0] for vector in _light_of_columns()]
     # of the four basis vectors, from those of real light
     first = columns[0]
@@ -111,7 +110,7 @@ def plot_stokes(
     Returns the matplotlib figure, and raises as :func:`gonio_mi.plot` and
     :meth:`~gonio_mi.results.record.Record.stokes`.
     """
-    single, vector = _chosen(record, index), checked_stokes(stokes)
+    single, vector = chosen(record, index), checked_stokes(stokes)
     shown = received(single)
     figure = new_figure(path, figsize=(12, 3.7 * len(shown) + 3.8))
     heights = (1.05 * len(shown), 1)
@@ -126,17 +125,6 @@ def plot_stokes(
     numbers = ", ".join(f"{x:g}" for x in vector)
     title = f"{figure_title(record, index)}\nincident Stokes vector ({numbers}), {GRID}"
     return finished(figure, path, title)
-
-
-def _chosen(record: Record, index: int) -> Record:
-    """The incident direction of that number, of a record with Mueller matrices."""
-    index = checked_count("index", index, 0)
-    if index >= len(record):
-        raise SettingError(
-            f"index must be below {len(record)}, the number of incident directions, "
-            f"got {index}"
-        )
-    return record[index]
 
 
 def _light_of_columns() -> Floats:

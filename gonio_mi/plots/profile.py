@@ -1,6 +1,6 @@
 """The profile of a record: its patches in the plane of incidence, and their drawing.
 
-Here too are the rings and sectors that are drawn instead of patches that are none.
+Here too are the rings and sectors that are drawn in the place of other patches.
 """
 
 import math
@@ -97,12 +97,11 @@ def profile(single: Record, of: str = "brdf", level: float = LEVEL) -> Profile:
 
 def cut_of(
     single: Record,
-) -> tuple[
-    NDArray[np.float64], NDArray[np.float64], Callable[[NDArray[Any]], NDArray[Any]]
-]:
+) -> tuple[Floats, Floats, Callable[[NDArray[Any]], NDArray[Any]]]:
     """Edges and middles of the patches of a :class:`Profile`, and what picks them.
 
-    The latter takes arrays of the shape ``(*patches, channels)``.
+    The latter makes of the values of all patches, ``(n_theta, n_phi, channels)``, those
+    in the plane of incidence, ``(2 n_theta, channels)``.
     """
     patches, _ = drawn_in_rings(single.subdivision, single.brdf)
     phi_i = np.radians(np.nan_to_num(single.phi_i[0]))

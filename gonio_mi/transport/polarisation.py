@@ -1,10 +1,11 @@
 """Power and polarisation of light on its way: Mueller matrices of polarised variants.
 
-There a throughput is the Mueller matrix from the source to the beam, both in frames of
-s = k x z. So light of any polarisation is measured at once. Its first element is the
-power that unpolarised light leaves. Mitsuba's frames jump at the horizon, along which
-light flies between walls of 45 degrees: none is kept from one event to the next. In
-other variants a throughput is a power, and nothing here adds a step to a kernel.
+In these variants a throughput is the Mueller matrix from the source to the beam, both
+in frames of s = k x z. So light of any polarisation is measured at once. Its first
+element is the power that unpolarised light leaves. Mitsuba's frames jump at the
+horizon, along which light flies between walls of 45 degrees: none is kept from one
+event to the next. In other variants a throughput is a power, and nothing here adds a
+step to a kernel.
 """
 
 from __future__ import annotations

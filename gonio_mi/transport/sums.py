@@ -30,13 +30,13 @@ LOWEST, N_ORDINARY = 114, 16
 # Levels of all numbers but infinity and those below 2**-126.
 LEVELS = 32
 
-# Units of the elements of Mueller matrices beside the first: of faint, ordinary and
-# bright light, and the size from which the next one holds. They are rounded to whole
-# numbers of these, of which 2**24 add up to less than 2**63.
+# Units, as exponents of two, to whole numbers of which the elements of Mueller matrices
+# beside the first are rounded: of faint, ordinary and bright light, and from which size
+# of the largest element on the next unit holds. 2**24 of them stay below 2**63.
 ELEMENT_UNITS = (-60, -36, -9)
 ELEMENT_STEPS = (2.0**-21, 2.0**3)
 
-# Numbers of a bin and a channel for them, one of which is not used.
+# Whole numbers that each bin has for the 15 elements of a channel: a power of two.
 ELEMENT_WIDTH = 16
 
 

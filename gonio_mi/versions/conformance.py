@@ -28,7 +28,8 @@ from .asking import run_python
 
 WORKER = Path(__file__).with_name("scripts_worker.py")
 
-# Where each property is asked: polar angle of incidence, side, and whose mistake it is.
+# What is asked: property, direction of incidence, and words of a mistake and a
+# function, by which the script is chosen.
 QUESTIONS = (
     ("answers", "theta_i 60, phi_i 25", "the value of `eval` is nan in places", "eval"),
     ("answers", "theta_i 60, phi_i 25", "the weight of `sample` in places", "sample"),
@@ -77,7 +78,7 @@ class Answer:
     script: str
 
 
-def bsdfs() -> Iterator[tuple[str, list[dict[str, Any]]]]:
+def bsdfs() -> Iterator[list[dict[str, Any]]]:
     """Mitsuba's own BSDFs, with three sets of parameters each where there are as many.
 
     Not `measured` and `measured_polarized`, which need files, nor those that are for
@@ -128,10 +129,10 @@ def bsdfs() -> Iterator[tuple[str, list[dict[str, Any]]]]:
         ],
     }
     for name, ones in sets.items():
-        yield name, [{"type": name} | one for one in ones]
+        yield [{"type": name} | one for one in ones]
 
 
-def phase_functions() -> Iterator[tuple[str, list[dict[str, Any]]]]:
+def phase_functions() -> Iterator[list[dict[str, Any]]]:
     """Mitsuba's own phase functions, likewise."""
     lobes = [{"g": x} for x in (-0.5, 0.5, 0.9)]
     values = ("0.5, 1.0, 1.5", "1.0, 0.2, 1.0", "0.1, 0.1, 3.0")
@@ -160,14 +161,14 @@ def phase_functions() -> Iterator[tuple[str, list[dict[str, Any]]]]:
         ],
     }
     for name, ones in sets.items():
-        yield name, [{"type": name} | one for one in ones]
+        yield [{"type": name} | one for one in ones]
 
 
 def questions(variant: str) -> Iterator[tuple[str, str, str]]:
     """Case, property and script of all that is asked in a variant."""
     for volumes, plugins in ((False, bsdfs()), (True, phase_functions())):
         known = PHASE if volumes else PROPERTIES
-        for _, ones in plugins:
+        for ones in plugins:
             for i, one in enumerate(ones):
                 source = source_of(one, volumes=volumes)
                 case = f"{one['type']}, parameters {i + 1}"

@@ -1,4 +1,4 @@
-# sggx: off its axes, `sample` draws another density than `pdf` (issue 1728).
+# sggx: off its axes, `sample` draws another density than `pdf` (mitsuba3 issue 1728).
 # The mean of wo.x of samples, and that of the density.
 import drjit as dr
 import mitsuba as mi

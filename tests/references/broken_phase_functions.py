@@ -15,7 +15,7 @@ MISTAKES = {
     "returns_another_pdf": "sample",
     "eval_with_cosine": "eval",
     "eval_without_quarter": "eval",
-    "eval_of_another_g": "eval",
+    "eval_loses_three_percent": "eval",
     "eval_nan_straight_on": "eval",
     "gains_one_percent": "eval",
     "pdf_uniform": "pdf",
@@ -107,7 +107,7 @@ def _classes():
             value, pdf = super().eval_pdf(ctx, mei, wo, active)
             return 4 * value, pdf
 
-    class EvalOfAnotherG(RightLobe):
+    class EvalLosesThreePercent(RightLobe):
         def eval_pdf(self, ctx, mei, wo, active=True):
             _, pdf = super().eval_pdf(ctx, mei, wo, active)
             return 0.97 * mi.Spectrum(pdf), pdf

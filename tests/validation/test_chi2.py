@@ -36,12 +36,10 @@ XML += '<string name="distribution" value="ggx"/>'
 @pytest.mark.usefixtures("mono")
 def test_of_a_bsdf(plugin, extra, by_chi2, by_us, function):
     """What chi2 cannot see: another weight."""
-    extra = extra.replace("%", "%%")
     assert outcome(MODULES["mitsuba"], "BSDFAdapter", plugin, extra)[1] == by_chi2
     test, passed = outcome(MODULES["gonio_mi"], "BSDFAdapter", plugin, extra)
     assert passed == by_us
     assert (function or "None") in str(test.verdict.function)
-    assert 0 <= test.p_value <= 1
     assert "Chi^2 statistic" in test.messages
     assert test.verdict.headline in test.messages
 
@@ -55,7 +53,6 @@ def test_of_a_phase_function():
 
 @pytest.mark.usefixtures("mono")
 def test_of_anything_else_stays_as_it_is():
-
     test = gonio_mi.testing.ChiSquareTest(
         domain=gonio_mi.testing.SphericalDomain(),
         sample_func=mi.warp.square_to_uniform_sphere,

@@ -77,7 +77,7 @@ def test_smooth_conductors_draw_the_mirror_direction(distribution, visible):
 
 
 def test_beckmann_density():
-    """Counted in 2^22 samples, and by a midpoint rule of 4800 x 1500 directions."""
+    """Counted in 2^22 samples, and by a midpoint rule of 2400 x 1200 directions."""
     bsdf = mi.load_dict({"type": "roughconductor", "alpha": 0.3})
     si = lit_from(np.radians(80))
     n = 2**22
@@ -85,13 +85,12 @@ def test_beckmann_density():
     sampler.seed(1, n)
     weight = bsdf.sample(context(), si, sampler.next_1d(), sampler.next_2d())[1]
     sampled = np.count_nonzero(np.array(weight)) / n
-    z = np.sqrt((np.arange(4800) + 0.5) / 4800)[:, None]
-    phi = (np.arange(1500) + 0.5) / 1500 * 2 * np.pi
+    z = ((np.arange(2400) + 0.5) / 2400)[:, None]
+    phi = (np.arange(1200) + 0.5) / 1200 * 2 * np.pi
     sine = np.sqrt(1 - z**2)
     wo = np.stack(np.broadcast_arrays(sine * np.cos(phi), sine * np.sin(phi), z))
     pdf = bsdf.pdf(context(), si, mi.Vector3f(wo.reshape(3, -1).astype(np.float32)))
-    # in z^2: d omega = d(z^2) d phi / 2 z
-    integral = np.mean(pdf.numpy().reshape(4800, 1500) / (2 * z)) * 2 * np.pi
+    integral = np.mean(pdf.numpy(), dtype=float) * 2 * np.pi
     std_err = np.sqrt(sampled * (1 - sampled) / n)
     assert sampled - integral > 20 * std_err
 
