@@ -171,7 +171,7 @@ def test_twin_points_alone_lose_the_delta(tmp_path, monkeypatch):
     record = narrow(lambda _: 0.9, collector="projected:90x180")
     monkeypatch.setattr(resampling, "MAX_MISSED", 1e9)
     monkeypatch.setattr(
-        resampling,
+        radiance_export,
         "specular_peaks",
         lambda record: np.zeros((len(record), 2, 1)),
     )
