@@ -18,7 +18,7 @@ from ..errors import (
 )
 from ..files.measured_table import ANGLE_DIGITS, COLUMNS, NUMBERS, MeasuredTable
 from ..results.record import Record
-from ..results.tally import PolarisedTally
+from ..results.tally import ELEMENT_NAMES, PolarisedTally
 from .agreement import MIN_STUDENT_HITS, PointSet, judge, mostly_few
 from .comparison import Comparison
 from .pairing import (
@@ -238,7 +238,7 @@ def _with_all_elements(
 
 def _as_channels(record: Record) -> Record:
     """Record of light whose channels are elements, each with half of the first."""
-    names = ["", *(f" (M00 + M{i}{j})/2" for i, j in list(np.ndindex(4, 4))[1:])]
+    names = ["", *(f" (M00 + {element})/2" for element in ELEMENT_NAMES)]
     tallies = [one for one in record.tallies if isinstance(one, PolarisedTally)]
     return replace(
         record,

@@ -20,6 +20,7 @@ from ..formats.radiance import Product
 from ..formats.reading import endings_of, read_measured
 from ..results.record import Record, wavelengths_nm
 from ..results.summary import summarize
+from ..results.tally import ELEMENT_NAMES
 from .loss import ZEMAX, Loss, fractions_of, losses, part_names
 from .measured_export import write_measured
 from .radiance_export import BASES, write_radiance
@@ -272,12 +273,9 @@ def _elements(record: Record, quantity: str, number: int) -> dict[str, Floats]:
     for prefix, ending in (("", ""), ("sigma_", "_std_err")):
         matrices = getattr(record, f"{quantity}_mueller{ending}")
         matrices = matrices if record.stacked else matrices[None]
-        of_rows = matrices[:, known, number].reshape(-1, 4, 4)
+        of_rows = matrices[:, known, number].reshape(-1, 16)
         columns |= {
-            f"{prefix}M{i}{j}": of_rows[:, i, j]
-            for i in range(4)
-            for j in range(4)
-            if i or j
+            f"{prefix}{name}": of_rows[:, i] for i, name in enumerate(ELEMENT_NAMES, 1)
         }
     return columns
 

@@ -37,9 +37,10 @@ import OpenEXR
 
 from ..array_types import Counts, Floats, Numbers
 from ..results.record import Record
-from ..results.tally import N_ELEMENTS, Integrals, PolarisedTally, Tally
+from ..results.tally import ELEMENT_NAMES, N_ELEMENTS, Integrals, PolarisedTally, Tally
 from .checks import check_seal, require, seal_of
 from .header import (
+    FRAMES,
     check_format,
     header_of,
     json_of,
@@ -47,7 +48,6 @@ from .header import (
     parsed_subdivision,
     rebuilt,
 )
-from .netcdf import FRAMES
 
 MAGIC = b"\x76\x2f\x31\x01"
 
@@ -66,9 +66,6 @@ CONVENTIONS = (
     "mirror direction has phi = phi_i + 180. Rows are rings of theta from the pole to "
     "the horizon, columns are sectors of phi from 0 to 360."
 )
-# Names of the elements of a Mueller matrix but the first.
-ELEMENTS = [f"M{i}{j}" for i in range(4) for j in range(4)][1:]
-
 MEANINGS = {
     "brdf": "BRDF of each patch, its standard error (NaN where unknown), counted rays",
     "btdf": "BTDF of each patch, its standard error (NaN where unknown), counted rays",
@@ -217,7 +214,7 @@ def pixels(single: Record) -> dict[str, dict[str, Numbers]]:
     if isinstance(tally, Integrals):
         exact["integral", "error"] = tally.errors
     if isinstance(tally, PolarisedTally):
-        for number, element in enumerate(ELEMENTS):
+        for number, element in enumerate(ELEMENT_NAMES):
             exact["elements", element] = tally.elements[..., number, :]
         parts |= _matrices(single, names)
     for (part, layer), array in exact.items():
@@ -231,11 +228,11 @@ def pixels(single: Record) -> dict[str, dict[str, Numbers]]:
 def _matrices(single: Record, names: Sequence[str]) -> dict[str, dict[str, Numbers]]:
     """Layers of all elements but the first, and of their standard errors."""
     parts: dict[str, dict[str, Numbers]] = {}
-    for part in ("brdf_mueller", "btdf_mueller")[: 1 + single.has_lower]:
+    for part in ("brdf_mueller", "btdf_mueller")[: single.n_hemispheres]:
         layers = parts[part] = {}
         for ending, prefix in (("", ""), ("_std_err", "std_err_")):
             matrices = getattr(single, part + ending)
-            for number, element in enumerate(ELEMENTS, 1):
+            for number, element in enumerate(ELEMENT_NAMES, 1):
                 for channel, name in enumerate(names):
                     values = matrices[..., channel, number // 4, number % 4]
                     layers[f"{prefix}{element}.{name}"] = _float32(values)
@@ -469,7 +466,7 @@ def _sums(
         arrays["errors"] = errors.reshape(len(hits), *shape, -1)
     if _part_name("elements", index, n) in parts:
         rows = n_batches * len(hits) * shape[0]
-        each = [channels("elements", element, rows) for element in ELEMENTS]
+        each = [channels("elements", element, rows) for element in ELEMENT_NAMES]
         elements = np.stack(each, axis=-2).view(float)
         of_each = n_batches, len(hits), *shape, N_ELEMENTS, len(names)
         arrays["elements"] = elements.reshape(of_each)

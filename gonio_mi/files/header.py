@@ -15,6 +15,12 @@ from ..results.record import Record
 from ..results.tally import N_ELEMENTS, Fate, Integrals, PolarisedTally, Tally
 from .checks import require
 
+# Stokes vectors that Mueller matrices belong to, for whoever reads a file.
+FRAMES = (
+    "(I, Q, U, V) in frames of s = k x z, p = k x s of directions k of flight: Q = I_s "
+    "- I_p, U > 0 half-way from s to p, V > 0 clockwise seen against k"
+)
+
 FORMAT = "gonio-mi record"
 VERSION = 4
 

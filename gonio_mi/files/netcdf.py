@@ -10,18 +10,12 @@ import numpy as np
 
 from ..errors import PackageError
 from ..results.record import Record, wavelengths_nm
+from .header import FRAMES
 
 CONVENTIONS = (
     "Patch means in 1/sr, without cosine. Angles in degrees: theta_i from the normal "
     "of the lit face, phi from +x counter-clockwise, theta from the pole of either "
     "hemisphere; the mirror direction has phi = phi_i + 180."
-)
-
-
-# What the elements of Mueller matrices belong to.
-FRAMES = (
-    "(I, Q, U, V) in frames of s = k x z, p = k x s of directions k of flight: Q = I_s "
-    "- I_p, U > 0 half-way from s to p, V > 0 clockwise seen against k"
 )
 
 # What a standard error is, for whoever reads the file.

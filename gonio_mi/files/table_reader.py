@@ -34,7 +34,7 @@ from .table_text import TextTable, decimal, decimals, is_decimal, split_text
 OWN_NAMES = (*COLUMNS, "sigma")
 
 # Those of Mueller matrices in our own tables, which are compared by their light alone.
-ELEMENTS = re.compile(r"(sigma_)?M[0-3][0-3]")
+ELEMENT_COLUMN = re.compile(r"(sigma_)?M[0-3][0-3]")
 NM = {"nm": 1.0, "um": 1e3, "m": 1e9}
 KINDS = {"rel": "relative", "abs": "absolute"}
 
@@ -164,7 +164,7 @@ class _Reading:
         # our own names: all five, nothing beside them; in degrees below our header
         self.own = set(text.names) >= set(COLUMNS) and not specified.columns
         self.known = [
-            None if self.own and ELEMENTS.fullmatch(name) else recognised(name)
+            None if self.own and ELEMENT_COLUMN.fullmatch(name) else recognised(name)
             for name in text.names
         ]
         self.in_degrees = self.own and bool(settings)
@@ -176,7 +176,7 @@ class _Reading:
         for role, word in specified.columns.items():
             self._assign(role, str(word))
         for name in text.names if self.own else ():
-            if name not in OWN_NAMES and not ELEMENTS.fullmatch(name):
+            if name not in OWN_NAMES and not ELEMENT_COLUMN.fullmatch(name):
                 raise FileFormatError(
                     f"{self.here}: a column must be one of {', '.join(OWN_NAMES)}, got "
                     f"{shown(name)}"

@@ -157,9 +157,9 @@ def _stokes_text(record: Record, stokes: Sequence[float], most_rows: int) -> str
     header = ["theta_i", "phi_i", "of", "channel", "I"]
     header += ["Q/I", "U/I", "V/I", "std_err", "degree"]
     rows = []
-    for single in (record[i] for i in range(len(record))):
+    for single in record:
         angles = [_angle(float(x[0])) for x in (single.theta_i, single.phi_i)]
-        for of in ("dhr", "dht")[: 1 + record.has_lower]:
+        for of in ("dhr", "dht")[: record.n_hemispheres]:
             for channel, value, error in zip(
                 record.channels, *single.stokes(stokes, of)
             ):

@@ -15,8 +15,9 @@ from ..array_types import Counts, Floats, Numbers
 # and in double precision, which 1e12 rays of unit weight do not exhaust, over launches.
 WEIGHT_SCALE = 2**24
 
-# Elements of a Mueller matrix beside the first.
-N_ELEMENTS = 15
+# Names of the elements of a Mueller matrix beside the first, row by row; their number.
+ELEMENT_NAMES = tuple(f"M{i}{j}" for i in range(4) for j in range(4))[1:]
+N_ELEMENTS = len(ELEMENT_NAMES)
 
 
 def batch_sizes(rays: int, batches: int) -> list[int]:

@@ -4,8 +4,8 @@ One flat BSDF at one incident direction is all that is needed: its functions are
 about the same directions, and what they answer is compared.
 """
 
-from .adapter import from_numpy
 from .evidence import POLARISED, PROPERTIES
+from .numpy_bsdf import from_numpy
 from .reproducer import reproducer
 from .validate import validate
 from .verdict import Property, Verdict

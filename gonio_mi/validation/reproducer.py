@@ -18,6 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SettingError
+from ..files import replacing
 from .conditions import TURN, Condition, Sweep
 from .maps import FourMaps
 from .samples import BSDF_ROUNDING
@@ -450,10 +451,16 @@ def reproducer(verdict: Verdict, name: str | None = None) -> str:
 def save_reproducer(
     verdict: Verdict, path: str | PathLike[str], name: str | None = None
 ) -> None:
-    """Write :func:`reproducer` to a file."""
+    """Write :func:`reproducer`, which raises as it does, to a file.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
     text = reproducer(verdict, name)
-    with open(path, "w", encoding="utf-8") as file:
-        file.write(text)
+    with replacing(path) as stream:
+        stream.write(text.encode())
 
 
 def script(verdict: Verdict, one: Property) -> str:
@@ -557,7 +564,7 @@ def _in_a_medium(text: str) -> str:
 
 
 def _told(statistic: str) -> Condition:
-    """Condition that a statistic names."""
+    """Condition that the text of a statistic names; an ordinary one if none."""
     found = re.search(r"theta_i ([\d.]+), phi_i ([\d.]+)", statistic)
     theta_i, phi_i = map(float, found.groups()) if found else (50.0, 25.0)
     side = (

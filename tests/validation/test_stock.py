@@ -357,7 +357,7 @@ def test_measured_is_as_reciprocal_as_its_table(rgb):
 # ------------------------------------------------------------------ polarised variants
 
 # Single precision, after some dozens of operations on elements up to 1.
-ROUNDING = 1e-5
+ROUNDING = 4e-6
 INDEX = 0.2 + 3j
 MIRROR = {"type": "conductor", "eta": INDEX.real, "k": INDEX.imag}
 
