@@ -2,7 +2,8 @@
 
 One template for each kind of finding, filled with the BSDF, the direction and the patch
 where it was found. Each prints two numbers that should be equal, and how far apart they
-are: in standard errors, or, where chance takes no part, in roundings.
+are: in standard errors, or, where chance takes no part, in roundings. Counts and bit
+masks must be equal.
 """
 
 from __future__ import annotations
@@ -72,8 +73,8 @@ WORDS = {
     "SPHERE": "mi.warp.square_to_uniform_sphere(mi.Point2f(u[1:]))",
 }
 
-# Last lines: of arrays `a` and `b`, of numbers, of numbers known to an error, of values
-# `x` of which none should be negative or not finite.
+# Last lines: of arrays `a` and `b`, of numbers, of values `x` of which none should be
+# negative or not finite, of counts, of numbers known to an error.
 COMPARE = """\
 off, a, b = (one + np.zeros(n) for one in (np.where(SMOOTH, OFF, 0), a, b))
 k = np.argsort(off)[-n // 1000]  # one sample in a thousand is farther off
@@ -83,10 +84,11 @@ COMPARE_STEEP = COMPARE.replace("SMOOTH", "SMOOTH & (dr.abs(bs.wo.z) > 1e-3)")
 EQUAL = """\
 off = OFF
 print(f"{a:.6g} and {b:.6g}: {off / ROUNDING:.3g} roundings")"""
+SAME = 'print(f"{a} and {b}, which must be equal: {a == b}")'
 SCORED = 'print(f"{a:.6g} and {b:.6g}: {abs(a - b) / error:.3g} standard errors")'
 IMPROPER = """\
 wrong = x[~(x >= 0) | ~np.isfinite(x)]
-print(f"{wrong.size} values such as {wrong[:3]} and 0: {wrong.size} roundings")"""
+print(f"{wrong[:3]}: {wrong.size} and 0, which must be equal: {wrong.size == 0}")"""
 
 COUNT = f"""\
 low, high = np.array(CORNERS)  # of a patch, in the unit square
@@ -98,6 +100,18 @@ for points in (np.arange(n) * [[1 / n], [0.618034]] + rng.random((16, 2, 1))) % 
     due += [4 * np.pi * np.prod(high - low) * np.mean(DENSITY, dtype=float)]
 a, b = np.mean(drawn), np.mean(due)
 error = np.hypot(np.std(drawn) / n**0.5, np.std(due) / 4) + 1e-7
+{SCORED}"""
+
+# Of all directions the first moments, and the one that is farthest off.
+MOMENTS = f"""\
+moments = lambda wo: np.stack([x + np.zeros(n) for x in (1, *np.array(wo))])
+drawn, due = np.where(np.array(COUNTED), DRAWN * moments(bs.wo), 0), []
+for points in (np.arange(n) * [[1 / n], [0.618034]] + rng.random((16, 2, 1))) % 1:
+    wo = mi.warp.square_to_uniform_sphere(mi.Point2f(points))
+    due += [4 * np.pi * np.mean(np.array(DENSITY) * moments(wo), axis=1)]
+a, b = np.mean(drawn, axis=1), np.mean(due, axis=0)
+error = np.hypot(np.std(drawn, axis=1) / n**0.5, np.std(due, axis=0) / 4) + 1e-7
+a, b, error = np.transpose([a, b, error])[np.argmax(np.abs(a - b) / error)]
 {SCORED}"""
 
 # All that a function sends anywhere.
@@ -141,6 +155,9 @@ for theta in np.radians([0, 1e-3, 89.99, 90, 90.01, 120, 179.999, 180]):
         x += [np.ravel(dr.select(dr.squared_norm(wo) > 0.5, WHAT, 0))]
 x = np.concatenate(x)
 {IMPROPER}"""
+
+# Corners of the whole sphere, in the unit square.
+EVERYWHERE = ([0.0, 0.0], [1.0, 1.0])
 
 # Which samples go the way of the first in a discrete direction.
 LOBE = """\
@@ -234,7 +251,7 @@ b = np.array(bsdf.eval(ctx, back, si.wi)).mean(0) / np.abs(si.wi.z)
         f"""\
 awake = mi.Bool(np.arange(n) % 2 == 0)
 a, b = np.max(np.abs(np.array(MASKED)) * np.array(~awake)), 0
-{EQUAL}""",
+{SAME}""",
     ),
     ("ends", "length", ENDS.replace("WHAT", "1e-3 - dr.abs(dr.norm(bs.wo) - 1)")),
     ("ends", "", ENDS.replace("WHAT", "END")),
@@ -326,7 +343,7 @@ a, b = np.array(bs.eta) + np.zeros(n), np.ones(n)
         f"""\
 through = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Transmission) & LIT
 a, b = np.sum(through), np.sum((bs.wo.z * si.wi.z < 0) & LIT)
-{EQUAL}""",
+{SAME}""",
     ),
     (
         "continuity",
@@ -374,7 +391,7 @@ a, b = shares
     (
         "flags",
         "is scattered though",
-        f"a, b = np.mean(np.array({VALUE} > 0)), 0\n{EQUAL}",
+        f"a, b = np.mean(np.array({VALUE} > 0)), 0\n{SAME}",
     ),
     (
         "flags",
@@ -385,7 +402,7 @@ for i in range(bsdf.component_count()):
     ctx.type_mask = int(mi.BSDFFlags.All) & ~int(bsdf.flags(i))
     bs, weight = bsdf.sample(ctx, si, RANDOM)
     a += np.sum(np.array(MASKED_TYPES & dr.any(FUNCTION != 0)))
-{EQUAL}""",
+{SAME}""",
     ),
     (
         "flags",
@@ -406,7 +423,7 @@ b = a & int(bsdf.flags())  # what is sampled, and of that is declared
 last = int(np.max(np.array(bs.sampled_component) * np.array(LIT)))
 if a == b and last >= bsdf.component_count():
     a, b = last + 1, bsdf.component_count()
-{EQUAL}""",
+{SAME}""",
     ),
     ("", "", "answer = FUNCTION\nprint(type(answer), answer, mi.traverse(bsdf))"),
 )
@@ -418,7 +435,8 @@ def reproducer(verdict: Verdict, name: str | None = None) -> str:
     At most 20 lines of code, without an import of this package. The last line that it
     prints has two numbers that should be equal, and how far apart they are: in standard
     errors, or in roundings of a thousand operations in single precision where chance
-    takes no part. What raises an exception raises it there too.
+    takes no part; of counts and bit masks, whether they are equal. What
+    raises an exception raises it there too.
 
     Parameters
     ----------
@@ -490,6 +508,8 @@ def script(verdict: Verdict, one: Property) -> str:
     text = "\n".join([*lines, body]) + "\n"
     if "rng." not in body:
         text = text.replace("rng = np.random.default_rng(0)\nu = rng", f"u = {RNG}")
+    if mi.is_polarized:
+        text = _of_first_elements(text)
     return _in_a_medium(text) if one.of_volumes else text
 
 
@@ -501,9 +521,10 @@ def _counting(maps: FourMaps | None, corners: Any, name: str) -> str:
         lit = "dr.any(bsdf.eval(ctx, si, {}) > 0)"
         counted = lit.format("bs.wo")
         density = f"dr.select({lit.format('wo')}, {density}, 0)"
+    whole = corners == EVERYWHERE
     rounded = [[[float(f"{x:.9g}")] for x in corner] for corner in corners]
     words = {"CORNERS": str(rounded), "COUNTED": counted, "DRAWN": drawn}
-    body = COUNT.replace("DENSITY", density)
+    body = (MOMENTS if whole else COUNT).replace("DENSITY", density)
     for word, text in words.items():
         body = body.replace(word, text)
     return body
@@ -541,6 +562,18 @@ def _words(verdict: Verdict, one: Property, mistake: str) -> dict[str, str]:
         "NUMBER": number[1] if number else "0",
         "SIDES": ", ".join(sides.get(guilty, (PRODUCT, VALUE))),
     }
+
+
+def _of_first_elements(text: str) -> str:
+    """The same script where values are Mueller matrices: of their first elements."""
+    first = "mi.unpolarized_spectrum"
+    text = re.sub(r"(bsdf\.eval\([^()]*(?:\([^()]*\)[^()]*)*\))", rf"{first}(\1)", text)
+    return re.sub(
+        r"^( *)(.*), weight = (bsdf\.sample.*)$",
+        rf"\1\2, weight = \3\n\1weight = {first}(weight)",
+        text,
+        flags=re.MULTILINE,
+    )
 
 
 def _in_a_medium(text: str) -> str:
@@ -654,9 +687,8 @@ def _box(verdict: Verdict, name: str) -> tuple[FourMaps | None, Any]:
             # of many patches the worst is far off by chance
             score = float(z.max()) ** 2 - 2 * np.log(z.size)
             found.append((score, maps, (low, high)))
-    everywhere = ([0.0, 0.0], [1.0, 1.0])
     score, best, corners = max(found, key=lambda one: one[0], default=(0.0, None, None))
-    return (best, corners) if score > MIN_SCORE else (None, everywhere)
+    return (best, corners) if score > MIN_SCORE else (None, EVERYWHERE)
 
 
 # ------------------------------------------------------------------- the BSDF as text

@@ -29,7 +29,6 @@ from .checks import (
     ends,
     energy,
     eval_pdf,
-    eval_pdf_sample,
     flags,
     masks,
     parameters,
@@ -318,7 +317,6 @@ def _check_identities(evidence: Evidence, samples: Samples) -> None:
         sampled_pdf,
         sampled_weight,
         eval_pdf,
-        eval_pdf_sample,
     ):
         check.check_samples(evidence, samples)
 

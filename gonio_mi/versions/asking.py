@@ -144,15 +144,25 @@ def ask(
     SpecimenError
         If its Mitsuba cannot load the BSDF, or ends the process.
     """
+    facts, arrays = answer_of(
+        python, question.to_json(), {**question.arrays(), **(wo or {})}
+    )
+    return Answers(facts, arrays)
+
+
+def answer_of(
+    python: str, question: Mapping[str, Any], arrays: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Facts and arrays that the worker answers; errors as of :func:`ask`."""
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
-        (here / "question.json").write_text(json.dumps(question.to_json()))
-        np.savez(here / "question.npz", **question.arrays(), **(wo or {}))
-        ended = run_python([python, "-I", str(WORKER), folder])
+        (here / "question.json").write_text(json.dumps(question))
+        np.savez(here / "question.npz", **arrays)
+        ended = _run([python, "-I", str(WORKER), folder])
         try:
             facts = json.loads((here / "answer.json").read_text())
             with np.load(here / "answer.npz") as content:
-                arrays = dict(content)
+                answers = dict(content)
         except (OSError, ValueError):
             facts = {"error": _last(ended)}
     missing = re.search(r"No module named '(mitsuba|drjit|numpy)", str(facts))
@@ -162,10 +172,10 @@ def ask(
         )
     if "error" in facts:
         raise SpecimenError(f"{python} gave no answer: {facts['error']}")
-    return Answers(facts, arrays)
+    return facts, answers
 
 
-def run_python(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
     """Run it; another environment must not see the modules of this one."""
     hidden = ("PYTHONPATH", "PYTHONHOME")
     environment = {k: v for k, v in os.environ.items() if k not in hidden}

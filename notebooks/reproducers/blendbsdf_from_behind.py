@@ -16,5 +16,4 @@ u = np.random.default_rng(0).random((3, n), dtype=np.float32)
 u[:2], u[2] = 0, 0.5
 bs, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]))
 a, b = np.count_nonzero(np.isnan(np.array(weight))), 0
-off = abs(a - b) / max(abs(a), abs(b))
-print(f"{a:.6g} and {b:.6g}: {off / 6.1e-05:.3g} roundings")
+print(f"{a} and {b}, which must be equal: {a == b}")

@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 
@@ -10,12 +11,12 @@ from gonio_mi.campaigns.measure import measure
 from gonio_mi.exports.exporting import export
 from gonio_mi.validation.validate import validate
 from gonio_mi.validation.verdict import Verdict
-from gonio_mi.versions.stock_bsdfs import Case, cases
+from gonio_mi.versions.conformance import cases
 
 __all__ = ["coloured", "main"]
 
 
-def coloured() -> Iterator[Case]:
+def coloured() -> Iterator[tuple[str, dict[str, Any]]]:
     """Cases that need a variant of rgb, which must be set.
 
     The file of `measured` is a record of a metal that was measured here.

@@ -19,6 +19,9 @@ def told(text):
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         exec(compile(text, "reproducer.py", "exec"), {"__name__": "__main__"})
+    found = re.search(r"which must be equal: (True|False)\s*$", said.getvalue())
+    if found:
+        return 0.0 if found[1] == "True" else float("inf")
     found = re.search(r": (\S+) (standard errors|roundings)\s*$", said.getvalue())
     size, unit = found.groups()
     return float(size) / BEYOND[unit]
