@@ -255,7 +255,8 @@ def save_table(answers: Iterable[Answer], path: str | PathLike[str]) -> None:
     text = (
         "<p>Red: two numbers that should be equal are farther apart than "
         f"{told.replace(', ', ' or ')}, or counts that must be equal are not, with two "
-        "independent sets of random numbers. A click shows the script, which needs Mitsuba and NumPy only. "
+        "independent sets of random numbers. A click shows the script, which needs "
+        "Mitsuba and NumPy only. "
         "Grey: the version does not answer.</p>"
     )
     title = "Conformance of Mitsuba's own plugins"
