@@ -82,15 +82,7 @@ def bsdfs() -> Iterator[list[dict[str, Any]]]:
     alone are there where the variant is polarised.
     """
     ggx = {"distribution": "ggx"}
-    diffuse, glossy = {"type": "diffuse"}, {"type": "roughconductor", "alpha": 0.2}
     checkers = {"type": "checkerboard", "color0": 0.2, "color1": 0.7}
-    heights = np.linspace(0, 0.3, 16, dtype=np.float32).reshape(4, 4, 1)
-    normals = np.tile(np.array([0.55, 0.5, 0.99], np.float32), (2, 2, 1))
-    bumps, slopes = (
-        {"type": "bitmap", "bitmap": mi.Bitmap(values), "raw": True}
-        for values in (heights, normals)
-    )
-    nested = (diffuse, glossy | ggx, {"type": "plastic"})
     sets: dict[str, list[dict[str, Any]]] = {
         "diffuse": [{"reflectance": x} for x in (0.6, checkers, 1.0)],
         "conductor": [{"material": x} for x in ("none", "Al", "Au")],
@@ -123,6 +115,28 @@ def bsdfs() -> Iterator[list[dict[str, Any]]]:
         ],
         "hair": [{"sigma_a": x} for x in (0.0, 0.2, 2.0)],
         "null": [{}],
+    } | _composed()
+    if mi.is_polarized:
+        sets |= {
+            "polarizer": [{"theta": x} for x in (0.0, 20.0, 90.0)],
+            "retarder": [{"theta": x} for x in (0.0, 20.0, 90.0)],
+            "circular": [{}, {"left_handed": True}],
+        }
+    for name, ones in sets.items():
+        yield [{"type": name} | one for one in ones]
+
+
+def _composed() -> dict[str, list[dict[str, Any]]]:
+    """Parameters of those that hold other BSDFs."""
+    diffuse, glossy = {"type": "diffuse"}, {"type": "roughconductor", "alpha": 0.2}
+    heights = np.linspace(0, 0.3, 16, dtype=np.float32).reshape(4, 4, 1)
+    normals = np.tile(np.array([0.55, 0.5, 0.99], np.float32), (2, 2, 1))
+    bumps, slopes = (
+        {"type": "bitmap", "bitmap": mi.Bitmap(values), "raw": True}
+        for values in (heights, normals)
+    )
+    nested = (diffuse, glossy, {"type": "plastic"})
+    return {
         "mask": [{"opacity": x, "nested": diffuse} for x in (0.2, 0.5, 0.9)],
         "twosided": [
             {"nested": glossy},
@@ -137,14 +151,6 @@ def bsdfs() -> Iterator[list[dict[str, Any]]]:
         "bumpmap": [{"heights": bumps, "nested": one} for one in nested],
         "normalmap": [{"normalmap": slopes, "nested": one} for one in nested],
     }
-    if mi.is_polarized:
-        sets |= {
-            "polarizer": [{"theta": x} for x in (0.0, 20.0, 90.0)],
-            "retarder": [{"theta": x} for x in (0.0, 20.0, 90.0)],
-            "circular": [{}, {"left_handed": True}],
-        }
-    for name, ones in sets.items():
-        yield [{"type": name} | one for one in ones]
 
 
 def cases() -> Iterator[tuple[str, dict[str, Any]]]:
