@@ -82,7 +82,7 @@ def bsdfs() -> Iterator[list[dict[str, Any]]]:
     alone are there where the variant is polarised.
     """
     ggx = {"distribution": "ggx"}
-    checkers = {"type": "checkerboard", "color0": 0.2, "color1": 0.7}
+    checkers: Any = {"type": "checkerboard", "color0": 0.2, "color1": 0.7}
     sets: dict[str, list[dict[str, Any]]] = {
         "diffuse": [{"reflectance": x} for x in (0.6, checkers, 1.0)],
         "conductor": [{"material": x} for x in ("none", "Al", "Au")],
@@ -115,7 +115,8 @@ def bsdfs() -> Iterator[list[dict[str, Any]]]:
         ],
         "hair": [{"sigma_a": x} for x in (0.0, 0.2, 2.0)],
         "null": [{}],
-    } | _composed()
+    }
+    sets |= _composed()
     if mi.is_polarized:
         sets |= {
             "polarizer": [{"theta": x} for x in (0.0, 20.0, 90.0)],
