@@ -63,10 +63,10 @@ SLOW = """
     half_vectors handbook handbook_blocks heightfield integrals intervals kernels llvm
     lobes measured_like media mesh_specimens micro_normals microgeometry mueller
     next_event notebooks numpy_bsdf order orientation paper_bsdfs periodic
-    phase_functions polar_cross_validation polarised porous pytest_entry quadrature
-    rounds scenes short_bsdfs slabs sobol spectral_coverage stock stock_bsdfs suspects
-    tables tolerance_command transport types verdicts versions where_methods_fail
-    whole_bsdf workers
+    phase_functions phase_verdicts polar_cross_validation polarised porous pytest_entry
+    quadrature reproducers rounds scenes short_bsdfs slabs sobol spectral_coverage stock
+    stock_bsdfs suspects tables tolerance_command transport types verdicts versions
+    where_methods_fail whole_bsdf workers
 """
 
 

@@ -28,8 +28,9 @@ class Launch:
     ----------
     setup : Setup
     beams : tuple of Beam
-        Of several incident directions, if there are: batch `i` has number
-        ``i % len(beams)``. All else of their setups is that of `setup`.
+        Of the incident directions that share the launch, or none if there is one:
+        batch `i` has number ``i % len(beams)``. All else of their setups is that of
+        `setup`.
     wavelengths : mi.Spectrum or mi.Color0f
         Of the rays.
     capacity : int
