@@ -1,4 +1,4 @@
-# retarder: its matrix jumps over wi.y = 0 (issue 1963).
+# retarder: its matrix jumps over wi.y = 0 (mitsuba3 issue 1963).
 # The element that differs most, for two directions 0.1 degrees apart, one a side.
 import drjit as dr
 import mitsuba as mi
