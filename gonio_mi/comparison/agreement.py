@@ -12,11 +12,15 @@ from scipy import special
 from ..array_types import Flags, Floats, Integers
 from ..results.record import Record
 from ..results.statistics import ratio, student_score, two_sided_score
+from ..results.tally import without_chance
 from ..single_precision import FEW_ROUNDINGS
 
 # Below this many hits the mean of batches is too skewed for Student's t far out: its
 # two-sided tail at 1e-5 is 1.3 times too heavy at 1000 hits, 4.4 times at 100.
 MIN_STUDENT_HITS = 1000
+
+# Hits that stand for an integral's: more than enough for Student's t.
+HITS_OF_INTEGRALS = 2.0**60
 
 # Exact probabilities below about 1e-295 are not told apart.
 MAX_EXACT_SCORE = 36.7
@@ -25,6 +29,9 @@ MAX_EXACT_SCORE = 36.7
 @dataclass(eq=False)
 class Readings:
     """Values of a record at some points: one incident direction, independent batches.
+
+    Integrals have no batches, and their `std_err` bounds what they are wrong by: no
+    score of a point or a sum is larger by chance than the same bound allows.
 
     `residual` has the shape (n_batches, n), and ``residual.T @ residual`` is the
     covariance of the values, estimated from the batches; `exposure` is the number of
@@ -67,6 +74,17 @@ class Readings:
         # the mean weight of a hit, as far as the flux that came with it
         weight = np.where(hits > 0, value * solid * rays / np.maximum(hits, 1), usual)
         weight = np.where(weight > 0, weight, usual)
+        if without_chance([tally]):
+            return cls(
+                value=value,
+                std_err=np.stack(errors)[where],
+                residual=np.zeros((0, len(value))),
+                hits=np.full(len(value), HITS_OF_INTEGRALS),
+                exposure=HITS_OF_INTEGRALS * solid,
+                weight=np.ones(len(value)),
+                usual=np.ones(len(value)),
+                dof=1e9,
+            )
         sums = tally.sums[(slice(None), *where)].astype(float)
         incident = tally.incident[:, channel].astype(float)
         n = len(sums)
@@ -95,6 +113,8 @@ class Readings:
 
     def total(self, solid: Floats) -> tuple[Any, Any, float]:
         """Sum of values over solid angles, its variance and degrees of freedom."""
+        if not len(self.residual):  # errors of integrals may be all of one sign
+            return self.value @ solid, (self.error @ solid) ** 2, self.dof
         if len(self.residual) < 2:
             return self.value @ solid, self.error**2 @ solid**2, self.dof
         variance = np.sum((self.residual @ solid) ** 2)

@@ -32,8 +32,8 @@ class Budget:
     ----------
     comparison : Comparison
     rays : ndarray of float64, shape (n_points,)
-        Of the record in 1/sr, as all of these: chance, from its batches. NaN where
-        there was no hit.
+        Of the record in 1/sr, as all of these: chance, from its batches, or what its
+        integrals may be wrong by. NaN where there was no hit.
     single_precision : ndarray
         A few roundings of the value.
     instrument : ndarray

@@ -18,7 +18,7 @@ from ..errors import (
 )
 from ..files.measured_table import ANGLE_DIGITS, COLUMNS, NUMBERS, MeasuredTable
 from ..results.record import Record
-from ..results.tally import ELEMENT_NAMES, PolarisedTally
+from ..results.tally import ELEMENT_NAMES, PolarisedTally, without_chance
 from .agreement import MIN_STUDENT_HITS, PointSet, judge, mostly_few
 from .comparison import Comparison
 from .pairing import (
@@ -28,6 +28,12 @@ from .pairing import (
     pair_with_table,
 )
 from .patch_variation import left_undecided
+
+# Note on a record of integrals.
+OF_EVAL = (
+    "the values are integrals of eval, to their own error: whether sample agrees with "
+    "it, gonio-mi validate tells"
+)
 
 # Probability with which a right model is rejected.
 ALPHA = 1e-3
@@ -100,12 +106,17 @@ def compare(
         raise SettingTypeError(
             f"record must be a Record or several, got {shown(record)}"
         )
+    integrated = isinstance(other, MeasuredTable) and any(
+        without_chance(one.tallies) for one in records
+    )
     for one in (*records, other):
-        if isinstance(one, Record):
+        if isinstance(one, Record) and not integrated:
             check_uncertainties(one)
     sets, notes, compared, scale = _paired(
         records, other, uncertainty, scale_uncertainty
     )
+    if integrated:
+        notes.append(OF_EVAL)
     measured = [*records, other] if isinstance(other, Record) else records
     z, errors, statistics, p_values = judge(sets, scale)
     agree = len(p_values) * min(p_values.values()) >= alpha

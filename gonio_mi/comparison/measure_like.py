@@ -11,11 +11,18 @@ from ..campaigns.measure import measure_whole
 from ..collector.apertures import Apertures, disjoint_groups, is_above
 from ..collector.directions import direction
 from ..collector.hemisphere import Subdivision
-from ..errors import SettingError, SettingTypeError, SpecimenError, shown
+from ..errors import (
+    SettingError,
+    SettingTypeError,
+    SpecimenError,
+    VariantError,
+    shown,
+)
 from ..files.measured_table import MeasuredTable
 from ..instrument.specimen_text import SpecimenLike
 from ..progress import counted
 from ..results.record import Record, wavelengths_nm
+from ..results.tally import without_chance
 from .pairing import pole_angle
 
 # Distance in scene units that stands for a source far away.
@@ -24,6 +31,8 @@ FAR_DISTANCE = 1000.0
 # Relative standard error of each aperture, by itself: a quarter of the table's own, in
 # between these, or the lower where the table has none; and rays at most.
 ERROR_RATIO, MIN_REL_ERR, MAX_REL_ERR = 0.25, 1e-3, 1e-2
+# Error of integrals, which is no matter of chance, beside that.
+INTEGRAL_RATIO = 0.1
 MAX_RAYS = 10**8
 
 # Settings of a record with which it can be measured again.
@@ -53,7 +62,10 @@ def measure_like(
     after the other, each with its own rays. Unless `rays`, `rel_err`, `noise`,
     `estimator` or `trace` is given, rays are taken until their error is small beside
     the table's; light is deposited from every event towards every aperture
-    (``next_event``, traced).
+    (``next_event``, traced). On a flat specimen without delta components no ray is
+    needed: ``eval`` is integrated over each aperture (``quadrature``), to an error that
+    is nothing beside that of the table. A table that states no uncertainty is compared
+    with rays all the same, whose scatter it is then judged by.
 
     Parameters
     ----------
@@ -135,13 +147,13 @@ def _like_table(
     automatic = not {
         k for k in PRECISION_SETTINGS & settings.keys() if settings[k] is not None
     }
+    ways: list[dict[str, Any]] = [{}]
     if automatic:
         settings |= {"max_rays": MAX_RAYS, "rays": None}
         if isinstance(solid_angles, Subdivision):
             settings["noise"] = _noise(table, solid_angles)
         else:
-            settings |= {"rel_err": _wanted(table)}
-            settings |= {"estimator": "next_event", "trace": True}
+            ways = _ways(table)
     records: list[Record] = []
     for theta_i, phi_i in counted(table.incident, progress, unit="direction"):
         here = (table.theta_i == theta_i) & (table.phi_i == phi_i)
@@ -157,13 +169,7 @@ def _like_table(
                 if automatic:  # nobody asked for a precision: the comparison knows it
                     ignored = "(rel_err|noise) of .* was not reached"
                     warnings.filterwarnings("ignore", ignored)
-                try:
-                    record = measure_whole(specimen, **place, seed=own, **settings)
-                except SpecimenError:
-                    if settings.get("estimator") != "next_event" or not automatic:
-                        raise
-                    settings |= {"estimator": "weighted", "trace": None}
-                    record = measure_whole(specimen, **place, seed=own, **settings)
+                record = _first_that_can(specimen, ways, **place, seed=own, **settings)
             records.append(record)
     if not records:
         raise SettingError(
@@ -171,6 +177,38 @@ def _like_table(
             "reaches below the horizon"
         )
     return tuple(records)
+
+
+def _ways(table: MeasuredTable) -> list[dict[str, Any]]:
+    """Settings to measure a table's apertures with, the cheapest first."""
+    wanted = _wanted(table)
+    ways: list[dict[str, Any]] = [
+        {"rel_err": wanted, "estimator": "next_event", "trace": True},
+        {"rel_err": wanted, "estimator": "weighted"},
+    ]
+    if table.bsdf_std_err.any():
+        integrals = {"rel_err": INTEGRAL_RATIO * wanted, "estimator": "quadrature"}
+        ways.insert(0, integrals)
+    return ways
+
+
+def _first_that_can(
+    specimen: SpecimenLike, ways: list[dict[str, Any]], **settings: Any
+) -> Record:
+    """Record in the first of the `ways` that can; those before it are dropped.
+
+    Delta components beside integrals need rays, of which few meet an aperture.
+    """
+    while len(ways) > 1:
+        try:
+            record = measure_whole(specimen, **settings, **ways[0])
+            sampled = not record.asked.estimator.integrates
+            if sampled or without_chance(record.tallies):
+                return record
+        except (SpecimenError, VariantError):
+            pass
+        del ways[0]
+    return measure_whole(specimen, **settings, **ways[0])
 
 
 def _collectors(

@@ -72,12 +72,11 @@ class Cells:
     ) -> "Cells":
         """One cell per patch of the hemispheres, for each incident direction.
 
-        Raises ValueError for patches that have poles of their own.
+        Angles of patches that have poles of their own are about these.
         """
         n = subdivision.n_patches
         each = n_hemispheres * n
-        cells = subdivision.cells_about_pole()
-        cells = np.tile(cells, (n_hemispheres * n_directions, 1))
+        cells = np.tile(subdivision.cells, (n_hemispheres * n_directions, 1))
         patch = np.arange(n_directions * each)
         return cls(
             patch,

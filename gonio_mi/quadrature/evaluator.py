@@ -92,15 +92,26 @@ class IncidentLight:
         return self.towards_sines(of_theta, of_phi, lower)
 
     def towards_sines(
-        self, theta: tuple[Any, Any], phi: tuple[Any, Any], lower: Any
+        self,
+        theta: tuple[Any, Any],
+        phi: tuple[Any, Any],
+        lower: Any,
+        frame: Sequence[Sequence[mi.Float64]] | None = None,
     ) -> mi.Vector3f:
-        """The same from the sine and cosine of each angle, in double precision."""
+        """The same from the sine and cosine of each angle, in double precision.
+
+        The rows of a `frame` take angles about another axis to those about the pole.
+        """
         (sin_theta, cos_theta), (sin_phi, cos_phi) = theta, phi
-        world = mi.Vector3f(
-            mi.Float(sin_theta * cos_phi),
-            mi.Float(sin_theta * sin_phi),
-            mi.Float(cos_theta) * dr.select(mi.Bool(lower), -self.side, self.side),
-        )
+        of_axis = sin_theta * cos_phi, sin_theta * sin_phi, cos_theta
+        if frame is not None:
+            of_axis = tuple(
+                sum(one * component for one, component in zip(row, of_axis))
+                for row in frame
+            )
+        x, y, z = map(mi.Float, of_axis)
+        side = dr.select(mi.Bool(lower), -self.side, self.side)
+        world = mi.Vector3f(x, y, z * side)
         return self.interaction.to_local(world)
 
     def evaluate(
@@ -151,6 +162,13 @@ MAX_NOISE_RATIO = 256
 class Evaluator:
     """Evaluates a BSDF for light from several directions, all in one kernel.
 
+    Parameters
+    ----------
+    bsdf : mi.BSDF
+    light : IncidentLight
+    axes : ndarray, shape (n_patches, 3), optional
+        Poles of the patches' cells, if these have their own.
+
     Attributes
     ----------
     n_evaluations : ndarray of int, shape (n_directions,)
@@ -159,8 +177,11 @@ class Evaluator:
         As of :class:`~gonio_mi.transport.plane.Plane`.
     """
 
-    def __init__(self, bsdf: mi.BSDF, light: IncidentLight) -> None:
+    def __init__(
+        self, bsdf: mi.BSDF, light: IncidentLight, axes: Floats | None = None
+    ) -> None:
         self.bsdf, self.light = bsdf, light
+        self.frames = None if axes is None else _frames(axes)
         self.by_ray = holds_foreign_plugins(bsdf)
         self.n_evaluations = np.zeros(dr.width(light.wi), dtype=np.int64)
 
@@ -193,9 +214,21 @@ class Evaluator:
         n_hemispheres = len(cells.patch) // (n * subdivision.n_patches)
         wanted = lane_wise & (lower < n_hemispheres)
         wo, of, lower = wo[wanted], of[wanted], lower[wanted]
-        patch = subdivision.patch(wo) + subdivision.n_patches * (
-            lower + n_hemispheres * of
+        patch, before = (
+            subdivision.patch(wo),
+            subdivision.n_patches * (lower + n_hemispheres * of),
         )
+        if self.frames is None:
+            patch += before
+        else:
+            # what is not in a cone is the hemisphere less the cones, which it holds
+            rest = subdivision.n_patches - 1
+            own = np.flatnonzero(patch < rest)
+            twice = np.append(np.arange(len(wo)), own)
+            patch = np.append(np.full(len(wo), rest), patch[own])
+            upper = wo[twice] * np.where(lower, [[1], [1], [-1]], 1).T[twice]
+            wo = np.einsum("nji,nj->ni", self.frames[patch], upper)
+            patch += before[twice]
         theta, phi = angles(wo)
         # a cell may begin below the azimuth 0
         phi[(cells.phi[patch, 0] < 0) & (phi > np.pi)] -= 2 * np.pi
@@ -287,11 +320,25 @@ class Evaluator:
         number = lane // each
         theta, phi = _sines(cells, points, number, lane - number * each)
         lower = dr.gather(mi.Bool, mi.Bool(cells.lower), number)
-        wo = self.light.towards_sines(theta, phi, lower)
+        wo = self.light.towards_sines(theta, phi, lower, self._frame(cells, number))
         direction = mi.UInt32(cells.direction.astype(np.uint32))
         si = self._interactions(dr.gather(mi.UInt32, direction, number))
         value = self.bsdf.eval(flux_context(), si, wo, mi.Bool(True))
         return channels_of(value), theta[0]
+
+    def _frame(self, cells: Cells, number: mi.UInt32) -> list[list[mi.Float64]] | None:
+        """Frame of the cell `number` in each lane, if cells have poles of their own."""
+        if self.frames is None:
+            return None
+        axis = mi.UInt32((cells.patch % len(self.frames)).astype(np.uint32))
+        at = dr.gather(mi.UInt32, axis, number)
+        return [
+            [
+                dr.gather(mi.Float64, mi.Float64(self.frames[:, i, j]), at)
+                for j in range(3)
+            ]
+            for i in range(3)
+        ]
 
     def _check(self, values: Singles, cells: Cells, points: Points) -> None:
         """Raise SpecimenError for a value that is negative or not finite."""
@@ -309,12 +356,23 @@ class Evaluator:
             middle[cell] + np.clip(half[cell] * at[place], -inside[cell], inside[cell])
             for middle, half, inside, at in points.placed(cells)
         )
+        if self.frames is not None:
+            own = self.frames[cells.patch[cell] % len(self.frames)]
+            theta, phi = angles(own @ direction(theta, phi))
         raise SpecimenError(
             f"eval of {self.bsdf.class_name()} must be "
             f"finite and not negative, got {values[cell, place].min():.3g} towards "
             f"theta {np.degrees(theta):.3f}, phi {np.degrees(phi):.3f} degrees"
             f"{' in transmission' if cells.lower[cell] else ''}"
         )
+
+
+def _frames(axes: Floats) -> Floats:
+    """Columns of polar angle, azimuth and axis, shape (n, 3, 3); of +z the identity."""
+    theta, phi = angles(axes)
+    across = direction(theta + np.pi / 2, phi)
+    along = direction(np.full_like(phi, np.pi / 2), phi + np.pi / 2)
+    return np.stack([across, along, axes], axis=-1)
 
 
 def _pieces(n: int) -> list[slice]:

@@ -75,6 +75,9 @@ class Rule:
     weight: Floats
     light: IncidentLight
 
+    def __post_init__(self) -> None:
+        self.subdivision.cells_about_pole()  # or ValueError: angles are about +z
+
     def values(self, bsdf: mi.BSDF) -> mi.TensorXf:
         """Patch means of BRDF and BTDF that follow the gradients of the BSDF.
 
@@ -233,9 +236,12 @@ def integrate_each(
         some = incidents[first : first + several]
         lights = [IncidentLight.of([one], side, interaction) for one in some]
         together = IncidentLight.of(some, side, interaction)
-        evaluator = Evaluator(bsdf, together)
+        evaluator = Evaluator(bsdf, together, subdivision.axes)
         cells = Cells.of(subdivision, n_hemispheres, len(some))
         found += _integrated(evaluator, cells, subdivision, integral_err, lights)
+    if subdivision.axes is not None:
+        for one in found:
+            _take_cones_from_rest(one.flux, one.error)
     return found
 
 
@@ -250,7 +256,7 @@ def _integrated(
     guides = evaluator.guides(cells, subdivision)
     coarse, values_at = evaluator.integrals(cells)
     way = way_to_split(values_at)
-    sums = _PatchSums(cells, len(lights), coarse.shape[-1])
+    sums = _PatchSums(cells, len(lights), coarse.shape[-1], subdivision)
     finished: list[tuple[Cells, Flags]] = []
     for level in range(MAX_LEVELS):
         full = guides.held(len(cells.patch)) > MAX_GUIDES
@@ -302,6 +308,13 @@ def _integrated(
     ]
 
 
+def _take_cones_from_rest(flux: Floats, error: Floats) -> None:
+    """Leave to the last patch, a hemisphere, what the cones before do not hold."""
+    held = flux[:, :-1].sum(axis=1)
+    flux[:, -1] = np.maximum(flux[:, -1] - held, 0)
+    error[:, -1] += error[:, :-1].sum(axis=1)
+
+
 def _check_converged(
     evaluator: Evaluator, error: Floats, allowed: Floats, integral_err: float
 ) -> None:
@@ -348,9 +361,18 @@ class _PatchSums:
     cancelled, and the sum of the squares of the cells' errors.
     """
 
-    def __init__(self, cells: Cells, n_directions: int, channels: int) -> None:
-        self.flux, self.error, self.square = np.zeros((3, len(cells.patch), channels))
+    def __init__(
+        self,
+        cells: Cells,
+        n_directions: int,
+        channels: int,
+        subdivision: Subdivision,
+    ) -> None:
+        n = len(cells.patch)
+        self.flux, self.error, self.square = np.zeros((3, n, channels))
         self.n_directions = n_directions
+        each = np.arange(n // n_directions) % subdivision.n_patches
+        self.detectors = np.flatnonzero(each < subdivision.n_detectors)
         self.lit = 1.0 if cells.lower.any() else 0.5  # part of both hemispheres
 
     def allowed(self, cells: Cells, values: Floats, integral_err: float) -> Floats:
@@ -358,7 +380,8 @@ class _PatchSums:
         estimate = self.flux + self._by_patch(cells.patch, values)
         of_each = estimate.reshape(self.n_directions, -1, estimate.shape[-1])
         # over both hemispheres, also where one is known to be dark
-        mean = of_each.mean(axis=(1, 2), keepdims=True) * self.lit
+        mean = of_each.take(self.detectors, 1).mean(axis=(1, 2), keepdims=True)
+        mean *= self.lit
         least = max(NEGLIGIBLE, integral_err) * mean
         return integral_err * np.maximum(of_each, least).reshape(estimate.shape)
 
@@ -400,7 +423,6 @@ def check_integrable(setup: Setup) -> None:
         "a collimated beam": setup.beam.collimated
         and not (settings.divergence or settings.incident),
         "a collector in the far field": not setup.collector.radius,
-        "a collector of rings and sectors": setup.collector.subdivision.axes is None,
         "the order all": settings.order == ALL_ORDERS,
         "the same BSDF all over the specimen": plane is None
         or at_point
@@ -408,10 +430,9 @@ def check_integrable(setup: Setup) -> None:
     }
     for need, holds in needs.items():
         if not holds:
-            remedy = "take weighted instead"
-            if setup.collector.subdivision.axes is not None:
-                remedy = "take next_event, traced (trace=True, or --trace)"
-            raise SpecimenError(f"the estimator quadrature needs {need}: {remedy}")
+            raise SpecimenError(
+                f"the estimator quadrature needs {need}: take weighted instead"
+            )
 
 
 def integrals(

@@ -31,12 +31,9 @@ R2 = (0xC13FA9A9, 0x91E10DA6)
 def check_traced(setup: Setup) -> None:
     """Raise SpecimenError for a flat specimen, which needs no points in patches."""
     if setup.specimen.plane is not None and not setup.settings.trace:
-        if setup.collector.subdivision.axes is None:
-            remedy = "take quadrature, which integrates eval over all patches"
-        else:
-            remedy = "trace it all the same (trace=True, or --trace), for its apertures"
         raise SpecimenError(
-            f"the estimator next_event needs geometry, got a flat rectangle: {remedy}"
+            "the estimator next_event needs geometry, got a flat rectangle: take "
+            "quadrature, which integrates eval over all patches"
         )
 
 

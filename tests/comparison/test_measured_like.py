@@ -52,6 +52,28 @@ def test_narrow_apertures_have_rays_enough_by_themselves():
     assert asked.ledger.emitted == RAYS
 
 
+def test_apertures_on_a_flat_specimen_need_no_rays():
+    """Integrals of `eval` to a part of the table's uncertainty, and the output says so.
+
+    The twin is off by 1 %, all points the same way; exact values keep their rays.
+    """
+    theta_o = np.array([0.0, 20, 40, 60])
+    stated = {"aperture_half_angle": 5.0, "uncertainty": 0.003}
+    values = np.full(4, 0.7 / np.pi)
+    (record,) = measure_like(DIFFUSE, table(theta_o, values, **stated))
+    assert record.settings["estimator"] == "quadrature"
+    assert record.ledger.emitted == 0
+    found = compare(record, table(theta_o, values, **stated))
+    assert found.passed
+    assert np.all(np.abs(found.z) < 1e-2)
+    assert any("integrals of eval" in note for note in found.notes)
+    off = compare(record, table(theta_o, 1.01 * values, **stated))
+    assert off.p_values["total"] < 1e-6
+    # few rays of delta components meet an aperture: they keep what was taken before
+    (coated,) = measure_like({"type": "plastic"}, table(theta_o, values, **stated))
+    assert coated.settings["estimator"] == "next_event"
+
+
 def test_a_table_in_patches_is_measured_as_well_as_it_is_known(tmp_path):
     """Not much better in its dim patches, which took a hundred times its rays.
 

@@ -85,6 +85,54 @@ def test_klems_patches_are_sums_of_common_sectors(alpha):
 
 
 @pytest.mark.usefixtures("mono")
+def test_apertures_about_their_own_axes():
+    """cos(theta)^n in a cone about the normal in closed form; all within the error.
+
+    Between cones is what they leave of the albedo, which is known for normal incidence.
+    The twin is a cone that is 1 per cent wider.
+    """
+    n, half_angle = 30, 5.0
+    lobe = {"type": "cosinelobe", "exponent": n, "normalisation": "modified_phong"}
+    cones = gonio.Apertures(half_angle, ((0, 0), (40, 10), (80, 200)))
+    record = integrated(lobe, 0, collector=cones)
+    error = record.brdf_std_err * cones.projected_solid_angles[..., None]
+    flux = record.flux_fraction[0][:, 0, 0]
+
+    def in_cone(a):
+        return 1 - np.cos(np.radians(a)) ** (n + 2)
+
+    assert abs(flux[0] - in_cone(half_angle)) < error[0, 0, 0]
+    assert abs(flux[0] - in_cone(1.01 * half_angle)) > 100 * error[0, 0, 0]
+    assert abs(flux.sum() - 1) < error.sum()
+    white = integrated({"type": "diffuse", "reflectance": 1.0}, 30, collector=cones)
+    assert np.all(np.abs(white.brdf - 1 / np.pi) <= white.brdf_std_err)
+    # a lobe that is narrower than a cone, away from its axis
+    aslant = gonio.Apertures(half_angle, ((43, 190),))
+    held = integrated(SHARP, 41, 10, collector=aslant).flux_fraction[0][0, 0, 0]
+    whole = integrated(SHARP, 41, 10, collector="angle:3x4")
+    # each to a millionth, and what single precision leaves of so sharp a lobe
+    assert abs(held - whole.dhr) < 4 * whole.dhr_std_err
+    missed = integrated(SHARP, 35, 10, collector=aslant).flux_fraction[0][0, 0, 0]
+    assert missed < 0.1 * held
+
+
+@pytest.mark.usefixtures("mono")
+def test_apertures_as_deposited():
+    """Of glass in both hemispheres against points in cones; the twin is 3 % off."""
+    cones = gonio.Apertures(4.0, ((0, 0), (15, 180), (24, 180), (34, 180)))
+    settings = {"collector": cones, "hemispheres": "both"}
+    exact = integrated(MATERIALS["roughdielectric"], 30, 0, rel_err=1e-4, **settings)
+    points = {"estimator": "next_event", "trace": True, "sampler": "independent"}
+    rays = gonio.measure(
+        MATERIALS["roughdielectric"], 30, 0, rays=2**19, **points, **settings
+    )
+    for hemisphere, fraction in enumerate(exact.flux_fraction):
+        reference = fraction[..., 0]
+        agree(verdict(scores(rays, reference, hemisphere)))
+        disagree(verdict(scores(rays, 1.03 * reference, hemisphere)))
+
+
+@pytest.mark.usefixtures("mono")
 @pytest.mark.parametrize("theta_i", [0, 45, 89])
 @pytest.mark.parametrize("name", NO_RAYS)
 def test_promised_error(name, theta_i):
