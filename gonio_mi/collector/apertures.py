@@ -44,7 +44,7 @@ class Apertures(Subdivision):
     name: ClassVar[str] = "apertures"
 
     def __post_init__(self) -> None:
-        condition = "an angle in degrees in [0.01, 90]"
+        condition = "an angle in degrees in [0.01, 90], 0.01 for values at points"
         half_angle = checked_number(
             "half_angle", self.half_angle, 0.01, 90.01, condition
         )

@@ -18,7 +18,7 @@ from .. import llvm
 from ..campaigns.measure import measure_whole
 from ..errors import LLVMError
 from ..results.record import Record
-from ..transport.variants import usable_variants
+from ..transport.variants import parallel_variants
 
 VARIANT = "llvm_ad_mono"
 REQUIRED = ("gonio-mi", "mitsuba", "drjit", "numpy", "scipy", "OpenEXR")
@@ -66,7 +66,7 @@ def diagnose() -> tuple[list[Row], bool]:
     """
     status = llvm.status()
     # on the CPU
-    variants = [name for name in usable_variants() if name.startswith("llvm")]
+    variants = [name for name in parallel_variants() if name.startswith("llvm")]
     rows = [
         Row("python", platform.python_version(), True),
         *(_package(name) for name in REQUIRED),

@@ -55,6 +55,9 @@ def likely_mistake(
     own = {name: shares[name] for name in failed if failed[name] == worst}
     largest = max((x for x in own.values() if x is not None), default=0.0)
     minor = {n for n, x in own.items() if x is not None and x < MAX_MINOR * largest}
+    if "weights" in failed and "sampled_weight" not in failed:
+        # each weight is right where it was drawn: only counts explain a wrong mean
+        minor.discard("sampling")
     failed = {name: effect for name, effect in failed.items() if name not in minor}
     names = [name for name in EXPLAINED_BY if failed.get(name) == worst]
     if worst == MODEL:

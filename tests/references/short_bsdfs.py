@@ -54,6 +54,7 @@ MISTAKES = {
     "pdf_unset": "sample",
     "azimuth_of_the_choice": "sample",
     "per_mille_lost": "sample",
+    "sample_of_another_exponent": "sample",
     "weight_clamped": "sample or eval",
     "weight_nan_rarely": "sample",
     "weight_kept": "eval or sample",
@@ -574,6 +575,21 @@ def register():
         def finish(self, ctx, si, bs, weight):
             phi = dr.atan2(bs.wo.y, bs.wo.x)
             return bs, weight & ~within(phi, 1.0, 1.0 + 0.005 * dr.two_pi)
+
+    class SampleOfAnotherExponent(Lambert):
+        """The light of the sky and of lamps is too low."""
+
+        lobe = 4.0
+
+        def density(self, ctx, si, wo):
+            cosines = dr.power(dr.maximum(cosine(wo), 0), self.lobe)
+            return (self.lobe + 1) / dr.two_pi * cosines
+
+        def first_direction(self, ctx, si, sample2):
+            z = dr.power(sample2.x, 1 / (self.lobe + 2))
+            sin, cos = dr.sincos(dr.two_pi * sample2.y)
+            across = dr.safe_sqrt(1 - z * z)
+            return mi.Vector3f(across * cos, across * sin, z)
 
     class WeightClamped(TwoLobes):
         """Highlights in the light of the sky are flattened."""

@@ -34,6 +34,15 @@ def test_broken_plugin_is_found_and_named(name, guilty):
 
 
 @pytest.mark.usefixtures("mono")
+def test_counts_explain_the_wrong_mean_of_right_weights():
+    """However small the share of `sampling` is beside that of `weights`."""
+    short_bsdfs.register()
+    verdict = validate({"type": "sample_of_another_exponent"}, effort="quick")
+    assert verdict.function == "sample", str(verdict)
+    assert "draws directions" in verdict.mistake
+
+
+@pytest.mark.usefixtures("mono")
 def test_page_begins_with_the_direction_that_fails(tmp_path):
     """Of a sector of incidence, where no other map is; what holds is folded."""
     short_bsdfs.register()

@@ -112,7 +112,10 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     std_err = float((halves[1].pdf / u)[own].std() / np.sqrt(own.sum()))
     counted = float((halves[0].lit & given)[own].mean())
     place = sweep.place(own)
-    sums = f"`pdf` integrates to {mass:.4g}, sampled mass is {counted:.4g}, at {place}"
+    sums = (
+        f"`pdf` integrates to {mass:.4g} +- {std_err:.1g}, sampled mass is "
+        f"{counted:.4g}, at {place}"
+    )
     off = abs(mass - counted) / max(mass, counted, 1e-9) * float(own.mean())
     evidence.test(
         "sampling",
