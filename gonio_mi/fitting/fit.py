@@ -304,10 +304,7 @@ class Fit:
 
     @cached_property
     def prediction(self) -> Record | MeasuredTable:
-        """Record of the model as the record was measured, or the model's table.
-
-        Raises ValueError for a record of apertures.
-        """
+        """Record of the model as the record was measured, or the model's table."""
         if isinstance(self.record, MeasuredTable):
             return replace(
                 self.record,
