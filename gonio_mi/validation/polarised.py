@@ -15,7 +15,7 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Numbers
 from ..collector.directions import angles, direction
 from ..collector.stokes import UPRIGHT
-from ..instrument.loading import with_own_tensors
+from ..instrument.loading import loaded
 from .checks import (
     first_element,
     frames,
@@ -313,10 +313,10 @@ def _axes(specimen: Any) -> tuple[Floats, Floats | None]:
     for key, value in specimen.items():
         part = value
         if isinstance(value, dict):
-            part = mi.load_dict(with_own_tensors(value))
+            part = loaded("the nested BSDF", mi.load_dict, value)
         if isinstance(part, mi.BSDF):
             mirrored[key] = {"type": "conductor"}
-    probe = MuellerProbe(mi.load_dict(with_own_tensors(mirrored)))
+    probe = MuellerProbe(loaded("the specimen", mi.load_dict, mirrored))
     wi = UPRIGHT[None]
     lobes = probe.sample(wi, np.full((1, 3), 0.5))
     if not lobes.given.any():

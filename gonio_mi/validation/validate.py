@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
-from ..instrument.loading import load_specimen, loaded, with_own_tensors
+from ..instrument.loading import load_specimen, loaded
 from ..instrument.specimen_text import SpecimenLike, specimen_name
 from ..progress import bar
 from ..transport.bsdf_trial import PluginFault
@@ -445,7 +445,8 @@ def coloured(bsdf: mi.BSDF, specimen: dict[str, Any]) -> tuple[mi.BSDF, dict[str
     if not tints:
         return bsdf, specimen
     try:
-        return mi.load_dict(with_own_tensors(specimen | tints)), specimen | tints
+        tinted = specimen | tints
+        return loaded("the tinted BSDF", mi.load_dict, tinted), tinted
     except Exception:
         return bsdf, specimen  # what such a parameter may be is up to the plugin
 

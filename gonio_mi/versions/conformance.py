@@ -278,7 +278,9 @@ def _cell(answers: Sequence[Answer]) -> str:
     if len(failed) == len(answers):
         return '<td style="background: #ddd">no answer</td>'
     if not wrong:
-        return f'<td style="background: #cec">{len(answers) - len(failed)} agree</td>'
+        text = f"{len(answers) - len(failed)} agree"
+        text += f", {len(failed)} without an answer" if failed else ""
+        return f'<td style="background: #cec">{text}</td>'
     folded = "".join(
         f"<details><summary>{html.escape(one.name)}: {html.escape(one.text)}</summary>"
         f"{preformatted(one.script)}</details>"

@@ -105,6 +105,10 @@ def said(text: str, limits: dict[str, float]) -> tuple[str, bool]:
 
 def loaded(mi: Any, question: dict[str, Any]) -> Any:
     """BSDF of the question: of a dictionary, or of the only shape of a scene file."""
+    import drjit as dr
+
+    if dr.thread_count() == 1:  # Mitsuba waits for ever for an EXR file then
+        dr.set_thread_count(2)
     if question["file"] is None:
         return mi.load_dict(built(mi, question["specimen"]))
     scene = mi.load_file(question["file"], **question["parameters"])
