@@ -48,7 +48,9 @@ def _changed(_old: str, _new: str) -> None:
     register()
 
 
-mi.set_variant = orderly(mi.set_variant)
-mi.detail.add_variant_callback(_changed)
+if not hasattr(mi.set_variant, "__wrapped__"):
+    # once, though Mitsuba 3.10 reloads what an entry point names
+    mi.set_variant = orderly(mi.set_variant)
+    mi.detail.add_variant_callback(_changed)
 if mi.variant():
     register()

@@ -16,6 +16,7 @@ from ..collector.directions import direction
 from ..errors import SpecimenError, checked_count, checked_number
 from ..instrument.loading import load_specimen
 from ..instrument.specimen_text import SpecimenLike
+from ..mitsuba_names import SURFACE, triangles_of
 from ..plots.figure import finished, new_figure
 from ..settings.values import checked_period
 from ..single_precision import FEW_ROUNDINGS
@@ -74,7 +75,7 @@ def found_facets(specimen: Specimen, points: int, blocks: int, seed: int) -> Fac
     areas = np.array([float(dr.sum(s.surface_area())[0]) for s in specimen.surfaces])
     numbers = np.maximum(1, np.round(points * areas / areas.sum()).astype(int))
     parts = [
-        (_mesh_points if _has_triangles(shape) else _shape_points)(shape, n, generator)
+        _points(shape, n, generator)
         for shape, n in zip(specimen.surfaces, numbers.tolist())
     ]
     p, normal = (np.concatenate(columns) for columns in zip(*parts))
@@ -92,23 +93,26 @@ def found_facets(specimen: Specimen, points: int, blocks: int, seed: int) -> Fac
     return Facets(si, n, area, cell[:, 0] * blocks + cell[:, 1])
 
 
-def _has_triangles(shape: mi.Shape) -> bool:
-    """Whether a shape shows its triangles; a rectangle is a mesh and does not."""
-    return shape.is_mesh() and "vertex_positions" in mi.traverse(shape)
+def _points(
+    shape: mi.Shape, n: int, generator: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Uniform points of a shape and their normals."""
+    # a rectangle is a mesh, and shows no triangles
+    triangles = triangles_of(mi.traverse(shape)) if shape.is_mesh() else None
+    if triangles is None:
+        return _shape_points(shape, n, generator)
+    return _mesh_points(*triangles, n, generator)
 
 
 def _mesh_points(
-    mesh: mi.Mesh, n: int, generator: np.random.Generator
+    vertices: Floats, faces: Integers, n: int, generator: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """Uniform points of a mesh and their normals, in double precision.
 
     What Mitsuba draws of a mesh of many triangles lies beside them: one number in
     single precision chooses the triangle and the place in it.
     """
-    parameters = mi.traverse(mesh)
-    vertices = np.array(parameters["vertex_positions"]).reshape(-1, 3)
-    faces = np.array(parameters["faces"]).reshape(-1, 3)
-    a, b, c = (vertices[faces[:, i]].astype(float) for i in range(3))
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
     normal = np.cross(b - a, c - a)
     size = np.cumsum(np.linalg.norm(normal, axis=1))
     chosen = np.searchsorted(size, generator.random(n) * size[-1], side="right")
@@ -141,7 +145,7 @@ def _found(specimen: Specimen, p: Floats, n: Floats) -> mi.SurfaceInteraction3f:
     above = np.abs(p).max(axis=1, keepdims=True) + specimen.detail
     origin = mi.Point3f((p + n * above * APPROACH).astype(np.float32).T)
     ray = mi.Ray3f(origin, -mi.Vector3f(n.T))
-    si = intersect(specimen.scene, ray, mi.RayFlags.All, mi.Bool(True))
+    si = intersect(specimen.scene, ray, SURFACE, mi.Bool(True))
     dr.eval(si)
     return si
 

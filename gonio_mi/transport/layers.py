@@ -15,6 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..mitsuba_names import SURFACE
 from .plane import Plane
 from .rays import Encounter
 
@@ -192,7 +193,7 @@ def _not_level(d: mi.Vector3f) -> mi.Vector3f:
 
 def _interaction(shape: mi.Shape) -> mi.SurfaceInteraction3f:
     """Interaction with a rectangle at its middle, its frame turned into the plane."""
-    si = shape.eval_parameterization(mi.Point2f(0.5), mi.RayFlags.All)
+    si = shape.eval_parameterization(mi.Point2f(0.5), SURFACE)
     frame = si.sh_frame
     flat = mi.Vector3f(1, 1, 0)
     si.n = mi.Normal3f(0, 0, dr.sign(frame.n.z))

@@ -18,6 +18,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..mitsuba_names import PARTIALS
 from ..results.tally import Fate
 from .beam import Beam
 from .exits import Exits, exits_of
@@ -182,8 +183,8 @@ class Geometry:
         `inside`: whether they are in a medium. In a relay no two rays share packets for
         long: each is looked for by itself.
         """
-        flags, ray = mi.RayFlags.All | mi.RayFlags.dNSdUV, flight.ray
-        si = intersect(self.specimen.scene, ray, flags, active)
+        ray = flight.ray
+        si = intersect(self.specimen.scene, ray, PARTIALS, active)
         met = encounter(self.specimen, self.side, flight, si, active)
         across = mi.Vector2f(ray.d.x, ray.d.y)
         path = met.entry + met.step - ray.o

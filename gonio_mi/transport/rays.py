@@ -19,6 +19,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..mitsuba_names import FRAME, MINIMAL
+
 # How far a ray starts off its surface, in units of the local coordinates: 64 ulp. Off a
 # plane 2 ulp are enough, since a hit on that plane is recognised, within this part of
 # the specimen's coordinates, and stepped over.
@@ -59,8 +61,7 @@ def intersect(
     Embree 3 then follows them in packets, and decides within rounding of an edge by
     which rays are in a packet (10 of 1e7 on a mirror field); else one by one.
     """
-    flags |= mi.RayFlags.ShadingFrame
-    si = scene.ray_intersect(ray, flags, coherent, active)
+    si = scene.ray_intersect(ray, flags | FRAME, coherent, active)
     si.n = dr.select(dr.dot(si.n, si.sh_frame.n) < 0, -si.n, si.n)
     return si
 
@@ -364,7 +365,7 @@ def unobstructed(
     flying = mi.Bool(active)
     scene = specimen.scene
     while flying:
-        si = intersect(scene, flight.ray, mi.RayFlags.Minimal, flying)
+        si = intersect(scene, flight.ray, MINIMAL, flying)
         met = encounter(specimen, side, flight, si, flying)
         free |= met.missed & ~met.crosses & ~met.endless
         proceed(specimen, flight, si, met)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..array_types import Floats
+from ..mitsuba_names import triangles_of
 from .digest import geometry_digest
 from .scene_objects import traversed
 
@@ -269,8 +270,5 @@ def _faces(shape: mi.Shape) -> list[Floats]:
         box = shape.bbox()
         return [np.array([[box.min, box.max]], dtype=float).reshape(1, 2, 3)]
     parameters: Any = traversed(shape)
-    if "vertex_positions" not in parameters:
-        return []
-    points = np.array(parameters["vertex_positions"], dtype=float).reshape(-1, 3)
-    faces = np.array(parameters["faces"], dtype=int).reshape(-1, 3)
-    return [points[faces]]
+    found = triangles_of(parameters)
+    return [] if found is None else [found[0][found[1]]]

@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError, abridged, warn
+from ..mitsuba_names import SURFACE
 from ..settings.values import Period
 from .digest import digest
 from .kernels import in_memory
@@ -277,7 +278,7 @@ class Specimen:
         centre = (self.low + self.high) / 2
         above = mi.Point3f((centre + [0, 0, 1]).tolist())
         ray = mi.Ray3f(above, mi.Vector3f(0, 0, -1))
-        si = intersect(self.scene, ray, mi.RayFlags.All, True)
+        si = intersect(self.scene, ray, SURFACE, True)
         dr.make_opaque(si)
         bsdf = shapes[0].bsdf()
         return Plane(bsdf, si, by_ray=holds_foreign_plugins(bsdf))

@@ -8,6 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..mitsuba_names import PARTIALS
 from ..results.tally import Fate
 from .beam import Beam
 from .exits import Exits, exits_of
@@ -92,7 +93,6 @@ def trace(
     β = new_light(power)
     flight = flight_from(specimen, ray)
 
-    flags = mi.RayFlags.All | mi.RayFlags.dNSdUV
     scene = specimen.scene
     analog = settings.analog
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
@@ -113,7 +113,7 @@ def trace(
     together = beam.footprint != "point"
     while active:
         ray = flight.ray
-        si = intersect(scene, ray, flags, active, (depth == 0) & together)
+        si = intersect(scene, ray, PARTIALS, active, (depth == 0) & together)
 
         # ------------------- Rays that leave, or have had enough events ---------------
         met = encounter(specimen, beam.side, flight, si, active)

@@ -21,6 +21,7 @@ ROOMS = (
     "progress",
     "properties",
     "single_precision",
+    "mitsuba_names",
     "collector",
     "settings",
     "results",

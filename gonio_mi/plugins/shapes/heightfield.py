@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,7 @@ from gonio_mi import properties
 from gonio_mi.array_types import Floats
 from gonio_mi.errors import SpecimenError, check_memory, warn
 from gonio_mi.formats.height_maps import HeightMap, read_height_map
+from gonio_mi.mitsuba_names import mesh_of
 from gonio_mi.settings.declaration import example
 from gonio_mi.surfaces.heights import (
     CORRELATIONS,
@@ -258,14 +258,6 @@ def _mesh(
     """Mesh of two triangles for each cell of the grid."""
     n_y, n_x = heights.shape
     faces = _faces(n_x, n_y)
-    mesh = mi.Mesh(
-        name,
-        heights.size,
-        len(faces),
-        props=props,
-        has_vertex_normals=normals is not None,
-        has_vertex_texcoords=True,
-    )
     to_world = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, float)
     # opposite edges at opposite numbers, so that both are exact
     x = (np.arange(n_x) - (n_x - 1) / 2) * spacing[0]
@@ -275,18 +267,12 @@ def _mesh(
         block = np.stack([*np.meshgrid(x, y[rows]), heights[rows]], axis=-1)
         points[rows] = block @ to_world[:3, :3].T + to_world[:3, 3]
     u, v = (np.linspace(0, 1, n).astype(np.float32) for n in (n_x, n_y))
-    texcoords = np.stack(np.meshgrid(u, v), axis=-1)
-    parameters = mi.traverse(mesh)
-    parameters["faces"] = mi.UInt32(faces.ravel())
-    parameters["vertex_positions"] = mi.Float(points.ravel())
-    parameters["vertex_texcoords"] = mi.Float(texcoords.ravel())
+    others = {"texcoords": np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)}
     if normals is not None:
         turned = normals.reshape(-1, 3) @ np.linalg.inv(to_world[:3, :3])
         turned /= np.linalg.norm(turned, axis=1, keepdims=True)
-        parameters["vertex_normals"] = mi.Float(turned.astype(np.float32).ravel())
-    parameters.update()
-    dr.eval()
-    return mesh
+        others["normals"] = turned.astype(np.float32)
+    return mesh_of(props, name, points.reshape(-1, 3), faces, **others)
 
 
 def _faces(n_x: int, n_y: int) -> NDArray[np.uint32]:

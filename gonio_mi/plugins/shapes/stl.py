@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from gonio_mi.formats.meshes import read_stl
+from gonio_mi.mitsuba_names import mesh_of
 from gonio_mi.settings.declaration import example
 
 
@@ -35,13 +35,8 @@ def stl(props: mi.Properties) -> mi.Mesh:
     to_world = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, float)
     points = triangles.reshape(-1, 3) @ to_world[:3, :3].T + to_world[:3, 3]
     props["face_normals"] = True
-    mesh = mi.Mesh(f"stl {path.name}", len(points), len(triangles), props=props)
-    parameters = mi.traverse(mesh)
-    parameters["faces"] = mi.UInt32(np.arange(len(points), dtype=np.uint32))
-    parameters["vertex_positions"] = mi.Float(points.astype(np.float32).ravel())
-    parameters.update()
-    dr.eval()
-    return mesh
+    faces = np.arange(len(points), dtype=np.uint32).reshape(-1, 3)
+    return mesh_of(props, f"stl {path.name}", points.astype(np.float32), faces)
 
 
 mi.register_shape("stl", stl)
