@@ -164,7 +164,8 @@ class Format:
     n_incidences : int
         Angles of incidence that a file needs at least.
     loses : str
-        Properties of a record that it cannot hold, in words.
+        Properties of a record that it cannot hold, in words; empty of a format that is
+        only read, since `gonio-mi export --help` prints it.
     refused : str
         Why no reader takes it, in a sentence; empty if one does.
     """

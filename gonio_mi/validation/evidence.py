@@ -63,8 +63,9 @@ POLARISED = {
 # The same of phase functions, whose `eval_pdf` answers what is called `eval` and `pdf`.
 PHASE = {
     name: PROPERTIES[name]
-    for name in PROPERTIES
-    if name not in ("eval_pdf", "eval_pdf_sample", "continuity", "adjoint", "delta")
+    for name in ("answers", "directions", "sampling", "weights", "sampled_pdf")
+    + ("sampled_weight", "energy", "reciprocity", "flags", "components", "masks")
+    + ("ends", "parameters", "cost")
 } | {
     "answers": "both functions answer, with finite values of at least 0; `eval` and "
     "`pdf` are the answers of `eval_pdf`",

@@ -10,6 +10,7 @@ import pytest
 
 import gonio_mi as gonio
 from gonio_mi.cli import COMMANDS
+from gonio_mi.formats import reading
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "notebooks"
@@ -61,6 +62,12 @@ def test_modules_that_the_handbook_names_exist():
         for name in re.findall(r"[` ](\w[\w/]*/\w+\.py)\b", page.read_text()):
             found = ROOT / name, ROOT / "gonio_mi" / name
             assert any(path.is_file() for path in found), f"{page.name}: {name}"
+
+
+def test_the_page_of_other_programs_names_every_ending():
+    page = (PAGES / "other_programs.md").read_text(encoding="utf-8")
+    endings = {ending for one in reading._all() for ending in one.endings}
+    assert {ending for ending in endings if f"`{ending}`" not in page} == set()
 
 
 def test_how_it_is_built_lists_every_room():

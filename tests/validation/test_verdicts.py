@@ -20,17 +20,32 @@ from gonio_mi import SpecimenError, cli
 from gonio_mi.commands import validate as command
 from gonio_mi.commands.validate import told
 from gonio_mi.testing import assert_bsdf_valid
-from gonio_mi.validation import PROPERTIES, save_report, validate
+from gonio_mi.validation import POLARISED, PROPERTIES, save_report, validate
 from gonio_mi.validation.checks import cost, delta
 from gonio_mi.validation.conditions import Condition
-from gonio_mi.validation.evidence import Evidence
+from gonio_mi.validation.diagnosis import EXPLAINED_BY
+from gonio_mi.validation.evidence import EFFECTS, Breach, Evidence
 from gonio_mi.validation.samples import samples_of
 from gonio_mi.validation.validate import coloured
 from gonio_mi.validation.verdict import Verdict, properties_of
 
 ALPHA = budget.ALPHA
+ROOT = Path(__file__).parents[2]
 OBLIQUE = Condition(40.0, 25.0)
 EFFORT = os.environ.get("GONIO_EFFORT", "quick")
+
+
+@pytest.mark.parametrize("name", PROPERTIES | POLARISED)
+def test_property_has_an_effect_an_explanation_and_words(name):
+    assert Breach(name, "").effect in EFFECTS
+    # what never fails, and what polarised variants explain by themselves
+    assert name in EXPLAINED_BY or name == "cost" or name not in PROPERTIES
+    assert f"`{name}`" in (ROOT / "notebooks/findings.md").read_text(encoding="utf-8")
+
+
+def test_readme_counts_the_properties():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert f"checks {len(PROPERTIES)} properties" in text
 
 
 @pytest.fixture
