@@ -108,7 +108,7 @@ moments = lambda wo: np.stack([x + np.zeros(n) for x in (1, *np.array(wo))])
 drawn, due = np.where(np.array(COUNTED), DRAWN * moments(bs.wo), 0), []
 for points in (np.arange(n) * [[1 / n], [0.618034]] + rng.random((16, 2, 1))) % 1:
     wo = mi.warp.square_to_uniform_sphere(mi.Point2f(points))
-    due += [4 * np.pi * np.mean(np.array(DENSITY) * moments(wo), axis=1)]
+    due += [4 * np.pi * np.mean(np.atleast_2d(DENSITY).mean(0) * moments(wo), axis=1)]
 a, b = np.mean(drawn, axis=1), np.mean(due, axis=0)
 error = np.hypot(np.std(drawn, axis=1) / n**0.5, np.std(due, axis=0) / 4) + 1e-7
 a, b, error = np.transpose([a, b, error])[np.argmax(np.abs(a - b) / error)]

@@ -89,6 +89,15 @@ def test_finding_is_shown_by_its_script(name, finding):
     assert told(text) > 1, text
 
 
+@pytest.mark.usefixtures("rgb")
+def test_a_script_of_all_directions_runs_in_colours():
+    """Its four moments are of the mean of three channels."""
+    verdict = validate({"type": "hg", "g": 0.999}, effort="quick", strict=True)
+    text = reproducer(verdict, "sampling")
+    assert "moments" in text
+    assert told(text) >= 0
+
+
 @pytest.mark.usefixtures("mono")
 def test_command(capsys):
     words = ["validate", "hg:g=0.8", "--variant", "llvm_ad_mono", "--effort", "quick"]
