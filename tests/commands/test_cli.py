@@ -94,7 +94,8 @@ class Interrupted(Diffuse):
         if self.control.calls == self.control.at:
             if self.control.wait:
                 print("waiting", flush=True)
-                time.sleep(600)
+                for _ in range(600):  # a signal just before a sleep ends none
+                    time.sleep(1)
             signal.raise_signal(signal.SIGINT)
         return 0.5
 
