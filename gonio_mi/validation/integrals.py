@@ -19,7 +19,6 @@ from ..collector.directions import direction
 from ..collector.hemisphere import RingsAndSectors
 from ..errors import SpecimenError
 from ..quadrature import integrate
-from .conditions import Condition
 from .probe import Probe, vectors
 from .tally import PatchTotals, patch_of
 
@@ -155,28 +154,36 @@ def _lattice(
     means: Any = None
     largest, least = np.zeros(m), np.inf
     refined, rough = np.arange(m), np.ones(m, bool)
+    stopped: list[Integers] = []
     left = _most_evaluations(totals) // 2
-    for n_points, generator in LATTICES:
+    area = np.tile(subdivision.solid_angles.ravel(), 2)[:, None, None]
+    for level, (n_points, _) in enumerate(LATTICES):
         left -= len(refined) * SHIFTS * n_points
         if left < 0:
             break
-        wo = _points(probe.condition, subdivision, refined, n_points, generator)
-        own = np.repeat(limits[refined], SHIFTS * n_points)
-        values = np.stack(_values(probe, wo, own), axis=-1)
-        values = values.reshape(len(refined), SHIFTS, n_points, -1)
+        values = _lattice_values(probe, subdivision, limits, refined, level)
         if means is None:
             means = np.zeros((m, SHIFTS, values.shape[-1]))
-        area = subdivision.solid_angles.ravel()[refined % subdivision.n_patches]
-        means[refined] = values.mean(axis=2) * area[:, None, None]
+        means[refined] = values.mean(axis=2) * area[refined]
         density = values[..., 0] + values[..., 5]
         largest[refined] = density.max(axis=(1, 2))
         least = min(least, density.min(initial=np.inf, where=density > 0))
         rough = _rough(means, totals, limits) | (totals.peaks > MISSED_PEAK * largest)
-        refined = np.flatnonzero(rough | _rough_in_sum(means))
+        further = np.flatnonzero(rough | _rough_in_sum(means))
+        stopped.append(np.setdiff1d(refined, further))
+        refined = further
         if not refined.size:
             break
+    if rough.any():
+        return None
+    # A lattice that misses what is bright in a patch sees little and a small error, and
+    # is not refined: patches that were stopped before others take other shifts.
+    for level, patches in enumerate(stopped[:-1]):
+        if patches.size:
+            values = _lattice_values(probe, subdivision, limits, patches, level, 1)
+            means[patches] = values.mean(axis=2) * area[patches]
     # how well the sum is known, it says itself
-    return None if rough.any() else Due.of(_mean_integrals(means), least)
+    return Due.of(_mean_integrals(means), least)
 
 
 def _rough(means: Floats, totals: PatchTotals, limits: Floats) -> Flags:
@@ -214,18 +221,25 @@ def _mean_integrals(means: Floats) -> list[PatchIntegrals]:
     ]
 
 
-def _points(
-    condition: Condition,
+def _lattice_values(
+    probe: Probe,
     subdivision: RingsAndSectors,
+    limits: Floats,
     patches: Integers,
-    n_points: int,
-    generator: int,
+    level: int,
+    repeat: int = 0,
 ) -> Floats:
-    """Directions, shape (n, 3): lattices on some patches, uniform over solid angle."""
+    """Values of :func:`_finite_values` at shifted lattices on some patches.
+
+    Uniform over solid angle; shape (len(patches), SHIFTS, n_points, functions). Another
+    `repeat` has other shifts.
+    """
+    n_points, generator = LATTICES[level]
     lattice = np.arange(n_points)[:, None] * [1, generator] / n_points
     # always the same, so that an integral does not depend on the seed
-    shifts = np.random.default_rng(n_points).random((len(patches), SHIFTS, 1, 2))
+    random = np.random.default_rng(n_points + repeat)
     # folded, so that values need not agree on opposite edges of a patch
+    shifts = random.random((len(patches), SHIFTS, 1, 2))
     u = np.abs(2 * ((lattice + shifts) % 1) - 1)
     half, patch = np.divmod(patches, subdivision.n_patches)
     ring, sector = np.divmod(patch, subdivision.n_phi)
@@ -234,16 +248,13 @@ def _points(
     begin, end = (subdivision.phi_edges[sector + k][:, None, None] for k in (0, 1))
     z = first + (last - first) * u[..., 0]
     wo = direction(np.arccos(z), begin + (end - begin) * u[..., 1])
-    face = 1 if condition.side == "front" else -1
+    face = 1 if probe.condition.side == "front" else -1
     wo[..., 2] *= np.where(half, -face, face)[:, None, None]
-    return wo.reshape(-1, 3)
-
-
-def _values(probe: Probe, wo: Floats, limit: Floats) -> list[Floats]:
-    """Arrays of :func:`_finite_values` towards `wo`."""
-    n = len(wo)
-    values = _finite_values(probe, vectors(wo), mi.Float(limit))
-    return [np.broadcast_to(value.numpy(), n).astype(float) for value in values]
+    limit = mi.Float(np.repeat(limits[patches], SHIFTS * n_points))
+    found = _finite_values(probe, vectors(wo.reshape(-1, 3)), limit)
+    n = u[..., 0].size
+    values = [np.broadcast_to(one.numpy(), n).astype(float) for one in found]
+    return np.stack(values, axis=-1).reshape(*u.shape[:3], -1)
 
 
 def _finite_values(probe: Probe, wo: mi.Vector3f, limit: mi.Float) -> list[mi.Float]:
