@@ -11,6 +11,7 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from .conditions import Condition
+from .kinds import Kind, MatrixKind
 from .maps import FourMaps
 from .samples import Samples, is_many
 
@@ -144,6 +145,11 @@ class Finding:
         Fraction of the light, or of the samples, that is wrong; None if not known.
     effect : str
         On an image, one of `EFFECTS`; that of its property by default.
+    kind : Kind or MatrixKind
+        What it is about, by which its reproducer is chosen; its property by default.
+    about : str
+        More of that: what of an answer, another function, a parameter, a component, a
+        normal, or pairs of directions.
     """
 
     name: str
@@ -151,8 +157,12 @@ class Finding:
     condition: Condition | None = None
     off: float | None = None
     effect: str = ""
+    kind: Kind | MatrixKind | None = None
+    about: str = ""
 
     def __post_init__(self) -> None:
+        own = Kind.__members__.get(self.name.upper(), Kind.RAISES)
+        object.__setattr__(self, "kind", self.kind or own)
         object.__setattr__(self, "effect", self.effect or _EFFECTS_OF[self.name][0])
 
     @property
@@ -272,7 +282,7 @@ class Evidence:
         found: Ratio,
         what: str,
         mistake: str,
-        effect: str = "",
+        **others: Any,
     ) -> None:
         """Add a breach that tells how far a ratio is from 1, if of many samples."""
         samples, wrong, ratio = found.samples, found.wrong, found.ratio
@@ -291,8 +301,8 @@ class Evidence:
             mistake,
             samples.condition.middle(wrong),
             size=float(wrong.mean()),
-            effect=effect,
             off=float(off),
+            **others,
         )
 
     def of(self, name: str) -> list[Breach]:
@@ -316,6 +326,7 @@ class Evidence:
         statistic: str,
         condition: Condition | None = None,
         off: float | None = None,
+        **others: Any,
     ) -> None:
         """Add a :class:`Test`.
 
@@ -323,4 +334,4 @@ class Evidence:
         """
         component = None if condition is None else condition.component
         effect = "" if component is None else INTERFACE
-        self.tests.append(Test(name, statistic, condition, off, effect, p))
+        self.tests.append(Test(name, statistic, condition, off, effect, p=p, **others))

@@ -28,6 +28,7 @@ from .checks.reciprocity import ratio_text
 from .conditions import Condition, Effort, Sweep
 from .evidence import Evidence
 from .integrals import SUM_ERROR
+from .kinds import Kind
 from .maps import FourMaps, four_maps
 from .probe import Probe, numbers, vectors
 from .samples import Samples, is_many, samples_of, unequal
@@ -283,6 +284,7 @@ def _check_reciprocity(evidence: Evidence, samples: Samples) -> None:
             "`eval` is not symmetric in wi and wo",
             samples.condition,
             size=float(wrong.mean()),
+            kind=Kind.SYMMETRY,
         )
 
 

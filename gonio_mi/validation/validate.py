@@ -50,6 +50,7 @@ from .evidence import (
     PROPERTIES,
     Evidence,
 )
+from .kinds import Kind
 from .maps import four_maps, in_radiance_mode
 from .phase_functions import as_bsdf, examine_phase_function
 from .polarised import examine_polarised, likely_mistake as polarised_mistake
@@ -427,7 +428,9 @@ def _depends_on_mode(evidence: Evidence, samples: Samples) -> bool:
 def _stop(evidence: Evidence, fault: PluginFault) -> None:
     """A fault is the last thing that is known."""
     mistake = f"`{fault.function}` {fault.what}"
-    evidence.breach("answers", fault.function, str(fault), mistake, size=10.0)
+    evidence.breach(
+        "answers", fault.function, str(fault), mistake, size=10.0, kind=Kind.RAISES
+    )
     for name in evidence.properties:
         evidence.undecided[name] = f"`{fault.function}` must answer first"
 

@@ -20,6 +20,7 @@ from .evidence import (
     Test,
     integrators,
 )
+from .kinds import Kind, MatrixKind
 from .maps import FourMaps
 
 # Places of a failure that are kept.
@@ -90,6 +91,9 @@ class Property:
         What the property is.
     condition : Condition or None
         Where its worst finding is; None without, or of one over all conditions.
+    kind : Kind or MatrixKind
+    about : str
+        Of its worst finding, which its reproducer shows.
     of_volumes : bool
         Whether it is one of a phase function.
     """
@@ -106,6 +110,8 @@ class Property:
     share: float | None = None
     question: str = ""
     condition: Condition | None = field(default=None, repr=False)
+    kind: Kind | MatrixKind | None = field(default=None, repr=False)
+    about: str = field(default="", repr=False)
     of_volumes: bool = False
 
     @property
@@ -365,7 +371,7 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
         text = worst.statistic if worst and not beyond else _worst_statistic(beyond)
         if not beyond and len(breaches) > 1:
             text += f"; {len(breaches) - 1} more like it"
-        at = worst.condition if worst and not beyond else _worst(beyond).condition
+        shown = worst or _worst(beyond)
         places = [b.statistic for b in sorted(breaches, key=lambda b: -b.size)]
         return Property(
             name,
@@ -377,7 +383,9 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
             effect,
             tuple(places[:MAX_PLACES]),
             share=max((x for x in shares if x is not None), default=None),
-            condition=at,
+            condition=shown.condition,
+            kind=shown.kind,
+            about=shown.about,
         )
     if name in evidence.declared:
         return Property(name, LACKS, evidence.declared[name], p_value=p_value)

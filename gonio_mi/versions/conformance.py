@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from os import PathLike
 from typing import Any
 
@@ -18,25 +18,24 @@ import numpy as np
 
 from ..reports.page import preformatted, save_page
 from ..validation.evidence import PHASE, PROPERTIES
-from ..validation.reproducer import script, source_of
+from ..validation.reproducer import ANYWHERE, script, source_of
 from ..validation.verdict import FAILS, Property, Verdict
 from .asking import answer_of
 
-# What is asked: property, direction of incidence, and words of a mistake and a
-# function, by which the script is chosen.
+# What is asked: property, angle of incidence, function, and which of its answers.
 QUESTIONS = (
-    ("answers", "theta_i 60, phi_i 25", "the value of `eval` is nan in places", "eval"),
-    ("answers", "theta_i 60, phi_i 25", "the weight of `sample` in places", "sample"),
-    *(("sampling", f"theta_i {theta}, phi_i 25", "", "pdf") for theta in (20, 60, 80)),
-    *(("weights", f"theta_i {theta}, phi_i 25", "", "sample") for theta in (20, 60)),
-    ("sampled_pdf", "theta_i 60, phi_i 25", "", "sample"),
-    ("sampled_weight", "theta_i 60, phi_i 25", "", "sample"),
-    ("reciprocity", "theta_i 50, phi_i 25", "", "eval"),
-    ("adjoint", "theta_i 50, phi_i 25", "", "eval"),
-    ("components", "theta_i 50, phi_i 25", "", "eval"),
-    ("flags", "theta_i 50, phi_i 25", "", "flags"),
-    ("masks", "theta_i 50, phi_i 25", "", "sample"),
-    ("ends", "theta_i 50, phi_i 25", "", "sample"),
+    ("answers", 60, "eval", "value"),
+    ("answers", 60, "sample", "weight"),
+    *(("sampling", theta_i, "pdf", "") for theta_i in (20, 60, 80)),
+    *(("weights", theta_i, "sample", "") for theta_i in (20, 60)),
+    ("sampled_pdf", 60, "sample", ""),
+    ("sampled_weight", 60, "sample", ""),
+    ("reciprocity", 50, "eval", ""),
+    ("adjoint", 50, "eval", ""),
+    ("components", 50, "eval", ""),
+    ("flags", 50, "flags", ""),
+    ("masks", 50, "sample", ""),
+    ("ends", 50, "sample", "weight"),
 )
 
 # What is asked of surfaces only: no phase function of Mitsuba heeds a mask, and
@@ -205,15 +204,22 @@ def questions(variant: str) -> Iterator[tuple[str, str, str]]:
             for i, one in enumerate(ones):
                 source = source_of(one, volumes=volumes)
                 case = f"{one['type']}, parameters {i + 1}"
-                for name, place, mistake, function in QUESTIONS:
+                for name, theta_i, function, about in QUESTIONS:
                     tilted = one["type"] in TILTED and name in (
                         "reciprocity",
                         "adjoint",
                     )
                     if name not in known or (volumes and name in OF_SURFACES) or tilted:
                         continue
+                    place = replace(ANYWHERE, theta_i=theta_i)
                     found = Property(
-                        name, FAILS, place, mistake, function, of_volumes=volumes
+                        name,
+                        FAILS,
+                        "",
+                        function=function,
+                        condition=place,
+                        about=about,
+                        of_volumes=volumes,
                     )
                     settings = {"variant": variant}
                     verdict = Verdict(case, (), None, None, settings, source=source)

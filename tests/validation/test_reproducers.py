@@ -1,14 +1,25 @@
 """Reproducers: those of the handbook still show each defect, those of findings do."""
 
+import re
 from pathlib import Path
 
 import broken_bsdfs
 import mitsuba as mi
+import polarised_bsdfs
 import pytest
 from reproduced import code_of, told
 
 from gonio_mi.errors import SettingError
-from gonio_mi.validation import reproducer, save_report, validate
+from gonio_mi.validation import (
+    PROPERTIES,
+    Property,
+    Verdict,
+    reproducer,
+    save_report,
+    validate,
+)
+from gonio_mi.validation.kinds import Kind, MatrixKind
+from gonio_mi.validation.reproducer import script
 
 HANDBOOK = sorted(Path(__file__).parents[2].glob("notebooks/reproducers/*.py"))
 
@@ -76,6 +87,48 @@ def test_finding_is_shown_by_its_script(name):
         text = reproducer(verdict, finding)
         assert len(code_of(text)) <= 20, text
         assert told(text) > 1, text
+
+
+# The same of Mueller matrices, and a right plugin, of which the script must say so.
+SHOWN_MATRICES = {
+    "sample_not_turned": (("sampled_weight",), "facets"),
+    "incident_not_turned": (("frames", "reciprocity"), "facets"),
+    "handedness_flipped": (("realisable",), "facets"),
+    "radiance_depolarises": (("adjoint",), "facets"),
+    "polarizer_twice_as_bright": (("first_element", "energy"), "polarizer"),
+    "retarder": (("frames", "adjoint"), "polarizer"),
+}
+
+
+@pytest.mark.parametrize("name", SHOWN_MATRICES)
+@pytest.mark.usefixtures("mono")
+def test_finding_of_matrices_is_shown_by_its_script(name):
+    for variant in ("llvm_ad_mono", "llvm_ad_mono_polarized"):
+        mi.set_variant(variant)
+        polarised_bsdfs.register()
+    wrong = {"type": name} | ({"theta": 20.0} if name == "retarder" else {})
+    verdict = validate(wrong, effort="quick", strict=True)
+    findings, right = SHOWN_MATRICES[name]
+    for finding in findings:
+        text = reproducer(verdict, finding)
+        assert len(code_of(text)) <= 20, text
+        assert told(text) > 1, text
+        assert told(text.replace(f'"{name}"', f'"{right}"')) < 1, text
+
+
+@pytest.mark.parametrize("kind", [*Kind, *MatrixKind], ids=str)
+@pytest.mark.usefixtures("mono")
+def test_every_kind_has_a_short_script(kind):
+    """Of a plugin of which nothing is known; no word of the template is left."""
+    name = kind.name.lower() if kind.name.lower() in PROPERTIES else "answers"
+    found = Property(name, "fails", "", function="sample", kind=kind, about="weight")
+    settings = {"variant": mi.variant()}
+    source = 'bsdf = mi.load_dict({"type": "own"})'
+    text = script(Verdict("own", (), None, None, settings, source=source), found)
+    compile(text, "reproducer.py", "exec")
+    assert len(code_of(text)) <= 20
+    if kind not in (Kind.MOMENTS, Kind.MOMENTS_OF_WEIGHTS):  # by way of others
+        assert not re.findall(r"\b[A-Z]{3,}\b", text)
 
 
 @pytest.mark.usefixtures("plugins")

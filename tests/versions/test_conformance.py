@@ -26,7 +26,9 @@ def few(monkeypatch):
     lobe = [{"type": "hg", "g": 0.5}, *flakes, {"type": "no_such_phase_function"}]
     monkeypatch.setattr(conformance, "phase_functions", lambda: iter([lobe]))
     kept = ("sampled_weight", "sampled_pdf", "sampling at theta_i 60")
-    asked = [x for x in conformance.QUESTIONS if f"{x[0]} at {x[1]}".startswith(kept)]
+    asked = [
+        x for x in conformance.QUESTIONS if f"{x[0]} at theta_i {x[1]}".startswith(kept)
+    ]
     monkeypatch.setattr(conformance, "QUESTIONS", asked)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...array_types import Flags
 from ..evidence import BIAS, BREAKS, Evidence
+from ..kinds import Kind
 from ..samples import is_many, samples_of, unequal
 from .delta import Lobe
 from .reciprocity import BothWays, is_constant, ratio_text
@@ -31,6 +32,7 @@ def check_ways(evidence: Evidence, ways: BothWays) -> None:
             "eval",
             ratio_text(ways.forward, ways.adjoint, wrong, samples),
             _mistake(ways, wrong),
+            samples.condition,
             size=float(wrong.mean()),
         )
 
@@ -89,5 +91,7 @@ def check_lobe(
             f"radiance over importance is {ratio:.4g} where 1/eta^2 = {due:.4g} "
             f"at {samples.condition}",
             mistake,
+            samples.condition,
             effect=BIAS if returns else BREAKS,
+            kind=Kind.ADJOINT_OF_A_LOBE,
         )

@@ -13,6 +13,7 @@ from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
 from ..conditions import TURN
 from ..evidence import BIAS, INTERFACE, Evidence
+from ..kinds import Kind
 from ..probe import Probe, spectral, vectors
 from ..samples import Samples, is_many, unequal
 
@@ -78,6 +79,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
                 samples.condition.middle(wrong),
                 size=float(wrong.mean()),
                 off=float(wrong.mean()),
+                about=what,
             )
 
 
@@ -143,6 +145,7 @@ def check_frames(evidence: Evidence) -> None:
                 f"`{function}` {mistake}",
                 samples.condition.middle(wrong),
                 size=2.0,
+                kind=Kind.OTHER_IN_THE_WORLD,
             )
         else:
             text = f"`{function}` depends on where the surface is in the world"
@@ -211,6 +214,7 @@ def check_order(evidence: Evidence, samples: Samples) -> None:
                 samples.condition.middle(wrong),
                 size=2.0,
                 off=float(wrong.mean()),
+                kind=Kind.OTHER_IN_ANOTHER_PLACE,
             )
             return
 
@@ -234,7 +238,15 @@ def check_albedo(evidence: Evidence) -> None:
             mistake = f"`{name}` is not the reflectance of `eval`, {due.max():.4g}"
     if mistake:
         text = f"{reported.max():.4g} at {samples.condition}"
-        evidence.breach("answers", name, text, mistake, effect=INTERFACE)
+        evidence.breach(
+            "answers",
+            name,
+            text,
+            mistake,
+            samples.condition,
+            effect=INTERFACE,
+            kind=Kind.ALBEDO,
+        )
 
 
 def improper(value: Numbers) -> Flags:
@@ -282,5 +294,7 @@ def check_memory(
                 function,
                 first.fraction(wrong),
                 f"`{function}` returns different values when called again",
+                first.condition,
+                kind=Kind.OTHER_WHEN_CALLED_AGAIN,
             )
             return

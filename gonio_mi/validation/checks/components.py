@@ -9,6 +9,7 @@ import numpy as np
 
 from ...array_types import Flags, Floats
 from ..evidence import Evidence
+from ..kinds import Kind
 from ..probe import Probe, is_delta, numbers, spectral
 from ..samples import Samples, is_many, unequal
 from .answers import LOBES
@@ -69,6 +70,9 @@ def _check_discrete(evidence: Evidence, samples: Samples, each: Alone) -> None:
                 f"at {samples.condition}",
                 f"the weight of `sample` times the probability of the discrete lobe of "
                 f"component {i} is not that of the component alone",
+                samples.condition,
+                kind=Kind.LOBE_OF_A_COMPONENT,
+                about=str(i),
             )
 
 
@@ -100,7 +104,9 @@ def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
                     function,
                     samples.fraction(wrong),
                     f"`{function}` does not heed ctx.type_mask",
+                    samples.condition,
                     size=float(wrong.mean()),
+                    kind=Kind.TYPE_MASK,
                 )
                 return
 
@@ -131,6 +137,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
             f"{samples.fraction(wrong)}",
             deaf
             or "`eval` does not heed ctx.component, or the components are not a sum",
+            samples.condition,
             size=1 + float(wrong.mean()),
         )
     more = unequal(samples.pdf, density, samples.pdf_slack) & (samples.pdf > density)
@@ -143,6 +150,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
             f"`pdf` is up to {min(ratio.max(), 1e6):.4g} times the sum of those of "
             f"the components for {samples.fraction(more)}",
             "`pdf` of the whole is more than those of its components together",
+            samples.condition,
             size=float(more.mean()),
         )
 

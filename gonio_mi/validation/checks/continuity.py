@@ -8,6 +8,7 @@ import numpy as np
 from ...collector.directions import direction
 from ..conditions import PHI, Condition
 from ..evidence import Evidence
+from ..kinds import Kind
 from ..probe import Probe, spectral, uniform, vectors
 from ..samples import ULPS, Samples
 
@@ -62,7 +63,9 @@ def check_normal(evidence: Evidence, samples: Samples) -> None:
                 f"{np.degrees(MAX_TILT):.1g} degrees of normal incidence, "
                 f"{samples.condition.side}",
                 f"`{function}` jumps at normal incidence",
+                samples.condition,
                 size=float(jump),
+                kind=Kind.JUMP_AT_NORMAL,
             )
 
 
@@ -102,5 +105,6 @@ def check_cutoffs(evidence: Evidence, condition: Condition) -> None:
             "eval",
             f"black for theta_{name[1]} beyond {theta:.4g} degrees, {condition.side}",
             f"`eval` is black where {name} is near the horizon, and lit above",
+            condition,
             size=float(last),
         )

@@ -10,6 +10,7 @@ from scipy import special
 
 from ...array_types import Flags, Floats
 from ..evidence import MODEL, Evidence
+from ..kinds import Kind
 from ..probe import Probe
 from ..samples import BSDF_ROUNDING, Samples, is_many
 
@@ -86,6 +87,7 @@ def _split(
             statistic,
             "`sample` gives many directions to a lobe whose sampled_type is discrete, "
             "where `eval` is lit, too: light is counted twice",
+            samples.condition,
             size=spread,
         )
     else:
@@ -108,6 +110,8 @@ def _check_lobe(evidence: Evidence, lobe: Lobe) -> bool:
             f"weights from {weight.min():.4g} to {weight.max():.4g} at "
             f"{samples.condition}",
             "`sample` gives one discrete lobe different weights",
+            samples.condition,
+            kind=Kind.WEIGHTS_OF_A_LOBE,
         )
         return False
     return True
@@ -130,8 +134,10 @@ def _check_direction(evidence: Evidence, lobe: Lobe) -> None:
             "sample",
             f"the direction is off by {off:.3g} at {lobe.samples.condition}",
             f"the direction of a discrete lobe of `sample` is not {law}",
+            lobe.samples.condition,
             size=off,
             effect=MODEL,
+            kind=Kind.DIRECTION_OF_A_LOBE,
         )
 
 
@@ -170,4 +176,6 @@ def check_null(evidence: Evidence, samples: Samples) -> None:
             f"says {reported.max():.4g}, sampled is {sampled.max():.4g} "
             f"at {samples.condition}",
             "`eval_null_transmission` is not the share that `sample` lets pass",
+            samples.condition,
+            kind=Kind.NULL_TRANSMISSION,
         )

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...array_types import Flags
 from ..evidence import INTERFACE, NOISE, Evidence
+from ..kinds import Kind
 from ..samples import BSDF_ROUNDING, Samples, is_many, unequal
 from .reciprocity import BothWays, is_constant
 
@@ -38,16 +39,18 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     back = "a sample of a transmitting type leaves on the side of incidence"
     neither = "sampled_type names neither reflection nor transmission"
     bent = reflects & ~(np.abs(samples.eta - 1) < BSDF_ROUNDING) & ~transmits
-    for wrong, mistake, effect in (
-        (np.abs(length - 1) > BSDF_ROUNDING, "directions are not of length 1", ""),
-        (one_way & ~agreed, through, ""),
-        (one_way & agreed, f"{through}, {AGREED}", INTERFACE),
-        (other_way & ~agreed, back, ""),
-        (other_way & agreed, f"{back}, {AGREED}", INTERFACE),
-        (~reflects & ~transmits, neither, INTERFACE),
+    too_long = np.abs(length - 1) > BSDF_ROUNDING
+    side, eta = Kind.DIRECTIONS, Kind.ETA_OF_REFLECTION
+    for wrong, mistake, effect, kind in (
+        (too_long, "directions are not of length 1", "", Kind.LENGTH),
+        (one_way & ~agreed, through, "", side),
+        (one_way & agreed, f"{through}, {AGREED}", INTERFACE, side),
+        (other_way & ~agreed, back, "", side),
+        (other_way & agreed, f"{back}, {AGREED}", INTERFACE, side),
+        (~reflects & ~transmits, neither, INTERFACE, side),
         # only Russian roulette uses it
-        (bent, "eta is not 1 for a reflection", NOISE),
-        (~(samples.eta > 0), "eta is not positive", ""),
+        (bent, "eta is not 1 for a reflection", NOISE, eta),
+        (~(samples.eta > 0), "eta is not positive", "", eta),
     ):
         wrong = wrong & given
         if is_many(wrong):
@@ -60,6 +63,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
                 size=float(wrong.mean()),
                 off=float(wrong.mean()),
                 effect=effect,
+                kind=kind,
             )
 
 
@@ -96,6 +100,7 @@ def check_eta(evidence: Evidence, ways: BothWays) -> BothWays:
         samples.condition,
         size=float(through.mean()),
         effect=NOISE,  # only Russian roulette uses it
+        kind=Kind.ETA,
     )
     return replace(ways, eta2=np.where(samples.reflected[:, None], 1.0, due))
 

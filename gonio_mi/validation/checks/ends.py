@@ -14,6 +14,7 @@ from ...collector.directions import direction
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition, LitFrom
 from ..evidence import INTERFACE, Evidence
+from ..kinds import Kind
 from ..probe import Probe, changed, number_parameters, numbers, spectral, vectors
 from ..samples import BSDF_ROUNDING
 from .answers import example, improper
@@ -46,7 +47,9 @@ def check_bsdf(evidence: Evidence, where: str = "") -> None:
             _check_condition(evidence, Probe(evidence.bsdf, condition), place)
         except PluginFault as fault:  # elsewhere it answers
             mistake = f"`{fault.function}` {fault.what}, at an end of its domain"
-            evidence.breach("ends", fault.function, place, mistake, off=PIXELS)
+            evidence.breach(
+                "ends", fault.function, place, mistake, off=PIXELS, kind=Kind.RAISES
+            )
 
 
 def check_limits(evidence: Evidence, limits: Mapping[str, tuple[float, ...]]) -> None:
@@ -88,6 +91,7 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
             f"sample {_text(corners[wrong][0])}",
             "`sample` gives a direction of another length than 1 at an end",
             off=PIXELS,
+            kind=Kind.LENGTH_AT_AN_END,
         )
     extra = [wi, -wi, wi * [-1, -1, 1], wi * [-1, -1, -1]]
     extra += list(direction(np.radians([0, 89.99, 90, 90.01, 180]), 0.3))
@@ -138,6 +142,7 @@ def _check_finite(
             size=float(wrong.sum()),
             effect=INTERFACE if harmless else "",
             off=PIXELS,
+            about=what,
         )
 
 

@@ -6,6 +6,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..evidence import INTERFACE, Evidence, Ratio
+from ..kinds import Kind
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import BSDF_ROUNDING, Samples, is_many, ratio_of, unequal
 from .answers import lattice
@@ -35,6 +36,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
             size=float(wrong.mean()),
             off=float(wrong.mean()),
             effect=effect,
+            kind=Kind.OTHER_SAMPLES,
         )
 
 
@@ -61,6 +63,8 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
                 probe.condition,
                 size=float(wrong.mean()),
                 off=min(light, 1.0),
+                kind=Kind.EVAL_PDF_ANYWHERE,
+                about=alone,
             )
 
 
@@ -81,5 +85,6 @@ def check_joint(
             Ratio(samples, unequal(joint, due, slack) & usable, ratio_of(joint, due)),
             f"its value over `{alone}`",
             f"`{function}` answers otherwise than `{alone}`",
-            effect,
+            effect=effect,
+            about=alone,
         )

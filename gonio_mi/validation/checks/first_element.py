@@ -15,6 +15,7 @@ from ...transport.bsdf_trial import PluginFault
 from ...transport.variants import unpolarised
 from ..conditions import Condition
 from ..evidence import Evidence
+from ..kinds import MatrixKind
 from ..mueller import Lobes, Matrices, condition_of
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import is_many
@@ -86,6 +87,7 @@ def _breach(
         condition,
         size=float(wrong.mean()),
         off=float(min(1.0, np.abs(ratio - 1).mean()) * wrong.mean()),
+        kind=MatrixKind.FIRST_ELEMENT,
     )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from ...array_types import Floats
 from ..conditions import Condition
 from ..evidence import BIAS, Evidence
+from ..kinds import Kind
 from ..probe import Probe
 from ..samples import Samples, is_many, samples_of, unequal
 from . import sampling, weights
@@ -62,6 +63,7 @@ def _check_declared(evidence: Evidence, samples: Samples) -> bool:
             "flags",
             f"{names} sampled at {samples.condition}",
             f"`flags` does not declare {names}, which `sample` draws",
+            samples.condition,
             effect=BIAS if unlit else "",
         )
         return True
@@ -72,7 +74,7 @@ def _check_declared(evidence: Evidence, samples: Samples) -> bool:
         if last < n + len(LOBES):  # else it is no component that was added
             mistake += "; m_components must be assigned, to append to it has no effect"
         statistic = f"component {last}, of {n} that are declared"
-        evidence.breach("flags", EITHER, statistic, mistake)
+        evidence.breach("flags", EITHER, statistic, mistake, samples.condition)
         return True
     for i in set(components.tolist()):
         own = int(np.bitwise_or.reduce(types[components == i])) & ~int(bsdf.flags(i))
@@ -83,6 +85,8 @@ def _check_declared(evidence: Evidence, samples: Samples) -> bool:
                 f"{_names(own)} as component {i}",
                 f"`sample` gives component {i} a type that its `flags` lack: one of "
                 "them is wrong",
+                samples.condition,
+                kind=Kind.TYPE_OF_A_COMPONENT,
             )
             return True
     return False
@@ -115,13 +119,21 @@ def check_sides(evidence: Evidence) -> None:
                 f"{100 * lit.mean():.3g} % of the samples scatter at {condition}",
                 f"light from the {side} is scattered though `flags` does not "
                 "declare it",
+                condition,
+                kind=Kind.UNDECLARED_SIDE,
             )
     if not any(samples.given.any() for samples in evidence.samples):
         return
     samples = samples_of(bsdf, base, 2**12, (evidence.seed, 32))
-    for name, declared, change in (
-        ("Anisotropic", flags & int(all_flags.Anisotropic), _turn),
-        ("NeedsDifferentials", bsdf.needs_differentials(), _differentiate),
+    turned = flags & int(all_flags.Anisotropic)
+    for name, declared, change, kind in (
+        ("Anisotropic", turned, _turn, Kind.ANISOTROPIC),
+        (
+            "NeedsDifferentials",
+            bsdf.needs_differentials(),
+            _differentiate,
+            Kind.DIFFERENTIALS,
+        ),
     ):
         share = 0.0 if declared else _changed(bsdf, samples, change)
         if share:
@@ -130,6 +142,8 @@ def check_sides(evidence: Evidence) -> None:
                 "flags",
                 f"`eval` changes for {share:.3g} of them",
                 f"`flags` does not declare {name}, but `eval` depends on it",
+                base,
+                kind=kind,
             )
     if not flags & int(all_flags.SpatiallyVarying) and _changed(bsdf, samples, _move):
         text = "`eval` depends on uv without SpatiallyVarying, as Mitsuba's own do"

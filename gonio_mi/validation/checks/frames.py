@@ -11,6 +11,7 @@ import numpy as np
 from ...array_types import Flags, Floats, Numbers
 from ...collector.stokes import plane_axis, reframed, turn
 from ..evidence import Evidence
+from ..kinds import MatrixKind
 from ..mueller import (
     IDENTITY,
     Matrices,
@@ -120,6 +121,8 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
         condition,
         size=float(misfit[worst]),
         off=share,
+        kind=MatrixKind.FRAMES,
+        about=str(turned.normal.round(9).tolist()),
     )
 
 
@@ -200,6 +203,8 @@ def check_jumps(
     at = (row[worst], column[worst])
     function, condition = matrices.function, condition_of(matrices, at)
     where = _border(matrices, at)
+    both = (row[worst], slice(at[1], at[1] + 2))
+    wi, wo = (x[both].round(9) for x in (matrices.wi, matrices.wo))
     evidence.breach(
         "frames",
         function,
@@ -211,6 +216,8 @@ def check_jumps(
         condition,
         size=float(size[worst]) / 2,
         off=len(size) / n_paths,
+        kind=MatrixKind.JUMP,
+        about=str([(wi[i].tolist(), wo[i].tolist()) for i in (0, 1)]),
     )
 
 

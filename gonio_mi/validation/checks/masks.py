@@ -7,6 +7,7 @@ import numpy as np
 
 from ..conditions import Condition
 from ..evidence import Evidence
+from ..kinds import Kind
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import samples_of, unequal
 
@@ -40,9 +41,10 @@ def check_bsdf(evidence: Evidence) -> None:
         changed = unequal(masked.astype(float), plain, 0.0) & usable
         light = np.zeros(n) if flat else np.abs(masked).sum(axis=1)
         awake = ~active & (light != 0)
-        for wrong, what in (
-            (awake, "ignores `active`: inactive rays get a value"),
-            (changed, "answers active rays differently when others are not"),
+        active_too = "answers active rays differently when others are not"
+        for wrong, what, kind in (
+            (awake, "ignores `active`: inactive rays get a value", Kind.MASKS),
+            (changed, active_too, Kind.MASKS_OF_OTHERS),
         ):
             if wrong.any():
                 evidence.breach(
@@ -50,5 +52,7 @@ def check_bsdf(evidence: Evidence) -> None:
                     function,
                     f"{wrong.sum()} of {n // 2} rays at {condition}",
                     f"`{function}` {what}",
+                    condition,
+                    kind=kind,
                     size=float(wrong.mean()),
                 )

@@ -7,6 +7,7 @@ from scipy import special
 
 from ...array_types import Flags, Floats, Numbers
 from ..evidence import Evidence
+from ..kinds import MatrixKind
 from ..mueller import Lobes, condition_of
 
 # Flux that rounding may add to all that arrives.
@@ -38,7 +39,9 @@ def check_gain(evidence: Evidence, lobes: Lobes) -> None:
         z = (mean - 1 - ROUNDING) / max(std_err, ROUNDING / 4)
         text = f"{mean:.4g} of the flux of {_named(state)} leaves"
         p_value = float(special.stdtr(half - 1, -z))
-        evidence.test("energy", p_value, text, condition, max(0.0, mean - 1))
+        gain = max(0.0, mean - 1)
+        kind = MatrixKind.ENERGY
+        evidence.test("energy", p_value, text, condition, gain, kind=kind)
 
 
 def _discrete(rows: Floats, pdf: Floats, delta: Flags) -> Floats:

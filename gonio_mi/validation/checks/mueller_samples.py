@@ -7,6 +7,7 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ...collector.stokes import UPRIGHT
 from ..evidence import Evidence
+from ..kinds import Kind, MatrixKind
 from ..mueller import (
     Lobes,
     Matrices,
@@ -45,6 +46,7 @@ def check_finite(evidence: Evidence, matrices: Matrices) -> None:
                 condition,
                 size=float(wrong.mean()),
                 off=float(wrong.mean()),
+                kind=MatrixKind.ANSWERS,
             )
 
 
@@ -92,6 +94,7 @@ def check_weights(
         condition,
         size=float(wrong.mean()),
         off=float(wrong.mean()),
+        kind=MatrixKind.SAMPLED_WEIGHT,
     )
 
 
@@ -141,9 +144,9 @@ def check_eval_pdf(
     light = np.where(values.light > 0, values.light, 1)[..., None, None]
     change = (np.abs(joint.raw - values.raw) / light).max(axis=(-1, -2, -3))
     density = np.abs(joint_pdf - pdf) / np.maximum(np.maximum(joint_pdf, pdf), 1e-30)
-    for what, wrong in (
-        ("values", asked & (change > ROUNDING)),
-        ("densities", asked & (density > ROUNDING)),
+    for what, wrong, kind in (
+        ("values", asked & (change > ROUNDING), MatrixKind.EVAL_PDF),
+        ("densities", asked & (density > ROUNDING), Kind.EVAL_PDF),
     ):
         if is_many(wrong):
             evidence.breach(
@@ -153,4 +156,6 @@ def check_eval_pdf(
                 f"`eval_pdf` gives other {what} than `eval` and `pdf`",
                 condition_of(values, tuple(np.argwhere(wrong)[0])),
                 size=float(wrong.mean()),
+                kind=kind,
+                about="pdf",
             )

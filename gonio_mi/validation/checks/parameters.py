@@ -13,6 +13,7 @@ from ...array_types import Floats
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition
 from ..evidence import BIAS, INTERFACE, MAX_P, Evidence
+from ..kinds import Kind
 from ..probe import Probe, blamed, changed, number_parameters, spectral, vectors
 from ..samples import Samples, is_many, unequal
 
@@ -48,7 +49,8 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         # images need none of it
         effect = INTERFACE if fault.function == "traverse" else None
         text = str(fault)
-        evidence.breach("parameters", fault.function, text, text, effect=effect)
+        others: Any = {"effect": effect, "kind": Kind.RAISES}
+        evidence.breach("parameters", fault.function, text, text, **others)
 
 
 def check_changes(evidence: Evidence, sweep: Callable[[Evidence], None]) -> None:
@@ -87,10 +89,11 @@ def check_changes(evidence: Evidence, sweep: Callable[[Evidence], None]) -> None
     breaches = [b.statistic for b in found[name].breaches if b.effect == BIAS]
     if breaches:
         text = f"after a change of {name}: {breaches[0]}"
-        evidence.breach("parameters", function, text, mistake, size=2.0)
+        others: Any = {"size": 2.0, "about": name}
+        evidence.breach("parameters", function, text, mistake, **others)
     else:
         worst = min(found[name].tests, key=lambda test: test.p).statistic
-        evidence.test("parameters", p, f"after a change of {name}: {worst}")
+        evidence.test("parameters", p, f"after a change of {name}: {worst}", about=name)
         evidence.suspects["parameters"] = function, mistake
 
 
@@ -220,7 +223,10 @@ def _check_gradient(
             f"by {name}: for {wrong.mean():.3g} of the directions at {condition}, with "
             f"the median {own:.4g} where differences have {due:.4g}",
             f"gradients of `eval` by {name} are not its changes",
+            condition,
             size=float(wrong.mean()),
+            kind=Kind.GRADIENT,
+            about=name,
         )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ..conditions import LitFrom
 from ..evidence import BREAKS, Evidence
+from ..kinds import Kind
 from ..probe import Probe, numbers, spectral
 from ..samples import BSDF_ROUNDING, Samples, is_many, samples_of, unequal
 from .delta import DIRECTION_ROUNDING, Lobe
@@ -172,7 +173,9 @@ def check_lobe(evidence: Evidence, lobe: Lobe, key: tuple[int, ...]) -> bool:
         f"{again.max():.4g} on the way back, at {samples.condition}",
         "`sample` gives a discrete lobe another share than its reverse in "
         "importance mode: 1/eta^2 belongs to radiance mode only",
+        samples.condition,
         effect=BREAKS,
+        kind=Kind.RECIPROCITY_OF_A_LOBE,
     )
     return False
 

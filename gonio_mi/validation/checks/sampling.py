@@ -14,6 +14,7 @@ from ..conditions import Condition, Sweep
 from ..evidence import BIAS, INTERFACE, MAX_P, NOISE, Evidence
 from ..factors import has_known_factor, ratios_of
 from ..integrals import SUM_ERROR
+from ..kinds import Kind
 from ..maps import FourMaps, skew_score
 from ..probe import Probe, is_delta, numbers, spectral, uniform, vectors
 from ..samples import BSDF_ROUNDING, samples_of
@@ -54,6 +55,7 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
             size=used + unused - 1,
             off=min(used + unused - 1, 1.0),
             effect=INTERFACE if harmless else "",
+            kind=Kind.MASS,
         )
 
 
@@ -74,6 +76,7 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
             condition,
             size=mass,
             effect=INTERFACE,
+            kind=Kind.MASS_OF_A_DARK_SIDE,
         )
 
 

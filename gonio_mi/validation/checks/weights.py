@@ -8,6 +8,7 @@ from scipy import special
 from ..conditions import Condition
 from ..evidence import NOISE, Evidence
 from ..integrals import SUM_ERROR
+from ..kinds import Kind
 from ..maps import FourMaps, Scores, unexplained_fraction
 from ..probe import Probe
 from ..samples import Samples, is_many
@@ -61,6 +62,7 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> bool:
             condition,
             size=light,
             off=min(light, 1.0),
+            kind=Kind.LIGHT_OF_A_DARK_SIDE,
         )
     return light == 0
 
