@@ -1,4 +1,4 @@
-"""The files that ``-m "not slow"`` leaves out are there."""
+"""The files that ``-m "not slow"`` leaves out, and those of workflows, are there."""
 
 import re
 from pathlib import Path
@@ -12,3 +12,11 @@ def test_every_slow_file_exists():
     assert names
     files = {path.stem.removeprefix("test_") for path in TESTS.rglob("test_*.py")}
     assert not set(names) - files
+
+
+def test_every_file_of_the_workflows_exists():
+    workflows = sorted(TESTS.parent.glob(".github/workflows/*.yml"))
+    text = "".join(path.read_text() for path in workflows)
+    names = re.findall(r"tests/\S+\.py", text)
+    assert names
+    assert not [name for name in names if not (TESTS.parent / name).is_file()]
