@@ -10,7 +10,7 @@ from typing import Any
 from ..results.tally import Tally
 from ..transport.kernels import check_all_counted
 from ..transport.launch import Launch, launch, traces
-from ..transport.morton import CHUNK, block_bits
+from ..transport.morton import block_bits, chunk_lanes
 from ..transport.sampling import is_joint
 from ..transport.setup import Setup
 from ..transport.sums import n_numbers
@@ -172,12 +172,13 @@ class Launcher:
         """Launches that each go on where the one before ended."""
         start, sizes, walks = whole.begin, whole.sizes, whole.n_directions
         together = len(sizes) // walks
+        chunk = chunk_lanes(together)
         for begin, end in segments(start, start + sizes[0], _max_points(together)):
             parts = tuple(min(end, start + size) - begin for size in sizes)
             at, length = 0, together << block_bits(begin, end - begin)
             while at < length:
                 n = self.size.next_part(walks * at, walks * length, FUSED_RAYS) // walks
-                there = min(at + -(-max(1, n) // CHUNK) * CHUNK, length)
+                there = min(at + -(-max(1, n) // chunk) * chunk, length)
                 yield replace(whole, sizes=parts, begin=begin, stretch=(at, there))
                 at = there
 
@@ -196,8 +197,8 @@ def _may_share(setup: Setup) -> bool:
 
 
 def _max_points(n_batches: int) -> int:
-    """Points of each batch along a curve, at most: places have 32 bits."""
-    return 2**31 >> (n_batches - 1).bit_length()
+    """Points of each batch along a curve, at most: places have 30 bits."""
+    return 2**30 >> (n_batches - 1).bit_length()
 
 
 class LaunchSize:

@@ -7,12 +7,23 @@ and so keeps neighbours together.
 """
 
 from collections.abc import Sequence
+from math import lcm
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Lanes of the widest packets of Embree, and between places where launches may be cut.
+# Lanes of the widest packets of Embree, and at least between cuts of launches.
 PACKET, CHUNK = 2**4, 2**10
+
+
+def chunk_lanes(n: int) -> int:
+    """Lanes between which launches may be cut, if `n` points are at one place.
+
+    Whole packets, and up to four places in a row, which :func:`leading_digits` may not
+    tell apart.
+    """
+    least = lcm(PACKET, 4 * n)
+    return -(-CHUNK // least) * least
 
 
 def block_bits(start: int, n: int) -> int:
@@ -50,6 +61,24 @@ def sorting_tables(
             chosen = (byte >> bit % 8 & 1).astype(np.uint32)
             tables[h, bit // 8] ^= chosen * np.uint32(column)
     return tables
+
+
+def leading_digits(x_columns: Sequence[int], y_columns: Sequence[int], h: int) -> int:
+    """How many digits, from the first, are different in all of the first 2**h points.
+
+    All `h` of them, or one or two less: then any other digits tell points apart.
+    """
+    low = (1 << h) - 1
+    independent: list[int] = []
+    for place in range(h):
+        columns = (x_columns, y_columns)[place % 2]
+        digit = _functional(columns, 31 - place // 2) & low
+        for other in independent:
+            digit = min(digit, digit ^ other)
+        if not digit:
+            return place
+        independent.append(digit)
+    return h
 
 
 def _functional(columns: Sequence[int], bit: int) -> int:

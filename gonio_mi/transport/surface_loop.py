@@ -36,7 +36,7 @@ class PathSettings:
     rr_depth: int
     delta_only: bool = False  # on a plane: all else is integrated
     max_scatterings: int = 0  # inside of media
-    roulette: bool = False  # inside of media: as `rr_depth` says, not by default
+    roulette: bool = False  # as `rr_depth` says; without, media have one of their own
 
 
 def scatter_plane(
@@ -94,7 +94,7 @@ def trace(
     flight = flight_from(specimen, ray)
 
     scene = specimen.scene
-    analog = settings.analog
+    analog, roulette = settings.analog, settings.roulette
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
     rr_depth = dr.opaque(mi.UInt32, settings.rr_depth)
 
@@ -145,11 +145,12 @@ def trace(
             density[active] = deposits.density(si, bsdf, bs, wo, active)
 
         # ---------------------------- Russian roulette --------------------------------
-        survival = survival_chance(β, depth > rr_depth)
-        survives = another < survival
-        β[active] = dr.select(survives, β / survival, 0.0)
-        fate[active & ~survives] = mi.UInt32(Fate.ABSORBED)
-        active &= survives
+        if roulette:
+            survival = survival_chance(β, depth > rr_depth)
+            survives = another < survival
+            β[active] = dr.select(survives, β / survival, 0.0)
+            fate[active & ~survives] = mi.UInt32(Fate.ABSORBED)
+            active &= survives
 
         # ------------------------------- Next ray -------------------------------------
         proceed(specimen, flight, si, met, active, wo)

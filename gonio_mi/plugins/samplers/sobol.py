@@ -12,7 +12,13 @@ import numpy as np
 
 from gonio_mi.errors import VariantError
 from gonio_mi.settings.declaration import example
-from gonio_mi.transport.morton import CHUNK, PACKET, block_bits, sorting_tables
+from gonio_mi.transport.morton import (
+    PACKET,
+    block_bits,
+    chunk_lanes,
+    leading_digits,
+    sorting_tables,
+)
 from gonio_mi.transport.sampling import apart
 
 # Primitive polynomial (its coefficients as bits) and initial direction numbers of each
@@ -81,6 +87,9 @@ def direction_numbers(dimension: int) -> list[int]:
 MIRRORED = [[dr.brev(v) for v in direction_numbers(d)] for d in ORDER]
 BLOCK = len(ORDER)
 
+# Direction numbers of the first two draws, which a curve follows.
+FOOTPRINT = direction_numbers(ORDER[0]), direction_numbers(ORDER[1])
+
 
 @cache
 def _byte_table() -> mi.UInt32:
@@ -96,44 +105,121 @@ def _byte_table() -> mi.UInt32:
 @cache
 def _curve_table() -> mi.UInt32:
     """Tables of :func:`sorting_tables` for the first two draws of a block."""
-    pair = [direction_numbers(dimension) for dimension in ORDER[:2]]
-    return mi.UInt32(sorting_tables(*pair).ravel())
+    return mi.UInt32(sorting_tables(*FOOTPRINT).ravel())
 
 
-def along_curve(place: mi.UInt32, base: int, bits: int, seed: mi.UInt32) -> mi.UInt32:
-    """Permutation of ``2**bits`` points from `base` on, that follows a Morton curve.
+# Of a word of :func:`curve_tables`, the bits that are no index: the next digits.
+NEXT_DIGITS = 30
 
-    It sorts by the first two numbers, scrambled with `seed`, so that points of any
-    seeds at one place are neighbours.
+
+def curve_tables(base: int, bits: int, keys: mi.UInt32, n: int) -> mi.UInt32:
+    """What either coordinate of a place adds to the index of a sequence's point there.
+
+    A place on the curve is a square or half of one, named by `bits` digits of the first
+    two numbers. All but their scrambling, which here is undone, is linear over GF(2):
+    the index is the exclusive or of one word for the digits of x, one for those of y,
+    and `base`. Above it stand the digits after the leading ones, one of each: in which
+    quarter of its place the point is.
 
     Parameters
     ----------
-    place : mi.UInt32
-        Numbers below ``2**bits``.
     base, bits : int
-        The former a multiple of ``2**bits``, and that at most ``2**31``.
-    seed : mi.UInt32
+        Of the aligned block of ``2**bits`` points that the curve visits.
+    keys : mi.UInt32
+        What sequences are scrambled with.
+    n : int
+        How many of them there are.
 
     Returns
     -------
     mi.UInt32
-        Indices of points.
+        By sequence, draw (0 or 1) and mirrored digits, of which there is room for
+        :func:`_room` of them.
     """
-    whole = dr.opaque(mi.UInt32, bits)
-    # digits wanted, mirrored, and what is scrambled to them, without those of the base
-    digits = _mirrored(place, whole)
-    x, y = (
-        owen_inverse(_every_other(digits >> draw), key(seed, draw))
-        ^ dr.opaque(mi.UInt32, _coordinate(base, draw))
-        for draw in (0, 1)
-    )
-    digits = _spread(x) | (_spread(y) << 1)
-    place = _mirrored(digits & ((mi.UInt32(1) << whole) - 1), whole)
-    index = dr.opaque(mi.UInt32, base)
+    whole, room = dr.opaque(mi.UInt32, bits), dr.opaque(mi.UInt32, _room(bits))
+    entry = dr.arange(mi.UInt32, 2 * n << _room(bits))
+    digits = entry & ((mi.UInt32(1) << room) - 1)
+    draw = (entry >> room) & 1
+    word = key(dr.gather(mi.UInt32, keys, entry >> room >> 1), draw)
+    coordinates = [dr.opaque(mi.UInt32, _coordinate(base, d)) for d in (0, 1)]
+    plain = owen_inverse(digits, word)
+    offset = dr.select(draw == 0, *coordinates)
+    wanted = (_spread(plain ^ offset) << draw) & ((mi.UInt32(1) << whole) - 1)
+    place = _mirrored(wanted, whole)
+    index = mi.UInt32(0)
     for byte in range(4):
-        entry = (4 * whole + byte) * 256 + ((place >> 8 * byte) & 255)
-        index = index ^ dr.gather(mi.UInt32, _curve_table(), entry)
-    return index
+        at = (4 * whole + byte) * 256 + ((place >> 8 * byte) & 255)
+        index = index ^ dr.gather(mi.UInt32, _curve_table(), at)
+    # a digit is flipped or not by what comes before it in its own coordinate
+    leading = dr.opaque(mi.UInt32, leading_digits(*FOOTPRINT, bits))
+    known = (leading + 1 - draw) >> 1
+    flipped = owen(plain & ((mi.UInt32(1) << known) - 1), word)
+    entries = index
+    for d in (0, 1):
+        x = sobol_any(index, mi.UInt32(d))
+        x = x ^ dr.select(draw == d, flipped ^ offset, mi.UInt32(0))
+        following = (x >> ((leading + 1 - d) >> 1)) & 1
+        # that of x first where both have as many digits
+        first = dr.select((leading & 1) == d, mi.UInt32(1), 0)
+        entries = entries | (following << (NEXT_DIGITS + first))
+    return entries
+
+
+def _room(bits: int) -> int:
+    """Digits of a coordinate among those of a place, rounded up."""
+    return (bits + 1) // 2
+
+
+def on_curve(
+    tables: mi.UInt32, place: mi.UInt32, sequence: mi.UInt32, base: int, bits: int
+) -> tuple[mi.UInt32, mi.UInt32]:
+    """Permutation of ``2**bits`` points from `base` on, that follows a Morton curve.
+
+    It sorts by the first two scrambled numbers, so that points of any sequences at one
+    place are neighbours.
+
+    Parameters
+    ----------
+    tables : mi.UInt32
+        Those of :func:`curve_tables`.
+    place, sequence : mi.UInt32
+        The former below ``2**bits``.
+    base, bits : int
+        The former a multiple of ``2**bits``, and that at most ``2**NEXT_DIGITS``.
+
+    Returns
+    -------
+    index, quarter : mi.UInt32
+        Of points, and from 0 to 3 along the curve, in which part of the place they are.
+    """
+    whole, room = dr.opaque(mi.UInt32, bits), dr.opaque(mi.UInt32, _room(bits))
+    digits = _mirrored(place, whole)
+    row = sequence << (room + 1)
+    word = dr.gather(mi.UInt32, tables, row + _every_other(digits))
+    row += mi.UInt32(1) << room
+    word = word ^ dr.gather(mi.UInt32, tables, row + _every_other(digits >> 1))
+    index = (word & ((mi.UInt32(1) << whole) - 1)) ^ dr.opaque(mi.UInt32, base)
+    return index, word >> NEXT_DIGITS
+
+
+def sorted_within(n: int, digit: mi.UInt32, *arrays: mi.UInt32) -> list[mi.UInt32]:
+    """Arrays, each `n` lanes of which are sorted by a digit from 0 to 3; stable.
+
+    How often each digit occurs, less than 2**16 times, is counted in one number.
+    """
+    kind, width = (mi.UInt32, 8) if n < 2**8 else (mi.UInt64, 16)
+    below = sum(1 << width * digit for digit in (1, 2, 3))
+    place = kind(digit) * width
+    one = kind(1) << place
+    dr.eval(one, place, *arrays)
+    group, _ = apart(dr.arange(mi.UInt32, dr.width(one)), n)
+    smaller = dr.gather(kind, dr.block_sum(one, n) * below, group)
+    rank = (smaller + dr.block_prefix_sum(one, n)) >> place & (2**width - 1)
+    target = group * dr.opaque(mi.UInt32, n) + mi.UInt32(rank)
+    found = [dr.empty(mi.UInt32, dr.width(one)) for _ in arrays]
+    for array, where in zip(arrays, found):
+        dr.scatter(where, array, target, mode=dr.ReduceMode.Permute)
+    return found
 
 
 def _coordinate(index: int, draw: int) -> int:
@@ -338,9 +424,9 @@ class Sobol(mi.Sampler):
         changes, and what is traced from them meets the same parts of memory.
 
         What Embree says of a ray within rounding of an edge depends on the rays that
-        share its packet. Each chunk of `CHUNK` lanes therefore fills whole packets,
-        with points of nobody: wherever stretches are cut between such chunks, packets
-        hold the same points.
+        share its packet. Each chunk of :func:`chunk_lanes` therefore fills whole
+        packets, with points of nobody: wherever stretches are cut between such chunks,
+        packets hold the same points.
 
         Parameters
         ----------
@@ -361,8 +447,8 @@ class Sobol(mi.Sampler):
         bits = block_bits(self.start, self.per_sequence)
         together = self.sequences // walks
         last = together << bits if last is None else last
-        n = last - first
-        shift, length = dr.opaque(mi.UInt32, first), -(-n // CHUNK) * CHUNK
+        n, chunk = last - first, chunk_lanes(together)
+        shift, length = dr.opaque(mi.UInt32, first), -(-n // chunk) * chunk
         lane = dr.arange(mi.UInt32, walks * length)
         walk, step = apart(lane, length) if walks > 1 else (mi.UInt32(0), lane)
         place, sequence = apart(step + shift, together)
@@ -372,26 +458,27 @@ class Sobol(mi.Sampler):
         # at least two keys: what is gathered from a single one is another kernel
         keys = dr.concat([self.keys, self.keys])
         base = self.start >> bits << bits
-        index = along_curve(place, base, bits, dr.gather(mi.UInt32, keys, sequence))
-        number = index - dr.opaque(mi.UInt32, self.start)
-        own = dr.opaque(mi.UInt32, self.per_sequence)
-        number = dr.select(step < dr.opaque(mi.UInt32, n), number, own)
-        dr.eval(index, number)
-        if self.per_sequence < 1 << bits or n % CHUNK:
-            nobody = mi.UInt32(number >= own)
-            # of each chunk; the number of points is what is missing to CHUNK
-            missing = dr.block_sum(nobody, CHUNK) & (PACKET - 1)
-            filling = dr.block_prefix_sum(nobody, CHUNK)
-            filling = filling < dr.gather(mi.UInt32, missing, lane // CHUNK)
-            kept = dr.compress((number < own) | filling)
-            lane = kept if len(kept) else dr.arange(mi.UInt32, PACKET)
-        dr.make_opaque(lane)
-        walk, step = apart(lane, length) if walks > 1 else (mi.UInt32(0), lane)
-        _, sequence = apart(step + shift, together)
-        sequence = sequence * walks + walk
-        self.index = dr.gather(mi.UInt32, index, lane)
+        tables = curve_tables(base, bits, keys, self.sequences)
+        index, quarter = on_curve(tables, place, sequence, base, bits)
+        start, own = (dr.opaque(mi.UInt32, x) for x in (self.start, self.per_sequence))
+        index = dr.select(step < dr.opaque(mi.UInt32, n), index, start + own)
+        joined = together << bits - leading_digits(*FOOTPRINT, bits)
+        if joined > 1:
+            index, sequence = sorted_within(joined, quarter, index, sequence)
+        dr.eval(index, sequence)
+        if self.per_sequence < 1 << bits or n % chunk:
+            nobody = mi.UInt32(index - start >= own)
+            # of each chunk; the number of points is what is missing to whole packets
+            missing = (dr.block_sum(nobody, chunk) - chunk) & (PACKET - 1)
+            filling = dr.block_prefix_sum(nobody, chunk)
+            filling = filling < dr.gather(mi.UInt32, missing, apart(lane, chunk)[0])
+            kept = dr.compress((nobody == 0) | filling)
+            kept = kept if len(kept) else dr.arange(mi.UInt32, PACKET)
+            index, sequence = (dr.gather(mi.UInt32, x, kept) for x in (index, sequence))
+            dr.eval(index, sequence)
+        self.index = index
         self.key = dr.gather(mi.UInt32, keys, sequence)
-        return sequence, dr.gather(mi.UInt32, number, lane)
+        return sequence, index - start
 
     def points(self) -> tuple[mi.UInt32, mi.UInt32]:
         """Index and key of the point of each lane, for :meth:`go_to`."""
