@@ -233,8 +233,9 @@ class KnownDirections:
         self.where, self.settings = where, settings
         self.estimators = [Estimator.QUADRATURE, Estimator.WEIGHTED]
         given = {name for name, value in settings.items() if value is not None}
-        if "estimator" in given:
-            self.estimators = [MeasurementSettings.among(settings).estimator]
+        estimator = MeasurementSettings.among(settings).estimator
+        if "estimator" in given and estimator is not Estimator.AUTO:
+            self.estimators = [estimator]
         self.chosen: Subdivision | None = None  # where no collector was asked for
         self.records: dict[tuple[float, float], Record] = {}
         self.rays = self.n_rounds = self.n_timed = self.n_kept = 0

@@ -37,7 +37,8 @@ MAX_RAYS = 10**8
 
 # Settings of a record with which it can be measured again.
 REPEATED_SETTINGS = (
-    *("estimator", "footprint", "divergence", "emission", "max_depth", "rr_depth"),
+    *("estimator", "points", "footprint", "divergence", "emission"),
+    *("max_depth", "rr_depth"),
     *("period", "order", "side", "collector_radius", "incident"),
 )
 SAMPLING_SETTINGS = ("rays", "sampler", "batches")

@@ -218,6 +218,7 @@ def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenan
         transmission=specimen.transmission,
         emitter=setup.beam.emitter.class_name(),
         transport=transport_of(setup),
+        choice=setup.choice,
         sampler=sampler_name(setup.sampler),
         seeds=(settings.seed,),
         rays=settings.rays if setup.samples else 0,
@@ -258,7 +259,7 @@ def _medium_text(medium: Any) -> str:
 
 
 # Settings that say nothing of the rays.
-UNCOMPARED = {"created", "defects", "versions", "processors", "specimen"}
+UNCOMPARED = {"created", "defects", "versions", "processors", "specimen", "choice"}
 
 
 def check_resumable(resume: Record, setups: Sequence[Setup], step: int) -> None:

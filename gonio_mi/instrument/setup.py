@@ -10,7 +10,14 @@ import numpy as np
 
 from ..errors import SettingTypeError, SpecimenError, shown, warn
 from ..quadrature.integrate import check_integrable
-from ..settings import COLLECTOR, FILM, INTEGRATOR, MeasurementSettings, Order
+from ..settings import (
+    COLLECTOR,
+    FILM,
+    INTEGRATOR,
+    Estimator,
+    MeasurementSettings,
+    Order,
+)
 from ..transport.beam import Beam
 from ..transport.bsdf_trial import check_works, warn_of_roughness
 from ..transport.collector_sphere import CollectorSphere
@@ -21,6 +28,7 @@ from ..transport.scene_objects import foreign_plugins
 from ..transport.setup import Setup
 from ..transport.specimen import Specimen
 from ..transport.wavelengths import check_covered, passes, wavelength_lanes
+from .choice import PILOT_INCIDENT, chosen
 from .incidence import collimated, described_digest, emitter_scene
 from .loading import loaded
 
@@ -72,6 +80,11 @@ def set_up(
     orders : sequence of Order
         To be collected apart.
 
+    Returns
+    -------
+    list of Setup
+        Their settings are those given, with the estimator that was chosen for ``auto``.
+
     Raises
     ------
     TypeError, ValueError, SpecimenError, LookupError
@@ -86,8 +99,10 @@ def set_up(
     _check_specimen(specimen, settings)
     _check_enclosed(specimen, radius)
     described = described_digest(emitter)
-    setups = []
-    for incident in incidents:
+
+    def lit(
+        settings: MeasurementSettings, incident: tuple[float, float] | None
+    ) -> Setup:
         if emitter is None and incident is not None:
             source, lights = None, [collimated(incident, settings.side)]
         else:
@@ -97,12 +112,30 @@ def set_up(
         setup = Setup(settings, specimen, beam, collector, sampler, incident, described)
         setup.source = source  # with it its emitters would go
         setup.collect_orders(orders)
-        if settings.estimator.integrates:
-            check_integrable(setup)
-        if settings.estimator.deposits:
-            check_traced(setup)
-        setups.append(setup)
+        return setup
+
+    def tried(settings: MeasurementSettings) -> Setup:
+        setup = lit(settings, PILOT_INCIDENT if incidents[0] else None)
+        _check_estimator(setup)
+        return setup
+
+    choice = None
+    if settings.estimator is Estimator.AUTO:
+        settings, choice = chosen(settings, specimen, orders, tried)
+    setups = [lit(settings, incident) for incident in incidents]
+    if choice is None:
+        _check_estimator(setups[0])  # they differ in their incident direction only
+    for setup in setups:
+        setup.choice = choice
     return setups
+
+
+def _check_estimator(setup: Setup) -> None:
+    """Raise SpecimenError where the estimator does not apply."""
+    if setup.settings.estimator.integrates:
+        check_integrable(setup)
+    if setup.settings.estimator.deposits:
+        check_traced(setup)
 
 
 def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:

@@ -31,10 +31,11 @@ REPORTED = (
 FREE_WHEN_STACKED = {
     *("created", "processors", "batches", "defects", "emitter_digest", "task"),
     *("reached", "n_lobe"),  # of the worst direction
+    "choice",
 }
 FREE_WHEN_MERGED = {
     *("rays", "batches", "seed", "created", "versions", "specimen"),
-    *("defects", "interrupted", "task", "processors"),
+    *("defects", "interrupted", "task", "processors", "choice"),
 }
 
 # Processor of records that do not report it.
@@ -145,6 +146,8 @@ class Provenance:
         Class of the emitter.
     transport : str
         How rays were followed: on a ``plane``, through ``layers``, or ``traced``.
+    choice : str
+        Why this estimator, where it was ``auto`` that was asked for.
     sampler : str
     seeds : tuple of int
         Several of a record that was merged.
@@ -180,6 +183,7 @@ class Provenance:
     transmission: str | None = None
     emitter: str | None = None
     transport: str | None = None
+    choice: str | None = None
     sampler: str | None = None
     seeds: tuple[int, ...] = ()
     rays: int | None = None

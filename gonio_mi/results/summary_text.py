@@ -86,6 +86,7 @@ def _settings_text(summary: Summary) -> str:
         ("collector", collector),
         ("rays", _rays_text(summary)),
         ("method", method),
+        *([("chosen", own.choice)] if own.choice else []),
         ("made", made),
     ]
     return "\n".join(_filled(f"{name:<10}", text) for name, text in lines)

@@ -67,6 +67,7 @@ class Estimator(str, Enum):
     ANALOG = "analog"
     QUADRATURE = "quadrature"
     NEXT_EVENT = "next_event"
+    AUTO = "auto"
 
     @classmethod
     def parse(cls, label: str, value: Any) -> Estimator:
@@ -184,10 +185,11 @@ class MeasurementSettings:
         "collimated beam, and samples delta components only. ``next_event`` deposits "
         "``eval`` at every event on geometry towards points in random patches that are "
         "in sight, and counts the rays as well, by the balance heuristic: for narrow "
-        "apertures and for patches far from the lobes, not for totals.",
+        "apertures and for patches far from the lobes, not for totals. ``auto`` takes "
+        "the cheapest but ``analog``; the record names it, and why.",
         group=METHOD,
         metavar="E",
-        form='{"weighted", "analog", "quadrature", "next_event"}',
+        form='{"weighted", "analog", "quadrature", "next_event", "auto"}',
         plugin=INTEGRATOR,
         text=str,
     )

@@ -81,6 +81,7 @@ class Setup:
             self.emitter_digest = described or emitter_digest([beam.emitter])
         self.collector = collector
         self.sampler = sampler
+        self.choice: str | None = None  # why this estimator, if it was left to `auto`
         self.source: Any = None  # what has to live as long as the beam's emitter
         subdivision = collector.subdivision
         both = collector.hemispheres == "both" or (

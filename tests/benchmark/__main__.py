@@ -8,6 +8,7 @@ from typing import Any
 import mitsuba as mi
 
 from . import reference_cases, round_trips, stock, windows
+from .automatic import print_auto_costs, print_auto_coverage
 from .batch_designs import print_ratios
 from .counting import print_rates
 from .coverage import CASES, print_coverage
@@ -71,6 +72,11 @@ def main(argv: Sequence[str]) -> None:
         "--coverage", action="store_true", help="of intervals of 95 %%, instead"
     )
     part.add_argument(
+        "--auto",
+        action="store_true",
+        help="cost of the estimator auto beside others', and its coverage, instead",
+    )
+    part.add_argument(
         "--long",
         nargs="?",
         type=float,
@@ -111,7 +117,10 @@ def _add_tolerance(parser: argparse.ArgumentParser, part: Any) -> None:
         help="what campaigns of this tolerance cost, beside grids; hours below 0.01",
     )
     parser.add_argument(
-        "--only", nargs="+", default=(), help="specimens of --tolerance, or --coverage"
+        "--only",
+        nargs="+",
+        default=(),
+        help="specimens of --tolerance, --auto (no coverage) or --coverage",
     )
     parser.add_argument("--theta-max", type=float, default=80.0, help="of --tolerance")
     parser.add_argument(
@@ -139,6 +148,11 @@ def _run(options: argparse.Namespace) -> None:
         print_contests(*layer_contests(), *cost)
     elif options.coverage:
         print_coverage(int(options.rays or 1e6), options.only or tuple(CASES))
+    elif options.auto:
+        for wish in ("rel_err", "noise"):
+            print_auto_costs(wish, *cost, options.only)
+        if not options.only:
+            print_auto_coverage()
     elif options.long:
         print_growth(int(options.long))
     else:

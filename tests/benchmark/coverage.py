@@ -14,6 +14,7 @@ from gonio_mi.campaigns.measure import measure
 from gonio_mi.results.record import Record
 from gonio_mi.results.summary import summarize
 
+from .diffuse_facets import facets
 from .table import print_table
 
 __all__ = ["CASES", "Case", "Coverage", "coverage", "print_coverage", "truth_of"]
@@ -194,6 +195,7 @@ CASES = {
     "glossy spots": _spots(0.01, 1.0, 0.001, "roughconductor"),
     "porous": Case(_screen, PERIODIC | {"period": "1,1"}),
     "dark": Case(lambda: _groove({"type": "diffuse", "reflectance": 0.01}), PERIODIC),
+    "facets": Case(facets, PERIODIC),
     "glossy": Case(
         lambda: _groove(
             {"type": "roughconductor", "alpha": 0.1, "distribution": "ggx"}
@@ -201,6 +203,9 @@ CASES = {
         PERIODIC,
     ),
 }
+CASES["facets, 30 x 30"] = replace(
+    CASES["facets"], settings=PERIODIC | {"collector": "projected:30x30"}
+)
 POINTS: dict[str, Any] = {
     "settings": PERIODIC | {"points": 96},
     "estimators": TRACED[-2:],

@@ -1,0 +1,157 @@
+"""The estimator `auto`: which of three costs least, for one specimen and one wish.
+
+A rule decides where only one applies, or where costs are known; else short runs do,
+which are independent of the measurement. Costs are a table, never a clock: the same
+specimen and settings make the same choice, at any direction and with any seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..errors import SpecimenError
+from ..results.planning import lobe
+from ..results.tally import Tally
+from ..settings.measurement_settings import (
+    MAX_POINTS,
+    Estimator,
+    MeasurementSettings,
+)
+from ..settings.values import Order
+from ..transport.scene_objects import holds_foreign_plugins
+from ..transport.setup import Setup
+from ..transport.specimen import Specimen
+from .launcher import Launcher
+from .schedule import Round
+
+# Where short runs arrive, whatever directions are measured: a direction has the same
+# bits alone and in any stack. And their seed, of which no measurement's rays are.
+PILOT_INCIDENT = (45.0, 0.0)
+PILOT_SEED = 0x6175746F << 64
+
+# Rays of `next_event` in each batch of a short run, and as many batches as usual; of
+# `weighted` as many as cost the same.
+PILOT_RAYS, PILOT_BATCHES = 4, 16
+
+# CPU time of a point, over that of a ray that is traced: 0.13 to 0.7 were measured.
+POINT_COST = 0.5
+
+# A short run misses rare bright deposits: on glossy facets it may find a seventh of the
+# variance. Deposits are taken where they seem to cost this part of the rays at most.
+MAX_RATIO = 1 / 3
+
+# Rays of each batch of `next_event` whose intervals are known to hold: the fewest with
+# which their coverage was counted (`python -m tests.benchmark --coverage`).
+MIN_RAYS = 25
+
+# Relative error of the worst patch from which on integrals cost less than rays.
+INTEGRAL_REL_ERR = 0.01
+
+
+def chosen(
+    settings: MeasurementSettings,
+    specimen: Specimen,
+    orders: Sequence[Order],
+    tried: Callable[[MeasurementSettings], Setup],
+) -> tuple[MeasurementSettings, str]:
+    """Settings with the estimator that costs least, and why in words.
+
+    Parameters
+    ----------
+    settings : MeasurementSettings
+        Of the estimator ``auto``.
+    specimen : Specimen
+    orders : sequence of Order
+        To be collected apart.
+    tried : callable
+        ``tried(settings)`` sets up the specimen in the pilot's direction, or raises
+        SpecimenError where its estimator does not apply.
+    """
+    usual = replace(settings, estimator=Estimator.WEIGHTED)
+    surfaces = [shape.bsdf() for shape in specimen.surfaces]
+    flags = [bsdf.flags() for bsdf in surfaces]
+    by_delta = any(mi.has_flag(one, mi.BSDFFlags.Delta) for one in flags)
+    flat = specimen.plane is not None and not settings.trace
+    wish, most = settings.rel_err, INTEGRAL_REL_ERR
+    reasons = {
+        "a medium is walked through": bool(specimen.media),
+        "the variant is polarised": mi.is_polarized,
+        "orders share their rays": bool(orders),
+        "there are delta components only": not any(
+            mi.has_flag(one, mi.BSDFFlags.Smooth) for one in flags
+        ),
+        "the others need eval, and that of a plugin in Python may differ from sample": (
+            any(map(holds_foreign_plugins, surfaces))
+        ),
+        "no relative error is asked for": flat and wish is None,
+        f"above {most:g} it costs less than quadrature": flat and (wish or 0) > most,
+        "delta components need rays": flat and by_delta,
+    }
+    for reason, holds in reasons.items():
+        if holds:
+            return usual, f"weighted, for {reason}"
+    if not flat:
+        return _traced(settings, usual, tried)
+    integrals = replace(settings, estimator=Estimator.QUADRATURE)
+    try:
+        tried(integrals)
+    except SpecimenError as error:
+        return usual, f"weighted, for {error}".partition(": ")[0]
+    return integrals, f"quadrature, which costs less than rays up to {most:g}"
+
+
+def _traced(
+    settings: MeasurementSettings,
+    usual: MeasurementSettings,
+    tried: Callable[[MeasurementSettings], Setup],
+) -> tuple[MeasurementSettings, str]:
+    """The same for geometry: short runs of equal cost, and what errors they leave."""
+    points = settings.points
+    if points == 1:  # nobody asked for more
+        points = min(settings.collector.n_patches, MAX_POINTS)
+    cost = 1 + POINT_COST * points
+    deposits = replace(settings, estimator=Estimator.NEXT_EVENT, points=points)
+    if settings.rel_err is None and settings.noise is None:
+        deposits = replace(deposits, rays=max(round(settings.rays / cost), 1))
+        if deposits.rays < MIN_RAYS * settings.batches:
+            return usual, "weighted, for the rays are few"
+    error = _error(tried, usual, round(PILOT_RAYS * cost))
+    # of independent rays: the same error for the square of that in rays
+    ratio = (_error(tried, deposits, PILOT_RAYS) / error) ** 2 if error else np.inf
+    part = f"about {ratio:.1g} of the CPU time of weighted, by short runs"
+    if not ratio <= MAX_RATIO:
+        return usual, f"weighted, for next_event, {points} points, needs {part}"
+    return deposits, f"next_event, {points} points, needs {part}"
+
+
+def _error(
+    tried: Callable[[MeasurementSettings], Setup],
+    settings: MeasurementSettings,
+    each: int,
+) -> float:
+    """Scatter between short batches of so many rays: of the worst patch, or of all.
+
+    Relative to itself for `rel_err`; else the sum over patches, as of `noise`.
+    """
+    short: dict[str, Any] = {"rel_err": None, "noise": None, "seed": PILOT_SEED}
+    short |= {"rays": each * PILOT_BATCHES, "batches": PILOT_BATCHES}
+    setup = tried(replace(settings, **short))
+    sent = Launcher([setup]).tallies([setup], Round((each,) * PILOT_BATCHES))
+    sums = Tally.join([tally for (tally,) in sent]).sums / each
+    mean, scatter = sums.mean(axis=0), sums.std(axis=0, ddof=1)
+    if settings.rel_err is None:
+        return float(scatter.sum())
+    solid = settings.collector.projected_solid_angles
+    inside = np.stack(
+        [
+            lobe(flux / solid, solid, settings.floor)
+            for flux in np.moveaxis(mean, -1, 0)
+        ],
+        axis=-1,
+    )
+    return float(max(scatter[inside] / mean[inside], default=np.inf))
