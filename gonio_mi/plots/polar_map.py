@@ -40,8 +40,8 @@ def draw_map(axes: Axes, single: Record, of: str) -> None:
     of : {"brdf", "btdf"}
     """
     _, mean = shown_values(single, of)
-    note = ", on a border of patches" if _on_border(single) else ""
-    mesh = draw_patches(axes, single, of, scale_of(mean.compressed()), note)
+    scale = scale_of(mean.compressed())
+    mesh = draw_patches(axes, single, of, scale, border_note(single))
     add_bar(axes.figure, mesh, axes.inset_axes((1.16, 0.1, 0.045, 0.8)), single, of)
     _label_grid(axes)
     add_legend(axes, [axes], loc="upper center", bbox_to_anchor=(0.5, -0.05))
@@ -146,10 +146,15 @@ def draw_patches(
 
 def add_bar(figure: Any, mesh: QuadMesh, place: Axes, single: Record, of: str) -> None:
     """Draw the colour bar of a map into axes of its own."""
+    colour_bar(figure, mesh, None, bar_label(single, of), cax=place)
+
+
+def bar_label(single: Record, of: str) -> str:
+    """Name of the quantity of a map, with its unit."""
     label = of.upper()
     if len(single.channels) > 1:
         label += f", mean of {len(single.channels)} channels"
-    colour_bar(figure, mesh, None, f"{label} (1/sr)", cax=place)
+    return f"{label} (1/sr)"
 
 
 def colour_bar(
@@ -188,14 +193,15 @@ def _label_grid(axes: Axes) -> None:
             )
 
 
-def _on_border(single: Record) -> bool:
-    """Whether the mirror direction lies on the border of a sector or ring."""
+def border_note(single: Record) -> str:
+    """Note of a mirror direction that lies on the border of a sector or ring."""
     patches, theta = single.subdivision, np.radians(single.theta_i[0])
     if not isinstance(patches, RingsAndSectors) or np.isnan(theta):
-        return False
+        return ""
     rings = np.abs(np.asarray(patches.theta_edges)[1:-1] - theta)
     on_ring = rings.min(initial=np.inf) < BORDER_TOLERANCE
-    return bool(theta > 0 and (on_ring or sectors_beside(single)))
+    on_border = theta > 0 and (on_ring or sectors_beside(single))
+    return ", on a border of patches" if on_border else ""
 
 
 def _mark_directions(axes: Axes, single: Record, of: str, note: str) -> None:

@@ -14,7 +14,17 @@ from ..results.mueller import checked_stokes
 from ..results.record import Record
 from .figure import finished, new_figure
 from .plot import GRID, NAMES, chosen, figure_title, received
-from .profile import LEVEL, cut_of
+from .profile import (
+    GREY,
+    LEVEL,
+    Profile,
+    bars_text,
+    colours_of,
+    cut_profile,
+    draw_curve,
+    plane_text,
+    set_angles,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +34,9 @@ POLARISED = {"s": (1.0, 1.0, 0.0, 0.0), "p": (1.0, -1.0, 0.0, 0.0)}
 
 # Part of the largest value, below which nothing is said of the polarisation of light.
 MIN_LIGHT = 1e-9
+
+# A smaller degree of polarisation is rounding, which has a direction too.
+MIN_DEGREE = 1e-4
 
 
 def plot_mueller(
@@ -90,11 +103,13 @@ def plot_stokes(
 ) -> Figure:
     """Draw the polarisation of what leaves for light of one polarisation.
 
-    Maps of the power, of the degree and the angle of linear polarisation, and of the
-    circular part V / I. The angle counts from s towards p and is from -90 to 90
-    degrees. Below, profiles in the plane of incidence for light that is polarised
-    along s and along p, with 95 % intervals by Student's t. Of several channels the
-    mean; transmission is drawn in a second row if any was received.
+    Maps of the power, of the degree of polarisation, of the angle of its linear part
+    and of the circular part V / I, both up to the largest value. The angle counts from
+    s towards p and is from -90 to 90 degrees. Below, profiles in the plane of
+    incidence with 95 % intervals by Student's t: the power for light that is polarised
+    along s and along p, and the degree of polarisation for that of `stokes`. Of
+    several channels the mean, but a degree of each in the profile; transmission is
+    drawn in a second row if any was received.
 
     Parameters
     ----------
@@ -121,7 +136,10 @@ def plot_stokes(
     for of, axes in zip(shown, rows):
         _draw_state(above, axes, single, of, vector)
     add_legend(above, rows.ravel(), loc="outside upper right")
-    _draw_s_and_p(below.subplots(), single, shown)
+    powers, degrees = below.subplots(1, 2)
+    _draw_s_and_p(powers, single, shown)
+    _draw_degree(degrees, single, shown, vector)
+    below.supxlabel(plane_text(single), size="medium")
     numbers = ", ".join(f"{x:g}" for x in vector)
     title = f"{figure_title(record, index)}\nincident Stokes vector ({numbers}), {GRID}"
     return finished(figure, path, title)
@@ -151,60 +169,94 @@ def _draw_state(
     """Draw maps of the four numbers of a state of polarisation."""
     from matplotlib.colors import Normalize
 
-    from .polar_map import colour_bar, draw_patches, scale_of
+    from .polar_map import bar_label, border_note, colour_bar, draw_patches, scale_of
 
     light, q, u, v = np.moveaxis(single.stokes(vector, of)[0].mean(axis=-2), -1, 0)
+    degree = _over(np.sqrt(q**2 + u**2 + v**2), light)
+    circular = _over(v, light)
     linear = _over(np.hypot(q, u), light)
     angle = np.degrees(np.arctan2(u, q)) / 2
-    # rounding has a direction too
-    angle = np.where(linear > 1e-4, angle, np.nan)
-    scale, steps = scale_of(light[light > 0]), range(-90, 91, 45)
+    angle = np.where(linear > MIN_DEGREE, angle, np.nan)
+    most, most_circular = (
+        float(np.max(np.abs(x), initial=0, where=~np.isnan(x)))
+        for x in (degree, circular)
+    )
+    ends = max(most_circular, MIN_DEGREE)
     states = [
-        (light, scale, "viridis", f"{of.upper()} (1/sr)", None),
-        (linear, Normalize(0, 1), "magma", "degree of linear polarisation", None),
-        (angle, Normalize(-90, 90), "twilight", "angle from s to p (degrees)", steps),
-        (_over(v, light), Normalize(-1, 1), "RdBu_r", "circular part V / I", None),
+        (light, scale_of(light[light > 0]), "viridis", bar_label(single, of), None),
+        (
+            degree,
+            Normalize(0, max(most, MIN_DEGREE)),
+            "magma",
+            f"degree of polarisation, at most {most:.2g}",
+            None,
+        ),
+        (angle, Normalize(-90, 90), "twilight", "angle from s to p (degrees)", 90),
+        (
+            circular,
+            Normalize(-ends, ends),
+            "RdBu_r",
+            f"circular part V / I, |V / I| at most {most_circular:.2g}",
+            ends,
+        ),
     ]
-    for place, (values, scale, colours, label, ticks) in zip(axes, states):
-        mesh = draw_patches(place, single, of, scale, "", colours, values=values)
+    note = border_note(single)
+    for place, (values, scale, colours, label, end) in zip(axes, states):
+        mesh = draw_patches(place, single, of, scale, note, colours, values=values)
         bar = place.inset_axes((0.05, -0.06, 0.9, 0.05))
-        where = {"cax": bar, "orientation": "horizontal", "ticks": ticks}
+        where = {"cax": bar, "orientation": "horizontal"}
+        if end:
+            where |= {"ticks": np.linspace(-end, end, 5), "format": "%.2g"}
         colour_bar(figure, mesh, None, label, **where)
     axes[0].set_title(NAMES[of], fontsize="medium", loc="left")
 
 
 def _draw_s_and_p(axes: Any, single: Record, shown: Sequence[str]) -> None:
-    """Draw profiles for light that is polarised along s and along p."""
-    edges, theta, cut = cut_of(single)
-    factor = 1.0
-    if single.n_batches > 1:
-        # the limits of a value of 0 with a standard error of 1
-        factor = float(
-            statistics.student_interval(
-                np.zeros(1), np.ones(1), single.n_batches, LEVEL
-            )[1][0]
-        )
+    """Draw the power of light that is polarised along s and along p."""
     for of in shown:
         for colour, (name, vector) in zip(("C0", "C3"), POLARISED.items()):
-            values, errors = single.stokes(vector, of)
-            value, error = (
-                cut(one[..., 0].mean(axis=-1)[..., None])[:, 0]
-                for one in (values, errors)
+            power, error = (
+                one[..., 0].mean(axis=-1, keepdims=True)
+                for one in single.stokes(vector, of)
             )
-            error = factor * np.nan_to_num(error)
-            full = of == "brdf"
-            line = {"baseline": None, "color": colour, "ls": "-" if full else "--"}
-            axes.stairs(value, edges, lw=1, alpha=0.5, **line)
+            limits = statistics.student_interval(power, error, single.n_batches, LEVEL)
+            cut = cut_profile(single, of, power, *limits)
             label = f"{of.upper()}, incident light along {name}"
-            points = {"ms": 3, "lw": 1, "mfc": None if full else "w", "color": colour}
-            axes.errorbar(theta, value, error, fmt="o", label=label, **points)
-    axes.set_xlim(-90, 90)
+            _draw(axes, cut, 0, colour, of, label)
+    several = f", mean of {len(single.channels)} channels"
+    label = " and ".join(of.upper() for of in shown)
+    axes.set_ylabel(f"{label}{several if len(single.channels) > 1 else ''} (1/sr)")
+    _finish(axes, single)
+
+
+def _draw_degree(
+    axes: Any, single: Record, shown: Sequence[str], vector: Floats
+) -> None:
+    """Draw the degree of polarisation for light of a Stokes vector, per channel."""
+    for of in shown:
+        limits = single.degree_interval(vector, LEVEL, of)
+        cut = cut_profile(single, of, single.degree(vector, of)[0], *limits)
+        for channel, colour in enumerate(colours_of(single.channels)):
+            name = single.channels[channel] if len(single.channels) > 1 else ""
+            label = ", ".join(filter(None, (NAMES[of].lower(), name)))
+            _draw(axes, cut, channel, colour, of, label)
+    axes.set_ylabel("degree of polarisation")
+    _finish(axes, single)
+    axes.set_ylim(0, max(axes.get_ylim()[1], MIN_DEGREE))
+
+
+def _draw(
+    axes: Any, cut: Profile, channel: int, colour: Any, of: str, label: str
+) -> None:
+    """Draw a curve with its name."""
+    draw_curve(axes, cut, channel, colour, of)
+    style = {"marker": "o", "ms": 3, "mfc": None if of == "brdf" else "w"}
+    axes.plot([], [], c=colour, lw=1, label=label, **style)
+
+
+def _finish(axes: Any, single: Record) -> None:
+    """Draw what both profiles have."""
+    axes.plot([], [], marker="|", ms=9, c=GREY, ls="none", label=bars_text(single))
+    set_angles(axes)
     axes.set_ylim(0, None)
-    axes.set_xticks(range(-90, 91, 30), [f"{angle}°" for angle in range(-90, 91, 30)])
-    axes.set_xlabel(
-        r"$\theta_o$ in the plane of incidence (negative: towards the source)"
-    )
-    axes.set_ylabel(f"power, {LEVEL:.0%} interval (1/sr)")
-    axes.grid(alpha=0.3, lw=0.5)
-    axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize="small")

@@ -4,7 +4,7 @@ Here too are the rings and sectors that are drawn in the place of other patches.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -86,22 +86,15 @@ def profile(single: Record, of: str = "brdf", level: float = LEVEL) -> Profile:
     level : float
         Of the intervals, in (0, 1).
     """
-    of_lower = int(of == "btdf")
-    low, high = single.interval(level, of=of)
-    means = np.stack([getattr(single, of), low, high])
-    edges, theta, cut = cut_of(single)
-    value, low, high = map(cut, means)
-    empty = cut(single.estimates[0].dark(of_lower))
-    return Profile(edges, theta, value, low, high, empty)
+    return cut_profile(single, of, getattr(single, of), *single.interval(level, of=of))
 
 
-def cut_of(
-    single: Record,
-) -> tuple[Floats, Floats, Callable[[NDArray[Any]], NDArray[Any]]]:
-    """Edges and middles of the patches of a :class:`Profile`, and what picks them.
+def cut_profile(
+    single: Record, of: str, value: Floats, low: Floats, high: Floats
+) -> Profile:
+    """Return the :class:`Profile` of a quantity of the patches, and its limits.
 
-    The latter makes of the values of all patches, ``(n_theta, n_phi, channels)``, those
-    in the plane of incidence, ``(2 n_theta, channels)``.
+    Those of each channel, or one of all, ``(n_theta, n_phi, 1)``.
     """
     patches, _ = drawn_in_rings(single.subdivision, single.brdf)
     phi_i = np.radians(np.nan_to_num(single.phi_i[0]))
@@ -114,9 +107,15 @@ def cut_of(
         _, array = drawn_in_rings(single.subdivision, values)
         return np.concatenate([array[::-1, towards], array[:, beyond]])
 
+    dark = single.estimates[0].dark(int(of == "btdf"))
+    if value.shape[-1] == 1:
+        dark = dark.all(axis=-1, keepdims=True)
     edges, theta = np.degrees(patches.theta_edges), np.degrees(patches.theta)
-    both_sides = np.concatenate([-edges[:0:-1], edges])
-    return both_sides, np.concatenate([-theta[::-1], theta]), cut
+    return Profile(
+        np.concatenate([-edges[:0:-1], edges]),
+        np.concatenate([-theta[::-1], theta]),
+        *map(cut, (value, low, high, dark)),
+    )
 
 
 def draw_profiles(
@@ -137,7 +136,7 @@ def draw_profiles(
     cuts, limits = [], []
     for number in range(len(record)) if several else [index]:
         single = record[number]
-        colours = [f"C{number}"] if several else _colours(single.channels)
+        colours = [f"C{number}"] if several else colours_of(single.channels)
         if not np.isnan(single.theta_i[0]):
             line = colours[0] if several else GREY
             axes.axvline(single.theta_i[0], c=line, ls=":", lw=1, zorder=0)
@@ -145,7 +144,7 @@ def draw_profiles(
             cut = profile(single, of)
             cuts.append(cut)
             for channel, colour in enumerate(colours):
-                limits += _draw_curve(axes, cut, channel, colour, of)
+                limits += draw_curve(axes, cut, channel, colour, of)
         if several or len(colours) > 1:
             labels = [_direction(record, number)] if several else single.channels
             for colour, label in zip(colours, labels):
@@ -154,19 +153,13 @@ def draw_profiles(
     values = np.concatenate([cut.value.ravel() for cut in cuts])
     highs = [cut.high[cut.empty] for cut in cuts]
     _scale(axes, values[values > 0], np.concatenate(highs))
-    axes.set_xlim(-90, 90)
-    axes.set_xticks(range(-90, 91, 30), [f"{theta}°" for theta in range(-90, 91, 30)])
-    axes.set_xlabel(
-        r"$\theta_o$ in the plane of incidence (negative: towards the source)"
-        + _sectors_text(record[index])
-    )
+    set_angles(axes)
+    axes.set_xlabel(plane_text(record[index]))
     axes.set_ylabel(" and ".join(of.upper() for of in shown) + " (1/sr)")
-    axes.grid(alpha=0.3, lw=0.5)
-    axes.spines[["top", "right"]].set_visible(False)
     _add_legend(axes, record[index], cuts, shown)
 
 
-def _draw_curve(
+def draw_curve(
     axes: "Axes", cut: Profile, channel: int, colour: Any, of: str
 ) -> list[tuple[float, float, Any]]:
     """Draw one channel: steps, points with intervals or a band.
@@ -205,14 +198,24 @@ def _draw_limits(axes: "Axes", limits: list[tuple[float, float, Any]]) -> None:
         axes.plot(*np.transpose(some), "v", c=colour, ms=4, mfc="none", mew=0.7)
 
 
-def _sectors_text(single: Record) -> str:
-    """Which sectors are drawn, where the plane of incidence is a border of them."""
+def set_angles(axes: "Axes") -> None:
+    """Set the axis of theta_o, and what all profiles look like."""
+    axes.set_xlim(-90, 90)
+    axes.set_xticks(range(-90, 91, 30), [f"{theta}°" for theta in range(-90, 91, 30)])
+    axes.grid(alpha=0.3, lw=0.5)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def plane_text(single: Record) -> str:
+    """Name of the axis, and the sectors drawn if the plane is a border of them."""
+    text = r"$\theta_o$ in the plane of incidence (negative: towards the source)"
     beside = sectors_beside(single)
     if not beside:
-        return ""
+        return text
     drawn = " and ".join(f"{begin:.4g}° to {end:.4g}°" for begin, end in beside)
     return (
-        "\nThis is a border of sectors: drawn are those of " + rf"$\varphi_o$ = {drawn}"
+        f"{text}\nThis is a border of sectors: drawn are those of "
+        rf"$\varphi_o$ = {drawn}"
     )
 
 
@@ -265,7 +268,7 @@ def _direction(record: Record, number: int) -> str:
     return words
 
 
-def _colours(channels: Sequence[str]) -> list[Any]:
+def colours_of(channels: Sequence[str]) -> list[Any]:
     """Colours of the curves of one direction."""
     if len(channels) == 1:
         return ["C0"]

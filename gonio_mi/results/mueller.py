@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..array_types import Floats
+from ..array_types import Flags, Floats
 from ..errors import SettingError, shown
 from ..single_precision import ROUNDING
 from . import statistics
@@ -92,7 +92,7 @@ class MuellerEstimates:
         low, high = self._student(
             self.fraction(hemisphere), self._scatter(hemisphere), hits, level
         )
-        few = (hits < self._enough) | self.light.pooled(hemisphere)
+        few = self._few(hemisphere) | self.light.pooled(hemisphere)
         if few.any():
             (low_sum, high_sum), (low_rest, high_rest) = (
                 [_as_matrices(limit, len(few[0, 0])) for limit in limits]
@@ -144,6 +144,59 @@ class MuellerEstimates:
             statistics.ratio(sums, incident),
             statistics.batch_std_err(sums, incident),
         )
+
+    def degree(
+        self, hemisphere: int, vector: Floats, total: bool = False
+    ) -> tuple[Floats, Floats]:
+        """Degrees of polarisation as of :meth:`stokes`, and their standard errors.
+
+        Of each patch, ``(n_theta, n_phi, channels)``, or of the `total`,
+        ``(channels,)``; NaN without light, and errors for too few hits.
+        """
+        light, polarised = self._light_and_rest(hemisphere, vector, total)
+        sums = polarised.sum(axis=0)
+        length = np.linalg.norm(sums, axis=-1, keepdims=True)
+        # to first order the degree changes with what is parallel to the sum alone
+        axis = np.divide(sums, length, out=np.zeros(sums.shape), where=length > 0)
+        parallel = np.sum(polarised * axis, axis=-1)
+        error = statistics.batch_std_err(parallel, light)
+        if not total:
+            error = np.where(self._few(hemisphere), np.nan, error)
+        return statistics.ratio(parallel, light), error
+
+    def degree_interval(
+        self, hemisphere: int, vector: Floats, level: float
+    ) -> tuple[Floats, Floats]:
+        """Limits of :meth:`degree` of each patch, by Student's t; 0 and 1 for few hits.
+
+        Noise alone has a degree too: the lower one is 0 unless one of Q, U and V has
+        limits on one side of 0 (Bonferroni).
+        """
+        n = self.tally.n_batches
+        value, std_err = self.degree(hemisphere, vector)
+        low, high = statistics.student_interval(value, std_err, n, level)
+        light, polarised = self._light_and_rest(hemisphere, vector)
+        light = light[..., None]
+        parts = statistics.ratio(polarised, light)
+        errors = statistics.batch_std_err(polarised, light)
+        of_each = 1 - (1 - level) / parts.shape[-1]
+        least, most = statistics.student_interval(parts, errors, n, of_each)
+        may_be_0 = ((least <= 0) & (most >= 0)).all(axis=-1)
+        few = self._few(hemisphere)
+        return np.where(may_be_0 | few, 0, low), np.where(few, 1, np.minimum(high, 1))
+
+    def _few(self, hemisphere: int) -> Flags:
+        """Patches with too few hits for Student's t, ``(n_theta, n_phi, 1)``."""
+        found: Flags = self.light.hits[hemisphere][..., None] < self._enough
+        return found
+
+    def _light_and_rest(
+        self, hemisphere: int, vector: Floats, total: bool = False
+    ) -> tuple[Floats, Floats]:
+        """Sums of I, and of Q, U and V for incident light, per batch."""
+        matrices = self._sum(hemisphere) if total else self.tally.matrices(hemisphere)
+        stokes = matrices @ vector
+        return stokes[..., 0], stokes[..., 1:]
 
     @property
     def _incident(self) -> Floats:

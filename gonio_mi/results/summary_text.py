@@ -3,13 +3,14 @@
 import math
 import textwrap
 from collections.abc import Sequence
+from operator import itemgetter
 
 import numpy as np
 
 from ..errors import abridged
 from ..settings.values import joined
 from ..single_precision import ROUNDING
-from .planning import FLOOR
+from .planning import FLOOR, lobe
 from .record import Record
 from .summary import LEVEL, Summary, Total, grouped
 from .tally import without_chance
@@ -156,32 +157,60 @@ def _totals_text(summary: Summary, most_rows: int) -> str:
 def _stokes_text(record: Record, stokes: Sequence[float], most_rows: int) -> str:
     """Stokes vectors of all flux that leaves, each in frames of s = k x z."""
     header = ["theta_i", "phi_i", "of", "channel", "I"]
-    header += ["Q/I", "U/I", "V/I", "std_err", "degree"]
+    header += ["Q/I", "U/I", "V/I", "std_err", "degree", "std_err"]
     rows = []
     for single in record:
         angles = [_angle(float(x[0])) for x in (single.theta_i, single.phi_i)]
         for of in ("dhr", "dht")[: record.n_hemispheres]:
-            for channel, value, error in zip(
-                record.channels, *single.stokes(stokes, of)
+            for channel, value, error, degree, its_error in zip(
+                record.channels, *single.stokes(stokes, of), *single.degree(stokes, of)
             ):
                 light = float(value[0])
                 if not light > 0:
                     continue
-                parts = value[1:] / light
                 error = float(np.max(error[1:])) / light
-                cells = [f"{x:.5f}" for x in (light, *parts)]
-                cells += [f"{error:.2g}", f"{np.linalg.norm(parts):.4f}"]
+                cells = [_rounded(x, 5) for x in (light, *value[1:] / light)]
+                cells += [f"{error:.2g}", _rounded(degree, 5), f"{its_error:.2g}"]
                 rows.append([*angles, of, channel, *cells])
-    numbers = " ".join(f"{x:g}" for x in stokes)
-    text = aligned(header, rows[:most_rows])
+    text = f"incident Stokes vector: {' '.join(f'{x:g}' for x in stokes)}\n"
+    text += aligned(header, rows[:most_rows])
     if len(rows) > most_rows:
         text += f"\n... {len(rows) - most_rows} rows are left out: show --all has them"
     note = (
-        f"for incident light of the Stokes vector {numbers}; std_err is the largest of "
-        "the three, degree that of polarisation of all flux together, each direction "
-        "in its own frame of s and p"
+        "the first std_err is the largest of the three; degree of polarisation: of all "
+        "flux together, each direction in its own frame of s and p"
     )
-    return f"{text}\n{_filled('', note)}"
+    return f"{text}\n{_filled('', note)}\n{_filled('', _greatest(record, stokes))}"
+
+
+def _greatest(record: Record, stokes: Sequence[float]) -> str:
+    """Which patch worth reporting has the greatest degree of polarisation."""
+    text = f"greatest degree of a patch brighter than {FLOOR:g} of the mean: "
+    found = []
+    for single in record:
+        quantities = ("brdf", "btdf")[: record.n_hemispheres]
+        light = np.stack([single.stokes(stokes, of)[0][..., 0] for of in quantities])
+        degrees, errors = np.stack([single.degree(stokes, of) for of in quantities], 1)
+        weights = record.subdivision.projected_solid_angles
+        bright = np.stack(
+            [lobe(light[..., i], weights) for i in range(light.shape[-1])], axis=-1
+        )
+        if bright.any():
+            degrees = np.where(bright, degrees, -1)
+            place = np.unravel_index(np.argmax(degrees), degrees.shape)
+            found.append((float(degrees[place]), float(errors[place]), single, place))
+    if not any(degree for degree, *_ in found):
+        return text + "0"
+    degree, error, single, (hemisphere, i, j, channel) = max(found, key=itemgetter(0))
+    theta_o, phi_o = (float(np.degrees(a[i, j])) for a in record.subdivision.middles)
+    names = ["theta_i", "phi_i", "theta_o", "phi_o"]
+    angles = [single.theta_i[0], single.phi_i[0]]
+    angles += [180 - theta_o if hemisphere else theta_o, phi_o]
+    place = ", ".join(f"{name} {_angle(x)}" for name, x in zip(names, angles))
+    return (
+        f"{text}{_rounded(degree, 5)} +- {error:.2g} at {place}, channel "
+        f"{record.channels[channel]}"
+    )
 
 
 def total_cells(total: Total) -> list[str]:
@@ -324,6 +353,11 @@ def _decimals(value: float | None, std_err: float | None) -> int:
         return 6
     least = max(std_err, ROUNDING * abs(value))
     return min(max(1 - math.floor(math.log10(least)), 2), MAX_DECIMALS)
+
+
+def _rounded(value: float, decimals: int) -> str:
+    """Text of so many decimals, without a sign of zero."""
+    return f"{round(float(value), decimals) + 0.0:.{decimals}f}"
 
 
 def _std_err(total: Total, decimals: int) -> str:

@@ -197,6 +197,39 @@ class MeasuredValues:
         values, errors = np.stack(pairs, axis=1)
         return self._squeeze(values / solid), self._squeeze(errors / solid)
 
+    def degree(self, incident: ArrayLike, of: str = "brdf") -> tuple[Floats, Floats]:
+        """Degrees of polarisation of the light that leaves, and their standard errors.
+
+        Polarised part over power of :meth:`stokes`, with the same parameters. Of the
+        shape ``(n_theta, n_phi, channels)``, of totals ``(channels,)``; NaN without
+        light, and errors for fewer hits than Student's t needs (:meth:`interval`).
+        Noise makes a degree near 0 larger, by about its error.
+        """
+        vector = checked_stokes(incident)
+        checked_choice("of", of, ("brdf", "btdf", "dhr", "dht"))
+        hemisphere, total = self._polarised_hemisphere(of), of in ("dhr", "dht")
+        pairs = [one.degree(hemisphere, vector, total) for one in self._mueller]
+        values, errors = np.stack(pairs, axis=1)
+        return self._squeeze(values), self._squeeze(errors)
+
+    def degree_interval(
+        self, incident: ArrayLike, level: float = 0.95, of: str = "brdf"
+    ) -> tuple[Floats, Floats]:
+        """Limits of the :meth:`degree` of patches, `of` ``"brdf"`` or ``"btdf"``.
+
+        By Student's t over the batches, and from 0 to 1 for fewer hits than it needs.
+        The lower one is 0 unless one of Q, U and V is known not to be 0.
+        """
+        vector = checked_stokes(incident)
+        level = checked_number("level", level, 1e-12, 1, "between 0 and 1")
+        checked_choice("of", of, ("brdf", "btdf"))
+        hemisphere = self._polarised_hemisphere(of)
+        limits = [
+            one.degree_interval(hemisphere, vector, level) for one in self._mueller
+        ]
+        low, high = np.stack(limits, axis=1)
+        return self._squeeze(low), self._squeeze(high)
+
     @property
     def flux_fraction(self) -> Floats:
         """Received over incident flux, ``(n_hemispheres, n_theta, n_phi, channels)``.

@@ -247,6 +247,26 @@ def test_intervals_cover_all_elements(facets):
         agree(often_enough(np.mean(np.array(covered)[:, where], axis=(1, 2, 3))))
 
 
+def test_intervals_cover_degrees_of_polarisation(facets):
+    """Weak ones, of which noise has more than the light, and strong ones."""
+    lights = np.array([[1, 0, 0, 0], [1, 0, 0.6, 0.8]])
+    stokes = facets @ lights.T
+    lit = (stokes[..., 0, :] > 0.02).all(axis=-1)
+    due = np.linalg.norm(stokes[lit][:, 1:], axis=1) / stokes[lit][:, 0]
+    assert due.min() < 0.01
+    assert due.max() > 0.99
+    covered, other = [], []
+    for seed in range(12):
+        record = gonio.measure(ROUGH, 50, 20, rays=2**13, seed=seed, **STATISTICAL)
+        limits = [record.degree_interval(light, 0.95) for light in lights]
+        low, high = np.stack(limits, axis=-1)[:, lit, 0]
+        covered.append(np.mean((low <= due) & (due <= high)))
+        wrong = np.where(due > 0.5, due - 0.1, due + 0.1)
+        other.append(np.mean((low <= wrong) & (wrong <= high)))
+    agree(often_enough(covered))
+    disagree(often_enough(other))
+
+
 def test_a_record_is_all_there(tmp_path):
     """Files, Stokes vectors, and what is refused, each in one sentence."""
     record = gonio.measure(ROUGH, [0, 50], 20, rays=2**13, **STATISTICAL)
@@ -301,6 +321,13 @@ def test_pictures_and_numbers_show_the_matrices(tmp_path, capsys):
     circular = figure.subfigs[0].axes[3].collections[0].get_array()
     due = (m[..., 3, 0] + m[..., 3, 3]) / np.where(lit, m[..., 0, 0] + m[..., 0, 3], 1)
     assert np.allclose(circular[:, :: drawn.shape[1] // 8][lit], due[lit], atol=1e-12)
+    due = np.hypot(np.hypot(m[..., 1, 0], m[..., 2, 0]), m[..., 3, 0])[lit]
+    figure = plot_stokes(record)
+    drawn = figure.subfigs[0].axes[1].collections[0]
+    degrees = due / m[..., 0, 0][lit]
+    assert drawn.norm.vmax == pytest.approx(degrees.max(), rel=1e-12)
+    said = drawn.colorbar.ax.get_xlabel()
+    assert said == f"degree of polarisation, at most {degrees.max():.2g}"
     path = str(tmp_path / "run.npz")
     record.save(path)
     assert cli.main(["show", path, "--stokes", "1", "1", "0", "0"]) == 0
@@ -308,6 +335,9 @@ def test_pictures_and_numbers_show_the_matrices(tmp_path, capsys):
     (light, q, *_), _ = (x[0] for x in record.stokes([1, 1, 0, 0], "dhr"))
     assert f"{light:.5f}" in shown
     assert f"{q / light:.5f}" in shown
+    assert "-0.00000" not in shown
+    assert "incident Stokes vector: 1 1 0 0" in shown
+    assert "greatest degree of a patch" in shown
     assert cli.main(["plot", path, "--mueller", "-o", str(tmp_path / "a.png")]) == 0
     words = ["plot", path, "--stokes", "1", "0", "0", "2"]
     assert cli.main([*words, "-o", str(tmp_path / "b.png")]) == 1
