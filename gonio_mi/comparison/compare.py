@@ -146,6 +146,7 @@ def compare(
         notes=tuple(notes),
         labels=compared,
         undecided=undecided,
+        within_patches=any(one.variation is not None for one in sets),
     )
     if isinstance(other, MeasuredTable) and found.verdict == "differ":
         given = uncertainty, scale_uncertainty, alpha

@@ -53,6 +53,9 @@ class Comparison:
     undecided : bool
         Whether they agree only as far as what the BRDF may do within patches explains
         what differs.
+    within_patches : bool
+        Whether `z` is of what exceeds the BSDF's possible variation within patches, as
+        of points beside the patches of a record.
     """
 
     theta_i: np.ndarray
@@ -71,6 +74,7 @@ class Comparison:
     notes: tuple[str, ...] = ()
     labels: tuple[str, str] = ("record", "other")
     undecided: bool = False
+    within_patches: bool = False
 
     @property
     def rms(self) -> float:
@@ -192,7 +196,8 @@ class Comparison:
             f"{found['chi2_dof']:.4g} degrees of freedom, p = {p['chi2']:.3g}",
             f"worst       |z| = {found['worst']:.3g} of {len(self.z)} points, "
             f"p = {p['worst']:.3g}",
-            f"total       |z| = {found['total']:.3g}, p = {p['total']:.3g}"
+            f"total       |z| = {found['total']:.3g} of the sum over all points of a "
+            f"hemisphere, p = {p['total']:.3g}"
             if found["total"]
             else "total       not tested, or no difference",
             f"verdict     {verdict}: p = {self.p_value:.3g}, where a right model falls "

@@ -26,7 +26,7 @@ MAX_LINEAR_RANGE = 100
 AZIMUTH_TOLERANCE = 1e-3
 
 # Of the record, of what it is compared with, and of scores.
-COLOURS = {"record": "C0", "other": "0.25", "z": "0.45"}
+COLOURS = {"record": "C0", "other": "0.6", "z": "0.45"}
 
 
 def comparison_figure(comparison: Any) -> Figure:
@@ -65,7 +65,10 @@ def comparison_figure(comparison: Any) -> Figure:
     figure.legend(*handles, loc="outside lower center", ncols=n_legends, frameon=False)
     for row in range(rows):
         axes[2 * row, 0].set_ylabel("BSDF (1/sr)")
-        axes[2 * row + 1, 0].set_ylabel("z = difference\n/ std_err")
+        less = ", less the\npatches' variation" if comparison.within_patches else ""
+        axes[2 * row + 1, 0].set_ylabel(
+            f"z = difference\n/ std_err{less}", size="small"
+        )
     p_value, rms = comparison.p_value, comparison.rms
     title = f"{comparison.verdict}: p = {p_value:.2g}, rms {rms:.3g} 1/sr"
     if len(panels) > len(shown):
@@ -140,14 +143,18 @@ def _draw(comparison: Any, panel: _Panel, above: Axes, below: Axes) -> None:
         (second, "other", comparison.other, comparison.other_std_err, "s", "none"),
         (first, "record", comparison.value, comparison.std_err, "o", None),
     ):
+        # wide below narrow: curves that agree are both seen
+        size, width = (7, 2.5) if of == "other" else (3, 0.8)
         above.errorbar(
             x,
             values[points],
             np.nan_to_num(errors[points]),
             fmt=f"{panel.line}{style}",
             color=COLOURS[of],
-            markersize=3,
-            linewidth=0.8,
+            markersize=size,
+            markeredgewidth=0.8,
+            linewidth=width,
+            elinewidth=0.8,
             capsize=2,
             label=f"{abridged(name, LABEL)} +- std_err",
             mfc=face,
