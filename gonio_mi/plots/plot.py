@@ -292,4 +292,4 @@ def _title_of_stack(record: Record, n_shown: int) -> str:
     name = _name(record, LABEL)
     if n_shown < len(record):
         name += f" ({n_shown} of {len(record)} incident directions)"
-    return name
+    return f"{name}\n{sent_text(record.tallies)} over {len(record)} directions"
