@@ -28,7 +28,7 @@ from ..errors import (
 from ..formats.height_maps import is_height_map
 from ..formats.meshes import is_mesh
 from ..formats.tensor_file import check_measured
-from ..llvm import two_threads
+from ..threads import two_threads
 from ..transport.kernels import launches_kernels
 from ..transport.shapes import WATERTIGHT, remember, scene_of
 from ..transport.variants import check_variant, is_parallel

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SpecimenError
-from ..llvm import two_threads
+from ..threads import two_threads
 
 
 def image_heights(path: Path) -> NDArray[np.generic]:

@@ -22,6 +22,7 @@ ROOMS = (
     "properties",
     "single_precision",
     "mitsuba_names",
+    "threads",
     "collector",
     "settings",
     "results",
