@@ -74,7 +74,7 @@ class Ledger:
         the product of all weights of a path), or a direction that is no unit vector;
         or ``eval`` the like, for the estimator `next_event`; in polarised variants also
         a matrix with an element, or a length of the rest of its first row or column,
-        of more than 1.01 times the first element.
+        that exceeds the first element by more than rounding, 6e-5 of it.
     unlit : int
         The emitter sends nothing along this ray.
     integrated : int

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import SpecimenError
 from .exits import Exits
-from .polarisation import in_planes, power_of, product
+from .polarisation import in_instrument_frames, power_of, product
 from .rays import Flight, departure, escapes
 from .setup import Setup
 from .sums import Sums
@@ -138,7 +138,7 @@ class Deposits:
             number, wo, spread = self._point(si.p + shift, share, _after(place, i))
             local_wo = si.to_local(wo)
             value, pdf = bsdf.eval_pdf(flux_context(), si, local_wo, wanted)
-            value = in_planes(si, value, ray.d, local_wo, wo)
+            value = in_instrument_frames(si, value, ray.d, local_wo, wo)
             value *= shading_normal_correction(si, ray, local_wo, wo)
             spread *= part
             light, realisable = product(value, β)

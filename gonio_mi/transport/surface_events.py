@@ -49,7 +49,7 @@ def scattered(
     """What a surface samples, its weight for flux, and the direction in the world."""
     bs, weight = bsdf.sample(flux_context(), si, u1, u2, active)
     wo = si.to_world(bs.wo)
-    weight = polarisation.in_planes(si, weight, ray.d, bs.wo, wo)
+    weight = polarisation.in_instrument_frames(si, weight, ray.d, bs.wo, wo)
     return bs, weight * shading_normal_correction(si, ray, bs.wo, wo), wo
 
 

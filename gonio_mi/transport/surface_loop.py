@@ -13,7 +13,7 @@ from ..results.tally import Fate
 from .beam import Beam
 from .exits import Exits, exits_of
 from .plane import Plane, repeated
-from .polarisation import in_planes, new_light
+from .polarisation import in_instrument_frames, new_light
 from .rays import START, encounter, flight_from, intersect, leaves_by_a_side, proceed
 from .specimen import Specimen
 from .surface_events import (
@@ -64,7 +64,7 @@ def scatter_plane(
     bs, bsdf_weight = plane.bsdf.sample(flux_context(), si, u1, u2, lit & inside)
     wo = si.to_world(bs.wo)
     numbers = (sampler.next_1d(), sampler.next_1d()) if settings.analog else None
-    bsdf_weight = in_planes(si, bsdf_weight, -wi, bs.wo, wo)
+    bsdf_weight = in_instrument_frames(si, bsdf_weight, -wi, bs.wo, wo)
     throughput, fate = after_event(new_light(power), bsdf_weight, bs, wo, numbers)
     if settings.delta_only:
         left = fate == mi.UInt32(Fate.REFLECTED)

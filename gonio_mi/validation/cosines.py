@@ -15,11 +15,12 @@ import numpy as np
 
 from ..array_types import Flags, Floats
 from ..collector.directions import direction
+from ..single_precision import BSDF_ROUNDING
 from ..transport.bsdf_trial import PluginFault
 from .conditions import Condition
 from .evidence import BIAS, MODEL, Breach, Evidence
 from .probe import Probe, changed, number_parameters
-from .samples import BSDF_ROUNDING, SLACK, Samples, is_many, unequal
+from .samples import SLACK, Samples, is_many, unequal
 
 # Mistake by the power k of which ``eval cos(theta_i)^k`` is the same with wi and wo
 # exchanged, apart from eta^2; 1 is right.

@@ -11,18 +11,14 @@ import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags, Floats, Integers, Numbers
+from ..single_precision import BSDF_ROUNDING
 from .conditions import Condition
 from .probe import Probe, is_delta, numbers, seed_of, spectral, uniform
 
-# Relative difference that single precision may leave between two ways to compute a
-# value: 1024 operations, each off by half an ulp. Of Mitsuba's own functions those of
-# `hair` have most, 962; those of `principled` up to 376.
-BSDF_ROUNDING = 1024 * 2.0**-24
-
-# Where operations are badly conditioned more is left: so many times the change under a
-# displacement of both directions by 4 ulp of 1. Beyond that, of 77 right BSDFs one was
-# seen to need more than 2^-18, GGX of roughness 0.05 with all normals: 1 sample in 2^16
-# needs more than `BSDF_ROUNDING`.
+# Where operations are badly conditioned more than `BSDF_ROUNDING` is left: so many
+# times the change under a displacement of both directions by 4 ulp of 1. Beyond that,
+# of 77 right BSDFs one was seen to need more than 2^-18, GGX of roughness 0.05 with all
+# normals: 1 sample in 2^16 needs more than `BSDF_ROUNDING`.
 SLACK = 16
 ULPS = 2.0**-21
 

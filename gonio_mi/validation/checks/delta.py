@@ -9,10 +9,11 @@ import numpy as np
 from scipy import special
 
 from ...array_types import Flags, Floats
+from ...single_precision import BSDF_ROUNDING
 from ..evidence import MODEL, Evidence
 from ..kinds import Kind
 from ..probe import Probe
-from ..samples import BSDF_ROUNDING, Samples, is_many
+from ..samples import Samples, is_many
 
 # Directions that are the same differ by that at the horizon, where single precision
 # finds a cosine from a sine.

@@ -8,9 +8,10 @@ import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags
+from ...single_precision import BSDF_ROUNDING
 from ..evidence import INTERFACE, NOISE, Evidence
 from ..kinds import Kind
-from ..samples import BSDF_ROUNDING, Samples, is_many, unequal
+from ..samples import Samples, is_many, unequal
 from .reciprocity import BothWays, is_constant
 
 # Relative difference of two squared indices that are the same.

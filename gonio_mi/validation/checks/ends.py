@@ -11,12 +11,12 @@ import numpy as np
 
 from ...array_types import Flags, Floats, Numbers
 from ...collector.directions import direction
+from ...single_precision import BSDF_ROUNDING
 from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition, LitFrom
 from ..evidence import INTERFACE, Evidence
 from ..kinds import Kind
 from ..probe import Probe, changed, number_parameters, numbers, spectral, vectors
-from ..samples import BSDF_ROUNDING
 from .answers import example, improper
 
 # Fraction of an image that single pixels are.

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
+from ...single_precision import BSDF_ROUNDING
 from ..evidence import Evidence
 from ..integrals import SUM_ERROR
 from ..maps import FourMaps
-from ..samples import BSDF_ROUNDING
 
 
 def check_maps(evidence: Evidence, maps: FourMaps) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
+from ...single_precision import BSDF_ROUNDING
 from ..evidence import INTERFACE, Evidence, Ratio
 from ..kinds import Kind
 from ..probe import Probe, numbers, spectral, vectors
-from ..samples import BSDF_ROUNDING, Samples, is_many, ratio_of, unequal
+from ..samples import Samples, is_many, ratio_of, unequal
 from .answers import lattice
 
 # Differences on a lattice that may be rounding of a sharp lobe: of a value, and of the

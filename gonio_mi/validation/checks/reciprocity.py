@@ -9,11 +9,12 @@ import mitsuba as mi
 import numpy as np
 
 from ...array_types import Flags, Floats
+from ...single_precision import BSDF_ROUNDING
 from ..conditions import LitFrom
 from ..evidence import BREAKS, Evidence
 from ..kinds import Kind
 from ..probe import Probe, numbers, spectral
-from ..samples import BSDF_ROUNDING, Samples, is_many, samples_of, unequal
+from ..samples import Samples, is_many, samples_of, unequal
 from .delta import DIRECTION_ROUNDING, Lobe
 
 # Rounding of a squared cosine that is found from sines: of four products.

@@ -10,6 +10,7 @@ from scipy import special
 
 from ...array_types import Flags, Floats, Integers
 from ...collector.directions import direction
+from ...single_precision import BSDF_ROUNDING
 from ..conditions import Condition, Sweep
 from ..evidence import BIAS, INTERFACE, MAX_P, NOISE, Evidence
 from ..factors import has_known_factor, ratios_of
@@ -17,7 +18,7 @@ from ..integrals import SUM_ERROR
 from ..kinds import Kind
 from ..maps import FourMaps, skew_score
 from ..probe import Probe, is_delta, numbers, spectral, uniform, vectors
-from ..samples import BSDF_ROUNDING, samples_of
+from ..samples import samples_of
 from .answers import lattice
 from .weights import check_scores
 
@@ -116,8 +117,8 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     counted = float((halves[0].lit & given)[own].mean())
     place = sweep.place(own)
     sums = (
-        f"`pdf` integrates to {mass:.4g} +- {std_err:.1g}, sampled mass is "
-        f"{counted:.4g}, at {place}"
+        f"`pdf` integrates to {mass:.4g} +- {std_err:.1g} (std_err), where it should "
+        f"equal the sampled mass of {counted:.4g}, at {place}"
     )
     off = abs(mass - counted) / max(mass, counted, 1e-9) * float(own.mean())
     evidence.test(
