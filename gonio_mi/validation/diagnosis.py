@@ -15,12 +15,13 @@ from typing import TypeAlias
 import numpy as np
 
 from ..array_types import Floats
+from ..single_precision import BSDF_ROUNDING
 from .checks.components import alone
 from .evidence import EFFECTS, INTERFACE, MODEL, NOISE, Evidence
 from .factors import FACTORS, explain, explain_weights, factor, ratios_of
 from .maps import FourMaps
 from .probe import numbers, vectors
-from .samples import BSDF_ROUNDING, Samples, is_many, samples_of, unequal
+from .samples import Samples, is_many, samples_of, unequal
 from .tally import groups, patch_of
 
 # Fraction of the share of the largest failure below which another is no symptom of it,
@@ -215,7 +216,12 @@ def _counts_guess(evidence: Evidence, weights_fail: bool) -> Guess:
         return evidence.suspects["sampling"]
     n = maps.totals.n
     drawn, due = maps.totals.counts / n, maps.pdf
-    sums = f"`pdf` integrates to {due.sum():.4f}, sampled mass is {drawn.sum():.4f}"
+    share = drawn.sum()
+    std_err = np.sqrt(max(share * (1 - share), 0) / n)
+    sums = (
+        f"`pdf` integrates to {due.sum():.4f}, where it should equal the sampled mass "
+        f"of {share:.4f} +- {std_err:.1g} (std_err)"
+    )
     turned = next(filter(None, map(_turned, evidence.maps)), "")
     if turned:
         return "sample", f"`sample` draws directions {turned}"

@@ -41,7 +41,7 @@ PROPERTIES = {
     "delta": "discrete lobes have one direction, weight and probability",
     "flags": "flags declare the observed behaviour",
     "components": "components add up to the whole",
-    "masks": "inactive rays get 0, active rays the same as without a mask",
+    "masks": "inactive rays carry no light, active ones the same as without a mask",
     "ends": "finite at the ends: horizon, normal, random numbers, roughness",
     "parameters": "`traverse` answers; gradients of `eval` are its changes",
     "cost": "repeated calls compile no kernel",
@@ -71,6 +71,7 @@ PHASE = {
     "answers": "both functions answer, with finite values of at least 0; `eval` and "
     "`pdf` are the answers of `eval_pdf`",
     "directions": "sampled directions are unit vectors",
+    "masks": "active rays get the same as without a mask",
     "energy": "`eval` integrates to 1",
     "reciprocity": "source and detector can be exchanged",
 }

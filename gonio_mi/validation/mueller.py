@@ -23,9 +23,10 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Numbers
 from ..collector.directions import angles, direction
 from ..collector.stokes import UPRIGHT, implicit_axis, plane_axis, reframed, turn
+from ..single_precision import BSDF_ROUNDING
 from .conditions import Condition
 from .probe import Probe, numbers, spectral, vectors
-from .samples import BSDF_ROUNDING, SLACK, ULPS
+from .samples import SLACK, ULPS
 
 # First elements below which nothing is said of the others, of the largest.
 MIN_LIGHT = 1e-12

@@ -153,7 +153,8 @@ def _excuse(evidence: Evidence) -> None:
     awake = [one for one in evidence.of("masks") if "ignores `active`" in one.mistake]
     if awake:
         evidence.breaches[:] = [one for one in evidence.breaches if one not in awake]
-        text = "inactive rays get a value, as Mitsuba's own phase functions give them"
+        text = "remark, no effect on images: inactive rays get a value, as of all of "
+        text += "Mitsuba's own phase functions"
         evidence.remark("masks", text)
     world = evidence.remarks.pop("answers", "")
     if world and not world.startswith("`sample`"):

@@ -19,11 +19,11 @@ import numpy as np
 
 from ..errors import SettingError
 from ..files import replacing
+from ..single_precision import BSDF_ROUNDING
 from ..transport.variants import unpolarised
 from .conditions import TURN, Condition, Sweep
 from .kinds import LIT, PDF, PRODUCT, SMOOTH, VALUE, Kind, MatrixKind, each
 from .maps import FourMaps
-from .samples import BSDF_ROUNDING
 from .verdict import Property, Verdict
 
 # Where is looked if a finding names no direction.
