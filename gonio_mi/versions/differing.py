@@ -16,8 +16,9 @@ from scipy import special
 from ..array_types import Flags, Floats
 from ..errors import checked_count, checked_number
 from ..instrument.specimen_text import SpecimenLike, specimen_name
+from ..single_precision import BSDF_ROUNDING
 from ..transport.variants import check_variant
-from ..validation.samples import BSDF_ROUNDING, SLACK, ULPS, is_many
+from ..validation.samples import SLACK, ULPS, is_many
 from .asking import Answers, Question, ask, interpreter
 
 
