@@ -109,7 +109,7 @@ def cut_profile(
 
     dark = single.estimates[0].dark(int(of == "btdf"))
     if value.shape[-1] == 1:
-        dark = dark.all(axis=-1, keepdims=True)
+        dark = np.all(dark, axis=-1, keepdims=True)
     edges, theta = np.degrees(patches.theta_edges), np.degrees(patches.theta)
     return Profile(
         np.concatenate([-edges[:0:-1], edges]),

@@ -206,9 +206,9 @@ def _greatest(record: Record, stokes: Sequence[float]) -> str:
     names = ["theta_i", "phi_i", "theta_o", "phi_o"]
     angles = [single.theta_i[0], single.phi_i[0]]
     angles += [180 - theta_o if hemisphere else theta_o, phi_o]
-    place = ", ".join(f"{name} {_angle(x)}" for name, x in zip(names, angles))
+    where = ", ".join(f"{name} {_angle(x)}" for name, x in zip(names, angles))
     return (
-        f"{text}{_rounded(degree, 5)} +- {error:.2g} at {place}, channel "
+        f"{text}{_rounded(degree, 5)} +- {error:.2g} at {where}, channel "
         f"{record.channels[channel]}"
     )
 
