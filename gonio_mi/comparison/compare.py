@@ -131,8 +131,7 @@ def compare(
         name: np.concatenate([one.columns[name] for one in sets])
         for name in sets[0].columns
     }
-    for name in ("phi_i", "phi_o"):
-        columns[name] = azimuths_deg(columns[name])
+    columns |= {name: azimuths_deg(columns[name]) for name in ("phi_i", "phi_o")}
     found = Comparison(
         **columns,
         value=np.concatenate([one.readings.value for one in sets]),

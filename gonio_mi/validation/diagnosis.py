@@ -202,6 +202,15 @@ EITHER = "pdf or sample"
 DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four")
 
 
+def _sums_text(due: float, share: float, n: int) -> str:
+    """Integral of ``pdf``, and the share of `n` samples that it should be."""
+    std_err = np.sqrt(max(share * (1 - share), 0) / n)
+    return (
+        f"`pdf` integrates to {due:.4f}, where it should equal the sampled mass of "
+        f"{share:.4f} +- {std_err:.1g} (std_err)"
+    )
+
+
 def _counts_guess(evidence: Evidence, weights_fail: bool) -> Guess:
     """Function and mistake, where counted directions contradict ``pdf``."""
     whole = [m for m in evidence.maps if m.condition.component is None]
@@ -216,12 +225,7 @@ def _counts_guess(evidence: Evidence, weights_fail: bool) -> Guess:
         return evidence.suspects["sampling"]
     n = maps.totals.n
     drawn, due = maps.totals.counts / n, maps.pdf
-    share = drawn.sum()
-    std_err = np.sqrt(max(share * (1 - share), 0) / n)
-    sums = (
-        f"`pdf` integrates to {due.sum():.4f}, where it should equal the sampled mass "
-        f"of {share:.4f} +- {std_err:.1g} (std_err)"
-    )
+    sums = _sums_text(due.sum(), drawn.sum(), n)
     turned = next(filter(None, map(_turned, evidence.maps)), "")
     if turned:
         return "sample", f"`sample` draws directions {turned}"
