@@ -15,7 +15,7 @@ from benchmark.stock import coloured
 from scipy import stats
 
 from gonio_mi.formats import tensor_file
-from gonio_mi.validation.samples import BSDF_ROUNDING
+from gonio_mi.single_precision import BSDF_ROUNDING
 
 pytestmark = pytest.mark.usefixtures("mono")
 
