@@ -29,7 +29,7 @@ ELEMENTS = """\
 off = np.nan_to_num(np.abs(a - b) / np.fmax(np.fmax(a[0, 0], b[0, 0]), 1e-30))
 at = np.unravel_index(np.argsort(off, axis=None)[-1 - off.size // 10000], off.shape)
 a, b, off = (np.broadcast_to(x, off.shape)[at] for x in (a, b, off))
-print(f"element {at[:2]}: {a:.6g} and {b:.6g}: {off / ROUNDING:.3g} roundings")"""
+print(f"element {at[0]}{at[1]}: {a:.6g} and {b:.6g}: {off / ROUNDING:.3g} roundings")"""
 
 
 def each(values: str) -> str:

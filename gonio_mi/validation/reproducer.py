@@ -248,6 +248,7 @@ def _head(
     title = f"{verdict.name}: {one.mistake or verdict.mistake or one.question}"
     yield f"# {title} ({condition})"
     yield f"# Two numbers that should be equal where {one.question or 'it is right'}."
+    yield f"# A rounding is {BSDF_ROUNDING:.2g}: 1024 operations in single precision."
     yield "import drjit as dr\nimport mitsuba as mi\nimport numpy as np\n"
     yield f'mi.set_variant("{verdict.settings["variant"]}")'
     yield str(verdict.source)
