@@ -48,6 +48,7 @@ def run(options: Namespace) -> int:
     save_table(answers, options.output)
     wrong = [one for one in answers if one.wrong]
     for one in wrong:
-        tell(f"{one.version}, {one.variant}: {one.case}: {one.name}: {one.text}")
+        asked = one.question
+        tell(f"{one.version}, {one.variant}: {asked.word}: {asked.name}: {one.text}")
     tell(f"{len(answers) - len(wrong)} of {len(answers)} agree or give no answer")
     return FAILED if wrong else DONE

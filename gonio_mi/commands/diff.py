@@ -166,7 +166,7 @@ def _specimens(options: Namespace) -> Iterator[tuple[str, Any, dict[str, Any]]]:
         for word in options.specimens:
             yield (word, *specimen_of(word, options))
     else:
-        from ..versions.conformance import cases
+        from ..versions.stock import cases
 
         set_variant(options.variant)
         for name, specimen in cases():

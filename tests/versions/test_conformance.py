@@ -1,58 +1,96 @@
 """The conformance table: what is asked, what is red, and the page."""
 
 import sys
+from types import SimpleNamespace
 
+import mitsuba as mi
 import pytest
 from reproduced import code_of
 
 from gonio_mi.versions import conformance
-from gonio_mi.versions.conformance import ask_versions, questions, save_table
+from gonio_mi.versions.conformance import LIMITS, ask_versions, questions, save_table
+from gonio_mi.versions.worker import all_said, said
 
 pytestmark = pytest.mark.usefixtures("mono")
 
 
 @pytest.fixture
 def few(monkeypatch):
-    """One right plugin, and one of whose defects the handbook has a script."""
+    """Right plugins, two with defects of which the handbook has scripts, and none."""
     glass = {"type": "roughdielectric", "alpha": 0.3, "distribution": "ggx"}
     ones = [{"type": "diffuse"}, glass | {"sample_visible": False}]
     monkeypatch.setattr(conformance, "bsdfs", lambda: iter([ones]))
-    flakes = [
-        one
-        for some in conformance.phase_functions()
-        for one in some[::2]
-        if one["type"] == "sggx"
-    ]
-    lobe = [{"type": "hg", "g": 0.5}, *flakes, {"type": "no_such_phase_function"}]
-    monkeypatch.setattr(conformance, "phase_functions", lambda: iter([lobe]))
+    monkeypatch.setattr(conformance, "_measured", list)
+    stock = conformance.phase_functions
+
+    def lobes():
+        yield [{"type": "hg", "g": 0.5}, {"type": "no_such_phase_function"}]
+        yield from (ones[::2] for ones in stock() if ones[0]["type"] == "sggx")
+
+    monkeypatch.setattr(conformance, "phase_functions", lobes)
     kept = ("sampled_weight", "sampled_pdf", "sampling at theta_i 60")
     asked = [
         x for x in conformance.QUESTIONS if f"{x[0]} at theta_i {x[1]}".startswith(kept)
     ]
     monkeypatch.setattr(conformance, "QUESTIONS", asked)
+    monkeypatch.setattr(conformance, "_materials", dict)
 
 
-def test_every_script_is_short_and_plain():
-    found = list(questions("llvm_ad_mono"))
-    plugins = {case.partition(",")[0] for case, _, _ in found}
-    assert len(plugins) == 18 + 6  # BSDFs and phase functions
-    for _, _, text in found:
-        assert len(code_of(text)) <= 20
-        assert "gonio" not in text
+@pytest.mark.parametrize("variant", ["llvm_ad_mono", "scalar_rgb"])
+def test_every_script_is_short_and_plain(variant):
+    mi.set_variant(variant)  # the next test sets its own
+    found = list(questions(variant))
+    # BSDFs and phase functions; a file of `measured` has colours
+    assert len({one.plugin for one in found}) == 18 + mi.is_rgb + 6
+    for one in found:
+        assert len(code_of(one.script)) <= 20
+        assert "gonio" not in one.script
 
 
 @pytest.mark.usefixtures("few")
 def test_table(tmp_path):
-    answers = ask_versions([sys.executable], ["llvm_ad_mono"])
-    wrong = {(one.case, one.name.partition(" ")[0]) for one in answers if one.wrong}
+    answers = ask_versions([sys.executable], ["llvm_ad_mono", "scalar_rgb"])
+    wrong = {
+        (one.question.plugin, one.question.number, one.question.name.partition(" ")[0])
+        for one in answers
+        if one.wrong
+    }
     # of microflakes those off the axes, with the right mass in other directions
     assert wrong == {
-        ("roughdielectric, parameters 2", "sampled_weight"),
-        ("sggx, parameters 3", "sampling"),
+        ("roughdielectric", 2, "sampled_weight"),
+        ("sggx", 2, "sampling"),
     }
-    save_table(answers, tmp_path / "table.html")
-    page = (tmp_path / "table.html").read_text()
-    assert page.count("#cec") == 3  # diffuse, hg and flakes of all directions alike
-    assert page.count("#fbb") == 2
-    assert page.count("no answer") == 1
+    path = tmp_path / "table.html"
+    save_table(answers, path)
+    page = path.read_text()
+    assert page.count('<td class="right">') == 2  # diffuse, hg
+    assert page.count('<td class="wrong">') == 2
+    assert page.count('<td class="silent">') == 1
     assert "sample_visible" in page
+
+
+SCRIPT = "import numpy as np\nx = np.random.default_rng({}).random()\n"
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_only_what_is_confirmed_is_wrong(known):
+    # with other random numbers the two agree, or do not
+    text = SCRIPT.format(0) + "y = x + 1 if KNOWN or x > 0.6 else x\n"
+    text += 'print(f"{x} and {y}: {(y - x) * 100:.3g} standard errors")'
+    told = all_said([text.replace("KNOWN", str(known))], LIMITS, {})
+    assert [wrong for _, wrong in told["answers"]] == [known]
+
+
+def test_scripts_leave_nothing_behind():
+    kept = []
+
+    class Counted:
+        def __del__(self):
+            kept.append(1)
+
+    sys.modules["counted"] = SimpleNamespace(Counted=Counted)
+    try:
+        said("from counted import Counted\nx = Counted()\nf = lambda: x", LIMITS)
+    finally:
+        del sys.modules["counted"]
+    assert kept == [1]
