@@ -43,8 +43,8 @@ def by_sample(a: str, b: str, which: str = SMOOTH) -> str:
     return f"""\
 {"".join(given)}counts = {which}
 a, b, counts, _ = np.broadcast_arrays(a, b, counts, u[0])  # one of each sample
-off = np.abs(a - b) / np.fmax(np.fmax(np.abs(a), np.abs(b)), 1e-30)
-k = np.argsort(np.where(counts, off, 0))[-n // 1000]  # one in a thousand is farther off
+off = np.abs(np.where(counts, a - b, 0)) / np.fmax(np.fmax(abs(a), abs(b)), 1e-30)
+k = np.argsort(off)[-n // 1000]  # one sample in a thousand is farther off
 print(f"{{a[k]:.6g}} and {{b[k]:.6g}}: {{off[k] / ROUNDING:.3g}} roundings")"""
 
 

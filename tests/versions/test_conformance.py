@@ -18,7 +18,8 @@ pytestmark = pytest.mark.usefixtures("mono")
 def few(monkeypatch):
     """Right plugins, two with defects of which the handbook has scripts, and none."""
     glass = {"type": "roughdielectric", "alpha": 0.3, "distribution": "ggx"}
-    ones = [{"type": "diffuse"}, glass | {"sample_visible": False}]
+    mirror = {"type": "conductor"}  # has nothing but a discrete lobe
+    ones = [{"type": "diffuse"}, glass | {"sample_visible": False}, mirror]
     monkeypatch.setattr(conformance, "bsdfs", lambda: iter([ones]))
     monkeypatch.setattr(conformance, "_measured", list)
     stock = conformance.phase_functions
@@ -63,7 +64,7 @@ def test_table(tmp_path):
     path = tmp_path / "table.html"
     save_table(answers, path)
     page = path.read_text()
-    assert page.count('<td class="right">') == 2  # diffuse, hg
+    assert page.count('<td class="right">') == 3  # diffuse, conductor, hg
     assert page.count('<td class="wrong">') == 2
     assert page.count('<td class="silent">') == 1
     assert "sample_visible" in page
