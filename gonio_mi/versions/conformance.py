@@ -59,8 +59,9 @@ QUESTIONS = (
 # microflakes are reciprocal with their projected area.
 OF_SURFACES = ("components", "flags", "masks", "reciprocity")
 
-# Not asked of these, which are known for it: shading normals are not reciprocal.
-TILTED = ("bumpmap", "normalmap")
+# Not asked for reciprocity: shading normals are not reciprocal, nor is a table of
+# measurements between its few angles of incidence.
+NOT_RECIPROCAL = ("bumpmap", "normalmap", "measured")
 
 # From how many standard errors, or roundings of a thousand operations, on two numbers
 # are not equal: twice, with independent random numbers.
@@ -219,7 +220,7 @@ def _of_properties(
 ) -> Iterator[tuple[str, str]]:
     """Names and scripts of the properties of one plugin."""
     known = set(PHASE) - set(OF_SURFACES) if volumes else set(PROPERTIES)
-    known -= {"reciprocity", "adjoint"} if plugin in TILTED else set()
+    known -= {"reciprocity", "adjoint"} if plugin in NOT_RECIPROCAL else set()
     for name, theta_i, function, about in QUESTIONS:
         if name not in known:
             continue
