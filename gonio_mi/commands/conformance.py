@@ -7,7 +7,7 @@ each version, and for what does not agree a script of at most 20 lines.
 
 from argparse import ArgumentParser, Namespace
 
-from .arguments import DONE, FAILED, add_text, set_variant, tell
+from .arguments import DONE, FAILED, add_text, tell
 
 USAGE = "%(prog)s -o PAGE.html [--against VENV ...] [options]"
 
@@ -35,14 +35,19 @@ def run(options: Namespace) -> int:
     """Run the command and return the exit code."""
     import sys
 
+    import mitsuba as mi
+
+    from ..errors import SettingError
     from ..reports.page import check_page
     from ..versions.asking import interpreter
     from ..versions.conformance import ask_versions, save_table
 
     check_page(options.output)
-    # all are checked before anything is asked; the first one stays set
-    for variant in reversed(options.variants):
-        set_variant(variant)
+    # scalar and polarised ones too, which are asked and not measured in
+    for variant in options.variants:
+        if variant not in mi.variants():
+            known = ", ".join(mi.variants())
+            raise SettingError(f"--variants must be of {known}, got {variant!r}")
     pythons = [interpreter(venv) for venv in options.against]
     answers = ask_versions([sys.executable, *pythons], options.variants)
     save_table(answers, options.output)
