@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -13,7 +13,7 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Numbers
 from ..single_precision import BSDF_ROUNDING
 from .conditions import Condition
-from .probe import Probe, is_delta, numbers, seed_of, spectral, uniform
+from .probe import Probe, is_delta, numbers, seed_of, spectral, uniform, vectors
 
 # Where operations are badly conditioned more than `BSDF_ROUNDING` is left: so many
 # times the change under a displacement of both directions by 4 ulp of 1. Beyond that,
@@ -26,6 +26,10 @@ ULPS = 2.0**-21
 # where two functions may take different sides: six jumps of a BSDF, at its horizons,
 # along each of which there is at most one sample a radian.
 SPOILED = 6 * SLACK * ULPS
+
+# Where only so few samples differ that all steps of their values are worth a search,
+# how many times as many displacements are tried.
+FEW, CLOSER = 0.01, 64
 
 # Values in single precision that are as good as 0: powers of small cosines underflow.
 UNDERFLOW = 1e-30
@@ -137,6 +141,15 @@ class Samples:
     def reflected(self) -> Flags:
         """Which directions are on the lit side."""
         return self.wo[:, 2] * self.wi[:, 2] > 0
+
+    def those(self, mask: Flags) -> Samples:
+        """Return those of the mask, without answers of the joint functions."""
+        kept = {
+            name: value[mask]
+            for name, value in vars(self).items()
+            if name not in ("condition", "joint")
+        }
+        return replace(self, joint={}, **kept)
 
     @property
     def random(self) -> tuple[mi.Float, mi.Point2f]:
@@ -262,6 +275,23 @@ def rounding(probe: Probe, key: tuple[int, ...]) -> list[float]:
         ]
         relative.append(float(sums[0] / sums[1]) if sums[1] > 0 else 0.0)
     return relative
+
+
+def closer_slacks(bsdf: mi.BSDF, samples: Samples) -> tuple[Floats, Floats]:
+    """Slacks of ``eval`` and ``pdf`` of a few samples, by many more displacements.
+
+    A difference of nearly equal numbers, as Fresnel's of an index near 1, has few steps
+    left: the usual displacements may happen to meet none of them.
+    """
+    probe, n = Probe(bsdf, samples.condition), len(samples.wo)
+    wi, wo = (vectors(np.repeat(x, CLOSER, axis=0)) for x in (samples.wi, samples.wo))
+    slacks = _changes(
+        _displaced(wi, wo, (n, 4)),
+        (lambda wi, wo: probe.eval(wo, wi=wi), probe.eval(wo)),
+        (lambda wi, wo: probe.pdf(wo, wi=wi), probe.pdf(wo)),
+    )
+    value, pdf = spectral(slacks[0], n * CLOSER), numbers(slacks[1], n * CLOSER)
+    return value.reshape(n, CLOSER, -1).max(axis=1), pdf.reshape(n, CLOSER).max(axis=1)
 
 
 def _mean(value: Any, n: int) -> Numbers:

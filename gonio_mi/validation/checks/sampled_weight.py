@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...array_types import Flags
+from ...array_types import Flags, Floats
 from ..evidence import INTERFACE, Evidence, Ratio
-from ..samples import Samples, is_many, ratio_of, unequal
+from ..samples import FEW, Samples, closer_slacks, is_many, ratio_of, unequal
 
 # Standard errors beyond which two means differ.
 MAX_SCORE = 5
@@ -17,22 +17,36 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     lit = samples.usable & (samples.eval != 0).any(axis=1)
     if not lit.any():
         return
-    products = [samples.weight * p[:, None] for p in (samples.sampled_pdf, samples.pdf)]
-    # where a density is badly conditioned, so is the product
-    relative = (samples.pdf_slack / np.maximum(samples.pdf, 1e-30))[:, None]
     wrong = [
-        unequal(x, samples.eval, samples.eval_slack + np.abs(x) * relative) & lit
-        for x in products
+        one & lit for one in _unequal(samples, samples.eval_slack, samples.pdf_slack)
     ]
+    if is_many(wrong[1]) and wrong[1].mean() < FEW:
+        few = samples.those(wrong[1])
+        wrong[1][wrong[1]] = _unequal(few, *closer_slacks(evidence.bsdf, few))[1]
     if all(is_many(one) for one in wrong):
         evidence.breach_of_ratio(
             "sampled_weight",
             "sample",
-            Ratio(samples, wrong[1], ratio_of(products[1], samples.eval)),
+            Ratio(samples, wrong[1], ratio_of(_products(samples)[1], samples.eval)),
             "weight times pdf over `eval`",
             "the weight of `sample` is not `eval` over pdf",
             effect="" if _is_biased(samples, lit) else INTERFACE,
         )
+
+
+def _products(samples: Samples) -> list[Floats]:
+    """Weight times either density."""
+    return [samples.weight * p[:, None] for p in (samples.sampled_pdf, samples.pdf)]
+
+
+def _unequal(samples: Samples, eval_slack: Floats, pdf_slack: Floats) -> list[Flags]:
+    """Which of either product are not ``eval``."""
+    # where a density is badly conditioned, so is the product
+    relative = (pdf_slack / np.maximum(samples.pdf, 1e-30))[:, None]
+    return [
+        unequal(x, samples.eval, eval_slack + np.abs(x) * relative)
+        for x in _products(samples)
+    ]
 
 
 def _is_biased(samples: Samples, lit: Flags) -> bool:
