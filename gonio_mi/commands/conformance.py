@@ -7,7 +7,7 @@ each version, and for what does not agree a script of at most 20 lines.
 
 from argparse import ArgumentParser, Namespace
 
-from .arguments import DONE, FAILED, add_text, tell
+from .arguments import DONE, FAILED, INCOMPLETE, add_text, say, tell
 
 USAGE = "%(prog)s -o PAGE.html [--against VENV ...] [options]"
 
@@ -40,7 +40,7 @@ def run(options: Namespace) -> int:
     from ..errors import SettingError
     from ..reports.page import check_page
     from ..versions.asking import interpreter
-    from ..versions.conformance import ask_versions, save_table
+    from ..versions.conformance import Answer, ask_versions, save_table
 
     check_page(options.output)
     # scalar and polarised ones too, which are asked and not measured in
@@ -49,7 +49,16 @@ def run(options: Namespace) -> int:
             known = ", ".join(mi.variants())
             raise SettingError(f"--variants must be of {known}, got {variant!r}")
     pythons = [interpreter(venv) for venv in options.against]
-    answers = ask_versions([sys.executable, *pythons], options.variants)
+    answers: list[Answer] = []
+    try:
+        for one in ask_versions([sys.executable, *pythons], options.variants, True):
+            answers.append(one)
+    except KeyboardInterrupt:
+        if not answers:
+            raise
+        save_table(answers, options.output)
+        say(f"interrupted: {options.output} has the {len(answers)} answers so far")
+        return INCOMPLETE
     save_table(answers, options.output)
     wrong = [one for one in answers if one.wrong]
     for one in wrong:

@@ -7,11 +7,11 @@ import os
 import re
 import subprocess
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import mitsuba as mi
 import numpy as np
@@ -144,54 +144,98 @@ def ask(
     SpecimenError
         If its Mitsuba cannot load the BSDF, or ends the process.
     """
-    facts, arrays = answer_of(
-        python, question.to_json(), {**question.arrays(), **(wo or {})}
-    )
-    return Answers(facts, arrays)
-
-
-def answer_of(
-    python: str, question: Mapping[str, Any], arrays: Mapping[str, Any]
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Facts and arrays that the worker answers; errors as of :func:`ask`."""
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
-        (here / "question.json").write_text(json.dumps(question))
-        np.savez(here / "question.npz", **arrays)
-        ended = _run([python, "-I", str(WORKER), folder])
+        (here / "question.json").write_text(json.dumps(question.to_json()))
+        np.savez(here / "question.npz", **question.arrays(), **(wo or {}))
+        with _worker(python, folder) as worker:
+            said = worker.communicate()
         try:
             facts = json.loads((here / "answer.json").read_text())
             with np.load(here / "answer.npz") as content:
                 answers = dict(content)
         except (OSError, ValueError):
-            facts = {"error": _last(ended)}
-    missing = re.search(r"No module named '(mitsuba|drjit|numpy)", str(facts))
-    if missing and "error" in facts:
+            facts = {"error": _last(*said, worker.returncode)}
+    if "error" in facts:
+        _check_modules(python, str(facts))
+        raise SpecimenError(f"{python} gave no answer: {facts['error']}")
+    return Answers(facts, answers)
+
+
+def answers_of(
+    python: str, scripts: Sequence[str], **others: Any
+) -> Generator[tuple[str, str, bool], None, None]:
+    """Version, last line, and whether it is wrong, of one script after the other.
+
+    Where a script ends the process, that is its line, and the next is asked in another.
+
+    Parameters
+    ----------
+    python : str
+    scripts : sequence of str
+    **others
+        As of :func:`gonio_mi.versions.worker.all_said`.
+
+    Raises
+    ------
+    SettingError
+        If that Python cannot run, or has no Mitsuba.
+    """
+    left = list(scripts)
+    while left:
+        with tempfile.TemporaryDirectory() as folder:
+            question = json.dumps({"scripts": left, **others})
+            (Path(folder) / "question.json").write_text(question)
+            with (
+                open(Path(folder) / "errors", "w+") as errors,
+                _worker(python, folder, stderr=errors) as worker,
+            ):
+                try:
+                    lines = map(json.loads, worker.stdout or ())
+                    version = str(next(lines, ""))
+                    for line, wrong in lines:
+                        yield version, line, wrong
+                        del left[0]
+                finally:
+                    worker.kill()
+                errors.seek(0)
+                said = errors.read()
+        if not version:
+            _check_modules(python, said)
+            raise SpecimenError(f"{python} gave no answer: {_last(said, '', 1)}")
+        if left:
+            yield version, "raised an error that ended the process", False
+            del left[0]
+
+
+def _worker(
+    python: str, folder: str, stderr: int | TextIO = subprocess.PIPE
+) -> subprocess.Popen[str]:
+    """The worker in another environment, which must not see the modules of this one."""
+    hidden = ("PYTHONPATH", "PYTHONHOME")
+    environment = {k: v for k, v in os.environ.items() if k not in hidden}
+    command = [python, "-I", str(WORKER), folder]
+    try:
+        return subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=stderr, text=True, env=environment
+        )
+    except OSError as error:
+        raise SettingError(f"{python} cannot be run: {error.strerror}") from None
+
+
+def _check_modules(python: str, said: str) -> None:
+    """Raise SettingError if it says that one of those that it needs is missing."""
+    missing = re.search(r"No module named '(mitsuba|drjit|numpy)", said)
+    if missing:
         raise SettingError(
             f"{python} has no {missing[1]}: run {python} -m pip install mitsuba numpy"
         )
-    if "error" in facts:
-        raise SpecimenError(f"{python} gave no answer: {facts['error']}")
-    return facts, answers
 
 
-def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
-    """Run it; another environment must not see the modules of this one."""
-    hidden = ("PYTHONPATH", "PYTHONHOME")
-    environment = {k: v for k, v in os.environ.items() if k not in hidden}
-    try:
-        return subprocess.run(
-            command, capture_output=True, text=True, env=environment, check=False
-        )
-    except OSError as error:
-        raise SettingError(f"{command[0]} cannot be run: {error.strerror}") from None
-
-
-def _last(ended: subprocess.CompletedProcess[str]) -> str:
+def _last(out: str, err: str, code: int) -> str:
     """Last line that a process said, or the number with which it ended."""
-    lines = (ended.stderr + ended.stdout).split("\n")
-    said = [line.strip() for line in lines if line.strip()]
-    return said[-1] if said else f"it ended with {ended.returncode}"
+    said = [line.strip() for line in (err + out).split("\n") if line.strip()]
+    return said[-1] if said else f"it ended with {code}"
 
 
 def _plain(node: Any) -> Any:

@@ -17,14 +17,19 @@ import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import product
 from os import PathLike
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Event
 from typing import Any
 
 import mitsuba as mi
 
 from ..campaigns.measure import measure
+from ..errors import SettingError, SpecimenError
 from ..exports.exporting import export
+from ..progress import bar
 from ..reports.page import preformatted, save_page, table
 from ..validation.evidence import PHASE, PROPERTIES
 from ..validation.kinds import LIT, SMOOTH
@@ -36,7 +41,7 @@ from ..validation.reproducer import (
     source_of,
 )
 from ..validation.verdict import FAILS, Property, Verdict
-from .asking import answer_of
+from .asking import answers_of
 from .stock import bsdfs, phase_functions, word_of
 
 # What is asked: property, angle of incidence, function, and which of its answers.
@@ -291,35 +296,61 @@ def _of_scalar_code(variant: str, source: str) -> str:
     return _of_first_elements(text) if mi.is_polarized else text
 
 
-def ask_versions(pythons: Sequence[str], variants: Sequence[str]) -> list[Answer]:
-    """Answers of each Python's Mitsuba to all questions, in each variant.
+def ask_versions(
+    pythons: Sequence[str], variants: Sequence[str], progress: bool = False
+) -> Iterator[Answer]:
+    """Answers of each Python's Mitsuba to all questions, in each variant, as they come.
 
-    Two environments are asked at once on two cores.
+    As many environments are asked at once as there are cores.
 
     Raises
     ------
     SettingError
         If one of them has no Mitsuba.
-    SpecimenError
-        If one of them ends its process.
     """
     files, asked = _materials(), {}
     for variant in variants:
         mi.set_variant(variant)
         asked[variant] = list(questions(variant))
+    answers: SimpleQueue[Answer | Exception | None] = SimpleQueue()
+    stopped = Event()
 
-    def answers(variant: str, python: str) -> list[Answer]:
+    def ask(variant: str, python: str) -> None:
         texts = [one.script for one in asked[variant]]
-        question = {"scripts": texts, "limits": LIMITS, "files": files}
-        told, _ = answer_of(python, question, {})
-        return [
-            Answer(one, told["version"], variant, line, wrong)
-            for one, (line, wrong) in zip(asked[variant], told["answers"])
-        ]
+        told = answers_of(python, texts, limits=LIMITS, files=files)
+        try:
+            for one, (version, line, wrong) in zip(asked[variant], told):
+                answers.put(Answer(one, version, variant, line, wrong))
+                if stopped.is_set():
+                    break
+        except (SettingError, SpecimenError) as error:
+            answers.put(error)
+        finally:
+            told.close()
+            answers.put(None)
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        jobs = [pool.submit(answers, v, python) for python in pythons for v in variants]
-        return [one for job in jobs for one in job.result()]
+    left = len(pythons) * len(variants)
+    total = len(pythons) * sum(map(len, asked.values()))
+    with (
+        bar(progress, total=total, desc="conformance", unit="question") as report,
+        ThreadPoolExecutor(os.cpu_count()) as pool,
+    ):
+        for python, variant in product(pythons, variants):
+            pool.submit(ask, variant, python)
+        try:
+            while left:
+                one = answers.get()
+                if isinstance(one, Exception):
+                    raise one
+                if one is None:
+                    left -= 1
+                    continue
+                if report is not None:
+                    report(1)
+                yield one
+        finally:
+            stopped.set()
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def save_table(answers: Iterable[Answer], path: str | PathLike[str]) -> None:

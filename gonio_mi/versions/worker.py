@@ -1,9 +1,10 @@
 """Answers of a BSDF, or of scripts, in the Mitsuba of whichever Python runs this file.
 
 ``python worker.py FOLDER`` reads ``question.json`` and ``question.npz`` there and
-writes ``answer.json`` and ``answer.npz``, see :mod:`gonio_mi.versions.asking`. It needs
-nothing but NumPy and Mitsuba, and is meant to run with versions that the rest of the
-package knows nothing of: vectors are made and read component by component.
+writes ``answer.json`` and ``answer.npz``, see :mod:`gonio_mi.versions.asking`; of
+scripts it prints a line of JSON each, as soon as it has ended. It needs nothing but
+NumPy and Mitsuba, and is meant to run with versions that the rest of the package knows
+nothing of: vectors are made and read component by component.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import os
 import re
 import sys
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,15 +31,19 @@ def main(folder: str) -> None:
     """Answer the question in `folder`, or say in one line why that is not possible."""
     here = Path(folder).resolve()
     question = json.loads((here / "question.json").read_text())
+    if "scripts" in question:
+        # lines are for us, whatever Mitsuba prints for people
+        with os.fdopen(os.dup(1), "w", buffering=1) as lines:
+            os.dup2(2, 1)
+            os.chdir(here)
+            for told in all_said(**question):
+                print(json.dumps(told), file=lines)
+        return
     with np.load(here / "question.npz") as content:
         arrays = dict(content)
     answers: dict[str, Any] = {}
     try:
-        if "scripts" in question:
-            os.chdir(here)
-            facts = all_said(**question)
-        else:
-            facts = answered(question, arrays, answers)
+        facts = answered(question, arrays, answers)
     except Exception as error:
         # a plugin, or another version of Mitsuba, may raise anything
         text = " ".join(str(error).split())[-300:]
@@ -76,8 +82,8 @@ def answered(
 
 def all_said(
     scripts: list[str], limits: dict[str, float], files: dict[str, str]
-) -> dict[str, Any]:
-    """Last lines of scripts, and which are beyond their limits, twice.
+) -> Iterator[Any]:
+    """The version; then the last line of each script, and if it is wrong, twice.
 
     `files`, as text of base 64, are put where the scripts run.
     """
@@ -88,14 +94,13 @@ def all_said(
     dr.set_thread_count(1)  # two processes share the cores
     for name, content in files.items():
         Path(name).write_bytes(base64.b64decode(content))
-    told = []
+    yield mi.__version__
     for text in scripts:
         line, wrong = said(text, limits)
         if wrong:
             # other random numbers
             line, wrong = said(text.replace("default_rng(0)", "default_rng(1)"), limits)
-        told.append([line, wrong])
-    return {"version": mi.__version__, "answers": told}
+        yield line, wrong
 
 
 def said(text: str, limits: dict[str, float]) -> tuple[str, bool]:

@@ -7,7 +7,10 @@ import mitsuba as mi
 import pytest
 from reproduced import code_of
 
+from gonio_mi.cli import main
+from gonio_mi.commands.arguments import INCOMPLETE
 from gonio_mi.versions import conformance
+from gonio_mi.versions.asking import answers_of
 from gonio_mi.versions.conformance import LIMITS, ask_versions, questions, save_table
 from gonio_mi.versions.worker import all_said, said
 
@@ -50,7 +53,7 @@ def test_every_script_is_short_and_plain(variant):
 
 @pytest.mark.usefixtures("few")
 def test_table(tmp_path):
-    answers = ask_versions([sys.executable], ["llvm_ad_mono", "scalar_rgb"])
+    answers = list(ask_versions([sys.executable], ["llvm_ad_mono", "scalar_rgb"]))
     wrong = {
         (one.question.plugin, one.question.number, one.question.name.partition(" ")[0])
         for one in answers
@@ -78,8 +81,34 @@ def test_only_what_is_confirmed_is_wrong(known):
     # with other random numbers the two agree, or do not
     text = SCRIPT.format(0) + "y = x + 1 if KNOWN or x > 0.6 else x\n"
     text += 'print(f"{x} and {y}: {(y - x) * 100:.3g} standard errors")'
-    told = all_said([text.replace("KNOWN", str(known))], LIMITS, {})
-    assert [wrong for _, wrong in told["answers"]] == [known]
+    _, *told = all_said([text.replace("KNOWN", str(known))], LIMITS, {})
+    assert [wrong for _, wrong in told] == [known]
+
+
+def test_a_script_that_ends_the_process_costs_no_other():
+    scripts = ["print(1)", "import os; os.abort()", "print('to us'); print(3)"]
+    told = answers_of(sys.executable, scripts, limits=LIMITS, files={})
+    version, *_ = mi.__version__.split("+")
+    assert list(told) == [
+        (version, "1", False),
+        (version, "raised an error that ended the process", False),
+        (version, "3", False),
+    ]
+
+
+@pytest.mark.usefixtures("few")
+def test_ctrl_c_keeps_the_answers_so_far(tmp_path, monkeypatch, capsys):
+    every = list(ask_versions([sys.executable], ["llvm_ad_mono"]))
+
+    def pressed(*_):
+        yield from every[:5]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(conformance, "ask_versions", pressed)
+    path = tmp_path / "table.html"
+    assert main(["conformance", "-o", str(path)]) == INCOMPLETE
+    assert f"{path} has the 5 answers so far" in capsys.readouterr().err
+    assert "<p>5 answers" in path.read_text()
 
 
 def test_scripts_leave_nothing_behind():
