@@ -20,7 +20,8 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     wrong = [
         one & lit for one in _unequal(samples, samples.eval_slack, samples.pdf_slack)
     ]
-    if is_many(wrong[1]) and wrong[1].mean() < FEW:
+    lit_alike = samples.condition.wi.ndim == 1
+    if lit_alike and is_many(wrong[1]) and wrong[1].mean() < FEW:
         few = samples.those(wrong[1])
         wrong[1][wrong[1]] = _unequal(few, *closer_slacks(evidence.bsdf, few))[1]
     if all(is_many(one) for one in wrong):
