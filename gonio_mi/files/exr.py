@@ -28,7 +28,7 @@ import hashlib
 import io
 import re
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
@@ -37,7 +37,7 @@ import OpenEXR
 
 from ..array_types import Counts, Floats, Numbers
 from ..results.record import Record
-from ..results.tally import ELEMENT_NAMES, N_ELEMENTS, Integrals, PolarisedTally, Tally
+from ..results.tally import ELEMENT_NAMES, N_ELEMENTS, Integrals, PolarisedTally
 from .checks import check_seal, require, seal_of
 from .header import (
     FRAMES,
@@ -93,8 +93,10 @@ MEANINGS = {
 def write(record: Record, stream: BinaryIO) -> None:
     """Write `record` to a binary stream."""
     text = json_of(_description(record))
-    arrays = [_arrays(tally) for tally in record.tallies]
-    exact = {"gonio.record": text, "gonio.sha256": _digest(text, arrays)}
+    digest = hashlib.sha256(text.encode())
+    for tally in record.tallies:
+        _include(digest, {name: getattr(tally, name) for name in tally.arrays})
+    exact = {"gonio.record": text, "gonio.sha256": digest.hexdigest()}
     parts: list[Any] = []
     for index in range(len(record)):
         for name, layers in pixels(record[index]).items():
@@ -109,8 +111,8 @@ def write(record: Record, stream: BinaryIO) -> None:
     stream.write(seal_of(content.getbuffer()))
 
 
-def read(stream: BinaryIO) -> Record:
-    """Read a record from a binary file.
+def read(stream: BinaryIO, added_up: bool = False) -> Record:
+    """Read a record from a binary file, or the sums of its batches: `added_up`.
 
     Raises
     ------
@@ -137,18 +139,23 @@ def read(stream: BinaryIO) -> Record:
     channels = header.get("channels")
     require(isinstance(channels, list), "its entry channels is not a list")
     names = layer_names([str(channel) for channel in channels])
-    tallies, by_name = [], {part.name: part for part in every}
-    for index in range(len(fates)):
+    by_name, digest = {part.name: part for part in every}, hashlib.sha256(text.encode())
+
+    def arrays_of(index: int) -> dict[str, Numbers]:
+        """Sums of one direction, which are included in the check sum."""
         kind = incident[index].dtype
         own = [_part_name(name, index, len(fates)) for name in SUMMED]
         image = _image(stream, [by_name[name] for name in own if name in by_name])
         parts = {part.name(): part.channels for part in image.parts}
-        arrays = _sums(parts, index, len(fates), names, header, len(fates[index]), kind)
-        tallies.append(arrays | {k: rows[index] for k, rows in per_batch.items()})
-    record = rebuilt(header, tallies)
-    content = [_arrays(tally) for tally in record.tallies]
+        n_batches = len(fates[index])
+        arrays = _sums(parts, index, len(fates), names, header, n_batches, kind)
+        _include(digest, arrays)
+        return arrays | {key: rows[index] for key, rows in per_batch.items()}
+
+    n = len(fates)
+    record = rebuilt(header, map(arrays_of, range(n)), n, added_up)
     require(
-        first.get("gonio.sha256") == _digest(text, content),
+        first.get("gonio.sha256") == digest.hexdigest(),
         "it is damaged: its content does not agree with its check sum",
     )
     return record
@@ -163,23 +170,16 @@ def _description(record: Record) -> dict[str, Any]:
     }
 
 
-def _arrays(tally: Tally) -> list[Counts]:
-    """What the pixels hold of a tally, exactly."""
-    of_pixels = ("hits", "sums", "errors", "elements")
-    return [getattr(tally, name) for name in of_pixels if name in tally.arrays]
-
-
 def _part_name(name: str, index: int, n: int) -> str:
     """``brdf``, or in a stack ``brdf.07``."""
     return name if n == 1 else f"{name}.{index:0{len(str(n - 1))}d}"
 
 
-def _digest(text: str, arrays: Iterable[Iterable[Numbers]]) -> str:
-    """Check sum of the description and of the arrays of all tallies."""
-    digest = hashlib.sha256(text.encode())
-    for array in (array for pair in arrays for array in pair):
-        digest.update(np.ascontiguousarray(bits(array), dtype="<u8").data)
-    return digest.hexdigest()
+def _include(digest: Any, arrays: Mapping[str, Numbers]) -> None:
+    """Include what the pixels hold of a tally, exactly, in a check sum."""
+    for name in ("hits", "sums", "errors", "elements"):
+        if name in arrays:
+            digest.update(np.ascontiguousarray(bits(arrays[name]), dtype="<u8").data)
 
 
 # -------------------------------------------------------------------------- parts

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -82,23 +82,32 @@ def check_format(header: Any) -> None:
         )
 
 
-def rebuilt(header: dict[str, Any], tallies: Sequence[dict[str, Numbers]]) -> Record:
+def rebuilt(
+    header: dict[str, Any],
+    tallies: Iterable[dict[str, Numbers]],
+    n: int,
+    added_up: bool = False,
+) -> Record:
     """Record from its header and, per incident direction, the arrays of its tally.
 
     Parameters
     ----------
     header : dict
         As :func:`header_of` made it, from a file: not to be trusted.
-    tallies : list of dict
+    tallies : iterable of dict
         The arrays `hits`, `sums`, `incident`, `fates` and `direct` of :class:`Tally`,
-        and `errors` or `elements` if it has some.
+        and `errors` or `elements` if it has some. None is asked for before the header
+        has been checked.
+    n : int
+        How many there are.
+    added_up : bool
+        Keep of each :meth:`.Tally.added_up` alone.
 
     Raises
     ------
     FileFormatError
         If anything is missing, of another type or shape, or does not fit the rest.
     """
-    n = len(tallies)
     theta_i, phi_i = (_angles(header, key, n) for key in ("theta_i", "phi_i"))
     channels = _listed(header, "channels", str)
     scales = _listed(header, "scales", int)
@@ -120,15 +129,18 @@ def rebuilt(header: dict[str, Any], tallies: Sequence[dict[str, Numbers]]) -> Re
         f"its setting collector is {shown(collector)}, its patches are "
         f"{shown(str(patches))}",
     )
+    kept = []
     for arrays, scale in zip(tallies, scales):
         require(0 < scale < 2**63, f"its scale {scale} is out of range")
         _check_shapes(arrays, patches.shape, len(channels))
+        tally = _tally(arrays, scale)
+        kept.append(tally.added_up() if added_up else tally)
     return Record(
         subdivision=patches,
         theta_i=theta_i,
         phi_i=phi_i,
         channels=tuple(channels),
-        tallies=tuple(map(_tally, tallies, scales)),
+        tallies=tuple(kept),
         asked=asked,
         provenance=provenance,
         stacked=stacked,

@@ -16,7 +16,7 @@ it is mirrored at azimuth 0 before.
 import io
 import math
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import IO, Any, BinaryIO
 
@@ -27,7 +27,7 @@ from ..errors import check_memory
 from ..results.azimuth_symmetry import Motion, sources
 from ..results.record import Record
 from ..results.tally import N_ELEMENTS
-from .checks import SEAL_LENGTH, check_seal, require, seal_of, size_of
+from .checks import PIECE, SEAL_LENGTH, check_seal, require, seal_of, size_of
 from .header import (
     MAX_EXPANSION,
     VERSION_OF_COPIES,
@@ -110,8 +110,10 @@ def _write_joined(file: IO[bytes], parts: Sequence[Numbers]) -> None:
         file.write(np.ascontiguousarray(part, dtype).data)
 
 
-def read(stream: BinaryIO) -> Record:
-    """Read a record from a binary file; nothing in it is executed.
+def read(stream: BinaryIO, added_up: bool = False) -> Record:
+    """Read a record from a binary file, or the sums of its batches: `added_up`.
+
+    Nothing in it is executed.
 
     Raises
     ------
@@ -129,7 +131,6 @@ def read(stream: BinaryIO) -> Record:
             announced <= MAX_EXPANSION * size,
             f"it announces {announced} bytes, more than {size} bytes can hold",
         )
-        check_memory("its content", announced, "open it on a larger machine")
         header = {name: _array(archive, members, name, HEADER) for name in HEADER}
         header = {name: array.tolist() for name, array in header.items()}
         header["settings"] = parsed_json(header["settings"])
@@ -142,30 +143,46 @@ def read(stream: BinaryIO) -> Record:
             members.keys() == known and len(archive.infolist()) == len(known),
             "its arrays are not those of a record",
         )
-        n_batches = _array(archive, members, "n_batches", expected)
-        shapes = _shapes(header, n_batches.tolist())
-        arrays = {
-            name: _array(archive, members, name, expected, shapes[name])
+        n_batches = _array(archive, members, "n_batches", expected).tolist()
+        shapes = _shapes(header, n_batches)
+        opened = {
+            name: _opened(archive, members, name, expected, shapes[name])
             for name in expected
             if name != "n_batches"
         }
-    copies = arrays.pop("copies", None)
-    if copies is not None:
-        n_all = announced * len(copies) / len(n_batches)
-        check_memory("its content", n_all, "open it on a larger machine")
-    single = [name for name in ("hits", "errors") if name in arrays]
-    per_direction: dict[str, Iterable[Numbers]] = {k: arrays.pop(k) for k in single}
-    edges = np.cumsum(n_batches)[:-1]
-    per_direction |= {name: np.split(array, edges) for name, array in arrays.items()}
-    tallies = zip(*per_direction.values())
-    content = [dict(zip(per_direction, tally)) for tally in tallies]
-    if copies is None:
-        return rebuilt(header, content)
-    return _with_copies(header, content, copies)
+        copies = _numbers(*opened.pop("copies")) if "copies" in opened else None
+        n_all = len(n_batches if copies is None else copies)
+        needed = announced * n_all / len(n_batches)
+        needed /= min(n_batches) if added_up else 1
+        check_memory("its content", needed, "open it on a larger machine")
+        content = _tallies(opened, n_batches)
+        if copies is None:
+            return rebuilt(header, content, n_all, added_up)
+        return _with_copies(header, content, len(n_batches), copies, added_up)
+
+
+def _tallies(
+    opened: Mapping[str, tuple[IO[bytes], tuple[int, ...], np.dtype[Any]]],
+    n_batches: Sequence[int],
+) -> Iterator[dict[str, Numbers]]:
+    """Arrays of the tally of one incident direction after the other."""
+    for n in n_batches:
+        yield {
+            name: _numbers(
+                member,
+                shape[1:] if name in ("hits", "errors") else (n, *shape[1:]),
+                dtype,
+            )
+            for name, (member, shape, dtype) in opened.items()
+        }
 
 
 def _with_copies(
-    header: dict[str, Any], content: Sequence[dict[str, Numbers]], copies: Integers
+    header: dict[str, Any],
+    content: Iterable[dict[str, Numbers]],
+    n_own: int,
+    copies: Integers,
+    added_up: bool,
 ) -> Record:
     """Record of the directions in the file and of the copies that it leaves out."""
     n, n_sectors = len(copies), parsed_subdivision(header).shape[1]
@@ -177,7 +194,7 @@ def _with_copies(
     source, by, mirrored = copies.T
     own = np.flatnonzero(source == np.arange(n))
     require(
-        len(own) == len(content) and bool(np.isin(source, own).all()),
+        len(own) == n_own and bool(np.isin(source, own).all()),
         "its copies are not of directions that it holds",
     )
     require(
@@ -185,7 +202,7 @@ def _with_copies(
         "its copies are moved in no way that there is",
     )
     held = {name: [header[name][number] for number in own] for name in of_each}
-    record = rebuilt(header | held, content)
+    record = rebuilt(header | held, content, n_own, added_up)
     place = np.searchsorted(own, source).tolist()
     tallies = [record.tallies[number] for number in place]
     for number in np.flatnonzero(source != np.arange(n)).tolist():
@@ -223,20 +240,30 @@ def _array(
     members: dict[str, zipfile.ZipInfo],
     name: str,
     expected: dict[str, tuple[str, int]],
-    wanted: tuple[int | None, ...] | None = None,
 ) -> Numbers:
     """Array of that name, once its header agrees with its type, size and shape."""
+    return _numbers(*_opened(archive, members, name, expected))
+
+
+def _opened(
+    archive: zipfile.ZipFile,
+    members: dict[str, zipfile.ZipInfo],
+    name: str,
+    expected: dict[str, tuple[str, int]],
+    wanted: tuple[int | None, ...] | None = None,
+) -> tuple[IO[bytes], tuple[int, ...], np.dtype[Any]]:
+    """Member at the numbers of the array of that name, its shape and its type."""
     kind, n_axes = expected[name]
     require(f"{name}.npy" in members, f"its array {name} is missing")
     info = members[f"{name}.npy"]
-    with archive.open(info) as member:
-        version = np.lib.format.read_magic(member)
-        require(version == (1, 0), f"its array {name} has npy version {version}")
-        shape, _, dtype = np.lib.format.read_array_header_1_0(member)
-        n_bytes = info.file_size - member.tell()
+    member = archive.open(info)
+    version = np.lib.format.read_magic(member)
+    require(version == (1, 0), f"its array {name} has npy version {version}")
+    shape, by_columns, dtype = np.lib.format.read_array_header_1_0(member)
+    n_bytes = info.file_size - member.tell()
     good = dtype.kind == "U" if kind == "str" else dtype in kind.split()
     require(
-        good and len(shape) == n_axes and dtype.itemsize > 0,
+        good and len(shape) == n_axes and dtype.itemsize > 0 and not by_columns,
         f"its array {name} is {dtype} {shape} instead of {kind} with {n_axes} axes",
     )
     require(
@@ -247,5 +274,16 @@ def _array(
         wanted is None or all(w in (None, n) for w, n in zip(wanted, shape)),
         f"its array {name} of shape {shape} does not fit its other entries",
     )
-    with archive.open(info) as member:
-        return np.lib.format.read_array(member, allow_pickle=False)
+    return member, shape, dtype
+
+
+def _numbers(
+    member: IO[bytes], shape: tuple[int, ...], dtype: np.dtype[Any]
+) -> Numbers:
+    """The next numbers of a member, read in pieces."""
+    array = np.empty(shape, dtype)
+    content = array.reshape(-1).view(np.uint8).data
+    for start in range(0, len(content), PIECE):
+        piece = content[start : start + PIECE]
+        piece[:] = member.read(len(piece))
+    return array

@@ -118,7 +118,7 @@ def _scatter(
 def load_material(
     path: str | PathLike[str], side: str = "front"
 ) -> Record | PatchMeans:
-    """Record, or patch means of another tool, from a file.
+    """Record of one batch, the sum of all, or patch means of another tool.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def load_material(
     """
     ending = Path(path).suffix.lower()
     if ending not in {e for one in _all() for e in one.endings}:
-        return files.load(path)
+        return files.load_added_up(path)
     if not Path(path).exists():
         raise FileNotFoundError(no_file(path))
     known = format_of(path)

@@ -17,7 +17,7 @@ from ..array_types import Floats, Integers
 from ..collector.directions import direction
 from .incident_grid import MIN_BENDING, tried_indices
 from .interpolated_lobes import HalfVectorLegs, InterpolatedLobes
-from .lobes import LobeTable, MeasuredLobes
+from .lobes import LobeTable, MeasuredLobes, mean_lobe
 from .lookups import IncidentPlaces, Place, doubles, read, seen_from, towards
 
 
@@ -261,7 +261,7 @@ def _index(lobes: MeasuredLobes, trials: Sequence[_Trial]) -> float | None:
         return grid.eta
     azimuth, angle = np.nonzero(grid.index >= 0)
     measured = zip(azimuth.tolist(), angle.tolist())
-    brdf = [lobes.brdf([n], [k])[0, 0, 1].mean(axis=-1) for n, k in measured]
+    brdf = [mean_lobe(lobes.brdf([n], [k])[0, 0, 1]) for n, k in measured]
     flux = np.array(brdf) * lobes.patches.projected_solid_angles
     incidents = grid.theta_i[angle], grid.phi_i[azimuth]
     tried = tried_indices(flux, *incidents, lobes.patches)
@@ -301,7 +301,7 @@ class _Trial:
         known = np.flatnonzero(grid.index[:, angle] >= 0)
         azimuth = int(known[int(position * len(known))])
         self.table = lobes.table([azimuth], [angle - 1, angle + 1])
-        self.lobes = lobes.brdf([azimuth], [angle])[0, 0].mean(axis=-1)
+        self.lobes = mean_lobe(lobes.brdf([azimuth], [angle])[0, 0])
         incident = grid.theta_i[angle], grid.phi_i[azimuth]
         self.wi = direction(*np.radians(incident))
 

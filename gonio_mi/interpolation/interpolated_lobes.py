@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from .half_vectors import is_redirected, redirected
-from .lobes import LobeTable
+from .lobes import LobeTable, mean_lobes
 from .lookups import (
     DiskPoint,
     IncidentPlaces,
@@ -242,8 +242,8 @@ class LobeArrays:
         self.means = self.brdf[0]
         self.mean_gradients = [along[0] for along in self.gradients]
         if self.n_channels > 1:
-            self.means = doubles(table.brdf.mean(axis=-1))
-            self.mean_gradients = [doubles(along.mean(-1)) for along in table.gradients]
+            self.means = doubles(mean_lobes(table.brdf))
+            self.mean_gradients = [doubles(mean_lobes(g)) for g in table.gradients]
         drawing = table.drawing
         self.tilts = doubles(drawing.tilts)
         self.sector_tilts = doubles(drawing.sector_tilts)

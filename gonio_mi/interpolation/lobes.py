@@ -71,12 +71,15 @@ class TransportTable:
     ) -> TransportTable:
         """Strips and cells of all legs of a table's lobes."""
         n_azimuths, n_angles, n_hemispheres = brdf.shape[:3]
-        shape = 2, n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
-        strips, strip_slopes = np.empty((2, *shape))
-        cells, cell_slopes = np.empty((2, *shape, shape[-1]))
+        shape = n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
+        # both ends as channels, which are not copied
+        strips, strip_slopes, cells, cell_slopes = (
+            np.moveaxis(aligned((*shape, *more, 2)), -1, 0)
+            for more in ((), (), shape[-1:], shape[-1:])
+        )
         for azimuth, phi in enumerate(np.radians(phi_i)):
-            histograms = _histograms(brdf[azimuth].mean(axis=-1), patches, phi)
-            for leg, hemisphere in np.ndindex(shape[2:4]):
+            histograms = _histograms(brdf[azimuth], patches, phi)
+            for leg, hemisphere in np.ndindex(shape[1:3]):
                 ends = [
                     histograms[min(leg + end, n_angles - 1), hemisphere]
                     for end in (0, 1)
@@ -91,6 +94,7 @@ class TransportTable:
 def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
     """Flux in each cell of the disk, normalised, shape ``(N, H, N_CELLS, N_CELLS)``.
 
+    Of all channels of the lobes ``(N, H, n_theta, n_phi, channels)`` of an azimuth.
     Light comes from +x; cells are equal steps of x and of ``y / sqrt(1 - x^2)``.
     """
     n = N_CELLS * N_POINTS
@@ -102,10 +106,13 @@ def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
         x * np.sin(phi_i) + y * np.cos(phi_i),
     ]
     index = patches.patch(np.stack([*turned, z], axis=-1))
-    flux = brdf.reshape(*brdf.shape[:2], -1)[..., index] * across
-    flux = flux.reshape(*brdf.shape[:2], N_CELLS, N_POINTS, N_CELLS, N_POINTS)
-    flux = flux.sum(axis=(3, 5))
-    even = across.reshape(N_CELLS, N_POINTS, N_CELLS, N_POINTS).sum(axis=(1, 3))
+    points = N_CELLS, N_POINTS, N_CELLS, N_POINTS
+    flux = np.moveaxis(np.empty((N_CELLS, N_CELLS, *brdf.shape[:2])), (2, 3), (0, 1))
+    for lobe in np.ndindex(brdf.shape[:2]):
+        at_points = mean_lobe(brdf[lobe]).ravel()[index] * across
+        of_cells = at_points.reshape(points).transpose(1, 3, 0, 2)
+        flux[lobe] = of_cells.reshape(-1, N_CELLS, N_CELLS).sum(axis=0)
+    even = across.reshape(points).sum(axis=(1, 3))
     total = flux.sum(axis=(2, 3), keepdims=True)
     flux = flux / np.where(total > 0, total, 1)
     return (1 - EVEN_FRACTION) * flux + EVEN_FRACTION * even / even.sum()
@@ -169,7 +176,7 @@ def merged(first: Floats, second: Floats) -> tuple[Floats, Floats, Integers]:
 # ---------------------------------------------------------------------- tables of lobes
 
 # Of the whole table as Dr.Jit holds it: half of what a machine of 8 GiB has. While it
-# is made, it needs twice as much.
+# is made, it needs a fifth more.
 MAX_BYTES = 2**32
 
 
@@ -189,8 +196,8 @@ class LobeTable:
         Of absolute azimuth.
     brdf : ndarray, shape (P, N, H, n_theta, n_phi, channels)
         Patch means of BRDF and BTDF in 1/sr, in ``H`` hemispheres.
-    gradients : ndarray, shape (2, P, N, H, n_theta, n_phi, channels)
-        Their change across each patch; see :func:`.half_vectors.gradients`.
+    gradients : pair of ndarray, shape of `brdf`
+        Their changes across each patch; see :func:`.half_vectors.gradients`.
     flux : ndarray, shape (P, N, H, channels)
         Flux fractions: reflectance and transmittance.
     """
@@ -198,23 +205,29 @@ class LobeTable:
     grid: IncidentGrid
     patches: RingsAndSectors
     brdf: Floats
-    gradients: Floats
+    gradients: tuple[Floats, Floats]
     flux: Floats
 
     @property
     def drawing(self) -> Drawing:
         """By what points of the lobes are drawn."""
+        *lobes, n_theta, n_phi, _ = self.brdf.shape
         areas = self.patches.projected_solid_angles
-        weight = self.brdf.mean(axis=-1) * areas
-        total = weight.sum(axis=-1)
-        tilts = self.gradients[0].mean(axis=-1)
-        tilts *= areas
-        tilts /= np.where(total > 0, total, 1)[..., None]
-        sector_tilts = np.zeros((*tilts.shape[:-1], tilts.shape[-1] + 1))
-        np.cumsum(tilts, axis=-1, out=sector_tilts[..., 1:])
+        totals = np.empty((*lobes, n_theta))
+        sectors, sector_tilts = (
+            aligned((*lobes, n_theta, n_phi + 1, 1))[..., 0] for _ in range(2)
+        )
+        for lobe in np.ndindex(*lobes):
+            weight = mean_lobe(self.brdf[lobe]) * areas
+            totals[lobe] = total = weight.sum(axis=-1)
+            sectors[lobe] = cumulative(weight)
+            tilts = mean_lobe(self.gradients[0][lobe])
+            tilts *= areas
+            tilts /= np.where(total > 0, total, 1)[..., None]
+            np.cumsum(tilts, axis=-1, out=sector_tilts[(*lobe, ..., slice(1, None))])
         return Drawing(
-            rings=cumulative(total),
-            sectors=cumulative(weight),
+            rings=cumulative(totals),
+            sectors=sectors,
             tilts=sector_tilts[..., -1],
             sector_tilts=sector_tilts,
         )
@@ -282,29 +295,35 @@ class MeasuredLobes:
         n_azimuths, n_angles = self.grid.index.shape
         n_bytes = check_table(n_azimuths, n_angles, lobes)
         making = "a table of this record, while it is made,"
-        check_memory(making, 2 * n_bytes, "measure on fewer patches")
+        check_memory(making, 1.2 * n_bytes, "measure on fewer patches")
         return self.table(range(n_azimuths), range(n_angles))
 
     def table(self, azimuths: Sequence[int], angles: Sequence[int]) -> LobeTable:
         """Table of some azimuths and polar angles, as if no others were known."""
         brdf, rings = self.brdf(azimuths, angles), self.patches
-        changes = np.zeros((2, *brdf.shape))
-        if rings == self.measured:  # else what is below them has no rings
-            for number, lobes in enumerate(brdf):
-                edges = rings.theta_edges, rings.phi_edges
-                changes[:, number] = gradients(lobes, *edges)
-        flux = np.einsum("pnhrsc,rs->pnhc", brdf, rings.projected_solid_angles)
+        changes = aligned(brdf.shape), aligned(brdf.shape)
+        flux = np.empty((*brdf.shape[:3], brdf.shape[-1]))
+        for lobe in np.ndindex(brdf.shape[:2]):  # by lobe: all at once need the memory
+            own = np.ascontiguousarray(brdf[lobe])
+            flux[lobe] = np.einsum("hrsc,rs->hc", own, rings.projected_solid_angles)
+            if rings == self.measured:  # else what is below them has no rings
+                found = gradients(own, rings.theta_edges, rings.phi_edges)
+                changes[0][lobe], changes[1][lobe] = found
         part = self.grid.part(azimuths, angles)
         return LobeTable(part, rings, brdf, changes, flux)
 
     def brdf(self, azimuths: Sequence[int], angles: Sequence[int]) -> Floats:
         """BRDF and BTDF in 1/sr, shape ``(P, N, H, n_theta, n_phi, channels)``."""
-        found = self.grid.filled(self.flux, azimuths, angles)
-        if self.mixture is not None:
-            found = found @ np.asarray(self.mixture, dtype=float)[:, None]
-        found /= self.measured.projected_solid_angles[..., None]
-        values: Floats = self.measured.in_rings(found)[1]
-        return values
+        n_channels = self.flux.shape[-1] if self.mixture is None else 1
+        lobes = self.flux.shape[1], *self.patches.shape, n_channels
+        brdf = aligned((len(azimuths), len(angles), *lobes))
+        for column, angle in enumerate(angles):
+            found = self.grid.filled(self.flux, azimuths, [angle])
+            if self.mixture is not None:
+                found = found @ np.asarray(self.mixture, dtype=float)[:, None]
+            found /= self.measured.projected_solid_angles[..., None]
+            brdf[:, column] = self.measured.in_rings(found)[1][:, 0]
+        return brdf
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,6 +346,36 @@ class Drawing:
     sectors: Floats
     tilts: Floats
     sector_tilts: Floats
+
+
+def aligned(shape: tuple[int, ...]) -> Floats:
+    """Zeros, of which each channel, the last axis, is in the place of Dr.Jit's arrays.
+
+    Dr.Jit takes NumPy's memory as it is: a table is not copied, as long as its channels
+    are in one row each. A kernel that reads from a place that is no multiple of 64
+    bytes is another one: another record would be compiled anew, by chance.
+    """
+    *axes, n_channels = shape
+    n = math.prod(axes)
+    row = -(-n // 8) * 8
+    memory = np.zeros(n_channels * row + 7)
+    start = -memory.ctypes.data % 64 // 8
+    rows = memory[start:][: n_channels * row].reshape(n_channels, row)[:, :n]
+    return np.moveaxis(rows.reshape(n_channels, *axes), 0, -1)
+
+
+def mean_lobe(lobe: Floats) -> Floats:
+    """Mean of a lobe's channels."""
+    mean: Floats = np.ascontiguousarray(lobe).mean(axis=-1)
+    return mean
+
+
+def mean_lobes(lobes: Floats) -> Floats:
+    """Mean of the channels of each lobe of a table."""
+    means = aligned((*lobes.shape[:-1], 1))[..., 0]
+    for lobe in np.ndindex(lobes.shape[:2]):
+        means[lobe] = mean_lobe(lobes[lobe])
+    return means
 
 
 def is_significant(part: float, total: float) -> bool:

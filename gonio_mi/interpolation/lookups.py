@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .incident_grid import IncidentGrid
+from .lobes import aligned
 
 
 @dataclass(frozen=True)
@@ -57,16 +58,13 @@ def towards(point: DiskPoint, phi_i: mi.Float64, upper: mi.Bool) -> mi.Vector3f:
 
 
 def doubles(values: ArrayLike) -> mi.Float64:
-    """Array of all values, in one row that begins where Dr.Jit's own arrays may.
-
-    Dr.Jit takes NumPy's memory as it is. A kernel that reads from any other place is
-    another one: another record would be compiled anew, by chance.
-    """
+    """Array of all values, in one row; what is :func:`.lobes.aligned` is not copied."""
     row = np.ravel(values)
-    memory = np.empty(len(row) + 7)
-    start = -memory.ctypes.data % 64 // 8
-    memory[start:][: len(row)] = row
-    return mi.Float64(memory[start:][: len(row)])
+    if row.dtype != float or row.ctypes.data % 64 or not row.flags.writeable:
+        memory = aligned((len(row), 1))[:, 0]
+        memory[:] = row
+        row = memory
+    return mi.Float64(row)
 
 
 def read(array: mi.Float64, index: mi.UInt32, active: mi.Bool = True) -> mi.Float64:

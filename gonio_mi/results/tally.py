@@ -242,6 +242,15 @@ class Tally:
             | {"hits": sum(tally.hits for tally in tallies[1:]) + first.hits}
         )
 
+    def added_up(self) -> Tally:
+        """Tally of one batch, the sum of all in double precision; without matrices.
+
+        Values are as they were, to the bit; what they may be wrong by is lost.
+        """
+        names = ("sums", "incident", "direct")
+        sums = {n: np.sum(getattr(self, n), axis=0, dtype=float)[None] for n in names}
+        return self._with(sums | {"fates": self.fates.sum(axis=0, keepdims=True)})
+
     def accumulate(self, other: Tally) -> Tally:
         """Tally of one batch from two parts of it: the sums add, batch by batch."""
         channels = max(self.channels, other.channels)
@@ -356,6 +365,11 @@ class PolarisedTally(Tally):
         joined = np.concatenate([first, self.elements[:, hemisphere]], axis=-2)
         joined = np.swapaxes(joined, -1, -2)
         return joined.reshape(*joined.shape[:-1], 4, 4)
+
+    def added_up(self) -> Tally:
+        """Of the first element alone."""
+        arrays = {name: getattr(self, name) for name in Tally.arrays}
+        return Tally(**arrays, scale=self.scale).added_up()
 
     def halves(self, sign: int = 1) -> Tally:
         """Tally of half the sum, or difference, of the first element and each of all.

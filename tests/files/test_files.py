@@ -410,7 +410,7 @@ def test_arrays_that_do_not_fit(tmp_path, name, value, reason):
         ("subdivision", 5, "subdivision 5 is unknown"),
         ("channels", "Y", "not a list"),
         ("channels", ["R"], "missing"),
-        ("channels", [1], "missing"),
+        ("channels", [1], "not a list"),
         ("theta_i", [30], "theta_i"),
         ("theta_i", [True], "theta_i"),
         ("theta_i", [31.0], "check sum"),

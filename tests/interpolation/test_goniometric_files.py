@@ -1,8 +1,12 @@
 """Materials of wavelengths, and of Radiance's files."""
 
+import tracemalloc
+from dataclasses import replace
+
 import mitsuba as mi
 import numpy as np
 import pytest
+import synthetic
 from budget import agree, disagree, scores, single
 from lit_points import (
     EPS,
@@ -15,11 +19,13 @@ from lit_points import (
 )
 
 import gonio_mi as gonio
+from gonio_mi import files
 from gonio_mi.collector.directions import direction
 from gonio_mi.collector.klems import Klems
 from gonio_mi.exports import exporting, measured_export, radiance_export
 from gonio_mi.formats import radiance
 from gonio_mi.formats.reading import load_material
+from gonio_mi.interpolation import lobes
 
 # Not in their order.
 CHANNELS = ("500nm", "400nm", "650nm")
@@ -37,6 +43,55 @@ def coarse(monkeypatch):
     """Average over fewer points of each Klems patch."""
     monkeypatch.setattr(radiance_export, "POINTS_OUT", 2)
     monkeypatch.setattr(radiance_export, "POINTS_IN", 1)
+
+
+# ---------------------------------------------------------------------------- memory
+
+
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("ending", [".npz", ".exr"])
+def test_loading_takes_the_memory_that_is_kept(tmp_path, monkeypatch, ending):
+    """Up to a fifth more; twin: not where all batches of a record are read first."""
+    monkeypatch.setattr(lobes, "N_POINTS", 2)  # 8 MiB for points, of any table
+    patches, theta_i = "projected:64x64", np.linspace(0, 80, 32)
+    record = synthetic.record(patches, theta_i, 0 * theta_i, n_batches=16)
+    path = tmp_path / f"run{ending}"
+    record.save(path)
+    material(path)  # what is only made once
+    ratios, kept = [], []
+    for load in (files.load_added_up, files.load):
+        monkeypatch.setattr(files, "load_added_up", load)
+        tracemalloc.start()
+        kept.append(material(path))
+        now, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert now > 5 * record.tallies[0].hits.nbytes * len(record)
+        ratios.append(peak / now)
+    assert ratios[0] < 1.2 < ratios[1]
+
+
+@pytest.mark.parametrize("ending", [".npz", ".exr"])
+@pytest.mark.parametrize("weights", [True, False])
+def test_added_up_batches_have_the_values_of_all(tmp_path, ending, weights):
+    """To the bit; twin: batches in another order do not."""
+    record = synthetic.record("projected:6x8", (0, 30, 60), (0, 0, 0), n_batches=16)
+    if weights:
+        rng, tallies = np.random.default_rng(1), []
+        for one in record.tallies:
+            sums, incident = (
+                a * rng.uniform(0.5, 1, a.shape) for a in (one.sums, one.incident)
+            )
+            tallies.append(replace(one, sums=sums, incident=incident, direct=None))
+        record = replace(record, tallies=tuple(tallies))
+        turned = [replace(one, sums=one.sums[::-1]) for one in tallies]
+        other = replace(record, tallies=tuple(turned))
+        assert not np.array_equal(other.brdf, record.brdf)
+    record.save(tmp_path / f"run{ending}")
+    loaded = files.load_added_up(tmp_path / f"run{ending}")
+    assert [tally.n_batches for tally in loaded.tallies] == [1, 1, 1]
+    np.testing.assert_array_equal(loaded.brdf, record.brdf)
+    np.testing.assert_array_equal(loaded.dhr, record.dhr)
+    assert loaded.ledger == record.ledger
 
 
 # ----------------------------------------------------------------------- wavelengths

@@ -280,7 +280,10 @@ def _face(label: str, name: str, side: str) -> InterpolatedBSDF:
     """Face of the material in a file, in the variant's channels."""
     try:
         lobes, wavelengths = _lobes(_resolved(name), side)
-        return InterpolatedBSDF(lobes.whole(), wavelengths, half_vector_legs(lobes))
+        legs = half_vector_legs(lobes)
+        table = lobes.whole()
+        del lobes  # which would be kept until the table's arrays are made
+        return InterpolatedBSDF(table, wavelengths, legs)
     except (ValueError, OSError) as error:
         raise type(error)(f"{label}: {error}") from None
 
