@@ -97,6 +97,7 @@ def threads(request):
 
 # The variants by the names of their fixtures.
 VARIANTS = {name: f"llvm_ad_{name}" for name in ("mono", "rgb", "spectral")}
+POLARISED = "llvm_ad_mono_polarized"
 
 
 def _set_variant(name):
@@ -121,7 +122,7 @@ def unmoved(request, monkeypatch, tmp_path_factory):
     depends on how long ago another test wrote one, and on how slow the machine is.
     Without another test's BSDFs too: Dr.Jit records the calls of all that exist.
     """
-    if not {*VARIANTS, "variant"} & {*request.fixturenames}:
+    if not {*VARIANTS, "variant", "polarised"} & {*request.fixturenames}:
         _set_variant(VARIANTS["mono"])
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr(progress, "PAUSE", 1e6)
@@ -152,6 +153,14 @@ def rgb():
 def spectral():
     """Run the test in llvm_ad_spectral."""
     return _set_variant(VARIANTS["spectral"])
+
+
+@pytest.fixture
+def polarised():
+    """Run the test in a polarised variant."""
+    if POLARISED not in mi.variants():
+        pytest.skip("not in this build")
+    return _set_variant(POLARISED)
 
 
 @pytest.fixture(params=VARIANTS.values())

@@ -176,6 +176,7 @@ def test_twin_the_same_record_untouched_is_read(path):
         assert gonio.load(path) == record
 
 
+@pytest.mark.usefixtures("rgb")
 @pytest.mark.parametrize(
     "estimator", ["analog", "weighted", "next_event", "quadrature"]
 )
@@ -184,7 +185,6 @@ def test_what_is_measured_is_possible(tmp_path, estimator, specimen):
     """Records of the instrument keep what is asked of files, and files keep them."""
     if (specimen, estimator) == ("dielectric", "next_event"):
         pytest.skip("has nothing to deposit")
-    mi.set_variant("llvm_ad_rgb")
     settings = {"collector": "projected:4x6", "batches": 2, "estimator": estimator}
     if estimator != "quadrature":
         settings["rays"] = 2000
@@ -640,8 +640,9 @@ FIELDS = fuzz.measured_fields()
 
 
 @pytest.fixture
-def material(tmp_path):
+def material(tmp_path, rgb):
     """Writer of a file for Mitsuba's `measured`, some of whose fields are other."""
+    del rgb
 
     def write(**changes):
         fields = {k: v for k, v in (FIELDS | changes).items() if v is not None}
@@ -649,7 +650,6 @@ def material(tmp_path):
             tensor_file.write(fields, stream)
         return str(tmp_path / "m.bsdf")
 
-    mi.set_variant("llvm_ad_rgb")
     return write
 
 
@@ -701,7 +701,6 @@ def test_a_material_ends_with_its_wavelengths(material, form):
     said = r"m\.bsdf covers the wavelengths from 450 to 650 nm, got 900 nm"
     with pytest.raises(gonio.SpecimenError, match=said):
         gonio.measure(form(name), wavelengths=[550, 900], **settings)
-    mi.set_variant("llvm_ad_rgb")
 
 
 @pytest.mark.parametrize("form", [as_dict, as_scene, as_included])

@@ -10,8 +10,6 @@ import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.collector.directions import direction
 
-VARIANT = "llvm_ad_mono_polarized"
-
 # Single precision, after some dozens of operations on elements up to 1.
 ROUNDING = 4e-6
 
@@ -21,14 +19,7 @@ FEW = {"rays": 256, "batches": 2, "collector": "projected:4x8"}
 FINE = {"rays": 4096, "collector": "projected:20x36", "footprint": "full"}
 
 
-@pytest.fixture(autouse=True)
-def polarised(unmoved):  # noqa: ARG001 (which sets another variant before)
-    """Run the tests in a polarised variant."""
-    if VARIANT not in mi.variants():
-        pytest.skip("not in this build")
-    mi.set_variant(VARIANT)
-    yield
-    mi.set_variant("llvm_ad_mono")
+pytestmark = pytest.mark.usefixtures("polarised")
 
 
 def _wi(theta_i, phi_i):

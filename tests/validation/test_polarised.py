@@ -32,24 +32,18 @@ ROUGH = {"type": "roughconductor", "eta": 0.2, "k": 3.0, "alpha": 0.3}
 ROUNDING = 1e-5
 
 
-@pytest.fixture
-def polarised():
-    """Run the test in a polarised variant."""
-    if VARIANT not in mi.variants():
-        pytest.skip("not in this build")
-    before = mi.variant()
-    mi.set_variant(VARIANT)
-    yield
-    mi.set_variant(before)
-
-
-@pytest.fixture
-def plugins(polarised):  # noqa: ARG001 (sets the variant)
+@pytest.fixture(scope="module")
+def registered():
     """Register broken and right plugins, in both variants."""
-    mi.set_variant("llvm_ad_mono")
-    polarised_bsdfs.register()
-    mi.set_variant(VARIANT)
-    polarised_bsdfs.register()
+    for variant in ("llvm_ad_mono", VARIANT):
+        if variant in mi.variants():
+            mi.set_variant(variant)
+            polarised_bsdfs.register()
+
+
+@pytest.fixture
+def plugins(registered, polarised):
+    """Broken and right plugins, in a polarised variant."""
 
 
 def _directions(n, seed=0):
