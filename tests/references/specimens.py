@@ -60,6 +60,7 @@ class Aimed:
 
     def sample(self, sampler, wavelengths):  # noqa: ARG002
         p, wi = mi.Point3f(self.p.T), mi.Vector3f(self.wi.tolist())
+        dr.make_opaque(wi)  # one kernel for all directions
         return p, wi, mi.Float(dr.inf), mi.Spectrum(1.0)
 
 
@@ -102,6 +103,8 @@ def followed(specimen, beam, n, seed=0):
     exits = trace(
         specimen, beam, sampler, mi.Color0f(), PathSettings(False, 1000, 2**32 - 1)
     )
+    # in one kernel: the rays are followed once
+    dr.eval(exits.fate, exits.d, exits.depth, exits.throughput)
     return Rays(
         np.array(exits.fate),
         np.array(exits.d).T.astype(float),
