@@ -45,6 +45,7 @@ def eval_flux(bsdf, theta_i, phi_i, wo, *, side="front", nm=None):
     if nm is not None:
         si.wavelengths = mi.Spectrum(nm)
     si.wi = mi.Vector3f(wi.tolist())
+    dr.make_opaque(si.wi)  # one kernel for all directions
     ctx = mi.BSDFContext(mi.TransportMode.Importance)
     vectors = mi.Vector3f(np.ascontiguousarray(wo.T, dtype=np.float32))
     values = np.array(bsdf.eval(ctx, si, vectors), dtype=float)
