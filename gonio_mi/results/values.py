@@ -236,11 +236,10 @@ class MeasuredValues:
 
         The raw measured quantity; it sums to ``dhr`` and ``dht``.
         """
-        fractions = [
-            statistics.ratio(tally.sums, tally.incident[:, None, None, None])
-            for tally in self.tallies
-        ]
-        return self._squeeze(np.stack(fractions))
+        fractions = np.empty((len(self.tallies), *self.tallies[0].sums.shape[1:]))
+        for own, tally in zip(fractions, self.tallies):
+            own[:] = statistics.ratio(tally.sums, tally.incident[:, None, None, None])
+        return self._squeeze(fractions)
 
     @property
     def counts(self) -> Counts:
