@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from ..array_types import Floats, Numbers
 from ..collector import Subdivision, subdivision
 from ..errors import FileFormatError, shown
-from ..results.provenance import read_settings
+from ..results.provenance import FACETS, read_settings
 from ..results.record import Record
 from ..results.tally import N_ELEMENTS, Fate, Integrals, PolarisedTally, Tally
 from .checks import require
@@ -129,10 +129,12 @@ def rebuilt(
         f"its setting collector is {shown(collector)}, its patches are "
         f"{shown(str(patches))}",
     )
+    # rays take off sums what facets are said to send
+    signed = {"elements", *(["sums"] if provenance.transport == FACETS else [])}
     kept = []
     for arrays, scale in zip(tallies, scales):
         require(0 < scale < 2**63, f"its scale {scale} is out of range")
-        _check_shapes(arrays, patches.shape, len(channels))
+        _check_shapes(arrays, patches.shape, len(channels), signed)
         tally = _tally(arrays, scale)
         kept.append(tally.added_up() if added_up else tally)
     return Record(
@@ -165,9 +167,15 @@ def _tally(arrays: dict[str, Numbers], scale: int) -> Tally:
 
 
 def _check_shapes(
-    arrays: dict[str, Numbers], patches: tuple[int, int], n_channels: int
+    arrays: dict[str, Numbers],
+    patches: tuple[int, int],
+    n_channels: int,
+    signed: Collection[str],
 ) -> None:
-    """Raise FileFormatError unless the arrays of a tally fit the header."""
+    """Raise FileFormatError unless the arrays of a tally fit the header.
+
+    Those of `signed` names may be negative.
+    """
     n_hemispheres, n_batches = len(arrays["hits"]), len(arrays["fates"])
     require(n_hemispheres in (1, 2), f"it has {n_hemispheres} hemispheres")
     require(n_batches > 0, "it holds no batch")
@@ -186,16 +194,16 @@ def _check_shapes(
     weights = arrays["incident"].dtype == np.float64
     for name, shape in shapes.items():
         array = arrays[name]
-        signed = name == "elements"
         floats = weights and name in ("sums", "incident", "errors", "direct")
-        floats |= signed
+        floats |= name == "elements"
         kind = np.dtype(np.float64 if floats else np.uint64)
         require(
             array.shape == shape and array.dtype == kind,
             f"its array {name} is {array.dtype} {array.shape}, not {kind} {shape}",
         )
+        sound = np.isfinite(array) & ((array >= 0) | (name in signed))
         require(
-            not floats or bool(np.all(((array >= 0) | signed) & np.isfinite(array))),
+            not floats or bool(np.all(sound)),
             f"its array {name} holds negative numbers, infinity or NaN",
         )
 

@@ -23,6 +23,7 @@ from ..settings.measurement_settings import (
     MeasurementSettings,
 )
 from ..settings.values import Order
+from ..transport.first_order import knows_first_order
 from ..transport.scene_objects import holds_foreign_plugins
 from ..transport.setup import Setup
 from ..transport.specimen import Specimen
@@ -37,6 +38,9 @@ PILOT_SEED = 0x6175746F << 64
 # Rays of `next_event` in each batch of a short run, and as many batches as usual; of
 # `weighted` as many as cost the same.
 PILOT_RAYS, PILOT_BATCHES = 4, 16
+
+# Rays in each batch of a short run where the first order is known from facets.
+FACET_RAYS = 256
 
 # CPU time of a point, over that of a ray that is traced: 0.13 to 0.7 were measured.
 POINT_COST = 0.5
@@ -77,14 +81,15 @@ def chosen(
     flags = [bsdf.flags() for bsdf in surfaces]
     by_delta = any(mi.has_flag(one, mi.BSDFFlags.Delta) for one in flags)
     flat = specimen.plane is not None and not settings.trace
+    by_rays = not any(mi.has_flag(one, mi.BSDFFlags.Smooth) for one in flags)
+    deposits = replace(settings, estimator=Estimator.NEXT_EVENT)
+    by_facets = by_rays and not (flat or orders) and knows_first_order(tried(deposits))
     wish, most = settings.rel_err, INTEGRAL_REL_ERR
     reasons = {
         "a medium is walked through": bool(specimen.media),
         "the variant is polarised": mi.is_polarized,
         "orders share their rays": bool(orders),
-        "there are delta components only": not any(
-            mi.has_flag(one, mi.BSDFFlags.Smooth) for one in flags
-        ),
+        "there are delta components only": by_rays and not by_facets,
         "the others need eval, and that of a plugin in Python may differ from sample": (
             any(map(holds_foreign_plugins, surfaces))
         ),
@@ -96,7 +101,7 @@ def chosen(
         if holds:
             return usual, f"weighted, for {reason}"
     if not flat:
-        return _traced(settings, usual, tried)
+        return _traced(settings, usual, tried, by_facets)
     integrals = replace(settings, estimator=Estimator.QUADRATURE)
     try:
         tried(integrals)
@@ -109,24 +114,30 @@ def _traced(
     settings: MeasurementSettings,
     usual: MeasurementSettings,
     tried: Callable[[MeasurementSettings], Setup],
+    by_facets: bool,
 ) -> tuple[MeasurementSettings, str]:
-    """The same for geometry: short runs of equal cost, and what errors they leave."""
+    """The same for geometry: short runs of equal cost, and what errors they leave.
+
+    `by_facets`: the first order is known, and no point is sent to.
+    """
     points = settings.points
-    if points == 1:  # nobody asked for more
+    if points == 1 and not by_facets:  # nobody asked for more
         points = min(settings.collector.n_patches, MAX_POINTS)
-    cost = 1 + POINT_COST * points
+    cost = 1.0 if by_facets else 1 + POINT_COST * points
     deposits = replace(settings, estimator=Estimator.NEXT_EVENT, points=points)
     if settings.rel_err is None and settings.noise is None:
         deposits = replace(deposits, rays=max(round(settings.rays / cost), 1))
         if deposits.rays < MIN_RAYS * settings.batches:
             return usual, "weighted, for the rays are few"
-    error = _error(tried, usual, round(PILOT_RAYS * cost))
+    short = FACET_RAYS if by_facets else PILOT_RAYS
+    error = _error(tried, usual, round(short * cost))
     # of independent rays: the same error for the square of that in rays
-    ratio = (_error(tried, deposits, PILOT_RAYS) / error) ** 2 if error else np.inf
+    ratio = (_error(tried, deposits, short) / error) ** 2 if error else np.inf
     part = f"about {ratio:.1g} of the CPU time of weighted, by short runs"
+    how = "its first order from facets" if by_facets else f"{points} points"
     if not ratio <= MAX_RATIO:
-        return usual, f"weighted, for next_event, {points} points, needs {part}"
-    return deposits, f"next_event, {points} points, needs {part}"
+        return usual, f"weighted, for next_event, {how}, needs {part}"
+    return deposits, f"next_event, {how}, needs {part}"
 
 
 def _error(

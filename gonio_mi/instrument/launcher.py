@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from ..results.tally import Tally
+from ..transport.first_order import first_order_of, knows_first_order
 from ..transport.kernels import check_all_counted
 from ..transport.launch import Launch, launch, traces
 from ..transport.morton import block_bits, chunk_lanes
@@ -110,6 +111,7 @@ class Launcher:
         setup, n = setups[0], len(setups)
         beams = tuple(one.beam for one in setups) if self.together > 1 else ()
         lanes = [wavelength_lanes(nm) for nm in setup.passes]
+        known = [first_order_of(setup, lane) for lane in lanes]
         first, sizes = part.first, tuple(size for size in part.sizes for _ in setups)
         while sizes:
             n_batches = range(first, first + len(sizes) // n)
@@ -122,7 +124,11 @@ class Launcher:
             for number, nm in enumerate(setup.passes):
                 own = tuple((*key, number) for key in keys[:several])
                 one = replace(
-                    whole, wavelengths=lanes[number], keys=own, sizes=sizes[:several]
+                    whole,
+                    wavelengths=lanes[number],
+                    keys=own,
+                    sizes=sizes[:several],
+                    first=known[number],
                 )
                 total: Any = None
                 pieces = self._along_curve if self.curved else self._in_order
@@ -192,7 +198,8 @@ def _may_share(setup: Setup) -> bool:
     if not setup.beam.collimated or Target.of(setup.settings) is not None:
         return False
     if traces(setup):
-        return not setup.specimen.media
+        # the first order of each direction is a table of its own
+        return not setup.specimen.media and not knows_first_order(setup)
     return not setup.specimen.plane.by_ray
 
 

@@ -363,6 +363,66 @@ class SampledEstimates(Estimates):
 
 
 @dataclass(frozen=True, eq=False)
+class ControlledEstimates(SampledEstimates):
+    """Estimates of what rays change of a first order that is known from facets.
+
+    Each ray changes a patch by its power of 1 at most, up or down, and most not at all:
+    of those that do, the scatter tells how many there were, and by chance one more may
+    have been missed. Nothing is dark, for facets need no ray to be seen. A sum that
+    rays made negative is told as 0, in patches of less than their chance error; totals
+    are of all sums as they are.
+    """
+
+    @property
+    def without_hit(self) -> Flags:
+        """Whether a patch is known by an upper limit only: none is."""
+        return np.zeros(self.tally.hits.shape, bool)
+
+    def dark(self, hemisphere: int) -> Flags:
+        """Whether a value is known by an upper limit only: none is."""
+        return self._nowhere(hemisphere)
+
+    def pooled(self, hemisphere: int) -> Flags:
+        """Whether a patch is judged by the hits of others: none is."""
+        return self._nowhere(hemisphere)
+
+    def fraction(self, hemisphere: int) -> Floats:
+        """Flux fraction of each patch, 0 where chance made it negative."""
+        return np.maximum(super().fraction(hemisphere), 0.0)
+
+    def std_err(self, hemisphere: int) -> Floats:
+        """Standard error of :meth:`fraction`, with that of one more ray."""
+        return np.hypot(self._scatter(hemisphere), 1 / self.rays)
+
+    def total_std_err(self, hemisphere: int) -> Floats:
+        """Standard error of :meth:`total`, with that of one more ray."""
+        return np.hypot(super().total_std_err(hemisphere), 1 / self.rays)
+
+    def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
+        """Limits of :meth:`fraction`."""
+        value = super().fraction(hemisphere)
+        return self._changed(value, self._scatter(hemisphere), level)
+
+    def total_interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
+        """Limits of :meth:`total`."""
+        scatter = super().total_std_err(hemisphere)
+        return self._changed(self.total(hemisphere), scatter, level)
+
+    def _changed(
+        self, value: Floats, scatter: Floats, level: float
+    ) -> tuple[Floats, Floats]:
+        """Interval by Student's t, or of a Poisson count of rays if that is wider."""
+        one = 1 / self.rays
+        counted = scatter**2 / one
+        high = statistics.gamma_interval(counted, scatter, one, level)[1]
+        least = np.fmax(high - counted, ROUNDING * value)
+        low, high = statistics.student_interval(
+            value, scatter, self.tally.n_batches, level, below=least, above=least
+        )
+        return np.maximum(low, 0.0), np.maximum(high, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
 class IntegralEstimates(Estimates):
     """Estimates from integrals, which may be wrong by their error.
 

@@ -41,6 +41,9 @@ FREE_WHEN_MERGED = {
 # Processor of records that do not report it.
 UNKNOWN = "unknown"
 
+# Transport of rays beside a sum over mirror facets, which is their first order.
+FACETS = "facets"
+
 
 def _refuse(*_: object, **__: object) -> NoReturn:
     raise TypeError(
@@ -145,7 +148,8 @@ class Provenance:
     emitter : str
         Class of the emitter.
     transport : str
-        How rays were followed: on a ``plane``, through ``layers``, or ``traced``.
+        How rays were followed: on a ``plane``, through ``layers``, or ``traced``; of
+        mirror ``facets``, for what a sum over these leaves open.
     choice : str
         Why this estimator, where it was ``auto`` that was asked for.
     sampler : str

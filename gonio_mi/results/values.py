@@ -15,9 +15,14 @@ from ..collector import Subdivision
 from ..errors import SettingError, checked_choice, checked_number
 from ..settings import MeasurementSettings
 from . import statistics
-from .estimates import Estimates, IntegralEstimates, SampledEstimates
+from .estimates import (
+    ControlledEstimates,
+    Estimates,
+    IntegralEstimates,
+    SampledEstimates,
+)
 from .mueller import MuellerEstimates, checked_stokes
-from .provenance import Provenance
+from .provenance import FACETS, Provenance
 from .tally import Integrals, Ledger, PolarisedTally, Tally
 
 
@@ -449,7 +454,9 @@ class MeasuredValues:
         passes = self.provenance.passes
         if isinstance(tally, Integrals):
             return IntegralEstimates(tally, passes=passes)
-        return SampledEstimates(
+        by_facets = self.provenance.transport == FACETS
+        kind = ControlledEstimates if by_facets else SampledEstimates
+        return kind(
             tally,
             independent=self.provenance.sampler == "independent",
             deposited=self.asked.estimator.deposits,

@@ -185,7 +185,9 @@ class MeasurementSettings:
         "collimated beam, and samples delta components only. ``next_event`` deposits "
         "``eval`` at every event on geometry towards points in random patches that are "
         "in sight, and counts the rays as well, by the balance heuristic: for narrow "
-        "apertures and for patches far from the lobes, not for totals. ``auto`` takes "
+        "apertures and for patches far from the lobes, not for totals. Of mirror "
+        "facets in a periodic cell, which a collimated beam fills, it sums the first "
+        "order up over the facets, and rays tell the rest. ``auto`` takes "
         "the cheapest but ``analog``; the record names it, and why.",
         group=METHOD,
         metavar="E",

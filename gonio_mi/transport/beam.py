@@ -93,7 +93,7 @@ class Beam:
         radii = self.half if isinstance(footprint, str) else (footprint, footprint)
         self._radii = in_memory(radii)
         if self.collimated:
-            self._wi = mi.Vector3f(in_memory(self.direction))
+            self.wi = mi.Vector3f(in_memory(self.direction))
         self.divergence = divergence
         if divergence:
             self._check_divergence()
@@ -108,6 +108,12 @@ class Beam:
     def uniform(self) -> bool:
         """Whether all rays carry the same power."""
         return self.collimated
+
+    @property
+    def fills_cell(self) -> bool:
+        """Whether it is parallel light that falls on all of a periodic cell."""
+        parallel = self.collimated and not self.divergence and self.incident is None
+        return parallel and self.specimen.periodic and self.footprint == "full"
 
     @property
     def theta_i(self) -> float:
@@ -142,7 +148,7 @@ class Beam:
         """
         p = self._point(sampler)
         if self.collimated:
-            wi = self._wi
+            wi = self.wi
             if self.divergence:
                 wi = self._diverging(sampler.next_2d())
             elif self.incident is not None:
@@ -163,7 +169,7 @@ class Beam:
         """
         joint = copy(self)
         each = [beam.direction for beam in beams]
-        joint._wi = mi.Vector3f(*_looked_up(each, number))
+        joint.wi = mi.Vector3f(*_looked_up(each, number))
         if self.incident is not None:
             joint._frame = _looked_up([beam._patch for beam in beams], number)
         return joint
@@ -187,7 +193,7 @@ class Beam:
         sine = dr.sqrt(height * (2 - height))
         sin, cos = dr.sincos(2 * dr.pi * sample.y)
         local = mi.Vector3f(sine * cos, sine * sin, 1 - height)
-        return dr.normalize(mi.Frame3f(self._wi).to_world(local))
+        return dr.normalize(mi.Frame3f(self.wi).to_world(local))
 
     def _incident_patch(self, patches: Subdivision) -> tuple[float, ...]:
         """Patch that holds the nominal direction, for :meth:`_filling`."""

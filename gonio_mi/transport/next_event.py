@@ -7,9 +7,18 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SpecimenError
+from ..mitsuba_names import MINIMAL
 from .exits import Exits
 from .polarisation import in_instrument_frames, power_of, product
-from .rays import Flight, departure, escapes
+from .rays import (
+    Flight,
+    departure,
+    encounter,
+    escapes,
+    flight_from,
+    intersect,
+    proceed,
+)
 from .setup import Setup
 from .sums import Sums
 from .surface_events import (
@@ -157,6 +166,47 @@ class Deposits:
             i += 1
         return sound
 
+    def take_first(
+        self, si: mi.SurfaceInteraction3f, ray: mi.Ray3f, active: mi.Bool
+    ) -> None:
+        """Take off what is known: what facets send along the line of active rays.
+
+        From where they met the first facet, down to the bottom.
+        """
+        d = mi.Vector3f(ray.d)
+        self._take(si, d, active)
+        if not self.sums.first.once:
+            self._take_below(si, d, active)
+
+    @dr.syntax
+    def _take_below(
+        self, si: mi.SurfaceInteraction3f, d: mi.Vector3f, active: mi.Bool
+    ) -> None:
+        """Take off what facets send further down the line."""
+        specimen, side = self.setup.specimen, self.setup.beam.side
+        scene = specimen.scene
+        start, offset = departure(specimen, si, d, d)
+        start += dr.copysign(offset, dr.dot(si.n, d)) * si.n
+        flight = flight_from(specimen, mi.Ray3f(start, d), si.n, offset)
+        flying = mi.Bool(active)
+        while flying:
+            below = intersect(scene, flight.ray, MINIMAL, flying, True)
+            met = encounter(specimen, side, flight, below, flying)
+            self._take(below, d, met.real)
+            proceed(specimen, flight, below, met, met.real, d)
+            flying = met.real | met.goes_on
+
+    def _take(
+        self, si: mi.SurfaceInteraction3f, d: mi.Vector3f, active: mi.Bool
+    ) -> None:
+        """Take off what one facet sends where the line enters it from outside."""
+        first = self.sums.first
+        entered = active & self.lanes & first.entered(si, d)
+        patch = dr.gather(mi.UInt32, first.patch, si.prim_index, entered)
+        light = dr.gather(mi.Spectrum, first.light, si.prim_index, entered)
+        entered &= patch < self.setup.n_patches
+        self.sums.deposit(patch, light, entered, self.batch, -1)
+
     def density(
         self,
         si: mi.SurfaceInteraction3f,
@@ -177,6 +227,9 @@ class Deposits:
         """Count each ray where it arrives, by the part that points leave to it."""
         setup = self.setup
         active = self.lanes & (bins < setup.n_collected)
+        if not self.scatters:  # there are no points
+            self.sums.deposit(bins, exits.throughput, active, self.batch)
+            return
         lower = bins >= setup.n_patches
         number = dr.select(active, bins, 0)
         patch = number - dr.select(active & lower, mi.UInt32(setup.n_patches), 0)

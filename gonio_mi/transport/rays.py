@@ -61,7 +61,11 @@ def intersect(
     Embree 3 then follows them in packets, and decides within rounding of an edge by
     which rays are in a packet (10 of 1e7 on a mirror field); else one by one.
     """
-    si = scene.ray_intersect(ray, flags | FRAME, coherent, active)
+    return with_normal(scene.ray_intersect(ray, flags | FRAME, coherent, active))
+
+
+def with_normal(si: mi.SurfaceInteraction3f) -> mi.SurfaceInteraction3f:
+    """The interaction, its geometric normal on the side of the shading normal."""
     si.n = dr.select(dr.dot(si.n, si.sh_frame.n) < 0, -si.n, si.n)
     return si
 

@@ -19,6 +19,7 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers
 from ..results.tally import WEIGHT_SCALE, Fate, PolarisedTally, Tally
 from .exits import Exits
+from .first_order import FirstOrder
 from .polarisation import n_channels, n_elements, other_elements, power_of
 from .setup import Setup
 
@@ -149,10 +150,15 @@ class Sums:
     ----------
     setup : Setup
     n_batches : int
+    first : FirstOrder, optional
+        Light of the first order that `deposit` takes off: it is known without rays.
     """
 
-    def __init__(self, setup: Setup, n_batches: int = 1) -> None:
+    def __init__(
+        self, setup: Setup, n_batches: int = 1, first: FirstOrder | None = None
+    ) -> None:
         self.setup = setup
+        self.first: Any = first
         # all powers are whole numbers
         self.counted = setup.settings.estimator.counts
         self.one = 1 if self.counted else ONE
@@ -197,9 +203,17 @@ class Sums:
                 _scatter_add(self.incident, number, index, shines)
 
     def deposit(
-        self, bins: mi.UInt32, light: mi.Spectrum, active: mi.Bool, batch: mi.UInt32
+        self,
+        bins: mi.UInt32,
+        light: mi.Spectrum,
+        active: mi.Bool,
+        batch: mi.UInt32,
+        sign: int = 1,
     ) -> None:
-        """Scatter light per lane to a patch or to DIRECT, or one lane to its fate."""
+        """Scatter light per lane to a patch or to DIRECT, or one lane to its fate.
+
+        By a `sign` of -1 it is taken off.
+        """
         power = power_of(light)
         if self.elements is not None:
             self._add_elements(bins, light, active, batch)
@@ -210,9 +224,10 @@ class Sums:
             numbers = [mi.Int64(mi.Int32(dr.round(p))) for p in power]
         else:
             digits = [Digits(p) for p in power]
-            numbers = [d.number() for d in digits]
+            numbers = [sign * d.number() for d in digits]
             for channel, d in enumerate(digits):
-                self._add_rare(bins, channel, d, active & collected & d.rare, batch)
+                rare = active & collected & d.rare
+                self._add_rare(bins, channel, d, rare, batch, sign)
         excesses = [numbers[0] - self.one, *(n - numbers[0] for n in numbers[1:])]
         packet = [1, *(dr.select(collected, e, 0) for e in excesses)]
         packet += [0] * (self.width - len(packet))
@@ -249,6 +264,7 @@ class Sums:
         digits: Digits,
         active: mi.Bool,
         batch: mi.UInt32,
+        sign: int,
     ) -> None:
         """Scatter powers to their levels, or if there is no room, count them."""
         index, number = digits.level(), mi.Int64(1)
@@ -258,7 +274,7 @@ class Sums:
             place = (step * self.channels + channel) * self.n_batches + batch
             place = place * self.setup.n_bins + bins
             index = dr.select(room, LEVELS + place, index)
-            number = dr.select(room, digits.number_in_level(), number)
+            number = dr.select(room, sign * digits.number_in_level(), number)
         _scatter_add(self.rare, number, index, active)
 
     def evaluate(self) -> None:
@@ -412,6 +428,9 @@ class Totals:
             every = np.ones(len(self._rays), bool)
             incident = self._incident.total(every).powers()
         incident = (scale * incident).astype(kind)
+        if sums.first is not None:
+            known = sums.first.flux.reshape(*setup.shape, -1)
+            power += known * incident[:, None, None, None]
         found = hits.sum(axis=0), power, incident, fates, scale
         if self._elements is None:
             return Tally(*found, direct=direct)

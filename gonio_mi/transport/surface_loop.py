@@ -130,6 +130,8 @@ def trace(
             sound = deposits.add(si, bsdf, flight, β, depth, sampler, active)
             fate[active & ~sound] = mi.UInt32(Fate.INVALID)
             active &= sound
+        if deposits is not None and deposits.sums.first is not None:
+            deposits.take_first(si, ray, active & (depth == 0))
 
         # ------------------------------- Scattering -----------------------------------
         u1, u2 = sampler.next_1d(active), sampler.next_2d(active)
@@ -140,7 +142,7 @@ def trace(
         fate[active] = event_fate
         depth[active] += 1
         active &= event_fate == mi.UInt32(Fate.REFLECTED)
-        if deposits is not None:
+        if deposits is not None and deposits.scatters:
             left[active] = si.p + flight.shift
             density[active] = deposits.density(si, bsdf, bs, wo, active)
 

@@ -203,6 +203,20 @@ CASES = {
         PERIODIC,
     ),
 }
+CASES["mirrors"] = Case(
+    lambda: {
+        "type": "heightfield",
+        "alpha": 0.5,
+        "resolution": 64,
+        "bsdf": _two_sided({"type": "conductor"}),
+    },
+    PERIODIC | {"collector": "projected:12x12"},
+    (TRACED[0], *TRACED[-2:]),
+    ("all",),
+)
+CASES["mirrors, 75 degrees"] = replace(
+    CASES["mirrors"], settings=CASES["mirrors"].settings | {"theta_i": 75}
+)
 CASES["facets, 30 x 30"] = replace(
     CASES["facets"], settings=PERIODIC | {"collector": "projected:30x30"}
 )

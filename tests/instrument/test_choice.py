@@ -52,7 +52,12 @@ CASES = {
     "traced, noise": (groove, {"noise": 0.05}, "next_event"),
     "traced, precise": (groove, {"rel_err": 0.1}, "weighted"),
     "glossy": (lambda: groove(GLOSSY), {"rays": 60_000}, "weighted"),
-    "mirrors": (lambda: groove({"type": "conductor"}), {"rays": 60_000}, "weighted"),
+    "mirrors": (lambda: groove({"type": "conductor"}), {"rays": 60_000}, "next_event"),
+    "mirrors, one order": (
+        lambda: groove({"type": "conductor"}),
+        {"rays": 60_000, "order": 2},
+        "weighted",
+    ),
 }
 
 

@@ -1,0 +1,152 @@
+"""Light of the first order that mirror facets send, known without rays.
+
+Along each line of a collimated beam, down to the bottom, the facets that it enters from
+outside send what they would if none were shadowed and no exit blocked. Over the full
+footprint of a periodic cell the lines meet each facet in proportion to its area as seen
+from the emitter, so that the mean of that is a sum over facets. What rays bring to the
+patches less this, ray by ray, and the sum instead: a control variate (Owen 2013, *Monte
+Carlo theory, methods and examples*, section 8.9), unbiased whatever the facets are said
+to send, and without any scatter where light meets the surface once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Floats
+from ..mitsuba_names import FRAME, PARTIALS
+from .exits import Exits
+from .rays import with_normal
+from .setup import Setup
+from .specimen import Specimen
+from .surface_events import after_event, scattered
+
+# Odd and without a pattern: 2**64 over the golden ratio.
+MIXED = 0x9E3779B97F4A7C15
+
+
+def knows_first_order(setup: Setup) -> bool:
+    """Whether a sum over facets is the mean of what the beam's lines would send.
+
+    For one mesh of flat mirror facets in a periodic cell, all of it in a collimated
+    beam; and if the first order is collected, with all others.
+    """
+    settings, specimen, beam = setup.settings, setup.specimen, setup.beam
+    if not (settings.estimator.deposits and beam.fills_cell) or setup.orders:
+        return False
+    if mi.is_polarized or specimen.media or specimen.groups:
+        return False
+    if len(specimen.surfaces) > 1:
+        return False
+    (mesh,) = specimen.surfaces
+    is_flat = isinstance(mesh, mi.Mesh) and not mesh.has_vertex_normals()
+    collected = settings.order.least <= 1 <= settings.order.most
+    return is_flat and collected and is_mirror(mesh.bsdf())
+
+
+def is_mirror(bsdf: mi.BSDF) -> bool:
+    """Whether a BSDF reflects in the mirror direction, and does nothing else."""
+    flags = mi.BSDFFlags
+    others = flags.Smooth, flags.Null, flags.Delta1D, flags.DeltaTransmission
+    return mi.has_flag(bsdf.flags(), flags.DeltaReflection) and not any(
+        mi.has_flag(bsdf.flags(), one) for one in others
+    )
+
+
+class FirstOrder:
+    """What the facets of a setup send in the first order, if nothing is in the way.
+
+    Attributes
+    ----------
+    patch : mi.UInt32
+        To which each facet sends; `n_collected` if to none.
+    light : mi.Spectrum
+        What it makes of the power 1.
+    flux : ndarray of float64, shape (n_collected, channels)
+        Flux fractions of the patches, of all lines of the beam.
+    face : int
+        1 if the outer faces are those of the normals, -1 if the others: the ones that
+        are seen from the emitter, on the whole.
+    once : bool
+        Whether each line enters one facet.
+    """
+
+    def __init__(self, setup: Setup, wavelengths: mi.Spectrum) -> None:
+        (mesh,) = setup.specimen.surfaces
+        n, wi = mesh.face_count(), setup.beam.wi
+        number = dr.arange(mi.UInt32, n)
+        corners = [mesh.vertex_position(one) for one in mesh.face_indices(number)]
+        a, b, c = map(mi.Vector3d, corners)
+        area = dr.dot(dr.cross(b - a, c - a), mi.Vector3d(wi)) / 2
+        edges = _open_edges(setup.specimen, corners)
+        dr.eval(area, edges)
+        extent = setup.specimen.high - setup.specimen.low
+        share = np.array(area) / (extent[0] * extent[1] * abs(float(wi.z[0])))
+        self.face = -1 if share.sum() < 0 else 1
+        share *= self.face
+        # of a closed surface that faces the light, all lines enter as many facets
+        faces = share.min() > 0 and edges[0] == 0
+        self.once = faces and round(share.sum()) == 1
+        ray = mi.Ray3f(mi.Point3f(0), -wi)
+        ray.wavelengths = wavelengths
+        found = dr.zeros(mi.PreliminaryIntersection3f, n)
+        found.valid, found.t = mi.Bool(True), mi.Float(1)
+        found.prim_index, found.prim_uv = number, mi.Point2f(1 / 3)
+        found.shape = mi.ShapePtr(mesh)
+        si = with_normal(found.compute_surface_interaction(ray, PARTIALS | FRAME))
+        entered = self.entered(si, ray.d)
+        u1, u2 = mi.Float(0.5), mi.Point2f(0.5)
+        bs, weight, wo = scattered(mesh.bsdf(), si, ray, u1, u2, entered)
+        power = mi.UnpolarizedSpectrum(1.0)
+        light, fate = after_event(power, weight, bs, wo, None)
+        bins = setup.bins(Exits(si.p, wo, light, fate, power, mi.UInt32(1)))
+        sends = entered & (bins < setup.n_patches)
+        self.patch = dr.select(sends, bins, setup.n_collected)
+        self.light = dr.select(sends, light, 0)
+        dr.eval(self.patch, self.light)
+        patch, powers = np.array(self.patch), np.array(self.light, dtype=float)
+        self.flux: Floats = np.transpose(
+            [
+                np.bincount(patch, one, setup.n_collected + 1)[:-1]
+                for one in powers.reshape(-1, n) * abs(share)
+            ]
+        )
+
+    def entered(self, si: mi.SurfaceInteraction3f, d: mi.Vector3f) -> mi.Bool:
+        """Whether a line of direction `d` enters a facet from its outer face."""
+        return self.face * dr.dot(si.n, d) < 0
+
+
+def _open_edges(specimen: Specimen, corners: Sequence[mi.Point3f]) -> mi.UInt64:
+    """Number that is 0 if each edge of facets is that of another one, the other way.
+
+    If not, it is 0 by a chance of about 2**-64. Sides of the cell are the same place.
+    """
+    low, high = specimen.box.low, specimen.box.high
+    edges = mi.UInt64(0)
+    for a, b in zip(corners, [*corners[1:], corners[0]]):
+        middle = a + b  # of twice the length
+        for axis in (0, 1):
+            at_side = middle[axis] == 2 * high[axis]
+            middle[axis] = dr.select(at_side, 2 * low[axis], middle[axis])
+        edges += _mixed(middle, b - a) - _mixed(middle, a - b)
+    return dr.sum(edges)
+
+
+def _mixed(*vectors: mi.Vector3f) -> mi.UInt64:
+    """Number that is another one, as if by chance, for other vectors."""
+    word = mi.UInt64(0)
+    for vector in vectors:
+        for x in vector:
+            word = (word ^ mi.UInt64(dr.reinterpret_array(mi.UInt32, x))) * MIXED
+            word ^= word >> 29
+    return word * MIXED
+
+
+def first_order_of(setup: Setup, wavelengths: mi.Spectrum) -> FirstOrder | None:
+    """:class:`FirstOrder` of a setup; None where it is not known."""
+    return FirstOrder(setup, wavelengths) if knows_first_order(setup) else None
