@@ -4,6 +4,8 @@ GONIO_EFFORT=normal (or thorough) examines them harder than quick.
 """
 
 import os
+from dataclasses import replace
+from functools import cache
 
 import mitsuba as mi
 import pytest
@@ -20,8 +22,15 @@ from gonio_mi.validation.evidence import Evidence
 EFFORT = os.environ.get("GONIO_EFFORT", "quick")
 
 
+@cache
+def judged(name, effort):
+    """The verdict of a user on a broken plugin, which several tests look at."""
+    return validate({"type": name}, effort=effort)
+
+
 def check_found(name, guilty):
-    verdict = validate({"type": name}, effort=EFFORT, strict=True)
+    found = judged(name, EFFORT)
+    verdict = replace(found, settings=found.settings | {"strict": True})
     assert not verdict.passed, str(verdict)
     assert {*verdict.function.split(" or ")} & {*guilty.split(" or ")}, str(verdict)
 
@@ -37,7 +46,7 @@ def test_broken_plugin_is_found_and_named(name, guilty):
 def test_counts_explain_the_wrong_mean_of_right_weights():
     """However small the share of `sampling` is beside that of `weights`."""
     short_bsdfs.register()
-    verdict = validate({"type": "sample_of_another_exponent"}, effort="quick")
+    verdict = judged("sample_of_another_exponent", "quick")
     assert verdict.function == "sample", str(verdict)
     assert "draws directions" in verdict.mistake
 
@@ -46,7 +55,7 @@ def test_counts_explain_the_wrong_mean_of_right_weights():
 def test_page_begins_with_the_direction_that_fails(tmp_path):
     """Of a sector of incidence, where no other map is; what holds is folded."""
     short_bsdfs.register()
-    verdict = validate({"type": "pdf_in_a_sector"}, effort="quick")
+    verdict = judged("pdf_in_a_sector", "quick")
     save_report(verdict, tmp_path / "r.html")
     text = (tmp_path / "r.html").read_text()
     first, *others = (str(maps.condition) for maps in verdict.maps)

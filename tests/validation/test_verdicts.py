@@ -7,6 +7,7 @@ import json
 import os
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import broken_bsdfs
@@ -54,6 +55,25 @@ def plugins(mono):
     return mono
 
 
+@cache
+def judged(name, effort):
+    """The verdict of a user on a broken plugin, which several tests look at."""
+    return validate({"type": name}, effort=effort)
+
+
+def strictly(verdict):
+    """The same with ``strict``, which decides by what was found."""
+    return replace(verdict, settings=verdict.settings | {"strict": True})
+
+
+@pytest.mark.usefixtures("plugins")
+def test_strict_finds_the_same():
+    verdict = validate({"type": "roulette"}, effort="quick", strict=True)
+    assert verdict.to_dict() == strictly(judged("roulette", "quick")).to_dict()
+    assert not verdict.passed
+    assert judged("roulette", "quick").passed
+
+
 @pytest.mark.usefixtures("plugins")
 @pytest.mark.parametrize("name", RIGHT)
 def test_right_plugin_passes(name):
@@ -66,7 +86,7 @@ def test_right_plugin_passes(name):
 @pytest.mark.parametrize("name", MISTAKES)
 def test_mistake_is_seen_and_its_function_named(name):
     """The twins of the test above; the budget of a verdict is that of the user."""
-    verdict = validate({"type": name}, effort=EFFORT, strict=True)
+    verdict = strictly(judged(name, EFFORT))
     assert not verdict.passed, str(verdict)
     named = verdict.function.split(" or ")
     assert MISTAKES[name] in named, str(verdict)
@@ -79,7 +99,10 @@ def test_mistake_is_seen_and_its_function_named(name):
 
 @pytest.mark.usefixtures("plugins")
 def test_verdict_is_deterministic():
-    first, second = (validate({"type": "mixture"}, effort="quick") for _ in range(2))
+    first, second = (
+        judged("mixture", "quick"),
+        validate({"type": "mixture"}, effort="quick"),
+    )
     assert first.to_dict() == second.to_dict()
     other = validate({"type": "mixture"}, effort="quick", seed=1)
     assert other["sampling"].statistic != first["sampling"].statistic
@@ -172,7 +195,7 @@ def test_colours():
 
 @pytest.mark.usefixtures("plugins")
 def test_report_is_one_file(tmp_path):
-    verdict = validate({"type": "phi_with_wrong_sign"}, effort="quick")
+    verdict = judged("phi_with_wrong_sign", "quick")
     path = tmp_path / "report.html"
     save_report(verdict, path)
     text = path.read_text()
@@ -182,7 +205,7 @@ def test_report_is_one_file(tmp_path):
     # what fails comes first, with all its places
     assert text.index('class="fails"') < text.index('class="holds"')
     path.unlink()
-    save_report(validate({"type": "weight_with_cosine"}, effort="quick"), path)
+    save_report(judged("weight_with_cosine", "quick"), path)
     assert path.read_text().count("weight times pdf over") > 3
     assert 'src="http' not in text
     with pytest.raises(ValueError, match="html"):
@@ -217,42 +240,41 @@ def test_for_ci():
 )
 def test_effect_decides(name, effect, passed):
     """What biases images or breaks integrators fails; the rest if one is strict."""
-    verdict = validate({"type": name}, effort="quick")
+    verdict = judged(name, "quick")
     assert verdict.failures[0].effect == effect, str(verdict)
     if name in ("gradient_detached", "traverse_raises", "eta_of_a_reflection"):
         assert len(verdict.failures) == 1, str(verdict)
     assert verdict.passed == passed
     assert effect in verdict.headline
-    strict = replace(verdict, settings=verdict.settings | {"strict": True})
-    assert not strict.passed
+    assert not strictly(verdict).passed
 
 
 @pytest.mark.usefixtures("plugins")
 def test_causes_come_before_consequences_and_places_are_named():
-    zero = validate({"type": "eval_and_pdf_are_zero"}, effort="quick")
+    zero = judged("eval_and_pdf_are_zero", "quick")
     assert zero.mistake == "`eval` and `pdf` are 0 where `sample` scatters light"
     assert "e+2" not in str(zero)  # a ratio to 1e-30
-    half = validate({"type": "eval_half_below_a_line"}, effort="quick")
+    half = judged("eval_half_below_a_line", "quick")
     assert "everywhere" not in half.mistake
     assert "phi_i 2" in half.mistake or "phi_i 3" in half.mistake
-    constant = validate({"type": "pdf_half_a_percent_off"}, effort="quick")
+    constant = judged("pdf_half_a_percent_off", "quick")
     assert "everywhere" in constant.mistake
-    rare = validate({"type": "eval_nan_rarely"}, effort="quick")
+    rare = judged("eval_nan_rarely", "quick")
     assert rare.mistake == "the value of `eval` is nan in places"
     assert [one.name for one in rare.failures][:2] == ["answers", "weights"]
-    gain = validate({"type": "cats_eye_gains_light"}, effort="quick")
+    gain = judged("cats_eye_gains_light", "quick")
     assert "gains light" in gain.mistake
 
 
 @pytest.mark.usefixtures("plugins")
 def test_kernels_that_are_compiled_anew_are_told():
     """Its twin, the same with a constant, is `lambert`."""
-    verdict = validate({"type": "compiles_anew"}, effort="quick", strict=True)
+    verdict = strictly(judged("compiles_anew", "quick"))
     assert verdict.passed
     assert verdict["cost"].effect == "adds cost"
     assert "compiled anew" in verdict["cost"].statistic
     assert verdict.headline.endswith("but it adds cost")
-    lambert = validate({"type": "lambert"}, effort="quick")
+    lambert = judged("lambert", "quick")
     assert lambert["cost"].effect is None
 
 
@@ -286,7 +308,7 @@ def test_time_of_a_ray_is_a_ratio_in_turns(ns, told, monkeypatch):
 @pytest.mark.usefixtures("plugins")
 def test_not_reciprocal_is_one_fact():
     """Both modes are the same, so that adjointness has nothing to add."""
-    verdict = validate({"type": "fresnel_not_reciprocal"}, effort="quick")
+    verdict = judged("fresnel_not_reciprocal", "quick")
     assert [one.name for one in verdict.failures] == ["reciprocity"]
 
 
