@@ -12,17 +12,17 @@ from gonio_mi.validation.conditions import Condition
 from gonio_mi.validation.probe import Probe
 
 
-@pytest.fixture
-def table(tmp_path, mono):
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
     """Record of rough glass: a `goniometric` of reflection and transmission."""
-    del mono
+    mi.set_variant("llvm_ad_mono")
     record = measure(
         {"type": "roughdielectric", "alpha": 0.3},
         theta_i=(0, 30, 60),
         collector="angle:9x12",
         rays=2**16,
     )
-    path = tmp_path / "glass.npz"
+    path = tmp_path_factory.mktemp("table") / "glass.npz"
     record.save(path)
     return {"type": "goniometric", "filename": str(path)}
 
