@@ -151,10 +151,16 @@ class Probe:
         return dr.width(self.wi if wi is None else wi, self.uv, *arguments)
 
     def _call(self, function: str, *arguments: Any, **options: Any) -> Any:
-        """Answer of a function, in memory."""
+        """Answer of a function, in memory.
+
+        The sample of ``eval_pdf_sample`` is a kernel of its own: by default two
+        functions are called, whose kernels there are.
+        """
         answer = self._asked(function, *arguments, **options)
+        joint = function == "eval_pdf_sample" and isinstance(answer, tuple)
         with blamed(function):
-            dr.eval(answer)
+            for part in (answer[:2], answer[2:]) if joint else (answer,):
+                dr.eval(part)
         return answer
 
     def _asked(
