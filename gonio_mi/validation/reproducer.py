@@ -154,8 +154,8 @@ def script(verdict: Verdict, one: Property) -> str:
         rng = "np.random.default_rng(0)"
         text = text.replace(f"rng = {rng}\nu = rng", f"u = {rng}")
     if mi.is_polarized and isinstance(kind, Kind):
-        text = _of_first_elements(text)
-    return _in_a_medium(text) if one.of_volumes else text
+        text = of_first_elements(text)
+    return in_a_medium(text) if one.of_volumes else text
 
 
 def _counted(maps: FourMaps | None, corners: Any, kind: Kind) -> dict[str, str]:
@@ -209,7 +209,7 @@ def _in_both_variants(lines: Sequence[str], value: str) -> Iterator[str]:
     yield f"    values += [{each(first)}]"
 
 
-def _of_first_elements(text: str) -> str:
+def of_first_elements(text: str) -> str:
     """The same script where values are Mueller matrices: of their first elements."""
     first = "mi.unpolarized_spectrum"
     text = re.sub(r"(bsdf\.eval\([^()]*(?:\([^()]*\)[^()]*)*\))", rf"{first}(\1)", text)
@@ -221,7 +221,7 @@ def _of_first_elements(text: str) -> str:
     )
 
 
-def _in_a_medium(text: str) -> str:
+def in_a_medium(text: str) -> str:
     """The same script, which asks a phase function instead of a BSDF."""
     for found, instead in (
         (r" & ~mi.has_flag\(bs.sampled_type, mi.BSDFFlags.Delta\)", ""),

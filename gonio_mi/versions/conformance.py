@@ -35,8 +35,8 @@ from ..validation.evidence import PHASE, PROPERTIES
 from ..validation.kinds import LIT, SMOOTH
 from ..validation.reproducer import (
     ANYWHERE,
-    _in_a_medium,
-    _of_first_elements,
+    in_a_medium,
+    of_first_elements,
     script,
     source_of,
 )
@@ -210,7 +210,7 @@ def questions(variant: str) -> Iterator[Question]:
             word, source = word_of(one), str(source_of(one, volumes=volumes))
             if variant.startswith("scalar"):
                 asked = [("scalar and LLVM code", _of_scalar_code(variant, source))]
-                asked = [(name, _in_a_medium(x) if volumes else x) for name, x in asked]
+                asked = [(name, in_a_medium(x) if volumes else x) for name, x in asked]
             else:
                 verdict = Verdict(
                     word, (), None, None, {"variant": variant}, source=source
@@ -282,8 +282,8 @@ def _by_lattices(text: str, name: str, volumes: bool) -> str:
     body = LATTICES
     for word, instead in (INTEGRALS[name] | {"SMOOTH": SMOOTH, "LIT": LIT}).items():
         body = body.replace(word, instead)
-    body = _of_first_elements(body) if mi.is_polarized else body
-    return head + (_in_a_medium(body) if volumes else body)
+    body = of_first_elements(body) if mi.is_polarized else body
+    return head + (in_a_medium(body) if volumes else body)
 
 
 def _of_scalar_code(variant: str, source: str) -> str:
@@ -293,7 +293,7 @@ def _of_scalar_code(variant: str, source: str) -> str:
     if mi.is_spectral:
         wavelengths = "    si.wavelengths = mi.Spectrum([450.0, 520.0, 580.0, 650.0])\n"
         text = text.replace("    bs, weight", wavelengths + "    bs, weight")
-    return _of_first_elements(text) if mi.is_polarized else text
+    return of_first_elements(text) if mi.is_polarized else text
 
 
 def ask_versions(
