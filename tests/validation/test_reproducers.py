@@ -100,12 +100,17 @@ SHOWN_MATRICES = {
 }
 
 
-@pytest.mark.parametrize("name", SHOWN_MATRICES)
-@pytest.mark.usefixtures("mono")
-def test_finding_of_matrices_is_shown_by_its_script(name):
+@pytest.fixture(scope="module")
+def matrices():
+    """Register plugins of matrices, in both variants that judge them."""
     for variant in ("llvm_ad_mono", "llvm_ad_mono_polarized"):
         mi.set_variant(variant)
         polarised_bsdfs.register()
+
+
+@pytest.mark.parametrize("name", SHOWN_MATRICES)
+@pytest.mark.usefixtures("matrices", "polarised")
+def test_finding_of_matrices_is_shown_by_its_script(name):
     wrong = {"type": name} | ({"theta": 20.0} if name == "retarder" else {})
     verdict = validate(wrong, effort="quick", strict=True)
     findings, right = SHOWN_MATRICES[name]
