@@ -164,13 +164,14 @@ class Prediction:
 # --------------------------------------------------------------------- known directions
 
 # Parts of the tolerance: what noise may misplace at directions that a material is made
-# of, or may be, and at those that confirm it; and what an integral may be off by.
-# Between directions noise is averaged: of a half a third is left, which adds about by
-# squares, so that it costs 6 % of the tolerance, and a third of the rays of a quarter.
+# of, or may be, at those that test it or a symmetry, which half the tolerance decides,
+# and at those that confirm it; and what an integral may be off by. Between directions
+# noise is averaged: of three quarters a half is left, which adds about by squares, so
+# that it costs 13 % of the tolerance, and half of the rays of a half, which costs 6 %.
 # Noise at a direction where errors are looked for hides at most 0.43 of itself: of a
 # difference of x standard errors x erfc(x / sqrt(2)) of them is lost, at most 0.34, and
 # noise is sqrt(2 / pi) of them.
-NOISE, CONFIRMING, INTEGRAL = 1 / 2, 1 / 4, 1 / 10
+NOISE, TESTING, CONFIRMING, INTEGRAL = 3 / 4, 1 / 2, 1 / 4, 1 / 10
 
 # Rays that tell whether sample() is as eval() says; where they seem to contradict, so
 # many times as many decide, by so many standard errors. These are of misplaced light
@@ -184,7 +185,7 @@ MIN_ANNOUNCED = 600
 
 
 class NotIntegrableError(Exception):
-    """A direction of which an integral is refused, where rays may be taken."""
+    """A direction of which an estimator is refused, where another may be taken."""
 
 
 class KnownDirections:
@@ -231,7 +232,7 @@ class KnownDirections:
                 )
         self.name, self.specimen, self.tolerance = name, specimen, tolerance
         self.where, self.settings = where, settings
-        self.estimators = [Estimator.QUADRATURE, Estimator.WEIGHTED]
+        self.estimators = [Estimator.QUADRATURE, Estimator.SPLIT, Estimator.WEIGHTED]
         given = {name for name, value in settings.items() if value is not None}
         estimator = MeasurementSettings.among(settings).estimator
         if "estimator" in given and estimator is not Estimator.AUTO:
@@ -280,12 +281,7 @@ class KnownDirections:
         label = f"{abridged(self.name, 16)}, {len(self.records)} measured, {purpose}"
         logger.info("%s: %d more", label, len(new))
         part = f"{self.estimators[0]}_{self.n_rounds:03d}"
-        try:
-            stack = self._kept(part, new, self.settings | self._goals(goal), label)
-        except SpecimenError as error:
-            if len(self.estimators) == 1:
-                raise
-            raise NotIntegrableError(error) from error
+        stack = self._kept(part, new, self.settings | self._goals(goal), label)
         self.rays += stack.ledger.emitted
         flux = stack.flux_fraction
         self.flux += flux[:, :1].sum(), flux[:, 1:].sum()
@@ -325,14 +321,19 @@ class KnownDirections:
     ) -> Record:
         """Stack of directions, measured anew or found in the folder of `where`."""
         specimens = {self.name: self.specimen}
-        return records_of(specimens, incidents, where, settings, label)[self.name]
+        try:
+            return records_of(specimens, incidents, where, settings, label)[self.name]
+        except SpecimenError as error:
+            if len(self.estimators) == 1:
+                raise
+            raise NotIntegrableError(error) from error
 
     def check_functions(self, incident: tuple[float, float]) -> None:
         """Raise SpecimenError if samples contradict the integral of a known direction.
 
         By more than the tolerance. An estimator that was asked for is trusted.
         """
-        if len(self.estimators) == 1 or not self.estimators[0].integrates:
+        if len(self.estimators) == 1:
             return
         settings = self.settings | {"estimator": Estimator.WEIGHTED, "rays": PROBE_RAYS}
         label = f"{abridged(self.name, 16)}, is sample() like eval()?"
@@ -349,8 +350,8 @@ class KnownDirections:
                 f"sample() and eval() of {self.name:.60} disagree: at theta_i "
                 f"{incident[0]:.3g}, {totals[0]} of the flux leaves by one and "
                 f"{totals[1]} by the other, in part elsewhere; gonio-mi validate tells "
-                "which is wrong, and an estimator (weighted or quadrature) says which "
-                "to take"
+                f"which is wrong, and an estimator (weighted or {self.estimators[0]}) "
+                "says which to take"
             )
 
     def stack(
@@ -365,7 +366,7 @@ class KnownDirections:
         purpose = "are patches fine?"
         if patches is None:
             self.measure(incidents, purpose)
-            return Record.stack(self.records[one] for one in incidents)
+            return self.stacked(self.records[one] for one in incidents)
         settings = self.settings | self._goals(NOISE * self.tolerance)
         return self._stack(
             incidents,
@@ -374,11 +375,18 @@ class KnownDirections:
             purpose,
         )
 
+    def stacked(self, records: Iterable[Record]) -> Record:
+        """Stack of records, some of which may be more precise than the others."""
+        noise = self._goals(NOISE * self.tolerance).get("noise")
+        return Record.stack(
+            replace(one, asked=replace(one.asked, noise=noise)) for one in records
+        )
+
     def probe(
         self, incident: tuple[float, float], patches: Subdivision | None = None
     ) -> Record:
         """Record of a direction, of a few rays, which is not kept."""
-        settings = {"estimator": self.estimators[0], "rays": PROBE_RAYS}
+        settings = {"estimator": self.estimators[-1], "rays": PROBE_RAYS}
         settings |= {} if patches is None else {"collector": patches}
         where = replace(self.where, folder=None, progress=False)
         return self._stack([incident], where, self.settings | settings)[0]

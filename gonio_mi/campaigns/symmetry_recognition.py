@@ -10,7 +10,7 @@ import numpy as np
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_outcome import PredictionError
 from ..results.prediction_error import prediction_error
-from .known_directions import KnownDirections
+from .known_directions import TESTING, KnownDirections
 
 logger = logging.getLogger(__name__)
 
@@ -77,7 +77,7 @@ class SymmetryRecognition:
         """Whether at a direction a motion changes the specimen after all."""
         images = [(theta, motion.azimuth(phi)) for motion in motions]
         start = theta, phi
-        self.directions.measure([start, *images], "is it symmetric?")
+        self.directions.measure([start, *images], "is it symmetric?", TESTING)
         return any(
             self._is_wrong(self._change(motion, start, image))
             for motion, image in zip(motions, images)

@@ -32,7 +32,8 @@ from ..transport.specimen import Specimen
 TASK_RAYS = 10**7
 TASKS = 16
 
-# Incident directions of a task whose integrals are found together.
+# Incident directions of a task whose integrals are found together, of all light or of
+# that of first events.
 INTEGRALS = 16
 
 
@@ -133,7 +134,7 @@ def tasks_of(
     # the same whatever the executor: a folder may be carried on by another
     most = max(1, len(incidents) // parts)
     few = max(1, min(TASK_RAYS // asked.rays, most))
-    if asked.estimator.integrates:
+    if asked.estimator.integrates or asked.estimator.splits:
         few = INTEGRALS
     elif asked.rel_err or asked.noise:
         few = 1

@@ -18,7 +18,12 @@ from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_outcome import MAX_LOOKS, CampaignOutcome, PredictionError
 from ..results.record import Record
 from ..settings import MeasurementSettings
-from .known_directions import CONFIRMING, KnownDirections, NotIntegrableError
+from .known_directions import (
+    CONFIRMING,
+    TESTING,
+    KnownDirections,
+    NotIntegrableError,
+)
 from .refinement import IncidentRings, Interval, refined
 from .resolution import (
     TooCoarseError,
@@ -114,7 +119,7 @@ class WholeBsdf:
             try:
                 return self._measured()
             except NotIntegrableError as error:
-                logger.info("%s: rays instead of integrals: %s", self.name, error)
+                logger.info("%s: another estimator: %s", self.name, error)
                 self.directions.start_anew()
             except TooCoarseError as error:
                 if self.has_own_collector:
@@ -127,7 +132,8 @@ class WholeBsdf:
         if not self.directions.estimators[0].integrates:
             check_peaks(self.directions, self.theta_max)
         angles = np.linspace(0, self.theta_max, N_FIRST_ANGLES).tolist()
-        self.directions.measure([(theta, 0.0) for theta in angles], "first directions")
+        first = [(theta, 0.0) for theta in angles]
+        self.directions.measure(first, "first directions", TESTING)
         self.directions.check_functions((angles[1], 0.0))
         self.directions.announce(len(angles) + N_UNSEEN)  # at least
         n_sectors = checked_sectors(self.directions.patches).n_phi
@@ -278,8 +284,9 @@ class WholeBsdf:
         """What is wrong at directions, with less noise where they are large."""
         purpose = "random tests only"
         self._check()
-        self.directions.measure([*self.rings.directions(), *unseen], purpose)
         own = self.rings.directions()
+        self.directions.measure(own, purpose)
+        self.directions.measure(unseen, purpose, TESTING)
         prediction = self.directions.prediction(own, self.symmetry)
         missed = partial(self.directions.error, prediction)
         found = {one: missed(*one) for one in unseen}
@@ -292,7 +299,8 @@ class WholeBsdf:
 
     def _described(self, errors: Sequence[PredictionError]) -> Record:
         """The material's record, with what is known of its errors."""
-        record = Record.stack(self.symmetry.whole(self.known, self.rings.directions()))
+        every = self.symmetry.whole(self.known, self.rings.directions())
+        record = self.directions.stacked(every)
         directions = zip(record.theta_i.tolist(), record.phi_i.tolist())
         within = np.mean([not one.exceeds(self.tolerance) for one in errors])
         outcome = CampaignOutcome(

@@ -116,7 +116,7 @@ def _check_tally(tally: Tally, record: Record) -> None:
     require(
         bool(ledger.direct) or not tally.direct.any(), "it has direct light of no ray"
     )
-    if not estimator.deposits:
+    if not (estimator.deposits or estimator.splits):
         left = (ledger.reflected, ledger.transmitted + ledger.direct)
         for hits, listed in zip(tally.hits, left):
             counted = int(hits.sum())

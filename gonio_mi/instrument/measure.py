@@ -7,7 +7,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from os import PathLike
 from typing import Any
 
@@ -31,6 +30,7 @@ from ..settings.values import Order
 from ..transport.kernels import launches_kernels
 from ..transport.polarisation import n_channels, n_elements
 from ..transport.setup import Setup
+from ..transport.surface_points import find_first_light
 from ..transport.variants import is_parallel
 from .incidence import incident_angles
 from .launcher import Launcher, round_rays
@@ -171,10 +171,13 @@ def send_all(
         before = sum(sum(rays_sent(tallies, n_passes)) for tallies in finished)
         rays = (len(setups) * sum(plan) - before) * n_passes
     waiting: list[tuple[Setup, list[Tally], list[Tally]]] = []
+    complete = True
     with bar(
         progress, total=rays, unit="ray", unit_scale=True, delay=1, mininterval=0.2
     ) as report:
         try:
+            if settings.estimator.splits:
+                find_first_light(setups)
             for some in _groups(len(setups), launcher.together):
                 # without the integrals beside them rays are not enough
                 integrates = settings.estimator.integrates
@@ -193,8 +196,16 @@ def send_all(
                 raise
             if not any(finished):
                 raise KeyboardInterrupt from None
-            return False
-    return True
+            complete = False
+    for setup, tallies in zip(setups, finished):
+        if tallies and settings.estimator.splits:
+            tallies[:] = [_completed(setup, Tally.join(tallies))]
+    return complete
+
+
+def _completed(setup: Setup, tally: Tally) -> Tally:
+    """Tally with the light of first events, if that is an integral."""
+    return tally if setup.first is None else setup.first.completed(tally)
 
 
 def _groups(n: int, most: int) -> Iterator[slice]:
@@ -216,7 +227,7 @@ def _send(
         round_rays(lead),
         len(lead.passes),
         sent[0],
-        partial(record_of, lead),
+        lambda tally: record_of(lead, _completed(lead, tally)),
     )
     for part in rounds:
         grown = launcher.tallies(setups, part, report)
@@ -298,11 +309,10 @@ def _settled(
 ) -> MeasurementSettings:
     """Settings that are `given`, else the scene's `own`, else the defaults."""
     settings = MeasurementSettings().changed(**own | given)
-    if settings.estimator.integrates:
-        if resume is not None:
-            raise SettingError(
-                "resume is for sampled rays, got the estimator quadrature"
-            )
+    estimator = settings.estimator
+    if resume is not None and (estimator.integrates or estimator.splits):
+        raise SettingError(f"resume is for sampled rays, got the estimator {estimator}")
+    if estimator.integrates:
         return settings
     others = {"rays": given.get("rays"), "resume": resume}
     for goal, also in (("noise", {"rel_err": given.get("rel_err")}), ("rel_err", {})):

@@ -27,6 +27,7 @@ from ..transport.sampling import check_sampler
 from ..transport.scene_objects import foreign_plugins
 from ..transport.setup import Setup
 from ..transport.specimen import Specimen
+from ..transport.surface_points import check_splittable
 from ..transport.wavelengths import check_covered, passes, wavelength_lanes
 from .choice import PILOT_INCIDENT, chosen
 from .incidence import collimated, described_digest, emitter_scene
@@ -136,6 +137,8 @@ def _check_estimator(setup: Setup) -> None:
         check_integrable(setup)
     if setup.settings.estimator.deposits:
         check_traced(setup)
+    if setup.settings.estimator.splits:
+        check_splittable(setup)
 
 
 def _check_specimen(specimen: Specimen, settings: MeasurementSettings) -> None:

@@ -67,6 +67,7 @@ class Estimator(str, Enum):
     ANALOG = "analog"
     QUADRATURE = "quadrature"
     NEXT_EVENT = "next_event"
+    SPLIT = "split"
     AUTO = "auto"
 
     @classmethod
@@ -88,6 +89,11 @@ class Estimator(str, Enum):
     def deposits(self) -> bool:
         """Whether ``eval`` is deposited at every event."""
         return self is Estimator.NEXT_EVENT
+
+    @property
+    def splits(self) -> bool:
+        """Whether light of one event is integrated, and rays are for that of more."""
+        return self is Estimator.SPLIT
 
     @property
     def follows_exits(self) -> bool:
@@ -187,11 +193,14 @@ class MeasurementSettings:
         "in sight, and counts the rays as well, by the balance heuristic: for narrow "
         "apertures and for patches far from the lobes, not for totals. Of mirror "
         "facets in a periodic cell, which a collimated beam fills, it sums the first "
-        "order up over the facets, and rays tell the rest. ``auto`` takes "
-        "the cheapest but ``analog``; the record names it, and why.",
+        "order up over the facets, and rays tell the rest. ``split`` integrates "
+        "``eval`` over periodic, opaque geometry for light of one event, jointly for "
+        "all incident directions, and sums throughput for that of more: for stacks of "
+        "maps of rough facets. ``auto`` takes the cheapest but ``analog`` and "
+        "``split``; the record names it, and why.",
         group=METHOD,
         metavar="E",
-        form='{"weighted", "analog", "quadrature", "next_event", "auto"}',
+        form='{"weighted", "analog", "quadrature", "next_event", "split", "auto"}',
         plugin=INTEGRATOR,
         text=str,
     )

@@ -201,6 +201,6 @@ def _try(bsdf: Any, wavelengths: Any, estimator: Estimator) -> None:
     if delta or not estimator.integrates:
         random = mi.Float(0.5), mi.Point2f(0.5)
         checked_sample("sample", bsdf.sample(ctx, si, *random, mi.Bool(True)), 1)
-    if estimator.integrates or estimator.deposits:
+    if estimator.integrates or estimator.deposits or estimator.splits:
         value = bsdf.eval(ctx, si, mi.Vector3f(0, 0.6, 0.8), mi.Bool(True))
         checked_answer("eval", value, 1, mi.Spectrum)

@@ -163,7 +163,7 @@ class _Rays:
         else:
             plane = specimen.plane
             exits = scatter_plane(plane, self.beam, sampler, self.wavelengths, how)
-        exits = of_order(exits, setup.settings.order)
+        exits = of_order(exits, setup.order)
         bins = setup.bins(exits)
         self.sums.add(bins, exits, active, self.batch)
         if deposits is not None:
@@ -195,7 +195,7 @@ class _Rays:
 
     def _arrive(self, number: mi.UInt32, exits: Exits) -> None:
         """Add to the sums what has become of some rays of a relay."""
-        exits = of_order(exits, self.setup.settings.order)
+        exits = of_order(exits, self.setup.order)
         ray, batch, size = number, self.batch, self.size
         if self.ray is not None:
             ray, batch, size = (

@@ -81,6 +81,7 @@ class Setup:
             self.emitter_digest = described or emitter_digest([beam.emitter])
         self.collector = collector
         self.sampler = sampler
+        self.first: Any = None  # light of first events, of the estimator `split`
         self.choice: str | None = None  # why this estimator, if it was left to `auto`
         self.source: Any = None  # what has to live as long as the beam's emitter
         subdivision = collector.subdivision
@@ -108,6 +109,11 @@ class Setup:
         return not self.settings.estimator.integrates or mi.has_flag(
             self.specimen.plane.bsdf.flags(), mi.BSDFFlags.Delta
         )
+
+    @property
+    def order(self) -> Order:
+        """What rays are collected: of further events, if first ones are integrated."""
+        return Order(2) if self.settings.estimator.splits else self.settings.order
 
     def collect_by_distance(self, radii: Floats) -> None:
         """Let ring `i` collect what leaves between ``radii[i - 1]`` and ``radii[i]``.

@@ -1,0 +1,336 @@
+"""The estimator `split`: light of one event is an integral over the surface.
+
+Of a periodic, opaque surface: points all over it are joined by `eval` to each incident
+direction and to a point of every patch, if nothing stands in the way. All incident
+directions share the points, and what these see of the patches. Rays are left with what
+comes of more events, a small part of the light on most surfaces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..array_types import Floats
+from ..errors import SpecimenError
+from ..mitsuba_names import PARTIALS
+from ..results.tally import Fate, Tally
+from .polarisation import n_channels
+from .rays import NEARBY, departure, escapes, intersect
+from .sampling import apart, is_joint, seeded
+from .setup import Setup
+from .surface_events import MAX_POWER, flux_context, shading_normal_correction
+
+# Points of each batch to begin with; of a number of rays, and of `rel_err`, all.
+N_FIRST, N_FIXED = 2**5, 2**7
+
+# Part of `noise` that the integral may have; by squares it costs 3 % of the rays.
+PART = 1 / 4
+
+# From so many points of all batches on, times the square of `noise`, rays cost less:
+# with m patches m / 44 of them give a noise of 1, at 170 ns (measured on rough
+# grooves), where a point takes 20 ns for each patch.
+MAX_NOISE2 = 1 / 6
+
+# Lanes of a launch: pairs of a point and a patch, or sums over points.
+MAX_LANES = 2**24
+
+# Digits that sums keep, to 1e-6 of a patch in 16 batches: all others are chance, which
+# would make files twice as large.
+BITS = 16
+
+# Tells the points from the rays of the same seed, of any direction.
+SEED = 0x73706C69 << 64
+
+# Beside meshes, shapes that are sampled uniformly.
+SHAPES = ("Rectangle", "Disk", "Sphere", "Cylinder")
+
+
+def check_splittable(setup: Setup) -> None:
+    """Raise SpecimenError for what the estimator is not made for."""
+    specimen, settings = setup.specimen, setup.settings
+    shapes = specimen.scene.shapes()
+    singular = mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D, mi.BSDFFlags.Null
+    reasons = {
+        "a periodic cell, all of it in a collimated beam": setup.beam.fills_cell
+        and not specimen.groups,
+        "opaque surfaces without gaps": specimen.seems_dark and not specimen.media,
+        "BSDFs without delta components": not any(
+            mi.has_flag(one.bsdf().flags(), flag) for one in shapes for flag in singular
+        ),
+        "meshes, rectangles, disks, spheres or cylinders": all(
+            isinstance(one, mi.Mesh) or one.class_name() in SHAPES for one in shapes
+        ),
+        "rays of all orders": not setup.orders
+        and settings.order.least <= 1
+        and settings.order.most >= settings.max_depth,
+        "an unpolarised variant that is not spectral": not (
+            mi.is_polarized or mi.is_spectral
+        ),
+        "a collector in the far field with patches of angles": (
+            settings.collector_radius == 0 and setup.collector.subdivision.axes is None
+        ),
+        "the sampler sobol": is_joint(setup.sampler),
+    }
+    for needed, there in reasons.items():
+        if not there:
+            raise SpecimenError(
+                f"the estimator split needs {needed}: take weighted instead"
+            )
+
+
+@dataclass(frozen=True)
+class FirstLight:
+    """Light of one event of an incident direction: sums over points of each batch.
+
+    Attributes
+    ----------
+    sums : ndarray, shape (n_batches, n_patches, channels)
+        Of flux fractions.
+    lit : ndarray, shape (n_batches,)
+        Of the part of all incident light that meets a point: 1 on average.
+    n_points : int
+    """
+
+    sums: Floats
+    lit: Floats
+    n_points: int
+
+    def __add__(self, more: FirstLight) -> FirstLight:
+        """Light of the points of both."""
+        n_points = self.n_points + more.n_points
+        return FirstLight(self.sums + more.sums, self.lit + more.lit, n_points)
+
+    @cached_property
+    def flux(self) -> Floats:
+        """Flux fractions, shape ``(n_batches, n_patches, channels)``.
+
+        Where points met more than all incident light, or less, by chance, that much is
+        taken away: as a part of what the other batches found, which is another chance.
+        Not in dim patches, of which it would be more than a batch has.
+        """
+        found = self.sums / self.n_points
+        others = (found.sum(axis=0) - found) / max(len(found) - 1, 1)
+        due = found - others * (self.lit / self.n_points - 1)[:, None, None]
+        return np.where((due < 0).any(axis=0), found, due)
+
+    def noise(self) -> float:
+        """Total variation distance that its standard errors make on average."""
+        error = self.flux.std(axis=0, ddof=1).sum() / np.sqrt(2 * np.pi)
+        total = self.flux.mean(axis=0).sum() * np.sqrt(len(self.flux))
+        return float(error / total) if total > 0 else 0.0
+
+    def completed(self, tally: Tally) -> Tally:
+        """Tally of the rays of more events, with this light."""
+        n = tally.n_batches
+        sums, hits, fates = tally.sums.astype(float), tally.hits.copy(), tally.fates
+        flux = self.flux[:n] * tally.incident[:, None]
+        sums[:, 0] += flux.reshape(sums[:, 0].shape)
+        digits, power = np.frexp(sums)
+        sums = np.ldexp(np.rint(digits * 2**BITS), power - BITS)
+        seen = self.flux.any(axis=(0, 2)).reshape(hits[0].shape)
+        hits[0] += (seen * n * self.n_points).astype(np.uint64)
+        fates = fates.copy()
+        fates[:, Fate.REFLECTED] += fates[:, Fate.OTHER_ORDER]
+        fates[:, Fate.OTHER_ORDER] = 0
+        return replace(tally, sums=sums, hits=hits, fates=fates)
+
+
+def find_first_light(setups: Sequence[Setup]) -> None:
+    """Give all setups the light of one event, as precise as their settings ask.
+
+    Points are doubled, of each direction until it is precise enough: it has the bits
+    that it would have alone. Setups differ in their incident direction only.
+
+    Raises
+    ------
+    SpecimenError
+        Where rays would need less time.
+    """
+    settings = setups[0].settings
+    waiting, begin = list(setups), 0
+    end = N_FIRST if settings.noise else N_FIXED
+    while waiting:
+        found = SurfacePoints(waiting).light(begin, end)
+        for setup, more in zip(waiting, found):
+            setup.first = more if setup.first is None else setup.first + more
+        if settings.noise is None:
+            return
+        goal = PART * settings.noise
+        waiting = [one for one in waiting if one.first.noise() > goal]
+        begin, end = end, 2 * end
+        if waiting and end * settings.batches * settings.noise**2 > MAX_NOISE2:
+            raise SpecimenError(
+                f"the estimator split needs wide lobes: the noise of {settings.noise:g}"
+                f" takes more than {begin * settings.batches} points of the surface; "
+                "take weighted instead"
+            )
+
+
+class SurfacePoints:
+    """Points of a surface, joined to the incident directions of setups and to patches.
+
+    Parameters
+    ----------
+    setups : sequence of Setup
+        They differ in their incident direction only.
+    """
+
+    def __init__(self, setups: Sequence[Setup]) -> None:
+        self.setup = setup = setups[0]
+        self.specimen, self.side = setup.specimen, setup.beam.side
+        self.n_batches, self.n_patches = setup.settings.batches, setup.n_patches
+        self.n_wi = len(setups)
+        towards = np.array([one.beam.direction for one in setups], np.float32)
+        # two at least: what is gathered from a single one is another kernel
+        towards = np.repeat(towards, 2, axis=0) if self.n_wi == 1 else towards
+        self.wi = mi.Vector3f(np.ascontiguousarray(towards.T))
+        theta_low, theta_high, phi_low, phi_high = setup.collector.subdivision.cells.T
+        low, high = np.sin(theta_low / 2) ** 2, np.sin(theta_high / 2) ** 2
+        solid_angles = 2 * (high - low) * (phi_high - phi_low)
+        table = (low, high - low, phi_low, phi_high - phi_low, solid_angles)
+        self.table = [mi.Float(column.tolist()) for column in table]
+        scene = self.specimen.scene
+        self.shapes = scene.shapes_dr()
+        areas = [float(np.ravel(one.surface_area())[0]) for one in scene.shapes()]
+        self.below = mi.Float((np.cumsum(areas) / np.sum(areas)).tolist())
+        # area of the surface over that of the cell
+        extent = (self.specimen.high - self.specimen.low)[:2]
+        self.area = float(np.sum(areas) / np.prod(extent))
+
+    def light(self, begin: int, end: int) -> list[FirstLight]:
+        """Light of points `begin` to `end` of each batch, by incident direction."""
+        per_point = self.n_batches * self.n_patches
+        piece = max(1, MAX_LANES // per_point)
+        shape = self.n_batches, self.n_wi, self.n_patches, n_channels()
+        sums, lit = np.zeros(shape), np.zeros(shape[:2])
+        for start in range(begin, end, piece):
+            n = min(piece, end - start)
+            seed = SEED + self.setup.settings.seed
+            keys = [(seed, batch) for batch in range(self.n_batches)]
+            sampler = seeded(self.setup.sampler, keys, start, n)
+            si = self._points(sampler)
+            place = mi.Point2f(sampler.next_2d())
+            dr.eval(si, place)
+            came, wo = self._came(si, n), self._gone(si, place, n)
+            dr.eval(came, wo)
+            for first in range(0, self.n_wi, piece):
+                m = min(piece, self.n_wi - first)
+                light = self._sums(si, came, wo, (n, first, m))
+                sums[:, first : first + m] += light
+            lit += came.numpy().astype(float).reshape(*lit.shape[:1], n, -1).sum(axis=1)
+        directions = range(self.n_wi)
+        return [FirstLight(sums[:, i], lit[:, i], end - begin) for i in directions]
+
+    def _points(self, sampler: mi.Sampler) -> Any:
+        """Points all over the surface, uniformly; not valid if rounding hides one."""
+        sample, u = mi.Point2f(sampler.next_2d()), sampler.next_1d()
+        number, n = mi.UInt32(0), dr.width(self.below)
+        if n > 1:
+            number = dr.binary_search(
+                0, n - 1, lambda i: dr.gather(mi.Float, self.below, i) <= u
+            )
+        shape = dr.gather(mi.ShapePtr, self.shapes, number)
+        position = shape.sample_position(0.0, sample)
+        above = self.specimen.box.reach * NEARBY
+        ray = mi.Ray3f(position.p + above * position.n, -position.n)
+        si = intersect(self.specimen.scene, ray, PARTIALS, True)
+        beside = dr.norm(si.p - position.p)
+        si.t = dr.select(si.is_valid() & (beside < above / 2), si.t, dr.inf)
+        return si
+
+    def _came(self, si: Any, n: int) -> mi.Float:
+        """Part of each incident direction's light that meets a point, per point."""
+        lanes = dr.arange(mi.UInt32, n * self.n_batches * self.n_wi)
+        point, incident = apart(lanes, self.n_wi)
+        here = dr.gather(mi.SurfaceInteraction3f, si, point)
+        wi = dr.gather(mi.Vector3f, self.wi, incident)
+        cosine = dr.abs(dr.dot(here.n, wi))
+        seen = self._sees(here, wi, here.is_valid() & (cosine > 0))
+        return dr.select(seen, self.area * cosine / dr.abs(wi.z), 0.0)
+
+    def _gone(self, si: Any, place: mi.Point2f, n: int) -> mi.Vector3f:
+        """Towards a place in each patch from each point, or 0 where it is hidden."""
+        lanes = dr.arange(mi.UInt32, n * self.n_batches * self.n_patches)
+        point, patch = apart(lanes, self.n_patches)
+        low, span, phi_low, phi_span = (
+            dr.gather(mi.Float, column, patch) for column in self.table[:4]
+        )
+        at = dr.gather(mi.Point2f, place, point)
+        s = low + span * at.x
+        radius = 2 * dr.sqrt(s * (1 - s))
+        sin_phi, cos_phi = dr.sincos(phi_low + phi_span * at.y)
+        wo = mi.Vector3f(radius * cos_phi, radius * sin_phi, self.side * (1 - 2 * s))
+        here = dr.gather(mi.SurfaceInteraction3f, si, point)
+        return dr.select(self._sees(here, wo, here.is_valid()), wo, 0)
+
+    def _sees(self, si: Any, wo: mi.Vector3f, active: mi.Bool) -> mi.Bool:
+        """Whether nothing stands in the way from a point, on either of its sides."""
+        d = -dr.copysign(mi.Float(1), dr.dot(si.n, wo)) * si.n
+        start, offset = departure(self.specimen, si, d, wo)
+        ray = mi.Ray3f(start + dr.copysign(offset, dr.dot(si.n, wo)) * si.n, wo)
+        return escapes(self.specimen, self.side, ray, si.n, offset, active)
+
+    def _sums(
+        self, si: Any, came: mi.Float, wo: mi.Vector3f, sizes: tuple[int, int, int]
+    ) -> Floats:
+        """Sums of light over `n` points, of `m` incident directions from the `first`.
+
+        Shape ``(n_batches, m, n_patches, channels)``; `sizes` are ``n, first, m``.
+        """
+        n, first, m = sizes
+        lanes = dr.arange(mi.UInt32, self.n_batches * m * self.n_patches)
+        pair, patch = apart(lanes, self.n_patches)
+        batch, incident = apart(pair, m)
+        incident += dr.opaque(mi.UInt32, first)
+        numbers = [dr.opaque(mi.UInt32, x) for x in (n, self.n_wi, self.n_patches)]
+        wi = dr.gather(mi.Vector3f, self.wi, incident)
+        where = batch, incident, patch
+        total, sound = _added_up(si, came, wo, wi, where, numbers)
+        total *= dr.gather(mi.Float, self.table[4], patch)
+        dr.eval(total, sound)
+        if not dr.all(sound):
+            raise SpecimenError(
+                f"eval() of {self.specimen.name:.60} returned a negative, infinite or "
+                "NaN value: take weighted instead of split"
+            )
+        light = np.stack([one.numpy() for one in total], axis=-1)
+        return light.astype(float).reshape(self.n_batches, m, self.n_patches, -1)
+
+
+@dr.syntax
+def _added_up(
+    si: Any,
+    came: mi.Float,
+    wo: mi.Vector3f,
+    wi: mi.Vector3f,
+    where: tuple[mi.UInt32, mi.UInt32, mi.UInt32],
+    sizes: Sequence[mi.UInt32],
+) -> tuple[mi.UnpolarizedSpectrum, mi.Bool]:
+    """Sums of light over the points of a batch, from a direction to a patch."""
+    batch, incident, patch = where
+    n, n_wi, n_patches = sizes
+    total = mi.UnpolarizedSpectrum(0.0)
+    sound = mi.Bool(True)
+    point, end = batch * n, (batch + 1) * n
+    while point < end:
+        power = dr.gather(mi.Float, came, point * n_wi + incident)
+        towards = dr.gather(mi.Vector3f, wo, point * n_patches + patch)
+        active = (power > 0) & dr.any(towards != 0)
+        here = dr.gather(mi.SurfaceInteraction3f, si, point)
+        here.wi = here.to_local(wi)
+        local = here.to_local(towards)
+        value = here.bsdf().eval(flux_context(), here, local, active)
+        value *= shading_normal_correction(here, mi.Ray3f(here.p, -wi), local, towards)
+        # comparisons with NaN are false
+        good = (dr.min(value) >= 0) & (dr.max(value) <= MAX_POWER)
+        total += dr.select(active & good, value * power, 0.0)
+        sound &= good | ~active
+        point += 1
+    return total, sound
