@@ -132,7 +132,8 @@ class Tally:
     Attributes
     ----------
     hits : ndarray of uint64, shape (n_hemispheres, n_theta, n_phi)
-        Rays that each patch received, or deposits of the estimator `next_event`.
+        Rays that each patch received, or deposits of the estimator `next_event`; of
+        `split` points of the surface too.
         Hemisphere 0 is the emitter's side.
     sums : ndarray, shape (n_batches, n_hemispheres, n_theta, n_phi, channels)
         Received flux in units of ``1 / scale`` of a ray: uint64 where rays are counted,
