@@ -14,7 +14,7 @@ from synthetic import facet_lobes
 import gonio_mi as gonio
 from gonio_mi.campaigns import whole_bsdf
 from gonio_mi.campaigns.execution import Surroundings
-from gonio_mi.campaigns.known_directions import KnownDirections
+from gonio_mi.campaigns.known_directions import NOISE, KnownDirections
 from gonio_mi.campaigns.symmetry_recognition import SymmetryRecognition
 from gonio_mi.interpolation.incident_grid import IncidentGrid
 from gonio_mi.interpolation.lobes import MeasuredLobes
@@ -38,7 +38,7 @@ class Facets(KnownDirections):
         self.surfaces = surfaces
         self.measure([(theta, 0.0) for theta in ANGLES], "")
 
-    def measure(self, incidents, purpose):  # noqa: ARG002
+    def measure(self, incidents, purpose, noise=0):  # noqa: ARG002
         for one in set(incidents) - self.records.keys():
             lobes = [facet_lobes(PATCHES, [one], **how) for how in self.surfaces]
             lobe = np.mean(lobes, axis=0)[:, None]
@@ -205,8 +205,9 @@ def test_a_material_holds_copies_and_says_so(tmp_path):
     assert not found["isotropic"]
     assert (found["symmetry"]["turns"], found["symmetry"]["mirror"]) == (2, 0)
     noise = [expected_noise(record[number]) for number in range(len(record))]
-    assert max(noise) <= how["tolerance"] / 2
-    assert record.settings["noise"] == how["tolerance"] / 2
+    goal = NOISE * how["tolerance"]
+    assert max(noise) <= goal
+    assert record.settings["noise"] == goal
     copies = {tuple(one) for one in found["symmetry"]["copies"]}
     every = set(zip(record.theta_i.tolist(), record.phi_i.tolist()))
     assert copies < every
