@@ -13,6 +13,7 @@ import os
 import re
 import runpy
 import sys
+import types
 from pathlib import Path
 
 import budget
@@ -98,6 +99,29 @@ def threads(request):
 # The variants by the names of their fixtures.
 VARIANTS = {name: f"llvm_ad_{name}" for name in ("mono", "rgb", "spectral")}
 POLARISED = "llvm_ad_mono_polarized"
+
+
+def _transformed_once(syntax):
+    """Like ``dr.syntax``, but what is defined again is not transformed again.
+
+    Mitsuba loads its integrators anew for each variant, which takes 80 ms without this.
+    """
+    known = {}
+
+    def transformed(f=None, **how):
+        if f is None or how:
+            return syntax(f, **how)
+        place = f.__code__.co_filename, f.__code__
+        if place not in known:
+            known[place] = syntax(f).__code__
+        again = types.FunctionType(known[place], f.__globals__)
+        again.__defaults__ = f.__defaults__
+        return again
+
+    return transformed
+
+
+dr.syntax = _transformed_once(dr.syntax)
 
 
 def _set_variant(name):
