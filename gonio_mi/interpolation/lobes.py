@@ -321,7 +321,10 @@ class MeasuredLobes:
             found = self.grid.filled(self.flux, azimuths, [angle])
             if self.mixture is not None:
                 found = found @ np.asarray(self.mixture, dtype=float)[:, None]
-            found /= self.measured.projected_solid_angles[..., None]
+            # a sum that is negative by chance is no light
+            found = (
+                np.maximum(found, 0) / self.measured.projected_solid_angles[..., None]
+            )
             brdf[:, column] = self.measured.in_rings(found)[1][:, 0]
         return brdf
 

@@ -86,7 +86,8 @@ class FirstOrder:
         dr.eval(area, edges)
         extent = setup.specimen.high - setup.specimen.low
         share = np.array(area) / (extent[0] * extent[1] * abs(float(wi.z[0])))
-        self.face = -1 if share.sum() < 0 else 1
+        # near 0, 1 or -1: of a closed body, of a surface and of one from behind
+        self.face = -1 if share.sum() < -0.5 else 1
         share *= self.face
         # of a closed surface that faces the light, all lines enter as many facets
         faces = share.min() > 0 and edges[0] == 0

@@ -27,7 +27,7 @@ from .sampling import apart, is_joint, seeded
 from .setup import Setup
 from .surface_events import MAX_POWER, flux_context, shading_normal_correction
 
-# Points of each batch to begin with; of a number of rays, and of `rel_err`, all.
+# Points of each batch to begin with; of a number of rays, all.
 N_FIRST, N_FIXED = 2**5, 2**7
 
 # Part of `noise` that the integral may have; by squares it costs 3 % of the rays.
@@ -77,6 +77,7 @@ def check_splittable(setup: Setup) -> None:
             settings.collector_radius == 0 and setup.collector.subdivision.axes is None
         ),
         "the sampler sobol": is_joint(setup.sampler),
+        "noise or rays, not rel_err": settings.rel_err is None,
     }
     for needed, there in reasons.items():
         if not there:
@@ -121,10 +122,15 @@ class FirstLight:
         return np.where((due < 0).any(axis=0), found, due)
 
     def noise(self) -> float:
-        """Total variation distance that its standard errors make on average."""
+        """Total variation distance that its standard errors make on average.
+
+        Infinite where no light was found, and in a single batch.
+        """
+        if len(self.flux) == 1 or not self.flux.any():
+            return np.inf
         error = self.flux.std(axis=0, ddof=1).sum() / np.sqrt(2 * np.pi)
         total = self.flux.mean(axis=0).sum() * np.sqrt(len(self.flux))
-        return float(error / total) if total > 0 else 0.0
+        return float(error / total)
 
     def completed(self, tally: Tally) -> Tally:
         """Tally of the rays of more events, with this light."""
@@ -161,6 +167,12 @@ def find_first_light(setups: Sequence[Setup]) -> None:
         for setup, more in zip(waiting, found):
             setup.first = more if setup.first is None else setup.first + more
         if settings.noise is None:
+            if not all(one.first.sums.any() for one in setups):
+                raise SpecimenError(
+                    "the estimator split needs wide lobes: "
+                    f"{end * settings.batches} points of the surface send no light to "
+                    "any patch; take weighted instead"
+                )
             return
         goal = PART * settings.noise
         waiting = [one for one in waiting if one.first.noise() > goal]

@@ -13,6 +13,7 @@ from specimens import MIRROR, heightfield
 
 from gonio_mi.collector.directions import direction
 from gonio_mi.instrument.setup import set_up
+from gonio_mi.interpolation.lobes import MeasuredLobes
 from gonio_mi.mitsuba_names import triangles_of
 from gonio_mi.settings import MeasurementSettings
 from gonio_mi.transport.first_order import FirstOrder, first_order_of
@@ -203,6 +204,9 @@ def test_negative_sums_are_told_as_no_light(tmp_path):
         again = gonio.load(tmp_path / name)
         assert again == record
         assert np.array_equal(again.interval(0.95), (low, high))
+    stack = measured(mi.load_dict(field(0.5)), [0, 30], rays=256)
+    assert (stack.flux_fraction < 0).any()
+    assert (MeasuredLobes(stack).whole().brdf >= 0).all()
 
 
 def test_where_it_is_not_known():

@@ -33,6 +33,7 @@ def both_sided(bsdf):
 
 GREY = both_sided({"type": "diffuse", "reflectance": 0.8})
 ROUGH_MIRROR = {"type": "roughconductor", "alpha": 0.3}
+BLACK = both_sided({"type": "diffuse", "reflectance": 0.0})
 GLOSSY = both_sided({"type": "roughconductor", "alpha": 0.02})
 
 
@@ -154,6 +155,8 @@ def test_bits_alone_and_in_a_stack(tmp_path, monkeypatch):
         (lambda: field(GREY), {"sampler": "independent"}, "sampler sobol"),
         (lambda: field(GREY), {"divergence": 1.0}, "collimated"),
         (lambda: field(GLOSSY), {"rays": None, "noise": 0.02}, "wide lobes"),
+        (lambda: field(GLOSSY), {"rays": None, "rel_err": 0.1}, "noise or rays"),
+        (lambda: field(BLACK), {}, "no light"),
     ],
 )
 def test_refused(specimen, settings, reason):
