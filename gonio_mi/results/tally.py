@@ -138,6 +138,7 @@ class Tally:
     sums : ndarray, shape (n_batches, n_hemispheres, n_theta, n_phi, channels)
         Received flux in units of ``1 / scale`` of a ray: uint64 where rays are counted,
         float64 where weights are summed, so that faint light keeps its digits.
+        Negative by chance where rays correct a sum over `facets`.
     incident : ndarray, shape (n_batches, channels)
         Flux that met the specimen, of the same type and in the same unit.
     fates : ndarray of uint64, shape (n_batches, len(Fate))

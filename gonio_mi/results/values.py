@@ -239,7 +239,9 @@ class MeasuredValues:
     def flux_fraction(self) -> Floats:
         """Received over incident flux, ``(n_hemispheres, n_theta, n_phi, channels)``.
 
-        The raw measured quantity; it sums to ``dhr`` and ``dht``.
+        The raw measured quantity; it sums to ``dhr`` and ``dht``. Where the first order
+        is a sum over `facets` it may be negative in a faint patch, by chance; `brdf`
+        is 0 there.
         """
         fractions = np.empty((len(self.tallies), *self.tallies[0].sums.shape[1:]))
         for own, tally in zip(fractions, self.tallies):
@@ -250,7 +252,8 @@ class MeasuredValues:
     def counts(self) -> Counts:
         """Rays per patch, uint64, shape ``(n_hemispheres, n_theta, n_phi)``.
 
-        For the estimator `next_event` deposits: several from one ray, or none.
+        For the estimator `next_event` deposits: several from one ray, or none; for
+        `split` points of the surface too.
         """
         return self._squeeze(np.stack([tally.hits for tally in self.tallies]))
 

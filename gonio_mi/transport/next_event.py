@@ -1,4 +1,7 @@
-"""The estimator `next_event`: at every event `eval` is deposited towards patches."""
+"""The estimator `next_event`: at every event `eval` is deposited towards patches.
+
+Of mirror facets, whose first order is known, it is taken off along each ray's line.
+"""
 
 from __future__ import annotations
 
