@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 from ..results.tally import Tally
-from ..transport.first_order import first_order_of, knows_first_order
 from ..transport.kernels import check_all_counted
 from ..transport.launch import Launch, launch, traces
+from ..transport.mirror_facets import MirrorFacets, has_mirror_facets
 from ..transport.morton import block_bits, chunk_lanes
 from ..transport.sampling import is_joint
 from ..transport.setup import Setup
@@ -91,6 +91,7 @@ class Launcher:
             sums = setup.n_bins * (1 if self.curved else len(setup.classes))
             fitting = FUSED_SUMS // (sums * n_numbers())
             self.capacity = max(1, min(fitting, settings.batches))
+        self.known: tuple[Setup, list[MirrorFacets | None]] | None = None
         self.together = 1
         if len(setups) >= FEWEST_TOGETHER and _may_share(setup) and self.divisible:
             most = min(fitting // settings.batches, FUSED_RAYS // settings.rays)
@@ -111,7 +112,7 @@ class Launcher:
         setup, n = setups[0], len(setups)
         beams = tuple(one.beam for one in setups) if self.together > 1 else ()
         lanes = [wavelength_lanes(nm) for nm in setup.passes]
-        known = [first_order_of(setup, lane) for lane in lanes]
+        facets = self._facets(setup, lanes)
         first, sizes = part.first, tuple(size for size in part.sizes for _ in setups)
         while sizes:
             n_batches = range(first, first + len(sizes) // n)
@@ -128,7 +129,7 @@ class Launcher:
                     wavelengths=lanes[number],
                     keys=own,
                     sizes=sizes[:several],
-                    first=known[number],
+                    facets=facets[number],
                 )
                 total: Any = None
                 pieces = self._along_curve if self.curved else self._in_order
@@ -146,6 +147,14 @@ class Launcher:
                 for each in zip(*groups)
             ]
             first, sizes = first + several // n, sizes[several:]
+
+    def _facets(self, setup: Setup, lanes: Sequence[Any]) -> list[MirrorFacets | None]:
+        """Mirror facets of a setup for each pass: made in its first round."""
+        if self.known is None or self.known[0] is not setup:
+            there = has_mirror_facets(setup)
+            made = [MirrorFacets(setup, nm) if there else None for nm in lanes]
+            self.known = setup, made
+        return self.known[1]
 
     def _n_sharing(self, whole: Launch, n: int) -> int:
         """How many of the batches, which are about to be sent, share their launches.
@@ -199,7 +208,7 @@ def _may_share(setup: Setup) -> bool:
         return False
     if traces(setup):
         # the first order of each direction is a table of its own
-        return not setup.specimen.media and not knows_first_order(setup)
+        return not setup.specimen.media and not has_mirror_facets(setup)
     return not setup.specimen.plane.by_ray
 
 

@@ -30,7 +30,7 @@ from ..settings.values import Order
 from ..transport.kernels import launches_kernels
 from ..transport.polarisation import n_channels, n_elements
 from ..transport.setup import Setup
-from ..transport.surface_points import find_first_light
+from ..transport.surface_points import SingleScattering, single_scattering
 from ..transport.variants import is_parallel
 from .incidence import incident_angles
 from .launcher import Launcher, round_rays
@@ -171,19 +171,20 @@ def send_all(
         before = sum(sum(rays_sent(tallies, n_passes)) for tallies in finished)
         rays = (len(setups) * sum(plan) - before) * n_passes
     waiting: list[tuple[Setup, list[Tally], list[Tally]]] = []
+    single: Sequence[SingleScattering | None] = [None] * len(setups)
     complete = True
     with bar(
         progress, total=rays, unit="ray", unit_scale=True, delay=1, mininterval=0.2
     ) as report:
         try:
             if settings.estimator.splits:
-                find_first_light(setups)
+                single = single_scattering(setups)
             for some in _groups(len(setups), launcher.together):
                 # without the integrals beside them rays are not enough
                 integrates = settings.estimator.integrates
                 sent = [[] if integrates else tallies for tallies in finished[some]]
                 if setups[0].samples:
-                    _send(launcher, setups[some], sent, report)
+                    _send(launcher, setups[some], single[some], sent, report)
                 elif report is not None:
                     report(sum(plan) * len(sent))
                 if integrates:
@@ -197,15 +198,10 @@ def send_all(
             if not any(finished):
                 raise KeyboardInterrupt from None
             complete = False
-    for setup, tallies in zip(setups, finished):
-        if tallies and settings.estimator.splits:
-            tallies[:] = [_completed(setup, Tally.join(tallies))]
+    for light, tallies in zip(single, finished):
+        if tallies and light is not None:
+            tallies[:] = [light.completed(Tally.join(tallies))]
     return complete
-
-
-def _completed(setup: Setup, tally: Tally) -> Tally:
-    """Tally with the light of first events, if that is an integral."""
-    return tally if setup.first is None else setup.first.completed(tally)
 
 
 def _groups(n: int, most: int) -> Iterator[slice]:
@@ -217,17 +213,21 @@ def _groups(n: int, most: int) -> Iterator[slice]:
 def _send(
     launcher: Launcher,
     setups: Sequence[Setup],
+    single: Sequence[SingleScattering | None],
     sent: Sequence[list[Tally]],
     report: Callable[[float], Any] | None,
 ) -> None:
-    """Add to what setups have `sent`, alike, what their settings ask for."""
-    lead = setups[0]
+    """Add to what setups have `sent`, alike, what their settings ask for.
+
+    Precision is that with the light of `single` scattering, where rays leave it out.
+    """
+    lead, light = setups[0], single[0]
     rounds = schedule(
         lead.settings,
         round_rays(lead),
         len(lead.passes),
         sent[0],
-        lambda tally: record_of(lead, _completed(lead, tally)),
+        lambda tally: record_of(lead, light.completed(tally) if light else tally),
     )
     for part in rounds:
         grown = launcher.tallies(setups, part, report)

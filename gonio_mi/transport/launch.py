@@ -12,9 +12,9 @@ from ..results.provenance import FACETS
 from ..settings.values import UNLIMITED
 from .beam import Beam
 from .exits import Exits, of_order
-from .first_order import FirstOrder, knows_first_order
 from .kernels import check_variant_kept
 from .media_loop import Geometry, trace_inside
+from .mirror_facets import MirrorFacets, has_mirror_facets
 from .next_event import Deposits
 from .sampling import Relay, apart, continues, in_turns, relay_turns, seeded, turns_of
 from .setup import Setup
@@ -46,8 +46,8 @@ class Launch:
     stretch : (int, int), optional
         Along the curve that all batches of a direction walk together: only rays from
         there.
-    first : FirstOrder, optional
-        Of the setup, where it is known.
+    facets : MirrorFacets, optional
+        Of the setup, where their first order is known.
     """
 
     setup: Setup
@@ -58,7 +58,7 @@ class Launch:
     sizes: tuple[int, ...]
     begin: int = 0
     stretch: tuple[int, int] | None = None
-    first: FirstOrder | None = None
+    facets: MirrorFacets | None = None
 
     @property
     def rays(self) -> int:
@@ -86,7 +86,7 @@ def launch(one: Launch) -> Totals:
     if traced and len(sizes) * lanes == 1:
         lanes = 2  # in a single one Dr.Jit 1.5 takes a loop's variables for constants
     while True:
-        sums = Sums(setup, one.capacity, one.first)
+        sums = Sums(setup, one.capacity, one.facets)
         sampler = seeded(setup.sampler, one.keys, one.begin, lanes)
         if one.stretch is not None:
             batch, ray = sampler.follow_curve(*one.stretch, one.n_directions)
@@ -122,11 +122,11 @@ def traces(setup: Setup) -> bool:
 def transport_of(setup: Setup) -> str:
     """How rays are followed: on a ``plane``, through ``layers``, or ``traced``.
 
-    Or traced for what the first order of ``facets`` leaves open.
+    Or traced for what the first order of mirror ``facets`` leaves open.
     """
     if not traces(setup):
         return "plane"
-    if knows_first_order(setup):
+    if has_mirror_facets(setup):
         return FACETS
     return "traced" if setup.settings.trace or setup.layers is None else "layers"
 

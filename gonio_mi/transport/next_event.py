@@ -169,7 +169,7 @@ class Deposits:
             i += 1
         return sound
 
-    def take_first(
+    def take_facets_off(
         self, si: mi.SurfaceInteraction3f, ray: mi.Ray3f, active: mi.Bool
     ) -> None:
         """Take off what is known: what facets send along the line of active rays.
@@ -178,7 +178,7 @@ class Deposits:
         """
         d = mi.Vector3f(ray.d)
         self._take(si, d, active)
-        if not self.sums.first.once:
+        if not self.sums.facets.once:
             self._take_below(si, d, active)
 
     @dr.syntax
@@ -203,10 +203,10 @@ class Deposits:
         self, si: mi.SurfaceInteraction3f, d: mi.Vector3f, active: mi.Bool
     ) -> None:
         """Take off what one facet sends where the line enters it from outside."""
-        first = self.sums.first
-        entered = active & self.lanes & first.entered(si, d)
-        patch = dr.gather(mi.UInt32, first.patch, si.prim_index, entered)
-        light = dr.gather(mi.Spectrum, first.light, si.prim_index, entered)
+        facets = self.sums.facets
+        entered = active & self.lanes & facets.entered(si, d)
+        patch = dr.gather(mi.UInt32, facets.patch, si.prim_index, entered)
+        light = dr.gather(mi.Spectrum, facets.light, si.prim_index, entered)
         entered &= patch < self.setup.n_patches
         self.sums.deposit(patch, light, entered, self.batch, -1)
 

@@ -81,7 +81,6 @@ class Setup:
             self.emitter_digest = described or emitter_digest([beam.emitter])
         self.collector = collector
         self.sampler = sampler
-        self.first: Any = None  # light of first events, of the estimator `split`
         self.choice: str | None = None  # why this estimator, if it was left to `auto`
         self.source: Any = None  # what has to live as long as the beam's emitter
         subdivision = collector.subdivision

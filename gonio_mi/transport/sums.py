@@ -19,7 +19,7 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers
 from ..results.tally import WEIGHT_SCALE, Fate, PolarisedTally, Tally
 from .exits import Exits
-from .first_order import FirstOrder
+from .mirror_facets import MirrorFacets
 from .polarisation import n_channels, n_elements, other_elements, power_of
 from .setup import Setup
 
@@ -150,15 +150,15 @@ class Sums:
     ----------
     setup : Setup
     n_batches : int
-    first : FirstOrder, optional
-        Light of the first order that `deposit` takes off: it is known without rays.
+    facets : MirrorFacets, optional
+        Whose light of the first order `deposit` takes off: it is known without rays.
     """
 
     def __init__(
-        self, setup: Setup, n_batches: int = 1, first: FirstOrder | None = None
+        self, setup: Setup, n_batches: int = 1, facets: MirrorFacets | None = None
     ) -> None:
         self.setup = setup
-        self.first: Any = first
+        self.facets: Any = facets
         # all powers are whole numbers
         self.counted = setup.settings.estimator.counts
         self.one = 1 if self.counted else ONE
@@ -428,8 +428,8 @@ class Totals:
             every = np.ones(len(self._rays), bool)
             incident = self._incident.total(every).powers()
         incident = (scale * incident).astype(kind)
-        if sums.first is not None:
-            known = sums.first.flux.reshape(*setup.shape, -1)
+        if sums.facets is not None:
+            known = sums.facets.flux.reshape(*setup.shape, -1)
             power += known * incident[:, None, None, None]
         found = hits.sum(axis=0), power, incident, fates, scale
         if self._elements is None:

@@ -130,8 +130,8 @@ def trace(
             sound = deposits.add(si, bsdf, flight, β, depth, sampler, active)
             fate[active & ~sound] = mi.UInt32(Fate.INVALID)
             active &= sound
-        if deposits is not None and deposits.sums.first is not None:
-            deposits.take_first(si, ray, active & (depth == 0))
+        if deposits is not None and deposits.sums.facets is not None:
+            deposits.take_facets_off(si, ray, active & (depth == 0))
 
         # ------------------------------- Scattering -----------------------------------
         u1, u2 = sampler.next_1d(active), sampler.next_2d(active)

@@ -30,13 +30,13 @@ from .surface_events import MAX_POWER, flux_context, shading_normal_correction
 # Points of each batch to begin with; of a number of rays, all.
 N_FIRST, N_FIXED = 2**5, 2**7
 
-# Part of `noise` that the integral may have; by squares it costs 3 % of the rays.
-PART = 1 / 4
+# Part of `noise` that the integral may have: rays keep sqrt(1 - 1/16), 97 % of it.
+PART_OF_NOISE = 1 / 4
 
-# From so many points of all batches on, times the square of `noise`, rays cost less:
-# with m patches m / 44 of them give a noise of 1, at 170 ns (measured on rough
-# grooves), where a point takes 20 ns for each patch.
-MAX_NOISE2 = 1 / 6
+# Points of all batches times the square of `noise`, at most: rays cost less than more.
+# For m patches a noise x takes m / (44 x^2) rays of 170 ns (measured on rough grooves),
+# and a point 20 ns for each patch: as much at 170 / (44 * 20) = 0.19.
+MAX_POINTS_NOISE2 = 1 / 6
 
 # Lanes of a launch: pairs of a point and a patch, or sums over points.
 MAX_LANES = 2**24
@@ -87,7 +87,7 @@ def check_splittable(setup: Setup) -> None:
 
 
 @dataclass(frozen=True)
-class FirstLight:
+class SingleScattering:
     """Light of one event of an incident direction: sums over points of each batch.
 
     Attributes
@@ -103,10 +103,10 @@ class FirstLight:
     lit: Floats
     n_points: int
 
-    def __add__(self, more: FirstLight) -> FirstLight:
+    def __add__(self, more: SingleScattering) -> SingleScattering:
         """Light of the points of both."""
         n_points = self.n_points + more.n_points
-        return FirstLight(self.sums + more.sums, self.lit + more.lit, n_points)
+        return SingleScattering(self.sums + more.sums, self.lit + more.lit, n_points)
 
     @cached_property
     def flux(self) -> Floats:
@@ -148,8 +148,8 @@ class FirstLight:
         return replace(tally, sums=sums, hits=hits, fates=fates)
 
 
-def find_first_light(setups: Sequence[Setup]) -> None:
-    """Give all setups the light of one event, as precise as their settings ask.
+def single_scattering(setups: Sequence[Setup]) -> list[SingleScattering]:
+    """Light of one event of each setup, as precise as their settings ask.
 
     Points are doubled, of each direction until it is precise enough: it has the bits
     that it would have alone. Setups differ in their incident direction only.
@@ -161,28 +161,29 @@ def find_first_light(setups: Sequence[Setup]) -> None:
     """
     settings = setups[0].settings
     waiting, begin = list(setups), 0
+    found: dict[Setup, SingleScattering] = {}
     end = N_FIRST if settings.noise else N_FIXED
     while waiting:
-        found = SurfacePoints(waiting).light(begin, end)
-        for setup, more in zip(waiting, found):
-            setup.first = more if setup.first is None else setup.first + more
+        for setup, more in zip(waiting, SurfacePoints(waiting).light(begin, end)):
+            found[setup] = found[setup] + more if setup in found else more
         if settings.noise is None:
-            if not all(one.first.sums.any() for one in setups):
+            if not all(light.sums.any() for light in found.values()):
                 raise SpecimenError(
                     "the estimator split needs wide lobes: "
                     f"{end * settings.batches} points of the surface send no light to "
                     "any patch; take weighted instead"
                 )
-            return
-        goal = PART * settings.noise
-        waiting = [one for one in waiting if one.first.noise() > goal]
+            break
+        goal = PART_OF_NOISE * settings.noise
+        waiting = [setup for setup in waiting if found[setup].noise() > goal]
         begin, end = end, 2 * end
-        if waiting and end * settings.batches * settings.noise**2 > MAX_NOISE2:
+        if waiting and end * settings.batches * settings.noise**2 > MAX_POINTS_NOISE2:
             raise SpecimenError(
                 f"the estimator split needs wide lobes: the noise of {settings.noise:g}"
                 f" takes more than {begin * settings.batches} points of the surface; "
                 "take weighted instead"
             )
+    return [found[setup] for setup in setups]
 
 
 class SurfacePoints:
@@ -216,7 +217,7 @@ class SurfacePoints:
         extent = (self.specimen.high - self.specimen.low)[:2]
         self.area = float(np.sum(areas) / np.prod(extent))
 
-    def light(self, begin: int, end: int) -> list[FirstLight]:
+    def light(self, begin: int, end: int) -> list[SingleScattering]:
         """Light of points `begin` to `end` of each batch, by incident direction."""
         per_point = self.n_batches * self.n_patches
         piece = max(1, MAX_LANES // per_point)
@@ -238,7 +239,8 @@ class SurfacePoints:
                 sums[:, first : first + m] += light
             lit += came.numpy().astype(float).reshape(*lit.shape[:1], n, -1).sum(axis=1)
         directions = range(self.n_wi)
-        return [FirstLight(sums[:, i], lit[:, i], end - begin) for i in directions]
+        n = end - begin
+        return [SingleScattering(sums[:, i], lit[:, i], n) for i in directions]
 
     def _points(self, sampler: mi.Sampler) -> Any:
         """Points all over the surface, uniformly; not valid if rounding hides one."""

@@ -131,7 +131,9 @@ def test_channels(rgb):  # noqa: ARG001
 
 def test_bits_alone_and_in_a_stack(tmp_path, monkeypatch):
     """Exact, from a file too; other seeds, other bits."""
-    monkeypatch.setattr(surface_points, "MAX_NOISE2", np.inf)  # rays would cost less
+    monkeypatch.setattr(
+        surface_points, "MAX_POINTS_NOISE2", np.inf
+    )  # rays would cost less
     specimen = field(ROUGH_MIRROR)
     wish = {"rays": None, "noise": 0.02}
     stack = split(specimen, **wish)
@@ -175,8 +177,8 @@ def test_is_not_resumed():
 @pytest.mark.parametrize("pays", [True, False])
 def test_a_campaign_takes_it_where_it_pays(pays, monkeypatch):
     """Else rays, whatever was found before is forgotten."""
-    monkeypatch.setattr(surface_points, "MAX_NOISE2", np.inf if pays else 0.0)
-    monkeypatch.setattr(surface_points, "PART", 1 / 4 if pays else 1 / 40)
+    monkeypatch.setattr(surface_points, "MAX_POINTS_NOISE2", np.inf if pays else 0.0)
+    monkeypatch.setattr(surface_points, "PART_OF_NOISE", 1 / 4 if pays else 1 / 40)
     settings = {"tolerance": 0.2, "theta_max": 20, "collector": "projected:6x8"}
     record = campaign({"it": grooves(20, 1, bsdf=GREY)}, period="box", **settings)["it"]
     assert str(record.asked.estimator) == ("split" if pays else "weighted")

@@ -29,7 +29,7 @@ from .surface_events import after_event, scattered
 MIXED = 0x9E3779B97F4A7C15
 
 
-def knows_first_order(setup: Setup) -> bool:
+def has_mirror_facets(setup: Setup) -> bool:
     """Whether a sum over facets is the mean of what the beam's lines would send.
 
     For one mesh of flat mirror facets in a periodic cell, all of it in a collimated
@@ -57,8 +57,8 @@ def is_mirror(bsdf: mi.BSDF) -> bool:
     )
 
 
-class FirstOrder:
-    """What the facets of a setup send in the first order, if nothing is in the way.
+class MirrorFacets:
+    """What each facet of a setup sends in the first order, if nothing is in the way.
 
     Attributes
     ----------
@@ -146,8 +146,3 @@ def _mixed(*vectors: mi.Vector3f) -> mi.UInt64:
             word = (word ^ mi.UInt64(dr.reinterpret_array(mi.UInt32, x))) * MIXED
             word ^= word >> 29
     return word * MIXED
-
-
-def first_order_of(setup: Setup, wavelengths: mi.Spectrum) -> FirstOrder | None:
-    """:class:`FirstOrder` of a setup; None where it is not known."""
-    return FirstOrder(setup, wavelengths) if knows_first_order(setup) else None

@@ -16,7 +16,7 @@ from gonio_mi.instrument.setup import set_up
 from gonio_mi.interpolation.lobes import MeasuredLobes
 from gonio_mi.mitsuba_names import triangles_of
 from gonio_mi.settings import MeasurementSettings
-from gonio_mi.transport.first_order import FirstOrder, first_order_of
+from gonio_mi.transport.mirror_facets import MirrorFacets, has_mirror_facets
 from gonio_mi.transport.next_event import Deposits
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -54,7 +54,7 @@ def known(shape, theta_i=30.0, phi_i=0.0, **settings):
     scene = mi.load_dict({"type": "scene", "shape": shape})
     how = {"estimator": "next_event", **HOW, **settings}
     (setup,) = set_up(scene, MeasurementSettings().changed(**how), [(theta_i, phi_i)])
-    return first_order_of(setup, mi.Color0f())
+    return MirrorFacets(setup, mi.Color0f()) if has_mirror_facets(setup) else None
 
 
 def test_faint_slopes_send_what_facets_send():
@@ -125,13 +125,13 @@ def test_agrees_with_weighted(name, monkeypatch):
     weighted = measured(shape, theta_i, "weighted", seed=2, side=side)
     agree(verdict(difference_scores(weighted, measured(shape, theta_i, side=side))))
     if once:
-        make_flux = FirstOrder.__init__
+        make_flux = MirrorFacets.__init__
 
         def turned(self, *given):
             make_flux(self, *given)
             self.flux = np.roll(self.flux, 1, axis=0)
 
-        monkeypatch.setattr(FirstOrder, "__init__", turned)
+        monkeypatch.setattr(MirrorFacets, "__init__", turned)
     else:
         monkeypatch.setattr(Deposits, "_take_below", lambda *_: None)
     if name != "with holes":  # below which there is nothing
