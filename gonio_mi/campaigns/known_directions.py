@@ -184,8 +184,8 @@ REPEAT_FACTOR, N_STD_ERRS_REFUSED = 16, 16
 MIN_ANNOUNCED = 600
 
 
-class NotIntegrableError(Exception):
-    """A direction of which an estimator is refused, where another may be taken."""
+class EstimatorRefusedError(Exception):
+    """A direction refuses an estimator, where another may be taken."""
 
 
 class KnownDirections:
@@ -269,8 +269,8 @@ class KnownDirections:
 
         Raises
         ------
-        NotIntegrableError
-            If an integral is refused, and no estimator was asked for.
+        EstimatorRefusedError
+            If a direction refuses the estimator, and none was asked for.
         """
         goal = noise * self.tolerance
         new = sorted(one for one in set(incidents) if self._lacks(one, goal))
@@ -326,7 +326,7 @@ class KnownDirections:
         except SpecimenError as error:
             if len(self.estimators) == 1:
                 raise
-            raise NotIntegrableError(error) from error
+            raise EstimatorRefusedError(error) from error
 
     def check_functions(self, incident: tuple[float, float]) -> None:
         """Raise SpecimenError if samples contradict the integral of a known direction.

@@ -21,8 +21,8 @@ from ..settings import MeasurementSettings
 from .known_directions import (
     CONFIRMING,
     TESTING,
+    EstimatorRefusedError,
     KnownDirections,
-    NotIntegrableError,
 )
 from .refinement import IncidentRings, Interval, refined
 from .resolution import (
@@ -118,7 +118,7 @@ class WholeBsdf:
         while True:
             try:
                 return self._measured()
-            except NotIntegrableError as error:
+            except EstimatorRefusedError as error:
                 logger.info("%s: another estimator: %s", self.name, error)
                 self.directions.start_anew()
             except TooCoarseError as error:

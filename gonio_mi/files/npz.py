@@ -152,8 +152,10 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
         }
         copies = _numbers(*opened.pop("copies")) if "copies" in opened else None
         n_all = len(n_batches if copies is None else copies)
-        needed = announced * n_all / len(n_batches)
-        needed /= min(n_batches) if added_up else 1
+        # hits are those of all batches
+        whole = members["hits.npy"].file_size if added_up else announced
+        needed = whole + (announced - whole) / min(n_batches)
+        needed *= n_all / len(n_batches)
         check_memory("its content", needed, "open it on a larger machine")
         content = _tallies(opened, n_batches)
         if copies is None:

@@ -77,6 +77,9 @@ class _Together:
 class RecordObservations(_Together):
     """Flux fractions of one incident direction of a record, in all its detectors.
 
+    As they are, where sums over mirror facets are negative by chance: only unbiased
+    values have weighted means, and so least squares, without bias.
+
     Parameters
     ----------
     single : Record

@@ -214,7 +214,9 @@ def _draw_state(
 def _draw_s_and_p(axes: Any, single: Record, shown: Sequence[str]) -> None:
     """Draw the power of light that is polarised along s and along p."""
     for of in shown:
-        for colour, (name, vector) in zip(("C0", "C3"), POLARISED.items()):
+        # wider below, which shows beside the other where both are the same
+        styles = ("C0", 2.0), ("C3", 1.0)
+        for (colour, width), (name, vector) in zip(styles, POLARISED.items()):
             power, error = (
                 one[..., 0].mean(axis=-1, keepdims=True)
                 for one in single.stokes(vector, of)
@@ -222,7 +224,7 @@ def _draw_s_and_p(axes: Any, single: Record, shown: Sequence[str]) -> None:
             limits = statistics.student_interval(power, error, single.n_batches, LEVEL)
             cut = cut_profile(single, of, power, *limits)
             label = f"{of.upper()}, incident light along {name}"
-            _draw(axes, cut, 0, colour, of, label)
+            _draw(axes, cut, 0, colour, of, label, width)
     several = f", mean of {len(single.channels)} channels"
     label = " and ".join(of.upper() for of in shown)
     axes.set_ylabel(f"{label}{several if len(single.channels) > 1 else ''} (1/sr)")
@@ -246,12 +248,23 @@ def _draw_degree(
 
 
 def _draw(
-    axes: Any, cut: Profile, channel: int, colour: Any, of: str, label: str
+    axes: Any,
+    cut: Profile,
+    channel: int,
+    colour: Any,
+    of: str,
+    label: str,
+    width: float = 1.0,
 ) -> None:
     """Draw a curve with its name."""
-    draw_curve(axes, cut, channel, colour, of)
-    style = {"marker": "o", "ms": 3, "mfc": None if of == "brdf" else "w"}
-    axes.plot([], [], c=colour, lw=1, label=label, **style)
+    draw_curve(axes, cut, channel, colour, of, width)
+    style = {
+        "marker": "o",
+        "ms": 3 * width,
+        "lw": width,
+        "mfc": None if of == "brdf" else "w",
+    }
+    axes.plot([], [], c=colour, label=label, **style)
 
 
 def _finish(axes: Any, single: Record) -> None:

@@ -160,21 +160,22 @@ def draw_profiles(
 
 
 def draw_curve(
-    axes: "Axes", cut: Profile, channel: int, colour: Any, of: str
+    axes: "Axes", cut: Profile, channel: int, colour: Any, of: str, width: float = 1.0
 ) -> list[tuple[float, float, Any]]:
-    """Draw one channel: steps, points with intervals or a band.
+    """Draw one channel, `width` times as wide: steps, points with intervals or a band.
 
     Returns the upper limits that are not in a band: theta, limit and colour of each.
     """
     value, low, high = (a[:, channel] for a in (cut.value, cut.low, cut.high))
     hit = ~cut.empty[:, channel]
     steps = {"baseline": None, "color": colour, "ls": "-" if of == "brdf" else "--"}
-    axes.stairs(np.where(hit, value, np.nan), cut.edges, lw=1, alpha=0.5, **steps)
+    axes.stairs(np.where(hit, value, np.nan), cut.edges, lw=width, alpha=0.5, **steps)
     if cut.theta.size > MAX_POINTS:
         low = np.where(hit, low, np.nan)
         axes.stairs(high, cut.edges, baseline=low, fill=True, alpha=0.3, color=colour)
         return []
-    points = {"color": colour, "lw": 1, "ms": 3, "mfc": None if of == "brdf" else "w"}
+    filling = None if of == "brdf" else "w"
+    points = {"color": colour, "lw": width, "ms": 3 * width, "mfc": filling}
     errors = np.maximum([value - low, high - value], 0)[:, hit]
     axes.errorbar(cut.theta[hit], value[hit], errors, fmt="o", **points)
     return [(theta, limit, colour) for theta, limit in zip(cut.theta[~hit], high[~hit])]

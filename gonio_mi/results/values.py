@@ -346,7 +346,11 @@ class MeasuredValues:
         they scatter more than half as many that are alike and independent, and in all
         patches where three of four do so, the interval reaches at least to the limits
         for weighted counts (Fay and Feuer 1997), of which one of unit weight may have
-        been missed.
+        been missed. Sums over mirror facets (`transport` of the provenance ``facets``)
+        are changed by few rays: it reaches at least to the limits of a Poisson count
+        of rays that would scatter as much. Of `split`, whose points of the surface
+        count as hits, it is Student's t for the sum of points and rays; wider than
+        need be where rays are fewer than points.
 
         Integrals (estimator `quadrature`) may be wrong by their error, the largest that
         they are estimated to have, at any `level`; Student's t for delta components,

@@ -97,7 +97,10 @@ class Estimator(str, Enum):
 
     @property
     def follows_exits(self) -> bool:
-        """Whether rays are collected where they leave, each of the one order it has."""
+        """Whether all that rays bring is collected where they leave, with its order.
+
+        Of `split` too, whose rays bring the light of more than one event.
+        """
         return not (self.integrates or self.deposits)
 
     def __str__(self) -> str:

@@ -155,7 +155,7 @@ def _excuse(evidence: Evidence) -> None:
         evidence.breaches[:] = [one for one in evidence.breaches if one not in awake]
         text = "remark, no effect on images: inactive rays get a value, as of all of "
         text += "Mitsuba's own phase functions"
-        evidence.remark("masks", text)
+        evidence.remarks["masks"] = text  # which says all, of `pdf` too
     world = evidence.remarks.pop("answers", "")
     if world and not world.startswith("`sample`"):
         evidence.remark("answers", "it depends on axes of the world")

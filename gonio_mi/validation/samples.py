@@ -27,9 +27,9 @@ ULPS = 2.0**-21
 # along each of which there is at most one sample a radian.
 SPOILED = 6 * SLACK * ULPS
 
-# Where only so few samples differ that all steps of their values are worth a search,
-# how many times as many displacements are tried.
-FEW, CLOSER = 0.01, 64
+# Fraction of the samples that may differ for all steps of their values to be searched
+# for, and displacements of each: both together cost less than to ask once for all.
+MAX_SEARCHED, N_DISPLACED = 0.01, 64
 
 # Values in single precision that are as good as 0: powers of small cosines underflow.
 UNDERFLOW = 1e-30
@@ -284,14 +284,21 @@ def closer_slacks(bsdf: mi.BSDF, samples: Samples) -> tuple[Floats, Floats]:
     left: the usual displacements may happen to meet none of them.
     """
     probe, n = Probe(bsdf, samples.condition), len(samples.wo)
-    wi, wo = (vectors(np.repeat(x, CLOSER, axis=0)) for x in (samples.wi, samples.wo))
+    wi, wo = (
+        vectors(np.repeat(x, N_DISPLACED, axis=0)) for x in (samples.wi, samples.wo)
+    )
     slacks = _changes(
         _displaced(wi, wo, (n, 4)),
         (lambda wi, wo: probe.eval(wo, wi=wi), probe.eval(wo)),
         (lambda wi, wo: probe.pdf(wo, wi=wi), probe.pdf(wo)),
     )
-    value, pdf = spectral(slacks[0], n * CLOSER), numbers(slacks[1], n * CLOSER)
-    return value.reshape(n, CLOSER, -1).max(axis=1), pdf.reshape(n, CLOSER).max(axis=1)
+    value, pdf = (
+        spectral(slacks[0], n * N_DISPLACED),
+        numbers(slacks[1], n * N_DISPLACED),
+    )
+    return value.reshape(n, N_DISPLACED, -1).max(axis=1), pdf.reshape(
+        n, N_DISPLACED
+    ).max(axis=1)
 
 
 def _mean(value: Any, n: int) -> Numbers:

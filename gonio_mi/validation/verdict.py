@@ -31,7 +31,7 @@ MAX_PLACES = 10
 MAX_NEAR = 10
 
 # What decides where a p-value is near its level.
-CLOSER = {
+DECIDED_BY = {
     "quick": "effort normal looks closer",
     "normal": "effort thorough looks closer",
     "thorough": "another seed decides",
@@ -248,7 +248,7 @@ class Verdict:
     @property
     def near(self) -> str:
         """What is near its limit, to follow a sentence, and what looks closer."""
-        closer = CLOSER[self.settings["effort"]]
+        closer = DECIDED_BY[self.settings["effort"]]
         found = [f"{p.name} ({p.near})" for p in self.properties if p.near]
         return f"; near the limit: {', '.join(found)}, {closer}" if found else ""
 

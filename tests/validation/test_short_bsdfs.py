@@ -5,12 +5,12 @@ GONIO_EFFORT=normal (or thorough) examines them harder than quick.
 
 import os
 from dataclasses import replace
-from functools import cache
 
 import mitsuba as mi
 import pytest
 import right_bsdfs
 import short_bsdfs
+from broken_bsdfs import judged
 from right_bsdfs import PUBLISHED
 from short_bsdfs import MISTAKES, MISTAKES_IN_RGB, RIGHT
 
@@ -20,12 +20,6 @@ from gonio_mi.validation.conditions import Condition
 from gonio_mi.validation.evidence import Evidence
 
 EFFORT = os.environ.get("GONIO_EFFORT", "quick")
-
-
-@cache
-def judged(name, effort):
-    """The verdict of a user on a broken plugin, which several tests look at."""
-    return validate({"type": name}, effort=effort)
 
 
 def check_found(name, guilty):

@@ -7,7 +7,6 @@ import json
 import os
 import sys
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import broken_bsdfs
@@ -15,7 +14,7 @@ import budget
 import mitsuba as mi
 import numpy as np
 import pytest
-from broken_bsdfs import EITHER, MISTAKES, RIGHT
+from broken_bsdfs import EITHER, MISTAKES, RIGHT, judged
 
 from gonio_mi import SpecimenError, cli
 from gonio_mi.commands import validate as command
@@ -53,12 +52,6 @@ def test_readme_counts_the_properties():
 def plugins(mono):
     broken_bsdfs.register()
     return mono
-
-
-@cache
-def judged(name, effort):
-    """The verdict of a user on a broken plugin, which several tests look at."""
-    return validate({"type": name}, effort=effort)
 
 
 def strictly(verdict):
