@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SettingError
 from ..files import check_output, replacing
 from ..files.measured_table import MeasuredTable
 from ..instrument.specimen_text import SpecimenLike
 from ..single_precision import FEW_ROUNDINGS
 from .compare import compare
 from .comparison import Comparison
-from .measure_like import measure_like
+from .measure_like import measure_like, without_aperture
 
 SOURCES = ("rays", "single_precision", "instrument", "calibration")
 POINT = ("theta_i", "phi_i", "theta_o", "phi_o", "channel", "value", "other")
@@ -154,10 +153,7 @@ def aperture_effect(
     """
     half_angle = table.aperture_half_angle or aperture_half_angle
     if half_angle is None:
-        raise SettingError(
-            f"aperture_half_angle (--aperture-half-angle) must be given: {table.name} "
-            "does not say it"
-        )
+        raise without_aperture(table)
     narrow = replace(table, aperture_half_angle=NARROWED * half_angle)
     records = measure_like(specimen, narrow, **settings)
     other = compare(records, narrow)

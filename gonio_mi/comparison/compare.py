@@ -192,6 +192,7 @@ def _measured_both_ways(table: MeasuredTable, azimuth: Floats) -> Flags:
     """Points whose direction of exit is the table's with the other azimuths too."""
 
     def places(phi_o: Floats) -> list[tuple[float, ...]]:
+        """Both directions of each point, rounded."""
         polar = table.theta_i, table.theta_o
         turns = np.radians([table.phi_i, phi_o])
         columns = np.round([*polar, *np.cos(turns), *np.sin(turns)], ANGLE_DIGITS) + 0.0

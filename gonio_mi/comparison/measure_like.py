@@ -117,11 +117,16 @@ def measure_like(
     half_angle = like.aperture_half_angle or aperture_half_angle
     solid_angles = like.patches if half_angle is None else half_angle
     if solid_angles is None:
-        raise SettingError(
-            f"aperture_half_angle (--aperture-half-angle) must be given: {like.name} "
-            "does not say it"
-        )
+        raise without_aperture(like)
     return _like_table(specimen, like, solid_angles, seed or 0, settings, progress)
+
+
+def without_aperture(table: MeasuredTable) -> SettingError:
+    """Error for a table that does not say its detector, of which nothing was said."""
+    return SettingError(
+        f"aperture_half_angle (--aperture-half-angle) must be given: {table.name} "
+        "does not say it"
+    )
 
 
 def _like_table(

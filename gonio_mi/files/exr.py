@@ -66,28 +66,30 @@ CONVENTIONS = (
     "mirror direction has phi = phi_i + 180. Rows are rings of theta from the pole to "
     "the horizon, columns are sectors of phi from 0 to 360."
 )
+_HALVES = (
+    "the bits of numbers in double precision; the high layers hold the upper 32 bits"
+)
 MEANINGS = {
-    "brdf": "BRDF of each patch, its standard error (NaN where unknown), counted rays",
-    "btdf": "BTDF of each patch, its standard error (NaN where unknown), counted rays",
-    "brdf of integrals": "BRDF of each patch by integration, its largest error as "
-    "estimated, rays of delta components",
-    "btdf of integrals": "BTDF of each patch by integration, its largest error as "
-    "estimated, rays of delta components",
     "view": "picture of the BRDF, and of the BTDF to its right: seen along -z, radius "
     "is sin(theta), phi = 0 to the right, counter-clockwise, linear values in 1/sr",
     "tally": "received flux in units of 1/scale of a ray, one row per batch, "
-    "hemisphere and ring, one column per sector: whole numbers if scale is 1, else the "
-    "bits of numbers in double precision; the high layers hold the upper 32 bits",
-    "brdf_mueller": "elements of the Mueller matrix of the BRDF but the first, which "
-    "is the BRDF, and their standard errors (NaN where unknown); " + FRAMES,
-    "btdf_mueller": "elements of the Mueller matrix of the BTDF but the first, which "
-    "is the BTDF, and their standard errors (NaN where unknown); " + FRAMES,
-    "elements": "elements of Mueller matrices but the first, as the tally: the bits of "
-    "numbers in double precision; the high layers hold the upper 32 bits",
+    "hemisphere and ring, one column per sector: whole numbers if scale is 1, else "
+    + _HALVES,
+    "elements": "elements of Mueller matrices but the first, as the tally: " + _HALVES,
     "integral": "what the integrals may be wrong by in units of 1/scale of a ray, one "
-    "row per hemisphere and ring: the bits of numbers in double precision; the high "
-    "layers hold the upper 32 bits",
+    "row per hemisphere and ring: " + _HALVES,
 }
+for _part in ("brdf", "btdf"):
+    _of = _part.upper()
+    MEANINGS |= {
+        _part: f"{_of} of each patch, its standard error (NaN where unknown), counted "
+        "rays",
+        f"{_part} of integrals": f"{_of} of each patch by integration, its largest "
+        "error as estimated, rays of delta components",
+        f"{_part}_mueller": f"elements of the Mueller matrix of the {_of} but the "
+        f"first, which is the {_of}, and their standard errors (NaN where unknown); "
+        + FRAMES,
+    }
 
 
 def write(record: Record, stream: BinaryIO) -> None:

@@ -104,6 +104,7 @@ def set_up(
     def lit(
         settings: MeasurementSettings, incident: tuple[float, float] | None
     ) -> Setup:
+        """The specimen, lit from a direction, or by the emitter as it is."""
         if emitter is None and incident is not None:
             source, lights = None, [collimated(incident, settings.side)]
         else:

@@ -65,10 +65,13 @@ def picture_and_text(draw: Callable[[], Any], text: object, heading: str = "") -
     except PackageError:
         picture = ""
     numbers = preformatted(text)
-    if heading:
-        folded = f"<summary>{html.escape(heading)}</summary>{numbers}"
-        numbers = f"<details>{folded}</details>"
-    return picture + numbers
+    return picture + (folded(heading, numbers) if heading else numbers)
+
+
+def folded(title: str, *pieces: str) -> str:
+    """Pieces of HTML that a click on the title, a plain text, shows."""
+    summary = f"<summary>{html.escape(title)}</summary>"
+    return f"<details>{summary}{''.join(pieces)}</details>"
 
 
 def preformatted(text: object) -> str:

@@ -320,6 +320,7 @@ def lost_light(record: Record) -> list[str]:
         return []  # without looking for the statistical error
 
     def exceeds(row: str) -> bool:
+        """Whether a row is above the statistical error in any direction."""
         # up to the first: intervals take longer than a few rays
         found = ((look, look.ledger) for look in record)
         return any(

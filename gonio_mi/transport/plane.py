@@ -58,6 +58,7 @@ class Plane:
         wi, wo = (mi.warp.square_to_uniform_sphere(sampler.next_2d()) for _ in "io")
 
         def values(uv: mi.Point2f) -> mi.Spectrum:
+            """``eval`` at places, for the same pairs of directions."""
             si = self.interactions(uv, wi, wavelengths)
             wo_local, every = si.to_local(wo), mi.Bool(True)
             si = repeated(si, N_POINTS) if self.by_ray else si

@@ -162,7 +162,10 @@ class Finding:
     about: str = ""
 
     def __post_init__(self) -> None:
-        own = Kind.__members__.get(self.name.upper(), Kind.RAISES)
+        kinds: dict[str, Any] = dict(Kind.__members__)
+        if mi.is_polarized:
+            kinds |= MatrixKind.__members__
+        own = kinds.get(self.name.upper(), Kind.RAISES)
         object.__setattr__(self, "kind", self.kind or own)
         object.__setattr__(self, "effect", self.effect or _EFFECTS_OF[self.name][0])
 

@@ -25,7 +25,7 @@ from ..collector.directions import angles, direction
 from ..collector.stokes import UPRIGHT, implicit_axis, plane_axis, reframed, turn
 from ..single_precision import BSDF_ROUNDING
 from .conditions import Condition
-from .probe import Probe, numbers, spectral, vectors
+from .probe import Probe, numbers, random_numbers, spectral, vectors
 from .samples import SLACK, ULPS
 
 # First elements below which nothing is said of the others, of the largest.
@@ -84,12 +84,7 @@ class MuellerProbe:
         """Answers of ``sample`` for directions and random numbers of (..., 3)."""
         shape, n = wi.shape[:-1], wi[..., 0].size
         self.n_asked += n
-        columns = np.reshape(random, (-1, 3)).T.astype(np.float32)
-        bs, weight = self._probe.sample(
-            mi.Float(np.ascontiguousarray(columns[0])),
-            mi.Point2f(np.ascontiguousarray(columns[1:])),
-            wi=vectors(wi),
-        )
+        bs, weight = self._probe.sample(*random_numbers(random), wi=vectors(wi))
         wo = spectral(bs.wo, n).reshape(wi.shape)
         raw = elements(weight, n).reshape(*shape, -1, 4, 4)
         return Lobes(
@@ -143,11 +138,26 @@ class Matrices:
         directions = np.isfinite(self.wo).all(axis=-1)
         return np.asarray(directions & np.isfinite(self.raw).all(axis=(-1, -2, -3)))
 
-    def turns(self, normal: Numbers = UPRIGHT) -> tuple[Floats, Floats]:
-        """What turns both frames of Mitsuba's to s = k x normal."""
-        found = [turn(k, implicit_axis(k), plane_axis(k, normal)) for k in self.beams]
-        turn_in, turn_out = (one[..., None, :, :] for one in found)
-        return turn_in, turn_out
+    def turns(
+        self,
+        normal: Numbers = UPRIGHT,
+        axes: Numbers | None = None,
+        share: float = 1.0,
+        sign: int = 1,
+    ) -> tuple[Floats, Floats]:
+        """What turns both frames, Mitsuba's in local directions, to s = k x normal.
+
+        The local `axes` may be others than those of the surface, as columns; by a
+        `share` of the angle only, or to the opposite of s.
+        """
+        found = []
+        for k in self.beams:
+            old = implicit_axis(k)
+            if axes is not None:
+                old = implicit_axis(k @ axes) @ np.transpose(axes)
+            found.append(turn(k, old, sign * plane_axis(k, normal), share))
+        turn_in, turn_out = found
+        return turn_in[..., None, :, :], turn_out[..., None, :, :]
 
     def in_plane(self, normal: Numbers = UPRIGHT) -> Floats:
         """Matrices in frames of s = k x normal, shape (..., channels, 4, 4)."""
@@ -305,15 +315,13 @@ def readings(
         yield (
             "returns for the back the matrix of the front, whose frames are not "
             "mirrored with the directions",
-            reframed(
-                MIRRORED @ raw @ MIRRORED, *_turns(matrices, normal, np.diag(FLIP))
-            ),
+            reframed(MIRRORED @ raw @ MIRRORED, *matrices.turns(normal, np.diag(FLIP))),
         )
     if nested is not None:
         yield (
             "does not turn the frames of the nested BSDF to those of its own "
             "directions",
-            reframed(raw, *_turns(matrices, normal, nested)),
+            reframed(raw, *matrices.turns(normal, nested)),
         )
     yield (
         "does not turn its frames from the plane of incidence to Mitsuba's "
@@ -338,7 +346,7 @@ def readings(
         reframed(raw, turn_in, out_back),
     )
     for sign in (1, -1):
-        halves = _turns(matrices, normal, np.eye(3), 0.5, sign)
+        halves = matrices.turns(normal, share=0.5, sign=sign)
         yield (
             "turns Stokes vectors by the angle of their frames instead of twice that",
             reframed(raw, *halves),
@@ -352,19 +360,3 @@ def readings(
         "along -wi in importance mode, along -wo in radiance mode (ctx.mode)",
         reframed(raw, out_back, back),
     )
-
-
-def _turns(
-    matrices: Matrices,
-    normal: Numbers,
-    axes: Numbers,
-    share: float = 1.0,
-    sign: int = 1,
-) -> tuple[Floats, Floats]:
-    """What turns both frames from Mitsuba's in local directions of other axes."""
-    found = []
-    for k in matrices.beams:
-        old = implicit_axis(k @ axes) @ np.transpose(axes)
-        found.append(turn(k, old, sign * plane_axis(k, normal), share))
-    turn_in, turn_out = found
-    return turn_in[..., None, :, :], turn_out[..., None, :, :]

@@ -10,8 +10,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..array_types import Floats, Numbers
 from ..errors import SettingTypeError
+from .probe import numbers, spectral
 
 
 def from_numpy(
@@ -56,8 +56,7 @@ def from_numpy(
     TypeError
         If one is no function.
     """
-    functions = {"sample": sample, "eval": eval, "pdf": pdf}
-    for name, function in functions.items():
+    for name, function in (("sample", sample), ("eval", eval), ("pdf", pdf)):
         if not callable(function):
             raise SettingTypeError(
                 f"{name} must be a function, got {type(function).__name__}"
@@ -74,48 +73,41 @@ def from_numpy(
             super().__init__(props)
             self.m_flags, self.m_components = lobes, [lobes]
 
+        def _on(self, ctx: Any, active: Any) -> Any:
+            return active & ctx.is_enabled(flags.GlossyReflection, 0)
+
         def sample(
             self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True
         ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
+            """Answer of the first function."""
             n = dr.width(si.wi, sample1, sample2, active)
-            wi = _rows(si.wi, n)
-            u = np.column_stack([_flat(sample1, n), _rows(sample2, n)])
-            wo, weight, density = functions["sample"](wi, u)
+            wi = spectral(si.wi, n)
+            u = np.column_stack([numbers(sample1, n), spectral(sample2, n)])
+            wo, weight, density = sample(wi, u)
             bs = dr.zeros(mi.BSDFSample3f, n)
             bs.wo = mi.Vector3f(np.ascontiguousarray(np.asarray(wo).T, np.float32))
             bs.pdf, bs.eta = _number(density, n), 1.0
             passes = np.asarray(wo)[:, 2] * wi[:, 2] < 0
             kinds = (int(flags.GlossyReflection), int(flags.GlossyTransmission))
             bs.sampled_type = mi.UInt32(np.where(passes, kinds[1], kinds[0]))
-            enabled = ctx.is_enabled(flags.GlossyReflection, 0)
-            return bs, _spectrum(weight, n) & (active & enabled)
+            return bs, _spectrum(weight, n) & self._on(ctx, active)
 
         def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Spectrum:
+            """Answer of the second function."""
             n = dr.width(si.wi, wo, active)
-            value = functions["eval"](_rows(si.wi, n), _rows(wo, n))
-            enabled = ctx.is_enabled(flags.GlossyReflection, 0)
-            return _spectrum(value, n) & (active & enabled)
+            value = eval(spectral(si.wi, n), spectral(wo, n))
+            return _spectrum(value, n) & self._on(ctx, active)
 
         def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> mi.Float:
+            """Answer of the third function."""
             n = dr.width(si.wi, wo, active)
-            value = functions["pdf"](_rows(si.wi, n), _rows(wo, n))
-            enabled = ctx.is_enabled(flags.GlossyReflection, 0)
-            return dr.select(active & enabled, _number(value, n), 0)
+            value = pdf(spectral(si.wi, n), spectral(wo, n))
+            return dr.select(self._on(ctx, active), _number(value, n), 0)
 
         def to_string(self) -> str:
             return "Adapter[]"
 
     return Adapter(mi.Properties("adapter"))
-
-
-def _rows(vector: Any, n: int) -> Floats:
-    """Array of shape ``(n, k)``, in float64, of a Dr.Jit vector."""
-    array = np.array(vector, dtype=float)
-    return np.broadcast_to(array.reshape(len(array), -1).T, (n, len(array)))
-
-
-def _flat(value: Any, n: int) -> Numbers:
-    return np.broadcast_to(np.ravel(np.array(value)), n)
 
 
 def _number(values: ArrayLike, n: int) -> mi.Float:

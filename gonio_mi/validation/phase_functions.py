@@ -82,6 +82,7 @@ def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
         def sample(
             self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True
         ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
+            """Answer of the phase function, with the type of its side."""
             asked = *self._asked(ctx, si), sample1, sample2, active
             wo, weight, pdf = phase.sample(*asked)
             bs = dr.zeros(mi.BSDFSample3f, dr.width(si.wi, sample1, sample2))

@@ -266,6 +266,12 @@ def uniform(n: int, key: tuple[int, ...]) -> tuple[mi.Float, mi.Point2f]:
     return numbers
 
 
+def random_numbers(rows: Floats) -> tuple[mi.Float, mi.Point2f]:
+    """Numbers for ``sample`` from an array of shape (..., 3)."""
+    columns = np.ascontiguousarray(np.reshape(rows, (-1, 3)).T, dtype=np.float32)
+    return mi.Float(columns[0]), mi.Point2f(columns[1:])
+
+
 def seed_of(key: tuple[int, ...]) -> mi.UInt32:
     """32-bit seed from a tuple of whole numbers, well mixed, no literal of a kernel."""
     seed = int(np.random.SeedSequence(key).generate_state(1)[0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from os import PathLike
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from ..reports.page import (
     check_page,
     coded,
     figure,
+    folded,
     preformatted,
     save_page,
     table,
@@ -55,8 +56,8 @@ def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
     parts = [f"<h1>{html.escape(verdict.name)}</h1>", verdict_view(verdict)]
     if verdict.source is not None:
         parts += [
-            _folded(
-                f"Reproducer: {one.name}", [preformatted(reproducer(verdict, one.name))]
+            folded(
+                f"Reproducer: {one.name}", preformatted(reproducer(verdict, one.name))
             )
             for one in verdict.failures
         ]
@@ -72,7 +73,7 @@ def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
             rest.append(maps)
     if rest:
         pieces = (piece for maps in rest for piece in _pictures(maps))
-        parts.append(_folded(f"{len(rest)} more incident directions", pieces))
+        parts.append(folded(f"{len(rest)} more incident directions", *pieces))
     save_page(path, verdict.name, parts)
 
 
@@ -83,7 +84,7 @@ def verdict_view(verdict: Verdict) -> str:
     others = table(map(_cells, rest))
     if failed:
         held = table(map(_cells, failed))
-        others = held + _folded(f"{len(rest)} more properties", [others])
+        others = held + folded(f"{len(rest)} more properties", others)
     return (
         f"<p><b>{coded(verdict.headline)}</b></p>{others}"
         f"<p><small>{html.escape(str(verdict).splitlines()[-2])}</small></p>"
@@ -94,11 +95,6 @@ def _pictures(maps: FourMaps) -> list[str]:
     """Heading and figures of one incident direction."""
     heading = f"<h2>{html.escape(str(maps.condition))}</h2>"
     return [heading, figure(draw(maps)), figure(draw_plane(maps))]
-
-
-def _folded(title: str, pieces: Iterable[str]) -> str:
-    """Pieces of a page that a click on the title shows."""
-    return f"<details><summary>{title}</summary>{''.join(pieces)}</details>"
 
 
 def _cells(one: Property) -> Iterator[str]:

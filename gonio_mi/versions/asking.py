@@ -16,15 +16,15 @@ from typing import Any, TextIO
 import mitsuba as mi
 import numpy as np
 
-from ..collector.directions import direction
 from ..errors import SettingError, SpecimenError, shown
+from ..validation.checks.answers import lattice
+from ..validation.conditions import Condition
 from ..validation.samples import ULPS
 
 WORKER = Path(__file__).with_name("worker.py")
 
-# Of each incident direction: samples, and directions of the lattice on the sphere.
+# Samples of each incident direction.
 SAMPLES = 2**16
-LATTICE = 2**12
 
 # Displacements that tell how values answer to rounding.
 STEPS = 3
@@ -70,16 +70,10 @@ class Question:
     def arrays(self) -> dict[str, Any]:
         """Directions, displacements and random numbers, the same for all versions."""
         rng = np.random.default_rng(self.seed)
-        z = (np.arange(LATTICE) + 0.5) / LATTICE * 2 - 1
-        phi = np.arange(LATTICE) * np.pi * (5**0.5 - 1)
-        wi = [
-            direction(np.radians(theta), np.radians(25.0))
-            * [1, 1, 1 if side == "front" else -1]
-            for theta, side, _ in self.conditions
-        ]
+        wi = [Condition(theta, 25.0, side).wi for theta, side, _ in self.conditions]
         return {
             "wi": np.array(wi),
-            "lattice": direction(np.arccos(z), phi),
+            "lattice": lattice(),
             "steps": ULPS * rng.uniform(-1, 1, (STEPS, 3)),
             "u": rng.random((SAMPLES, 3), dtype=np.float32),
         }

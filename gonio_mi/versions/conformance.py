@@ -30,7 +30,7 @@ from ..campaigns.measure import measure
 from ..errors import SettingError, SpecimenError
 from ..exports.exporting import export
 from ..progress import bar
-from ..reports.page import preformatted, save_page, table
+from ..reports.page import folded, preformatted, save_page, table
 from ..validation.evidence import PHASE, PROPERTIES
 from ..validation.kinds import LIT, SMOOTH
 from ..validation.reproducer import (
@@ -316,6 +316,7 @@ def ask_versions(
     stopped = Event()
 
     def ask(variant: str, python: str) -> None:
+        """Put the answers of one environment, then None, into the queue."""
         texts = [one.script for one in asked[variant]]
         told = answers_of(python, texts, limits=LIMITS, files=files)
         try:
@@ -401,7 +402,8 @@ def _cell(answers: Sequence[Answer]) -> str:
     parts += [_finding(name, ones) for name, ones in found.items()]
     if silent:
         texts = dict.fromkeys(f"{_where([x])}: {x.text}" for x in silent)
-        parts.append(_folded(f"{len(silent)} without an answer", "\n".join(texts)))
+        lines = preformatted("\n".join(texts))
+        parts.append(folded(f"{len(silent)} without an answer", lines))
     kind = "wrong" if found else "right" if n else "silent"
     return f'<td class="{kind}">{"".join(f"<div>{part}</div>" for part in parts)}</td>'
 
@@ -411,14 +413,7 @@ def _finding(name: str, ones: Sequence[Answer]) -> str:
     worst = max(ones, key=lambda one: one.distance)
     lines = "\n".join(f"{_where([one])}: {one.text}" for one in ones)
     heading = f"{name}: {worst.text} ({_where(ones)})"
-    return _folded(heading, f"{lines}\n\n{worst.question.script}")
-
-
-def _folded(heading: str, text: str) -> str:
-    return (
-        f"<details><summary>{html.escape(heading)}</summary>"
-        f"{preformatted(text)}</details>"
-    )
+    return folded(heading, preformatted(f"{lines}\n\n{worst.question.script}"))
 
 
 def _where(ones: Sequence[Answer]) -> str:

@@ -103,6 +103,7 @@ def _call(bsdf: mi.BSDF, condition: Condition) -> Callable[[], None]:
     dr.make_opaque(sample1, sample2, si.wi)
 
     def call() -> None:
+        """Ask once."""
         # all in one kernel, as an integrator has it
         bs, weight = bsdf.sample(ctx, si, sample1, sample2)
         dr.eval(weight, bs, bsdf.eval(ctx, si, bs.wo), bsdf.pdf(ctx, si, bs.wo))

@@ -15,9 +15,8 @@ from ...transport.bsdf_trial import PluginFault
 from ...transport.variants import unpolarised
 from ..conditions import Condition
 from ..evidence import Evidence
-from ..kinds import MatrixKind
 from ..mueller import Lobes, Matrices, condition_of
-from ..probe import Probe, numbers, spectral, vectors
+from ..probe import Probe, numbers, random_numbers, spectral, vectors
 from ..samples import is_many
 
 # Relative difference of two ways to compute one value, in single precision.
@@ -87,7 +86,6 @@ def _breach(
         condition,
         size=float(wrong.mean()),
         off=float(min(1.0, np.abs(ratio - 1).mean()) * wrong.mean()),
-        kind=MatrixKind.FIRST_ELEMENT,
     )
 
 
@@ -100,12 +98,8 @@ def _ask(bsdf: mi.BSDF, values: Matrices, lobes: Lobes, random: Floats) -> _Unpo
     probe, n = Probe(bsdf, Condition(0.0)), values.wi[..., 0].size
     value = spectral(probe.eval(vectors(values.wo), wi=vectors(values.wi)), n)
     wi = lobes.weights.wi
-    n_lobes, columns = wi[..., 0].size, np.reshape(random, (-1, 3)).T.astype(np.float32)
-    bs, weight = probe.sample(
-        mi.Float(np.ascontiguousarray(columns[0])),
-        mi.Point2f(np.ascontiguousarray(columns[1:])),
-        wi=vectors(wi),
-    )
+    n_lobes = wi[..., 0].size
+    bs, weight = probe.sample(*random_numbers(random), wi=vectors(wi))
     flux = spectral(weight, n_lobes) * numbers(bs.pdf, n_lobes)[:, None]
     return _Unpolarised(
         value.reshape(values.light.shape),

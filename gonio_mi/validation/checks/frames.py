@@ -121,7 +121,6 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
         condition,
         size=float(misfit[worst]),
         off=share,
-        kind=MatrixKind.FRAMES,
         about=str(turned.normal.round(9).tolist()),
     )
 

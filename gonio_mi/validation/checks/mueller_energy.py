@@ -7,7 +7,6 @@ from scipy import special
 
 from ...array_types import Flags, Floats, Numbers
 from ..evidence import Evidence
-from ..kinds import MatrixKind
 from ..mueller import Lobes, condition_of
 
 # Flux that rounding may add to all that arrives.
@@ -40,8 +39,7 @@ def check_gain(evidence: Evidence, lobes: Lobes) -> None:
         text = f"{mean:.4g} of the flux of {_named(state)} leaves"
         p_value = float(special.stdtr(half - 1, -z))
         gain = max(0.0, mean - 1)
-        kind = MatrixKind.ENERGY
-        evidence.test("energy", p_value, text, condition, gain, kind=kind)
+        evidence.test("energy", p_value, text, condition, gain)
 
 
 def _discrete(rows: Floats, pdf: Floats, delta: Flags) -> Floats:

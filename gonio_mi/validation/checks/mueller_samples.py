@@ -46,7 +46,6 @@ def check_finite(evidence: Evidence, matrices: Matrices) -> None:
                 condition,
                 size=float(wrong.mean()),
                 off=float(wrong.mean()),
-                kind=MatrixKind.ANSWERS,
             )
 
 
@@ -94,7 +93,6 @@ def check_weights(
         condition,
         size=float(wrong.mean()),
         off=float(wrong.mean()),
-        kind=MatrixKind.SAMPLED_WEIGHT,
     )
 
 

@@ -7,7 +7,6 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ...collector.stokes import EXCHANGE
 from ..evidence import Evidence
-from ..kinds import MatrixKind
 from ..mueller import Matrices, condition_of, is_depolarised, off, per_light
 from ..samples import is_many
 
@@ -40,7 +39,6 @@ def check_reciprocity(
         condition,
         size=float(wrong.mean()),
         off=float(wrong.mean()),
-        kind=MatrixKind.RECIPROCITY,
     )
 
 
@@ -69,7 +67,6 @@ def check_adjoint(
         condition,
         size=float(wrong.mean()),
         off=float(wrong.mean()),
-        kind=MatrixKind.ADJOINT,
     )
 
 

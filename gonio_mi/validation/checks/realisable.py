@@ -7,7 +7,6 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ...collector.stokes import coherency_eigenvalues
 from ..evidence import Evidence
-from ..kinds import MatrixKind
 from ..mueller import Matrices, condition_of, per_light
 from ..samples import is_many
 
@@ -45,7 +44,6 @@ def check_matrices(evidence: Evidence, matrices: Matrices, asked: Flags) -> None
         condition,
         size=float(-least[worst]),
         off=float(wrong.mean()),
-        kind=MatrixKind.REALISABLE,
     )
 
 

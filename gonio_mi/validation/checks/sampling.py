@@ -155,6 +155,7 @@ class _Half:
 
     @staticmethod
     def of(probe: Probe, wo: Floats, usable: Flags) -> _Half:
+        """Answers in the directions `wo`, black where they are not `usable`."""
         value, pdf = probe.eval_and_pdf(vectors(wo))
         lit = usable & (np.nan_to_num(spectral(value, len(wo))) > 0).any(axis=1)
         pdf = np.nan_to_num(numbers(pdf, len(wo)).astype(float))
