@@ -18,7 +18,7 @@ from ..array_types import Flags, Floats, Integers
 from ..collector.directions import direction
 from ..collector.hemisphere import RingsAndSectors
 from ..errors import SpecimenError
-from ..quadrature import integrate
+from ..quadrature.integrate import integrate
 from .probe import Probe, vectors
 from .tally import PatchTotals, patch_of
 

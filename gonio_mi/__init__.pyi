@@ -1,0 +1,57 @@
+"""Public names by module, for type checkers; `__init__` imports them when used."""
+
+from .campaigns.campaign import campaign as campaign
+from .campaigns.measure import measure as measure
+from .charts.chart import chart as chart
+from .charts.curves import Chart as Chart
+from .collector import (
+    Borders as Borders,
+    EqualAngle as EqualAngle,
+    EqualProjectedSolidAngle as EqualProjectedSolidAngle,
+    EqualSine as EqualSine,
+    EqualSolidAngle as EqualSolidAngle,
+    Subdivision as Subdivision,
+    adapted as adapted,
+    subdivision as subdivision,
+)
+from .collector.apertures import Apertures as Apertures
+from .comparison.compare import compare as compare
+from .comparison.comparison import Comparison as Comparison
+from .comparison.measure_like import measure_like as measure_like
+from .errors import (
+    FileFormatError as FileFormatError,
+    LLVMError as LLVMError,
+    LostRaysError as LostRaysError,
+    SpecimenError as SpecimenError,
+    VariantError as VariantError,
+)
+from .exports import (
+    Loss as Loss,
+    Product as Product,
+    bsdf as bsdf,
+    export as export,
+)
+from .files import load as load
+from .files.measured_table import MeasuredTable as MeasuredTable
+from .fitting.fit import Fit as Fit, fit as fit
+from .formats.reading import read_measured as read_measured
+from .instrument.exit_profile import (
+    ExitProfile as ExitProfile,
+    exit_profile as exit_profile,
+)
+from .instrument.measure import measure_orders as measure_orders
+from .instrument.mesh import mesh as mesh
+from .plots import plot as plot
+from .reports import report as report
+from .results.planning import Plan as Plan, plan as plan
+from .results.record import Record as Record
+from .results.tally import Ledger as Ledger
+from .surfaces.micro_normals import (
+    MicroNormals as MicroNormals,
+    micro_normals as micro_normals,
+)
+from .validation.validate import validate as validate
+from .validation.verdict import Verdict as Verdict
+
+__all__: list[str]
+__version__: str
