@@ -11,8 +11,6 @@ to send, and without any scatter where light meets the surface once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -22,30 +20,27 @@ from ..mitsuba_names import FRAME, PARTIALS
 from .exits import Exits
 from .rays import with_normal
 from .setup import Setup
-from .specimen import Specimen
 from .surface_events import after_event, scattered
-
-# Odd and without a pattern: 2**64 over the golden ratio.
-MIXED = 0x9E3779B97F4A7C15
 
 
 def has_mirror_facets(setup: Setup) -> bool:
     """Whether a sum over facets is the mean of what the beam's lines would send.
 
-    For one mesh of flat mirror facets in a periodic cell, all of it in a collimated
-    beam; and if the first order is collected, with all others.
+    For one mesh of flat mirror facets that are heights over a periodic cell, all of it
+    in a collimated beam; and if the first order is collected, with all others. Facets
+    of other meshes may coincide: both are in the sum, and a line meets one of them.
     """
     settings, specimen, beam = setup.settings, setup.specimen, setup.beam
     if not (settings.estimator.deposits and beam.fills_cell) or setup.orders:
         return False
     if mi.is_polarized or specimen.media or specimen.groups:
         return False
-    if len(specimen.surfaces) > 1:
+    if not settings.order.least <= 1 <= settings.order.most:
         return False
-    (mesh,) = specimen.surfaces
-    is_flat = isinstance(mesh, mi.Mesh) and not mesh.has_vertex_normals()
-    collected = settings.order.least <= 1 <= settings.order.most
-    return is_flat and collected and is_mirror(mesh.bsdf())
+    mesh = specimen.surfaces[0]
+    if not is_mirror(mesh.bsdf()) or not specimen.is_height_map:
+        return False
+    return not mesh.has_vertex_normals()
 
 
 def is_mirror(bsdf: mi.BSDF) -> bool:
@@ -82,16 +77,13 @@ class MirrorFacets:
         corners = [mesh.vertex_position(one) for one in mesh.face_indices(number)]
         a, b, c = map(mi.Vector3d, corners)
         area = dr.dot(dr.cross(b - a, c - a), mi.Vector3d(wi)) / 2
-        edges = _open_edges(setup.specimen, corners)
-        dr.eval(area, edges)
+        dr.eval(area)
         extent = setup.specimen.high - setup.specimen.low
         share = np.array(area) / (extent[0] * extent[1] * abs(float(wi.z[0])))
-        # near 0, 1 or -1: of a closed body, of a surface and of one from behind
-        self.face = -1 if share.sum() < -0.5 else 1
+        # 1, or -1 for a surface from behind
+        self.face = round(share.sum())
         share *= self.face
-        # of a closed surface that faces the light, all lines enter as many facets
-        faces = share.min() > 0 and edges[0] == 0
-        self.once = faces and round(share.sum()) == 1
+        self.once = share.min() > 0
         ray = mi.Ray3f(mi.Point3f(0), -wi)
         ray.wavelengths = wavelengths
         found = dr.zeros(mi.PreliminaryIntersection3f, n)
@@ -120,29 +112,3 @@ class MirrorFacets:
     def entered(self, si: mi.SurfaceInteraction3f, d: mi.Vector3f) -> mi.Bool:
         """Whether a line of direction `d` enters a facet from its outer face."""
         return self.face * dr.dot(si.n, d) < 0
-
-
-def _open_edges(specimen: Specimen, corners: Sequence[mi.Point3f]) -> mi.UInt64:
-    """Number that is 0 if each edge of facets is that of another one, the other way.
-
-    If not, it is 0 by a chance of about 2**-64. Sides of the cell are the same place.
-    """
-    low, high = specimen.box.low, specimen.box.high
-    edges = mi.UInt64(0)
-    for a, b in zip(corners, [*corners[1:], corners[0]]):
-        middle = a + b  # of twice the length
-        for axis in (0, 1):
-            at_side = middle[axis] == 2 * high[axis]
-            middle[axis] = dr.select(at_side, 2 * low[axis], middle[axis])
-        edges += _mixed(middle, b - a) - _mixed(middle, a - b)
-    return dr.sum(edges)
-
-
-def _mixed(*vectors: mi.Vector3f) -> mi.UInt64:
-    """Number that is another one, as if by chance, for other vectors."""
-    word = mi.UInt64(0)
-    for vector in vectors:
-        for x in vector:
-            word = (word ^ mi.UInt64(dr.reinterpret_array(mi.UInt32, x))) * MIXED
-            word ^= word >> 29
-    return word * MIXED

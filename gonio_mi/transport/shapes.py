@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ from .scene_objects import traversed
 
 # Option of a scene, without which rays slip between the triangles of a mesh.
 WATERTIGHT = {"embree_use_robust_intersections": True}
+
+# Odd and without a pattern: 2**64 over the golden ratio.
+MIXED = 0x9E3779B97F4A7C15
 
 # The shapes that were built last, a digest of their geometry, and their scene: what is
 # measured again is found here, and nothing else is kept alive.
@@ -272,3 +276,58 @@ def _faces(shape: mi.Shape) -> list[Floats]:
     parameters: Any = traversed(shape)
     found = triangles_of(parameters)
     return [] if found is None else [found[0][found[1]]]
+
+
+def is_height_map(shape: mi.Shape, low: Sequence[mi.Float], high: Any) -> bool:
+    """Whether triangles are heights over all of a cell, continued across its sides.
+
+    None of them overhangs, all face up or all down, and each edge is that of two.
+
+    Parameters
+    ----------
+    shape : mi.Shape
+    low, high : sequence of mi.Float
+        Corners of the cell, of which x and y count.
+    """
+    if not isinstance(shape, mi.Mesh):
+        return False
+    faces = shape.face_indices(dr.arange(mi.UInt32, shape.face_count()))
+    corners = [shape.vertex_position(one) for one in faces]
+    (a, b, c), edges = corners, mi.UInt64(0)
+    along, across = mi.Vector3d(b - a), mi.Vector3d(c - a)
+    below = (along.x * across.y - along.y * across.x) / 2
+    for start, end in zip(corners, [*corners[1:], corners[0]]):
+        middle = start + end  # of twice the length
+        for axis in (0, 1):
+            at_side = middle[axis] == 2 * high[axis]
+            middle[axis] = dr.select(at_side, 2 * low[axis], middle[axis])
+        edges += _mixed(middle, end - start) - _mixed(middle, start - end)
+    # 0 where edges cancel; where they do not, by a chance of 2**-64
+    left, sums, least, most = dr.sum(edges), dr.sum(below), dr.min(below), dr.max(below)
+    dr.eval(left, sums, least, most)
+    if left[0] != 0 or least[0] * most[0] < 0:
+        return False
+    # a whole number of such maps, of which several may touch
+    cell = (high[0] - low[0]) * (high[1] - low[1])
+    return round(abs(sums[0]) / cell[0]) == 1
+
+
+def coincide(shapes: Sequence[mi.Shape]) -> bool:
+    """Whether two triangles of meshes have the same corners."""
+    keys = [mi.UInt64()]
+    for shape in shapes:
+        if isinstance(shape, mi.Mesh):
+            faces = shape.face_indices(dr.arange(mi.UInt32, shape.face_count()))
+            keys.append(sum(_mixed(shape.vertex_position(one)) for one in faces))
+    every = np.concatenate([one.numpy() for one in keys])
+    return len(np.unique(every)) < len(every)
+
+
+def _mixed(*vectors: mi.Vector3f) -> mi.UInt64:
+    """Number that is another one, as if by chance, for other vectors."""
+    word = mi.UInt64(0)
+    for vector in vectors:
+        for x in vector:
+            word = (word ^ mi.UInt64(dr.reinterpret_array(mi.UInt32, x))) * MIXED
+            word ^= word >> 29
+    return word * MIXED

@@ -24,6 +24,7 @@ from .shapes import (
     bounds,
     encloses_medium,
     groups_of,
+    is_height_map,
     refracts,
     scene_of,
     surfaces_of,
@@ -215,6 +216,13 @@ class Specimen:
         ray, active = mi.Ray3f(start, down), mi.Bool(True)
         free = escapes(self, 1, ray, mi.Normal3f(0), mi.Float(0), active)
         return not dr.any(free)
+
+    @cached_property
+    def is_height_map(self) -> bool:
+        """Whether it is one mesh of heights over all of a periodic cell."""
+        if not self.periodic or len(self.scene.shapes()) > 1:
+            return False
+        return is_height_map(self.surfaces[0], self.box.low, self.box.high)
 
     def _check_extent(self) -> None:
         """Raise SpecimenError for what light cannot meet, or float32 not tell apart."""

@@ -25,6 +25,7 @@ from .polarisation import n_channels
 from .rays import NEARBY, departure, escapes, intersect
 from .sampling import apart, is_joint, seeded
 from .setup import Setup
+from .shapes import coincide
 from .surface_events import MAX_POWER, flux_context, shading_normal_correction
 
 # Points of each batch to begin with; of a number of rays, all.
@@ -67,6 +68,7 @@ def check_splittable(setup: Setup) -> None:
         "meshes, rectangles, disks, spheres or cylinders": all(
             isinstance(one, mi.Mesh) or one.class_name() in SHAPES for one in shapes
         ),
+        "triangles that do not coincide": not coincide(shapes),
         "rays of all orders": not setup.orders
         and settings.order.least <= 1
         and settings.order.most >= settings.max_depth,

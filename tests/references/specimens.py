@@ -252,3 +252,16 @@ def _diffuse_groove(half_angle, theta, n_nodes):
     facing = np.where(s > dark, np.sin(half_angle + theta), 0.0)
     averted = np.full(s.size, max(np.sin(half_angle - theta), 0.0))
     return np.tile(ds, 2), seen, np.append(facing, averted)
+
+
+def with_faces(shape, change):
+    """The same mesh with other triangles, an array of shape (n, 3)."""
+    mesh = mi.load_dict(shape)
+    faces = np.array(change(np.array(mi.traverse(mesh)["faces"]).reshape(-1, 3)))
+    other = mi.Mesh("changed", mesh.vertex_count(), len(faces))
+    parameters = mi.traverse(other)
+    parameters["vertex_positions"] = mi.traverse(mesh)["vertex_positions"]
+    parameters["faces"] = faces.ravel()
+    parameters.update()
+    other.set_bsdf(mesh.bsdf())
+    return other

@@ -13,7 +13,7 @@ import pytest
 from benchmark import groove
 from budget import Verdict, agree, disagree, normal_scores
 from scipy import stats
-from specimens import MIRROR, grooves, heightfield
+from specimens import MIRROR, grooves, heightfield, with_faces
 
 from gonio_mi.campaigns.campaign import campaign
 from gonio_mi.collector.directions import direction
@@ -156,6 +156,7 @@ def test_bits_alone_and_in_a_stack(tmp_path, monkeypatch):
         (lambda: field(GREY), {"order": 2}, "all orders"),
         (lambda: field(GREY), {"sampler": "independent"}, "sampler sobol"),
         (lambda: field(GREY), {"divergence": 1.0}, "collimated"),
+        (lambda: with_faces(field(GREY), lambda f: [*f, *f[:9]]), {}, "coincide"),
         (lambda: field(GLOSSY), {"rays": None, "noise": 0.02}, "wide lobes"),
         (lambda: field(GLOSSY), {"rays": None, "rel_err": 0.1}, "noise or rays"),
         (lambda: field(BLACK), {}, "no light"),
