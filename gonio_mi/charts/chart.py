@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +15,14 @@ from tqdm import tqdm
 from ..array_types import Floats
 from ..campaigns.measure import measure_whole
 from ..collector.hemisphere import Subdivision
-from ..errors import SettingError, SpecimenError, checked_count, checked_number, shown
+from ..errors import (
+    SettingError,
+    SpecimenError,
+    checked_count,
+    checked_number,
+    shown,
+    warn,
+)
 from ..instrument.loading import load_specimen
 from ..instrument.specimen_text import SpecimenLike, specimen_name
 from ..results.planning import patch_values, rms_expectation
@@ -236,11 +242,9 @@ def _warn_of_reference(result: Chart) -> None:
     for curve in result.curves:
         last = curve.points[-1]
         if last.error > max(MAX_RMS_RATIO * last.claimed, result.least):
-            warnings.warn(
+            warn(
                 f"{curve.label}: {last.rays:.2g} rays are off the reference by "
-                f"{last.error:.2g}, and their error bars say {last.claimed:.2g}",
-                RuntimeWarning,
-                stacklevel=3,
+                f"{last.error:.2g}, and their error bars say {last.claimed:.2g}"
             )
 
 

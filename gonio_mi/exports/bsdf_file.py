@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from concurrent.futures import Executor
 from os import PathLike
 from pathlib import Path
@@ -15,7 +14,7 @@ from ..campaigns.campaign import campaign
 from ..campaigns.measure import measure_whole
 from ..collector import EqualProjectedSolidAngle
 from ..collector.directions import direction
-from ..errors import SettingError, checked_choice
+from ..errors import SettingError, checked_choice, warn
 from ..files import check_output
 from ..formats.radiance import Product
 from ..instrument.specimen_text import SpecimenLike
@@ -151,12 +150,10 @@ def _warn_unless_isotropic(specimen: SpecimenLike, settings: dict[str, Any]) -> 
             turned = np.roll(found.flux_fraction[0], k * n // 8, axis=2)
             missed = prediction_error(found[k], turned)
             if missed.exceeds(MAX_ANISOTROPY):
-                warnings.warn(
+                warn(
                     "the specimen is not isotropic, as the basis tensor3 takes it: "
                     f"turned by {45 * k} degrees it scatters {missed.error:.0%} of its "
-                    "flux elsewhere; take tensor4 or klems",
-                    RuntimeWarning,
-                    stacklevel=3,
+                    "flux elsewhere; take tensor4 or klems"
                 )
                 return
 

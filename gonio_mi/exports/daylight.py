@@ -4,7 +4,6 @@ As WINDOW does after NFRC 300: the specimen's spectrum is a line between any two
 wavelengths that were measured, and is read where the table of the light has its own.
 """
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -12,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..array_types import Floats, Numbers
-from ..errors import SettingError
+from ..errors import SettingError, warn
 from ..formats.radiance import XYZ
 from ..results.record import Record, wavelengths_nm
 
@@ -96,7 +95,7 @@ def of_daylight(
         return visible, [_in(SOLAR, record) for record in records]
     except SettingError as error:
         text = f"the file has no block Solar: {error}"
-        warnings.warn(text, RuntimeWarning, stacklevel=5)
+        warn(text)
         return visible, []
 
 

@@ -1,6 +1,5 @@
 """Records in the files of other tools, each with what it has lost."""
 
-import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from os import PathLike
@@ -11,7 +10,7 @@ import numpy as np
 
 from ..array_types import Floats
 from ..collector.hemisphere import Subdivision
-from ..errors import SettingError, checked_choice
+from ..errors import SettingError, checked_choice, warn
 from ..files import check_output, netcdf, replacing
 from ..files.measured_table import MeasuredTable
 from ..files.writing import takes_a_stream
@@ -147,12 +146,10 @@ def _warn_of_openings(record: Record) -> None:
         return
     directions = summarize(record).directions
     if any(direction.exceeds_error("missed") for direction in directions):
-        warnings.warn(
+        warn(
             f"{ledger.missed / ledger.emitted:.2%} of the rays missed the specimen, "
             "and the file describes it as if it had neither openings nor edges: "
-            "measure one cell of it with a period, or take a smaller footprint",
-            RuntimeWarning,
-            stacklevel=3,
+            "measure one cell of it with a period, or take a smaller footprint"
         )
 
 
@@ -162,11 +159,9 @@ def _warn_of_lost_light(record: Record) -> None:
     for row, words in LOST_FATES.items():
         fraction = ledger.rows[row] / max(ledger.emitted, 1)
         if fraction > MAX_LOST:
-            warnings.warn(
+            warn(
                 f"{fraction:.2%} of the rays {words}; their flux is in no patch of the "
-                "file",
-                RuntimeWarning,
-                stacklevel=3,
+                "file"
             )
 
 
@@ -174,11 +169,9 @@ def _warn_of_transmission(record: Record, ending: str) -> None:
     """Warn of transmitted flux, which the file does not hold."""
     most = 0.0 if record.dht is None else float(record.dht.max())
     if most > 0:
-        warnings.warn(
+        warn(
             f"a file {ending} holds reflection only: up to {most:.2%} of the flux was "
-            "transmitted, and is not in it",
-            RuntimeWarning,
-            stacklevel=3,
+            "transmitted, and is not in it"
         )
 
 

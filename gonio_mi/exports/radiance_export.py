@@ -1,6 +1,5 @@
 """Records as Radiance's BSDF files, and those files at the record's directions."""
 
-import warnings
 from collections.abc import Sequence
 from os import PathLike
 from typing import Any
@@ -13,7 +12,7 @@ from ..collector.directions import angles
 from ..collector.hemisphere import Subdivision
 from ..collector.klems import Klems
 from ..collector.shirley_chiu import ShirleyChiu
-from ..errors import SettingError, abridged, checked_choice
+from ..errors import SettingError, abridged, checked_choice, warn
 from ..files import replacing
 from ..formats import radiance
 from ..formats.radiance import Product, RadianceBSDF
@@ -138,12 +137,10 @@ def _warn_of_missing_side(records: Sequence[Record]) -> None:
     if len(sides) == 1:
         side = sides.pop()
         other = "back" if side == "front" else "front"
-        warnings.warn(
+        warn(
             f"the file describes light from the {side} only, and the {other} reflects "
             f"nothing in it: measure with the side {other} too, and export both "
-            "records to one file",
-            RuntimeWarning,
-            stacklevel=4,
+            "records to one file"
         )
 
 
@@ -227,13 +224,11 @@ class Side:
             return
         worst = int(np.argmax(np.abs(shown - true)))
         theta, phi = (np.degrees(angle[worst, 0]) for angle in patches.middles)
-        warnings.warn(
+        warn(
             f"the {self.face} is not reciprocal: Radiance takes the view for incident "
             f"light, and so shows {elsewhere:.0%} of the reflected flux in other "
             f"directions; in a uniform sky {shown[worst]:.3f} for {true[worst]:.3f} as "
-            f"seen from theta {theta:.3g}, phi {phi:.3g}",
-            RuntimeWarning,
-            stacklevel=4,
+            f"seen from theta {theta:.3g}, phi {phi:.3g}"
         )
 
     def losses(self, written: RadianceBSDF) -> list[Loss]:
@@ -404,9 +399,7 @@ def _check_resampled(record: Record, rank: int | None) -> None:
     edges = np.diff([0.0, *angles, 90.0])
     if edges.max() > MAX_GAP:
         known = ", ".join(f"{angle:g}" for angle in angles[:6])
-        warnings.warn(
+        warn(
             f"the record has light from theta_i {known} only: what the file says "
-            f"between and beyond, up to {edges.max():g} degrees away, is made of these",
-            RuntimeWarning,
-            stacklevel=4,
+            f"between and beyond, up to {edges.max():g} degrees away, is made of these"
         )
