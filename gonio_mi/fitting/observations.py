@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import TypeAlias
 
 import mitsuba as mi
 import numpy as np
@@ -20,8 +20,10 @@ from .predictions import ConePredictions, PatchPredictions
 MODEL_INTEGRAL_ERR, MIN_RELATIVE_VALUE = 1e-4, 0.01
 
 
-class Observations(Protocol):
+class _Observations:
     """Values, what a BSDF predicts for them, and how uncertain they are.
+
+    Several predictions make them, each of which is asked.
 
     Attributes
     ----------
@@ -32,49 +34,26 @@ class Observations(Protocol):
 
     values: Floats
     stated: bool
-
-    def begin(self) -> None:
-        """Take few nodes, which will do for a first search."""
-
-    def adapt(self, bsdf: mi.BSDF) -> Floats:
-        """Prediction, with the nodes that this BSDF needs from now on."""
-
-    def of(self, bsdf: mi.BSDF) -> Floats:
-        """Prediction with the nodes as they are."""
-
-    def variances(self, predicted: Floats) -> Floats:
-        """Variance of each value, of which a fit makes its weights."""
-
-    def misfit(self, predicted: Floats) -> float:
-        """Sum of squares by which models are compared."""
-
-    def propagated(self, estimate: Floats, variances: Floats) -> Floats:
-        """Covariance of a linear estimate from the values, which have these weights."""
-
-
-class _Together:
-    """What several predictions make, each of which is asked."""
-
     _each: Sequence[PatchPredictions | ConePredictions | _PatchMeans]
 
     def begin(self) -> None:
-        """See :class:`Observations`."""
+        """Take few nodes, which will do for a first search."""
         for one in self._each:
             one.begin()
 
     def adapt(self, bsdf: mi.BSDF) -> Floats:
-        """See :class:`Observations`."""
+        """Prediction, with the nodes that this BSDF needs from now on."""
         return self._joined([one.adapt(bsdf) for one in self._each])
 
     def of(self, bsdf: mi.BSDF) -> Floats:
-        """See :class:`Observations`."""
+        """Prediction with the nodes as they are."""
         return self._joined([one.of(bsdf) for one in self._each])
 
     def _joined(self, parts: list[Floats]) -> Floats:
         return np.concatenate(parts)
 
 
-class RecordObservations(_Together):
+class RecordObservations(_Observations):
     """Flux fractions of one incident direction of a record, in all its detectors.
 
     As they are, where sums over mirror facets are negative by chance: only unbiased
@@ -93,7 +72,7 @@ class RecordObservations(_Together):
         self.values = self._kept(single.flux_fraction)
 
     def variances(self, predicted: Floats) -> Floats:
-        """Those of the record, shared among detectors that are alike."""
+        """Variances for weights: the record's, shared among like detectors."""
         found = self._std_errs() ** 2
         if self._batches() is None:
             return (
@@ -115,7 +94,7 @@ class RecordObservations(_Together):
         estimate: Floats,
         variances: Floats,  # noqa: ARG002 (shared ones)
     ) -> Floats:
-        """From the record's batches, which know how detectors depend on each other."""
+        """Covariance of a linear estimate: by batches, detectors together."""
         batches = self._batches()
         if batches is None:
             return (estimate * self._std_errs() ** 2) @ estimate.T
@@ -145,7 +124,7 @@ class RecordObservations(_Together):
         return self._kept(np.nan_to_num(errors))
 
 
-class TableObservations(_Together):
+class TableObservations(_Observations):
     """BSDF values of a measured table, in all its directions.
 
     Parameters
@@ -174,7 +153,7 @@ class TableObservations(_Together):
         return found
 
     def variances(self, predicted: Floats) -> Floats:
-        """Those that the table states, or squares of what the model predicts.
+        """Variances for weights: the table's, or squares of what the model predicts.
 
         Raises
         ------
@@ -212,10 +191,13 @@ class TableObservations(_Together):
         return float(np.sum((predicted - self.values) ** 2 / variances))
 
     def propagated(self, estimate: Floats, variances: Floats) -> Floats:
-        """From the points, and from the factor that is common to all."""
+        """Covariance of a linear estimate: of the points, and of a common factor."""
         points = (estimate * variances) @ estimate.T
         common = self.table.scale_uncertainty * (estimate @ self.values)
         return points + np.outer(common, common)
+
+
+Observations: TypeAlias = RecordObservations | TableObservations
 
 
 class _PatchMeans:
@@ -227,15 +209,15 @@ class _PatchMeans:
         self._solid = np.tile(solid, predictions.hemispheres)[places]
 
     def begin(self) -> None:
-        """See :class:`Observations`."""
+        """See :class:`_Observations`."""
         self._predictions.begin()
 
     def adapt(self, bsdf: mi.BSDF) -> Floats:
-        """See :class:`Observations`."""
+        """See :class:`_Observations`."""
         return self._predictions.adapt(bsdf)[self._places] / self._solid
 
     def of(self, bsdf: mi.BSDF) -> Floats:
-        """See :class:`Observations`."""
+        """See :class:`_Observations`."""
         return self._predictions.of(bsdf)[self._places] / self._solid
 
 
