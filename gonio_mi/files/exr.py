@@ -27,9 +27,7 @@ content; after the last image there is one of all bytes.
 import hashlib
 import io
 import re
-import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -39,6 +37,7 @@ from ..array_types import Counts, Floats, Numbers
 from ..results.record import Record
 from ..results.tally import ELEMENT_NAMES, N_ELEMENTS, Integrals, PolarisedTally
 from .checks import check_seal, require, seal_of
+from .exr_parts import image_of, parts_of
 from .header import (
     FRAMES,
     check_format,
@@ -50,9 +49,6 @@ from .header import (
 )
 
 MAGIC = b"\x76\x2f\x31\x01"
-
-# Bytes before the first header; version 2 with the bits of such images.
-BEGIN, SEVERAL_PARTS, LONG_NAMES = 8, 0x1002, 0x400
 
 # Parts of a direction that are read: what is exact.
 SUMMED = ("brdf", "btdf", "tally", "integral", "elements")
@@ -126,8 +122,8 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
     # damage makes the library print, drop parts, take any memory or crash
     check_seal(stream)
     stream.seek(0)
-    every = _parts_of(stream)
-    first = _image(stream, every[:1]).parts[0].header if every else {}
+    every = parts_of(stream)
+    first = image_of(stream, every[:1]).parts[0].header if every else {}
     text: Any = first.get("gonio.record")
     require(text is not None, "it was not written by gonio-mi")
     header = parsed_json(text)
@@ -142,15 +138,16 @@ def read(stream: BinaryIO, added_up: bool = False) -> Record:
     require(isinstance(channels, list), "its entry channels is not a list")
     names = layer_names([str(channel) for channel in channels])
     by_name, digest = {part.name: part for part in every}, hashlib.sha256(text.encode())
+    shape = parsed_subdivision(header).shape
 
     def arrays_of(index: int) -> dict[str, Numbers]:
         """Sums of one direction, which are included in the check sum."""
         kind = incident[index].dtype
         own = [_part_name(name, index, len(fates)) for name in SUMMED]
-        image = _image(stream, [by_name[name] for name in own if name in by_name])
-        parts = {part.name(): part.channels for part in image.parts}
-        n_batches = len(fates[index])
-        arrays = _sums(parts, index, len(fates), names, header, n_batches, kind)
+        image = image_of(stream, [by_name[name] for name in own if name in by_name])
+        # without the number in a stack
+        parts = {part.name().partition(".")[0]: part.channels for part in image.parts}
+        arrays = _sums(parts, names, shape, len(fates[index]), kind)
         _include(digest, arrays)
         return arrays | {key: rows[index] for key, rows in per_batch.items()}
 
@@ -340,103 +337,12 @@ def _float32(values: Numbers) -> Numbers:
 
 
 # ------------------------------------------------------------------------ reading
-#
-# The library reads all parts of a file at once, pictures included, which take ten times
-# the memory of the sums: it is given files of a few parts that are cut out.
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Header of a part, and where the table of its chunks of pixels is in the file.
-
-    See openexr.com/en/latest/OpenEXRFileLayout.html.
-    """
-
-    name: str
-    header: bytes
-    n_chunks: int
-    chunk_head: int
-    table: int
-
-
-def _parts_of(stream: BinaryIO) -> list[_Part]:
-    """Parts of an image of several."""
-    _, version = struct.unpack("<4sI", _exactly(stream, BEGIN))
-    require(version & ~LONG_NAMES == SEVERAL_PARTS, "it is no image of several parts")
-    headers = []
-    while found := _header(stream):
-        headers.append(found)
-    parts, table = [], stream.tell()
-    for header, values in headers:
-        require(
-            len(values.get("chunkCount", b"")) == 4 and "name" in values,
-            "a header of its parts is damaged",
-        )
-        (n_chunks,) = struct.unpack("<i", values["chunkCount"])
-        name = values["name"].decode("utf-8", "replace")
-        # number of the part, place of the chunk, length of what follows
-        chunk_head = 24 if "tiles" in values else 12
-        parts.append(_Part(name, header, n_chunks, chunk_head, table))
-        table += 8 * n_chunks
-    return parts
-
-
-def _header(stream: BinaryIO) -> tuple[bytes, dict[str, bytes]] | None:
-    """Bytes of the next header, and its attributes; None after the last one."""
-    start, values = stream.tell(), {}
-    while name := _word(stream):
-        _word(stream)  # its type
-        (size,) = struct.unpack("<i", _exactly(stream, 4))
-        values[name] = _exactly(stream, size)
-    length = stream.tell() - start
-    stream.seek(start)
-    content = _exactly(stream, length)
-    return (content, values) if values else None
-
-
-def _word(stream: BinaryIO) -> str:
-    """Text that ends in a zero."""
-    letters = bytearray()
-    while (letter := _exactly(stream, 1)) != b"\0":
-        letters += letter
-    return letters.decode("utf-8", "replace")
-
-
-def _exactly(stream: BinaryIO, n: int) -> bytes:
-    """So many bytes, of a file that has them."""
-    content = stream.read(n) if n >= 0 else b""
-    require(n >= 0 and len(content) == n, "a header of its parts is damaged")
-    return content
-
-
-def _image(stream: BinaryIO, parts: Sequence[_Part]) -> Any:
-    """Image of some parts of a file."""
-    chunks: list[bytes] = []
-    for number, part in enumerate(parts):
-        stream.seek(part.table)
-        table = _exactly(stream, 8 * part.n_chunks)
-        for offset in np.frombuffer(table, "<u8").tolist():
-            stream.seek(offset)
-            head = _exactly(stream, part.chunk_head)
-            size = int.from_bytes(head[-4:], "little", signed=True)
-            own = struct.pack("<i", number) + head[4:]
-            chunks.append(own + _exactly(stream, size))
-    stream.seek(0)
-    begin = stream.read(BEGIN)
-    head = begin + b"".join(part.header for part in parts) + b"\0"
-    lengths = [len(chunk) for chunk in chunks]
-    first = len(head) + 8 * len(chunks)
-    offsets = np.cumsum([first, *lengths], dtype="<u8")[:-1]
-    content = io.BytesIO(b"".join([head, offsets.tobytes(), *chunks]))
-    return OpenEXR.File(content, separate_channels=True)
 
 
 def _sums(
     parts: Mapping[str, Mapping[str, Any]],
-    index: int,
-    n: int,
     names: Sequence[str],
-    header: dict[str, Any],
+    shape: tuple[int, int],
     n_batches: int,
     kind: np.dtype[Any],
 ) -> dict[str, Numbers]:
@@ -444,29 +350,27 @@ def _sums(
 
     The latter two are of the type `kind`.
     """
-    shape = parsed_subdivision(header).shape
 
     def channels(part: str, layer: str, n_rows: int) -> Numbers:
         """Layers of all channels of a part, channels last."""
-        layers = parts.get(_part_name(part, index, n))
-        size = n_rows, shape[1]
+        layers, size = parts.get(part), (n_rows, shape[1])
         found = [_joined(layers, f"{layer}.{name}", part, size) for name in names]
         return np.stack(found, axis=-1).view(kind)
 
     hits = [
-        _joined(parts.get(_part_name(part, index, n)), "count", part, shape)
+        _joined(parts.get(part), "count", part, shape)
         for part in ("brdf", "btdf")
-        if part == "brdf" or _part_name(part, index, n) in parts
+        if part == "brdf" or part in parts
     ]
     sums = channels("tally", "sum", n_batches * len(hits) * shape[0])
     arrays = {
         "hits": np.stack(hits),
         "sums": sums.reshape(n_batches, len(hits), *shape, -1),
     }
-    if _part_name("integral", index, n) in parts:
+    if "integral" in parts:
         errors = channels("integral", "error", len(hits) * shape[0])
         arrays["errors"] = errors.reshape(len(hits), *shape, -1)
-    if _part_name("elements", index, n) in parts:
+    if "elements" in parts:
         rows = n_batches * len(hits) * shape[0]
         each = [channels("elements", element, rows) for element in ELEMENT_NAMES]
         elements = np.stack(each, axis=-2).view(float)
