@@ -11,7 +11,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi import properties
+from gonio_mi.plugins import properties
 from gonio_mi.plugins.bsdf_functions import GLOSSY
 
 # What the lobe about the mirror direction stands for; see plugin `cosinelobe`.

@@ -19,7 +19,6 @@ ROOMS = (
     "start_up",
     "llvm",
     "progress",
-    "properties",
     "single_precision",
     "mitsuba_names",
     "threads",

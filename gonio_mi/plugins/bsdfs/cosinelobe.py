@@ -5,8 +5,7 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi import properties
-from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe
+from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe, properties
 from gonio_mi.plugins.bsdf_functions import Asked, reflectance
 from gonio_mi.settings.declaration import example
 

@@ -7,9 +7,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from gonio_mi import properties
 from gonio_mi.errors import SettingError
-from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe
+from gonio_mi.plugins import bsdf_functions, exponentiated_cosine as lobe, properties
 from gonio_mi.plugins.bsdf_functions import Asked, mean, reflectance
 from gonio_mi.settings.declaration import example
 

@@ -9,11 +9,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from gonio_mi import properties
 from gonio_mi.array_types import Floats
 from gonio_mi.errors import SpecimenError, check_memory, warn
 from gonio_mi.formats.height_maps import HeightMap, read_height_map
 from gonio_mi.mitsuba_names import mesh_of
+from gonio_mi.plugins import properties
 from gonio_mi.settings.declaration import example
 from gonio_mi.surfaces.heights import (
     CORRELATIONS,

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import mitsuba as mi
 
-from .errors import checked_choice, checked_count, checked_number
+from gonio_mi.errors import checked_choice, checked_count, checked_number
 
 
 def choice(
