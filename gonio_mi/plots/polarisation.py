@@ -183,30 +183,29 @@ def _draw_state(
     )
     ends = max(most_circular, MIN_DEGREE)
     states = [
-        (light, scale_of(light[light > 0]), "viridis", bar_label(single, of), None),
+        (light, scale_of(light[light > 0]), "viridis", bar_label(single, of)),
         (
             degree,
             Normalize(0, max(most, MIN_DEGREE)),
             "magma",
             f"degree of polarisation, at most {most:.2g}",
-            None,
         ),
-        (angle, Normalize(-90, 90), "twilight", "angle from s to p (degrees)", 90),
+        (angle, Normalize(-90, 90), "twilight", "angle from s to p (degrees)"),
         (
             circular,
             Normalize(-ends, ends),
             "RdBu_r",
             f"circular part V / I, |V / I| at most {most_circular:.2g}",
-            ends,
         ),
     ]
     note = border_note(single)
-    for place, (values, scale, colours, label, end) in zip(axes, states):
+    for place, (values, scale, colours, label) in zip(axes, states):
         mesh = draw_patches(place, single, of, scale, note, colours, values=values)
         bar = place.inset_axes((0.05, -0.06, 0.9, 0.05))
         where = {"cax": bar, "orientation": "horizontal"}
-        if end:
-            where |= {"ticks": np.linspace(-end, end, 5), "format": "%.2g"}
+        if values is not light:  # whose scale may be logarithmic
+            ticks = np.linspace(scale.vmin, scale.vmax, 5)
+            where |= {"ticks": ticks, "format": "%.2g"}
         colour_bar(figure, mesh, None, label, **where)
     axes[0].set_title(NAMES[of], fontsize="medium", loc="left")
 
