@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
+import json
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -287,6 +288,11 @@ def pair(text: str) -> tuple[str, str]:
 def tell(result: object) -> None:
     """Print a result; what a file holds cannot command the terminal."""
     print(printable(str(result)), flush=True)
+
+
+def tell_json(result: Any) -> None:
+    """Print a result of JSON's types, for ``--json``."""
+    print(json.dumps(result, indent=2, allow_nan=False))
 
 
 def say(text: str) -> None:

@@ -7,7 +7,6 @@ of the table and under its emitter; a specimen in place of the other is measured
 record was.
 """
 
-import json
 import re
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
@@ -35,6 +34,7 @@ from .arguments import (
     specimen_of,
     table_of,
     tell,
+    tell_json,
 )
 from .file_kinds import record_of
 
@@ -118,7 +118,7 @@ def run(options: Namespace) -> int:
     if options.output is not None:
         comparison.plot(options.output)
     if options.json:
-        print(json.dumps(comparison.to_dict(), indent=2, allow_nan=False))
+        tell_json(comparison.to_dict())
     else:
         tell(comparison)
     if options.budget is not None:

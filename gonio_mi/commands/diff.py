@@ -6,7 +6,6 @@ Mitsuba's own that this package knows are compared. What one version says can be
 and two such files compared.
 """
 
-import json
 import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterable, Iterator
@@ -26,6 +25,7 @@ from .arguments import (
     set_variant,
     specimen_of,
     tell,
+    tell_json,
 )
 
 USAGE = """%(prog)s [BSDF ...] --against VENV [options]
@@ -109,7 +109,7 @@ def _reported(found: Iterable[Any], options: Namespace) -> int:
         if not options.json:
             tell(f"{one['name']}: {one['error']}" if isinstance(one, dict) else one)
     if options.json:
-        print(json.dumps(answers, indent=2, allow_nan=False))
+        tell_json(answers)
     else:
         same = sum(one["same"] for one in answers)
         tell(f"{same} of {len(answers)} are the same")

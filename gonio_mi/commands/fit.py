@@ -6,7 +6,6 @@ the model cannot follow. A rough model without its distribution is tried with bo
 Beckmann and GGX, the closer one first.
 """
 
-import json
 from argparse import ArgumentParser, Namespace
 from collections.abc import Iterator
 
@@ -29,6 +28,7 @@ from .arguments import (
     set_variant,
     table_of,
     tell,
+    tell_json,
 )
 from .file_kinds import record_of
 
@@ -116,7 +116,7 @@ def run(options: Namespace) -> int:
     fits.sort(key=lambda one: (one.scatter, one.chi2))
     if options.json:
         found = [one.to_dict() for one in fits]
-        print(json.dumps(found, indent=2, allow_nan=False))
+        tell_json(found)
     else:
         for one in fits:
             tell(one)

@@ -23,6 +23,7 @@ from ..plots import ANIMATION_ENDINGS, FIGURE_ENDINGS
 from ..results.record import Record
 from ..results.summary import summarize
 from ..results.summary_text import summary_text
+from ..results.tally import grouped
 from ..settings.values import ALL_ORDERS, Order
 from .arguments import (
     DONE,
@@ -292,7 +293,7 @@ def _one_or_many(values: Any) -> Any:
 def _remains(options: Namespace, output: Sequence[str], record: Record) -> str:
     """What is left of an interrupted measurement."""
     if record.ledger.emitted:
-        kept = f"{record.ledger.emitted:,} rays".replace(",", " ")
+        kept = f"{grouped(record.ledger.emitted)} rays"
     else:
         asked = len(options.theta_i or [None]) * len(options.phi_i)
         kept = f"{len(record)} of {asked} incident directions"

@@ -5,11 +5,10 @@ Estimate how many rays a measurement needs: by the bounds of Krishnaswamy and ot
 once.
 """
 
-import json
 from argparse import ArgumentParser, Namespace
 from dataclasses import asdict
 
-from .arguments import DONE, add_json, add_number, add_text, tell
+from .arguments import DONE, add_json, add_number, add_text, tell, tell_json
 from .file_kinds import record_of
 
 EXAMPLES = """\
@@ -59,5 +58,8 @@ def run(options: Namespace) -> int:
     pilot = None if options.pilot is None else record_of(options.pilot)
     names = ("collector", "epsilon", "delta", "rel_err", "level", "floor")
     planned = plan(pilot, **{name: getattr(options, name) for name in names})
-    tell(json.dumps(asdict(planned), indent=2) if options.json else planned)
+    if options.json:
+        tell_json(asdict(planned))
+    else:
+        tell(planned)
     return DONE

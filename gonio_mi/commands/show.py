@@ -5,7 +5,6 @@ every ray went, and the worst patches. Of a table of measured values, in text wi
 columns or a file of another program, show what it holds and what was inferred.
 """
 
-import json
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
@@ -20,6 +19,7 @@ from .arguments import (
     check_no_table_options,
     table_of,
     tell,
+    tell_json,
 )
 from .file_kinds import record_of
 
@@ -65,7 +65,7 @@ def run(options: Namespace) -> int:
             "--stokes and --json exclude each other: dhr_mueller says it of any light"
         )
     if options.json:
-        print(json.dumps(summary.as_mapping(), indent=2, allow_nan=False))
+        tell_json(summary.as_mapping())
     else:
         rows = {"most_rows": sys.maxsize} if options.all else {}
         tell(summary_text(summary, **rows, stokes=options.stokes))

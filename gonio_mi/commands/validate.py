@@ -6,7 +6,6 @@ energy, reciprocity, transport modes, flags, masks, and the ends of its domain.
 
 import argparse
 import contextlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -26,6 +25,7 @@ from .arguments import (
     sentence,
     set_variant,
     specimen_of,
+    tell_json,
 )
 from .parser import Parser
 
@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
         answer = verdict.to_dict()
         answer["others"] = [one.to_dict() for one in others]
         answer["skipped"] = skipped
-        print(json.dumps(answer, indent=2, allow_nan=False))
+        tell_json(answer)
     else:
         print(told(verdict, others, skipped))
     if verdict.undecided:

@@ -11,7 +11,7 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import SettingError, checked_choice, checked_number, printable, shown
 from ..results.record import Record
-from ..results.tally import Ledger, Tally
+from ..results.tally import Ledger, Tally, grouped
 from ..settings import MeasurementSettings
 from ..transport.kernels import launches_kernels
 from .incidence import incident_angles
@@ -71,7 +71,7 @@ class ExitProfile:
 
     def __repr__(self) -> str:
         n, (first, last) = len(self.radii) - 1, self.radii[[0, -1]]
-        rays = f"{self.ledger.emitted:,} rays".replace(",", " ")
+        rays = f"{grouped(self.ledger.emitted)} rays"
         return (
             f"<ExitProfile of {printable(self.specimen)}: "
             f"{n} ring{'s' if n > 1 else ''} from {first:g} to {last:g}, {rays}, "

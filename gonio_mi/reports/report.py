@@ -23,8 +23,9 @@ from ..plots.figure import evenly
 from ..plots.plot import received
 from ..progress import bar
 from ..results.record import Record
-from ..results.summary import Summary, grouped, summarize
+from ..results.summary import Summary, summarize
 from ..results.summary_text import percent, summary_text, total_cells
+from ..results.tally import grouped
 from .page import check_page, figure, picture_and_text, save_page
 
 # Patch values of one record, over all directions, hemispheres and channels, that a

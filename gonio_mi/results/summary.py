@@ -11,7 +11,7 @@ import numpy as np
 
 from .planning import patch_values, precision, relative_errors
 from .record import Record
-from .tally import Ledger, holds_integrals
+from .tally import Ledger, grouped, holds_integrals
 
 LEVEL = 0.95
 N_WORST = 5
@@ -362,8 +362,3 @@ def _excessive_rows(
 
 def _share(n: int, ledger: Ledger) -> str:
     return f"{grouped(n)} of {grouped(ledger.emitted)} rays"
-
-
-def grouped(n: int) -> str:
-    """Whole number with its digits in groups of three."""
-    return f"{n:,}".replace(",", " ")

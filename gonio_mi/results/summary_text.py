@@ -12,8 +12,8 @@ from ..settings.values import joined
 from ..single_precision import ROUNDING
 from .planning import FLOOR, lobe
 from .record import Record
-from .summary import LEVEL, Summary, Total, grouped
-from .tally import without_chance
+from .summary import LEVEL, Summary, Total
+from .tally import grouped, without_chance
 
 WIDTH = 88
 MAX_SURFACE = 400

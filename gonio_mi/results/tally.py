@@ -463,9 +463,14 @@ def without_chance(tallies: Sequence[Tally]) -> bool:
     return holds_integrals(tallies) and not any(one.ledger.emitted for one in tallies)
 
 
+def grouped(n: int) -> str:
+    """Whole number with its digits in groups of three."""
+    return f"{n:,}".replace(",", " ")
+
+
 def sent_text(tallies: Sequence[Tally]) -> str:
     """How many rays were sent, or what stands for them: ``10 000 rays``."""
-    rays = f"{sum(tally.ledger.emitted for tally in tallies):,} rays".replace(",", " ")
+    rays = f"{grouped(sum(tally.ledger.emitted for tally in tallies))} rays"
     if not holds_integrals(tallies):
         return rays
     return "integrals" if rays == "0 rays" else f"integrals and {rays}"
