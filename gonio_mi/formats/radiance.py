@@ -129,9 +129,9 @@ class Product:
         return "\n".join([*lines, "<DeviceType>Other</DeviceType>"])
 
 
-def basis_of(matrix: Floats) -> Klems:
-    """Klems basis of a matrix ``(n, n)``, by its size."""
-    return next(basis for basis in BASES.values() if basis.n_patches == len(matrix))
+def basis_of(matrix: Floats) -> str:
+    """Name of the Klems basis of a matrix ``(n, n)``, by its size."""
+    return next(name for name, one in BASES.items() if one.n_patches == len(matrix))
 
 
 def incident_patch(
@@ -199,20 +199,16 @@ def _structure(name: str) -> str:
     return f"<IncidentDataStructure>{name}</IncidentDataStructure>\n"
 
 
-def _name_of(basis: Klems) -> str:
-    return next(name for name, one in BASES.items() if one == basis)
-
-
-def _klems_basis(basis: Klems) -> str:
-    edges = basis.theta_deg
+def _klems_basis(name: str) -> str:
+    edges, n_phi = BASES[name].theta_deg, BASES[name].n_phi
     rings = "".join(
         f"<AngleBasisBlock><Theta>{(low + high) / 2 if low else 0:g}</Theta>"
         f"<nPhis>{n}</nPhis><ThetaBounds><LowerTheta>{low}</LowerTheta>"
         f"<UpperTheta>{high}</UpperTheta></ThetaBounds></AngleBasisBlock>\n"
-        for low, high, n in zip(edges, edges[1:], basis.n_phi)
+        for low, high, n in zip(edges, edges[1:], n_phi)
     )
-    name = f"<AngleBasisName>{_name_of(basis)}</AngleBasisName>"
-    return f"<AngleBasis>\n{name}\n{rings}</AngleBasis>\n"
+    title = f"<AngleBasisName>{name}</AngleBasisName>"
+    return f"<AngleBasis>\n{title}\n{rings}</AngleBasis>\n"
 
 
 def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
@@ -220,7 +216,7 @@ def _block(wavelength: str, direction: str, block: Floats | TensorTree) -> str:
         basis = f"<AngleBasis>{SHIRLEY_CHIU}</AngleBasis>"
         text = block.text()
     else:
-        name = _name_of(basis_of(block))
+        name = basis_of(block)
         basis = (
             f"<ColumnAngleBasis>{name}</ColumnAngleBasis>\n"
             f"<RowAngleBasis>{name}</RowAngleBasis>"
@@ -385,7 +381,7 @@ class RadianceBSDF:
         if isinstance(first, TensorTree):
             self.rank, self._names = first.rank, TREE_NAMES
         else:
-            self.basis = basis_of(first)
+            self.basis = BASES[basis_of(first)]
             blocks: Any = self.blocks.values()
             sizes = {len(matrix) for matrix in blocks}
             require(len(sizes) == 1, "its matrices are of several bases")
