@@ -13,7 +13,6 @@ import os
 import signal
 import sys
 import threading
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     BrokenExecutor,
@@ -29,7 +28,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ..errors import SettingError
+from ..errors import SettingError, warn
 from ..progress import bar
 from ..results.record import Record
 from .folder import CampaignFolder
@@ -155,11 +154,7 @@ def _finish(
             return
         if not left or isinstance(executor, Executor):
             raise death
-        warnings.warn(
-            f"a worker died; {len(todo)} tasks are sent again",
-            RuntimeWarning,
-            stacklevel=4,
-        )
+        warn(f"a worker died; {len(todo)} tasks are sent again")
 
 
 def _shared_out(

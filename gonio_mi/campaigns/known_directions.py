@@ -6,7 +6,6 @@ import hashlib
 import logging
 import re
 import time
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -20,7 +19,7 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers
 from ..collector import Subdivision
 from ..collector.directions import direction
-from ..errors import SettingError, SpecimenError, abridged
+from ..errors import SettingError, SpecimenError, abridged, warn
 from ..formats.scatter import PatchMeans
 from ..instrument.specimen_text import SpecimenLike
 from ..interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs
@@ -397,12 +396,10 @@ class KnownDirections:
         left = more * self.seconds / max(self.n_timed, 1)
         if left > MIN_ANNOUNCED and not self.announced:
             self.announced = True
-            warnings.warn(
+            warn(
                 f"{self.name}: {self.n_timed} directions took {self.seconds:.0f} s; at "
                 f"least some {more:.0f} more are expected, {left / 3600:.1f} hours; a "
-                "larger tolerance needs less",
-                RuntimeWarning,
-                stacklevel=2,
+                "larger tolerance needs less"
             )
 
     def _goals(self, noise: float) -> dict[str, Any]:

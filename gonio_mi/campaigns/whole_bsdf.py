@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import logging
-import warnings
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import checked_number
+from ..errors import checked_number, warn
 from ..interpolation.lobes import TooLargeError
 from ..results.azimuth_symmetry import AzimuthSymmetry, Motion, azimuth_of
 from ..results.campaign_outcome import MAX_LOOKS, CampaignOutcome, PredictionError
@@ -316,11 +315,9 @@ class WholeBsdf:
             unseen=tuple(errors),
         )
         if sum(one.exceeds(self.tolerance) for one in errors) > MAX_MISSES:
-            warnings.warn(
+            warn(
                 f"tolerance of {self.tolerance:g} was not reached for {self.name}: of "
                 f"{N_UNSEEN} random directions that only test it {within:.0%} are "
-                f"within it, and {self.helps}",
-                RuntimeWarning,
-                stacklevel=4,
+                f"within it, and {self.helps}"
             )
         return record.with_provenance(campaign=outcome)
