@@ -178,7 +178,8 @@ def send_all(
     ) as report:
         try:
             if settings.estimator.splits:
-                single = single_scattering(setups)
+                with bar(progress, "of the surface", unit="point", delay=1) as joined:
+                    single = single_scattering(setups, joined)
             for some in _groups(len(setups), launcher.together):
                 # without the integrals beside them rays are not enough
                 integrates = settings.estimator.integrates

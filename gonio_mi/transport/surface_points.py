@@ -8,7 +8,7 @@ comes of more events, a small part of the light on most surfaces.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -150,11 +150,14 @@ class SingleScattering:
         return replace(tally, sums=sums, hits=hits, fates=fates)
 
 
-def single_scattering(setups: Sequence[Setup]) -> list[SingleScattering]:
+def single_scattering(
+    setups: Sequence[Setup], report: Callable[[float], Any] | None
+) -> list[SingleScattering]:
     """Light of one event of each setup, as precise as their settings ask.
 
     Points are doubled, of each direction until it is precise enough: it has the bits
-    that it would have alone. Setups differ in their incident direction only.
+    that it would have alone. Setups differ in their incident direction only. `report`
+    is called with how many points have been joined to all of them.
 
     Raises
     ------
@@ -166,7 +169,8 @@ def single_scattering(setups: Sequence[Setup]) -> list[SingleScattering]:
     found: dict[Setup, SingleScattering] = {}
     end = N_FIRST if settings.noise else N_FIXED
     while waiting:
-        for setup, more in zip(waiting, SurfacePoints(waiting).light(begin, end)):
+        more_of_each = SurfacePoints(waiting).light(begin, end, report)
+        for setup, more in zip(waiting, more_of_each):
             found[setup] = found[setup] + more if setup in found else more
         if settings.noise is None:
             if not all(light.sums.any() for light in found.values()):
@@ -219,10 +223,11 @@ class SurfacePoints:
         extent = (self.specimen.high - self.specimen.low)[:2]
         self.area = float(np.sum(areas) / np.prod(extent))
 
-    def light(self, begin: int, end: int) -> list[SingleScattering]:
+    def light(
+        self, begin: int, end: int, report: Callable[[float], Any] | None
+    ) -> list[SingleScattering]:
         """Light of points `begin` to `end` of each batch, by incident direction."""
-        per_point = self.n_batches * self.n_patches
-        piece = max(1, MAX_LANES // per_point)
+        piece = max(1, MAX_LANES // (self.n_batches * self.n_patches))
         shape = self.n_batches, self.n_wi, self.n_patches, n_channels()
         sums, lit = np.zeros(shape), np.zeros(shape[:2])
         for start in range(begin, end, piece):
@@ -233,13 +238,18 @@ class SurfacePoints:
             si = self._points(sampler)
             place = mi.Point2f(sampler.next_2d())
             dr.eval(si, place)
-            came, wo = self._came(si, n), self._gone(si, place, n)
-            dr.eval(came, wo)
-            for first in range(0, self.n_wi, piece):
-                m = min(piece, self.n_wi - first)
-                light = self._sums(si, came, wo, (n, first, m))
-                sums[:, first : first + m] += light
-            lit += came.numpy().astype(float).reshape(*lit.shape[:1], n, -1).sum(axis=1)
+            wo = self._gone(si, place, n)
+            dr.eval(wo)
+            most = max(1, min(piece, MAX_LANES // (self.n_batches * n)))
+            for first in range(0, self.n_wi, most):
+                m = min(most, self.n_wi - first)
+                part = slice(first, first + m)
+                came = self._came(si, (n, first, m))
+                sums[:, part] += self._sums(si, came, wo, (n, first, m))
+                each = came.numpy().astype(float).reshape(self.n_batches, n, m)
+                lit[:, part] += each.sum(axis=1)
+                if report is not None:
+                    report(self.n_batches * n * m / self.n_wi)
         directions = range(self.n_wi)
         n = end - begin
         return [SingleScattering(sums[:, i], lit[:, i], n) for i in directions]
@@ -261,15 +271,22 @@ class SurfacePoints:
         si.t = dr.select(si.is_valid() & (beside < above / 2), si.t, dr.inf)
         return si
 
-    def _came(self, si: Any, n: int) -> mi.Float:
-        """Part of each incident direction's light that meets a point, per point."""
-        lanes = dr.arange(mi.UInt32, n * self.n_batches * self.n_wi)
-        point, incident = apart(lanes, self.n_wi)
+    def _came(self, si: Any, sizes: tuple[int, int, int]) -> mi.Float:
+        """Part of each incident direction's light that meets a point, per point.
+
+        `sizes` are those of `_sums`.
+        """
+        n, first, m = sizes
+        lanes = dr.arange(mi.UInt32, n * self.n_batches * m)
+        point, incident = apart(lanes, m)
+        incident += dr.opaque(mi.UInt32, first)
         here = dr.gather(mi.SurfaceInteraction3f, si, point)
         wi = dr.gather(mi.Vector3f, self.wi, incident)
         cosine = dr.abs(dr.dot(here.n, wi))
         seen = self._sees(here, wi, here.is_valid() & (cosine > 0))
-        return dr.select(seen, self.area * cosine / dr.abs(wi.z), 0.0)
+        came = dr.select(seen, self.area * cosine / dr.abs(wi.z), 0.0)
+        dr.eval(came)
+        return came
 
     def _gone(self, si: Any, place: mi.Point2f, n: int) -> mi.Vector3f:
         """Towards a place in each patch from each point, or 0 where it is hidden."""
@@ -304,10 +321,11 @@ class SurfacePoints:
         lanes = dr.arange(mi.UInt32, self.n_batches * m * self.n_patches)
         pair, patch = apart(lanes, self.n_patches)
         batch, incident = apart(pair, m)
-        incident += dr.opaque(mi.UInt32, first)
-        numbers = [dr.opaque(mi.UInt32, x) for x in (n, self.n_wi, self.n_patches)]
+        own = incident, patch
+        incident = incident + dr.opaque(mi.UInt32, first)
+        numbers = [dr.opaque(mi.UInt32, x) for x in (n, m, self.n_patches)]
         wi = dr.gather(mi.Vector3f, self.wi, incident)
-        where = batch, incident, patch
+        where = batch, *own
         total, sound = _added_up(si, came, wo, wi, where, numbers)
         total *= dr.gather(mi.Float, self.table[4], patch)
         dr.eval(total, sound)
@@ -331,12 +349,12 @@ def _added_up(
 ) -> tuple[mi.UnpolarizedSpectrum, mi.Bool]:
     """Sums of light over the points of a batch, from a direction to a patch."""
     batch, incident, patch = where
-    n, n_wi, n_patches = sizes
+    n, m, n_patches = sizes
     total = mi.UnpolarizedSpectrum(0.0)
     sound = mi.Bool(True)
     point, end = batch * n, (batch + 1) * n
     while point < end:
-        power = dr.gather(mi.Float, came, point * n_wi + incident)
+        power = dr.gather(mi.Float, came, point * m + incident)
         towards = dr.gather(mi.Vector3f, wo, point * n_patches + patch)
         active = (power > 0) & dr.any(towards != 0)
         here = dr.gather(mi.SurfaceInteraction3f, si, point)
