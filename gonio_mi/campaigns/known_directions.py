@@ -325,7 +325,16 @@ class KnownDirections:
         except SpecimenError as error:
             if len(self.estimators) == 1:
                 raise
-            raise EstimatorRefusedError(error) from error
+            own = settings["estimator"]
+            if not (self.records and own.splits):
+                raise EstimatorRefusedError(error) from error
+            logger.info("%s: rays alone in this round: %s", self.name, error)
+        settings = settings | {"estimator": Estimator.WEIGHTED}
+        if where.folder is not None:
+            where = replace(where, folder=f"{where.folder}_{Estimator.WEIGHTED}")
+        stack = self._stack(incidents, where, settings, label)
+        # what holds of intervals and sums of points and rays holds of rays alone
+        return replace(stack, asked=replace(stack.asked, estimator=own))
 
     def check_functions(self, incident: tuple[float, float]) -> None:
         """Raise SpecimenError if samples contradict the integral of a known direction.

@@ -29,6 +29,8 @@ LENGTH = 16
 
 # What Python writes of an object without a text of its own.
 ADDRESS = re.compile(r"\b0x[0-9a-fA-F]+")
+# Of a mesh that is no emitter, only once it was asked for.
+AREA = re.compile(r"\n *surface_area = .*")
 FILE = re.compile(r'filename ?= ?"?([^",\]\n]+)')
 
 
@@ -139,9 +141,11 @@ def _text(thing: Any) -> str:
     """Class and Mitsuba's text of an object, if all that it holds has one."""
     name = type(thing).__qualname__
     try:
-        return f"{name} {thing}"
+        text = f"{name} {thing}"
     except Exception:  # one of them is a plugin in Python, which may raise anything
         return f"{name} {thing.class_name()}"
+    by_area = not isinstance(thing, mi.Mesh) or thing.is_emitter()
+    return text if by_area else AREA.sub("", text)
 
 
 # Scripts and notebooks, also in a process that they started: they change for many
