@@ -93,6 +93,10 @@ class Estimates(ABC):
     def std_err(self, hemisphere: int) -> Floats:
         """Standard error of :meth:`fraction`; NaN where it is not known."""
 
+    def noise(self, hemisphere: int) -> Floats:
+        """Standard error that is right on average, though not in every patch."""
+        return self.std_err(hemisphere)
+
     @abstractmethod
     def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`fraction`."""
@@ -364,7 +368,7 @@ class SampledEstimates(Estimates):
 
 @dataclass(frozen=True, eq=False)
 class ControlledEstimates(SampledEstimates):
-    """Estimates of what rays change of a first order that is known from facets.
+    """Estimates of what rays change of a first order that is known without them.
 
     Each ray changes a patch by its power of 1 at most, up or down, and most not at all:
     of those that do, the scatter tells how many there were, and by chance one more may
@@ -420,6 +424,19 @@ class ControlledEstimates(SampledEstimates):
             value, scatter, self.tally.n_batches, level, below=least, above=least
         )
         return np.maximum(low, 0.0), np.maximum(high, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SplitEstimates(ControlledEstimates):
+    """Estimates where points of the surface tell the first order, in batches too.
+
+    Most patches receive few rays of more events, or none by chance, which shows in no
+    scatter of their own: they are judged as if the scatter were of rays alone.
+    """
+
+    def noise(self, hemisphere: int) -> Floats:
+        """Scatter of the batches, without what rays may have missed."""
+        return self._scatter(hemisphere)
 
 
 @dataclass(frozen=True, eq=False)

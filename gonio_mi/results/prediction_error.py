@@ -78,10 +78,10 @@ def expected_noise(record: Record) -> float:
 
 
 def _stated_error(record: Record) -> float:
-    """Half the sum of what flux fractions are stated to be wrong by."""
-    errors = [record.brdf_std_err, record.btdf_std_err][: record.n_hemispheres]
-    solid = record.subdivision.projected_solid_angles[..., None]
-    return float(sum(np.nansum(one * solid) for one in errors if one is not None) / 2)
+    """Half the sum of what flux fractions are wrong by on average."""
+    (one,) = record.estimates
+    hemispheres = range(record.n_hemispheres)
+    return float(sum(np.nansum(one.noise(number)) for number in hemispheres) / 2)
 
 
 def _cross_fitted(tally: Tally, predicted: Floats) -> Floats:

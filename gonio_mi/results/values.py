@@ -20,6 +20,7 @@ from .estimates import (
     Estimates,
     IntegralEstimates,
     SampledEstimates,
+    SplitEstimates,
 )
 from .mueller import MuellerEstimates, checked_stokes
 from .provenance import FACETS, Provenance
@@ -352,6 +353,11 @@ class MeasuredValues:
         count as hits, it is Student's t for the sum of points and rays; wider than
         need be where rays are fewer than points.
 
+        Where the first order is known without rays, a sum over `facets` or points of
+        the surface (`split`), the interval is at least that of a Poisson count of as
+        many rays of weight 1 as explain the scatter, of which one more may have been
+        missed.
+
         Integrals (estimator `quadrature`) may be wrong by their error, the largest that
         they are estimated to have, at any `level`; Student's t for delta components,
         which are sampled, is added to it.
@@ -461,8 +467,11 @@ class MeasuredValues:
         passes = self.provenance.passes
         if isinstance(tally, Integrals):
             return IntegralEstimates(tally, passes=passes)
-        by_facets = self.provenance.transport == FACETS
-        kind = ControlledEstimates if by_facets else SampledEstimates
+        kind = SampledEstimates
+        if self.asked.estimator.splits:
+            kind = SplitEstimates
+        elif self.provenance.transport == FACETS:
+            kind = ControlledEstimates
         return kind(
             tally,
             independent=self.provenance.sampler == "independent",

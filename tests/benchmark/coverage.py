@@ -214,9 +214,29 @@ CASES["mirrors"] = Case(
     (TRACED[0], *TRACED[-2:]),
     ("all",),
 )
+SPLIT: dict[str, Any] = {"estimators": (("split", "sobol"),), "orders": ("all",)}
 CASES["mirrors, 75 degrees"] = replace(
     CASES["mirrors"], settings=CASES["mirrors"].settings | {"theta_i": 75}
 )
+METAL = {"type": "roughconductor", "alpha": 0.3, "distribution": "ggx"}
+CASES["split, cavities"] = Case(
+    lambda: _groove({"type": "diffuse", "reflectance": 0.8}), PERIODIC, **SPLIT
+)
+CASES["split, grooves"] = Case(lambda: _groove(METAL), PERIODIC, **SPLIT)
+CASES["split, hills"] = Case(
+    lambda: {
+        "type": "heightfield",
+        "alpha": 0.5,
+        "resolution": 16,
+        "bsdf": _two_sided(METAL),
+    },
+    PERIODIC,
+    **SPLIT,
+)
+for name in ("split, grooves", "split, hills"):
+    CASES[f"{name}, 75 degrees"] = replace(
+        CASES[name], settings=PERIODIC | {"theta_i": 75, "phi_i": 20}
+    )
 CASES["facets, 30 x 30"] = replace(
     CASES["facets"], settings=PERIODIC | {"collector": "projected:30x30"}
 )
