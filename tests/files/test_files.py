@@ -608,17 +608,16 @@ def test_openimageio_reads_every_layer(tmp_path):
     image.close()
 
 
-@pytest.mark.parametrize("ending", [".npz", ".exr"])
-def test_loading_takes_the_memory_that_is_kept(tmp_path, ending):
-    """Up to a fifth more, and what is read at once; pictures alone are 30 times it."""
-    n, rng = 40, np.random.default_rng(1)
+def even_stack(n):
+    """Stack of `n` incident directions with the same sums in 16 batches."""
+    rng = np.random.default_rng(1)
     sums = rng.integers(0, 2**20, (16, 1, 30, 30, 1)).astype(float)
     hits = np.full((1, 30, 30), 16, np.uint64)
     fates = np.zeros((16, len(Fate)), np.uint64)
     fates[:, Fate.REFLECTED] = 900
     incident = np.full((16, 1), 2.0**30)
     tally = Tally(hits, sums, incident, fates, scale=2**24)
-    stack = replace(
+    return replace(
         RECORDS["plain"],
         subdivision=gonio.EqualProjectedSolidAngle(30, 30),
         theta_i=np.linspace(0, 80, n),
@@ -627,11 +626,28 @@ def test_loading_takes_the_memory_that_is_kept(tmp_path, ending):
         tallies=(tally,) * n,
         stacked=True,
     )
+
+
+@pytest.mark.parametrize("ending", [".npz", ".exr"])
+def test_loading_takes_the_memory_that_is_kept(tmp_path, ending):
+    """Up to a fifth more, and what is read at once; pictures alone are 30 times it."""
+    stack = even_stack(40)
     path = saved(tmp_path, stack, ending)
     tracemalloc.start()
     loaded = gonio.load(path)
     kept, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert loaded == stack
-    assert kept > n * sums.nbytes
+    assert kept > sum(tally.sums.nbytes for tally in stack.tallies)
     assert most < 1.2 * kept + PIECE
+
+
+@pytest.mark.parametrize("load", [gonio.load, files.load_added_up])
+def test_memory_is_asked_for_what_is_kept(tmp_path, monkeypatch, load):
+    """At least that of the arrays, and headers of a tenth; hits do not shrink."""
+    path, asked = saved(tmp_path, even_stack(4), ".npz"), []
+    monkeypatch.setattr(npz, "check_memory", lambda _, needed, __: asked.append(needed))
+    tallies = load(path).tallies
+    arrays = [getattr(one, name) for one in tallies for name in one.arrays]
+    kept = sum(array.nbytes for array in arrays)
+    assert kept <= asked[0] < 1.1 * kept
