@@ -12,6 +12,7 @@ from budget import agree, difference_scores, disagree, often_enough, verdict
 from specimens import MIRROR, heightfield, with_faces
 
 from gonio_mi.collector.directions import direction
+from gonio_mi.instrument.launcher import Launcher
 from gonio_mi.instrument.setup import set_up
 from gonio_mi.interpolation.lobes import MeasuredLobes
 from gonio_mi.mitsuba_names import triangles_of
@@ -249,3 +250,22 @@ def test_colours_stacks_and_launches(rgb):  # noqa: ARG001
     half = measured(shape, 70, rays=2**21 + 32)
     assert half.ledger.emitted == 2**21 + 32
     assert np.allclose(half.dhr, record.dhr, rtol=0.02)
+
+
+def test_facets_are_found_once_in_all_rounds(monkeypatch):
+    """Exact; a measurement of a precision takes several rounds."""
+    calls = {"rounds": 0, "tables": 0}
+
+    def counted(kind, name, what):
+        plain = getattr(kind, name)
+
+        def count(*given):
+            calls[what] += 1
+            return plain(*given)
+
+        monkeypatch.setattr(kind, name, count)
+
+    counted(Launcher, "tallies", "rounds")
+    counted(MirrorFacets, "__init__", "tables")
+    measured(mi.load_dict(field(0.5)), 30, rays=None, noise=4e-4)
+    assert calls["rounds"] > calls["tables"] == 1
