@@ -5,14 +5,12 @@ from __future__ import annotations
 import copyreg
 import os
 import pickle
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from threading import Lock
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -23,6 +21,7 @@ from ..instrument.measure import measure_each, whole
 from ..instrument.specimen_text import specimen_name
 from ..results.record import Record
 from ..settings import MeasurementSettings
+from ..threads import thread_count
 from ..transport.digest import file_digest, plugins_digest
 from ..transport.specimen import Specimen
 
@@ -56,7 +55,7 @@ class Task:
         with _here:  # threads of one process share Dr.Jit and the variant
             mi.set_variant(self.variant)
             self._load_plugins()
-            with _threads(self.threads):
+            with thread_count(self.threads):
                 specimen, incidents = self._located(), self.incidents
                 record = whole(measure_each, specimen, incidents, **self.arguments)
         # the same wherever it is measured
@@ -107,18 +106,6 @@ def run_task(task: Task) -> Record:
         failed: Any = error
         failed.frames = frames(error)  # the traceback itself is not sent back
         raise
-
-
-@contextmanager
-def _threads(n: int | None) -> Iterator[None]:
-    """Context with `n` threads of Dr.Jit."""
-    before = dr.thread_count()
-    if n:
-        dr.set_thread_count(n)
-    try:
-        yield
-    finally:
-        dr.set_thread_count(before)
 
 
 def tasks_of(
