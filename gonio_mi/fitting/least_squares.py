@@ -19,8 +19,9 @@ from .observations import Observations
 # against single precision, narrow against the curvature.
 REL_STEP = 3e-4
 
-# Steps from each start, after which the best of them is known.
-FIRST_STEPS = 12
+# Steps from each start, and the relative change of the sum of squares or of values by a
+# step, after which the best of them is known.
+FIRST_STEPS, FIRST_CHANGE = 12, 1e-3
 
 # Standard errors by which a parameter changes the record all over its range, at least;
 # and the condition beyond which parameters do the same to it, as far as derivatives by
@@ -61,7 +62,7 @@ class Search:
         tried = []
         for start in self.model.starts():
             self._weigh(self.predicted(start))
-            found = self.minimum(start, FIRST_STEPS)
+            found = self.minimum(start, FIRST_CHANGE, FIRST_CHANGE, FIRST_STEPS)
             tried.append((self.misfit(self.predicted(found)), found))
         return min(tried, key=lambda one: one[0])[1]
 
@@ -85,7 +86,13 @@ class Search:
         """Differences of prediction and observation over their standard errors."""
         return (predicted - self.values) / self.scales
 
-    def minimum(self, values: Floats, most_steps: int | None = None) -> Floats:
+    def minimum(
+        self,
+        values: Floats,
+        ftol: float = 1e-9,
+        xtol: float = 1e-7,
+        most_steps: int | None = None,
+    ) -> Floats:
         """Values of least squares, with nodes and variances as they are."""
         from scipy.optimize import least_squares
 
@@ -97,8 +104,8 @@ class Search:
             lambda x: self._jacobian(x) / self.scales[:, None],
             (low, high),
             x_scale="jac",
-            xtol=1e-7,
-            ftol=1e-9,
+            xtol=xtol,
+            ftol=ftol,
             max_nfev=most_steps,
         )
         return found.x
