@@ -15,10 +15,11 @@ from budget import Verdict, agree, disagree, normal_scores
 from scipy import stats
 from specimens import MIRROR, grooves, heightfield, with_faces
 
+from gonio_mi.campaigns import whole_bsdf
 from gonio_mi.campaigns.campaign import campaign
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SettingError, SpecimenError
-from gonio_mi.instrument import measure
+from gonio_mi.instrument import measure, schedule
 from gonio_mi.instrument.measure import measure_each
 from gonio_mi.transport import surface_points
 
@@ -208,7 +209,9 @@ def test_is_not_resumed():
 
 @pytest.mark.parametrize("pays", [True, False])
 def test_a_campaign_takes_it_where_it_pays(pays, monkeypatch):
-    """Else rays, whatever was found before is forgotten."""
+    """Else rays, whatever was found before is forgotten; of what they find, no more."""
+    monkeypatch.setattr(schedule, "PILOT_RAYS", 2**12)
+    monkeypatch.setattr(whole_bsdf, "N_UNSEEN", 4)
     monkeypatch.setattr(surface_points, "MAX_POINTS_NOISE2", np.inf if pays else 0.0)
     monkeypatch.setattr(surface_points, "PART_OF_NOISE", 1 / 4 if pays else 1 / 40)
     settings = {"tolerance": 0.2, "theta_max": 20, "collector": "projected:6x8"}
