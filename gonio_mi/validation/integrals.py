@@ -19,7 +19,7 @@ from ..collector.directions import direction
 from ..collector.hemisphere import RingsAndSectors
 from ..errors import SpecimenError
 from ..quadrature.integrate import integrate
-from .probe import Probe, vectors
+from .probe import Probe, floats, vectors
 from .tally import PatchTotals, patch_of
 
 # Numbers of points and generators of Fibonacci lattices, where patches need ever more,
@@ -250,7 +250,7 @@ def _lattice_values(
     wo = direction(np.arccos(z), begin + (end - begin) * u[..., 1])
     face = 1 if probe.condition.side == "front" else -1
     wo[..., 2] *= np.where(half, -face, face)[:, None, None]
-    limit = mi.Float(np.repeat(limits[patches], SHIFTS * n_points))
+    limit = floats(np.repeat(limits[patches], SHIFTS * n_points))
     found = _finite_values(probe, vectors(wo.reshape(-1, 3)), limit)
     n = u[..., 0].size
     values = [np.broadcast_to(one.numpy(), n).astype(float) for one in found]

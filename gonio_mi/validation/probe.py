@@ -266,12 +266,6 @@ def uniform(n: int, key: tuple[int, ...]) -> tuple[mi.Float, mi.Point2f]:
     return numbers
 
 
-def random_numbers(rows: Floats) -> tuple[mi.Float, mi.Point2f]:
-    """Numbers for ``sample`` from an array of shape (..., 3)."""
-    columns = np.ascontiguousarray(np.reshape(rows, (-1, 3)).T, dtype=np.float32)
-    return mi.Float(columns[0]), mi.Point2f(columns[1:])
-
-
 def seed_of(key: tuple[int, ...]) -> mi.UInt32:
     """32-bit seed from a tuple of whole numbers, well mixed, no literal of a kernel."""
     seed = int(np.random.SeedSequence(key).generate_state(1)[0])
@@ -296,8 +290,23 @@ def spectral(value: Any, n: int) -> Floats:
 
 def vectors(rows: Numbers) -> mi.Vector3f:
     """Mitsuba's vectors from an array of shape (n, 3), or (3,) of one."""
-    columns = np.reshape(rows, (-1, 3)).T
-    return mi.Vector3f(np.ascontiguousarray(columns, dtype=np.float32))
+    return mi.Vector3f(*map(floats, np.reshape(rows, (-1, 3)).T))
+
+
+def random_numbers(rows: Numbers) -> tuple[mi.Float, mi.Point2f]:
+    """Numbers for ``sample`` from an array of shape (..., 3)."""
+    first, *second = map(floats, np.reshape(rows, (-1, 3)).T)
+    return first, mi.Point2f(*second)
+
+
+def floats(values: Numbers) -> mi.Float:
+    """Mitsuba's numbers from an array, in memory of Dr.Jit.
+
+    NumPy's begins anywhere, and what is read from there is another kernel.
+    """
+    found = dr.empty(mi.Float, len(values))
+    found.numpy()[:] = values
+    return found
 
 
 def _or_none(rows: Numbers | None) -> mi.Vector3f | None:

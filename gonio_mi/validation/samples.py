@@ -13,7 +13,17 @@ import numpy as np
 from ..array_types import Flags, Floats, Integers, Numbers
 from ..single_precision import BSDF_ROUNDING
 from .conditions import Condition
-from .probe import Probe, is_delta, numbers, seed_of, spectral, uniform, vectors
+from .probe import (
+    Probe,
+    floats,
+    is_delta,
+    numbers,
+    random_numbers,
+    seed_of,
+    spectral,
+    uniform,
+    vectors,
+)
 
 # Where operations are badly conditioned more than `BSDF_ROUNDING` is left: so many
 # times the change under a displacement of both directions by 4 ulp of 1. Beyond that,
@@ -154,7 +164,7 @@ class Samples:
     @property
     def random(self) -> tuple[mi.Float, mi.Point2f]:
         """Random numbers as ``sample`` takes them."""
-        return mi.Float(self.sample1), mi.Point2f(self.sample2.T)
+        return random_numbers(np.column_stack([self.sample1, self.sample2]))
 
     def fraction(self, mask: Flags) -> str:
         """Text on which part of the samples, and under which condition."""
@@ -303,20 +313,33 @@ def closer_slacks(bsdf: mi.BSDF, samples: Samples) -> tuple[Floats, Floats]:
 
 def _mean(value: Any, n: int) -> Numbers:
     """Number for each sample: the mean over channels."""
-    return numbers(value, n) if dr.depth_v(value) == 1 else spectral(value, n).mean(1)
+    flat = np.array(value).ndim == 1
+    return numbers(value, n) if flat else spectral(value, n).mean(1)
 
 
 def _changes(
     displaced: Iterable[tuple[mi.Vector3f, mi.Vector3f, float]],
     *functions: tuple[Callable[[mi.Vector3f, mi.Vector3f], Any], Any],
-) -> list[Any]:
-    """Largest changes of functions (with their values), times the weight of each."""
-    largest = [0 * value for _, value in functions]
-    for moved_wi, moved_wo, weight in displaced:
-        for i, (function, value) in enumerate(functions):
-            change = weight * dr.abs(function(moved_wi, moved_wo) - value)
-            largest[i] = dr.maximum(largest[i], change)
-        dr.eval(largest)
+) -> list[Numbers]:
+    """Largest changes of functions (with their values), times the weight of each.
+
+    All displacements in one launch: large plugins take longer to be recorded.
+    """
+    *moved, weights = zip(*displaced)
+    dr.eval(moved)
+    wi, wo = (
+        mi.Vector3f(*(floats(np.concatenate(column)) for column in zip(*vectors)))
+        for vectors in moved
+    )
+    of_each = np.array(weights, np.float32)[:, None]
+    largest = []
+    for function, value in functions:
+        here, there = np.array(value), np.array(function(wi, wo))
+        shape = *there.shape[:-1], dr.width(wo)
+        there = np.broadcast_to(there, shape).reshape(*shape[:-1], len(weights), -1)
+        with np.errstate(invalid="ignore", over="ignore"):
+            change = of_each * np.abs(there - here[..., None, :])
+            largest.append(np.maximum(0 * here, change.max(axis=-2)))
     return largest
 
 

@@ -14,7 +14,7 @@ from ...collector.directions import direction
 from ..conditions import TURN
 from ..evidence import BIAS, INTERFACE, Evidence
 from ..kinds import Kind
-from ..probe import Probe, spectral, vectors
+from ..probe import Probe, random_numbers, spectral, vectors
 from ..samples import Samples, is_many, unequal
 
 # Properties that hold unless two functions contradict each other.
@@ -196,8 +196,8 @@ def check_order(evidence: Evidence, samples: Samples) -> None:
     # of a sweep, so that the incident directions are reversed, too
     probe = Probe(evidence.bsdf, samples.condition)
     wo, wi = samples.wo[::-1], vectors(samples.wi[::-1])
-    u = mi.Float(samples.sample1[::-1]), mi.Point2f(samples.sample2[::-1].T)
-    _, weight = probe.sample(*u, wi=wi)
+    u = np.column_stack([samples.sample1, samples.sample2])[::-1]
+    _, weight = probe.sample(*random_numbers(u), wi=wi)
     n = samples.n
     for function, answer, due, slack in (
         ("eval", probe.values(wo, samples.wi[::-1]), samples.eval, samples.eval_slack),

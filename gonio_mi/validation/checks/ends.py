@@ -16,7 +16,15 @@ from ...transport.bsdf_trial import PluginFault
 from ..conditions import Condition, LitFrom
 from ..evidence import INTERFACE, Evidence
 from ..kinds import Kind
-from ..probe import Probe, changed, number_parameters, numbers, spectral, vectors
+from ..probe import (
+    Probe,
+    changed,
+    number_parameters,
+    numbers,
+    random_numbers,
+    spectral,
+    vectors,
+)
 from .answers import example, improper
 
 # Fraction of an image that single pixels are.
@@ -75,7 +83,7 @@ def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
     """The same of one direction of incidence."""
     corners = np.array(list(product(NUMBERS, repeat=3)), dtype=np.float32)
     wi = probe.condition.wi
-    bs, sampled = probe.sample(mi.Float(corners[:, 0]), mi.Point2f(corners[:, 1:].T))
+    bs, sampled = probe.sample(*random_numbers(corners))
     n = len(corners)
     weight, wo, pdf = spectral(sampled, n), spectral(bs.wo, n), numbers(bs.pdf, n)
     given = (weight != 0).any(axis=1)
