@@ -101,7 +101,7 @@ def launch(one: Launch) -> Totals:
         rays = _Rays(one, sums, batch, size)
         if inside:
             rays.relay(sampler, ray, sizes[0])
-        elif continues(sampler) and not traced:
+        elif turns > 1:
             in_turns(rays.add, sampler, ray, lanes, turns)
         else:
             rays.add(sampler, ray)
