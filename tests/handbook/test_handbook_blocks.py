@@ -115,7 +115,8 @@ def fast(words):
         *rest
     }:
         rest += ["--collector", "projected:12x12"]
-    if command == "bsdf" and "--basis" not in rest:
+    of_matrices = command == "bsdf" or any(word.endswith(".xml") for word in rest)
+    if command in ("bsdf", "export") and of_matrices and "--basis" not in rest:
         rest += ["--basis", "klems-quarter"]
     return [command, *rest, *FAST.get(command, [])]
 
