@@ -456,6 +456,19 @@ def wavefront(name, n):
     return draw_all(sampling.seeded(mi.load_dict({"type": name}), [(1, 2)], 0, n))
 
 
+def test_seeds_are_those_of_numpy():
+    """Exact, of small and large numbers in any order; twin: of another order."""
+    rng = np.random.default_rng(1)
+    for length in range(1, 9):
+        bits = rng.integers(0, 64, (50, length), dtype=np.uint64)
+        numbers = rng.integers(0, 2**64, bits.shape, dtype=np.uint64) >> bits
+        keys = [(0,) * length, *map(tuple, numbers.tolist())]
+        keys += [(2**96 + 1,) * length] * (length > 4)
+        own = [np.random.SeedSequence(key).generate_state(1)[0] for key in keys]
+        np.testing.assert_array_equal(sampling._seeds(keys), own)
+    assert np.any(sampling._seeds(keys)[1:] != sampling._seeds(keys[::-1])[1:])
+
+
 SAMPLERS = ["independent", "stratified", "multijitter", "orthogonal", "sobol"]
 
 
