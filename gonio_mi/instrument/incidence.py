@@ -71,11 +71,10 @@ def _warn_of_radians(polar: Sequence[float]) -> None:
     So many decimals of so small an angle are rare in degrees.
     """
     oblique = [value for value in polar if value]
-    meant = [_degrees_meant(value) for value in oblique]
-    if oblique and None not in meant:
+    if oblique and all(_degrees_meant(value) for value in oblique):
         warn(
             f"theta_i is in degrees, but {oblique[-1]:.6g} looks like "
-            f"{meant[-1]:g} degrees in radians"
+            f"{_degrees_meant(oblique[-1]):g} degrees in radians"
         )
 
 

@@ -33,39 +33,46 @@ CREATION_LEVEL = 1 - 1e-9
 PATH_ROUNDING = 1000 * float(np.finfo(np.float32).eps)
 
 
-def record_of(
-    setup: Setup,
-    tally: Tally,
-    told: tuple[MeasurementSettings, Provenance] | None = None,
-) -> Record:
-    """Record of a finished `tally`, with all that is needed to repeat it.
+def record_of(setup: Setup, tally: Tally) -> Record:
+    """Record of a finished `tally`, with all that is needed to repeat it."""
+    return _stack_of([setup], [tally], *settings_and_provenance(setup))[0]
 
-    `told` is what :func:`settings_and_provenance` says of this setup, or of another
-    that differs in its incident direction only.
-    """
-    settings, ledger = setup.settings, tally.ledger
+
+def _stack_of(
+    setups: Sequence[Setup],
+    tallies: Sequence[Tally],
+    asked: MeasurementSettings,
+    provenance: Provenance,
+) -> Record:
+    """Stack of finished `tallies`, at setups that differ in their direction only."""
+    lead = setups[0]
+    for tally in tallies:
+        _check_ledger(tally.ledger, lead)
+    if not mi.is_spectral:
+        tallies = [tally.first(1) if tally.achromatic else tally for tally in tallies]
+    channels = max(tally.channels for tally in tallies)
+    return Record(
+        subdivision=lead.collector.subdivision,
+        theta_i=np.array([setup.theta_i for setup in setups]),
+        phi_i=np.array([setup.phi_i for setup in setups]),
+        channels=channel_names(lead.settings.wavelengths, channels),
+        tallies=tuple(tally.spread(channels) for tally in tallies),
+        asked=asked,
+        provenance=replace(provenance, batches=tallies[0].n_batches),
+        stacked=True,
+    )
+
+
+def _check_ledger(ledger: Ledger, setup: Setup) -> None:
+    """Raise SpecimenError if nothing was measured, and warn of what went wrong."""
     if 0 < ledger.missed == ledger.emitted:
         raise SpecimenError(
-            f"the footprint {settings.footprint} must meet the specimen, "
+            f"the footprint {setup.settings.footprint} must meet the specimen, "
             f"but all {ledger.emitted} rays missed it"
         )
     _check_arrived(ledger)
     _warn_of_invalid(ledger, setup)
     _warn_of_astray(ledger)
-    if not mi.is_spectral and tally.achromatic:
-        tally = tally.first(1)
-    asked, provenance = told or settings_and_provenance(setup)
-    if provenance.batches != tally.n_batches:
-        provenance = replace(provenance, batches=tally.n_batches)
-    return Record(
-        subdivision=setup.collector.subdivision,
-        theta_i=np.array([setup.theta_i]),
-        phi_i=np.array([setup.phi_i]),
-        channels=channel_names(settings.wavelengths, tally.channels),
-        tallies=(tally,),
-        asked=asked,
-        provenance=provenance,
-    )
 
 
 def records_of(
@@ -79,24 +86,19 @@ def records_of(
     Light that was created gives a warning, and a precision that was not reached.
     `resume` is the record that was carried on.
     """
-    done = [
-        (setup, Tally.join(tallies))
-        for setup, tallies in zip(setups, finished)
-        if tallies
-    ]
-    orders, found = setups[0].orders, []
+    sent = [setup for setup, tallies in zip(setups, finished) if tallies]
+    done = [Tally.join(tallies) for tallies in finished if tallies]
+    orders = setups[0].orders
     asked, provenance = settings_and_provenance(setups[0])
-    told = asked, replace(provenance, batches=done[0][1].n_batches)
     if not orders:
-        found.append([record_of(setup, tally, told) for setup, tally in done])
-    for number, order in enumerate(orders):
-        apart = [record_of(setup, tally.apart()[number], told) for setup, tally in done]
-        found.append(
-            [replace(one, asked=replace(one.asked, order=order)) for one in apart]
-        )
-    for each in found:
-        _warn_of_created_light(each)
-    records = [Record.stack(each) for each in found]
+        records = [_stack_of(sent, done, asked, provenance)]
+    else:
+        records = [
+            _stack_of(sent, tallies, replace(asked, order=order), provenance)
+            for order, tallies in zip(orders, zip(*(one.apart() for one in done)))
+        ]
+    for record in records:
+        _warn_of_created_light(record)
     if resume is not None:
         (record,) = records
         parts = resume.provenance, record.provenance
@@ -135,20 +137,20 @@ def warn_of_interruption(setups: Sequence[Setup], record: Record) -> None:
     warn(f"interrupted: the record holds {kept}")
 
 
-def _warn_of_created_light(records: Sequence[Record]) -> None:
+def _warn_of_created_light(stack: Record) -> None:
     """Warn if more light left than came, beyond chance and single precision."""
-    for record in records:
-        total = record.dhr if record.dht is None else record.dhr + record.dht
-        if not np.any(total > 1 + PATH_ROUNDING):
-            continue  # no interval begins above its value
+    total = stack.dhr if stack.dht is None else stack.dhr + stack.dht
+    # no interval begins above its value
+    for i in np.flatnonzero((total > 1 + PATH_ROUNDING).any(axis=1)).tolist():
+        record = stack[i]
         low = record.interval(CREATION_LEVEL, "dhr")[0]
         if record.dht is not None:
             low = low + record.interval(CREATION_LEVEL, "dht")[0]
         if np.any(low > 1 + PATH_ROUNDING):
             theta_i, phi_i = record.theta_i[0], record.phi_i[0]
             warn(
-                f"the BSDF creates light: {np.max(total):.6g} of what came leaves for "
-                f"incidence at theta_i {theta_i:g}, phi_i {phi_i:g}"
+                f"the BSDF creates light: {np.max(total[i]):.6g} of what came leaves "
+                f"for incidence at theta_i {theta_i:g}, phi_i {phi_i:g}"
             )
             return
 

@@ -100,6 +100,7 @@ def set_up(
     _check_specimen(specimen, settings)
     _check_enclosed(specimen, radius)
     described = described_digest(emitter)
+    choice = None
 
     def lit(
         settings: MeasurementSettings, incident: tuple[float, float] | None
@@ -114,6 +115,7 @@ def set_up(
         setup = Setup(settings, specimen, beam, collector, sampler, incident, described)
         setup.source = source  # with it its emitters would go
         setup.collect_orders(orders)
+        setup.choice = choice
         return setup
 
     def tried(settings: MeasurementSettings) -> Setup:
@@ -121,14 +123,18 @@ def set_up(
         _check_estimator(setup)
         return setup
 
-    choice = None
     if settings.estimator is Estimator.AUTO:
         settings, choice = chosen(settings, specimen, orders, tried)
-    setups = [lit(settings, incident) for incident in incidents]
+    first = lit(settings, incidents[0])
     if choice is None:
-        _check_estimator(setups[0])  # they differ in their incident direction only
-    for setup in setups:
-        setup.choice = choice
+        _check_estimator(first)  # they differ in their incident direction only
+    angles = [incident for incident in incidents if incident is not None]
+    if emitter is not None or not angles:
+        return [first, *(lit(settings, incident) for incident in incidents[1:])]
+    setups = [first]
+    for incident in angles[1:]:
+        beam = first.beam.turned(collimated(incident, settings.side))
+        setups.append(first.turned(beam, incident))
     return setups
 
 

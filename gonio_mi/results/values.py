@@ -292,10 +292,7 @@ class MeasuredValues:
     @property
     def ledger(self) -> Ledger:
         """:class:`Ledger` over all batches and incident directions."""
-        total = Ledger()
-        for tally in self.tallies:
-            total = total + tally.ledger
-        return total
+        return Ledger.from_counts(sum(one.fates.sum(axis=0) for one in self.tallies))
 
     @property
     def n_batches(self) -> int:

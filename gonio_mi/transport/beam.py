@@ -85,24 +85,40 @@ class Beam:
         self.middle = np.array([*(low + high)[:2] / 2, high[2]])
         self.half = (high - low)[:2] / 2
         self.collimated = mi.has_flag(emitter.flags(), mi.EmitterFlags.DeltaDirection)
-        self.direction: Any = self._nominal_direction()
+        self.direction: Any = self._nominal_direction(emitter)
         self.side = -1 if self.direction is not None and self.direction[2] < 0 else 1
         if self.side < 0:
             self.middle[2] = low[2]
         self._middle = mi.Point3f(in_memory(self.middle))
         radii = self.half if isinstance(footprint, str) else (footprint, footprint)
         self._radii = in_memory(radii)
-        if self.collimated:
-            self.wi = mi.Vector3f(in_memory(self.direction))
         self.divergence = divergence
         if divergence:
-            self._check_divergence()
             # 1 - cos, to the last bit for narrow cones too
             (self._cap,) = in_memory([2 * np.sin(np.radians(divergence) / 2) ** 2])
         self.incident: Any = incident
-        self._patch = () if incident is None else self._incident_patch(incident)
-        self._frame = in_memory(self._patch)
+        self._aim()
         self._reference = None if self.uniform else self._unit_power(nm)
+
+    def turned(self, emitter: mi.Emitter) -> Beam:
+        """The same collimated beam from the direction of another emitter.
+
+        On the same side; of the emitter nothing else is asked.
+        """
+        other = copy(self)
+        other.direction = other._nominal_direction(emitter)
+        other._aim()
+        return other
+
+    def _aim(self) -> None:
+        """Set what follows from the direction, which is checked."""
+        if self.collimated:
+            self.wi = mi.Vector3f(in_memory(self.direction))
+        if self.divergence:
+            self._check_divergence()
+        patches = self.incident
+        self._patch = () if patches is None else self._incident_patch(patches)
+        self._frame = in_memory(self._patch)
 
     @property
     def uniform(self) -> bool:
@@ -259,21 +275,21 @@ class Beam:
             weight = weight * cosine
         return wi, distance, dr.select(lit, weight, 0.0)
 
-    def _nominal_direction(self) -> Any:
+    def _nominal_direction(self, emitter: mi.Emitter) -> Any:
         """Unit vector from the footprint's middle to the emitter's centre, or None."""
         if self.collimated:
             it = dr.zeros(mi.SurfaceInteraction3f)
             it.p = mi.Point3f(self.middle.tolist())
-            ds, _ = self.emitter.sample_direction(it, mi.Point2f(0.5))
-            vector = np.array(ds.d, dtype=float).ravel()
-        elif self.emitter.is_environment():
+            ds, _ = emitter.sample_direction(it, mi.Point2f(0.5))
+            vector = np.array([x[0] for x in ds.d])
+        elif emitter.is_environment():
             return None
         else:
             vector = self._centre() - self.middle
         norm = np.linalg.norm(vector)
         if not np.isfinite(norm) or norm == 0:
             raise SpecimenError(
-                f"the emitter {self.emitter.class_name()} must lie in a direction from "
+                f"the emitter {emitter.class_name()} must lie in a direction from "
                 "the specimen, got none"
             )
         vector /= norm

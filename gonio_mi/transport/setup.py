@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any
 
 import drjit as dr
@@ -68,13 +69,9 @@ class Setup:
     ) -> None:
         self.settings = settings
         self.specimen = specimen
-        self.beam = beam
-        # tells its rays from others of the same seed
-        self.key = (settings.seed, *incident_key(incident))
+        self._aim(beam, incident)
         # set if all that rays meet are infinite layers
         self.layers = layers_of(specimen, beam.side)
-        # as asked for, or what single precision leaves of the emitter's direction
-        self.theta_i, self.phi_i = incident or (beam.theta_i, beam.phi_i)
         if beam.collimated:
             self.emitter_digest = None
         else:
@@ -96,6 +93,20 @@ class Setup:
         self.classes = OrderClasses()
         # of powers beyond the ordinary that sums have room for: what was met so far
         self.levels = USUAL_LEVELS if self.n_bins <= MAX_ROOMY_BINS else range(0)
+
+    def turned(self, beam: Beam, incident: tuple[float, float]) -> Setup:
+        """The same setup for another direction of its collimated beam."""
+        other = copy(self)
+        other._aim(beam, incident)
+        return other
+
+    def _aim(self, beam: Beam, incident: tuple[float, float] | None) -> None:
+        """Set the beam and what follows from its direction."""
+        self.beam = beam
+        # tells its rays from others of the same seed
+        self.key = (self.settings.seed, *incident_key(incident))
+        # as asked for, or what single precision leaves of the emitter's direction
+        self.theta_i, self.phi_i = incident or (beam.theta_i, beam.phi_i)
 
     @property
     def passes(self) -> list[Any]:
