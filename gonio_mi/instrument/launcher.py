@@ -28,6 +28,10 @@ MAX_LAUNCH = 2**24
 FUSED_RAYS = 2**22
 FUSED_SUMS = 2**19
 
+# The same numbers of all incident directions that share launches: beyond the cache, for
+# Dr.Jit's other threads look for work for 10 ms after each launch, whatever it takes.
+STACKED_SUMS = 2**21
+
 # Rays of the first launch: traced and on a plane; and points that traced ones send
 # light to. Then as many as take a second.
 FIRST_TRACED, FIRST_PLANE = 2**18, 2**20
@@ -93,9 +97,11 @@ class Launcher:
             self.capacity = max(1, min(fitting, settings.batches))
         self.known: tuple[Setup, list[MirrorFacets | None]] | None = None
         self.together = 1
-        if len(setups) >= FEWEST_TOGETHER and _may_share(setup) and self.divisible:
-            most = min(fitting // settings.batches, FUSED_RAYS // settings.rays)
-            self.together = max(1, most)
+        # all that a direction sends
+        whole = self.divisible and self.capacity == settings.batches
+        if len(setups) >= FEWEST_TOGETHER and whole and _may_share(setup):
+            fitting = STACKED_SUMS // (sums * n_numbers() * settings.batches)
+            self.together = max(1, min(fitting, FUSED_RAYS // settings.rays))
             self.capacity *= self.together
 
     def tallies(
@@ -140,7 +146,7 @@ class Launcher:
                     if report is not None:
                         report(totals.emitted)
                 check_all_counted(sum(one.sizes), total.emitted)
-                tallies: list[Tally] = [each.tally() for each in total.parts(n)]
+                tallies: list[Tally] = total.tallies(n)
                 groups.append([x if nm is None else x.first(len(nm)) for x in tallies])
             yield [
                 each[0] if len(each) == 1 else Tally.join_channels(each)

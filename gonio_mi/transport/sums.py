@@ -90,39 +90,52 @@ class Exact:
     """
 
     def __init__(self, numbers: dict[int, Integers]) -> None:
-        # halves of 32 bits leave room for 2**21 of such sums
-        self._halves = {
-            unit: np.stack([array >> 32, array & 0xFFFFFFFF])
-            for unit, array in numbers.items()
-        }
+        # as words, from the highest on: one of 64 bits, or two of 32
+        self._words: dict[int, tuple[Integers, ...]]
+        self._words = {unit: (array,) for unit, array in numbers.items()}
 
     def __add__(self, other: Exact) -> Exact:
         total = Exact({})
-        total._halves = dict(self._halves)
-        for unit, halves in other._halves.items():
-            total._halves[unit] = total._halves.get(unit, 0) + halves
+        total._words = dict(self._words)
+        for unit, words in other._words.items():
+            if unit in total._words:
+                pairs = zip(_halves(total._words[unit]), _halves(words))
+                words = tuple(a + b for a, b in pairs)
+            total._words[unit] = words
         return total
-
-    def part(self, first: int, step: int) -> Exact:
-        """Sums of every so many along the second axis."""
-        part = Exact({})
-        part._halves = {unit: x[:, :, first::step] for unit, x in self._halves.items()}
-        return part
 
     def total(self, among: Flags) -> Exact:
         """Sum over those along the first axis that are `among` them."""
-        total = Exact({})
-        total._halves = {
-            unit: halves[:, among].sum(axis=1) for unit, halves in self._halves.items()
-        }
+        total, (some,) = Exact({}), np.nonzero(among)
+        for unit, words in self._words.items():
+            if len(some) == 1:
+                total._words[unit] = tuple(word[some[0]] for word in words)
+            else:
+                halves = (word[some].sum(axis=0) for word in _halves(words))
+                total._words[unit] = tuple(halves)
         return total
 
-    def powers(self) -> Floats:
-        """Powers in float64, each unit rounded once and added from the smallest on."""
+    def powers(self, scale: int = 1) -> Floats:
+        """Powers times a power of two, in float64.
+
+        Each unit is rounded once; they are added from the smallest on.
+        """
         total: Any = 0.0
-        for unit, (high, low) in sorted(self._halves.items(), key=lambda item: item[0]):
-            total = total + (high * 2.0**32 + low) * 2.0**unit
+        for unit, (*high, low) in sorted(self._words.items()):
+            number = low.astype(float)
+            for word in high:
+                number += word * 2.0**32
+            number *= 2.0**unit * scale
+            number += total
+            total = number
         return total
+
+
+def _halves(words: tuple[Integers, ...]) -> tuple[Integers, ...]:
+    """Words of 32 bits, which leave room for 2**21 of such sums."""
+    if len(words) == 2:
+        return words
+    return words[0] >> 32, words[0] & 0xFFFFFFFF
 
 
 class Sums:
@@ -296,11 +309,10 @@ class Sums:
         by_class = len(self.setup.classes), self.capacity
         shape: tuple[int, ...] = (*by_class, self.setup.n_bins, self.width)
         bins = self.bins.numpy().reshape(shape)[:, :n_batches, :, : 1 + self.channels]
-        rays = bins[..., 0].astype(np.int64)
-        flux = bins[..., 1:].copy()
+        rays = bins[..., 0]
         # beyond 64 bits in between, but not in the end
-        flux[..., 0] += rays * self.one
-        flux[..., 1:] += flux[..., :1]
+        flux = bins[..., 1:] + (rays * self.one)[..., None]
+        flux[..., 1:] += bins[..., 1:2]
         numbers = {0 if self.counted else UNIT: flux}
         shape = len(self.levels), self.channels, *shape[:3]
         rare = np.moveaxis(self.rare.numpy()[LEVELS:].reshape(shape), 1, -1)
@@ -367,19 +379,6 @@ class Totals:
         rays, flux = self._rays + other._rays, self._flux + other._flux
         return Totals(self._sums, rays, flux, incident, elements)
 
-    def parts(self, n: int) -> list[Totals]:
-        """Totals of each of `n` beams, whose batches take turns."""
-        return [
-            Totals(
-                self._sums,
-                self._rays[:, i::n],
-                self._flux.part(i, n),
-                None if self._incident is None else self._incident.part(i, n),
-                None if self._elements is None else self._elements.part(i, n),
-            )
-            for i in range(n)
-        ]
-
     @property
     def emitted(self) -> int:
         """Rays that were counted: each once, whatever became of it."""
@@ -390,53 +389,69 @@ class Totals:
         twice = fates[..., Fate.DIRECT].sum() if setup.shape[0] == 2 else 0
         return int(self._rays.sum() - twice)
 
-    def tally(self) -> Tally:
-        """Return the :class:`Tally` of all batches; of several orders side by side."""
+    def tallies(self, n: int) -> list[Tally]:
+        """:class:`Tally` of each of `n` beams, whose batches take turns.
+
+        Of several orders side by side.
+        """
         setup = self._sums.setup
         if not setup.orders:
-            return self._tally(self._rays[0], np.array([True]))
-        return Tally.of_orders(
-            [
-                self._tally(
-                    setup.classes.rays(order, self._rays, setup.shape),
-                    setup.classes.within(order),
-                )
-                for order in setup.orders
-            ]
+            return self._tallies(n, self._rays[0], np.array([True]))
+        each = (
+            self._tallies(
+                n,
+                setup.classes.rays(order, self._rays, setup.shape),
+                setup.classes.within(order),
+            )
+            for order in setup.orders
         )
+        return [Tally.of_orders(tallies) for tallies in zip(*each)]
 
-    def _tally(self, rays: Integers, within: Flags) -> Tally:
-        """Tally of the rays that are kept, and of the flux of some classes."""
+    def _tallies(self, n: int, rays: Integers, within: Flags) -> list[Tally]:
+        """Tallies of the rays that are kept, and of the flux of some classes."""
         sums, setup = self._sums, self._sums.setup
         kind = np.uint64 if sums.counted else float
         scale = 1 if sums.counted else WEIGHT_SCALE
-        n_batches = len(rays)
-        power = (scale * self._flux.total(within).powers()).astype(kind)
+        power = self._flux.total(within).powers(scale).astype(kind, copy=False)
         direct = power[:, setup.n_collected + Fate.DIRECT]
-        power = power[:, : setup.n_collected].reshape(n_batches, *setup.shape, -1)
-        hits, fates = np.split(rays.astype(np.uint64), [setup.n_collected], 1)
-        hits = hits.reshape(n_batches, *setup.shape)
+        power = power[:, : setup.n_collected].reshape(len(rays), *setup.shape, -1)
+        hits = rays[:, : setup.n_collected].reshape(len(rays), *setup.shape)
+        fates = rays[:, setup.n_collected :].astype(np.uint64)
         if not sums.deposits:
             fates[:, Fate.REFLECTED] = hits[:, 0].sum(axis=(1, 2))
         if setup.shape[0] == 2 and not sums.deposits:
-            scattered = hits[:, 1].sum(axis=(1, 2)) - fates[:, Fate.DIRECT]
-            fates[:, Fate.TRANSMITTED] = scattered
+            fates[:, Fate.TRANSMITTED] = hits[:, 1].sum(axis=(1, 2))
+            fates[:, Fate.TRANSMITTED] -= fates[:, Fate.DIRECT]
         if self._incident is None:
             met = fates.sum(axis=1) - fates[:, Fate.MISSED] - fates[:, Fate.UNLIT]
             incident = np.repeat(met[:, None], sums.channels, axis=1)
+            incident = (scale * incident).astype(kind)
         else:
             every = np.ones(len(self._rays), bool)
-            incident = self._incident.total(every).powers()
-        incident = (scale * incident).astype(kind)
+            incident = self._incident.total(every).powers(scale).astype(kind)
         if sums.facets is not None:
             known = sums.facets.flux.reshape(*setup.shape, -1)
             power += known * incident[:, None, None, None]
-        found = hits.sum(axis=0), power, incident, fates, scale
+        hits = hits.reshape(-1, n, *setup.shape).sum(axis=0).astype(np.uint64)
+        found = [
+            {
+                "hits": hits[i],
+                "sums": power[i::n],
+                "incident": incident[i::n],
+                "fates": fates[i::n],
+                "scale": scale,
+                "direct": direct[i::n],
+            }
+            for i in range(n)
+        ]
         if self._elements is None:
-            return Tally(*found, direct=direct)
-        elements = scale * self._elements.total(within).powers()
+            return [Tally(**one) for one in found]
+        elements = self._elements.total(within).powers(scale)
         elements = elements.reshape(*power.shape[:-1], *elements.shape[-2:])
-        return PolarisedTally(*found, direct=direct, elements=elements)
+        return [
+            PolarisedTally(**one, elements=elements[i::n])
+            for i, one in enumerate(found)
+        ]
 
 
 def packet_width() -> int:

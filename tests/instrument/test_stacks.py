@@ -28,7 +28,7 @@ def launches(monkeypatch):
         return send(one)
 
     monkeypatch.setattr(launcher, "launch", noted)
-    monkeypatch.setattr(launcher, "FUSED_SUMS", FIVE)
+    monkeypatch.setattr(launcher, "STACKED_SUMS", FIVE)
     return found
 
 
@@ -139,7 +139,7 @@ def test_traced_directions_share_launches(launches, monkeypatch, settings, fused
 
     Also where a launch ends in the midst of the curves.
     """
-    monkeypatch.setattr(launcher, "FUSED_SUMS", fused)
+    monkeypatch.setattr(launcher, "STACKED_SUMS", fused)
     monkeypatch.setattr(launcher, "FIRST_TRACED", 4 * 2**10)
     hills = {"type": "heightfield", "alpha": 0.5, "resolution": 16, "bsdf": MIRROR}
     settings = SMALL | settings | {"rays": 5001}
