@@ -21,6 +21,7 @@ from ..errors import (
     warn,
 )
 from ..formats.meshes import MESHES, is_mesh
+from ..transport.shapes import bounds
 from ..transport.variants import check_variant, is_parallel
 from .loading import loaded
 
@@ -106,7 +107,7 @@ def mesh(
     if shape["type"] == "stl":
         del shape["face_normals"]
     lying = loaded(f"the mesh {path}", mi.load_dict, dict(shape))
-    corners = np.array([lying.bbox().min, lying.bbox().max], dtype=float).reshape(2, 3)
+    corners = np.array(bounds([lying]))
     if not np.isfinite(corners).all():
         raise SpecimenError("the mesh must have triangles and finite vertices")
     if normal is None:

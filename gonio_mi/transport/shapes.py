@@ -2,9 +2,9 @@
 
 Light that leaves through a side of the specimen's box is in no patch: the box counts.
 Mitsuba 3.9.1 bounds an `sdfgrid` by its grid and a `bsplinecurve` by its control
-points; these are bounded here by their surfaces. All other boxes are Mitsuba's: tight
-for spheres, disks, cylinders, rectangles, meshes, ellipsoids and linear curves, loose
-for a turned `instance`.
+points, and a mesh by all its vertices, used or not; these are bounded here by their
+surfaces. All other boxes are Mitsuba's: tight for spheres, disks, cylinders,
+rectangles, ellipsoids and linear curves, loose for a turned `instance`.
 """
 
 from __future__ import annotations
@@ -128,12 +128,24 @@ def _box(shape: mi.Shape) -> Array:
     """Corners of the box of one shape, shape ``(2, 3)``."""
     box = shape.bbox()
     loose = np.array([box.min, box.max], dtype=float).reshape(2, 3)
-    surface = SURFACES.get(shape.class_name(), lambda _: None)(shape)
+    find = _used if isinstance(shape, mi.Mesh) else SURFACES.get(shape.class_name())
+    surface = find(shape) if find else None
     if surface is None:
         return loose
     return np.array(
         [np.maximum(loose[0], surface[0]), np.minimum(loose[1], surface[1])]
     )
+
+
+def _used(mesh: mi.Mesh) -> Corners | None:
+    """Of the vertices that triangles use; None if there are no triangles."""
+    found = triangles_of(traversed(mesh))
+    if found is None or not found[1].size:
+        return None
+    points, faces = found
+    used = np.zeros(len(points), bool)
+    used[faces] = True
+    return points[used].min(axis=0), points[used].max(axis=0)
 
 
 def _grid(shape: mi.Shape) -> Corners | None:

@@ -88,6 +88,29 @@ def test_formats_are_one_specimen(tmp_path, reference, name, content):
     assert reference.dht[0] > 0.2
 
 
+def more_vertices(name):
+    """The slat in a file with a vertex that no triangle uses."""
+    if name == "more.obj":
+        return b"v 900 80 70\n" + obj(CORNERS).replace(
+            b"f 1 2 3\nf 1 3 4", b"f 2 3 4\nf 2 4 5"
+        )
+    more = ply(CORNERS).replace(b"vertex 4", b"vertex 5")
+    return more.replace(b"3 0 1 2", b"900 80 70\n3 0 1 2")
+
+
+@pytest.mark.parametrize("name", ["more.obj", "more.ply"])
+def test_vertices_without_triangles_are_no_part(tmp_path, reference, name):
+    """Exact: Mitsuba's box holds them; a cell of that size would be nearly empty."""
+    path = tmp_path / name
+    path.write_bytes(more_vertices(name))
+    assert mi.load_dict({"type": name[-3:], "filename": str(path)}).bbox().max[0] == 900
+    assert measured(path).tallies == reference.tallies
+    low, high = gonio.transport.shapes.bounds(
+        mi.load_dict(gonio.mesh(path, MATT)).shapes()
+    )
+    assert np.array_equal((high - low)[:2], np.ptp(CORNERS.astype("f4"), axis=0)[:2])
+
+
 @pytest.mark.parametrize("normal", ["z", "-z", "y", "-y", "x", "-x"])
 def test_the_axis_that_is_said_becomes_the_normal(tmp_path, reference, normal):
     """Whatever way the mesh was turned before; and shifts are undone.
