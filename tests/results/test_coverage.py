@@ -40,8 +40,8 @@ def test_all_received_is_no_proof_of_none_lost(name, sampler):
     Twin: Student's t alone, whose batches often agree that nothing was lost.
     """
     bsdf, theta_i = LOSING[name]
-    grid = gonio.EqualProjectedSolidAngle(4, 4)
-    truth = integrate(mi.load_dict(bsdf), theta_i, 0, grid).flux.sum()
+    grid, bsdf = gonio.EqualProjectedSolidAngle(4, 4), mi.load_dict(bsdf)
+    truth = integrate(bsdf, theta_i, 0, grid).flux.sum()
     covered, students = [], []
     for seed in range(SEEDS):
         record = gonio.measure(
@@ -84,10 +84,10 @@ def test_deposits_of_glossy_facets_cover(order, rays, points):
     lit = truth > 0
     off = lit & (truth < 0.1 * truth.mean())
     case = CASES["glossy"]
-    parts, twins = [], []
+    specimen, parts, twins = mi.load_dict(case.specimen()), [], []
     for seed in range(SEEDS):
         record = gonio.measure(
-            case.specimen(),
+            specimen,
             **case.settings,
             order=order,
             rays=rays,
@@ -136,10 +136,10 @@ def test_few_hits_of_unlike_weights_cover():
     """
     case, rays = CASES["dark"], 1000
     how = case.settings | {"sampler": "independent"}
-    truth = gonio.measure(case.specimen(), **how, rays=2**21, seed=2**20).brdf
-    parts, twins = [], []
+    specimen, parts, twins = mi.load_dict(case.specimen()), [], []
+    truth = gonio.measure(specimen, **how, rays=2**21, seed=2**20).brdf
     for seed in range(SEEDS):
-        record = gonio.measure(case.specimen(), **how, rays=rays, seed=seed)
+        record = gonio.measure(specimen, **how, rays=rays, seed=seed)
         hits = record.counts[0][..., None]
         few = (hits > 0) & (hits < 100)
         low, high = record.interval(LEVEL)

@@ -25,9 +25,10 @@ COLLECTOR = "projected:10x10"
 def runs(rays, estimator):
     """Intervals of the patches and of dhr, ``(low, high)``, for each seed."""
     mi.set_variant("llvm_ad_mono")
+    grey = mi.load_dict({"type": "diffuse", "reflectance": RHO})
     records = [
         gonio.measure(
-            {"type": "diffuse", "reflectance": RHO},
+            grey,
             theta_i=30,
             collector=COLLECTOR,
             rays=rays,

@@ -26,6 +26,7 @@ from specimens import MIRROR, as_it_is, grooves, heightfield, specimen_of
 from gonio_mi import charts as charting
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SpecimenError
+from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.statistics import batch_std_err
 from gonio_mi.settings.measurement_settings import PILOT_RAYS
 from gonio_mi.transport.rays import escapes
@@ -383,10 +384,10 @@ def diffuse_grooves():
     return grooves(45, 1, bsdf=wall), fine.reshape(patches.shape)
 
 
-def many_points(rays, points, **settings):
+def many_points(rays, points, loaded=None, **settings):
     specimen, truth = diffuse_grooves()
     record = gonio.measure(
-        specimen,
+        loaded or specimen,
         45,
         period="box",
         collector=GRID,
@@ -424,9 +425,9 @@ def test_many_points_against_radiosity(points, sampler):
 
 def test_many_points_cover():
     """The intervals of few rays, each of which lights all patches."""
-    parts, twins = [], []
+    loaded, parts, twins = load_specimen(diffuse_grooves()[0]), [], []
     for seed in range(40):
-        record, truth = many_points(2**10, 96, seed=seed)
+        record, truth = many_points(2**10, 96, loaded, seed=seed)
         low, high = (limit[..., 0] for limit in record.interval(0.95))
         parts.append(((low <= truth) & (truth <= high)).mean())
         near = np.abs((low + high) / 2 - truth) <= (high - low) / 4

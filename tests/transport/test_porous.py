@@ -17,6 +17,7 @@ from budget import Verdict, agree, disagree, normal_scores, single, verdict
 from scipy import stats
 
 from gonio_mi.exports import export
+from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.results.summary import summarize
 from gonio_mi.results.summary_text import summary_text
 from gonio_mi.results.tally import Tally
@@ -312,9 +313,10 @@ def test_intervals_cover_what_is_known(estimator, sampler):
     truths["brdf"] = np.full((2, 4), spread)
     through = patches.patch(straight_on(30, 20))[0]
     truths["btdf"] = open_area / patches.projected_solid_angles.ravel()[through]
+    specimen = load_specimen(plate(0.45, 0.55, rho))
     for seed in range(runs):
         record = gonio.measure(
-            plate(0.45, 0.55, rho),
+            specimen,
             30,
             20,
             period=(1, 1),

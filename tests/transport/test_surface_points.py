@@ -230,6 +230,8 @@ def test_a_campaign_keeps_what_it_found(monkeypatch):
         setups.extend(some)
         return found(some, report)
 
+    monkeypatch.setattr(schedule, "PILOT_RAYS", 2**12)
+    monkeypatch.setattr(whole_bsdf, "N_UNSEEN", 4)
     monkeypatch.setattr(surface_points, "MAX_POINTS_NOISE2", np.inf)
     monkeypatch.setattr(measure, "single_scattering", refused)
     settings = {"tolerance": 0.2, "theta_max": 15, "collector": "projected:6x8"}
