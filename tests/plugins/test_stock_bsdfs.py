@@ -143,8 +143,10 @@ COLOURED = {
 }
 
 
-def loaded(name):
-    """A specimen by its name, in the variant that is set."""
+@lru_cache(1)
+def loaded(variant, name):
+    """A specimen by its name, in the variant that is set: tests of it come in turn."""
+    del variant
     specimen = (REFLECTING | MAPPED | TRANSMITTING | COLOURED)[name]
     return mi.load_dict(specimen() if callable(specimen) else specimen)
 
@@ -163,8 +165,7 @@ def settings(side, nm):
 @lru_cache(1)
 def measured(variant, name, theta_i, side, nm, sampler, rays):
     """BSDF and record."""
-    del variant
-    bsdf = loaded(name)
+    bsdf = loaded(variant, name)
     return bsdf, gonio.measure(
         bsdf, theta_i, PHI_I, rays=rays, sampler=sampler, **settings(side, nm)
     )
@@ -173,9 +174,12 @@ def measured(variant, name, theta_i, side, nm, sampler, rays):
 @cache
 def integrated(variant, name, theta_i, side, nm):
     """Flux fractions by the estimator `quadrature`."""
-    del variant
     record = gonio.measure(
-        loaded(name), theta_i, PHI_I, estimator="quadrature", **settings(side, nm)
+        loaded(variant, name),
+        theta_i,
+        PHI_I,
+        estimator="quadrature",
+        **settings(side, nm),
     )
     return record.flux_fraction
 
@@ -185,6 +189,7 @@ def forgotten():
     """Leave no BSDF to tests of other files."""
     yield
     measured.cache_clear()
+    loaded.cache_clear()
 
 
 @lru_cache(1)
