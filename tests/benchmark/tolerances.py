@@ -62,6 +62,12 @@ def _cases() -> dict[str, Case]:
         "size": 1.0,
         "bsdf": {"type": "roughconductor", "alpha": 0.3},
     }
+    field = {
+        "type": "heightfield",
+        "alpha": 0.3,
+        "resolution": 512,
+        "bsdf": {"type": "twosided", "bsdf": conductor | {"alpha": 0.3}},
+    }
     return {
         "conductor 0.3": Case(conductor | {"alpha": 0.3}),
         "plastic 0.3": Case({"type": "roughplastic", "alpha": 0.3}),
@@ -70,6 +76,7 @@ def _cases() -> dict[str, Case]:
         "brushed 0.15 x 0.4": Case(conductor | {"alpha_u": 0.15, "alpha_v": 0.4}),
         "conductor 0.05": Case(conductor | {"alpha": 0.05}),
         "grooves": Case(grooves, {"period": "box"}),
+        "rough field": Case(field, {"period": "box"}),
     }
 
 
