@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..array_types import Counts, Flags, Floats, Numbers
+from ..settings.measurement_settings import BRANCHES
 from ..single_precision import ROUNDING
 from . import statistics
 from .tally import Integrals, Tally
@@ -378,6 +379,11 @@ class ControlledEstimates(SampledEstimates):
     """
 
     @property
+    def _one(self) -> float:
+        """Power of a hit over that of all rays: that of a ray."""
+        return 1 / self.rays
+
+    @property
     def without_hit(self) -> Flags:
         """Whether a patch is known by an upper limit only: none is."""
         return np.zeros(self.tally.hits.shape, bool)
@@ -395,12 +401,12 @@ class ControlledEstimates(SampledEstimates):
         return np.maximum(super().fraction(hemisphere), 0.0)
 
     def std_err(self, hemisphere: int) -> Floats:
-        """Standard error of :meth:`fraction`, with that of one more ray."""
-        return np.hypot(self._scatter(hemisphere), 1 / self.rays)
+        """Standard error of :meth:`fraction`, with that of one more hit."""
+        return np.hypot(self._scatter(hemisphere), self._one)
 
     def total_std_err(self, hemisphere: int) -> Floats:
-        """Standard error of :meth:`total`, with that of one more ray."""
-        return np.hypot(super().total_std_err(hemisphere), 1 / self.rays)
+        """Standard error of :meth:`total`, with that of one more hit."""
+        return np.hypot(super().total_std_err(hemisphere), self._one)
 
     def interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`fraction`."""
@@ -415,8 +421,8 @@ class ControlledEstimates(SampledEstimates):
     def _changed(
         self, value: Floats, scatter: Floats, level: float
     ) -> tuple[Floats, Floats]:
-        """Interval by Student's t, or of a Poisson count of rays if that is wider."""
-        one = 1 / self.rays
+        """Interval by Student's t, or of a Poisson count of hits if that is wider."""
+        one = self._one
         counted = scatter**2 / one
         high = statistics.gamma_interval(counted, scatter, one, level)[1]
         least = np.fmax(high - counted, ROUNDING * value)
@@ -430,9 +436,16 @@ class ControlledEstimates(SampledEstimates):
 class SplitEstimates(ControlledEstimates):
     """Estimates where points of the surface tell the first order, in batches too.
 
-    Most patches receive few rays of more events, or none by chance, which shows in no
-    scatter of their own: they are judged as if the scatter were of rays alone.
+    Most patches receive few branches of rays of more events, or none by chance, which
+    shows in no scatter of their own: they are judged as if it were of branches alone.
     """
+
+    @property
+    def _one(self) -> float:
+        """Power of a branch over that of all rays; of a ray where these were alone."""
+        ledger = self.tally.ledger
+        alone = self.tally.hits.sum() == ledger.reflected + ledger.transmitted
+        return 1 / (self.rays * (1 if alone else BRANCHES))
 
     def noise(self, hemisphere: int) -> Floats:
         """Scatter of the batches, without what rays may have missed."""

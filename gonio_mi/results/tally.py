@@ -133,7 +133,7 @@ class Tally:
     ----------
     hits : ndarray of uint64, shape (n_hemispheres, n_theta, n_phi)
         Rays that each patch received, or deposits of the estimator `next_event`; of
-        `split` points of the surface too.
+        `split` branches of rays, and points of the surface.
         Hemisphere 0 is the emitter's side.
     sums : ndarray, shape (n_batches, n_hemispheres, n_theta, n_phi, channels)
         Received flux in units of ``1 / scale`` of a ray: uint64 where rays are counted,

@@ -254,7 +254,7 @@ class MeasuredValues:
         """Rays per patch, uint64, shape ``(n_hemispheres, n_theta, n_phi)``.
 
         For the estimator `next_event` deposits: several from one ray, or none; for
-        `split` points of the surface too.
+        `split` branches of rays, and points of the surface.
         """
         return self._squeeze(np.stack([tally.hits for tally in self.tallies]))
 
@@ -352,8 +352,8 @@ class MeasuredValues:
 
         Where the first order is known without rays, a sum over `facets` or points of
         the surface (`split`), the interval is at least that of a Poisson count of as
-        many rays of weight 1 as explain the scatter, of which one more may have been
-        missed.
+        many rays of weight 1, or branches of a 16th of it, as explain the scatter, of
+        which one more may have been missed.
 
         Integrals (estimator `quadrature`) may be wrong by their error, the largest that
         they are estimated to have, at any `level`; Student's t for delta components,

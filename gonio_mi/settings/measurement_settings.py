@@ -32,6 +32,9 @@ MAX_RAYS = 10**15
 MAX_BATCHES = 65536
 # In scene units: the square of larger ones is no number in single precision.
 MAX_RADIUS = 1e15
+# Directions in which a ray of the estimator `split` goes on from its second event: a
+# whole packet of rays, which is then the same however they are shared among launches.
+BRANCHES = 16
 # Rays before the first look at the precision.
 PILOT_RAYS = 2**18
 # More points would only repeat what a further ray tells better.
@@ -476,7 +479,9 @@ class MeasurementSettings:
 
     @property
     def n_looks(self) -> int:
-        """Directions that a ray looks into at each event."""
+        """Directions that a ray looks into at each event, or goes on in."""
+        if self.estimator.splits:
+            return BRANCHES
         return self.points if self.estimator.deposits else 1
 
     def changed(self, **given: Any) -> MeasurementSettings:

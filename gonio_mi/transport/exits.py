@@ -37,6 +37,8 @@ class Exits:
         Where the last of them was, and the density in 1/sr of the direction that it
         chose: infinite for delta components, and without any event. None for all
         estimators but `next_event`.
+    flight : Flight
+        Of rays that were cut off: towards what they met.
     """
 
     p: Any
@@ -47,6 +49,7 @@ class Exits:
     depth: Any
     left: Any = None
     density: Any = None
+    flight: Any = None
 
 
 def exits_of(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from ..results.provenance import FACETS
+from ..results.tally import Fate
+from ..settings.measurement_settings import BRANCHES
 from ..settings.values import UNLIMITED
 from .beam import Beam
 from .exits import Exits, of_order
@@ -16,10 +18,14 @@ from .kernels import check_variant_kept
 from .media_loop import Geometry, trace_inside
 from .mirror_facets import MirrorFacets, has_mirror_facets
 from .next_event import Deposits
+from .rays import Flight
 from .sampling import Relay, apart, continues, in_turns, relay_turns, seeded, turns_of
 from .setup import Setup
 from .sums import Sums, Totals
 from .surface_loop import PathSettings, scatter_plane, trace
+
+# Tells the random numbers of the branches of a ray from its own.
+BRANCHED = 0x62726E63
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,19 +161,68 @@ class _Rays:
         """
         setup, active = self.setup, ray < self.size
         how, specimen = _path_settings(setup), setup.specimen
+        if setup.settings.estimator.splits:
+            how = replace(how, max_depth=1)
         deposits = None
-        if self.sums.deposits:
+        if setup.settings.estimator.deposits:
             deposits = Deposits(setup, self.sums, active, self.batch)
         if traces(setup):
             exits = trace(specimen, self.beam, sampler, self.wavelengths, how, deposits)
         else:
             plane = specimen.plane
             exits = scatter_plane(plane, self.beam, sampler, self.wavelengths, how)
+        if setup.settings.estimator.splits:
+            self._branch(sampler, exits, active)
+            return
         exits = of_order(exits, setup.order)
         bins = setup.bins(exits)
         self.sums.add(bins, exits, active, self.batch)
         if deposits is not None:
             deposits.add_exits(bins, exits)
+
+    def _branch(self, sampler: mi.Sampler, exits: Exits, active: mi.Bool) -> None:
+        """Add to the sums what becomes of rays of the estimator `split`.
+
+        Those that met a surface again after their first event go on from there in
+        `BRANCHES` directions, each with its part of the power.
+        """
+        setup, flight = self.setup, exits.flight
+        again = active & (exits.fate == mi.UInt32(Fate.TRUNCATED))
+        ended = of_order(exits, setup.order)
+        self.sums.add(setup.bins(ended), ended, active & ~again, self.batch)
+        state = flight.ray.o, flight.ray.d, flight.n, flight.offset
+        own, none = (self.batch, sampler.index, sampler.key), dr.zeros_like(exits.fate)
+        batch, index, key = (mi.UInt32(x) + none for x in own)
+        β = exits.throughput
+        dr.eval(*state, β, batch, index, key, again)
+        which = dr.compress(again)
+        if not len(which):
+            return
+        lane, branch = apart(dr.arange(mi.UInt32, BRANCHES * len(which)), BRANCHES)
+        which = dr.gather(mi.UInt32, which, lane)
+        batch, index, key = (
+            dr.gather(mi.UInt32, x, which) for x in (batch, index, key)
+        )
+        o, d, n, offset = (dr.gather(type(x), x, which) for x in state)
+        ray = mi.Ray3f(o, d)
+        ray.wavelengths = self.wavelengths
+        # what they met is met indeed, from behind too
+        flight = Flight(ray, mi.Vector3f(0), n, offset, mi.Bool(True), mi.UInt32(0))
+        power = dr.gather(type(β), β, which)
+        sampler = sampler.clone()
+        # beyond 2**28 rays, whose branches have no index of 32 bits, by other keys
+        sampler.key = (key ^ BRANCHED) + index // (2**32 // BRANCHES)
+        sampler.index = index * BRANCHES + branch
+        sampler.draw = mi.UInt32(0)
+        how = replace(_path_settings(setup), max_depth=setup.settings.max_depth)
+        specimen = setup.specimen
+        light = self.wavelengths
+        begun = flight, power
+        exits = trace(specimen, self.beam, sampler, light, how, None, begun)
+        bins = setup.bins(exits)
+        self.sums.add(bins, exits, branch == 0, batch)
+        collected = bins < setup.n_collected
+        self.sums.deposit(bins, exits.throughput / BRANCHES, collected, batch)
 
     def relay(self, sampler: mi.Sampler, ray: mi.UInt32, rays: int) -> None:
         """Add to the sums what becomes of all rays, which scatter inside of media."""

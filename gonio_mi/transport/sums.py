@@ -177,7 +177,8 @@ class Sums:
         self.one = 1 if self.counted else ONE
         self.capacity = n_batches
         self.n_batches = n_batches = len(setup.classes) * n_batches
-        self.deposits = setup.settings.estimator.deposits
+        estimator = setup.settings.estimator
+        self.deposits = estimator.deposits or estimator.splits
         self.channels = n_channels()
         self.width = packet_width()
         self.levels = setup.levels

@@ -14,7 +14,15 @@ from .beam import Beam
 from .exits import Exits, exits_of
 from .plane import Plane, repeated
 from .polarisation import in_instrument_frames, new_light
-from .rays import START, encounter, flight_from, intersect, leaves_by_a_side, proceed
+from .rays import (
+    START,
+    Flight,
+    encounter,
+    flight_from,
+    intersect,
+    leaves_by_a_side,
+    proceed,
+)
 from .specimen import Specimen
 from .surface_events import (
     after_event,
@@ -84,15 +92,15 @@ def trace(
     wavelengths: mi.Spectrum,
     settings: PathSettings,
     deposits: Any = None,
+    begun: tuple[Flight, mi.UnpolarizedSpectrum] | None = None,
 ) -> Exits:
     """Follow every ray through the geometry until it leaves, ends or is cut off.
 
-    `deposits`, a :class:`~.next_event.Deposits`, is told of every event.
+    `deposits`, a :class:`~.next_event.Deposits`, is told of every event. Rays that were
+    `begun` have one event behind them; their power is beside their flight.
     """
-    ray, power = sent(specimen, beam, sampler, wavelengths, settings.analog)
+    flight, power = begun or _begun(specimen, beam, sampler, wavelengths, settings)
     β = new_light(power)
-    flight = flight_from(specimen, ray)
-
     scene = specimen.scene
     analog, roulette = settings.analog, settings.roulette
     max_depth = dr.opaque(mi.UInt32, settings.max_depth)
@@ -100,7 +108,7 @@ def trace(
 
     lit = dr.any(power > 0)
     incident = mi.UnpolarizedSpectrum(power)  # Power that met the specimen
-    depth = mi.UInt32(0)  # Surface events so far
+    depth = mi.UInt32(0 if begun is None else 1)  # Surface events so far
     # what passes a periodic cell without any event has passed the specimen
     passed = Fate.DIRECT if specimen.periodic else Fate.MISSED
     fate = dr.select(lit, mi.UInt32(passed), mi.UInt32(Fate.UNLIT))
@@ -160,9 +168,22 @@ def trace(
 
     by_a_side = leaves_by_a_side(specimen, flight.ray.o, flight.ray.d)
     exits = exits_of(flight, by_a_side, β, fate, incident, depth)
+    exits.flight = flight
     if deposits is not None:
         exits.left, exits.density = left, density
     return exits
+
+
+def _begun(
+    specimen: Specimen,
+    beam: Beam,
+    sampler: mi.Sampler,
+    wavelengths: mi.Spectrum,
+    settings: PathSettings,
+) -> tuple[Flight, mi.UnpolarizedSpectrum]:
+    """Flight of new rays, and their power."""
+    ray, power = sent(specimen, beam, sampler, wavelengths, settings.analog)
+    return flight_from(specimen, ray), power
 
 
 def sent(

@@ -108,13 +108,13 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_as_rays_say(name, monkeypatch):
-    """Against `weighted`; twin: 1 % more light, at 75 degrees 5 %."""
+    """Against `weighted`; twin: 2 % more light, at 75 degrees 5 %."""
     monkeypatch.setattr(surface_points, "N_FIXED", 2**10)
     specimen, settings = CASES[name]()
-    stack = split(specimen, INCIDENTS[1:3], **settings, rays=2**17)
+    stack = split(specimen, INCIDENTS[1:3], **settings, rays=2**18)
     settings = COMMON | settings | {"rays": 2**19, "seed": 1}
     rays = measure_each(specimen, INCIDENTS[1:3], **settings)
-    for number, more in enumerate((1.01, 1.05)):
+    for number, more in enumerate((1.02, 1.05)):
         expected = of_batches(rays[number])
         agree(verdict(stack[number], *expected))
         disagree(verdict(stack[number], more * expected[0], expected[1]))
@@ -124,14 +124,14 @@ def test_intervals_where_rays_are_few():
     """Of 95 %, over 24 seeds; twin: Student's t alone.
 
     Patches that no ray of more events reached scatter by their points alone. The
-    truth is 4000 times as many rays.
+    truth is 65 536 times as many rays.
     """
     specimen, where = grooves(30, 1, bsdf=ROUGH_MIRROR), INCIDENTS[2:3]
     truth = measure_each(specimen, where, rays=2**22, **COMMON)[0].flux_fraction[0]
     lit, t = truth > 1e-3 * truth.max(), stats.t.ppf(0.975, 15)
     held: list[list[float]] = [[], []]
     for seed in range(24):
-        (one,) = split(specimen, where, rays=2**10, seed=seed).estimates
+        (one,) = split(specimen, where, rays=2**6, seed=seed).estimates
         value, alone = one.fraction(0), t * one.noise(0)
         limits = one.interval(0, 0.95), (value - alone, value + alone)
         for found, (low, high) in zip(held, limits):
