@@ -22,7 +22,7 @@ from typing import Any, NoReturn
 from . import start_up
 from .commands.arguments import INCOMPLETE, PROGRAM, USER_ERROR, say, sentence
 from .commands.parser import Parser
-from .errors import SettingError, is_the_users, own_frame
+from .errors import SettingError, is_ctrl_c, is_the_users, own_frame
 
 # Each command is the module of this name in `commands`, imported when it is used.
 COMMANDS = {
@@ -75,10 +75,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options = parser(_command_of(arguments)).parse_args(arguments)
             start_up.end()
             return options.run(options)
-        except KeyboardInterrupt:
-            say("interrupted: nothing was finished, nothing is kept")
-            return INCOMPLETE
-        except Exception as error:
+        except (KeyboardInterrupt, Exception) as error:
+            if is_ctrl_c(error):  # which Mitsuba and Dr.Jit may wrap
+                say("interrupted: nothing was finished, nothing is kept")
+                return INCOMPLETE
             if isinstance(error, BrokenPipeError) and error.filename is None:
                 # the reader of our output has left; leave nothing to flush at exit
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -186,7 +186,7 @@ def _show_warning(message: object, *_: object, **__: object) -> None:
     say(f"warning: {' '.join(str(message).split())}")
 
 
-def _say_of_bug(error: Exception, arguments: Sequence[str]) -> None:
+def _say_of_bug(error: BaseException, arguments: Sequence[str]) -> None:
     """Say that an error is a bug of ours, and keep in a file what a report needs."""
     import platform
 

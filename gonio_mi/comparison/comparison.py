@@ -192,8 +192,9 @@ class Comparison:
                 if found["scale"] != 1
                 else []
             ),
-            f"chi-square  {found['chi2']:.6g} of {len(self.z)} points, "
-            f"{found['chi2_dof']:.4g} degrees of freedom, p = {p['chi2']:.3g}",
+            f"chi-square  {found['chi2'] / len(self.z) * found['chi2_dof']:.6g} for "
+            f"{found['chi2_dof']:.4g} degrees of freedom ({found['chi2']:.6g} of "
+            f"{len(self.z)} points that scatter together), p = {p['chi2']:.3g}",
             f"worst       |z| = {found['worst']:.3g} of {len(self.z)} points, "
             f"p = {p['worst']:.3g}",
             f"total       |z| = {found['total']:.3g} of the sum over all points of a "

@@ -607,7 +607,7 @@ def test_ctrl_c_keeps_what_was_measured(run, plugins, tmp_path):
 def test_ctrl_c_in_a_stack(run, plugins, tmp_path):
     part, rest, whole = (tmp_path / f"{name}.npz" for name in ("part", "rest", "whole"))
     angles = ("--theta-i", "0", "30", "60", "-q")
-    assert run(*interruptible(plugins, "at=20"), *angles, "-o", part)[0] == 2
+    assert run(*interruptible(plugins, "at=17"), *angles, "-o", part)[0] == 2
     assert 1 < len(gonio.load(part)) < 3
     resume = ("--resume", part, "-o", rest)
     assert run(*interruptible(plugins), *angles, *resume)[0] == 0
@@ -963,6 +963,18 @@ def test_plot_without_matplotlib(saved, tmp_path):
     assert err.startswith("gonio-mi: ")
     assert err.count("\n") == 1
     assert "gonio-mi[plot]" in err
+
+
+def test_ctrl_c_while_mitsuba_imports_is_no_bug(run, monkeypatch):
+    """Its own errors wrap it there."""
+
+    def interrupted():
+        raise SystemError("error return without exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr("gonio_mi.start_up.end", interrupted)
+    code, _, err = run("doctor")
+    assert code == 2
+    assert err == "gonio-mi: interrupted: nothing was finished, nothing is kept\n"
 
 
 def test_doctor(run):

@@ -5,6 +5,7 @@ Statistical verdicts share the suite's false-alarm budget; each has a twin that 
 
 import itertools
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -460,6 +461,18 @@ def test_a_test_without_power_says_so(sampler, rays):
     one, other = (record.with_provenance(sampler=sampler) for record in pair)
     noted = "next to no power" in str(compare(one, other))
     assert noted == (sampler == "sobol" and rays < 10**8)
+
+
+def test_what_is_printed_belongs_together():
+    """Rounding: three digits of p, and four of the degrees of freedom.
+
+    Half a hundredth of a degree, of a law 10 wide, is far below the three digits of p.
+    """
+    records = [synthetic.record(rays=10**6, seed=seed) for seed in (1, 2)]
+    comparison = compare(*records)
+    line = re.search(r"chi-square  (\S+) for (\S+) .* p = (\S+)", str(comparison))
+    chi2, dof, p = map(float, line.groups())
+    assert stats.chi2.sf(chi2, dof) == pytest.approx(p, abs=0.001)
 
 
 def test_a_difference_is_on_no_safe_side():
