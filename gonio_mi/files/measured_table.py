@@ -165,7 +165,11 @@ class MeasuredTable:
         if len(incident) > MAX_LISTED:
             listed.append(f"and {len(incident) - MAX_LISTED} more")
         errors, aperture = self.bsdf_std_err, self.aperture_half_angle
-        known = f"{np.median(errors):.3g} 1/sr (median)" if errors.any() else UNSTATED
+        known = "0" if self.sigma is not None else UNSTATED
+        if errors.any():
+            known = f"{np.median(errors):.3g} 1/sr (median)"
+        if self.sigma is not None and self.uncertainty:
+            known += f" of sigma and {self.uncertainty:.3g} of each value in quadrature"
         low, high = np.round([self.theta_o.min(), self.theta_o.max()], 6)
         lines = [
             f"table       {self.name}",
@@ -404,7 +408,7 @@ def _read_key(
             if not is_decimal(text):
                 condition = NUMBERS[name][2]
                 raise SettingError(f"{name} must be {condition}, got {shown(text)}")
-            settings[name] = checked_number(name, text, *NUMBERS[name])
+            settings[name] = checked_number(name, text.rstrip(" °"), *NUMBERS[name])
             return
         if name != "channel":
             choices = (*UNITS, "1") if name == "units" else QUANTITIES

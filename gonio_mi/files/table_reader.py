@@ -325,7 +325,7 @@ class _Reading:
         missing: list[str] = []
         for number, cells in self.text.cells():
             cell = cells[places["value"]].strip()
-            if MISSING.fullmatch(cell) and not (self.own and not cell.startswith("-9")):
+            if MISSING.fullmatch(cell):
                 missing.append(cell)
                 continue
             self.lines.append(number)
@@ -449,6 +449,11 @@ class _Reading:
             return str(specified)
         found = column.quantity or self._titled()
         if self.own and found in (None, "", "brdf"):
+            if not found:
+                self.notes.append(
+                    "it does not say what its values are: they count as brdf in 1/sr, "
+                    "without cosine; --quantity says another"
+                )
             return "brdf"
         if not found:
             self.questions.append(_quantity_question(column.name))
@@ -491,11 +496,6 @@ class _Reading:
         if not self.own:
             k = f", divided by k = {coverage:g}" if coverage != 1 else ""
             self.notes.append(f"{name!r}: {KINDS[kind]} uncertainty{k}")
-        if self.settings.get("uncertainty"):
-            self.notes.append(
-                f"the header's uncertainty of {self.settings['uncertainty']:.3g} of "
-                "each value adds to that in quadrature"
-            )
         return {"value": values, "sigma": sigma}
 
     def _coverage(self, column: Column) -> float:

@@ -19,7 +19,7 @@ from ..errors import FileFormatError, SettingError, shown
 from .table_names import is_unit
 
 DECIMAL = re.compile(
-    r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?(nan|inf|infinity)",
+    r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?( ?°)?|[+-]?(nan|inf|infinity)",
     re.ASCII | re.IGNORECASE,
 )
 
@@ -251,7 +251,8 @@ def is_decimal(text: str) -> bool:
 def decimal(text: str) -> float:
     """Return the number that `text` is, as instruments and spreadsheets write them.
 
-    Python's ``float`` takes ``0_3`` for 3, and digits of other scripts.
+    A sign of degrees may follow it. Python's ``float`` takes ``0_3`` for 3, and digits
+    of other scripts.
 
     Raises
     ------
@@ -260,7 +261,7 @@ def decimal(text: str) -> float:
     """
     if not is_decimal(text):
         raise SettingError(f"must be a number, got {shown(text)}")
-    return float(text)
+    return float(text.rstrip(" °"))
 
 
 def decimals(cells: Sequence[str]) -> Floats | None:

@@ -146,7 +146,19 @@ def test_uncertainties_of_each_kind(tmp_path):
     both = "# uncertainty: 0.02\n" + path.read_text()
     table = gonio.read_measured(written(tmp_path, both))
     assert table.bsdf_std_err[0] == pytest.approx(np.hypot(0.01, 0.008), rel=4 * EPS)
-    assert any("adds to that in quadrature" in note for note in table.notes)
+    assert "of sigma and 0.02 of each value in quadrature" in str(table)
+
+
+def test_gaps_degrees_and_an_unsaid_quantity_in_our_own_columns(tmp_path):
+    text = "theta_i,phi_i,theta_o,phi_o,value\n45°,0,30 °,180,0.4\n45,0,31,180,NaN\n"
+    table = gonio.read_measured(written(tmp_path, text + "45,0,32,180,\n"))
+    assert (table.theta_i.tolist(), table.theta_o.tolist()) == ([45], [30])
+    assert "2 rows without a value are left out" in table.notes
+    assert any("they count as brdf in 1/sr" in note for note in table.notes)
+    said = gonio.read_measured(written(tmp_path, f"# quantity: brdf\n{text}"))
+    assert said.notes == ("1 rows without a value are left out",)
+    with pytest.raises(gonio.FileFormatError, match="must be a number, got '45°°'"):
+        gonio.read_measured(written(tmp_path, text.replace("45°", "45°°")))
 
 
 def test_what_is_said_against_a_name_is_noted(tmp_path):
