@@ -184,7 +184,7 @@ class Comparison:
             "undecided": "cannot be decided with these patches",
         }[self.verdict]
         lines = [
-            *(note for note in self.notes if note.endswith(NO_UNCERTAINTY)),
+            *(f"note: {one}" for one in self.notes if one.endswith(NO_UNCERTAINTY)),
             f"rms error   {self.rms:.4g} 1/sr, {100 * self.relative_rms:.3g} % of the "
             f"mean; {self.rms_expected:.4g} from the uncertainties alone",
             *(
@@ -201,8 +201,8 @@ class Comparison:
             f"hemisphere, p = {p['total']:.3g}"
             if found["total"]
             else "total       not tested, or no difference",
-            f"verdict     {verdict}: p = {self.p_value:.3g}, where a right model falls "
-            f"below {self.alpha:g} with that probability",
+            f"verdict     {verdict}: p = {self.p_value:.3g}; a right model has p < "
+            f"{self.alpha:g} with that probability",
             "",
             "worst points, angles in degrees, values in 1/sr: value of "
             f"{self.labels[0]}, other of {self.labels[1]}",

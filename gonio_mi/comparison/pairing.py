@@ -21,7 +21,7 @@ from .patch_variation import REMEDY, variation_within
 
 # Note on a table, which comes before all numbers: they mean little without it.
 NO_UNCERTAINTY = (
-    "states no uncertainty: its values count as exact, unless `uncertainty` is said"
+    "its values count as exact, unless `uncertainty` (--uncertainty) is said"
 )
 
 
@@ -92,7 +92,13 @@ def pair_with_table(
     notes = list(table.notes)
     errors = table.bsdf_std_err
     if not (errors.any() or table.scale_uncertainty):
-        notes.append(f"{table.name} {NO_UNCERTAINTY}")
+        stated = "no uncertainty" if table.sigma is None else "an uncertainty of 0"
+        notes.append(f"{table.name} states {stated}: {NO_UNCERTAINTY}")
+    if table.sigma is not None and table.uncertainty:
+        notes.append(
+            f"the uncertainty of {table.uncertainty:.3g} of each value adds to that of "
+            "the column in quadrature"
+        )
     sets = []
     hemisphere = int(table.quantity == "btdf")
     v = direction(np.radians(pole_angle(table.theta_o)), np.radians(table.phi_o))

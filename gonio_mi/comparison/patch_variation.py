@@ -101,14 +101,15 @@ def left_undecided(
     bounds = np.concatenate([variation.bound for variation, _ in known])
     values = np.concatenate([readings.value for _, readings in known])
     parts = bounds / np.where(values > 0, values, np.inf)
-    notes.append(
-        f"means over patches stand for points: up to {np.median(parts):.1%} of a value "
-        f"in the median, {parts.max():.1%} at most, may be what the BRDF does within a "
-        "patch, and are not counted"
-    )
     _, _, _, without = judge([replace(one, variation=None) for one in sets], scale)
     least, bare = min(p_values.values()), min(without.values())
     limit = alpha / len(p_values)
+    counted = min(1.0, len(p_values) * bare)
+    notes.append(
+        f"means over patches stand for points: up to {np.median(parts):.1%} of a value "
+        f"in the median, {parts.max():.1%} at most, may be what the BRDF does within a "
+        f"patch, and are not counted; if they were, p would be {counted:.3g}"
+    )
     if least < limit or bare >= limit:
         return False
     notes.append(f"what differs may be that: {REMEDY}")
