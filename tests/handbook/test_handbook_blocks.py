@@ -62,13 +62,7 @@ def imaged(path):
     mi.Bitmap(codes.astype(np.uint16)[..., None]).write(str(path))
 
 
-PANEL = (
-    "BRF Values\n"
-    "src_z\tsrc_a\tview_z\tview_a\t450nm\t550nm\tu(550nm) [%]\n"
-    "0,0\t0,0\t45,0\t180,0\t1,004\t1,009\t0,5\n"
-)
 GIVEN = {
-    "panel.txt": lambda path: path.write_text(PANEL),
     "scan.x3p": scanned,
     "heights.png": imaged,
     "pilot.npz": measured,
@@ -121,6 +115,18 @@ def fast(words):
     return [command, *rest, *FAST.get(command, [])]
 
 
+# What needs a variant of Mitsuba.
+OF_VARIANTS = r"gonio\.(?!load\b|read_measured\b|plan\b)\w+\(|mi\.load"
+
+
+def sets_its_variant(said):
+    """Whether the Python of a page sets a variant, if it needs one.
+
+    Commands before it set one here, but not where a reader pastes the block.
+    """
+    return "mi.set_variant" in said or not re.search(OF_VARIANTS, said)
+
+
 def run_command(words, folder):
     """Run one command of a page; what is not ours is looked at only."""
     if words[0] == "gonio-mi":
@@ -164,7 +170,7 @@ def test_page_runs_word_for_word(page, tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "my_bsdf", raising=False)
     # the libraries that read scans take seconds to be imported
     monkeypatch.setattr(height_maps, "read_apart", height_map_reader.read)
-    variant, known = mi.variant(), {}
+    variant, known, said = mi.variant(), {}, ""
     try:
         for language, text in blocks(page):
             if name := shown_file(text):
@@ -176,6 +182,8 @@ def test_page_runs_word_for_word(page, tmp_path, monkeypatch):
                 for name in GIVEN:
                     if name in text and not (tmp_path / name).exists():
                         GIVEN[name](tmp_path / name)
+                said += text
+                assert sets_its_variant(said), text
                 run_python(text, tmp_path, known)
     finally:
         if variant is not None:
@@ -195,6 +203,7 @@ def test_twin_a_wrong_command_is_found(tmp_path, monkeypatch):
         run_command(["pip", "install", ".[reports]"], tmp_path)
     with pytest.raises(NameError):
         run_python("record.dhr", tmp_path, {})
+    assert not sets_its_variant("import gonio_mi as gonio\ngonio.measure('a.xml')")
 
 
 def test_the_extra_docs_brings_what_the_notebooks_import():
