@@ -193,6 +193,9 @@ class Effort:
         Those that get maps, of the front with all components.
     few_angles : tuple of float
         Those of the back, of single components, and of radiance mode.
+    threads : int, optional
+        Of Dr.Jit. Default: all. Those that few samples leave idle wait for more work
+        for 10 ms after each kernel: half of the CPU time of `quick`.
     """
 
     samples: int
@@ -203,6 +206,7 @@ class Effort:
     angles: tuple[float, ...]
     map_angles: tuple[float, ...]
     few_angles: tuple[float, ...]
+    threads: int | None = None
 
     @property
     def patches(self) -> Borders:
@@ -254,7 +258,9 @@ class Effort:
 
 
 EFFORTS = {
-    "quick": Effort(2**17, 2**14, 2**15, 12, 16, (0, 40, 75, 89.9), (35,), (50,)),
+    "quick": Effort(
+        2**17, 2**14, 2**15, 12, 16, (0, 40, 75, 89.9), (35,), (50,), threads=1
+    ),
     "normal": Effort(
         2**20,
         2**16,

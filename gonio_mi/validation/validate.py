@@ -15,6 +15,7 @@ from ..errors import SettingError, SpecimenError, checked_count, checked_number,
 from ..instrument.loading import load_specimen, loaded
 from ..instrument.specimen_text import SpecimenLike, specimen_name
 from ..progress import bar
+from ..threads import thread_count
 from ..transport.bsdf_trial import PluginFault
 from ..transport.kernels import launches_kernels
 from ..transport.variants import is_parallel, is_polarised
@@ -133,18 +134,19 @@ def validate(
     polarised, of_volumes = questions is POLARISED, questions is PHASE
     evidence = Evidence(bsdf, seed, questions)
     n_asked = 0
-    try:
-        if polarised:
-            load = None
-            if not isinstance(specimen, mi.Object):
-                load = lambda: _bsdf(specimen)[0]  # noqa: E731
-            n_asked = examine_polarised(evidence, effort, specimen, load)
-        elif of_volumes:
-            examine_phase_function(evidence, plan, effort)
-        else:
-            _examine(evidence, plan, name, progress)
-    except PluginFault as fault:
-        _stop(evidence, fault)
+    with thread_count(plan.threads):
+        try:
+            if polarised:
+                load = None
+                if not isinstance(specimen, mi.Object):
+                    load = lambda: _bsdf(specimen)[0]  # noqa: E731
+                n_asked = examine_polarised(evidence, effort, specimen, load)
+            elif of_volumes:
+                examine_phase_function(evidence, plan, effort)
+            else:
+                _examine(evidence, plan, name, progress)
+        except PluginFault as fault:
+            _stop(evidence, fault)
     properties = properties_of(evidence, alpha, allow)
     failed = {p.name: str(p.effect) for p in properties if p.status == FAILS}
     shares = {p.name: p.share for p in properties}
