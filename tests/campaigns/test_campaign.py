@@ -3,6 +3,7 @@
 All is exact. Processes are killed for real.
 """
 
+import importlib
 import os
 import random
 import signal
@@ -69,7 +70,7 @@ def executor(request):
 @pytest.mark.usefixtures("mono")
 def test_same_bits_wherever(executor, reference, monkeypatch):
     """One direction a task, so that they end in another order than they began."""
-    module = sys.modules["gonio_mi.campaigns.tasks"]
+    module = importlib.import_module("gonio_mi.campaigns.tasks")
     monkeypatch.setattr(module, "TASK_RAYS", 1)
     records = gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, executor=executor)
     assert same(records, reference)
@@ -107,7 +108,7 @@ def test_measure_takes_an_executor_and_a_folder(reference, tmp_path):
 
 @pytest.mark.usefixtures("mono")
 def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch):
-    module = sys.modules["gonio_mi.campaigns.tasks"]
+    module = importlib.import_module("gonio_mi.campaigns.tasks")
     monkeypatch.setattr(module, "TASK_RAYS", 1)
     gonio.campaign(SPECIMENS, **ANGLES, **SETTINGS, folder=tmp_path)
     files = sorted(tmp_path.glob("*.npz"))
@@ -130,7 +131,7 @@ def test_what_is_finished_is_not_measured_again(reference, tmp_path, monkeypatch
 
 @pytest.fixture
 def interrupted():
-    """BSDF plugin that reflects diffusely, until its 14th sample() is interrupted."""
+    """BSDF plugin that reflects diffusely, until its eighth sample() is interrupted."""
 
     class Interrupted(mi.BSDF):
         calls = 0
@@ -143,7 +144,7 @@ def interrupted():
 
         def sample(self, *arguments):
             Interrupted.calls += 1
-            if Interrupted.calls == 14:
+            if Interrupted.calls == 8:
                 raise KeyboardInterrupt
             return self.diffuse.sample(*arguments)
 
@@ -156,7 +157,7 @@ def interrupted():
 
 @pytest.mark.usefixtures("mono")
 def test_ctrl_c_keeps_whole_directions_only(interrupted, tmp_path, monkeypatch):
-    module = sys.modules["gonio_mi.campaigns.tasks"]
+    module = importlib.import_module("gonio_mi.campaigns.tasks")
     monkeypatch.setattr(module, "TASK_RAYS", 1)
     specimen = {"type": "test_interrupted_once"}
     settings = ANGLES | SETTINGS | {"sampler": "independent"}

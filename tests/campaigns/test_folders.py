@@ -3,6 +3,7 @@
 All is exact.
 """
 
+import importlib
 import shutil
 import sys
 
@@ -52,7 +53,7 @@ def folder(tmp_path):
 
 @pytest.fixture(autouse=True)
 def one_direction_a_task(monkeypatch):
-    module = sys.modules["gonio_mi.campaigns.tasks"]
+    module = importlib.import_module("gonio_mi.campaigns.tasks")
     monkeypatch.setattr(module, "TASK_RAYS", 1)
 
 
@@ -138,7 +139,7 @@ def test_an_emitter_that_was_turned_a_little(tmp_path, refused):
 
 
 def test_a_folder_at_work(folder, refused):
-    module = sys.modules["gonio_mi.campaigns.tasks"]
+    module = importlib.import_module("gonio_mi.campaigns.tasks")
     measure_each = module.measure_each
 
     def at_work(specimen, incidents, **settings):
@@ -236,7 +237,7 @@ def test_an_edited_plugin(plugin, tmp_path, capsys, change):
 def test_a_plugin_edited_while_it_is_measured(plugin, tmp_path):
     specimens, path = {"plain": {"type": "test_plain"}}, plugin()
 
-    module = sys.modules["gonio_mi.campaigns.tasks"]
+    module = importlib.import_module("gonio_mi.campaigns.tasks")
     measure_each = module.measure_each
 
     def edited(specimen, incidents, **settings):

@@ -1,5 +1,6 @@
 """The command line: what it prints and writes, and one sentence for each bad input."""
 
+import importlib
 import json
 import os
 import re
@@ -1032,7 +1033,7 @@ def test_bugs_of_ours_in_plugins_are_reported(report_of_bug, monkeypatch, fault)
     """Although only the text of an error survives the loading of a plugin."""
     field = {"type": "heightfield", "resolution": 16}
     gonio.measure(field, 0, rays=10)  # imports the plugin
-    plugin = sys.modules["gonio_mi.plugins.shapes.heightfield"]
+    plugin = importlib.import_module("gonio_mi.plugins.shapes.heightfield")
     code = f"def gaussian_heights(*_, **__):\n    return {fault}"
     exec(compile(code, plugin.__file__, "exec"), scope := {"np": np})
     monkeypatch.setattr(plugin, "gaussian_heights", scope["gaussian_heights"])

@@ -1,6 +1,6 @@
 """Records of wavelengths as visible and solar light, in tables and in BSDF files."""
 
-import sys
+import importlib
 from dataclasses import replace
 
 import drjit as dr
@@ -190,7 +190,7 @@ def test_wavelengths_of_visible_light_make_no_solar_block(tmp_path):
 @pytest.fixture
 def measured(monkeypatch):
     """Directions that campaigns measure; the task of the 60th is interrupted."""
-    module = sys.modules["gonio_mi.campaigns.tasks"]
+    module = importlib.import_module("gonio_mi.campaigns.tasks")
     measure, seen = module.measure_each, []
 
     def measure_each(specimen, incidents, **settings):
