@@ -18,7 +18,8 @@ from . import llvm  # noqa: E402
 
 llvm.prepare()
 
-from . import plugins  # noqa: E402, F401
+if start_up.needs_mitsuba():
+    from . import plugins  # noqa: F401
 
 # The stub for type checkers says which module each public name is of.
 _stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8"))

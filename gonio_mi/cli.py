@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = _show_warning
         options = None
         try:
-            options = parser(_command_of(arguments)).parse_args(arguments)
+            options = parser(start_up.command_of(arguments)).parse_args(arguments)
             start_up.end()
             return options.run(options)
         except (KeyboardInterrupt, Exception) as error:
@@ -108,11 +108,6 @@ def _open_standard_streams() -> None:
             setattr(sys, name, open(os.devnull, "r+"))  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")
-
-
-def _command_of(arguments: Sequence[str]) -> str:
-    """The first word that is no option; empty if there is none."""
-    return next((word for word in arguments if not word.startswith("-")), "")
 
 
 def parser(command: str | None = None) -> Parser:

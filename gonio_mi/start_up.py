@@ -1,25 +1,43 @@
-"""Ctrl-C while the program ``gonio-mi`` starts: one line instead of a traceback."""
+"""How the program ``gonio-mi`` starts: Ctrl-C in one line, and Mitsuba if needed."""
 
 import os
 import signal
 import sys
+from collections.abc import Sequence
 
 PROGRAM = "gonio-mi"
+# Commands that read records and tables only, and help: to load Mitsuba takes as long.
+WITHOUT_MITSUBA = ("", "show", "plot", "report")
 INTERRUPTED = 130  # as shells count: 128 and the number of SIGINT
 
 
 def begin() -> None:
     """Let Ctrl-C end the process while it imports, if it is that of the program."""
-    program = os.path.basename(getattr(sys, "argv", [""])[0])
     python_answers = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if program.removesuffix(".exe") == PROGRAM and python_answers:
+    if _is_program() and python_answers:
         signal.signal(signal.SIGINT, _leave)
+
+
+def needs_mitsuba() -> bool:
+    """Whether anything but the program with a command that only reads is started."""
+    return not _is_program() or command_of(sys.argv[1:]) not in WITHOUT_MITSUBA
+
+
+def command_of(arguments: Sequence[str]) -> str:
+    """The first word that is no option; empty if there is none."""
+    return next((word for word in arguments if not word.startswith("-")), "")
 
 
 def end() -> None:
     """Let Ctrl-C raise KeyboardInterrupt again."""
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _is_program() -> bool:
+    """Whether the process is the program ``gonio-mi``."""
+    name = os.path.basename(getattr(sys, "argv", [""])[0])
+    return name.removesuffix(".exe") == PROGRAM
 
 
 def _leave(*_: object) -> None:

@@ -11,8 +11,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-import mitsuba as mi
-
 from .. import llvm
 from ..errors import (
     FileFormatError,
@@ -235,6 +233,8 @@ def specimen_of(
 
 def set_variant(variant: str, variants: Sequence[str] = ()) -> None:
     """Set one of some Mitsuba variants; by default of those that measure."""
+    import mitsuba as mi
+
     from ..transport.variants import usable_variants
 
     usable = variants or usable_variants()

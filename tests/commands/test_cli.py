@@ -912,17 +912,35 @@ def test_help_is_sentences_of_ascii(command):
             assert re.match("[A-Z]|both,|weighted |box ", action.help)
 
 
+def loaded(words):
+    """Modules that the program has loaded at its end."""
+    program = (
+        "import sys\n"
+        f"sys.argv = {['gonio-mi', *map(str, words)]!r}\n"
+        "from gonio_mi.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "finally: print(*sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True)
+    return set(done.stderr.decode().split())
+
+
 def test_a_command_imports_no_other():
-    """The whole program is loaded by none of `--help`, `show --help` and an import."""
-    parts = {"gonio_mi.transport.loop", "gonio_mi.commands.measure", "scipy"}
+    """Help loads neither the measurement nor SciPy; that of `measure` does Mitsuba."""
+    slow = {"gonio_mi.instrument.measure", "gonio_mi.commands.measure", "scipy"}
     for words in ("--help", "show --help", "--version"):
-        program = (
-            "import sys; from gonio_mi.cli import main\n"
-            f"try: main({words.split()!r})\n"
-            f"except SystemExit: sys.exit(str({parts!r} & set(sys.modules)))"
-        )
-        done = subprocess.run([sys.executable, "-c", program], capture_output=True)
-        assert done.stderr == b"set()\n"
+        assert not loaded(words.split()) & {*slow, "mitsuba", "drjit"}
+    assert loaded(["measure", "--help"]) > {"gonio_mi.commands.measure", "mitsuba"}
+
+
+@pytest.mark.parametrize(("command", "output"), [("show", ""), ("report", "page.html")])
+def test_commands_that_only_read_do_not_load_mitsuba(command, output, saved, tmp_path):
+    modules = loaded(
+        [command, saved[0], *(["-o", tmp_path / output] if output else [])]
+    )
+    assert "gonio_mi.results.record" in modules
+    assert not modules & {"mitsuba", "drjit"}
 
 
 def test_help_and_version(capsys):
