@@ -157,9 +157,13 @@ def is_the_users(error: BaseException) -> bool:
 
 def is_ctrl_c(error: BaseException | None) -> bool:
     """Whether Ctrl-C is at the bottom of it: Dr.Jit wraps what a loop raises."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
+    seen: list[BaseException] = []
+    while error is not None and error not in seen:  # errors may be their causes' causes
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        seen.append(error)
         error = error.__cause__ or error.__context__
-    return error is not None
+    return False
 
 
 def tells_of_our_bug(error: BaseException) -> bool:
