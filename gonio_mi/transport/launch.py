@@ -219,6 +219,7 @@ class _Rays:
         light = self.wavelengths
         begun = flight, power
         exits = trace(specimen, self.beam, sampler, light, how, None, begun)
+        exits = of_order(exits, setup.order)  # by rounding some meet nothing again
         bins = setup.bins(exits)
         self.sums.add(bins, exits, branch == 0, batch)
         collected = bins < setup.n_collected

@@ -183,7 +183,7 @@ def relay_turns(sampler: mi.Sampler, rays: int) -> int:
 
 
 def apart(lane: mi.UInt32, n: int) -> tuple[mi.UInt32, mi.UInt32]:
-    """Number of the group of `n` lanes, and of the lane in it; up to 2**24 lanes.
+    """Number of the group of `n` lanes, and of the lane in it; up to 2**32 lanes.
 
     A division in double precision, exact because no quotient is nearer to a whole
     number than ``1 / (2 n)``, and much faster than one of integers. The reciprocal is

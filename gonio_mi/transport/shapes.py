@@ -324,15 +324,11 @@ def is_height_map(shape: mi.Shape, low: Sequence[mi.Float], high: Any) -> bool:
     return round(abs(sums[0]) / cell[0]) == 1
 
 
-def coincide(shapes: Sequence[mi.Shape]) -> bool:
-    """Whether two triangles of meshes have the same corners."""
-    keys = [mi.UInt64()]
-    for shape in shapes:
-        if isinstance(shape, mi.Mesh):
-            faces = shape.face_indices(dr.arange(mi.UInt32, shape.face_count()))
-            keys.append(sum(_mixed(shape.vertex_position(one)) for one in faces))
-    every = np.concatenate([one.numpy() for one in keys])
-    return len(np.unique(every)) < len(every)
+def coincide(mesh: mi.Mesh) -> bool:
+    """Whether two triangles of a mesh have the same corners."""
+    faces = mesh.face_indices(dr.arange(mi.UInt32, mesh.face_count()))
+    key = sum(_mixed(mesh.vertex_position(one)) for one in faces).numpy()
+    return len(np.unique(key)) < len(key)
 
 
 def _mixed(*vectors: mi.Vector3f) -> mi.UInt64:

@@ -20,7 +20,9 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import SpecimenError
 from ..mitsuba_names import PARTIALS
+from ..results.statistics import student_score
 from ..results.tally import Fate, Tally
+from ..single_precision import FEW_ROUNDINGS
 from .polarisation import n_channels
 from .rays import NEARBY, departure, escapes, intersect
 from .sampling import apart, is_joint, seeded
@@ -38,6 +40,9 @@ PART_OF_NOISE = 1 / 4
 # For m patches a noise x takes m / (44 x^2) rays of 170 ns (measured on rough grooves),
 # and a point 20 ns for each patch: as much at 170 / (44 * 20) = 0.19.
 MAX_POINTS_NOISE2 = 1 / 6
+
+# Standard errors by which the light that meets points may be off, in either direction.
+MAX_SCORE = 6
 
 # Lanes of a launch: pairs of a point and a patch, or sums over points.
 MAX_LANES = 2**24
@@ -68,7 +73,8 @@ def check_splittable(setup: Setup) -> None:
         "meshes, rectangles, disks, spheres or cylinders": all(
             isinstance(one, mi.Mesh) or one.class_name() in SHAPES for one in shapes
         ),
-        "triangles that do not coincide": not coincide(shapes),
+        "triangles that do not coincide": specimen.is_height_map
+        or not any(coincide(one) for one in shapes if isinstance(one, mi.Mesh)),
         "rays of all orders": not setup.orders
         and settings.order.least <= 1
         and settings.order.most >= settings.max_depth,
@@ -134,6 +140,20 @@ class SingleScattering:
         total = self.flux.mean(axis=0).sum() * np.sqrt(len(self.flux))
         return float(error / total)
 
+    def check_lit(self) -> None:
+        """Raise SpecimenError if points met more than all incident light, or less."""
+        lit = self.lit / self.n_points
+        if len(lit) == 1:
+            return
+        std_err = np.hypot(lit.std(ddof=1) / np.sqrt(len(lit)), FEW_ROUNDINGS)
+        t = (lit.mean() - 1) / std_err
+        if lit.any() and abs(student_score(t, len(lit) - 1)) > MAX_SCORE:
+            raise SpecimenError(
+                "the estimator split needs surfaces that do not coincide: "
+                f"{lit.mean():.3g} of the incident light meets points of them; "
+                "take weighted instead"
+            )
+
     def completed(self, tally: Tally) -> Tally:
         """Tally of the rays of more events, with this light."""
         n = tally.n_batches
@@ -189,6 +209,8 @@ def single_scattering(
                 f" takes more than {begin * settings.batches} points of the surface; "
                 "take weighted instead"
             )
+    for light in found.values():
+        light.check_lit()
     return [found[setup] for setup in setups]
 
 
@@ -267,8 +289,9 @@ class SurfacePoints:
         above = self.specimen.box.reach * NEARBY
         ray = mi.Ray3f(position.p + above * position.n, -position.n)
         si = intersect(self.specimen.scene, ray, PARTIALS, True)
-        beside = dr.norm(si.p - position.p)
-        si.t = dr.select(si.is_valid() & (beside < above / 2), si.t, dr.inf)
+        # of surfaces that coincide rays meet one: points of the others are none
+        met = (si.shape == shape) & (dr.norm(si.p - position.p) < above / 2)
+        si.t = dr.select(si.is_valid() & met, si.t, dr.inf)
         return si
 
     def _came(self, si: Any, sizes: tuple[int, int, int]) -> mi.Float:

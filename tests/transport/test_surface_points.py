@@ -91,6 +91,17 @@ def spheres():
     }
 
 
+def coinciding():
+    """Two planes in one place beneath the spheres."""
+    return spheres() | {"again": spheres()["plane"]}
+
+
+def overlapping():
+    """Flat triangles, half of which lie in a large one."""
+    flat = {"type": "heightfield", "heights": mi.TensorXf(np.zeros((16, 16)))}
+    return with_faces(flat | {"bsdf": GREY}, lambda faces: [*faces, [0, 16, 288]])
+
+
 def field(bsdf, **settings):
     return heightfield(bsdf=bsdf, alpha=0.5, resolution=16, **settings)
 
@@ -99,6 +110,7 @@ CASES = {
     "rough mirrors": lambda: (field(ROUGH_MIRROR), {}),
     "smooth normals": lambda: (field(GREY, face_normals=False), {}),
     "spheres": lambda: (spheres(), {"period": "2,2"}),
+    "two planes in one": lambda: (coinciding(), {"period": "2,2"}),
     "from behind": lambda: (grooves(30, 1, bsdf=GREY), {"side": "back"}),
     "two events": lambda: (grooves(60, 1, bsdf=GREY), {"max_depth": 2}),
     "one event": lambda: (grooves(60, 1, bsdf=GREY), {"max_depth": 1}),
@@ -189,6 +201,7 @@ def test_bits_alone_and_in_a_stack(tmp_path, monkeypatch):
         (lambda: field(GREY), {"sampler": "independent"}, "sampler sobol"),
         (lambda: field(GREY), {"divergence": 1.0}, "collimated"),
         (lambda: with_faces(field(GREY), lambda f: [*f, *f[:9]]), {}, "coincide"),
+        (overlapping, {}, "do not coincide: 1.5 of the incident light"),
         (lambda: field(GLOSSY), {"rays": None, "noise": 0.02}, "wide lobes"),
         (lambda: field(GLOSSY), {"rays": None, "rel_err": 0.1}, "noise or rays"),
         (lambda: field(BLACK), {}, "no light"),
