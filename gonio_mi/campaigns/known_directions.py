@@ -244,7 +244,7 @@ class KnownDirections:
         self.n_points = points_for(tolerance)
 
     def start_anew(self, patches: Subdivision | None = None) -> None:
-        """Forget all directions; take rays, or other patches if some are given."""
+        """Forget all directions; take the next estimator, or `patches` if given."""
         if patches is None:
             del self.estimators[0]
         else:
@@ -318,7 +318,10 @@ class KnownDirections:
         settings: dict[str, Any],
         label: str | None = None,
     ) -> Record:
-        """Stack of directions, measured anew or found in the folder of `where`."""
+        """Stack of directions, measured anew or found in the folder of `where`.
+
+        Rays alone tell a round that `split` refuses, if it has told others before.
+        """
         specimens = {self.name: self.specimen}
         try:
             return records_of(specimens, incidents, where, settings, label)[self.name]
