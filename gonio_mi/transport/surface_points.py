@@ -28,7 +28,7 @@ from .rays import NEARBY, departure, escapes, intersect
 from .sampling import apart, is_joint, seeded
 from .setup import Setup
 from .shapes import coincide
-from .surface_events import MAX_POWER, flux_context, shading_normal_correction
+from .surface_events import MAX_POWER, flux_context
 
 # Points of each batch to begin with; of a number of rays, all.
 N_FIRST, N_FIXED = 2**5, 2**7
@@ -260,15 +260,14 @@ class SurfacePoints:
             si = self._points(sampler)
             place = mi.Point2f(sampler.next_2d())
             dr.eval(si, place)
-            wo = self._gone(si, place, n)
-            dr.eval(wo)
+            gone = self._gone(si, place, n)
             most = max(1, min(piece, MAX_LANES // (self.n_batches * n)))
             for first in range(0, self.n_wi, most):
                 m = min(most, self.n_wi - first)
                 part = slice(first, first + m)
-                came = self._came(si, (n, first, m))
-                sums[:, part] += self._sums(si, came, wo, (n, first, m))
-                each = came.numpy().astype(float).reshape(self.n_batches, n, m)
+                came, met = self._came(si, (n, first, m))
+                sums[:, part] += self._sums(si, came, gone, (n, first, m))
+                each = met.astype(float).reshape(self.n_batches, n, m)
                 lit[:, part] += each.sum(axis=1)
                 if report is not None:
                     report(self.n_batches * n * m / self.n_wi)
@@ -294,10 +293,10 @@ class SurfacePoints:
         si.t = dr.select(si.is_valid() & met, si.t, dr.inf)
         return si
 
-    def _came(self, si: Any, sizes: tuple[int, int, int]) -> mi.Float:
-        """Part of each incident direction's light that meets a point, per point.
+    def _came(self, si: Any, sizes: tuple[int, int, int]) -> tuple[mi.Float, Floats]:
+        """Each incident direction's light at each point, by :meth:`_kept`.
 
-        `sizes` are those of `_sums`.
+        With the part of it that meets the point. `sizes` are those of `_sums`.
         """
         n, first, m = sizes
         lanes = dr.arange(mi.UInt32, n * self.n_batches * m)
@@ -307,12 +306,13 @@ class SurfacePoints:
         wi = dr.gather(mi.Vector3f, self.wi, incident)
         cosine = dr.abs(dr.dot(here.n, wi))
         seen = self._sees(here, wi, here.is_valid() & (cosine > 0))
-        came = dr.select(seen, self.area * cosine / dr.abs(wi.z), 0.0)
-        dr.eval(came)
-        return came
+        met = dr.select(seen, self.area * cosine / dr.abs(wi.z), 0.0)
+        kept = self._kept(here, wi, met * _shading_ratio(here, wi))
+        dr.eval(kept, met)
+        return kept, met.numpy()
 
-    def _gone(self, si: Any, place: mi.Point2f, n: int) -> mi.Vector3f:
-        """Towards a place in each patch from each point, or 0 where it is hidden."""
+    def _gone(self, si: Any, place: mi.Point2f, n: int) -> mi.Float:
+        """Towards a place in each patch from each point, by :meth:`_kept`."""
         lanes = dr.arange(mi.UInt32, n * self.n_batches * self.n_patches)
         point, patch = apart(lanes, self.n_patches)
         low, span, phi_low, phi_span = (
@@ -324,7 +324,20 @@ class SurfacePoints:
         sin_phi, cos_phi = dr.sincos(phi_low + phi_span * at.y)
         wo = mi.Vector3f(radius * cos_phi, radius * sin_phi, self.side * (1 - 2 * s))
         here = dr.gather(mi.SurfaceInteraction3f, si, point)
-        return dr.select(self._sees(here, wo, here.is_valid()), wo, 0)
+        seen, ratio = self._sees(here, wo, here.is_valid()), _shading_ratio(here, wo)
+        kept = self._kept(here, wo, dr.select(seen & (ratio > 0), 1 / ratio, 0.0))
+        dr.eval(kept)
+        return kept
+
+    def _kept(self, si: Any, w: mi.Vector3f, weight: mi.Float) -> mi.Float:
+        """Direction in the frame of a point, and a weight: four numbers in a row.
+
+        The weight is 0 where something is in the way.
+        """
+        row = mi.Vector4f(*si.to_local(w), weight)
+        kept = dr.empty(mi.Float, 4 * dr.width(w))
+        dr.scatter(kept, row, dr.arange(mi.UInt32, dr.width(w)))
+        return kept
 
     def _sees(self, si: Any, wo: mi.Vector3f, active: mi.Bool) -> mi.Bool:
         """Whether nothing stands in the way from a point, on either of its sides."""
@@ -334,22 +347,19 @@ class SurfacePoints:
         return escapes(self.specimen, self.side, ray, si.n, offset, active)
 
     def _sums(
-        self, si: Any, came: mi.Float, wo: mi.Vector3f, sizes: tuple[int, int, int]
+        self, si: Any, came: mi.Float, gone: mi.Float, sizes: tuple[int, int, int]
     ) -> Floats:
         """Sums of light over `n` points, of `m` incident directions from the `first`.
 
         Shape ``(n_batches, m, n_patches, channels)``; `sizes` are ``n, first, m``.
         """
-        n, first, m = sizes
+        n, _, m = sizes
         lanes = dr.arange(mi.UInt32, self.n_batches * m * self.n_patches)
         pair, patch = apart(lanes, self.n_patches)
         batch, incident = apart(pair, m)
-        own = incident, patch
-        incident = incident + dr.opaque(mi.UInt32, first)
         numbers = [dr.opaque(mi.UInt32, x) for x in (n, m, self.n_patches)]
-        wi = dr.gather(mi.Vector3f, self.wi, incident)
-        where = batch, *own
-        total, sound = _added_up(si, came, wo, wi, where, numbers)
+        where = batch, incident, patch
+        total, sound = _added_up(si, came, gone, where, numbers)
         total *= dr.gather(mi.Float, self.table[4], patch)
         dr.eval(total, sound)
         if not dr.all(sound):
@@ -361,12 +371,22 @@ class SurfacePoints:
         return light.astype(float).reshape(self.n_batches, m, self.n_patches, -1)
 
 
+def _shading_ratio(si: Any, w: mi.Vector3f) -> mi.Float:
+    """Cosine to the shading normal over that to the surface's own.
+
+    0 where both disagree about the side. Of both directions they make the correction
+    that :func:`~.surface_events.shading_normal_correction` is.
+    """
+    shading, own = dr.dot(si.sh_frame.n, w), dr.dot(si.n, w)
+    ratio = dr.select(shading * own > 0, dr.abs(shading / own), 0.0)
+    return dr.select(dr.all(si.sh_frame.n == si.n), mi.Float(1.0), ratio)
+
+
 @dr.syntax
 def _added_up(
     si: Any,
     came: mi.Float,
-    wo: mi.Vector3f,
-    wi: mi.Vector3f,
+    gone: mi.Float,
     where: tuple[mi.UInt32, mi.UInt32, mi.UInt32],
     sizes: Sequence[mi.UInt32],
 ) -> tuple[mi.UnpolarizedSpectrum, mi.Bool]:
@@ -377,14 +397,14 @@ def _added_up(
     sound = mi.Bool(True)
     point, end = batch * n, (batch + 1) * n
     while point < end:
-        power = dr.gather(mi.Float, came, point * m + incident)
-        towards = dr.gather(mi.Vector3f, wo, point * n_patches + patch)
-        active = (power > 0) & dr.any(towards != 0)
+        wi = dr.gather(mi.Vector4f, came, point * m + incident)
+        wo = dr.gather(mi.Vector4f, gone, point * n_patches + patch)
+        power = wi.w * wo.w
         here = dr.gather(mi.SurfaceInteraction3f, si, point)
-        here.wi = here.to_local(wi)
-        local = here.to_local(towards)
+        here.wi = mi.Vector3f(wi.x, wi.y, wi.z)
+        active = power > 0
+        local = mi.Vector3f(wo.x, wo.y, wo.z)
         value = here.bsdf().eval(flux_context(), here, local, active)
-        value *= shading_normal_correction(here, mi.Ray3f(here.p, -wi), local, towards)
         # comparisons with NaN are false
         good = (dr.min(value) >= 0) & (dr.max(value) <= MAX_POWER)
         total += dr.select(active & good, value * power, 0.0)
