@@ -101,8 +101,17 @@ class Launcher:
         whole = self.divisible and self.capacity == settings.batches
         if len(setups) >= FEWEST_TOGETHER and whole and _may_share(setup):
             fitting = STACKED_SUMS // (sums * n_numbers() * settings.batches)
-            self.together = max(1, min(fitting, FUSED_RAYS // settings.rays))
+            if Target.of(settings) is None:
+                fitting = min(fitting, FUSED_RAYS // settings.rays)
+            self.together = max(1, fitting)
             self.capacity *= self.together
+
+    def n_together(self, part: Round) -> int:
+        """How many incident directions share the launches of a round.
+
+        All of their batches do, as those of a single one.
+        """
+        return max(1, min(self.together, FUSED_RAYS // sum(part.sizes)))
 
     def tallies(
         self,
@@ -210,7 +219,7 @@ def _may_share(setup: Setup) -> bool:
     On a plane not those of plugins in Python that look into their arguments, for they
     may take the direction for that of all rays.
     """
-    if not setup.beam.collimated or Target.of(setup.settings) is not None:
+    if not setup.beam.collimated:
         return False
     if traces(setup):
         # the first order of each direction is a table of its own

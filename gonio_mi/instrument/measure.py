@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from os import PathLike
 from typing import Any
 
@@ -218,27 +219,41 @@ def _send(
     sent: Sequence[list[Tally]],
     report: Callable[[float], Any] | None,
 ) -> None:
-    """Add to what setups have `sent`, alike, what their settings ask for.
+    """Add to what each of the setups has `sent` what their settings ask for.
 
-    Precision is that with the light of `single` scattering, where rays leave it out.
+    Those whose next rounds are alike share them. Precision is that with the light of
+    `single` scattering, where rays leave it out.
     """
-    lead, light = setups[0], single[0]
-    rounds = schedule(
-        lead.settings,
-        round_rays(lead),
-        len(lead.passes),
-        sent[0],
-        lambda tally: record_of(lead, light.completed(tally) if light else tally),
-    )
-    for part in rounds:
-        grown = launcher.tallies(setups, part, report)
+    schedules = [
+        schedule(
+            setup.settings,
+            round_rays(setup),
+            len(setup.passes),
+            tallies,
+            partial(_looked_at, setup, light),
+        )
+        for setup, light, tallies in zip(setups, single, sent)
+    ]
+    parts = [next(rounds, None) for rounds in schedules]
+    while part := next(filter(None, parts), None):
+        alike = [number for number, other in enumerate(parts) if other == part]
+        alike = alike[: launcher.n_together(part)]
+        grown = launcher.tallies([setups[i] for i in alike], part, report)
+        own = [sent[i] for i in alike]
         if part.start:
-            for tallies, more in zip(sent, zip(*grown)):
+            for tallies, more in zip(own, zip(*grown)):
                 tallies[:] = [Tally.join(tallies).accumulate(Tally.join(more))]
-            continue
-        for each in grown:
-            for tallies, tally in zip(sent, each):
-                tallies.append(tally)
+        else:
+            for each in grown:
+                for tallies, tally in zip(own, each):
+                    tallies.append(tally)
+        for i in alike:
+            parts[i] = next(schedules[i], None)
+
+
+def _looked_at(setup: Setup, light: SingleScattering | None, tally: Tally) -> Record:
+    """Record of the rays so far, and of `light` if they leave that out."""
+    return record_of(setup, light.completed(tally) if light else tally)
 
 
 def _integrate(waiting: list[tuple[Setup, list[Tally], list[Tally]]]) -> None:
