@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .array_types import Floats, Integers, Singles
+from .array_types import Numbers, Singles
 
 
 def _named(names: Any, new: str, old: str) -> int:
@@ -27,8 +27,10 @@ SURFACE = _named(mi.RayFlags, "Shading", "All")
 PARTIALS = SURFACE | _named(mi.RayFlags, "NormalPartials", "dNSdUV")
 
 
-def triangles_of(parameters: Any) -> tuple[Floats, Integers] | None:
+def triangles_of(parameters: Any) -> tuple[Numbers, Numbers] | None:
     """Points ``(n, 3)`` and triangles ``(m, 3)`` of a shape; None of what has none.
+
+    In Mitsuba's precision, and perhaps its memory.
 
     Parameters
     ----------
@@ -38,11 +40,11 @@ def triangles_of(parameters: Any) -> tuple[Floats, Integers] | None:
     name = "positions" if "positions" in parameters else "vertex_positions"
     if name not in parameters:
         return None
-    points = np.array(parameters[name], dtype=float).reshape(-1, 3)
-    faces = np.array(parameters["faces"], dtype=int).reshape(-1, 3)
+    points = np.asarray(parameters[name]).reshape(-1, 3)
+    faces = np.asarray(parameters["faces"]).reshape(-1, 3)
     # vertices may share a position
     if "position_index" in parameters and len(parameters["position_index"]):
-        faces = np.array(parameters["position_index"], dtype=int)[faces]
+        faces = np.asarray(parameters["position_index"])[faces]
     return points, faces
 
 

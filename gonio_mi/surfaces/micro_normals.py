@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Floats, Integers
+from ..array_types import Floats, Integers, Numbers
 from ..collector.directions import direction
 from ..errors import SpecimenError, checked_count, checked_number
 from ..instrument.loading import load_specimen
@@ -105,14 +105,14 @@ def _points(
 
 
 def _mesh_points(
-    vertices: Floats, faces: Integers, n: int, generator: np.random.Generator
+    vertices: Numbers, faces: Numbers, n: int, generator: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """Uniform points of a mesh and their normals, in double precision.
 
     What Mitsuba draws of a mesh of many triangles lies beside them: one number in
     single precision chooses the triangle and the place in it.
     """
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    a, b, c = (vertices[faces[:, i]].astype(float) for i in range(3))
     normal = np.cross(b - a, c - a)
     size = np.cumsum(np.linalg.norm(normal, axis=1))
     chosen = np.searchsorted(size, generator.random(n) * size[-1], side="right")

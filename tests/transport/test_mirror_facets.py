@@ -72,7 +72,7 @@ def test_faint_slopes_send_what_facets_send():
     rounding = 2 * np.finfo(np.float32).eps
     assert np.ptp(shares, axis=0).max() <= rounding * shares.max()
     points, faces = triangles_of(mi.traverse(shape))
-    a, b, c = (points[faces[:, i]] for i in range(3))
+    a, b, c = (points[faces[:, i]].astype(float) for i in range(3))
     normals = np.cross(b - a, c - a) / 2
 
     def expected(theta_i):
