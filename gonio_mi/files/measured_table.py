@@ -21,7 +21,7 @@ from ..errors import (
     shown,
 )
 from . import replacing
-from .table_text import is_decimal
+from .table_text import is_decimal, without_degrees
 
 COLUMNS = ("theta_i", "phi_i", "theta_o", "phi_o", "value")
 # Incident directions that are listed where a table is shown.
@@ -405,10 +405,11 @@ def _read_key(
         return
     try:
         if name in NUMBERS:
-            if not is_decimal(text):
+            number = without_degrees(text) if name.endswith("half_angle") else text
+            if not is_decimal(number):
                 condition = NUMBERS[name][2]
                 raise SettingError(f"{name} must be {condition}, got {shown(text)}")
-            settings[name] = checked_number(name, text.rstrip(" °"), *NUMBERS[name])
+            settings[name] = checked_number(name, number, *NUMBERS[name])
             return
         if name != "channel":
             choices = (*UNITS, "1") if name == "units" else QUANTITIES

@@ -29,7 +29,14 @@ from .table_names import (
     recognised,
     unit_of,
 )
-from .table_text import TextTable, decimal, decimals, is_decimal, split_text
+from .table_text import (
+    TextTable,
+    decimal,
+    decimals,
+    is_decimal,
+    split_text,
+    without_degrees,
+)
 
 OWN_NAMES = (*COLUMNS, "sigma")
 
@@ -316,9 +323,9 @@ class _Reading:
 
     def _numbers(self) -> dict[str, Floats]:
         """Numbers of the picked columns, in the rows with a value."""
-        names = self.text.names
         places = {
-            role: names.index(column.name) for role, column in self.picked.items()
+            role: self.text.names.index(column.name)
+            for role, column in self.picked.items()
         }
         self.lines: list[int] = []
         kept: list[list[str]] = []
@@ -333,9 +340,7 @@ class _Reading:
         rows = [[cells[index] for index in places.values()] for cells in kept]
         numbers: Any = decimals([cell for row in rows for cell in row])
         if numbers is None or not np.all(np.isfinite(numbers)):
-            picked = [names[index] for index in places.values()]
-            each = zip(self.lines, rows)
-            numbers = [self._row(number, picked, row) for number, row in each]
+            numbers = [self._row(number, row) for number, row in zip(self.lines, rows)]
         if not self.lines:
             raise FileFormatError(f"{self.place} has no row with a value")
         if missing:
@@ -345,18 +350,16 @@ class _Reading:
         columns = np.reshape(numbers, (-1, len(places))).T
         return {role: column.copy() for role, column in zip(places, columns)}
 
-    def _row(
-        self, number: int, names: Sequence[str], row: Sequence[str]
-    ) -> list[float]:
+    def _row(self, number: int, row: Sequence[str]) -> list[float]:
         """Numbers of a line, or FileFormatError for the first that is not finite."""
         values = []
-        for name, cell in zip(names, row):
-            where = f"{self.place}, line {number}, column {name}"
-            try:
-                value = decimal(cell)
-            except ValueError as error:
-                raise FileFormatError(f"{where}: {error}") from None
-            if not np.isfinite(value):
+        for (role, column), cell in zip(self.picked.items(), row):
+            where = f"{self.place}, line {number}, column {column.name}"
+            in_degrees = role in ANGLES and column.unit != "rad"
+            text = without_degrees(cell) if in_degrees else cell
+            if not is_decimal(text):
+                raise FileFormatError(f"{where}: must be a number, got {shown(cell)}")
+            if not np.isfinite(value := decimal(text)):
                 raise FileFormatError(
                     f"{where}: must be a finite number, got {cell.strip()}"
                 )

@@ -19,7 +19,7 @@ from ..errors import FileFormatError, SettingError, shown
 from .table_names import is_unit
 
 DECIMAL = re.compile(
-    r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?( ?°)?|[+-]?(nan|inf|infinity)",
+    r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?|[+-]?(nan|inf|infinity)",
     re.ASCII | re.IGNORECASE,
 )
 
@@ -225,7 +225,7 @@ def cut(line: str, delimiter: str) -> list[str]:
 def is_row(line: str) -> bool:
     """Whether a line holds at least two numbers and nothing else."""
     for delimiter in DELIMITERS:
-        cells = [cell.strip() for cell in cut(line, delimiter)]
+        cells = [without_degrees(cell) for cell in cut(line, delimiter)]
         if len(cells) > 1 and all(
             is_decimal(c) or is_decimal(c.replace(",", ".", 1)) for c in cells
         ):
@@ -237,9 +237,14 @@ def has_decimal_commas(rows: Sequence[Line], delimiter: str) -> bool:
     """Whether numbers are written with commas, and none with a point."""
     if delimiter == "," or not any("," in line for _, line in rows):
         return False
-    cells = [cell.strip() for _, line in rows for cell in cut(line, delimiter)]
+    cells = [without_degrees(c) for _, line in rows for c in cut(line, delimiter)]
     written = [c for c in cells if "," in c and is_decimal(c.replace(",", ".", 1))]
     return bool(written) and not any("." in c for c in cells if is_decimal(c))
+
+
+def without_degrees(text: str) -> str:
+    """Text without one sign of degrees at its end, as angles may have it."""
+    return text.strip().removesuffix("°").rstrip()
 
 
 def is_decimal(text: str) -> bool:
@@ -251,8 +256,7 @@ def is_decimal(text: str) -> bool:
 def decimal(text: str) -> float:
     """Return the number that `text` is, as instruments and spreadsheets write them.
 
-    A sign of degrees may follow it. Python's ``float`` takes ``0_3`` for 3, and digits
-    of other scripts.
+    Python's ``float`` takes ``0_3`` for 3, and digits of other scripts.
 
     Raises
     ------
@@ -261,7 +265,7 @@ def decimal(text: str) -> float:
     """
     if not is_decimal(text):
         raise SettingError(f"must be a number, got {shown(text)}")
-    return float(text.rstrip(" °"))
+    return float(text)
 
 
 def decimals(cells: Sequence[str]) -> Floats | None:

@@ -157,8 +157,32 @@ def test_gaps_degrees_and_an_unsaid_quantity_in_our_own_columns(tmp_path):
     assert any("they count as brdf in 1/sr" in note for note in table.notes)
     said = gonio.read_measured(written(tmp_path, f"# quantity: brdf\n{text}"))
     assert said.notes == ("1 rows without a value are left out",)
-    with pytest.raises(gonio.FileFormatError, match="must be a number, got '45°°'"):
-        gonio.read_measured(written(tmp_path, text.replace("45°", "45°°")))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "got"),
+    [
+        ("30 °", "30°°", "column theta_o: must be a number, got '30°°'"),
+        ("0.4", "0.4°", "column value: must be a number, got '0.4°'"),
+        (",0.1", ",0.1 °", "column sigma: must be a number, got '0.1 °'"),
+        ("y: 0.1", "y: 0.1°", "uncertainty must be a finite number .* got '0.1°'"),
+    ],
+)
+def test_degrees_are_signs_of_angles_alone(tmp_path, before, after, got):
+    """Twin: that of the angles is read, in a column and in a key."""
+    text = "# aperture_half_angle: 2 °\n# scale_uncertainty: 0.1\n"
+    text += "theta_i,phi_i,theta_o,phi_o,value,sigma\n45°,0,30 °,180,0.4,0.1\n"
+    table = gonio.read_measured(written(tmp_path, text))
+    assert (table.theta_o[0], table.value[0], table.aperture_half_angle) == (30, 0.4, 2)
+    with pytest.raises(gonio.FileFormatError, match=got):
+        gonio.read_measured(written(tmp_path, text.replace(before, after)))
+
+
+def test_degrees_in_a_column_of_radians_are_refused(tmp_path):
+    text = "theta_i [rad];phi_i [deg];theta_o [deg];phi_o [deg];BRDF\n{};0;30°;180;1\n"
+    assert gonio.read_measured(written(tmp_path, text.format(1))).theta_o[0] == 30
+    with pytest.raises(gonio.FileFormatError, match="must be a number, got '1°'"):
+        gonio.read_measured(written(tmp_path, text.format("1°")))
 
 
 def test_what_is_said_against_a_name_is_noted(tmp_path):
