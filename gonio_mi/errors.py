@@ -13,7 +13,7 @@ import traceback
 import warnings
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, SupportsIndex, TypeVar
 
 # Characters of a message, of a word in it, and of a value that it repeats.
 MAX_MESSAGE, MAX_WORD, MAX_VALUE = 400, 120, 80
@@ -68,6 +68,11 @@ def abridged_apart(texts: Sequence[str], longest: int) -> list[str]:
         start = max(texts[0].rfind(",", 0, alike) + 1, alike - longest // 2)
         short = [abridged(f"... {text[start:]}", longest) for text in texts]
     return short
+
+
+def number_of(n: SupportsIndex, noun: str) -> str:
+    """Number and noun: ``1 row``, ``2 rows``."""
+    return f"{n} {noun}{'s' if n != 1 else ''}"
 
 
 def shown(value: object, longest: int = MAX_VALUE) -> str:

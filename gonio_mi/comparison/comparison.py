@@ -177,12 +177,15 @@ class Comparison:
         return f"<Comparison of {said}>"
 
     def __str__(self) -> str:
-        found, p = self.statistics, self.p_values
+        found, p, n = self.statistics, self.p_values, len(self.z)
         verdict = {
             "agree": "agree",
             "differ": "DIFFER",
             "undecided": "cannot be decided with these patches",
         }[self.verdict]
+        together = f" ({found['chi2']:.6g} of {n} points that scatter together)"
+        if np.isclose(found["chi2_dof"], n):
+            together = ""
         lines = [
             *(f"note: {one}" for one in self.notes if one.endswith(NO_UNCERTAINTY)),
             f"rms error   {self.rms:.4g} 1/sr, {100 * self.relative_rms:.3g} % of the "
@@ -192,10 +195,10 @@ class Comparison:
                 if found["scale"] != 1
                 else []
             ),
-            f"chi-square  {found['chi2'] / len(self.z) * found['chi2_dof']:.6g} for "
-            f"{found['chi2_dof']:.4g} degrees of freedom ({found['chi2']:.6g} of "
-            f"{len(self.z)} points that scatter together), p = {p['chi2']:.3g}",
-            f"worst       |z| = {found['worst']:.3g} of {len(self.z)} points, "
+            f"chi-square  {found['chi2'] / n * found['chi2_dof']:.6g} for "
+            f"{found['chi2_dof']:.4g} degrees of freedom{together}, "
+            f"p = {p['chi2']:.3g}",
+            f"worst       |z| = {found['worst']:.3g} of {n} points, "
             f"p = {p['worst']:.3g}",
             f"total       |z| = {found['total']:.3g} of the sum over all points of a "
             f"hemisphere, p = {p['total']:.3g}"

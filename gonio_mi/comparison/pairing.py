@@ -21,7 +21,7 @@ from .patch_variation import REMEDY, variation_within
 
 # Note on a table, which comes before all numbers: they mean little without it.
 NO_UNCERTAINTY = (
-    "its values count as exact, unless `uncertainty` (--uncertainty) is said"
+    "its values count as exact, unless `uncertainty` (--uncertainty) is given"
 )
 
 

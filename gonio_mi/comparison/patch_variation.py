@@ -108,7 +108,8 @@ def left_undecided(
     notes.append(
         f"means over patches stand for points: up to {np.median(parts):.1%} of a value "
         f"in the median, {parts.max():.1%} at most, may be what the BRDF does within a "
-        f"patch, and are not counted; if they were, p would be {counted:.3g}"
+        "patch, and are not counted as differences; counting them, p would be "
+        f"{counted:.3g}"
     )
     if least < limit or bare >= limit:
         return False

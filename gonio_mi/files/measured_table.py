@@ -18,6 +18,7 @@ from ..errors import (
     checked_choice,
     checked_number,
     did_you_mean,
+    number_of,
     shown,
 )
 from . import replacing
@@ -175,8 +176,8 @@ class MeasuredTable:
             f"table       {self.name}",
             f"values      {len(self)} of {self.quantity}"
             + (f", channel {self.channel}" if self.channel else ""),
-            f"incident    {len(incident)} directions (theta_i, phi_i) in degrees: "
-            f"{' '.join(listed)}",
+            f"incident    {number_of(len(incident), 'direction')} (theta_i, phi_i) in "
+            f"degrees: {' '.join(listed)}",
             f"exit        theta_o {low:.5g} to {high:.5g} degrees",
             f"BSDF        {self.bsdf.min():.4g} to {self.bsdf.max():.4g} 1/sr, mean "
             f"{self.bsdf.mean():.4g}",
@@ -188,8 +189,8 @@ class MeasuredTable:
 
     def __repr__(self) -> str:
         return (
-            f"<MeasuredTable {self.name}: {len(self)} values of {self.quantity}, "
-            f"{len(self.incident)} incident directions>"
+            f"<MeasuredTable {self.name}: {number_of(len(self), 'value')} of "
+            f"{self.quantity}, {number_of(len(self.incident), 'incident direction')}>"
         )
 
     @property
@@ -345,8 +346,8 @@ def repeats_noted(table: MeasuredTable) -> MeasuredTable:
     with np.errstate(invalid="ignore", divide="ignore"):
         spread = np.nanmax(np.where(apart > 0, apart / largest, 0.0))
     note = (
-        f"{np.count_nonzero(counts > 1)} directions occur more than once; their "
-        f"values differ by up to {spread:.2g} of the larger one"
+        f"{number_of(np.count_nonzero(counts > 1), 'direction')} with several values, "
+        f"which differ by up to {spread:.2g} of the larger one"
     )
     return replace(table, notes=(*table.notes, note))
 

@@ -15,6 +15,7 @@ from ..errors import (
     SettingError,
     abridged,
     checked_choice,
+    number_of,
     shown,
 )
 from ..results.record import chosen_channel
@@ -346,7 +347,8 @@ class _Reading:
         if missing:
             codes = ", ".join(sorted({one for one in missing if one.startswith("-9")}))
             why = f": {codes} stands for none" if codes else ""
-            self.notes.append(f"{len(missing)} rows without a value are left out{why}")
+            rows_left_out = number_of(len(missing), "row")
+            self.notes.append(f"{rows_left_out} without a value left out{why}")
         columns = np.reshape(numbers, (-1, len(places))).T
         return {role: column.copy() for role, column in zip(places, columns)}
 
@@ -389,8 +391,8 @@ class _Reading:
             raise FileFormatError(f"{self.place} has no row without a missing number")
         codes = ", ".join(f"{code:g}" for code in sorted(found))
         self.notes.append(
-            f"{np.count_nonzero(gone)} rows that lack another number than the value "
-            f"are left out: {codes} stands for none"
+            f"{number_of(np.count_nonzero(gone), 'row')} without another number than "
+            f"the value left out: {codes} stands for none"
         )
         self._keep(~gone)
 
@@ -454,8 +456,8 @@ class _Reading:
         if self.own and found in (None, "", "brdf"):
             if not found:
                 self.notes.append(
-                    "it does not say what its values are: they count as brdf in 1/sr, "
-                    "without cosine; --quantity says another"
+                    "no quantity is stated: taken as brdf in 1/sr, without cosine; "
+                    "--quantity sets another"
                 )
             return "brdf"
         if not found:

@@ -17,7 +17,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SettingError
+from ..errors import SettingError, number_of
 from ..files.checks import require
 from .format import Format, Lines
 from .scatter import Points
@@ -87,7 +87,7 @@ def read(stream: BinaryIO, quantity: str | None = None) -> Points:
     require(bool(lit.any()), "all its directions are at or below the horizon")
     if not lit.all():
         left = np.count_nonzero(~lit)
-        notes.append(f"{left} rows at or below the horizon are left out")
+        notes.append(f"{number_of(left, 'row')} at or below the horizon left out")
     return Points(
         of_all[lit], np.concatenate(values)[lit, None], ("Y",), {}, tuple(notes)
     )

@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import SettingError, checked_choice, checked_number, printable, shown
+from ..errors import (
+    SettingError,
+    checked_choice,
+    checked_number,
+    number_of,
+    printable,
+    shown,
+)
 from ..results.record import Record
 from ..results.tally import Ledger, Tally, grouped
 from ..settings import MeasurementSettings
@@ -74,7 +81,7 @@ class ExitProfile:
         rays = f"{grouped(self.ledger.emitted)} rays"
         return (
             f"<ExitProfile of {printable(self.specimen)}: "
-            f"{n} ring{'s' if n > 1 else ''} from {first:g} to {last:g}, {rays}, "
+            f"{number_of(n, 'ring')} from {first:g} to {last:g}, {rays}, "
             f"dhr {np.array2string(self.dhr, precision=5)}>"
         )
 

@@ -153,10 +153,10 @@ def test_gaps_degrees_and_an_unsaid_quantity_in_our_own_columns(tmp_path):
     text = "theta_i,phi_i,theta_o,phi_o,value\n45°,0,30 °,180,0.4\n45,0,31,180,NaN\n"
     table = gonio.read_measured(written(tmp_path, text + "45,0,32,180,\n"))
     assert (table.theta_i.tolist(), table.theta_o.tolist()) == ([45], [30])
-    assert "2 rows without a value are left out" in table.notes
-    assert any("they count as brdf in 1/sr" in note for note in table.notes)
+    assert "2 rows without a value left out" in table.notes
+    assert any("taken as brdf in 1/sr" in note for note in table.notes)
     said = gonio.read_measured(written(tmp_path, f"# quantity: brdf\n{text}"))
-    assert said.notes == ("1 rows without a value are left out",)
+    assert said.notes == ("1 row without a value left out",)
 
 
 @pytest.mark.parametrize(
@@ -269,7 +269,7 @@ def test_units_below_the_names_colours_and_gaps(tmp_path):
     table = gonio.read_measured(path, "G", quantity="btdf")
     assert table.theta_i.tolist() == [np.degrees(0.5)]
     assert (table.value.tolist(), table.channel) == ([2], "G")
-    assert "1 rows without a value are left out" in table.notes
+    assert "1 row without a value left out" in table.notes
     with pytest.raises(ValueError, match=r"one of R, G, B: say --channel"):
         gonio.read_measured(path, quantity="btdf")
     with pytest.raises(ValueError, match=r"one of R, G, B for .*, got 'K'"):

@@ -529,7 +529,7 @@ def test_repeated_directions_are_noted(tmp_path):
     """Twin of the refusal: values that agree, or whose uncertainty explains them."""
     text = f"{HEAD}brdf\n{ROW}0.50\n{ROW}0.51\n45;0;40;180;0.4\n"
     notes = read(tmp_path, text).notes
-    assert any("1 directions occur more than once" in note for note in notes)
+    assert any("1 direction with several values" in note for note in notes)
     text = f"{HEAD}brdf;sigma\n{ROW}0.1;0.2\n{ROW}0.9;0.2\n"
     assert len(read(tmp_path, text)) == 2
 
@@ -574,7 +574,7 @@ def test_a_number_in_a_name_that_is_said_to_be_standard(tmp_path):
 
 def test_rows_without_an_angle_are_counted(tmp_path):
     text = f"{HEAD}brdf\n45;0;10;-999;0.1\n45;0;10;-9999;0.1\n{ROW}0.4\n"
-    note = "2 rows that lack another number than the value are left out: -9999, -999"
+    note = "2 rows without another number than the value left out: -9999, -999"
     assert any(one.startswith(note) for one in read(tmp_path, text).notes)
     with pytest.raises(ValueError, match="no row without a missing number"):
         read(tmp_path, f"{HEAD}brdf\n45;0;10;-999;0.1\n")

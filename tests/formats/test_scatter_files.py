@@ -889,7 +889,7 @@ def test_what_the_table_of_fred_cannot_be(tmp_path):
     path.write_text(text)
     table = gonio.read_measured(path, quantity="brdf")
     assert table.theta_o.tolist() == [10]
-    assert "1 rows at or below the horizon are left out" in table.notes
+    assert "1 row at or below the horizon left out" in table.notes
     through = gonio.read_measured(path, quantity="btdf")
     assert (through.quantity, through.theta_o.tolist()) == ("btdf", [170])
     for name in ("a.json", "a.astm"):
