@@ -31,8 +31,8 @@ from ..transport.specimen import Specimen
 TASK_RAYS = 10**7
 TASKS = 16
 
-# Incident directions of a task whose integrals are found together, of all light or of
-# that of first events.
+# Incident directions of a task whose integrals are found together: of all light, or of
+# that scattered once.
 INTEGRALS = 16
 
 

@@ -28,8 +28,8 @@ MAX_LAUNCH = 2**24
 FUSED_RAYS = 2**22
 FUSED_SUMS = 2**19
 
-# The same numbers of all incident directions that share launches: beyond the cache, for
-# Dr.Jit's other threads look for work for 10 ms after each launch, whatever it takes.
+# The same numbers of all incident directions that share launches: beyond the cache,
+# because Dr.Jit's idle threads spin for 10 ms after each launch.
 STACKED_SUMS = 2**21
 
 # Rays of the first launch: traced and on a plane; and points that traced ones send

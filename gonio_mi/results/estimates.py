@@ -436,8 +436,8 @@ class ControlledEstimates(SampledEstimates):
 class SplitEstimates(ControlledEstimates):
     """Estimates where points of the surface tell the first order, in batches too.
 
-    Most patches receive few branches of rays of more events, or none by chance, which
-    shows in no scatter of their own: they are judged as if it were of branches alone.
+    Most patches receive few branches, or none, which their own scatter does not show;
+    their intervals therefore allow for one more branch.
     """
 
     @property

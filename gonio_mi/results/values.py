@@ -344,16 +344,13 @@ class MeasuredValues:
         they scatter more than half as many that are alike and independent, and in all
         patches where three of four do so, the interval reaches at least to the limits
         for weighted counts (Fay and Feuer 1997), of which one of unit weight may have
-        been missed. Sums over mirror facets (`transport` of the provenance ``facets``)
-        are changed by few rays: it reaches at least to the limits of a Poisson count
-        of rays that would scatter as much. Of `split`, whose points of the surface
-        count as hits, it is Student's t for the sum of points and rays; wider than
-        need be where rays are fewer than points.
+        been missed.
 
-        Where the first order is known without rays, a sum over `facets` or points of
-        the surface (`split`), the interval is at least that of a Poisson count of as
-        many rays of weight 1, or branches of a 16th of it, as explain the scatter, of
-        which one more may have been missed.
+        Where the first order is known without rays, a sum over mirror facets
+        (`transport` of the provenance ``facets``) or over points of the surface
+        (`split`, which count as hits), the interval is at least that of a Poisson
+        count of as many rays of weight 1, or branches of a 16th of it, as explain the
+        scatter, of which one more may have been missed.
 
         Integrals (estimator `quadrature`) may be wrong by their error, the largest that
         they are estimated to have, at any `level`; Student's t for delta components,

@@ -201,8 +201,9 @@ class MeasurementSettings:
         "facets in a periodic cell, which a collimated beam fills, it sums the first "
         "order up over the facets, and rays tell the rest. ``split`` integrates "
         "``eval`` over periodic, opaque geometry for light of one event, jointly for "
-        "all incident directions, and sums throughput for that of more: for stacks of "
-        "maps of rough facets. ``auto`` takes the cheapest but ``analog`` and "
+        "all incident directions, and sums throughput for that of more, of rays that "
+        f"branch in {BRANCHES} directions where they meet a surface again: for stacks "
+        "of maps of rough facets. ``auto`` takes the cheapest but ``analog`` and "
         "``split``; the record names it, and why.",
         group=METHOD,
         metavar="E",

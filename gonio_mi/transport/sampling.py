@@ -207,7 +207,7 @@ def _set_size(sampler: mi.Sampler, n: int) -> None:
 
 
 def _seeds(keys: Sequence[tuple[int, ...]]) -> Numbers:
-    """32-bit seed of each tuple of as many whole numbers, well mixed.
+    """32-bit seed of each tuple, well mixed; all have the same length.
 
     Each is that of NumPy's `SeedSequence`, which takes 10 microseconds for one.
     """

@@ -219,7 +219,7 @@ CASES["mirrors, 75 degrees"] = replace(
     CASES["mirrors"], settings=CASES["mirrors"].settings | {"theta_i": 75}
 )
 METAL = {"type": "roughconductor", "alpha": 0.3, "distribution": "ggx"}
-CASES["split, cavities"] = Case(
+CASES["split, grey grooves"] = Case(
     lambda: _groove({"type": "diffuse", "reflectance": 0.8}), PERIODIC, **SPLIT
 )
 CASES["split, grooves"] = Case(lambda: _groove(METAL), PERIODIC, **SPLIT)

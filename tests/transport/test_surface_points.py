@@ -1,4 +1,4 @@
-"""Estimator `split`: light of first events is an integral over the surface.
+"""Estimator `split`: single scattering is an integral over the surface.
 
 Patches scatter together, so that they are judged by sums over rings and quarters of the
 azimuth, whose p-values are added up (Bonferroni), not as if independent.
@@ -222,7 +222,7 @@ def test_is_not_resumed():
 
 @pytest.mark.parametrize("pays", [True, False])
 def test_a_campaign_takes_it_where_it_pays(pays, monkeypatch):
-    """Else rays, whatever was found before is forgotten; of what they find, no more."""
+    """Where it is refused from the start, rays measure all."""
     monkeypatch.setattr(schedule, "PILOT_RAYS", 2**12)
     monkeypatch.setattr(whole_bsdf, "N_UNSEEN", 4)
     monkeypatch.setattr(surface_points, "MAX_POINTS_NOISE2", np.inf if pays else 0.0)
