@@ -304,6 +304,8 @@ def floats(values: Numbers) -> mi.Float:
 
     NumPy's begins anywhere, and what is read from there is another kernel.
     """
+    if not mi.variant().startswith("llvm"):  # NumPy would write into a copy
+        return mi.Float(np.ascontiguousarray(values, np.float32))
     found = dr.empty(mi.Float, len(values))
     found.numpy()[:] = values
     return found
