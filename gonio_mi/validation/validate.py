@@ -147,17 +147,17 @@ def validate(
                 _examine(evidence, plan, name, progress)
         except PluginFault as fault:
             _stop(evidence, fault)
-    properties = properties_of(evidence, alpha, allow)
-    failed = {p.name: str(p.effect) for p in properties if p.status == FAILS}
-    shares = {p.name: p.share for p in properties}
-    function, mistake = None, None
-    if failed:
-        if polarised:
-            function, mistake = polarised_mistake(evidence, failed)
-        else:
-            function, mistake = likely_mistake(evidence, failed, shares)
-            if not of_volumes:
-                _add_maps_of_failure(evidence, plan)
+        properties = properties_of(evidence, alpha, allow)
+        failed = {p.name: str(p.effect) for p in properties if p.status == FAILS}
+        shares = {p.name: p.share for p in properties}
+        function, mistake = None, None
+        if failed:
+            if polarised:
+                function, mistake = polarised_mistake(evidence, failed)
+            else:
+                function, mistake = likely_mistake(evidence, failed, shares)
+                if not of_volumes:
+                    _add_maps_of_failure(evidence, plan)
     settings = {
         "effort": effort,
         "seed": seed,

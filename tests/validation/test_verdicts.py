@@ -5,12 +5,14 @@ GONIO_EFFORT=normal (or thorough) examines the broken ones harder than quick.
 
 import json
 import os
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import broken_bsdfs
 import budget
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -20,10 +22,11 @@ from gonio_mi import SpecimenError, cli
 from gonio_mi.commands import validate as command
 from gonio_mi.commands.validate import told
 from gonio_mi.testing import assert_bsdf_valid
+from gonio_mi.threads import thread_count
 from gonio_mi.validation import POLARISED, PROPERTIES, save_report, validate
 from gonio_mi.validation.checks import cost, delta
 from gonio_mi.validation.conditions import Condition
-from gonio_mi.validation.diagnosis import EXPLAINED_BY
+from gonio_mi.validation.diagnosis import EXPLAINED_BY, likely_mistake
 from gonio_mi.validation.evidence import EFFECTS, Breach, Evidence
 from gonio_mi.validation.samples import samples_of
 from gonio_mi.validation.validate import coloured
@@ -99,6 +102,41 @@ def test_verdict_is_deterministic():
     assert first.to_dict() == second.to_dict()
     other = validate({"type": "mixture"}, effort="quick", seed=1)
     assert other["sampling"].statistic != first["sampling"].statistic
+
+
+@pytest.mark.usefixtures("plugins")
+@pytest.mark.parametrize("name", ["eval_without_pi", "pdf_raises"])
+def test_quick_has_one_thread_and_gives_the_others_back(name, monkeypatch):
+    """Up to the name of the mistake, and where a plugin stops it."""
+    seen = []
+
+    def noted(*arguments):
+        seen.append(dr.thread_count())
+        return likely_mistake(*arguments)
+
+    module = sys.modules["gonio_mi.validation.validate"]
+    monkeypatch.setattr(module, "likely_mistake", noted)
+    with thread_count(3):
+        validate({"type": name}, effort="quick")
+        assert (seen, dr.thread_count()) == ([1], 3)
+
+
+@pytest.mark.usefixtures("polarised")
+def test_files_of_textures_are_read_beside_one_thread(tmp_path):
+    """EXR files are read in other threads: where there is none, without end."""
+    path = str(tmp_path / "texture.exr")
+    mi.Bitmap(np.full((2, 2, 1), 0.5, np.float32)).write(path)
+    code = f"""
+import gonio_mi as gonio, mitsuba as mi
+for variant in "llvm_ad_mono", "llvm_ad_mono_polarized":
+    mi.set_variant(variant)
+    texture = {{"type": "bitmap", "filename": {path!r}, "raw": True}}
+    bsdf = {{"type": "diffuse", "reflectance": texture}}
+    print(gonio.validate(bsdf, effort="quick").passed)
+"""
+    words = [sys.executable, "-c", code]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300)
+    assert done.stdout == "True\nTrue\n", done.stderr
 
 
 @pytest.mark.usefixtures("plugins")
