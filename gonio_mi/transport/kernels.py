@@ -176,7 +176,9 @@ def _first_cause(error: BaseException) -> BaseException:
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    """The error, its cause, and so on."""
-    while error is not None:
+    """The error, its cause, and so on, each once."""
+    seen: list[BaseException] = []
+    while error is not None and error not in seen:
         yield error
+        seen.append(error)
         error = error.__cause__

@@ -10,7 +10,7 @@ import mitsuba as mi
 import pytest
 
 import gonio_mi as gonio
-from gonio_mi.errors import SpecimenError, VariantError
+from gonio_mi.errors import SpecimenError, VariantError, is_ctrl_c
 from gonio_mi.instrument import launcher
 from gonio_mi.instrument.loading import load_specimen
 from gonio_mi.transport.kernels import check_all_counted, launches_kernels
@@ -335,3 +335,15 @@ def test_plugin_that_raises(function, way, mono):  # noqa: ARG001
     registered(name, "none")
     mended = gonio.measure({"type": name}, 30, **SMALL, **way)
     assert good.ledger == mended.ledger
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_errors_that_cause_themselves_come_out(n, mono):  # noqa: ARG001
+    """As in ``raise error from error``, and in a circle of `n`."""
+    errors = [ArithmeticError(f"error {i}") for i in range(n)]
+    for i, error in enumerate(errors):
+        error.__cause__ = errors[(i + 1) % n]
+    assert not is_ctrl_c(errors[0])
+    wrapper = RuntimeError("Dr.Jit encountered an exception")
+    with pytest.raises(ArithmeticError, match=f"error {n - 1}"), launches_kernels():
+        raise wrapper from errors[0]
