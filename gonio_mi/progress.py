@@ -62,6 +62,11 @@ class _Bar(tqdm):
         super().__enter__()
         return self.update
 
+    @property
+    def format_dict(self) -> dict[str, Any]:
+        """What is shown, in whole numbers of what is counted."""
+        return super().format_dict | {"n": round(self.n)}
+
 
 class _Lines(_Bar):
     """Progress in lines, of which the first comes after a while.

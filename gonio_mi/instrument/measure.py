@@ -179,7 +179,13 @@ def send_all(
     ) as report:
         try:
             if settings.estimator.splits:
-                with bar(progress, "of the surface", unit="point", delay=1) as joined:
+                with bar(
+                    progress,
+                    desc="points of the surface",
+                    unit="point",
+                    unit_scale=True,
+                    delay=1,
+                ) as joined:
                     single = single_scattering(setups, joined)
             for some in _groups(len(setups), launcher.together):
                 # without the integrals beside them rays are not enough

@@ -40,6 +40,13 @@ def test_a_line_once_a_while(clock, capsys):
     assert capsys.readouterr().err.startswith("2.00M rays")
 
 
+def test_counts_are_whole_where_parts_are_reported(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    with progress.bar(True, unit="point", mininterval=0) as report:
+        report(1024 / 3)
+    assert any(one.startswith("341point [") for one in terminal.drawn())
+
+
 def test_a_line_while_nothing_is_reported(monkeypatch, capsys):
     """Of the first direction, which takes long."""
     monkeypatch.setattr(progress, "PAUSE", 0.02)
