@@ -913,16 +913,16 @@ def test_help_is_sentences_of_ascii(command):
 
 
 def loaded(words):
-    """Modules that the program has loaded at its end."""
+    """Modules that the program has loaded at its end, with the exit code 0."""
     program = (
         "import sys\n"
         f"sys.argv = {['gonio-mi', *map(str, words)]!r}\n"
         "from gonio_mi.cli import main\n"
-        "try: main()\n"
-        "except SystemExit: pass\n"
+        "try: sys.exit(main())\n"
         "finally: print(*sys.modules, file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True)
+    assert done.returncode == 0, done.stderr
     return set(done.stderr.decode().split())
 
 
@@ -934,7 +934,9 @@ def test_a_command_imports_no_other():
     assert loaded(["measure", "--help"]) > {"gonio_mi.commands.measure", "mitsuba"}
 
 
-@pytest.mark.parametrize(("command", "output"), [("show", ""), ("report", "page.html")])
+@pytest.mark.parametrize(
+    ("command", "output"), [("show", ""), ("report", "page.html"), ("plot", "a.png")]
+)
 def test_commands_that_only_read_do_not_load_mitsuba(command, output, saved, tmp_path):
     modules = loaded(
         [command, saved[0], *(["-o", tmp_path / output] if output else [])]

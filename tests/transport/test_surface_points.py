@@ -19,7 +19,7 @@ from gonio_mi.campaigns import whole_bsdf
 from gonio_mi.campaigns.campaign import campaign
 from gonio_mi.collector.directions import direction
 from gonio_mi.errors import SettingError, SpecimenError
-from gonio_mi.instrument import measure, schedule
+from gonio_mi.instrument import launcher, measure, schedule
 from gonio_mi.instrument.measure import measure_each
 from gonio_mi.transport import surface_points
 
@@ -169,7 +169,7 @@ def test_channels(rgb):  # noqa: ARG001
 
 
 def test_bits_alone_and_in_a_stack(tmp_path, monkeypatch):
-    """Exact, from a file too; other seeds, other bits."""
+    """Exact, where launches are shared and from a file too; other seeds, other bits."""
     monkeypatch.setattr(
         surface_points, "MAX_POINTS_NOISE2", np.inf
     )  # rays would cost less
@@ -181,7 +181,11 @@ def test_bits_alone_and_in_a_stack(tmp_path, monkeypatch):
         alone = split(specimen, INCIDENTS[number : number + 1], **wish)
         assert alone.tallies[0] == stack.tallies[number]
     monkeypatch.setattr(surface_points, "MAX_LANES", 2**11)  # two at once
-    cut = split(specimen, rays=2**8)
+    sent, send = [], launcher.launch
+    monkeypatch.setattr(launcher, "launch", lambda one: sent.append(one) or send(one))
+    nine = [*INCIDENTS, *((10.0, 40.0 * i) for i in range(5))]
+    cut = split(specimen, nine, rays=2**8)
+    assert [len(one.beams) for one in sent] == [9]
     assert split(specimen, INCIDENTS[3:], rays=2**8).tallies[0] == cut.tallies[3]
     other = split(specimen, INCIDENTS[:1], seed=1, **wish)
     assert other.tallies[0] != stack.tallies[0]
