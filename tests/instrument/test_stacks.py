@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import gonio_mi as gonio
-from gonio_mi.instrument import launcher
+from gonio_mi.instrument import launcher, schedule
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -53,6 +53,26 @@ def test_directions_share_launches(launches, settings):
     assert launches == [16] * 3
     check_alone(stack, GLASS, (0, 5, 11), **SMALL, **settings)
     assert stack[0].tallies != stack[11].tallies
+
+
+@pytest.mark.parametrize("wish", [{"rel_err": 0.05}, {"noise": 0.005}])
+@pytest.mark.parametrize("trace", [False, True])
+def test_directions_share_launches_until_they_are_precise(
+    launches, monkeypatch, wish, trace
+):
+    """Those that are not go on alone, or with others that need as many rays."""
+    monkeypatch.setattr(schedule, "PILOT_RAYS", 2**8)
+    settings = SMALL | wish | {"rays": None, "trace": trace}
+    stack = gonio.measure(GLASS, **ANGLES, **settings)
+    assert max(launches) == 16 > min(launches) == 4
+    rays = {tally.ledger.emitted for tally in stack.tallies}
+    assert 1 < len(rays) < len(stack)
+    for number in (0, 5, 11):
+        angles = float(stack.theta_i[number]), float(stack.phi_i[number])
+        assert (
+            gonio.measure(GLASS, *angles, **settings).tallies[0]
+            == (stack.tallies[number])
+        )
 
 
 def test_patches_of_incidence_share_launches(launches):
