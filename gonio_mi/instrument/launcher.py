@@ -88,7 +88,7 @@ class Launcher:
         # start side by side on the specimen
         self.divisible = is_joint(setup.sampler)
         self.curved = traced and self.divisible
-        # batches that may share a launch: the same for all launches
+        # batches of a direction that may share a launch: the same for all launches
         self.capacity = 1
         if self.divisible:
             # along a curve orders have the same bits together and one by one
@@ -104,7 +104,6 @@ class Launcher:
             if Target.of(settings) is None:
                 fitting = min(fitting, FUSED_RAYS // settings.rays)
             self.together = max(1, fitting)
-            self.capacity *= self.together
 
     def n_together(self, part: Round) -> int:
         """How many incident directions share the launches of a round.
@@ -125,7 +124,8 @@ class Launcher:
         called after each launch with the rays it sent.
         """
         setup, n = setups[0], len(setups)
-        beams = tuple(one.beam for one in setups) if self.together > 1 else ()
+        beams = tuple(one.beam for one in setups) if n > 1 else ()
+        capacity = self.capacity * (self.together if n > 1 else 1)
         lanes = [wavelength_lanes(nm) for nm in setup.passes]
         facets = self._facets(setup, lanes)
         first, sizes = part.first, tuple(size for size in part.sizes for _ in setups)
@@ -134,7 +134,7 @@ class Launcher:
             keys = [(*one.key, batch) for batch in n_batches for one in setups]
             own = tuple((*key, 0) for key in keys)
             start = part.start
-            whole = Launch(setup, beams, lanes[0], self.capacity, own, sizes, start)
+            whole = Launch(setup, beams, lanes[0], capacity, own, sizes, start)
             several = self._n_sharing(whole, n)
             groups = []
             for number, nm in enumerate(setup.passes):
@@ -179,7 +179,7 @@ class Launcher:
         Those that walk along a curve share packets of rays too, so that their number
         follows from the rays alone: it decides about last bits, and the clock must not.
         """
-        most = min(len(whole.sizes), self.capacity)
+        most = min(len(whole.sizes), whole.capacity)
         if self.curved and whole.begin:
             return most  # Ctrl-C keeps none before all have finished the round
         rays = FUSED_RAYS if self.curved else min(FUSED_RAYS, self.size.rays)
