@@ -132,7 +132,11 @@ def _set_variant(name):
 
 @pytest.fixture(autouse=True, scope="module")
 def settled():
-    """Let `gc.collect` look at what comes after only: microseconds, not 0.3 s."""
+    """Let `gc.collect` look at what comes after only: microseconds, not 0.3 s.
+
+    In the variant of most tests: its modules are loaded anew at each change.
+    """
+    _set_variant(VARIANTS["mono"])
     gc.collect()
     gc.freeze()
 
@@ -159,6 +163,8 @@ def unmoved(request, monkeypatch, tmp_path_factory):
         if str(getattr(sys.modules[name], "__file__", None)).startswith(of_tests):
             del sys.modules[name]
     gc.collect()
+    if {*sys.modules} - known:
+        gc.freeze()  # what was imported stays
 
 
 @pytest.fixture
