@@ -67,12 +67,17 @@ _ANSWERS: dict[str, Callable[[Samples], Floats]] = {
 
 def factor(name: str, samples: Samples, mask: Flags) -> Floats:
     """Values of a factor for some samples."""
+    if name in NUMBERS:
+        return np.full(np.count_nonzero(mask), NUMBERS[name])
     wi, wo = samples.wi[mask], samples.wo[mask]
-    half = wi + wo
-    half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+
+    def half() -> Floats:
+        between = wi + wo
+        length = np.linalg.norm(between, axis=1, keepdims=True)
+        return between / np.maximum(length, 1e-9)
 
     def along() -> Floats:
-        return np.maximum(np.abs(np.sum(wo * half, axis=1)), 1e-6)
+        return np.maximum(np.abs(np.sum(wo * half(), axis=1)), 1e-6)
 
     def of_component() -> Floats:
         drawn = np.bincount(samples.component[samples.smooth].astype(int))
@@ -84,12 +89,12 @@ def factor(name: str, samples: Samples, mask: Flags) -> Floats:
         "sin_o": lambda: np.maximum(np.hypot(wo[:, 0], wo[:, 1]), 1e-9),
         "jacobian": lambda: 1 / (4 * along()),
         "dot": along,
-        "cos_h": lambda: np.maximum(np.abs(half[:, 2]), 1e-9),
+        "cos_h": lambda: np.maximum(np.abs(half()[:, 2]), 1e-9),
         "eta2": lambda: samples.eta[mask] ** 2,
         "component": of_component,
         "pdf": lambda: samples.pdf[mask],
     }
-    return values[name]() if name in values else np.full(len(wo), NUMBERS[name])
+    return values[name]()
 
 
 @dataclass(frozen=True)

@@ -8,18 +8,19 @@ a number of evaluations.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Flags, Floats, Integers
+from ..array_types import Flags, Floats, Integers, Singles
 from ..collector.directions import direction
 from ..collector.hemisphere import RingsAndSectors
 from ..errors import SpecimenError
 from ..quadrature.integrate import integrate
-from .probe import Probe, floats, vectors
+from .probe import Probe, floats
 from .tally import PatchTotals, patch_of
 
 # Numbers of points and generators of Fibonacci lattices, where patches need ever more,
@@ -234,6 +235,30 @@ def _lattice_values(
     Uniform over solid angle; shape (len(patches), SHIFTS, n_points, functions). Another
     `repeat` has other shifts.
     """
+    n = len(patches) * SHIFTS * LATTICES[level][0]
+    if len(patches) == 2 * subdivision.n_patches and not repeat:
+        x, y, z = _points_everywhere(subdivision, level)
+    else:
+        x, y, z = _points(subdivision, patches, level, repeat)
+    wo = mi.Vector3f(*map(floats, (x, y, z if probe.condition.side == "front" else -z)))
+    limit = floats(np.repeat(limits[patches], n // len(patches)))
+    found = _finite_values(probe, wo, limit)
+    values = np.empty((n, len(found)))
+    for column, one in zip(values.T, found):
+        column[:] = one.numpy()
+    return values.reshape(len(patches), SHIFTS, -1, len(found))
+
+
+@lru_cache(2)
+def _points_everywhere(subdivision: RingsAndSectors, level: int) -> Singles:
+    """The :func:`_points` of all patches, with which each integral begins."""
+    return _points(subdivision, np.arange(2 * subdivision.n_patches), level, 0)
+
+
+def _points(
+    subdivision: RingsAndSectors, patches: Integers, level: int, repeat: int
+) -> Singles:
+    """Directions of shifted lattices, where light is on the front; shape ``(3, n)``."""
     n_points, generator = LATTICES[level]
     lattice = np.arange(n_points)[:, None] * [1, generator] / n_points
     # always the same, so that an integral does not depend on the seed
@@ -248,13 +273,8 @@ def _lattice_values(
     begin, end = (subdivision.phi_edges[sector + k][:, None, None] for k in (0, 1))
     z = first + (last - first) * u[..., 0]
     wo = direction(np.arccos(z), begin + (end - begin) * u[..., 1])
-    face = 1 if probe.condition.side == "front" else -1
-    wo[..., 2] *= np.where(half, -face, face)[:, None, None]
-    limit = floats(np.repeat(limits[patches], SHIFTS * n_points))
-    found = _finite_values(probe, vectors(wo.reshape(-1, 3)), limit)
-    n = u[..., 0].size
-    values = [np.broadcast_to(one.numpy(), n).astype(float) for one in found]
-    return np.stack(values, axis=-1).reshape(*u.shape[:3], -1)
+    wo[..., 2] *= np.where(half, -1, 1)[:, None, None]
+    return wo.reshape(-1, 3).T.astype(np.float32, order="C")
 
 
 def _finite_values(probe: Probe, wo: mi.Vector3f, limit: mi.Float) -> list[mi.Float]:
