@@ -12,7 +12,7 @@ import synthetic
 from synthetic import facet_lobes
 
 import gonio_mi as gonio
-from gonio_mi.campaigns import whole_bsdf
+from gonio_mi.campaigns import execution, known_directions, whole_bsdf
 from gonio_mi.campaigns.execution import Surroundings
 from gonio_mi.campaigns.known_directions import NOISE, KnownDirections
 from gonio_mi.campaigns.symmetry_recognition import SymmetryRecognition
@@ -384,7 +384,28 @@ def test_the_noise_of_copies_counts_once(told):
     assert np.all(many.std_errs == one.std_errs) == told
 
 
-@pytest.mark.usefixtures("mono")
+@pytest.fixture(scope="module")
+def records():
+    """Stacks of directions, by what is asked for."""
+    return {}
+
+
+@pytest.fixture
+def remembered(records, monkeypatch):
+    """Rounds of directions that campaigns have in common are measured once."""
+
+    def records_of(specimens, incidents, where, settings, label=None):
+        asked = repr((specimens, incidents, settings))
+        if asked not in records:
+            records[asked] = execution.records_of(
+                specimens, incidents, where, settings, label
+            )
+        return records[asked]
+
+    monkeypatch.setattr(known_directions, "records_of", records_of)
+
+
+@pytest.mark.usefixtures("mono", "remembered")
 @pytest.mark.parametrize("believed", [False, True])
 @pytest.mark.parametrize("isotropic", [False, True])
 def test_a_symmetry_that_does_not_hold_is_given_up(isotropic, believed, monkeypatch):
