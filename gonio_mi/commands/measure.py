@@ -292,11 +292,11 @@ def _one_or_many(values: Any) -> Any:
 
 def _remains(options: Namespace, output: Sequence[str], record: Record) -> str:
     """What is left of an interrupted measurement."""
+    asked = len(options.theta_i or [None]) * len(options.phi_i)
+    kept = f"{len(record)} of {asked} incident directions"
     if record.ledger.emitted:
-        kept = f"{grouped(record.ledger.emitted)} rays"
-    else:
-        asked = len(options.theta_i or [None]) * len(options.phi_i)
-        kept = f"{len(record)} of {asked} incident directions"
+        rays = f"{grouped(record.ledger.emitted)} rays"
+        kept = f"{rays} of {kept}" if asked > 1 else rays
     if not output:
         return f"{kept} were finished and nothing was saved, for want of -o"
     kept = f"{' and '.join(output)} holds {kept}"

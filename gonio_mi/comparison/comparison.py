@@ -162,6 +162,11 @@ class Comparison:
         check_picture(path)
         finished(comparison_figure(self), path)
 
+    def _scaled(self) -> str:
+        """By what others count in z, if that is not 1."""
+        scale = self.statistics["scale"]
+        return "" if scale == 1 else f" (times {scale:.4g} in z)"
+
     def _point(self, i: int) -> dict[str, Any]:
         directions = ("theta_i", "phi_i", "theta_o", "phi_o")
         names = (*directions, "value", "std_err", "other", "other_std_err", "z")
@@ -208,7 +213,7 @@ class Comparison:
             f"{self.alpha:g} with that probability",
             "",
             "worst points, angles in degrees, values in 1/sr: value of "
-            f"{self.labels[0]}, other of {self.labels[1]}",
+            f"{self.labels[0]}, other of {self.labels[1]}{self._scaled()}",
             "theta_i  phi_i  theta_o  phi_o  channel   value +- std_err      "
             "other +- std_err          z",
         ]

@@ -66,9 +66,7 @@ def comparison_figure(comparison: Any) -> Figure:
     for row in range(rows):
         axes[2 * row, 0].set_ylabel("BSDF (1/sr)")
         less = ", less the\npatches' variation" if comparison.within_patches else ""
-        axes[2 * row + 1, 0].set_ylabel(
-            f"z = difference\n/ std_err{less}", size="small"
-        )
+        axes[2 * row + 1, 0].set_ylabel(f"z of the\ndifference{less}", size="small")
     p_value, rms = comparison.p_value, comparison.rms
     title = f"{comparison.verdict}: p = {p_value:.2g}, rms {rms:.3g} 1/sr"
     if len(panels) > len(shown):

@@ -130,7 +130,7 @@ def warn_of_interruption(setups: Sequence[Setup], record: Record) -> None:
     integrates = settings.estimator.integrates
     if integrates or Target.of(settings):
         kept = f"{len(record)} of {n_incident} incident directions"
-        kept += "" if integrates else ", the last one less precise"
+        kept += "" if integrates else ", some of them less precise"
     else:
         asked = settings.rays * n_incident * len(setups[0].passes)
         kept = f"{record.ledger.emitted} of {asked} rays; resume= carries it on"

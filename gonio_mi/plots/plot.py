@@ -18,6 +18,7 @@ from ..progress import bar
 from ..results.planning import precision
 from ..results.record import Record
 from ..results.tally import sent_text, without_chance
+from ..single_precision import ROUNDING
 from .figure import (
     ANIMATION_ENDINGS,
     check_matplotlib,
@@ -157,6 +158,7 @@ def _total(name: str, values: Floats, std_errs: Floats) -> str:
     value, std_err = float(values[0]), float(std_errs[0])
     if not std_err > 0:
         return f"{name} {value:.4g}"
+    std_err = max(std_err, ROUNDING * abs(value))
     decimals = max(0, 1 - math.floor(math.log10(std_err)))
     words = f"{name} {value:.{decimals}f} ± {std_err:.{decimals}f}"
     return words.replace(" ", "\N{NO-BREAK SPACE}")
