@@ -150,6 +150,25 @@ def test_ctrl_c_in_a_stack_that_shares_launches(launches, monkeypatch):
     assert resumed.tallies == whole.tallies
 
 
+def test_ctrl_c_before_directions_are_precise(launches, monkeypatch):
+    """All are kept as they are after the rounds that were shared."""
+    monkeypatch.setattr(schedule, "PILOT_RAYS", 2**8)
+    send = launcher.launch
+
+    def interrupted(one):
+        if len(launches) == 3:
+            raise KeyboardInterrupt
+        return send(one)
+
+    monkeypatch.setattr(launcher, "launch", interrupted)
+    monkeypatch.setattr(launcher, "STACKED_SUMS", 3 * FIVE)
+    wish = SMALL | {"rays": None, "rel_err": 0.05}
+    with pytest.warns(RuntimeWarning, match="12 of 12 .*, some of them less precise"):
+        part = gonio.measure(GLASS, **ANGLES, **wish)
+    assert [tally.n_batches for tally in part.tallies] == [4] * 12
+    assert part.provenance.reached > 0.05
+
+
 @pytest.mark.parametrize(
     ("settings", "fused"),
     [({"footprint": "full"}, 2 * FIVE), ({"estimator": "next_event"}, 2 * FIVE)],
