@@ -31,9 +31,11 @@ from ..transport.specimen import Specimen
 TASK_RAYS = 10**7
 TASKS = 16
 
-# Incident directions of a task whose integrals are found together: of all light, or of
-# that scattered once.
-INTEGRALS = 16
+# Incident directions of a task, at most: of integrals, which are found together; of
+# `split`, which share the points of the surface and what these see; and where rays are
+# asked for a precision, for which each direction may take minutes, but each task loads
+# its specimen.
+INTEGRALS, SPLIT, PRECISE = 16, 32, 4
 
 
 @dataclass(frozen=True)
@@ -121,10 +123,12 @@ def tasks_of(
     # the same whatever the executor: a folder may be carried on by another
     most = max(1, len(incidents) // parts)
     few = max(1, min(TASK_RAYS // asked.rays, most))
-    if asked.estimator.integrates or asked.estimator.splits:
+    if asked.estimator.integrates:
         few = INTEGRALS
+    elif asked.estimator.splits:
+        few = SPLIT
     elif asked.rel_err or asked.noise:
-        few = 1
+        few = min(PRECISE, most)
     digests = tuple((os.path.abspath(path), file_digest(path)) for path in plugins)
     tasks: list[Task] = []
     for name, specimen in specimens.items():
