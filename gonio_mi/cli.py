@@ -83,11 +83,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 # the reader of our output has left; leave nothing to flush at exit
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
                 return USER_ERROR
-            if "--debug" in arguments:
+            debug = "--debug" in arguments
+            if debug:
                 traceback.print_exception(error)
-            place = _place(error, getattr(options, "plugin", ()))
+            plugins = getattr(options, "plugin", ())
+            place = _place(error, plugins)
             if place or is_the_users(error):
-                say(place + sentence(error))
+                cause = error.__cause__ if plugins else None
+                own = place or (cause and own_frame(cause))
+                more = " (--debug shows the traceback)" if own and not debug else ""
+                say(place + sentence(error) + more)
             else:
                 _say_of_bug(error, arguments)
             return USER_ERROR

@@ -82,7 +82,7 @@ def kept_after_ctrl_c(folder: str | None) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as pressed:
-        kept = str(pressed) or "nothing was kept, for want of --folder"
+        kept = str(pressed) or "nothing was kept, because no --folder was given"
         if folder is not None:
             kept = f"{folder} holds what was finished; the same command carries on"
         say(f"interrupted: {kept}")

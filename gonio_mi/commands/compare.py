@@ -36,7 +36,7 @@ from .arguments import (
     tell,
     tell_json,
 )
-from .file_kinds import record_of
+from .file_kinds import is_table, record_of
 
 USAGE = "%(prog)s RECORD OTHER [options]"
 
@@ -141,6 +141,11 @@ def _other(options: Namespace) -> Any:
     if _is_record(word) or (names_specimen and _is_record(options.record)):
         check_no_table_options(word, options)
         return record_of(word) if _is_record(word) else None
+    if is_table(options.record):
+        raise SettingError(
+            "RECORD must be an .exr or .npz file or a specimen, got the table "
+            f"{options.record}: two tables cannot be compared, and a table comes second"
+        )
     try:
         return table_of(word, options)
     except OpenQuestionsError as error:

@@ -80,6 +80,11 @@ def check_kind(path: str, wanted: str) -> None:
             raise SettingError(f"{path} {sentence.format(path=path)}")
 
 
+def is_table(path: str) -> bool:
+    """Whether a file is of a kind that commands take as a table."""
+    return Path(path).is_file() and _kind(Path(path))[0] == "table"
+
+
 def record_of(path: str) -> Record:
     """Record of a file.
 

@@ -298,13 +298,13 @@ def _remains(options: Namespace, output: Sequence[str], record: Record) -> str:
         rays = f"{grouped(record.ledger.emitted)} rays"
         kept = f"{rays} of {kept}" if asked > 1 else rays
     if not output:
-        return f"{kept} were finished and nothing was saved, for want of -o"
+        return f"{kept} were finished and nothing was saved, because no -o was given"
     kept = f"{' and '.join(output)} holds {kept}"
     if record.asked.estimator.integrates or options.rel_err is not None:
         return kept
     order = record.asked.order
     again = "" if order == ALL_ORDERS else f"--order {order} "
-    return f"{kept}; {again}--resume {output[0]} carries it on"
+    return f"{kept}; {again}--resume {output[0]} continues it"
 
 
 class _CtrlC:

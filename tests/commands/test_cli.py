@@ -469,7 +469,9 @@ def test_bad_scene_parameters(refuse, write):
     ],
 )
 def test_bad_plugin_files(refuse, write, content, words):
-    assert words in refuse(*QUICK, "--plugin", write("mine.py", content))
+    said = refuse(*QUICK, "--plugin", write("mine.py", content))
+    assert words in said
+    assert "(--debug shows the traceback)" in said or "SyntaxError" in words
 
 
 def test_what_mitsuba_refuses_while_measuring_is_a_sentence(refuse):
@@ -509,8 +511,8 @@ def test_errors_in_plugins_name_the_line(refuse, plugins):
         '        raise ZeroDivisionError("no weight")'
     )
     message = refuse("measure", "test_raising", *QUICK[2:], *plugins)
-    place = f"{plugins[1]}, line {line}, in weight: ZeroDivisionError: no weight\n"
-    assert message == f"gonio-mi: {place}"
+    place = f"{plugins[1]}, line {line}, in weight: ZeroDivisionError: no weight"
+    assert message == f"gonio-mi: {place} (--debug shows the traceback)\n"
 
 
 @pytest.mark.parametrize(
@@ -597,7 +599,7 @@ def test_ctrl_c_keeps_what_was_measured(run, plugins, tmp_path):
     assert f"{rays // 1000} {rays % 1000:03} of 10 000 asked for" in out
     assert err == (
         f"gonio-mi: interrupted: {part} holds {rays // 1000} {rays % 1000:03} rays; "
-        f"--resume {part} carries it on\n"
+        f"--resume {part} continues it\n"
     )
     assert run(*interruptible(plugins), "-q", "--resume", part, "-o", rest)[0] == 0
     assert run(*interruptible(plugins), "-q", "-o", whole)[0] == 0

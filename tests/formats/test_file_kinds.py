@@ -60,6 +60,19 @@ def test_what_is_no_specimen(name, tmp_path, capsys):
     assert (taken | KINDS)[name] in line
 
 
+@pytest.mark.parametrize("other", ["other.csv", "diffuse"])
+def test_two_tables_cannot_be_compared(other, tmp_path, capsys):
+    path = tmp_path / "table.csv"
+    path.write_text("theta_i,phi_i,theta_o,phi_o,value\n45,0,30,0,0.3\n")
+    line = said(capsys, "compare", path, other)
+    assert "two tables cannot be compared" in line
+
+
+def test_a_material_of_ours_that_is_not_there(capsys):
+    line = said(capsys, "measure", "goniometric:filename=no.brdf", "--theta-i", "30")
+    assert line.endswith("loaded: goniometric.filename: there is no file no.brdf")
+
+
 def test_a_name_that_says_nothing_is_read(tmp_path, capsys):
     """As a table, whatever its ending; and heights in text may be one too."""
     for name in ("table.asc", "table.dat"):
