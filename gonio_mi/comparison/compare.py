@@ -26,6 +26,7 @@ from .pairing import (
     labels,
     pair_with_record,
     pair_with_table,
+    same_rays,
 )
 from .patch_variation import left_undecided
 
@@ -33,6 +34,13 @@ from .patch_variation import left_undecided
 OF_EVAL = (
     "the values are integrals of eval, to their own error: whether sample agrees with "
     "it, gonio-mi validate tells"
+)
+
+# Note on quasi-Monte Carlo rays.
+POWERLESS = (
+    f"with quasi-Monte Carlo rays and fewer than {MIN_STUDENT_HITS} hits in most "
+    "patches the chi-square has next to no power to find a difference; take more "
+    "rays, or the sampler independent"
 )
 
 # Probability with which a right model is rejected.
@@ -79,9 +87,10 @@ def compare(
         all elements of Mueller matrices are compared, as half the sum of each with the
         first one; with a record or table without them the first one alone. A note tells
         other conditions that are not the same: side, footprint, divergence, order and
-        so on; and a seed that is the same, as then the rays are, too. Of a table
-        each point is compared with the mean of the patch that holds it, within what
-        the BRDF may do there; points of patches that are too coarse are left out.
+        so on; and, if they agree, a seed that is the same, as then the rays are, too.
+        Of a table each point is compared with the mean of the patch that holds it,
+        within what the BRDF may do there; points of patches that are too coarse are
+        left out.
     uncertainty : float, optional
         Relative standard uncertainty of each value of `other`, independent between
         points and in addition to what `other` knows itself: 0.005 is 0.5 %. Default:
@@ -119,13 +128,10 @@ def compare(
         notes.append(OF_EVAL)
     measured = [*records, other] if isinstance(other, Record) else records
     z, errors, statistics, p_values = judge(sets, scale)
-    agree = len(p_values) * min(p_values.values()) >= alpha
-    if agree and any(map(_is_even, measured)) and mostly_few(sets):
-        notes.append(
-            f"with quasi-Monte Carlo rays and fewer than {MIN_STUDENT_HITS} hits in "
-            "most patches the chi-square has next to no power to find a difference; "
-            "take more rays, or the sampler independent"
-        )
+    if len(p_values) * min(p_values.values()) >= alpha:
+        notes += same_rays(records, other)
+        if any(map(_is_even, measured)) and mostly_few(sets):
+            notes.append(POWERLESS)
     undecided = left_undecided(sets, scale, p_values, alpha, notes)
     columns = {
         name: np.concatenate([one.columns[name] for one in sets])

@@ -188,7 +188,7 @@ class Comparison:
             "differ": "DIFFER",
             "undecided": "cannot be decided with these patches",
         }[self.verdict]
-        together = f" ({found['chi2']:.6g} of {n} points that scatter together)"
+        together = f" ({found['chi2']:.4g} for {n} points, before correlation)"
         if np.isclose(found["chi2_dof"], n):
             together = ""
         lines = [
@@ -201,7 +201,7 @@ class Comparison:
                 else []
             ),
             f"chi-square  {found['chi2'] / n * found['chi2_dof']:.6g} for "
-            f"{found['chi2_dof']:.4g} degrees of freedom{together}, "
+            f"{found['chi2_dof']:.4g} effective degrees of freedom{together}, "
             f"p = {p['chi2']:.3g}",
             f"worst       |z| = {found['worst']:.3g} of {n} points, "
             f"p = {p['worst']:.3g}",
@@ -209,8 +209,8 @@ class Comparison:
             f"hemisphere, p = {p['total']:.3g}"
             if found["total"]
             else "total       not tested, or no difference",
-            f"verdict     {verdict}: p = {self.p_value:.3g}; a right model has p < "
-            f"{self.alpha:g} with that probability",
+            f"verdict     {verdict}: p = {self.p_value:.3g}; a correct model gives p < "
+            f"{self.alpha:g} in one of {1 / self.alpha:.4g} comparisons",
             "",
             "worst points, angles in degrees, values in 1/sr: value of "
             f"{self.labels[0]}, other of {self.labels[1]}{self._scaled()}",

@@ -40,7 +40,6 @@ def pair_with_record(
                 f"got {abridged(str(a), 60)} and {abridged(str(b), 60)}"
             )
     notes = unlike_conditions(record, other)
-    notes += same_rays("both records", record, other.ray_keys)
     both = record.has_lower and other.has_lower
     if not both:
         _check_dark_below(record, other, notes)
@@ -111,7 +110,6 @@ def pair_with_table(
             )
         channel = _channel(record, table, notes)
         notes += unlike_the_table(record, table)
-        notes += same_rays(f"{table.name} and the record", record, table.rays)
         patch, held = record.subdivision.detectors(v)
         in_patches = _stand_for_points(record.subdivision, table)
         for k in range(len(record)):
@@ -379,22 +377,17 @@ def unlike_the_table(record: Record, table: MeasuredTable) -> list[str]:
     ]
 
 
-def same_rays(both: str, record: Record, theirs: Mapping[str, str]) -> list[str]:
-    """A note if a record has the seed, and so the rays, of another one; or none.
-
-    Parameters
-    ----------
-    both : str
-        Subject of the sentence.
-    theirs : mapping of str
-        As of `Record.ray_keys`.
-    """
-    seeds = shared_seeds(record.ray_keys, theirs)
-    if not seeds:
-        return []
+def same_rays(records: Sequence[Record], other: Record | MeasuredTable) -> list[str]:
+    """Notes on records that have the seed, and so the rays, of what they agree with."""
+    if isinstance(other, MeasuredTable):
+        both, theirs = f"{other.name} and the record", other.rays
+    else:
+        both, theirs = "both records", other.ray_keys
+    seeds = dict.fromkeys(shared_seeds(one.ray_keys, theirs) for one in records)
     return [
-        f"{both} have the seed {seeds}: their rays are not independent, so that they "
+        f"{both} have the seed {seed}: their rays are not independent, so that they "
         "agree too well; measure one again with another seed"
+        for seed in filter(None, seeds)
     ]
 
 

@@ -473,9 +473,9 @@ def test_what_is_printed_belongs_together():
     line = re.search(r"chi-square  (\S+) for (\S+) .* p = (\S+)", str(comparison))
     chi2, dof, p = map(float, line.groups())
     assert stats.chi2.sf(chi2, dof) == pytest.approx(p, abs=0.001)
-    assert "scatter together" not in line.group()
+    assert "before correlation" not in line.group()
     fewer = comparison.statistics | {"chi2_dof": dof / 2}
-    assert "scatter together" in str(replace(comparison, statistics=fewer))
+    assert "before correlation" in str(replace(comparison, statistics=fewer))
 
 
 def test_a_difference_is_on_no_safe_side():

@@ -14,9 +14,9 @@ DIFFUSE = {"type": "diffuse"}
 SHARED = "have the seed {}: their rays are not independent"
 
 
-def measured(**settings):
+def measured(specimen=DIFFUSE, **settings):
     how = {"theta_i": 45, "collector": "projected:4x4", "rays": 2**14}
-    return gonio.measure(DIFFUSE, **(how | settings))
+    return gonio.measure(specimen, **(how | settings))
 
 
 def noted(record, other, seed):
@@ -40,6 +40,8 @@ def test_a_table_of_the_same_rays_is_told(tmp_path, ending):
     assert not noted(other, table, 3)
     assert noted(record, measured(seed=3), 3)
     assert not noted(record, other, 3)
+    dark = measured({"type": "diffuse", "reflectance": 0.2}, seed=3)
+    assert not noted(record, dark, 3)  # which differs
 
 
 @pytest.mark.usefixtures("mono")
