@@ -127,6 +127,7 @@ def bsdf(
             name = (prefix + side).replace(" ", "_")
             record = _side(measured, name, executor, folder, side=side, **settings)
             sides[prefix].append(record)
+    _warn_of_black_side(*sides[""])
     light, sunlight = of_daylight(sides[""], sides["solar "])
     export(light, path, basis, product=product, solar=sunlight)
     records = dict(zip(("front", "back"), light))
@@ -156,6 +157,22 @@ def _warn_unless_isotropic(specimen: SpecimenLike, settings: dict[str, Any]) -> 
                     "flux elsewhere; take tensor4 or klems"
                 )
                 return
+
+
+def _warn_of_black_side(front: Record, back: Record) -> None:
+    """Warn if light leaves the specimen when it comes from one side only."""
+    lit, dark = (front, back) if _leaves(front) else (back, front)
+    if _leaves(lit) and not _leaves(dark):
+        warn(
+            f"the {dark.asked.side} of the specimen is black in the file, as that of a "
+            "one-sided BSDF is: nest the BSDF in the plugin twosided, unless this is "
+            "meant"
+        )
+
+
+def _leaves(record: Record) -> bool:
+    """Whether any light leaves the specimen."""
+    return any(of is not None and of.any() for of in (record.dhr, record.dht))
 
 
 def _side(

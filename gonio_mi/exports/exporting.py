@@ -48,6 +48,9 @@ LOST_FATES = {
 }
 MAX_LOST = 1e-3
 
+# Of degrees of exit in a .csv, where 29.999999999999996 is 30.
+ANGLE_DECIMALS = 10
+
 
 def export(
     record: Record | Sequence[Record],
@@ -225,7 +228,8 @@ def _in_patches(table: MeasuredTable, patches: Subdivision) -> Floats:
 
 def _table(record: Record, quantity: str, number: int) -> MeasuredTable:
     """Table of one quantity in one channel."""
-    theta, phi = (np.degrees(angle) for angle in record.subdivision.middles)
+    middles = (np.degrees(angle) for angle in record.subdivision.middles)
+    theta, phi = (np.round(angle, ANGLE_DECIMALS) for angle in middles)
     known = np.isfinite(theta)
     n = int(known.sum())
     if quantity == "btdf":

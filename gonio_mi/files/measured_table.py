@@ -172,18 +172,23 @@ class MeasuredTable:
         if self.sigma is not None and self.uncertainty:
             known += f" of sigma and {self.uncertainty:.3g} of each value in quadrature"
         low, high = np.round([self.theta_o.min(), self.theta_o.max()], 6)
+        exits = f"{low:.5g}" if low == high else f"{low:.5g} to {high:.5g}"
+        detector = UNSTATED
+        if aperture:
+            detector = f"half-angle {aperture:.4g} degrees"
+        elif self.patches is not None:
+            detector = f"patch means, {self.patches}"
         lines = [
             f"table       {self.name}",
             f"values      {len(self)} of {self.quantity}"
             + (f", channel {self.channel}" if self.channel else ""),
             f"incident    {number_of(len(incident), 'direction')} (theta_i, phi_i) in "
             f"degrees: {' '.join(listed)}",
-            f"exit        theta_o {low:.5g} to {high:.5g} degrees",
+            f"exit        theta_o {exits} degrees",
             f"BSDF        {self.bsdf.min():.4g} to {self.bsdf.max():.4g} 1/sr, mean "
             f"{self.bsdf.mean():.4g}",
             f"uncertainty {known}; common to all {self.scale_uncertainty:.3g}",
-            "aperture    "
-            + (f"half-angle {aperture:.4g} degrees" if aperture else UNSTATED),
+            f"aperture    {detector}",
         ]
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 

@@ -421,7 +421,8 @@ def test_a_coloured_face_and_a_black_back(tmp_path):
     colour = {"type": "rgb", "value": [0.7, 0.5, 0.2]}
     paint = {"type": "diffuse", "reflectance": colour}
     path = tmp_path / "paint.xml"
-    records = gonio.bsdf(paint, path, "klems-quarter", rays=256)
+    with pytest.warns(RuntimeWarning, match=r"the back .* is black in the file"):
+        records = gonio.bsdf(paint, path, "klems-quarter", rays=256)
     assert records["back"].channels == ("Y",)
     with open(path, "rb") as stream:
         file = RadianceBSDF(stream)
@@ -443,7 +444,7 @@ def test_a_grain_is_told_of_a_tree_of_rank_3(tmp_path, recwarn):
     for even in ("roughdielectric:alpha=0.2", "thindielectric", "conductor"):
         gonio.bsdf(parse_specimen(even), path, "tensor3", **few)
     gonio.bsdf(brushed, path, "tensor4", **few)
-    assert not recwarn.list
+    assert not any("isotropic" in str(one.message) for one in recwarn)
 
 
 @pytest.mark.usefixtures("mono")

@@ -173,8 +173,9 @@ def test_a_step_of_transmittance_has_its_weights():
 def test_wavelengths_of_visible_light_make_no_solar_block(tmp_path):
     """They are the default; what is not visible is refused before it is measured."""
     path = tmp_path / "matt.xml"
+    matt = {"type": "twosided", "bsdf": {"type": "diffuse"}}
     with pytest.warns(RuntimeWarning, match="no block Solar: wavelengths must hold"):
-        records = gonio.bsdf({"type": "diffuse"}, path, "klems-quarter", rays=16)
+        records = gonio.bsdf(matt, path, "klems-quarter", rays=16)
     assert list(records) == ["front", "back"]
     for words, message in (
         ({"wavelengths": [450, 550]}, "at least 95% of visible light"),

@@ -272,6 +272,9 @@ def test_csv_is_what_compare_reads(tmp_path, glossy):
     sigma = glossy.brdf_std_err[0, ..., 0].ravel()
     assert np.array_equal(table.sigma[:128][known], sigma[known])
     assert (gonio.read_measured(tmp_path / "run.btdf.csv").theta_o > 90).all()
+    middles = np.degrees(glossy.subdivision.middles[1].ravel())
+    assert table.phi_o[:128].tolist() == np.round(middles, 10).tolist()
+    assert f"patch means, {glossy.subdivision}" in str(table)
 
 
 @pytest.mark.usefixtures("mono")

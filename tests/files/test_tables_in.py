@@ -353,6 +353,7 @@ def test_show_says_how_a_table_is_understood(tmp_path, capsys):
     assert main(["show", path]) == 0
     said = capsys.readouterr().out
     assert "2 of brdf" in said
+    assert "aperture    not stated" in said
     assert "BSDF        0.25 to 0.5 1/sr, mean 0.375" in said
     assert "note: columns: theta_i is 'theta_i/deg' in deg" in said
     assert main(["show", path, "--json"]) == 1
