@@ -257,7 +257,7 @@ def attributes(record: Record, index: int, part: str) -> dict[str, Any]:
     }
     rows |= {key: _text(value) for key, value in record.settings.items()}
     if integrals and not tally.ledger.emitted:
-        rows["ledger"] = "empty: integrals send no rays"
+        rows["ledger"] = "empty: quadrature traces no rays"
     else:
         ledger = tally.ledger.rows | {"emitted": tally.ledger.emitted}
         rows |= {f"ledger.{fate}": str(n) for fate, n in ledger.items()}

@@ -277,7 +277,7 @@ class Fit:
                 f"its points scatter about the model, by {100 * self.scatter:.3g} % "
                 "(rms)"
             )
-        left = f"{100 * self.misplaced:.3g} % of the light in other patches"
+        left = f"{100 * self.misplaced:.3g} % misplaced flux"
         if isinstance(self.record, MeasuredTable):
             left = f"points differ by {200 * self.misplaced:.3g} % of their mean"
         return (

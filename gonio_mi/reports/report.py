@@ -269,7 +269,7 @@ def _direction(summary: Summary, index: int) -> dict[str, Any]:
     if exact:
         rows.append(["rays", "none: integrals", "", ""])
     else:
-        rows.append(["ledger, whatever power they carry", "rays", "share of rays", ""])
+        rows.append(["ledger (counts rays, not power)", "rays", "share of rays", ""])
     for name, n in found.ledger.items():
         if n:
             rows.append([name, grouped(n), f"{percent(n, emitted)} %", ""])

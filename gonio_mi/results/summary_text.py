@@ -19,6 +19,12 @@ WIDTH = 88
 MAX_SURFACE = 400
 MAIN_ROWS = ("reflected", "transmitted", "absorbed")
 
+# What some rows of the ledger mean where rays have weights.
+MEANINGS = {
+    "absorbed": "weight 0, for instance when sampled below the horizon",
+    "rejected": "`sample` failed (zero density)",
+}
+
 # Decimals of a total, below which numbers are written with a power of ten.
 MAX_DECIMALS = 12
 
@@ -150,7 +156,7 @@ def _totals_text(summary: Summary, most_rows: int) -> str:
         left = f"... {len(rows) - 2 * half} rows are left out: show --all has them ..."
         lines[1 + half : -half] = [left]
     if any(error.startswith("<") for *_, error, _low, _high in rows):
-        said += "\n< is the rounding of single precision, in which the error is lost"
+        said += "\n<: below single-precision rounding"
     return "\n".join(lines) + said
 
 
@@ -235,7 +241,7 @@ def _ledger_text(summary: Summary) -> str:
     emitted = ledger["emitted"]
     if without_chance(summary.record.tallies):
         text = (
-            "empty, for integrals send no rays; error is the largest that the "
+            "empty: quadrature traces no rays; error is the largest that the "
             "integrals are estimated to have, no standard error: low and high are the "
             "value less and plus it"
         )
@@ -255,9 +261,9 @@ def _ledger_text(summary: Summary) -> str:
             "nothing was collected"
         )
     if not summary.record.asked.estimator.counts:
-        lines.append(
-            "rays are counted, whatever power they carry: shares of power stand above"
-        )
+        lines += ["this table counts rays, not power; dhr and dht above are of power"]
+        said = [f"{row}: {text}" for row, text in MEANINGS.items() if shown.get(row)]
+        lines += ["; ".join(said)] if said else []
     return "\n".join(lines)
 
 
@@ -280,8 +286,8 @@ def _patches_text(summary: Summary) -> str:
         text += f", {kind} of these at most {100 * max(known):.3g} %"
     if pooled:
         text += (
-            f"; {grouped(pooled)} with few or none of the heavy hits that scatter: "
-            "their uncertainty comes from all patches"
+            f"; {grouped(pooled)} with too few bright hits: their uncertainty is "
+            "pooled over all patches"
         )
     if not summary.worst_patches:
         return _filled("patches   ", text + "; their standard errors are not known")

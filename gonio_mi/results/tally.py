@@ -105,6 +105,10 @@ class Ledger:
     absorbed_inside: int = 0
     astray: int = 0
 
+    def __repr__(self) -> str:
+        shown = ", ".join(f"{name}={n}" for name, n in self.rows.items() if n)
+        return f"Ledger({shown})"
+
     @classmethod
     def from_counts(cls, counts: Iterable[SupportsInt]) -> Ledger:
         """Build from counts in the order of :class:`Fate`."""

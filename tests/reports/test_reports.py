@@ -234,7 +234,7 @@ def test_totals_have_the_digits_that_show_gives_them(opened):
     record = synthetic.record(both=True, channels=("R", "G"))
     rows = opened(record).locator("#readings tr").all_text_contents()
     lines = summary_text(summarize(record)).splitlines()
-    assert rows[5] == "ledger, whatever power they carryraysshare of rays"
+    assert rows[5] == "ledger (counts rays, not power)raysshare of rays"
     for row, line in zip(rows[1:5], [one for one in lines if "  dh" in one]):
         *_, value, _, low, high = line.split()
         assert value in row

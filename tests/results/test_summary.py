@@ -62,6 +62,16 @@ def test_light_that_nothing_collected_is_told(both):
     assert (told in said) == ("nothing was collected" in said) == (not both)
 
 
+@pytest.mark.parametrize("estimator", ["weighted", "analog"])
+def test_fates_without_light_are_explained_where_rays_have_weights(estimator):
+    record = synthetic.record().with_settings(estimator=estimator)
+    weighted = estimator == "weighted"
+    said = summary_text(summarize(moved(record, Fate.REJECTED, 1)))
+    assert ("absorbed: weight 0" in said) == weighted
+    assert ("; rejected: `sample` failed (zero density)\n" in said) == weighted
+    assert "rejected:" not in summary_text(summarize(record))
+
+
 def test_standard_errors_have_two_digits():
     record = synthetic.record()
     (total,) = summarize(record).directions[0].dhr
@@ -79,7 +89,7 @@ def test_no_more_digits_than_single_precision_has():
 
 def test_a_rounding_in_place_of_an_error_is_explained():
     """Where the batches agree to the last digit of single precision."""
-    note = "< is the rounding of single precision"
+    note = "<: below single-precision rounding"
     assert note not in summary_text(summarize(synthetic.record()))
     alike = synthetic.record()
     tally = synthetic.writeable(alike.tallies[0])
@@ -184,7 +194,7 @@ def test_integrals_say_what_stands_for_rays():
     assert "ray" not in repr(record)
     maps = attributes(record, 0, "brdf")
     assert "counted" not in maps["gonio.meaning"]
-    assert maps["gonio.ledger"] == "empty: integrals send no rays"
+    assert maps["gonio.ledger"] == "empty: quadrature traces no rays"
 
 
 def test_rays_beside_integrals_are_of_delta_components():
@@ -225,7 +235,7 @@ def test_patches_with_too_few_heavy_hits_are_counted():
     record = synthetic.record(n_batches=16)
     tally = synthetic.writeable(record.tallies[0])
     assert not record.pooled.any()
-    assert "heavy hits" not in summary_text(summarize(record))
+    assert "bright hits" not in summary_text(summarize(record))
     tally.sums[:, 0] = tally.hits[0][..., None] * 1e3
     tally.sums[1, 0, 2, 3] += tally.scale
     tally.hits[0, 2, 3] += np.uint64(1)
@@ -234,4 +244,4 @@ def test_patches_with_too_few_heavy_hits_are_counted():
     n = np.count_nonzero(record.counts)
     assert record.pooled.sum() == n == summarize(record).directions[0].n_pooled
     text = " ".join(summary_text(summarize(record)).split())
-    assert f"{n} with few or none of the heavy hits that scatter" in text
+    assert f"{n} with too few bright hits" in text

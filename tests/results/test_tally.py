@@ -31,6 +31,8 @@ def test_ledger_rows_are_the_fates():
     assert list(ledger.rows) == [fate.name.lower() for fate in Fate]
     assert ledger.emitted == sum(range(1, len(Fate) + 1))
     assert (ledger.reflected, ledger.direct) == (1, Fate.DIRECT + 1)
+    assert repr(Ledger(absorbed=3, missed=2)) == "Ledger(absorbed=3, missed=2)"
+    assert eval(repr(ledger)) == ledger
     assert (ledger + ledger).rows == {k: 2 * n for k, n in ledger.rows.items()}
 
 
