@@ -169,11 +169,11 @@ def told(
     lines = [
         f"not judged in {variant}: {reason}" for variant, reason in skipped.items()
     ]
-    here, no_more = verdict.settings["variant"], []
+    no_more = []
     for other in others:
         variant = other.settings["variant"]
         if _failed(other) <= _failed(verdict):
-            found = f"nothing that was not found in {here} too"
+            found = "no further failures"
             if not _failed(other):
                 found = "nothing wrong was found"
                 found += "" if _failed(verdict) else " either"

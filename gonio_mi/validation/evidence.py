@@ -78,12 +78,12 @@ PHASE = {
 
 # Mitsuba's integrators that a failure reaches, by what they call.
 _COMBINED = "path, direct, volpathmis, prb: light and BSDF sampling are combined"
-_SAMPLED = "all that sample the BSDF"
+_SAMPLED = "all integrators that sample the BSDF"
 
 # Effect of a failure, unless its breach says otherwise, and integrators that it
 # reaches if that biases images or breaks integrators.
 _EFFECTS_OF = {
-    "answers": (BIAS, "all"),
+    "answers": (BIAS, "all integrators"),
     "directions": (BIAS, _SAMPLED),
     "sampling": (BIAS, _COMBINED),
     "weights": (BIAS, _SAMPLED),
@@ -93,7 +93,7 @@ _EFFECTS_OF = {
     "eval_pdf_sample": (BIAS, "path"),
     "energy": (MODEL, None),
     "continuity": (MODEL, None),
-    "reciprocity": (MODEL, "all"),
+    "reciprocity": (MODEL, "all integrators"),
     "adjoint": (BREAKS, "ptracer and all that trace light from its source"),
     "delta": (BIAS, _SAMPLED),
     "flags": (
@@ -102,12 +102,12 @@ _EFFECTS_OF = {
     ),
     "components": (INTERFACE, None),
     "masks": (INTERFACE, None),
-    "ends": (BIAS, "all, in single pixels"),
+    "ends": (BIAS, "all integrators, in single pixels"),
     "parameters": (BREAKS, "prb and all that change or differentiate parameters"),
     "cost": (INTERFACE, None),
-    "first_element": (BIAS, "all, in polarised variants"),
-    "realisable": (BIAS, "all, in polarised variants"),
-    "frames": (BIAS, "all, in polarised variants"),
+    "first_element": (BIAS, "all integrators, in polarised variants"),
+    "realisable": (BIAS, "all integrators, in polarised variants"),
+    "frames": (BIAS, "all integrators, in polarised variants"),
 }
 
 # Probability by chance below which a single test says by itself that something is

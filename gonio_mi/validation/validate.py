@@ -227,7 +227,8 @@ def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str, str | None]:
 
 def _examine(evidence: Evidence, plan: Effort, name: str, progress: bool) -> None:
     """All checks, from those that explain most."""
-    with bar(progress, total=N_STEPS, desc=f"validate {name}") as report:
+    said = f"validate {name}"
+    with bar(progress, total=N_STEPS, desc=said, unit="step") as report:
         for step in _steps(evidence, plan):
             if report is not None:
                 report(step)

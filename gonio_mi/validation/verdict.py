@@ -243,7 +243,7 @@ class Verdict:
         # the mistake first: a summary shows the beginning only
         worst = failed[0]
         text = f"{self.name}: {word}: {worst.effect}. Most likely: {self.mistake}"
-        return f"{text}. Reaches {worst.reach}" if worst.reach else text
+        return f"{text}. Affects {worst.reach}" if worst.reach else text
 
     @property
     def near(self) -> str:

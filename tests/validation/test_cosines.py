@@ -39,7 +39,7 @@ def test_a_wrong_cosine_is_a_mistake(name, said):
     assert verdict.function == "eval"
     assert verdict.headline.startswith(f"{name}: FAILS: biases images. Most ")
     assert f"likely: {said}" in verdict.headline
-    assert verdict.failures[0].reach == "all"
+    assert verdict.failures[0].reach == "all integrators"
 
 
 @pytest.mark.usefixtures("plugins")

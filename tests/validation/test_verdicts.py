@@ -460,7 +460,7 @@ def test_other_variants_are_told_of_after_the_verdict():
     assert "near the limit: sampling" in last
     for p, said in (
         (0.00023, "nothing wrong was found; near the limit"),
-        (0.00001, "nothing that was not found in llvm_ad_rgb too"),
+        (0.00001, "no further failures"),
     ):
         others = [verdict_of(p, variant="llvm_ad_mono")]
         last = told(verdict_of(0.00001), others, {}).splitlines()[-1]
