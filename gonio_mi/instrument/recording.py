@@ -133,7 +133,7 @@ def warn_of_interruption(setups: Sequence[Setup], record: Record) -> None:
         kept += "" if integrates else ", some of them less precise"
     else:
         asked = settings.rays * n_incident * len(setups[0].passes)
-        kept = f"{record.ledger.emitted} of {asked} rays; resume= carries it on"
+        kept = f"{record.ledger.emitted} of {asked} rays; resume= continues it"
     warn(f"interrupted: the record holds {kept}")
 
 
