@@ -216,6 +216,14 @@ def test_refused(specimen, settings, reason):
         split(specimen(), **settings)
 
 
+def test_batches_may_miss_a_stratum_alike():
+    """Without any scatter, and are not refused; twin: two strata of eight."""
+    sums = np.ones((16, 1, 1))
+    surface_points.SingleScattering(sums, np.full(16, 32 + 0.2), 32).check_lit()
+    with pytest.raises(SpecimenError, match="1.25 of the incident light"):
+        surface_points.SingleScattering(sums, np.full(16, 40.0), 32).check_lit()
+
+
 def test_is_not_resumed():
     record = gonio.measure(field(GREY), 30, estimator="split", rays=2**10, **COMMON)
     with pytest.raises(SettingError, match="got the estimator split"):
