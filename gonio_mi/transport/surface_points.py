@@ -40,7 +40,8 @@ PART_OF_NOISE = 1 / 4
 # and a point 20 ns for each patch: as much at 170 / (44 * 20) = 0.19.
 MAX_POINTS_NOISE2 = 1 / 6
 
-# Standard errors by which the light that meets points may be off, in either direction.
+# Standard errors by which the light that meets points may be off, in either direction:
+# by chance in 2e-9 of all directions.
 MAX_SCORE = 6
 
 # Lanes of a launch: pairs of a point and a patch, or sums over points.
