@@ -32,6 +32,18 @@ def launches(monkeypatch):
     return found
 
 
+def interrupted_after(n, launches):
+    """Launches as before, until `n` of them are noted."""
+    send = launcher.launch
+
+    def launch(one):
+        if len(launches) == n:
+            raise KeyboardInterrupt
+        return send(one)
+
+    return launch
+
+
 def check_alone(stack, specimen, which, **settings):
     """Exact: some directions of a stack have the bits and settings that each has."""
     for i in which:
@@ -135,13 +147,7 @@ def test_ctrl_c_in_a_stack_that_shares_launches(launches, monkeypatch):
     """What is kept is whole directions, and what carries it on has the same bits."""
     whole = gonio.measure(GLASS, **ANGLES, **SMALL)
     send = launcher.launch
-
-    def interrupted(one):
-        if len(launches) == 5:
-            raise KeyboardInterrupt
-        return send(one)
-
-    monkeypatch.setattr(launcher, "launch", interrupted)
+    monkeypatch.setattr(launcher, "launch", interrupted_after(5, launches))
     with pytest.warns(RuntimeWarning, match="8024 of 12036 rays"):
         part = gonio.measure(GLASS, **ANGLES, **SMALL)
     monkeypatch.setattr(launcher, "launch", send)
@@ -153,14 +159,7 @@ def test_ctrl_c_in_a_stack_that_shares_launches(launches, monkeypatch):
 def test_ctrl_c_before_directions_are_precise(launches, monkeypatch):
     """All are kept as they are after the rounds that were shared."""
     monkeypatch.setattr(schedule, "PILOT_RAYS", 2**8)
-    send = launcher.launch
-
-    def interrupted(one):
-        if len(launches) == 3:
-            raise KeyboardInterrupt
-        return send(one)
-
-    monkeypatch.setattr(launcher, "launch", interrupted)
+    monkeypatch.setattr(launcher, "launch", interrupted_after(3, launches))
     monkeypatch.setattr(launcher, "STACKED_SUMS", 3 * FIVE)
     wish = SMALL | {"rays": None, "rel_err": 0.05}
     with pytest.warns(RuntimeWarning, match="12 of 12 .*, some of them less precise"):
