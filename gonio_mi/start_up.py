@@ -1,4 +1,7 @@
-"""How the program ``gonio-mi`` starts: Ctrl-C in one line, and Mitsuba if needed."""
+"""How the program ``gonio-mi`` starts: Ctrl-C in one line, and Mitsuba if needed.
+
+Python scripts that import the package are left as they are.
+"""
 
 import os
 import signal
@@ -12,9 +15,12 @@ INTERRUPTED = 130  # as shells count: 128 and the number of SIGINT
 
 
 def begin() -> None:
-    """Let Ctrl-C end the process while it imports, if it is that of the program."""
-    python_answers = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if _is_program() and python_answers:
+    """Let Ctrl-C end the process while it imports; NumPy gets no threads."""
+    if not _is_program():
+        return
+    # its matrices are small here, and threads that wait for them take CPU time
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _leave)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import gonio_mi as gonio
-from gonio_mi import cli, files
+from gonio_mi import cli, files, start_up
 from gonio_mi.collector import subdivision
 from gonio_mi.results.provenance import Provenance
 from gonio_mi.results.record import Record
@@ -998,6 +998,22 @@ def test_ctrl_c_while_mitsuba_imports_is_no_bug(run, monkeypatch):
     code, _, err = run("doctor")
     assert code == 2
     assert err == "gonio-mi: interrupted: nothing was finished, nothing is kept\n"
+
+
+@pytest.mark.parametrize(
+    ("program", "before", "after"),
+    [("gonio-mi", None, "1"), ("gonio-mi", "8", "8"), ("mine.py", None, None)],
+)
+def test_numpy_gets_no_threads_unless_asked_for(monkeypatch, program, before, after):
+    """They wait busily: half the CPU time of `gonio-mi --help`."""
+    name = "OPENBLAS_NUM_THREADS"
+    monkeypatch.setenv(name, before or "")
+    if before is None:
+        monkeypatch.delenv(name)
+    monkeypatch.setattr("sys.argv", [program])
+    start_up.begin()
+    start_up.end()
+    assert os.environ.get(name) == after
 
 
 def test_doctor(run):
