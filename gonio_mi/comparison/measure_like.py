@@ -1,12 +1,14 @@
 """A specimen, measured the way that a table or a record was."""
 
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ..array_types import Flags
+from ..campaigns.execution import Surroundings, records_of
 from ..campaigns.measure import measure_whole
 from ..collector.apertures import Apertures, disjoint_groups, is_above
 from ..collector.directions import direction
@@ -23,6 +25,7 @@ from ..instrument.specimen_text import SpecimenLike
 from ..progress import counted
 from ..results.record import Record, wavelengths_nm
 from ..results.tally import without_chance
+from ..settings import Estimator
 from .pairing import pole_angle
 
 # Distance in scene units that stands for a source far away.
@@ -87,7 +90,8 @@ def measure_like(
     progress : bool
         Show a progress bar on standard error, of incident directions.
     **settings
-        Of :func:`measure`; `rays` are those of each record.
+        Of :func:`measure`; `rays` are those of each direction. `executor` and `folder`
+        are for directions that share a collector, which apertures do not.
 
     Returns
     -------
@@ -150,39 +154,70 @@ def _like_table(
         settings.setdefault("wavelengths", nm.tolist())
     lower = "both" if table.quantity == "btdf" else "upper"
     settings.setdefault("hemispheres", lower)
-    automatic = not {
-        k for k in PRECISION_SETTINGS & settings.keys() if settings[k] is not None
-    }
-    ways: list[dict[str, Any]] = [{}]
-    if automatic:
+    asked = {k for k in PRECISION_SETTINGS & settings.keys() if settings[k] is not None}
+    if not asked:
         settings |= {"max_rays": MAX_RAYS, "rays": None}
-        if isinstance(solid_angles, Subdivision):
+    with warnings.catch_warnings():
+        if not asked:  # the comparison knows which precision was reached
+            ignored = "(rel_err|noise) of .* was not reached"
+            warnings.filterwarnings("ignore", ignored)
+        if not isinstance(solid_angles, Subdivision):
+            ways = [{}] if asked else _ways(table)
+            return _in_apertures(
+                specimen, table, solid_angles, seed, ways, settings, progress
+            )
+        if not asked:
             settings["noise"] = _noise(table, solid_angles)
-        else:
-            ways = _ways(table)
+        settings |= {"collector": solid_angles, "seed": _other_seed(seed, 0)}
+        stack = _stack(specimen, table.incident, settings, progress)
+    return tuple(stack[number] for number in range(len(stack)))
+
+
+def _in_apertures(
+    specimen: SpecimenLike,
+    table: MeasuredTable,
+    half_angle: float,
+    seed: int,
+    ways: list[dict[str, Any]],
+    settings: dict[str, Any],
+    progress: bool,
+) -> tuple[Record, ...]:
+    """Records in apertures of a half-angle, measured in the first way that can."""
     records: list[Record] = []
     for theta_i, phi_i in counted(table.incident, progress, unit="direction"):
         here = (table.theta_i == theta_i) & (table.phi_i == phi_i)
-        for collector in _collectors(table, here, solid_angles):
+        for collector in _collectors(table, here, half_angle):
             n = len(records)
-            own = seed
-            taken = isinstance(solid_angles, Subdivision) or table.rays
-            if n or taken:
-                # the table may be a record's, of rays with this seed
-                own = int(np.random.SeedSequence((seed, n)).generate_state(1)[0])
-            place = {"theta_i": theta_i, "phi_i": phi_i, "collector": collector}
-            with warnings.catch_warnings():
-                if automatic:  # nobody asked for a precision: the comparison knows it
-                    ignored = "(rel_err|noise) of .* was not reached"
-                    warnings.filterwarnings("ignore", ignored)
-                record = _first_that_can(specimen, ways, **place, seed=own, **settings)
-            records.append(record)
+            own = {
+                "theta_i": theta_i,
+                "phi_i": phi_i,
+                "collector": collector,
+                "seed": _other_seed(seed, n) if n or table.rays else seed,
+            }
+            records.append(_first_that_can(specimen, ways, **own, **settings))
     if not records:
         raise SettingError(
-            f"each aperture of half-angle {solid_angles:g} degrees of {table.name} "
+            f"each aperture of half-angle {half_angle:g} degrees of {table.name} "
             "reaches below the horizon"
         )
     return tuple(records)
+
+
+def _other_seed(seed: int, n: int) -> int:
+    """Seed derived from another, which a table may be of that is a record's."""
+    return int(np.random.SeedSequence((seed, n)).generate_state(1)[0])
+
+
+def _stack(
+    specimen: SpecimenLike,
+    incidents: Sequence[tuple[float, float]],
+    settings: dict[str, Any],
+    progress: bool,
+) -> Record:
+    """Stack of incident directions, which share launches, tasks or workers."""
+    executor, folder = (settings.pop(name, None) for name in ("executor", "folder"))
+    where = Surroundings(executor, folder, progress=progress)
+    return records_of({"specimen": specimen}, incidents, where, settings)["specimen"]
 
 
 def _ways(table: MeasuredTable) -> list[dict[str, Any]]:
@@ -218,17 +253,15 @@ def _first_that_can(
 
 
 def _collectors(
-    table: MeasuredTable, here: Flags, solid_angles: Subdivision | float
+    table: MeasuredTable, here: Flags, half_angle: float
 ) -> list[Subdivision]:
     """Collectors that hold the points of a table that are `here`."""
-    if isinstance(solid_angles, Subdivision):
-        return [solid_angles]
-    here = here & is_above(pole_angle(table.theta_o), solid_angles)
+    here = here & is_above(pole_angle(table.theta_o), half_angle)
     theta_o = pole_angle(table.theta_o[here])
     # the same direction once, whatever the turn of its azimuth
     cones = dict.fromkeys(zip(theta_o.tolist(), (table.phi_o[here] % 360).tolist()))
-    groups = disjoint_groups(list(cones), solid_angles) if cones else []
-    return [Apertures(solid_angles, tuple(group)) for group in groups]
+    groups = disjoint_groups(list(cones), half_angle) if cones else []
+    return [Apertures(half_angle, tuple(group)) for group in groups]
 
 
 def _wanted(table: MeasuredTable) -> float:
@@ -286,11 +319,17 @@ def _like_record(
     again |= given
     if seed is None:
         seed = max(record.provenance.seeds, default=0) + 1
-    records = []
-    incident = list(zip(record.theta_i.tolist(), record.phi_i.tolist()))
-    for theta, phi in counted(incident, progress, unit="direction"):
-        records.append(measure_whole(specimen, theta, phi, seed=seed, **again))
-    return Record.stack(records) if record.stacked else records[0]
+    incidents = list(zip(record.theta_i.tolist(), record.phi_i.tolist()))
+    again["seed"] = seed
+    try:
+        stack = _stack(specimen, incidents, again, progress)
+    except SpecimenError:
+        # of a campaign's directions, those that it refuses are of rays alone
+        if "estimator" in given or not record.asked.estimator.splits:
+            raise
+        again["estimator"] = Estimator.WEIGHTED
+        stack = _stack(specimen, incidents, again, progress)
+    return stack if record.stacked else stack[0]
 
 
 def _round_source(table: MeasuredTable) -> dict[str, Any]:

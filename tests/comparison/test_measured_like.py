@@ -1,5 +1,7 @@
 """Specimens measured like tables and records, and what a comparison is uncertain by."""
 
+from dataclasses import replace
+
 import budget as alarms
 import mitsuba as mi
 import numpy as np
@@ -15,6 +17,7 @@ from gonio_mi.comparison import (
     uncertainty_budget,
 )
 from gonio_mi.files.measured_table import MeasuredTable
+from gonio_mi.settings import Estimator
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -147,6 +150,32 @@ def test_a_specimen_is_measured_as_a_record_was():
     lit = gonio.measure(DIFFUSE, 0, emitter=lamp, footprint=0.1, **settings)
     with pytest.raises(ValueError, match="measure the specimen under that emitter"):
         measure_like(DIFFUSE, lit)
+
+
+def test_directions_that_split_refused_are_compared_with_rays_alone():
+    """A campaign says `split` of all its directions; a flat BSDF has no facets."""
+    rays = gonio.measure(ROUGH, [0, 40], collector="projected:4x8", rays=RAYS)
+    as_split = replace(rays.asked, estimator=Estimator.SPLIT)
+    record = replace(rays, asked=as_split)
+    (again,) = measure_like(ROUGH, record)
+    assert again.settings["estimator"] == "weighted"
+    alarms.agree(of_comparison(compare(again, rays)))
+    with pytest.raises(gonio.SpecimenError, match="split"):
+        measure_like(ROUGH, record, estimator="split")
+
+
+def test_directions_of_a_table_in_patches_are_a_stack(tmp_path):
+    """Each has its own rays, the same ones as alone."""
+    known = gonio.measure(ROUGH, [0, 40], collector="projected:4x8", rays=RAYS)
+    gonio.export(known, tmp_path / "known.csv")
+    table = gonio.read_measured(tmp_path / "known.csv")
+    first, second = measure_like(ROUGH, table, rays=RAYS)
+    assert (first.theta_i, second.theta_i) == (0, 40)
+    seed = second.settings["seed"]
+    assert seed not in known.provenance.seeds
+    alone = gonio.measure(ROUGH, 40, collector=table.patches, rays=RAYS, seed=seed)
+    assert np.array_equal(second.flux_fraction, alone.flux_fraction)
+    alarms.agree(of_comparison(compare((first, second), table)))
 
 
 def test_commands_compare_a_record_with_a_specimen(tmp_path, capsys):
