@@ -158,9 +158,7 @@ def _finish(
 
 
 def _shared_out(
-    todo: Sequence[Task],
-    pool: Executor,
-    keep: Callable[[Task, Record], None],
+    todo: Sequence[Task], pool: Executor, keep: Callable[[Task, Record], None]
 ) -> tuple[list[Task], BrokenExecutor | None]:
     """Keep what a pool measures; return the tasks of workers that died, and of what."""
     missing = {pool.submit(run_task, task): task for task in todo}

@@ -24,12 +24,7 @@ from .known_directions import (
     KnownDirections,
 )
 from .refinement import IncidentRings, Interval, refined
-from .resolution import (
-    TooCoarseError,
-    check_peaks,
-    check_resolved,
-    checked_sectors,
-)
+from .resolution import TooCoarseError, check_peaks, check_resolved, checked_sectors
 from .symmetry_recognition import SymmetryRecognition
 
 logger = logging.getLogger(__name__)

@@ -17,11 +17,7 @@ import numpy as np
 from ..errors import SpecimenError
 from ..results.planning import lobe
 from ..results.tally import Tally
-from ..settings.measurement_settings import (
-    MAX_POINTS,
-    Estimator,
-    MeasurementSettings,
-)
+from ..settings.measurement_settings import MAX_POINTS, Estimator, MeasurementSettings
 from ..settings.values import Order
 from ..transport.mirror_facets import has_mirror_facets
 from ..transport.scene_objects import holds_foreign_plugins

@@ -78,9 +78,7 @@ def schedule(
 
 
 def _plans(
-    settings: MeasurementSettings,
-    tallies: list[Tally],
-    look: Callable[[Tally], Record],
+    settings: MeasurementSettings, tallies: list[Tally], look: Callable[[Tally], Record]
 ) -> Iterator[list[int]]:
     """Rays of each batch in the end, or until the next look at the precision.
 

@@ -368,9 +368,7 @@ def _widest(phi_i: Floats) -> float:
     return float(np.diff([*phi_i, phi_i[0] + 360]).max())
 
 
-def _levels(
-    angles: Floats,
-) -> tuple[Floats, Integers]:
+def _levels(angles: Floats) -> tuple[Floats, Integers]:
     """Distinct angles in degrees, ascending, and the number of each angle's.
 
     They come from directions in single precision.

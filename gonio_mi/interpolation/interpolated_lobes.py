@@ -454,11 +454,7 @@ class InterpolatedLobes:
     # ---------------------------------------------------- where a point is sent to
 
     def drawn(
-        self,
-        place: Place,
-        hemisphere: mi.UInt32,
-        end: mi.Float64,
-        sample2: mi.Point2f,
+        self, place: Place, hemisphere: mi.UInt32, end: mi.Float64, sample2: mi.Point2f
     ) -> DiskPoint:
         """Point of the lobe at an end of a leg, where it is for incident light."""
         row = dr.select(end > 0.5, place.rows[1], place.rows[0])

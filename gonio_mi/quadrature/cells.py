@@ -197,12 +197,7 @@ class Points:
     n_side: int = 0
 
     @classmethod
-    def tensor(
-        cls,
-        nodes: Floats,
-        weights: Floats,
-        inside: float = 0.0,
-    ) -> "Points":
+    def tensor(cls, nodes: Floats, weights: Floats, inside: float = 0.0) -> "Points":
         """Points of a tensor rule, the azimuth running fastest."""
         n = len(nodes)
         areas = np.outer(weights, weights).ravel()
@@ -239,11 +234,7 @@ class Guides:
         return np.bincount(self.cell, minlength=n_cells)
 
     def descend(
-        self,
-        cells: Cells,
-        chosen: Flags,
-        way: Integers,
-        full: Flags,
+        self, cells: Cells, chosen: Flags, way: Integers, full: Flags
     ) -> "Guides":
         """Guides of the chosen cells, in the parts of the `way` of each.
 

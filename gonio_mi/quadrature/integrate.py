@@ -362,11 +362,7 @@ class _PatchSums:
     """
 
     def __init__(
-        self,
-        cells: Cells,
-        n_directions: int,
-        channels: int,
-        subdivision: Subdivision,
+        self, cells: Cells, n_directions: int, channels: int, subdivision: Subdivision
     ) -> None:
         n = len(cells.patch)
         self.flux, self.error, self.square = np.zeros((3, n, channels))

@@ -13,13 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..array_types import Floats
-from ..errors import (
-    SettingError,
-    abridged,
-    printable,
-    shown,
-    unknown_channel,
-)
+from ..errors import SettingError, abridged, printable, shown, unknown_channel
 from ..settings import MeasurementSettings
 from ..settings.measurement_settings import MAX_RAYS
 from .provenance import (

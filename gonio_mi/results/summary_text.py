@@ -33,9 +33,7 @@ MAX_ROWS = 40
 
 
 def summary_text(
-    summary: Summary,
-    most_rows: int = MAX_ROWS,
-    stokes: Sequence[float] | None = None,
+    summary: Summary, most_rows: int = MAX_ROWS, stokes: Sequence[float] | None = None
 ) -> str:
     """Return a summary as text for people.
 

@@ -13,23 +13,10 @@ from ..errors import SpecimenError
 from ..mitsuba_names import MINIMAL
 from .exits import Exits
 from .polarisation import in_instrument_frames, power_of, product
-from .rays import (
-    Flight,
-    departure,
-    encounter,
-    escapes,
-    flight_from,
-    intersect,
-    proceed,
-)
+from .rays import Flight, departure, encounter, escapes, flight_from, intersect, proceed
 from .setup import Setup
 from .sums import Sums
-from .surface_events import (
-    MAX_POWER,
-    flux_context,
-    is_delta,
-    shading_normal_correction,
-)
+from .surface_events import MAX_POWER, flux_context, is_delta, shading_normal_correction
 
 # Part of the points that goes to the lower hemisphere, if there is one; and where all
 # surfaces are opaque and no gap was seen. It changes what is learned, never the result.

@@ -141,10 +141,7 @@ class Relay:
     """
 
     def __init__(
-        self,
-        sampler: mi.Sampler,
-        rays: int,
-        arrive: Callable[[mi.UInt32, Any], None],
+        self, sampler: mi.Sampler, rays: int, arrive: Callable[[mi.UInt32, Any], None]
     ) -> None:
         self.arrive = arrive
         # in a single lane Dr.Jit 1.5 takes a loop's variables for constants
