@@ -268,13 +268,9 @@ class SampledEstimates(Estimates):
         rare = self._rare(fraction, scatter, hits, heavy)
         heavy = np.where(rare, heavy, 0.0)
         unlike = self._unlike_interval(fraction, scatter, missed, heavy, level)
-        few = few | rare
-        low = np.where(few, np.fmin(low, unlike[0]), low)
-        high = np.where(few, np.fmax(high, unlike[1]), high)
-        dark, most = (
-            self.dark(hemisphere),
-            statistics.upper_limit(self.rays, level) * largest,
-        )
+        low, high = _widened((low, high), unlike, few | rare)
+        dark = self.dark(hemisphere)
+        most = statistics.upper_limit(self.rays, level) * largest
         return np.where(dark, 0.0, low), np.where(dark, most, high)
 
     def total_interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
@@ -310,8 +306,7 @@ class SampledEstimates(Estimates):
         low, high = self._student(value, std_err, weight, hits, level)
         unlike = self._unlike_interval(value, std_err, weight, heavy, level)
         rare = self._rare(value, std_err, hits, heavy)
-        low = np.where(rare, np.fmin(low, unlike[0]), low)
-        high = np.where(rare, np.fmax(high, unlike[1]), high)
+        low, high = _widened((low, high), unlike, rare)
         low = np.maximum(low, 0.0)  # no flux is negative
         # a channel that none of these hits carried is dark as without them
         none = statistics.binomial_interval(0, self.rays, level)
@@ -365,6 +360,15 @@ class SampledEstimates(Estimates):
             below=np.maximum(unseen * weight, rounding),
             above=np.where(above > 0, np.maximum(unseen * above, rounding), 0.0),
         )
+
+
+def _widened(
+    limits: tuple[Floats, Floats], others: tuple[Floats, Floats], where: Flags
+) -> tuple[Floats, Floats]:
+    """Limits that reach at least to others, where these are known and wanted."""
+    (low, high), (least, most) = limits, others
+    low = np.where(where, np.fmin(low, least), low)
+    return low, np.where(where, np.fmax(high, most), high)
 
 
 @dataclass(frozen=True, eq=False)

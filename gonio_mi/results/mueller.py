@@ -11,7 +11,7 @@ from ..errors import SettingError, shown
 from ..single_precision import ROUNDING
 from . import statistics
 from .estimates import MIN_DEPOSITS, MIN_EVEN_HITS, MIN_HITS, SampledEstimates
-from .tally import PolarisedTally
+from .tally import PolarisedTally, as_matrices
 
 # How far the polarised part of a Stokes vector may exceed its first element: rounding.
 STOKES_ROUNDING = 1e-9
@@ -67,10 +67,11 @@ class MuellerEstimates:
         From the scatter of the batches; where a patch is `pooled`, at least that of
         the first element.
         """
-        first = self.light.std_err(hemisphere)[..., None, None]
-        pooled = self.light.pooled(hemisphere)[..., None, None]
-        found = np.fmax(self._scatter(hemisphere), np.where(pooled, first, 0.0))
-        return _with_first(np.where(np.isnan(first), np.nan, found), first)
+        first = self.light.std_err(hemisphere)
+        least = np.where(self.light.pooled(hemisphere), first, 0.0)
+        found = np.fmax(self._scatter(hemisphere), least[..., None, None])
+        found[np.isnan(first)] = np.nan
+        return _with_first(found, first)
 
     def total(self, hemisphere: int) -> Floats:
         """Flux fraction of all patches together."""
@@ -95,30 +96,21 @@ class MuellerEstimates:
         few = self._few(hemisphere) | self.light.pooled(hemisphere)
         if few.any():
             (low_sum, high_sum), (low_rest, high_rest) = (
-                [_as_matrices(limit, len(few[0, 0])) for limit in limits]
-                for limits in self._half_limits(hemisphere, (1 + level) / 2)
+                self._half_limits(hemisphere, (1 + level) / 2, sign) for sign in (1, -1)
             )
             few = few[..., None, None]
             low = np.where(few, low_sum - high_rest, low)
             high = np.where(few, high_sum - low_rest, high)
-        first = self.light.interval(hemisphere, level)
-        low, high = (
-            _with_first(limit, one[..., None, None])
-            for limit, one in zip((low, high), first)
-        )
-        return low, high
+        least, most = self.light.interval(hemisphere, level)
+        return _with_first(low, least), _with_first(high, most)
 
     def total_interval(self, hemisphere: int, level: float) -> tuple[Floats, Floats]:
         """Limits of :meth:`total`, by Student's t."""
         value, std_err = self.total(hemisphere), self.total_std_err(hemisphere)
         hits = self.light.hits[hemisphere].sum()
-        limits = self._student(value, std_err, hits, level)
-        first = self.light.total_interval(hemisphere, level)
-        low, high = (
-            _with_first(limit, one[..., None, None])
-            for limit, one in zip(limits, first)
-        )
-        return low, high
+        low, high = self._student(value, std_err, hits, level)
+        least, most = self.light.total_interval(hemisphere, level)
+        return _with_first(low, least), _with_first(high, most)
 
     def stokes(self, hemisphere: int, vector: Floats) -> tuple[Floats, Floats]:
         """Stokes vectors of each patch for incident light, and their standard errors.
@@ -126,24 +118,18 @@ class MuellerEstimates:
         Of the shape ``(n_theta, n_phi, channels, 4)``; the errors of the elements,
         which are not independent, are in the batches.
         """
-        sums, incident = (
-            self.tally.matrices(hemisphere) @ vector,
-            self._incident[..., 0],
-        )
+        sums = self.tally.matrices(hemisphere) @ vector
+        incident = self._incident[..., 0]
         dark = self.light.dark(hemisphere)[..., None]
         std_err = np.where(dark, np.nan, statistics.batch_std_err(sums, incident))
         return statistics.ratio(sums, incident), std_err
 
     def total_stokes(self, hemisphere: int, vector: Floats) -> tuple[Floats, Floats]:
         """The same of all patches together, of the shape ``(channels, 4)``."""
-        sums, incident = (
-            self._sum(hemisphere) @ vector,
-            self._incident[:, 0, 0, :, :, 0],
-        )
-        return (
-            statistics.ratio(sums, incident),
-            statistics.batch_std_err(sums, incident),
-        )
+        sums = self._sum(hemisphere) @ vector
+        incident = self._incident[:, 0, 0, :, :, 0]
+        std_err = statistics.batch_std_err(sums, incident)
+        return statistics.ratio(sums, incident), std_err
 
     def degree(
         self, hemisphere: int, vector: Floats, total: bool = False
@@ -232,27 +218,15 @@ class MuellerEstimates:
             value, std_err, self.tally.n_batches, level, least, least
         )
 
-    def _half_limits(
-        self, hemisphere: int, level: float
-    ) -> list[tuple[Floats, Floats]]:
-        """Limits of half the sums and differences of all elements and the first."""
-        return [
-            replace(self.light, tally=self.tally.halves(sign)).interval(
-                hemisphere, level
-            )
-            for sign in (1, -1)
-        ]
-
-
-def _as_matrices(elements: Floats, channels: int) -> Floats:
-    """Matrices (..., channels, 4, 4) of numbers whose channels run fastest."""
-    apart = elements.reshape(*elements.shape[:-1], 16, channels)
-    swapped = np.swapaxes(apart, -1, -2)
-    return swapped.reshape(*swapped.shape[:-1], 4, 4)
+    def _half_limits(self, hemisphere: int, level: float, sign: int) -> list[Floats]:
+        """Limits of half the sums, or differences, of the first element and each."""
+        halves = replace(self.light, tally=self.tally.halves(sign))
+        limits = halves.interval(hemisphere, level)
+        return [as_matrices(one.reshape(*one.shape[:2], 16, -1)) for one in limits]
 
 
 def _with_first(matrices: Floats, first: Floats) -> Floats:
-    """Matrices with other first elements, of the shape (..., 1, 1)."""
+    """Matrices with other first elements."""
     matrices = matrices.copy()
-    matrices[..., 0, 0] = first[..., 0, 0]
+    matrices[..., 0, 0] = first
     return matrices

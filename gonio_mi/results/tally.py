@@ -368,9 +368,9 @@ class PolarisedTally(Tally):
     def matrices(self, hemisphere: int) -> Floats:
         """Sums of all elements, ``(n_batches, n_theta, n_phi, channels, 4, 4)``."""
         first = self.sums[:, hemisphere, :, :, None, :].astype(float)
-        joined = np.concatenate([first, self.elements[:, hemisphere]], axis=-2)
-        joined = np.swapaxes(joined, -1, -2)
-        return joined.reshape(*joined.shape[:-1], 4, 4)
+        return as_matrices(
+            np.concatenate([first, self.elements[:, hemisphere]], axis=-2)
+        )
 
     def added_up(self) -> Tally:
         """Of the first element alone."""
@@ -395,6 +395,12 @@ class PolarisedTally(Tally):
             WEIGHT_SCALE,
             direct=direct,
         )
+
+
+def as_matrices(elements: Floats) -> Floats:
+    """Matrices ``(..., channels, 4, 4)`` of elements ``(..., 16, channels)``."""
+    swapped = np.swapaxes(elements, -1, -2)
+    return swapped.reshape(*swapped.shape[:-1], 4, 4)
 
 
 def _concatenated(tallies: Sequence[Tally], name: str, axis: int) -> Numbers:

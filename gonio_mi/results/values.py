@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +24,9 @@ from .estimates import (
 from .mueller import MuellerEstimates, checked_stokes
 from .provenance import FACETS, Provenance
 from .tally import Integrals, Ledger, PolarisedTally, Tally
+
+# What a record tells of each patch or of a hemisphere, and which are of the latter.
+QUANTITIES, TOTALS = ("brdf", "btdf", "dhr", "dht"), ("dhr", "dht")
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,16 +194,13 @@ class MeasuredValues:
             lower hemisphere.
         """
         vector = checked_stokes(incident)
-        checked_choice("of", of, ("brdf", "btdf", "dhr", "dht"))
+        checked_choice("of", of, QUANTITIES)
         hemisphere = self._polarised_hemisphere(of)
-        if of in ("dhr", "dht"):
-            pairs = [one.total_stokes(hemisphere, vector) for one in self._mueller]
-            solid: Any = 1.0
-        else:
-            pairs = [one.stokes(hemisphere, vector) for one in self._mueller]
-            solid = self._projected[..., None]
-        values, errors = np.stack(pairs, axis=1)
-        return self._squeeze(values / solid), self._squeeze(errors / solid)
+        if of in TOTALS:
+            totals = [one.total_stokes(hemisphere, vector) for one in self._mueller]
+            return self._both(totals)
+        pairs = [one.stokes(hemisphere, vector) for one in self._mueller]
+        return self._both(pairs, self._projected[..., None])
 
     def degree(self, incident: ArrayLike, of: str = "brdf") -> tuple[Floats, Floats]:
         """Degrees of polarisation of the light that leaves, and their standard errors.
@@ -212,11 +211,11 @@ class MeasuredValues:
         Noise makes a degree near 0 larger, by about its error.
         """
         vector = checked_stokes(incident)
-        checked_choice("of", of, ("brdf", "btdf", "dhr", "dht"))
-        hemisphere, total = self._polarised_hemisphere(of), of in ("dhr", "dht")
-        pairs = [one.degree(hemisphere, vector, total) for one in self._mueller]
-        values, errors = np.stack(pairs, axis=1)
-        return self._squeeze(values), self._squeeze(errors)
+        checked_choice("of", of, QUANTITIES)
+        hemisphere, total = self._polarised_hemisphere(of), of in TOTALS
+        return self._both(
+            [one.degree(hemisphere, vector, total) for one in self._mueller]
+        )
 
     def degree_interval(
         self, incident: ArrayLike, level: float = 0.95, of: str = "brdf"
@@ -230,11 +229,9 @@ class MeasuredValues:
         level = checked_number("level", level, 1e-12, 1, "between 0 and 1")
         checked_choice("of", of, ("brdf", "btdf"))
         hemisphere = self._polarised_hemisphere(of)
-        limits = [
-            one.degree_interval(hemisphere, vector, level) for one in self._mueller
-        ]
-        low, high = np.stack(limits, axis=1)
-        return self._squeeze(low), self._squeeze(high)
+        return self._both(
+            [one.degree_interval(hemisphere, vector, level) for one in self._mueller]
+        )
 
     @property
     def flux_fraction(self) -> Floats:
@@ -377,26 +374,22 @@ class MeasuredValues:
             For another `level` or `of`, or if there is no lower hemisphere.
         """
         level = checked_number("level", level, 1e-12, 1, "between 0 and 1")
-        quantities = ("brdf", "btdf", "dhr", "dht")
-        matrices = tuple(f"{name}_mueller" for name in quantities)
-        checked_choice("of", of, (*quantities, "direct", *matrices))
-        if of in matrices:
-            return self._mueller_interval(level, of.removesuffix("_mueller"))
+        matrices = tuple(f"{name}_mueller" for name in QUANTITIES)
+        checked_choice("of", of, (*QUANTITIES, "direct", *matrices))
         if of == "direct":
-            both = [one.direct_interval(level) for one in self.estimates]
-            low, high = np.stack(both, axis=1)
-            return self._squeeze(low), self._squeeze(high)
-        hemisphere = int(of in ("btdf", "dht"))
-        if hemisphere and not self.has_lower:
-            raise SettingError(f"of must be brdf or dhr for a record without {of}")
-        of_all = of in ("dhr", "dht")
-        limits = [
-            (one.total_interval if of_all else one.interval)(hemisphere, level)
-            for one in self.estimates
-        ]
-        low, high = np.stack(limits, axis=1)
-        solid = 1.0 if of_all else self._projected
-        return self._squeeze(low / solid), self._squeeze(high / solid)
+            return self._both([one.direct_interval(level) for one in self.estimates])
+        estimates: tuple[Estimates | MuellerEstimates, ...] = self.estimates
+        solid, quantity = self._projected, of.removesuffix("_mueller")
+        if of in matrices:
+            hemisphere = self._polarised_hemisphere(quantity)
+            estimates, solid = self._mueller, solid[..., None, None]
+        else:
+            hemisphere = self._hemisphere(quantity)
+        if quantity in TOTALS:
+            return self._both(
+                [one.total_interval(hemisphere, level) for one in estimates]
+            )
+        return self._both([one.interval(hemisphere, level) for one in estimates], solid)
 
     # ------------------------------------------------------------------ internals
 
@@ -436,21 +429,14 @@ class MeasuredValues:
                 "llvm_ad_mono_polarized, got a record of "
                 f"{self.provenance.variant or 'another one'}"
             )
+        return self._hemisphere(of)
+
+    def _hemisphere(self, of: str) -> int:
+        """Hemisphere of a quantity, which the record must have."""
         hemisphere = int(of in ("btdf", "dht"))
         if hemisphere and not self.has_lower:
             raise SettingError(f"of must be brdf or dhr for a record without {of}")
         return hemisphere
-
-    def _mueller_interval(self, level: float, of: str) -> tuple[Floats, Floats]:
-        """:meth:`interval` of the elements of a Mueller matrix."""
-        hemisphere, of_all = self._polarised_hemisphere(of), of in ("dhr", "dht")
-        limits = [
-            (one.total_interval if of_all else one.interval)(hemisphere, level)
-            for one in self._mueller
-        ]
-        low, high = np.stack(limits, axis=1)
-        solid = 1.0 if of_all else self._projected[..., None, None]
-        return self._squeeze(low / solid), self._squeeze(high / solid)
 
     @property
     def _projected(self) -> Floats:
@@ -481,6 +467,13 @@ class MeasuredValues:
         """A quantity of the estimates of each incident direction, read-only."""
         each = np.stack([quantity(one) for one in self.estimates])
         return read_only_array(self._squeeze(each))
+
+    def _both(
+        self, pairs: Sequence[tuple[Floats, Floats]], solid: Floats | float = 1.0
+    ) -> tuple[Floats, Floats]:
+        """Two quantities of each incident direction, over solid angles."""
+        first, second = np.stack(pairs, axis=1)
+        return self._squeeze(first / solid), self._squeeze(second / solid)
 
     def _squeeze(self, array: Numbers) -> Numbers:
         return array if self.stacked else array[0]
