@@ -388,9 +388,8 @@ def simulated_reliability(
         counts = generator.multinomial(rays, np.append(p, rest) / (p.sum() + rest))[:-1]
         good += bool(np.all(np.abs(counts / (rays * p) - 1) <= rel_err))
     fraction = good / campaigns
-    return fraction, math.sqrt(
-        max(fraction * (1 - fraction), 1 / campaigns) / campaigns
-    )
+    variance = max(fraction * (1 - fraction), 1 / campaigns)
+    return fraction, math.sqrt(variance / campaigns)
 
 
 def rms_expectation(

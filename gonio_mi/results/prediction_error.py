@@ -37,9 +37,7 @@ def prediction_error(record: Record, predicted: Floats) -> PredictionError:
     (tally,) = record.tallies
     flux = record.flux_fraction[0] if record.stacked else record.flux_fraction
     # one channel may stand for several
-    shape = np.broadcast_shapes(flux.shape, predicted.shape)
-    predicted = np.broadcast_to(predicted, shape)
-    flux = np.broadcast_to(flux, predicted.shape)
+    flux, predicted = np.broadcast_arrays(flux, predicted)
     total = flux.sum()
     difference = predicted - flux
     if not total > 0:
@@ -72,9 +70,8 @@ def expected_noise(record: Record) -> float:
     total = record.flux_fraction.sum()
     if record.n_batches < 2:
         return float(np.inf)
-    return (
-        float(np.sqrt(2 / np.pi) * _stated_error(record) / total) if total > 0 else 0.0
-    )
+    noise = np.sqrt(2 / np.pi) * _stated_error(record) / total if total > 0 else 0.0
+    return float(noise)
 
 
 def _stated_error(record: Record) -> float:

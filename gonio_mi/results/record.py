@@ -123,20 +123,15 @@ class Record(MeasuredValues):
                     f"a stack must hold at least one incident direction, got {index} "
                     f"of {len(self)}"
                 )
-            return replace(
-                self,
-                theta_i=self.theta_i[index],
-                phi_i=self.phi_i[index],
-                tallies=self.tallies[index],
-                stacked=True,
-            )
-        tally = self.tallies[index]
+            part, tallies = index, self.tallies[index]
+        else:
+            part, tallies = slice(index, index + 1 or None), (self.tallies[index],)
         return replace(
             self,
-            theta_i=self.theta_i[index : index + 1 or None],
-            phi_i=self.phi_i[index : index + 1 or None],
-            tallies=(tally,),
-            stacked=False,
+            theta_i=self.theta_i[part],
+            phi_i=self.phi_i[part],
+            tallies=tallies,
+            stacked=isinstance(index, slice),
         )
 
     def __eq__(self, other: object) -> bool:

@@ -102,9 +102,8 @@ def scatter_weight(sums: Numbers, incident: Numbers, hits: Counts) -> Floats:
     chance = np.sqrt(chance.sum(axis=(0, 1)))
     known = (third > MIN_SKEWNESS * chance) & (second > 0)
     weight = np.divide(third, second, out=np.zeros(len(second)), where=known)
-    return np.minimum(weight, np.max(sums, axis=(0, 1, 2))) / incident.sum(
-        axis=(0, 1, 2)
-    )
+    weight = np.minimum(weight, np.max(sums, axis=(0, 1, 2)))
+    return weight / incident.sum(axis=(0, 1, 2))
 
 
 def binomial_std_err(hits: ArrayLike, rays: ArrayLike) -> Floats:
