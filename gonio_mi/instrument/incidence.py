@@ -45,7 +45,10 @@ def incident_angles(
             )
         return [None], False
     stacked = np.ndim(theta_i) > 0 or np.ndim(phi_i) > 0
-    polar = [_theta(value) for value in _sequence("theta_i", theta_i)]
+    polar = [
+        checked_number("theta_i", value, 0, 90, "an angle in degrees in [0, 90)")
+        for value in _sequence("theta_i", theta_i)
+    ]
     _warn_of_radians(polar)
     azimuths = [
         checked_number("phi_i", value, -np.inf, np.inf, "a finite angle in degrees")
@@ -59,10 +62,6 @@ def _sequence(name: str, value: Any) -> list[Any]:
     if not values:
         raise SettingError(f"{name} must hold at least one angle, got {shown(value)}")
     return values
-
-
-def _theta(value: Any) -> float:
-    return checked_number("theta_i", value, 0, 90, "an angle in degrees in [0, 90)")
 
 
 def _warn_of_radians(polar: Sequence[float]) -> None:

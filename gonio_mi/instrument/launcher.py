@@ -130,20 +130,19 @@ class Launcher:
         facets = self._facets(setup, lanes)
         first, sizes = part.first, tuple(size for size in part.sizes for _ in setups)
         while sizes:
-            n_batches = range(first, first + len(sizes) // n)
-            keys = [(*one.key, batch) for batch in n_batches for one in setups]
-            own = tuple((*key, 0) for key in keys)
-            start = part.start
-            whole = Launch(setup, beams, lanes[0], capacity, own, sizes, start)
-            several = self._n_sharing(whole, n)
+            several = self._n_sharing(sizes, capacity, part.start, n)
+            batches = range(first, first + several // n)
+            keys = [(*one.key, batch) for batch in batches for one in setups]
             groups = []
             for number, nm in enumerate(setup.passes):
-                own = tuple((*key, number) for key in keys[:several])
-                one = replace(
-                    whole,
+                one = Launch(
+                    setup,
+                    beams,
                     wavelengths=lanes[number],
-                    keys=own,
+                    capacity=capacity,
+                    keys=tuple((*key, number) for key in keys),
                     sizes=sizes[:several],
+                    begin=part.start,
                     facets=facets[number],
                 )
                 total: Any = None
@@ -171,7 +170,9 @@ class Launcher:
             self.known = setup, made
         return self.known[1]
 
-    def _n_sharing(self, whole: Launch, n: int) -> int:
+    def _n_sharing(
+        self, sizes: Sequence[int], capacity: int, begin: int, n: int
+    ) -> int:
         """How many of the batches, which are about to be sent, share their launches.
 
         A multiple of `n`, the incident directions that send them.
@@ -179,12 +180,12 @@ class Launcher:
         Those that walk along a curve share packets of rays too, so that their number
         follows from the rays alone: it decides about last bits, and the clock must not.
         """
-        most = min(len(whole.sizes), whole.capacity)
-        if self.curved and whole.begin:
+        most = min(len(sizes), capacity)
+        if self.curved and begin:
             return most  # Ctrl-C keeps none before all have finished the round
         rays = FUSED_RAYS if self.curved else min(FUSED_RAYS, self.size.rays)
         # the last batch is always among them
-        return max(1, min(most, rays // whole.sizes[-1]) // n) * n
+        return max(1, min(most, rays // sizes[-1]) // n) * n
 
     def _in_order(self, whole: Launch) -> Iterator[Launch]:
         """Launches that each send the next rays of all batches."""
@@ -203,7 +204,8 @@ class Launcher:
         start, sizes, walks = whole.begin, whole.sizes, whole.n_directions
         together = len(sizes) // walks
         chunk = chunk_lanes(together)
-        for begin, end in segments(start, start + sizes[0], _max_points(together)):
+        most = 2**30 >> (together - 1).bit_length()  # places have 30 bits
+        for begin, end in segments(start, start + sizes[0], most):
             parts = tuple(min(end, start + size) - begin for size in sizes)
             at, length = 0, together << block_bits(begin, end - begin)
             while at < length:
@@ -225,11 +227,6 @@ def _may_share(setup: Setup) -> bool:
         # the first order of each direction is a table of its own
         return not setup.specimen.media and not has_mirror_facets(setup)
     return not setup.specimen.plane.by_ray
-
-
-def _max_points(n_batches: int) -> int:
-    """Points of each batch along a curve, at most: places have 30 bits."""
-    return 2**30 >> (n_batches - 1).bit_length()
 
 
 class LaunchSize:

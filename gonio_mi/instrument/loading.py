@@ -199,17 +199,14 @@ def _with_advice(text: str, loaded_from: Any) -> str:
         known = _parameters(plugin, loaded_from)
         has = f"; it takes {', '.join(known)}" if known else ""
         similar = [did_you_mean(name, known) for name in names]
+        # in quotes where spaces would go unseen
+        words = [name if name == name.strip() else shown(name) for name in names]
         return (
             f"{text[: unused.start()]}the plugin {plugin} has no use for "
-            f"{', '.join(map(_quoted, names))}"
+            f"{', '.join(words)}"
             f"{has}{next(filter(None, similar), '')}"
         )
     return text
-
-
-def _quoted(name: str) -> str:
-    """A name, in quotes where spaces would go unseen."""
-    return name if name == name.strip() else shown(name)
 
 
 def _no_metal(word: str) -> str:
@@ -432,19 +429,15 @@ def check_named_files(
     for name in names:
         path = Path(str(mi.file_resolver().resolve(str(name))))
         if path.is_file():
-            covered = check_measured(path) or (0.0, np.inf)
-            beyond = [nm for nm in wavelengths if not _holds(covered, nm)]
+            low, high = check_measured(path) or (0.0, np.inf)
+            # in the single precision of Mitsuba's
+            singles = np.array(wavelengths, np.float32).astype(float)
+            beyond = [nm for nm, x in zip(wavelengths, singles) if not low <= x <= high]
             if beyond:
-                low, high = covered
                 raise SpecimenError(
                     f"{path.name} covers the wavelengths from {low:g} to {high:g} nm, "
                     f"got {beyond[0]:g} nm"
                 )
-
-
-def _holds(covered: tuple[float, float], nm: float) -> bool:
-    """Whether a wavelength, in the single precision of Mitsuba's, is in a range."""
-    return covered[0] <= float(np.float32(nm)) <= covered[1]
 
 
 def _dictionary_names(node: Mapping[str, Any]) -> Iterator[str | Path]:

@@ -127,7 +127,10 @@ def measure_stacks(
         given["order"] = Order(most=max(order.most for order in orders))
     asked = MeasurementSettings().changed(**given)  # refused before anything is loaded
     _check_together(given, asked, incidents, emitter)
-    scene, settings = _prepared(specimen, parameters, given, resume)
+    scene = load_specimen(specimen, parameters, given.get("period"))
+    settings = _settled(own_settings(scene), given, resume)
+    if mi.is_spectral and isinstance(specimen, (str, PathLike, dict)):
+        check_named_files(specimen, parameters, settings.wavelengths)
     one_by_one = Target.of(settings) or not settings.estimator.follows_exits
     if len(orders) > 1 and one_by_one:
         given |= {"progress": progress, "parameters": parameters, "emitter": emitter}
@@ -310,20 +313,6 @@ def _check_together(
         raise SettingError(
             f"max_rays requires rel_err or noise, got max_rays {asked.max_rays!r} alone"
         )
-
-
-def _prepared(
-    specimen: SpecimenLike,
-    parameters: dict[str, Any] | None,
-    given: dict[str, Any],
-    resume: object,
-) -> tuple[mi.Scene, MeasurementSettings]:
-    """Scene of a specimen, and the settings with which it is measured."""
-    scene = load_specimen(specimen, parameters, given.get("period"))
-    settings = _settled(own_settings(scene), given, resume)
-    if mi.is_spectral and isinstance(specimen, (str, PathLike, dict)):
-        check_named_files(specimen, parameters, settings.wavelengths)
-    return scene, settings
 
 
 def _settled(

@@ -197,10 +197,8 @@ def _warn_of_astray(ledger: Ledger) -> None:
 MAX_NUMBERS = 4
 
 
-@cache
-def _own_version() -> str:
-    """Version of the installed package, which is looked up in its files."""
-    return version("gonio-mi")
+# Looked up in the files of the installed package, once.
+_version = cache(version)
 
 
 def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenance]:
@@ -227,7 +225,7 @@ def settings_and_provenance(setup: Setup) -> tuple[MeasurementSettings, Provenan
         passes=len(setup.passes),
         variant=mi.variant(),
         versions={
-            "gonio_mi": _own_version(),
+            "gonio_mi": _version("gonio-mi"),
             "mitsuba": mi.__version__,
             "drjit": dr.__version__,
             "numpy": np.__version__,
