@@ -160,18 +160,13 @@ class Cells:
     @classmethod
     def join(cls, several: Iterable["Cells"]) -> "Cells":
         """All cells of `several`."""
-        return cls(*map(np.concatenate, zip(*map(Cells._columns, several))))
-
-    def _columns(self) -> tuple[NDArray[Any], ...]:
-        return (
-            *(self.patch, self.lower, self.direction),
-            *(self.theta, self.phi, self.share),
-        )
+        columns = zip(*(vars(one).values() for one in several))
+        return cls(*map(np.concatenate, columns))
 
     def __getitem__(self, chosen: Any) -> "Cells":
         if np.asarray(chosen).dtype.kind == "b" and np.all(chosen):
             return self
-        return Cells(*(column[chosen] for column in self._columns()))
+        return Cells(*(column[chosen] for column in vars(self).values()))
 
 
 @dataclass(frozen=True, eq=False)

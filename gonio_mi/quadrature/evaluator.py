@@ -77,9 +77,7 @@ class IncidentLight:
     @property
     def first(self) -> mi.SurfaceInteraction3f:
         """Interaction with the first of the lights."""
-        si = mi.SurfaceInteraction3f(self.interaction)
-        si.wi = dr.gather(mi.Vector3f, self.wi, mi.UInt32(0))
-        return si
+        return self.from_number(mi.UInt32(0))
 
     def towards(
         self, theta: Floats | mi.Float64, phi: Floats | mi.Float64, lower: Any
@@ -214,10 +212,8 @@ class Evaluator:
         n_hemispheres = len(cells.patch) // (n * subdivision.n_patches)
         wanted = lane_wise & (lower < n_hemispheres)
         wo, of, lower = wo[wanted], of[wanted], lower[wanted]
-        patch, before = (
-            subdivision.patch(wo),
-            subdivision.n_patches * (lower + n_hemispheres * of),
-        )
+        patch = subdivision.patch(wo)
+        before = subdivision.n_patches * (lower + n_hemispheres * of)
         if self.frames is None:
             patch += before
         else:

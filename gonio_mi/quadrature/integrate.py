@@ -266,13 +266,15 @@ def _integrated(
         values_at = of_parts.reshape(len(cells.patch), 4 * NODES_PER_CELL, -1)
         values = fine.reshape(len(cells.patch), 4, -1).sum(axis=1)
         allowed = sums.allowed(cells, values, integral_err)
-        tolerance = (
-            CELL_TOLERANCE * allowed[cells.patch] * cells.tolerated(way)[:, None]
-        )
+        tolerance = CELL_TOLERANCE * allowed[cells.patch]
+        tolerance *= cells.tolerated(way)[:, None]
         difference = np.abs(values - coarse)
         smooth = way == QUARTERS
         difference[~smooth] = _swing(values_at, cells, ~smooth)
-        _add_unseen(difference, tolerance, evaluator, cells, values, values_at, smooth)
+        # what the points of smooth cells cannot see
+        difference[smooth] += evaluator.hidden(cells[smooth], values_at[smooth])
+        settled = smooth & np.all(difference <= tolerance, axis=1)
+        difference[settled] += evaluator.unconfirmed(cells[settled], values[settled])
         open_cells = full | ~np.all(difference <= tolerance, axis=1)
         sharp = cells.narrow(way, MIN_CELL_WIDTH)
         open_cells &= ~sharp
@@ -294,17 +296,10 @@ def _integrated(
     shape = (len(lights), -1, *subdivision.shape, coarse.shape[-1])
     flux = sums.flux.reshape(shape)
     error = np.hypot(sums.error, INTEGRAL_ROUNDING * sums.flux).reshape(shape)
+    counts = evaluator.n_evaluations.tolist()
     return [
-        PatchIntegrals(
-            subdivision,
-            flux[number],
-            error[number],
-            int(evaluator.n_evaluations[number]),
-            finished,
-            number,
-            light,
-        )
-        for number, light in enumerate(lights)
+        PatchIntegrals(subdivision, flux[n], error[n], counts[n], finished, n, light)
+        for n, light in enumerate(lights)
     ]
 
 
@@ -328,21 +323,6 @@ def _check_converged(
                 f"converge to {integral_err:g}, but {n_evaluations:.3g} evaluations "
                 f"gave {_worst(wrong, right) * integral_err:.2g} for the worst patch"
             )
-
-
-def _add_unseen(
-    difference: Floats,
-    tolerance: Floats,
-    evaluator: Evaluator,
-    cells: Cells,
-    values: Floats,
-    values_at: Singles,
-    smooth: Flags,
-) -> None:
-    """Add to the differences of smooth cells what their own points cannot see."""
-    difference[smooth] += evaluator.hidden(cells[smooth], values_at[smooth])
-    settled = np.all(difference <= tolerance, axis=1) & smooth
-    difference[settled] += evaluator.unconfirmed(cells[settled], values[settled])
 
 
 def _swing(values_at: Singles, cells: Cells, chosen: Flags) -> Floats:
