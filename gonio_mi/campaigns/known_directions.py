@@ -284,7 +284,7 @@ class KnownDirections:
         self.rays += stack.ledger.emitted
         flux = stack.flux_fraction
         self.flux += flux[:, :1].sum(), flux[:, 1:].sum()
-        self.records |= zip(new, (stack[number] for number in range(len(stack))))
+        self.records |= zip(new, stack)
         self.n_rounds, self.n_timed = self.n_rounds + 1, self.n_timed + len(new)
         self.seconds += time.perf_counter() - started
 

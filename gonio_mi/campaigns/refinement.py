@@ -96,7 +96,7 @@ class Axis:
 def refined(
     axis: Axis,
     limit: float,
-    errors_at: Callable[[Sequence[Interval], Iterable[float]], Sequence[float]],
+    errors_at: Callable[[Sequence[Interval], Sequence[float]], Sequence[float]],
     check: Callable[[], None] = lambda: None,
 ) -> None:
     """Split intervals until the error in the middle of each is at most `limit`.

@@ -86,7 +86,9 @@ def check_resolved(
     lost = lost_at_first = _lost(directions, incidents)
     if max(lost) <= tolerance:
         return
-    _check_delta(tolerance, first, max(angles))
+    delta = max(map(delta_fraction, first))
+    if delta > tolerance:
+        raise _delta_error(delta, first, max(angles))
     finding = (
         f"the lobes of {first.provenance.name:.60} are too narrow for "
         f"{own!s:.40}: moved by half a patch, {max(lost_at_first):.2g} of the flux "
@@ -135,9 +137,7 @@ def check_peaks(directions: KnownDirections, theta_i: float) -> None:
     own = checked_sectors(directions.probe((theta_i, 0.0)).subdivision)
     finest = _finest(own)
     # the mirror image is in the middle of a patch
-    edges = np.degrees(finest.theta_edges)
-    ring = int(np.searchsorted(edges, theta_i).clip(1, len(edges) - 1))
-    middle = float(edges[ring - 1 : ring + 1].mean())
+    middle = sum(_ring(theta_i, finest)) / 2
     record = directions.probe((middle, 180 + 180 / finest.n_phi), finest)
     fraction = _peak_fraction(record)
     if fraction > 2 * directions.tolerance:
@@ -150,13 +150,6 @@ def _peak_fraction(record: Record) -> float:
     total = flux.sum()
     stands_out = flux > np.maximum(STANDS_OUT * _beside(flux), MIN_PEAK * total)
     return float(flux[stands_out].sum() / total) if total > 0 else 0.0
-
-
-def _check_delta(tolerance: float, record: Record, theta_i: float) -> None:
-    """Raise SpecimenError for more of the flux than the tolerance in delta lobes."""
-    delta = max(map(delta_fraction, record))
-    if delta > tolerance:
-        raise _delta_error(delta, record, theta_i)
 
 
 def _delta_error(fraction: float, record: Record, theta_i: float) -> SpecimenError:
@@ -211,15 +204,15 @@ def _lost(
     """
     rings = checked_sectors(directions.patches if patches is None else patches)
     moved = [_moved(*one, rings) for one in incidents]
-    every = {
-        incident
-        for both in moved
-        for to, stacks in both
-        for incident in itertools.chain([to], *stacks)
-    }
-    needed = sorted(every)
-    record = directions.stack(needed, patches)
-    known = {one: record[number] for number, one in enumerate(needed)}
+    needed = sorted(
+        {
+            incident
+            for both in moved
+            for to, stacks in both
+            for incident in itertools.chain([to], *stacks)
+        }
+    )
+    known = dict(zip(needed, directions.stack(needed, patches)))
 
     def distance(to: Incident, stacks: Sequence[Sequence[Incident]]) -> float:
         """Total variation distance in a direction from the mean of `stacks`."""
@@ -241,12 +234,18 @@ def _moved(
 
     Each with the stacks that predict it, of whose predictions the mean is taken.
     """
-    edges = np.degrees(patches.theta_edges)
-    ring = int(np.searchsorted(edges, theta_i).clip(1, len(edges) - 1))
-    width = min(float(edges[ring] - edges[ring - 1]), theta_i)
+    low, high = _ring(theta_i, patches)
+    width = min(high - low, theta_i)
     sector = 360 / patches.shape[1]
     start = theta_i, phi_i
     return [
         ((theta_i - width / 2, phi_i), [[(theta_i - width, phi_i), start]]),
         ((theta_i, phi_i + sector / 2), [[start], [(theta_i, phi_i + sector)]]),
     ]
+
+
+def _ring(theta_i: float, patches: RingsAndSectors) -> tuple[float, float]:
+    """Edges, in degrees, of the ring that holds a polar angle."""
+    edges = np.degrees(patches.theta_edges)
+    ring = int(np.searchsorted(edges, theta_i).clip(1, len(edges) - 1))
+    return float(edges[ring - 1]), float(edges[ring])

@@ -48,7 +48,7 @@ class SymmetryRecognition:
         name = self.directions.name
         sectors = {round(self.n_sectors * turn) for turn in TURNS} - {0}
         turned = [
-            (theta, self._azimuth(sector))
+            (theta, azimuth_of(sector, self.n_sectors))
             for theta in self.looked_at
             for sector in sectors
         ]
@@ -101,7 +101,8 @@ class SymmetryRecognition:
         normal = 0.0, 0.0
         if self._is_wrong(self._change(motion, normal, normal)):
             return False
-        starts = {self._azimuth(round(self.n_sectors * turn)) for turn in IMAGED}
+        n = self.n_sectors
+        starts = {azimuth_of(round(n * turn), n) for turn in IMAGED}
         return not any(
             self.refuted([motion], theta, phi)
             for theta in self.looked_at
@@ -119,7 +120,3 @@ class SymmetryRecognition:
 
     def _is_wrong(self, change: PredictionError) -> bool:
         return change.exceeds(self.directions.tolerance / 2)
-
-    def _azimuth(self, sector: float) -> float:
-        """Azimuth of a sector's edge in degrees."""
-        return azimuth_of(sector, self.n_sectors)

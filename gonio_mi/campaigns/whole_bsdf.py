@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import logging
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -177,11 +177,10 @@ class WholeBsdf:
     # ------------------------------------------------------------------- predicting
 
     def _errors_of_legs(
-        self, legs: Sequence[Interval], middles: Iterable[float]
+        self, legs: Sequence[Interval], middles: Sequence[float]
     ) -> list[float]:
         """Errors in the middles of legs: the largest of all first azimuths."""
         self.directions.announce(self.rings.expected(self.limit) + N_UNSEEN)
-        middles = list(middles)
         lines = self.rings.first_azimuths
         levels = self.rings.legs.levels()
         purpose = f"{len(legs)} of {len(levels) - 1} legs open"
@@ -198,7 +197,7 @@ class WholeBsdf:
         return worst.tolist()
 
     def _errors_of_gaps(
-        self, gaps: Sequence[Interval], middles: Iterable[float]
+        self, gaps: Sequence[Interval], middles: Sequence[float]
     ) -> list[float]:
         """Errors in the middles of gaps between azimuths of rings."""
         self.directions.announce(self.rings.expected(self.limit) + N_UNSEEN)
@@ -231,13 +230,11 @@ class WholeBsdf:
         fitting, self.helps = self.rings, LOOKED
         for number in range(MAX_LOOKS):
             generator = np.random.default_rng([self.seed, number])
-            cosines = 1 - generator.random(N_UNSEEN) * (
-                1 - np.cos(np.radians(self.theta_max))
-            )
+            height = 1 - np.cos(np.radians(self.theta_max))  # of the cap
+            cosines = 1 - height * generator.random(N_UNSEEN)
             theta = np.degrees(np.arccos(cosines))
-            unseen = list(
-                zip(theta.tolist(), (360 * generator.random(N_UNSEEN)).tolist())
-            )
+            phi = 360 * generator.random(N_UNSEEN)
+            unseen = list(zip(theta.tolist(), phi.tolist()))
             try:
                 errors = self._errors_at(unseen)
             except TooLargeError as error:
