@@ -153,20 +153,20 @@ def warn_of_roughness(bsdfs: Iterable[Any]) -> None:
             if largest is None:
                 continue
             numbers = np.ravel(np.array(parameters[key], dtype=np.float32))
+            right = (numbers >= 0) & (numbers <= largest)
             if key == name and np.any(numbers == CLAMPED):
                 sentence = (
                     f"{name} of the BSDF {class_of(bsdf)} is {CLAMPED:g}: Mitsuba puts "
                     "that in place of any smaller number, negative ones too"
                 )
-            elif np.all((numbers >= 0) & (numbers <= largest)):
+            elif np.all(right):
                 continue
             else:
                 limits = "0 or more" if largest == np.inf else f"from 0 to {largest:g}"
-                wrong = numbers[~((numbers >= 0) & (numbers <= largest))][0]
                 sentence = (
                     f"{name} of the BSDF {class_of(bsdf)} must be {limits}, got "
-                    f"{wrong:g}: Mitsuba does not refuse it, and what is measured has "
-                    "another roughness"
+                    f"{numbers[~right][0]:g}: Mitsuba does not refuse it, and what is "
+                    "measured has another roughness"
                 )
             if sentence not in said:
                 said.add(sentence)

@@ -11,6 +11,7 @@ import re
 import sys
 import weakref
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from importlib.machinery import PathFinder
 from os import PathLike
 from pathlib import Path
@@ -203,7 +204,8 @@ def _class_texts(kind: type) -> Iterator[str]:
             plain = (bool, int, float, str, tuple)
             yield repr([v for v in vars(base).items() if isinstance(v[1], plain)])
             for function in functions:
-                yield from _source(function)
+                with suppress(OSError, TypeError):  # typed into a console
+                    yield inspect.getsource(function)
             continue
         for name in {function.__code__.co_filename for function in functions}:
             # as it was when it was first read, by a traceback or for a digest
@@ -220,13 +222,6 @@ def _functions(kind: type) -> Iterator[tuple[str, FunctionType]]:
         for function in (value, *wrapped):
             if isinstance(function, FunctionType):
                 yield name, function
-
-
-def _source(function: FunctionType) -> Iterator[str]:
-    try:
-        yield inspect.getsource(function)
-    except (OSError, TypeError):  # typed into a console
-        return
 
 
 def _imported(text: str, path: Path) -> Iterator[str]:

@@ -10,6 +10,7 @@ step to a kernel.
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 import drjit as dr
@@ -126,10 +127,7 @@ def _largest(matrix: mi.Spectrum) -> mi.UnpolarizedSpectrum:
     sizes = [dr.abs(matrix[i, j]) for i in (1, 2, 3) for j in (1, 2, 3)]
     row, column = ([matrix[i] for i in places] for places in (ROW, COLUMN))
     sizes += [dr.sqrt(x * x + y * y + z * z) for x, y, z in (row, column)]
-    found = sizes[0]
-    for size in sizes[1:]:
-        found = dr.maximum(found, size)
-    return found
+    return reduce(dr.maximum, sizes)
 
 
 def _plane_axis(k: mi.Vector3f) -> mi.Vector3f:

@@ -16,7 +16,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
 from ..array_types import Floats
 from ..mitsuba_names import triangles_of
@@ -68,7 +67,7 @@ def scene_of(shapes: Sequence[mi.Shape], groups: Sequence[mi.Shape] = ()) -> mi.
     """
     shapes = [*groups, *shapes]
     geometry = geometry_digest(shapes)
-    if _last and _same(_last[0], shapes) and _last[1] == geometry:
+    if _last and [*map(id, _last[0])] == [*map(id, shapes)] and _last[1] == geometry:
         return _last[2]
     # the old one is freed before the new one is built
     _last.clear()
@@ -98,13 +97,7 @@ def _names(shapes: Sequence[mi.Shape]) -> list[str]:
     return [f"shape_{i}" for i in range(len(shapes))]
 
 
-def _same(shapes: Sequence[mi.Shape], others: Sequence[mi.Shape]) -> bool:
-    """Whether both hold the same objects, in the same order."""
-    return len(shapes) == len(others) and all(a is b for a, b in zip(shapes, others))
-
-
-Array = NDArray[np.float64]
-Corners = tuple[Array, Array]
+Corners = tuple[Floats, Floats]
 
 # Coefficients of powers of t by the four control points of a uniform cubic B-spline.
 SPLINE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6
@@ -127,7 +120,7 @@ def bounds(shapes: Sequence[mi.Shape]) -> Corners:
     return low.min(axis=0), high.max(axis=0)
 
 
-def _box(shape: mi.Shape) -> Array:
+def _box(shape: mi.Shape) -> Floats:
     """Corners of the box of one shape, shape ``(2, 3)``."""
     box = shape.bbox()
     loose = np.array([box.min, box.max], dtype=float).reshape(2, 3)
@@ -197,7 +190,7 @@ def _curve(shape: mi.Shape) -> Corners:
     return np.array(low), np.array(high)
 
 
-def _furthest(segments: Array, axis: int, sign: int) -> float:
+def _furthest(segments: Floats, axis: int, sign: int) -> float:
     """Largest coordinate of curves of shape ``(n, 4, 4)``, along an axis."""
     # no point of a segment is beyond the balls about its control points
     within = (sign * segments[..., axis] + segments[..., 3]).max(axis=1)
@@ -214,7 +207,7 @@ def _furthest(segments: Array, axis: int, sign: int) -> float:
     return best
 
 
-def _reach(segments: Array, t: Array, axis: int, sign: int) -> Array:
+def _reach(segments: Floats, t: Floats, axis: int, sign: int) -> Floats:
     """How far the circles at `t`, of shape ``(n, m)``, reach along an axis."""
     t = t[..., None]
     powers = SPLINE @ segments

@@ -163,11 +163,10 @@ class Specimen:
             self.digest  # noqa: B018, before plugins are called, which may count that
         self.name = "a scene"
         self.defects: list[str] = []
-        self.description = "; ".join(map(_describe, self.surfaces[:4])) + (
-            f"; and {len(self.surfaces) - 4} more shapes"
-            if len(self.surfaces) > 4
-            else ""
-        )
+        parts = list(map(_describe, self.surfaces[:4]))
+        if len(self.surfaces) > 4:
+            parts.append(f"and {len(self.surfaces) - 4} more shapes")
+        self.description = "; ".join(parts)
 
     @cached_property
     def digest(self) -> str:

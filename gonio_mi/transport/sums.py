@@ -11,6 +11,7 @@ own.
 from __future__ import annotations
 
 import time
+from functools import reduce
 from typing import Any
 
 import drjit as dr
@@ -257,9 +258,8 @@ class Sums:
         active = active & (bins < self.setup.n_collected)
         for channel in range(self.channels):
             several = [one[channel] for one in elements]
-            size = dr.abs(several[0])
-            for one in [*several[1:], power_of(light)[channel]]:
-                size = dr.maximum(size, dr.abs(one))
+            sizes = map(dr.abs, [*several, power_of(light)[channel]])
+            size = reduce(dr.maximum, sizes)
             level, unit = mi.UInt32(0), mi.Float(2.0 ** -ELEMENT_UNITS[0])
             for number, step in enumerate(ELEMENT_STEPS, 1):
                 level = dr.select(size >= step, mi.UInt32(number), level)

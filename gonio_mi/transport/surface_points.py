@@ -266,15 +266,14 @@ class SurfacePoints:
             for first in range(0, self.n_wi, most):
                 m = min(most, self.n_wi - first)
                 part = slice(first, first + m)
-                came, met = self._came(si, (n, first, m))
-                sums[:, part] += self._sums(si, came, gone, (n, first, m))
+                came, met = self._came(si, n, first, m)
+                sums[:, part] += self._sums(si, came, gone, n, m)
                 each = met.astype(float).reshape(self.n_batches, n, m)
                 lit[:, part] += each.sum(axis=1)
                 if report is not None:
                     report(self.n_batches * n * m / self.n_wi)
-        directions = range(self.n_wi)
         n = end - begin
-        return [SingleScattering(sums[:, i], lit[:, i], n) for i in directions]
+        return [SingleScattering(sums[:, i], lit[:, i], n) for i in range(self.n_wi)]
 
     def _points(self, sampler: mi.Sampler) -> Any:
         """Points all over the surface, uniformly; not valid if rounding hides one."""
@@ -294,12 +293,11 @@ class SurfacePoints:
         si.t = dr.select(si.is_valid() & met, si.t, dr.inf)
         return si
 
-    def _came(self, si: Any, sizes: tuple[int, int, int]) -> tuple[mi.Float, Floats]:
-        """Each incident direction's light at each point, by :meth:`_kept`.
+    def _came(self, si: Any, n: int, first: int, m: int) -> tuple[mi.Float, Floats]:
+        """Light of `m` incident directions from the `first` at each of `n` points.
 
-        With the part of it that meets the point. `sizes` are those of `_sums`.
+        By :meth:`_kept`, with the part of all incident light that meets the point.
         """
-        n, first, m = sizes
         lanes = dr.arange(mi.UInt32, n * self.n_batches * m)
         point, incident = apart(lanes, m)
         incident += dr.opaque(mi.UInt32, first)
@@ -347,14 +345,11 @@ class SurfacePoints:
         ray = mi.Ray3f(start + dr.copysign(offset, dr.dot(si.n, wo)) * si.n, wo)
         return escapes(self.specimen, self.side, ray, si.n, offset, active)
 
-    def _sums(
-        self, si: Any, came: mi.Float, gone: mi.Float, sizes: tuple[int, int, int]
-    ) -> Floats:
-        """Sums of light over `n` points, of `m` incident directions from the `first`.
+    def _sums(self, si: Any, came: mi.Float, gone: mi.Float, n: int, m: int) -> Floats:
+        """Sums of light over `n` points, of `m` incident directions.
 
-        Shape ``(n_batches, m, n_patches, channels)``; `sizes` are ``n, first, m``.
+        Shape ``(n_batches, m, n_patches, channels)``.
         """
-        n, _, m = sizes
         lanes = dr.arange(mi.UInt32, self.n_batches * m * self.n_patches)
         pair, patch = apart(lanes, self.n_patches)
         batch, incident = apart(pair, m)
