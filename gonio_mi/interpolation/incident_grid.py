@@ -206,7 +206,8 @@ class IncidentGrid:
         index = np.flatnonzero(~normal)
         if len(index):
             grid[of_phi, of_theta[index]] = index
-        tilted = grid[:, int(normal.any()) :]
+        begin = int(normal.any())
+        tilted = grid[:, begin:]
         if np.count_nonzero(tilted >= 0) != len(index) or not _is_filled(
             tilted, phi_i, record.subdivision
         ):
@@ -229,10 +230,7 @@ class IncidentGrid:
         found = cls(theta_i, phi_i, grid, normal, record.subdivision, False)
         if not isinstance(found.patches, RingsAndSectors) or len(phi_i) == 1:
             return found
-        begin = int(normal.any())
-        trials = AzimuthCrossValidation(
-            theta_i[begin:], phi_i, grid[:, begin:], found.patches
-        )
+        trials = AzimuthCrossValidation(theta_i[begin:], phi_i, tilted, found.patches)
         lower = flux.shape[1] > 1
         return replace(
             found,
@@ -352,14 +350,11 @@ def _is_filled(grid: Integers, phi_i: Floats, patches: Subdivision) -> bool:
     if (grid >= 0).all():
         return True
     edges = np.degrees(getattr(patches, "phi_edges", np.zeros(1)))
-    if not np.allclose(
-        np.diff(edges), 360 / max(len(edges) - 1, 1), atol=ANGLE_TOLERANCE
-    ):
+    n = len(edges) - 1
+    if not np.allclose(np.diff(edges), 360 / max(n, 1), atol=ANGLE_TOLERANCE):
         return False
-    sectors = (phi_i - phi_i[0]) * (len(edges) - 1) / 360
-    whole = np.abs(sectors - np.round(sectors)) * 360 < ANGLE_TOLERANCE * (
-        len(edges) - 1
-    )
+    sectors = (phi_i - phi_i[0]) * n / 360
+    whole = np.abs(sectors - np.round(sectors)) * 360 < ANGLE_TOLERANCE * n
     return bool(whole.all() and (grid >= 0).any(axis=0).all())
 
 

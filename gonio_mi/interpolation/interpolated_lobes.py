@@ -55,9 +55,8 @@ class _Pieces:
     def moved(self, on: _OnPiece, to: mi.Float64) -> tuple[mi.Float64, mi.Float64]:
         """Coordinate of the point at `to` of the leg, and the stretch of its piece."""
         slope = self._at(self.slopes, on.index, to)
-        return self._at(
-            self.begins, on.index, to
-        ) + on.fraction * slope, slope / on.slope
+        begin = self._at(self.begins, on.index, to)
+        return begin + on.fraction * slope, slope / on.slope
 
     @staticmethod
     def _at(

@@ -73,22 +73,18 @@ class TransportTable:
         n_azimuths, n_angles, n_hemispheres = brdf.shape[:3]
         shape = n_azimuths, max(n_angles - 1, 1), n_hemispheres, 2 * N_CELLS - 1
         # both ends as channels, which are not copied
-        strips, strip_slopes, cells, cell_slopes = (
+        arrays = [
             np.moveaxis(aligned((*shape, *more, 2)), -1, 0)
             for more in ((), (), shape[-1:], shape[-1:])
-        )
+        ]
         for azimuth, phi in enumerate(np.radians(phi_i)):
             histograms = _histograms(brdf[azimuth], patches, phi)
             for leg, hemisphere in np.ndindex(shape[1:3]):
-                ends = [
-                    histograms[min(leg + end, n_angles - 1), hemisphere]
-                    for end in (0, 1)
-                ]
-                here = slice(None), azimuth, leg, hemisphere
-                strips[here], strip_slopes[here], cells[here], cell_slopes[here] = _leg(
-                    *ends
-                )
-        return cls(strips, strip_slopes, cells, cell_slopes)
+                ends = leg, min(leg + 1, n_angles - 1)
+                found = _leg(*(histograms[end, hemisphere] for end in ends))
+                for array, own in zip(arrays, found):
+                    array[:, azimuth, leg, hemisphere] = own
+        return cls(*arrays)
 
 
 def _histograms(brdf: Floats, patches: RingsAndSectors, phi_i: float) -> Floats:
@@ -290,13 +286,17 @@ class MeasuredLobes:
         ValueError
             If it does not fit into memory.
         """
-        n_channels = self.flux.shape[-1] if self.mixture is None else 1
-        lobes = self.flux.shape[1], *self.patches.shape, n_channels
         n_azimuths, n_angles = self.grid.index.shape
-        n_bytes = check_table(n_azimuths, n_angles, lobes)
+        n_bytes = check_table(n_azimuths, n_angles, self._shape)
         making = "a table of this record, while it is made,"
         check_memory(making, 1.2 * n_bytes, "measure on fewer patches")
         return self.table(range(n_azimuths), range(n_angles))
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        """``(H, n_theta, n_phi, channels)`` of the lobes of a direction."""
+        n_channels = self.flux.shape[-1] if self.mixture is None else 1
+        return self.flux.shape[1], *self.patches.shape, n_channels
 
     def table(self, azimuths: Sequence[int], angles: Sequence[int]) -> LobeTable:
         """Table of some azimuths and polar angles, as if no others were known."""
@@ -314,17 +314,14 @@ class MeasuredLobes:
 
     def brdf(self, azimuths: Sequence[int], angles: Sequence[int]) -> Floats:
         """BRDF and BTDF in 1/sr, shape ``(P, N, H, n_theta, n_phi, channels)``."""
-        n_channels = self.flux.shape[-1] if self.mixture is None else 1
-        lobes = self.flux.shape[1], *self.patches.shape, n_channels
-        brdf = aligned((len(azimuths), len(angles), *lobes))
+        brdf = aligned((len(azimuths), len(angles), *self._shape))
+        areas = self.measured.projected_solid_angles[..., None]
         for column, angle in enumerate(angles):
             found = self.grid.filled(self.flux, azimuths, [angle])
             if self.mixture is not None:
                 found = found @ np.asarray(self.mixture, dtype=float)[:, None]
             # a sum that is negative by chance is no light
-            found = (
-                np.maximum(found, 0) / self.measured.projected_solid_angles[..., None]
-            )
+            found = np.maximum(found, 0) / areas
             brdf[:, column] = self.measured.in_rings(found)[1][:, 0]
         return brdf
 
