@@ -119,7 +119,7 @@ def _run(scene: Any, settings: dict[str, Any], wish: str, goal: float) -> Record
     """Record of a relative error in the worst patch, or of a noise."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # light over the edges is no matter here
-        return measure(scene, THETA_I, **{wish: goal}, **settings)
+        return measure(scene, THETA_I, **(settings | {wish: goal}))
 
 
 def _goal(run: Callable[[float], Record], target: float, limit: float) -> float | None:
