@@ -158,6 +158,17 @@ class LitFrom:
         return str(self._condition)
 
 
+def sides_of(bsdf: mi.BSDF) -> tuple[str, ...]:
+    """Sides that the flags of a BSDF declare, the front first."""
+    declared, kinds = int(bsdf.flags()), mi.BSDFFlags
+    if declared & int(kinds.Transmission):
+        return ("front", "back")
+    front, back = declared & int(kinds.FrontSide), declared & int(kinds.BackSide)
+    if back:
+        return ("front", "back") if front else ("back",)
+    return ("front",)
+
+
 # Of a sweep: its largest polar angle and the step of its azimuths in degrees, and the
 # gap of azimuths beyond which those of a finding are told.
 MAX_SWEPT = 89.5
@@ -215,9 +226,7 @@ class Effort:
         theta = np.degrees(np.arcsin(sines))
         thin = np.array([1.0, 2.5, 5.0, 8.0])
         theta = np.sort(np.concatenate([theta, thin, 90 - thin]))
-        # no slivers
-        kept = np.concatenate([[True], np.diff(theta) > 0.2])
-        edges = [*theta[kept][:-1], 90.0] if kept[-1] else [*theta[kept], 90.0]
+        edges = theta[np.diff(theta, prepend=-1.0) > 0.2]  # no slivers
         return Borders(tuple(edges), tuple(np.linspace(0, 360, self.sectors + 1)))
 
     @staticmethod

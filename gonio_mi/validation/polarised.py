@@ -24,6 +24,7 @@ from .checks import (
     mueller_symmetry,
     realisable,
 )
+from .conditions import sides_of
 from .evidence import Evidence
 from .mueller import (
     Matrices,
@@ -120,7 +121,8 @@ class _Examination:
         bsdf = evidence.bsdf
         self.importance = MuellerProbe(bsdf)
         self.radiance = MuellerProbe(bsdf, "radiance")
-        self.sides = _sides(int(bsdf.flags()))
+        # +1 the front
+        self.sides = [1 if side == "front" else -1 for side in sides_of(bsdf)]
         n = N_SAMPLES * size
         self.wi = lit_directions(self.rng, n, self.sides)
         self.random = self.rng.random((n, 3))
@@ -291,15 +293,6 @@ def _moved(d: Floats, places: Floats, around: Flags, over: Flags) -> Floats:
     led[..., 2] *= z
     d = np.broadcast_to(d, turned.shape)
     return np.where(around[..., None], turned, np.where(over[..., None], led, d))
-
-
-def _sides(declared: int) -> tuple[int, ...]:
-    """Sides that flags declare, +1 the front."""
-    kinds = mi.BSDFFlags
-    if declared & int(kinds.Transmission) or declared & int(kinds.Null):
-        return (1, -1)
-    front, back = declared & int(kinds.FrontSide), declared & int(kinds.BackSide)
-    return (1, -1) if front and back else (-1,) if back else (1,)
 
 
 def _axes(specimen: Any) -> tuple[Floats, Floats | None]:

@@ -39,7 +39,7 @@ from .checks import (
     sampling,
     weights,
 )
-from .conditions import Condition, Effort, Sweep
+from .conditions import Condition, Effort, Sweep, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import (
@@ -238,7 +238,7 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     """The same; yields how many of `N_STEPS` each has taken."""
     bsdf, seed = evidence.bsdf, evidence.seed
     n = bsdf.component_count()
-    components, sides = range(n) if n > 1 else (), _sides(int(bsdf.flags()))
+    components, sides = range(n) if n > 1 else (), sides_of(bsdf)
     conditions = list(plan.checks(sides, components))
     radiance = [replace(one, mode="radiance") for one in plan.radiance(sides)]
     for i, condition in enumerate([*conditions, *radiance]):
@@ -274,16 +274,6 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     if plan is not Effort.named("quick"):
         # it takes a second
         cost.check_time(evidence, Condition(40.0, 25.0, sides[0]))
-
-
-def _sides(declared: int) -> tuple[str, ...]:
-    """Sides that flags declare, the front first."""
-    kinds = mi.BSDFFlags
-    through = declared & int(kinds.Transmission)
-    back = through or declared & int(kinds.BackSide)
-    if not (through or declared & int(kinds.FrontSide)) and back:
-        return ("back",)
-    return ("front", "back") if back else ("front",)
 
 
 def _check_samples(
