@@ -210,15 +210,6 @@ class Test(Finding):
     __test__ = False  # no test of pytest's
 
 
-@dataclass(frozen=True, eq=False)
-class Ratio:
-    """Answers over what they should be, of samples, and where they are wrong."""
-
-    samples: Samples
-    wrong: Flags
-    ratio: Floats
-
-
 @dataclass
 class Evidence:
     """All findings about a BSDF.
@@ -283,13 +274,14 @@ class Evidence:
         self,
         name: str,
         function: str,
-        found: Ratio,
+        samples: Samples,
+        wrong: Flags,
+        ratio: Floats,
         what: str,
         mistake: str,
         **others: Any,
     ) -> None:
-        """Add a breach that tells how far a ratio is from 1, if of many samples."""
-        samples, wrong, ratio = found.samples, found.wrong, found.ratio
+        """Add a breach that tells how far a ratio is from 1, if many are `wrong`."""
         if not is_many(wrong):
             return
         usable = wrong & (np.abs(ratio) < MAX_RATIO)

@@ -134,17 +134,11 @@ class Probe:
         sampled = checked_sample(name, tuple(sample), n)
         return *self._pair((name, name), (value, pdf), n), sampled
 
-    def null_transmission(self) -> mi.Spectrum:
-        """Answer of ``eval_null_transmission``."""
-        with blamed("eval_null_transmission"):
-            answer = self.bsdf.eval_null_transmission(self.interaction())
-        return checked_answer("eval_null_transmission", answer, 1, mi.Spectrum)
-
-    def diffuse_reflectance(self) -> mi.Spectrum:
-        """Answer of ``eval_diffuse_reflectance``."""
-        with blamed("eval_diffuse_reflectance"):
-            answer = self.bsdf.eval_diffuse_reflectance(self.interaction())
-        return checked_answer("eval_diffuse_reflectance", answer, 1, mi.Spectrum)
+    def of_surface(self, function: str) -> Floats:
+        """Answer of a function that takes no other direction; shape ``(channels,)``."""
+        with blamed(function):
+            answer = getattr(self.bsdf, function)(self.interaction())
+        return spectral(checked_answer(function, answer, 1, mi.Spectrum), 1)[0]
 
     def _width(self, wi: mi.Vector3f | None, *arguments: Any) -> int:
         """Number of rays of a call."""

@@ -224,7 +224,7 @@ def check_albedo(evidence: Evidence) -> None:
     samples = evidence.whole[0]
     name, all_flags = "eval_diffuse_reflectance", int(evidence.bsdf.flags())
     probe = Probe(evidence.bsdf, samples.condition)
-    reported = spectral(probe.diffuse_reflectance(), 1)[0]
+    reported = probe.of_surface(name)
     mistake = ""
     if improper(reported[None]).any():
         mistake = f"the value of `{name}` is {example(reported[None])}"

@@ -168,15 +168,15 @@ def check_null(evidence: Evidence, samples: Samples) -> None:
         return
     flux = samples.weight[null] * samples.sampled_pdf[null][:, None]
     sampled = flux.mean(axis=0)
-    probe = Probe(evidence.bsdf, samples.condition)
-    reported = np.ravel(np.array(probe.null_transmission(), dtype=float))
+    function = "eval_null_transmission"
+    reported = Probe(evidence.bsdf, samples.condition).of_surface(function)
     if np.abs(sampled - reported).max() > BSDF_ROUNDING:
         evidence.breach(
             "delta",
-            "eval_null_transmission",
+            function,
             f"says {reported.max():.4g}, sampled is {sampled.max():.4g} "
             f"at {samples.condition}",
-            "`eval_null_transmission` is not the share that `sample` lets pass",
+            f"`{function}` is not the share that `sample` lets pass",
             samples.condition,
             kind=Kind.NULL_TRANSMISSION,
         )

@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...single_precision import BSDF_ROUNDING
-from ..evidence import INTERFACE, Evidence, Ratio
+from ..evidence import INTERFACE, Evidence
 from ..kinds import Kind
 from ..probe import Probe, numbers, spectral, vectors
 from ..samples import Samples, is_many, ratio_of, unequal
@@ -19,10 +19,10 @@ MAX_RELATIVE, MAX_OF_PEAK = 0.01, 1e-4
 
 def check_samples(evidence: Evidence, samples: Samples) -> None:
     """Value and density are those of ``eval`` and ``pdf``, samples of ``sample``."""
-    check_joint(evidence, samples, "eval_pdf")
+    _check_joint(evidence, samples, "eval_pdf")
     # no integrator calls that of a plugin in Python, which this version cannot reach
     effect = "" if type(evidence.bsdf) is mi.BSDF else INTERFACE
-    check_joint(evidence, samples, "eval_pdf_sample", effect)
+    _check_joint(evidence, samples, "eval_pdf_sample", effect)
     own, given = samples.joint, samples.given
     wrong = (np.abs(own["wo"] - samples.wo).max(axis=1) > BSDF_ROUNDING) & given
     wrong |= unequal(own["weight"], samples.weight, 0.0)
@@ -69,7 +69,7 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
             )
 
 
-def check_joint(
+def _check_joint(
     evidence: Evidence, samples: Samples, function: str, effect: str = ""
 ) -> None:
     """The same for each function that answers both."""
@@ -83,7 +83,9 @@ def check_joint(
         evidence.breach_of_ratio(
             function,
             function,
-            Ratio(samples, unequal(joint, due, slack) & usable, ratio_of(joint, due)),
+            samples,
+            unequal(joint, due, slack) & usable,
+            ratio_of(joint, due),
             f"its value over `{alone}`",
             f"`{function}` answers otherwise than `{alone}`",
             effect=effect,

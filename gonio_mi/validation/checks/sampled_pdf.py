@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..evidence import Evidence, Ratio
+from ..evidence import Evidence
 from ..samples import Samples, ratio_of, unequal
 
 
@@ -15,7 +15,9 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
     evidence.breach_of_ratio(
         "sampled_pdf",
         "sample",
-        Ratio(samples, wrong, ratio_of(samples.sampled_pdf, samples.pdf)),
+        samples,
+        wrong,
+        ratio_of(samples.sampled_pdf, samples.pdf),
         "its pdf over `pdf`",
         "`sample` returns another pdf than `pdf`",
     )

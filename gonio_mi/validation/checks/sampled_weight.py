@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...array_types import Flags, Floats
-from ..evidence import INTERFACE, Evidence, Ratio
+from ..evidence import INTERFACE, Evidence
 from ..samples import MAX_SEARCHED, Samples, closer_slacks, is_many, ratio_of, unequal
 
 # Standard errors beyond which two means differ.
@@ -28,7 +28,9 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         evidence.breach_of_ratio(
             "sampled_weight",
             "sample",
-            Ratio(samples, wrong[1], ratio_of(_products(samples)[1], samples.eval)),
+            samples,
+            wrong[1],
+            ratio_of(_products(samples)[1], samples.eval),
             "weight times pdf over `eval`",
             "the weight of `sample` is not `eval` over pdf",
             effect="" if _is_biased(samples, lit) else INTERFACE,
