@@ -12,6 +12,7 @@ mistake.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -48,16 +49,13 @@ class MuellerProbe:
 
     def eval(self, wi: Floats, wo: Floats) -> Matrices:
         """Matrices of ``eval`` for directions of shape (..., 3)."""
-        n = wi[..., 0].size
-        self.n_asked += n
+        self.n_asked += wi[..., 0].size
         answer = self._probe.eval(vectors(wo), wi=vectors(wi))
-        raw = elements(answer, n).reshape(*wi.shape[:-1], -1, 4, 4)
-        return Matrices("eval", self.mode, wi, wo, raw)
+        return Matrices("eval", self.mode, wi, wo, elements(answer, wi.shape[:-1]))
 
     def pdf(self, wi: Floats, wo: Floats) -> Floats:
-        """Densities of shape (...)."""
-        answer = self._probe.pdf(vectors(wo), wi=vectors(wi))
-        return numbers(answer, wi[..., 0].size).astype(float).reshape(wi.shape[:-1])
+        """Densities for directions of shape (n, 3); shape (n,)."""
+        return self._probe.densities(wo, wi)
 
     def eval_with_slack(self, wi: Floats, wo: Floats) -> tuple[Matrices, Floats]:
         """Matrices of ``eval``, and what rounding may leave in their elements, (...).
@@ -72,13 +70,12 @@ class MuellerProbe:
         return answers.take(0), slack_of(per_light(answers.raw))
 
     def eval_pdf(self, wi: Floats, wo: Floats) -> tuple[Matrices, Floats]:
-        """Both answers of ``eval_pdf``."""
-        n = wi[..., 0].size
+        """Both answers of ``eval_pdf`` for directions of shape (n, 3)."""
+        n = len(wi)
         self._probe.wi = vectors(wi)
         value, pdf = self._probe.eval_pdf(vectors(wo))
-        raw = elements(value, n).reshape(*wi.shape[:-1], -1, 4, 4)
-        densities = numbers(pdf, n).astype(float).reshape(wi.shape[:-1])
-        return Matrices("eval_pdf", self.mode, wi, wo, raw), densities
+        densities = numbers(pdf, n).astype(float)
+        return Matrices("eval_pdf", self.mode, wi, wo, elements(value, (n,))), densities
 
     def sample(self, wi: Floats, random: Floats) -> Lobes:
         """Answers of ``sample`` for directions and random numbers of (..., 3)."""
@@ -86,9 +83,8 @@ class MuellerProbe:
         self.n_asked += n
         bs, weight = self._probe.sample(*random_numbers(random), wi=vectors(wi))
         wo = spectral(bs.wo, n).reshape(wi.shape)
-        raw = elements(weight, n).reshape(*shape, -1, 4, 4)
         return Lobes(
-            Matrices("sample", self.mode, wi, wo, raw),
+            Matrices("sample", self.mode, wi, wo, elements(weight, shape)),
             numbers(bs.pdf, n).astype(float).reshape(shape),
             numbers(bs.sampled_type, n).astype(np.int64).reshape(shape),
         )
@@ -165,10 +161,8 @@ class Matrices:
 
     def take(self, chosen: Any) -> Matrices:
         """Some of the pairs."""
-        chosen_arrays = {
-            name: getattr(self, name)[chosen] for name in ("wi", "wo", "raw")
-        }
-        return replace(self, **chosen_arrays)
+        wi, wo, raw = (x[chosen] for x in (self.wi, self.wo, self.raw))
+        return replace(self, wi=wi, wo=wo, raw=raw)
 
 
 @dataclass(frozen=True)
@@ -213,11 +207,12 @@ class Lobes:
         return replace(self.weights, raw=raw)
 
 
-def elements(value: mi.Spectrum, n: int) -> Floats:
-    """NumPy array of Mueller-valued spectra, shape (n, channels, 4, 4)."""
+def elements(value: mi.Spectrum, shape: tuple[int, ...]) -> Floats:
+    """Mueller-valued spectra of as many directions, shape (*shape, channels, 4, 4)."""
     array = np.array(value, dtype=float)
     array = np.moveaxis(array.reshape(4, 4, array.shape[2], -1), (3, 2), (0, 1))
-    return np.broadcast_to(array, (n, *array.shape[1:]))
+    array = np.broadcast_to(array, (math.prod(shape), *array.shape[1:]))
+    return array.reshape(*shape, *array.shape[1:])
 
 
 def per_light(matrices: Floats) -> Floats:
@@ -328,29 +323,17 @@ def readings(
         "(mi.mueller.rotate_mueller_basis)",
         raw,
     )
-    yield (
-        "does not turn the frame of the incident beam to Mitsuba's",
-        reframed(raw, one, turn_out),
-    )
-    yield (
-        "does not turn the frame of the outgoing beam to Mitsuba's",
-        reframed(raw, turn_in, one),
-    )
-    yield "turns its frames the wrong way round", reframed(raw, back, out_back)
-    yield (
-        "turns the frame of the incident beam the wrong way round",
-        reframed(raw, back, turn_out),
-    )
-    yield (
-        "turns the frame of the outgoing beam the wrong way round",
-        reframed(raw, turn_in, out_back),
-    )
-    for sign in (1, -1):
-        halves = matrices.turns(normal, share=0.5, sign=sign)
-        yield (
-            "turns Stokes vectors by the angle of their frames instead of twice that",
-            reframed(raw, *halves),
-        )
+    half = "turns Stokes vectors by the angle of their frames instead of twice that"
+    for mistake, of_in, of_out in (
+        ("does not turn the frame of the incident beam to Mitsuba's", one, turn_out),
+        ("does not turn the frame of the outgoing beam to Mitsuba's", turn_in, one),
+        ("turns its frames the wrong way round", back, out_back),
+        ("turns the frame of the incident beam the wrong way round", back, turn_out),
+        ("turns the frame of the outgoing beam the wrong way round", turn_in, out_back),
+        (half, *matrices.turns(normal, share=0.5)),
+        (half, *matrices.turns(normal, share=0.5, sign=-1)),
+    ):
+        yield mistake, reframed(raw, of_in, of_out)
     yield (
         "returns the transposed matrix",
         reframed(np.swapaxes(raw, -1, -2), turn_in, turn_out),

@@ -44,9 +44,6 @@ N_SAMPLES, N_PAIRS, N_ANGLES = 1024, 12, 16
 # Samples for the flux of each of some incident directions.
 N_LIT, N_FLUX = 6, 512
 
-# Steps of paths over the sphere, that meet the pole.
-N_STEPS = 48
-
 # Numbers that choose a lobe on the way back.
 CHOICES = (0.01, 0.05, 0.15, 0.35, 0.65, 0.85, 0.95, 0.99)
 
@@ -201,10 +198,8 @@ class _Examination:
 
     def check_turned(self, normal: Floats, nested: Floats | None) -> None:
         """Pairs of directions, turned together."""
-        angles_about = (
-            2 * np.pi * (np.arange(N_ANGLES) + self.rng.random(N_ANGLES)) / N_ANGLES
-        )
-        turns = about(normal, angles_about)
+        angle = 2 * np.pi * (np.arange(N_ANGLES) + self.rng.random(N_ANGLES)) / N_ANGLES
+        turns = about(normal, angle)
         lobes = self.lobes
         for smooth in (True, False):
             pairs = self._some(lobes.smooth if smooth else lobes.delta & ~lobes.null)
@@ -224,8 +219,8 @@ class _Examination:
                 # a discrete lobe turns with its source
                 usable &= np.abs(matrices.wo - wo).max(-1) < SAME_DIRECTION
             same = np.asarray(usable.all(axis=1))
-            turned_pairs = frames.Turned(matrices, slack, same, normal, nested)
-            frames.check_turned(self.evidence, turned_pairs)
+            turned_pairs = frames.Turned(matrices, slack, normal, nested)
+            frames.check_turned(self.evidence, turned_pairs.those(same))
 
     def _some(self, chosen: Flags) -> Integers:
         """Some samples, of all types and sides."""
@@ -233,13 +228,12 @@ class _Examination:
         if not len(found):
             return found
         side = np.sign(self.wi[found, 2]) + 3 * np.sign(self.lobes.weights.wo[found, 2])
-        groups = {*zip(side.tolist(), self.lobes.type[found].tolist())}
-        each = max(2, N_PAIRS * self.size // len(groups))
         kinds = zip(side.tolist(), self.lobes.type[found].tolist())
-        by_group: dict[tuple[float, int], list[int]] = {}
+        groups: dict[tuple[float, int], list[int]] = {}
         for index, kind in zip(found.tolist(), kinds):
-            by_group.setdefault(kind, []).append(index)
-        return np.array([i for own in by_group.values() for i in own[:each]])
+            groups.setdefault(kind, []).append(index)
+        each = max(2, N_PAIRS * self.size // len(groups))
+        return np.array([i for own in groups.values() for i in own[:each]])
 
     def check_jumps(self) -> None:
         """Paths over the sphere, of one direction or of both."""
@@ -256,7 +250,7 @@ class _Examination:
                 at_wo = _moved(at_wo, places, (kind == 0) | (kind == 2), kind == 4)
                 return self.importance.eval(at_wi, at_wo), np.zeros(places.shape)
 
-            frames.check_jumps(self.evidence, _eval_along, 5 * len(pairs), N_STEPS)
+            frames.check_jumps(self.evidence, _eval_along, 5 * len(pairs))
         samples = self._some(lobes.delta)
         if len(samples):
             lit, random = self.wi[samples], self.random[samples]
@@ -270,7 +264,7 @@ class _Examination:
                 kinds = found.type * found.delta * np.sign(found.weights.wo[..., 2])
                 return found.flux, kinds
 
-            frames.check_jumps(self.evidence, _sample_along, 2 * len(samples), N_STEPS)
+            frames.check_jumps(self.evidence, _sample_along, 2 * len(samples))
 
     def check_energy(self) -> None:
         """Flux of some incident directions."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mitsuba as mi
 import numpy as np
@@ -33,6 +33,9 @@ EXPLAINED = 0.1
 JUMP = 0.02
 N_SECTIONS, N_ROUNDS = 24, 5
 
+# Steps of paths over the sphere, that meet the pole.
+N_STEPS = 48
+
 # Where a jump may lie: what is 0 there.
 BORDERS: dict[str, Callable[[Floats], Floats]] = {
     "the pole": lambda d: np.hypot(d[..., 0], d[..., 1]),
@@ -52,8 +55,6 @@ class Turned:
         Of shape (pairs, angles).
     slack : ndarray, shape (pairs, angles)
         What rounding may leave of elements over the first one.
-    usable : ndarray, shape (pairs,)
-        Pairs that scatter the same way at all angles.
     normal : ndarray, shape (3,)
     nested : ndarray, shape (3, 3), or None
         Axes of a nested BSDF.
@@ -61,9 +62,12 @@ class Turned:
 
     matrices: Matrices
     slack: Floats
-    usable: Flags
     normal: Numbers
-    nested: Numbers | None = None
+    nested: Numbers | None
+
+    def those(self, mask: Flags) -> Turned:
+        """Pairs of the mask."""
+        return replace(self, matrices=self.matrices.take(mask), slack=self.slack[mask])
 
     @property
     def tolerance(self) -> Floats:
@@ -88,7 +92,6 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
     Of an anisotropic surface it may; then a reading of the matrices that makes them
     independent speaks for itself.
     """
-    turned = _chosen_pairs(turned, turned.usable)
     if not len(turned.matrices.wi):
         return
     misfit = turned.misfit(turned.matrices.in_plane(turned.normal))
@@ -103,7 +106,7 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
         f"elements over the first change by up to {misfit[worst]:.3g} where both "
         f"directions turn about the normal, at {condition}"
     )
-    mistake = _explained(_chosen_pairs(turned, wrong), misfit[wrong])
+    mistake = _explained(turned.those(wrong), misfit[wrong])
     declared = int(evidence.bsdf.flags()) & int(mi.BSDFFlags.Anisotropic)
     if mistake is None and (declared or not turned.same_light):
         evidence.remark(
@@ -122,16 +125,6 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
         size=float(misfit[worst]),
         off=share,
         about=str(turned.normal.round(9).tolist()),
-    )
-
-
-def _chosen_pairs(turned: Turned, chosen: Flags) -> Turned:
-    return Turned(
-        turned.matrices.take(chosen),
-        turned.slack[chosen],
-        turned.usable[chosen],
-        turned.normal,
-        turned.nested,
     )
 
 
@@ -168,7 +161,6 @@ def check_jumps(
     evidence: Evidence,
     path: Callable[[Numbers, Floats], tuple[Matrices, Numbers]],
     n_paths: int,
-    n_steps: int,
 ) -> None:
     """Elements over the first one do not jump along closed paths of directions.
 
@@ -178,11 +170,11 @@ def check_jumps(
     path : callable
         For numbers of paths and places on them in [0, 1), of shape (n, m), matrices
         and what must be the same of two of them to be compared.
-    n_paths, n_steps : int
+    n_paths : int
     """
-    paths = np.repeat(np.arange(n_paths), n_steps)
-    start = np.tile(np.arange(n_steps) / n_steps, n_paths)
-    length = 1 / n_steps
+    paths = np.repeat(np.arange(n_paths), N_STEPS)
+    start = np.tile(np.arange(N_STEPS) / N_STEPS, n_paths)
+    length = 1 / N_STEPS
     for i in range(N_ROUNDS):
         sections = 1 if i == 0 else N_SECTIONS
         places = start[:, None] + length * np.arange(sections + 1) / sections

@@ -24,22 +24,11 @@ def check_reciprocity(
     m, reverse = per_light(there.in_plane()), per_light(back.in_plane())
     due = EXCHANGE @ np.swapaxes(reverse, -1, -2) @ EXCHANGE
     wrong, size = _wrong(there, back, off(m, due), slack)
-    if not is_many(wrong):
-        return
-    function = there.function
-    worst = int(np.argmax(np.where(wrong, size, 0)))
-    condition = condition_of(there, (worst,))
-    evidence.breach(
-        "reciprocity",
-        function,
-        f"elements over the first are off by up to {size[worst]:.3g} at {condition}, "
-        f"for {100 * wrong.mean():.3g} % of the directions",
-        f"`{function}` is not reciprocal in its polarisation: M(wi, wo) is not "
-        "Q M(wo, wi)^T Q",
-        condition,
-        size=float(wrong.mean()),
-        off=float(wrong.mean()),
-    )
+    if is_many(wrong):
+        mistake = (
+            "is not reciprocal in its polarisation: M(wi, wo) is not Q M(wo, wi)^T Q"
+        )
+        _breach(evidence, "reciprocity", there, wrong, size, mistake)
 
 
 def check_adjoint(
@@ -50,24 +39,13 @@ def check_adjoint(
     wrong, size = _wrong(radiance, back, off(m, due), slack)
     if not is_many(wrong):
         return
-    function = radiance.function
-    worst = int(np.argmax(np.where(wrong, size, 0)))
-    condition = condition_of(radiance, (worst,))
     mistake = "does not answer for light that goes from wo to wi"
     if is_depolarised(m[wrong]):
         mistake = "depolarises, other than in importance mode,"
     elif is_depolarised(due[wrong]):
         mistake = "polarises, other than in importance mode,"
-    evidence.breach(
-        "adjoint",
-        function,
-        f"elements over the first are off by up to {size[worst]:.3g} at {condition}, "
-        f"for {100 * wrong.mean():.3g} % of the directions",
-        f"`{function}` {mistake} in radiance mode (ctx.mode)",
-        condition,
-        size=float(wrong.mean()),
-        off=float(wrong.mean()),
-    )
+    mistake = f"{mistake} in radiance mode (ctx.mode)"
+    _breach(evidence, "adjoint", radiance, wrong, size, mistake)
 
 
 def _wrong(
@@ -77,3 +55,26 @@ def _wrong(
     both = one.lit & other.lit & one.finite & other.finite
     size = np.where(both, np.nan_to_num(size), 0.0)
     return size > ROUNDING + slack, size
+
+
+def _breach(
+    evidence: Evidence,
+    name: str,
+    matrices: Matrices,
+    wrong: Flags,
+    size: Floats,
+    mistake: str,
+) -> None:
+    """Add a breach of pairs that are `wrong` by `size`, with the worst of them."""
+    worst = int(np.argmax(np.where(wrong, size, 0)))
+    condition = condition_of(matrices, (worst,))
+    evidence.breach(
+        name,
+        matrices.function,
+        f"elements over the first are off by up to {size[worst]:.3g} at {condition}, "
+        f"for {100 * wrong.mean():.3g} % of the directions",
+        f"`{matrices.function}` {mistake}",
+        condition,
+        size=float(wrong.mean()),
+        off=float(wrong.mean()),
+    )
