@@ -105,10 +105,6 @@ class Ratio:
     samples: Samples
     mask: Flags
 
-    def factor(self, name: str) -> Floats:
-        """Values of a factor for these samples."""
-        return factor(name, self.samples, self.mask)
-
     @property
     def wrong(self) -> Flags:
         """Samples whose ratio is not 1, of all."""
@@ -202,7 +198,10 @@ def _is_one(values: Floats, tolerance: float = TOLERANCE) -> bool:
 
 def _find(ratios: Sequence[Ratio]) -> _Found | None:
     """Factor that explains ratios; None if none does."""
-    known = {name: [ratio.factor(name) for ratio in ratios] for name in FACTORS}
+    known = {
+        name: [factor(name, one.samples, one.mask) for one in ratios]
+        for name in FACTORS
+    }
     for name, power, with_constant in _candidates():
         own = known[name]
         rests = [ratio.values / x**power for ratio, x in zip(ratios, own)]
@@ -289,11 +288,6 @@ def _place(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
     return ", ".join(words)
 
 
-def _inverse(ratios: Sequence[Ratio]) -> list[Ratio]:
-    """Ratios of the one below over the one above."""
-    return [replace(ratio, values=1 / ratio.values) for ratio in ratios]
-
-
 # --------------------------------------------------- the weight of `sample`, and `eval`
 
 # Weight times pdf is one account of the BSDF, ``eval`` another. Where they differ, each
@@ -352,7 +346,8 @@ def explain_weights(evidence: Evidence, failed: Collection[str]) -> tuple[str, s
     if not guilty and not int(evidence.bsdf.flags()) & int(mi.BSDFFlags.NonSymmetric):
         guilty = _by_reciprocity(evidence.bsdf, ratios)
     if guilty:
-        ratios = _inverse(ratios) if guilty == "eval" else ratios
+        if guilty == "eval":
+            ratios = [replace(one, values=1 / one.values) for one in ratios]
         return guilty, explain(ratios, guilty)
     text = _explain_neutrally(ratios)
     return EITHER, f"`eval` or the weight of `sample`: {text}"

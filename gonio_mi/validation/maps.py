@@ -217,6 +217,10 @@ class FourMaps:
         kept = np.isfinite(z)
         return Scores(z, first, float(total), _mean_variance(share[kept]))
 
+    def scores(self, name: str) -> Scores:
+        """Scores by which the property ``sampling`` or ``weights`` is judged."""
+        return self.count_scores if name == "sampling" else self.weight_scores
+
 
 def four_maps(
     bsdf: mi.BSDF,
@@ -263,10 +267,10 @@ def unexplained_fraction(maps: FourMaps, name: str) -> tuple[float, float]:
     surplus : float
         Of samples over integrals, times the cosine of wi.
     """
-    n, scores = maps.totals.n, maps.weight_scores
+    n, scores = maps.totals.n, maps.scores(name)
     drawn, due = maps.totals.sums / n, maps.weights
     if name == "sampling":
-        scores, drawn, due = maps.count_scores, maps.totals.counts / n, maps.pdf
+        drawn, due = maps.totals.counts / n, maps.pdf
     whole = max(drawn.sum(), due.sum())
     gain = (drawn - due).sum()
     surplus = float(abs(maps.condition.wi[2]) * gain / max(whole, 1e-30))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import mitsuba as mi
 import numpy as np
@@ -39,7 +39,7 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
 
     Where ``eval`` is black, a density does no harm.
     """
-    check_scores(evidence, maps, "sampling", maps.count_scores)
+    check_scores(evidence, maps, "sampling")
     used, unused = maps.pdf.sum(), maps.due.unused.values.sum()
     slack = max(maps.pdf_sum_bound, SUM_ERROR) + maps.due.unused.sum_bound
     if used + unused > 1 + slack:
@@ -93,15 +93,11 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     drawn, even = spectral(bs.wo, n), _even_directions(evidence.bsdf, sweep, key)
     given = (spectral(weight, n) != 0).any(axis=1) & ~numbers(is_delta(bs), n)
     given &= np.isfinite(drawn).all(axis=1)
-    halves = [
-        _Half.of(probe, np.where(given[:, None], drawn, sweep.wi), given),
-        _Half.of(probe, even, np.ones(n, dtype=bool)),
-    ]
+    asked = np.where(given[:, None], drawn, sweep.wi)
+    pdf, lit = _densities(probe, asked, given)
+    pdf_even, _ = _densities(probe, even, np.ones(n, dtype=bool))
     u = 1 / (4 * np.pi if _transmits(evidence.bsdf) else 2 * np.pi)
-    terms = [
-        halves[0].lit * u / (halves[0].pdf + u),
-        halves[1].pdf / (halves[1].pdf + u),
-    ]
+    terms = [lit * u / (pdf + u), pdf_even / (pdf_even + u)]
     found: list[tuple[float, Flags]] = []
     for cells in _cells(sweep):
         for first, second in zip(_weighings(sweep, drawn), _weighings(sweep, even)):
@@ -112,9 +108,9 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
     n_scores = 2 * N_CELLS * len(found)
     tail = 2 * special.ndtr(-abs(z))
     p = float(-np.expm1(n_scores * np.log1p(-min(tail, 1 - 1e-16))))
-    mass = float((halves[1].pdf / u)[own].mean())
-    std_err = float((halves[1].pdf / u)[own].std() / np.sqrt(own.sum()))
-    counted = float((halves[0].lit & given)[own].mean())
+    mass = float((pdf_even / u)[own].mean())
+    std_err = float((pdf_even / u)[own].std() / np.sqrt(own.sum()))
+    counted = float(lit[own].mean())
     place = sweep.place(own)
     sums = (
         f"`pdf` integrates to {mass:.4g} +- {std_err:.1g} (std_err), where it should "
@@ -146,20 +142,15 @@ def _unbalanced(mass: float, counted: float, slack: float) -> str:
     return "sample" if complete and counted < 1 - slack else "sample or pdf"
 
 
-@dataclass(frozen=True)
-class _Half:
-    """Densities of directions, 0 where ``eval`` is black, and where it is not."""
+def _densities(probe: Probe, wo: Floats, usable: Flags) -> tuple[Floats, Flags]:
+    """Densities of directions, 0 where ``eval`` is black, and where it is not.
 
-    pdf: Floats
-    lit: Flags
-
-    @staticmethod
-    def of(probe: Probe, wo: Floats, usable: Flags) -> _Half:
-        """Answers in the directions `wo`, black where they are not `usable`."""
-        value, pdf = probe.eval_and_pdf(vectors(wo))
-        lit = usable & (np.nan_to_num(spectral(value, len(wo))) > 0).any(axis=1)
-        pdf = np.nan_to_num(numbers(pdf, len(wo)).astype(float))
-        return _Half(np.where(lit, np.maximum(pdf, 0), 0), lit)
+    All that are not `usable` are black.
+    """
+    value, pdf = probe.eval_and_pdf(vectors(wo))
+    lit = usable & (np.nan_to_num(spectral(value, len(wo))) > 0).any(axis=1)
+    pdf = np.nan_to_num(numbers(pdf, len(wo)).astype(float))
+    return np.where(lit, np.maximum(pdf, 0), 0), lit
 
 
 def _transmits(bsdf: mi.BSDF) -> bool:

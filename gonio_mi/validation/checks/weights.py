@@ -9,7 +9,7 @@ from ..conditions import Condition
 from ..evidence import NOISE, Evidence
 from ..integrals import SUM_ERROR
 from ..kinds import Kind
-from ..maps import FourMaps, Scores, unexplained_fraction
+from ..maps import FourMaps, unexplained_fraction
 from ..probe import Probe
 from ..samples import Samples, is_many
 from .answers import lattice
@@ -22,9 +22,10 @@ UNDERFLOW = 1e-12
 MIN_JUDGED = 0.9
 
 
-def check_scores(evidence: Evidence, maps: FourMaps, name: str, scores: Scores) -> None:
+def check_scores(evidence: Evidence, maps: FourMaps, name: str) -> None:
     """Test scores of all patches in four views."""
-    texts, (off, _) = scores.statistics, unexplained_fraction(maps, name)
+    scores, (off, _) = maps.scores(name), unexplained_fraction(maps, name)
+    texts = scores.statistics
     for view, p in scores.p_values.items():
         evidence.test(name, p, texts[view], maps.condition, off)
 
@@ -72,7 +73,7 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
 
     What samples meet too rarely to judge is told.
     """
-    check_scores(evidence, maps, "weights", maps.weight_scores)
+    check_scores(evidence, maps, "weights")
     due, flux = maps.due, maps.smooth_flux.mean()
     lost = due.unreached.values.sum()
     # on a side where samples never go
@@ -104,13 +105,9 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
 def check_pooled(evidence: Evidence) -> None:
     """Sums of all patches over all conditions: a small error that is everywhere."""
     for name in ("sampling", "weights"):
-        scores = [
-            (m.count_scores if name == "sampling" else m.weight_scores).total
-            for m in evidence.maps
-            if name == "weights" or m.count_varies
-        ]
+        varying = (m for m in evidence.maps if name == "weights" or m.count_varies)
         # what is certain is judged one by one
-        scores = [z for z in scores if 0 < abs(z) < 8]
+        scores = [z for m in varying if 0 < abs(z := m.scores(name).total) < 8]
         if len(scores) > 1:
             z = float(np.sum(scores) / np.sqrt(len(scores)))
             p = float(2 * special.ndtr(-abs(z)))
