@@ -6,9 +6,8 @@ A right lobe is ``f cos_o``, where f is the same with wi and wo exchanged; one w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import mitsuba as mi
 import numpy as np
@@ -79,30 +78,16 @@ def explain_reciprocity(evidence: Evidence) -> None:
     elif own and not _components_tell(evidence):
         for power in COSINES:
             if all(_is_sum(one, power) for one in whole) and not _is_one_law(whole):
-                _doubt(evidence, own, COSINES[power].removeprefix("`eval` "))
+                text = MIXED.format(mistake=COSINES[power].removeprefix("`eval` "))
+                for one in own:
+                    evidence.change([one], mistake=f"{one.mistake}; {text}")
                 return
 
 
 def _blame(evidence: Evidence, own: Sequence[Breach], mistake: str) -> None:
     """Let breaches bias images, by a mistake."""
-    words = {"effect": BIAS, "mistake": mistake}
-    _replace(evidence, own, lambda b: words | {"size": 1 + b.size})
-
-
-def _doubt(evidence: Evidence, own: Sequence[Breach], mistake: str) -> None:
-    """Say that a mistake of one lobe among others would look like these breaches."""
-    text = MIXED.format(mistake=mistake)
-    _replace(evidence, own, lambda b: {"mistake": f"{b.mistake}; {text}"})
-
-
-def _replace(
-    evidence: Evidence,
-    own: Sequence[Breach],
-    changes: Callable[[Breach], dict[str, Any]],
-) -> None:
-    evidence.breaches[:] = [
-        replace(b, **changes(b)) if b in own else b for b in evidence.breaches
-    ]
+    for one in own:
+        evidence.change([one], effect=BIAS, mistake=mistake, size=1 + one.size)
 
 
 def _components_tell(evidence: Evidence) -> bool:

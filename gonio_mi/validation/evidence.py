@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import mitsuba as mi
@@ -300,6 +301,12 @@ class Evidence:
             off=float(off),
             **others,
         )
+
+    def change(self, some: Collection[Breach], **changes: Any) -> None:
+        """Give some breaches other attributes."""
+        self.breaches[:] = [
+            replace(one, **changes) if one in some else one for one in self.breaches
+        ]
 
     def of(self, name: str) -> list[Breach]:
         """Breaches of a property."""

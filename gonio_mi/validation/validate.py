@@ -297,9 +297,7 @@ def _check_samples(
     delta.check_null(evidence, samples)
     if condition.component is not None:
         # no integrator asks for one component only
-        evidence.breaches[known:] = [
-            replace(breach, effect=INTERFACE) for breach in evidence.breaches[known:]
-        ]
+        evidence.change(evidence.breaches[known:], effect=INTERFACE)
 
 
 def _check_identities(evidence: Evidence, samples: Samples) -> None:

@@ -226,12 +226,8 @@ def check_roulette(evidence: Evidence) -> None:
         "`sample` rejects directions by a Russian roulette of its own, and its weights "
         "make up for it"
     )
-    evidence.breaches[:] = [
-        replace(b, effect=NOISE, mistake=mistake)
-        if b.name == "sampled_weight" and b.effect == BIAS
-        else b
-        for b in evidence.breaches
-    ]
+    biased = [b for b in evidence.of("sampled_weight") if b.effect == BIAS]
+    evidence.change(biased, effect=NOISE, mistake=mistake)
     evidence.tests[:] = [
         replace(t, effect=NOISE) if t.name == "sampling" and t.effect == BIAS else t
         for t in evidence.tests
