@@ -190,20 +190,16 @@ class Verdict:
         """
         if self._failed:
             return ""
-        needed = [one for one in self.properties if one.name in NEEDED]
-        open_questions = [
-            one.statistic
-            for one in needed
-            if one.status == UNDECIDED and one.effect != NOISE
-        ]
-        return next(iter(open_questions), "")
+        for one in self.properties:
+            if one.name in NEEDED and one.status == UNDECIDED and one.effect != NOISE:
+                return one.statistic
+        return ""
 
     @property
     def _failed(self) -> bool:
         """Whether a failure counts."""
-        grave = (BIAS, BREAKS)
         strict = self.settings["strict"]
-        return any(strict or one.effect in grave for one in self.failures)
+        return any(strict or one.effect in (BIAS, BREAKS) for one in self.failures)
 
     @property
     def answered(self) -> bool:
@@ -361,10 +357,9 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
     p_value = None if smallest is None else float(min(1.0, smallest * len(tests)))
     beyond = [t for t in tests if t.p < level]
     if beyond or breaches:
-        found = [(b.effect, b.share) for b in breaches]
-        found += [(t.effect, t.share) for t in beyond]
-        effect = min((its_effect for its_effect, _ in found), key=EFFECTS.index)
-        shares = [share for its_effect, share in found if its_effect == effect]
+        found = [*breaches, *beyond]
+        effect = min((one.effect for one in found), key=EFFECTS.index)
+        shares = [one.share for one in found if one.effect == effect]
         # what does most harm, and of that what says most
         breaches = [b for b in breaches if b.effect == effect] or breaches
         worst = max(breaches, key=lambda b: b.size, default=None)

@@ -47,10 +47,9 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
                 _check_gradient(evidence, samples.condition, params, name, wo)
     except PluginFault as fault:
         # images need none of it
-        effect = INTERFACE if fault.function == "traverse" else None
-        text = str(fault)
-        others: Any = {"effect": effect, "kind": Kind.RAISES}
-        evidence.breach("parameters", fault.function, text, text, **others)
+        effect = INTERFACE if fault.function == "traverse" else ""
+        function, text, kind = fault.function, str(fault), Kind.RAISES
+        evidence.breach("parameters", function, text, text, effect=effect, kind=kind)
 
 
 def check_changes(evidence: Evidence, sweep: Callable[[Evidence], None]) -> None:
@@ -76,9 +75,8 @@ def check_changes(evidence: Evidence, sweep: Callable[[Evidence], None]) -> None
             (name, _after(evidence, sweep, {name: values[name]})) for name in values
         )
         found = {name: one for name, one in each if one is not None}
-        p = max(
-            [p, min(1.0, len(found) * min(map(_least_p, found.values()), default=1.0))]
-        )
+        least = min(map(_least_p, found.values()), default=1.0)
+        p = max(p, min(1.0, len(found) * least))
     name = next((name for name, one in found.items() if _biases(one)), None)
     if name is None:
         evidence.test("parameters", p, "directions after a change of all parameters")
@@ -89,8 +87,7 @@ def check_changes(evidence: Evidence, sweep: Callable[[Evidence], None]) -> None
     breaches = [b.statistic for b in found[name].breaches if b.effect == BIAS]
     if breaches:
         text = f"after a change of {name}: {breaches[0]}"
-        others: Any = {"size": 2.0, "about": name}
-        evidence.breach("parameters", function, text, mistake, **others)
+        evidence.breach("parameters", function, text, mistake, size=2.0, about=name)
     else:
         worst = min(found[name].tests, key=lambda test: test.p).statistic
         evidence.test("parameters", p, f"after a change of {name}: {worst}", about=name)
