@@ -85,7 +85,7 @@ class Samples:
     condition : Condition
     wo, weight, sampled_pdf, type, component, eta : ndarray
         Answer of ``sample``.
-    sample1, sample2 : ndarray
+    u : ndarray, shape (n, 3)
         Its random numbers.
     eval, pdf, eval_slack, pdf_slack : ndarray
         Of ``eval`` and ``pdf`` at `wo`.
@@ -104,8 +104,7 @@ class Samples:
     type: Integers
     component: Integers
     eta: Floats
-    sample1: Floats
-    sample2: Floats
+    u: Floats
     eval: Floats
     pdf: Floats
     eval_slack: Floats
@@ -164,7 +163,7 @@ class Samples:
     @property
     def random(self) -> tuple[mi.Float, mi.Point2f]:
         """Random numbers as ``sample`` takes them."""
-        return random_numbers(np.column_stack([self.sample1, self.sample2]))
+        return random_numbers(self.u)
 
     def fraction(self, mask: Flags) -> str:
         """Text on which part of the samples, and under which condition."""
@@ -206,8 +205,7 @@ def samples_of(
         type=numbers(bs.sampled_type, n),
         component=numbers(bs.sampled_component, n),
         eta=numbers(bs.eta, n).astype(float),
-        sample1=numbers(sample1, n),
-        sample2=spectral(sample2, n),
+        u=np.column_stack([numbers(sample1, n), spectral(sample2, n)]),
         eval=spectral(value, n),
         pdf=numbers(pdf, n).astype(float),
         eval_slack=_no_less(spectral(eval_slack, n), spectral(value, n)),
@@ -279,11 +277,11 @@ def rounding(probe: Probe, key: tuple[int, ...]) -> list[float]:
     usable = ~numbers(is_delta(bs), n) & (density > 0) & np.isfinite(density)
     relative = []
     for function, slack in zip((pdf, value), slacks):
-        sums = [
-            np.nan_to_num(spectral_or_flat[usable] / density[usable]).sum()
-            for spectral_or_flat in (_mean(slack, n), _mean(function, n))
-        ]
-        relative.append(float(sums[0] / sums[1]) if sums[1] > 0 else 0.0)
+        change, whole = (
+            np.nan_to_num(_mean(one, n)[usable] / density[usable]).sum()
+            for one in (slack, function)
+        )
+        relative.append(float(change / whole) if whole > 0 else 0.0)
     return relative
 
 
@@ -293,7 +291,7 @@ def closer_slacks(bsdf: mi.BSDF, samples: Samples) -> tuple[Floats, Floats]:
     A difference of nearly equal numbers, as Fresnel's of an index near 1, has few steps
     left: the usual displacements may happen to meet none of them.
     """
-    probe, n = Probe(bsdf, samples.condition), len(samples.wo)
+    probe, n = Probe(bsdf, samples.condition), samples.n
     wi, wo = (
         vectors(np.repeat(x, N_DISPLACED, axis=0)) for x in (samples.wi, samples.wo)
     )
@@ -302,13 +300,9 @@ def closer_slacks(bsdf: mi.BSDF, samples: Samples) -> tuple[Floats, Floats]:
         (lambda wi, wo: probe.eval(wo, wi=wi), probe.eval(wo)),
         (lambda wi, wo: probe.pdf(wo, wi=wi), probe.pdf(wo)),
     )
-    value, pdf = (
-        spectral(slacks[0], n * N_DISPLACED),
-        numbers(slacks[1], n * N_DISPLACED),
-    )
-    return value.reshape(n, N_DISPLACED, -1).max(axis=1), pdf.reshape(
-        n, N_DISPLACED
-    ).max(axis=1)
+    value = spectral(slacks[0], n * N_DISPLACED).reshape(n, N_DISPLACED, -1)
+    pdf = numbers(slacks[1], n * N_DISPLACED).reshape(n, N_DISPLACED)
+    return value.max(axis=1), pdf.max(axis=1)
 
 
 def _mean(value: Any, n: int) -> Numbers:

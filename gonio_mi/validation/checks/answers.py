@@ -196,8 +196,7 @@ def check_order(evidence: Evidence, samples: Samples) -> None:
     # of a sweep, so that the incident directions are reversed, too
     probe = Probe(evidence.bsdf, samples.condition)
     wo, wi = samples.wo[::-1], vectors(samples.wi[::-1])
-    u = np.column_stack([samples.sample1, samples.sample2])[::-1]
-    _, weight = probe.sample(*random_numbers(u), wi=wi)
+    _, weight = probe.sample(*random_numbers(samples.u[::-1]), wi=wi)
     n = samples.n
     for function, answer, due, slack in (
         ("eval", probe.values(wo, samples.wi[::-1]), samples.eval, samples.eval_slack),
