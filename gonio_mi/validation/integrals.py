@@ -114,7 +114,7 @@ def integrals(
     probe: Probe,
     subdivision: RingsAndSectors,
     totals: PatchTotals,
-    limits: Floats | None = None,
+    limits: Floats,
 ) -> Due:
     """Integrals of ``pdf``, damped weights, and of each channel of ``eval``.
 
@@ -124,7 +124,7 @@ def integrals(
     subdivision : RingsAndSectors
     totals : PatchTotals
         Samples that are to be compared with them.
-    limits : ndarray, optional
+    limits : ndarray
         Of weights by patch, as of :class:`Damping`.
 
     Returns
@@ -136,8 +136,6 @@ def integrals(
     SpecimenError
         If they do not converge.
     """
-    if limits is None:
-        limits = np.full(2 * subdivision.n_patches, np.inf)
     # a number that single precision can multiply
     limits = np.minimum(limits[: 2 * subdivision.n_patches], MAX_WEIGHT)
     found = _lattice(probe, subdivision, totals, limits)

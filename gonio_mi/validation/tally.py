@@ -130,7 +130,7 @@ class PatchTotals:
 
     Patch ``k`` of the lit side has index ``k``, of the other ``n_patches + k``; samples
     of discrete directions are in no patch. Weights are means over channels, damped by
-    :class:`Damping` where one is given.
+    a :class:`Damping`.
 
     Attributes
     ----------
@@ -169,7 +169,7 @@ def patch_totals(
     subdivision: RingsAndSectors,
     n: int,
     key: tuple[int, ...],
-    damping: Damping | None = None,
+    damping: Damping,
 ) -> PatchTotals:
     """Draw `n` independent samples and add them up by patch.
 
@@ -181,7 +181,7 @@ def patch_totals(
     n : int
     key : tuple of int
         Tells these random numbers from all others.
-    damping : Damping, optional
+    damping : Damping
         Of heavy weights.
 
     Returns
@@ -196,8 +196,7 @@ def patch_totals(
     for begin in range(0, n, CHUNK):
         size = min(CHUNK, n - begin)
         batch = batch_of(bsdf, condition, subdivision, size, (*key, begin))
-        factor = 1.0 if damping is None else damping.factors(batch)
-        mean = batch.weight.mean(axis=1) * factor
+        mean = batch.weight.mean(axis=1) * damping.factors(batch)
         index = batch.index
         counts += np.bincount(index, minlength=m + 1)
         for total, power in ((sums, 1), (squares, 2), (cubes, 3)):

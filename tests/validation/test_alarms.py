@@ -230,13 +230,17 @@ def scored():
     right_bsdfs.register()
     effort = Effort.named("quick")
     condition = Condition(35.0, 25.0)
+    n_limits = 2 * effort.patches.n_patches + 1
+    undamped = tally.Damping(np.zeros(0, int), np.full(n_limits, np.inf))
     found = []
     for name in TAILS:
         bsdf = mi.load_dict({"type": "heavy", "case": name})
         for trial in range(TRIALS):
             key = (trial, len(found))
             one = maps.four_maps(bsdf, condition, effort.patches, 2**15, key)
-            plain = maps.patch_totals(bsdf, condition, effort.patches, 2**15, key)
+            plain = maps.patch_totals(
+                bsdf, condition, effort.patches, 2**15, key, undamped
+            )
             found.append((one, plain))
     return found
 

@@ -13,7 +13,7 @@ from gonio_mi.validation.conditions import Condition
 from gonio_mi.validation.integrals import LATTICE_SHARE, SUM_ERROR, SUM_WIDTH, integrals
 from gonio_mi.validation.probe import Probe
 from gonio_mi.validation.samples import rounding
-from gonio_mi.validation.tally import patch_totals
+from gonio_mi.validation.tally import Damping, patch_totals
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -21,12 +21,14 @@ GRID = EqualAngle(6, 8)
 BEAM = Condition(40.0, 25.0)
 N = 2**16
 KEY = (0, 1)
+UNDAMPED = Damping(np.zeros(0, int), np.full(2 * GRID.n_patches + 1, np.inf))
+LIMITS = UNDAMPED.limits
 
 
 def samples():
     """Cosine-distributed ones."""
     white = mi.load_dict({"type": "diffuse", "reflectance": 1.0})
-    return patch_totals(white, BEAM, GRID, N, KEY)
+    return patch_totals(white, BEAM, GRID, N, KEY, UNDAMPED)
 
 
 class Density:
@@ -65,7 +67,7 @@ def steps(wo):
 def test_lambertian_is_exact():
     exact = np.concatenate([GRID.projected_solid_angles.ravel() / np.pi, np.zeros(48)])
     probe = Probe(mi.load_dict({"type": "diffuse", "reflectance": 0.5}), BEAM)
-    due = integrals(probe, GRID, samples())
+    due = integrals(probe, GRID, samples(), LIMITS)
     pdf, (value,) = due.counts, due.channels
     slack = SUM_WIDTH * pdf.std_err + rounding(probe, KEY)[0] * exact
     assert np.all(np.abs(pdf.values - exact) <= slack)
@@ -78,14 +80,14 @@ def test_lambertian_is_exact():
 @pytest.mark.parametrize("function", [lambert, steps])
 def test_as_precise_as_samples_can_judge(function):
     drawn = samples()
-    pdf = integrals(Density(function), GRID, drawn).counts
+    pdf = integrals(Density(function), GRID, drawn, LIMITS).counts
     noise = np.sqrt(np.maximum(pdf.values, 1 / N) / N)
     assert np.all(pdf.std_err <= LATTICE_SHARE * noise)
 
 
 def test_errors_of_steps_are_as_they_say():
     """A midpoint rule of 512 x 512 points a patch is 500 times finer."""
-    pdf = integrals(Density(steps), GRID, samples()).counts
+    pdf = integrals(Density(steps), GRID, samples(), LIMITS).counts
     n = 512
     theta, phi = ((np.arange(k * n) + 0.5) / n for k in GRID.shape)
     theta, phi = theta * np.pi / 12, phi * np.pi / 4
@@ -125,8 +127,8 @@ def test_patches_that_look_smooth_are_looked_at_again(looks_twice, monkeypatch):
     right_bsdfs.register()
     table = mi.load_dict({"type": "tabulated"})
     grazing = Condition(85.0, 25.0)
-    drawn = patch_totals(table, grazing, GRID, N, KEY)
-    pdf = integrals(Probe(table, grazing), GRID, drawn).counts
+    drawn = patch_totals(table, grazing, GRID, N, KEY, UNDAMPED)
+    pdf = integrals(Probe(table, grazing), GRID, drawn, LIMITS).counts
     # Student's t of 15 degrees of freedom is beyond twice SUM_WIDTH in one of 1e6 cases
     assert (abs(pdf.values.sum() - 1) <= 2 * pdf.sum_bound) == looks_twice
 
@@ -136,8 +138,8 @@ def test_a_spike_that_a_lattice_misses_is_found_by_samples():
     sharp = mi.load_dict(
         {"type": "roughconductor", "alpha": 1e-3, "distribution": "ggx"}
     )
-    drawn = patch_totals(sharp, BEAM, GRID, N, KEY)
-    pdf = integrals(Probe(sharp, BEAM), GRID, drawn).counts
+    drawn = patch_totals(sharp, BEAM, GRID, N, KEY, UNDAMPED)
+    pdf = integrals(Probe(sharp, BEAM), GRID, drawn, LIMITS).counts
     mass = drawn.counts.sum() / N
     # 6 sigma of the binomial, and rounding of so sharp a lobe
     slack = 6 * np.sqrt(mass * (1 - mass) / N) + rounding(Probe(sharp, BEAM), KEY)[0]
@@ -154,4 +156,4 @@ def test_what_takes_too_long_is_refused():
         return number - dr.floor(number)
 
     with pytest.raises(SpecimenError, match="too many evaluations"):
-        integrals(Density(noise), GRID, drawn)
+        integrals(Density(noise), GRID, drawn, LIMITS)
