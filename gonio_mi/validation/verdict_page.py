@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..array_types import Floats
+from ..plots.figure import new_figure
 from ..reports.page import (
     check_page,
     coded,
@@ -65,15 +66,12 @@ def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
         parts.append(f"<p>{LEGEND}</p>")
     shown = [verdict.fails_at(maps) for maps in verdict.maps]
     shown = shown if any(shown) else [i == 0 for i in range(len(shown))]
-    rest = []
+    rest: list[str] = []
     for maps, own in zip(verdict.maps, shown):
-        if own:
-            parts += _pictures(maps)
-        else:
-            rest.append(maps)
+        (parts if own else rest).extend(_pictures(maps))
     if rest:
-        pieces = (piece for maps in rest for piece in _pictures(maps))
-        parts.append(folded(f"{len(rest)} more incident directions", *pieces))
+        n = len(shown) - sum(shown)
+        parts.append(folded(f"{n} more incident directions", *rest))
     save_page(path, verdict.name, parts)
 
 
@@ -127,17 +125,13 @@ def draw(maps: FourMaps) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = _columns(maps)
     halves = [
         half
         for half in (0, 1)
         if any(np.any(columns[i][1][half] != 0) for i in (0, 1, 3, 4))
     ] or [0]
-    figure = Figure(figsize=(16, 2.9 * len(halves)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(None, figsize=(16, 2.9 * len(halves)))
     axes = figure.subplots(len(halves), 6, squeeze=False)
     for row, half in zip(axes, halves):
         for i in (0, 3):
@@ -164,11 +158,7 @@ def draw_plane(maps: FourMaps) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 3), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(None, figsize=(12, 3))
     columns = _columns(maps)
     patches = maps.subdivision
     edges = np.degrees(patches.theta_edges)
@@ -200,9 +190,9 @@ def _errors(maps: FourMaps) -> tuple[Floats, Floats]:
     """Standard errors of counted directions and of summed weights, in 1/sr."""
     shape, solid = (2, *maps.subdivision.shape), maps.subdivision.solid_angles
     due = np.clip(maps.pdf, 0, 1)
-    variances = due * (1 - due), np.maximum(maps.due.squares.values, 0)
     first, second = (
-        np.sqrt(one / maps.totals.n).reshape(shape) / solid for one in variances
+        np.sqrt(variance / maps.totals.n).reshape(shape) / solid
+        for variance in (due * (1 - due), np.maximum(maps.due.squares.values, 0))
     )
     return first, second
 
@@ -223,9 +213,9 @@ def _columns(maps: FourMaps) -> list[tuple[str, Floats]]:
 
     def _scores(found: Scores) -> Floats:
         z = np.zeros(int(np.prod(shape)))
-        ends = np.append(found.first[1:], z.size)
-        for value, begin, end in zip(np.nan_to_num(found.z), found.first, ends):
-            z[begin:end] = value
+        if found.first.size:
+            sizes = np.diff(found.first, append=z.size)
+            z[:] = np.repeat(np.nan_to_num(found.z), sizes)
         return z.reshape(shape)
 
     drawn, n = maps.totals, maps.totals.n
