@@ -24,6 +24,7 @@ from ..transport.variants import unpolarised
 from .conditions import TURN, Condition, Sweep
 from .kinds import LIT, PDF, PRODUCT, SMOOTH, VALUE, Kind, MatrixKind, each
 from .maps import FourMaps
+from .probe import WAVELENGTHS_NM
 from .verdict import Property, Verdict
 
 # Where is looked if a finding names no direction.
@@ -114,17 +115,15 @@ def reproducer(verdict: Verdict, name: str | None = None) -> str:
     return script(verdict, one)
 
 
-def save_reproducer(
-    verdict: Verdict, path: str | PathLike[str], name: str | None = None
-) -> None:
-    """Write :func:`reproducer`, which raises as it does, to a file.
+def save_reproducer(verdict: Verdict, path: str | PathLike[str]) -> None:
+    """Write :func:`reproducer` of the worst failure to a file; raises as it does.
 
     Raises
     ------
     OSError
         If it cannot be written.
     """
-    text = reproducer(verdict, name)
+    text = reproducer(verdict)
     with replacing(path) as stream:
         stream.write(text.encode())
 
@@ -267,7 +266,7 @@ def _head(
         tangents = "2 * si.sh_frame.s, 2 * si.sh_frame.t"
         yield f"si.uv, si.dp_du, si.dp_dv = mi.Point2f({u}, {v}), {tangents}"
     if mi.is_spectral:
-        yield "si.wavelengths = mi.Spectrum([450.0, 520.0, 580.0, 650.0])"
+        yield f"si.wavelengths = mi.Spectrum({list(WAVELENGTHS_NM)})"
     yield "dr.make_opaque(si)"
     yield "rng = np.random.default_rng(0)"
     yield "u = rng.random((3, n), dtype=np.float32)"
