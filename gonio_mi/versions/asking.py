@@ -53,7 +53,7 @@ class Question:
     variant: str
     plugins: tuple[str, ...]
     conditions: tuple[tuple[float, str, str], ...]
-    seed: int = 0
+    seed: int
 
     def to_json(self) -> dict[str, Any]:
         """What the worker reads, but for arrays."""
@@ -64,7 +64,7 @@ class Question:
             "parameters": {key: str(x) for key, x in self.parameters.items()},
             "variant": self.variant,
             "plugins": [str(Path(path).resolve()) for path in self.plugins],
-            "conditions": [{"mode": mode} for _, _, mode in self.conditions],
+            "modes": [mode for _, _, mode in self.conditions],
         }
 
     def arrays(self) -> dict[str, Any]:

@@ -33,6 +33,7 @@ from ..progress import bar
 from ..reports.page import folded, preformatted, save_page, table
 from ..validation.evidence import PHASE, PROPERTIES
 from ..validation.kinds import LIT, SMOOTH
+from ..validation.probe import WAVELENGTHS_NM
 from ..validation.reproducer import (
     ANYWHERE,
     in_a_medium,
@@ -209,12 +210,12 @@ def questions(variant: str) -> Iterator[Question]:
         for one, k in ((one, k) for ones in plugins for k, one in enumerate(ones, 1)):
             word, source = word_of(one), str(source_of(one, volumes=volumes))
             if variant.startswith("scalar"):
-                asked = [("scalar and LLVM code", _of_scalar_code(variant, source))]
-                asked = [(name, in_a_medium(x) if volumes else x) for name, x in asked]
+                text = _of_scalar_code(variant, source)
+                text = in_a_medium(text) if volumes else text
+                asked = [("scalar and LLVM code", text)]
             else:
-                verdict = Verdict(
-                    word, (), None, None, {"variant": variant}, source=source
-                )
+                settings = {"variant": variant}
+                verdict = Verdict(word, (), None, None, settings, source=source)
                 asked = list(_of_properties(verdict, one["type"], volumes))
             for name, text in asked:
                 yield Question(one["type"], k, word, name, text)
@@ -291,7 +292,7 @@ def _of_scalar_code(variant: str, source: str) -> str:
     text = SCALAR.replace("SOURCE", source).replace('"SCALAR"', f'"{variant}"')
     text = text.replace('"LLVM"', f'"{variant.replace("scalar", "llvm_ad")}"')
     if mi.is_spectral:
-        wavelengths = "    si.wavelengths = mi.Spectrum([450.0, 520.0, 580.0, 650.0])\n"
+        wavelengths = f"    si.wavelengths = mi.Spectrum({list(WAVELENGTHS_NM)})\n"
         text = text.replace("    bs, weight", wavelengths + "    bs, weight")
     return of_first_elements(text) if mi.is_polarized else text
 
@@ -390,13 +391,11 @@ def save_table(answers: Iterable[Answer], path: str | PathLike[str]) -> None:
 
 def _cell(answers: Sequence[Answer]) -> str:
     """Cell of one plugin under one version: what is wrong, with its scripts."""
+    silent = [one for one in answers if one.raised]
     found: dict[str, list[Answer]] = {}
     for one in answers:
-        if one.wrong or one.raised:
-            found.setdefault(
-                "no answer" if one.raised else one.question.name, []
-            ).append(one)
-    silent = found.pop("no answer", [])
+        if one.wrong:
+            found.setdefault(one.question.name, []).append(one)
     n = len(answers) - len(silent) - sum(map(len, found.values()))
     parts = [f"{n} agree"] if n else []
     parts += [_finding(name, ones) for name, ones in found.items()]

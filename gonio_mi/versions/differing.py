@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from os import PathLike
 from typing import Any
 
@@ -84,12 +85,9 @@ class Differences:
     def __str__(self) -> str:
         found = [part.function for part in self.parts if part.differs]
         said = f"differs in {', '.join(found)}" if found else "the same"
-        title = (
-            f"{self.name}: Mitsuba {self.versions[0]} and {self.versions[1]}: {said}"
-        )
-        return "\n".join(
-            [title, *(f"  {part}".replace("\n", "\n  ") for part in self.parts)]
-        )
+        title = f"{self.name}: Mitsuba {' and '.join(self.versions)}: {said}"
+        parts = "\n".join(map(str, self.parts))
+        return f"{title}\n{textwrap.indent(parts, '  ')}"
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON: name, versions, ``same``, and the parts with their attributes.
@@ -101,11 +99,9 @@ class Differences:
             "versions": list(self.versions),
             "same": self.same,
             "parts": [
-                {
-                    "function": part.function,
-                    "differs": part.differs,
+                asdict(part)
+                | {
                     "size": part.size if math.isfinite(part.size) else None,
-                    "text": part.text,
                     "meaning": part.meaning if part.differs else None,
                 }
                 for part in self.parts

@@ -21,7 +21,7 @@ from ..files.writing import replacing
 from ..instrument.specimen_text import SpecimenLike, specimen_name
 from ..transport.variants import check_variant
 from ..validation.samples import SLACK, ULPS
-from .asking import Answers, Question, ask, interpreter
+from .asking import Answers, ask, interpreter
 from .differing import Differences, alike, asked_of
 
 FORMAT = "gonio-mi answers of a BSDF, 1"
@@ -50,16 +50,22 @@ def saved(
     question = asked_of(specimen, parameters, plugins, seed)
     answers = ask(interpreter(python), question)
     content = io.BytesIO()
-    # single precision is what was answered
-    small = {
-        key: x.astype(np.int32 if key.startswith(("index", "type")) else np.float32)
-        for key, x in _first(answers.arrays).items()
-    }
+    small: dict[str, Any] = {}
+    for key, x in answers.arrays.items():
+        what = key.partition(".")[0]
+        kept = x if what in (*ROWS, "index") else x[:SAMPLES]
+        # single precision is what was answered
+        small[key] = kept.astype(np.int32 if what in ("index", "type") else np.float32)
     np.savez_compressed(content, allow_pickle=False, **small)
     return {
         "format": FORMAT,
         "name": name or specimen_name(specimen, dict(question.parameters)),
-        "asked": _asked(question),
+        # what must be the same in two files
+        "asked": {
+            "variant": question.variant,
+            "seed": question.seed,
+            "conditions": [list(one) for one in question.conditions],
+        },
         "facts": answers.facts,
         "arrays": base64.b64encode(content.getvalue()).decode(),
     }
@@ -105,23 +111,6 @@ def diff_saved(
         places = [tuple(one) for one in asked["conditions"]]
         found.append(alike(name, places, *_aligned(mine, others), alpha))
     return found
-
-
-def _first(arrays: Mapping[str, Any]) -> dict[str, Any]:
-    """Arrays without the samples that are too many for a file."""
-    return {
-        key: x if key.partition(".")[0] in (*ROWS, "index") else x[:SAMPLES]
-        for key, x in arrays.items()
-    }
-
-
-def _asked(question: Question) -> dict[str, Any]:
-    """What must be the same in two files."""
-    return {
-        "variant": question.variant,
-        "seed": question.seed,
-        "conditions": [list(one) for one in question.conditions],
-    }
 
 
 def _read(path: str | PathLike[str]) -> dict[str, tuple[dict[str, Any], Answers]]:

@@ -100,11 +100,11 @@ def cases() -> Iterator[tuple[str, dict[str, Any]]]:
 
 def word_of(one: dict[str, Any]) -> str:
     """Name of a plugin and its parameters, as on the command line if it can."""
-    nested = [x["type"] for x in one.values() if isinstance(x, dict)]
+    nested = " and ".join(x["type"] for x in one.values() if isinstance(x, dict))
     plain = {k: x for k, x in one.items() if not isinstance(x, dict)}
-    given = [f"{k}={x}" for k, x in plain.items() if k != "type"]
-    text = ":".join([one["type"], *filter(None, [",".join(given)])])
-    return " of ".join([text, *filter(None, [" and ".join(nested)])])
+    text = plain.pop("type")
+    given = ",".join(f"{k}={x}" for k, x in plain.items())
+    return text + (given and f":{given}") + (nested and f" of {nested}")
 
 
 def phase_functions() -> Iterator[list[dict[str, Any]]]:

@@ -41,21 +41,20 @@ def main(folder: str) -> None:
         return
     with np.load(here / "question.npz") as content:
         arrays = dict(content)
-    answers: dict[str, Any] = {}
     try:
-        facts = answered(question, arrays, answers)
+        facts, answers = answered(question, arrays)
     except Exception as error:
         # a plugin, or another version of Mitsuba, may raise anything
         text = " ".join(str(error).split())[-300:]
-        facts = {"error": f"{type(error).__name__}: {text}"}
+        facts, answers = {"error": f"{type(error).__name__}: {text}"}, {}
     np.savez(here / "answer.npz", **answers)
     (here / "answer.json").write_text(json.dumps(facts))
 
 
 def answered(
-    question: dict[str, Any], arrays: dict[str, Any], answers: dict[str, Any]
-) -> dict[str, Any]:
-    """Fill `answers` with arrays, and return what else is known of the BSDF."""
+    question: dict[str, Any], arrays: dict[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What is known of the BSDF, and arrays of its answers."""
     import drjit
     import mitsuba as mi
 
@@ -65,19 +64,20 @@ def answered(
         scope = {"__name__": Path(path).stem, "__file__": path}
         exec(compile(Path(path).read_bytes(), path, "exec"), scope)
     bsdf = loaded(mi, question)
-    for i, condition in enumerate(question["conditions"]):
-        asked = Asked(mi, drjit, bsdf, arrays["wi"][i], condition["mode"])
+    answers: dict[str, Any] = {}
+    for i, mode in enumerate(question["modes"]):
+        asked = Asked(mi, drjit, bsdf, arrays["wi"][i], mode)
         given = arrays.get(f"wo.{i}")
         for name, value in asked.all(arrays, given).items():
             answers[f"{name}.{i}"] = value
-    flags = [int(bsdf.flags(i)) for i in range(bsdf.component_count())]
-    return {
+    facts = {
         "mitsuba": mi.__version__,
         "drjit": drjit.__version__,
         "flags": int(bsdf.flags()),
-        "components": flags,
+        "components": [int(bsdf.flags(i)) for i in range(bsdf.component_count())],
         "parameters": parameters(mi, bsdf),
     }
+    return facts, answers
 
 
 def all_said(
