@@ -142,6 +142,11 @@ class Samples:
         return self.smooth & finite & np.isfinite(self.sampled_pdf)
 
     @property
+    def flux(self) -> Floats:
+        """Weight times the density, or the probability, that ``sample`` returns."""
+        return self.weight * self.sampled_pdf[:, None]
+
+    @property
     def wi(self) -> Floats:
         """Incident direction of each sample, shape ``(n, 3)``."""
         return np.broadcast_to(self.condition.wi, self.wo.shape)

@@ -59,7 +59,7 @@ def _check_discrete(evidence: Evidence, samples: Samples, each: Alone) -> None:
         own = samples.given & samples.delta & (samples.component == i)
         if not is_many(own) or not due.any():
             continue
-        flux = samples.weight[own] * samples.sampled_pdf[own][:, None]
+        flux = samples.flux[own]
         whole = _median(flux)
         several = unequal(flux, np.broadcast_to(whole, flux.shape), 0.0).any()
         if not several and unequal(whole[None], due[None], 0.0)[0]:

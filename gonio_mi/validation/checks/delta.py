@@ -166,8 +166,7 @@ def check_null(evidence: Evidence, samples: Samples) -> None:
     null = samples.given & ((samples.type & int(mi.BSDFFlags.Null)) != 0)
     if not null.any():
         return
-    flux = samples.weight[null] * samples.sampled_pdf[null][:, None]
-    sampled = flux.mean(axis=0)
+    sampled = samples.flux[null].mean(axis=0)
     function = "eval_null_transmission"
     reported = Probe(evidence.bsdf, samples.condition).of_surface(function)
     if np.abs(sampled - reported).max() > BSDF_ROUNDING:

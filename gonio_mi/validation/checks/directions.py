@@ -111,6 +111,5 @@ def _agreed(samples: Samples) -> Flags:
 
     Then their type is a name only: integrators ask it for discrete lobes.
     """
-    product = samples.weight * samples.sampled_pdf[:, None]
     lit = (samples.eval > 0).any(axis=1)
-    return lit & ~unequal(product, samples.eval, samples.eval_slack)
+    return lit & ~unequal(samples.flux, samples.eval, samples.eval_slack)

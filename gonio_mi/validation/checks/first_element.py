@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import mitsuba as mi
 import numpy as np
@@ -23,15 +22,6 @@ from ..samples import is_many
 ROUNDING = 2e-3
 
 
-@dataclass(frozen=True)
-class _Unpolarised:
-    """Answers of the variant without polarisation."""
-
-    value: Floats
-    flux: Floats
-    type: Integers
-
-
 def check_first_element(
     evidence: Evidence,
     load: Callable[[], mi.BSDF] | None,
@@ -41,7 +31,8 @@ def check_first_element(
 ) -> None:
     """Compare ``eval``, and shares of discrete lobes, with the other variant's.
 
-    `load` loads the plugin there; None if nobody knows how.
+    For directions and random numbers of shape (n, 3). `load` loads the plugin there;
+    None if nobody knows how.
     """
     variant = unpolarised(mi.variant())
     if load is None or variant not in mi.variants():
@@ -51,24 +42,26 @@ def check_first_element(
         return
     try:
         with _variant(variant):
-            plain = _ask(load(), values, lobes, random)
+            value, flux, types = _ask(load(), values, lobes, random)
     except (SettingError, PluginFault, ImportError, RuntimeError) as error:
         text = f"the plugin is not to be had in {variant}: {error}"
         evidence.undecided["first_element"] = text
         return
-    light = values.light
-    wrong = _differs(light, plain.value) & values.finite
-    if is_many(wrong):
-        _breach(evidence, values, light, plain.value, wrong)
-    shares = lobes.flux.light
-    wrong = _differs(shares, plain.flux) & lobes.delta & (lobes.type == plain.type)
-    if is_many(wrong):
-        _breach(evidence, lobes.flux, shares, plain.flux, wrong)
+    same_lobe = lobes.delta & (lobes.type == types)
+    _compare(evidence, values, value, values.finite)
+    _compare(evidence, lobes.flux, flux, same_lobe)
 
 
-def _breach(
-    evidence: Evidence, matrices: Matrices, light: Floats, plain: Floats, wrong: Flags
+def _compare(
+    evidence: Evidence, matrices: Matrices, plain: Floats, asked: Flags
 ) -> None:
+    """First elements of matrices with unpolarised answers, of those that are asked."""
+    light = matrices.light
+    size = np.maximum(np.abs(light), np.abs(plain))
+    differs = (np.abs(light - plain) > ROUNDING * size + 1e-9).any(axis=-1)
+    wrong = np.asarray(differs & asked)
+    if not is_many(wrong):
+        return
     ratio = light[wrong].sum(-1) / np.maximum(plain[wrong].sum(-1), 1e-30)
     low, high = np.quantile(ratio, [0.05, 0.95])
     factor = f"{low:.4g}"
@@ -89,23 +82,15 @@ def _breach(
     )
 
 
-def _differs(a: Floats, b: Floats) -> Flags:
-    size = np.maximum(np.abs(a), np.abs(b))
-    return np.asarray((np.abs(a - b) > ROUNDING * size + 1e-9).any(axis=-1))
-
-
-def _ask(bsdf: mi.BSDF, values: Matrices, lobes: Lobes, random: Floats) -> _Unpolarised:
-    probe, n = Probe(bsdf, Condition(0.0)), values.wi[..., 0].size
-    value = spectral(probe.eval(vectors(values.wo), wi=vectors(values.wi)), n)
-    wi = lobes.weights.wi
-    n_lobes = wi[..., 0].size
-    bs, weight = probe.sample(*random_numbers(random), wi=vectors(wi))
-    flux = spectral(weight, n_lobes) * numbers(bs.pdf, n_lobes)[:, None]
-    return _Unpolarised(
-        value.reshape(values.light.shape),
-        flux.reshape(lobes.weights.light.shape),
-        numbers(bs.sampled_type, n_lobes).astype(np.int64).reshape(lobes.type.shape),
-    )
+def _ask(
+    bsdf: mi.BSDF, values: Matrices, lobes: Lobes, random: Floats
+) -> tuple[Floats, Floats, Integers]:
+    """Values, and flux and types of samples, without polarisation."""
+    probe, n = Probe(bsdf, Condition(0.0)), len(random)
+    value = probe.values(values.wo, values.wi)
+    bs, weight = probe.sample(*random_numbers(random), wi=vectors(lobes.weights.wi))
+    flux = spectral(weight, n) * numbers(bs.pdf, n)[:, None]
+    return value, flux, numbers(bs.sampled_type, n)
 
 
 @contextlib.contextmanager

@@ -69,21 +69,10 @@ class Turned:
         """Pairs of the mask."""
         return replace(self, matrices=self.matrices.take(mask), slack=self.slack[mask])
 
-    @property
-    def tolerance(self) -> Floats:
-        """Largest change that rounding explains, by pair."""
-        return 2 * self.slack.max(axis=1)
-
     def misfit(self, in_plane: Floats) -> Floats:
         """Largest change of elements over the first one with the angle, by pair."""
         m = per_light(in_plane)
         return off(m, m.mean(axis=1, keepdims=True)).max(axis=1)
-
-    @property
-    def same_light(self) -> bool:
-        """Whether the first element does not depend on the angle."""
-        light = self.matrices.light
-        return bool((np.ptp(light, axis=1) <= SAME_LIGHT * light.max(axis=1)).all())
 
 
 def check_turned(evidence: Evidence, turned: Turned) -> None:
@@ -95,7 +84,7 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
     if not len(turned.matrices.wi):
         return
     misfit = turned.misfit(turned.matrices.in_plane(turned.normal))
-    wrong = misfit > turned.tolerance
+    wrong = misfit > 2 * turned.slack.max(axis=1)
     if not wrong.any():
         return
     function = turned.matrices.function
@@ -108,7 +97,9 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
     )
     mistake = _explained(turned.those(wrong), misfit[wrong])
     declared = int(evidence.bsdf.flags()) & int(mi.BSDFFlags.Anisotropic)
-    if mistake is None and (declared or not turned.same_light):
+    light = turned.matrices.light
+    same_light = (np.ptp(light, axis=1) <= SAME_LIGHT * light.max(axis=1)).all()
+    if mistake is None and (declared or not same_light):
         evidence.remark(
             "frames", "anisotropic, so that only jumps of its frames are seen"
         )

@@ -153,12 +153,9 @@ def _stale(before: Samples, found: Evidence) -> str:
     def same(answer: Callable[[Samples], Floats]) -> bool:
         return not is_many(unequal(answer(before), answer(after), 0.0) & still)
 
-    def product(one: Samples) -> Floats:
-        return one.weight * one.sampled_pdf[:, None]
-
     names = {b.name for b in found.breaches if b.effect == BIAS}
     if "sampled_weight" in names and "sampled_pdf" not in names:
-        stale_eval, stale_weight = same(lambda one: one.eval), same(product)
+        stale_eval, stale_weight = same(lambda x: x.eval), same(lambda x: x.flux)
         if stale_eval != stale_weight:
             return "eval" if stale_eval else "sample"
         return "eval or sample"

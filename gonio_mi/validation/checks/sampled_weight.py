@@ -39,7 +39,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
 
 def _products(samples: Samples) -> list[Floats]:
     """Weight times either density."""
-    return [samples.weight * p[:, None] for p in (samples.sampled_pdf, samples.pdf)]
+    return [samples.flux, samples.weight * samples.pdf[:, None]]
 
 
 def _unequal(samples: Samples, eval_slack: Floats, pdf_slack: Floats) -> list[Flags]:
