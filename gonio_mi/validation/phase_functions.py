@@ -11,21 +11,10 @@ import numpy as np
 
 from ..array_types import Floats
 from ..transport.media import N_RINGED, ask_phase_function
-from .checks import (
-    answers,
-    components,
-    cost,
-    directions,
-    ends,
-    masks,
-    parameters,
-    sampled_pdf,
-    sampled_weight,
-    sampling,
-    weights,
-)
+from .agreement import check_again, check_identities
+from .checks import answers, components, ends, masks, parameters, sampling, weights
 from .checks.reciprocity import ratio_text
-from .conditions import Condition, Effort, Sweep
+from .conditions import Condition, Effort
 from .evidence import Evidence
 from .integrals import SUM_ERROR
 from .kinds import Kind
@@ -123,19 +112,12 @@ def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> Non
     for i, condition in enumerate(ASKED):
         samples = samples_of(bsdf, condition, plan.checked, (seed, 1, i))
         evidence.samples.append(samples)
-        _check_identities(evidence, samples)
+        check_identities(evidence, samples)
         answers.check_lattice(evidence, Probe(bsdf, condition))
         _check_reciprocity(evidence, samples)
         if bsdf.component_count() > 1:
             components.check_samples(evidence, samples)
-    first = evidence.samples[0]
-    after = answers.asked_after(Probe(bsdf, first.condition), first)
-    _check_sweep(evidence, plan)
-    again = cost.check_compiled(evidence, first.condition, plan.checked, (seed, 1, 0))
-    answers.check_memory(evidence, first, after, again)
-    if not evidence.of("answers"):
-        answers.check_order(evidence, evidence.sweeps[0])
-    answers.check_frames(evidence)
+    check_again(evidence, plan)
     masks.check_bsdf(evidence)
     _excuse(evidence)
     _check_flags(evidence)
@@ -143,7 +125,7 @@ def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> Non
     ends.check_bsdf(evidence)
     ends.check_limits(evidence, ENDS)
     _check_maps(evidence, plan, MAPPED[effort])
-    parameters.check_changes(evidence, lambda changed: _check_sweep(changed, plan))
+    parameters.check_changes(evidence, plan)
 
 
 def _excuse(evidence: Evidence) -> None:
@@ -160,22 +142,6 @@ def _excuse(evidence: Evidence) -> None:
     world = evidence.remarks.pop("answers", "")
     if world and not world.startswith("`sample`"):
         evidence.remark("answers", "it depends on axes of the world")
-
-
-def _check_identities(evidence: Evidence, samples: Samples) -> None:
-    """What two functions answer about the same directions."""
-    for check in (answers, directions, weights, sampled_pdf, sampled_weight):
-        check.check_samples(evidence, samples)
-
-
-def _check_sweep(evidence: Evidence, plan: Effort) -> None:
-    """The same where light comes from everywhere, and directions."""
-    key = (evidence.seed, 4)
-    sweep = Sweep(both=True, n=plan.checked)
-    samples = samples_of(evidence.bsdf, sweep, sweep.n, key)
-    evidence.sweeps.append(samples)
-    _check_identities(evidence, samples)
-    sampling.check_sweep(evidence, Sweep(both=True, n=plan.swept), key)
 
 
 def _check_maps(

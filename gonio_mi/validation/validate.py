@@ -19,6 +19,7 @@ from ..threads import thread_count
 from ..transport.bsdf_trial import PluginFault
 from ..transport.kernels import launches_kernels
 from ..transport.variants import is_parallel, is_polarised
+from .agreement import check_again, check_identities
 from .checks import (
     adjoint,
     answers,
@@ -34,12 +35,10 @@ from .checks import (
     masks,
     parameters,
     reciprocity,
-    sampled_pdf,
-    sampled_weight,
     sampling,
     weights,
 )
-from .conditions import Condition, Effort, Sweep, sides_of
+from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake
 from .evidence import (
@@ -244,14 +243,7 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     for i, condition in enumerate([*conditions, *radiance]):
         _check_samples(evidence, condition, plan.checked, (seed, 1, i))
         yield N_STEPS * SAMPLES_STEPS / len([*conditions, *radiance])
-    first = evidence.samples[0]
-    after = answers.asked_after(Probe(bsdf, first.condition), first)
-    _check_sweep(evidence, plan, sides)
-    again = cost.check_compiled(evidence, first.condition, plan.checked, (seed, 1, 0))
-    answers.check_memory(evidence, first, after, again)
-    if not evidence.of("answers"):
-        answers.check_order(evidence, evidence.sweeps[0])
-    answers.check_frames(evidence)
+    check_again(evidence, plan)
     flags.check_bsdf(evidence)
     flags.check_sides(evidence)
     for samples in evidence.samples[:: max(1, len(plan.angles) // 3)]:
@@ -268,9 +260,7 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     ends.check_bsdf(evidence)
     ends.check_limits(evidence, ends.LIMITS)
     yield from _check_maps(evidence, plan, sides, components)
-    parameters.check_changes(
-        evidence, lambda changed: _check_sweep(changed, plan, sides)
-    )
+    parameters.check_changes(evidence, plan)
     if plan is not Effort.named("quick"):
         # it takes a second
         cost.check_time(evidence, Condition(40.0, 25.0, sides[0]))
@@ -283,7 +273,7 @@ def _check_samples(
     samples = samples_of(evidence.bsdf, condition, n, key)
     evidence.samples.append(samples)
     known = len(evidence.breaches)
-    _check_identities(evidence, samples)
+    check_identities(evidence, samples)
     answers.check_lattice(evidence, Probe(evidence.bsdf, condition))
     eval_pdf.check_lattice(evidence, Probe(evidence.bsdf, condition))
     ways = reciprocity.both_ways(samples)
@@ -298,29 +288,6 @@ def _check_samples(
     if condition.component is not None:
         # no integrator asks for one component only
         evidence.change(evidence.breaches[known:], effect=INTERFACE)
-
-
-def _check_identities(evidence: Evidence, samples: Samples) -> None:
-    """What two functions answer about the same directions."""
-    for check in (
-        answers,
-        directions,
-        weights,
-        sampled_pdf,
-        sampled_weight,
-        eval_pdf,
-    ):
-        check.check_samples(evidence, samples)
-
-
-def _check_sweep(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
-    """Identities and directions where light comes from everywhere."""
-    key = (evidence.seed, 4)
-    sweep = Sweep(side=sides[0], both=len(sides) > 1, n=plan.checked)
-    samples = samples_of(evidence.bsdf, sweep, sweep.n, key)
-    evidence.sweeps.append(samples)
-    _check_identities(evidence, samples)
-    sampling.check_sweep(evidence, replace(sweep, n=plan.swept), key)
 
 
 def _check_maps(

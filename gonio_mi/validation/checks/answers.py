@@ -260,12 +260,6 @@ def example(improper_rows: Numbers) -> str:
     return f"{row[improper(row)][0]:g}"
 
 
-def asked_after(probe: Probe, first: Samples) -> tuple[Floats, Floats]:
-    """``eval`` and ``pdf`` of samples, when others were drawn since."""
-    pdf = probe.densities(first.wo)
-    return probe.values(first.wo), pdf
-
-
 def check_memory(
     evidence: Evidence,
     first: Samples,
@@ -274,7 +268,7 @@ def check_memory(
 ) -> None:
     """The same samples after all other calls: no answer depends on those before.
 
-    `after` are the answers of :func:`asked_after` in between.
+    `after` are those of ``eval`` and ``pdf`` in between.
     """
     for function, before, after_all in (
         ("eval", first.eval, after[0]),

@@ -11,7 +11,8 @@ import numpy as np
 
 from ...array_types import Floats
 from ...transport.bsdf_trial import PluginFault
-from ..conditions import Condition
+from ..agreement import check_sweep
+from ..conditions import Condition, Effort
 from ..evidence import BIAS, INTERFACE, MAX_P, Evidence
 from ..kinds import Kind
 from ..probe import Probe, blamed, changed, number_parameters, spectral, vectors
@@ -52,28 +53,19 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         evidence.breach("parameters", function, text, text, effect=effect, kind=kind)
 
 
-def check_changes(evidence: Evidence, sweep: Callable[[Evidence], None]) -> None:
-    """All functions follow a change of parameters, of all or of each alone.
-
-    Parameters
-    ----------
-    evidence : Evidence
-    sweep : callable
-        Examines a BSDF as it is, and adds to the evidence that it gets.
-    """
+def check_changes(evidence: Evidence, plan: Effort) -> None:
+    """All functions follow a change of parameters, of all or of each alone."""
     known = [*evidence.breaches, *(t for t in evidence.tests if t.p < MAX_P)]
     if any(one.effect == BIAS for one in known):
         return  # a change adds nothing to what is wrong before
     values = _other_values(evidence.bsdf)
-    after = _after(evidence, sweep, values) if values else None
+    after = _after(evidence, plan, values) if values else None
     if after is None:
         return
     found, p = {"all parameters": after}, _least_p(after)
     if _biases(after):
         # together, they may be out of their range
-        each = (
-            (name, _after(evidence, sweep, {name: values[name]})) for name in values
-        )
+        each = ((name, _after(evidence, plan, {name: values[name]})) for name in values)
         found = {name: one for name, one in each if one is not None}
         least = min(map(_least_p, found.values()), default=1.0)
         p = max(p, min(1.0, len(found) * least))
@@ -121,14 +113,12 @@ def _other_values(bsdf: mi.BSDF) -> dict[str, Any]:
     return values
 
 
-def _after(
-    evidence: Evidence, sweep: Callable[[Evidence], None], values: dict[str, Any]
-) -> Evidence | None:
+def _after(evidence: Evidence, plan: Effort, values: dict[str, Any]) -> Evidence | None:
     """What is found after a change of parameters; None if a value is refused."""
-    found = Evidence(evidence.bsdf, evidence.seed)
+    found = Evidence(evidence.bsdf, evidence.seed, evidence.properties)
     try:
         with changed(evidence.bsdf, values):
-            sweep(found)
+            check_sweep(found, plan)
     except PluginFault:
         return None
     return found

@@ -1,0 +1,52 @@
+"""Answers that must agree: of two functions, from everywhere, and when asked again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from .checks import (
+    answers,
+    cost,
+    directions,
+    eval_pdf,
+    sampled_pdf,
+    sampled_weight,
+    sampling,
+    weights,
+)
+from .conditions import Effort, Sweep, sides_of
+from .evidence import PHASE, Evidence
+from .probe import Probe
+from .samples import Samples, samples_of
+
+
+def check_identities(evidence: Evidence, samples: Samples) -> None:
+    """What two functions answer about the same directions."""
+    for check in (answers, directions, weights, sampled_pdf, sampled_weight):
+        check.check_samples(evidence, samples)
+    if evidence.properties is not PHASE:
+        eval_pdf.check_samples(evidence, samples)
+
+
+def check_sweep(evidence: Evidence, plan: Effort) -> None:
+    """Identities and directions where light comes from everywhere."""
+    key, sides = (evidence.seed, 4), sides_of(evidence.bsdf)
+    sweep = Sweep(side=sides[0], both=len(sides) > 1, n=plan.checked)
+    samples = samples_of(evidence.bsdf, sweep, sweep.n, key)
+    evidence.sweeps.append(samples)
+    check_identities(evidence, samples)
+    sampling.check_sweep(evidence, replace(sweep, n=plan.swept), key)
+
+
+def check_again(evidence: Evidence, plan: Effort) -> None:
+    """A sweep, and the first samples again: after it, in another order and turned."""
+    first = evidence.samples[0]
+    probe = Probe(evidence.bsdf, first.condition)
+    pdf, value = probe.densities(first.wo), probe.values(first.wo)
+    check_sweep(evidence, plan)
+    key = (evidence.seed, 1, 0)
+    again = cost.check_compiled(evidence, first.condition, plan.checked, key)
+    answers.check_memory(evidence, first, (value, pdf), again)
+    if not evidence.of("answers"):
+        answers.check_order(evidence, evidence.sweeps[0])
+    answers.check_frames(evidence)
