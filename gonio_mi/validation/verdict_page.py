@@ -125,24 +125,19 @@ def draw(maps: FourMaps) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    columns = _columns(maps)
-    halves = [
-        half
-        for half in (0, 1)
-        if any(np.any(columns[i][1][half] != 0) for i in (0, 1, 3, 4))
-    ] or [0]
+    comparisons = _comparisons(maps)
+    flux = [values for pair in comparisons for _, values in pair[:2]]
+    halves = [half for half in (0, 1) if any(one[half].any() for one in flux)] or [0]
     figure = new_figure(None, figsize=(16, 2.9 * len(halves)))
     axes = figure.subplots(len(halves), 6, squeeze=False)
     for row, half in zip(axes, halves):
-        for i in (0, 3):
-            top = max(columns[i + k][1][half].max() for k in (0, 1))
-            for k in (0, 1):
-                title, values = columns[i + k]
-                _patches(row[i + k], maps, values[half], title, 0, top or 1, "viridis")
-            title, values = columns[i + 2]
+        for places, (*pair, (title, z)) in zip((row[:3], row[3:]), comparisons):
+            top = max(values[half].max() for _, values in pair) or 1
+            for place, (name, values) in zip(places, pair):
+                _patches(place, maps, values[half], name, 0, top, "viridis")
             limits = -MAX_COLOUR, MAX_COLOUR
-            _patches(row[i + 2], maps, values[half], title, *limits, "RdBu_r")
-            _cross(row[i + 2], maps, values, half)
+            _patches(places[2], maps, z[half], title, *limits, "RdBu_r")
+            _cross(places[2], maps, z, half)
         row[0].set_ylabel("lit side" if half == 0 else "other side")
     return figure
 
@@ -159,14 +154,14 @@ def draw_plane(maps: FourMaps) -> Figure:
     matplotlib.figure.Figure
     """
     figure = new_figure(None, figsize=(12, 3))
-    columns = _columns(maps)
     patches = maps.subdivision
     edges = np.degrees(patches.theta_edges)
     edges = np.concatenate([-edges[:0:-1], edges])
-    for axes, first, error in zip(figure.subplots(1, 2), (0, 3), _errors(maps)):
-        half, ring, sector = _worst(columns[first + 2][1])
+    for axes, (*lines, (_, z)), error in zip(
+        figure.subplots(1, 2), _comparisons(maps), _errors(maps)
+    ):
+        half, ring, sector = _worst(z)
         beyond = (sector + patches.n_phi // 2) % patches.n_phi
-        lines = columns[first : first + 2]
         drawn, due, wide = (
             np.concatenate([one[half][::-1, beyond], one[half][:, sector]])
             for one in (*(values for _, values in lines), 2 * error)
@@ -203,8 +198,11 @@ def _worst(scores: Floats) -> tuple[int, int, int]:
     return int(half), int(ring), int(sector)
 
 
-def _columns(maps: FourMaps) -> list[tuple[str, Floats]]:
-    """Title and values, shape (2, n_theta, n_phi), of each picture."""
+def _comparisons(maps: FourMaps) -> list[list[tuple[str, Floats]]]:
+    """Of directions and of weights: what is drawn, what is due, and the scores.
+
+    A title and values, shape (2, n_theta, n_phi), of each.
+    """
     shape = (2, *maps.subdivision.shape)
     solid = maps.subdivision.solid_angles
 
@@ -220,12 +218,16 @@ def _columns(maps: FourMaps) -> list[tuple[str, Floats]]:
 
     drawn, n = maps.totals, maps.totals.n
     return [
-        ("counted directions", _density(drawn.counts / n)),
-        ("integral of pdf", _density(maps.pdf)),
-        ("z: counted - pdf", _scores(maps.count_scores)),
-        ("summed weights", _density(drawn.sums / n)),
-        ("due weights", _density(maps.weights)),
-        ("z: weights - due", _scores(maps.weight_scores)),
+        [
+            ("counted directions", _density(drawn.counts / n)),
+            ("integral of pdf", _density(maps.pdf)),
+            ("z: counted - pdf", _scores(maps.count_scores)),
+        ],
+        [
+            ("summed weights", _density(drawn.sums / n)),
+            ("due weights", _density(maps.weights)),
+            ("z: weights - due", _scores(maps.weight_scores)),
+        ],
     ]
 
 

@@ -22,7 +22,6 @@ DIRECTION_ROUNDING = 2 * 2.0**-11.5
 # Known error of a probability: rounding of 1 minus a number, and the steps of sample1.
 PROBABILITY_ROUNDING = 2.0**-22
 
-
 # Directions of one component and type, as of the orders of a grating.
 MAX_DIRECTIONS = 32
 
@@ -31,7 +30,8 @@ MAX_DIRECTIONS = 32
 class Lobe:
     """A discrete lobe: its samples, `own` of all, and their direction and type.
 
-    Of several directions of one component and type, each is a lobe.
+    Of several directions of one component and type, each is a lobe, and none is
+    `alone`.
     """
 
     samples: Samples
@@ -52,33 +52,30 @@ def lobes_of(evidence: Evidence, samples: Samples) -> list[Lobe]:
     for component, kind in sorted(pairs):
         own = delta & (samples.component == component) & (samples.type == kind)
         if is_many(own):
-            for part, wo, alone in _split(evidence, samples, own):
-                lobe = Lobe(samples, part, wo, int(kind), alone)
-                if _check_lobe(evidence, lobe):
-                    lobes.append(lobe)
+            found = _split(evidence, samples, own, int(kind))
+            lobes += [lobe for lobe in found if _check_lobe(evidence, lobe)]
     return lobes
 
 
-def _split(
-    evidence: Evidence, samples: Samples, own: Flags
-) -> list[tuple[Flags, Floats, bool]]:
-    """Samples and direction of each lobe, and whether it is the only one.
+def _split(evidence: Evidence, samples: Samples, own: Flags, kind: int) -> list[Lobe]:
+    """Lobes of one component and type, by their directions.
 
     A few directions may be those of a grating; more are a breach.
     """
     wo = np.median(samples.wo[own], axis=0)
     spread = np.abs(samples.wo[own] - wo).max()
     if spread <= DIRECTION_ROUNDING:
-        return [(own, wo, True)]
-    parts: list[tuple[Flags, Floats, bool]] = []
+        return [Lobe(samples, own, wo, kind, alone=True)]
+    lobes: list[Lobe] = []
     rest = own
-    while rest.any() and len(parts) < MAX_DIRECTIONS:
+    while rest.any() and len(lobes) < MAX_DIRECTIONS:
         off = np.abs(samples.wo - samples.wo[rest.argmax()]).max(axis=1)
         part = rest & (off < 2 * DIRECTION_ROUNDING)
-        parts.append((part, np.median(samples.wo[part], axis=0), False))
+        wo = np.median(samples.wo[part], axis=0)
+        lobes.append(Lobe(samples, part, wo, kind, alone=False))
         rest = rest & ~part
     if not is_many(rest):
-        return [one for one in parts if is_many(one[0])]
+        return [lobe for lobe in lobes if is_many(lobe.own)]
     statistic = f"directions differ by up to {spread:.3g} at {samples.condition}"
     lit: Flags = (np.nan_to_num(samples.eval[own], nan=1.0) != 0).any(axis=1)
     if is_many(lit):

@@ -163,9 +163,7 @@ def _differentiable(params: Any, values: dict[str, Any]) -> Iterator[str]:
     """
     for name, value in values.items():
         fixed = params.flags(name) & mi.ParamFlags.NonDifferentiable.value
-        if fixed:
-            continue
-        if not np.isin(np.ravel(np.array(value)), (0.0, 1.0)).any():
+        if not fixed and not np.isin(np.array(value), (0.0, 1.0)).any():
             yield name
 
 
