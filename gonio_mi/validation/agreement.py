@@ -1,4 +1,4 @@
-"""Answers that must agree: of two functions, from everywhere, and when asked again."""
+"""Checks that functions agree, in a sweep of incidence too, and on a second call."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .samples import Samples, samples_of
 
 
 def check_identities(evidence: Evidence, samples: Samples) -> None:
-    """What two functions answer about the same directions."""
+    """Check that the functions agree about the same directions."""
     for check in (answers, directions, weights, sampled_pdf, sampled_weight):
         check.check_samples(evidence, samples)
     if evidence.properties is not PHASE:
@@ -29,7 +29,7 @@ def check_identities(evidence: Evidence, samples: Samples) -> None:
 
 
 def check_sweep(evidence: Evidence, plan: Effort) -> None:
-    """Identities and directions where light comes from everywhere."""
+    """Check agreement and sampled directions over a sweep of incident directions."""
     key, sides = (evidence.seed, 4), sides_of(evidence.bsdf)
     sweep = Sweep(side=sides[0], both=len(sides) > 1, n=plan.checked)
     samples = samples_of(evidence.bsdf, sweep, sweep.n, key)
@@ -39,7 +39,10 @@ def check_sweep(evidence: Evidence, plan: Effort) -> None:
 
 
 def check_again(evidence: Evidence, plan: Effort) -> None:
-    """A sweep, and the first samples again: after it, in another order and turned."""
+    """Check a sweep, then that the first samples get the same answers after it.
+
+    And that answers depend neither on the order of rays nor on the surface's rotation.
+    """
     first = evidence.samples[0]
     probe = Probe(evidence.bsdf, first.condition)
     pdf, value = probe.densities(first.wo), probe.values(first.wo)

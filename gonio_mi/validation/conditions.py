@@ -1,4 +1,4 @@
-"""Under which circumstances a BSDF is examined, and how hard."""
+"""Conditions under which a BSDF is examined, and the effort that is spent."""
 
 from __future__ import annotations
 
@@ -66,12 +66,12 @@ class Condition:
         return ctx
 
     def place(self, wrong: Flags) -> str:
-        """Where those samples are that are `wrong`."""
+        """Text on where the samples are that are `wrong`."""
         del wrong
         return str(self)
 
     def middle(self, wrong: Flags) -> Condition:
-        """One incident direction of those samples that are `wrong`."""
+        """Condition with one incident direction of the samples that are `wrong`."""
         del wrong
         return self
 
@@ -93,11 +93,10 @@ class Condition:
 
 @dataclass(frozen=True)
 class Sweep(Condition):
-    """Another incident direction for each of `n` samples, evenly over angles.
+    """A different incident direction for each of `n` samples, evenly over angles.
 
-    Of a sector or a band of some degrees there are hundreds, wherever it is.
-    `theta_i` is that of their mean cosine; of both faces, if `both` are lit, each gets
-    every other one.
+    Any sector or band of some degrees gets hundreds of them. `theta_i` is the angle of
+    their mean cosine. If `both` faces are lit, they alternate.
     """
 
     theta_i: float = 50.5
@@ -120,7 +119,7 @@ class Sweep(Condition):
         )
 
     def place(self, wrong: Flags) -> str:
-        """Range of the polar angles, and that of azimuths if it is no full circle."""
+        """Range of the polar angles, and of azimuths unless they go all around."""
         theta, phi = self.angles[:, wrong]
         if not theta.size:
             return str(self)
@@ -134,7 +133,7 @@ class Sweep(Condition):
         return text + self._more
 
     def middle(self, wrong: Flags) -> Condition:
-        """The one whose polar angle is the median."""
+        """Condition whose polar angle is the median."""
         own = np.flatnonzero(wrong)
         k = own[np.argsort(self.angles[0, own])[len(own) // 2]] if own.size else 0
         theta, phi = (round(float(angle), 1) for angle in self.angles[:, k])
@@ -231,7 +230,7 @@ class Effort:
 
     @staticmethod
     def named(name: str) -> Effort:
-        """Effort of a name; ValueError for any other."""
+        """Effort of that name; raises ValueError for an unknown one."""
         return EFFORTS[checked_choice("effort", name, tuple(EFFORTS))]
 
     def checks(
@@ -259,7 +258,7 @@ class Effort:
 
     @staticmethod
     def _spread(angles: Sequence[float], sides: Sequence[str]) -> Iterator[Condition]:
-        """Angles on both sides, each with an azimuth and a place; half are turned."""
+        """Conditions of angles on some sides, of varied azimuth, place and rotation."""
         for side in sides:
             for i, theta_i in enumerate(angles):
                 phi_i, uv = PHI[i % len(PHI)], PLACES[i % len(PLACES)]

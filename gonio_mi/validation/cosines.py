@@ -49,7 +49,7 @@ MIXED = (
 
 
 def explain_reciprocity(evidence: Evidence) -> None:
-    """Whether a power of the cosines explains all that is not reciprocal.
+    """Explain a lack of reciprocity by a power of the cosines, if one does.
 
     If it does for all samples from all directions, within rounding, it is a mistake in
     ``eval`` and no law of a model: of the whole, of a component that is asked alone, or
@@ -85,18 +85,18 @@ def explain_reciprocity(evidence: Evidence) -> None:
 
 
 def _blame(evidence: Evidence, own: Sequence[Breach], mistake: str) -> None:
-    """Let breaches bias images, by a mistake."""
+    """Make breaches ones that bias images, by a mistake."""
     for one in own:
         evidence.change([one], effect=BIAS, mistake=mistake, size=1 + one.size)
 
 
 def _components_tell(evidence: Evidence) -> bool:
-    """Whether components were asked one by one, and are all that there is."""
+    """Whether there are several components, which add up to the whole."""
     return evidence.bsdf.component_count() > 1 and not evidence.of("components")
 
 
 def _component_mistake(evidence: Evidence) -> str:
-    """Mistake of one component, asked alone; empty if none has one."""
+    """Mistake of one component on its own; empty if none has one."""
     bsdf = evidence.bsdf
     for i in range(bsdf.component_count() if _components_tell(evidence) else 0):
         own = [one for one in evidence.samples if one.condition.component == i]
@@ -125,7 +125,7 @@ def _parameter_mistake(bsdf: mi.BSDF, whole: Sequence[Samples]) -> str:
 
 
 def _part(bsdf: mi.BSDF, samples: Samples) -> Samples:
-    """Samples with the values that a change of parameters takes away."""
+    """Samples with the values by which a change of parameters reduces ``eval``."""
     probe = Probe(bsdf, samples.condition)
     there = probe.values(samples.wo)
     back = _reversed(probe, samples.wo)
@@ -167,10 +167,10 @@ def _horizon_mistake(bsdf: mi.BSDF, whole: Sequence[Samples]) -> str:
 
 
 def _stays_lit(bsdf: mi.BSDF, condition: Condition, power: int) -> bool:
-    """Whether a lobe of that power is what is left as wo falls to the horizon.
+    """Whether a lobe of that power remains as wo falls to the horizon.
 
-    It is at some azimuth: a narrow lobe has but one. A right one, with a finite f,
-    falls as the cosine of wo.
+    One azimuth is enough, for a narrow lobe. A right lobe, with a finite f, falls with
+    the cosine of wo.
     """
     phi = 2 * np.pi * np.arange(N_AZIMUTHS) / N_AZIMUTHS + np.radians(condition.phi_i)
     low, high = (
@@ -201,7 +201,7 @@ def _power(ways: Sequence[Samples]) -> int | None:
 
 
 def _unexplained(samples: Samples, power: int = 1) -> Flags:
-    """Samples where ``eval cos_i^power`` is another with wi and wo exchanged."""
+    """Mask of samples whose ``eval cos_i^power`` changes if wi and wo are exchanged."""
     there, back, slack, smooth = _both_ways(samples, power)
     # a value that is not finite is unequal to all
     finite = np.isfinite(there).all(axis=1) & np.isfinite(back).all(axis=1)
@@ -225,9 +225,10 @@ def _cosines(samples: Samples) -> tuple[float, Floats, Flags]:
 
 
 def _is_sum(samples: Samples, power: int) -> bool:
-    """Whether a lobe of that power and a right one, neither negative, explain all.
+    """Whether the sum of a lobe of that power and a right one explains all values.
 
-    They are what two equations have: one for each way.
+    Values both ways are two equations for the two lobes, neither of which may be
+    negative.
     """
     cos_i, cos_o, smooth = _cosines(samples)
     up = cos_o * cos_i**power > cos_i * cos_o**power

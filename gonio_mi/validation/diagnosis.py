@@ -74,7 +74,7 @@ def likely_mistake(
 def _worst_breach_guess(
     evidence: Evidence, _: Mapping[str, str], name: str
 ) -> Guess | None:
-    """What the worst breach of a property says."""
+    """Guess by the worst breach of a property."""
     worst = evidence.worst(name)
     if name == "eval_pdf_sample":
         # a mistake of eval_pdf explains both
@@ -87,7 +87,7 @@ def _worst_breach_guess(
 
 
 def _energy_guess(evidence: Evidence, _: Mapping[str, str], __: str) -> Guess:
-    """Which of ``eval`` and the weights gain light; both are the model's."""
+    """Guess whether ``eval`` or the weights of discrete lobes gain light."""
     totals = [m.smooth_flux.max() + m.totals.delta_mean.max() for m in evidence.maps]
     discrete = any(m.totals.delta_mean.max() > 1 + 1e-4 for m in evidence.maps)
     weights = [b for b in evidence.of("components") if b.function == "sample"]
@@ -102,7 +102,7 @@ def _energy_guess(evidence: Evidence, _: Mapping[str, str], __: str) -> Guess:
 def _odd_function_guess(
     evidence: Evidence, failed: Mapping[str, str], _: str
 ) -> Guess | None:
-    """Which of ``sample``, ``pdf`` and ``eval`` contradicts the two others."""
+    """Guess which of ``sample``, ``pdf`` and ``eval`` contradicts the two others."""
     if failed.get("sampled_weight") == NOISE:
         if "weights" not in failed:
             noisy = [b for b in evidence.of("sampled_weight") if b.effect == NOISE]
@@ -155,7 +155,7 @@ EXPLAINED_BY: dict[str, Callable[[Evidence, Mapping[str, str], str], Guess | Non
 
 
 def _lobes(evidence: Evidence) -> str:
-    """How ``pdf`` of the whole is made of its components'; empty if as a mixture."""
+    """How ``pdf`` combines its components wrongly; empty if it is their mixture."""
     samples = evidence.whole[0]
     if evidence.bsdf.component_count() < 2 or not samples.smooth.any():
         return ""
@@ -203,7 +203,7 @@ DISTORTIONS = ("cos_o", "jacobian", "dot", "cos_h", "sin_o", "two", "pi", "four"
 
 
 def _sums_text(due: float, share: float, n: int) -> str:
-    """Integral of ``pdf``, and the share of `n` samples that it should be."""
+    """Text on the integral of ``pdf`` and the share of `n` samples it should equal."""
     std_err = np.sqrt(max(share * (1 - share), 0) / n)
     return (
         f"`pdf` integrates to {due:.4f}, where it should equal the sampled mass of "
@@ -272,7 +272,7 @@ def _counts_guess(evidence: Evidence, weights_fail: bool) -> Guess:
 
 
 def _misfit(maps: FourMaps) -> float:
-    """Distance of counted and due, weighed by what chance explains."""
+    """Mean squared score of the counts, plus the square of that of their sum."""
     scores = maps.count_scores
     return float(np.sum(scores.z**2)) / max(len(scores.z), 1) + scores.total**2
 
@@ -322,7 +322,7 @@ def _is_proportional(maps: FourMaps) -> bool:
 
 
 def _worst_patch(maps: FourMaps) -> str:
-    """Counts and their expectation in the patch that is most off."""
+    """Text on the count and its expectation in the patch that is most off."""
     scores = maps.count_scores
     if not scores.z.size:
         return f"z of the sum {scores.total:+.1f}"
@@ -420,7 +420,7 @@ def _distortion_guess(
 
 
 def _by_lost_samples(samples: Samples, name: str, power: int) -> str:
-    """Which of ``pdf`` and ``sample`` the directions of lost samples speak against.
+    """Whether the directions of lost samples show ``pdf`` or ``sample`` to be wrong.
 
     `sample` should lose none where ``pdf`` is not 0; else the lost ones are drawn with
     the same density as the others, by which ``pdf`` integrates to no more than 1.

@@ -172,10 +172,10 @@ class Finding:
 
     @property
     def share(self) -> float | None:
-        """Fraction of the light of a lit surface that it is about; None if not known.
+        """Fraction of the light of a lit surface that is affected; None if not known.
 
-        What is off, times the cosine of the angle of incidence, as the irradiance of a
-        surface: at 89 degrees a hundredth is off of next to nothing.
+        The wrong fraction times the cosine of the angle of incidence, to which the
+        irradiance is proportional: next to nothing at 89 degrees.
         """
         if self.off is None:
             return None
@@ -204,7 +204,7 @@ class Breach(Finding):
 
 @dataclass(frozen=True)
 class Test(Finding):
-    """A statistical test of a property; `p` is the probability of so much by chance."""
+    """A statistical test of a property, with its p-value `p`."""
 
     p: float = 1.0
 
@@ -282,7 +282,7 @@ class Evidence:
         mistake: str,
         **others: Any,
     ) -> None:
-        """Add a breach that tells how far a ratio is from 1, if many are `wrong`."""
+        """Add a breach on how far a ratio is from 1, if many samples are `wrong`."""
         if not is_many(wrong):
             return
         usable = wrong & (np.abs(ratio) < MAX_RATIO)
@@ -317,7 +317,7 @@ class Evidence:
         return max(self.of(name), key=lambda one: one.size, default=None)
 
     def remark(self, name: str, text: str) -> None:
-        """Note what says nothing against a property."""
+        """Note something that does not make a property fail."""
         known = self.remarks.get(name)
         if known is None or text not in known:
             self.remarks[name] = f"{known}; {text}" if known else text
@@ -333,7 +333,7 @@ class Evidence:
     ) -> None:
         """Add a :class:`Test`.
 
-        Of a single component it concerns the interface: no integrator asks for one.
+        A test of a single component concerns the interface: no integrator asks for one.
         """
         component = None if condition is None else condition.component
         effect = "" if component is None else INTERFACE

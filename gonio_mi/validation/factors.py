@@ -1,6 +1,6 @@
 """Factors that explain a ratio of two answers: a cosine, a Jacobian, a probability.
 
-And which of the weight of ``sample`` and of ``eval`` is wrong, if a third fact tells.
+And whether the weight of ``sample`` or ``eval`` is wrong, if anything tells.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def factor(name: str, samples: Samples, mask: Flags) -> Floats:
 
 @dataclass(frozen=True)
 class Ratio:
-    """A ratio that should be 1, of those samples that `mask` names."""
+    """A ratio that should be 1, of the samples that `mask` selects."""
 
     values: Floats
     samples: Samples
@@ -107,7 +107,7 @@ class Ratio:
 
     @property
     def wrong(self) -> Flags:
-        """Samples whose ratio is not 1, of all."""
+        """Mask of all samples whose ratio is not 1."""
         wrong = np.zeros(self.samples.n, dtype=bool)
         wrong[self.mask] = np.abs(self.values - 1) > TOLERANCE
         return wrong
@@ -145,7 +145,7 @@ def ratios_of(evidence: Evidence, guilty: str) -> list[Ratio]:
 
 
 def explain(ratios: Sequence[Ratio], guilty: str) -> str:
-    """Sentence on a function by the ratios of a row of `BETWEEN`."""
+    """Sentence on the mistake of a function, by the ratios of a row of `BETWEEN`."""
     _, subject, words = BETWEEN[guilty]
     wrong = _wrong(ratios)
     if not wrong:
@@ -164,7 +164,7 @@ def explain(ratios: Sequence[Ratio], guilty: str) -> str:
 
 
 def _explain_neutrally(ratios: Sequence[Ratio]) -> str:
-    """The same of weight and ``eval`` where nothing tells which of both is wrong."""
+    """Sentence on weight and ``eval`` where nothing tells which of them is wrong."""
     what = BETWEEN["sample"][2].removeprefix("`sample`: ")
     wrong = _wrong(ratios)
     found = _find(wrong)
@@ -185,7 +185,7 @@ def has_known_factor(ratios: Sequence[Ratio]) -> bool:
 
 
 def _wrong(ratios: Sequence[Ratio]) -> Sequence[Ratio]:
-    """Ratios without those that are right, which tell nothing."""
+    """Ratios that are wrong; all of them if none stands out."""
     wrong = [one for one in ratios if not _is_one(one.values)]
     # or of a few samples only
     return wrong or [one for one in ratios if is_many(one.wrong)] or ratios
@@ -217,7 +217,7 @@ def _find(ratios: Sequence[Ratio]) -> _Found | None:
 
 
 def _candidates() -> Iterator[tuple[str, int, bool]]:
-    """Factors once too often or once too few, alone, then beside a constant."""
+    """Factors, their powers, and whether a constant may come with them."""
     for with_constant in (False, True):
         for name in FACTORS:
             if not (with_constant and name in (*NUMBERS, "component", "eta2")):
@@ -226,7 +226,7 @@ def _candidates() -> Iterator[tuple[str, int, bool]]:
 
 
 def _is_trivial(name: str, values: Sequence[Floats]) -> bool:
-    """Whether a factor is 1 everywhere, or one number though it should vary."""
+    """Whether a factor is 1 everywhere, or constant though it should vary."""
     constant = all(np.ptp(v) < 1e-6 for v in values)
     if constant and name not in (*NUMBERS, "eta2"):
         return True
@@ -234,7 +234,7 @@ def _is_trivial(name: str, values: Sequence[Floats]) -> bool:
 
 
 def _in_numbers(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
-    """How large ratios are, and where."""
+    """Text on how large ratios are, and where."""
     values = np.concatenate([ratio.values for ratio in ratios])
     wrong = np.abs(values - 1) > TOLERANCE
     values = values[wrong] if wrong.any() else values
@@ -247,9 +247,9 @@ def _in_numbers(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
 
 
 def _where(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
-    """Incident directions of which ratios are wrong; empty if of all.
+    """Text on the incident directions at which ratios are wrong; empty if at all.
 
-    The place on the surface too, if it is right at others only.
+    It names the place on the surface if only that one is wrong.
     """
     n = len(everything)
     if len(ratios) == n:
@@ -265,7 +265,7 @@ def _where(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
 
 
 def _place(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
-    """Where ratios are wrong; empty if everywhere."""
+    """Text on where ratios are wrong; empty if everywhere."""
     worst = max(ratios, key=lambda ratio: ratio.off)
     wo = worst.samples.wo[worst.mask]
     reflected = worst.samples.reflected[worst.mask]
@@ -354,7 +354,7 @@ def explain_weights(evidence: Evidence, failed: Collection[str]) -> tuple[str, s
 
 
 def _exchanged_colours(ratios: Sequence[Ratio]) -> str:
-    """Colours of which weights have one and ``eval`` the other; empty if none."""
+    """Names of two colours that weights and ``eval`` exchange; empty if none."""
     samples, ok = ratios[0].samples, ratios[0].mask
     weight, value = samples.weight * samples.pdf[:, None], samples.eval
     slack = samples.eval_slack
@@ -375,7 +375,7 @@ def _exchanged_colours(ratios: Sequence[Ratio]) -> str:
 
 
 def _by_energy(evidence: Evidence) -> str:
-    """Which of both gains light, if it is one of them; else empty."""
+    """Whichever of both gains light; empty if neither or both do."""
     whole = [m for m in evidence.maps if m.condition.component is None]
     whole = [m for m in whole if m.condition.mode == "importance"]
     flux = max((m.smooth_flux.max() for m in whole), default=0.0)
@@ -387,7 +387,7 @@ def _by_energy(evidence: Evidence) -> str:
 
 
 def _by_answers(evidence: Evidence, failed: Collection[str]) -> str:
-    """Which of both has values that none should have, if it is one; else empty."""
+    """Whichever of both gives improper values; empty if neither does."""
     own = [b for b in evidence.of("answers") if b.effect == BIAS]
     if "answers" not in failed or not own:
         return ""
@@ -396,12 +396,13 @@ def _by_answers(evidence: Evidence, failed: Collection[str]) -> str:
 
 
 def _by_reciprocity(bsdf: mi.BSDF, ratios: Sequence[Ratio]) -> str:
-    """Which of both is not reciprocal where the other is; else empty.
+    """Whichever of both is not reciprocal while the other is; empty if none is.
 
-    Of a plugin that declares NonSymmetric it may be the one that is right.
+    Not for plugins that declare NonSymmetric, whose right function may be the one that
+    is not reciprocal.
 
-    Weights are known where samples are: of some of them, light is sent back, and what
-    of that comes near to the way of incidence is compared.
+    Weights are known only for samples. So light is sent back along some samples, and
+    the directions that come near to the incident one are compared.
     """
     usable = [
         one
@@ -466,7 +467,7 @@ def _way_back(
 
 
 def _is_of_lobe_alone(evidence: Evidence) -> bool:
-    """Whether weights are those of a single component, as if there were no other."""
+    """Whether each weight is that of the picked component as if it were alone."""
     n, samples = evidence.bsdf.component_count(), evidence.samples[0]
     if n < 2 or samples.condition.component is not None:
         return False

@@ -1,8 +1,8 @@
-"""Integrals of ``pdf`` and ``eval`` over patches, as precise as samples can judge.
+"""Integrals of ``pdf`` and ``eval`` over patches, precise enough to judge samples.
 
 A randomised lattice comes first: its error is known without assumptions, so that tables
-and kinks do no harm. Lobes that are too sharp for it are integrated adaptively, within
-a number of evaluations.
+and kinks do no harm. Lobes that are too sharp for it are integrated adaptively, with a
+limited number of evaluations.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ MIN_EVALUATIONS = 2**21
 
 @dataclass(frozen=True)
 class PatchIntegrals:
-    """What a function sends into each patch, and how well that is known.
+    """Integrals of a function over each patch, and how well they are known.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Due:
 
     @staticmethod
     def of(found: list[PatchIntegrals], least: float) -> Due:
-        """What the integrals of :func:`_finite_values` are."""
+        """Sort the integrals of :func:`_finite_values`."""
         used, damped, squares, cubes, unreached, unused, *channels = found
         return Due(used, damped, squares, cubes, unreached, unused, channels, least)
 
@@ -148,7 +148,7 @@ def integrals(
 def _lattice(
     probe: Probe, subdivision: RingsAndSectors, totals: PatchTotals, limits: Floats
 ) -> Due | None:
-    """Integrals by shifted lattices; None where that takes too many points."""
+    """Integrals by shifted lattices; None if they would need too many points."""
     m = 2 * subdivision.n_patches
     means: Any = None
     largest, least = np.zeros(m), np.inf
@@ -186,7 +186,7 @@ def _lattice(
 
 
 def _rough(means: Floats, totals: PatchTotals, limits: Floats) -> Flags:
-    """Patches that must be known better for the samples to judge."""
+    """Mask of patches whose integrals are too uncertain to judge the samples."""
     values, n = means.mean(axis=1), totals.n
     std_err = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
     noise = np.sqrt(np.maximum(values[:, 0], 1 / n) / n)
@@ -198,7 +198,7 @@ def _rough(means: Floats, totals: PatchTotals, limits: Floats) -> Flags:
 
 
 def _rough_in_sum(means: Floats) -> Flags:
-    """Patches that have more than their part of the variance of a rough sum."""
+    """Mask of patches that add more than their part to the variance of a rough sum."""
     means = np.delete(means, [1, 2, 3], axis=2)  # powers need no such precision
     values = means.mean(axis=1)
     std_err = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
@@ -208,7 +208,7 @@ def _rough_in_sum(means: Floats) -> Flags:
 
 
 def _mean_integrals(means: Floats) -> list[PatchIntegrals]:
-    """Integrals from those of each shift, shape (2 n_patches, SHIFTS, functions)."""
+    """Integrals and errors from `means`, (2 n_patches, SHIFTS, functions)."""
     errors = means.std(axis=1, ddof=1) / np.sqrt(SHIFTS)
     sum_errors = means.sum(axis=0).std(axis=0, ddof=1) / np.sqrt(SHIFTS)
     nothing = np.zeros(len(means))
@@ -249,7 +249,7 @@ def _lattice_values(
 
 @lru_cache(2)
 def _points_everywhere(subdivision: RingsAndSectors, level: int) -> Singles:
-    """The :func:`_points` of all patches, with which each integral begins."""
+    """Points of :func:`_points` in all patches, with which each integral begins."""
     return _points(subdivision, np.arange(2 * subdivision.n_patches), level, 0)
 
 
@@ -296,7 +296,7 @@ def _finite_values(probe: Probe, wo: mi.Vector3f, limit: mi.Float) -> list[mi.Fl
 def _adaptive(
     probe: Probe, subdivision: RingsAndSectors, totals: PatchTotals, limits: Floats
 ) -> Due:
-    """Integrals by cells that are split where that changes something."""
+    """Integrals by cells that are split until that changes little."""
     condition = probe.condition
     found = integrate(
         _Integrand(probe, _most_evaluations(totals), subdivision, limits),
@@ -317,12 +317,12 @@ def _adaptive(
 
 
 def _most_evaluations(totals: PatchTotals) -> int:
-    """After which we give up."""
+    """Number of evaluations after which integration is given up."""
     return max(EVALUATIONS * totals.n, MIN_EVALUATIONS)
 
 
 class _Integrand:
-    """A BSDF to :func:`integrate`, whose channels are those of :class:`Due`."""
+    """What :func:`integrate` takes for a BSDF, with the channels of :class:`Due`."""
 
     def __init__(
         self, probe: Probe, most: int, subdivision: RingsAndSectors, limits: Floats
@@ -336,25 +336,23 @@ class _Integrand:
 
     def sample(
         self,
-        _: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
+        _ctx: mi.BSDFContext,
+        _si: mi.SurfaceInteraction3f,
         sample1: mi.Float,
         sample2: mi.Point2f,
-        active: mi.Bool,
+        _active: mi.Bool,
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         """Return record and weight."""
-        del si, active
         return self.probe.sample(sample1, sample2)
 
     def eval(
         self,
-        _: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
+        _ctx: mi.BSDFContext,
+        _si: mi.SurfaceInteraction3f,
         wo: mi.Vector3f,
-        active: mi.Bool,
+        _active: mi.Bool,
     ) -> list[mi.Float]:
         """Return all channels, as long as there are evaluations left."""
-        del si, active
         self.left -= dr.width(wo)
         if self.left < 0:
             raise SpecimenError("the integral takes too many evaluations")

@@ -33,7 +33,7 @@ print(f"element {at[0]}{at[1]}: {a:.6g} and {b:.6g}: {off / ROUNDING:.3g} roundi
 
 
 def each(values: str) -> str:
-    """One number for each sample."""
+    """Expression of one number per sample, the mean over channels."""
     return f"np.mean(np.atleast_2d({values}), axis=0)"
 
 
@@ -79,7 +79,7 @@ error = np.hypot(np.std({drawn} * inside) / n**0.5, np.std(due) / 4) + 1e-7
 
 
 def moments(drawn: str, density: str) -> str:
-    """Lines that compare, of all directions, the first moment that is farthest off."""
+    """Lines that compare, over all directions, the moment that is farthest off."""
     return f"""\
 moments = lambda wo: np.stack([x + np.zeros(n) for x in (1, *np.array(wo))])
 drawn = np.where(np.array(COUNTED), {drawn} * moments(bs.wo), 0)
@@ -135,7 +135,7 @@ def in_plane(wi, wo):  # light arrives along -wi
 
 
 class Kind(Enum):
-    """What a finding is about: of a property, or closer than that."""
+    """What a finding is about: a property, or one aspect of it."""
 
     ANSWERS = f"""\
 x = np.concatenate([np.ravel(ABOUT) for wo in (bs.wo, SPHERE)])
@@ -317,7 +317,7 @@ bs, weight = bsdf.sample(ctx, si, RANDOM)
 
 
 class MatrixKind(Enum):
-    """The same of Mueller matrices."""
+    """What a finding on Mueller matrices is about."""
 
     ANSWERS = f"""\
 m = np.array(FUNCTION)

@@ -75,7 +75,7 @@ class Scores:
 
     @property
     def p_values(self) -> dict[str, float]:
-        """Probability of such scores by chance: of mean, spread, worst and total."""
+        """P-values of the total, mean and spread of scores, and of the worst."""
         z = self.z[np.isfinite(self.z)]
         n = len(z)
         views = {"total": 2 * special.ndtr(-abs(self.total))}
@@ -90,7 +90,7 @@ class Scores:
 
     @property
     def statistics(self) -> dict[str, str]:
-        """What each view is judged by, as text."""
+        """Text on the statistic behind each of these p-values."""
         z = self.z[np.isfinite(self.z)]
         n = len(z)
         texts = {"total": f"z of the sum {_score(self.total)}"}
@@ -103,7 +103,7 @@ class Scores:
 
 
 def _score(z: Any) -> str:
-    """Score as text; beyond a hundred, only its sign matters."""
+    """Score as text; beyond 100, its sign only."""
     return f"{z:+.3g}" if abs(z) < 100 else f"beyond {np.sign(z) * 100:+.0f}"
 
 
@@ -150,12 +150,12 @@ class FourMaps:
 
     @property
     def smooth_bound(self) -> Floats:
-        """Within which that is right."""
+        """Bound on the error of `smooth_flux`."""
         return np.array([one.sum_bound for one in self.due.channels])
 
     @property
     def pdf_sum_bound(self) -> float:
-        """Within which the sum of `pdf` is right."""
+        """Bound on the error of the sum of `pdf`."""
         return (
             self.due.counts.sum_bound
             + self.pdf_rounding * self.pdf.sum()
@@ -166,8 +166,8 @@ class FourMaps:
     def count_varies(self) -> bool:
         """Whether chance moves the number of directions more than `pdf_sum_bound`.
 
-        It does not where nearly all samples are collected: such a score tells the error
-        of the integral, which is the same in the next map.
+        It does not if nearly all samples are collected: then the score tells the error
+        of the integral, which repeats itself in the next map.
         """
         p = self.pdf.sum()
         return bool(p * (1 - p) / self.totals.n > self.pdf_sum_bound**2)
@@ -229,7 +229,7 @@ def four_maps(
     n: int,
     key: tuple[int, ...],
 ) -> FourMaps | None:
-    """Draw, integrate and return :class:`FourMaps`, or None if it does not converge."""
+    """Draw samples and integrate; None if the integrals do not converge."""
     pilot = batch_of(bsdf, condition, subdivision, n // PILOT, (*key, 3))
     damping = Damping.of(pilot, 2 * subdivision.n_patches, n)
     totals = patch_totals(bsdf, condition, subdivision, n, key, damping)
@@ -242,7 +242,7 @@ def four_maps(
 
 
 def in_radiance_mode(bsdf: mi.BSDF, maps: FourMaps, key: tuple[int, ...]) -> FourMaps:
-    """Return maps of other samples, in radiance mode, where integrals are the same."""
+    """Maps of new samples in radiance mode, of a BSDF whose integrals stay the same."""
     condition = replace(maps.condition, mode="radiance")
     totals = patch_totals(
         bsdf, condition, maps.subdivision, maps.totals.n, key, maps.damping
@@ -285,17 +285,17 @@ def unexplained_fraction(maps: FourMaps, name: str) -> tuple[float, float]:
 
 
 def _certain(z: Floats) -> Floats:
-    """Part of a difference of this score that chance does not explain."""
+    """Part of a difference with the score `z` that chance does not explain."""
     return np.maximum(1 - CHANCE / np.maximum(np.abs(np.nan_to_num(z)), CHANCE), 0)
 
 
 def _uncertain(due: PatchIntegrals, relative: float) -> tuple[Floats, Floats, Floats]:
-    """Values of integrals, bounds of their errors with those of rounding, variances."""
+    """Values of integrals, bounds on their errors that include rounding, variances."""
     return due.values, due.bound + relative * np.abs(due.values), due.std_err**2
 
 
 def _widened(variance: Floats, by_chance: Floats) -> Floats:
-    """Standard deviation of a score that has a second random error."""
+    """Standard deviation of a score with the second random error `variance`."""
     return np.sqrt(1 + variance / np.maximum(by_chance, variance + 1e-300))
 
 
@@ -360,7 +360,7 @@ def _sum_score(
 
 
 def skew_score(z: Floats, skewness: Floats) -> Floats:
-    """Normal score of the same tail as a shifted gamma variable has beyond `z`."""
+    """Normal score with the tail probability of a shifted gamma variable at `z`."""
     turned = np.sign(skewness) * z
     shape = 4 / np.maximum(np.abs(skewness), 1e-9) ** 2
     x = np.maximum(shape + turned * np.sqrt(shape), 0.0)

@@ -1,13 +1,12 @@
-"""Asking a BSDF for Mueller matrices, and what is known of them.
+"""Answers of a BSDF in polarised variants: Mueller matrices and their frames.
 
 In polarised variants the answers of ``eval`` and the weights of ``sample`` are Mueller
 matrices in Mitsuba's frames of the beams, :func:`~gonio_mi.collector.stokes.
 implicit_axis`. In importance mode light arrives along -wi and leaves along wo; in
 radiance mode it arrives along -wo and leaves along wi.
 
-A plugin that mistakes frames is read in other ways: each reading takes its matrices for
-something else than what Mitsuba expects, and the one in which they make sense names the
-mistake.
+If a plugin uses the wrong frames, its matrices are read in other ways: each reading
+assumes one mistake, and the reading in which the matrices make sense names it.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ MIN_LIGHT = 1e-12
 
 
 class MuellerProbe:
-    """The functions of a BSDF in one transport mode, asked with a direction each.
+    """The functions of a BSDF in one transport mode, for pairs of directions.
 
     Parameters
     ----------
@@ -123,14 +122,14 @@ class Matrices:
 
     @property
     def lit(self) -> Flags:
-        """Pairs of which light says something, shape (...)."""
+        """Mask of pairs with enough light to be judged, shape (...)."""
         light = np.nan_to_num(self.light)
         least = MIN_LIGHT * max(light.max(initial=0), 1e-12)
         return np.asarray((light > least).all(axis=-1))
 
     @cached_property
     def finite(self) -> Flags:
-        """Pairs with directions, all of whose elements are finite, shape (...)."""
+        """Mask of pairs whose direction and elements are finite, shape (...)."""
         directions = np.isfinite(self.wo).all(axis=-1)
         return np.asarray(directions & np.isfinite(self.raw).all(axis=(-1, -2, -3)))
 
@@ -141,10 +140,10 @@ class Matrices:
         share: float = 1.0,
         sign: int = 1,
     ) -> tuple[Floats, Floats]:
-        """What turns both frames, Mitsuba's in local directions, to s = k x normal.
+        """Matrices that turn both frames from Mitsuba's to s = k x normal.
 
-        The local `axes` may be others than those of the surface, as columns; by a
-        `share` of the angle only, or to the opposite of s.
+        Mitsuba's are those of local directions; `axes`, as columns, replace the local
+        ones. `share` is the part of the angle, and a `sign` of -1 turns to -s.
         """
         found = []
         for k in self.beams:
@@ -160,7 +159,7 @@ class Matrices:
         return reframed(self.raw, *self.turns(normal))
 
     def take(self, chosen: Any) -> Matrices:
-        """Some of the pairs."""
+        """Return the chosen pairs."""
         wi, wo, raw = (x[chosen] for x in (self.wi, self.wo, self.raw))
         return replace(self, wi=wi, wo=wo, raw=raw)
 
@@ -182,22 +181,22 @@ class Lobes:
 
     @property
     def given(self) -> Flags:
-        """Which samples did not fail."""
+        """Mask of samples that did not fail."""
         return self.weights.lit & (self.pdf > 0) & self.weights.finite
 
     @property
     def delta(self) -> Flags:
-        """Which have a discrete direction."""
+        """Mask of those with a discrete direction."""
         return self.given & ((self.type & int(mi.BSDFFlags.Delta)) != 0)
 
     @property
     def null(self) -> Flags:
-        """Which go straight on, of a delta of that name."""
+        """Mask of those that go straight on, by a lobe of the type Null."""
         return self.given & ((self.type & int(mi.BSDFFlags.Null)) != 0)
 
     @property
     def smooth(self) -> Flags:
-        """Which have a density."""
+        """Mask of those with a density."""
         return self.given & ((self.type & int(mi.BSDFFlags.Delta)) == 0)
 
     @property
@@ -222,7 +221,7 @@ def per_light(matrices: Floats) -> Floats:
 
 
 def slack_of(displaced: Floats) -> Floats:
-    """What rounding may leave, from matrices whose first axis displaces directions."""
+    """Slack for rounding, from matrices whose first axis displaces the directions."""
     change = np.abs(displaced[1:] - displaced[0]).max(axis=(0, -1, -2, -3))
     return 8 * BSDF_ROUNDING + SLACK * np.nan_to_num(change, nan=1.0)
 
@@ -250,7 +249,7 @@ def lit_directions(rng: np.random.Generator, n: int, sides: Sequence[int]) -> Fl
 
 
 def condition_of(matrices: Matrices, at: tuple[int, ...]) -> Condition:
-    """Condition of one pair, for a sentence."""
+    """Condition of one pair, for messages."""
     wi = matrices.wi[at]
     theta, phi = (float(np.round(np.degrees(x), 1)) % 360 for x in angles(wi))
     side = "front" if wi[2] > 0 else "back"
@@ -280,14 +279,14 @@ def is_identity(m: Floats) -> bool:
 
 
 def is_depolarised(m: Floats) -> bool:
-    """Whether matrices over their first element have no other."""
+    """Whether matrices over their first element have no other element."""
     return bool((np.abs(m).sum(axis=(-1, -2)) - 1 < NOTHING).all())
 
 
 def readings(
     matrices: Matrices, normal: Numbers, nested: Numbers | None = None
 ) -> Iterator[tuple[str, Floats]]:
-    """Mistakes, and the matrices in frames of s = k x normal that these would mean.
+    """Mistakes, each with the matrices that it implies in frames of s = k x normal.
 
     Parameters
     ----------

@@ -42,8 +42,7 @@ def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
     """BSDF with the answers of a phase function, in the frame of the surface.
 
     Its ``eval`` and ``pdf`` are the two answers of ``eval_pdf``; light goes to both
-    sides. Whatever depends on axes of the world is asked off them where the surface is
-    turned.
+    sides. Turned surfaces probe a phase function off the axes of the world.
     """
     flags = mi.BSDFFlags
     kinds = int(flags.GlossyReflection), int(flags.GlossyTransmission)
@@ -107,7 +106,7 @@ def as_bsdf(phase: mi.PhaseFunction) -> mi.BSDF:
 
 
 def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> None:
-    """All checks of a phase function, as of :func:`as_bsdf`, from the simplest."""
+    """Run all checks of a phase function that :func:`as_bsdf` wraps, simplest first."""
     bsdf, seed = evidence.bsdf, evidence.seed
     for i, condition in enumerate(ASKED):
         samples = samples_of(bsdf, condition, plan.checked, (seed, 1, i))
@@ -129,7 +128,7 @@ def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> Non
 
 
 def _excuse(evidence: Evidence) -> None:
-    """Remarks only on what all of Mitsuba's own phase functions do.
+    """Turn breaches that all of Mitsuba's own phase functions have into remarks.
 
     They answer inactive rays, and draw azimuths from an axis of the world.
     """
@@ -162,7 +161,7 @@ def _check_maps(
 
 
 class Densities:
-    """The densities of a phase function, in the place of its values and weights."""
+    """A phase function whose values are its densities, and whose weights are 1."""
 
     def __init__(self, phase: mi.PhaseFunction) -> None:
         self.phase = phase
@@ -179,9 +178,10 @@ class Densities:
 
 
 def _check_rings(evidence: Evidence) -> None:
-    """Light and directions in rings about that of the light, however sharp the lobe.
+    """Check light and directions in rings about the incident direction.
 
-    By the test that a measurement makes before it follows rays through a medium.
+    By the test of a measurement before it follows rays through a medium, which works
+    for any sharp lobe.
     """
     phase = evidence.bsdf.phase_function
     wavelengths = Probe(evidence.bsdf, ASKED[0]).interaction().wavelengths
@@ -215,7 +215,7 @@ def _check_rings(evidence: Evidence) -> None:
 
 
 def _check_normalised(evidence: Evidence, maps: FourMaps) -> None:
-    """``eval`` integrates to 1: what is absorbed, the albedo of the medium says."""
+    """Check that ``eval`` integrates to 1; absorption is the medium's."""
     flux = maps.smooth_flux
     off = np.abs(flux - 1)
     worst = int(off.argmax())
@@ -233,7 +233,7 @@ def _check_normalised(evidence: Evidence, maps: FourMaps) -> None:
 
 
 def _check_reciprocity(evidence: Evidence, samples: Samples) -> None:
-    """Both ways are equal, times the projected area of microflakes (Jakob 2010)."""
+    """Check symmetry, with the projected area of microflakes (Jakob et al. 2010)."""
     usable = samples.usable & np.isfinite(samples.reverse).all(axis=1)
     if not usable.any():
         return
@@ -257,7 +257,7 @@ def _check_reciprocity(evidence: Evidence, samples: Samples) -> None:
 
 
 def _projected_area(bsdf: mi.BSDF, condition: Condition, local: Floats) -> Floats:
-    """Projected area of the flakes from local directions, shape (n, 1); else 1."""
+    """Projected area of microflakes seen from local directions, (n, 1); else 1."""
     phase, n = bsdf.phase_function, len(local)
     if not mi.has_flag(phase.flags(), mi.PhaseFunctionFlags.Microflake):
         return np.ones((n, 1))
@@ -269,7 +269,7 @@ def _projected_area(bsdf: mi.BSDF, condition: Condition, local: Floats) -> Float
 
 
 def _check_flags(evidence: Evidence) -> None:
-    """What is declared to be isotropic has one value everywhere."""
+    """Check that a phase function declared as isotropic has one value everywhere."""
     phase, flags = evidence.bsdf.phase_function, mi.PhaseFunctionFlags
     declared = int(phase.flags())
     samples = evidence.samples[1]

@@ -72,7 +72,7 @@ TILTING = ("normalmap", "bumpmap")
 
 
 def likely_mistake(evidence: Evidence, failed: Mapping[str, str]) -> tuple[str, str]:
-    """Guilty function and mistake: of the failed property that explains most."""
+    """Guilty function and mistake of the failed property that explains most."""
     name = next(name for name in ORDER if name in failed)
     worst = evidence.worst(name)
     if worst is not None:
@@ -89,7 +89,7 @@ def examine_polarised(
     specimen: Any,
     load: Callable[[], mi.BSDF] | None,
 ) -> int:
-    """All checks, and the number of matrices that they asked for.
+    """Run all checks and return the number of matrices that they asked for.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def examine_polarised(
 
 
 class _Examination:
-    """Directions, and what the BSDF answers about them."""
+    """Directions, the BSDF's answers about them, and checks of both."""
 
     def __init__(self, evidence: Evidence, size: int) -> None:
         self.evidence, self.size = evidence, size
@@ -126,7 +126,7 @@ class _Examination:
         self.lobes = self.importance.sample(self.wi, self.random)
 
     def check_pairs(self, load: Callable[[], mi.BSDF] | None) -> None:
-        """What is asked of single pairs of directions."""
+        """Check single pairs of directions."""
         evidence, lobes, wi = self.evidence, self.lobes, self.wi
         mueller_samples.check_finite(evidence, lobes.weights)
         # where samples are discrete any other direction does
@@ -165,7 +165,7 @@ class _Examination:
             evidence.remark("realisable", text)
 
     def _check_returns(self) -> None:
-        """Discrete lobes on the way back, and in radiance mode."""
+        """Check discrete lobes on the way back, and in radiance mode."""
         lobes = self.lobes
         chosen = np.flatnonzero(lobes.delta)[: 256 * self.size]
         there, random = lobes.weights.take(chosen), self.random[chosen]
@@ -190,14 +190,14 @@ class _Examination:
         mueller_symmetry.check_adjoint(self.evidence, radiance.weights, back, slack)
 
     def _slack_of_lobes(self, wi: Floats, random: Floats) -> Floats:
-        """What rounding may leave of elements of weights over the first one."""
+        """Slack for rounding of elements of weights over the first one."""
         steps = ULPS * (2 * self.rng.random((2, *wi.shape)) - 1)
         moved = wi + np.concatenate([np.zeros((1, *wi.shape)), steps])
         lobes = self.importance.sample(moved, np.broadcast_to(random, moved.shape))
         return slack_of(per_light(lobes.weights.raw))
 
     def check_turned(self, normal: Floats, nested: Floats | None) -> None:
-        """Pairs of directions, turned together."""
+        """Check pairs of directions that are turned together."""
         angle = 2 * np.pi * (np.arange(N_ANGLES) + self.rng.random(N_ANGLES)) / N_ANGLES
         turns = about(normal, angle)
         lobes = self.lobes
@@ -223,7 +223,7 @@ class _Examination:
             frames.check_turned(self.evidence, turned_pairs.those(same))
 
     def _some(self, chosen: Flags) -> Integers:
-        """Some samples, of all types and sides."""
+        """Indices of a few samples of each type and side."""
         found = np.flatnonzero(chosen)
         if not len(found):
             return found
@@ -236,7 +236,7 @@ class _Examination:
         return np.array([i for own in groups.values() for i in own[:each]])
 
     def check_jumps(self) -> None:
-        """Paths over the sphere, of one direction or of both."""
+        """Check paths of one or both directions over the sphere."""
         lobes = self.lobes
         pairs = self._some(lobes.smooth)
         if len(pairs):
@@ -267,7 +267,7 @@ class _Examination:
             frames.check_jumps(self.evidence, _sample_along, 2 * len(samples))
 
     def check_energy(self) -> None:
-        """Flux of some incident directions."""
+        """Check the flux of some incident directions."""
         n = N_FLUX * self.size
         wi = lit_directions(self.rng, N_LIT, self.sides)[:, None]
         shape = (N_LIT, n, 3)
@@ -278,7 +278,7 @@ class _Examination:
 
 
 def _moved(d: Floats, places: Floats, around: Flags, over: Flags) -> Floats:
-    """Directions, turned about the normal, or led over the pole; else as they are."""
+    """Directions turned about the normal or moved over the pole, or unchanged."""
     theta, phi = angles(d)
     z = np.sign(d[..., 2])
     turned = direction(theta, phi + 2 * np.pi * places)
@@ -290,9 +290,9 @@ def _moved(d: Floats, places: Floats, around: Flags, over: Flags) -> Floats:
 
 
 def _axes(specimen: Any) -> tuple[Floats, Floats | None]:
-    """Normal of what scatters, and axes of a nested BSDF if a wrapper tilts it.
+    """Normal of the scattering surface, and axes of a nested BSDF that is tilted.
 
-    A mirror in the place of the nested BSDF shows where its normal is.
+    A mirror in the place of the nested BSDF shows where its normal points.
     """
     if not (isinstance(specimen, dict) and specimen.get("type") in TILTING):
         return UPRIGHT, None

@@ -1,4 +1,4 @@
-"""Answers by themselves: finite, at least 0, and the same each time."""
+"""Answers of each function: finite, non-negative and repeatable."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ MAX_DISPLACEMENT = 1e-3
 
 
 def check_samples(evidence: Evidence, samples: Samples) -> None:
-    """All answers about samples are finite and at least 0."""
+    """Check that all answers about samples are finite and at least 0."""
     given = samples.given
     smooth = given & ~samples.delta
     everywhere = np.ones_like(given)
@@ -91,7 +91,7 @@ def lattice() -> Floats:
 
 
 def check_lattice(evidence: Evidence, probe: Probe) -> None:
-    """The same for a lattice of directions on the sphere, sampled or not."""
+    """Check the same on a lattice of directions on the sphere, sampled or not."""
     wo = lattice()
     value, density = probe.values(wo), probe.densities(wo)
     for function, answer in (("eval", value), ("pdf", density)):
@@ -115,11 +115,11 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
 
 
 def check_frames(evidence: Evidence) -> None:
-    """Local answers are the same wherever the surface is turned in the world.
+    """Check that local answers do not depend on the surface's rotation in the world.
 
-    A model may depend on its place in the world, if its functions agree: only if they
-    contradict each other on a turned surface, and on no other, or if a transform that
-    is applied once too often explains all, it is a mistake.
+    A model may depend on its place in the world as long as its functions agree. It is a
+    mistake only if they contradict each other on a turned surface and on no other, or
+    if a transform that is applied once too often explains all differences.
     """
     flat, turned = (
         {
@@ -154,10 +154,10 @@ def check_frames(evidence: Evidence) -> None:
 
 
 def _turned_answer(bsdf: mi.BSDF, samples: Samples) -> tuple[str, Flags, str] | None:
-    """Function that answers otherwise where the surface is not turned, if one does.
+    """Function whose answers change with the surface's rotation, or None.
 
-    With the samples that tell, and the mistake. What `sample` returns may follow from
-    the others.
+    With the samples that show it, and the mistake. `sample` comes last, for its answers
+    may follow from those of the others.
     """
     probe = Probe(bsdf, replace(samples.condition, turned=False))
     usable, wo = samples.usable, samples.wo
@@ -187,12 +187,12 @@ def _turned_answer(bsdf: mi.BSDF, samples: Samples) -> tuple[str, Flags, str] | 
 
 
 def _displaced(a: Floats, b: Floats) -> Flags:
-    """Which directions differ by more than rounding, also at the horizon."""
+    """Mask of directions that differ by more than rounding, even at the horizon."""
     return np.abs(a - b).max(axis=1) > MAX_DISPLACEMENT
 
 
 def check_order(evidence: Evidence, samples: Samples) -> None:
-    """Answers do not depend on the place of a ray in the array."""
+    """Check that answers do not depend on the place of a ray in the array."""
     # of a sweep, so that the incident directions are reversed, too
     probe = Probe(evidence.bsdf, samples.condition)
     wo, wi = samples.wo[::-1], vectors(samples.wi[::-1])
@@ -219,7 +219,7 @@ def check_order(evidence: Evidence, samples: Samples) -> None:
 
 
 def check_albedo(evidence: Evidence) -> None:
-    """``eval_diffuse_reflectance`` is a reflectance: of a Lambertian, its own."""
+    """Check range of ``eval_diffuse_reflectance``, and its value if Lambertian."""
     samples = evidence.whole[0]
     name, all_flags = "eval_diffuse_reflectance", int(evidence.bsdf.flags())
     probe = Probe(evidence.bsdf, samples.condition)
@@ -266,9 +266,9 @@ def check_memory(
     after: tuple[Floats, Floats],
     again: Samples,
 ) -> None:
-    """The same samples after all other calls: no answer depends on those before.
+    """Check that answers about the first samples do not depend on earlier calls.
 
-    `after` are those of ``eval`` and ``pdf`` in between.
+    `after` are answers of ``eval`` and ``pdf`` that were asked for in between.
     """
     for function, before, after_all in (
         ("eval", first.eval, after[0]),

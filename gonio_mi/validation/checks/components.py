@@ -17,7 +17,7 @@ from .answers import LOBES
 
 @dataclass(frozen=True)
 class Alone:
-    """Answers about samples of the whole, of each component asked alone.
+    """Answers of each component alone about samples of the whole BSDF.
 
     Attributes
     ----------
@@ -49,12 +49,12 @@ def alone(evidence: Evidence, samples: Samples) -> Alone:
 
 
 def _median(flux: Floats) -> Floats:
-    """Flux fraction of samples of one discrete lobe, shape (channels,); 0 of none."""
+    """Median flux fraction of samples of one discrete lobe; 0 without samples."""
     return np.median(flux, axis=0) if len(flux) else np.zeros(flux.shape[1])
 
 
 def _check_discrete(evidence: Evidence, samples: Samples, each: Alone) -> None:
-    """A discrete lobe has the same flux fraction alone as in the whole."""
+    """Check that a discrete lobe has the same flux fraction alone as in the whole."""
     for i, due in enumerate(each.discrete):
         own = samples.given & samples.delta & (samples.component == i)
         if not is_many(own) or not due.any():
@@ -77,7 +77,7 @@ def _check_discrete(evidence: Evidence, samples: Samples, each: Alone) -> None:
 
 
 def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
-    """A component whose lobes no other has is the same asked by its types."""
+    """Check that ctx.type_mask selects a component whose lobe types no other has."""
     bsdf = evidence.bsdf
     lobes = sum(int(getattr(mi.BSDFFlags, name)) for name in LOBES)
     types = [int(bsdf.flags(i)) & lobes for i in range(bsdf.component_count())]
@@ -112,10 +112,10 @@ def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
 
 
 def check_samples(evidence: Evidence, samples: Samples) -> None:
-    """Values of the components add up to the whole; an undeclared one is dark.
+    """Check that the values of the components add up to those of the whole.
 
-    The density of the whole is at most the sum of those of the components, for each is
-    picked with a probability of at most 1, whatever that depends on.
+    The density of the whole is at most the sum of the components' densities, for each
+    component is picked with a probability of at most 1.
     """
     if samples.condition.component is not None or not evidence.bsdf.component_count():
         return
@@ -156,9 +156,9 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
 
 
 def _deaf(samples: Samples, each: Alone, usable: Flags) -> str:
-    """Sentence on the functions that ignore ctx.component; empty if there are none.
+    """Sentence on the functions that ignore ctx.component; empty if none does.
 
-    One component alone would be the whole, heeded or not.
+    Of a BSDF with one component nothing can be told.
     """
     if len(each.pdf) < 2:
         return ""

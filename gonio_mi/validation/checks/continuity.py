@@ -29,7 +29,7 @@ N_SAMPLES = 2**6
 
 
 def check_normal(evidence: Evidence, samples: Samples) -> None:
-    """``eval`` and ``pdf`` at normal incidence are those of incidence nearby.
+    """Check that ``eval`` and ``pdf`` are continuous at normal incidence.
 
     Parameters
     ----------
@@ -70,11 +70,10 @@ def check_normal(evidence: Evidence, samples: Samples) -> None:
 
 
 def check_cutoffs(evidence: Evidence, condition: Condition) -> None:
-    """No direction is black because it is near the horizon.
+    """Check that no direction is black just because it is near the horizon.
 
-    Light comes from there, and goes where ``sample`` sends it; and it comes from where
-    that is, and goes there. All azimuths count, so that a tilted normal hides no more
-    than one side.
+    Light arrives from there and leaves where ``sample`` sends it, then goes the other
+    way. All azimuths are asked, so that a tilted normal hides one side at most.
     """
     n = N_AZIMUTHS * N_SAMPLES
     azimuths = 2 * np.pi * (np.arange(N_AZIMUTHS) + 0.3) / N_AZIMUTHS

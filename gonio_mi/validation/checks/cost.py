@@ -1,8 +1,8 @@
-"""What a call costs: kernels that are compiled anew, and the time of a ray.
+"""Cost of a call: recompiled kernels, and the time per ray.
 
-Neither is ever a failure. A kernel that is not found in memory is compiled, which takes
-thousands of times as long as to run it on a small batch: so it is with a plugin that
-turns a Python number that changes into a literal.
+Neither is ever a failure. Compiling a kernel takes thousands of times as long as
+running it on a small batch; a plugin causes that if it bakes a Python number that
+changes into the kernel as a literal.
 """
 
 from __future__ import annotations
@@ -31,13 +31,7 @@ MAX_RATIO = 10.0
 def check_compiled(
     evidence: Evidence, condition: Condition, n: int, key: tuple[int, ...]
 ) -> Samples:
-    """Ask again what was asked before, with all kernels in memory.
-
-    Returns
-    -------
-    Samples
-        The same, once more.
-    """
+    """Check that repeated calls compile no kernel; return their answers."""
     for _ in range(2):
         # the second time, objects that are made once exist
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -59,7 +53,7 @@ def check_compiled(
 
 
 def check_time(evidence: Evidence, condition: Condition) -> None:
-    """Time of a ray beside the closest of Mitsuba's own: a remark."""
+    """Remark on the time per ray, relative to the most similar BSDF of Mitsuba."""
     name, other = _closest(int(evidence.bsdf.flags()))
     if evidence.bsdf.class_name() == other.class_name():
         evidence.remark("cost", "with it the time of others is compared")
@@ -80,9 +74,9 @@ def compared(
     second: Callable[[], None],
     clock: Callable[[], int] = time.perf_counter_ns,
 ) -> tuple[float, float]:
-    """Time of the first in ns, and how many times that of the second it is.
+    """Median time of the first function in ns, and its ratio to the second's.
 
-    Medians over turns: what else a machine does then hits both, or few of them.
+    They take turns, so that other work on the machine slows both, or few turns.
     """
     first()
     second()
@@ -96,14 +90,14 @@ def compared(
 
 
 def _call(bsdf: mi.BSDF, condition: Condition) -> Callable[[], None]:
-    """Function that samples, and asks for value and density of the samples."""
+    """Function that samples and then evaluates value and density of the samples."""
     probe = Probe(bsdf, condition)
     ctx, si = probe.ctx, probe.interaction()
     sample1, sample2 = uniform(N_RAYS, (71,))
     dr.make_opaque(sample1, sample2, si.wi)
 
     def call() -> None:
-        """Ask once."""
+        """Sample and evaluate once."""
         # all in one kernel, as an integrator has it
         bs, weight = bsdf.sample(ctx, si, sample1, sample2)
         dr.eval(weight, bs, bsdf.eval(ctx, si, bs.wo), bsdf.pdf(ctx, si, bs.wo))
@@ -113,7 +107,7 @@ def _call(bsdf: mi.BSDF, condition: Condition) -> Callable[[], None]:
 
 
 def _closest(flags: int) -> tuple[str, mi.BSDF]:
-    """Name and BSDF of Mitsuba's own with the same kinds of lobes."""
+    """Name and instance of the BSDF of Mitsuba with the same kinds of lobes."""
     kind = mi.BSDFFlags
 
     def has(what: Any) -> bool:

@@ -42,9 +42,9 @@ class Lobe:
 
 
 def lobes_of(evidence: Evidence, samples: Samples) -> list[Lobe]:
-    """Discrete lobes of one direction and weight, whose laws others check.
+    """Discrete lobes that have one direction and one weight, for further checks.
 
-    Direction, weight and probability of each are checked here.
+    Their directions, weights and probabilities are checked here.
     """
     delta = samples.given & samples.delta & np.isfinite(samples.wo).all(axis=1)
     pairs = set(zip(samples.component[delta], samples.type[delta]))
@@ -95,7 +95,7 @@ def _split(evidence: Evidence, samples: Samples, own: Flags, kind: int) -> list[
 
 
 def _check_lobe(evidence: Evidence, lobe: Lobe) -> bool:
-    """Whether it has one weight; with a breach and a test of it."""
+    """Check direction and probability; return whether the lobe has a single weight."""
     samples = lobe.samples
     weight = samples.weight[lobe.own]
     if lobe.alone:
@@ -116,7 +116,7 @@ def _check_lobe(evidence: Evidence, lobe: Lobe) -> bool:
 
 
 def _check_direction(evidence: Evidence, lobe: Lobe) -> None:
-    """Mirrored, refracted by eta or straight, about one normal of the surface."""
+    """Check that the direction is mirrored, refracted by eta, or straight on."""
     wi, wo, flags = lobe.samples.condition.wi, lobe.wo, mi.BSDFFlags
     if lobe.kind & int(flags.Null):
         off, law = np.abs(wo + wi).max(), "straight on"
@@ -140,7 +140,7 @@ def _check_direction(evidence: Evidence, lobe: Lobe) -> None:
 
 
 def _check_probability(evidence: Evidence, lobe: Lobe) -> None:
-    """The pdf of a discrete sample is the probability of its lobe."""
+    """Test that the pdf of a discrete sample is the probability of its lobe."""
     p = float(np.median(lobe.samples.sampled_pdf[lobe.own]))
     k, n = int(lobe.own.sum()), lobe.samples.n
     # the probability within its error that suits best
@@ -157,7 +157,7 @@ def _check_probability(evidence: Evidence, lobe: Lobe) -> None:
 
 
 def check_null(evidence: Evidence, samples: Samples) -> None:
-    """``eval_null_transmission`` is what passes undeviated."""
+    """Check that ``eval_null_transmission`` is the flux that passes undeviated."""
     if samples.condition.component is not None:
         return
     null = samples.given & ((samples.type & int(mi.BSDFFlags.Null)) != 0)

@@ -22,7 +22,7 @@ AGREED = "as `eval` has it: a type or a side is declared wrongly"
 
 
 def check_samples(evidence: Evidence, samples: Samples) -> None:
-    """Length, side, type and index of refraction of each sample."""
+    """Check length, side, type and index of refraction of each sample."""
     given = samples.given & np.isfinite(samples.wo).all(axis=1)
     if not given.any():
         return
@@ -69,12 +69,12 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
 
 
 def check_eta(evidence: Evidence, ways: BothWays) -> BothWays:
-    """The index of a transmitted sample is that of the plugin's own two modes.
+    """Check that eta of a transmitted sample is that between the transport modes.
 
     Returns
     -------
     BothWays
-        With the index by which light passes, whatever the sample says.
+        With the index that the modes imply, if the sample's differs.
     """
     samples = ways.samples
     through = ways.smooth & ~samples.reflected
@@ -107,9 +107,9 @@ def check_eta(evidence: Evidence, ways: BothWays) -> BothWays:
 
 
 def _agreed(samples: Samples) -> Flags:
-    """Samples for which ``eval`` is weight times pdf, and not 0.
+    """Mask of samples for which ``eval`` is weight times pdf, and not 0.
 
-    Then their type is a name only: integrators ask it for discrete lobes.
+    A wrong type does them no harm: integrators only ask whether it is discrete.
     """
     lit = (samples.eval > 0).any(axis=1)
     return lit & ~unequal(samples.flux, samples.eval, samples.eval_slack)

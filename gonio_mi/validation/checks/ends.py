@@ -40,10 +40,10 @@ LIMITS = dict.fromkeys(("alpha", "alpha_u", "alpha_v", "roughness"), (1e-3, 1.0)
 
 
 def check_bsdf(evidence: Evidence, where: str = "") -> None:
-    """All functions are finite and at least 0 at the ends.
+    """Check that all functions are finite and at least 0 at the ends of their domain.
 
-    Directions: sampled ones, and some at the normal, the horizon, the mirror direction
-    and straight on.
+    They are asked for sampled directions, and at the normal, at the horizon, in the
+    mirror direction and straight on.
     """
     angles = product(ANGLES, (0.0, 25.0))
     conditions: list[Any] = [Condition(theta_i, phi_i) for theta_i, phi_i in angles]
@@ -61,7 +61,7 @@ def check_bsdf(evidence: Evidence, where: str = "") -> None:
 
 
 def check_limits(evidence: Evidence, limits: Mapping[str, tuple[float, ...]]) -> None:
-    """The ends again at limits of parameters, by name, if the plugin has such ones."""
+    """Check the ends again at limits of parameters, given by the parameter's name."""
     try:
         _, params = number_parameters(evidence.bsdf)
     except PluginFault:
@@ -80,7 +80,7 @@ def check_limits(evidence: Evidence, limits: Mapping[str, tuple[float, ...]]) ->
 
 
 def _check_condition(evidence: Evidence, probe: Probe, place: str) -> None:
-    """The same of one direction of incidence."""
+    """Check one incident direction."""
     corners = np.array(list(product(NUMBERS, repeat=3)), dtype=np.float32)
     wi = probe.condition.wi
     bs, sampled = probe.sample(*random_numbers(corners))
@@ -132,9 +132,9 @@ def _check_finite(
     place: str,
     black: Flags | None = None,
 ) -> None:
-    """Values at `inputs`: directions of which some are `black`, or random numbers.
+    """Check values at `inputs`, which are directions or random numbers.
 
-    Where it is black, a negative density does no harm.
+    A negative density does no harm in directions that are `black`.
     """
     wrong = improper(value)
     if wrong.any():

@@ -12,10 +12,10 @@ from ..maps import FourMaps
 
 
 def check_maps(evidence: Evidence, maps: FourMaps) -> None:
-    """In importance mode, of all components together.
+    """Test flux in importance mode, of all components together.
 
-    The smooth part is integrated, the discrete one is sampled; the mean of all sampled
-    weights is another test.
+    The smooth part is integrated and the discrete part sampled; the mean of all sampled
+    weights is tested as well.
     """
     if maps.condition.mode != "importance" or maps.condition.component is not None:
         return

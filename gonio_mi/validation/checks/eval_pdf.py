@@ -18,7 +18,7 @@ MAX_RELATIVE, MAX_OF_PEAK = 0.01, 1e-4
 
 
 def check_samples(evidence: Evidence, samples: Samples) -> None:
-    """Value and density are those of ``eval`` and ``pdf``, samples of ``sample``."""
+    """Check the joint functions against ``eval``, ``pdf`` and ``sample``."""
     _check_joint(evidence, samples, "eval_pdf")
     # no integrator calls that of a plugin in Python, which this version cannot reach
     effect = "" if type(evidence.bsdf) is mi.BSDF else INTERFACE
@@ -42,7 +42,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
 
 
 def check_lattice(evidence: Evidence, probe: Probe) -> None:
-    """The same where no sample may be: light and density on both sides, roughly."""
+    """Check ``eval_pdf`` roughly on the whole sphere, where samples may not go."""
     wo = lattice()
     n = len(wo)
     value, pdf = probe.eval_pdf(vectors(wo))
@@ -72,7 +72,7 @@ def check_lattice(evidence: Evidence, probe: Probe) -> None:
 def _check_joint(
     evidence: Evidence, samples: Samples, function: str, effect: str = ""
 ) -> None:
-    """The same for each function that answers both."""
+    """Check value and density of one joint function at sampled directions."""
     usable = np.isfinite(samples.wo).all(axis=1) & ~samples.delta
     usable &= np.abs(np.linalg.norm(samples.wo, axis=1) - 1) < BSDF_ROUNDING
     value, pdf = samples.joint[function]

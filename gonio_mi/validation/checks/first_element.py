@@ -55,7 +55,7 @@ def check_first_element(
 def _compare(
     evidence: Evidence, matrices: Matrices, plain: Floats, asked: Flags
 ) -> None:
-    """First elements of matrices with unpolarised answers, of those that are asked."""
+    """Check first elements against unpolarised answers, where `asked`."""
     light = matrices.light
     size = np.maximum(np.abs(light), np.abs(plain))
     differs = (np.abs(light - plain) > ROUNDING * size + 1e-9).any(axis=-1)
@@ -95,7 +95,7 @@ def _ask(
 
 @contextlib.contextmanager
 def _variant(name: str) -> Iterator[None]:
-    """Another variant of Mitsuba's until the end of the block."""
+    """Set another variant of Mitsuba until the end of the block."""
     before = mi.variant()
     mi.set_variant(name)
     try:

@@ -22,7 +22,7 @@ EITHER = "flags or sample"
 
 
 def check_bsdf(evidence: Evidence) -> None:
-    """Sampled types and components are declared; declared ones may be unused."""
+    """Check that sampled types and components are declared; not all need be used."""
     bsdf = evidence.bsdf
     flags, n = int(bsdf.flags()), bsdf.component_count()
     union = 0
@@ -49,7 +49,7 @@ def check_bsdf(evidence: Evidence) -> None:
 
 
 def _check_declared(evidence: Evidence, samples: Samples) -> bool:
-    """Types and components of samples are declared; whether there is a breach."""
+    """Check that types and components of samples are declared; return if one is not."""
     bsdf = evidence.bsdf
     flags, n = int(bsdf.flags()), bsdf.component_count()
     types, components = samples.type[samples.given], samples.component[samples.given]
@@ -93,9 +93,9 @@ def _check_declared(evidence: Evidence, samples: Samples) -> bool:
 
 
 def check_sides(evidence: Evidence) -> None:
-    """Both sides, rotation, differentials and places as declared.
+    """Check what flags declare on sides, rotation, differentials and texture.
 
-    SpatiallyVarying is a remark: none of Mitsuba's BSDFs declares it.
+    SpatiallyVarying gets a remark only, for none of Mitsuba's BSDFs declares it.
     """
     bsdf, flags, all_flags = evidence.bsdf, int(evidence.bsdf.flags()), mi.BSDFFlags
     base = Condition(50.0, 20.0)
@@ -153,7 +153,7 @@ def check_sides(evidence: Evidence) -> None:
 def _changed(
     bsdf: mi.BSDF, samples: Samples, change: Callable[[Probe, Floats], Floats]
 ) -> float:
-    """Fraction of samples for which `change` changes ``eval``; 0 for a few."""
+    """Fraction of samples for which `change` changes ``eval``; 0 if they are few."""
     probe = Probe(bsdf, samples.condition)
     value = probe.values(change(probe, samples.wo))
     differs = unequal(value, samples.eval, samples.eval_slack) & samples.smooth
@@ -161,20 +161,20 @@ def _changed(
 
 
 def _turn(probe: Probe, wo: Floats) -> Floats:
-    """Both directions, turned about the normal."""
+    """Turn both directions about the normal."""
     turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
     probe.wi = mi.Vector3f((turn @ probe.condition.wi).tolist())
     return wo @ turn.T
 
 
 def _move(probe: Probe, wo: Floats) -> Floats:
-    """Another place of the texture."""
+    """Move to another place of the texture."""
     probe.uv = mi.Point2f(0.15, 0.7)
     return wo
 
 
 def _differentiate(probe: Probe, wo: Floats) -> Floats:
-    """Rays with differentials."""
+    """Give rays differentials."""
     plain = probe.interaction
 
     def _interaction(wi: mi.Vector3f | None = None) -> mi.SurfaceInteraction3f:

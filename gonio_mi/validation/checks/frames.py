@@ -66,7 +66,7 @@ class Turned:
     nested: Numbers | None
 
     def those(self, mask: Flags) -> Turned:
-        """Pairs of the mask."""
+        """Return the pairs that the mask selects."""
         return replace(self, matrices=self.matrices.take(mask), slack=self.slack[mask])
 
     def misfit(self, in_plane: Floats) -> Floats:
@@ -76,10 +76,10 @@ class Turned:
 
 
 def check_turned(evidence: Evidence, turned: Turned) -> None:
-    """The matrix does not depend on a common azimuth, or only as the plugin declares.
+    """Check that the matrix does not depend on a common azimuth, unless anisotropic.
 
-    Of an anisotropic surface it may; then a reading of the matrices that makes them
-    independent speaks for itself.
+    For an anisotropic surface, it is a mistake only if another reading of the matrices
+    makes them independent of the azimuth.
     """
     if not len(turned.matrices.wi):
         return
@@ -120,7 +120,7 @@ def check_turned(evidence: Evidence, turned: Turned) -> None:
 
 
 def _explained(turned: Turned, misfit: Floats) -> str | None:
-    """Mistake without which the matrices do not depend on the angle, or None."""
+    """Mistake that explains why the matrices depend on the angle, or None."""
     if is_identity(per_light(turned.matrices.raw)):
         return IDENTITY
     found = {
@@ -133,7 +133,7 @@ def _explained(turned: Turned, misfit: Floats) -> str | None:
 
 
 def _handedness(turned: Turned, in_plane: Floats) -> float:
-    """Elements that a mirror symmetry about the plane of both beams forbids."""
+    """Size of elements that mirror symmetry about the plane of both beams forbids."""
     k_in, k_out = turned.matrices.beams
     s = np.cross(k_in, k_out)
     length = np.linalg.norm(s, axis=-1, keepdims=True)
@@ -153,14 +153,14 @@ def check_jumps(
     path: Callable[[Numbers, Floats], tuple[Matrices, Numbers]],
     n_paths: int,
 ) -> None:
-    """Elements over the first one do not jump along closed paths of directions.
+    """Check that elements over the first do not jump along closed paths of directions.
 
     Parameters
     ----------
     evidence : Evidence
     path : callable
-        For numbers of paths and places on them in [0, 1), of shape (n, m), matrices
-        and what must be the same of two of them to be compared.
+        Takes numbers of paths and places on them in [0, 1), of shape (n, m); returns
+        matrices, and labels that two of them must share to be compared.
     n_paths : int
     """
     paths = np.repeat(np.arange(n_paths), N_STEPS)
@@ -204,7 +204,7 @@ def check_jumps(
 
 
 def _changes(matrices: Matrices, kind: Numbers) -> Floats:
-    """Change of elements over the first one to the next place; 0 without light."""
+    """Change of elements over the first one between places; 0 without light."""
     m, lit = per_light(matrices.raw), matrices.lit & matrices.finite
     both = lit[:, 1:] & lit[:, :-1] & (kind[:, 1:] == kind[:, :-1])
     # light that jumps as well is another matter
@@ -217,7 +217,7 @@ def _changes(matrices: Matrices, kind: Numbers) -> Floats:
 
 
 def _border(matrices: Matrices, at: tuple[int, int]) -> str:
-    """Where the jump behind a pair lies; empty if there is no name for it."""
+    """Name of the place where the jump after a pair lies; empty if it has none."""
     for name, distance in BORDERS.items():
         for which in ("wi", "wo"):
             if distance(getattr(matrices, which)[at]) < 1e-5:

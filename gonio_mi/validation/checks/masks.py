@@ -13,9 +13,9 @@ from ..samples import samples_of, unequal
 
 
 def check_bsdf(evidence: Evidence) -> None:
-    """Every other ray is inactive.
+    """Check answers where every other ray is inactive.
 
-    The density of an inactive ray is of no use to anyone, and a remark only.
+    A density for an inactive ray gets a remark only, for nobody uses it.
     """
     condition, n = Condition(40.0, 25.0), 2**10
     samples = samples_of(evidence.bsdf, condition, n, (evidence.seed, 41))

@@ -17,11 +17,11 @@ SAME_LOBE = 1e-3
 
 
 def check_gain(evidence: Evidence, lobes: Lobes) -> None:
-    """Mean flux of the incident polarisation that is scattered best.
+    """Test the mean flux of the incident polarisation that is scattered best.
 
-    Lobes of shape (directions, samples). Of those with a density half of the samples
-    tell which polarisation that is, the other half how much of it leaves; the share of
-    a discrete lobe is known by one sample of it.
+    `lobes` has the shape (directions, samples). Half of the smooth samples tell which
+    polarisation that is, the other half how much of it leaves. One sample is enough to
+    know the share of a discrete lobe.
     """
     weights = lobes.weights
     rows = weights.in_plane()[..., 0, :]
@@ -58,7 +58,7 @@ def _discrete(rows: Floats, pdf: Floats, delta: Flags) -> Floats:
 def _gain(
     discrete: Floats, first: Floats, second: Floats
 ) -> tuple[float, float, Floats]:
-    """Mean, its standard error, and the polarisation."""
+    """Mean flux, its standard error, and the polarisation that is scattered best."""
     state = (discrete + first.mean(axis=0))[1:]
     length = np.linalg.norm(state)
     state = state / length if length > ROUNDING else np.zeros(3)

@@ -27,7 +27,7 @@ EXPLAINED = 0.05
 
 
 def check_finite(evidence: Evidence, matrices: Matrices) -> None:
-    """All elements are finite, the first is not negative."""
+    """Check that all elements are finite and that the first is not negative."""
     function, raw = matrices.function, matrices.raw
     bad = ~np.isfinite(raw).all(axis=(-1, -2, -3))
     negative = (np.nan_to_num(matrices.light) < 0).any(axis=-1)
@@ -52,7 +52,7 @@ def check_finite(evidence: Evidence, matrices: Matrices) -> None:
 def check_weights(
     evidence: Evidence, lobes: Lobes, values: Matrices, pdf: Floats, slack: Floats
 ) -> None:
-    """Of sampled directions: weight times pdf is `eval`, and the pdf that of `pdf`."""
+    """Check that weight times pdf is `eval`, and that the pdf is that of `pdf`."""
     usable = lobes.smooth & values.finite & np.isfinite(pdf)
     if not usable.any():
         return
@@ -138,7 +138,7 @@ def check_eval_pdf(
     joint_pdf: Floats,
     asked: Flags,
 ) -> None:
-    """``eval_pdf`` answers as ``eval`` and ``pdf``, in all elements."""
+    """Check that ``eval_pdf`` answers as ``eval`` and ``pdf``, in all elements."""
     light = np.where(values.light > 0, values.light, 1)[..., None, None]
     change = (np.abs(joint.raw - values.raw) / light).max(axis=(-1, -2, -3))
     density = np.abs(joint_pdf - pdf) / np.maximum(np.maximum(joint_pdf, pdf), 1e-30)

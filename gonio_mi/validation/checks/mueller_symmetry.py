@@ -1,4 +1,4 @@
-"""Source and detector exchanged, and both transport modes: of all elements."""
+"""Reciprocity, and adjointness of the transport modes, of all elements."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ ROUNDING = 2e-3
 def check_reciprocity(
     evidence: Evidence, there: Matrices, back: Matrices, slack: Floats
 ) -> None:
-    """``M(wi, wo) = Q M(wo, wi)^T Q``, over their first elements, with Q of U's sign.
+    """Check ``M(wi, wo) = Q M(wo, wi)^T Q``, where Q changes the sign of U.
 
-    Of the first elements the unpolarised variant judges.
+    Matrices are divided by their first elements, which the unpolarised variant judges.
     """
     m, reverse = per_light(there.in_plane()), per_light(back.in_plane())
     due = EXCHANGE @ np.swapaxes(reverse, -1, -2) @ EXCHANGE
@@ -34,7 +34,7 @@ def check_reciprocity(
 def check_adjoint(
     evidence: Evidence, radiance: Matrices, back: Matrices, slack: Floats
 ) -> None:
-    """In radiance mode, light goes from wo to wi as in importance mode from wo."""
+    """Check that radiance mode answers for light from wo to wi as importance mode."""
     m, due = per_light(radiance.in_plane()), per_light(back.in_plane())
     wrong, size = _wrong(radiance, back, off(m, due), slack)
     if not is_many(wrong):
@@ -51,7 +51,7 @@ def check_adjoint(
 def _wrong(
     one: Matrices, other: Matrices, size: Floats, slack: Floats
 ) -> tuple[Flags, Floats]:
-    """Which pairs differ, of those with light both ways, and by how much."""
+    """Mask of pairs with light both ways that differ, and by how much they do."""
     both = one.lit & other.lit & one.finite & other.finite
     size = np.where(both, np.nan_to_num(size), 0.0)
     return size > ROUNDING + slack, size
@@ -65,7 +65,7 @@ def _breach(
     size: Floats,
     mistake: str,
 ) -> None:
-    """Add a breach of pairs that are `wrong` by `size`, with the worst of them."""
+    """Add a breach for pairs that are `wrong` by `size`, which names the worst."""
     worst = int(np.argmax(np.where(wrong, size, 0)))
     condition = condition_of(matrices, (worst,))
     evidence.breach(

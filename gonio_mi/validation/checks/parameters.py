@@ -38,7 +38,7 @@ MAX_JUMPS = 0.1
 
 
 def check_samples(evidence: Evidence, samples: Samples) -> None:
-    """``traverse`` answers, and gradients of ``eval`` agree with its differences."""
+    """Check ``traverse``, and gradients of ``eval`` against finite differences."""
     try:
         params, values = number_parameters(evidence.bsdf)
         usable = samples.smooth & np.isfinite(samples.eval).all(axis=1)
@@ -54,7 +54,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
 
 
 def check_changes(evidence: Evidence, plan: Effort) -> None:
-    """All functions follow a change of parameters, of all or of each alone."""
+    """Check that all functions follow a change of all parameters, or of each alone."""
     known = [*evidence.breaches, *(t for t in evidence.tests if t.p < MAX_P)]
     if any(one.effect == BIAS for one in known):
         return  # a change adds nothing to what is wrong before
@@ -87,7 +87,7 @@ def check_changes(evidence: Evidence, plan: Effort) -> None:
 
 
 def _other_values(bsdf: mi.BSDF) -> dict[str, Any]:
-    """Other values of numbers, colours and tables, by name; nowhere larger than 1."""
+    """New values by name for numbers, colours and tables, within usual ranges."""
     try:
         _, known = number_parameters(bsdf, mi.TensorXf)
     except PluginFault:
@@ -114,7 +114,7 @@ def _other_values(bsdf: mi.BSDF) -> dict[str, Any]:
 
 
 def _after(evidence: Evidence, plan: Effort, values: dict[str, Any]) -> Evidence | None:
-    """What is found after a change of parameters; None if a value is refused."""
+    """Evidence after a change of parameters; None if the plugin refuses a value."""
     found = Evidence(evidence.bsdf, evidence.seed, evidence.properties)
     try:
         with changed(evidence.bsdf, values):
@@ -125,7 +125,7 @@ def _after(evidence: Evidence, plan: Effort, values: dict[str, Any]) -> Evidence
 
 
 def _least_p(found: Evidence) -> float:
-    """Probability by chance of the worst of all tests."""
+    """Probability that chance makes the worst of all tests as bad as it is."""
     tests = found.tests
     return min(1.0, len(tests) * min((test.p for test in tests), default=1.0))
 
@@ -136,7 +136,7 @@ def _biases(found: Evidence) -> bool:
 
 
 def _stale(before: Samples, found: Evidence) -> str:
-    """Function whose answers are those of before, where others have changed."""
+    """Function whose answers stayed the same where those of others changed."""
     after = found.sweeps[0]
     still = (before.wo == after.wo).all(axis=1) & before.usable & after.usable
 
@@ -157,9 +157,9 @@ def _stale(before: Samples, found: Evidence) -> str:
 
 
 def _differentiable(params: Any, values: dict[str, Any]) -> Iterator[str]:
-    """Names of numbers and colours that may be differentiated, within their range.
+    """Names of numbers and colours that can be differentiated where they are.
 
-    At 0 and 1, most ranges end, where a lobe may be left out.
+    Not at 0 and 1, where most ranges end and a lobe may vanish.
     """
     for name, value in values.items():
         fixed = params.flags(name) & mi.ParamFlags.NonDifferentiable.value
@@ -174,7 +174,7 @@ def _check_gradient(
     name: str,
     wo: mi.Vector3f,
 ) -> None:
-    """Gradients of ``eval``, one for each direction, against central differences."""
+    """Check gradients of ``eval``, one per direction, against central differences."""
     bsdf, kind = evidence.bsdf, type(params[name])
     value = kind(params[name])
     size = float(np.max(np.abs(np.array(value))))

@@ -1,4 +1,4 @@
-"""Realisability: each matrix is a sum of those of Jones, which real surfaces have."""
+"""Realisability: each Mueller matrix is a sum of Mueller-Jones matrices."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SIGNS = {
 
 
 def check_matrices(evidence: Evidence, matrices: Matrices, asked: Flags) -> None:
-    """No eigenvalue of the coherency matrix is negative (Cloude 1986)."""
+    """Check that no eigenvalue of the coherency matrix is negative (Cloude 1986)."""
     asked = asked & matrices.finite & matrices.lit
     if not asked.any():
         return
@@ -48,7 +48,7 @@ def check_matrices(evidence: Evidence, matrices: Matrices, asked: Flags) -> None
 
 
 def _mistake(m: Floats) -> str:
-    """What is wrong with matrices over their first element."""
+    """Likely mistake in matrices that are divided by their first element."""
     for mistake, (left, right) in SIGNS.items():
         if (coherency_eigenvalues(left @ m @ right)[..., 0] > -ROUNDING).all():
             return mistake

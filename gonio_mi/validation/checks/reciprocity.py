@@ -1,4 +1,4 @@
-"""Source and detector exchanged: of ``eval``, and of each discrete lobe."""
+"""Reciprocity of ``eval`` and of each discrete lobe."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ class BothWays:
     eta2: Floats
 
     def ratio(self, other: Floats, mask: Flags) -> Floats:
-        """Ratio of f there to another one, for some samples."""
+        """Ratio of `forward` to another array, for some samples."""
         below = np.maximum(other[mask].sum(axis=1), 1e-30)
         return self.forward[mask].sum(axis=1) / below
 
 
 def both_ways(samples: Samples) -> BothWays | None:
-    """Values both ways; None where there are none, or in radiance mode."""
+    """Values both ways; None if there are none, or in radiance mode."""
     if samples.condition.mode != "importance":
         return None
     cos_i, cos_o = abs(samples.condition.wi[2]), np.abs(samples.wo[:, 2])
@@ -74,7 +74,7 @@ def both_ways(samples: Samples) -> BothWays | None:
 
 
 def check_ways(evidence: Evidence, ways: BothWays) -> None:
-    """``f(wi, wo)`` is ``eta^2 f(wo, wi)`` (Veach 1997, section 5.2)."""
+    """Check that ``f(wi, wo)`` is ``eta^2 f(wo, wi)`` (Veach 1997, section 5.2)."""
     samples, due = ways.samples, ways.eta2 * ways.backward
     slack = ways.slack * (1 + ways.eta2)
     wrong = unequal(ways.forward, due, slack) & ways.smooth
@@ -95,7 +95,10 @@ def check_ways(evidence: Evidence, ways: BothWays) -> None:
 
 
 def _declared(bsdf: mi.BSDF, ways: BothWays) -> Flags:
-    """Samples for whose side a component is NonSymmetric, not just for its eta^2."""
+    """Mask of samples on whose side a NonSymmetric component explains asymmetry.
+
+    In transmission with another eta than 1 the flag stands for eta^2 alone.
+    """
     flags, n = mi.BSDFFlags, bsdf.component_count()
     only = ways.samples.condition.component
     wanted = range(n) if only is None else [only]
@@ -109,7 +112,7 @@ def _declared(bsdf: mi.BSDF, ways: BothWays) -> Flags:
 
 
 def _mistake(ways: BothWays, wrong: Flags) -> str:
-    """Likely mistake in ``eval``, by the ratio of both directions."""
+    """Likely mistake in ``eval``, judged by the ratio of f one way to the other."""
     if not ways.backward[wrong].any():
         return "`eval` lets light go one way only"
     if ways.samples.reflected[wrong].all():
@@ -124,7 +127,7 @@ def _mistake(ways: BothWays, wrong: Flags) -> str:
 
 
 def ratio_text(a: Floats, b: Floats, wrong: Flags, samples: Samples) -> str:
-    """Sentence on f one way over f the other way."""
+    """Sentence on the ratio of f one way to f the other way."""
     a, b = a[wrong].sum(axis=1), b[wrong].sum(axis=1)
     # also of negative values, which are wrong already
     both = (a != 0) & (b != 0)
@@ -146,9 +149,9 @@ def is_constant(ratio: Floats) -> bool:
 
 
 def check_lobe(evidence: Evidence, lobe: Lobe, key: tuple[int, ...]) -> bool:
-    """Light sent back along a discrete lobe returns with the same share, or a breach.
+    """Check that light sent back along a discrete lobe returns with the same share.
 
-    Whether it returns; also if it was not sent.
+    Return whether it does; True also where no light can be sent back.
     """
     samples = lobe.samples
     if samples.condition.mode != "importance" or abs(lobe.wo[2]) < 1e-3:
@@ -182,7 +185,7 @@ def check_lobe(evidence: Evidence, lobe: Lobe, key: tuple[int, ...]) -> bool:
 
 
 def _sensitivity(bsdf: mi.BSDF, lobe: Lobe) -> float:
-    """Change of the share of the way back where rounding tilts its direction."""
+    """Largest change of the share on the way back if rounding tilts the direction."""
     wo, n = lobe.wo, lobe.samples.n
     cosine = abs(wo[2])
     tilt = min(SQUARE_ROUNDING / (2 * cosine), np.sqrt(SQUARE_ROUNDING))

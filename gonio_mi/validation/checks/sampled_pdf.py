@@ -7,7 +7,7 @@ from ..samples import Samples, ratio_of, unequal
 
 
 def check_samples(evidence: Evidence, samples: Samples) -> None:
-    """Densities of both are equal, sample by sample, where there is light."""
+    """Check that both densities are equal, sample by sample, where there is light."""
     lit = samples.usable & (samples.eval != 0).any(axis=1)
     if not lit.any():
         return

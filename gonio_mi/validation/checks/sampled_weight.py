@@ -13,7 +13,7 @@ MAX_SCORE = 5
 
 
 def check_samples(evidence: Evidence, samples: Samples) -> None:
-    """They are equal, sample by sample, with either of both densities."""
+    """Check that both are equal, sample by sample, for one of the two densities."""
     lit = samples.usable & (samples.eval != 0).any(axis=1)
     if not lit.any():
         return
@@ -38,12 +38,12 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
 
 
 def _products(samples: Samples) -> list[Floats]:
-    """Weight times either density."""
+    """Weight times the sampled pdf, and times that of ``pdf``."""
     return [samples.flux, samples.weight * samples.pdf[:, None]]
 
 
 def _unequal(samples: Samples, eval_slack: Floats, pdf_slack: Floats) -> list[Flags]:
-    """Which of either product are not ``eval``."""
+    """Masks of samples for which either product is not ``eval``."""
     # where a density is badly conditioned, so is the product
     relative = (pdf_slack / np.maximum(samples.pdf, 1e-30))[:, None]
     return [
@@ -53,7 +53,7 @@ def _unequal(samples: Samples, eval_slack: Floats, pdf_slack: Floats) -> list[Fl
 
 
 def _is_biased(samples: Samples, lit: Flags) -> bool:
-    """Whether weights of a channel have another mean than ``eval`` over ``pdf``."""
+    """Whether a channel's mean weight differs from that of ``eval`` over ``pdf``."""
     usable = lit & (samples.pdf > 0) & np.isfinite(samples.weight).all(axis=1)
     off = samples.weight[usable] - samples.eval[usable] / samples.pdf[usable][:, None]
     if len(off) < 2:

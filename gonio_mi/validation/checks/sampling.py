@@ -35,9 +35,9 @@ MAX_SCORE = 4
 
 
 def check_maps(evidence: Evidence, maps: FourMaps) -> None:
-    """Counts, in four views; and ``pdf`` integrates to no more than 1.
+    """Test counts by patch and in total, and that ``pdf`` integrates to at most 1.
 
-    Where ``eval`` is black, a density does no harm.
+    A density does no harm where ``eval`` is black.
     """
     check_scores(evidence, maps, "sampling")
     used, unused = maps.pdf.sum(), maps.due.unused.values.sum()
@@ -61,9 +61,9 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
 
 
 def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
-    """``pdf`` is 0 from a side where ``sample`` gives no light, and ``eval`` has none.
+    """Check that ``pdf`` is 0 for incidence from a side that scatters no light.
 
-    No integrator uses it there.
+    It is a matter of the interface, for no integrator uses it there.
     """
     density = Probe(evidence.bsdf, condition).densities(lattice())
     mass = 4 * np.pi * float(np.nan_to_num(density, nan=0).mean())
@@ -82,7 +82,7 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> None:
 
 
 def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
-    """Directions against ``pdf`` where light comes from everywhere, by its direction.
+    """Test directions against ``pdf`` over a sweep of incident directions.
 
     If samples have the density p, the mean of g u / (p + u) over them is that of
     g p / (p + u) over directions of the density u, whatever the function g: of terms
@@ -135,7 +135,7 @@ def check_sweep(evidence: Evidence, sweep: Sweep, key: tuple[int, ...]) -> None:
 
 
 def _unbalanced(mass: float, counted: float, slack: float) -> str:
-    """Function that a density's integral and the sampled mass speak against."""
+    """Function that is at fault, by the integral of ``pdf`` and the sampled mass."""
     complete = abs(mass - 1) < slack
     if mass > 1 + slack or (counted > 1 - SUM_ERROR and not complete):
         return "pdf"
@@ -143,9 +143,9 @@ def _unbalanced(mass: float, counted: float, slack: float) -> str:
 
 
 def _densities(probe: Probe, wo: Floats, usable: Flags) -> tuple[Floats, Flags]:
-    """Densities of directions, 0 where ``eval`` is black, and where it is not.
+    """Densities of directions, 0 where ``eval`` is black, and a mask of those lit.
 
-    All that are not `usable` are black.
+    Directions that are not `usable` count as black.
     """
     value, pdf = probe.eval_and_pdf(vectors(wo))
     lit = usable & (np.nan_to_num(spectral(value, len(wo))) > 0).any(axis=1)
@@ -158,7 +158,7 @@ def _transmits(bsdf: mi.BSDF) -> bool:
 
 
 def _even_directions(bsdf: mi.BSDF, sweep: Sweep, key: tuple[int, ...]) -> Floats:
-    """Directions of uniform density: of the sphere, or of the lit side."""
+    """Directions of uniform density over the sphere, or over the lit hemisphere."""
     random = np.random.default_rng([*key, 2])
     low = -1 if _transmits(bsdf) else 0
     z, phi = random.uniform(low, 1, sweep.n), random.uniform(0, 2 * np.pi, sweep.n)
@@ -168,7 +168,7 @@ def _even_directions(bsdf: mi.BSDF, sweep: Sweep, key: tuple[int, ...]) -> Float
 
 
 def _cells(sweep: Sweep) -> list[Integers]:
-    """Band, sector, and neither, of each incident direction; the faces apart."""
+    """Cell of each incident direction: by polar angle, by azimuth and by face alone."""
     theta, phi = sweep.angles
     other = N_CELLS * (sweep.wi[:, 2] < 0)
     bands = [
@@ -179,7 +179,7 @@ def _cells(sweep: Sweep) -> list[Integers]:
 
 
 def _weighings(sweep: Sweep, wo: Floats) -> list[Floats]:
-    """Functions of wo: 1, its cosine, and along and across the plane of incidence."""
+    """Functions of wo: 1, its cosine, its parts along and across the incident plane."""
     phi = np.radians(sweep.angles[1])
     along = wo[:, 0] * np.cos(phi) + wo[:, 1] * np.sin(phi)
     across = wo[:, 1] * np.cos(phi) - wo[:, 0] * np.sin(phi)

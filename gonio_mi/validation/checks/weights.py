@@ -23,7 +23,7 @@ MIN_JUDGED = 0.9
 
 
 def check_scores(evidence: Evidence, maps: FourMaps, name: str) -> None:
-    """Test scores of all patches in four views."""
+    """Test the scores of all patches: their sum, mean, spread and worst."""
     scores, (off, _) = maps.scores(name), unexplained_fraction(maps, name)
     texts = scores.statistics
     for view, p in scores.p_values.items():
@@ -31,7 +31,7 @@ def check_scores(evidence: Evidence, maps: FourMaps, name: str) -> None:
 
 
 def check_samples(evidence: Evidence, samples: Samples) -> None:
-    """``eval`` and ``pdf`` are not 0 where ``sample`` scatters light."""
+    """Check that ``eval`` and ``pdf`` are not 0 where ``sample`` scatters light."""
     usable = samples.usable
     dark = usable & (samples.eval == 0).all(axis=1)
     if is_many(dark):
@@ -50,7 +50,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
 
 
 def check_unsampled_side(evidence: Evidence, condition: Condition) -> bool:
-    """Whether ``eval`` is black from a side where ``sample`` gives no light."""
+    """Check and return if ``eval`` is black for light from a side never sampled."""
     value = np.nan_to_num(Probe(evidence.bsdf, condition).values(lattice()), nan=0)
     light = 4 * np.pi * float(value.mean(axis=0).max())
     if light > 0:
@@ -69,9 +69,9 @@ def check_unsampled_side(evidence: Evidence, condition: Condition) -> bool:
 
 
 def check_maps(evidence: Evidence, maps: FourMaps) -> None:
-    """Sums of weights, in four views; and all light of ``eval`` is where samples go.
+    """Test sums of weights, and check that samples reach all light of ``eval``.
 
-    What samples meet too rarely to judge is told.
+    Light that samples meet too rarely to judge is reported.
     """
     check_scores(evidence, maps, "weights")
     due, flux = maps.due, maps.smooth_flux.mean()
@@ -103,7 +103,7 @@ def check_maps(evidence: Evidence, maps: FourMaps) -> None:
 
 
 def check_pooled(evidence: Evidence) -> None:
-    """Sums of all patches over all conditions: a small error that is everywhere."""
+    """Test sums over all patches and conditions, for a small error everywhere."""
     for name in ("sampling", "weights"):
         varying = (m for m in evidence.maps if name == "weights" or m.count_varies)
         # what is certain is judged one by one
