@@ -1,6 +1,6 @@
-"""Asking a BSDF: its functions, called with care, and its parameters.
+"""Calls of a BSDF's functions, and access to its parameters.
 
-Whatever a plugin does wrong there ends in a :class:`PluginFault`.
+Whatever a plugin does wrong there is raised as a :class:`PluginFault`.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class Probe:
     """The functions of a BSDF under one condition.
 
     Each call is a kernel of its own, from arrays in memory to arrays in memory, so that
-    all that ask for the same function share one: of a large plugin, compiling takes far
-    longer than all evaluations.
+    all calls of a function share one: compiling a large plugin takes far longer than
+    evaluating it.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class Probe:
         return numbers(self.pdf(vectors(wo), wi=_or_none(wi)), len(wo)).astype(float)
 
     def eval_and_pdf(self, wo: mi.Vector3f) -> tuple[mi.Spectrum, mi.Float]:
-        """Answers of ``eval`` and of ``pdf``, whose kernel shares their work."""
+        """Answers of ``eval`` and of ``pdf`` from one kernel, which shares work."""
         answers = [self._asked(name, wo) for name in ("eval", "pdf")]
         with blamed("eval"):
             dr.eval(answers)
@@ -126,7 +126,7 @@ class Probe:
     def eval_pdf_sample(
         self, wo: mi.Vector3f, sample1: mi.Float, sample2: mi.Point2f
     ) -> tuple[mi.Spectrum, mi.Float, Sample]:
-        """Value, density, and answer of ``sample``, of ``eval_pdf_sample``."""
+        """Value, density and sample that ``eval_pdf_sample`` returns."""
         name = "eval_pdf_sample"
         answer = self._call(name, wo, sample1, sample2)
         value, pdf, *sample = checked_parts(name, answer, 4)
@@ -135,7 +135,7 @@ class Probe:
         return *self._pair((name, name), (value, pdf), n), sampled
 
     def of_surface(self, function: str) -> Floats:
-        """Answer of a function that takes no other direction; shape ``(channels,)``."""
+        """Answer of a function that takes no direction wo; shape ``(channels,)``."""
         with blamed(function):
             answer = getattr(self.bsdf, function)(self.interaction())
         return spectral(checked_answer(function, answer, 1, mi.Spectrum), 1)[0]
@@ -145,10 +145,10 @@ class Probe:
         return dr.width(self.wi if wi is None else wi, self.uv, *arguments)
 
     def _call(self, function: str, *arguments: Any, **options: Any) -> Any:
-        """Answer of a function, in memory.
+        """Answer of a function, evaluated.
 
-        The sample of ``eval_pdf_sample`` is a kernel of its own: by default two
-        functions are called, whose kernels there are.
+        The sample of ``eval_pdf_sample`` gets a kernel of its own: by default Mitsuba
+        calls two functions there, whose kernels exist already.
         """
         answer = self._asked(function, *arguments, **options)
         joint = function == "eval_pdf_sample" and isinstance(answer, tuple)
@@ -165,7 +165,7 @@ class Probe:
         wi: mi.Vector3f | None = None,
         ctx: mi.BSDFContext | None = None,
     ) -> Any:
-        """The same before it is evaluated; its arguments are in memory."""
+        """Answer of a function before it is evaluated, from arguments in memory."""
         n = self._width(wi, *arguments, active)
         # one direction of incidence for all lanes would be another kernel
         wi = mi.Vector3f(self.wi if wi is None else wi)
@@ -189,7 +189,7 @@ class Probe:
 
 @contextlib.contextmanager
 def blamed(function: str) -> Iterator[None]:
-    """Whatever goes wrong within is the fault of the plugin's function of that name."""
+    """Raise whatever goes wrong in the block as a fault of that plugin function."""
     try:
         yield
     except (KeyboardInterrupt, PluginFault):
@@ -216,8 +216,8 @@ def traversed(bsdf: mi.BSDF) -> Any:
 def number_parameters(bsdf: mi.BSDF, *others: type) -> tuple[Any, dict[str, Any]]:
     """Parameters of a BSDF, and the values of those that are numbers or colours.
 
-    Or of one of the types `others`. The rest may be anything: a None cannot be asked
-    for, a Python float not be set.
+    Values of the types `others` count too. The rest may be anything: asking for a None
+    raises, and a Python float cannot be set.
     """
     params, numbers_only = traversed(bsdf), {}
     kinds = (mi.Float, mi.Color3f, mi.Spectrum, *others)
@@ -261,7 +261,7 @@ def uniform(n: int, key: tuple[int, ...]) -> tuple[mi.Float, mi.Point2f]:
 
 
 def seed_of(key: tuple[int, ...]) -> mi.UInt32:
-    """32-bit seed from a tuple of whole numbers, well mixed, no literal of a kernel."""
+    """32-bit seed mixed from whole numbers, which is no literal of a kernel."""
     seed = int(np.random.SeedSequence(key).generate_state(1)[0])
     return dr.opaque(mi.UInt32, seed)
 
@@ -283,7 +283,7 @@ def spectral(value: Any, n: int) -> Floats:
 
 
 def vectors(rows: Numbers) -> mi.Vector3f:
-    """Mitsuba's vectors from an array of shape (n, 3), or (3,) of one."""
+    """Mitsuba's vectors from an array of shape (n, 3), or (3,) for one."""
     return mi.Vector3f(*map(floats, np.reshape(rows, (-1, 3)).T))
 
 
@@ -294,9 +294,9 @@ def random_numbers(rows: Numbers) -> tuple[mi.Float, mi.Point2f]:
 
 
 def floats(values: Numbers) -> mi.Float:
-    """Mitsuba's numbers from an array, in memory of Dr.Jit.
+    """Mitsuba's numbers from an array, copied to memory of Dr.Jit.
 
-    NumPy's begins anywhere, and what is read from there is another kernel.
+    NumPy's memory may begin anywhere, and reading from there needs another kernel.
     """
     if not mi.variant().startswith("llvm"):  # NumPy would write into a copy
         return mi.Float(np.ascontiguousarray(values, np.float32))

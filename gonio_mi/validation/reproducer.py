@@ -158,7 +158,7 @@ def script(verdict: Verdict, one: Property) -> str:
 
 
 def _counted(maps: FourMaps | None, corners: Any, kind: Kind) -> dict[str, str]:
-    """Words for a comparison of samples and integrals in a box of directions."""
+    """Words of a template that compares samples and integrals in a box."""
     counted = LIT if maps and not maps.totals.delta_mean.any() else SMOOTH
     density = "bsdf.pdf(ctx, si, wo)"
     dark = maps.due.unused.values.sum() if maps else 0.0
@@ -170,7 +170,7 @@ def _counted(maps: FourMaps | None, corners: Any, kind: Kind) -> dict[str, str]:
 
 
 def _words(verdict: Verdict, one: Property, kind: Kind | MatrixKind) -> dict[str, str]:
-    """What words of a template stand for in one finding."""
+    """Text that replaces each word of a template for one finding."""
     guilty = str(one.function or verdict.function or "eval").split(" or ")[0]
     answer = ANSWERS.get(guilty, "bsdf.eval(ctx, si, wo)")
     function = answer.replace(", wo)", ", bs.wo)")
@@ -195,7 +195,7 @@ def _words(verdict: Verdict, one: Property, kind: Kind | MatrixKind) -> dict[str
 
 
 def _in_both_variants(lines: Sequence[str], value: str) -> Iterator[str]:
-    """Lines up to the samples in a polarised variant, and then in that without."""
+    """Lines up to the samples, in a loop over the polarised and the plain variant."""
     start = next(i for i, line in enumerate(lines) if "set_variant" in line)
     yield from lines[:start]
     yield "values = []"
@@ -209,7 +209,7 @@ def _in_both_variants(lines: Sequence[str], value: str) -> Iterator[str]:
 
 
 def of_first_elements(text: str) -> str:
-    """The same script where values are Mueller matrices: of their first elements."""
+    """Script that compares first elements where values are Mueller matrices."""
     first = "mi.unpolarized_spectrum"
     text = re.sub(r"(bsdf\.eval\([^()]*(?:\([^()]*\)[^()]*)*\))", rf"{first}(\1)", text)
     return re.sub(
@@ -221,7 +221,7 @@ def of_first_elements(text: str) -> str:
 
 
 def in_a_medium(text: str) -> str:
-    """The same script, which asks a phase function instead of a BSDF."""
+    """Script that asks a phase function instead of a BSDF."""
     for found, instead in (
         (r" & ~mi.has_flag\(bs.sampled_type, mi.BSDFFlags.Delta\)", ""),
         (r"mi.BSDFContext\((.*?)\)", r"mi.PhaseFunctionContext(None, \1)"),
@@ -243,7 +243,7 @@ def in_a_medium(text: str) -> str:
 def _head(
     verdict: Verdict, one: Property, condition: Condition, n: str
 ) -> Iterator[str]:
-    """Lines up to the samples."""
+    """Lines of a script up to the samples."""
     title = f"{verdict.name}: {one.mistake or verdict.mistake or one.question}"
     yield f"# {title} ({condition})"
     yield f"# Two numbers that should be equal where {one.question or 'it is right'}."
@@ -274,13 +274,13 @@ def _head(
 
 
 def _is_textured(verdict: Verdict) -> bool:
-    """Whether the BSDF may depend on the place: it has textures, or is not known."""
+    """Whether the BSDF may depend on the place: it has textures, or is unknown."""
     types = re.findall(r"""["']type["']: ["'](\w+)["']""", str(verdict.source))
     return len(types) != 1 or types[0] not in UNTEXTURED
 
 
 def _box(verdict: Verdict, name: str) -> tuple[FourMaps | None, Any]:
-    """Map and box of directions in which samples are most off, of enough hits.
+    """Map and box of directions in which samples are most off, given enough hits.
 
     The box is that of a patch, of a ring, of a hemisphere or of the whole sphere: its
     corners in the unit square that Mitsuba maps onto the sphere.
@@ -328,9 +328,9 @@ def _box(verdict: Verdict, name: str) -> tuple[FourMaps | None, Any]:
 def source_of(
     specimen: Any, parameters: Mapping[str, Any] | None = None, volumes: bool = False
 ) -> str | None:
-    """Statement that loads ``bsdf`` of a dictionary or of a file; None of another.
+    """Statement that loads ``bsdf`` from a dictionary or a file; None for an object.
 
-    Or ``phase``, of `volumes`.
+    Of phase functions (`volumes`) it loads ``phase``.
     """
     if isinstance(specimen, (str, os.PathLike)):
         given = [repr(str(specimen))]

@@ -1,4 +1,4 @@
-"""Samples of a BSDF one by one, answers about their directions, and rounding."""
+"""Individual samples of a BSDF, answers about their directions, and rounding."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def unequal(a: Numbers, b: Numbers, slack: Numbers | float) -> Flags:
 
 
 def ratio_of(above: Floats, below: Floats) -> Floats:
-    """Ratios of answers, shape ``(n,)``; of spectra where it is farthest from 1."""
+    """Ratios of answers, shape ``(n,)``; of spectra the one farthest from 1."""
     above, below = (x.reshape(len(x), -1) for x in (above, below))
     same = (above == below) | ~np.isfinite(above) | ~np.isfinite(below)
     ratio = np.where(same, 1.0, above / np.where(same, 1.0, np.maximum(below, 1e-30)))
@@ -68,7 +68,7 @@ def ratio_of(above: Floats, below: Floats) -> Floats:
 
 
 def is_many(mask: Flags) -> bool:
-    """Whether more samples than rounding may spoil."""
+    """Whether the mask has more samples than rounding may spoil."""
     return mask.sum() > max(2, SPOILED * len(mask))
 
 
@@ -122,28 +122,28 @@ class Samples:
 
     @property
     def delta(self) -> Flags:
-        """Which samples have a discrete direction."""
+        """Mask of samples with a discrete direction."""
         return (self.type & int(mi.BSDFFlags.Delta)) != 0
 
     @property
     def given(self) -> Flags:
-        """Which samples did not fail."""
+        """Mask of samples that did not fail."""
         return (self.weight != 0).any(axis=1)
 
     @property
     def smooth(self) -> Flags:
-        """Which samples did not fail and have a density."""
+        """Mask of samples that did not fail and have a density."""
         return self.given & ~self.delta & np.isfinite(self.wo).all(axis=1)
 
     @property
     def usable(self) -> Flags:
-        """Which of these got finite values of ``eval`` and densities."""
+        """Mask of those whose ``eval`` and densities are finite."""
         finite = np.isfinite(self.eval).all(axis=1) & np.isfinite(self.pdf)
         return self.smooth & finite & np.isfinite(self.sampled_pdf)
 
     @property
     def flux(self) -> Floats:
-        """Weight times the density, or the probability, that ``sample`` returns."""
+        """Weight times the density or probability that ``sample`` returns."""
         return self.weight * self.sampled_pdf[:, None]
 
     @property
@@ -153,11 +153,11 @@ class Samples:
 
     @property
     def reflected(self) -> Flags:
-        """Which directions are on the lit side."""
+        """Mask of directions on the lit side."""
         return self.wo[:, 2] * self.wi[:, 2] > 0
 
     def those(self, mask: Flags) -> Samples:
-        """Return those of the mask, without answers of the joint functions."""
+        """Samples of the mask, without answers of the joint functions."""
         kept = {
             name: value[mask]
             for name, value in vars(self).items()
@@ -171,7 +171,7 @@ class Samples:
         return random_numbers(self.u)
 
     def fraction(self, mask: Flags) -> str:
-        """Text on which part of the samples, and under which condition."""
+        """Text on the percentage of samples in the mask, and where they are."""
         place = self.condition.place(mask)
         return f"{100 * mask.mean():.3g} % of the samples at {place}"
 
@@ -224,10 +224,10 @@ def samples_of(
 
 
 def _no_less(slack: Numbers, value: Numbers) -> Floats:
-    """Slack of at least the relative one of half of the samples.
+    """Slack that is, relative to the value, at least the median of all samples.
 
     Where a difference of nearly equal numbers has few steps left, displacements may
-    happen to change nothing.
+    change nothing by chance.
     """
     size = np.abs(value).astype(float)
     usable = (size > 0) & np.isfinite(size) & np.isfinite(slack)
@@ -293,8 +293,8 @@ def rounding(probe: Probe, key: tuple[int, ...]) -> list[float]:
 def closer_slacks(bsdf: mi.BSDF, samples: Samples) -> tuple[Floats, Floats]:
     """Slacks of ``eval`` and ``pdf`` of a few samples, by many more displacements.
 
-    A difference of nearly equal numbers, as Fresnel's of an index near 1, has few steps
-    left: the usual displacements may happen to meet none of them.
+    A difference of nearly equal numbers, as in Fresnel's equations for an index near 1,
+    has few steps left, and the usual displacements may miss them all.
     """
     probe, n = Probe(bsdf, samples.condition), samples.n
     wi, wo = (
@@ -311,7 +311,7 @@ def closer_slacks(bsdf: mi.BSDF, samples: Samples) -> tuple[Floats, Floats]:
 
 
 def _mean(value: Any, n: int) -> Numbers:
-    """Number for each sample: the mean over channels."""
+    """Mean over channels, one number for each sample."""
     flat = np.array(value).ndim == 1
     return numbers(value, n) if flat else spectral(value, n).mean(1)
 
@@ -320,9 +320,9 @@ def _changes(
     displaced: Iterable[tuple[mi.Vector3f, mi.Vector3f, float]],
     *functions: tuple[Callable[[mi.Vector3f, mi.Vector3f], Any], Any],
 ) -> list[Numbers]:
-    """Largest changes of functions (with their values), times the weight of each.
+    """Largest weighted changes of functions, each of which comes with its values.
 
-    All displacements in one launch: large plugins take longer to be recorded.
+    All displacements share a launch, for recording a large plugin takes longer.
     """
     *moved, weights = zip(*displaced)
     dr.eval(moved)
@@ -345,7 +345,7 @@ def _changes(
 def _displaced(
     wi: mi.Vector3f, wo: mi.Vector3f, key: tuple[int, ...]
 ) -> Iterator[tuple[mi.Vector3f, mi.Vector3f, float]]:
-    """Both directions, displaced by rounding errors into six random directions."""
+    """Both directions, displaced by rounding errors, with a weight of 1."""
     n = dr.width(wo)
     signs = mi.load_dict({"type": "independent"})
     signs.seed(seed_of((*key, 1)), n)
@@ -368,7 +368,7 @@ def _displaced(
 def _tilted(
     wi: mi.Vector3f, wo: mi.Vector3f
 ) -> Iterator[tuple[mi.Vector3f, mi.Vector3f, float]]:
-    """Outgoing directions whose half vector has another cosine by rounding.
+    """Outgoing directions whose half vector has a cosine that is off by rounding.
 
     A plugin that draws the cosine of a facet finds its sine from that: near the normal,
     the angle is off by the rounding of the cosine over the sine.

@@ -1,4 +1,4 @@
-"""Samples of a BSDF, counted and summed by patch, with damped weights.
+"""Counts of samples and sums of their damped weights, by patch.
 
 A weight may be far above the mean, up to an infinite variance: then the sum of a finite
 number of samples is nearly always too small, and so is its standard error. So each
@@ -76,7 +76,7 @@ class Damping:
 
     @staticmethod
     def of(pilot: Batch, n_patches: int, n: int) -> Damping:
-        """Damping of `n` samples, from a pilot of fewer."""
+        """Damping of `n` samples, chosen by a pilot of fewer."""
         n_pilot = len(pilot.index)
         inside = pilot.index < n_patches
         index, ratio = pilot.index[inside], pilot.ratio[inside]
@@ -88,7 +88,7 @@ class Damping:
         return Damping(first, np.append(limits[group], np.inf))
 
     def factors(self, batch: Batch) -> Floats:
-        """Factor of each weight."""
+        """Factor by which each weight is damped."""
         limit = self.limits[batch.index]
         heavy = batch.ratio > limit
         return np.divide(limit, batch.ratio, out=np.ones(len(limit)), where=heavy)
@@ -251,7 +251,7 @@ def batch_of(
 
 
 def _with_azimuth(wo: mi.Vector3f, n: int) -> mi.Vector3f:
-    """Directions that round to a pole, which is in no sector, go to all in turn."""
+    """Spread directions that round to a pole, which is in no sector, over azimuths."""
     turn = dr.two_pi * 2.0**-32 * mi.Float(GOLDEN * dr.arange(mi.UInt32, n))
     lost = (wo.x == 0) & (wo.y == 0)
     x, y = (1e-9 * f(turn) for f in (dr.cos, dr.sin))

@@ -174,7 +174,7 @@ def validate(
 
 
 def _questions(bsdf: mi.BSDF, name: str, allow: Sequence[str]) -> dict[str, str]:
-    """What is asked of it, of which some may be allowed to fail."""
+    """Questions about the BSDF or phase function; raises for an unknown `allow`."""
     questions = POLARISED if is_polarised(mi.variant()) else PROPERTIES
     if hasattr(bsdf, "phase_function"):
         if questions is POLARISED:
@@ -192,7 +192,7 @@ def _questions(bsdf: mi.BSDF, name: str, allow: Sequence[str]) -> dict[str, str]
 
 
 def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str, str | None]:
-    """BSDF of a specimen, its name, and the statement that loads it, if one does."""
+    """BSDF of a specimen, its name, and a statement that loads it, or None."""
     name: str | None
     source = source_of(specimen)
     if isinstance(specimen, dict):
@@ -225,7 +225,7 @@ def _bsdf(specimen: SpecimenLike) -> tuple[mi.BSDF, str, str | None]:
 
 
 def _examine(evidence: Evidence, plan: Effort, name: str, progress: bool) -> None:
-    """All checks, from those that explain most."""
+    """Run all checks with a progress bar."""
     said = f"validate {name}"
     with bar(progress, total=N_STEPS, desc=said, unit="step") as report:
         for step in _steps(evidence, plan):
@@ -234,7 +234,7 @@ def _examine(evidence: Evidence, plan: Effort, name: str, progress: bool) -> Non
 
 
 def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
-    """The same; yields how many of `N_STEPS` each has taken."""
+    """Run all checks, those that explain most first; yield steps of `N_STEPS`."""
     bsdf, seed = evidence.bsdf, evidence.seed
     n = bsdf.component_count()
     components, sides = range(n) if n > 1 else (), sides_of(bsdf)
@@ -269,7 +269,7 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
 def _check_samples(
     evidence: Evidence, condition: Condition, n: int, key: tuple[int, ...]
 ) -> None:
-    """All that is asked of samples of one condition."""
+    """Check samples of one condition."""
     samples = samples_of(evidence.bsdf, condition, n, key)
     evidence.samples.append(samples)
     known = len(evidence.breaches)
@@ -293,7 +293,7 @@ def _check_samples(
 def _check_maps(
     evidence: Evidence, plan: Effort, sides: Sequence[str], components: Sequence[int]
 ) -> Iterator[float]:
-    """Statistics of samples by patch."""
+    """Check samples by patch; yield steps of progress."""
     conditions = list(plan.maps(sides, components))
     other_mode = any(_depends_on_mode(evidence, one) for one in evidence.whole)
     if other_mode:
@@ -338,7 +338,7 @@ def _check_maps(
 
 
 def _add_maps_of_failure(evidence: Evidence, plan: Effort) -> None:
-    """Maps at the direction of what biases images most, before all others."""
+    """Put maps at the direction of the worst bias before all others."""
     strong = [test for test in evidence.tests if test.p < MAX_P]
     own = [
         one
@@ -362,7 +362,7 @@ def _add_maps_of_failure(evidence: Evidence, plan: Effort) -> None:
 
 
 def _brightest(evidence: Evidence) -> Samples:
-    """Samples of which most have a density, not at grazing incidence if possible."""
+    """Samples with the most densities, not at grazing incidence if possible."""
     return max(
         evidence.whole,
         key=lambda samples: (
@@ -373,7 +373,7 @@ def _brightest(evidence: Evidence) -> Samples:
 
 
 def _depends_on_mode(evidence: Evidence, samples: Samples) -> bool:
-    """Whether ``eval`` or ``pdf`` is another in the other transport mode."""
+    """Whether ``eval`` or ``pdf`` depends on the transport mode."""
     wo = answers.lattice()
     there, here = (
         Probe(evidence.bsdf, replace(samples.condition, mode=mode)).densities(wo)
@@ -384,7 +384,7 @@ def _depends_on_mode(evidence: Evidence, samples: Samples) -> bool:
 
 
 def _stop(evidence: Evidence, fault: PluginFault) -> None:
-    """A fault is the last thing that is known."""
+    """Record a fault of the plugin, after which nothing else can be judged."""
     mistake = f"`{fault.function}` {fault.what}"
     evidence.breach(
         "answers", fault.function, str(fault), mistake, size=10.0, kind=Kind.RAISES
@@ -397,9 +397,9 @@ def _stop(evidence: Evidence, fault: PluginFault) -> None:
 
 
 def coloured(bsdf: mi.BSDF, specimen: dict[str, Any]) -> tuple[mi.BSDF, dict[str, Any]]:
-    """BSDF of the dictionary `specimen`, with its grey parameters tinted, in rgb.
+    """BSDF of a dictionary with its grey parameters tinted, and that dictionary.
 
-    And its own dictionary. `bsdf` is the same as it is; both are returned where there
+    In rgb variants only. `bsdf` is the BSDF of `specimen`; both are returned if there
     is nothing to tint.
     """
     tints = _tints(bsdf) if mi.is_rgb else {}
@@ -413,7 +413,7 @@ def coloured(bsdf: mi.BSDF, specimen: dict[str, Any]) -> tuple[mi.BSDF, dict[str
 
 
 def _tints(bsdf: mi.BSDF) -> dict[str, Any]:
-    """Tinted colours by name, as in a dictionary; none without ``traverse``."""
+    """Tinted colours by name, for a dictionary; none without ``traverse``."""
     try:
         _, params = number_parameters(bsdf)
     except PluginFault:

@@ -116,7 +116,7 @@ class Property:
 
     @property
     def reach(self) -> str:
-        """Integrators that the effect reaches, and how large it is; may be empty."""
+        """Text on integrators that the effect reaches and its size; may be empty."""
         if self.of_volumes:
             return VOLUMETRIC if self.effect in (BIAS, BREAKS) else ""
         reached = integrators(self.name, self.effect)
@@ -176,17 +176,17 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """Whether it is decided, and nothing biases images or breaks integrators.
+        """Whether it is decided that nothing biases images or breaks integrators.
 
-        If the verdict is strict, whether nothing fails at all.
+        If it is strict, whether nothing fails at all.
         """
         return not (self._failed or self.undecided)
 
     @property
     def undecided(self) -> str:
-        """Why nothing is known of any light, where nothing fails; empty if decided.
+        """Why a verdict without failures is undecided; empty if it is decided.
 
-        Light that is only too rare to judge adds noise, and is decided in so far.
+        Light that is merely too rare to judge adds noise, and leaves it decided.
         """
         if self._failed:
             return ""
@@ -197,7 +197,7 @@ class Verdict:
 
     @property
     def _failed(self) -> bool:
-        """Whether a failure counts."""
+        """Whether there is a failure that counts."""
         strict = self.settings["strict"]
         return any(strict or one.effect in (BIAS, BREAKS) for one in self.failures)
 
@@ -211,8 +211,8 @@ class Verdict:
     def failures(self) -> tuple[Property, ...]:
         """Properties that fail, the worst effect first.
 
-        Of one effect what explains the others before them, and these in the order of
-        their share of the light, those of an unknown one before.
+        Within an effect, the property that explains the others comes first, then those
+        of an unknown share of the light, then the rest by decreasing share.
         """
 
         def rank(one: Property) -> tuple[int, bool, float]:
@@ -243,13 +243,13 @@ class Verdict:
 
     @property
     def near(self) -> str:
-        """What is near its limit, to follow a sentence, and what looks closer."""
+        """End of a sentence on what is near its limit and what would decide it."""
         closer = DECIDED_BY[self.settings["effort"]]
         found = [f"{p.name} ({p.near})" for p in self.properties if p.near]
         return f"; near the limit: {', '.join(found)}, {closer}" if found else ""
 
     def fails_at(self, maps: FourMaps) -> bool:
-        """Whether statistics of maps fail, or another failure is about their place."""
+        """Whether statistics of the maps fail, or a failure is at their condition."""
         level = self.settings["alpha"] / max(self.settings["n_tests"], 1)
         p_values = [
             p
@@ -398,12 +398,12 @@ def _property(evidence: Evidence, name: str, level: float, allowed: bool) -> Pro
 
 
 def _worst(beyond: Sequence[Test]) -> Test:
-    """The whole before its components, and what is about most light."""
+    """The worst test: by effect, then by share of the light, then by p-value."""
     return min(beyond, key=lambda t: (EFFECTS.index(t.effect), -(t.share or 0.0), t.p))
 
 
 def _worst_statistic(beyond: Sequence[Test]) -> str:
-    """Statistic of the tests of a property that chance would not explain."""
+    """Statistic of the worst test that chance does not explain, and where it is."""
     worst = _worst(beyond)
     places = {str(t.condition) for t in beyond}
     known = worst.condition is None or " at theta_i " in worst.statistic

@@ -1,4 +1,4 @@
-"""Asking the Mitsuba of another environment about a BSDF, in a process of its own."""
+"""Ask the Mitsuba of another environment about a BSDF, in a separate process."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ STEPS = 3
 
 @dataclass(frozen=True)
 class Question:
-    """A BSDF, and where it is to be asked.
+    """A BSDF, and the conditions under which it is asked.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Question:
     seed: int
 
     def to_json(self) -> dict[str, Any]:
-        """What the worker reads, but for arrays."""
+        """Content of the worker's JSON file: all but arrays."""
         file = None if isinstance(self.specimen, dict) else str(self.specimen)
         return {
             "file": file,
@@ -81,7 +81,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Answers:
-    """What one version says.
+    """Answers of one version.
 
     Attributes
     ----------
@@ -95,13 +95,13 @@ class Answers:
     arrays: dict[str, Any]
 
     def at(self, condition: int) -> dict[str, Any]:
-        """Arrays of the condition of that number, by name alone."""
+        """Arrays of the condition of that number, by function."""
         parts = [(*name.split("."), array) for name, array in self.arrays.items()]
         return {name: array for name, i, array in parts if int(i) == condition}
 
 
 def interpreter(venv: str | PathLike[str]) -> str:
-    """Python of a virtual environment; `venv` may be that Python itself.
+    """Path of a virtual environment's Python; `venv` may be that Python itself.
 
     Raises
     ------
@@ -159,9 +159,9 @@ def ask(
 def answers_of(
     python: str, scripts: Sequence[str], **others: Any
 ) -> Generator[tuple[str, str, bool], None, None]:
-    """Version, last line, and whether it is wrong, of one script after the other.
+    """Version, last line, and whether it is wrong, for one script after the other.
 
-    Where a script ends the process, that is its line, and the next is asked in another.
+    If a script ends the process, its line says so, and a new process runs the rest.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def _worker(
 
 
 def _check_modules(python: str, said: str) -> None:
-    """Raise SettingError if it says that one of those that it needs is missing."""
+    """Raise SettingError if the output says that a needed module is missing."""
     missing = re.search(r"No module named '(mitsuba|drjit|numpy)", said)
     if missing:
         raise SettingError(
@@ -227,7 +227,7 @@ def _check_modules(python: str, said: str) -> None:
 
 
 def _last(out: str, err: str, code: int) -> str:
-    """Last line that a process said, or the number with which it ended."""
+    """Last line that a process printed, or its exit code."""
     said = [line.strip() for line in (err + out).split("\n") if line.strip()]
     return said[-1] if said else f"it ended with {code}"
 

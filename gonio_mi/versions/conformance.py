@@ -195,7 +195,7 @@ class Answer:
 
     @property
     def distance(self) -> float:
-        """Distance of its two numbers over its limit; infinite of unequal counts."""
+        """Distance of its two numbers over the limit; infinite for unequal counts."""
         found = re.search(r": (\S+) (standard errors|roundings)$", self.text)
         return float(found[1]) / LIMITS[found[2]] if found else math.inf
 
@@ -224,7 +224,7 @@ def questions(variant: str) -> Iterator[Question]:
 def _of_properties(
     verdict: Verdict, plugin: str, volumes: bool
 ) -> Iterator[tuple[str, str]]:
-    """Names and scripts of the properties of one plugin."""
+    """Names and scripts of all questions about one plugin."""
     known = set(PHASE) - set(OF_SURFACES) if volumes else set(PROPERTIES)
     known -= {"reciprocity", "adjoint"} if plugin in NOT_RECIPROCAL else set()
     for name, theta_i, function, about in QUESTIONS:
@@ -278,7 +278,7 @@ def _materials() -> dict[str, str]:
 
 
 def _by_lattices(text: str, name: str, volumes: bool) -> str:
-    """The script of a property of samples, by lattices instead."""
+    """Script of a property of samples that uses lattices instead."""
     head = text.partition("rng = ")[0].replace("2**20", "2**16")
     body = LATTICES
     for word, instead in (INTEGRALS[name] | {"SMOOTH": SMOOTH, "LIT": LIT}).items():

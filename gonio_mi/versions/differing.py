@@ -181,7 +181,7 @@ def asked_of(
     plugins: Sequence[str],
     seed: int,
 ) -> Question:
-    """What is asked of a BSDF, in the variant that is set."""
+    """Question about a BSDF, in the variant that is set."""
     conditions = tuple(
         (theta, side, mode) for side in ("front", "back") for theta, mode in VIEWS
     )
@@ -225,7 +225,7 @@ def _parts(
 
 
 def _sizes(a: Floats, b: Floats, slack: Floats | float) -> Floats:
-    """Differences in units of what rounding may leave; 0 where both are no number."""
+    """Differences in units of what rounding may leave; 0 where both are NaN."""
     unit = BSDF_ROUNDING * np.fmax(np.abs(a), np.abs(b)) + SLACK * slack
     off = np.abs(a - b)
     size = np.where(off > 0, off / np.maximum(unit, SMALLEST), 0.0)
@@ -242,7 +242,7 @@ def _worst(
     examples: Sequence[tuple[Floats, Floats]],
     what: str,
 ) -> Difference:
-    """The place where values differ most, unless few do by more than rounding."""
+    """Difference at the place where most values differ, if any do beyond rounding."""
     shares = [float((size > 1).mean()) if len(size) else 0.0 for size in sizes]
     many = [is_many(size > 1) for size in sizes]
     if not any(many):
@@ -263,9 +263,9 @@ def _worst(
 
 
 def _most_seen(sizes: Floats, a: Floats, b: Floats) -> int:
-    """Where finite values that differ by more than rounding are furthest apart.
+    """Index of finite values beyond rounding that are furthest apart.
 
-    In the tails of a lobe values differ by most of themselves, which nobody sees.
+    Large relative differences in the tails of a lobe are of no interest.
     """
     seen = np.isfinite(sizes) & (sizes > 1)
     if not seen.any():
@@ -288,13 +288,13 @@ def _values(
 
 
 def _given(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Flags, Flags]:
-    """Which samples did not fail, here and there."""
+    """Masks of samples that did not fail, in either version."""
     first, second = ((x["weight"] != 0).any(axis=1) for x in (a, b))
     return first, second
 
 
 def _moved(a: Mapping[str, Any], b: Mapping[str, Any]) -> Flags:
-    """Which samples have another direction or type, or fail in one version only."""
+    """Mask of samples that change direction or type, or fail in one version only."""
     first, second = _given(a, b)
     off = np.abs(a["direction"] - b["direction"]).max(axis=1) > SAME
     return (first != second) | (first & second & (off | (a["type"] != b["type"])))
@@ -317,8 +317,8 @@ def _sample(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Differen
 def _weights(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Difference:
     """Weights and densities of samples that have the same direction.
 
-    Only of those whose directions all functions were asked about: it is known how these
-    answer to rounding.
+    Only where all functions were asked about that direction, so that their slack for
+    rounding is known.
     """
     sizes, examples = [], []
     for a, b in pairs:
@@ -351,7 +351,7 @@ def _weights(places: Sequence[str], pairs: Sequence[tuple[Any, Any]]) -> Differe
 def _albedo(
     places: Sequence[str], pairs: Sequence[tuple[Any, Any]], alpha: float
 ) -> Difference:
-    """Means of weights, whose difference has the error of its own scatter."""
+    """Means of weights, with the standard error of their difference."""
     scores, texts = [], []
     for a, b in pairs:
         x, y = (np.nan_to_num(one["weight"].mean(axis=1)) for one in (a, b))

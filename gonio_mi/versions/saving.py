@@ -1,7 +1,7 @@
 """Answers of one version of Mitsuba in a file; two such files compared.
 
 A file is JSON: a list with an entry for each BSDF, whose arrays are an ``.npz`` in
-base64. So versions need not be there at the same time, nor on the same machine.
+base64. So the versions need not be installed at the same time or on one machine.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def _read(path: str | PathLike[str]) -> dict[str, tuple[dict[str, Any], Answers]
 
 
 def _aligned(own: Answers, other: Answers) -> tuple[Answers, Answers]:
-    """Both, at the directions that they have in common."""
+    """Both answers, at the directions that they have in common."""
     n = sum(name.startswith("wo.") for name in own.arrays)
     first, second = dict(own.arrays), dict(other.arrays)
     for i in range(n):
@@ -151,7 +151,7 @@ def _aligned(own: Answers, other: Answers) -> tuple[Answers, Answers]:
 
 
 def _common(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[list[Any], Any]:
-    """Rows of the same directions in either, and numbers of their samples."""
+    """Rows of the common directions in either, and numbers of their samples."""
     starts = [len(x["wo"]) - len(x["index"]) for x in (a, b)]
     index, *places = np.intersect1d(
         a["index"], b["index"], assume_unique=True, return_indices=True

@@ -12,9 +12,8 @@ import numpy as np
 def bsdfs() -> Iterator[list[dict[str, Any]]]:
     """Mitsuba's own BSDFs, with three sets of parameters each where there are as many.
 
-    Not `measured` and `measured_polarized`, which need files. Those of polarised light
-    alone are there where the variant is polarised, `hair` with its pigments where it
-    has colours.
+    `measured` and `measured_polarized` need files and are left out. Polarising ones are
+    included in polarised variants, `hair` with its pigments in variants with colours.
     """
     ggx = {"distribution": "ggx"}
     checkers: Any = {"type": "checkerboard", "color0": 0.2, "color1": 0.7}
@@ -92,14 +91,14 @@ def _composed() -> dict[str, list[dict[str, Any]]]:
 
 
 def cases() -> Iterator[tuple[str, dict[str, Any]]]:
-    """Name, as on the command line if it can, and dictionary of each BSDF."""
+    """Name, as on the command line where possible, and dictionary of each BSDF."""
     for ones in bsdfs():
         for one in ones:
             yield word_of(one), one
 
 
 def word_of(one: dict[str, Any]) -> str:
-    """Name of a plugin and its parameters, as on the command line if it can."""
+    """Name of a plugin and its parameters, as on the command line where possible."""
     nested = " and ".join(x["type"] for x in one.values() if isinstance(x, dict))
     plain = {k: x for k, x in one.items() if not isinstance(x, dict)}
     text = plain.pop("type")
@@ -108,7 +107,7 @@ def word_of(one: dict[str, Any]) -> str:
 
 
 def phase_functions() -> Iterator[list[dict[str, Any]]]:
-    """Mitsuba's own phase functions, likewise."""
+    """Mitsuba's own phase functions, with sets of parameters of each."""
     lobes = [{"g": x} for x in (-0.5, 0.5, 0.9)]
     values = ("0.5, 1.0, 1.5", "1.0, 0.2, 1.0", "0.1, 0.1, 3.0")
     flakes = ((1, 1, 1, 0, 0, 0), (0.05, 1, 1, 0, 0, 0), (0.1, 1, 0.3, 0.1, 0, 0))

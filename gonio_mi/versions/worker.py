@@ -28,7 +28,7 @@ MOST_NUMBERS = 64
 
 
 def main(folder: str) -> None:
-    """Answer the question in `folder`, or say in one line why that is not possible."""
+    """Answer the question in `folder`, or write in one line why that is impossible."""
     here = Path(folder).resolve()
     question = json.loads((here / "question.json").read_text())
     if "scripts" in question:
@@ -54,7 +54,7 @@ def main(folder: str) -> None:
 def answered(
     question: dict[str, Any], arrays: dict[str, Any]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What is known of the BSDF, and arrays of its answers."""
+    """Facts about the BSDF, and arrays of its answers."""
     import drjit
     import mitsuba as mi
 
@@ -83,9 +83,10 @@ def answered(
 def all_said(
     scripts: list[str], limits: dict[str, float], files: dict[str, str]
 ) -> Iterator[Any]:
-    """The version; then the last line of each script, and if it is wrong, twice.
+    """Yield the version, then the last line of each script and whether it is wrong.
 
-    `files`, as text of base 64, are put where the scripts run.
+    A wrong script runs again with other random numbers, and counts if it is wrong
+    again. `files`, as text in base 64, are put where the scripts run.
     """
     import drjit as dr
     import mitsuba as mi
@@ -104,7 +105,7 @@ def all_said(
 
 
 def said(text: str, limits: dict[str, float]) -> tuple[str, bool]:
-    """Last line that a script prints, and whether it is beyond its limit."""
+    """Last line that a script prints, and whether its numbers are beyond a limit."""
     printed = io.StringIO()
     scope: dict[str, Any] = {"__name__": "script"}
     try:
@@ -167,9 +168,9 @@ class Asked:
         self.ctx = mi.BSDFContext(getattr(mi.TransportMode, mode))
 
     def all(self, arrays: dict[str, Any], wo: Any) -> dict[str, Any]:
-        """Samples, and values at `wo`: of the samples and a lattice where it is None.
+        """Samples, and values at `wo`, by default a lattice and directions of samples.
 
-        With the change of values under each displacement of both directions.
+        Slacks are the largest changes of values as either direction is displaced.
         """
         answers = self.sample(arrays["u"])
         if wo is None:
