@@ -266,10 +266,7 @@ def _patches(
     wi = maps.condition.wi
     axes.plot(wi[0], wi[1], "o", mfc="none", mec="tab:red", ms=6)
     axes.set_title(title, fontsize="medium")
+    axes.set(aspect="equal", xticks=[], yticks=[], frame_on=False)
     # wider than the circle, whose sides would be cut
-    axes.set(aspect="equal", xlim=(-1.05, 1.05), ylim=(-1.05, 1.05))
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    axes.set(xlim=(-1.05, 1.05), ylim=(-1.05, 1.05))
     axes.figure.colorbar(mesh, ax=axes, shrink=0.7)

@@ -41,8 +41,7 @@ def check_normal(evidence: Evidence, samples: Samples) -> None:
         return
     probe = Probe(evidence.bsdf, samples.condition)
     nearby = [
-        direction(np.array(MAX_TILT), np.array(phi))
-        * np.sign([1, 1, samples.condition.wi[2]])
+        direction(MAX_TILT, phi) * np.sign([1, 1, samples.condition.wi[2]])
         for phi in np.radians(PHI)
     ]
     for function, ask, here, slack in (
