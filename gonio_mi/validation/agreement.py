@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from .checks import (
@@ -14,7 +15,7 @@ from .checks import (
     sampling,
     weights,
 )
-from .conditions import Effort, Sweep, sides_of
+from .conditions import Effort, Sweep
 from .evidence import PHASE, Evidence
 from .probe import Probe
 from .samples import Samples, samples_of
@@ -28,9 +29,9 @@ def check_identities(evidence: Evidence, samples: Samples) -> None:
         eval_pdf.check_samples(evidence, samples)
 
 
-def check_sweep(evidence: Evidence, plan: Effort) -> None:
+def check_sweep(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
     """Check agreement and sampled directions over a sweep of incident directions."""
-    key, sides = (evidence.seed, 4), sides_of(evidence.bsdf)
+    key = (evidence.seed, 4)
     sweep = Sweep(side=sides[0], both=len(sides) > 1, n=plan.checked)
     samples = samples_of(evidence.bsdf, sweep, sweep.n, key)
     evidence.sweeps.append(samples)
@@ -38,7 +39,7 @@ def check_sweep(evidence: Evidence, plan: Effort) -> None:
     sampling.check_sweep(evidence, replace(sweep, n=plan.swept), key)
 
 
-def check_again(evidence: Evidence, plan: Effort) -> None:
+def check_again(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
     """Check a sweep, then that the first samples get the same answers after it.
 
     And that answers depend neither on the order of rays nor on the surface's rotation.
@@ -46,7 +47,7 @@ def check_again(evidence: Evidence, plan: Effort) -> None:
     first = evidence.samples[0]
     probe = Probe(evidence.bsdf, first.condition)
     pdf, value = probe.densities(first.wo), probe.values(first.wo)
-    check_sweep(evidence, plan)
+    check_sweep(evidence, plan, sides)
     key = (evidence.seed, 1, 0)
     again = cost.check_compiled(evidence, first.condition, plan.checked, key)
     answers.check_memory(evidence, first, (value, pdf), again)

@@ -14,7 +14,7 @@ from ..transport.media import N_RINGED, ask_phase_function
 from .agreement import check_again, check_identities
 from .checks import answers, components, ends, masks, parameters, sampling, weights
 from .checks.reciprocity import ratio_text
-from .conditions import Condition, Effort
+from .conditions import Condition, Effort, sides_of
 from .evidence import Evidence
 from .integrals import SUM_ERROR
 from .kinds import Kind
@@ -116,7 +116,8 @@ def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> Non
         _check_reciprocity(evidence, samples)
         if bsdf.component_count() > 1:
             components.check_samples(evidence, samples)
-    check_again(evidence, plan)
+    sides = sides_of(bsdf)
+    check_again(evidence, plan, sides)
     masks.check_bsdf(evidence)
     _excuse(evidence)
     _check_flags(evidence)
@@ -124,7 +125,7 @@ def examine_phase_function(evidence: Evidence, plan: Effort, effort: str) -> Non
     ends.check_bsdf(evidence)
     ends.check_limits(evidence, ENDS)
     _check_maps(evidence, plan, MAPPED[effort])
-    parameters.check_changes(evidence, plan)
+    parameters.check_changes(evidence, plan, sides)
 
 
 def _excuse(evidence: Evidence) -> None:

@@ -243,7 +243,7 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     for i, condition in enumerate([*conditions, *radiance]):
         _check_samples(evidence, condition, plan.checked, (seed, 1, i))
         yield N_STEPS * SAMPLES_STEPS / len([*conditions, *radiance])
-    check_again(evidence, plan)
+    check_again(evidence, plan, sides)
     flags.check_bsdf(evidence)
     flags.check_sides(evidence)
     for samples in evidence.samples[:: max(1, len(plan.angles) // 3)]:
@@ -260,7 +260,7 @@ def _steps(evidence: Evidence, plan: Effort) -> Iterator[float]:
     ends.check_bsdf(evidence)
     ends.check_limits(evidence, ends.LIMITS)
     yield from _check_maps(evidence, plan, sides, components)
-    parameters.check_changes(evidence, plan)
+    parameters.check_changes(evidence, plan, sides)
     if plan is not Effort.named("quick"):
         # it takes a second
         cost.check_time(evidence, Condition(40.0, 25.0, sides[0]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import drjit as dr
@@ -53,19 +53,22 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
         evidence.breach("parameters", function, text, text, effect=effect, kind=kind)
 
 
-def check_changes(evidence: Evidence, plan: Effort) -> None:
+def check_changes(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
     """Check that all functions follow a change of all parameters, or of each alone."""
     known = [*evidence.breaches, *(t for t in evidence.tests if t.p < MAX_P)]
     if any(one.effect == BIAS for one in known):
         return  # a change adds nothing to what is wrong before
     values = _other_values(evidence.bsdf)
-    after = _after(evidence, plan, values) if values else None
+    after = _after(evidence, plan, sides, values) if values else None
     if after is None:
         return
     found, p = {"all parameters": after}, _least_p(after)
     if _biases(after):
         # together, they may be out of their range
-        each = ((name, _after(evidence, plan, {name: values[name]})) for name in values)
+        each = (
+            (name, _after(evidence, plan, sides, {name: x}))
+            for name, x in values.items()
+        )
         found = {name: one for name, one in each if one is not None}
         least = min(map(_least_p, found.values()), default=1.0)
         p = max(p, min(1.0, len(found) * least))
@@ -113,12 +116,14 @@ def _other_values(bsdf: mi.BSDF) -> dict[str, Any]:
     return values
 
 
-def _after(evidence: Evidence, plan: Effort, values: dict[str, Any]) -> Evidence | None:
+def _after(
+    evidence: Evidence, plan: Effort, sides: Sequence[str], values: dict[str, Any]
+) -> Evidence | None:
     """Evidence after a change of parameters; None if the plugin refuses a value."""
     found = Evidence(evidence.bsdf, evidence.seed, evidence.properties)
     try:
         with changed(evidence.bsdf, values):
-            check_sweep(found, plan)
+            check_sweep(found, plan, sides)
     except PluginFault:
         return None
     return found
