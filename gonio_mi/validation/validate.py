@@ -313,7 +313,7 @@ def _check_maps(
             own = (maps for maps in evidence.maps if maps.condition.side == side)
             first = next(own, None)
             if first is not None:
-                key = (evidence.seed, 2, len(evidence.maps))
+                key = (evidence.seed, 2, len(evidence.maps) + failed)
                 evidence.maps.append(in_radiance_mode(evidence.bsdf, first, key))
     for maps in evidence.maps:
         for check in (sampling, weights, energy):

@@ -1,11 +1,14 @@
 """BSDFs of NumPy functions are judged like plugins."""
 
+import sys
+
 import budget
 import numpy as np
 import pytest
 
 import gonio_mi as gonio
 from gonio_mi.validation import from_numpy, validate
+from gonio_mi.validation.maps import four_maps, in_radiance_mode
 
 pytestmark = pytest.mark.usefixtures("mono")
 
@@ -55,6 +58,28 @@ def test_they_can_be_measured():
     """Half of the light leaves; all weights are that, to rounding of one product."""
     record = gonio.measure(from_numpy(sample, value, density), theta_i=30, rays=2**14)
     assert abs(record.dhr[0] - 0.5) <= 4 * np.finfo(np.float32).eps
+
+
+def test_maps_have_their_own_samples_after_one_that_failed(monkeypatch):
+    """Their scores are pooled; a map whose integrals do not converge has none."""
+    keys = []
+
+    def fails_at_first(bsdf, condition, patches, n, key):
+        keys.append(key)
+        if len(keys) == 1:
+            return None
+        return four_maps(bsdf, condition, patches, n, key)
+
+    def radiance(bsdf, maps, key):
+        keys.append(key)
+        return in_radiance_mode(bsdf, maps, key)
+
+    module = sys.modules["gonio_mi.validation.validate"]
+    monkeypatch.setattr(module, "four_maps", fails_at_first)
+    monkeypatch.setattr(module, "in_radiance_mode", radiance)
+    bsdf = from_numpy(sample, value, density, two_sided=True)
+    validate(bsdf, effort="quick")
+    assert len(set(keys)) == len(keys) > 2
 
 
 def test_each_must_be_a_function():
