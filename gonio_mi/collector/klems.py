@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..array_types import Floats
 from ..errors import checked_choice
 from .borders import Borders
+from .directions import direction
 from .hemisphere import EDGE, RingsAndSectors, Subdivision
 
 # Edges of the rings in degrees, and sectors of each.
@@ -138,7 +139,8 @@ class Klems(Subdivision):
         """
         n = COMMON[self.size]
         patches = Borders(self.theta_deg, tuple(np.arange(n + 1) * (360 / n)))
-        theta, phi = np.meshgrid(patches.theta, patches.phi, indexing="ij")
-        sine = np.sin(theta)
-        middles = np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], -1)
-        return patches, values[..., self.patch(middles), 0, :]
+        return patches, values[..., self.patch(direction(*patches.middles)), 0, :]
+
+
+# All bases by their names.
+KLEMS = {str(basis): basis for basis in map(Klems, RINGS)}

@@ -12,15 +12,13 @@ from .equal_steps import (
     EqualSolidAngle,
 )
 from .hemisphere import Subdivision
-from .klems import Klems
+from .klems import KLEMS
 from .shirley_chiu import ShirleyChiu
 
 _KINDS: dict[str, Callable[[int, int], Subdivision]] = {
     kind.name: kind
     for kind in (EqualAngle, EqualSolidAngle, EqualProjectedSolidAngle, EqualSine)
 }
-
-_KLEMS = {str(basis): basis for basis in map(Klems, ("full", "half", "quarter"))}
 
 
 def subdivision(text: str | Subdivision) -> Subdivision:
@@ -61,8 +59,8 @@ def subdivision(text: str | Subdivision) -> Subdivision:
         raise SettingError(shortened(f"collector {shown(text)}: {error}")) from None
     except ValueError:  # of a word that is no number, or lacks one
         raise SettingError(shortened(f"{form}, got {shown(text)}")) from None
-    if text in _KLEMS:
-        return _KLEMS[text]
+    if text in KLEMS:
+        return KLEMS[text]
     if name == ShirleyChiu.name and _is_integer(size):
         return ShirleyChiu(int(size))
     if name not in _KINDS or not (_is_integer(rings) and _is_integer(sectors)):

@@ -10,13 +10,13 @@ from ..array_types import Floats
 from ..collector.borders import Borders
 from ..collector.directions import angles
 from ..collector.hemisphere import Subdivision
-from ..collector.klems import Klems
+from ..collector.klems import KLEMS
 from ..collector.shirley_chiu import ShirleyChiu
 from ..errors import SettingError, abridged, checked_choice, warn
 from ..files import replacing
 from ..formats import radiance
 from ..formats.radiance import Product, RadianceBSDF
-from ..formats.tensor_tree import TensorTree, grid_directions
+from ..formats.tensor_tree import TensorTree, isotropic_incidence
 from ..results.record import Record, wavelengths_nm
 from .daylight import of_daylight
 from .loss import Loss, fractions_of, losses
@@ -26,7 +26,6 @@ from .resampling import Material, resampled, specular_peaks
 TREE_SIZES = {3: 64, 4: 32}
 
 RANKS = {"tensor3": 3, "tensor4": 4}
-KLEMS = {str(basis): basis for basis in map(Klems, ("full", "half", "quarter"))}
 BASES = (*KLEMS, *RANKS)
 
 # Points per side of a Klems patch of incidence and of exit that is averaged over, and
@@ -177,16 +176,24 @@ class Side:
         """Flux fractions of the file's patches, incident times exit times channels."""
         if self.measured:
             return self._in_order(hemisphere)
-        points = CELL_POINTS
+        n_in, n_out = CELL_POINTS, CELL_POINTS
         if self.rank is None:
-            points = POINTS_OUT
-            flight = self.patches.points(POINTS_IN)
-            theta_i, phi_i = np.degrees(angles(flight * [-1, -1, 1]))
+            n_in, n_out = POINTS_IN, POINTS_OUT
+        if self.rank == 3:
+            theta_i = isotropic_incidence(self.patches.shape[0], n_in)
+            phi_i = np.full_like(theta_i, 180.0)
         else:
-            size = self.patches.shape[0]
-            theta_i, phi_i, _ = grid_directions(self.rank, size, CELL_POINTS, 1)
-        args = self.material, hemisphere, theta_i, phi_i, self.patches, points
-        return resampled(*args, progress=self.progress)
+            flight = self.patches.points(n_in)
+            theta_i, phi_i = np.degrees(angles(flight * [-1, -1, 1]))
+        return resampled(
+            self.material,
+            hemisphere,
+            theta_i,
+            phi_i,
+            self.patches,
+            n_out,
+            progress=self.progress,
+        )
 
     def _grid(self, values: Floats, rank: int) -> Floats:
         """Cells of a tensor tree, ``(size, ..., channels)``.
@@ -237,8 +244,7 @@ class Side:
         theta, phi = record.theta_i, record.phi_i
         if self.rank == 3:
             phi = np.full_like(phi, 180.0)  # of light that flies to +x
-        x, y, z = np.moveaxis(patches.points(1)[:, 0], -1, 0)
-        middles = np.stack([x, y, z], axis=-1)
+        middles = patches.points(1)[:, 0]
         projected = patches.projected_solid_angles.reshape(-1, 1)
         theirs: Any = [
             [

@@ -5,7 +5,6 @@ patch by the azimuth of flight; matrices are rows of exit and columns of inciden
 """
 
 import itertools
-import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from ..array_types import Floats, Integers
 from ..collector import EqualProjectedSolidAngle
 from ..collector.directions import direction as unit_vectors
 from ..collector.hemisphere import Subdivision
-from ..collector.klems import Klems
+from ..collector.klems import KLEMS, Klems
 from ..errors import FileFormatError
 from ..files.checks import require, size_of
 from ..files.table_text import decimal
@@ -29,10 +28,7 @@ from .format import Format
 from .scatter import PatchMeans
 from .tensor_tree import TensorTree, coordinates
 
-BASES = {
-    f"LBNL/Klems {size.capitalize()}": Klems(size)
-    for size in ("full", "half", "quarter")
-}
+BASES = {f"LBNL/Klems {one.size.capitalize()}": one for one in KLEMS.values()}
 SHIRLEY_CHIU = "LBNL/Shirley-Chiu"
 
 # Ranks of the data structures of tensor trees.
@@ -141,11 +137,8 @@ def incident_patch(
 
     Of the Klems full basis unless other patches are given.
     """
-    theta, phi = np.radians(theta_i), np.radians(phi_i) + math.pi
-    sine = np.sin(theta)
-    flight = [sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)]
     basis = Klems() if basis is None else basis
-    return basis.patch(np.stack(np.broadcast_arrays(*flight), axis=-1))
+    return basis.patch(unit_vectors(np.radians(theta_i), np.radians(phi_i) + np.pi))
 
 
 # ----------------------------------------------------------------------------- writing

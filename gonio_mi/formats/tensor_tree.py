@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..array_types import Floats
-from ..collector.directions import angles
-from ..collector.shirley_chiu import directions_of, square_of
+from ..collector.shirley_chiu import square_of
 from ..errors import FileFormatError
 from ..files.checks import require
 from ..files.table_text import decimal
@@ -134,49 +133,13 @@ def coordinates(rank: int, theta_i: ArrayLike, phi_i: ArrayLike, wo: Floats) -> 
     return np.concatenate([first, square_of(x, y)], axis=1)
 
 
-def grid_directions(
-    rank: int, size: int, n_in: int, n_out: int
-) -> tuple[Floats, Floats, Floats]:
-    """Regular points, as many in each cell of a grid.
+def isotropic_incidence(size: int, n: int) -> Floats:
+    """Angles of incidence in degrees of `n` points in each cell of a tree of rank 3.
 
-    Parameters
-    ----------
-    rank : {3, 4}
-    size : int
-        Cells per axis.
-    n_in, n_out : int
-        Points per axis and cell.
-
-    Returns
-    -------
-    theta_i, phi_i : ndarray, shape (n_cells, points)
-        In degrees, for each cell of incidence: ``size / 2`` for rank 3, without those
-        that are not used, or ``size**2``.
-    wo : ndarray, shape (size**2, n_out**2, 3)
-        Unit vectors on z > 0.
+    Shape ``(size / 2, n)``: without the half of the `size` cells that is not used.
     """
-    if rank == 3:
-        sine = 1 - 2 * _points(size, n_in)[: size // 2]
-        theta_i = np.degrees(np.arcsin(sine))
-        phi_i = np.full_like(theta_i, 180.0)
-    else:
-        flight = directions_of(_cells(size, n_in))
-        theta_i, phi_i = np.degrees(angles(flight * [-1, -1, 1]))
-    return theta_i, phi_i, directions_of(_cells(size, n_out))
-
-
-def _points(size: int, n: int) -> Floats:
-    """Points of each cell of an axis, shape ``(size, n)``."""
-    return (np.arange(size * n).reshape(size, n) + 0.5) / (size * n)
-
-
-def _cells(size: int, n: int) -> Floats:
-    """Points of each cell of the square, shape ``(size**2, n**2, 2)``."""
-    points = _points(size, n)
-    a = points[:, None, :, None]
-    b = points[None, :, None, :]
-    square = np.stack(np.broadcast_arrays(a, b), axis=-1)
-    return square.reshape(size * size, n * n, 2)
+    points = (np.arange(size * n).reshape(size, n) + 0.5) / (size * n)
+    return np.degrees(np.arcsin(1 - 2 * points[: size // 2]))
 
 
 def _merged(values: Floats, flat: float) -> Node:

@@ -15,6 +15,7 @@ from scipy import stats
 import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.collector.klems import Klems
+from gonio_mi.collector.shirley_chiu import ShirleyChiu
 from gonio_mi.exports import exporting, radiance_export, resampling
 from gonio_mi.exports.loss import Loss, in_words
 from gonio_mi.formats import radiance, tensor_tree
@@ -95,16 +96,18 @@ def test_a_delta_lands_whole(tmp_path, monkeypatch, collector):
 
 def points_of_incidence(basis, theta_i):
     """Polar angles in radians of the points of incidence of the patch of an angle."""
-    rank = radiance_export.RANKS.get(basis)
+    rank, n = radiance_export.RANKS.get(basis), radiance_export.CELL_POINTS
     if rank is None:
         patches = radiance_export.KLEMS[basis]
         points = patches.points(radiance_export.POINTS_IN)
         return np.arccos(points[radiance.incident_patch(theta_i, 0, patches), :, 2])
     size, up = radiance_export.TREE_SIZES[rank], np.array([[0, 0, 1.0]])
-    grid = tensor_tree.grid_directions(rank, size, radiance_export.CELL_POINTS, 1)[0]
     place = tensor_tree.coordinates(rank, theta_i, 0.0, up)[0, : rank - 2]
     cell = tuple((place * size).astype(int))
-    return np.radians(grid[np.ravel_multi_index(cell, (size,) * len(cell))])
+    if rank == 3:
+        return np.radians(tensor_tree.isotropic_incidence(size, n)[cell])
+    points = ShirleyChiu(size).points(n)[np.ravel_multi_index(cell, (size, size))]
+    return np.arccos(points[:, 2])
 
 
 @pytest.fixture
