@@ -20,7 +20,14 @@ from ..errors import (
 )
 from ..results.record import chosen_channel
 from .measured_table import COLUMNS, QUANTITIES, MeasuredTable, fits, parsed_keys
-from .table_angles import AZIMUTHS, DEGREES, TableAngles, azimuth_question
+from .table_angles import (
+    AZIMUTHS,
+    DEGREES,
+    azimuth_question,
+    directions,
+    in_degrees,
+    unit_questions,
+)
 from .table_names import (
     ANGLES,
     COLOURS,
@@ -128,21 +135,31 @@ def read_text(path: str | PathLike[str], specified: Specified) -> MeasuredTable:
         settings["quantity"] = specified.quantity
     reading = _Reading(text, specified, settings)
     reading.read_columns()
-    angles = reading.angles()
-    angles.convert()
+    arrays, picked, notes = reading.arrays, reading.picked, reading.notes
+    if not (reading.own and settings):  # below our own header they are in degrees
+        reading.questions += unit_questions(arrays, picked)
     settings["quantity"] = reading.quantity()
-    columns_read = reading.values() | angles.directions()
-    check_nothing_open(text.place, reading.questions)
-    if settings["quantity"] == "btdf" and not reading.own:
-        angles.count_from_lit_side(columns_read)
+    values = reading.values()
+    angles, more_notes, more_questions = directions(
+        arrays | in_degrees(arrays, picked), specified.azimuth
+    )
+    check_nothing_open(text.place, reading.questions + more_questions)
+    notes += more_notes
+    if reading.own:
+        reading.check_ranges(values | angles, settings["quantity"])
+    elif settings["quantity"] == "btdf" and (angles["theta_o"] <= 90).all():
+        angles["theta_o"] = 180 - angles["theta_o"]
+        notes.append("theta_o of transmission counts from the normal of the other face")
     if reading.channel is not None:
         settings.setdefault("channel", reading.channel)
-    if reading.own:
-        reading.check_ranges(columns_read)
-    notes = tuple(reading.notes)
     try:
         return MeasuredTable(
-            **columns_read, **settings, header=header, name=text.place, notes=notes
+            **values,
+            **angles,
+            **settings,
+            header=header,
+            name=text.place,
+            notes=tuple(notes),
         )
     except ValueError as error:
         raise FileFormatError(f"{text.place}: {error}") from None
@@ -169,13 +186,12 @@ class _Reading:
         self.questions: list[str] = []
         self.channel: str | None = None
         self.constants: dict[str, float] = {}
-        # our own names: all five, nothing beside them; in degrees below our header
+        # our own names: all five, nothing beside them
         self.own = set(text.names) >= set(COLUMNS) and not specified.columns
         self.known = [
             None if self.own and ELEMENT_COLUMN.fullmatch(name) else recognised(name)
             for name in text.names
         ]
-        self.in_degrees = self.own and bool(settings)
         bare = [name.partition(" [")[0] for name in text.names]
         for colour in COLOURS if set(bare) >= set(COLOURS) else ():
             index = bare.index(colour)
@@ -236,22 +252,7 @@ class _Reading:
             if column is not None and column.role not in self.constants:
                 by_role.setdefault(column.role, []).append(column)
         self._pick_channel(by_role)
-        unclear = [
-            f"several columns may be {role} "
-            f"({', '.join(repr(c.name) for c in columns):.150}); say --columns "
-            f"{role}=NAME"
-            for role, columns in by_role.items()
-            if len(columns) > 1
-        ]
-        unclear += self._missing()
-        values = [column for column in self.known if column and column.role == "value"]
-        titled = any(column.quantity for column in values) or self._titled()
-        if unclear and not (self.settings.get("quantity") or self.own or titled):
-            unclear.append(_quantity_question())
-        if unclear and self.specified.azimuth is None and self._has_relative_azimuths():
-            unclear.append(azimuth_question("azimuths"))
-        if unclear:
-            check_nothing_open(self.here, self.questions + unclear)
+        self._check_clear(by_role)
         if "value" in self.constants:
             raise SettingError(f"columns must name a column of values of {self.place}")
         self.picked = {role: columns[0] for role, columns in by_role.items() if columns}
@@ -270,6 +271,30 @@ class _Reading:
             self._pick_wavelength()
         if not self.own:
             self._note_columns()
+
+    def _check_clear(self, by_role: Mapping[str, Sequence[Column]]) -> None:
+        """Raise OpenQuestionsError unless each role has one column, and none lacks."""
+        unclear = [
+            f"several columns may be {role} "
+            f"({', '.join(repr(c.name) for c in columns):.150}); say --columns "
+            f"{role}=NAME"
+            for role, columns in by_role.items()
+            if len(columns) > 1
+        ]
+        own = {column.role for column in self.known if column} - set(self.constants)
+        unclear += self._missing(own)
+        if not unclear:
+            return
+        values = [column for column in self.known if column and column.role == "value"]
+        titled = any(column.quantity for column in values) or self._titled()
+        if not (self.settings.get("quantity") or self.own or titled):
+            unclear.append(_quantity_question())
+        there = own | set(self.constants)
+        # azimuths of exit without those of incidence
+        relative = "delta_phi" in there or ("phi_o" in there and "phi_i" not in there)
+        if relative and self.specified.azimuth is None:
+            unclear.append(azimuth_question("azimuths"))
+        check_nothing_open(self.here, self.questions + unclear)
 
     def _pick_channel(self, by_role: dict[str, list[Column]]) -> None:
         """Keep the values of one channel, the first beside a question if none is."""
@@ -295,14 +320,8 @@ class _Reading:
             own = ("", self.channel)
             by_role["sigma"] = [c for c in by_role["sigma"] if c.channel in own]
 
-    def _has_relative_azimuths(self) -> bool:
-        """Whether azimuths of exit stand without those of incidence."""
-        there = {column.role for column in self.known if column} | set(self.constants)
-        return "delta_phi" in there or ("phi_o" in there and "phi_i" not in there)
-
-    def _missing(self) -> list[str]:
-        """Question about required columns that are missing."""
-        own = {column.role for column in self.known if column} - set(self.constants)
+    def _missing(self, own: set[str]) -> list[str]:
+        """Question about required columns that are missing among the `own` roles."""
         there = own | set(self.constants)
         needed = ["theta_i", "theta_o", "value", *(["phi_o"] if "phi_i" in own else [])]
         if "delta_phi" in there:
@@ -514,15 +533,10 @@ class _Reading:
         other = stated - {column.coverage} or set(FACTOR_NAMES) & set(names)
         return float("nan") if other else column.coverage
 
-    def angles(self) -> TableAngles:
-        """The angles of the picked columns, with what is noted and asked of them."""
-        given = self.arrays, self.picked, self.specified.azimuth
-        return TableAngles(*given, self.in_degrees, self.notes, self.questions)
-
-    def check_ranges(self, columns: Mapping[str, Any]) -> None:
+    def check_ranges(self, columns: Mapping[str, Any], quantity: str) -> None:
         """Raise FileFormatError with line and column of the first that does not fit."""
         for name in (n for n in OWN_NAMES if columns[n] is not None):
-            good, condition = fits(name, columns[name], self.settings["quantity"])
+            good, condition = fits(name, columns[name], quantity)
             if not good.all():
                 row = int(np.argmin(good))
                 raise FileFormatError(
