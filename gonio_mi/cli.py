@@ -20,9 +20,10 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from . import start_up
-from .commands.arguments import INCOMPLETE, PROGRAM, USER_ERROR, say, sentence
+from .commands.arguments import INCOMPLETE, USER_ERROR, say, sentence
 from .commands.parser import Parser
 from .errors import SettingError, is_ctrl_c, is_the_users, own_frame
+from .start_up import PROGRAM
 
 # Each command is the module of this name in `commands`, imported when it is used.
 COMMANDS = {

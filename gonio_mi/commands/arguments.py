@@ -22,12 +22,12 @@ from ..errors import (
 )
 from ..instrument.specimen_text import SpecimenLike
 from ..settings import Declaration, Kind, MeasurementSettings, declarations
+from ..start_up import PROGRAM
 from .file_kinds import check_kind
 
 if TYPE_CHECKING:
     from ..files.measured_table import MeasuredTable
 
-PROGRAM = "gonio-mi"
 DONE, USER_ERROR, INCOMPLETE, FAILED, UNDECIDED = 0, 1, 2, 3, 4
 
 DEFAULT_VARIANT = "llvm_ad_mono"
@@ -190,6 +190,11 @@ def given_options(options: argparse.Namespace, names: Sequence[str]) -> dict[str
     return {name: value for name, value in values.items() if value is not None}
 
 
+def option_of(name: str) -> str:
+    """Option as it is written, of the name of its value."""
+    return f"--{name.replace('_', '-')}"
+
+
 # --------------------------------------------------------- the specimen, the variant
 
 
@@ -229,6 +234,14 @@ def specimen_of(
     if options.parameters and isinstance(specimen, dict):
         raise SettingError(f"-D applies to scene files only, got {word!r}")
     return specimen, dict(options.parameters)
+
+
+def variant_for(channel: str | None) -> str:
+    """The default variant for values of a channel: spectral for a wavelength."""
+    from ..results.record import wavelengths_nm  # slow to import: SciPy
+
+    is_wavelength = wavelengths_nm([channel or ""]) is not None
+    return "llvm_ad_spectral" if is_wavelength else DEFAULT_VARIANT
 
 
 def set_variant(variant: str, variants: Sequence[str] = ()) -> None:
@@ -377,8 +390,7 @@ def check_no_table_options(
 ) -> None:
     """Raise ValueError for an option of tables, or one `more`, of another file."""
     for name in given_options(options, (*TABLE_OPTIONS, *more)):
-        option = name.replace("_", "-")
-        raise SettingError(f"--{option} applies to tables only, got {path!r}")
+        raise SettingError(f"{option_of(name)} applies to tables only, got {path!r}")
 
 
 def table_of(path: str, options: argparse.Namespace) -> MeasuredTable:

@@ -15,7 +15,6 @@ from typing import Any
 from .. import files
 from ..errors import SettingError
 from ..files.table_reader import OpenQuestionsError, check_nothing_open
-from ..results.record import wavelengths_nm
 from .arguments import (
     DEFAULT_VARIANT,
     DONE,
@@ -31,10 +30,12 @@ from .arguments import (
     add_uncertainties,
     check_no_table_options,
     given_options,
+    option_of,
     specimen_of,
     table_of,
     tell,
     tell_json,
+    variant_for,
 )
 from .file_kinds import is_table, record_of
 
@@ -163,9 +164,7 @@ def _record(options: Namespace, other: Any) -> tuple[Any, Any]:
             raise SettingError(
                 f"RECORD must be an .exr or .npz file if OTHER is one, got {word}"
             )
-        coloured = wavelengths_nm([other.channel or ""]) is not None
-        needed = "llvm_ad_spectral" if coloured else DEFAULT_VARIANT
-        options.variant = options.variant or needed
+        options.variant = options.variant or variant_for(other.channel)
         return None, specimen_of(word, options)
     if other is None:
         record = record_of(word)
@@ -174,8 +173,8 @@ def _record(options: Namespace, other: Any) -> tuple[Any, Any]:
         return record, specimen_of(options.other, options)
     for name in given_options(options, ("aperture_half_angle", *MEASURED)):
         raise SettingError(
-            f"--{name.replace('_', '-')} applies to a specimen that is to be measured, "
-            f"got the record {word}"
+            f"{option_of(name)} applies to a specimen that is to be measured, got "
+            f"the record {word}"
         )
     return record_of(word), None
 

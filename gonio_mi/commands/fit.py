@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from .. import files
 from ..errors import SettingError
 from ..files.measured_table import MeasuredTable
-from ..results.record import Record, wavelengths_nm
+from ..results.record import Record
 from .arguments import (
     DEFAULT_VARIANT,
     DONE,
@@ -29,6 +29,7 @@ from .arguments import (
     table_of,
     tell,
     tell_json,
+    variant_for,
 )
 from .file_kinds import record_of
 
@@ -103,8 +104,7 @@ def run(options: Namespace) -> int:
         set_variant(record.provenance.variant or DEFAULT_VARIANT)
     else:
         record = table_of(options.record, options)
-        is_wavelength = wavelengths_nm([record.channel or ""]) is not None
-        set_variant("llvm_ad_spectral" if is_wavelength else DEFAULT_VARIANT)
+        set_variant(variant_for(record.channel))
     for path in options.plugin:
         load_plugin_file(path)
     stated = given_options(options, STATED)

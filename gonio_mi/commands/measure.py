@@ -8,8 +8,7 @@ from __future__ import annotations
 import signal
 import warnings
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -181,7 +180,12 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
     specimen, parameters = specimen_of(options.specimen, options, variants)
     check_not_read(specimen, options.specimen, options.output)
     specimen = prepared_surface(specimen, options)
-    settings = given_settings(options)
+    settings = given_settings(options) | {
+        "theta_i": _one_or_many(options.theta_i),
+        "phi_i": _one_or_many(options.phi_i),
+        "parameters": parameters,
+        "progress": not options.quiet,
+    }
     if orders:
         del settings["order"]
 
@@ -191,14 +195,7 @@ def _run(options: Namespace, orders: Sequence[str] = ()) -> int:
         for text in ("interrupted: ", r"sample\(\) and eval\(\) of the phase function"):
             warnings.filterwarnings("ignore", text, RuntimeWarning)
         warnings.simplefilter("ignore", LostLightWarning)
-        measured = _measure(options, orders)(
-            specimen,
-            _one_or_many(options.theta_i),
-            _one_or_many(options.phi_i),
-            **settings,
-            parameters=parameters,
-            progress=not options.quiet,
-        )
+        measured = _measured(specimen, options, orders, settings)
         ctrl_c.ignored = True
         for order, record in (measured if orders else {"": measured}).items():
             output = [_order_path(path, order) for path in options.output]
@@ -236,41 +233,32 @@ def _finish(
     return INCOMPLETE if pressed or is_imprecise(record) else DONE
 
 
-def _measure(options: Namespace, orders: Sequence[str]) -> Callable[..., Any]:
-    """Function that measures here and at once, or in a campaign.
-
-    Of several orders it gives a dictionary.
-    """
+def _measured(
+    specimen: SpecimenLike,
+    options: Namespace,
+    orders: Sequence[str],
+    settings: Mapping[str, Any],
+) -> Any:
+    """Record, measured here and at once or in a campaign; of several orders a dict."""
     chosen = given_options(options, ("tolerance", "theta_max"))
     if "theta_max" in chosen and "tolerance" not in chosen:
         raise SettingError("--theta-max applies with --tolerance only")
     if orders:
-        return partial(measure_orders, orders=orders)
+        return measure_orders(specimen, orders=orders, **settings)
     where = campaign_options(options)
     if not where and not chosen:
         resume = None if options.resume is None else record_of(options.resume)
-        return partial(measure, resume=resume)
+        return measure(specimen, resume=resume, **settings)
     if options.resume is not None:
         raise SettingError(
             "--resume cannot be combined with --workers, --folder or --tolerance"
         )
     where = where or {"plugins": options.plugin}
-
-    def _by_campaign(
-        specimen: SpecimenLike, theta_i: Any, phi_i: Any, **settings: Any
-    ) -> Record:
-        with kept_after_ctrl_c(options.folder):
-            record = campaign(
-                {options.specimen: specimen},
-                theta_i,
-                phi_i,
-                **where,
-                **chosen,
-                **settings,
-            )[options.specimen]
-        return record if len(record) > 1 else record[0]
-
-    return _by_campaign
+    with kept_after_ctrl_c(options.folder):
+        record = campaign({options.specimen: specimen}, **where, **chosen, **settings)[
+            options.specimen
+        ]
+    return record if len(record) > 1 else record[0]
 
 
 def _save(record: Record, paths: Sequence[str]) -> list[str]:

@@ -29,6 +29,7 @@ from .arguments import (
     add_specimen,
     add_text,
     given_options,
+    option_of,
     say,
     specimen_of,
     tell,
@@ -146,22 +147,20 @@ def prepared_surface(specimen: SpecimenLike, options: Namespace) -> Any:
     of_mesh = given_options(options, ("normal", "mean_plane"))
     if isinstance(specimen, str) and is_mesh(specimen):
         for name in given.keys() - {"unit"}:
-            raise SettingError(f"{_option(name)} applies to height maps, got a mesh")
+            raise SettingError(f"{option_of(name)} applies to height maps, got a mesh")
         if bsdf is None:
             return specimen  # which is refused in the words of all commands
         return mesh(specimen, bsdf, **of_mesh)
     for name in of_mesh:
-        raise SettingError(f"{_option(name)} applies to meshes, got {specimen!r}")
+        raise SettingError(f"{option_of(name)} applies to meshes, got {specimen!r}")
     if isinstance(specimen, str) and is_height_map(specimen):
         period = getattr(options, "period", None)
         return surface_specimen(specimen, bsdf, period, **given)
     for name in [*given, *(["bsdf"] if bsdf is not None else [])]:
-        raise SettingError(f"{_option(name)} applies to height maps, got {specimen!r}")
+        raise SettingError(
+            f"{option_of(name)} applies to height maps, got {specimen!r}"
+        )
     return specimen
-
-
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
 
 
 def run(options: Namespace) -> int:
