@@ -68,12 +68,6 @@ def add_legend(place: Any, maps: Iterable[Axes], **where: Any) -> None:
         )
 
 
-def _unlit(single: Record) -> str:
-    """What grey stands for."""
-    cones = single.subdivision.aperture_half_angle is not None
-    return "no aperture, or no hit" if cones else "no hit"
-
-
 def shown_values(
     single: Record, of: str, values: Floats | None = None
 ) -> tuple[RingsAndSectors, np.ma.MaskedArray[Any, Any]]:
@@ -137,7 +131,9 @@ def draw_patches(
         axes.plot(size * np.cos(circle), size * np.sin(circle), **style)
     _mark_directions(axes, single, of, note)
     if shown.mask.any():
-        axes.plot([], [], "s", color=NO_HIT, label=_unlit(single))
+        cones = single.subdivision.aperture_half_angle is not None
+        label = "no aperture, or no hit" if cones else "no hit"
+        axes.plot([], [], "s", color=NO_HIT, label=label)
     limits = -HALF_WIDTH, HALF_WIDTH
     axes.set(aspect="equal", xlim=limits, ylim=limits)
     axes.set_axis_off()

@@ -64,15 +64,16 @@ def plot_mueller(
     Returns the matplotlib figure, and raises as :func:`gonio_mi.plot`.
     """
     single = chosen(record, index)
-    columns = [single.stokes(vector, of)[0] for vector in _light_of_columns()]
-    # of the four basis vectors, from those of real light
-    first = columns[0]
-    matrices = np.stack([first, *(one - first for one in columns[1:])], axis=-1)
+    # a column is what one element of the Stokes vector adds to unpolarised light
+    plain, *more = (single.stokes([1.0, *rest], of)[0] for rest in np.eye(4)[:, 1:])
+    matrices = np.stack([plain, *(one - plain for one in more)], axis=-1)
     matrices = matrices.mean(axis=-3)
     figure = new_figure(path, figsize=(10, 11))
+    from matplotlib.colors import Normalize
+
     from .polar_map import add_bar, add_legend, colour_bar, draw_patches, scale_of
 
-    light = matrices[..., 0, 0]
+    light, signed = matrices[..., 0, 0], Normalize(-1, 1)
     axes = figure.subplots(4, 4)
     for place, (i, j) in zip(axes.ravel(), np.ndindex(4, 4)):
         if (i, j) == (0, 0):
@@ -85,7 +86,9 @@ def plot_mueller(
             place.set_title("M00", fontsize="small")
         else:
             values = _over(matrices[..., i, j], light)
-            mesh = draw_patches(place, single, of, *_signed(), values=values)
+            mesh = draw_patches(
+                place, single, of, signed, colours="RdBu_r", values=values
+            )
             place.set_title(f"M{i}{j} / M00", fontsize="small")
     colour_bar(figure, mesh, axes[:, -1], "element over M00")
     add_legend(figure, axes.ravel(), loc="outside lower center")
@@ -145,22 +148,10 @@ def plot_stokes(
     return finished(figure, path, title)
 
 
-def _light_of_columns() -> Floats:
-    """Stokes vectors of unpolarised light, and of three that are polarised."""
-    return np.eye(4) + np.array([[0, 0, 0, 0], *[[1, 0, 0, 0]] * 3])
-
-
 def _over(values: Floats, light: Floats) -> Floats:
     """Values over light; NaN in the dark."""
     lit = light > MIN_LIGHT * np.max(light, initial=0)
     return np.where(lit, values, np.nan) / np.where(lit, light, 1.0)
-
-
-def _signed() -> tuple[Any, str, str]:
-    """Scale of numbers between -1 and 1, no note, and their colours."""
-    from matplotlib.colors import Normalize
-
-    return Normalize(-1, 1), "", "RdBu_r"
 
 
 def _draw_state(
