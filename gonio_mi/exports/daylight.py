@@ -94,8 +94,7 @@ def of_daylight(
     try:
         return visible, [_in(SOLAR, record) for record in records]
     except SettingError as error:
-        text = f"the file has no block Solar: {error}"
-        warn(text)
+        warn(f"the file has no block Solar: {error}")
         return visible, []
 
 

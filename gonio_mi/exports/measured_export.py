@@ -60,8 +60,6 @@ def write_measured(
     fields["jacobian"] = np.zeros(1, np.uint8)
     with replacing(path) as stream:
         tensor_file.write(fields, stream)
-    with open(path, "rb") as stream:
-        tensor_file.read(stream)
     nm = None if wavelengths is None else wavelengths.tolist()
     return losses(record, _written(str(path), record, nm, progress))
 

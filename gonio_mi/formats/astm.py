@@ -82,8 +82,8 @@ def read(stream: BinaryIO, _: str | None = None) -> Points:
         f"it announces {announced:.20} points and holds {len(rows)}",
     )
     require(bool(rows), "it has no rows of values")
-    table = np.array(rows).reshape(len(rows), n)
-    in_degrees = np.abs(table[:, : len(ANGLES)]).max(initial=0) > 2 * np.pi
+    table = np.array(rows)
+    in_degrees = np.abs(table[:, : len(ANGLES)]).max() > 2 * np.pi
     unit = "degrees" if in_degrees else "radians"
     return Points(
         table[:, : len(ANGLES)] * (1.0 if in_degrees else np.degrees(1.0)),

@@ -87,7 +87,8 @@ def read_height_map(
     path : Path
         A ``.npy`` file, a file of an instrument (:data:`READERS`), or else an image.
     read_image : callable
-        Returns the pixels of an image in their own type, shape ``(n_y, n_x)``.
+        Returns the pixels of an image in their own type, channels last if it has
+        several.
 
     Raises
     ------
@@ -112,10 +113,15 @@ def _npy(path: Path) -> NDArray[np.generic]:
     try:
         return np.lib.format.open_memmap(path, mode="r")
     except Exception as error:  # a damaged header is evaluated as Python
-        raise SpecimenError(
-            f"heightfield.filename must be an image, a .npy file or a file of a "
-            f"profilometer, got {path}: {error}"
-        ) from None
+        raise unreadable(path, error) from None
+
+
+def unreadable(path: Path, error: Exception) -> SpecimenError:
+    """Error for a file that holds no heights, with the reason of whoever read it."""
+    return SpecimenError(
+        f"heightfield.filename must be an image, a .npy file or a file of a "
+        f"profilometer, got {path}: {error}"
+    )
 
 
 def _grid(array: NDArray[np.generic]) -> Any:

@@ -9,6 +9,7 @@ times as large as the BRDF in 1/sr. Negative values mark cells that were not mea
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -60,9 +61,7 @@ def read(stream: BinaryIO, incidences: Sequence[float] = THETA_I) -> Scatter:
         row, column, turn = _cells(wi, wo)
         values = table[:, row, column, turn]
         values = np.moveaxis(np.maximum(values, 0), 0, -1) * SCALES
-        blocks.append(
-            Block(float(theta_i), 0.0, 0, RADIAL, AZIMUTH, values, specular=True)
-        )
+        blocks.append(replace(frame, values=values))
     return Scatter(blocks, ("R", "G", "B"))
 
 

@@ -13,13 +13,12 @@ import math
 import os
 import re
 import struct
-from collections.abc import Iterator
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..array_types import Numbers, Singles
+from ..array_types import Numbers
 from ..errors import FileFormatError
 from ..files.checks import require, size_of
 from .format import Format
@@ -183,7 +182,10 @@ def _check_shapes(fields: dict[str, NDArray[np.generic]]) -> None:
 
 def _check_values(fields: dict[str, NDArray[np.generic]]) -> None:
     """Values that it may divide by, and look up."""
-    for name, field in _singles(fields):
+    for name in (*FIELDS, *SPECTRA, *COLOURS):
+        if name not in fields or fields[name].dtype != np.float32:
+            continue
+        field = fields[name].astype(np.float32)
         require(bool(np.isfinite(field).all()), f"its field {name} is not finite")
         if name in ASCENDING:
             require(bool((np.diff(field) > 0).all()), f"its {name} must ascend")
@@ -191,16 +193,6 @@ def _check_values(fields: dict[str, NDArray[np.generic]]) -> None:
             total = field.sum(axis=(2, 3), dtype=float)
             good = (field >= 0).all() and (total > 0).all() and np.isfinite(total).all()
             require(bool(good), f"its field {name} is no density to draw from")
-
-
-def _singles(
-    fields: dict[str, NDArray[np.generic]],
-) -> Iterator[tuple[str, Singles]]:
-    """Fields that hold numbers to compute with."""
-    for name in (*FIELDS, *SPECTRA, *COLOURS):
-        field = fields.get(name)
-        if field is not None and field.dtype == np.float32:
-            yield name, field.astype(np.float32)
 
 
 FORMATS = (

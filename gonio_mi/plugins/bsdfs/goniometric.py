@@ -13,7 +13,7 @@ import numpy as np
 
 from gonio_mi.array_types import Floats
 from gonio_mi.errors import SettingError, abridged
-from gonio_mi.formats.radiance import has_back
+from gonio_mi.formats.radiance import XYZ, has_back
 from gonio_mi.formats.reading import load_material
 from gonio_mi.formats.scatter import PatchMeans
 from gonio_mi.interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs
@@ -21,8 +21,6 @@ from gonio_mi.interpolation.lobes import MeasuredLobes
 from gonio_mi.plugins import bsdf_functions
 from gonio_mi.results.record import Record, wavelengths_nm
 from gonio_mi.settings.declaration import example
-
-LUMINANCE = (0.212671, 0.715160, 0.072169)
 
 # Signs of z on the front and the back.
 SIDES = (1, -1)
@@ -306,7 +304,7 @@ def _lobes(path: str, side: str) -> tuple[MeasuredLobes, Floats | None]:
     return lobes, wavelengths_nm(material.channels)
 
 
-def _mixture(material: Record | PatchMeans) -> tuple[float, ...] | None:
+def _mixture(material: Record | PatchMeans) -> Floats | None:
     """Weights that make one channel of three where the variant has one, or None."""
     channels = material.channels
     said = abridged(", ".join(channels), 80)
@@ -328,7 +326,7 @@ def _mixture(material: Record | PatchMeans) -> tuple[float, ...] | None:
             "a record of R, G, B must be used in an rgb or monochrome variant, "
             f"got {mi.variant()}: take llvm_ad_rgb"
         )
-    return None if mi.is_rgb else LUMINANCE
+    return None if mi.is_rgb else XYZ[1]
 
 
 mi.register_bsdf("goniometric", Goniometric)
