@@ -157,12 +157,12 @@ def aperture_effect(
     narrow = replace(table, aperture_half_angle=NARROWED * half_angle)
     records = measure_like(specimen, narrow, **settings)
     other = compare(records, narrow)
-    values = {_key(other, i): other.value[i] for i in range(len(other.z))}
-    at = [values[_key(comparison, i)] for i in range(len(comparison.z))]
+    values = dict(zip(_directions(other), other.value))
+    at = [values[one] for one in _directions(comparison)]
     return EXTRAPOLATION * (comparison.value - np.array(at))
 
 
-def _key(comparison: Comparison, i: int) -> tuple[float, ...]:
-    """Directions of a point."""
-    names = ("theta_i", "phi_i", "theta_o", "phi_o")
-    return tuple(float(getattr(comparison, name)[i]) for name in names)
+def _directions(comparison: Comparison) -> list[tuple[float, ...]]:
+    """Directions of each point."""
+    columns = (getattr(comparison, name).tolist() for name in POINT[:4])
+    return list(zip(*columns))
