@@ -32,20 +32,12 @@ DONE, USER_ERROR, INCOMPLETE, FAILED, UNDECIDED = 0, 1, 2, 3, 4
 
 DEFAULT_VARIANT = "llvm_ad_mono"
 
-# Of Radiance's files.
-BASES = ("klems", "klems-half", "klems-quarter", "tensor3", "tensor4")
-
 
 # What options are added to: a parser, or a group of one.
 Group: TypeAlias = argparse._ActionsContainer
 
 
 # ------------------------------------------------------------- options and arguments
-
-
-def add_record(parser: argparse.ArgumentParser) -> None:
-    """Add the argument that is a file of a record."""
-    add_text(parser, "record", "RECORD", "An .exr or .npz file.")
 
 
 def add_specimen(parser: argparse.ArgumentParser) -> None:

@@ -15,14 +15,13 @@ from ..errors import SettingError
 from ..exports.bsdf_file import RAYS, bsdf, hemispherical
 from ..exports.daylight import VISIBLE_NM, luminous
 from ..files import check_output
-from ..formats.radiance import BLOCKS, Product
+from ..formats.radiance import BASES, BLOCKS, Product
 from ..instrument.loading import load_specimen
 from ..instrument.specimen_text import parse_specimen
 from ..results.record import Record
 from ..surfaces.topography import metres
 from ..transport.shapes import bounds
 from .arguments import (
-    BASES,
     DONE,
     INCOMPLETE,
     add_number,

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from .. import files
 from ..errors import SettingError
-from ..formats.radiance import BLOCKS
+from ..formats.radiance import BASES, BLOCKS
 from ..formats.reading import endings_of, lost_in_each
 from ..results.record import wavelengths_nm
-from .arguments import BASES, DONE, add_text, set_variant, tell
+from .arguments import DONE, add_text, set_variant, tell
 from .file_kinds import record_of
 
 USAGE = "%(prog)s RECORD [RECORD] -o OUT ... [options]"

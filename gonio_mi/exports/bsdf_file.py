@@ -16,14 +16,14 @@ from ..collector import EqualProjectedSolidAngle
 from ..collector.directions import direction
 from ..errors import SettingError, checked_choice, warn
 from ..files import check_output
-from ..formats.radiance import Product
+from ..formats.radiance import BASES, Product
 from ..instrument.specimen_text import SpecimenLike
 from ..results.prediction_error import prediction_error
 from ..results.record import Record
 from ..settings.values import checked_wavelengths
 from .daylight import SOLAR, VISIBLE, VISIBLE_NM, of_daylight
 from .exporting import export
-from .radiance_export import BASES, incidence
+from .radiance_export import incidence
 
 # Rays for each incident patch where nothing is asked for.
 RAYS = 2**16

@@ -15,14 +15,14 @@ from ..files import check_output, netcdf, replacing
 from ..files.measured_table import MeasuredTable
 from ..files.writing import takes_a_stream
 from ..formats import astm
-from ..formats.radiance import Product
+from ..formats.radiance import BASES, Product
 from ..formats.reading import endings_of, read_measured
 from ..results.record import Record, wavelengths_nm
 from ..results.summary import summarize
 from ..results.tally import ELEMENT_NAMES
 from .loss import ZEMAX, Loss, fractions_of, losses, part_names
 from .measured_export import write_measured
-from .radiance_export import BASES, write_radiance
+from .radiance_export import write_radiance
 from .scatter_export import write_grids, write_merl, write_zemax
 
 ENDINGS = (

@@ -34,7 +34,7 @@ READ_BACK_POINTS, MAX_DIFFERENCE, READ_BACK_RAYS = 2**16, 2e-3, 2**20
 
 
 def write_measured(
-    record: Record, path: str | PathLike[str], progress: bool = False
+    record: Record, path: str | PathLike[str], progress: bool
 ) -> list[Loss]:
     """Write a record for Mitsuba's `measured`, and return its losses.
 

@@ -15,7 +15,7 @@ from ..collector.shirley_chiu import ShirleyChiu
 from ..errors import SettingError, abridged, checked_choice, warn
 from ..files import replacing
 from ..formats import radiance
-from ..formats.radiance import Product, RadianceBSDF
+from ..formats.radiance import BASES, RANKS, Product, RadianceBSDF
 from ..formats.tensor_tree import TensorTree, isotropic_incidence
 from ..results.record import Record, wavelengths_nm
 from .daylight import of_daylight
@@ -24,9 +24,6 @@ from .resampling import Material, resampled, specular_peaks
 
 # Cells per axis of tensor trees; those of rank 3 are cheap enough to be finer.
 TREE_SIZES = {3: 64, 4: 32}
-
-RANKS = {"tensor3": 3, "tensor4": 4}
-BASES = (*KLEMS, *RANKS)
 
 # Points per side of a Klems patch of incidence and of exit that is averaged over, and
 # of the cells of tensor trees, of which there are more.
@@ -49,10 +46,10 @@ MAX_GAP = 45
 def write_radiance(
     records: Sequence[Record],
     path: str | PathLike[str],
-    basis: str = "klems",
-    product: Product | None = None,
-    solar: Sequence[Record] = (),
-    progress: bool = False,
+    basis: str,
+    product: Product | None,
+    solar: Sequence[Record],
+    progress: bool,
 ) -> list[Loss]:
     """Write a specimen to an XML file of Radiance, and return its losses.
 

@@ -138,15 +138,14 @@ def _scatter(record: Record, specular: bool) -> Scatter:
         polar, azimuth = (RADIAL, AROUND) if specular else _grid(record)
         empty = np.zeros((len(polar), len(azimuth), 1))
         theta_i = float(np.clip(record.theta_i[index], 0, None))
-        angles = theta_i, float(record.phi_i[index]) % 360, hemisphere
-        frame = Block(*angles, polar, azimuth, empty, specular)
+        phi_i = float(record.phi_i[index]) % 360
+        frame = Block(theta_i, phi_i, hemisphere, polar, azimuth, empty, specular)
         # a sum that is negative by chance is no light
         means = (np.maximum(fraction, 0) / projected).reshape(n_patches, -1)
-        values = _around_nodes(record, frame, means)
-        block = Block(*angles, polar, azimuth, values, specular)
+        block = replace(frame, values=_around_nodes(record, frame, means))
         total, wanted = total_of(block), np.maximum(fraction.sum(axis=(0, 1)), 0)
         factor = np.where(total > 0, wanted / np.where(total > 0, total, 1), 1.0)
-        blocks.append(Block(*angles, polar, azimuth, values * factor, specular, wanted))
+        blocks.append(replace(block, values=block.values * factor, total=wanted))
     return Scatter(blocks, record.channels)
 
 

@@ -28,11 +28,16 @@ from .format import Format
 from .scatter import PatchMeans
 from .tensor_tree import TensorTree, coordinates
 
-BASES = {f"LBNL/Klems {one.size.capitalize()}": one for one in KLEMS.values()}
+# Klems bases by their names in files.
+KLEMS_BASES = {f"LBNL/Klems {one.size.capitalize()}": one for one in KLEMS.values()}
 SHIRLEY_CHIU = "LBNL/Shirley-Chiu"
 
-# Ranks of the data structures of tensor trees.
-RANKS = {"TensorTree3": 3, "TensorTree4": 4}
+# Ranks of tensor trees by our names, and by those of their structures in files.
+RANKS = {"tensor3": 3, "tensor4": 4}
+STRUCTURES = {f"TensorTree{rank}": rank for rank in RANKS.values()}
+
+# What a file may be written in.
+BASES = (*KLEMS, *RANKS)
 
 # Reflection and transmission, by the lit face.
 DIRECTIONS = {
@@ -127,7 +132,8 @@ class Product:
 
 def basis_of(matrix: Floats) -> str:
     """Name of the Klems basis of a matrix ``(n, n)``, by its size."""
-    return next(name for name, one in BASES.items() if one.n_patches == len(matrix))
+    n = len(matrix)
+    return next(name for name, one in KLEMS_BASES.items() if one.n_patches == n)
 
 
 def incident_patch(
@@ -193,7 +199,7 @@ def _structure(name: str) -> str:
 
 
 def _klems_basis(name: str) -> str:
-    edges, n_phi = BASES[name].theta_deg, BASES[name].n_phi
+    edges, n_phi = KLEMS_BASES[name].theta_deg, KLEMS_BASES[name].n_phi
     rings = "".join(
         f"<AngleBasisBlock><Theta>{(low + high) / 2 if low else 0:g}</Theta>"
         f"<nPhis>{n}</nPhis><ThetaBounds><LowerTheta>{low}</LowerTheta>"
@@ -250,7 +256,7 @@ def read(stream: BinaryIO) -> dict[tuple[str, str], Floats | TensorTree]:
     """
     root = _root(stream)
     structure = root.findtext(".//IncidentDataStructure", "").strip()
-    known = ("Columns", "Rows", *RANKS)
+    known = ("Columns", "Rows", *STRUCTURES)
     require(
         structure in known,
         f"its IncidentDataStructure must be {', '.join(known)}, got {structure!r:.40}",
@@ -307,22 +313,22 @@ def _data(
 ) -> Floats | TensorTree:
     """Matrix or tree of one block."""
     text = block.findtext("ScatteringData", "")
-    if structure in RANKS:
+    if structure in STRUCTURES:
         name = block.findtext("AngleBasis", "").strip()
         require(
             name == SHIRLEY_CHIU,
             f"its AngleBasis must be {SHIRLEY_CHIU}, got {name!r:.40}",
         )
-        return TensorTree.parsed(text, RANKS[structure])
-    known = ", ".join(BASES)
+        return TensorTree.parsed(text, STRUCTURES[structure])
+    known = ", ".join(KLEMS_BASES)
     tags = "ColumnAngleBasis", "RowAngleBasis"
     names = {block.findtext(tag, "").strip() for tag in tags}
     require(
-        len(names) == 1 and names <= BASES.keys(),
+        len(names) == 1 and names <= KLEMS_BASES.keys(),
         f"its ColumnAngleBasis and RowAngleBasis must be one of {known}, got "
         f"{' and '.join(sorted(names))!r:.80}",
     )
-    n = BASES[names.pop()].n_patches
+    n = KLEMS_BASES[names.pop()].n_patches
     words = text.replace(",", " ").split()
     require(
         len(words) == n * n, f"{direction} must hold {n * n} values, got {len(words)}"
@@ -374,7 +380,7 @@ class RadianceBSDF:
         if isinstance(first, TensorTree):
             self.rank, self._names = first.rank, TREE_NAMES
         else:
-            self.basis = BASES[basis_of(first)]
+            self.basis = KLEMS_BASES[basis_of(first)]
             blocks: Any = self.blocks.values()
             sizes = {len(matrix) for matrix in blocks}
             require(len(sizes) == 1, "its matrices are of several bases")

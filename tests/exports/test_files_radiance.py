@@ -16,7 +16,7 @@ from gonio_mi.collector.klems import Klems
 from gonio_mi.collector.shirley_chiu import directions_of, square_of
 from gonio_mi.errors import FileFormatError
 from gonio_mi.exports import exporting, radiance_export
-from gonio_mi.exports.radiance_export import BASES, matrices, trees
+from gonio_mi.exports.radiance_export import matrices, trees
 from gonio_mi.formats import radiance, tensor_tree
 from gonio_mi.formats.radiance import XYZ, RadianceBSDF
 from gonio_mi.formats.tensor_tree import TensorTree
@@ -173,7 +173,7 @@ material polygon plate 0 0 12 -1 -1 0 1 -1 0 1 1 0 -1 1 0
 
 
 @pytest.mark.parametrize("side", ["front", "back"])
-@pytest.mark.parametrize("basis", BASES)
+@pytest.mark.parametrize("basis", radiance.BASES)
 @pytest.mark.usefixtures("rgb", "coarse")
 def test_radiance_renders_what_was_written(tmp_path, glossy, basis, side):
     """100 eyes around a lit plate.
