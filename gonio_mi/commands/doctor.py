@@ -6,9 +6,8 @@ missing, print the line that fixes it.
 
 import platform
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable
 from importlib import metadata
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -34,8 +33,13 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(_: Namespace) -> int:
-    """Run the command and return the exit code."""
-    return report()
+    """Print the diagnosis, and return the exit code: 0 able, 1 not."""
+    rows, able = diagnose()
+    width = max(len(row.name) for row in rows)
+    for row in rows:
+        print(f"{'ok ' if row.ok else 'BAD'}  {row.name:{width}}  {row.value}")
+    print(f"this machine is {'able' if able else 'not able'} to measure")
+    return 0 if able else 1
 
 
 class Row(NamedTuple):
@@ -79,22 +83,6 @@ def diagnose() -> tuple[list[Row], bool]:
         _self_test(),
     ]
     return rows, all(row.ok for row in rows)
-
-
-def report(write: Callable[[str], Any] = print) -> int:
-    """Write the diagnosis line by line, and return the exit code: 0 able, 1 not.
-
-    Parameters
-    ----------
-    write : callable
-        Takes one line of text.
-    """
-    rows, able = diagnose()
-    width = max(len(row.name) for row in rows)
-    for row in rows:
-        write(f"{'ok ' if row.ok else 'BAD'}  {row.name:{width}}  {row.value}")
-    write(f"this machine is {'able' if able else 'not able'} to measure")
-    return 0 if able else 1
 
 
 # ------------------------------------------------------------------------- findings

@@ -9,7 +9,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from ..errors import SettingError
-from .arguments import DONE, add_number, add_record, add_stokes
+from .arguments import DONE, add_number, add_stokes, add_text
 from .file_kinds import record_of
 
 EXAMPLES = """\
@@ -22,7 +22,7 @@ examples:
 
 def add_options(parser: ArgumentParser) -> None:
     """Add the options of the command to its parser."""
-    add_record(parser)
+    add_text(parser, "record", "RECORD", "An .exr or .npz file.")
     parser.add_argument(
         "-o",
         "--output",

@@ -64,7 +64,7 @@ gonio_mi.llvm.check()
 DOCTOR = """
 import sys
 from gonio_mi.commands import doctor
-sys.exit(doctor.report())
+sys.exit(doctor.run(None))
 """
 
 
@@ -313,10 +313,10 @@ def test_path_that_does_not_exist(tmp_path):
 # ----------------------------------------------------------------------------- doctor
 
 
-def test_doctor_finds_this_machine_able():
+def test_doctor_finds_this_machine_able(capsys):
     mi.set_variant("llvm_ad_mono")
-    lines = []
-    assert doctor.report(lines.append) == 0, "\n".join(lines)
+    code, lines = doctor.run(None), capsys.readouterr().out.splitlines()
+    assert code == 0, "\n".join(lines)
     assert len(lines) == len(doctor.diagnose()[0]) + 1
     assert lines[-1] == "this machine is able to measure"
 
