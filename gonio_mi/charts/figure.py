@@ -109,7 +109,7 @@ def chart_view(chart: Chart, target: float = 0.01) -> str:
     return picture_and_text(lambda: plot_chart(chart, target=target), numbers)
 
 
-def draw_by_time(axes: Axes, chart: Chart, target: float = 0.01) -> None:
+def draw_by_time(axes: Axes, chart: Chart, target: float) -> None:
     """Draw the left part of :func:`plot_chart` on axes, without labels and legend."""
     colours = _colours(chart)
     _draw_front(axes, chart)

@@ -299,8 +299,9 @@ class RingsAndSectors(Subdivision):
 
         Columns: lower and upper polar angle, lower and upper azimuth.
         """
-        low, high = (np.repeat(e, self.n_phi) for e in _pairs(self.theta_edges))
-        left, right = (np.tile(e, self.n_theta) for e in _pairs(self.phi_edges))
+        theta, phi = self.theta_edges, self.phi_edges
+        low, high = (np.repeat(edges, self.n_phi) for edges in (theta[:-1], theta[1:]))
+        left, right = (np.tile(edges, self.n_theta) for edges in (phi[:-1], phi[1:]))
         return np.stack([low, high, left, right], axis=-1)
 
     @property
@@ -361,9 +362,3 @@ class RingsAndSectors(Subdivision):
     @abstractmethod
     def _sector(self, xp: Any, x: Any, y: Any) -> Any:
         """Sector of a direction, as a whole floating-point number."""
-
-
-def _pairs(
-    edges: Floats,
-) -> tuple[Floats, Floats]:
-    return edges[:-1], edges[1:]

@@ -65,23 +65,17 @@ def variation_within(
     apart = np.abs(value[:-1] - mean)
     chance = np.hypot(error[:-1], own)
     bound = np.maximum(apart - MAX_STD_ERRS * chance, 0).max(axis=0)
-    low, high = (
-        np.maximum(value - MAX_STD_ERRS * error, 0),
-        value + MAX_STD_ERRS * error,
-    )
-    steep = (low[:-1] > MAX_RESOLVED_RATIO * high[-1]) | (
-        low[-1] > MAX_RESOLVED_RATIO * high[:-1]
-    )
+    low = np.maximum(value - MAX_STD_ERRS * error, 0)
+    high = value + MAX_STD_ERRS * error
+    steep = low[:-1] > MAX_RESOLVED_RATIO * high[-1]
+    steep |= low[-1] > MAX_RESOLVED_RATIO * high[:-1]
     base = value.min(axis=0)
-    around_it = value[POINTS_PER_SIDE**2 : -1] - base
-    alone = (mean - base > MAX_RESOLVED_RATIO * around_it).mean(
-        axis=0
-    ) > MIN_SURROUNDINGS
+    above = mean - base > MAX_RESOLVED_RATIO * (value[POINTS_PER_SIDE**2 : -1] - base)
+    alone = above.mean(axis=0) > MIN_SURROUNDINGS
     alone &= low[-1] - base > MIN_PEAK * mean
     # what is hidden in the noise, without bias: it may be negative
-    hidden = np.where(apart > MAX_STD_ERRS * chance, 0.0, apart**2 - chance**2).mean(
-        axis=0
-    )
+    hidden = np.where(apart > MAX_STD_ERRS * chance, 0.0, apart**2 - chance**2)
+    hidden = hidden.mean(axis=0)
     known = ~(beyond | alone | steep.any(axis=0))
     # a value is about half as far from the mean as that of the next patch
     return Variation(bound[known], hidden[known] / 4), known

@@ -143,9 +143,8 @@ def split_text(
     names = [cell.strip() for cell in cut(text, delimiter)]
     units = [cell.strip().strip("[]()") for cell in cut(rows[0][1], delimiter)]
     has_units = len(units) == len(names) and all(map(is_unit, units))
-    if (
-        len(rows) > 1 and has_units and not is_row(rows[0][1])
-    ):  # of the unit 1 all may be
+    # units that are all 1 look like a row of values
+    if len(rows) > 1 and has_units and not is_row(rows[0][1]):
         names = [f"{name} [{unit}]" for name, unit in zip(names, units)]
         rows = rows[1:]
     return TextTable(

@@ -108,7 +108,7 @@ class _Points:
     unit: Floats
 
 
-def _points_figure(fits: list[Any], path: str | PathLike[str] | None = None) -> Figure:
+def _points_figure(fits: list[Any], path: str | PathLike[str] | None) -> Figure:
     """Draw fits over the signed polar angle, and below what they leave.
 
     A column for each of up to four incident directions, of the first channel.

@@ -44,7 +44,7 @@ class Search:
         self,
         observations: Sequence[Observations],
         model: FittedModel,
-        report: Callable[[float], Any] | None = None,
+        report: Callable[[float], Any] | None,
     ) -> None:
         self.observations, self.model = observations, model
         self._loaded, self._report = LoadedModel(model), report

@@ -14,7 +14,7 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import LABEL, SettingError, abridged, checked_count
 from ..files import check_output, replacing
-from ..progress import bar
+from ..progress import counted
 from ..results.planning import precision
 from ..results.record import Record
 from ..results.tally import sent_text, without_chance
@@ -225,12 +225,10 @@ def animation(
 
     shown = evenly(len(record), MAX_FRAMES)
     scales = {of: _common_scale(record, of) for of in received(record)}
-    images = []
-    with bar(progress, total=len(shown), desc="animation", unit="frame") as report:
-        for number in shown:
-            images.append(Image.fromarray(_frame(record, number, scales, len(shown))))
-            if report is not None:
-                report(1)
+    images = [
+        Image.fromarray(_frame(record, number, scales, len(shown)))
+        for number in counted(shown, progress, desc="animation", unit="frame")
+    ]
     with replacing(path) as stream:
         images[0].save(
             stream,

@@ -74,7 +74,7 @@ def bars_text(record: Record) -> str:
     return f"{100 * LEVEL:g} % interval"
 
 
-def profile(single: Record, of: str = "brdf", level: float = LEVEL) -> Profile:
+def profile(single: Record, of: str = "brdf") -> Profile:
     """Return the :class:`Profile` of a record of one incident direction.
 
     It follows the sectors that contain phi_i and phi_i + 180 degrees.
@@ -83,10 +83,8 @@ def profile(single: Record, of: str = "brdf", level: float = LEVEL) -> Profile:
     ----------
     single : Record
     of : {"brdf", "btdf"}
-    level : float
-        Of the intervals, in (0, 1).
     """
-    return cut_profile(single, of, getattr(single, of), *single.interval(level, of=of))
+    return cut_profile(single, of, getattr(single, of), *single.interval(LEVEL, of=of))
 
 
 def cut_profile(

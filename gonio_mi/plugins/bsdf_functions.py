@@ -18,24 +18,11 @@ import numpy as np
 from ..errors import SettingError, SettingTypeError
 
 
-class Joint(Protocol):
-    """BSDF with an ``eval_pdf``."""
-
-    def eval_pdf(
-        self,
-        ctx: mi.BSDFContext,
-        si: mi.SurfaceInteraction3f,
-        wo: mi.Vector3f,
-        on: mi.Bool,
-    ) -> tuple[mi.Spectrum, mi.Float]:
-        """BRDF times the cosine of `wo`, and its density."""
-
-
 def _part(number: int, what: str) -> Callable[..., Any]:
     """Function of a BSDF that gives one of the two answers of its ``eval_pdf``."""
 
     def part(
-        self: Joint,
+        self: Any,
         ctx: mi.BSDFContext,
         si: mi.SurfaceInteraction3f,
         wo: mi.Vector3f,

@@ -432,9 +432,7 @@ def _visible(
     """Masking and its error, shadowing with the mirror direction and its error."""
     towards = direction(np.radians(theta), np.radians(phi))
     mirror = towards * [-1, -1, 1]
-    one, other = (
-        np.maximum(facets.n @ d, 0) * (facets.area) for d in (towards, mirror)
-    )
+    one, other = (np.maximum(facets.n @ d, 0) * facets.area for d in (towards, mirror))
     free = _escape(specimen, facets, towards)
     both = free & _escape(specimen, facets, mirror)
     product = one * other

@@ -143,14 +143,8 @@ class Topography:
         ]
         return "\n".join(f"{name:<10}{text}" for name, text in lines)
 
-    def concerns(self, wavelength: float = VISIBLE) -> list[str]:
-        """Sentences on what makes a measurement of it doubtful.
-
-        Parameters
-        ----------
-        wavelength : float
-            In metres.
-        """
+    def concerns(self) -> list[str]:
+        """Sentences on what makes a measurement of it doubtful."""
         s = self.statistics
         found = []
         if self._width:
@@ -169,7 +163,7 @@ class Topography:
             )
         found += self._steps()
         if self.unit in UNITS:
-            found += self._waves(s, wavelength / UNITS[self.unit])
+            found += self._waves(s, VISIBLE / UNITS[self.unit])
         return found
 
     @property
