@@ -178,9 +178,7 @@ class Apertures(Subdivision):
         return nearest, distance <= EDGE
 
     @cached_property
-    def _search(
-        self,
-    ) -> tuple[int, Singles, Singles]:
+    def _search(self) -> tuple[int, Singles, Singles]:
         """Cells per side; the k-th cone of each cell, for each k; the cones' axes.
 
         An empty place in a list names a cone below the horizon, which holds nothing.

@@ -15,6 +15,7 @@ from typing import Any
 from .. import files
 from ..errors import SettingError
 from ..files.table_reader import OpenQuestionsError, check_nothing_open
+from ..formats.meshes import MESHES
 from .arguments import (
     DEFAULT_VARIANT,
     DONE,
@@ -61,7 +62,7 @@ differ by more than chance explains; 2: patches cannot decide it.
 MEASURED = ("rays", "rel_err", "divergence")
 
 # What names a specimen, and no table.
-SCENES = (".xml", ".obj", ".ply", ".stl")
+SCENES = (".xml", *MESHES)
 SPECIMEN = re.compile(r"[A-Za-z_]\w*(:.*)?")
 
 

@@ -209,9 +209,8 @@ def _tell_coarse(
     if not n:
         return
     why = (
-        f"the patches of {abridged(str(record.subdivision), 40)} are too coarse "
-        f"for {n} of "
-        f"{len(table)} points, where lobes are steep or the horizon is near"
+        f"the patches of {abridged(str(record.subdivision), 40)} are too coarse for "
+        f"{n} of {len(table)} points, where lobes are steep or the horizon is near"
     )
     if n == len(table):
         raise SettingError(f"{why}: {REMEDY}")

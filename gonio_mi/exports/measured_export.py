@@ -136,9 +136,8 @@ def _checked_wavelengths(record: Record) -> Floats | None:
     if not (mi.variant() or "").endswith(wanted):
         raise VariantError(
             f"Mitsuba's measured needs a variant of {wanted} for a .bsdf file of "
-            f"{abridged(', '.join(record.channels), 80)}, such as "
-            f"llvm_ad_{wanted}, got "
-            f"{mi.variant()}"
+            f"{abridged(', '.join(record.channels), 80)}, such as llvm_ad_{wanted}, "
+            f"got {mi.variant()}"
         )
     if wavelengths is None and record.channels not in (("Y",), ("R", "G", "B")):
         raise SettingError(

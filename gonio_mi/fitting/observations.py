@@ -70,17 +70,18 @@ class RecordObservations(_Observations):
         self.single = single
         self._each = _predictions(single)
         self.values = self._kept(single.flux_fraction)
+        (self._tally,) = single.tallies
+        integrated = single.asked.estimator.integrates
+        self._has_batches = not integrated and self._tally.n_batches > 1
 
     def variances(self, predicted: Floats) -> Floats:
         """Variances for weights: the record's, shared among like detectors."""
         found = self._std_errs() ** 2
-        if self._batches() is None:
-            return (
-                found + (MODEL_INTEGRAL_ERR * (self.values + self.values.mean())) ** 2
-            )
-        (tally,) = self.single.tallies
+        if not self._has_batches:
+            least = MODEL_INTEGRAL_ERR * (self.values + self.values.mean())
+            return found + least**2
         channels = len(self.single.channels)
-        hits = self._kept(np.repeat(tally.hits[..., None], channels, axis=-1))
+        hits = self._kept(np.repeat(self._tally.hits[..., None], channels, axis=-1))
         # a tenth of a ray, where all batches received the same
         least = 0.1 / max(self.single.ledger.emitted, 1)
         return np.maximum(pooled(found, hits.astype(np.int64), predicted), least**2)
@@ -95,9 +96,10 @@ class RecordObservations(_Observations):
         variances: Floats,  # noqa: ARG002 (shared ones)
     ) -> Floats:
         """Covariance of a linear estimate: by batches, detectors together."""
-        batches = self._batches()
-        if batches is None:
+        if not self._has_batches:
             return (estimate * self._std_errs() ** 2) @ estimate.T
+        incident = self._tally.incident.astype(float)[:, None, None, None]
+        batches = np.stack([self._kept(one) for one in self._tally.sums / incident])
         each = batches @ estimate.T
         return np.atleast_2d(np.cov(each, rowvar=False)) / len(batches)
 
@@ -106,15 +108,6 @@ class RecordObservations(_Observations):
         detectors = self.single.subdivision.n_detectors
         hemispheres, channels = self.single.n_hemispheres, len(self.single.channels)
         return values.reshape(hemispheres, -1, channels)[:, :detectors].ravel()
-
-    def _batches(self) -> Floats | None:
-        """Flux fractions batch by batch, shape (n_batches, n); None for integrals."""
-        (tally,) = self.single.tallies
-        integrated = self.single.asked.estimator.integrates
-        if integrated or tally.n_batches < 2:
-            return None
-        incident = tally.incident.astype(float)[:, None, None, None]
-        return np.stack([self._kept(batch) for batch in tally.sums / incident])
 
     def _std_errs(self) -> Floats:
         """Standard errors of the flux fractions; 0 where nothing is known of one."""

@@ -319,13 +319,6 @@ class PatchMeans:
         return cls(patches, *incident, channels, fractions)
 
 
-def patch_means(block: Block, patches: Subdivision) -> Floats:
-    """Means of a block over patches in 1/sr, shape ``(*patches.shape, channels)``."""
-    points = patches.points(POINTS)
-    values = np.maximum(block.at(points).mean(axis=1), 0)
-    return values.reshape(*patches.shape, -1)
-
-
 def total_of(block: Block, n: int = 200) -> Floats:
     """Reflectance or transmittance of a block by a midpoint rule, one per channel."""
     step = (np.arange(n) + 0.5) / n
@@ -357,10 +350,11 @@ def scatter_means(scatter: Scatter, patches: Subdivision | None = None) -> Patch
         "it tells reflection and transmission for different incident directions",
     )
     shape = len(incident), max(held) + 1, *patches.shape, len(scatter.channels)
-    means = np.zeros(shape)
+    means, points = np.zeros(shape), patches.points(POINTS)
     for (hemisphere, *pair), block in by_angles.items():
+        values = np.maximum(block.at(points).mean(axis=1), 0)
         here = incident.index((pair[0], pair[1])), hemisphere
-        means[here] = patch_means(block, patches)
+        means[here] = values.reshape(shape[2:])
     theta_i, phi_i = np.array(incident).T
     return PatchMeans.of(means, patches, (theta_i, phi_i), scatter.channels)
 

@@ -206,10 +206,14 @@ def packed_record(
     than `MAX_VALUES` values evenly chosen directions are kept, and ``notes`` says so.
     `report` is told of each direction that is packed.
     """
-    patches = record.subdivision
-    n_all = len(record)
-    kept = _kept(record)
+    patches, n_all = record.subdivision, len(record)
+    each = record.n_hemispheres * patches.n_patches * len(record.channels)
+    kept = evenly(n_all, max(1, MAX_VALUES // each))
     summary = summarize(record)
+    notes = list(summary.warnings)
+    if len(kept) < n_all:
+        words = f"{len(kept)} of the record's {n_all} incident directions, evenly"
+        notes.insert(0, f"This page has {words}.")
     directions = [_direction(summary, i) for i in kept]
     blocks = []
     for number in kept:
@@ -234,23 +238,9 @@ def packed_record(
         "directions": directions,
         "rings": _rings(directions),
         "values": blocks,
-        "notes": _left_out(len(kept), n_all) + summary.warnings,
+        "notes": notes,
         "text": summary_text(summary),
     }
-
-
-def _kept(record: Record) -> list[int]:
-    """Numbers of the incident directions that the page has."""
-    n_all = len(record)
-    hemispheres = record.n_hemispheres
-    each = hemispheres * record.subdivision.n_patches * len(record.channels)
-    return evenly(n_all, max(1, MAX_VALUES // each))
-
-
-def _left_out(n: int, n_all: int) -> list[str]:
-    if n == n_all:
-        return []
-    return [f"This page has {n} of the record's {n_all} incident directions, evenly."]
 
 
 def _direction(summary: Summary, index: int) -> dict[str, Any]:
