@@ -267,7 +267,11 @@ def _collectors(
 def _wanted(table: MeasuredTable) -> float:
     """Relative standard error to measure a table's apertures to."""
     known = table.bsdf_std_err[table.bsdf > 0] / table.bsdf[table.bsdf > 0]
-    typical = float(np.median(known)) if known.size else 0.0
+    return _error_beside(float(np.median(known)) if known.size else 0.0)
+
+
+def _error_beside(typical: float) -> float:
+    """Relative error that is small beside a typical one of a table."""
     return float(np.clip(ERROR_RATIO * typical, MIN_REL_ERR, MAX_REL_ERR))
 
 
@@ -278,15 +282,12 @@ def _noise(table: MeasuredTable, patches: Subdivision) -> float:
     for each would take many times the rays for the dim ones, of which it knows little.
     """
     theta_o, phi_o = np.radians(pole_angle(table.theta_o)), np.radians(table.phi_o)
-    solid = patches.projected_solid_angles.ravel()[
-        patches.patch(direction(theta_o, phi_o))
-    ]
+    patch = patches.patch(direction(theta_o, phi_o))
+    solid = patches.projected_solid_angles.ravel()[patch]
     light = np.abs(table.bsdf) @ solid
-    typical = table.bsdf_std_err @ solid / light if light else 0.0
+    typical = float(table.bsdf_std_err @ solid / light) if light else 0.0
     # half the mean of the absolute value of a normal deviate
-    return float(
-        np.clip(ERROR_RATIO * typical, MIN_REL_ERR, MAX_REL_ERR) / np.sqrt(2 * np.pi)
-    )
+    return _error_beside(typical) / float(np.sqrt(2 * np.pi))
 
 
 def _like_record(

@@ -289,12 +289,11 @@ def resampled(
         missed = np.any(np.abs(found - total) > MAX_MISSED * total + ROUNDING, axis=-1)
         # of all points of an incident patch, or of none
         missed = np.repeat(missed.reshape(-1, n_in).any(axis=1), n_in)
-        for some in np.array_split(
-            np.flatnonzero(missed), missed.sum() // N_AT_ONCE + 1
-        ):
+        n_parts = missed.sum() // N_AT_ONCE + 1
+        for some in np.array_split(np.flatnonzero(missed), n_parts):
             if some.size:
-                args = hemisphere, theta[some], phi[some], patches
-                flux[some] = material.carried(*args)
+                carried = material.carried(hemisphere, theta[some], phi[some], patches)
+                flux[some] = carried
         scale = np.where(found > 0, total / np.where(found > 0, found, 1), 0)
         flux[~missed] *= scale[~missed, None]
         straight = patches.patch(direction(np.radians(theta), np.radians(phi) + np.pi))

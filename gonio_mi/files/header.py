@@ -86,7 +86,7 @@ def rebuilt(
     header: dict[str, Any],
     tallies: Iterable[dict[str, Numbers]],
     n: int,
-    added_up: bool = False,
+    added_up: bool,
 ) -> Record:
     """Record from its header and, per incident direction, the arrays of its tally.
 

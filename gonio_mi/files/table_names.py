@@ -132,7 +132,7 @@ class Column:
     """What a column of a table holds.
 
     One whose name says that it holds a multiple or a logarithm of a quantity, as
-    `CHANGED` and `CHANGES` have it, is none of these.
+    :data:`CHANGING_WORDS` and :data:`CHANGING_SIGNS` tell, is none of these.
 
     Attributes
     ----------
@@ -187,12 +187,8 @@ def recognised(name: str) -> Column | None:
         if not coverage:
             expanded = "expanded" in words or "U" in re.findall(r"\w+", name)
             coverage = _coverage_left(text) or (2.0 if expanded else 1.0)
-        kinds = {
-            "rel": set(words) & RELATIVE_WORDS,
-            "abs": set(words) & ABSOLUTE_WORDS,
-        }
-        kind = next((kind for kind, found in kinds.items() if found), "")
-        if PER_VALUE.search(text):
+        kind = "abs" if set(words) & ABSOLUTE_WORDS else ""
+        if set(words) & RELATIVE_WORDS or PER_VALUE.search(text):
             kind = "rel"
         if unit in ("1/sr", "%/sr"):
             kind = "abs"

@@ -25,6 +25,9 @@ from gonio_mi.settings.declaration import example
 # Signs of z on the front and the back.
 SIDES = (1, -1)
 
+# Kinds of the components: reflection and transmission.
+KINDS = (mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.GlossyTransmission)
+
 # Files of which it was told that they have one face alone.
 _told: set[str] = set()
 
@@ -134,10 +137,9 @@ class Goniometric(mi.BSDF):
 
     def _declare(self) -> None:
         """Set the flags of both components."""
-        kinds = (mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.GlossyTransmission)
         sides = (mi.BSDFFlags.FrontSide, mi.BSDFFlags.BackSide)
         components = []
-        for hemisphere, kind in enumerate(kinds):
+        for hemisphere, kind in enumerate(KINDS):
             flags = kind | mi.BSDFFlags.NonSymmetric
             having = [
                 (face, side)
@@ -179,8 +181,7 @@ class Goniometric(mi.BSDF):
             bs.wo[lit] = _seen(wo, side)
         value, bs.pdf = self.eval_pdf(ctx, si, bs.wo, active)
         below = bs.wo.z * si.wi.z < 0
-        kinds = mi.BSDFFlags.GlossyReflection, mi.BSDFFlags.GlossyTransmission
-        bsdf_functions.name_component(bs, below, *kinds)
+        bsdf_functions.name_component(bs, below, *KINDS)
         return bs, dr.select(bs.pdf > 0, value / bs.pdf, 0)
 
     def eval_pdf(
@@ -254,10 +255,7 @@ class Goniometric(mi.BSDF):
 
     def _enabled(self, ctx: mi.BSDFContext) -> tuple[bool, bool]:
         """Which hemispheres the context asks for."""
-        return (
-            ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0),
-            ctx.is_enabled(mi.BSDFFlags.GlossyTransmission, 1),
-        )
+        return ctx.is_enabled(KINDS[0], 0), ctx.is_enabled(KINDS[1], 1)
 
     def to_string(self) -> str:
         """Return a readable description."""
