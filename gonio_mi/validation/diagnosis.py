@@ -2,8 +2,8 @@
 
 The table is read once, from above: the first row that fails and has an explanation
 names the function. Where two answers about the same samples differ, the factor between
-them tells the mistake (:mod:`.factors`); where counts and ``pdf`` differ, a second
-table does, `OF_COUNTS`.
+them tells the mistake (:mod:`.factors`); where counts and ``pdf`` differ, a factor of
+`DISTORTIONS` may.
 """
 
 from __future__ import annotations
