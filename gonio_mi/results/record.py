@@ -32,6 +32,9 @@ from .values import MeasuredValues, read_only_array
 # Channels that are wavelengths, from 100 to 9999 nm.
 WAVELENGTH = re.compile(r"([1-9]\d{2,3}(?:\.\d+)?)nm")
 
+# Incident directions, and reflectances, that a line on a record lists.
+MAX_SHOWN = 3
+
 
 @dataclass(frozen=True, eq=False)
 class Record(MeasuredValues):
@@ -150,13 +153,16 @@ class Record(MeasuredValues):
     def __repr__(self) -> str:
         angles = ", ".join(
             f"({theta:g}, {phi:g})"
-            for theta, phi in zip(self.theta_i[:3], self.phi_i[:3])
-        ) + (", ..." if len(self) > 3 else "")
+            for theta, phi in zip(self.theta_i[:MAX_SHOWN], self.phi_i[:MAX_SHOWN])
+        ) + (", ..." if len(self) > MAX_SHOWN else "")
+        dhr = np.array2string(self.dhr, precision=5)
+        if self.dhr.size > MAX_SHOWN:
+            dhr = f"{self.dhr.min():.5g} to {self.dhr.max():.5g}"
         return (
             f"<Record of {printable(self.provenance.name)}: "
             f"{abridged(str(self.subdivision), 60)}, "
             f"incident (theta_i, phi_i) = {angles} degrees, "
-            f"{sent_text(self.tallies)}, dhr {np.array2string(self.dhr, precision=5)}>"
+            f"{sent_text(self.tallies)}, dhr {dhr}>"
         )
 
     def merge(self, other: Record) -> Record:

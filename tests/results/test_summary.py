@@ -207,6 +207,18 @@ def test_rays_beside_integrals_are_of_delta_components():
     assert line(record, "sum").split()[1:3] == ["80", "000"]
 
 
+@pytest.mark.parametrize("n", [1, 3, 4])
+def test_a_line_on_a_record_does_not_grow_with_its_directions(n):
+    record = replace(
+        Record.stack([synthetic.record()] * n), theta_i=np.arange(n) * 10.0
+    )
+    text = repr(record)
+    assert "\n" not in text or n <= 3
+    assert text.count("(") == 1 + min(n, 3)  # (theta_i, phi_i)
+    lowest = f"{record.dhr.min():.5g}"
+    assert (f"dhr {lowest} to {lowest}>" in text) == (n > 3)
+
+
 def test_totals_of_many_directions_are_left_out_in_the_middle(tmp_path, capsys):
     """Half of the rows from both ends; all are asked for by an option."""
     one = synthetic.record()
