@@ -7,7 +7,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from . import reference_cases, round_trips, stock, windows
+from . import commands, reference_cases, round_trips, stock, windows
 from .automatic import print_auto_costs, print_auto_coverage
 from .batch_designs import print_ratios
 from .counting import print_rates
@@ -25,6 +25,7 @@ __all__ = ["main"]
 
 # Tables of their own, each with its own options.
 TABLES = {
+    "commands": commands.main,
     "reference_cases": reference_cases.main,
     "round_trips": round_trips.main,
     "stock": stock.main,

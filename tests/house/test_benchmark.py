@@ -1,6 +1,8 @@
 """Every method of the benchmark gives the right answer; how fast is not tested."""
 
 import itertools
+import re
+import subprocess
 import time
 from dataclasses import replace
 
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 from benchmark import (
     c_loop,
+    commands,
     diffuse_facets,
     groove,
     renderers,
@@ -390,6 +393,18 @@ def test_crossing():
 
 @pytest.mark.usefixtures("mono")
 @pytest.mark.filterwarnings("ignore:the file describes light from")
+def test_commands_are_timed_as_they_are_run(monkeypatch, capsys):
+    monkeypatch.setattr(commands, "IMPORTS", ())
+    monkeypatch.setattr(commands, "COMMANDS", ("--help",))
+    commands.main(["--repeats", "1"])
+    said = capsys.readouterr().out
+    (row,) = re.findall(r"--help +\| .* \| +([\d.]+) \| +([\d.]+) \|", said)
+    assert min(map(float, row)) > 0
+    monkeypatch.setattr(commands, "COMMANDS", ("--hepl",))
+    with pytest.raises(subprocess.CalledProcessError):
+        commands.main(["--repeats", "1"])
+
+
 def test_round_trips_lose_what_is_stated(monkeypatch):
     """A file of the record's own patches loses nothing, but for noise.
 
