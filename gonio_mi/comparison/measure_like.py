@@ -215,8 +215,9 @@ def _stack(
     progress: bool,
 ) -> Record:
     """Stack of incident directions, which share launches, tasks or workers."""
-    executor, folder = (settings.pop(name, None) for name in ("executor", "folder"))
+    executor, folder = settings.get("executor"), settings.get("folder")
     where = Surroundings(executor, folder, progress=progress)
+    settings = {k: v for k, v in settings.items() if k not in ("executor", "folder")}
     return records_of({"specimen": specimen}, incidents, where, settings)["specimen"]
 
 
@@ -329,6 +330,8 @@ def _like_record(
         if "estimator" in given or not record.asked.estimator.splits:
             raise
         again["estimator"] = Estimator.WEIGHTED
+        if "folder" in again:  # which holds the settings of before
+            again["folder"] = f"{again['folder']}_{Estimator.WEIGHTED}"
         stack = _stack(specimen, incidents, again, progress)
     return stack if record.stacked else stack[0]
 

@@ -152,13 +152,14 @@ def test_a_specimen_is_measured_as_a_record_was():
         measure_like(DIFFUSE, lit)
 
 
-def test_directions_that_split_refused_are_compared_with_rays_alone():
+def test_directions_that_split_refused_are_compared_with_rays_alone(tmp_path):
     """A campaign says `split` of all its directions; a flat BSDF has no facets."""
     rays = gonio.measure(ROUGH, [0, 40], collector="projected:4x8", rays=RAYS)
     as_split = replace(rays.asked, estimator=Estimator.SPLIT)
     record = replace(rays, asked=as_split)
-    (again,) = measure_like(ROUGH, record)
+    (again,) = measure_like(ROUGH, record, folder=tmp_path / "kept")
     assert again.settings["estimator"] == "weighted"
+    assert list((tmp_path / "kept_weighted").glob("*.npz"))
     alarms.agree(of_comparison(compare(again, rays)))
     with pytest.raises(gonio.SpecimenError, match="split"):
         measure_like(ROUGH, record, estimator="split")
