@@ -155,7 +155,7 @@ class Record(MeasuredValues):
             f"({theta:g}, {phi:g})"
             for theta, phi in zip(self.theta_i[:MAX_SHOWN], self.phi_i[:MAX_SHOWN])
         ) + (", ..." if len(self) > MAX_SHOWN else "")
-        dhr = np.array2string(self.dhr, precision=5)
+        dhr = np.array2string(self.dhr.ravel(), precision=5)
         if self.dhr.size > MAX_SHOWN:
             dhr = f"{self.dhr.min():.5g} to {self.dhr.max():.5g}"
         return (
