@@ -31,12 +31,12 @@ def main(argv: Sequence[str]) -> None:
     """Print what commands cost, of this checkout and beside another one."""
     parser = argparse.ArgumentParser(
         prog="python -m tests.benchmark commands",
-        description="CPU and clock time of whole commands, medians in turns. Run it "
-        "with Python's bytecode cached, as users have it.",
+        description="CPU and clock time of whole commands, medians in turns; Python's "
+        "bytecode is cached, as users have it.",
     )
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument(
-        "--against", type=Path, metavar="FOLDER", help="of another checkout"
+        "--against", type=Path, metavar="FOLDER", help="another checkout"
     )
     options = parser.parse_args(argv)
     roots = [Path.cwd()] if options.against is None else [options.against, Path.cwd()]
@@ -55,5 +55,7 @@ def main(argv: Sequence[str]) -> None:
 
 def _run(words: Sequence[str], root: Path, folder: str) -> None:
     """Run a command with the package of a checkout."""
-    environment = os.environ | {"PYTHONPATH": str(root.resolve())}
+    own = {"PYTHONPATH": str(root.resolve()), "PYTHONPYCACHEPREFIX": folder}
+    environment = os.environ | own
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     subprocess.run(words, cwd=folder, env=environment, capture_output=True, check=True)
