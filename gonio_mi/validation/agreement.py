@@ -1,4 +1,4 @@
-"""Checks that functions agree, in a sweep of incidence too, and on a second call."""
+"""Checks that functions agree: for samples, over a sweep of incidence, and again."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ def check_sweep(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
 def check_again(evidence: Evidence, plan: Effort, sides: Sequence[str]) -> None:
     """Check a sweep, then that the first samples get the same answers after it.
 
-    And that answers depend neither on the order of rays nor on the surface's rotation.
+    Answers may depend neither on the order of rays nor on the surface's rotation.
     """
     first = evidence.samples[0]
     probe = Probe(evidence.bsdf, first.condition)
     pdf, value = probe.densities(first.wo), probe.values(first.wo)
     check_sweep(evidence, plan, sides)
-    key = (evidence.seed, 1, 0)
+    key = (evidence.seed, 1, 0)  # with which those were drawn
     again = cost.check_compiled(evidence, first.condition, plan.checked, key)
     answers.check_memory(evidence, first, (value, pdf), again)
     if not evidence.of("answers"):

@@ -303,9 +303,11 @@ class Evidence:
         )
 
     def change(self, some: Collection[Breach], **changes: Any) -> None:
-        """Give some breaches other attributes."""
+        """Give these very breaches other attributes."""
+        chosen = set(map(id, some))
         self.breaches[:] = [
-            replace(one, **changes) if one in some else one for one in self.breaches
+            replace(one, **changes) if id(one) in chosen else one
+            for one in self.breaches
         ]
 
     def of(self, name: str) -> list[Breach]:

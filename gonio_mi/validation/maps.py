@@ -295,7 +295,7 @@ def _uncertain(due: PatchIntegrals, relative: float) -> tuple[Floats, Floats, Fl
 
 
 def _widened(variance: Floats, by_chance: Floats) -> Floats:
-    """Standard deviation of a score with the second random error `variance`."""
+    """Standard deviation of a score that has a second error of that `variance`."""
     return np.sqrt(1 + variance / np.maximum(by_chance, variance + 1e-300))
 
 

@@ -207,7 +207,7 @@ class Lobes:
 
 
 def elements(value: mi.Spectrum, shape: tuple[int, ...]) -> Floats:
-    """Mueller-valued spectra of as many directions, shape (*shape, channels, 4, 4)."""
+    """Mueller-valued spectra for directions of a shape: (*shape, channels, 4, 4)."""
     array = np.array(value, dtype=float)
     array = np.moveaxis(array.reshape(4, 4, array.shape[2], -1), (3, 2), (0, 1))
     array = np.broadcast_to(array, (math.prod(shape), *array.shape[1:]))

@@ -308,7 +308,7 @@ def _check_maps(
             evidence.maps.append(maps)
         yield N_STEPS * (1 - SAMPLES_STEPS) / len(conditions)
     if not other_mode:
-        # the same integrals, other samples
+        # the same integrals, other samples: their keys follow those of all conditions
         for side in sides:
             own = (maps for maps in evidence.maps if maps.condition.side == side)
             first = next(own, None)

@@ -70,7 +70,7 @@ def save_report(verdict: Verdict, path: str | PathLike[str]) -> None:
     for maps, own in zip(verdict.maps, shown):
         (parts if own else rest).extend(_pictures(maps))
     if rest:
-        n = len(shown) - sum(shown)
+        n = shown.count(False)
         parts.append(folded(f"{n} more incident directions", *rest))
     save_page(path, verdict.name, parts)
 

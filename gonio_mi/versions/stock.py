@@ -103,7 +103,9 @@ def word_of(one: dict[str, Any]) -> str:
     plain = {k: x for k, x in one.items() if not isinstance(x, dict)}
     text = plain.pop("type")
     given = ",".join(f"{k}={x}" for k, x in plain.items())
-    return text + (given and f":{given}") + (nested and f" of {nested}")
+    if given:
+        text += f":{given}"
+    return f"{text} of {nested}" if nested else text
 
 
 def phase_functions() -> Iterator[list[dict[str, Any]]]:

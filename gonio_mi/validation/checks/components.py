@@ -158,7 +158,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
 def _deaf(samples: Samples, each: Alone, usable: Flags) -> str:
     """Sentence on the functions that ignore ctx.component; empty if none does.
 
-    Of a BSDF with one component nothing can be told.
+    For a BSDF with one component this cannot be told.
     """
     if len(each.pdf) < 2:
         return ""

@@ -95,7 +95,7 @@ def _split(evidence: Evidence, samples: Samples, own: Flags, kind: int) -> list[
 
 
 def _check_lobe(evidence: Evidence, lobe: Lobe) -> bool:
-    """Check direction and probability; return whether the lobe has a single weight."""
+    """Check direction, probability and weights; return whether one weight is all."""
     samples = lobe.samples
     weight = samples.weight[lobe.own]
     if lobe.alone:

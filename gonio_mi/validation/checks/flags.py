@@ -22,7 +22,7 @@ EITHER = "flags or sample"
 
 
 def check_bsdf(evidence: Evidence) -> None:
-    """Check that sampled types and components are declared; not all need be used."""
+    """Check that sampled types and components are declared; some may go unused."""
     bsdf = evidence.bsdf
     flags, n = int(bsdf.flags()), bsdf.component_count()
     union = 0
@@ -49,7 +49,7 @@ def check_bsdf(evidence: Evidence) -> None:
 
 
 def _check_declared(evidence: Evidence, samples: Samples) -> bool:
-    """Check that types and components of samples are declared; return if one is not."""
+    """Check that sampled types and components are declared; return if any is not."""
     bsdf = evidence.bsdf
     flags, n = int(bsdf.flags()), bsdf.component_count()
     types, components = samples.type[samples.given], samples.component[samples.given]

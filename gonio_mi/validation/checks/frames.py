@@ -33,7 +33,7 @@ EXPLAINED = 0.1
 JUMP = 0.02
 N_SECTIONS, N_ROUNDS = 24, 5
 
-# Steps of paths over the sphere, that meet the pole.
+# Steps of paths over the sphere that meet the pole.
 N_STEPS = 48
 
 # Where a jump may lie: what is 0 there.

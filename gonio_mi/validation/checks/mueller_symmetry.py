@@ -34,7 +34,7 @@ def check_reciprocity(
 def check_adjoint(
     evidence: Evidence, radiance: Matrices, back: Matrices, slack: Floats
 ) -> None:
-    """Check that radiance mode answers for light from wo to wi as importance mode."""
+    """Check that radiance mode answers from wo to wi as importance mode does."""
     m, due = per_light(radiance.in_plane()), per_light(back.in_plane())
     wrong, size = _wrong(radiance, back, off(m, due), slack)
     if not is_many(wrong):

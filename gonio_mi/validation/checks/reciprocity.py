@@ -162,9 +162,7 @@ def check_lobe(evidence: Evidence, lobe: Lobe, key: tuple[int, ...]) -> bool:
     off = np.abs(back.wo - samples.condition.wi).max(axis=1)
     returned &= off < DIRECTION_ROUNDING
     there, again = (
-        x.those(mask).flux.mean(axis=0)
-        if mask.any()
-        else np.zeros(samples.weight.shape[1])
+        x.flux[mask].mean(axis=0) if mask.any() else np.zeros(samples.weight.shape[1])
         for x, mask in ((samples, lobe.own), (back, returned))
     )
     known = BSDF_ROUNDING + _sensitivity(evidence.bsdf, lobe)

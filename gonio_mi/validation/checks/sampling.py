@@ -179,7 +179,7 @@ def _cells(sweep: Sweep) -> list[Integers]:
 
 
 def _weighings(sweep: Sweep, wo: Floats) -> list[Floats]:
-    """Functions of wo: 1, its cosine, its parts along and across the incident plane."""
+    """Functions of wo: 1, its cosine, parts along and across the plane of incidence."""
     phi = np.radians(sweep.angles[1])
     along = wo[:, 0] * np.cos(phi) + wo[:, 1] * np.sin(phi)
     across = wo[:, 1] * np.cos(phi) - wo[:, 0] * np.sin(phi)

@@ -50,7 +50,7 @@ def check_samples(evidence: Evidence, samples: Samples) -> None:
 
 
 def check_unsampled_side(evidence: Evidence, condition: Condition) -> bool:
-    """Check and return if ``eval`` is black for light from a side never sampled."""
+    """Check and return whether ``eval`` is black from a side that is never sampled."""
     value = np.nan_to_num(Probe(evidence.bsdf, condition).values(lattice()), nan=0)
     light = 4 * np.pi * float(value.mean(axis=0).max())
     if light > 0:
