@@ -9,7 +9,7 @@ import numpy as np
 from ..plots import check_picture
 from ..plots.figure import finished
 from ..reports.page import picture_and_text
-from .figure import comparison_figure
+from .figure import comparison_figure, p_text
 from .pairing import NO_UNCERTAINTY
 
 N_WORST = 5
@@ -178,7 +178,7 @@ class Comparison:
         return picture_and_text(lambda: comparison_figure(self), self)
 
     def __repr__(self) -> str:
-        said = f"{len(self.z)} points: {self.verdict}, p {self.p_value:.3g}"
+        said = f"{len(self.z)} points: {self.verdict}, {p_text(self.p_value)}"
         return f"<Comparison of {said}>"
 
     def __str__(self) -> str:
@@ -202,18 +202,19 @@ class Comparison:
             ),
             f"chi-square  {found['chi2'] / n * found['chi2_dof']:.6g} for "
             f"{found['chi2_dof']:.4g} effective degrees of freedom{together}, "
-            f"p = {p['chi2']:.3g}",
+            f"{p_text(p['chi2'])}",
             f"worst       |z| = {found['worst']:.3g} of {n} points, "
-            f"p = {p['worst']:.3g}",
+            f"{p_text(p['worst'])}",
             f"total       |z| = {found['total']:.3g} of the sum over all points of a "
-            f"hemisphere, p = {p['total']:.3g}"
+            f"hemisphere, {p_text(p['total'])}"
             if found["total"]
             else "total       not tested, or no difference",
-            f"verdict     {verdict}: p = {self.p_value:.3g}; a correct model gives p < "
+            f"verdict     {verdict}: {p_text(self.p_value)}; a correct model gives p < "
             f"{self.alpha:g} in one of {1 / self.alpha:.4g} comparisons",
             "",
             "worst points, angles in degrees, values in 1/sr: value of "
-            f"{self.labels[0]}, other of {self.labels[1]}{self._scaled()}",
+            f"{self.labels[0]}, other of {self.labels[1]}{self._scaled()}, z: normal "
+            "score of the difference",
             "theta_i  phi_i  theta_o  phi_o  channel   value +- std_err      "
             "other +- std_err          z",
         ]

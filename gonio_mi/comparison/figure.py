@@ -60,21 +60,27 @@ def comparison_figure(comparison: Any) -> Figure:
     if drawn.min() > 0 and drawn.max() > MAX_LINEAR_RANGE * drawn.min():
         for curves in above[: len(shown)]:
             curves.set_yscale("log", nonpositive="clip")
-    handles = axes[0, 0].get_legend_handles_labels()
-    n_legends = min(2, columns)
+    parts = (part.get_legend_handles_labels() for part in axes[:2, 0])
+    handles = [[*of_curves, *of_z] for of_curves, of_z in zip(*parts)]
+    n_legends = min(3, columns)
     figure.legend(*handles, loc="outside lower center", ncols=n_legends, frameon=False)
     for row in range(rows):
         axes[2 * row, 0].set_ylabel("BSDF (1/sr)")
         less = ", less the\npatches' variation" if comparison.within_patches else ""
         axes[2 * row + 1, 0].set_ylabel(f"z of the\ndifference{less}", size="small")
-    p_value, rms = comparison.p_value, comparison.rms
-    title = f"{comparison.verdict}: p = {p_value:.2g}, rms {rms:.3g} 1/sr"
+    said = f"{comparison.verdict}: {p_text(comparison.p_value, 2)}"
+    title = f"{said}, rms {comparison.rms:.3g} 1/sr"
     if len(panels) > len(shown):
         title += f"; {len(shown)} of {len(panels)} panels are shown"
     if len(points) < len(comparison.z):
         title += f"; {len(points)} of {len(comparison.z)} points"
     figure.suptitle(title, fontsize="medium")
     return figure
+
+
+def p_text(p: float, digits: int = 3) -> str:
+    """A probability in words: one of 0 is below the smallest number."""
+    return f"p = {p:.{digits}g}" if p > 0 else f"p < {np.finfo(float).tiny:.0g}"
 
 
 @dataclass
@@ -160,7 +166,7 @@ def _draw(comparison: Any, panel: _Panel, above: Axes, below: Axes) -> None:
     above.set_title(panel.title, fontsize="small")
     above.tick_params(labelbottom=False)
     z = comparison.z[points]
-    below.axhspan(-2, 2, color="0.9")
+    below.axhspan(-2, 2, color="0.9", label="95 % of z if both agree")
     below.axhline(0, color="0.5", linewidth=0.8)
     below.plot(x, z, "o", markersize=3, color=COLOURS["z"])
     below.set_xlim(above.get_xlim())

@@ -130,15 +130,14 @@ def in_words(every: Sequence[Loss]) -> list[str]:
         off = max(some, key=lambda one: abs(one.written - one.recorded))
         mean = sum(one.misplaced for one in bright) / len(bright)
         left_out = len(some) - len(bright)
-        line = (
-            f"{side}, {WORDS[quantity]}: {mean:.1%} of the flux is in "
-            "neighbouring patches,"
-        )
-        if len(bright) > 1:
-            line += f" at worst {worst.misplaced:.1%} for"
-        line += f" incidence at {_place(worst)}"
-        line += f"; total off by {abs(off.written - off.recorded):.2g}"
-        if len(some) > 1:
+        line = f"{side}, {WORDS[quantity]}: {mean:.1%} of the flux is in "
+        line += "neighbouring patches"
+        if len(bright) == 1 or round(worst.misplaced, 3):
+            line += f", at worst {worst.misplaced:.1%} for" if len(bright) > 1 else ","
+            line += f" incidence at {_place(worst)}"
+        error = abs(off.written - off.recorded)
+        line += f"; total off by {error:.2g}"
+        if error and len(some) > 1:
             line += (
                 f" at {_place(off)}, the most at the record's own {len(some)} incident "
                 "directions"

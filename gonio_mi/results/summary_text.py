@@ -259,7 +259,8 @@ def _ledger_text(summary: Summary) -> str:
             "nothing was collected"
         )
     if not summary.record.asked.estimator.counts:
-        lines += ["this table counts rays, not power; dhr and dht above are of power"]
+        totals = "dhr and dht above are" if summary.record.has_lower else "dhr above is"
+        lines += [f"this table counts rays, not power; {totals} of power"]
         said = [f"{row}: {text}" for row, text in MEANINGS.items() if shown.get(row)]
         lines += ["; ".join(said)] if said else []
     return "\n".join(lines)

@@ -78,7 +78,7 @@ def test_no_verdict_calls_equal_what_patches_cannot_decide():
         assert comparison.verdict == verdict
         assert f"points: {verdict}, p" in repr(comparison)
         title = comparison_figure(comparison).get_suptitle()
-        assert title.startswith(f"{verdict}: p =")
+        assert title.startswith(f"{verdict}: p ")
 
 
 def test_a_lobe_on_a_diffuse_ground_may_hide_about_the_pole(monkeypatch):
