@@ -167,10 +167,13 @@ class Prediction:
 # and at those that confirm it; and what an integral may be off by. Between directions
 # noise is averaged: of three quarters a half is left, which adds about by squares, so
 # that it costs 13 % of the tolerance, and half of the rays of a half, which costs 6 %.
+NOISE, TESTING, CONFIRMING, INTEGRAL = 3 / 4, 1 / 2, 1 / 4, 1 / 10
+
 # Noise at a direction where errors are looked for hides at most 0.43 of itself: of a
 # difference of x standard errors x erfc(x / sqrt(2)) of them is lost, at most 0.34, and
-# noise is sqrt(2 / pi) of them.
-NOISE, TESTING, CONFIRMING, INTEGRAL = 3 / 4, 1 / 2, 1 / 4, 1 / 10
+# noise is sqrt(2 / pi) of them: with a margin for chance a half; and over all x from 0
+# to 3, on average, a fifth.
+HIDDEN_AT_MOST, HIDDEN_ON_AVERAGE = 1 / 2, 1 / 5
 
 # Rays that tell whether sample() is as eval() says; where they seem to contradict, so
 # many times as many decide, by so many standard errors. These are of misplaced light
@@ -181,6 +184,14 @@ REPEAT_FACTOR, N_STD_ERRS_REFUSED = 16, 16
 
 # Seconds of further measuring that are announced.
 MIN_ANNOUNCED = 600
+
+
+def safe_error(tolerance: float, noise: float) -> float:
+    """Measured error up to which the true one is within a tolerance.
+
+    `noise` is a part of that.
+    """
+    return (1 - HIDDEN_AT_MOST * noise) * tolerance
 
 
 class EstimatorRefusedError(Exception):
@@ -453,6 +464,11 @@ class KnownDirections:
     ) -> PredictionError:
         """Error of a prediction at a known direction."""
         return prediction_error(self.records[theta, phi], prediction.flux(theta, phi))
+
+    def expected_error(self, prediction: Prediction, theta: float, phi: float) -> float:
+        """Error of a prediction at a known direction, with what noise there hides."""
+        noise = self.records[theta, phi].asked.noise or 0.0
+        return self.error(prediction, theta, phi).error + HIDDEN_ON_AVERAGE * noise
 
     def check_size(self, azimuths: Iterable[float], n_angles: int) -> None:
         """Raise TooLargeError if the table of such a material is too large.

@@ -6,7 +6,6 @@ import copy
 import logging
 from collections import defaultdict
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,9 +18,11 @@ from ..results.record import Record
 from ..settings import MeasurementSettings
 from .known_directions import (
     CONFIRMING,
+    NOISE,
     TESTING,
     EstimatorRefusedError,
     KnownDirections,
+    safe_error,
 )
 from .refinement import IncidentRings, Interval, refined
 from .resolution import TooCoarseError, check_peaks, check_resolved, checked_sectors
@@ -41,6 +42,10 @@ N_FIRST_ANGLES = 4
 # any did, and looked at anew, MAX_LOOKS times at most.
 N_UNSEEN, MAX_MISSES = 40, 2
 
+# Misses of a look for which it is refined there alone; for more, all azimuths are, to
+# half the error or this part of the tolerance: above what noise hides on average.
+MAX_SINGLE, MIN_LIMIT = 1, 1 / 4
+
 # What helps where directions never used go on missing the tolerance, and why.
 OUTGROWN = (
     "further ones would outgrow memory: a collector of fewer patches, or a larger "
@@ -50,10 +55,6 @@ CLOSEST = "its directions are as close to each other as they may be: "
 TOLERANT = "a larger tolerance helps, another collector does not"
 MORE_SECTORS = "a collector of more sectors, or a larger tolerance, helps"
 LOOKED = f"it was refined for them {MAX_LOOKS - 1} times: a larger tolerance helps"
-
-# Part of the tolerance above which errors are measured again with less noise. Below it,
-# noise hides no error as large as the tolerance.
-MAX_NOISY_ERROR = 3 / 4
 
 
 def checked_tolerance(value: Any) -> float:
@@ -158,9 +159,12 @@ class WholeBsdf:
             refined(self.rings.legs, self.limit, self._errors_of_legs, self._check)
         except TooLargeError as error:
             logger.info("%s: no more angles: %s", self.name, error)
-        if self.isotropic:
-            return
-        self.rings.begin_gaps()
+        if not self.isotropic:
+            self.rings.begin_gaps()
+            self._refine_gaps()
+
+    def _refine_gaps(self) -> None:
+        """Refine azimuths, as far as middles of the gaps between them tell."""
         try:
             refined(self.rings.gaps, self.limit, self._errors_of_gaps, self._check)
         except TooLargeError as error:
@@ -192,8 +196,8 @@ class WholeBsdf:
             ends = [(theta, phi if theta else 0.0) for theta in levels]
             prediction = self.directions.prediction(ends)
             for number, middle in enumerate(middles):
-                error = self.directions.error(prediction, middle, phi)
-                worst[number] = max(worst[number], error.significant)
+                error = self.directions.expected_error(prediction, middle, phi)
+                worst[number] = max(worst[number], error)
         return worst.tolist()
 
     def _errors_of_gaps(
@@ -213,8 +217,9 @@ class WholeBsdf:
             ring = self.rings.ring(theta)
             prediction = self.directions.prediction(ring, self.symmetry)
             for number in numbers:
-                error = self.directions.error(prediction, theta, middles[number])
-                errors[number] = max(error.significant, 0.0)
+                errors[number] = self.directions.expected_error(
+                    prediction, theta, middles[number]
+                )
         return errors
 
     # ------------------------------------------------------------------- confirming
@@ -259,6 +264,10 @@ class WholeBsdf:
             if not self.rings.split_at(missed):
                 self.helps = CLOSEST + (TOLERANT if self.isotropic else MORE_SECTORS)
                 break
+            if len(missed) > MAX_SINGLE and not self.isotropic:
+                # both axes are wrong together: gaps, which cost two directions each
+                self.limit = max(self.limit / 2, MIN_LIMIT * self.tolerance)
+                self._refine_gaps()
         return errors
 
     def _is_refuted_at(self, theta: float, phi: float) -> bool:
@@ -272,20 +281,19 @@ class WholeBsdf:
     def _errors_at(
         self, unseen: Sequence[tuple[float, float]]
     ) -> list[PredictionError]:
-        """What is wrong at directions, with less noise where they are large."""
+        """What is wrong at directions, with less noise where that may be too much."""
         purpose = "random tests only"
         self._check()
         own = self.rings.directions()
         self.directions.measure(own, purpose)
-        self.directions.measure(unseen, purpose, TESTING)
         prediction = self.directions.prediction(own, self.symmetry)
-        missed = partial(self.directions.error, prediction)
-        found = {one: missed(*one) for one in unseen}
-        large = [
-            one for one in unseen if found[one].error > MAX_NOISY_ERROR * self.tolerance
-        ]
-        self.directions.measure(large, f"{purpose}, finer", CONFIRMING)
-        found |= {one: missed(*one) for one in large}
+        found: dict[tuple[float, float], PredictionError] = {}
+        left, finer = unseen, ""
+        for noise in (NOISE, TESTING, CONFIRMING):
+            self.directions.measure(left, purpose + finer, noise)
+            found |= {one: self.directions.error(prediction, *one) for one in left}
+            largest = safe_error(self.tolerance, noise)
+            left, finer = [one for one in left if found[one].error > largest], ", finer"
         return list(found.values())
 
     def _described(self, errors: Sequence[PredictionError]) -> Record:

@@ -143,7 +143,8 @@ def figure_title(record: Record, index: int) -> str:
         totals.append(_total("direct", single.direct, single.direct_std_err))
     worst, _ = precision(single)
     if 0 < worst < math.inf:
-        totals.append(f"bright patches ±\N{NO-BREAK SPACE}{100 * worst:.2g} % at worst")
+        percent = f"{100 * float(f'{worst:.2g}'):g} %"
+        totals.append(f"bright patches ±\N{NO-BREAK SPACE}{percent} at worst")
     lines.append(", ".join(totals))
     if "±" in lines[-1]:
         of = "largest error" if without_chance(single.tallies) else "std_err"

@@ -22,8 +22,8 @@ from gonio_mi.campaigns.known_directions import (
     SPARED,
     Prediction,
     points_for,
+    safe_error,
 )
-from gonio_mi.campaigns.whole_bsdf import MAX_NOISY_ERROR
 from gonio_mi.errors import SpecimenError
 from gonio_mi.results.campaign_outcome import PredictionError
 from gonio_mi.results.prediction_error import prediction_error
@@ -125,9 +125,8 @@ def _rows(
     unseen = _measured(case, chosen, incidents, NOISE)
     errors = _errors(chosen, unseen, tolerance)
     is_sampled = chosen.settings["estimator"] != "quadrature"
-    large = [
-        n for n, one in enumerate(errors) if one.error > MAX_NOISY_ERROR * tolerance
-    ]
+    largest = safe_error(tolerance, NOISE)
+    large = [n for n, one in enumerate(errors) if one.error > largest]
     if is_sampled and large:
         finer = _measured(case, chosen, [incidents[n] for n in large], CONFIRMING)
         for n, one in zip(large, _errors(chosen, finer, tolerance)):

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import synthetic
 from budget import agree, disagree, single
+from scipy import special
 
 import gonio_mi as gonio
 from gonio_mi.campaigns import (
@@ -26,7 +27,12 @@ from gonio_mi.campaigns import (
     whole_bsdf,
 )
 from gonio_mi.campaigns.execution import Surroundings
-from gonio_mi.campaigns.known_directions import KnownDirections, Prediction
+from gonio_mi.campaigns.known_directions import (
+    HIDDEN_AT_MOST,
+    HIDDEN_ON_AVERAGE,
+    KnownDirections,
+    Prediction,
+)
 from gonio_mi.campaigns.refinement import Axis, IncidentRings, Interval, refined
 from gonio_mi.campaigns.resolution import check_peaks, delta_fraction
 from gonio_mi.campaigns.whole_bsdf import N_FIRST_ANGLES, N_UNSEEN, WholeBsdf
@@ -180,6 +186,35 @@ def test_light_that_is_missing_is_an_error_of_the_reflectance():
     assert abs(error.dhr + 0.1) <= DOUBLE
     assert error.dht == 0
     assert error.error >= 0.1 - DOUBLE
+
+
+@pytest.mark.parametrize("x", [0.0, 0.75, 3.0])
+def test_noise_hides_no_more_of_an_error_than_is_said(x):
+    """Of differences of x standard errors, in all patches; twin: it does hide some."""
+    shares, rays = lobe(60), 10**5
+    std_err = np.sqrt(shares / (16 * rays))
+    wrong = (shares + x * std_err * (-1.0) ** np.arange(120)).reshape(1, 10, 12, 1)
+    truth, noise = np.array((x, (2 / np.pi) ** 0.5)) * std_err.sum()
+    found = [
+        prediction_error(counted(shares, rays, seed=seed), wrong).total_variation
+        for seed in range(100)
+    ]
+    mean, error = np.mean(found), np.std(found, ddof=1) / 10
+    hidden = truth - mean  # half of the sum, over half of the light
+    # the sign is that of the other batches, 15 of 16
+    lost = x * special.erfc(x * (15 / 32) ** 0.5) * std_err.sum()
+    agree(single((hidden - lost) / error))
+    assert lost < HIDDEN_AT_MOST * noise
+    if x == 0.75:
+        disagree(single(hidden / error))
+
+
+def test_noise_hides_a_fifth_of_itself_on_average():
+    """Over differences of up to three standard errors; twin: at most, of a half."""
+    x = np.linspace(0, 3, 10**4)
+    hidden = x * special.erfc(x / 2**0.5) / (2 / np.pi) ** 0.5
+    assert round(hidden.mean(), 1) == HIDDEN_ON_AVERAGE
+    assert HIDDEN_ON_AVERAGE < hidden.max() < HIDDEN_AT_MOST
 
 
 # ------------------------------------------------------------------ what is predicted
@@ -367,7 +402,10 @@ def plate():
     "missed", [[0], [1, 1], [1, 0], [2, 0], [2, 1, 1], [5, 0], [9, 3, 1, 1], [1] * 2]
 )
 def test_two_looks_together_decide(missed, monkeypatch):
-    """Few misses refine the material too; none of the first look is enough."""
+    """Few misses refine the material too; none of the first look is enough.
+
+    More than one refine all azimuths.
+    """
     whole = WholeBsdf(plate(), 80)
     looks, split = [], []
 
@@ -381,11 +419,16 @@ def test_two_looks_together_decide(missed, monkeypatch):
 
     monkeypatch.setattr(whole, "_errors_at", look)
     whole.rings = SimpleNamespace(split_at=lambda some: split.append(len(some)) or True)
+    whole.isotropic = False
+    whole.limit, refined_to = 0.07, []
+    monkeypatch.setattr(whole, "_refine_gaps", lambda: refined_to.append(whole.limit))
     monkeypatch.setattr(whole, "_is_refuted_at", lambda *_: False)
     errors = whole._confirmed()
     assert looks == [N_UNSEEN] * len(missed)
     assert split == missed[:-1]
     assert sum(one.exceeds(0.1) for one in errors) == missed[-1]
+    # to half of it, and not below what noise hides
+    assert refined_to == [0.035, 0.025, 0.025][: sum(n > 1 for n in missed[:-1])]
 
 
 def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
@@ -402,6 +445,7 @@ def test_a_table_that_would_not_fit_ends_the_refinement(monkeypatch):
     monkeypatch.setattr(whole, "_errors_at", look)
     monkeypatch.setattr(whole, "_is_refuted_at", lambda *_: False)
     whole.rings = IncidentRings([0.0, 40.0, 80.0], symmetry, isotropic=True)
+    whole.isotropic = True
     errors = whole._confirmed()
     assert len(looks) == 2
     assert "outgrow memory: a collector of fewer patches" in whole.helps
