@@ -26,7 +26,7 @@ from ..interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs
 from ..interpolation.lobes import MeasuredLobes, check_table, is_significant
 from ..results.azimuth_symmetry import AzimuthSymmetry
 from ..results.campaign_outcome import PredictionError
-from ..results.prediction_error import prediction_error
+from ..results.prediction_error import expected_noise, prediction_error
 from ..results.record import Record
 from ..settings import Estimator, MeasurementSettings
 from .execution import Surroundings, records_of
@@ -163,16 +163,17 @@ class Prediction:
 # --------------------------------------------------------------------- known directions
 
 # Parts of the tolerance: what noise may misplace at directions that a material is made
-# of, or may be, at those that test it or a symmetry, which half the tolerance decides,
-# and at those that confirm it; and what an integral may be off by. Between directions
-# noise is averaged: of three quarters a half is left, which adds about by squares, so
-# that it costs 13 % of the tolerance, and half of the rays of a half, which costs 6 %.
+# of, or may be, and at those that test it; where that does not decide, and where a
+# symmetry is tested, by half the tolerance; and where that does not decide either. And
+# what an integral may be off by. Between directions noise is averaged: of three
+# quarters a half is left, which adds about by squares, so that it costs 13 % of the
+# tolerance. Of a half it would be 6 %, for twice the rays.
 NOISE, TESTING, CONFIRMING, INTEGRAL = 3 / 4, 1 / 2, 1 / 4, 1 / 10
 
-# Noise at a direction where errors are looked for hides at most 0.43 of itself: of a
-# difference of x standard errors x erfc(x / sqrt(2)) of them is lost, at most 0.34, and
-# noise is sqrt(2 / pi) of them: with a margin for chance a half; and over all x from 0
-# to 3, on average, a fifth.
+# Part of itself that noise hides of an error. Of a difference of x standard errors
+# x erfc(x / sqrt(2)) of them is lost, at most 0.34, and noise is sqrt(2 / pi) of them:
+# at most 0.43, by the signs of 15 batches, and a half by those of three. If differences
+# up to x = 3 are as frequent as each other, a fifth on average.
 HIDDEN_AT_MOST, HIDDEN_ON_AVERAGE = 1 / 2, 1 / 5
 
 # Rays that tell whether sample() is as eval() says; where they seem to contradict, so
@@ -186,12 +187,13 @@ REPEAT_FACTOR, N_STD_ERRS_REFUSED = 16, 16
 MIN_ANNOUNCED = 600
 
 
-def safe_error(tolerance: float, noise: float) -> float:
-    """Measured error up to which the true one is within a tolerance.
+def may_exceed(error: PredictionError, tolerance: float, noise: float) -> bool:
+    """Whether the true error may be above a tolerance.
 
-    `noise` is a part of that.
+    By two standard errors, and what `noise`, a part of the tolerance, can hide.
     """
-    return (1 - HIDDEN_AT_MOST * noise) * tolerance
+    seen = error.error + 2 * error.std_err
+    return seen + HIDDEN_AT_MOST * noise * tolerance > tolerance
 
 
 class EstimatorRefusedError(Exception):
@@ -467,8 +469,12 @@ class KnownDirections:
 
     def expected_error(self, prediction: Prediction, theta: float, phi: float) -> float:
         """Error of a prediction at a known direction, with what noise there hides."""
-        noise = self.records[theta, phi].asked.noise or 0.0
-        return self.error(prediction, theta, phi).error + HIDDEN_ON_AVERAGE * noise
+        error, record = self.error(prediction, theta, phi), self.records[theta, phi]
+        noise = record.asked.noise
+        if noise is None or record.n_batches < 2:
+            return error.error
+        hidden = HIDDEN_ON_AVERAGE * min(noise, expected_noise(record))
+        return max(error.error, error.total_variation + hidden)
 
     def check_size(self, azimuths: Iterable[float], n_angles: int) -> None:
         """Raise TooLargeError if the table of such a material is too large.

@@ -22,7 +22,7 @@ from .known_directions import (
     TESTING,
     EstimatorRefusedError,
     KnownDirections,
-    safe_error,
+    may_exceed,
 )
 from .refinement import IncidentRings, Interval, refined
 from .resolution import TooCoarseError, check_peaks, check_resolved, checked_sectors
@@ -42,9 +42,9 @@ N_FIRST_ANGLES = 4
 # any did, and looked at anew, MAX_LOOKS times at most.
 N_UNSEEN, MAX_MISSES = 40, 2
 
-# Misses of a look for which it is refined there alone; for more, all azimuths are, to
-# half the error or this part of the tolerance: above what noise hides on average.
-MAX_SINGLE, MIN_LIMIT = 1, 1 / 4
+# Misses of a look that are mended where they are; for more, azimuths are refined all
+# over, to half the limit: about what noise alone makes, so that most gaps are halved.
+MAX_LOCAL_MISSES = 1
 
 # What helps where directions never used go on missing the tolerance, and why.
 OUTGROWN = (
@@ -161,12 +161,13 @@ class WholeBsdf:
             logger.info("%s: no more angles: %s", self.name, error)
         if not self.isotropic:
             self.rings.begin_gaps()
-            self._refine_gaps()
+            self._refine_gaps(self.limit)
 
-    def _refine_gaps(self) -> None:
+    def _refine_gaps(self, limit: float) -> None:
         """Refine azimuths, as far as middles of the gaps between them tell."""
         try:
-            refined(self.rings.gaps, self.limit, self._errors_of_gaps, self._check)
+            self._check()
+            refined(self.rings.gaps, limit, self._errors_of_gaps, self._check)
         except TooLargeError as error:
             logger.info("%s: no more azimuths: %s", self.name, error)
 
@@ -264,10 +265,9 @@ class WholeBsdf:
             if not self.rings.split_at(missed):
                 self.helps = CLOSEST + (TOLERANT if self.isotropic else MORE_SECTORS)
                 break
-            if len(missed) > MAX_SINGLE and not self.isotropic:
-                # both axes are wrong together: gaps, which cost two directions each
-                self.limit = max(self.limit / 2, MIN_LIMIT * self.tolerance)
-                self._refine_gaps()
+            if len(missed) > MAX_LOCAL_MISSES and not self.isotropic:
+                # errors of both axes add up in between, and azimuths are the cheaper
+                self._refine_gaps(self.limit / 2)
         return errors
 
     def _is_refuted_at(self, theta: float, phi: float) -> bool:
@@ -288,12 +288,15 @@ class WholeBsdf:
         self.directions.measure(own, purpose)
         prediction = self.directions.prediction(own, self.symmetry)
         found: dict[tuple[float, float], PredictionError] = {}
-        left, finer = unseen, ""
+        left = unseen
         for noise in (NOISE, TESTING, CONFIRMING):
-            self.directions.measure(left, purpose + finer, noise)
+            self.directions.measure(left, purpose, noise)
             found |= {one: self.directions.error(prediction, *one) for one in left}
-            largest = safe_error(self.tolerance, noise)
-            left, finer = [one for one in left if found[one].error > largest], ", finer"
+            if self.directions.estimators[0].integrates:
+                break
+            left = [
+                one for one in left if may_exceed(found[one], self.tolerance, noise)
+            ]
         return list(found.values())
 
     def _described(self, errors: Sequence[PredictionError]) -> Record:

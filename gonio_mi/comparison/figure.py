@@ -79,8 +79,8 @@ def comparison_figure(comparison: Any) -> Figure:
 
 
 def p_text(p: float, digits: int = 3) -> str:
-    """A probability in words: one of 0 is below the smallest number."""
-    return f"p = {p:.{digits}g}" if p > 0 else f"p < {np.finfo(float).tiny:.0g}"
+    """A probability in words: one of 0 is below the smallest normal number."""
+    return f"p < {np.finfo(float).tiny:.0g}" if p == 0 else f"p = {p:.{digits}g}"
 
 
 @dataclass
@@ -166,7 +166,8 @@ def _draw(comparison: Any, panel: _Panel, above: Axes, below: Axes) -> None:
     above.set_title(panel.title, fontsize="small")
     above.tick_params(labelbottom=False)
     z = comparison.z[points]
-    below.axhspan(-2, 2, color="0.9", label="95 % of z if both agree")
+    most = "at least " if comparison.within_patches else ""
+    below.axhspan(-2, 2, color="0.9", label=f"{most}95 % of z if both agree")
     below.axhline(0, color="0.5", linewidth=0.8)
     below.plot(x, z, "o", markersize=3, color=COLOURS["z"])
     below.set_xlim(above.get_xlim())

@@ -137,7 +137,7 @@ def in_words(every: Sequence[Loss]) -> list[str]:
             line += f" incidence at {_place(worst)}"
         error = abs(off.written - off.recorded)
         line += f"; total off by {error:.2g}"
-        if error and len(some) > 1:
+        if round(error, 9) and len(some) > 1:
             line += (
                 f" at {_place(off)}, the most at the record's own {len(some)} incident "
                 "directions"

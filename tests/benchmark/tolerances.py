@@ -21,8 +21,8 @@ from gonio_mi.campaigns.known_directions import (
     NOISE,
     SPARED,
     Prediction,
+    may_exceed,
     points_for,
-    safe_error,
 )
 from gonio_mi.errors import SpecimenError
 from gonio_mi.results.campaign_outcome import PredictionError
@@ -125,8 +125,7 @@ def _rows(
     unseen = _measured(case, chosen, incidents, NOISE)
     errors = _errors(chosen, unseen, tolerance)
     is_sampled = chosen.settings["estimator"] != "quadrature"
-    largest = safe_error(tolerance, NOISE)
-    large = [n for n, one in enumerate(errors) if one.error > largest]
+    large = [n for n, one in enumerate(errors) if may_exceed(one, tolerance, NOISE)]
     if is_sampled and large:
         finer = _measured(case, chosen, [incidents[n] for n in large], CONFIRMING)
         for n, one in zip(large, _errors(chosen, finer, tolerance)):

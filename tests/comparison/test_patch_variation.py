@@ -10,7 +10,7 @@ import gonio_mi as gonio
 from gonio_mi.cli import main
 from gonio_mi.collector.directions import direction
 from gonio_mi.comparison import compare, patch_variation
-from gonio_mi.comparison.figure import comparison_figure
+from gonio_mi.comparison.figure import comparison_figure, p_text
 from gonio_mi.files.measured_table import MeasuredTable
 
 pytestmark = pytest.mark.usefixtures("mono")
@@ -78,7 +78,7 @@ def test_no_verdict_calls_equal_what_patches_cannot_decide():
         assert comparison.verdict == verdict
         assert f"points: {verdict}, p" in repr(comparison)
         title = comparison_figure(comparison).get_suptitle()
-        assert title.startswith(f"{verdict}: p ")
+        assert title.startswith((f"{verdict}: p = ", f"{verdict}: p < "))
 
 
 def test_a_lobe_on_a_diffuse_ground_may_hide_about_the_pole(monkeypatch):
@@ -105,3 +105,10 @@ def test_a_lobe_narrower_than_its_patch_is_left_out():
     lobe = np.array([30.0]), np.array([0.0]), np.array([30.0]), np.array([180.0])
     with pytest.raises(ValueError, match=r"too coarse for 1 of 1 .* specimen itself"):
         compare(record, MeasuredTable(*lobe, np.array([1.0])))
+
+
+def test_probabilities_that_underflow_are_not_nought():
+    """Twins: those that do not, and none at all."""
+    assert p_text(0.0) == "p < 2e-308"
+    assert p_text(1e-300) == "p = 1e-300"
+    assert p_text(float("nan")) == "p = nan"
