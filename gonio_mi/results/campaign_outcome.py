@@ -174,6 +174,7 @@ class CampaignOutcome:
         chance = (1 - CONFIDENCE) / MAX_LOOKS
         fraction, _ = binomial_interval(within, n_unseen, 1 - 2 * chance)
         kind = "isotropic" if self.isotropic else "anisotropic"
+        known = "std_err" if self.rays else "error of its integrals"
         text = (
             f"tolerance {self.tolerance:.3g} up to theta_i {self.theta_max:g}, "
             f"{kind} by measurement{self._symmetry_text()}. "
@@ -181,9 +182,10 @@ class CampaignOutcome:
             f"this record, {n_unseen} at random only test it, the rest only served the "
             f"choice. Of the {n_unseen} tests, {within:.0f} are within the tolerance "
             f"(of all directions at least {fraction:.0%}, with a confidence of "
-            f"{CONFIDENCE:.0%}): of the flux, {np.mean(distances):.2g} is in other "
-            "patches than predicted (total variation distance) on average and "
-            f"{worst.total_variation:.2g} +- {worst.std_err:.1g} (std_err) at the "
+            f"{CONFIDENCE:.0%} for up to {MAX_LOOKS} rounds of tests): of the flux, "
+            f"{np.mean(distances):.2g} is in other patches than predicted (total "
+            "variation distance) on average and "
+            f"{worst.total_variation:.2g} +- {worst.std_err:.1g} ({known}) at the "
             f"worst, theta_i {worst.theta_i:.1f}, phi_i {worst.phi_i:.1f}; dhr and dht "
             f"are off by up to {max(reflected):.2g}."
         )
