@@ -162,18 +162,18 @@ class Prediction:
 
 # --------------------------------------------------------------------- known directions
 
-# Parts of the tolerance: what noise may misplace at directions that a material is made
-# of, or may be, and at those that test it; where that does not decide, and where a
-# symmetry is tested, by half the tolerance; and where that does not decide either. And
-# what an integral may be off by. Between directions noise is averaged: of three
+# Parts of the tolerance. What noise may misplace: at the directions of a material and,
+# to begin with, at those that test it; where this leaves a test open, and in tests of a
+# symmetry, which may misplace half the tolerance; and where that leaves it open too.
+# Last, what an integral may be off by. Between directions noise is averaged: of three
 # quarters a half is left, which adds about by squares, so that it costs 13 % of the
 # tolerance. Of a half it would be 6 %, for twice the rays.
 NOISE, TESTING, CONFIRMING, INTEGRAL = 3 / 4, 1 / 2, 1 / 4, 1 / 10
 
 # Part of itself that noise hides of an error. Of a difference of x standard errors
 # x erfc(x / sqrt(2)) of them is lost, at most 0.34, and noise is sqrt(2 / pi) of them:
-# at most 0.43, by the signs of 15 batches, and a half by those of three. If differences
-# up to x = 3 are as frequent as each other, a fifth on average.
+# at most 0.43, or a half in as few as four batches. If all differences up to x = 3 are
+# equally frequent, a fifth is lost on average.
 HIDDEN_AT_MOST, HIDDEN_ON_AVERAGE = 1 / 2, 1 / 5
 
 # Rays that tell whether sample() is as eval() says; where they seem to contradict, so
