@@ -58,18 +58,18 @@ def campaign(
         The campaign chooses its own directions: as few as make the material
         `goniometric` right everywhere, up to `theta_max`. From few directions it
         predicts others, measures them, and goes on where the difference may be above
-        the tolerance, until new directions hold. The error is
-        that of :class:`~gonio_mi.results.campaign_outcome.PredictionError`: the total
-        variation distance of the distribution over patches, or the error of
-        reflectance or transmittance, as a fraction of the flux that leaves. Isotropic
-        specimens are recognised; others get azimuths, in whole sectors, where each
-        polar angle needs them. Of a specimen that may be turned by a part of a whole
-        turn, or mirrored, which is recognised too, the record holds copies of what was
-        measured instead, and says which. Integrals are measured where the specimen
-        allows it, unless there is an `estimator`, and refused where samples contradict
-        them by more than the tolerance; else as many rays as noise of three quarters of
-        the tolerance needs, and of a half or a quarter where directions that are never
-        used are near it. The record's setting ``campaign`` holds the errors of these.
+        the tolerance, until new directions hold. The error is that of
+        :class:`~gonio_mi.results.campaign_outcome.PredictionError`: the total variation
+        distance of the distribution over patches, or the error of reflectance or
+        transmittance, as a fraction of the flux that leaves. Isotropic specimens are
+        recognised; others get azimuths, in whole sectors, where each polar angle needs
+        them. Of a specimen that may be turned by a part of a whole turn, or mirrored,
+        which is recognised too, the record holds copies of what was measured instead,
+        and says which. Integrals are measured where the specimen allows it, unless
+        there is an `estimator`, and refused where samples contradict them by more than
+        the tolerance; else as many rays as noise of three quarters of the tolerance
+        needs, and of a half or a quarter where directions that are never used are near
+        it. The record's setting ``campaign`` holds the errors of these.
     theta_max : float
         Largest angle of incidence of such a campaign in degrees; beyond, the material
         is what it is there.
