@@ -110,7 +110,7 @@ class ChiSquareTest(chi2.ChiSquareTest):
         specimen = getattr(self.sample_func, "specimen", None)
         if specimen is not None and is_parallel(mi.variant()):
             if isinstance(specimen, str):
-                specimen = mi.load_string(specimen)
+                specimen = mi.load_string(specimen, parallel=False)
             alpha = -((1 - significance_level) ** (1 / test_count) - 1)
             self.verdict = validate(
                 specimen, effort=self.effort, seed=self.seed, alpha=alpha

@@ -170,7 +170,13 @@ def load_specimen(
 
 
 def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-    """Return ``load(*args, **kwargs)``; if that fails, say why in one sentence."""
+    """Return ``load(*args, **kwargs)``; if that fails, say why in one sentence.
+
+    Plugins are built one after another: one that calls :func:`mi.load_dict` as it is
+    built changes, and in the end frees, the paths in which all others look for files.
+    """
+    if load is not scene_of:
+        kwargs |= {"parallel": False}
     try:
         for argument in args:
             _check_whole_numbers(argument)

@@ -130,8 +130,8 @@ def loaded(mi: Any, question: dict[str, Any]) -> Any:
     if dr.thread_count() == 1:  # Mitsuba waits for ever for an EXR file then
         dr.set_thread_count(2)
     if question["file"] is None:
-        return mi.load_dict(built(mi, question["specimen"]))
-    scene = mi.load_file(question["file"], **question["parameters"])
+        return mi.load_dict(built(mi, question["specimen"]), parallel=False)
+    scene = mi.load_file(question["file"], parallel=False, **question["parameters"])
     shapes = [shape for shape in scene.shapes() if not shape.is_emitter()]
     if len(shapes) != 1:
         raise ValueError(f"the scene must have one shape, got {len(shapes)}")

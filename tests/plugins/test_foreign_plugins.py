@@ -3,6 +3,8 @@
 What does not is said in one sentence that is true, and never as a bug of ours.
 """
 
+import threading
+
 import mitsuba as mi
 import pytest
 
@@ -10,6 +12,7 @@ import gonio_mi as gonio
 from gonio_mi import cli
 from gonio_mi.instrument.loading import load_plugin_file
 from gonio_mi.quadrature import evaluator
+from gonio_mi.threads import two_threads
 from gonio_mi.transport import specimen
 from gonio_mi.transport.scene_objects import traversed
 
@@ -19,6 +22,7 @@ ALBEDO = 0.625  # exact in binary: so are its sums over rays of one weight
 # others forget something, or answer without a form.
 PLUGINS = """
 import os
+import threading
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -88,12 +92,22 @@ class Untraversed(Matte):
     def traverse(self, callback):
         callback.put_old("weight", 0.625)
 
+class Nesting(Matte):
+    built_by = []
+    beside_another = threading.Barrier(1)
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.beside_another.wait(60)
+        self.built_by.append(threading.get_ident())
+        self.ground = mi.load_dict({"type": "diffuse"})
+
 class Lacking(mi.BSDF):
     def to_string(self):
         return "Lacking[]"
 
 for kind in (Matte, Looked, Coloured, ColouredInside, Helped, Voiceless, Listed, Empty,
-             Untraversed, Lacking):
+             Untraversed, Nesting, Lacking):
     mi.register_bsdf("foreign_" + kind.__name__.lower(), kind)
 """
 
@@ -240,3 +254,24 @@ def test_our_own_bugs_stay_ours(plugin, monkeypatch, capsys, tmp_path):
     words = ["measure", "foreign_matte", "--theta-i", "30", "--plugin", str(plugin)]
     assert cli.main(words) == 1
     assert "this is a bug of gonio-mi" in capsys.readouterr().err
+
+
+def test_plugins_are_built_one_after_another(plugin, tmp_path):
+    """In other threads, files are looked for in paths that a nested load has freed."""
+    load_plugin_file(plugin)
+    nesting = type(mi.load_dict({"type": "foreign_nesting"}))
+    scene = tmp_path / "scene.xml"
+    nested = '<float name="weight" value="0.5"/>' + 2 * '<bsdf type="foreign_nesting"/>'
+    scene.write_text(
+        '<scene version="3.0.0"><shape type="rectangle">'
+        f'<bsdf type="blendbsdf">{nested}</bsdf></shape></scene>'
+    )
+    nesting.built_by.clear()
+    dhr(scene)
+    assert {*nesting.built_by} == {threading.get_ident()}
+    # Mitsuba's default: two are built at once, each in a thread of its own
+    nesting.built_by.clear()
+    nesting.beside_another = threading.Barrier(2)
+    with two_threads():
+        mi.load_file(str(scene), optimize=False)  # two nodes remain
+    assert len({*nesting.built_by}) == 2

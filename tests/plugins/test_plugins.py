@@ -118,6 +118,14 @@ def test_foreign_sensor_and_film_are_refused():
         mi.load_dict({"type": "collector", "film": {"type": "hdrfilm"}})
 
 
+def test_collectors_load_nothing_while_a_scene_is_loaded(monkeypatch):
+    """A nested load frees the paths in which Mitsuba's other threads look for files."""
+    load_dict = mi.load_dict
+    monkeypatch.setattr(mi, "load_dict", lambda *_: pytest.fail("a nested load"))
+    collector = load_dict({"type": "collector", "film": {"type": "patches"}})
+    assert "Sobol" in str(collector.sampler())
+
+
 @pytest.mark.parametrize("theta_i", [90, 90.001, -1, float("nan")])
 def test_angles_out_of_range_are_refused(theta_i):
     with pytest.raises(ValueError, match="theta_i must be"):

@@ -36,7 +36,9 @@ class Collector(mi.Sensor):
                     f"collector.{name} must be a sampler, got {value.class_name()}"
                 )
         if not any(isinstance(value, mi.Sampler) for _, value in props.objects()):
-            props["sampler"] = mi.load_dict({"type": "sobol"})
+            # not by mi.load_dict, which changes where plugins beside it look for files
+            default = mi.Properties("sobol")
+            props["sampler"] = mi.PluginManager.instance().create_object(default)
         super().__init__(props)
         if not hasattr(self.film(), "settings"):
             raise SettingError(
