@@ -118,7 +118,9 @@ def run(options: Namespace) -> int:
         found = [one.to_dict() for one in fits]
         tell_json(found)
     else:
-        for one in fits:
+        for i, one in enumerate(fits):
+            if len(fits) > 1 and i < 2:
+                tell("further from it:" if i else f"closest of {len(fits)} models:")
             tell(one)
     write = say if options.json else tell
     for note in record.notes if isinstance(record, MeasuredTable) else ():
