@@ -14,6 +14,7 @@ from ..errors import SettingError, SpecimenError
 from ..results.prediction_error import prediction_error
 from ..results.record import Record
 from .known_directions import KnownDirections
+from .prediction import Prediction
 
 # By which power of their width finer patches are better, where they nearly resolve a
 # lobe, and up to which part of the light in the wrong place they do; above which part
@@ -217,7 +218,7 @@ def _lost(
     def distance(to: Incident, stacks: Sequence[Sequence[Incident]]) -> float:
         """Total variation distance in a direction from the mean of `stacks`."""
         around = [Record.stack(known[one] for one in stack) for stack in stacks]
-        ways = [directions.material(one) for one in around]
+        ways = [Prediction.within(directions.tolerance, one) for one in around]
         error = prediction_error(
             known[to], np.mean([one.flux(*to) for one in ways], axis=0)
         )

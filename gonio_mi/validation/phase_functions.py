@@ -11,8 +11,8 @@ import numpy as np
 
 from ..array_types import Floats
 from ..transport.media import N_RINGED, ask_phase_function
-from .agreement import check_again, check_identities
 from .checks import answers, components, ends, masks, parameters, sampling, weights
+from .checks.agreement import check_again, check_identities
 from .checks.reciprocity import ratio_text
 from .conditions import Condition, Effort, sides_of
 from .evidence import Evidence

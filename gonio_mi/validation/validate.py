@@ -19,7 +19,6 @@ from ..threads import thread_count
 from ..transport.bsdf_trial import PluginFault
 from ..transport.kernels import launches_kernels
 from ..transport.variants import is_parallel, is_polarised
-from .agreement import check_again, check_identities
 from .checks import (
     adjoint,
     answers,
@@ -38,6 +37,7 @@ from .checks import (
     sampling,
     weights,
 )
+from .checks.agreement import check_again, check_identities
 from .conditions import Condition, Effort, sides_of
 from .cosines import explain_reciprocity
 from .diagnosis import likely_mistake

@@ -19,11 +19,9 @@ from gonio_mi.campaigns.execution import Surroundings, records_of
 from gonio_mi.campaigns.known_directions import (
     CONFIRMING,
     NOISE,
-    SPARED,
-    Prediction,
     may_exceed,
-    points_for,
 )
+from gonio_mi.campaigns.prediction import Prediction
 from gonio_mi.errors import SpecimenError
 from gonio_mi.results.campaign_outcome import PredictionError
 from gonio_mi.results.prediction_error import prediction_error
@@ -206,7 +204,7 @@ def _measured(
 
 def _errors(record: Record, unseen: Record, tolerance: float) -> list[PredictionError]:
     """What the material of a record gets wrong at unseen directions."""
-    prediction = Prediction(record, points_for(tolerance), SPARED * tolerance)
+    prediction = Prediction.within(tolerance, record)
     return [
         prediction_error(
             one, prediction.flux(float(one.theta_i[0]), float(one.phi_i[0]))

@@ -32,8 +32,8 @@ from gonio_mi.campaigns.known_directions import (
     HIDDEN_AT_MOST,
     HIDDEN_ON_AVERAGE,
     KnownDirections,
-    Prediction,
 )
+from gonio_mi.campaigns.prediction import Prediction
 from gonio_mi.campaigns.refinement import Axis, IncidentRings, Interval, refined
 from gonio_mi.campaigns.resolution import check_peaks, delta_fraction
 from gonio_mi.campaigns.whole_bsdf import N_FIRST_ANGLES, N_UNSEEN, WholeBsdf

@@ -12,7 +12,7 @@ from sampled_material import check_samples
 from synthetic import facet_lobes, facets_through
 
 import gonio_mi as gonio
-from gonio_mi.campaigns.known_directions import Prediction
+from gonio_mi.campaigns.prediction import Prediction
 from gonio_mi.collector.directions import direction
 from gonio_mi.interpolation.incident_grid import tried_indices
 from gonio_mi.interpolation.interpolated_bsdf import InterpolatedBSDF, half_vector_legs

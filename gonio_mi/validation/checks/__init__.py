@@ -1,1 +1,1 @@
-"""One module for each property of a verdict, named after it."""
+"""A module for each property of a verdict, named after it; `agreement` asks several."""

@@ -11,12 +11,12 @@ import numpy as np
 
 from ...array_types import Floats
 from ...transport.bsdf_trial import PluginFault
-from ..agreement import check_sweep
 from ..conditions import Condition, Effort
 from ..evidence import BIAS, INTERFACE, MAX_P, Evidence
 from ..kinds import Kind
 from ..probe import Probe, blamed, changed, number_parameters, spectral, vectors
 from ..samples import Samples, is_many, unequal
+from .agreement import check_sweep
 
 # Step of a sequence that is spread evenly: the golden section.
 GOLDEN = (5**0.5 - 1) / 2

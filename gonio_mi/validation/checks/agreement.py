@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from .checks import (
+from ..conditions import Effort, Sweep
+from ..evidence import PHASE, Evidence
+from ..probe import Probe
+from ..samples import Samples, samples_of
+from . import (
     answers,
     cost,
     directions,
@@ -15,10 +19,6 @@ from .checks import (
     sampling,
     weights,
 )
-from .conditions import Effort, Sweep
-from .evidence import PHASE, Evidence
-from .probe import Probe
-from .samples import Samples, samples_of
 
 
 def check_identities(evidence: Evidence, samples: Samples) -> None:
