@@ -48,6 +48,8 @@ class PluginFault(Exception):  # noqa: N818
 def checked_sample(function: str, answer: Any, n: int) -> tuple[Any, Any]:
     """Mitsuba's record and the weight that ``sample`` answers for `n` rays.
 
+    Its directions are one for each ray, if the answer has one for all of them.
+
     Raises
     ------
     PluginFault
@@ -58,6 +60,8 @@ def checked_sample(function: str, answer: Any, n: int) -> tuple[Any, Any]:
         raise PluginFault(function, f"must return a BSDFSample3f, got {_kind(bs)}")
     weight = checked_answer(function, weight, n, mi.Spectrum)
     _check_width(function, bs, n)
+    if dr.width(bs.wo) < n:
+        bs.wo = mi.Vector3f(bs.wo) + dr.opaque(mi.Vector3f, 0, n)
     return bs, weight
 
 

@@ -90,7 +90,7 @@ a, b, error = np.transpose([a, b, error])[np.argmax(np.abs(a - b) / error)]
 {SCORED}"""
 
 
-VALUE, PDF = each("bsdf.eval(ctx, si, bs.wo)"), "bsdf.pdf(ctx, si, bs.wo)"
+VALUE, PDF = each("bsdf.eval(ctx, si, bs.wo, True)"), "bsdf.pdf(ctx, si, bs.wo, True)"
 PRODUCT = f"{each('weight')} * {PDF}"
 
 # The way back.
@@ -99,7 +99,7 @@ back = dr.zeros(mi.SurfaceInteraction3f, n)
 back.wi, back.sh_frame, back.uv = bs.wo, si.sh_frame, si.uv
 """
 THERE = f"{VALUE} / np.abs(bs.wo.z)"
-AGAIN = f"{each('bsdf.eval(ctx, back, si.wi)')} / np.abs(si.wi.z)"
+AGAIN = f"{each('bsdf.eval(ctx, back, si.wi, True)')} / np.abs(si.wi.z)"
 STEEP = f"{SMOOTH} & (dr.abs(bs.wo.z) > 1e-3)"
 RELATIVE_ETA = "eta = np.where(bs.wo.z * si.wi.z < 0, bs.eta, 1)\n"
 
@@ -118,7 +118,7 @@ u, x = np.array(np.meshgrid(ends, ends, ends)).reshape(3, -1), []
 for theta in np.radians([0, 1e-3, 89.99, 90, 90.01, 120, 179.999, 180]):
     wi = np.round([np.sin(theta), 0, np.cos(theta)], 9).tolist()
     si.wi = dr.opaque(mi.Vector3f, wi, n)
-    bs, weight = bsdf.sample(ctx, si, RANDOM)
+    bs, weight = bsdf.sample(ctx, si, RANDOM, True)
     for wo in (bs.wo, si.wi, -si.wi, mi.reflect(si.wi), -mi.reflect(si.wi)):
         x += [np.ravel(dr.select(dr.squared_norm(wo) > 0.5, WHAT, 0))]
 x = np.concatenate(x)
@@ -143,8 +143,8 @@ x = np.concatenate([np.ravel(ABOUT) for wo in (bs.wo, SPHERE)])
     RAISES = "answer = FUNCTION\nprint(type(answer), answer, mi.traverse(bsdf))"
     OTHER_WHEN_CALLED_AGAIN = (
         f"a = {each('FUNCTION')}\n"
-        "dr.eval(bsdf.sample(ctx, si, mi.Float(u[1]), mi.Point2f(u[:2])))\n"
-        "dr.eval(bsdf.eval(ctx, si, SPHERE))\n" + by_sample("a", each("FUNCTION"))
+        "dr.eval(bsdf.sample(ctx, si, mi.Float(u[1]), mi.Point2f(u[:2]), True))\n"
+        "dr.eval(bsdf.eval(ctx, si, SPHERE, True))\n" + by_sample("a", each("FUNCTION"))
     )
     OTHER_IN_ANOTHER_PLACE = f"""\
 a = {each("FUNCTION")}
@@ -155,7 +155,7 @@ a = {each("TURNED")}
 si.sh_frame = mi.Frame3f([0, 0, 1])
 {by_sample("a", each("TURNED"))}"""
     ALBEDO = by_sample(
-        each("bsdf.eval_diffuse_reflectance(si)"), f"np.pi * {THERE}", STEEP
+        each("bsdf.eval_diffuse_reflectance(si, True)"), f"np.pi * {THERE}", STEEP
     )
     DIRECTIONS = f"""\
 through = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Transmission) & {LIT}
@@ -165,25 +165,26 @@ a, b = np.sum(through), np.sum((bs.wo.z * si.wi.z < 0) & {LIT})
     ETA_OF_REFLECTION = by_sample("bs.eta", "1", f"{LIT} & (bs.wo.z * si.wi.z > 0)")
     SAMPLING = count("1", "DENSITY")
     MOMENTS = moments("1", "DENSITY")
-    WEIGHTS = count(each("weight"), "bsdf.eval(ctx, si, wo)")
-    MOMENTS_OF_WEIGHTS = moments(each("weight"), "bsdf.eval(ctx, si, wo)")
-    MASS = whole("bsdf.pdf(ctx, si, wo)")
-    MASS_OF_A_DARK_SIDE = whole("bsdf.pdf(ctx, si, wo)", "0")
-    LIGHT_OF_A_DARK_SIDE = whole("np.array(bsdf.eval(ctx, si, wo)).max(0)", "0")
-    ENERGY = whole("np.array(bsdf.eval(ctx, si, wo)).max(0)")
+    WEIGHTS = count(each("weight"), "bsdf.eval(ctx, si, wo, True)")
+    MOMENTS_OF_WEIGHTS = moments(each("weight"), "bsdf.eval(ctx, si, wo, True)")
+    MASS = whole("bsdf.pdf(ctx, si, wo, True)")
+    MASS_OF_A_DARK_SIDE = whole("bsdf.pdf(ctx, si, wo, True)", "0")
+    LIGHT_OF_A_DARK_SIDE = whole("np.array(bsdf.eval(ctx, si, wo, True)).max(0)", "0")
+    ENERGY = whole("np.array(bsdf.eval(ctx, si, wo, True)).max(0)")
     SAMPLED_PDF = by_sample("bs.pdf", PDF)
     SAMPLED_WEIGHT = by_sample(PRODUCT, VALUE)
     EVAL_PDF = "wo = bs.wo\n" + by_sample(
-        each("bsdf.eval_pdf(ctx, si, wo)[INDEX]"), each("bsdf.ABOUT(ctx, si, wo)")
+        each("bsdf.eval_pdf(ctx, si, wo, True)[INDEX]"),
+        each("bsdf.ABOUT(ctx, si, wo, True)"),
     )
     EVAL_PDF_ANYWHERE = "wo = SPHERE\n" + by_sample(
-        each("bsdf.eval_pdf(ctx, si, wo)[INDEX]"),
-        each("bsdf.ABOUT(ctx, si, wo)"),
+        each("bsdf.eval_pdf(ctx, si, wo, True)[INDEX]"),
+        each("bsdf.ABOUT(ctx, si, wo, True)"),
         "a + b > 0",
     )
     EVAL_PDF_SAMPLE = "wo = bs.wo\n" + by_sample(
         each("bsdf.eval_pdf_sample(ctx, si, wo, RANDOM)[INDEX]"),
-        each("bsdf.ABOUT(ctx, si, wo)"),
+        each("bsdf.ABOUT(ctx, si, wo, True)"),
     )
     OTHER_SAMPLES = "other = bsdf.eval_pdf_sample(ctx, si, bs.wo, RANDOM)[3]\n" + (
         by_sample(each("other"), each("weight"), LIT)
@@ -197,7 +198,7 @@ shares = []
 for cosine in (0.5, 1e-3):
     ring = mi.Vector3f((1 - cosine**2) ** 0.5, 0, cosine)
     si.wi = ring * dr.sign(si.wi.z) + dr.zeros(mi.Vector3f, n)
-    shares += [np.mean(np.array(bsdf.eval(ctx, si, SPHERE)) > 0)]
+    shares += [np.mean(np.array(bsdf.eval(ctx, si, SPHERE, True)) > 0)]
 a, b = shares
 {EQUAL}"""
     JUMP_AT_NORMAL = f"""\
@@ -208,11 +209,11 @@ si.wi = si.wi + mi.Vector3f(2**-16, 0, 0)
     SYMMETRY = """\
 back = dr.zeros(mi.SurfaceInteraction3f, n)
 back.wi, back.sh_frame = bs.wo, mi.Frame3f(bs.wo)
-""" + by_sample(VALUE, each("bsdf.eval(ctx, back, si.wi)"))
+""" + by_sample(VALUE, each("bsdf.eval(ctx, back, si.wi, True)"))
     RECIPROCITY_OF_A_LOBE = f"""\
 {LOBE}back = dr.zeros(mi.SurfaceInteraction3f, n)
 back.wi, back.sh_frame = mi.Vector3f(wo[:, first].tolist()), si.sh_frame
-there, returned = bsdf.sample(ctx, back, RANDOM)
+there, returned = bsdf.sample(ctx, back, RANDOM, True)
 home = np.all(np.abs(np.array(there.wo) - np.array(si.wi)) < 1e-3, axis=0)
 x, y = {each("weight")} * same, {each("returned")} * home
 a, b, error = np.mean(x), np.mean(y), np.std(x - y) / n**0.5 + 1e-7
@@ -225,7 +226,7 @@ a, b, error = np.mean(x), np.mean(y), np.std(x - y) / n**0.5 + 1e-7
         f"radiance = mi.BSDFContext(mi.TransportMode.Radiance)\n{RELATIVE_ETA}"
         + by_sample(
             each("weight"),
-            each("bsdf.sample(radiance, si, RANDOM)[1]") + " * eta**2",
+            each("bsdf.sample(radiance, si, RANDOM, True)[1]") + " * eta**2",
             LIT,
         )
     )
@@ -235,7 +236,7 @@ a, b, error = np.mean(x), np.mean(y), np.std(x - y) / n**0.5 + 1e-7
     NULL_TRANSMISSION = f"""\
 straight = np.array(mi.has_flag(bs.sampled_type, mi.BSDFFlags.Null))
 a = np.mean(({each("weight")} * np.array(bs.pdf))[straight])
-b = np.mean(bsdf.eval_null_transmission(si))
+b = np.mean(bsdf.eval_null_transmission(si, True))
 {EQUAL}"""
     DIRECTION_OF_A_LOBE = LOBE + by_sample("bs.wo.x", "mi.reflect(si.wi).x", "same")
     WEIGHTS_OF_A_LOBE = f"""\
@@ -265,7 +266,7 @@ if a == b and last >= bsdf.component_count():
 a, b = 0, 0  # answers that a mask excludes
 for i in range(bsdf.component_count()):
     ctx.type_mask = int(mi.BSDFFlags.All) & ~int(bsdf.flags(i))
-    bs, weight = bsdf.sample(ctx, si, RANDOM)
+    bs, weight = bsdf.sample(ctx, si, RANDOM, True)
     a += np.sum(np.array(EXCLUDED & dr.any(FUNCTION != 0)))
 {SAME}"""
     ANISOTROPIC = f"""\
@@ -282,7 +283,7 @@ for i in range(bsdf.component_count()):
     LOBE_OF_A_COMPONENT = f"""\
 own = (np.array(bs.sampled_component) == ABOUT) & np.array({LIT})
 ctx.component = ABOUT
-alone, weight_alone = bsdf.sample(ctx, si, RANDOM)
+alone, weight_alone = bsdf.sample(ctx, si, RANDOM, True)
 a = np.median(({each("weight")} * np.array(bs.pdf))[own])
 b = np.median({each("weight_alone")} * np.array(alone.pdf))
 {EQUAL}"""
@@ -302,7 +303,7 @@ params = mi.traverse(bsdf)
 def total(x):
     params["ABOUT"] = x
     params.update()
-    return dr.sum(bsdf.eval(ctx, si, bs.wo), axis=None)
+    return dr.sum(bsdf.eval(ctx, si, bs.wo, True), axis=None)
 x = type(params["ABOUT"])(params["ABOUT"])
 a = np.ravel(total(x + 1e-3) - total(x - 1e-3))[0] / 2e-3
 dr.enable_grad(x)
@@ -312,7 +313,7 @@ b = np.ravel(dr.forward_to(total(x), flags=dr.ADFlag.AllowNoGrad))[0]
 params = mi.traverse(bsdf)
 params["ABOUT"] *= 0.5
 params.update()
-bs, weight = bsdf.sample(ctx, si, RANDOM)
+bs, weight = bsdf.sample(ctx, si, RANDOM, True)
 """ + by_sample("STALE", "DUE")
 
 
@@ -326,11 +327,11 @@ a, b = np.count_nonzero(~np.isfinite(m)) + np.count_nonzero(m[0, 0] < 0), 0
     # of both variants
     FIRST_ELEMENT = by_sample("values[0]", "values[1]", LIT)
     SAMPLED_WEIGHT = f"""\
-a, b = np.array(weight) * np.array(bs.pdf), np.array(bsdf.eval(ctx, si, bs.wo))
+a, b = np.array(weight) * np.array(bs.pdf), np.array(bsdf.eval(ctx, si, bs.wo, True))
 {ELEMENTS}"""
     EVAL_PDF = f"""\
-a = np.array(bsdf.eval_pdf(ctx, si, bs.wo)[0])
-b = np.array(bsdf.eval(ctx, si, bs.wo))
+a = np.array(bsdf.eval_pdf(ctx, si, bs.wo, True)[0])
+b = np.array(bsdf.eval(ctx, si, bs.wo, True))
 {ELEMENTS}"""
     # Cloude's coherency matrix, which is a sum of those of Jones matrices
     REALISABLE = f"""\

@@ -61,9 +61,9 @@ COUNTED = {
 # Answers of functions, of `eval` if no other, and of `sample` by what a finding is
 # about.
 ANSWERS = {
-    "sample": "bsdf.sample(ctx, si, RANDOM)[1]",
-    "pdf": "bsdf.pdf(ctx, si, wo)",
-    "eval_pdf": "bsdf.eval_pdf(ctx, si, wo)[0]",
+    "sample": "bsdf.sample(ctx, si, RANDOM, True)[1]",
+    "pdf": "bsdf.pdf(ctx, si, wo, True)",
+    "eval_pdf": "bsdf.eval_pdf(ctx, si, wo, True)[0]",
 }
 SAMPLED = {"weight": "weight", "pdf": "bs.pdf", "direction": "dr.abs(bs.wo)"}
 
@@ -160,11 +160,11 @@ def script(verdict: Verdict, one: Property) -> str:
 def _counted(maps: FourMaps | None, corners: Any, kind: Kind) -> dict[str, str]:
     """Words of a template that compares samples and integrals in a box."""
     counted = LIT if maps and not maps.totals.delta_mean.any() else SMOOTH
-    density = "bsdf.pdf(ctx, si, wo)"
+    density = "bsdf.pdf(ctx, si, wo, True)"
     dark = maps.due.unused.values.sum() if maps else 0.0
     if kind is Kind.SAMPLING and dark > UNUSED:
-        counted = "dr.any(bsdf.eval(ctx, si, bs.wo) > 0)"
-        density = f"dr.select(dr.any(bsdf.eval(ctx, si, wo) > 0), {density}, 0)"
+        counted = "dr.any(bsdf.eval(ctx, si, bs.wo, True) > 0)"
+        density = f"dr.select(dr.any(bsdf.eval(ctx, si, wo, True) > 0), {density}, 0)"
     rounded = [[[float(f"{x:.9g}")] for x in corner] for corner in corners]
     return {"CORNERS": str(rounded), "COUNTED": counted, "DENSITY": density}
 
@@ -172,8 +172,8 @@ def _counted(maps: FourMaps | None, corners: Any, kind: Kind) -> dict[str, str]:
 def _words(verdict: Verdict, one: Property, kind: Kind | MatrixKind) -> dict[str, str]:
     """Text that replaces each word of a template for one finding."""
     guilty = str(one.function or verdict.function or "eval").split(" or ")[0]
-    answer = ANSWERS.get(guilty, "bsdf.eval(ctx, si, wo)")
-    function = answer.replace(", wo)", ", bs.wo)")
+    answer = ANSWERS.get(guilty, "bsdf.eval(ctx, si, wo, True)")
+    function = answer.replace(", wo,", ", bs.wo,")
     about, samples = one.about, guilty == "sample"
     if kind in (Kind.ANSWERS, Kind.ENDS):
         about = SAMPLED[about] if samples else answer
@@ -187,7 +187,7 @@ def _words(verdict: Verdict, one: Property, kind: Kind | MatrixKind) -> dict[str
         "INDEX": str(int(about == "pdf")),
         "TURNED": answer.replace("[1]", "[0].wo") if samples else function,
         "EXCLUDED": excluded if samples else "(bsdf.component_count() == 1)",
-        "MASKED": re.sub(r"\)(\[\d\])?$", r", awake)\1", function),
+        "MASKED": re.sub(r"True\)(\[\d\])?$", r"awake)\1", function),
         "FLUX": "weight * bs.pdf" if samples else function,
         "FUNCTION": function,
         "ANSWER": answer,
@@ -270,7 +270,7 @@ def _head(
     yield "dr.make_opaque(si)"
     yield "rng = np.random.default_rng(0)"
     yield "u = rng.random((3, n), dtype=np.float32)"
-    yield "bs, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]))"
+    yield "bs, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]), True)"
 
 
 def _is_textured(verdict: Verdict) -> bool:

@@ -87,7 +87,7 @@ LATTICES = """\
 moments = lambda wo: np.stack([x + np.zeros(n) for x in (1, *np.array(wo))])
 rng, both, steps = np.random.default_rng(0), [], [[1 / n], [0.618034], [0.754878]]
 for u in (np.arange(n) * steps + rng.random((16, 3, 1))) % 1 * (1 - 2**-24):
-    bs, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]))
+    bs, weight = bsdf.sample(ctx, si, mi.Float(u[0]), mi.Point2f(u[1:]), True)
     drawn = np.where(np.array(SMOOTH), DRAWN * moments(bs.wo), 0)
     wo = mi.warp.square_to_uniform_sphere(mi.Point2f(u[:2]))
     due = 4 * np.pi * DENSITY * moments(wo)
@@ -100,10 +100,10 @@ print(f"{a:.6g} and {b:.6g}: {abs(a - b) / error:.3g} standard errors")
 
 # What is counted of samples, and the density that their mean should follow.
 INTEGRALS = {
-    "sampling": {"DRAWN": "1.0", "DENSITY": "np.array(bsdf.pdf(ctx, si, wo))"},
+    "sampling": {"DRAWN": "1.0", "DENSITY": "np.array(bsdf.pdf(ctx, si, wo, True))"},
     "weights": {
         "DRAWN": "np.array(weight).mean(0)",
-        "DENSITY": "np.array(bsdf.eval(ctx, si, wo)).mean(0)",
+        "DENSITY": "np.array(bsdf.eval(ctx, si, wo, True)).mean(0)",
     },
 }
 
@@ -119,9 +119,10 @@ def answers(ctx, x):
     wi, wo = (mi.warp.square_to_uniform_sphere(mi.Point2f(u)) for u in (x[:2], x[2:4]))
     si.wi, si.sh_frame = wi, mi.Frame3f([0, 0, 1])
     si.uv, si.dp_du, si.dp_dv = mi.Point2f(0.35, 0.6), [2, 0, 0], [0, 2, 0]
-    bs, weight = bsdf.sample(ctx, si, mi.Float(x[4]), mi.Point2f(x[5:]))
+    bs, weight = bsdf.sample(ctx, si, mi.Float(x[4]), mi.Point2f(x[5:]), True)
     drawn = [dr.select(dr.any(weight != 0), y, 0) for y in (*bs.wo, bs.pdf)]
-    told = dr.sum(bsdf.eval(ctx, si, wo)), dr.sum(weight), bsdf.pdf(ctx, si, wo)
+    value, density = bsdf.eval(ctx, si, wo, True), bsdf.pdf(ctx, si, wo, True)
+    told = dr.sum(value), dr.sum(weight), density
     return [np.array(y) + np.zeros(np.size(x[0])) for y in (*told, *drawn)]
 
 x, told = np.random.default_rng(0).random((7, 1000)), []

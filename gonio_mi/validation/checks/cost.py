@@ -99,8 +99,9 @@ def _call(bsdf: mi.BSDF, condition: Condition) -> Callable[[], None]:
     def call() -> None:
         """Sample and evaluate once."""
         # all in one kernel, as an integrator has it
-        bs, weight = bsdf.sample(ctx, si, sample1, sample2)
-        dr.eval(weight, bs, bsdf.eval(ctx, si, bs.wo), bsdf.pdf(ctx, si, bs.wo))
+        bs, weight = bsdf.sample(ctx, si, sample1, sample2, True)
+        values = (f(ctx, si, bs.wo, True) for f in (bsdf.eval, bsdf.pdf))
+        dr.eval(weight, bs, *values)
         dr.sync_thread()
 
     return call
