@@ -10,7 +10,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..array_types import Flags, Floats
+from ..array_types import Flags, Floats, Integers
 from ..collector import Borders
 from ..collector.directions import direction
 from ..errors import checked_choice
@@ -55,6 +55,11 @@ class Condition:
         return wi * [1, 1, face]
 
     @property
+    def uvs(self) -> Floats:
+        """Texture coordinates, shape (2,)."""
+        return np.array(self.uv)
+
+    @property
     def context(self) -> mi.BSDFContext:
         """Mitsuba's BSDF context."""
         mode = getattr(mi.TransportMode, self.mode.capitalize())
@@ -96,7 +101,7 @@ class Sweep(Condition):
     """A different incident direction for each of `n` samples, evenly over angles.
 
     Any sector or band of some degrees gets hundreds of them. `theta_i` is the angle of
-    their mean cosine. If `both` faces are lit, they alternate.
+    their mean cosine. If `both` faces are lit, they alternate; the `PLACES` do, too.
     """
 
     theta_i: float = 50.5
@@ -118,8 +123,21 @@ class Sweep(Condition):
             [np.ones(self.n), np.ones(self.n), faces], axis=1
         )
 
+    @cached_property
+    def places(self) -> Integers:
+        """Which of the `PLACES` each of them meets, shape (n,)."""
+        return np.arange(self.n) % len(PLACES)
+
+    @property
+    def uvs(self) -> Floats:
+        """Texture coordinates of each, shape (n, 2)."""
+        return np.array(PLACES)[self.places]
+
     def place(self, wrong: Flags) -> str:
-        """Range of the polar angles, and of azimuths unless they go all around."""
+        """Range of the polar angles, of azimuths unless they go all around; a place.
+
+        The latter if all are in one of them.
+        """
         theta, phi = self.angles[:, wrong]
         if not theta.size:
             return str(self)
@@ -130,6 +148,8 @@ class Sweep(Condition):
         if gaps[widest] > MIN_GAP:
             first, last = phi[(widest + 1) % len(phi)], phi[widest]
             text += f", phi_i {first:.0f} to {last:.0f}"
+        if len(own := {*self.places[wrong].tolist()}) == 1:
+            text += ", uv ({:g}, {:g})".format(*PLACES[own.pop()])
         return text + self._more
 
     def middle(self, wrong: Flags) -> Condition:
@@ -138,7 +158,7 @@ class Sweep(Condition):
         k = own[np.argsort(self.angles[0, own])[len(own) // 2]] if own.size else 0
         theta, phi = (round(float(angle), 1) for angle in self.angles[:, k])
         side = "front" if self.wi[k, 2] > 0 else "back"
-        return Condition(theta, phi, side, self.uv, self.mode)
+        return Condition(theta, phi, side, PLACES[self.places[k]], self.mode)
 
     def __str__(self) -> str:
         return f"all angles of incidence{self._more}"

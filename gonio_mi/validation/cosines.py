@@ -58,7 +58,7 @@ def explain_reciprocity(evidence: Evidence) -> None:
     which stays lit as wo falls to the horizon. One that means it so (Phong's, of 1975,
     has no cosine) can declare NonSymmetric.
     """
-    found = evidence.of("reciprocity")
+    found = [b for b in evidence.of("reciprocity") if b.function == "eval"]
     own = [b for b in found if b.effect == MODEL]
     whole = [one for one in evidence.whole if one.condition.mode == "importance"]
     # a face of its own may be right

@@ -87,7 +87,7 @@ def _worst_breach_guess(
 
 
 def _energy_guess(evidence: Evidence, _: Mapping[str, str], __: str) -> Guess:
-    """Guess whether ``eval`` or the weights of discrete lobes gain light."""
+    """Guess whether ``eval`` or the weights of discrete lobes gain or lose light."""
     totals = [m.smooth_flux.max() + m.totals.delta_mean.max() for m in evidence.maps]
     discrete = any(m.totals.delta_mean.max() > 1 + 1e-4 for m in evidence.maps)
     weights = [b for b in evidence.of("components") if b.function == "sample"]
@@ -96,6 +96,8 @@ def _energy_guess(evidence: Evidence, _: Mapping[str, str], __: str) -> Guess:
         return "sample", weights[0].mistake
     function = "sample" if discrete else "eval"
     most = max(totals, default=1.0)
+    if most < 1:  # a phase function, which absorbs nothing
+        return function, f"`{function}` loses light: {min(totals):.4g} of it leaves"
     return function, f"`{function}` gains light: {most:.4g} of it leaves"
 
 
@@ -121,6 +123,8 @@ def _odd_function_guess(
     if "sampling" not in failed:
         if "sampled_pdf" in failed:
             return "sample", explain(ratios_of(evidence, "sampled_pdf"), "sampled_pdf")
+        if "weights" in failed and not evidence.of("sampled_weight"):
+            return _counts_guess(evidence, weights_fail=True)
         return explain_weights(evidence, failed)
     lobes = _lobes(evidence)
     if lobes:
@@ -128,7 +132,9 @@ def _odd_function_guess(
     wrong_weights = "sampled_weight" in failed or "weights" in failed
     if evidence.of("sampled_pdf") and not wrong_weights:
         return "pdf", explain(ratios_of(evidence, "pdf"), "pdf")
-    return _counts_guess(evidence, "weights" in failed)
+    # a weight that is `eval` over a wrong `pdf` is wrong, too
+    by_pdf = not (evidence.of("sampled_weight") or evidence.of("sampled_pdf"))
+    return _counts_guess(evidence, by_pdf or "weights" in failed)
 
 
 # What is looked at first explains what comes later.
@@ -165,7 +171,13 @@ def _lobes(evidence: Evidence) -> str:
         differs = unequal(density, samples.pdf, samples.pdf_slack) & samples.smooth
         return not is_many(differs)
 
+    def is_whole(value: Floats) -> bool:
+        differs = unequal(value, samples.eval, samples.eval_slack) & samples.smooth
+        return not is_many(differs)
+
     own = [i for i, density in enumerate(each.pdf) if is_it(density)]
+    if any(map(is_whole, each.eval)):
+        return ""  # no component can be asked alone
     if len(own) == 1:
         return f"is that of component {own[0]} alone"
     if not own and is_it(each.pdf.sum(axis=0)):

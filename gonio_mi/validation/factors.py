@@ -258,9 +258,12 @@ def _where(ratios: Sequence[Ratio], everything: Sequence[Ratio]) -> str:
     first = worst.samples.condition
     more = f", and at {len(ratios) - 1} more of {n}" if len(ratios) > 1 else ""
     right = [one for one in everything if not any(one is other for other in ratios)]
-    uvs = [{one.samples.condition.uv for one in some} for some in (ratios, right)]
+    wrong_uvs, right_uvs = (
+        {tuple(uv) for one in some for uv in one.samples.condition.uvs.reshape(-1, 2)}
+        for some in (ratios, right)
+    )
     u, v = first.uv
-    uv = f", uv ({u:g}, {v:g})" if not uvs[0] & uvs[1] else ""
+    uv = f", uv ({u:g}, {v:g})" if not wrong_uvs & right_uvs else ""
     return f" at {first.place(worst.wrong)}{uv}{more}"
 
 

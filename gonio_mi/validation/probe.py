@@ -49,7 +49,7 @@ class Probe:
         self.ctx = condition.context
         wi = condition.wi
         self.wi = mi.Vector3f(wi.tolist()) if wi.ndim == 1 else vectors(wi)
-        self.uv = mi.Point2f(list(condition.uv))
+        self.uv = mi.Point2f(*map(floats, condition.uvs.reshape(-1, 2).T))
         axes = TURN if condition.turned else np.eye(3)
         self.axes = [mi.Vector3f(axis.tolist()) for axis in axes.T]
         self.p = mi.Point3f((POSITION if condition.turned else 0 * POSITION).tolist())
@@ -137,12 +137,12 @@ class Probe:
     def of_surface(self, function: str) -> Floats:
         """Answer of a function that takes no direction wo; shape ``(channels,)``."""
         with blamed(function):
-            answer = getattr(self.bsdf, function)(self.interaction())
+            answer = getattr(self.bsdf, function)(self.interaction(), True)
         return spectral(checked_answer(function, answer, 1, mi.Spectrum), 1)[0]
 
     def _width(self, wi: mi.Vector3f | None, *arguments: Any) -> int:
         """Number of rays of a call."""
-        return dr.width(self.wi if wi is None else wi, self.uv, *arguments)
+        return dr.width(self.wi if wi is None else wi, *arguments)
 
     def _call(self, function: str, *arguments: Any, **options: Any) -> Any:
         """Answer of a function, evaluated.
@@ -171,12 +171,15 @@ class Probe:
         wi = mi.Vector3f(self.wi if wi is None else wi)
         if dr.width(wi) < n:
             wi += dr.zeros(mi.Vector3f, n)
-        dr.make_opaque(wi, self.uv, arguments)
+        # `n` may be so many times the samples, which are then asked again and again
+        uv = dr.tile(self.uv, n // dr.width(self.uv))
+        dr.make_opaque(wi, uv, arguments)
         # a plugin may narrow its mask in place
         mask = active if isinstance(active, bool) else mi.Bool(active)
         with blamed(function):
-            method = getattr(self.bsdf, function)
-            return method(ctx or self.ctx, self.interaction(wi), *arguments, mask)
+            method, si = getattr(self.bsdf, function), self.interaction(wi)
+            si.uv = uv
+            return method(ctx or self.ctx, si, *arguments, mask)
 
     @staticmethod
     def _pair(

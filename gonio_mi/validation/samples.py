@@ -54,7 +54,8 @@ COSINE_ROUNDING = 2.0**-22
 def unequal(a: Numbers, b: Numbers, slack: Numbers | float) -> Flags:
     """Mask of samples whose values differ by more than rounding, shape ``(n,)``."""
     tolerance = BSDF_ROUNDING * np.maximum(np.abs(a), np.abs(b)) + SLACK * slack
-    differs = np.abs(a - b) > np.maximum(tolerance, UNDERFLOW)
+    with np.errstate(invalid="ignore"):  # infinities are equal; `answers` names them
+        differs = np.abs(a - b) > np.maximum(tolerance, UNDERFLOW)
     return differs if differs.ndim == 1 else differs.any(axis=1)
 
 

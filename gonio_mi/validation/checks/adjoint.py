@@ -19,35 +19,51 @@ def check_ways(evidence: Evidence, ways: BothWays) -> None:
     """``f(wi, wo)`` of one mode is ``f(wo, wi)`` of the other (Veach 1997, 5.2).
 
     A model that is not reciprocal is so in either mode: where the ratio of the modes is
-    eta^2, there is nothing to add.
+    eta^2, there is nothing to add. Where importance mode is reciprocal, that ratio is
+    eta^2 from either side.
     """
     samples, eta2 = ways.samples, ways.eta2
-    slack = samples.eval_slack * (1 + eta2)
-    differs = unequal(samples.eval, eta2 * samples.other_mode, slack)
-    wrong = unequal(ways.forward, ways.adjoint, ways.slack * (1 + eta2))
-    wrong &= ways.smooth & differs
+    slack = ways.slack * (1 + eta2)
+    here = unequal(
+        samples.eval, eta2 * samples.other_mode, samples.eval_slack * (1 + eta2)
+    )
+    there = unequal(eta2 * ways.backward, ways.adjoint, slack)
+    reciprocal = ~unequal(ways.forward, eta2 * ways.backward, slack)
+    wrong = unequal(ways.forward, ways.adjoint, slack)
+    wrong &= ways.smooth & (here | (reciprocal & there))
     if is_many(wrong):
+        of_radiance = reciprocal[wrong].mean() > 0.5
         evidence.breach(
             "adjoint",
             "eval",
             ratio_text(ways.forward, ways.adjoint, wrong, samples),
-            _mistake(ways, wrong),
+            _mistake(ways, wrong, of_radiance),
             samples.condition,
             size=float(wrong.mean()),
+            effect=BIAS if of_radiance else BREAKS,
         )
 
 
-def _mistake(ways: BothWays, wrong: Flags) -> str:
-    """Likely mistake between the modes."""
+def _mistake(ways: BothWays, wrong: Flags, of_radiance: bool) -> str:
+    """Likely mistake between the modes; `of_radiance` if importance mode is right."""
     if not ways.samples.reflected[wrong].any():
+        # adjoint light comes from the other side, where 1/eta^2 is eta^2 from here
         ratio = ways.ratio(ways.adjoint, wrong)
         eta2 = np.median(ways.samples.eta[wrong]) ** 2
         if is_constant(ratio):
             middle = np.median(ratio)
+            if of_radiance and abs(middle / eta2 - 1) < 1e-3:
+                return "`eval` lacks 1/eta^2 in radiance mode"
             if abs(middle * eta2 - 1) < 1e-3 or abs(middle / eta2 - 1) < 1e-3:
                 return (
                     "`eval` is the same in both modes: 1/eta^2 is missing in radiance "
                     "mode, or there in importance mode"
+                )
+            if of_radiance:
+                lit = ways.samples.condition.side
+                return (
+                    f"`eval` of radiance mode is {1 / middle:.4g} times what is due "
+                    f"for wi on the {'back' if lit == 'front' else 'front'}"
                 )
             return f"`eval` of the modes has the ratio {middle:.4g}, where 1 is due"
     return (

@@ -14,7 +14,7 @@ from ...collector.directions import direction
 from ..conditions import TURN
 from ..evidence import BIAS, INTERFACE, Evidence
 from ..kinds import Kind
-from ..probe import Probe, random_numbers, spectral, vectors
+from ..probe import Probe, floats, random_numbers, spectral, vectors
 from ..samples import Samples, is_many, unequal
 
 # Properties that hold unless two functions contradict each other.
@@ -193,8 +193,9 @@ def _displaced(a: Floats, b: Floats) -> Flags:
 
 def check_order(evidence: Evidence, samples: Samples) -> None:
     """Check that answers do not depend on the place of a ray in the array."""
-    # of a sweep, so that the incident directions are reversed, too
+    # of a sweep, so that incident directions and places are reversed, too
     probe = Probe(evidence.bsdf, samples.condition)
+    probe.uv = mi.Point2f(*map(floats, samples.condition.uvs[::-1].T))
     wo, wi = samples.wo[::-1], vectors(samples.wi[::-1])
     _, weight = probe.sample(*random_numbers(samples.u[::-1]), wi=wi)
     n = samples.n

@@ -77,8 +77,16 @@ def _check_discrete(evidence: Evidence, samples: Samples, each: Alone) -> None:
 
 
 def _check_types(evidence: Evidence, samples: Samples, each: Alone) -> None:
-    """Check that ctx.type_mask selects a component whose lobe types no other has."""
+    """Check that ctx.type_mask selects a component whose lobe types no other has.
+
+    Not where a component alone is the whole: some plugins heed masks of types only.
+    """
     bsdf = evidence.bsdf
+    whole = samples.eval, samples.eval_slack
+    if len(each.eval) > 1 and any(
+        not is_many(unequal(one, *whole) & samples.smooth) for one in each.eval
+    ):
+        return
     lobes = sum(int(getattr(mi.BSDFFlags, name)) for name in LOBES)
     types = [int(bsdf.flags(i)) & lobes for i in range(bsdf.component_count())]
     for i, own in enumerate(types):

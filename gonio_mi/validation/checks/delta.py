@@ -172,7 +172,7 @@ def check_null(evidence: Evidence, samples: Samples) -> None:
             function,
             f"says {reported.max():.4g}, sampled is {sampled.max():.4g} "
             f"at {samples.condition}",
-            f"`{function}` is not the share that `sample` lets pass",
+            f"`{function}` is not weight times pdf of the null lobe of `sample`",
             samples.condition,
             kind=Kind.NULL_TRANSMISSION,
         )

@@ -11,7 +11,7 @@ import numpy as np
 from ...array_types import Flags, Floats
 from ...single_precision import BSDF_ROUNDING
 from ..conditions import LitFrom
-from ..evidence import BREAKS, Evidence
+from ..evidence import BREAKS, MODEL, Evidence
 from ..kinds import Kind
 from ..probe import Probe, numbers, spectral
 from ..samples import Samples, is_many, samples_of, unequal
@@ -99,16 +99,20 @@ def _declared(bsdf: mi.BSDF, ways: BothWays) -> Flags:
 
     In transmission with another eta than 1 the flag stands for eta^2 alone.
     """
-    flags, n = mi.BSDFFlags, bsdf.component_count()
-    only = ways.samples.condition.component
-    wanted = range(n) if only is None else [only]
-    own = [int(bsdf.flags(i)) for i in wanted] or [int(bsdf.flags())]
+    flags, only = mi.BSDFFlags, ways.samples.condition.component
     reflects, transmits = (
-        any(f & int(flags.NonSymmetric) and f & int(side) for f in own)
+        _is_nonsymmetric(bsdf, int(side), only)
         for side in (flags.Reflection, flags.Transmission)
     )
     straight = np.abs(ways.eta2[:, 0] - 1) < BSDF_ROUNDING
     return np.where(ways.samples.reflected, reflects, transmits & straight)
+
+
+def _is_nonsymmetric(bsdf: mi.BSDF, kinds: int, only: int | None) -> bool:
+    """Whether a component with lobes of some `kinds`, or `only` one, is declared so."""
+    wanted = range(bsdf.component_count()) if only is None else [only]
+    own = [int(bsdf.flags(i)) for i in wanted] or [int(bsdf.flags())]
+    return any(f & int(mi.BSDFFlags.NonSymmetric) and f & kinds for f in own)
 
 
 def _mistake(ways: BothWays, wrong: Flags) -> str:
@@ -168,15 +172,28 @@ def check_lobe(evidence: Evidence, lobe: Lobe, key: tuple[int, ...]) -> bool:
     known = BSDF_ROUNDING + _sensitivity(evidence.bsdf, lobe)
     if not np.abs(there - again).max() > known:
         return True
+    text = (
+        f"a discrete lobe has {there.max():.4g} of the light, {again.max():.4g} on the "
+        f"way back, at {samples.condition}"
+    )
+    mistake = "`sample` gives a discrete lobe another share than its reverse"
+    eta2 = float(np.median(samples.eta[lobe.own])) ** 2
+    refracts = bool(lobe.kind & int(mi.BSDFFlags.DeltaTransmission))
+    if refracts and abs(eta2 - 1) > BSDF_ROUNDING:
+        mistake += " in importance mode: 1/eta^2 belongs to radiance mode only"
+        effect = BREAKS
+    elif _is_nonsymmetric(evidence.bsdf, lobe.kind, samples.condition.component):
+        evidence.declared["reciprocity"] = f"{text}, declared as NonSymmetric"
+        return False
+    else:
+        effect = MODEL  # as of a smooth lobe
     evidence.breach(
         "reciprocity",
         "sample",
-        f"a discrete lobe has {there.max():.4g} of the light, "
-        f"{again.max():.4g} on the way back, at {samples.condition}",
-        "`sample` gives a discrete lobe another share than its reverse in "
-        "importance mode: 1/eta^2 belongs to radiance mode only",
+        text,
+        mistake,
         samples.condition,
-        effect=BREAKS,
+        effect=effect,
         kind=Kind.RECIPROCITY_OF_A_LOBE,
     )
     return False

@@ -53,10 +53,19 @@ def _unequal(samples: Samples, eval_slack: Floats, pdf_slack: Floats) -> list[Fl
 
 
 def _is_biased(samples: Samples, lit: Flags) -> bool:
-    """Whether a channel's mean weight differs from that of ``eval`` over ``pdf``."""
+    """Whether mean weights differ from those of ``eval`` over ``pdf``.
+
+    Of all samples, or times a polynomial of wo: noise of the weights has the mean 0 in
+    every direction.
+    """
     usable = lit & (samples.pdf > 0) & np.isfinite(samples.weight).all(axis=1)
     off = samples.weight[usable] - samples.eval[usable] / samples.pdf[usable][:, None]
     if len(off) < 2:
         return True
-    std_err = off.std(axis=0) / np.sqrt(len(off))
-    return bool((np.abs(off.mean(axis=0)) > MAX_SCORE * std_err).any())
+    x, y, z = samples.wo[usable].T
+    for moment in (np.ones(len(off)), x, y, z, z * z, x * y, x * x - y * y):
+        part = off * moment[:, None]
+        std_err = part.std(axis=0) / np.sqrt(len(part))
+        if (np.abs(part.mean(axis=0)) > MAX_SCORE * std_err).any():
+            return True
+    return False

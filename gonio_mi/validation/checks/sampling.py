@@ -168,14 +168,14 @@ def _even_directions(bsdf: mi.BSDF, sweep: Sweep, key: tuple[int, ...]) -> Float
 
 
 def _cells(sweep: Sweep) -> list[Integers]:
-    """Cell of each incident direction: by polar angle, by azimuth and by face alone."""
+    """Cell of each incident direction: by polar angle, azimuth, place and face."""
     theta, phi = sweep.angles
     other = N_CELLS * (sweep.wi[:, 2] < 0)
     bands = [
         (x / limit * N_CELLS).astype(int) + other
         for x, limit in ((theta, 90.0), (phi, 360.0))
     ]
-    return [*bands, other]
+    return [*bands, sweep.places + other, other]
 
 
 def _weighings(sweep: Sweep, wo: Floats) -> list[Floats]:
