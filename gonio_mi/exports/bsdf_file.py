@@ -55,7 +55,8 @@ def bsdf(
     """Measure all that a Radiance BSDF file says of a specimen, and write it.
 
     Light fills each incident patch of the file and is collected in the file's own
-    patches, so that nothing is resampled: both sides, reflection and transmission.
+    patches, so that nothing is resampled: both sides, reflection and transmission. The
+    back has the seed of the front plus one, so that the errors of both are independent.
 
     Parameters
     ----------
@@ -123,10 +124,14 @@ def bsdf(
     settings |= {"incident": incident, "collector": collector}
     sides: dict[str, list[Record]] = {"": [], "solar ": []}
     for prefix, measured in (("", specimen), ("solar ", solar)):
-        for side in ("front", "back") if measured is not None else ():
+        if measured is None:
+            continue
+        given = settings
+        for side in ("front", "back"):
             name = (prefix + side).replace(" ", "_")
-            record = _side(measured, name, executor, folder, side=side, **settings)
+            record = _side(measured, name, executor, folder, side=side, **given)
             sides[prefix].append(record)
+            given = settings | {"seed": record.asked.seed + 1}
     _warn_of_black_side(*sides[""])
     light, sunlight = of_daylight(sides[""], sides["solar "])
     export(light, path, basis, product=product, solar=sunlight)

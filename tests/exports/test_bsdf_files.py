@@ -418,6 +418,22 @@ def test_what_the_file_decides_is_not_asked_for(tmp_path):
         gonio.bsdf({"type": "diffuse"}, tmp_path / "x.xml", theta_i=3)
 
 
+@pytest.mark.usefixtures("mono")
+@pytest.mark.parametrize("folder", [None, "parts"])
+def test_both_sides_are_measured_with_rays_of_their_own(tmp_path, folder):
+    """Exact: `measure` repeats both with the seeds that their records state."""
+    matt = {"type": "twosided", "bsdf": {"type": "diffuse"}}
+    where = {} if folder is None else {"folder": tmp_path / folder}
+    asked = {"rays": 64, "seed": 5}
+    records = gonio.bsdf(matt, tmp_path / "m.xml", "klems-quarter", **asked, **where)
+    same = {"incident": "klems-quarter", "collector": "klems-quarter", "rays": 64}
+    for seed, (side, record) in zip((5, 6), records.items()):
+        assert record.asked.seed == seed
+        again = gonio.measure(matt, **same, side=side, seed=seed)
+        assert np.array_equal(record.counts, again.counts)
+    assert not np.array_equal(records["front"].counts, records["back"].counts)
+
+
 @pytest.mark.usefixtures("rgb")
 def test_a_coloured_face_and_a_black_back(tmp_path):
     """Which has one channel; in the file both are coloured."""
