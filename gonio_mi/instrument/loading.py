@@ -32,7 +32,7 @@ from ..threads import two_threads
 from ..transport.kernels import launches_kernels
 from ..transport.shapes import WATERTIGHT, remember, scene_of
 from ..transport.variants import check_variant, is_parallel
-from .specimen_text import SpecimenLike, is_word, parse_specimen
+from .specimen_text import SpecimenLike, is_word, parse_specimen, with_real_indices
 
 # Texts that may hold heights or measured values.
 TEXTS = (".txt", ".csv", ".tsv")
@@ -181,7 +181,8 @@ def loaded(what: str, load: Callable[..., Any], *args: Any, **kwargs: Any) -> An
         for argument in args:
             _check_whole_numbers(argument)
         with two_threads():
-            return load(*map(with_own_tensors, args), **kwargs)
+            given = (with_own_tensors(with_real_indices(one)) for one in args)
+            return load(*given, **kwargs)
     except (RuntimeError, TypeError, ValueError, AttributeError, KeyError) as error:
         if tells_of_our_bug(error):
             raise  # a bug of ours in a plugin

@@ -17,6 +17,9 @@ SpecimenLike: TypeAlias = (
     "dict[str, Any] | mi.BSDF | mi.Shape | mi.Scene | str | os.PathLike[str]"
 )
 
+# Refractive indices, for which Mitsuba takes an integer for a name in its table.
+INDICES = {"int_ior", "ext_ior"}
+
 
 def parse_specimen(text: str) -> Any:
     """Specimen from a word of the command line.
@@ -84,6 +87,14 @@ def _value(text: str) -> Any:
         return float(text)
     except ValueError:
         return text
+
+
+def with_real_indices(node: Any) -> Any:
+    """Dictionary as Mitsuba takes it: refractive indices are no integers."""
+    if not isinstance(node, dict):
+        return node
+    real = {key: float(node[key]) for key in INDICES if type(node.get(key)) is int}
+    return {key: with_real_indices(value) for key, value in node.items()} | real
 
 
 def specimen_name(

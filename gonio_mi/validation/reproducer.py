@@ -19,6 +19,7 @@ import numpy as np
 
 from ..errors import SettingError
 from ..files import replacing
+from ..instrument.specimen_text import with_real_indices
 from ..single_precision import BSDF_ROUNDING
 from ..transport.variants import unpolarised
 from .conditions import TURN, Condition, Sweep
@@ -336,7 +337,8 @@ def source_of(
         given = [repr(str(specimen))]
         given += [f"{key}={str(x)!r}" for key, x in (parameters or {}).items()]
         return f"bsdf = mi.load_file({', '.join(given)}).shapes()[0].bsdf()"
-    text = _text(specimen) if isinstance(specimen, dict) else None
+    given = with_real_indices(specimen)
+    text = _text(given) if isinstance(specimen, dict) else None
     return text and f"{'phase' if volumes else 'bsdf'} = mi.load_dict({text})"
 
 

@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import SettingError, SpecimenError, shown
+from ..instrument.specimen_text import with_real_indices
 from ..validation.checks.answers import lattice
 from ..validation.conditions import Condition
 from ..validation.samples import ULPS
@@ -60,7 +61,7 @@ class Question:
         file = None if isinstance(self.specimen, dict) else str(self.specimen)
         return {
             "file": file,
-            "specimen": _plain(self.specimen) if file is None else None,
+            "specimen": None if file else _plain(with_real_indices(self.specimen)),
             "parameters": {key: str(x) for key, x in self.parameters.items()},
             "variant": self.variant,
             "plugins": [str(Path(path).resolve()) for path in self.plugins],

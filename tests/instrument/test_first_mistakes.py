@@ -12,6 +12,8 @@ import pytest
 from gonio_mi.campaigns.measure import measure_whole
 from gonio_mi.cli import main
 from gonio_mi.errors import LostLightWarning
+from gonio_mi.validation.reproducer import source_of
+from gonio_mi.versions.asking import Question
 
 BALL = {"type": "sphere", "bsdf": {"type": "diffuse"}}
 FEW = {"rays": 2000, "batches": 2, "collector": "projected:2x2"}
@@ -139,6 +141,24 @@ def test_a_bsdf_in_one_word_is_told_as_a_dictionary():
     with pytest.raises(gonio.SpecimenError) as told:
         gonio.measure("scene.xml", 0)
     assert "dictionary" not in str(told.value)
+
+
+@pytest.mark.usefixtures("mono")
+def test_a_refractive_index_may_be_an_integer():
+    """Exact: the same light as of a float, and so nested, in scripts, for others."""
+    whole = {"type": "dielectric", "int_ior": 2, "ext_ior": 1}
+    real = {"type": "dielectric", "int_ior": 2.0, "ext_ior": 1.0}
+    nested = {"type": "mask", "bsdf": whole}
+    expected = gonio.measure(real, 60, **FEW).tallies
+    assert gonio.measure(whole, 60, **FEW).tallies == expected
+    assert gonio.measure(nested, 60, **FEW).ledger.absorbed == 0
+    asked = ["--theta-i", "60", "--rays", "2000"]
+    assert main(["measure", "dielectric:int_ior=2,ext_ior=1", *asked]) == 0
+    assert "2.0" in source_of(whole)
+    question = Question(whole, {}, mi.variant(), (), (), 0)
+    assert question.to_json()["specimen"] == real
+    with pytest.raises(gonio.SpecimenError, match="int_ior"):
+        gonio.measure({"type": "dielectric", "int_ior": True}, 60, **FEW)
 
 
 def test_version():
