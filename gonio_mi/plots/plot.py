@@ -112,8 +112,11 @@ def chosen(record: Record, index: int) -> Record:
     return record[index]
 
 
-def figure_title(record: Record, index: int) -> str:
-    """Four lines: specimen, incident direction, settings, totals."""
+def figure_title(record: Record, index: int, stokes: Floats | None = None) -> str:
+    """Four lines: specimen, incident direction, settings, totals.
+
+    The totals are of incident light of the Stokes vector, or unpolarised.
+    """
     single, settings = record[index], record.settings
     direction = _direction(record, index)
     if math.isnan(single.theta_i[0]):
@@ -136,13 +139,14 @@ def figure_title(record: Record, index: int) -> str:
         ", ".join(filter(None, facts)) + ", " + str(record.subdivision),
         ", ".join(rays),
     ]
-    totals = [_total("dhr", single.dhr, single.dhr_std_err)]
-    if single.dht is not None and single.dht_std_err is not None:
-        totals.append(_total("dht", single.dht, single.dht_std_err))
+    totals = [
+        _total(of, *_of_light(single, of, stokes))
+        for of in ("dhr", "dht")[: single.n_hemispheres]
+    ]
     if single.ledger.direct:
         totals.append(_total("direct", single.direct, single.direct_std_err))
     worst, _ = precision(single)
-    if 0 < worst < math.inf:
+    if stokes is None and 0 < worst < math.inf:
         percent = f"{100 * float(f'{worst:.2g}'):g} %"
         totals.append(f"bright patches ±\N{NO-BREAK SPACE}{percent} at worst")
     lines.append(", ".join(totals))
@@ -150,6 +154,14 @@ def figure_title(record: Record, index: int) -> str:
         of = "largest error" if without_chance(single.tallies) else "std_err"
         lines[-1] += f" (± {of})"
     return "\n".join(lines).encode("utf-8", "backslashreplace").decode()
+
+
+def _of_light(single: Record, of: str, stokes: Floats | None) -> tuple[Floats, Floats]:
+    """Total of each channel and its standard error for incident light."""
+    if stokes is None:
+        return getattr(single, of), getattr(single, f"{of}_std_err")
+    power, error = (one[..., 0] for one in single.stokes(stokes, of))
+    return power / stokes[0], error / stokes[0]
 
 
 def _total(name: str, values: Floats, std_errs: Floats) -> str:

@@ -144,7 +144,8 @@ def plot_stokes(
     _draw_degree(degrees, single, shown, vector)
     below.supxlabel(plane_text(single), size="medium")
     numbers = ", ".join(f"{x:g}" for x in vector)
-    title = f"{figure_title(record, index)}\nincident Stokes vector ({numbers}), {GRID}"
+    title = figure_title(record, index, vector)
+    title += f"\nincident Stokes vector ({numbers}), {GRID}"
     return finished(figure, path, title)
 
 

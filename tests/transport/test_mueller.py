@@ -1,5 +1,7 @@
 """Mueller matrices measured in polarised variants, against closed forms in NumPy."""
 
+import re
+
 import mitsuba as mi
 import mueller
 import numpy as np
@@ -319,6 +321,13 @@ def test_pictures_and_numbers_show_the_matrices(tmp_path, capsys):
     assert drawn.norm.vmax == pytest.approx(degrees.max(), rel=1e-12)
     said = drawn.colorbar.ax.get_xlabel()
     assert said == f"degree of polarisation, at most {degrees.max():.2g}"
+    titles = set()
+    for vector in ([1, 0, 0, 0], [2, 2, 0, 0], [1, -1, 0, 0]):
+        title = plot_stokes(record, stokes=vector).get_suptitle()
+        titles.add(dhr := re.search("dhr.([0-9.]+)", title)[1])
+        power, std_err = (x[0, 0] / vector[0] for x in record.stokes(vector, "dhr"))
+        assert abs(float(dhr) - power) < std_err  # which has two digits in the title
+    assert len(titles) == 3
     path = str(tmp_path / "run.npz")
     record.save(path)
     assert cli.main(["show", path, "--stokes", "1", "1", "0", "0"]) == 0
