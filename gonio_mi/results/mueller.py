@@ -131,6 +131,19 @@ class MuellerEstimates:
         std_err = statistics.batch_std_err(sums, incident)
         return statistics.ratio(sums, incident), std_err
 
+    def normalised_stokes(
+        self, hemisphere: int, vector: Floats, total: bool = False
+    ) -> tuple[Floats, Floats]:
+        """Q / I, U / I and V / I as of :meth:`stokes`, and their standard errors.
+
+        Of the shape ``(n_theta, n_phi, channels, 3)``, or of the `total`
+        ``(channels, 3)``; NaN without light.
+        """
+        light, polarised = self._light_and_rest(hemisphere, vector, total)
+        light = light[..., None]
+        error = statistics.batch_std_err(polarised, light)
+        return statistics.ratio(polarised, light), error
+
     def degree(
         self, hemisphere: int, vector: Floats, total: bool = False
     ) -> tuple[Floats, Floats]:
@@ -161,10 +174,7 @@ class MuellerEstimates:
         n = self.tally.n_batches
         value, std_err = self.degree(hemisphere, vector)
         low, high = statistics.student_interval(value, std_err, n, level)
-        light, polarised = self._light_and_rest(hemisphere, vector)
-        light = light[..., None]
-        parts = statistics.ratio(polarised, light)
-        errors = statistics.batch_std_err(polarised, light)
+        parts, errors = self.normalised_stokes(hemisphere, vector)
         of_each = 1 - (1 - level) / parts.shape[-1]
         least, most = statistics.student_interval(parts, errors, n, of_each)
         may_be_0 = ((least <= 0) & (most >= 0)).all(axis=-1)

@@ -166,15 +166,17 @@ def _stokes_text(record: Record, stokes: Sequence[float], most_rows: int) -> str
     for single in record:
         angles = [_angle(float(x[0])) for x in (single.theta_i, single.phi_i)]
         for of in ("dhr", "dht")[: record.n_hemispheres]:
-            for channel, value, error, degree, its_error in zip(
-                record.channels, *single.stokes(stokes, of), *single.degree(stokes, of)
+            for channel, light, parts, error, degree, its_error in zip(
+                record.channels,
+                single.stokes(stokes, of)[0][:, 0],
+                *single.normalised_stokes(stokes, of),
+                *single.degree(stokes, of),
             ):
-                light = float(value[0])
                 if not light > 0:
                     continue
-                error = float(np.max(error[1:])) / light
-                cells = [_rounded(x, 5) for x in (light, *value[1:] / light)]
-                cells += [f"{error:.2g}", _rounded(degree, 5), f"{its_error:.2g}"]
+                cells = [_rounded(x, 5) for x in (light, *parts)]
+                cells += [_of_part(float(np.max(error))), _rounded(degree, 5)]
+                cells.append(_of_part(its_error))
                 rows.append([*angles, of, channel, *cells])
     text = f"incident Stokes vector: {' '.join(f'{x:g}' for x in stokes)}\n"
     text += aligned(header, rows[:most_rows])
@@ -184,6 +186,8 @@ def _stokes_text(record: Record, stokes: Sequence[float], most_rows: int) -> str
         "the first std_err is the largest of the three; degree of polarisation: of all "
         "flux together, each direction in its own frame of s and p"
     )
+    if any(cell.startswith("<") for row in rows for cell in row):
+        note += "; <: below single-precision rounding"
     return f"{text}\n{_filled('', note)}\n{_filled('', _greatest(record, stokes))}"
 
 
@@ -212,7 +216,7 @@ def _greatest(record: Record, stokes: Sequence[float]) -> str:
     angles += [180 - theta_o if hemisphere else theta_o, phi_o]
     where = ", ".join(f"{name} {_angle(x)}" for name, x in zip(names, angles))
     return (
-        f"{text}{_rounded(degree, 5)} +- {error:.2g} at {where}, channel "
+        f"{text}{_rounded(degree, 5)} +- {_of_part(error)} at {where}, channel "
         f"{record.channels[channel]}"
     )
 
@@ -371,6 +375,11 @@ def _std_err(total: Total, decimals: int) -> str:
     if total.std_err and total.std_err < rounding:
         return f"<{rounding:.{decimals}f}"
     return _fixed(total.std_err, decimals)
+
+
+def _of_part(std_err: float) -> str:
+    """Text of the standard error of a part of 1, or of the rounding in which it is."""
+    return f"<{ROUNDING:.1g}" if std_err < ROUNDING else f"{std_err:.2g}"
 
 
 def _fixed(value: float | None, decimals: int) -> str:

@@ -202,6 +202,23 @@ class MeasuredValues:
         pairs = [one.stokes(hemisphere, vector) for one in self._mueller]
         return self._both(pairs, self._projected[..., None])
 
+    def normalised_stokes(
+        self, incident: ArrayLike, of: str = "brdf"
+    ) -> tuple[Floats, Floats]:
+        """Q / I, U / I and V / I of the light that leaves, and their standard errors.
+
+        Of :meth:`stokes`, with the same parameters; errors are those of the ratios, to
+        which Q and I contribute together. Of the shape
+        ``(n_theta, n_phi, channels, 3)``, of totals ``(channels, 3)``; NaN without
+        light.
+        """
+        vector = checked_stokes(incident)
+        checked_choice("of", of, QUANTITIES)
+        hemisphere, total = self._polarised_hemisphere(of), of in TOTALS
+        return self._both(
+            [one.normalised_stokes(hemisphere, vector, total) for one in self._mueller]
+        )
+
     def degree(self, incident: ArrayLike, of: str = "brdf") -> tuple[Floats, Floats]:
         """Degrees of polarisation of the light that leaves, and their standard errors.
 

@@ -349,6 +349,27 @@ def test_pictures_and_numbers_show_the_matrices(tmp_path, capsys):
     assert "need a polarised variant" in capsys.readouterr().err
 
 
+def test_errors_of_normalised_stokes_are_those_of_ratios(tmp_path, capsys):
+    """At Brewster's angle Q is I, however many rays are reflected."""
+    brewster = np.degrees(np.arctan(1.5))
+    glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
+    record = gonio.measure(glass, brewster, rays=2**12, sampler="independent")
+    value, std_err = (x[0] for x in record.normalised_stokes([1, 0, 0, 0], "dhr"))
+    assert np.allclose(value, [1, 0, 0], rtol=0, atol=ROUNDING)
+    assert std_err.max() <= ROUNDING
+    alone = record.stokes([1, 0, 0, 0], "dhr")[1][0, 1] / record.dhr[0]
+    assert alone > 100 * ROUNDING
+    patches, errors = record.normalised_stokes([1, 0, 0, 0])
+    assert np.allclose(patches[record.counts[0] > 0, 0], [1, 0, 0], atol=ROUNDING)
+    assert errors.shape == patches.shape == (*record.brdf.shape, 3)
+    record.save(path := str(tmp_path / "glass.npz"))
+    assert cli.main(["show", path]) == 0
+    shown = capsys.readouterr().out.partition("incident Stokes")[2]
+    row = next(line.split() for line in shown.splitlines() if " dhr " in line)
+    assert row[-3] == row[-1] == "<6e-08"
+    assert "<: below single-precision rounding" in " ".join(shown.split())
+
+
 def test_own_bsdfs_depolarise():
     record = gonio.measure({"type": "glossymixture"}, 40, 20, **FEW)
     assert record.dhr[0] > 0.1
