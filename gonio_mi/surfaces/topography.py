@@ -11,6 +11,7 @@ import numpy as np
 from ..array_types import Floats
 from ..errors import SettingError, printable, shown
 from ..formats.height_maps import HeightMap
+from ..single_precision import ROUNDING
 from .heights import (
     MAX_LENGTH,
     HeightStatistics,
@@ -211,11 +212,13 @@ class Topography:
         least = min(self.spacing)
         if least < wavelength:
             u, v = self._alphas_over(wavelength)
-            changes = abs(u - s.alpha_u), abs(v - s.alpha_v)
-            if (
-                changes[0] > MAX_ALPHA_CHANGE * s.alpha_u
-                or changes[1] > MAX_ALPHA_CHANGE * s.alpha_v
-            ):
+            # a slope that single precision leaves of heights is none
+            rounding = 2 * ROUNDING * float(abs(self.heights).max()) / least
+            changed = (
+                abs(over - alpha) > max(MAX_ALPHA_CHANGE * alpha, rounding)
+                for over, alpha in ((u, s.alpha_u), (v, s.alpha_v))
+            )
+            if any(changed):
                 found.append(
                     f"the facets of {self.source} are smaller than light, {least:.3g} "
                     f"{self.unit} at a wavelength of {shown}: this is geometric "

@@ -247,6 +247,10 @@ def test_waves_are_warned_of():
     for heights, joined in ((wave, True), (wave, False), (plane, False)):
         fine = HeightMap(np.tile(heights, (256, 1)), "a", (0.1, 0.1), "um", joined)
         assert topography(fine).concerns() == []
+    # nor has a grating any slope across, with or without a plane that was removed
+    for form in ("keep", "plane"):
+        grating = HeightMap(np.tile(wave, (256, 1)), "a", (0.3, 0.3), "um", False)
+        assert topography(grating, Preparation(form=form)).concerns() == []
     # noise has not, however little larger than its facets the wavelength is
     noise = 0.5 * np.random.default_rng(2).standard_normal((64, 64))
     (one,) = topography(HeightMap(noise, "a", (0.5, 0.5), "um", True)).concerns()
