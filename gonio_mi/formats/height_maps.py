@@ -101,14 +101,14 @@ def read_height_map(
         raise SpecimenError(f"heightfield.filename: {no_file(path)}")
     ending = path.suffix[1:].lower()
     if ending == "npy":
-        return HeightMap(_grid(_npy(path)), path.name)
+        return HeightMap(_npy(path), path.name)
     if ending in READERS:
         return _foreign(path, READERS[ending])
     pixels = read_image(path)
     return HeightMap(_grid(pixels), path.name, codes=_codes(pixels.dtype))
 
 
-def _npy(path: Path) -> NDArray[np.generic]:
+def _npy(path: Path) -> Any:
     """Array of a ``.npy`` file, and of nothing else that NumPy loads by its content."""
     try:
         return np.lib.format.open_memmap(path, mode="r")

@@ -389,6 +389,20 @@ def test_a_damaged_array_is_a_sentence(tmp_path, content):
 
 
 @pytest.mark.usefixtures("mono")
+def test_a_stack_of_arrays_is_no_map(tmp_path, capsys):
+    """A third axis may have one element only."""
+    path = str(tmp_path / "cube.npy")
+    np.save(path, np.zeros((3, 4, 5)))
+    assert main(["surface", path]) == 1
+    error = capsys.readouterr().err
+    assert "got an array of shape (3, 4, 5)" in error
+    assert error.count("\n") == 1
+    np.save(path, RAMP[..., None])
+    given = height_maps.read_height_map(Path(path), None)
+    assert np.array_equal(topography(given).heights, RAMP)
+
+
+@pytest.mark.usefixtures("mono")
 def test_an_archive_of_arrays_is_no_array(tmp_path):
     np.savez(tmp_path / "a.npz", RAMP)
     (tmp_path / "a.npz").rename(tmp_path / "a.npy")
